@@ -1,0 +1,81 @@
+"""What this machine has for the tests: PDAL, with a word on it at the end, and SUMO."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+from gis_radar.aerial.pdal import PRIVATE, VARIABLE, candidates, find_pdal
+
+REASON = Path(__file__).parents[1] / ".pdal" / "not-there"
+
+
+def why_no_pdal():
+    """Say why there is no PDAL, as the set-up noted it."""
+    return REASON.read_text().strip() if REASON.exists() else "none was found"
+
+
+@pytest.fixture(scope="session")
+def pdal():
+    """Give the PDAL of this machine; skip where there is none, fail where it does not start."""
+    runner = find_pdal()
+    if runner is None:
+        broken = [candidate.place for candidate in candidates()]
+        assert not broken, f"PDAL is there and does not start: {', '.join(broken)}"
+        pytest.skip(f"no PDAL here: {why_no_pdal()}")
+    return runner
+
+
+@pytest.fixture(scope="session")
+def private_pdal():
+    """Give the program that the set-up fetched; skip where it did not."""
+    if not PRIVATE.exists():
+        pytest.skip(f"no PDAL in .pdal: {why_no_pdal()}")
+    return PRIVATE
+
+
+@pytest.fixture
+def sumo_installed():
+    """Skip where SUMO is missing. Importing it would send PROJ to SUMO's data in this process."""
+    if importlib.util.find_spec("sumo") is None:
+        pytest.skip("SUMO is not installed")
+
+
+def pytest_configure(config):
+    config.addinivalue_line("markers", "pdal: runs a real PDAL, by the fixture `pdal`")
+
+
+def pytest_collection_modifyitems(items):
+    for item in items:
+        if {"pdal", "private_pdal"} & set(getattr(item, "fixturenames", ())):
+            item.add_marker("pdal")
+
+
+def pytest_terminal_summary(terminalreporter):
+    """Say before the runner's own last line whether real PDAL was tested."""
+    reports = {
+        outcome: [r for r in terminalreporter.getreports(outcome) if "pdal" in r.keywords]
+        for outcome in ("passed", "failed", "error", "skipped")
+    }
+    if not any(reports.values()):
+        return
+    ran = [report for report in reports["passed"] if report.when == "call"]
+    bad = reports["failed"] + reports["error"]
+    if bad:
+        text = f"PDAL: {len(bad)} tests with a real PDAL failed"
+    elif ran:
+        runner = find_pdal()
+        name = runner.name if runner else "the program in .pdal"
+        text = f"PDAL: tested with {name}, {len(ran)} tests"
+    else:
+        text = f"PDAL: not tested, only the built-in engine: {why_no_pdal()}"
+    terminalreporter.write_line(text)
+
+
+@pytest.fixture
+def no_pdal(monkeypatch, tmp_path):
+    """Hide every PDAL of this machine."""
+    monkeypatch.setattr("gis_radar.aerial.pdal.PRIVATE", tmp_path / "not there")
+    monkeypatch.setattr("gis_radar.aerial.pdal._binding_is_installed", lambda: False)
+    monkeypatch.setattr("gis_radar.aerial.pdal.shutil.which", lambda _: None)
+    monkeypatch.delenv(VARIABLE, raising=False)

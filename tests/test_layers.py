@@ -1,0 +1,123 @@
+"""Imports between the modules of gis_radar go one way: down the table below."""
+
+import ast
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+PACKAGE = Path(__file__).parents[1] / "gis_radar"
+
+# Lowest first. A module imports only what stands before it. "gis_radar" is the package's own front,
+# `__init__.py`: what `import gis_radar` offers.
+ROWS = """
+    errors arrays progress compiled
+    clock outputs crs streams
+    pose pose_files
+    lanelets
+    csv_tables detections
+    aerial
+    tiles cells assignment elevation projection
+    occupancy
+    heatmap
+    simulation
+    traces registration
+    localization
+    demo
+    gis_radar
+    cli
+    __main__
+"""
+ORDER = ROWS.split()
+
+
+def module_name(path, package):
+    """Give the dotted name of a file below the package; the front is called like the package."""
+    parts = path.relative_to(package).with_suffix("").parts
+    if parts[-1] == "__init__":
+        parts = parts[:-1]
+    return ".".join(parts) or package.name
+
+
+def read_imports(package):
+    """Map each module to the modules of the same package that it imports, wherever it does so."""
+    files = {module_name(path, package): path for path in sorted(package.rglob("*.py"))}
+    return {
+        name: {known for target in targets(path, package.name) if (known := owner(target, files))}
+        for name, path in files.items()
+    }
+
+
+def targets(path, package):
+    """Yield the dotted names below the package that a file imports."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}:{node.lineno}: write imports in full, not relative"
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+        else:
+            continue
+        for name in names:
+            if name == package or name.startswith(f"{package}."):
+                yield name.removeprefix(package).removeprefix(".")
+
+
+def owner(target, files):
+    """Find the module that an imported name belongs to: itself, or the nearest one around it."""
+    while target and target not in files:
+        target = target.rpartition(".")[0]
+    return target or "gis_radar"
+
+
+def top(module):
+    return module.partition(".")[0]
+
+
+def against_the_order(imports, order):
+    """List the imports of a module that stands later in the order."""
+    place = {module: index for index, module in enumerate(order)}
+    return [
+        f"{module} imports {target}"
+        for module, found in imports.items()
+        for target in sorted(found)
+        if top(module) != top(target) and place[top(target)] > place[top(module)]
+    ]
+
+
+def test_every_module_has_its_row():
+    modules = {top(module) for module in read_imports(PACKAGE)}
+    new, gone = sorted(modules - set(ORDER)), sorted(set(ORDER) - modules)
+    assert not new, f"new modules {new}: add them to ROWS, in the lowest row that works"
+    assert not gone, f"modules {gone} are gone: take them out of ROWS"
+
+
+def test_imports_go_one_way():
+    known = {m: found for m, found in read_imports(PACKAGE).items() if top(m) in ORDER}
+    known = {m: {t for t in found if top(t) in ORDER} for m, found in known.items()}
+    assert against_the_order(known, ORDER) == []
+
+
+def test_no_cycle_between_files():
+    imports = read_imports(PACKAGE)
+    try:
+        TopologicalSorter(imports).prepare()
+    except CycleError as cycle:
+        raise AssertionError("imports in a circle: " + " <- ".join(cycle.args[1])) from None
+
+
+def test_the_reader_sees_every_kind_of_import(tmp_path):
+    package = tmp_path / "gis_radar"
+    (package / "heatmap").mkdir(parents=True)
+    (package / "__init__.py").write_text("from gis_radar.errors import A\n")
+    (package / "errors.py").write_text("def f():\n    import gis_radar.heatmap.style\n")
+    (package / "heatmap" / "__init__.py").write_text("")
+    (package / "heatmap" / "style.py").write_text("from gis_radar import errors, version\n")
+    assert read_imports(package) == {
+        "gis_radar": {"errors"},
+        "errors": {"heatmap.style"},
+        "heatmap": set(),
+        "heatmap.style": {"errors", "gis_radar"},
+    }
+    assert against_the_order(read_imports(package), ["errors", "heatmap", "gis_radar"]) == [
+        "errors imports heatmap.style",
+        "heatmap.style imports gis_radar",
+    ]

@@ -1,0 +1,271 @@
+"""What the set-up does about PDAL, with apt and PDAL replaced by stand-ins."""
+
+import os
+import re
+import shutil
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+
+ROOT = Path(__file__).parents[1]
+SCRIPT = ROOT / "tools" / "get_pdal.sh"
+CONDA_NAMES = {
+    "laspy": ["laspy", "lazrs-python"],
+    "matplotlib": ["matplotlib-base"],
+}
+
+
+def is_debian_12():
+    try:
+        text = Path("/etc/os-release").read_text(encoding="utf-8")
+    except OSError:
+        return False
+    fields = dict(line.split("=", 1) for line in text.splitlines() if "=" in line)
+    return (fields.get("ID"), fields.get("VERSION_ID")) == ("debian", '"12"')
+
+
+needs_sh = pytest.mark.skipif(os.name == "nt", reason="the set-up is a shell script")
+on_debian = pytest.mark.skipif(
+    not is_debian_12() or shutil.which("apt-get") is None,
+    reason="only on Debian 12 does the set-up fetch PDAL",
+)
+
+
+def write_program(path, text):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(f"#!/bin/sh\n{text}\n")
+    path.chmod(0o755)
+
+
+@pytest.fixture
+def checkout(tmp_path, monkeypatch):
+    """Give a folder with the script alone, and programs that stand before the system's."""
+    folder = tmp_path / "check out"
+    (folder / "tools").mkdir(parents=True)
+    shutil.copy(SCRIPT, folder / "tools")
+    write_program(tmp_path / "programs" / "pdal", "exit 1")
+    monkeypatch.setenv("PATH", str(tmp_path / "programs"), prepend=os.pathsep)
+    monkeypatch.delenv("GIS_RADAR_PDAL", raising=False)
+    return folder
+
+
+def run(checkout, *arguments):
+    command = ["/bin/sh", checkout / "tools" / "get_pdal.sh", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    return done.returncode, (done.stdout + done.stderr).splitlines()
+
+
+def replace_apt(checkout, text):
+    """Let apt note that it was called, and do what `text` says."""
+    note = f'[ "$1" = update ] && echo x >>"{checkout.parent}/calls"'
+    write_program(checkout.parent / "programs" / "apt-get", f"{note}\n{text}")
+
+
+def calls(checkout):
+    file = checkout.parent / "calls"
+    return len(file.read_text().split()) if file.exists() else 0
+
+
+@needs_sh
+def test_what_is_there_is_not_fetched_again(checkout):
+    replace_apt(checkout, "exit 1")
+    write_program(checkout / ".pdal" / "bin" / "pdal", "echo pdal 2.2.0")
+    assert run(checkout) == (0, [])
+    assert calls(checkout) == 0
+
+
+@needs_sh
+def test_the_users_own_pdal_is_enough(checkout, monkeypatch):
+    replace_apt(checkout, "exit 1")
+    write_program(checkout.parent / "programs" / "pdal", "echo pdal 2.9.0")
+    assert run(checkout) == (0, [])
+    assert not (checkout / ".pdal").exists()
+    write_program(checkout.parent / "programs" / "pdal", "exit 1")
+    monkeypatch.setenv("GIS_RADAR_PDAL", "/somewhere/pdal")
+    assert run(checkout) == (0, [])
+    assert calls(checkout) == 0
+
+
+@needs_sh
+def test_a_system_without_apt_goes_on_in_one_line(checkout, monkeypatch):
+    for name in ("dirname", "find"):
+        (checkout.parent / "programs" / name).symlink_to(shutil.which(name))
+    monkeypatch.setenv("PATH", str(checkout.parent / "programs"))
+    code, [line] = run(checkout)
+    assert code == 0
+    assert line.startswith("set-up: no PDAL: ")
+    assert line.endswith("the road mask uses the built-in engine.")
+    assert run(checkout, "--again") == (1, [line])
+    assert sorted(path.name for path in checkout.iterdir()) == ["tools"]
+
+
+@on_debian
+def test_an_unreachable_suite_goes_on_in_one_line(checkout):
+    replace_apt(checkout, "echo 'W: Failed to fetch this' >&2; exit 100")
+    code, [line] = run(checkout)
+    assert code == 0
+    assert "cannot be reached (Failed to fetch this)" in line
+    assert run(checkout) == (0, [line])
+    assert calls(checkout) == 1  # the second time it was known
+    assert run(checkout, "--again") == (1, [line])
+    assert calls(checkout) == 2
+    hour_ago = (checkout / ".pdal" / "not-there").stat().st_mtime - 3700
+    os.utime(checkout / ".pdal" / "not-there", (hour_ago, hour_ago))
+    assert run(checkout) == (0, [line])
+    assert calls(checkout) == 3
+    assert sorted(path.name for path in checkout.iterdir()) == [".pdal", "tools"]
+
+
+@on_debian
+def test_an_older_pdal_stays_where_a_new_one_cannot_be_had(checkout):
+    replace_apt(checkout, "exit 100")
+    write_program(checkout / ".pdal" / "bin" / "pdal", "echo pdal 2.2.0")
+    assert run(checkout, "--again")[0] == 1
+    assert run(checkout) == (0, [])
+
+
+def replace_packages(checkout, loader):
+    """Let apt deliver one package, which holds a program and a loader that is a script."""
+    replace_apt(checkout, 'touch "$(dirname "$APT_CONFIG")/archives/one.deb"')
+    tree = f"""
+        [ "$1" = --print-architecture ] && echo amd64 && exit
+        cd "$3" && mkdir -p etc lib/here usr/bin usr/share/doc usr/share/proj usr/share/gdal
+        printf '%s\\n' '#!/bin/sh' '{loader}' >lib/here/ld-9.99.so
+        chmod 755 lib/here/ld-9.99.so"""
+    write_program(checkout.parent / "programs" / "dpkg", tree)
+
+
+@on_debian
+def test_packages_become_a_folder_that_can_be_moved(checkout, tmp_path):
+    replace_packages(checkout, 'echo pdal 2.2.0 "$@" "$PROJ_LIB"')
+    code, [line] = run(checkout)
+    assert (code, line[:30]) == (0, "set-up: fetching PDAL into .pd")
+    assert run(checkout) == (0, [])
+    assert sorted(path.name for path in checkout.iterdir()) == [".pdal", "tools"]
+    moved = (checkout / ".pdal").rename(tmp_path / "else where")
+    assert sorted(path.name for path in moved.iterdir()) == ["bin", "lib", "usr"]
+    assert sorted(path.name for path in (moved / "usr" / "share").iterdir()) == ["gdal", "proj"]
+    command = [moved / "bin" / "pdal", "pipeline"]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert said.split(" --library-path ")[0] == "pdal 2.2.0"
+    assert said.endswith(f"{moved}/usr/bin/pdal pipeline {moved}/usr/share/proj\n")
+    assert "check out" not in said
+
+
+@on_debian
+def test_a_pdal_that_does_not_start_is_not_fetched_again(checkout):
+    replace_packages(checkout, "exit 1")
+    code, lines = run(checkout)
+    assert code == 0
+    assert "does not start here" in lines[-1]
+    reason = checkout / ".pdal" / "not-there"
+    day_ago = reason.stat().st_mtime - 86_400
+    os.utime(reason, (day_ago, day_ago))
+    assert run(checkout) == (0, lines[-1:])
+    assert calls(checkout) == 1
+    with (checkout / "tools" / "get_pdal.sh").open("a") as script:
+        script.write("# another\n")
+    assert run(checkout) == (0, lines)
+    assert calls(checkout) == 2
+
+
+SOURCES_LIST = """
+# deb http://a.example/debian bookworm main
+deb [arch=amd64 trusted=yes signed-by=/keys/a.gpg] http://a.example/debian bookworm main contrib
+deb http://b.example/debian/ bookworm non-free
+deb http://c.example/debian bookworm-updates main
+deb-src http://d.example/debian bookworm main
+deb\thttps://e.example/mirror\tbookworm\tmain # here
+"""
+PARTS = {
+    "f.list": "deb file:/srv/debian bookworm main\ndeb http://g.example/apt stable main\n",
+    "h.sources": """Types: deb deb-src
+# a remark
+URIs: http://h.example/debian
+ http://i.example/debian/
+Suites: bookworm bookworm-updates
+Components: main contrib
+Trusted: yes
+signed-by:
+ -----BEGIN PGP PUBLIC KEY BLOCK-----
+ .
+ mDMEY865UxYJKwYBBAHaRw8BAQdAd7Z0srwuhlB6JKFkcf4HU4SSS
+ -----END PGP PUBLIC KEY BLOCK-----
+
+Enabled: no
+Types: deb
+URIs: http://j.example/debian
+Suites: bookworm
+Components: main
+
+Types: deb
+URIs: http://k.example/debian-security
+Suites: bookworm-security
+Components: main
+""",
+    "l.sources": "Types: deb\nURIs: http://l.example/\nSuites: bookworm\nComponents: contrib\n",
+}
+
+
+@on_debian
+def test_the_machines_own_mirrors_are_asked(checkout, monkeypatch):
+    apt = checkout.parent / "apt"
+    (apt / "parts").mkdir(parents=True)
+    (apt / "sources.list").write_text(SOURCES_LIST)
+    for name, text in PARTS.items():
+        (apt / "parts" / name).write_text(text)
+    settings = (
+        f'Dir::Etc::sourcelist "{apt}/sources.list"; Dir::Etc::sourceparts "{apt}/parts/";\n'
+        'APT::Get::AllowUnauthenticated "true"; Acquire::AllowInsecureRepositories "true";\n'
+        'Acquire::http::Proxy "http://proxy.example:3128";\n'
+    )
+    (apt / "apt.conf").write_text(settings)
+    real = shutil.which("apt-get")
+    look = f"""
+        {real} --print-uris update >"{apt}/uris"
+        apt-config dump >"{apt}/dump"
+        folder=$(dirname "$APT_CONFIG")
+        cat "$folder/sources.list" "$folder"/sources.list.d/* >"{apt}/entries"
+        exit 100"""
+    replace_apt(checkout, look)
+    monkeypatch.setenv("APT_CONFIG", str(apt / "apt.conf"))
+    assert run(checkout)[0] == 0
+
+    uris = re.findall(r"'([^']*)/dists/bullseye/InRelease'", (apt / "uris").read_text())
+    mirrors = [f"http://{letter}.example/debian" for letter in "ahi"]
+    assert sorted(uris) == sorted([*mirrors, "https://e.example/mirror", "file:/srv/debian"])
+    entries = (apt / "entries").read_text()
+    assert "signed-by=/keys/a.gpg" in entries
+    assert " mDMEY865UxYJKwYBBAHaRw8BAQdAd7Z0srwuhlB6JKFkcf4HU4SSS\n" in entries
+    assert "trusted" not in entries.lower()
+    dump = (apt / "dump").read_text()
+    assert 'APT::Get::AllowUnauthenticated "false";' in dump
+    assert 'Acquire::AllowInsecureRepositories "false";' in dump
+    assert 'Acquire::http::Proxy "http://proxy.example:3128";' in dump
+
+
+@on_debian
+def test_a_machine_without_sources_goes_on_in_one_line(checkout, monkeypatch):
+    replace_apt(checkout, "exit 1")
+    settings = checkout.parent / "apt.conf"
+    settings.write_text('Dir::Etc::sourcelist "/dev/null"; Dir::Etc::sourceparts "/dev/null/";')
+    monkeypatch.setenv("APT_CONFIG", str(settings))
+    code, [line] = run(checkout)
+    assert code == 0
+    assert "apt knows no source" in line
+    assert calls(checkout) == 0
+
+
+def test_conda_gets_what_pyproject_asks_for():
+    text = (ROOT / "environment.yml").read_text(encoding="utf-8")
+    entries = re.findall(r"(?m)^  - ([\w-]+)((?:>=[\d.]+)?)$", text)
+    given = {name: floor for name, floor in entries if name not in {"conda-forge", "pip"}}
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    wanted = {"python": project["requires-python"], "pdal": ">=2.2", "python-pdal": ""}
+    for requirement in map(Requirement, project["dependencies"]):
+        first, *more = CONDA_NAMES.get(requirement.name, [requirement.name])
+        wanted |= {first: str(requirement.specifier)} | dict.fromkeys(more, "")
+    assert given == wanted

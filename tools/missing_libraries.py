@@ -1,0 +1,112 @@
+"""Tell which system libraries the wheels miss here.
+
+``missing_libraries.py run`` (or ``dev``) prints what to install for the libraries that are known to
+be needed: Debian's packages where there is apt, else the names of the libraries. It runs on a bare
+Python. With ``--load`` it runs in the finished environment: it loads every package and starts every
+program, and says what fails.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import importlib
+import importlib.metadata
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+# Library -> Debian's package of it. PyPI's wheels bring their other libraries along.
+RUN_LIBRARIES = {
+    "libexpat.so.1": "libexpat1",  # rasterio, pyogrio
+    "libz.so.1": "zlib1g",
+    "libstdc++.so.6": "libstdc++6",
+}
+DEV_LIBRARIES = {
+    "libatomic.so.1": "libatomic1",  # these are SUMO's
+    "libGL.so.1": "libgl1",
+    "libX11.so.6": "libx11-6",
+    "libXext.so.6": "libxext6",
+    "libXrender.so.1": "libxrender1",
+}
+DEV_PROGRAMS = ("sumo/bin/sumo", "sumo/bin/netconvert", "sumo/bin/netgenerate")
+
+
+def main() -> None:
+    """Answer for the level that the command line names."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("level", choices=["run", "dev"])
+    parser.add_argument("--load", action="store_true", help="load what is installed")
+    arguments = parser.parse_args()
+    if arguments.load:
+        failures = load_all(arguments.level)
+        sys.exit("\n".join(failures) or 0)
+    print(*missing_libraries(arguments.level))
+
+
+def missing_libraries(level: str) -> list[str]:
+    """Return what to install for the known libraries that this system lacks."""
+    if sys.platform != "linux":
+        return []
+    libraries = RUN_LIBRARIES if level == "run" else RUN_LIBRARIES | DEV_LIBRARIES
+    missing = {name: package for name, package in libraries.items() if not is_there(name)}
+    return list(missing.values() if shutil.which("apt-get") else missing)
+
+
+def is_there(library: str) -> bool:
+    """Tell whether the dynamic linker finds a library."""
+    try:
+        ctypes.CDLL(library)
+    except OSError:
+        return False
+    return True
+
+
+def load_all(level: str) -> list[str]:
+    """Load the packages and start the programs of a level; return a line for each that fails."""
+    failures = []
+    for module in modules_of(requirements(level)):
+        try:
+            importlib.import_module(module)
+        except Exception as error:  # noqa: BLE001 - whatever a package raises is the answer
+            failures.append(f"{module}: {error}")
+    programs = DEV_PROGRAMS if level == "dev" and sys.platform == "linux" else ()
+    return failures + [line for program in programs for line in start(program)]
+
+
+def requirements(level: str) -> set[str]:
+    """Return the names of the packages that pyproject.toml asks for, in lower case."""
+    import tomllib  # noqa: PLC0415 - not there before Python 3.11, which gets no further than this
+
+    text = (Path(__file__).parents[1] / "pyproject.toml").read_text(encoding="utf-8")
+    project: dict[str, Any] = tomllib.loads(text)
+    lines = list(project["project"]["dependencies"])
+    if level == "dev":
+        lines += project["dependency-groups"]["dev"]
+    return {re.split(r"[^\w.-]", line)[0].lower() for line in lines}
+
+
+def modules_of(packages: set[str]) -> list[str]:
+    """Return the modules that installed packages bring, public ones only."""
+    owners = importlib.metadata.packages_distributions()
+    return sorted(
+        module
+        for module, names in owners.items()
+        if packages & {name.lower() for name in names} and re.fullmatch(r"[a-z]\w*", module)
+    )
+
+
+def start(program: str) -> list[str]:
+    """Start a program of the environment for its version; return what it says when it fails."""
+    paths = [path for folder in sys.path if (path := Path(folder) / program).exists()]
+    if not paths:
+        return [f"{program}: not installed"]
+    done = subprocess.run([paths[0], "--version"], capture_output=True, text=True, check=False)
+    return [] if done.returncode == 0 else [f"{program}: {done.stderr.strip()}"]
+
+
+if __name__ == "__main__":
+    main()

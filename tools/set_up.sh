@@ -1,0 +1,130 @@
+#!/bin/sh
+# Set up .venv with pinned packages, and the system libraries that they miss.
+#
+#   tools/set_up.sh run    what gis-radar needs
+#   tools/set_up.sh dev    and what its checks need
+#
+# PYTHON=... names the Python to use (3.11 or newer). Where all is in place already,
+# this says nothing and uses no network.
+set -eu
+cd "$(dirname "$0")/.."
+
+level=${1:-run}
+venv=.venv
+stamp=$venv/.set-up-$level
+
+fail() {
+    echo "set-up: $*" >&2
+    exit 1
+}
+
+is_new_enough() {
+    "$1" -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1
+}
+
+can_make_venv() {
+    "$1" -c 'import ensurepip, venv' >/dev/null 2>&1
+}
+
+version() {
+    "$1" -c 'import sys; print(sys.version.split()[0])' 2>/dev/null || echo "not there"
+}
+
+# The Python to build on: the one that is asked for, or the first that is new enough,
+# rather one that can make an environment than one that needs a package for it.
+find_python() {
+    if [ -n "${PYTHON:-}" ]; then
+        is_new_enough "$PYTHON" ||
+            fail "Python 3.11 or newer is needed; PYTHON=$PYTHON is $(version "$PYTHON")."
+        python=$PYTHON
+        return
+    fi
+    python=
+    for name in python3.13 python3.12 python3.11 python3 python3.14; do
+        is_new_enough "$name" || continue
+        python=${python:-$name}
+        can_make_venv "$name" || continue
+        python=$name
+        break
+    done
+    [ -n "$python" ] ||
+        fail "Python 3.11 or newer is needed; python3 is $(version python3). Name another with PYTHON=..."
+}
+
+# It runs, it was made here (its scripts hold the path), and it is of the Python that is asked for.
+venv_is_good() {
+    is_new_enough $venv/bin/python && [ -x $venv/bin/pip ] || return 1
+    grep -qF "$(pwd -P)/$venv" $venv/bin/activate || return 1
+    [ -z "${PYTHON:-}" ] || [ "$(version "$PYTHON")" = "$(version $venv/bin/python)" ]
+}
+
+# Debian packages by apt; elsewhere, or without the right to, one line that says what is missing.
+install_system() {
+    [ $# -gt 0 ] || return 0
+    command -v apt-get >/dev/null 2>&1 || fail "missing on this system, please install: $*"
+    [ "$(id -u)" -eq 0 ] || fail "system packages are missing. As root: apt-get install $*"
+    echo "set-up: installing by apt: $*"
+    {
+        apt-get update -qq || true # one bad source need not matter
+        DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$@"
+    } >"$apt_log" 2>&1 || {
+        cat "$apt_log" >&2
+        fail "apt could not install: $*"
+    }
+}
+
+# What this machine lacks, in words of its package manager.
+list_missing() {
+    if ! venv_is_good && ! can_make_venv "$python"; then
+        "$python" -c 'import sys; print("python%d.%d-venv" % sys.version_info[:2])'
+    fi
+    "$python" tools/missing_libraries.py "$level"
+}
+
+make_venv() {
+    venv_is_good && return
+    "$python" -m venv --clear $venv || fail "$python could not make $venv."
+}
+
+install_packages() {
+    set -- --editable .
+    [ "$level" = run ] || set -- "$@" --group dev
+    $venv/bin/python -m pip install --quiet --disable-pip-version-check \
+        --constraint constraints.txt uv || fail "pip could not install uv (see above)."
+    # Without a home to write to, downloads are kept beside what they become.
+    [ -w "${HOME:-/nonexistent}" ] || export UV_CACHE_DIR=$venv/cache
+    $venv/bin/uv pip install --quiet --python $venv/bin/python \
+        --constraints constraints.txt --build-constraints constraints.txt "$@" ||
+        fail "the packages could not be installed (see above)."
+}
+
+# Each package is loaded once, which shows what no list foresaw.
+check_packages() {
+    $venv/bin/python tools/missing_libraries.py "$level" --load ||
+        fail "a package does not load on this system (see above)."
+}
+
+case $level in
+run | dev) ;;
+*) fail "what is \"$level\"? Give run or dev." ;;
+esac
+state=$({
+    pwd -P
+    cat pyproject.toml constraints.txt tools/set_up.sh tools/missing_libraries.py
+} | cksum)
+if [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$state" ] && venv_is_good; then
+    exit 0
+fi
+
+find_python
+apt_log=$(mktemp)
+trap 'rm -f "$apt_log"' EXIT
+missing=$(list_missing)
+# shellcheck disable=SC2086 # one word a package
+install_system $missing
+echo "set-up: filling $venv with Python $(version "$python"); the first time takes about a minute."
+make_venv
+install_packages
+check_packages
+[ "$level" = run ] || echo "$state" >$venv/.set-up-run
+echo "$state" >"$stamp"
