@@ -1,0 +1,137 @@
+"""Time: UTC throughout, and the 50 ms steps that all sensors share."""
+
+from __future__ import annotations
+
+import re
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+
+from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.errors import InputError, UsageError
+
+STEP_US = 50_000
+STEP_S = 0.05
+STEPS_PER_SECOND = 20
+
+# Nanosecond time stamps hold 1677 to 2262; the longest interval fits in on either side.
+FIRST_YEAR, LAST_YEAR = 1800, 2150
+LONGEST_INTERVAL_YEARS = 100
+UNIX_SECONDS_HINT = "times are UNIX seconds (UTC), not milli-, micro- or nanoseconds"
+
+GPS_EPOCH_S = 315_964_800  # 1980-01-06
+# GPS time ahead of UTC, by the leap seconds of IERS Bulletin C since the epoch of GPS.
+_LEAP_DATES = (
+    "1981-07-01", "1982-07-01", "1983-07-01", "1985-07-01", "1988-01-01", "1990-01-01",
+    "1991-01-01", "1992-07-01", "1993-07-01", "1994-07-01", "1996-01-01", "1997-07-01",
+    "1999-01-01", "2006-01-01", "2009-01-01", "2012-07-01", "2015-07-01", "2017-01-01",
+)  # fmt: skip
+_LEAPS_S = np.array(_LEAP_DATES, dtype="datetime64[s]").astype(np.float64)
+
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_FIRST_S = (datetime(FIRST_YEAR, 1, 1, tzinfo=UTC) - _EPOCH).total_seconds()
+_END_S = (datetime(LAST_YEAR + 1, 1, 1, tzinfo=UTC) - _EPOCH).total_seconds()
+_LONGEST_INTERVAL_S = LONGEST_INTERVAL_YEARS * 365.25 * 86400
+_UNITS_S = {"ms": 0.001, "s": 1, "sec": 1, "min": 60, "h": 3600, "d": 86400}
+
+
+def step_of(time: Floats) -> Integers:
+    """Return the step of each time.
+
+    Parameters
+    ----------
+    time : (n,) array
+        UNIX seconds, float64. Rounded to microseconds first, because float64 resolves
+        no finer at today's times and a frame at `1.7e9 + k * 0.05` must not fall short.
+
+    Returns
+    -------
+    (n,) int64 array
+        `round(time * 1e6) // 50_000`.
+
+    Raises
+    ------
+    InputError
+        If a time is no number or lies outside the years that are known.
+    """
+    time = np.asarray(time)
+    known = in_known_years(time)
+    if not known.all():
+        raise InputError(
+            f"time {time[~known].flat[0]:g} is outside the years {FIRST_YEAR} to {LAST_YEAR}",
+            hint=UNIX_SECONDS_HINT,
+        )
+    return np.rint(time * 1e6).astype(np.int64) // STEP_US
+
+
+def in_known_years(time: Floats) -> Booleans:
+    """Return which times (UNIX seconds) lie in the years that steps and time stamps cover."""
+    return (time >= _FIRST_S) & (time < _END_S)
+
+
+def gps_seconds(time: Floats) -> Floats:
+    """Return times as GPS seconds, which run on through leap seconds.
+
+    Parameters
+    ----------
+    time : (n,) array
+        UNIX seconds, UTC.
+
+    Returns
+    -------
+    (n,) array
+        Seconds since 1980-01-06; negative before, where GPS time is UTC carried on backwards.
+        A leap second to come is not known: the offset stays that of 2017.
+    """
+    leaps = np.searchsorted(_LEAPS_S, time, side="right")
+    return np.asarray(time - GPS_EPOCH_S + leaps, dtype=np.float64)
+
+
+def step_begin(step: int) -> datetime:
+    """Return when a step begins, UTC."""
+    return _EPOCH + timedelta(microseconds=step * STEP_US)
+
+
+def iso_from_step(step: int) -> str:
+    """Return the begin of a step as ISO 8601 text with `Z`, no finer than needed."""
+    text = step_begin(step).isoformat(timespec="milliseconds").removesuffix("+00:00")
+    return text.removesuffix(".000") + "Z"
+
+
+def seconds_from_iso(text: str, *, what: str) -> float:
+    """Return UNIX seconds of an ISO 8601 time that says its offset from UTC.
+
+    Raises
+    ------
+    InputError
+        If it is no time, or leaves open in which zone it is.
+    """
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError as error:
+        raise InputError(
+            f"{what} is {text!r}, expected a time such as 2026-11-20T09:00:00Z"
+        ) from error
+    if moment.tzinfo is None:
+        raise InputError(f"{what} is {text!r}, which names no time zone", hint="add Z for UTC")
+    return (moment - _EPOCH) / timedelta(seconds=1)
+
+
+def interval_steps(text: str) -> int:
+    """Return the length of an interval such as `20s`, `15min` or `1h` in steps.
+
+    Raises
+    ------
+    UsageError
+        If it is no duration, not a whole number of 50 ms steps, or over 100 years long.
+    """
+    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([a-z]+)\s*", text.lower())
+    if match is None or match[2] not in _UNITS_S:
+        raise UsageError(f"interval {text!r} is no duration", hint="e.g. 20s, 15min, 1h")
+    seconds = float(match[1]) * _UNITS_S[match[2]]
+    if seconds > _LONGEST_INTERVAL_S:
+        raise UsageError(f"interval {text!r} is longer than {LONGEST_INTERVAL_YEARS} years")
+    steps = seconds * STEPS_PER_SECOND
+    if steps < 1 or abs(steps - round(steps)) > 1e-6:
+        raise UsageError(f"interval {text!r} is not a whole number of 50 ms steps")
+    return round(steps)

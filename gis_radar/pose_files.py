@@ -1,0 +1,139 @@
+"""Pose files: one pose as JSON, or a track of poses over time as CSV."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gis_radar.arrays import Floats, Integers
+from gis_radar.clock import seconds_from_iso
+from gis_radar.errors import InputError
+from gis_radar.outputs import whole_file
+from gis_radar.pose import ANGLES, POSITION, Pose, View, pose_from_dict
+
+VIEW_FIELDS = tuple(View.__dataclass_fields__)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseTrack:
+    """The poses of one sensor, each valid from its time until the next one's.
+
+    Parameters
+    ----------
+    poses : tuple of Pose
+        At least one, all of one sensor and one coordinate system.
+    since : (n,) array
+        UNIX seconds from which each pose holds, ascending; the first holds before, too.
+    """
+
+    poses: tuple[Pose, ...]
+    since: Floats
+
+    @property
+    def sensor(self) -> str:
+        """Name of the sensor."""
+        return self.poses[0].sensor
+
+    def at(self, time: Floats) -> Integers:
+        """Return which pose holds at each time (UNIX seconds), as indices into `poses`."""
+        return np.maximum(np.searchsorted(self.since, time, side="right") - 1, 0)
+
+    def with_view(self, view: View) -> PoseTrack:
+        """Return the same track with a view wherever a pose has none."""
+        return replace(self, poses=tuple(pose.with_view(view) for pose in self.poses))
+
+
+def still(pose: Pose) -> PoseTrack:
+    """Return a track of one pose that always holds."""
+    return PoseTrack(poses=(pose,), since=np.array([-math.inf]))
+
+
+def as_track(pose: Pose | PoseTrack) -> PoseTrack:
+    """Return a pose as a track; a track as it is."""
+    return still(pose) if isinstance(pose, Pose) else pose
+
+
+def write_pose(pose: Pose, path: str | Path) -> None:
+    """Write a pose as JSON, whole or not at all."""
+    with whole_file(Path(path)) as part:
+        part.write_text(json.dumps(pose.as_dict(), indent=1) + "\n", encoding="utf-8")
+
+
+def read_pose(path: str | Path) -> Pose:
+    """Read one pose from JSON.
+
+    Raises
+    ------
+    InputError
+        If the file is not a pose; CrsError if its coordinate system is missing or not metric.
+    """
+    try:
+        record = json.loads(_text(Path(path)))
+    except ValueError as error:
+        raise InputError(f"{path}: not JSON: {error}") from error
+    if not isinstance(record, dict):
+        raise InputError(f"{path}: not a pose: expected a JSON object with its fields")
+    return pose_from_dict(record, what=str(path))
+
+
+def read_track(path: str | Path) -> PoseTrack:
+    """Read a pose (JSON) or a pose track (CSV), whichever the file is.
+
+    The row of an event `rejected` holds the pose that stays in force, so it counts like any
+    other. Columns that are no part of a pose go into its evidence.
+
+    Raises
+    ------
+    InputError
+        If the file is neither, holds several sensors, or its times do not ascend.
+    """
+    if Path(path).suffix.lower() != ".csv":
+        return still(read_pose(path))
+    rows = list(csv.DictReader(_text(Path(path)).splitlines()))
+    if not rows:
+        raise InputError(f"{path}: pose track without rows")
+    poses = tuple(_pose_of_row(row, f"{path}: row {i}") for i, row in enumerate(rows, start=1))
+    since = np.array(
+        [
+            seconds_from_iso(row.get("time") or "", what=f"{path}: row {i}: time")
+            for i, row in enumerate(rows, start=1)
+        ]
+    )
+    if len({(pose.sensor, pose.crs.to_wkt()) for pose in poses}) != 1:
+        raise InputError(f"{path}: a pose track has one sensor and one coordinate system")
+    if np.any(np.diff(since) <= 0.0):
+        late = int(np.flatnonzero(np.diff(since) <= 0.0)[0]) + 2
+        raise InputError(f"{path}: row {late}: times of a pose track must ascend")
+    return PoseTrack(poses=poses, since=since)
+
+
+def _pose_of_row(row: dict[str, Any], what: str) -> Pose:
+    known = {"sensor", "crs", "quaternion", *POSITION, *ANGLES, *VIEW_FIELDS}
+    record: dict[str, Any] = {name: row.get(name) or None for name in ("sensor", "crs")}
+    for name in (*POSITION, *ANGLES, *VIEW_FIELDS):
+        if text := row.get(name):
+            record[name] = _parsed(text, f"{what}: {name}")
+    view = {name: record.pop(name) for name in VIEW_FIELDS if name in record}
+    further = {name: text for name, text in row.items() if name and text and name not in known}
+    return pose_from_dict(further | record | ({"view": view} if view else {}), what=what)
+
+
+def _parsed(text: str, what: str) -> float:
+    try:
+        return float(text)
+    except ValueError as error:
+        raise InputError(f"{what} is {text!r}, expected a number") from error
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "not UTF-8 text"
+        raise InputError(f"{path}: cannot be read: {reason}") from error

@@ -1,0 +1,32 @@
+"""How long work tells what it does: a reporter that doors replace by bars or JSON lines."""
+
+from __future__ import annotations
+
+import logging
+from typing import Literal
+
+Level = Literal["info", "warning"]
+
+_LOGGER = logging.getLogger("gis_radar")
+
+
+class Reporter:
+    """Where progress and remarks go; this one hands remarks to :mod:`logging`."""
+
+    def progress(self, stage: str, done: int, total: int | None) -> None:
+        """Say how far a stage is.
+
+        Parameters
+        ----------
+        stage : str
+            What is being done, in a few words; the same text for one bar.
+        done, total : int
+            Units of work; `total` is None where it is not known beforehand.
+        """
+
+    def log(self, message: str, level: Level = "info") -> None:
+        """Say one line that the user should be able to see."""
+        _LOGGER.log(logging.WARNING if level == "warning" else logging.INFO, message)
+
+
+QUIET = Reporter()

@@ -1,0 +1,32 @@
+import numba
+import numpy as np
+
+from gis_radar.compiled import compiled
+
+
+def total(values):
+    result = 0.0
+    for value in values:
+        result += value
+    return result
+
+
+def test_a_loop_is_compiled():
+    fast = compiled(total)
+    assert fast(np.arange(5.0)) == 10.0
+    assert len(fast.signatures) == 1
+
+
+def test_nowhere_to_keep_the_code_is_no_failure(monkeypatch):
+    asked = []
+    njit = numba.njit
+
+    def without_place(**options):
+        asked.append(options)
+        if options.get("cache"):
+            raise RuntimeError("cannot cache function: no locator available")
+        return njit(**options)
+
+    monkeypatch.setattr(numba, "njit", without_place)
+    assert compiled(total)(np.arange(5.0)) == 10.0
+    assert [bool(options.get("cache")) for options in asked] == [True, False]

@@ -1,0 +1,149 @@
+from pathlib import Path
+
+import pytest
+
+from gis_radar.errors import OutputError
+from gis_radar.outputs import refuse_inputs, whole_file, whole_folder
+
+
+def contents(folder):
+    return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*"))
+
+
+def test_a_file_appears_whole(tmp_path):
+    with whole_file(tmp_path / "a.txt") as part:
+        part.write_text("new")
+        assert not (tmp_path / "a.txt").exists()
+    assert (tmp_path / "a.txt").read_text() == "new"
+    assert contents(tmp_path) == ["a.txt"]
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+def test_a_failed_file_leaves_the_old_one(tmp_path, error):
+    (tmp_path / "a.txt").write_text("old")
+    with pytest.raises(error), whole_file(tmp_path / "a.txt") as part:
+        part.write_text("half")
+        raise error
+    assert (tmp_path / "a.txt").read_text() == "old"
+    assert contents(tmp_path) == ["a.txt"]
+
+
+def test_a_folder_is_replaced_as_a_whole(tmp_path):
+    for text in ("one", "two"):
+        with whole_folder(tmp_path / "map", owned=("heat",)) as part:
+            (part / f"heat-{text}").write_text(text)
+    assert contents(tmp_path) == ["map", "map/heat-two"]
+
+
+def test_a_failed_folder_leaves_the_old_one(tmp_path):
+    (tmp_path / "map").mkdir()
+    (tmp_path / "map" / "heat").write_text("old")
+    with (
+        pytest.raises(KeyboardInterrupt),
+        whole_folder(tmp_path / "map", owned=("heat",)) as part,
+    ):
+        (part / "heat").write_text("half")
+        raise KeyboardInterrupt
+    assert contents(tmp_path) == ["map", "map/heat"]
+    assert (tmp_path / "map" / "heat").read_text() == "old"
+
+
+def test_foreign_files_are_not_replaced(tmp_path):
+    (tmp_path / "thesis.doc").write_text("years of work")
+    with (
+        pytest.raises(OutputError, match=r"thesis\.doc"),
+        whole_folder(tmp_path, owned=("heat",)),
+    ):
+        pass
+    assert contents(tmp_path) == ["thesis.doc"]
+
+
+def test_places_that_cannot_be_written(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="cannot be written"), whole_file(tmp_path / "no" / "a"):
+        pass
+    with pytest.raises(OutputError, match="is a folder"), whole_file(tmp_path):
+        pass
+    with pytest.raises(OutputError, match="is a file"), whole_folder(tmp_path / "file", owned=()):
+        pass
+
+
+@pytest.fixture
+def earlier(tmp_path):
+    (tmp_path / "map").mkdir()
+    (tmp_path / "map" / "heat").write_text("old")
+    return tmp_path / "map"
+
+
+def stop_renames(monkeypatch, error, *, after, done):
+    """Let `after` renames pass, then fail once: before the next one happens, or behind it."""
+    rename, calls = Path.rename, []
+
+    def stopping(self, target):
+        calls.append(target)
+        if len(calls) != after + 1:
+            return rename(self, target)
+        if done:
+            rename(self, target)
+        raise error
+
+    monkeypatch.setattr(Path, "rename", stopping)
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError(16, "Device or resource busy")])
+@pytest.mark.parametrize(
+    ("after", "done", "left"),
+    [(0, False, "old"), (0, True, "old"), (1, False, "old"), (1, True, "new")],
+)
+def test_an_earlier_folder_outlives_a_stopped_move(earlier, monkeypatch, error, after, done, left):
+    stop_renames(monkeypatch, error, after=after, done=done)
+    expected = KeyboardInterrupt if isinstance(error, KeyboardInterrupt) else OutputError
+    with pytest.raises(expected), whole_folder(earlier, owned=("heat",)) as part:
+        (part / "heat").write_text("new")
+    assert contents(earlier.parent) == ["map", "map/heat"]
+    assert (earlier / "heat").read_text() == left
+
+
+def test_the_working_folder_is_not_replaced(earlier, monkeypatch):
+    monkeypatch.chdir(earlier)
+    for name in (".", "", "..", "../map"):
+        with (
+            pytest.raises(OutputError, match=r"is the folder you are in|is not part of"),
+            whole_folder(Path(name), owned=("heat", "map")),
+        ):
+            pass
+    assert contents(earlier.parent) == ["map", "map/heat"]
+
+
+def test_a_relative_folder_lies_where_the_program_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with whole_folder(Path("a") / ".." / "map", owned=()) as part:
+        (part / "heat").write_text("new")
+    assert contents(tmp_path) == ["map", "map/heat"]
+
+
+def test_a_file_that_cannot_be_moved_is_named(tmp_path, monkeypatch):
+    def busy(*_):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("os.replace", busy)
+    with (
+        pytest.raises(OutputError, match=r"a\.txt: cannot be written: Permission denied"),
+        whole_file(tmp_path / "a.txt") as part,
+    ):
+        part.write_text("new")
+    assert contents(tmp_path) == []
+
+
+def test_an_input_is_not_replaced(tmp_path, monkeypatch):
+    (tmp_path / "in").mkdir()
+    source = tmp_path / "in" / "r.parquet"
+    source.write_text("rows")
+    (tmp_path / "link").symlink_to(source)
+    (tmp_path / "twin").hardlink_to(source)
+    monkeypatch.chdir(tmp_path)
+    for output in (source, "in/r.parquet", "in/../in/r.parquet", "link", "twin", "in", "."):
+        with pytest.raises(OutputError, match=r"would replace the input .*r\.parquet"):
+            refuse_inputs(output, tmp_path / "gone", source)
+    for output in ("new.parquet", "in/other", "in/r.gpkg"):
+        refuse_inputs(output, source, "gone")
