@@ -1,0 +1,263 @@
+"""Mending the bounds of a lanelet: loops, fold-backs, and ends without width.
+
+Functions take bounds as (n, 2) or (n, 3) arrays in metres, in driving direction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from shapely import LineString, Polygon
+
+from gis_radar.arrays import Floats
+from gis_radar.lanelets.bounds import (
+    at_fractions,
+    length,
+    rungs,
+    signed_area,
+    slices,
+    sound,
+    without_repeats,
+)
+from gis_radar.lanelets.errors import CannotMendError
+from gis_radar.lanelets.ribbons import NEVER_M, arc_lengths, matched, turn
+from gis_radar.lanelets.tangles import part_at_crossings, without_loops
+
+NO_WIDTH_M = 0.01
+NO_LENGTH_M = 0.01
+MOST_LENGTH_M = 100_000.0
+_PASSES = 8
+_SLANTS_M = (NEVER_M, 100.0, 10.0, 3.0)
+_RESUME_M = 0.1
+_TINY = 1e-9
+_OPPOSITE = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mended:
+    """The bounds of one lanelet, fit to be cut into slices.
+
+    Parameters
+    ----------
+    left, right : (n, 2 or 3) array
+        The cleaned bounds.
+    repairs : tuple of str
+        What was mended, in plain words; empty where nothing needed it.
+    """
+
+    left: Floats
+    right: Floats
+    repairs: tuple[str, ...]
+
+
+def mend(left: Floats, right: Floats) -> Mended:
+    """Return the bounds of a lanelet such that it can be cut into sound slices.
+
+    A lanelet that needs nothing is returned as it is. Otherwise, in this order: small loops of a
+    bound are cut off; bounds that cross right at an end are cut there; ends without width are
+    parted by 1 cm; stretches where a bound runs backwards are taken out.
+
+    Parameters
+    ----------
+    left, right : (n, 2 or 3) array
+        The bounds in driving direction.
+
+    Returns
+    -------
+    Mended
+        Cleaned bounds, and what was done.
+
+    Raises
+    ------
+    CannotMendError
+        With the reason, where the lanelet must be left out.
+    """
+    left, right = without_repeats(left), without_repeats(right)
+    _require_extent(left, right)
+    if is_sound(left, right):
+        return Mended(left=left, right=right, repairs=())
+    repairs: list[str] = []
+    left, right = _without_loops(left, right, repairs)
+    left, right = part_at_crossings(left, right, repairs)
+    left, right = _parted(left, right, repairs)
+    left, right = _without_fold_backs(left, right, repairs)
+    _require_extent(left, right)
+    if not is_sound(left, right):
+        raise CannotMendError("its outline crosses itself and cannot be mended")
+    return Mended(left=left, right=right, repairs=tuple(repairs))
+
+
+def outline(left: Floats, right: Floats) -> Polygon:
+    """Return the polygon between two bounds; a ring road has a hole."""
+    if len(left) > 3 and len(right) > 3 and _closed(left) and _closed(right):
+        rings = sorted((Polygon(left[:, :2]), Polygon(right[:, :2])), key=lambda ring: ring.area)
+        return Polygon(rings[1].exterior, [rings[0].exterior])
+    return Polygon(np.concatenate([right[:, :2], left[::-1, :2]]))
+
+
+def is_sound(left: Floats, right: Floats) -> bool:
+    """Tell whether a lanelet needs no mending."""
+    ends = np.hypot(*(left[[0, -1], :2] - right[[0, -1], :2]).T)
+    return bool(
+        ends.min() >= NO_WIDTH_M * (1.0 - 1e-6)
+        and LineString(left[:, :2]).is_simple
+        and LineString(right[:, :2]).is_simple
+        and outline(left, right).is_valid
+        and sound(*rungs(left, right, slices(left, right))).all()
+        and (_plainly_forward(left, right) or not _backward(left, right))
+    )
+
+
+def _require_extent(left: Floats, right: Floats) -> None:
+    for side, bound in (("left", left), ("right", right)):
+        if len(bound) < 2 or length(bound) < NO_LENGTH_M:
+            raise CannotMendError(f"the {side} bound has no length")
+        if length(bound) > MOST_LENGTH_M:
+            far = f"{length(bound) / 1000.0:.0f} km long"
+            raise CannotMendError(f"the {side} bound is {far}: a node is in the wrong place")
+    mean_length = (length(left) + length(right)) / 2.0
+    if abs(signed_area(left, right)) < NO_WIDTH_M * mean_length:
+        raise CannotMendError("it has no width: its bounds lie on each other, or cross")
+
+
+def _closed(bound: Floats) -> bool:
+    return bool(np.all(bound[0, :2] == bound[-1, :2]))
+
+
+def _without_loops(left: Floats, right: Floats, repairs: list[str]) -> tuple[Floats, Floats]:
+    cleaned = []
+    for side, bound in (("left", left), ("right", right)):
+        cleaned.append(without_loops(bound, side))
+        if cleaned[-1] is not bound:
+            repairs.append(f"a loop of the {side} bound cut off")
+    return cleaned[0], cleaned[1]
+
+
+def _parted(left: Floats, right: Floats, repairs: list[str]) -> tuple[Floats, Floats]:
+    """Part ends without width by 1 cm, across the direction in which the lanelet opens."""
+    if _gap(left[0], right[0]) < NO_WIDTH_M:
+        left, right = _start_parted(left, right)
+        repairs.append("start without width parted by 1 cm")
+    if _gap(left[-1], right[-1]) < NO_WIDTH_M:
+        # Seen backwards, the end is a start, and left is right.
+        right, left = (bound[::-1] for bound in _start_parted(right[::-1], left[::-1]))
+        repairs.append("end without width parted by 1 cm")
+    return left, right
+
+
+def _gap(a: Floats, b: Floats) -> float:
+    return float(np.hypot(*(a - b)[:2]))
+
+
+def _start_parted(left: Floats, right: Floats) -> tuple[Floats, Floats]:
+    shared = min(len(left), len(right))
+    gaps = np.hypot(*(left[:shared, :2] - right[:shared, :2]).T)
+    touching = int(np.argmax(gaps >= NO_WIDTH_M)) if np.any(gaps >= NO_WIDTH_M) else shared
+    left, right = left.copy(), right.copy()
+    for i in range(touching):
+        middle = (left[i, :2] + right[i, :2]) / 2.0
+        along = _heading(left, i) + _heading(right, i)
+        if np.hypot(*along) < _OPPOSITE:
+            raise CannotMendError("its bounds leave a common end in opposite directions")
+        across = np.array([-along[1], along[0]]) / np.hypot(*along) * NO_WIDTH_M / 2.0
+        left[i, :2], right[i, :2] = middle + across, middle - across
+    return left, right
+
+
+def _heading(bound: Floats, i: int) -> Floats:
+    """Return the unit vector along a bound after (at its last point: before) a point."""
+    i = min(i, len(bound) - 2)
+    step = bound[i + 1, :2] - bound[i, :2]
+    unit: Floats = step / np.hypot(*step)
+    return unit
+
+
+def _plainly_forward(left: Floats, right: Floats) -> bool:
+    """Tell, by equal lengths only, that every stretch has the other bound on its proper side."""
+    return bool(_faces(left, right) and _faces(right[::-1], left[::-1]))
+
+
+def _faces(bound: Floats, other: Floats) -> bool:
+    """Tell whether all of a bound has the other one on its right."""
+    along = arc_lengths(bound)
+    middle = (along[1:] + along[:-1]) / 2.0 / along[-1]
+    opposite = at_fractions(other[:, :2], middle)
+    return bool(np.all(turn(opposite, bound[1:, :2], bound[:-1, :2]) > 0.0))
+
+
+def _backward(left: Floats, right: Floats) -> bool:
+    ribbon = matched(left, right)
+    return len(ribbon.left_wrong) > 0 or len(ribbon.right_wrong) > 0
+
+
+def _without_fold_backs(left: Floats, right: Floats, repairs: list[str]) -> tuple[Floats, Floats]:
+    """Take out the stretches where a bound runs backwards.
+
+    A very slanted rung can make a backward stretch look forward; so where that leaves slices
+    that cross themselves, slanted rungs are made dearer.
+    """
+    for wrong_m in _SLANTS_M:
+        forward = _unfolded_both(left, right, wrong_m)
+        if is_sound(*forward):
+            break
+    for side, before, after in zip(("left", "right"), (left, right), forward, strict=True):
+        if after is not before:
+            repairs.append(f"fold-back of the {side} bound taken out")
+    return forward
+
+
+def _unfolded_both(left: Floats, right: Floats, wrong_m: float) -> tuple[Floats, Floats]:
+    for _ in range(_PASSES):
+        ribbon = matched(left, right, wrong_m)
+        if len(ribbon.left_wrong):
+            left = _unfolded(left, right, ribbon.left_wrong[0], ribbon.left, ribbon.right)
+        elif len(ribbon.right_wrong):
+            # Seen backwards, the right bound is a left one.
+            wrong = 1.0 - ribbon.right_wrong[-1, ::-1]
+            turned = 1.0 - ribbon.right[::-1], 1.0 - ribbon.left[::-1]
+            right = _unfolded(right[::-1], left[::-1], wrong, *turned)[::-1]
+        else:
+            break
+        _require_extent(left, right)
+    return left, right
+
+
+def _unfolded(
+    bound: Floats, other: Floats, wrong: Floats, on_bound: Floats, on_other: Floats
+) -> Floats:
+    """Return a left bound without the first stretch that runs backwards.
+
+    What lies behind the rung at the turning point is skipped until the bound is ahead of it
+    again; where it never is, what lies ahead of the last rung is skipped instead.
+    """
+    fractions = arc_lengths(bound) / length(bound)
+    tip = at_fractions(bound, wrong[:1])
+    foot = at_fractions(other, np.interp(wrong[:1], on_bound, on_other))
+    behind = turn(foot[:, :2], tip[:, :2], bound[:, :2])
+    ahead = np.flatnonzero((behind < 0.0) & (fractions >= wrong[1] - _TINY))
+    if len(ahead):
+        rest = _resumed(bound[ahead[0] - 1 :], behind[ahead[0] - 1 :])
+        return without_repeats(np.concatenate([bound[fractions < wrong[0] - _TINY], tip, rest]))
+    before_end = turn(other[-1:, :2], bound[-1:, :2], bound[:, :2])
+    last = int(np.flatnonzero((before_end > 0.0) & (fractions <= wrong[0] + _TINY))[-1:].sum())
+    rest = _resumed(bound[last + 1 :: -1], -before_end[last + 1 :: -1])[::-1]
+    return without_repeats(np.concatenate([rest, bound[-1:]]))
+
+
+def _resumed(bound: Floats, behind: Floats) -> Floats:
+    """Return a bound from a little after the rung that its first segment crosses.
+
+    Parameters
+    ----------
+    bound : (n, 2 or 3) array
+        The first point is behind the rung, the second one ahead of it.
+    behind : (n,) array
+        Proportional to how far each point is behind the rung.
+    """
+    step = float(np.hypot(*(bound[1] - bound[0])[:2]))
+    across = behind[0] - behind[1]
+    share = float(np.clip(behind[0] / across, 0.0, 1.0)) if across > 0.0 else 0.0
+    share += min(_RESUME_M / step, (1.0 - share) / 2.0)
+    first = bound[0] + share * (bound[1] - bound[0])
+    return np.concatenate([first[None], bound[1:]])

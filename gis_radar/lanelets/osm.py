@@ -1,0 +1,259 @@
+"""OpenStreetMap XML as Lanelet2 uses it: nodes, ways and relations, read in one stream."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+from xml.parsers import expat
+
+import numpy as np
+
+from gis_radar.arrays import Floats, Integers
+from gis_radar.errors import InputError
+
+NODE_TAGS = ("ele", "local_x", "local_y")
+_NOWHERE = (math.nan, math.nan)
+_IDS = range(-(2**63), 2**63)
+
+
+class Member(NamedTuple):
+    """One member of a relation: `kind` is node, way or relation."""
+
+    kind: str
+    ref: int
+    role: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Way:
+    """A line: the ids of its nodes in the order drawn, and its tags."""
+
+    nodes: tuple[int, ...]
+    tags: dict[str, str]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Relation:
+    """A group of nodes, ways and relations with roles, and its tags."""
+
+    members: tuple[Member, ...]
+    tags: dict[str, str]
+
+    @property
+    def type(self) -> str:
+        """What it is: `lanelet`, `regulatory_element`, `multipolygon`, ..."""
+        return self.tags.get("type", "")
+
+    def refs(self, kind: str, role: str) -> tuple[int, ...]:
+        """Return the ids of the members of one kind and role, in their order."""
+        return tuple(m.ref for m in self.members if m.kind == kind and m.role == role)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OsmMap:
+    """What an OSM file says, before any meaning is given to it.
+
+    Parameters
+    ----------
+    path : Path
+        Where it was read from, for messages.
+    node_ids : (n,) array
+        Node ids in the order of the file, each once.
+    geographic : (n, 2) array
+        Longitude and latitude in degrees (WGS84); NaN where missing or impossible.
+    local : (n, 2) array
+        The tags `local_x` and `local_y` in metres; NaN where missing.
+    elevation : (n,) array
+        The tag `ele` in metres; NaN where missing.
+    ways, relations : dict
+        By id.
+    doubled : tuple of (str, int)
+        Kind and id of every element whose id had been used before; the first one counts.
+    """
+
+    path: Path
+    node_ids: Integers
+    geographic: Floats
+    local: Floats
+    elevation: Floats
+    ways: dict[int, Way]
+    relations: dict[int, Relation]
+    doubled: tuple[tuple[str, int], ...]
+
+    @cached_property
+    def node_index(self) -> dict[int, int]:
+        """Row of each node id in the arrays."""
+        return {int(node): row for row, node in enumerate(self.node_ids)}
+
+    def relations_of(self, kind: str) -> Iterator[tuple[int, Relation]]:
+        """Yield id and relation for every relation of one type."""
+        return (
+            (ref, relation) for ref, relation in self.relations.items() if relation.type == kind
+        )
+
+
+def read_osm(path: str | Path) -> OsmMap:
+    """Read an OSM XML file.
+
+    Document type definitions and entities are refused before anything is expanded. Elements that
+    an editor marked as deleted are left out.
+
+    Parameters
+    ----------
+    path : str or Path
+        An OSM 0.6 file, in any encoding that its first line declares.
+
+    Returns
+    -------
+    OsmMap
+        Nodes, ways and relations as they stand in the file.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, is not XML, ends early, is not OSM, or holds a bad id.
+    """
+    collector = _Collector(Path(path))
+    parser = expat.ParserCreate()
+    collector.attach(parser)
+    try:
+        with Path(path).open("rb") as file:
+            parser.ParseFile(file)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except (expat.ExpatError, ValueError, LookupError) as error:
+        raise InputError(_not_xml(path, error, parser.CurrentLineNumber)) from error
+    return collector.finished()
+
+
+def _not_xml(path: str | Path, error: Exception, line: int) -> str:
+    """Say why the parser gave up, for a person who may have sent the wrong file."""
+    reason = str(error).split(":")[0]
+    if Path(path).stat().st_size == 0:
+        return f"{path}: the file is empty"
+    if reason in {"no element found", "unclosed token", "unclosed CDATA section"}:
+        return f"{path}: line {line}: the file ends early: truncated XML"
+    return f"{path}: line {line}: not XML: {reason}"
+
+
+class _Collector:
+    """Gathers elements as the parser meets them; holds one open way or relation at a time."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.rows: dict[int, tuple[float, ...]] = {}
+        self.ways: dict[int, Way] = {}
+        self.relations: dict[int, Relation] = {}
+        self.known: dict[str, dict[int, Any]] = {
+            "node": self.rows,
+            "way": self.ways,
+            "relation": self.relations,
+        }
+        self.doubled: list[tuple[str, int]] = []
+        self.depth = 0
+        self._forget()
+
+    def attach(self, parser: expat.XMLParserType) -> None:
+        """Make the parser call this collector."""
+        self.parser = parser
+        parser.StartElementHandler = self._start
+        parser.EndElementHandler = self._end
+        parser.StartDoctypeDeclHandler = self._refuse
+        parser.EntityDeclHandler = self._refuse
+        parser.buffer_text = True
+
+    def finished(self) -> OsmMap:
+        """Return everything gathered."""
+        table = np.array(list(self.rows.values()), dtype=np.float64).reshape(-1, 5)
+        return OsmMap(
+            path=self.path,
+            node_ids=np.fromiter(self.rows, dtype=np.int64, count=len(self.rows)),
+            geographic=table[:, 0:2],
+            local=table[:, 3:5],
+            elevation=table[:, 2],
+            ways=self.ways,
+            relations=self.relations,
+            doubled=tuple(self.doubled),
+        )
+
+    def _forget(self) -> None:
+        self.place: tuple[float, float] = _NOWHERE
+        self.refs: list[int] = []
+        self.members: list[Member] = []
+        self.tags: dict[str, str] = {}
+        self.id = 0
+
+    def _refuse(self, *_: object) -> None:
+        raise InputError(
+            f"{self.path}: line {self.parser.CurrentLineNumber}: document types and entities are"
+            " refused, a Lanelet2 map has none"
+        )
+
+    def _start(self, name: str, attributes: dict[str, str]) -> None:
+        self.depth += 1
+        if self.depth == 1 and name != "osm":
+            raise InputError(f"{self.path}: not OSM: its root is <{name}>, expected <osm>")
+        if name == "tag":
+            self.tags[attributes.get("k", "")] = attributes.get("v", "")
+        elif name == "nd":
+            self.refs.append(self._id(name, attributes.get("ref")))
+        elif name == "member":
+            ref = self._id(name, attributes.get("ref"))
+            member = Member(attributes.get("type", ""), ref, attributes.get("role", ""))
+            self.members.append(member)
+        elif name in {"node", "way", "relation"}:
+            self._open(name, attributes)
+
+    def _open(self, name: str, attributes: dict[str, str]) -> None:
+        self._forget()
+        self.id = self._id(name, attributes.get("id"))
+        self.gone = attributes.get("action") == "delete" or attributes.get("visible") == "false"
+        if name == "node":
+            self.place = _place(attributes.get("lon", ""), attributes.get("lat", ""))
+
+    def _end(self, name: str) -> None:
+        self.depth -= 1
+        if name not in {"node", "way", "relation"} or self.gone:
+            return
+        known = self.known[name]
+        if self.id in known:
+            self.doubled.append((name, self.id))
+        elif name == "node":
+            tags = self.tags
+            extra = [_number(tags[key]) if key in tags else math.nan for key in NODE_TAGS]
+            self.rows[self.id] = (*self.place, *extra)
+        elif name == "way":
+            self.ways[self.id] = Way(nodes=tuple(self.refs), tags=self.tags)
+        else:
+            self.relations[self.id] = Relation(members=tuple(self.members), tags=self.tags)
+
+    def _id(self, name: str, text: str | None) -> int:
+        try:
+            number = int(text or "")
+        except ValueError:
+            number = _IDS.stop
+        if number not in _IDS:
+            raise InputError(
+                f"{self.path}: line {self.parser.CurrentLineNumber}: <{name}> has the id {text!r},"
+                " expected an integer of 64 bits"
+            )
+        return number
+
+
+def _place(longitude: str, latitude: str) -> tuple[float, float]:
+    """Return longitude and latitude in degrees, NaN for both unless both are possible."""
+    lon, lat = _number(longitude), _number(latitude)
+    return (lon, lat) if abs(lon) <= 180.0 and abs(lat) <= 90.0 else _NOWHERE
+
+
+def _number(text: str) -> float:
+    """Return a finite number, or NaN for anything else."""
+    try:
+        number = float(text)
+    except ValueError:
+        return math.nan
+    return number if math.isfinite(number) else math.nan

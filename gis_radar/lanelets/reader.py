@@ -1,0 +1,268 @@
+"""Lanelet2 maps: read, put into one metric system, cleaned, ready to be cut into tiles."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+from pyproj import CRS
+from shapely import LineString, MultiLineString
+from shapely.geometry.base import BaseGeometry
+
+from gis_radar.arrays import Floats
+from gis_radar.errors import InputError
+from gis_radar.lanelets.bounds import drawn_direction, rungs, slices
+from gis_radar.lanelets.chains import Chain, chain_of, heights_filled
+from gis_radar.lanelets.errors import CannotMendError
+from gis_radar.lanelets.mending import Mended, mend, outline
+from gis_radar.lanelets.osm import OsmMap, Relation, read_osm
+from gis_radar.lanelets.positions import place_nodes
+from gis_radar.lanelets.regulatory import regulated_kmh, regulatory_table
+from gis_radar.lanelets.tagging import kmh, one_way_of, participants_of, subtype_of
+from gis_radar.progress import QUIET, Reporter
+
+STAGE = "reading lanelets"
+REPAIRED, LEFT_OUT = "repaired", "left out"
+
+
+@dataclass(frozen=True, kw_only=True)
+class LaneletMap:
+    """A Lanelet2 map in one metric system.
+
+    Parameters
+    ----------
+    lanelets : GeoDataFrame
+        Sorted by `lanelet_id` (int64). `subtype`; `location` (None where not tagged);
+        `speed_limit_kmh` (NaN where unknown); `one_way`; `participants`, `successors`,
+        `predecessors` (tuples); `left`, `right`, `centre` (lines in driving direction, with
+        heights where these are known); the outline as geometry.
+    regulatory : GeoDataFrame
+        A row for each member of a regulatory element, see :func:`regulatory_table`.
+    problems : GeoDataFrame
+        `lanelet_id`, `action` (`repaired` or `left out`), `reason`, geometry (or None).
+    crs : CRS
+        The system of all coordinates.
+    remarks : tuple of str
+        What a user should know about how the map was read.
+    """
+
+    lanelets: gpd.GeoDataFrame
+    regulatory: gpd.GeoDataFrame
+    problems: gpd.GeoDataFrame
+    crs: CRS
+    remarks: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Lanelet:
+    """One lanelet on its way into the table: `start` and `end` are node ids, left and right."""
+
+    id: int
+    relation: Relation
+    bounds: Mended
+    start: tuple[int, int]
+    end: tuple[int, int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Problem:
+    id: int
+    action: str
+    reason: str
+    shape: BaseGeometry | None
+
+
+def read_map(
+    path: str | Path,
+    *,
+    crs: Any = None,
+    origin: tuple[float, float] | None = None,
+    reporter: Reporter = QUIET,
+) -> LaneletMap:
+    """Read a Lanelet2 map and mend what can be mended.
+
+    Parameters
+    ----------
+    path : str or Path
+        An OSM XML file with lanelets.
+    crs : CRS, str or int, optional
+        A projected system in metres; without it, the UTM zone of the map's middle.
+    origin : (float, float), optional
+        Easting and northing of the local (0, 0), for maps whose latitudes and longitudes are
+        empty or false.
+    reporter : Reporter
+        Told the progress and the remarks.
+
+    Returns
+    -------
+    LaneletMap
+        All lanelets that can be read, and a list of those mended or left out.
+
+    Raises
+    ------
+    InputError
+        If the file is no Lanelet2 map, says nowhere where it lies, or no lanelet can be read.
+    CrsError
+        If `crs` is not a projected one in metres.
+    """
+    osm = read_osm(path)
+    relations = dict(sorted(osm.relations_of("lanelet")))
+    if not relations:
+        raise InputError(f"{path}: holds no lanelets", hint="a Lanelet2 map in OSM XML is needed")
+    places = place_nodes(osm, _used(osm, relations), crs=crs, origin=origin)
+    lanelets, problems = _assembled(osm, relations, places.xyz, reporter)
+    if not lanelets:
+        raise InputError(
+            f"{path}: none of its {len(relations)} lanelets can be read: "
+            f"lanelet {problems[0].id}: {problems[0].reason}"
+        )
+    remarks = (*places.remarks, *_remarks(osm, problems))
+    for remark in remarks:
+        reporter.log(f"{Path(path).name}: {remark}", "warning")
+    return LaneletMap(
+        lanelets=_lanelet_table(osm, lanelets, places.crs),
+        regulatory=regulatory_table(osm, places.xyz, places.crs),
+        problems=_problem_table(problems, places.crs),
+        crs=places.crs,
+        remarks=remarks,
+    )
+
+
+def _used(osm: OsmMap, relations: dict[int, Relation]) -> Any:
+    """Return a mask of the nodes that lanelets use."""
+    refs = (m.ref for lanelet in relations.values() for m in lanelet.members if m.kind == "way")
+    nodes = {node for ref in refs if ref in osm.ways for node in osm.ways[ref].nodes}
+    return np.isin(osm.node_ids, np.fromiter(nodes, dtype=np.int64, count=len(nodes)))
+
+
+def _assembled(
+    osm: OsmMap, relations: dict[int, Relation], xyz: Floats, reporter: Reporter
+) -> tuple[list[_Lanelet], list[_Problem]]:
+    lanelets: list[_Lanelet] = []
+    problems: list[_Problem] = []
+    for done, (ref, relation) in enumerate(relations.items()):
+        if done % 200 == 0:
+            reporter.progress(STAGE, done, len(relations))
+        drawn: list[Floats] = []
+        try:
+            lanelet, reasons = _lanelet(osm, ref, relation, xyz, drawn)
+        except CannotMendError as error:
+            problems.append(_left_out(ref, str(error), drawn))
+            continue
+        lanelets.append(lanelet)
+        if reasons:
+            shape = outline(lanelet.bounds.left, lanelet.bounds.right)
+            reason = "; ".join(reasons)
+            problems.append(_Problem(id=ref, action=REPAIRED, reason=reason, shape=shape))
+    reporter.progress(STAGE, len(relations), len(relations))
+    return lanelets, problems
+
+
+def _left_out(ref: int, reason: str, drawn: list[Floats]) -> _Problem:
+    lines = [LineString(bound[:, :2]) for bound in drawn if len(bound) > 1]
+    shape = MultiLineString(lines) if lines else None
+    return _Problem(id=ref, action=LEFT_OUT, reason=reason, shape=shape)
+
+
+def _lanelet(
+    osm: OsmMap, ref: int, relation: Relation, xyz: Floats, drawn: list[Floats]
+) -> tuple[_Lanelet, tuple[str, ...]]:
+    """Return one lanelet and what was mended; `drawn` collects its bounds as far as it comes."""
+    chains: list[Chain] = []
+    for side in ("left", "right"):
+        chains.append(chain_of(osm, relation.refs("way", side), xyz, side))
+        drawn.append(chains[-1].points)
+    left, right = chains
+    direction = drawn_direction(left.points, right.points)
+    left = left.reversed() if direction.turn_left else left
+    right = right.reversed() if direction.turn_right else right
+    bounds = mend(*heights_filled(left.points, right.points))
+    lanelet = _Lanelet(
+        id=ref,
+        relation=relation,
+        bounds=bounds,
+        start=(left.nodes[0], right.nodes[0]),
+        end=(left.nodes[-1], right.nodes[-1]),
+    )
+    return lanelet, (*left.repairs, *right.repairs, *bounds.repairs)
+
+
+def _lanelet_table(osm: OsmMap, lanelets: list[_Lanelet], crs: CRS) -> gpd.GeoDataFrame:
+    tags = [lanelet.relation.tags for lanelet in lanelets]
+    successors = _linked(lanelets)
+    predecessors: dict[int, list[int]] = defaultdict(list)
+    for ref, following in successors.items():
+        for other in following:
+            predecessors[other].append(ref)
+    lines = {
+        "left": [LineString(lanelet.bounds.left) for lanelet in lanelets],
+        "right": [LineString(lanelet.bounds.right) for lanelet in lanelets],
+        "centre": [_centre(lanelet.bounds) for lanelet in lanelets],
+    }
+    return gpd.GeoDataFrame(
+        {
+            "lanelet_id": np.array([lanelet.id for lanelet in lanelets], dtype=np.int64),
+            "subtype": [subtype_of(tag) for tag in tags],
+            "location": [tag.get("location") or None for tag in tags],
+            "speed_limit_kmh": [_speed_limit(osm, lanelet.relation) for lanelet in lanelets],
+            "one_way": [one_way_of(tag) for tag in tags],
+            "participants": [participants_of(tag) for tag in tags],
+            "successors": [successors[lanelet.id] for lanelet in lanelets],
+            "predecessors": [tuple(predecessors[lanelet.id]) for lanelet in lanelets],
+            **{name: gpd.GeoSeries(line, crs=crs) for name, line in lines.items()},
+        },
+        geometry=[outline(lanelet.bounds.left, lanelet.bounds.right) for lanelet in lanelets],
+        crs=crs,
+    )
+
+
+def _centre(bounds: Mended) -> LineString:
+    n = slices(bounds.left, bounds.right)
+    left, right = rungs(bounds.left, bounds.right, n)
+    return LineString((left + right) / 2.0)
+
+
+def _speed_limit(osm: OsmMap, relation: Relation) -> float:
+    """Return the limit in km/h; as in Lanelet2, a regulatory element wins over the tag."""
+    regulated = regulated_kmh(osm, relation)
+    return kmh(relation.tags.get("speed_limit", "")) if math.isnan(regulated) else regulated
+
+
+def _linked(lanelets: Iterable[_Lanelet]) -> dict[int, tuple[int, ...]]:
+    """Return the successors of each lanelet: those that begin at both nodes where it ends."""
+    starting: dict[tuple[int, int], list[int]] = defaultdict(list)
+    for lanelet in lanelets:
+        starting[lanelet.start].append(lanelet.id)
+    return {lanelet.id: tuple(starting.get(lanelet.end, ())) for lanelet in lanelets}
+
+
+def _problem_table(problems: list[_Problem], crs: CRS) -> gpd.GeoDataFrame:
+    return gpd.GeoDataFrame(
+        {
+            "lanelet_id": np.array([problem.id for problem in problems], dtype=np.int64),
+            "action": [problem.action for problem in problems],
+            "reason": [problem.reason for problem in problems],
+        },
+        geometry=[problem.shape for problem in problems],
+        crs=crs,
+    )
+
+
+def _remarks(osm: OsmMap, problems: list[_Problem]) -> tuple[str, ...]:
+    areas = sum(relation.type in {"multipolygon", "area"} for relation in osm.relations.values())
+    skipped = {
+        "areas skipped": areas,
+        "elements skipped whose id had been used before": len(osm.doubled),
+    }
+    said = [f"{what}: {count}" for what, count in skipped.items() if count]
+    for action in (REPAIRED, LEFT_OUT):
+        count = sum(problem.action == action for problem in problems)
+        if count:
+            said.append(f"{count} lanelet{'s'[: count > 1]} {action}, see layer problems")
+    return tuple(said)
