@@ -1,0 +1,374 @@
+"""PDAL found and run. Stand-ins are shell scripts; the fixture `pdal` is the real one."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import laspy
+import numpy as np
+import pytest
+from pyproj import CRS
+
+import gis_radar.aerial.pdal
+from gis_radar.aerial.pdal import INSTALL_HINT, VARIABLE, find_pdal
+from gis_radar.crs import transformer
+from gis_radar.errors import GisRadarError, InputError, OutputError
+from gis_radar.progress import Reporter
+
+WHICH = shutil.which
+needs_sh = pytest.mark.skipif(os.name == "nt", reason="stand-ins are shell scripts")
+
+
+class Notes(Reporter):
+    def __init__(self):
+        self.lines = []
+        self.stages = []
+
+    def progress(self, stage, done, total):
+        self.stages.append((stage, done, total))
+
+    def log(self, message, level="info"):
+        self.lines.append((level, message))
+
+
+def make_program(path, body="", version="2.6.1"):
+    """Write a stand-in that tells a version and then does what `body` says."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    answer = f'[ "$1" = --version ] && echo "pdal {version} (git-version: x)" && exit\n'
+    path.write_text(f"#!/bin/sh\n{answer}{body}\n")
+    path.chmod(0o755)
+    return path
+
+
+def make_scan(path, *, epsg=25832, count=400, seed=1):
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales = [0.001] * 3
+    header.offsets = [600_000, 5_400_000, 0]
+    if epsg:
+        header.add_crs(CRS.from_epsg(epsg))
+    scan = laspy.LasData(header)
+    rng = np.random.default_rng(seed)
+    scan.x = 600_000 + rng.uniform(0, 20, count)
+    scan.y = 5_400_000 + rng.uniform(0, 20, count)
+    scan.z = 100 + rng.uniform(0, 1, count)
+    scan.write(path)
+    return scan
+
+
+def from_to(source, target, *stages):
+    writer = {"type": "writers.las", "filename": str(target)}
+    return {"pipeline": [str(source), *stages, writer]}
+
+
+@pytest.fixture
+def stand_in(no_pdal, tmp_path, monkeypatch):
+    """Give a function that makes a stand-in the only PDAL, and finds it."""
+
+    def make(body):
+        monkeypatch.setenv(VARIABLE, str(make_program(tmp_path / "stand-in" / "pdal", body)))
+        return find_pdal()
+
+    return make
+
+
+# Finding
+
+
+def test_none_is_none(no_pdal):
+    assert find_pdal() is None
+    assert "conda" in INSTALL_HINT
+    assert "apt-get" in INSTALL_HINT
+    assert "\n" not in INSTALL_HINT
+
+
+@needs_sh
+def test_the_order(no_pdal, tmp_path, monkeypatch):
+    names = {name: tmp_path / name / "pdal" for name in ("named", "path", "private")}
+    versions = {"named": "2.3.0", "path": "2.4.0", "private": "2.5.0"}
+    for name, path in names.items():
+        make_program(path, version=versions[name])
+    fake_binding(tmp_path, monkeypatch)
+    monkeypatch.setattr(gis_radar.aerial.pdal, "_binding_is_installed", lambda: True)
+    monkeypatch.setenv(VARIABLE, str(names["named"]))
+    monkeypatch.setattr("gis_radar.aerial.pdal.shutil.which", WHICH)
+    monkeypatch.setenv("PATH", str(names["path"].parent))
+    monkeypatch.setattr(gis_radar.aerial.pdal, "PRIVATE", names["private"])
+
+    assert find_pdal().name == "pdal binding 2.9.3"
+    monkeypatch.setattr(gis_radar.aerial.pdal, "_binding_is_installed", lambda: False)
+    assert find_pdal().name == "pdal program 2.3.0"
+    monkeypatch.delenv(VARIABLE)
+    assert find_pdal().name == "pdal program 2.4.0"
+    names["path"].unlink()
+    assert find_pdal().name == "pdal program 2.5.0"
+    assert find_pdal().version == (2, 5, 0)
+
+
+@needs_sh
+@pytest.mark.parametrize(
+    ("text", "remark"),
+    [
+        ("echo 'error while loading libgdal.so' >&2; exit 127", "loading libgdal.so"),
+        ("echo hello", "does not tell a version"),
+        ("echo 'pdal 1.9.1 (x)'", "it is PDAL 1.9.1, needed is 2.2"),
+    ],
+)
+def test_a_broken_program_is_passed_over(no_pdal, tmp_path, monkeypatch, text, remark):
+    broken = tmp_path / "broken"
+    broken.write_text(f"#!/bin/sh\n{text}\n")
+    broken.chmod(0o755)
+    monkeypatch.setenv(VARIABLE, str(broken))
+    private = make_program(tmp_path / "private" / "pdal")
+    monkeypatch.setattr(gis_radar.aerial.pdal, "PRIVATE", private)
+    notes = Notes()
+    assert find_pdal(reporter=notes).command[0] == str(private)
+    [(level, line)] = notes.lines
+    assert level == "warning"
+    assert line.startswith(f"{VARIABLE}={broken} is passed over")
+    assert remark in line
+
+
+def test_a_named_program_that_is_not_there(no_pdal, tmp_path, monkeypatch):
+    monkeypatch.setenv(VARIABLE, str(tmp_path / "nowhere"))
+    notes = Notes()
+    assert find_pdal(reporter=notes) is None
+    assert "does not start: No such file" in notes.lines[0][1]
+
+
+@needs_sh
+def test_a_program_is_asked_once(no_pdal, tmp_path, monkeypatch):
+    program = tmp_path / "pdal"
+    program.write_text(f"#!/bin/sh\necho x >>'{tmp_path}/asked'\necho pdal 2.8.0\n")
+    program.chmod(0o755)
+    monkeypatch.setenv(VARIABLE, str(program))
+    assert find_pdal() == find_pdal()
+    assert (tmp_path / "asked").read_text() == "x\n"
+
+
+def fake_binding(folder, monkeypatch, run="self.log = ''", ask="2.9.3"):
+    """Put a stand-in for the Python package where a child finds it."""
+    package = folder / "modules" / "pdal"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text(
+        "import pathlib, types\n"
+        f"info = types.SimpleNamespace(version={ask!r})\n"
+        "class Pipeline:\n"
+        "    def __init__(self, document): self.document = document\n"
+        f"    def execute(self): {run}\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", str(package.parent))
+    monkeypatch.syspath_prepend(str(package.parent))
+
+
+def test_the_binding_runs_a_document(tmp_path, monkeypatch):
+    out = tmp_path / "seen.json"
+    run = f"self.log = ''; pathlib.Path({str(out)!r}).write_text(self.document)"
+    fake_binding(tmp_path, monkeypatch, run)
+    runner = find_pdal()
+    assert (runner.name, runner.version) == ("pdal binding 2.9.3", (2, 9, 3))
+    runner.run({"pipeline": ["ä.las"]})
+    assert json.loads(out.read_text()) == {"pipeline": ["ä.las"]}
+
+
+def test_the_binding_fails_in_one_line(tmp_path, monkeypatch):
+    fake_binding(tmp_path, monkeypatch, "raise RuntimeError('readers.las: broken')")
+    with pytest.raises(InputError) as caught:
+        find_pdal().run({"pipeline": ["a.las", "b.las"]})
+    assert caught.value.message == "PDAL: readers.las: broken"
+
+
+def test_a_binding_that_does_not_import(no_pdal, tmp_path, monkeypatch):
+    package = tmp_path / "modules" / "pdal"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text("raise ImportError('libpdalcpp.so.18: not found')")
+    monkeypatch.setenv("PYTHONPATH", str(package.parent))
+    monkeypatch.setattr(gis_radar.aerial.pdal, "_binding_is_installed", lambda: True)
+    notes = Notes()
+    assert find_pdal(reporter=notes) is None
+    assert "libpdalcpp.so.18: not found" in notes.lines[0][1]
+
+
+def test_a_folder_with_the_name_is_no_binding(tmp_path, monkeypatch):
+    (tmp_path / "pdal").mkdir()
+    monkeypatch.setattr(sys, "path", [str(tmp_path)])
+    assert not gis_radar.aerial.pdal._binding_is_installed()
+
+
+# Running stand-ins
+
+
+@needs_sh
+@pytest.mark.parametrize(
+    ("said", "kind", "message"),
+    [
+        (
+            "(pdal pipeline Error) GDAL failure (1) PROJ: crs not found\nPDAL: No such CRS.\n",
+            InputError,
+            "PDAL: No such CRS.",
+        ),
+        ("PDAL: readers.las: not LASF\n\n", InputError, "a.las: PDAL: readers.las: not LASF"),
+        ("PDAL: STDIN: No root element.\n", InputError, "PDAL: No root element."),
+        ("PDAL: writers.las: No room.\n", OutputError, "PDAL: writers.las: No room."),
+        ("what(): std::bad_alloc\n", InputError, "PDAL: what(): std::bad_alloc"),
+        ("", InputError, "PDAL: it ended with exit code 3"),
+    ],
+)
+def test_what_pdal_says_is_one_line(stand_in, said, kind, message):
+    runner = stand_in(f"printf '%s' '{said}' >&2; exit 3")
+    with pytest.raises(GisRadarError) as caught:
+        runner.run({"pipeline": ["a.las", {"type": "writers.las", "filename": "b.las"}]})
+    assert type(caught.value) is kind
+    assert caught.value.message == message
+
+
+@needs_sh
+def test_a_lost_reprojection_is_an_error_though_pdal_ends_well(stand_in):
+    line = "(pdal pipeline Error) GDAL failure (6) Cannot find coordinate operations from x to y"
+    runner = stand_in(f"echo '{line}' >&2")
+    with pytest.raises(InputError, match=r"^PDAL: Cannot find coordinate operations"):
+        runner.run({"pipeline": []})
+
+
+@needs_sh
+def test_other_remarks_of_pdal_are_handed_on(stand_in):
+    notes = Notes()
+    runner = stand_in("echo '(pdal pipeline readers.las Error) WKT flag not set' >&2")
+    runner.run({"pipeline": []}, reporter=notes)
+    assert notes.lines == [("warning", "PDAL: WKT flag not set")]
+
+
+@needs_sh
+def test_a_killed_program_is_no_answer(stand_in):
+    with pytest.raises(GisRadarError, match="was ended by SIGKILL") as caught:
+        stand_in("kill -9 $$").run({"pipeline": []})
+    assert caught.value.hint
+
+
+@needs_sh
+def test_progress_and_much_output(stand_in):
+    notes = Notes()
+    body = "i=0; while [ $i -lt 4000 ]; do echo $i-------------------------; i=$((i+1)); done"
+    stand_in(f"{body}; ({body}) >&2; sleep 0.7").run({"pipeline": []}, reporter=notes)
+    assert len(notes.lines) == 4000
+    assert notes.stages
+    assert {stage for stage, _, _ in notes.stages} == {"running PDAL"}
+
+
+@needs_sh
+def test_the_private_program_gets_a_clean_environment(no_pdal, tmp_path, monkeypatch):
+    program = make_program(tmp_path / "private" / "pdal", f"env >'{tmp_path}/seen'")
+    monkeypatch.setattr(gis_radar.aerial.pdal, "PRIVATE", program)
+    foreign = ("PYTHONHOME", "PYTHONPATH", "PROJ_DATA", "PROJ_LIB", "GDAL_DATA", "LD_LIBRARY_PATH")
+    for name in (*foreign, "KEPT"):
+        monkeypatch.setenv(name, "/nowhere")
+    find_pdal().run({"pipeline": []})
+    seen = dict(line.split("=", 1) for line in (tmp_path / "seen").read_text().splitlines())
+    assert seen["KEPT"] == "/nowhere"
+    assert not set(foreign) & set(seen)
+
+
+INTERRUPTED = """
+import signal, sys
+from gis_radar.aerial.pdal import find_pdal
+def stop(*_): raise KeyboardInterrupt
+signal.signal(signal.SIGTERM, stop)
+find_pdal().run({"pipeline": []})
+"""
+
+
+@needs_sh
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_ends_the_child(no_pdal, tmp_path, monkeypatch, number):
+    body = f"echo $$ >'{tmp_path}/part'; mv '{tmp_path}/part' '{tmp_path}/pid'; exec sleep 60"
+    monkeypatch.setenv(VARIABLE, str(make_program(tmp_path / "pdal", body)))
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "tmp"))
+    (tmp_path / "tmp").mkdir()
+    with subprocess.Popen([sys.executable, "-c", INTERRUPTED], stderr=subprocess.PIPE) as parent:
+        wait_for((tmp_path / "pid").exists)
+        time.sleep(0.5)  # the parent has turned to waiting
+        parent.send_signal(number)
+        _, said = parent.communicate(timeout=20)
+    assert b"KeyboardInterrupt" in said
+    pid = int((tmp_path / "pid").read_text())
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+    assert list((tmp_path / "tmp").iterdir()) == []
+
+
+def wait_for(condition, seconds=20.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+# The real one
+
+
+def test_pdal_runs_a_pipeline(pdal, tmp_path):
+    scan = make_scan(tmp_path / "a.las")
+    half = {"type": "filters.range", "limits": "Z[100.5:]"}
+    pdal.run(from_to(tmp_path / "a.las", tmp_path / "b.laz", half))
+    kept = laspy.read(tmp_path / "b.laz")
+    assert len(kept.points) == np.count_nonzero(scan.z >= 100.5) > 100
+    assert kept.header.parse_crs().to_epsg() == 25832
+
+
+def test_pdal_reprojects(pdal, tmp_path):
+    scan = make_scan(tmp_path / "a.las")
+    to = {"type": "filters.reprojection", "out_srs": "EPSG:25833"}
+    pdal.run(from_to(tmp_path / "a.las", tmp_path / "b.las", to))
+    moved = laspy.read(tmp_path / "b.las")
+    transform = transformer(CRS.from_epsg(25832), CRS.from_epsg(25833))
+    x, y = transform.transform(scan.x, scan.y)
+    np.testing.assert_allclose(moved.x, x, atol=0.011)
+    np.testing.assert_allclose(moved.y, y, atol=0.011)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [(b"", "LASF"), (b"hello", "LASF"), (None, "No such file or directory")],
+)
+def test_pdal_names_a_bad_scan(pdal, tmp_path, content, message):
+    bad = tmp_path / "bad scan.las"
+    if content is not None:
+        bad.write_bytes(content)
+    with pytest.raises(InputError, match=message) as caught:
+        pdal.run(from_to(bad, tmp_path / "b.las"))
+    assert "bad scan.las" in caught.value.message
+    assert "\n" not in caught.value.message
+
+
+def test_pdal_cannot_write(pdal, tmp_path):
+    make_scan(tmp_path / "a.las")
+    with pytest.raises(OutputError, match=r"nowhere"):
+        pdal.run(from_to(tmp_path / "a.las", tmp_path / "nowhere" / "b.las"))
+
+
+def test_pdal_refuses_a_wrong_stage(pdal, tmp_path):
+    make_scan(tmp_path / "a.las")
+    with pytest.raises(InputError, match=r"filters\.nothing"):
+        pdal.run(from_to(tmp_path / "a.las", tmp_path / "b.las", {"type": "filters.nothing"}))
+
+
+def test_the_program_of_the_set_up_can_be_moved(private_pdal, tmp_path):
+    make_scan(tmp_path / "a.las")
+    (tmp_path / "by link").symlink_to(private_pdal)
+    (tmp_path / "run.json").write_text(
+        json.dumps(
+            from_to(
+                tmp_path / "a.las",
+                tmp_path / "b.laz",
+                {"type": "filters.reprojection", "out_srs": "EPSG:4326"},
+            )
+        )
+    )
+    foreign = {"LD_LIBRARY_PATH": "/nowhere", "PROJ_LIB": "/nowhere", "GDAL_DATA": "/nowhere"}
+    command = [tmp_path / "by link", "pipeline", tmp_path / "run.json"]
+    done = subprocess.run(command, env=os.environ | foreign, capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert laspy.read(tmp_path / "b.laz").header.point_count == 400
