@@ -1,0 +1,118 @@
+"""The two layers of a heat map: one row a tile, and one row a tile and interval."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+
+from gis_radar.arrays import Integers
+from gis_radar.clock import STEPS_PER_SECOND, step_begin
+from gis_radar.heatmap.tally import Tally
+
+WIDE = "heatmap"
+LONG = "occupancy_by_interval"
+BEGIN, END = "begin", "end"
+ROWS_AT_ONCE = 65_536
+
+_STEP_MS = 50
+_TIME = pa.timestamp("ms", tz="UTC")
+
+
+def interval_column(begin_step: int, length_steps: int) -> str:
+    """Return the name of an interval's column: `occ_` and its begin, UTC.
+
+    Parameters
+    ----------
+    begin_step : int
+        First step of the interval.
+    length_steps : int
+        Length of the intervals; under a minute the name has seconds, under a second
+        milliseconds too.
+    """
+    begin = step_begin(begin_step)
+    name = f"occ_{begin:%Y%m%dT%H%M}"
+    if length_steps < 60 * STEPS_PER_SECOND:
+        name += f"{begin:%S}"
+    if length_steps < STEPS_PER_SECOND:
+        name += f"{begin.microsecond // 1000:03d}"
+    return name
+
+
+def wide_layer(tally: Tally) -> gpd.GeoDataFrame:
+    """Return one row a tile: the whole time, and a column an interval.
+
+    Returns
+    -------
+    GeoDataFrame
+        The tiles' columns, then `occupied_s`, `observed_s`, `occupancy` over the whole time, and
+        `occ_...`, the occupied seconds of each interval, NaN where not observed in it.
+    """
+    timeline = tally.timeline
+    columns = tally.shares()._asdict()
+    for i in tally.columns:
+        begin, end = int(timeline.begin[i]), int(timeline.end[i])
+        columns[interval_column(begin, end - begin)] = tally.shares(i).occupied_s
+    shares = pd.DataFrame(columns, index=tally.tiles.index)
+    attributes = tally.tiles.drop(columns="geometry")
+    return gpd.GeoDataFrame(
+        pd.concat([attributes, shares], axis=1), geometry=tally.tiles.geometry, crs=tally.crs
+    )
+
+
+def long_layer(tally: Tally) -> gpd.GeoDataFrame:
+    """Return one row a tile and interval, also where nothing was hit or observed.
+
+    Returns
+    -------
+    GeoDataFrame
+        `tile_id`, `lanelet_id`, `begin` and `end` (UTC; the end is exclusive), `occupied_s`,
+        `observed_s`, `occupancy`, geometry, ordered by interval, then by tile. Where a
+        tile was not observed, `observed_s` is 0 and the other two are NaN.
+    """
+    intervals, tiles = len(tally.timeline), len(tally.tiles)
+    shares = [tally.shares(i) for i in range(intervals)]
+    columns: dict[str, Any] = {
+        name: np.tile(tally.tiles[name].to_numpy(), intervals) for name in ("tile_id", "lanelet_id")
+    }
+    columns[BEGIN] = _utc(tally.timeline.begin).repeat(tiles)
+    columns[END] = _utc(tally.timeline.end).repeat(tiles)
+    for name in ("occupied_s", "observed_s", "occupancy"):
+        columns[name] = np.concatenate([getattr(share, name) for share in shares])
+    geometry = np.tile(tally.tiles.geometry.to_numpy(), intervals)
+    return gpd.GeoDataFrame(columns, geometry=geometry, crs=tally.crs)
+
+
+def _utc(step: Integers) -> pd.DatetimeIndex:
+    return pd.DatetimeIndex((step * _STEP_MS).astype("datetime64[ms]"), tz="UTC")
+
+
+LONG_SCHEMA = pa.schema(
+    [
+        ("tile_id", pa.int64()),
+        ("lanelet_id", pa.int64()),
+        (BEGIN, _TIME),
+        (END, _TIME),
+        ("occupied_s", pa.float64()),
+        ("observed_s", pa.float64()),
+        ("occupancy", pa.float64()),
+        pa.field("geometry", pa.binary(), metadata={"ARROW:extension:name": "geoarrow.wkb"}),
+    ]
+)
+
+
+def long_batches(tally: Tally) -> Iterator[pa.RecordBatch]:
+    """Yield the rows of :func:`long_layer` as Arrow batches, a few at a time."""
+    ids = [pa.array(tally.tiles[name].to_numpy()) for name in ("tile_id", "lanelet_id")]
+    shapes = pa.array(tally.tiles.geometry.to_wkb().to_numpy(), pa.binary())
+    for i in range(len(tally.timeline)):
+        times = (int(step[i]) * _STEP_MS for step in (tally.timeline.begin, tally.timeline.end))
+        moments = [pa.repeat(pa.scalar(time, _TIME), len(shapes)) for time in times]
+        shares = [pa.array(share, from_pandas=True) for share in tally.shares(i)]
+        rows = pa.RecordBatch.from_arrays([*ids, *moments, *shares, shapes], schema=LONG_SCHEMA)
+        for start in range(0, len(shapes), ROWS_AT_ONCE):
+            yield rows.slice(start, ROWS_AT_ONCE)

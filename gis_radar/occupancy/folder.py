@@ -1,0 +1,203 @@
+"""The folder of an occupancy: its tables, its reader, its writer, and how folders merge."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from gis_radar.clock import STEP_S, iso_from_step
+from gis_radar.errors import InputError
+from gis_radar.occupancy.frames import frames_table
+from gis_radar.occupancy.hits import Hits, merge_hits, read_hits, write_hits
+from gis_radar.occupancy.views import NOTHING, name_of_view, views_table
+from gis_radar.outputs import whole_folder
+
+FILES = ("hits.parquet", "frames.parquet", "views.parquet", "manifest.json")
+NEEDED = {
+    "hits": ("step", "tile_id"),
+    "frames": ("sensor", "first_step", "last_step"),
+    "views": ("sensor", "tile_id"),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Occupancy:
+    """Hits of tiles, and what could have been hit.
+
+    Parameters
+    ----------
+    fingerprint : str
+        Of the tiles it speaks of.
+    frames : DataFrame
+        `sensor, view, first_step, last_step`: runs of steps in which the sensor delivered a
+        frame while it had that view.
+    views : DataFrame
+        `sensor, tile_id, view, first_step, last_step`: the tiles each view sees, and from when
+        to when the sensor had it. The name of a view stands for its set of tiles.
+    hits : callable
+        Starts reading the pairs (step, tile_id), each once, ascending, piece by piece.
+    sources : list of dict
+        Per recording: file, sensor, poses, filters.
+    """
+
+    fingerprint: str
+    frames: pd.DataFrame
+    views: pd.DataFrame
+    hits: Callable[[], Iterator[Hits]]
+    sources: list[dict[str, Any]]
+
+    def __repr__(self) -> str:
+        sensors = ", ".join(sorted(self.frames["sensor"].unique()))
+        seconds = (self.frames["last_step"] - self.frames["first_step"] + 1).sum() * STEP_S
+        tiles = self.views["tile_id"].nunique()
+        return f"Occupancy({sensors}: {seconds:.1f} s of frames, {tiles} tiles seen)"
+
+    def figures(self) -> dict[str, Any]:
+        """Return what is worth a look: sensors, time span, tiles, hits."""
+        first, last = int(self.frames["first_step"].min()), int(self.frames["last_step"].max())
+        return {
+            "sensors": sorted(self.frames["sensor"].unique()),
+            "begin": iso_from_step(first),
+            "end": iso_from_step(last + 1),
+            "tiles_observed": int(self.views["tile_id"].nunique()),
+            "hits": sum(len(step) for step, _ in self.hits()),
+        }
+
+    def write(self, folder: str | Path) -> Path:
+        """Write the folder, whole or not at all; equal content gives equal files."""
+        folder = Path(folder)
+        with whole_folder(folder, owned=FILES) as part:
+            write_hits(self.hits(), part / "hits.parquet", fingerprint=self.fingerprint)
+            write_tables(self, part)
+        return folder
+
+
+def write_tables(occupancy: Occupancy, folder: Path) -> None:
+    """Write everything but the hits into an open folder."""
+    for name, table in (("frames", occupancy.frames), ("views", occupancy.views)):
+        pq.write_table(
+            pa.Table.from_pandas(table, preserve_index=False).replace_schema_metadata(
+                {"fingerprint": occupancy.fingerprint}
+            ),
+            folder / f"{name}.parquet",
+            compression="zstd",
+            write_page_checksum=True,
+        )
+    manifest = {
+        "fingerprint": occupancy.fingerprint,
+        "software": {"name": "gis_radar", "version": version("gis_radar")},
+        "sources": _ordered(occupancy.sources),
+    }
+    text = json.dumps(manifest, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
+    (folder / "manifest.json").write_text(text, encoding="utf-8")
+
+
+def read_occupancy(folder: str | Path) -> Occupancy:
+    """Open an occupancy folder; its hits stay on disk.
+
+    Raises
+    ------
+    InputError
+        If a file is missing, damaged, or made from other tiles than the rest.
+    """
+    folder = Path(folder)
+    missing = [name for name in FILES if not (folder / name).is_file()]
+    if missing:
+        raise InputError(
+            f"{folder}: not an occupancy folder: lacks {', '.join(missing)}",
+            hint="make one with: gis-radar occupancy",
+        )
+    try:
+        manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+        fingerprint, sources = str(manifest["fingerprint"]), list(manifest["sources"])
+    except (ValueError, OSError, KeyError, TypeError) as error:
+        raise InputError(f"{folder / 'manifest.json'}: damaged: {error!r}") from error
+    frames, views = (_read_table(folder, name, fingerprint) for name in ("frames", "views"))
+    _check_table(folder, "hits", fingerprint)
+    frames, views = _with_view_names(frames, views)
+    return Occupancy(
+        fingerprint=fingerprint,
+        frames=frames,
+        views=views,
+        hits=lambda: read_hits(folder / "hits.parquet"),
+        sources=sources,
+    )
+
+
+def _read_table(folder: Path, name: str, fingerprint: str) -> pd.DataFrame:
+    _check_table(folder, name, fingerprint)
+    path = folder / f"{name}.parquet"
+    try:
+        return pd.DataFrame(pq.read_table(path, page_checksum_verification=True).to_pandas())
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(f"{path}: damaged: {str(error).splitlines()[0]}") from error
+
+
+def _check_table(folder: Path, name: str, fingerprint: str) -> None:
+    """Refuse a table that lacks columns or says that it was made from other tiles."""
+    path = folder / f"{name}.parquet"
+    try:
+        schema = pq.read_schema(path)
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(f"{path}: damaged: {str(error).splitlines()[0]}") from error
+    missing = [column for column in NEEDED[name] if column not in schema.names]
+    if missing:
+        raise InputError(f"{path}: lacks the column {missing[0]}")
+    said = (schema.metadata or {}).get(b"fingerprint", fingerprint.encode()).decode()
+    if said != fingerprint:
+        raise InputError(f"{path}: was made from tiles {said}, its folder from {fingerprint}")
+
+
+def _with_view_names(
+    frames: pd.DataFrame, views: pd.DataFrame
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Name the views of tables that have none: one a sensor."""
+    if "view" in frames and "view" in views:
+        return frames, views
+    seen = views.groupby("sensor")["tile_id"]
+    names = {sensor: name_of_view(tiles.to_numpy(np.int64)) for sensor, tiles in seen}
+    named = frames.assign(view=frames["sensor"].map(names).fillna(name_of_view(NOTHING)))
+    tiles = {names[sensor]: ids.to_numpy(np.int64) for sensor, ids in seen}
+    return named, views_table(named, tiles)
+
+
+def merge_occupancies(parts: Sequence[Occupancy]) -> Occupancy:
+    """Merge occupancies of any times and sensors, exactly.
+
+    The result does not depend on their order, on how the time was split between them, or on
+    repetition: each table is a set, and its one written form follows from its content.
+
+    Raises
+    ------
+    InputError
+        If they speak of different tiles.
+    """
+    if len({part.fingerprint for part in parts}) > 1:
+        raise InputError("the occupancy folders were made with different tiles")
+    frames = frames_table(pd.concat([part.frames for part in parts]))
+    pairs = pd.concat([part.views[["view", "tile_id"]] for part in parts]).drop_duplicates()
+    tiles = {
+        str(view): group.to_numpy(np.int64) for view, group in pairs.groupby("view")["tile_id"]
+    }
+    return Occupancy(
+        fingerprint=parts[0].fingerprint,
+        frames=frames,
+        views=views_table(frames, tiles),
+        hits=lambda: merge_hits([part.hits() for part in parts]),
+        sources=_ordered([source for part in parts for source in part.sources]),
+    )
+
+
+def _ordered(sources: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return each source once, in an order that follows from the sources alone."""
+    texts = {json.dumps(source, sort_keys=True) for source in sources}
+    return [json.loads(text) for text in sorted(texts)]

@@ -1,0 +1,92 @@
+"""Views: which tiles a sensor sees from where it stands."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+
+from gis_radar.arrays import Floats, Integers
+from gis_radar.pose import Pose, View
+
+NOTHING: Integers = np.empty(0, np.int64)
+COLUMNS = ("sensor", "tile_id", "view", "first_step", "last_step")
+
+
+def seen_tiles(pose: Pose, view: View, tile_id: Integers, centres: Floats) -> Integers:
+    """Return the ids of the tiles whose centre, at road height, lies in a sensor's view.
+
+    Parameters
+    ----------
+    pose : Pose
+        Where the sensor stands and looks.
+    view : View
+        What it sees.
+    tile_id : (n,) int64 array
+        Ids of the tiles.
+    centres : (n, 3) array
+        Their centres in the map, metres. Where the road's height is NaN, the elevation is left
+        out of the question.
+    """
+    unknown = np.isnan(centres[:, 2])
+    level = np.where(unknown, pose.height, centres[:, 2])
+    points = pose.to_sensor(np.column_stack([centres[:, :2], level]))
+    points[unknown, 2] = np.nan
+    return tile_id[view.sees(points)]
+
+
+def name_of_view(tiles: Integers) -> str:
+    """Return the name of a view: equal for equal sets of tiles, whatever pose sees them."""
+    return hashlib.blake2b(np.sort(tiles).tobytes(), digest_size=8).hexdigest()
+
+
+@dataclass(kw_only=True)
+class ViewBook:
+    """The views met so far, each by its name.
+
+    Parameters
+    ----------
+    tile_id : (n,) int64 array
+    centres : (n, 3) array
+        Ids and centres of all tiles, as for :func:`seen_tiles`.
+    """
+
+    tile_id: Integers
+    centres: Floats
+    tiles: dict[str, Integers] = field(default_factory=dict)
+
+    def enter(self, pose: Pose) -> str:
+        """Return the name of what a pose sees, and remember its tiles."""
+        seen = seen_tiles(pose, pose.view or View(), self.tile_id, self.centres)
+        name = name_of_view(seen)
+        self.tiles[name] = seen
+        return name
+
+
+def views_table(frames: pd.DataFrame, tiles: dict[str, Integers]) -> pd.DataFrame:
+    """Return the table of views: each tile that a view sees, and the steps it held.
+
+    Parameters
+    ----------
+    frames : DataFrame
+        The table of frames: which sensor had which view in which steps.
+    tiles : dict
+        Ids of the tiles of each view; a view that is not there sees none.
+    """
+    held = frames.groupby(["sensor", "view"], sort=True, as_index=False).agg(
+        first_step=("first_step", "min"), last_step=("last_step", "max")
+    )
+    pieces = [
+        held.iloc[[row]].merge(
+            pd.DataFrame({"view": view, "tile_id": np.sort(tiles.get(view, NOTHING))}), on="view"
+        )
+        for row, view in enumerate(held["view"])
+    ]
+    empty = pd.DataFrame({name: [] for name in COLUMNS})
+    kinds = {"sensor": str, "view": str} | dict.fromkeys(
+        ("tile_id", "first_step", "last_step"), np.int64
+    )
+    table = pd.concat(pieces, ignore_index=True) if pieces else empty
+    return table.astype(kinds)[list(COLUMNS)]

@@ -1,0 +1,84 @@
+"""The look of heat maps: classes, ramp, and styles for other programs."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from itertools import pairwise
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+
+from gis_radar.heatmap import style
+
+
+def lightness(colour: str) -> float:
+    """CIE L* of an sRGB colour, 0 to 100."""
+    parts = np.array(list(bytes.fromhex(colour[1:]))) / 255
+    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    luminance = linear @ [0.2126, 0.7152, 0.0722]
+    return float(116 * np.cbrt(luminance) - 16)
+
+
+def test_classes_cover_zero_to_one_without_gap():
+    levels = style.levels()
+    assert (levels[0].lower, levels[0].upper) == (0.0, 0.0)
+    assert levels[1].lower == 0.0
+    assert levels[-1].upper == 1.0
+    assert all(one.upper == two.lower for one, two in pairwise(levels[1:]))
+    assert len({level.colour for level in levels}) == len(levels)
+
+
+def test_darker_is_busier_in_even_steps():
+    light = [lightness(level.colour) for level in style.levels()[1:]]
+    steps = -np.diff(light)
+    assert (steps > 7.0).all()
+    assert steps.max() < 2 * steps.min()
+
+
+def test_not_observed_is_unlike_never_hit():
+    assert lightness(style.NEVER_HIT) - lightness(style.NOT_OBSERVED) > 12.0
+
+
+@pytest.mark.parametrize("begin", ["", "begin"])
+def test_vector_qml(begin):
+    root = ET.fromstring(style.vector_qml(begin=begin, end="end" if begin else ""))  # noqa: S314
+    renderer = root.find("renderer-v2")
+    assert renderer.get("attr") == "occupancy"
+    ranges = renderer.findall("ranges/range")
+    assert [(float(r.get("lower")), float(r.get("upper"))) for r in ranges] == [
+        (level.lower, level.upper) for level in style.levels()
+    ]
+    assert len(renderer.findall("symbols/symbol")) == len(ranges)
+    temporal = root.find("temporal")
+    if begin:
+        assert (temporal.get("startField"), temporal.get("endField")) == ("begin", "end")
+        assert (temporal.get("mode"), temporal.get("limitMode")) == ("2", "0")
+    else:
+        assert temporal is None
+
+
+def test_a_pixel_on_a_break_has_the_class_of_its_tile():
+    items = ET.fromstring(style.sidecar_qml()).findall(".//colorrampshader/item")  # noqa: S314
+    for item, level in zip(items, style.levels(), strict=True):
+        assert float(item.get("value")) == float(np.float32(level.upper))
+
+
+def test_sld_filters_are_half_open():
+    space = {"s": "http://www.opengis.net/sld", "o": "http://www.opengis.net/ogc"}
+    root = ET.fromstring(style.sld("heatmap"))  # noqa: S314
+    rules = root.findall(".//s:Rule", space)
+    assert len(rules) == len(style.levels())
+    assert rules[0].find("o:Filter/o:PropertyIsEqualTo/o:Literal", space).text == "0"
+    both = rules[2].find("o:Filter/o:And", space)
+    assert both.find("o:PropertyIsGreaterThan/o:Literal", space).text == "0.005"
+    assert both.find("o:PropertyIsLessThanOrEqualTo/o:Literal", space).text == "0.01"
+
+
+def test_style_needs_the_standard_library_only():
+    code = f"import runpy; print(runpy.run_path({style.__file__!r})['sidecar_qml']()[:9])"
+    done = subprocess.run(
+        [sys.executable, "-I", "-S", "-c", code], capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "<!DOCTYPE\n"
