@@ -1,0 +1,122 @@
+"""Questions and answers: a sensor to be located at a site, and its pose with evidence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from gis_radar.arrays import Floats
+from gis_radar.clock import iso_from_step, step_of
+from gis_radar.lanelets import LaneletMap
+from gis_radar.pose import Pose
+from gis_radar.registration import State
+from gis_radar.traces import Moving
+
+SIGMA = ("easting", "northing", "height", "roll", "pitch", "yaw")
+STAGE = "finding the pose"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Localization:
+    """A pose, and why to believe it.
+
+    Parameters
+    ----------
+    pose : Pose
+        The answer; its evidence goes into the pose file.
+    fitness : float
+        Share of traces that lie where they should: on lanes of fitting direction (`lane`), or
+        within a voxel of the road (`icp`).
+    observable : bool
+        Whether the scene fixes all six components.
+    eigenvalues : tuple of float
+        Of the data's information about the pose, ascending, 1/m^2; empty for `icp`.
+    hypotheses : tuple of (easting, northing, yaw_deg, loss)
+        What was tried, the best first.
+    vehicles, samples : int
+        Moving objects and detections used.
+    lead : float
+        By how many standard deviations the vehicles prefer the answer to the next hypothesis;
+        infinite where there is none.
+    traces : (n, 3) array
+        The detections used, sensor frame.
+    range_rate : (n,) array
+        Theirs, m/s; NaN for `icp`.
+    """
+
+    pose: Pose
+    fitness: float
+    observable: bool
+    eigenvalues: tuple[float, ...] = ()
+    hypotheses: tuple[tuple[float, float, float, float], ...] = ()
+    vehicles: int = 0
+    samples: int = 0
+    lead: float = math.inf
+    traces: Floats = field(repr=False, default_factory=lambda: np.empty((0, 3)))
+    range_rate: Floats = field(repr=False, default_factory=lambda: np.empty(0))
+
+    def figures(self) -> Mapping[str, Any]:
+        """Return figures worth a look, by name."""
+        sigma = self.pose.evidence.get("sigma", {})
+        return {
+            **{name: round(getattr(self.pose, name), 3) for name in SIGMA},
+            **{f"sigma_{name}": float(f"{value:.2g}") for name, value in sigma.items()},
+            "fitness": round(self.fitness, 3),
+            "observable": self.observable,
+            "vehicles": self.vehicles,
+            "hypotheses": len(self.hypotheses),
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Site:
+    """Where a sensor is to be found.
+
+    Parameters
+    ----------
+    name : str
+        Of the sensor.
+    roads : LaneletMap
+        The lanes.
+    road : (n, 3) array
+        Points of the road's surface in the map's CRS, metres.
+    guess : (2,) or (3,) array
+        Easting, northing and perhaps height, metres.
+    heading : float or None
+        Yaw, radians, where one is known.
+    """
+
+    name: str
+    roads: LaneletMap
+    road: Floats
+    guess: Floats
+    heading: float | None
+
+    def pose(self, state: State, evidence: Mapping[str, Any]) -> Pose:
+        """Return a state in local coordinates as a pose in the map."""
+        yaw, pitch, roll = (float(angle) for angle in np.degrees(state.yaw_pitch_roll))
+        easting, northing = (float(v) for v in state.position[:2] + self.guess[:2])
+        return Pose(
+            sensor=self.name,
+            crs=self.roads.crs,
+            easting=easting,
+            northing=northing,
+            height=float(state.position[2]),
+            yaw=yaw,
+            pitch=pitch,
+            roll=roll,
+            evidence=evidence,
+        )
+
+
+def common(moving: Moving, method: str) -> dict[str, Any]:
+    """Return what the evidence of every method says."""
+    return {
+        "time": iso_from_step(int(step_of(np.array(moving.end)))),
+        "method": method,
+        "frames": moving.frames,
+    }

@@ -1,0 +1,86 @@
+"""Evidence: how certain an answer is, and in which directions the scene fixes it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gis_radar.arrays import Floats
+from gis_radar.registration.solver import Fit
+from gis_radar.registration.state import CONSIDERED, FREE, POSE, angles_from_turn
+
+CONSIDERED_M = (0.1, 0.1)  # 1 sigma of the half width, and of drivers' habits everywhere
+STREET_M = (0.25, 0.2)  # of lanes as drawn and driven, and of the scan, from street to street
+# What the model leaves out, all vehicles alike: errors over model sigma at simulated sites.
+CALIBRATION = np.diag([2.0, 2.0, 1.0, 1.3, 1.3, 2.0])
+UNFIXED = np.array([1.0, 1.0, 0.5, *np.radians([2.0, 2.0, 1.0])])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Certainty:
+    """How certain a pose is.
+
+    Parameters
+    ----------
+    covariance : (6, 6) array
+        Order easting, northing, height, roll, pitch, yaw; metres and radians.
+    sigma : (6,) array
+        Its standard deviations.
+    eigenvalues : (6,) array
+        Of the data's information about the pose, a turn counted as metres at 50 m, ascending.
+        Small ones are directions that the scene does not fix.
+    observable : bool
+        Whether the data fix all six.
+    """
+
+    covariance: Floats
+    sigma: Floats
+    eigenvalues: Floats
+    observable: bool
+
+
+def certainty(fit: Fit) -> Certainty:
+    """Return how certain a fit is.
+
+    The inverse information, widened where the vehicles disagree more than the model says (a
+    cluster-robust covariance with the vehicles as clusters), and by what is not estimated: the
+    width of vehicles, the habits of drivers, the accuracy of map and scan from street to street.
+
+    Parameters
+    ----------
+    fit : Fit
+        A local optimum.
+    """
+    inverse: Floats = np.asarray(np.linalg.inv(fit.information[FREE, FREE]), dtype=np.float64)
+    covariance = _widened(inverse, fit)
+    effect = inverse @ fit.data_information[FREE, CONSIDERED]
+    covariance += (effect * np.square(CONSIDERED_M)) @ effect.T
+    for pull, sigma_m in zip(fit.streets, STREET_M, strict=True):
+        effects = sigma_m * pull[:, FREE] @ inverse
+        covariance += effects.T @ effects
+    yaw, pitch, _ = fit.state.yaw_pitch_roll
+    to_angles = np.eye(6)
+    to_angles[3:, 3:] = angles_from_turn(float(yaw), float(pitch))
+    to_angles = CALIBRATION @ to_angles
+    pose = to_angles @ covariance[POSE, POSE] @ to_angles.T
+    sigma = np.sqrt(np.diag(pose))
+    lever = np.diag([1.0, 1.0, 1.0, 1 / 50.0, 1 / 50.0, 1 / 50.0])
+    eigenvalues: Floats = np.asarray(
+        np.linalg.eigvalsh(lever @ fit.data_information[POSE, POSE] @ lever), dtype=np.float64
+    )
+    longest = np.sqrt(np.linalg.eigvalsh(pose[:2, :2])[-1])
+    observable = bool((sigma < UNFIXED).all() and longest < UNFIXED[0])
+    return Certainty(covariance=pose, sigma=sigma, eigenvalues=eigenvalues, observable=observable)
+
+
+def _widened(inverse: Floats, fit: Fit) -> Floats:
+    """Return the covariance that the vehicles' disagreement asks for, never below the model's."""
+    root = np.linalg.cholesky(inverse)
+    voices = fit.scores[np.abs(fit.scores).sum(axis=1) > 0.0][:, FREE]
+    few = len(voices) / max(len(voices) - inverse.shape[0], 1)
+    prior = fit.information[FREE, FREE] - fit.data_information[FREE, FREE]
+    spread = root.T @ (few * voices.T @ voices + prior) @ root
+    values, vectors = np.linalg.eigh((spread + spread.T) / 2.0)
+    wide = root @ vectors
+    return np.asarray((wide * np.maximum(values, 1.0)) @ wide.T)

@@ -1,0 +1,190 @@
+"""Tracks: moving detections linked over time where range, bearing and Doppler agree."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+import pandas as pd
+
+from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.traces.window import Moving
+
+NONE = -1
+LINK_S = 0.35  # a far vehicle is hit in every fourth frame or so
+RANGE_M = 1.5  # faces of one vehicle, after the Doppler has been followed
+ACROSS_M = 1.5
+ACROSS_MPS = 6.0  # crossing speed, which the Doppler does not tell
+RATE_MPS = 1.5
+SEGMENT_S = 8.0  # a stream of vehicles that never breaks counts as several
+MIN_POINTS = 6
+MIN_PATH_M = 3.0
+SURE_MPS = 1.5  # leaves and grass stay below
+VOXEL_M = 6.0  # wider than a vehicle: what is kept shows its faces in their true proportion
+PER_VOXEL = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Samples:
+    """Moving detections on tracks, thinned: what a registration works on.
+
+    Parameters
+    ----------
+    points : (n, 3) array
+        Sensor frame, metres.
+    range_rate : (n,) array
+        m/s.
+    track : (n,) array
+        Number of the moving object, 0 to `tracks` - 1.
+    tracks : int
+        How many objects there are.
+    elevation : float
+        How far the view reaches up and down, radians: what hardly any detection exceeds.
+    """
+
+    points: Floats
+    range_rate: Floats
+    track: Integers
+    tracks: int
+    elevation: float
+
+    def __len__(self) -> int:
+        return len(self.track)
+
+    def where(self, keep: Booleans) -> Samples:
+        """Return the samples for which `keep` is true; tracks keep their numbers."""
+        return Samples(
+            points=self.points[keep],
+            range_rate=self.range_rate[keep],
+            track=self.track[keep],
+            tracks=self.tracks,
+            elevation=self.elevation,
+        )
+
+
+def track(moving: Moving) -> Integers:
+    """Link moving detections to tracks.
+
+    Two detections belong together where the range changed as the Doppler says and bearing and
+    Doppler are alike. What has few points is a false alarm; what is slow and goes nowhere are
+    leaves.
+
+    Parameters
+    ----------
+    moving : Moving
+        Of one window.
+
+    Returns
+    -------
+    (n,) int64 array
+        Number of the track, `NONE` for detections of none.
+    """
+    if len(moving) == 0:
+        return np.empty(0, dtype=np.int64)
+    time = moving.time - moving.time[0]
+    x, y = moving.points[:, 0], moving.points[:, 1]
+    reach = np.linalg.norm(moving.points, axis=1)
+    root = _link(time, reach, np.arctan2(y, x), moving.range_rate)
+    table = pd.DataFrame({"root": root, "piece": (time / SEGMENT_S).astype(np.int64)})
+    number = np.asarray(table.groupby(["root", "piece"], sort=True).ngroup(), dtype=np.int64)
+    good = _goes_somewhere(number, time, moving)
+    renumbered = np.where(good, np.cumsum(good) - 1, NONE)
+    return np.asarray(renumbered[number])
+
+
+def _goes_somewhere(number: Integers, time: Floats, moving: Moving) -> Booleans:
+    """Tell which tracks are long and fast enough for something that drives."""
+    rows = pd.DataFrame(
+        {
+            "n": number,
+            "t": time,
+            "x": moving.points[:, 0],
+            "y": moving.points[:, 1],
+            "rate": np.abs(moving.range_rate),
+        }
+    ).groupby("n")
+    early, late = rows.head(2).groupby("n").mean(), rows.tail(2).groupby("n").mean()
+    path = np.hypot(late["x"] - early["x"], late["y"] - early["y"])
+    extent = np.hypot(rows["x"].max() - rows["x"].min(), rows["y"].max() - rows["y"].min())
+    goes = (path >= MIN_PATH_M) & (path >= 0.5 * extent)
+    streams = (rows["rate"].median() >= SURE_MPS) & (extent >= MIN_PATH_M)
+    return np.asarray((rows.size() >= MIN_POINTS) & (goes | streams))
+
+
+def thin(
+    moving: Moving, tracks: Integers, *, voxel_m: float = VOXEL_M, most: int = 6000, seed: int = 0
+) -> Samples:
+    """Keep a few detections of each track in each voxel, at most `most` in all.
+
+    Parameters
+    ----------
+    moving : Moving
+        Of one window.
+    tracks : (n,) array
+        As from :func:`track`.
+    voxel_m : float
+        Edge of a voxel.
+    most : int
+        Samples in all; more are thinned out evenly.
+    seed : int
+        Decides which; the same again for the same seed.
+    """
+    rng = np.random.default_rng(seed)
+    on = np.flatnonzero(tracks != NONE)
+    on = on[rng.permutation(len(on))]
+    cells = np.floor(moving.points[on, :2] / voxel_m).astype(np.int64)
+    frame = pd.DataFrame({"k": tracks[on], "i": cells[:, 0], "j": cells[:, 1]})
+    keep = on[(frame.groupby(["k", "i", "j"]).cumcount() < PER_VOXEL).to_numpy()][:most]
+    keep.sort()
+    return Samples(
+        points=moving.points[keep],
+        range_rate=moving.range_rate[keep],
+        track=tracks[keep],
+        tracks=int(tracks.max(initial=NONE)) + 1,
+        elevation=_elevation(moving.points),
+    )
+
+
+def _elevation(points: Floats) -> float:
+    if len(points) == 0:
+        return np.pi / 2
+    x, y, z = points.T
+    return float(np.percentile(np.abs(np.arctan2(z, np.hypot(x, y))), 99.5))
+
+
+@numba.njit(cache=True, nogil=True)
+def _link(  # pragma: no cover - compiled
+    time: Floats, reach: Floats, bearing: Floats, rate: Floats
+) -> Integers:
+    """Return the root of each detection's track (union-find over pairs that agree)."""
+    parent = np.arange(len(time))
+    for i in range(len(time)):
+        for j in range(i + 1, len(time)):
+            lapse = time[j] - time[i]
+            if lapse > LINK_S:
+                break
+            moved = reach[j] - reach[i] - 0.5 * (rate[i] + rate[j]) * lapse
+            if abs(rate[i] - rate[j]) > RATE_MPS or abs(moved) > RANGE_M:
+                continue
+            turn = abs(bearing[j] - bearing[i])
+            turn = min(turn, 2.0 * np.pi - turn)
+            if turn * reach[i] > ACROSS_M + ACROSS_MPS * lapse:
+                continue
+            a, b = i, j
+            while parent[a] != a:
+                parent[a] = parent[parent[a]]
+                a = parent[a]
+            while parent[b] != b:
+                parent[b] = parent[parent[b]]
+                b = parent[b]
+            parent[max(a, b)] = min(a, b)
+    return parent_roots(parent)
+
+
+@numba.njit(cache=True, nogil=True)
+def parent_roots(parent: Integers) -> Integers:  # pragma: no cover - compiled
+    """Return the root of every node of a forest whose parents have lower numbers."""
+    for i in range(len(parent)):
+        parent[i] = parent[parent[i]]
+    return parent

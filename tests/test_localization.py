@@ -1,0 +1,228 @@
+"""Localization: known truths found again, and every reason to refuse."""
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from sites import EAST, NORTH, recording
+from streets import CROSSING, STRAIGHT, Street, errors
+
+from gis_radar.errors import InputError, NoAnswerError, UsageError
+from gis_radar.localization import draw_localization, localize
+from gis_radar.pose_files import read_pose, write_pose
+from gis_radar.progress import Reporter
+
+CLOSE = np.array([0.4, 0.4, 0.2, 0.5, 0.5, 0.3])
+
+
+class Heard(Reporter):
+    def __init__(self):
+        self.said = []
+
+    def log(self, message, level="info"):
+        self.said.append((level, message))
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    street = Street()
+    pose = street.pose()
+    path = tmp_path_factory.mktemp("scene") / "R1.parquet"
+    street.record(path, pose)
+    return street, pose, path
+
+
+def find(street, path, guess, **options):
+    return localize(path, street.roads(), street.road_points(), guess=guess, **options)
+
+
+def near(pose, east=5.0, north=-4.0):
+    return (pose.easting + east, pose.northing + north)
+
+
+def test_a_pose_is_found_from_a_rough_guess(scene):
+    street, pose, path = scene
+    found = find(street, path, near(pose))
+    assert (np.abs(errors(found.pose, pose)) < CLOSE).all(), errors(found.pose, pose)
+    assert found.observable
+    assert found.fitness > 0.9
+    assert found.vehicles >= 20
+    assert found.pose.sensor == "R1"
+
+
+@pytest.mark.parametrize("yaw", [-175.0, -100.0, 10.0, 95.0])
+def test_the_search_covers_all_headings(tmp_path, yaw):
+    street = Street(turn_deg=yaw + 38.0)
+    pose = street.pose()
+    street.record(tmp_path / "R1.parquet", pose)
+    found = find(street, tmp_path / "R1.parquet", near(pose, -6.0, 5.0))
+    assert (np.abs(errors(found.pose, pose)) < CLOSE).all(), errors(found.pose, pose)
+
+
+def test_the_answer_moves_with_the_site(scene, tmp_path):
+    street, pose, path = scene
+    other = replace(street, turn_deg=73.0, middle=(EAST - 4321.0, NORTH + 987.0))
+    moved = other.pose()
+    here = find(street, path, near(pose))
+    there = find(other, path, near(moved))
+    assert np.allclose(
+        errors(here.pose, pose)[2:], errors(there.pose, moved)[2:], atol=[0.05, 0.1, 0.1, 0.1]
+    )
+    flat = np.radians(73.0)
+    turn = np.array([[np.cos(flat), -np.sin(flat)], [np.sin(flat), np.cos(flat)]])
+    assert np.allclose(turn @ errors(here.pose, pose)[:2], errors(there.pose, moved)[:2], atol=0.1)
+
+
+def test_a_sensor_upside_down_is_found(tmp_path):
+    street = Street()
+    pose = street.pose(roll=178.5)
+    street.record(tmp_path / "R1.parquet", pose)
+    found = find(street, tmp_path / "R1.parquet", near(pose))
+    assert (np.abs(errors(found.pose, pose)) < CLOSE).all(), errors(found.pose, pose)
+
+
+def test_a_heading_may_be_given(scene):
+    street, pose, path = scene
+    found = find(street, path, near(pose), heading=pose.yaw + 24.0)
+    assert abs(errors(found.pose, pose)[5]) < 0.3
+
+
+def test_the_evidence_is_written_and_read(scene, tmp_path):
+    street, pose, path = scene
+    found = find(street, path, near(pose))
+    write_pose(found.pose, tmp_path / "pose.json")
+    evidence = read_pose(tmp_path / "pose.json").evidence
+    covariance = np.array(evidence["covariance"])
+    assert covariance.shape == (6, 6)
+    assert np.allclose(covariance, covariance.T)
+    assert np.linalg.eigvalsh(covariance)[0] > 0.0
+    sigma = [evidence["sigma"][name] for name in ("easting", "northing", "height")]
+    assert np.allclose(np.sqrt(np.diag(covariance))[:3], sigma)
+    yaw_sigma = np.degrees(np.sqrt(covariance[5, 5]))
+    assert evidence["sigma"]["yaw"] == pytest.approx(yaw_sigma)
+    assert evidence["method"] == "lane"
+    assert evidence["converged"] is True
+    assert evidence["observable"] is True
+    assert evidence["frames"] == 600
+    assert evidence["time"].endswith("Z")
+
+
+def test_errors_keep_to_their_sigma(tmp_path):
+    street = Street()
+    pose = street.pose()
+    ratios = []
+    for seed in range(4):
+        path = street.record(tmp_path / f"{seed}.parquet", pose, seed=seed)
+        found = find(street, path, near(pose)).pose
+        sigma = found.evidence["sigma"]
+        names = ("easting", "northing", "height", "roll", "pitch", "yaw")
+        ratios.append(errors(found, pose) / [sigma[name] for name in names])
+    assert np.mean(np.abs(ratios) < 2.0) > 0.7  # few and small scenes: a check for sanity
+    assert np.abs(ratios).max() < 6.0
+    assert np.abs(ratios).max() > 0.05  # a sigma beyond all errors would say nothing
+
+
+def test_a_straight_road_fixes_no_place_along_it(tmp_path):
+    street = Street(lanes=STRAIGHT, turn_deg=30.0)
+    pose = street.pose(place=(0.0, 9.0), yaw=-60.0)
+    street.record(tmp_path / "R1.parquet", pose)
+    found = find(street, tmp_path / "R1.parquet", near(pose, 3.0, 2.0), heading=pose.yaw + 9.0)
+    assert not found.observable
+    covariance = np.array(found.pose.evidence["covariance"])[:2, :2]
+    along = np.array([np.cos(np.radians(30.0)), np.sin(np.radians(30.0))])
+    across = np.array([-along[1], along[0]])
+    assert np.sqrt(along @ covariance @ along) > 2.0
+    assert np.sqrt(across @ covariance @ across) < 0.5
+    assert abs(errors(found.pose, pose)[:2] @ across) < 0.4
+    assert found.eigenvalues[0] < found.eigenvalues[-1] / 100.0
+
+
+def test_a_mirrored_recording_is_refused(tmp_path):
+    street = Street()
+    pose = street.pose()
+    time, xyz, rate = street.detections(pose)
+    recording(tmp_path / "R1.parquet", time, xyz * [1.0, -1.0, 1.0], range_rate=rate)
+    with pytest.raises(NoAnswerError, match="mirrored") as refused:
+        find(street, tmp_path / "R1.parquet", near(pose))
+    assert "y" in refused.value.hint
+
+
+def test_no_traffic_is_refused(tmp_path):
+    street = Street()
+    path = street.record(tmp_path / "R1.parquet", street.pose(), vehicles=2)
+    with pytest.raises(NoAnswerError, match="moving vehicles"):
+        find(street, path, near(street.pose()))
+
+
+def test_too_few_frames_are_refused(tmp_path):
+    street = Street()
+    time, xyz, rate = street.detections(street.pose())
+    early = time < time[0] + 3.0
+    recording(tmp_path / "R1.parquet", time[early], xyz[early], range_rate=rate[early])
+    with pytest.raises(NoAnswerError, match="frames"):
+        find(street, tmp_path / "R1.parquet", near(street.pose()))
+
+
+def test_a_guess_far_off_is_refused(scene):
+    street, pose, path = scene
+    with pytest.raises(NoAnswerError, match="no lane"):
+        find(street, path, near(pose, 900.0, 0.0))
+    with pytest.raises(NoAnswerError):
+        find(street, path, near(pose, 45.0, 40.0))
+
+
+def test_two_poses_that_fit_alike_are_refused(tmp_path):
+    street = Street(lanes=CROSSING, slope=(0.0, 0.0))
+    pose = street.pose(place=(-8.0, 7.0), yaw=-40.0)
+    street.record(tmp_path / "R1.parquet", pose)
+    middle = street.middle
+    with pytest.raises(NoAnswerError, match="ambiguous"):
+        find(street, tmp_path / "R1.parquet", middle)
+    found = find(street, tmp_path / "R1.parquet", middle, heading=pose.yaw)
+    assert (np.abs(errors(found.pose, pose)) < CLOSE).all()
+
+
+def test_lanes_without_direction_do_with_a_warning(scene):
+    street, pose, path = scene
+    heard = Heard()
+    both = replace(street, one_way=False)
+    found = find(both, path, near(pose), heading=pose.yaw, reporter=heard)
+    assert (np.abs(errors(found.pose, pose))[:3] < [0.5, 0.5, 0.3]).all()
+    assert [level for level, message in heard.said if "direction" in message] == ["warning"]
+
+
+def test_a_scan_of_another_place_is_refused(scene):
+    street, pose, path = scene
+    elsewhere = street.road_points() + [2000.0, 0.0, 0.0]
+    with pytest.raises(InputError, match="do not overlap"):
+        localize(path, street.roads(), elsewhere, guess=near(pose))
+
+
+def test_an_unknown_method_is_refused(scene):
+    street, pose, path = scene
+    with pytest.raises(UsageError, match="lane, icp"):
+        find(street, path, near(pose), method="magic")
+
+
+def test_the_figure_appears(scene, tmp_path):
+    street, pose, path = scene
+    found = find(street, path, near(pose))
+    draw_localization(found, street.roads(), street.road_points(), tmp_path / "figure.png")
+    assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_icp_without_open3d_says_how_to_install_it(scene, monkeypatch):
+    street, pose, path = scene
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    with pytest.raises(InputError, match="Open3D") as refused:
+        find(street, path, near(pose), heading=pose.yaw, method="icp")
+    assert "pip install" in refused.value.hint
+
+
+def test_icp_comes_near(scene):
+    pytest.importorskip("open3d", reason="needs the extra localize", exc_type=ImportError)
+    street, pose, path = scene
+    found = find(street, path, near(pose, 1.5, -1.0), heading=pose.yaw + 3.0, method="icp")
+    assert np.hypot(*errors(found.pose, pose)[:2]) < 3.0
+    assert found.pose.evidence["method"] == "icp"

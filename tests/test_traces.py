@@ -1,0 +1,145 @@
+"""Traces: clusters, windows and tracks against plain ways to make them."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial.distance import cdist
+from sites import START, recording, table
+
+from gis_radar.detections import Detections
+from gis_radar.traces import (
+    Moving,
+    RollingWindow,
+    cluster,
+    read_moving,
+    thin,
+    track,
+    voxels,
+)
+
+
+def plain_dbscan(points, eps, least):
+    """Cores joined within eps, from the full matrix of distances; borders left out."""
+    near = cdist(points, points) <= eps
+    core = near.sum(axis=1) >= least
+    _, labels = connected_components(near & core[:, None] & core[None])
+    return core, np.where(core, labels, -1), near
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10_000), st.integers(2, 6), st.floats(0.3, 1.5))
+def test_clusters_are_those_of_dbscan(seed, least, eps):
+    rng = np.random.default_rng(seed)
+    points = np.vstack(
+        [rng.normal(rng.uniform(-4, 4, 3), 0.5, (30, 3)) for _ in range(3)]
+        + [rng.uniform(-6, 6, (30, 3))]
+    )
+    labels = cluster(points, eps_m=eps, min_points=least)
+    core, plain, near = plain_dbscan(points, eps, least)
+    pairs = {(a, b) for a, b in zip(labels[core], plain[core], strict=True)}
+    assert len(pairs) == len({a for a, _ in pairs}) == len({b for _, b in pairs})
+    reached = near[:, core].any(axis=1)
+    assert ((labels >= 0) == reached).all()
+    for row in np.flatnonzero(reached & ~core):
+        assert labels[row] in labels[core & near[row]]
+
+
+def test_the_largest_cluster_is_the_first():
+    rng = np.random.default_rng(0)
+    points = np.vstack([rng.normal(0, 0.2, (20, 3)), rng.normal(9, 0.2, (50, 3))])
+    labels = cluster(points, eps_m=1.0, min_points=4)
+    assert set(labels[20:]) == {0}
+    assert set(labels[:20]) == {1}
+    assert len(cluster(np.empty((0, 3)), eps_m=1.0, min_points=4)) == 0
+
+
+def test_voxels_are_centres_of_cells():
+    points = np.array([[0.1, 0.1, 0.1], [0.4, 0.2, 0.3], [-0.1, 0.1, 0.1]])
+    assert voxels(points, 0.5).tolist() == [[-0.25, 0.25, 0.25], [0.25, 0.25, 0.25]]
+
+
+def piece(time, rate):
+    count = len(time)
+    return Detections(
+        time=np.asarray(time, dtype=float),
+        points=np.ones((count, 3)),
+        range_rate=np.asarray(rate, dtype=float),
+        rcs=np.zeros(count),
+        further=table([], np.empty((0, 3))).to_batches() or None,
+    )
+
+
+def test_a_window_keeps_the_last_frames_across_pieces():
+    window = RollingWindow(frames=3)
+    window.push(piece([0, 0, 1, 1], [1, 0, 1, 1]))
+    window.push(piece([1, 2, 3], [1, 0.1, -2]))
+    window.push(piece([4], [5]))
+    found = window.moving()
+    assert found.time.tolist() == [3.0, 4.0]
+    assert found.range_rate.tolist() == [-2.0, 5.0]
+    assert (found.frames, found.detections) == (3, 3)
+    assert (found.begin, found.end) == (2.0, 4.0)
+
+
+def test_a_window_forgets_what_is_old():
+    window = RollingWindow(frames=5)
+    for frame in range(1000):
+        window.push(piece([frame] * 10, [3.0] * 10))
+        assert sum(len(kept[0]) for kept in window._pieces) <= 60
+    assert len(window.moving()) == 50
+
+
+def test_moving_is_read_from_a_recording(tmp_path):
+    time = START + np.repeat(np.arange(30), 4) * 0.05
+    rate = np.tile([0.0, 0.1, 0.2, -3.0], 30)
+    path = recording(tmp_path / "R1.parquet", time, np.ones((120, 3)), range_rate=rate)
+    found = read_moving(path, frames=20)
+    assert (found.frames, found.detections, len(found)) == (20, 80, 40)
+    assert (np.abs(found.range_rate) > 0.15).all()
+
+
+@pytest.fixture
+def passing():
+    """Two vehicles on parallel lanes, a tree in the wind and false alarms."""
+    rng = np.random.default_rng(3)
+    moment = np.arange(0.0, 4.0, 0.05)
+    rows = []
+    for owner, (y, speed) in enumerate([(3.0, 10.0), (-5.0, -12.0)]):
+        x = 30.0 + speed * (moment - 2.0)
+        point = np.column_stack([x, np.full_like(x, y), np.full_like(x, -5.0)])
+        rows.append((moment, point, speed * x / np.linalg.norm(point, axis=1), owner))
+    often = np.sort(rng.uniform(0, 4, 400))
+    rows.append((often, rng.normal([15, 12, 1], 1.0, (400, 3)), rng.normal(0, 0.4, 400), 2))
+    alone = np.sort(rng.uniform(0, 4, 25))
+    rows.append((alone, rng.uniform(-60, 60, (25, 3)), rng.uniform(-14, 14, 25), 3))
+    time, points, rate = (np.concatenate([row[i] for row in rows]) for i in range(3))
+    owner = np.repeat(np.arange(4), [len(row[0]) for row in rows])
+    order = np.argsort(time, kind="stable")
+    moving = Moving(
+        time=time[order], points=points[order] + rng.normal(0, 0.1, (len(time), 3)),
+        range_rate=rate[order], frames=80, detections=len(time), begin=0.0, end=4.0,
+    )  # fmt: skip
+    return moving, owner[order]
+
+
+def test_vehicles_become_tracks_and_clutter_does_not(passing):
+    moving, owner = passing
+    tracks = track(moving)
+    for vehicle in (0, 1):
+        mine = tracks[owner == vehicle]
+        assert np.mean(mine >= 0) > 0.9
+        assert len(set(mine[mine >= 0])) <= 2
+    assert not set(tracks[owner == 0]) & set(tracks[owner == 1]) - {-1}
+    assert np.mean(tracks[owner >= 2] >= 0) < 0.05
+
+
+def test_thinning_keeps_tracks_and_a_limit(passing):
+    moving, _ = passing
+    tracks = track(moving)
+    samples = thin(moving, tracks, most=50)
+    assert len(samples) == 50
+    assert samples.tracks == tracks.max() + 1
+    again = thin(moving, tracks, most=50)
+    assert np.array_equal(samples.points, again.points)
