@@ -1,0 +1,16 @@
+"""Roadside 4D radar to lane-level traffic maps.
+
+The way from files to maps, in the order in which data flow::
+
+    roads = read_map("junction.osm")
+    tiles = make_tiles(roads)
+    occupancy = measure_occupancy(["R1.parquet"], [read_pose("R1.json")], tiles, "occupancy")
+    make_heatmap(occupancy, tiles, interval="20s").write("heatmap")
+
+What the package offers is listed in `__init__.pyi` and loaded when it is first used: the command
+line answers at once.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,5 @@
+"""The command line: it only translates between words and the library."""
+
+from gis_radar.cli.commands import main
+
+__all__ = ["main"]

@@ -1,0 +1,282 @@
+"""The commands: each parses, calls the library once, and says what it did."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NoReturn
+
+import click
+
+import gis_radar as gr
+from gis_radar.cli.console import Result
+from gis_radar.cli.door import command, open_door
+from gis_radar.cli.options import Bearing, Numbers, Position, Words
+from gis_radar.errors import UsageError
+from gis_radar.outputs import refuse_inputs
+from gis_radar.progress import Reporter
+
+FILE = click.Path(path_type=Path)
+ENGINES = {"grid": "TileGrid", "rtree": "TileTree"}
+MASK_ENGINES = ("auto", "pdal", "laspy")
+
+output = click.option("-o", "--output", type=FILE, required=True, help="Where the result goes.")
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="gis_radar")
+def group() -> None:
+    """Turn roadside 4D radar into traffic maps."""
+
+
+def main() -> NoReturn:
+    """Run the command line."""
+    open_door(group)
+
+
+@command(group, example="gis-radar tiles junction.osm -o tiles.gpkg")
+@click.argument("map_path", metavar="MAP.osm", type=FILE)
+@output
+@click.option("--crs", help="Projected, metric CRS; without it the site's UTM zone.")
+@click.option("--length", "length_m", default=0.5, show_default=True, help="Tile length, m.")
+@click.option("--origin", type=Numbers("E,N"), help="Map-frame position of the map's local (0, 0).")
+@click.option("--road", type=FILE, help="Scanned road (LAZ) that gives the tiles' heights.")
+@click.option("--subtype", "subtypes", type=Words(), help="Lanelets to tile, by subtype.")
+def tiles(
+    *,
+    map_path: Path,
+    output: Path,
+    crs: str | None,
+    length_m: float,
+    origin: tuple[float, float] | None,
+    road: Path | None,
+    subtypes: tuple[str, ...] | None,
+    reporter: Reporter,
+) -> Result:
+    """Split the lanelets of a Lanelet2 map into tiles (GeoPackage)."""
+    refuse_inputs(output, *[path for path in (map_path, road) if path])
+    roads = gr.read_map(map_path, crs=crs, origin=origin, reporter=reporter)
+    table = gr.make_tiles(roads, length_m=length_m, subtypes=subtypes, reporter=reporter)
+    if road is not None:
+        table = gr.with_road_heights(table, gr.read_road(road, roads.crs))
+    gr.write_tiles(table, output, problems=roads.problems)
+    actions = roads.problems["action"].value_counts()
+    summary = {
+        "crs": gr.name_of(roads.crs),
+        "lanelets": len(roads.lanelets),
+        "lanelets_tiled": int(table["lanelet_id"].nunique()),
+        "repaired": int(actions.get("repaired", 0)),
+        "left_out": int(actions.get("left out", 0)),
+        "tiles": len(table),
+        "with_height": int(table["height_m"].notna().sum()),
+        "fingerprint": gr.fingerprint(table),
+    }
+    return Result(outputs=[output], summary=summary)
+
+
+@command(group, example="gis-radar mask scan.laz --map junction.osm -o road.laz")
+@click.argument("scans", metavar="SCAN.laz...", type=FILE, nargs=-1, required=True)
+@click.option(
+    "--map", "map_path", type=FILE, required=True,
+    help="Lanelet2 map (.osm) or polygons of the roads (.gpkg, .geojson, .csv, ...).",
+)  # fmt: skip
+@output
+@click.option(
+    "--engine", type=click.Choice(MASK_ENGINES), default="auto", show_default=True,
+    help="Who reads the scans; auto takes PDAL where there is one.",
+)  # fmt: skip
+@click.option("--scan-crs", help="CRS of scans that do not say theirs: EPSG:2154.")
+@click.option("--map-crs", help="CRS of a polygon layer that does not say its own.")
+@click.option("--crs", help="Projected, metric CRS of the result; by default the map's.")
+@click.option("--origin", type=Numbers("E,N"), help="Map-frame position of the map's local (0, 0).")
+@click.option("--layer", help="Which layer of polygons, where the file has several.")
+def mask(
+    *,
+    scans: tuple[Path, ...],
+    map_path: Path,
+    output: Path,
+    engine: str,
+    scan_crs: str | None,
+    map_crs: str | None,
+    crs: str | None,
+    origin: tuple[float, float] | None,
+    layer: str | None,
+    reporter: Reporter,
+) -> Result:
+    """Mask the road out of airborne laser scans: one point each 0.5 m (LAZ)."""
+    refuse_inputs(output, *scans, map_path)
+    gr.require_road_name(output)
+    roads = gr.read_roads(
+        map_path, crs=crs, map_crs=map_crs, origin=origin, layer=layer, reporter=reporter
+    )
+    road = gr.mask_road(scans, roads, engine=engine, scan_crs=scan_crs, reporter=reporter)
+    return Result(outputs=road.write(output), summary=road.figures())
+
+
+@command(
+    group,
+    example="gis-radar localize R1.parquet --map junction.osm --road road.laz "
+    "--guess 690356,5336183 -o R1.json",
+)
+@click.argument("recording", metavar="RECORDING", type=FILE)
+@click.option("--map", "map_path", metavar="MAP.osm", type=FILE, required=True, help="The lanes.")
+@click.option("--road", type=FILE, required=True, help="The scanned road (LAZ).")
+@click.option("--guess", type=Position(), required=True, help="Within 15 m, in the road's CRS.")
+@click.option("--heading", type=float, help="Yaw within 25 deg: from grid east, anticlockwise.")
+@click.option("--compass", type=Bearing(), help="The same as a bearing: 210, north-east, ...")
+@click.option("--origin", type=Numbers("E,N"), help="Map-frame position of the map's local (0, 0).")
+@click.option(
+    "--method", type=click.Choice(["lane", "icp"]), default="lane", show_default=True,
+    help="Lanes and Doppler, or the paper's ICP.",
+)  # fmt: skip
+@click.option("--figure", type=FILE, help="Draw the traces over lanes and scan (PNG).")
+@output
+def localize(
+    *,
+    recording: Path,
+    map_path: Path,
+    road: Path,
+    guess: tuple[float, ...],
+    heading: float | None,
+    compass: float | None,
+    origin: tuple[float, float] | None,
+    method: str,
+    figure: Path | None,
+    output: Path,
+    reporter: Reporter,
+) -> Result:
+    """Find a sensor's pose from its recording and a rough guess (JSON)."""
+    if heading is not None and compass is not None:
+        raise UsageError("both --heading and --compass are given", hint="give one of them")
+    refuse_inputs(output, recording, map_path, road)
+    crs = gr.road_crs(road)
+    roads = gr.read_map(map_path, crs=crs, origin=origin, reporter=reporter)
+    points = gr.read_road(road, roads.crs)
+    if compass is not None:
+        heading = gr.yaw_from_compass(compass, roads.crs, guess[0], guess[1])
+    found = gr.localize(
+        recording, roads, points, guess=guess, heading=heading, method=method, reporter=reporter
+    )
+    outputs = [output]
+    if figure is not None:
+        gr.draw_localization(found, roads, points, figure)
+        outputs.append(figure)
+    gr.write_pose(found.pose, output)
+    return Result(outputs=outputs, summary=found.figures())
+
+
+@command(
+    group,
+    example="gis-radar occupancy R1.parquet R2.parquet --pose R1.json --pose R2.json "
+    "--tiles tiles.gpkg -o occupancy/",
+)
+@click.argument("recordings", metavar="RECORDING...", type=FILE, nargs=-1, required=True)
+@click.option("--pose", "poses", type=FILE, multiple=True, required=True, help="One a recording.")
+@click.option("--tiles", "tiles_path", type=FILE, required=True, help="From gis-radar tiles.")
+@output
+@click.option("--max-range", "max_range_m", type=float, help="Range of poses without a view, m.")
+@click.option("--azimuth", "azimuth_deg", type=float, help="Full azimuth of such poses, deg.")
+@click.option("--elevation", "elevation_deg", type=float, help="Full elevation of such poses, deg.")
+@click.option("--min-speed", type=float, help="Least absolute range rate, m/s; off by default.")
+@click.option("--min-rcs", type=float, help="Least radar cross section, dBm2; off by default.")
+@click.option("--clearance", type=Numbers("LOW,HIGH"), help="Heights over the road that count, m.")
+@click.option(
+    "--elevation-error", type=float, default=0.5, show_default=True,
+    help="The radar's elevation error, deg (1 sigma): widens the clearance with range.",
+)  # fmt: skip
+@click.option("--engine", type=click.Choice(sorted(ENGINES)), default="grid", show_default=True)
+def occupancy(
+    *,
+    recordings: tuple[Path, ...],
+    poses: tuple[Path, ...],
+    tiles_path: Path,
+    output: Path,
+    max_range_m: float | None,
+    azimuth_deg: float | None,
+    elevation_deg: float | None,
+    min_speed: float | None,
+    min_rcs: float | None,
+    clearance: tuple[float, float] | None,
+    elevation_error: float,
+    engine: str,
+    reporter: Reporter,
+) -> Result:
+    """Join recordings to tiles: which tile was hit in which 50 ms step."""
+    refuse_inputs(output, *recordings, *poses, tiles_path)
+    filters = gr.Filters(
+        min_speed=min_speed,
+        min_rcs=min_rcs,
+        clearance=clearance,
+        elevation_error_deg=elevation_error,
+    )
+    view = {"azimuth_deg": azimuth_deg, "elevation_deg": elevation_deg, "max_range_m": max_range_m}
+    result = gr.measure_occupancy(
+        recordings,
+        [_seeing(gr.read_track(pose), view, reporter) for pose in poses],
+        gr.read_tiles(tiles_path),
+        output,
+        filters=filters,
+        engine=getattr(gr, ENGINES[engine]),
+        reporter=reporter,
+    )
+    return Result(outputs=[output], summary=result.figures())
+
+
+def _seeing(
+    track: gr.PoseTrack, options: dict[str, float | None], reporter: Reporter
+) -> gr.PoseTrack:
+    """Give poses without a view the one of the options."""
+    given = {name: value for name, value in options.items() if value is not None}
+    try:
+        view = gr.View(**given)
+    except gr.InputError as error:
+        raise gr.UsageError(error.message) from error
+    if given and any(pose.view is not None for pose in track.poses):
+        reporter.log(f"the pose of {track.sensor} has a view, which counts", "warning")
+    return track.with_view(view)
+
+
+@command(group, example="gis-radar heatmap occupancy/ --tiles tiles.gpkg --interval 15min -o map/")
+@click.argument("folders", metavar="OCCUPANCY...", type=FILE, nargs=-1, required=True)
+@click.option("--tiles", "tiles_path", type=FILE, required=True, help="From gis-radar tiles.")
+@output
+@click.option("--interval", help="Length of the intervals: 20s, 15min, 1h, ...")
+@click.option("--at", help="Map of the one 50 ms step at this time (ISO 8601 with Z).")
+def heatmap(
+    *,
+    folders: tuple[Path, ...],
+    tiles_path: Path,
+    output: Path,
+    interval: str | None,
+    at: str | None,
+    reporter: Reporter,
+) -> Result:
+    """Make heat maps of occupancy: GeoPackage, GeoTIFF, GeoParquet and a picture."""
+    refuse_inputs(output, *folders, tiles_path)
+    merged = gr.merge_occupancies([gr.read_occupancy(folder) for folder in folders])
+    heat = gr.make_heatmap(
+        merged, gr.read_tiles(tiles_path), interval=interval, at=at, reporter=reporter
+    )
+    outputs = heat.write(output, reporter=reporter)
+    return Result(outputs=outputs, summary=heat.figures())
+
+
+@command(group, example="gis-radar project R1.parquet --pose R1.json -o hits.gpkg")
+@click.argument("recording", metavar="RECORDING", type=FILE)
+@click.option("--pose", type=FILE, required=True, help="Pose (JSON) or pose track (CSV).")
+@output
+def project(*, recording: Path, pose: Path, output: Path, reporter: Reporter) -> Result:
+    """Write the detections of a recording as points in the map (.gpkg, .laz, .parquet)."""
+    refuse_inputs(output, recording, pose)
+    count = gr.write_projection(recording, gr.read_track(pose), output, reporter=reporter)
+    return Result(outputs=[output], summary={"points": count})
+
+
+@command(group, example="gis-radar demo -o demo")
+@click.option(
+    "-o", "--output", type=FILE, default=Path("gis_radar_demo"), show_default=True,
+    help="Where the results go.",
+)  # fmt: skip
+def demo(*, output: Path, reporter: Reporter) -> Result:
+    """Go the whole way on the sample junction."""
+    outputs, summary = gr.run_demo(output, reporter=reporter)
+    return Result(outputs=outputs, summary=summary)

@@ -1,0 +1,151 @@
+"""What a command says: bars and tables for people, JSON lines for programs."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.table import Table
+from rich.text import Text
+
+from gis_radar.errors import GisRadarError
+from gis_radar.progress import Level, Reporter
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """What a command did.
+
+    Parameters
+    ----------
+    outputs : list of Path
+        The files and folders it wrote.
+    summary : mapping
+        Figures worth a look, by name.
+    """
+
+    outputs: list[Path]
+    summary: Mapping[str, Any] = field(default_factory=dict)
+
+
+class Door(Protocol):
+    """Where a command's reports, result and errors go."""
+
+    reporter: Reporter
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None: ...
+
+    def result(self, result: Result) -> None:
+        """Tell what was done."""
+
+    def error(self, error: GisRadarError) -> None:
+        """Tell what went wrong."""
+
+
+class JsonDoor(Reporter):
+    """One JSON object a line on standard output."""
+
+    def __init__(self) -> None:
+        self.reporter: Reporter = self
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        return None
+
+    def progress(self, stage: str, done: int, total: int | None) -> None:
+        """Say how far a stage is."""
+        self._say(event="progress", stage=stage, done=done, total=total)
+
+    def log(self, message: str, level: Level = "info") -> None:
+        """Say a remark."""
+        self._say(event="log", level=level, message=message)
+
+    def result(self, result: Result) -> None:
+        """Tell what was done."""
+        outputs = [str(path) for path in result.outputs]
+        self._say(event="result", outputs=outputs, summary=dict(result.summary))
+
+    def error(self, error: GisRadarError) -> None:
+        """Tell what went wrong; the code is the exit code."""
+        self._say(event="error", code=error.exit_code, message=error.message, hint=error.hint)
+
+    @staticmethod
+    def _say(**record: Any) -> None:
+        sys.stdout.write(json.dumps(record, ensure_ascii=False) + "\n")
+        sys.stdout.flush()
+
+
+class HumanDoor(Reporter):
+    """Bars and remarks on standard error, the result on standard output."""
+
+    def __init__(self) -> None:
+        self.reporter: Reporter = self
+        self._console = Console(stderr=True)
+        self._bars = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.percentage:>3.0f} %"),
+            TimeRemainingColumn(),
+            console=self._console,
+            transient=True,
+            disable=not self._console.is_terminal,
+        )
+        self._tasks: dict[str, TaskID] = {}
+
+    def __enter__(self) -> Self:
+        self._bars.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bars.stop()
+
+    def progress(self, stage: str, done: int, total: int | None) -> None:
+        """Move the stage's bar."""
+        if stage not in self._tasks:
+            self._tasks[stage] = self._bars.add_task(stage, total=total)
+        self._bars.update(self._tasks[stage], completed=done, total=total)
+
+    def log(self, message: str, level: Level = "info") -> None:
+        """Say a remark."""
+        prefix = "warning: " if level == "warning" else ""
+        self._console.print(f"{prefix}{message}", markup=False, highlight=False, soft_wrap=True)
+
+    def result(self, result: Result) -> None:
+        """Print the figures as a table, then the outputs."""
+        console = Console()
+        table = Table(show_header=False, box=None, pad_edge=False)
+        for name, value in result.summary.items():
+            table.add_row(name.replace("_", " "), Text(_readable(value)))
+        console.print(table)
+        for path in result.outputs:
+            console.print(f"wrote {path}", markup=False, highlight=False, soft_wrap=True)
+
+    def error(self, error: GisRadarError) -> None:
+        """Print the error as one line; what to do about it in the same line."""
+        hint = f" ({error.hint})" if error.hint else ""
+        text = " ".join(f"gis-radar: {error.message}{hint}".split())
+        self._console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+def _readable(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}" if abs(value) < 1000 else f"{value:,.2f}"
+    if isinstance(value, list | tuple):
+        return ", ".join(_readable(item) for item in value)
+    return f"{value:,}" if isinstance(value, int) and not isinstance(value, bool) else str(value)

@@ -1,0 +1,81 @@
+"""The frame around each command: its door, its errors, its exit code."""
+
+from __future__ import annotations
+
+import functools
+import signal
+import sys
+from collections.abc import Callable
+from types import FrameType
+from typing import Any, NoReturn
+
+import click
+
+from gis_radar.cli.console import Door, HumanDoor, JsonDoor, Result
+from gis_radar.errors import GisRadarError, OutputError, UsageError
+
+INTERRUPTED = 130
+
+Verb = Callable[..., Result]
+
+
+def command(group: click.Group, *, example: str) -> Callable[[Verb], Verb]:
+    """Make a function that reports and returns a result into a command of `group`.
+
+    Parameters
+    ----------
+    group : click.Group
+        Where the command belongs.
+    example : str
+        A call that works, shown at the end of its help.
+    """
+
+    def register(verb: Verb) -> Verb:
+        @functools.wraps(verb)
+        def run(*, json_lines: bool, **options: Any) -> None:
+            with _door(json_lines=json_lines) as door:
+                result = verb(reporter=door.reporter, **options)
+            door.result(result)
+
+        flagged = click.option(
+            "--json", "json_lines", is_flag=True, help="Print one JSON object a line."
+        )(run)
+        group.command(epilog=f"Example: {example}")(flagged)
+        return verb
+
+    return register
+
+
+def _door(*, json_lines: bool) -> Door:
+    return JsonDoor() if json_lines else HumanDoor()
+
+
+def open_door(group: click.Group) -> NoReturn:
+    """Run the command line and leave with the exit code that says how it went."""
+    signal.signal(signal.SIGTERM, _interrupt)
+    door = _door(json_lines="--json" in sys.argv)
+    try:
+        group(standalone_mode=False)
+    except click.exceptions.Exit as leave:
+        sys.exit(leave.exit_code)
+    except click.ClickException as error:
+        context = getattr(error, "ctx", None)
+        hint = f"try {context.command_path} --help" if context else ""
+        _fail(door, UsageError(error.format_message(), hint=hint))
+    except GisRadarError as error:
+        _fail(door, error)
+    except (KeyboardInterrupt, click.Abort):
+        _fail(door, GisRadarError("interrupted; nothing was left half-written"), INTERRUPTED)
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        _fail(door, OutputError(f"{where}{error.strerror or error}"))
+    sys.exit(0)
+
+
+def _fail(door: Door, error: GisRadarError, code: int | None = None) -> NoReturn:
+    door.error(error)
+    sys.exit(error.exit_code if code is None else code)
+
+
+def _interrupt(_signal: int, _frame: FrameType | None) -> None:
+    raise KeyboardInterrupt

@@ -1,0 +1,313 @@
+"""The command line as outside scripts use it: exit codes, one line of error, JSON lines."""
+
+import json
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from click.testing import CliRunner
+from sites import EAST, NORTH, START, crossing, lane_quads, pose, recording, tiles_of
+
+import gis_radar as gr
+from gis_radar.cli import commands
+from gis_radar.cli.commands import group
+from gis_radar.cli.door import open_door
+
+COMMANDS = sorted(group.commands)
+
+
+@pytest.fixture
+def run(capfd, monkeypatch):
+    """Run a command in this process; return exit code, standard output and standard error."""
+
+    def call(*words):
+        monkeypatch.setattr(sys, "argv", ["gis-radar", *map(str, words)])
+        before = signal.getsignal(signal.SIGTERM)
+        try:
+            with pytest.raises(SystemExit) as leave:
+                open_door(group)
+        finally:
+            signal.signal(signal.SIGTERM, before)
+        out, err = capfd.readouterr()
+        return leave.value.code, out, err
+
+    return call
+
+
+@pytest.fixture
+def site(tmp_path):
+    """A folder with tiles, a recording and its pose."""
+    problems = crossing().iloc[:0][["lanelet_id", "geometry"]].assign(action="", reason="")
+    gr.write_tiles(crossing(), tmp_path / "tiles.gpkg", problems=problems)
+    gr.write_pose(pose(), tmp_path / "R1.json")
+    rng = np.random.default_rng(0)
+    time_s = START + np.arange(400) // 4 * 0.05
+    points = np.column_stack(
+        [rng.uniform(10, 30, 400), rng.uniform(-9, 9, 400), np.full(400, -4.5)]
+    )
+    recording(tmp_path / "R1.parquet", time_s, points)
+    return tmp_path
+
+
+def occupancy_words(site, out="occ"):
+    return (
+        "occupancy", site / "R1.parquet", "--pose", site / "R1.json",
+        "--tiles", site / "tiles.gpkg", "-o", site / out,
+    )  # fmt: skip
+
+
+def refused(answer, code, *parts):
+    """Check the exit code and that the error is one line with these parts."""
+    assert answer[0] == code, answer
+    lines = [line for line in answer[2].splitlines() if not line.startswith("warning")]
+    assert len(lines) == 1, lines
+    assert "Traceback" not in answer[2]
+    for part in parts:
+        assert str(part) in lines[0]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_each_help_has_an_example(name):
+    answer = CliRunner().invoke(group, [name, "--help"])
+    assert answer.exit_code == 0
+    assert "Example: gis-radar" in " ".join(answer.output.split())
+
+
+def test_an_option_that_a_pose_overrules_is_said(site, run):
+    code, _, err = run(*occupancy_words(site), "--max-range", "50")
+    assert code == 0
+    assert "the pose of R1 has a view, which counts" in err
+
+
+def test_no_trustworthy_answer(site, run):
+    gr.write_pose(pose(easting=EAST + 9000), site / "R1.json")
+    refused(run(*occupancy_words(site)), 4, "no tile lies in the view of R1")
+    assert not (site / "occ").exists()
+
+
+def test_any_name_of_a_sensor_can_be_shown(site, run):
+    gr.write_pose(pose(sensor="[/b] $\\frac{$"), site / "R1.json")
+    code, out, _ = run(*occupancy_words(site))
+    assert code == 0
+    assert "[/b] $\\frac{$" in out
+    words = ("heatmap", site / "occ", "--tiles", site / "tiles.gpkg", "-o", site / "map")
+    assert run(*words)[0] == 0
+
+
+def test_the_whole_way(site, run):
+    assert run(*occupancy_words(site))[0] == 0
+    words = ("heatmap", site / "occ", "--tiles", site / "tiles.gpkg", "-o", site / "map")
+    code, out, _ = run(*words, "--interval", "1s")
+    assert code == 0
+    assert "heatmap.tif" in out
+    names = {"heatmap.gpkg", "heatmap.tif", "heatmap.parquet", "heatmap.png"}
+    assert names <= {path.name for path in (site / "map").iterdir()}
+
+
+def test_json_lines(site, run):
+    code, out, err = run(*occupancy_words(site), "--json")
+    events = [json.loads(line) for line in out.splitlines()]
+    assert code == 0
+    assert err == ""
+    assert {event["event"] for event in events} == {"progress", "log", "result"}
+    assert events[-1]["outputs"] == [str(site / "occ")]
+    assert events[-1]["summary"]["hits"] > 10
+    progress = [event for event in events if event["event"] == "progress"]
+    assert progress[-1] == {"event": "progress", "stage": "occupancy", "done": 400, "total": 400}
+
+
+def test_json_errors(site, run):
+    code, out, err = run("project", site / "gone.parquet", "--pose", site / "R1.json",
+                         "-o", site / "hits.gpkg", "--json")  # fmt: skip
+    assert (code, err) == (3, "")
+    event = json.loads(out)
+    assert event["event"] == "error"
+    assert event["code"] == 3
+    assert "gone.parquet" in event["message"]
+    code, out, _ = run("project", "--json")
+    assert code == 2
+    assert json.loads(out)["code"] == 2
+
+
+def test_wrong_usage(site, run):
+    refused(run("tiles"), 2, "MAP.osm")
+    refused(run("nonsense"), 2, "nonsense")
+    refused(run(*occupancy_words(site), "--clearance", "high"), 2, "LOW,HIGH")
+    refused(run(*occupancy_words(site), "--clearance", "4,0"), 2, "clearance")
+    refused(run(*occupancy_words(site), "--pose", site / "R1.json"), 2, "1 recordings", "2 poses")
+    refused(run(*occupancy_words(site), "--azimuth", "400"), 2, "azimuth_deg is 400")
+    refused(run(*occupancy_words(site), "--max-range", "-5"), 2, "-5")
+    refused(run(*occupancy_words(site), "--min-rcs", "nan"), 2, "nan")
+    words = ("heatmap", site / "occ", "--tiles", site / "tiles.gpkg", "-o", site / "map")
+    run(*occupancy_words(site))
+    refused(run(*words, "--interval", "soon"), 2, "soon")
+    refused(run(*words, "--interval", ""), 2, "interval")
+    refused(run(*words, "--at", "2023-11-14T22:13:20"), 2, "time zone")
+    assert not (site / "map").exists()
+
+
+def test_files_that_are_missing_or_wrong(site, run):
+    words = list(occupancy_words(site))
+    for position, name in ((1, "R9.parquet"), (3, "R9.json"), (5, "t.gpkg")):
+        changed = [*words[:position], site / name, *words[position + 1 :]]
+        refused(run(*changed), 3, name)
+    (site / "R1.parquet").write_bytes((site / "R1.parquet").read_bytes()[:500])
+    refused(run(*words), 3, "R1.parquet")
+    assert not (site / "occ").exists()
+
+
+def test_a_map_that_is_no_map(tmp_path, run):
+    for content in (b"", b"<osm", b"PK\x03\x04", b"<osm/>", b"<!DOCTYPE osm><osm/>"):
+        (tmp_path / "map.osm").write_bytes(content)
+        refused(run("tiles", tmp_path / "map.osm", "-o", tmp_path / "t.gpkg"), 3, "map.osm")
+    assert [path.name for path in tmp_path.iterdir()] == ["map.osm"]
+
+
+def test_a_geographic_crs_is_refused_by_name(run, tmp_path):
+    sample = gr.sample_folder() / "junction.osm"
+    words = ("tiles", sample, "-o", tmp_path / "t.gpkg", "--crs")
+    refused(run(*words, "EPSG:4326"), 3, "--crs", "WGS 84", "geographic")
+    refused(run(*words, "EPSG:0"), 3, "--crs")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_tiles_of_another_map_or_crs(site, run):
+    run(*occupancy_words(site))
+    none = crossing().iloc[:0][["lanelet_id", "geometry"]].assign(action="", reason="")
+    other = tiles_of([lane_quads(EAST, NORTH, 45.0)])
+    gr.write_tiles(other, site / "other.gpkg", problems=none)
+    words = ("heatmap", site / "occ", "-o", site / "map", "--tiles")
+    refused(run(*words, site / "other.gpkg"), 3, "tiles")
+    gr.write_pose(pose(crs="EPSG:32632"), site / "R1.json")
+    refused(run(*occupancy_words(site, "occ2")), 3, "EPSG:32632", "EPSG:25832")
+    assert not (site / "map").exists()
+    assert not (site / "occ2").exists()
+
+
+def test_a_place_that_cannot_be_written(site, run):
+    refused(run(*occupancy_words(site, "gone/occ")), 3, "gone", "cannot be written")
+    (site / "thesis").mkdir()
+    (site / "thesis" / "chapter1.txt").write_text("work")
+    refused(run(*occupancy_words(site, "thesis")), 3, "chapter1.txt")
+    assert (site / "thesis" / "chapter1.txt").read_text() == "work"
+
+
+def test_no_command_replaces_what_it_reads(site, run):
+    before = {path.name: path.read_bytes() for path in site.iterdir()}
+    sources = {name: site / name for name in before}
+    tiles, recording_, pose_ = (sources[n] for n in ("tiles.gpkg", "R1.parquet", "R1.json"))
+    calls = [
+        ("tiles", tiles, "-o", tiles),
+        ("project", recording_, "--pose", pose_, "-o", recording_),
+        occupancy_words(site, "R1.json"),
+        ("heatmap", site / "occ", "--tiles", tiles, "-o", tiles),
+    ]
+    for words in calls:
+        refused(run(*words), 3, "input")
+    assert {path.name: path.read_bytes() for path in site.iterdir()} == before
+
+
+def test_every_option_reaches_its_argument(site, run, monkeypatch):
+    """What the library is called with, for a call that sets all options."""
+    seen = {}
+
+    def caught(recordings, poses, tiles, output, **options):
+        seen.update(options, recordings=recordings, poses=poses, output=output)
+        raise gr.NoAnswerError("enough")
+
+    monkeypatch.setattr(commands.gr, "measure_occupancy", caught)
+    gr.write_pose(pose(view=None), site / "R1.json")
+    answer = run(
+        *occupancy_words(site), "--max-range", "150", "--azimuth", "90", "--elevation", "20",
+        "--min-speed", "0.15", "--min-rcs", "-3", "--clearance", "0.1,4.5",
+        "--elevation-error", "0.7", "--engine", "rtree",
+    )  # fmt: skip
+    refused(answer, 4, "enough")
+    assert seen["filters"] == gr.Filters(
+        min_speed=0.15, min_rcs=-3.0, clearance=(0.1, 4.5), elevation_error_deg=0.7
+    )
+    assert seen["engine"] is gr.TileTree
+    view = seen["poses"][0].poses[0].view
+    assert view == gr.View(azimuth_deg=90.0, elevation_deg=20.0, max_range_m=150.0)
+    assert seen["output"] == site / "occ"
+
+
+def test_tiles_options_reach_their_arguments(tmp_path, run, monkeypatch):
+    seen = {}
+
+    def read(path, **options):
+        seen.update(options, path=path)
+        return roads
+
+    def make(given, **options):
+        seen.update(options)
+        raise gr.NoAnswerError("enough")
+
+    roads = object()
+    monkeypatch.setattr(commands.gr, "read_map", read)
+    monkeypatch.setattr(commands.gr, "make_tiles", make)
+    run(
+        "tiles", "m.osm", "-o", tmp_path / "t.gpkg", "--crs", "EPSG:25832", "--length", "2",
+        "--origin", "3.5,4.5", "--subtype", "road,walkway",
+    )  # fmt: skip
+    assert (seen["crs"], seen["origin"]) == ("EPSG:25832", (3.5, 4.5))
+    assert (seen["length_m"], seen["subtypes"]) == (2.0, ("road", "walkway"))
+
+
+@pytest.mark.parametrize("signal_name", ["SIGINT", "SIGTERM"])
+def test_an_interruption_leaves_nothing_and_says_130(site, signal_name):
+    """A long recording is stopped midway."""
+    rows = 6_000_000
+    time_s = START + np.arange(rows) // 500 * 0.05
+    column = np.full(rows, 20.0, dtype=np.float32)
+    zero = np.zeros(rows, dtype=np.float32)
+    names = ("x", "y", "z", "range_rate", "rcs")
+    made = pa.table({"time": time_s, **dict(zip(names, [column, *[zero] * 4], strict=True))})
+    pq.write_table(made, site / "R1.parquet")
+    command = [sys.executable, "-m", "gis_radar", *map(str, occupancy_words(site)), "--json"]
+    child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    for line in child.stdout:
+        if json.loads(line)["event"] == "progress":
+            break
+    child.send_signal(getattr(signal, signal_name))
+    out, err = child.communicate(timeout=60)
+    assert child.returncode == 130, err
+    assert json.loads(out.splitlines()[-1])["event"] == "error"
+    assert "Traceback" not in err
+    names = sorted(path.name for path in site.iterdir())
+    assert names == ["R1.json", "R1.parquet", "tiles.gpkg"]
+
+
+def test_as_a_module_it_is_the_same_command(site):
+    environment = {**os.environ, "COLUMNS": "80"}
+    answer = subprocess.run(
+        [sys.executable, "-m", "gis_radar", "--version"],
+        check=True, capture_output=True, text=True, env=environment,
+    )  # fmt: skip
+    assert "version" in answer.stdout
+
+
+def test_a_foreign_proj_database_does_not_spoil_a_map(site, run):
+    """Some programs leave PROJ_DATA pointing to their own, older database."""
+    run(*occupancy_words(site))
+    with sqlite3.connect(site / "proj.db") as old:
+        old.execute("create table metadata (key text, value text)")
+        layout = [("DATABASE.LAYOUT.VERSION.MAJOR", "1"), ("DATABASE.LAYOUT.VERSION.MINOR", "0")]
+        old.executemany("insert into metadata values (?, ?)", layout)
+    old.close()
+    words = ("heatmap", site / "occ", "--tiles", site / "tiles.gpkg", "-o", site / "map")
+    answer = subprocess.run(
+        [sys.executable, "-m", "gis_radar", *map(str, words)],
+        check=False, capture_output=True, text=True,
+        env={**os.environ, "PROJ_DATA": str(site), "PROJ_LIB": str(site)},
+    )  # fmt: skip
+    assert answer.returncode == 3, answer
+    assert "PROJ_DATA" in answer.stderr
+    assert "Traceback" not in answer.stderr
+    assert not (site / "map").exists()
