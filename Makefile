@@ -7,7 +7,7 @@ MADE := .venv .pdal .pdal.part.* out build dist .mypy_cache .ruff_cache .pytest_
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
 .PHONY: help set-up set-up-dev pdal demo test lint format types bench bench-assignment \
-	bench-tiles bench-memory bench-truth bench-mask samples wheel constraints clean
+	bench-tiles bench-memory bench-truth bench-mask bench-localization samples wheel constraints clean
 
 help: ## List the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' Makefile | expand -t 20
@@ -40,7 +40,7 @@ format: set-up-dev ## Mend style and layout
 types: set-up-dev ## Check the types
 	$(BIN)/mypy
 
-bench: bench-assignment bench-tiles bench-memory bench-truth bench-mask ## Run every benchmark
+bench: bench-assignment bench-tiles bench-memory bench-truth bench-mask bench-localization ## Run every benchmark
 
 bench-assignment: set-up-dev ## Measure tile assignment against its targets
 	$(BIN)/python bench/assignment.py
@@ -56,6 +56,9 @@ bench-truth: set-up-dev ## Compare hit occupancy with the true traffic
 
 bench-mask: set-up-dev ## Measure the road mask: time, and memory from few tiles to many
 	$(BIN)/python bench/mask.py
+
+bench-localization: set-up-dev ## Measure localization from many starts, no heading given
+	$(BIN)/python bench/localization.py
 
 samples: set-up-dev ## Make the files in sample_maps again
 	$(BIN)/python sample_maps/make_samples.py

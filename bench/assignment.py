@@ -21,14 +21,13 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 import shapely
-from pyproj import CRS
+from simulated import ROOT, true_pose
 
 import gis_radar as gr
 from gis_radar.arrays import Floats
 from gis_radar.assignment import TileEngine, TileGridNumpy
 from gis_radar.detections import ROWS_AT_ONCE
 
-ROOT = Path(__file__).parent.parent
 TARGETS = {"sjoin from coordinates": 25.0, "sjoin with points built": 5.0}
 ROUNDS = 3
 
@@ -79,7 +78,7 @@ def _input(site: Path, count: int) -> tuple[gpd.GeoDataFrame, Floats, Floats]:
     grid = gr.TileGrid(gr.quads(tiles))
     pieces = []
     for path in sorted(site.glob("R*.parquet")):
-        pose = _pose(site, path.stem)
+        pose = true_pose(site, path.stem)
         for detections in gr.open_recording(path).read():
             footprint = pose.to_map(detections.points[detections.present])[:, :2]
             on_road, _ = grid.assign(footprint[:, 0], footprint[:, 1])
@@ -87,16 +86,6 @@ def _input(site: Path, count: int) -> tuple[gpd.GeoDataFrame, Floats, Floats]:
     points = np.concatenate(pieces)
     repeated = np.tile(points, (-(-count // len(points)), 1))[:count]
     return tiles, np.ascontiguousarray(repeated[:, 0]), np.ascontiguousarray(repeated[:, 1])
-
-
-def _pose(site: Path, sensor: str) -> gr.Pose:
-    if (site / f"{sensor}.json").exists():
-        return gr.read_pose(site / f"{sensor}.json")
-    truth = json.loads((site / "truth.json").read_text())[sensor]
-    fields = ("easting", "northing", "height", "yaw", "pitch", "roll")
-    return gr.Pose(
-        sensor=sensor, crs=CRS.from_epsg(25832), **{name: truth[name] for name in fields}
-    )
 
 
 def _check(

@@ -18,15 +18,13 @@ from pathlib import Path
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-from pyproj import CRS
 from scipy.stats import spearmanr
+from simulated import ROOT, sites, true_pose
 
 import gis_radar as gr
 from gis_radar.arrays import Floats, Integers
 
-ROOT = Path(__file__).parent.parent
 NAMES = {"t": "time", "L": "length", "W": "width"}
-FIELDS = ("easting", "northing", "height", "yaw", "pitch", "roll")
 CLEARANCE_M = (-0.5, 4.5)
 FALSE_HIT = 0.005
 
@@ -34,7 +32,7 @@ FALSE_HIT = 0.005
 def main() -> None:
     """Compare each site, print the table, keep the figures."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("sites", type=Path, nargs="*", default=_sites())
+    parser.add_argument("sites", type=Path, nargs="*", default=sites())
     parser.add_argument("--json", type=Path, default=ROOT / "out" / "bench-truth.json")
     arguments = parser.parse_args()
     heads = ("tiles", "rho", "scale", "tiles hit", "rho", "scale", "false hits")
@@ -49,11 +47,6 @@ def main() -> None:
     arguments.json.write_text(json.dumps(report, indent=1) + "\n")
 
 
-def _sites() -> list[Path]:
-    data = ROOT.parent / "shared" / "data"
-    return [gr.sample_folder(), *(data / t for t in ("town02", "town04") if (data / t).exists())]
-
-
 def _clearance() -> gr.Filters:
     return gr.Filters(clearance=CLEARANCE_M)
 
@@ -63,7 +56,7 @@ def _compare(site: Path, filters: gr.Filters) -> dict[str, float]:
     recordings = sorted(site.glob("R*.parquet"))
     with tempfile.TemporaryDirectory() as folder:
         occupancy = gr.measure_occupancy(
-            recordings, [_pose(site, path.stem) for path in recordings], tiles,
+            recordings, [true_pose(site, path.stem) for path in recordings], tiles,
             Path(folder) / "occupancy", filters=filters,
         )  # fmt: skip
         heat = gr.make_heatmap(occupancy, tiles).wide()
@@ -82,15 +75,6 @@ def _compare(site: Path, filters: gr.Filters) -> dict[str, float]:
 
 def _agreement(hit: Floats, true: Floats) -> dict[str, float]:
     return {"rho": float(spearmanr(hit, true).statistic), "scale": float(hit.sum() / true.sum())}
-
-
-def _pose(site: Path, sensor: str) -> gr.Pose:
-    if (site / f"{sensor}.json").exists():
-        return gr.read_pose(site / f"{sensor}.json")
-    truth = json.loads((site / "truth.json").read_text())[sensor]
-    view = gr.View(max_range_m=200.0)
-    fields = {name: truth[name] for name in FIELDS}
-    return gr.Pose(sensor=sensor, crs=CRS.from_epsg(25832), view=view, **fields)
 
 
 def _true_share(tiles: gpd.GeoDataFrame, vehicles: pd.DataFrame) -> Floats:
