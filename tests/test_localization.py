@@ -9,7 +9,8 @@ from sites import EAST, NORTH, recording
 from streets import CROSSING, STRAIGHT, Street, errors
 
 from gis_radar.errors import InputError, NoAnswerError, UsageError
-from gis_radar.localization import draw_localization, localize
+from gis_radar.localization import localize
+from gis_radar.localization.picture import draw_localization
 from gis_radar.pose_files import read_pose, write_pose
 from gis_radar.progress import Reporter
 
@@ -195,7 +196,7 @@ def test_lanes_without_direction_do_with_a_warning(scene):
 def test_a_scan_of_another_place_is_refused(scene):
     street, pose, path = scene
     elsewhere = street.road_points() + [2000.0, 0.0, 0.0]
-    with pytest.raises(InputError, match="do not overlap"):
+    with pytest.raises(InputError, match="of the lanes around"):
         localize(path, street.roads(), elsewhere, guess=near(pose))
 
 

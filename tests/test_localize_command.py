@@ -6,6 +6,7 @@ import laspy
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from pyproj import Transformer
 from sites import UTM
 from streets import Street, errors
 
@@ -103,6 +104,24 @@ def test_a_compass_becomes_a_heading(files, monkeypatch):
     with pytest.raises(gr.NoAnswerError, match="heard"):
         CliRunner().invoke(group, call, catch_exceptions=False, standalone_mode=False)
     assert heard["heading"] == pytest.approx(yaw_from_compass(45.0, UTM, 690_000.0, 5_336_000.0))
+
+
+def test_a_guess_in_another_system_is_moved(files, monkeypatch):
+    street, folder = files
+    heard = {}
+
+    def listen(*_, guess, **_options):
+        heard["guess"] = guess
+        raise gr.NoAnswerError("heard")
+
+    monkeypatch.setattr(gr, "read_map", lambda *_, **__: street.roads(), raising=False)
+    monkeypatch.setattr(gr, "localize", listen, raising=False)
+    there = Transformer.from_crs(UTM, 3857, always_xy=True).transform(690_000.0, 5_336_000.0)
+    guess = ",".join(f"{value:.3f}" for value in there)
+    call = words(folder, "--guess", guess, "--guess-crs", "EPSG:3857")
+    with pytest.raises(gr.NoAnswerError, match="heard"):
+        CliRunner().invoke(group, call, catch_exceptions=False, standalone_mode=False)
+    assert heard["guess"] == pytest.approx((690_000.0, 5_336_000.0), abs=0.01)
 
 
 @pytest.mark.parametrize(

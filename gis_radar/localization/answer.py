@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from gis_radar.clock import iso_from_step, step_of
 from gis_radar.lanelets import LaneletMap
 from gis_radar.pose import Pose
 from gis_radar.registration import State
+from gis_radar.surroundings import SecondLook
 from gis_radar.traces import Moving
 
 SIGMA = ("easting", "northing", "height", "roll", "pitch", "yaw")
@@ -62,6 +63,7 @@ class Localization:
     def figures(self) -> Mapping[str, Any]:
         """Return figures worth a look, by name."""
         sigma = self.pose.evidence.get("sigma", {})
+        look = self.pose.evidence.get("second_look")
         return {
             **{name: round(getattr(self.pose, name), 3) for name in SIGMA},
             **{f"sigma_{name}": float(f"{value:.2g}") for name, value in sigma.items()},
@@ -69,7 +71,13 @@ class Localization:
             "observable": self.observable,
             "vehicles": self.vehicles,
             "hypotheses": len(self.hypotheses),
+            **({"second_look": look["verdict"]} if look else {}),
         }
+
+    def with_second_look(self, look: SecondLook) -> Localization:
+        """Return the same answer with what a second look says in its evidence."""
+        evidence = {**self.pose.evidence, "second_look": dict(look.figures())}
+        return replace(self, pose=replace(self.pose, evidence=evidence))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -40,7 +40,7 @@ def by_icp(site: Site, moving: Moving, reporter: Reporter) -> Localization:
             f"{site.name}: the registration went {away:.0f} m from the guess", hint="guess closer"
         )
     reporter.progress(STAGE, 3, 3)
-    evidence = {**common(moving, "icp"), "converged": True, "fitness": fit.fitness}
+    evidence = {**common(moving, "icp"), "fitness": fit.fitness}
     return Localization(
         pose=site.pose(fit.state, evidence),
         fitness=fit.fitness,

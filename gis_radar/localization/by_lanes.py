@@ -17,6 +17,7 @@ from gis_radar.registration import (
     certainty,
     explore,
     mirrored,
+    promise,
     refine,
     rough,
     sample_lanes,
@@ -26,8 +27,9 @@ from gis_radar.traces import Moving, Samples, thin, track
 HEADING_TOLERANCE = math.radians(30.0)
 LEAST_TRACKS = 5
 LEAST_FITNESS = 0.6
-CLEAR = 2.0  # standard deviations by which the answer must beat every other
+CLEAR = 2.5  # standard deviations by which the answer must beat every other
 SAME_CHI2 = 16.0
+LEAST_SCANNED = 0.3  # of the lanes in reach
 MARGIN_M = 20.0
 SLACK_M = 5.0
 
@@ -42,28 +44,48 @@ def by_lanes(site: Site, moving: Moving, reporter: Reporter) -> Localization:
             hint="record while traffic flows",
         )
     reporter.progress(STAGE, 1, 5)
-    lanes = _lanes(site, samples, reporter)
+    lanes = lanes_around(site, samples, reporter)
     heading = None if site.heading is None else (site.heading, HEADING_TOLERANCE)
     tried = explore(lanes, samples, heading=heading)
     reporter.progress(STAGE, 3, 5)
     _refuse_mirrored(lanes, samples, tried[0], heading)
     reporter.progress(STAGE, 4, 5)
     answers = _within_reach(site, refine(lanes, samples, tried), samples)
-    lead = _lead(answers, samples)
-    reporter.progress(STAGE, 5, 5)
     _refuse_unfit(site, answers[0])
-    if lead < CLEAR:
-        raise _ambiguous(site, answers)
+    lead, rival = _lead(answers, samples)
+    reporter.progress(STAGE, 5, 5)
+    if rival is not None and lead < CLEAR:
+        raise _ambiguous(site, answers[0], rival)
     return _answer(site, moving, samples, answers[0], tried, lead)
 
 
-def _lanes(site: Site, samples: Samples, reporter: Reporter) -> Lanes:
+def lanes_around(site: Site, samples: Samples, reporter: Reporter, *, grow: float = 1.0) -> Lanes:
+    """Return the lanes around the guess, as far as the samples reach.
+
+    Parameters
+    ----------
+    site : Site
+        Map, road and guess.
+    samples : Samples
+        Traces.
+    reporter : Reporter
+        Told where the lanes have no direction.
+    grow : float
+        How many times as far.
+
+    Raises
+    ------
+    InputError
+        If lanes and scanned road do not overlap.
+    NoAnswerError
+        If no lane is there.
+    """
     reach = np.hypot(samples.points[:, 0], samples.points[:, 1])
-    reach_m = float(np.percentile(reach, 99.5)) + GUESS_M + MARGIN_M
+    reach_m = grow * float(np.percentile(reach, 99.5)) + GUESS_M + MARGIN_M
     lanes = sample_lanes(site.roads.lanelets, site.road, place=site.guess[:2], reach_m=reach_m)
-    if np.isnan(lanes.points[:, 2]).mean() > 0.5:
+    if lanes.scanned < LEAST_SCANNED:
         raise InputError(
-            "the road's points and the lanes around the guess do not overlap",
+            f"the road's points lie on {lanes.scanned:.0%} of the lanes around the guess",
             hint="take the mask of a scan of this place, in the map's coordinate system",
         )
     if not lanes.directed:
@@ -77,8 +99,10 @@ def _refuse_mirrored(
     lanes: Lanes, samples: Samples, best: Hypothesis, heading: tuple[float, float] | None
 ) -> None:
     """Refuse a recording that fits far better with its y axis turned round."""
-    part = rough(samples)
-    other = explore(lanes, mirrored(samples), heading=heading)[0]
+    part, turned = rough(samples), mirrored(samples)
+    if promise(lanes, turned, heading=heading) < promise(lanes, samples, heading=heading):
+        return
+    other = explore(lanes, turned, heading=heading)[0]
     if advantage(other.fit, best.fit, part) > CLEAR and other.fit.fitness > LEAST_FITNESS:
         raise NoAnswerError(
             f"the recording fits the lanes only when mirrored ({other.fit.fitness:.0%} of the "
@@ -87,19 +111,23 @@ def _refuse_mirrored(
         )
 
 
-def _lead(answers: list[Hypothesis], samples: Samples) -> float:
-    """Return how clearly the vehicles prefer the first answer to all that differ from it."""
+def _lead(answers: list[Hypothesis], samples: Samples) -> tuple[float, Hypothesis | None]:
+    """Return how clearly the vehicles prefer the first answer to its closest rival, and that."""
     best = answers[0].fit
     known = certainty(best)
-    leads = [math.inf]
+    lead, closest = math.inf, None
     for other in answers[1:]:
+        away_m = float(np.hypot(*other.fit.state.position[:2]))
+        if away_m > GUESS_M or other.fit.fitness < LEAST_FITNESS:
+            continue  # no rival: farther off than a guess may be, or no answer itself
         gap = other.fit.state.difference(best.state)[:6]
         # along what the scene does not fix, two answers are one
         apart = gap[:2] @ np.linalg.solve(known.covariance[:2, :2], gap[:2])
         turned = (gap[5] / known.sigma[5]) ** 2
-        if apart + turned > SAME_CHI2:
-            leads.append(advantage(best, other.fit, samples))
-    return min(leads)
+        ahead = advantage(best, other.fit, samples)
+        if apart + turned > SAME_CHI2 and ahead < lead:
+            lead, closest = ahead, other
+    return lead, closest
 
 
 def _within_reach(site: Site, answers: list[Hypothesis], samples: Samples) -> list[Hypothesis]:
@@ -127,13 +155,13 @@ def _refuse_unfit(site: Site, answer: Hypothesis) -> None:
         raise NoAnswerError(f"{site.name}: the fit did not come to rest")
 
 
-def _ambiguous(site: Site, answers: list[Hypothesis]) -> NoAnswerError:
-    first, second = (h.fit.state for h in answers[:2])
-    gap = second.difference(first)
+def _ambiguous(site: Site, answer: Hypothesis, rival: Hypothesis) -> NoAnswerError:
+    gap = rival.fit.state.difference(answer.fit.state)
     return NoAnswerError(
-        f"{site.name}: ambiguous, two poses fit alike, {float(np.hypot(*gap[:2])):.1f} m and "
-        f"{abs(math.degrees(gap[5])):.1f} deg apart",
-        hint="record longer, give a heading, or guess closer",
+        f"{site.name}: ambiguous, two poses {float(np.hypot(*gap[:2])):.1f} m and "
+        f"{abs(math.degrees(gap[5])):.1f} deg apart put {answer.fit.fitness:.0%} and "
+        f"{rival.fit.fitness:.0%} of the traffic on lanes",
+        hint="record longer, or give a heading",
     )
 
 

@@ -18,6 +18,7 @@ from gis_radar.arrays import Floats
 from gis_radar.lanelets import LaneletMap
 from gis_radar.localization.answer import Localization
 from gis_radar.outputs import whole_file
+from gis_radar.surroundings import SecondLook, draw_surroundings
 
 DPI = 160
 SIZE_IN = (9.0, 9.0)
@@ -31,7 +32,12 @@ SETTINGS: dict[Any, Any] = {"font.family": ["DejaVu Sans"], "text.usetex": False
 
 
 def draw_localization(
-    found: Localization, roads: LaneletMap, road_points: Floats, path: str | Path
+    found: Localization,
+    roads: LaneletMap,
+    road_points: Floats,
+    path: str | Path,
+    *,
+    look: SecondLook | None = None,
 ) -> None:
     """Draw the traces at the found pose over lanes and scanned road (PNG).
 
@@ -45,11 +51,17 @@ def draw_localization(
         The scanned road.
     path : str or Path
         The picture; appears whole or not at all.
+    look : SecondLook, optional
+        Drawn beside it: what stands, over canopy, roofs and walls.
     """
     with mpl.rc_context(SETTINGS):
-        figure = Figure(figsize=SIZE_IN, dpi=DPI, layout="constrained")
+        width, height = SIZE_IN
+        panels = 1 if look is None else 2
+        figure = Figure(figsize=(panels * width, height), dpi=DPI, layout="constrained")
         FigureCanvasAgg(figure)
-        ax = figure.add_subplot()
+        ax = figure.add_subplot(1, panels, 1)
+        if look is not None:
+            draw_surroundings(figure.add_subplot(1, panels, 2), look)
         traces = found.pose.to_map(found.traces)
         place = found.pose.position[:2]
         low = np.minimum(np.percentile(traces[:, :2], 0.5, axis=0), place) - MARGIN_M

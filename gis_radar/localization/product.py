@@ -64,6 +64,8 @@ def localize(
     """
     if method not in METHODS:
         raise UsageError(f"method is {method!r}, expected one of {', '.join(METHODS)}")
+    if not all(math.isfinite(number) for number in (*guess, heading or 0.0)):
+        raise UsageError("guess and heading must be finite numbers")
     moving = read_moving(recording, reporter=reporter)
     if moving.frames < LEAST_FRAMES:
         raise NoAnswerError(

@@ -1,12 +1,12 @@
 """Registration: traces laid on lanes and on the scanned road."""
 
-from gis_radar.registration.evidence import Certainty, certainty
+from gis_radar.registration.evidence import Certainty, advantage, certainty
 from gis_radar.registration.hypotheses import (
     GUESS_M,
     Hypothesis,
-    advantage,
     explore,
     mirrored,
+    promise,
     refine,
     rough,
 )
@@ -26,6 +26,7 @@ __all__ = [
     "certainty",
     "explore",
     "mirrored",
+    "promise",
     "refine",
     "rough",
     "sample_lanes",

@@ -8,12 +8,10 @@ import numpy as np
 
 from gis_radar.arrays import Floats
 from gis_radar.registration.solver import Fit
-from gis_radar.registration.state import CONSIDERED, FREE, POSE, angles_from_turn
+from gis_radar.registration.state import POSE, angles_from_turn
+from gis_radar.traces import Samples
 
-CONSIDERED_M = (0.1, 0.1)  # 1 sigma of the half width, and of drivers' habits everywhere
 STREET_M = (0.25, 0.2)  # of lanes as drawn and driven, and of the scan, from street to street
-# What the model leaves out, all vehicles alike: errors over model sigma at simulated sites.
-CALIBRATION = np.diag([2.0, 2.0, 1.0, 1.3, 1.3, 2.0])
 UNFIXED = np.array([1.0, 1.0, 0.5, *np.radians([2.0, 2.0, 1.0])])
 
 
@@ -45,24 +43,21 @@ def certainty(fit: Fit) -> Certainty:
 
     The inverse information, widened where the vehicles disagree more than the model says (a
     cluster-robust covariance with the vehicles as clusters), and by what is not estimated: the
-    width of vehicles, the habits of drivers, the accuracy of map and scan from street to street.
+    constants of the model, and the accuracy of map and scan from street to street.
 
     Parameters
     ----------
     fit : Fit
         A local optimum.
     """
-    inverse: Floats = np.asarray(np.linalg.inv(fit.information[FREE, FREE]), dtype=np.float64)
+    inverse: Floats = np.asarray(np.linalg.inv(fit.information), dtype=np.float64)
     covariance = _widened(inverse, fit)
-    effect = inverse @ fit.data_information[FREE, CONSIDERED]
-    covariance += (effect * np.square(CONSIDERED_M)) @ effect.T
-    for pull, sigma_m in zip(fit.streets, STREET_M, strict=True):
-        effects = sigma_m * pull[:, FREE] @ inverse
-        covariance += effects.T @ effects
+    streets = [sigma_m * pull for pull, sigma_m in zip(fit.streets, STREET_M, strict=True)]
+    effects = np.vstack([fit.considered(), *streets]) @ inverse
+    covariance += effects.T @ effects
     yaw, pitch, _ = fit.state.yaw_pitch_roll
     to_angles = np.eye(6)
     to_angles[3:, 3:] = angles_from_turn(float(yaw), float(pitch))
-    to_angles = CALIBRATION @ to_angles
     pose = to_angles @ covariance[POSE, POSE] @ to_angles.T
     sigma = np.sqrt(np.diag(pose))
     lever = np.diag([1.0, 1.0, 1.0, 1 / 50.0, 1 / 50.0, 1 / 50.0])
@@ -76,11 +71,32 @@ def certainty(fit: Fit) -> Certainty:
 
 def _widened(inverse: Floats, fit: Fit) -> Floats:
     """Return the covariance that the vehicles' disagreement asks for, never below the model's."""
-    root = np.linalg.cholesky(inverse)
-    voices = fit.scores[np.abs(fit.scores).sum(axis=1) > 0.0][:, FREE]
+    root = np.linalg.cholesky((inverse + inverse.T) / 2.0)
+    voices = fit.scores[np.abs(fit.scores).sum(axis=1) > 0.0]
     few = len(voices) / max(len(voices) - inverse.shape[0], 1)
-    prior = fit.information[FREE, FREE] - fit.data_information[FREE, FREE]
+    prior = fit.information - fit.data_information
     spread = root.T @ (few * voices.T @ voices + prior) @ root
     values, vectors = np.linalg.eigh((spread + spread.T) / 2.0)
     wide = root @ vectors
     return np.asarray((wide * np.maximum(values, 1.0)) @ wide.T)
+
+
+def advantage(fit: Fit, other: Fit, samples: Samples) -> float:
+    """Return by how many standard deviations the vehicles prefer one fit to another.
+
+    Each vehicle has one voice, the difference of its losses; how the voices scatter about their
+    mean tells what the mean is worth (Vuong 1989).
+
+    Parameters
+    ----------
+    fit, other : Fit
+        To the same samples.
+    samples : Samples
+        Those.
+    """
+    voices = np.bincount(samples.track, weights=other.loss - fit.loss, minlength=samples.tracks)
+    voices = voices[np.unique(samples.track)]
+    mean, spread = float(voices.mean()), float(voices.std(ddof=1)) if len(voices) > 1 else 0.0
+    if spread <= 0.0:
+        return float(np.inf * np.sign(mean)) if mean else 0.0
+    return mean * float(np.sqrt(len(voices))) / spread

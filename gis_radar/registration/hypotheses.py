@@ -9,18 +9,22 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gis_radar.arrays import Floats
+from gis_radar.registration.adaptation import heights, side_strength
+from gis_radar.registration.evidence import advantage
 from gis_radar.registration.lanes import CELL_M, Lanes
 from gis_radar.registration.level import TILT, Levelling, level
+from gis_radar.registration.model import MODEL, Model
 from gis_radar.registration.search import Candidate, search
 from gis_radar.registration.solver import Fit, Prior, solve
 from gis_radar.registration.state import POSE, REFLECTION, SIZE, State
+from gis_radar.registration.valley import along_valley
 from gis_radar.traces import Samples
 
-REFLECTION_M, REFLECTION_SIGMA_M = 0.6, 0.12  # bumpers, sills and wheel hubs: 0.3 to 0.9 m
+REFLECTION_M, REFLECTION_SIGMA_M = 0.6, 0.25  # between wheel hubs and belt lines
 GUESS_M = 15.0  # how far a guess may be off
 SLACK_M = 2.0
 CANDIDATES, KNOWN_CANDIDATES = 20, 8  # without and with a heading
-FINALISTS = 4
+FINALISTS, GONE = 4, 5.0  # most of them; standard deviations behind the first
 ROUGH_SAMPLES = 1000
 ROUGH_SCALES_M, FINE_SCALES_M = (1.5, 0.75, 0.3), (0.2, 0.1, 0.0)
 ROUGH_ROUNDS, FINE_ROUNDS = 4, 30
@@ -42,11 +46,14 @@ class Hypothesis:
         With which it was found.
     origin : str
         `search` or `shifted`, by a lane.
+    model : Model
+        How vehicles drive and reflect.
     """
 
     fit: Fit
     prior: Prior
     origin: str
+    model: Model = MODEL
 
     @property
     def loss(self) -> float:
@@ -66,15 +73,35 @@ def explore(
     heading : (yaw, tolerance) or None
         Radians; without it all headings are tried.
     """
-    levelling = level(samples)
-    levelled = samples.points @ levelling.R_level_sensor.T
+    levelling, part = level(samples), rough(samples)
     most = CANDIDATES if heading is None else KNOWN_CANDIDATES
-    found = search(lanes, samples, levelled, radius_m=GUESS_M + SLACK_M, heading=heading, most=most)
-    part = rough(samples)
+    found = _searched(lanes, samples, levelling, heading, most)
     tried = [_rough_fit(lanes, part, _start(lanes, part, levelling, c), "search") for c in found]
     best = min(tried, key=lambda h: h.loss)
     tried += [_rough_fit(lanes, part, state, "shifted") for state in shifted(lanes, best.fit)]
     return _different(sorted(tried, key=lambda h: h.loss))
+
+
+def promise(lanes: Lanes, samples: Samples, *, heading: tuple[float, float] | None) -> float:
+    """Return how well the search alone can lay samples on the lanes, 0 to 1.
+
+    Parameters
+    ----------
+    lanes, samples, heading
+        As for :func:`explore`.
+    """
+    return _searched(lanes, samples, level(samples), heading, 1)[0].score
+
+
+def _searched(
+    lanes: Lanes,
+    samples: Samples,
+    levelling: Levelling,
+    heading: tuple[float, float] | None,
+    most: int,
+) -> list[Candidate]:
+    levelled = samples.points @ levelling.R_level_sensor.T
+    return search(lanes, samples, levelled, radius_m=GUESS_M + SLACK_M, heading=heading, most=most)
 
 
 def rough(samples: Samples) -> Samples:
@@ -110,18 +137,43 @@ def _settled(lanes: Lanes, samples: Samples, hypothesis: Hypothesis, start: Stat
 
 def refine(lanes: Lanes, samples: Samples, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Fit the first hypotheses to all samples, and return them the best first."""
-    part = rough(samples)
-    climbed = [climb(lanes, part, h) for h in hypotheses[:FINALISTS]]
-    fine = [
-        replace(
-            h,
-            fit=solve(
-                lanes, samples, h.fit.state, h.prior, scales_m=FINE_SCALES_M, rounds=FINE_ROUNDS
-            ),
-        )
-        for h in climbed
-    ]
+    part, best = rough(samples), hypotheses[0]
+    finalists = [h for h in hypotheses if advantage(best.fit, h.fit, part) < GONE][:FINALISTS]
+    climbed = [climb(lanes, part, h) for h in finalists]
+    fine = [_adapted(lanes, samples, h) for h in climbed]
     return _different(sorted(fine, key=lambda h: h.loss))
+
+
+def _fine(lanes: Lanes, samples: Samples, hypothesis: Hypothesis) -> Hypothesis:
+    fit = solve(
+        lanes,
+        samples,
+        hypothesis.fit.state,
+        hypothesis.prior,
+        scales_m=FINE_SCALES_M,
+        rounds=FINE_ROUNDS,
+        model=hypothesis.model,
+    )
+    return replace(hypothesis, fit=fit)
+
+
+def _adapted(lanes: Lanes, samples: Samples, hypothesis: Hypothesis) -> Hypothesis:
+    """Fit to all samples, with what these tell about the radar and the vehicles."""
+    fine = _fine(lanes, samples, hypothesis)
+    strength = side_strength(lanes, samples, fine.fit, fine.model)
+    model, prior = replace(fine.model, side_strength=strength), fine.prior
+    told = heights(lanes, samples, fine.fit)
+    if told is not None:
+        model = replace(model, elevation=told.elevation)
+        prior = _with_reflection(prior, told.mean_m, told.sigma_m)
+    best = _fine(lanes, samples, replace(fine, model=model, prior=prior))
+    return replace(best, fit=along_valley(lanes, samples, best.fit, prior, model))
+
+
+def _with_reflection(prior: Prior, mean_m: float, sigma_m: float) -> Prior:
+    information = prior.information.copy()
+    information[REFLECTION, REFLECTION] = sigma_m**-2
+    return Prior(mean=replace(prior.mean, reflection=mean_m), information=information)
 
 
 def _start(lanes: Lanes, samples: Samples, levelling: Levelling, candidate: Candidate) -> State:
@@ -191,24 +243,6 @@ def _different(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
         if not any((gap < 1.0).all() for gap in gaps):
             kept.append(h)
     return kept
-
-
-def advantage(fit: Fit, other: Fit, samples: Samples) -> float:
-    """Return by how many standard deviations the vehicles prefer one fit to another.
-
-    Each vehicle has one voice, the difference of its losses; how the voices differ tells what
-    their sum is worth.
-
-    Parameters
-    ----------
-    fit, other : Fit
-        To the same samples.
-    samples : Samples
-        Those.
-    """
-    voices = np.bincount(samples.track, weights=other.loss - fit.loss, minlength=samples.tracks)
-    spread = float(np.sqrt(np.sum(voices**2)))
-    return float(voices.sum()) / spread if spread > 0.0 else 0.0
 
 
 def mirrored(samples: Samples) -> Samples:

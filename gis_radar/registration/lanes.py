@@ -10,7 +10,7 @@ import shapely
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
-from gis_radar.arrays import Floats, Integers
+from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.errors import NoAnswerError
 
 STEP_M = 1.0
@@ -52,6 +52,8 @@ class Lanes:
         Metres to it.
     directed : bool
         Whether most of the lanes have a direction.
+    scanned : float
+        Share of the samples whose height the scanned road gives.
     """
 
     origin: Floats
@@ -64,6 +66,7 @@ class Lanes:
     nearest: np.ndarray
     distance: np.ndarray
     directed: bool
+    scanned: float
 
 
 def sample_lanes(
@@ -104,8 +107,8 @@ def sample_lanes(
     local = np.vstack([xyz for xyz, _ in parts]) - [*place, 0.0]
     along = np.vstack([way for _, way in parts])
     lane = np.repeat(np.arange(len(parts)), count)
-    height = _smooth(_heights(local, road - [*place, 0.0]), lane)
-    local[:, 2] = height
+    height, scanned = _heights(local, road - [*place, 0.0])
+    local[:, 2] = _smooth(height, lane)
     slope = _slopes(local, along, lane)
     limit = table["speed_limit_kmh"].to_numpy(np.float64)[lane] / 3.6
     top = np.where(np.isnan(limit), UNLIMITED_MPS, np.maximum(limit * SPEEDING, MIN_TOP_MPS))
@@ -126,6 +129,7 @@ def sample_lanes(
         nearest=nearest,
         distance=distance,
         directed=bool(two_way.mean() < 0.5),
+        scanned=float(scanned[rows].mean()) if len(rows) else 0.0,
     )
 
 
@@ -147,11 +151,11 @@ def _sampled(line: shapely.LineString) -> tuple[Floats, Floats]:
     return points, way / np.hypot(*way.T)[:, None]
 
 
-def _heights(local: Floats, road: Floats) -> Floats:
-    """Return the scanned road's height at samples; the map's height tells levels apart."""
+def _heights(local: Floats, road: Floats) -> tuple[Floats, Booleans]:
+    """Return heights at samples, and whether the scan gives them; the map's tells levels apart."""
     known = local[:, 2]
     if len(road) == 0:
-        return known
+        return known, np.zeros(len(known), dtype=bool)
     gap, index = cKDTree(road[:, :2]).query(
         local[:, :2], k=min(12, len(road)), distance_upper_bound=SCAN_NEAR_M
     )
@@ -162,7 +166,8 @@ def _heights(local: Floats, road: Floats) -> Floats:
     ranked = np.sort(z, axis=1)
     rows = np.arange(len(z))
     low, high = ranked[rows, np.maximum(found - 1, 0) // 2], ranked[rows, found // 2 % z.shape[1]]
-    return np.where(found > 0, np.where(found % 2 == 1, low, (low + high) / 2), known)
+    height = np.where(found > 0, np.where(found % 2 == 1, low, (low + high) / 2), known)
+    return height, np.asarray(found > 0)
 
 
 def _smooth(height: Floats, lane: Integers) -> Floats:

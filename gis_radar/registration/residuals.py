@@ -1,35 +1,28 @@
 """The residuals of a registration, by name, with their derivatives.
 
-Every family is a table of rows `r = r(state) + a b_k`, where `b_k` is what one vehicle adds to all
-its rows: the driver's own place in the lane, the height at which this vehicle reflects.
+A sample may lie on one of several faces of a vehicle, or on none: its residual is the mean over
+these, by their chances, which makes the cost a negative logarithm of likelihood (expectation
+maximisation). Every family is a table of rows `r = r(state) - b_k`, where `b_k` is what one vehicle
+adds to all its rows: the driver's own place in the lane, the height at which this vehicle reflects.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.arrays import Booleans, Floats
 from gis_radar.registration.lanes import Lanes
 from gis_radar.registration.matching import Matches, directions
-from gis_radar.registration.state import HABIT, HALF_WIDTH, REFLECTION, SIZE, TURN, State
+from gis_radar.registration.model import Model
+from gis_radar.registration.state import REFLECTION, SIZE, TURN, State
 from gis_radar.traces import Samples
 
-BEARING = np.radians(0.2)  # 1 sigma of a bearing
-ELEVATION = np.radians(0.6)  # 1 sigma of an elevation angle
-FACE_M = 0.25  # how sharp a vehicle's side is, and a third of its front
 FRONT = (-2.0 / 3.0, 0.0, 2.0 / 3.0)  # thirds of a front or rear, in half widths
-LOW_M = 0.25  # how reflections from bumpers, sills and wheels scatter up and down
-BODY_OVER_M, BODY_M = 1.0, 0.8  # how much higher, and how widely, the rest of a body reflects
-BODY_SHARE = 0.3
 VIEW_EDGE = np.radians(1.0)
-STRAY_HEIGHT_M = 8.0
-DRIVER_M = 0.25  # how drivers differ in their place in the lane
-VEHICLE_M = 0.3  # how vehicles differ in the height at which they reflect
-STRAY = 0.1  # share of detections that are on no vehicle, over a width of
-STRAY_WIDTH_M = 8.0
-SIDE_STRENGTH = 1.0  # of a side against a front, both seen straight on
+STRAY = 0.1  # share of detections that are on no vehicle, over a width and a height of
+STRAY_WIDTH_M, STRAY_HEIGHT_M = 8.0, 8.0
 NO_VEHICLE = -np.log(STRAY * np.sqrt(2.0 * np.pi) / STRAY_WIDTH_M)  # loss of a sample off all lanes
 
 
@@ -43,30 +36,52 @@ class Residuals:
         What it compares.
     value : (n,) array
         Metres.
-    jacobian : (n, 9) array
+    jacobian : (n, 7) array
         By the state, in the order of `gis_radar.registration.state.NAMES`.
-    track : (n,) array
-        The vehicle of each row.
     shared : float
         Standard deviation of what a vehicle adds to all its rows, metres.
     weight : (n,) array
-        Of each row: inverse variance by the chance that the row holds.
+        Inverse variances, as if the faces were known.
+    curvature : (n,) array
+        Second derivatives of the loss, which not knowing the faces makes smaller (Louis 1982).
     loss : (n,) array
         What each row costs, a negative logarithm of likelihood.
+    say : (n,) array
+        What each row counts, where rows share more than `b_k`.
     """
 
     name: str
     value: Floats
     jacobian: Floats
-    track: Integers
     shared: float
     weight: Floats
+    curvature: Floats
     loss: Floats
+    say: Floats
 
 
-def lateral(
-    lanes: Lanes, samples: Samples, matches: Matches, state: State, own: Floats, scale_m: float
-) -> Residuals:
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """What residuals compare: samples matched to lanes, seen through a model.
+
+    Parameters
+    ----------
+    lanes, samples, matches
+        The map, the traces, and who lies where.
+    model : Model
+        How vehicles drive and reflect.
+    scale_m : float
+        Added to all spreads (root of squares), to widen the basin at first.
+    """
+
+    lanes: Lanes
+    samples: Samples
+    matches: Matches
+    model: Model
+    scale_m: float
+
+
+def lateral(scene: Scene, state: State, own: Floats) -> Residuals:
     """Compare samples with the centre line of their lane, across it.
 
     A radar sees the faces of a vehicle that are turned to it: its side, sharp and `half_width`
@@ -76,87 +91,126 @@ def lateral(
 
     Parameters
     ----------
-    lanes, samples, matches, state
-        The map, the traces, who lies where, and the pose.
+    scene : Scene
+        What to compare.
+    state : State
+        The pose.
     own : (tracks,) array
-        How far each vehicle drives to the left of the lane's centre, metres.
-    scale_m : float
-        Added to all spreads (root of squares), to widen the basin at first.
+        How far each vehicle drives to the left of where drivers do, metres.
     """
+    lanes, samples, matches, model = scene.lanes, scene.samples, scene.matches, scene.model
     points, arms = _placed(samples, state)
     along = lanes.along[matches.lane]
     normal = np.column_stack([-along[:, 1], along[:, 0]])
     off = np.sum((points - lanes.points[matches.lane])[:, :2] * normal, axis=1)
-    off -= own[samples.track] + state.habit
+    off -= own[samples.track] + model.habit
     sight = directions(arms[:, :2])
     left, ahead = -np.sum(sight * normal, axis=1), np.abs(np.sum(sight * along, axis=1))
-    side = np.abs(left) * SIDE_STRENGTH / (np.abs(left) * SIDE_STRENGTH + ahead)
     faces = np.column_stack([np.sign(left), *(np.full(len(off), at) for at in FRONT)]).T
-    share = np.stack([side, *([(1.0 - side) / len(FRONT)] * len(FRONT))]) * matches.found
-    noise = np.hypot(BEARING * np.hypot(arms[:, 0], arms[:, 1]) * ahead, scale_m)
-    value = off - faces * state.half_width
-    sigma = np.broadcast_to(np.hypot(FACE_M, noise), value.shape)
-    density = (1.0 - STRAY) * share * np.exp(-0.5 * (value / sigma) ** 2) / sigma
-    whole = density.sum(axis=0) + np.exp(-NO_VEHICLE)
+    noise = np.hypot(model.bearing * np.hypot(arms[:, 0], arms[:, 1]) * ahead, scene.scale_m)
+    value = off - faces * model.half_width
+    sigma = np.broadcast_to(np.hypot(model.face, noise), value.shape)
+    bell = (1.0 - STRAY) * matches.found * np.exp(-0.5 * (value / sigma) ** 2) / sigma
+    side = _side_share(scene, bell, np.abs(left), ahead)
+    density = bell * np.stack([side, *([(1.0 - side) / len(FRONT)] * len(FRONT))])
     jacobian = np.zeros((len(off), SIZE))
     jacobian[:, :2] = normal
     jacobian[:, TURN] = np.cross(arms, np.pad(normal, ((0, 0), (0, 1))))
-    jacobian[:, HABIT] = -1.0
-    jacobian = np.tile(jacobian, (len(faces), 1))
-    jacobian[:, HALF_WIDTH] = -faces.ravel()
+    rows = _mixed("lateral", value, sigma, density, np.exp(-NO_VEHICLE), jacobian, model.driver)
+    # many samples of a vehicle on a few metres share its swaying there: v / (v + n wander^2)
+    own_m = model.half_width / 2.0
+    say: Floats = np.asarray(1.0 / (1.0 + samples.crowd * (model.wander / own_m) ** 2))
+    return replace(rows, say=say)
+
+
+def _mixed(
+    name: str,
+    value: Floats,
+    sigma: Floats,
+    density: Floats,
+    stray: float,
+    jacobian: Floats,
+    shared: float,
+) -> Residuals:
+    """Sum (alternatives, n) values up to a row a sample; `stray` is the density of none of them."""
+    whole = density.sum(axis=0) + stray
+    chance = density / whole
+    pull = value / sigma**2
+    weight = (chance / sigma**2).sum(axis=0)
+    mean = (chance * pull).sum(axis=0)
+    spread = (chance * pull**2).sum(axis=0) - mean**2
     return Residuals(
-        name="lateral",
-        value=value.ravel(),
+        name=name,
+        value=np.divide(mean, weight, out=np.zeros_like(mean), where=weight > 0.0),
         jacobian=jacobian,
-        track=np.tile(samples.track, len(faces)),
-        shared=DRIVER_M,
-        weight=(density / whole / sigma**2).ravel(),
+        shared=shared,
+        weight=weight,
+        curvature=weight - spread,
         loss=-np.log(whole),
+        say=np.ones_like(whole),
     )
 
 
-def height(
-    lanes: Lanes, samples: Samples, matches: Matches, state: State, own: Floats, scale_m: float
-) -> Residuals:
+def _side_share(scene: Scene, bell: Floats, left: Floats, ahead: Floats) -> Floats:
+    """Return the share of side faces at each sample.
+
+    In a queue the fronts and rears are hidden by the next vehicle: each vehicle shows its ends
+    well or badly, which its own samples tell (expectation over both).
+    """
+    model, track = scene.model, scene.samples.track
+    strengths = np.array([model.side_strength, model.hidden_strength])[:, None] * left
+    share = strengths / (strengths + ahead)
+    whole = share * bell[0] + (1.0 - share) * bell[1:].mean(axis=0) + np.exp(-NO_VEHICLE)
+    odds = np.bincount(track, weights=np.log(whole[1] / whole[0]), minlength=scene.samples.tracks)
+    odds += np.log(model.hidden_share / (1.0 - model.hidden_share))
+    hidden = 1.0 / (1.0 + np.exp(-np.clip(odds, -50.0, 50.0)))[track]
+    return np.asarray(share[0] + hidden * (share[1] - share[0]))
+
+
+def height(scene: Scene, state: State, own: Floats) -> Residuals:
     """Compare samples with the scanned road below them plus the height of reflections.
 
     Parameters
     ----------
-    lanes, samples, matches, state
-        The map, the traces, who lies where, and the pose.
+    scene : Scene
+        What to compare.
+    state : State
+        The pose.
     own : (tracks,) array
         How much higher than others each vehicle reflects, metres.
-    scale_m : float
-        Added to the spread (root of squares).
     """
-    points, arms = _placed(samples, state)
-    lane = matches.lane
-    along, slope = lanes.along[lane], lanes.slope[lane]
-    off = points - lanes.points[lane]
-    value = off[:, 2] - slope * np.sum(off[:, :2] * along, axis=1) - state.reflection
-    value = value - own[samples.track]
+    lanes, samples, matches, model = scene.lanes, scene.samples, scene.matches, scene.model
+    _, arms = _placed(samples, state)
+    along, slope = lanes.along[matches.lane], lanes.slope[matches.lane]
+    over = height_over_road(lanes, samples, matches, state)
+    value = over - state.reflection - own[samples.track]
     plane = np.column_stack([-slope[:, None] * along, np.ones(len(samples))])
     jacobian = np.zeros((len(samples), SIZE))
     jacobian[:, :3] = plane
     jacobian[:, TURN] = np.cross(arms, plane)
     jacobian[:, REFLECTION] = -1.0
-    value = np.concatenate([value, value - BODY_OVER_M])
-    noise = np.hypot(ELEVATION * np.linalg.norm(arms, axis=1), scale_m)
-    sigma = np.hypot(np.repeat([LOW_M, BODY_M], len(off)), np.tile(noise, 2))
-    valid = matches.found & np.isfinite(off[:, 2]) & _in_view(samples, arms, off[:, 2])
-    value = np.nan_to_num(value)
-    share = np.repeat([1.0 - BODY_SHARE, BODY_SHARE], len(off))
-    density = (1.0 - STRAY) * share * np.exp(-0.5 * (value / sigma) ** 2) / sigma
-    whole = density.reshape(2, -1).sum(axis=0) + STRAY * np.sqrt(2.0 * np.pi) / STRAY_HEIGHT_M
-    return Residuals(
-        name="height",
-        value=value,
-        jacobian=np.tile(jacobian, (2, 1)),
-        track=np.tile(samples.track, 2),
-        shared=VEHICLE_M,
-        weight=density / np.tile(whole, 2) / sigma**2 * np.tile(valid, 2),
-        loss=np.where(valid, -np.log(whole), 0.0),
-    )
+    valid = np.isfinite(over)
+    value = np.nan_to_num(value) - np.array([[0.0], [model.body_over]])
+    noise = np.hypot(model.elevation * np.linalg.norm(arms, axis=1), scene.scale_m)
+    sigma = np.hypot([[model.low], [model.body]], noise)
+    share = np.array([[1.0 - model.body_share], [model.body_share]]) * (1.0 - STRAY)
+    density = valid * share * np.exp(-0.5 * (value / sigma) ** 2) / sigma
+    stray = STRAY * np.sqrt(2.0 * np.pi) / STRAY_HEIGHT_M
+    rows = _mixed("height", value, sigma, density, stray, jacobian, model.vehicle)
+    return replace(rows, loss=np.where(valid, rows.loss, 0.0))
+
+
+def height_over_road(lanes: Lanes, samples: Samples, matches: Matches, state: State) -> Floats:
+    """Return the height of samples over the scanned road below them, metres.
+
+    NaN where no lane lies below, where its height is unknown, and where the road itself is out of
+    view: there only the tall are seen.
+    """
+    points, arms = _placed(samples, state)
+    off = points - lanes.points[matches.lane]
+    along, slope = lanes.along[matches.lane], lanes.slope[matches.lane]
+    over = off[:, 2] - slope * np.sum(off[:, :2] * along, axis=1)
+    return np.where(matches.found & _in_view(samples, arms, off[:, 2]), over, np.nan)
 
 
 def _in_view(samples: Samples, arms: Floats, over_m: Floats) -> Booleans:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.registration.lanes import Lanes, direction_bin
 from gis_radar.registration.matching import Matches, match
-from gis_radar.registration.residuals import NO_VEHICLE, Residuals, height, lateral
-from gis_radar.registration.state import FREE, SIZE, State
+from gis_radar.registration.model import MODEL, Model
+from gis_radar.registration.normal import assemble, at_least, sums
+from gis_radar.registration.residuals import NO_VEHICLE, Residuals, Scene, height, lateral
+from gis_radar.registration.state import State
 from gis_radar.traces import Samples
 
 FAMILIES = (lateral, height)
@@ -21,6 +25,7 @@ SETTLED_M = 5e-3
 SETTLED_SIGMAS, AT_REST_SIGMAS = 0.02, 0.5
 AT_REST_M = 0.1  # where no shorter step helps either
 LEAST_SHARE = 0.05
+LEAST_TOLD, HARDLY = 0.05, 1e-6  # the latter a kilometre, for what nothing tells
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +36,7 @@ class Prior:
     ----------
     mean : State
         The likeliest state.
-    information : (9, 9) array
+    information : (7, 7) array
         About it; inverse variances.
     """
 
@@ -47,25 +52,30 @@ class Fit:
     ----------
     state : State
         Where it is.
-    information : (9, 9) array
+    information : (7, 7) array
         Of the state, priors included.
-    data_information : (9, 9) array
+    data_information : (7, 7) array
         What the samples alone say.
-    scores : (tracks, 9) array
+    scores : (tracks, 7) array
         Gradient of each vehicle's rows, for a covariance that asks the vehicles.
-    streets : list of (streets, 9) arrays
+    streets : list of (streets, 7) arrays
         For each family of residuals the pull of a bias of one metre, common to a stretch of
         street in one direction, on the state.
     cost : float
         Negative logarithm of the likelihood of everything, up to a constant.
     loss : (n,) array
-        Lateral loss of each sample, a negative logarithm of likelihood.
+        Lateral loss of each sample, a negative logarithm of likelihood, by what it counts.
     on_lane : (n,) bool array
         Samples more likely on a vehicle in a lane than not.
     matches : Matches
         Who lies where.
     converged : bool
         Whether the last steps were small.
+    own : (2, tracks) array
+        What each vehicle adds to the residuals of each family, metres.
+    considered : callable
+        Returns a (constants, 7) array: for each constant of the model how much its standard
+        deviation changes the gradient.
     """
 
     state: State
@@ -78,6 +88,8 @@ class Fit:
     on_lane: Booleans
     matches: Matches
     converged: bool
+    own: Floats
+    considered: Callable[[], Floats]
 
     @property
     def fitness(self) -> float:
@@ -93,10 +105,13 @@ def solve(
     *,
     scales_m: tuple[float, ...] = SCALES_M,
     rounds: int = ROUNDS,
+    model: Model = MODEL,
+    hold: Floats | None = None,
 ) -> Fit:
     """Find the pose near a start at which the traces lie on the lanes and on the road.
 
-    Gauss-Newton on reweighted residuals (Geman-McClure), its scale shrinking from `scales_m[0]`.
+    Gauss-Newton steps on the expectation over the faces that samples may lie on, with all spreads
+    widened at first, less and less, so that the optimum is found from afar.
 
     Parameters
     ----------
@@ -107,14 +122,18 @@ def solve(
     prior : Prior
         What is believed beforehand.
     scales_m : tuple of float
-        Residuals far above count no more.
+        By how much all spreads are widened, stage by stage (root of squares).
     rounds : int
         Most steps at each scale.
+    model : Model
+        How vehicles drive and reflect.
+    hold : (7,) array, optional
+        A combination of the state's parts that stays as it is at the start.
     """
     point = _Point(start, np.zeros((len(FAMILIES), samples.tracks)))
     converged = False
     for scale_m in scales_m:
-        cost = _Cost(lanes, samples, prior, scale_m)
+        cost = _Cost(lanes, samples, prior, model, scale_m, hold)
         here = cost.at(point)
         for _ in range(rounds):
             step, own, sigmas = cost.step(here)
@@ -131,7 +150,7 @@ def solve(
             if converged:
                 break
         point = here.point
-    return _described(lanes, samples, here, prior, converged=converged)
+    return _described(cost, here, converged=converged)
 
 
 @dataclass(frozen=True)
@@ -155,18 +174,17 @@ class _Cost:
     lanes: Lanes
     samples: Samples
     prior: Prior
+    model: Model
     scale_m: float
+    hold: Floats | None
 
     def at(self, point: _Point) -> _Here:
         """Return residuals and cost at a point."""
         matches = match(self.lanes, self.samples, point.state)
-        families = [
-            family(self.lanes, self.samples, matches, point.state, own, self.scale_m)
-            for family, own in zip(FAMILIES, point.own, strict=True)
-        ]
+        families = self.families(matches, point)
         away = point.state.difference(self.prior.mean)
         total = sum(
-            float(f.loss.sum() + 0.5 * np.sum((own / f.shared) ** 2))
+            float(f.say @ f.loss + 0.5 * np.sum((own / f.shared) ** 2))
             for f, own in zip(families, point.own, strict=True)
         )
         return _Here(
@@ -176,14 +194,29 @@ class _Cost:
             total=total + 0.5 * float(away @ self.prior.information @ away),
         )
 
+    def families(self, matches: Matches, point: _Point) -> list[Residuals]:
+        """Return all residuals at a point."""
+        scene = Scene(
+            lanes=self.lanes,
+            samples=self.samples,
+            matches=matches,
+            model=self.model,
+            scale_m=self.scale_m,
+        )
+        return [
+            family(scene, point.state, own) for family, own in zip(FAMILIES, point.own, strict=True)
+        ]
+
     def step(self, here: _Here) -> tuple[Floats, Floats, float]:
         """Return the steps of the state and of what the vehicles add, and the first in sigmas."""
-        normal = assemble(here.families, here.point.own)
+        normal = assemble(here.families, here.point.own, self.samples.track)
         information = normal.information + self.prior.information
         away = here.point.state.difference(self.prior.mean)
         gradient = normal.gradient + self.prior.information @ away
-        step = np.zeros(SIZE)
-        step[FREE] = -np.linalg.solve(information[FREE, FREE], gradient[FREE])
+        step: Floats = np.asarray(-np.linalg.solve(information, gradient), dtype=np.float64)
+        if self.hold is not None:
+            way = np.linalg.solve(information, self.hold)
+            step -= way * (self.hold @ step) / (self.hold @ way)
         own = np.array([-(r + g @ step) * a for r, g, a in normal.shared])
         return step, own, float(np.sqrt(step @ information @ step))
 
@@ -191,82 +224,48 @@ class _Cost:
 _LEVER = np.array([1.0, 1.0, 1.0, 20.0, 20.0, 50.0])  # metres that a turn moves
 
 
-@dataclass(frozen=True, kw_only=True)
-class Normal:
-    """Normal equations with the vehicles' own terms eliminated (Schur complement).
-
-    Parameters
-    ----------
-    information : (9, 9) array
-        Of the state.
-    gradient : (9,) array
-        Of the cost by the state.
-    scores : (tracks, 9) array
-        Each vehicle's part of the gradient.
-    shared : list of (gradient, coupling, variance)
-        For each family what gives the vehicles' own terms back.
-    """
-
-    information: Floats
-    gradient: Floats
-    scores: Floats
-    shared: list[tuple[Floats, Floats, Floats]]
-
-
-def assemble(families: list[Residuals], own: Floats) -> Normal:
-    """Sum up the families of residuals.
-
-    For rows with weights p and a term b_k ~ N(0, tau^2) of vehicle k the information is
-    `sum p J J' - sum_k g_k g_k' / (1 / tau^2 + sum_k p)` with `g_k = -sum_k p J`.
-    """
-    tracks = own.shape[1]
-    information, scores = np.zeros((SIZE, SIZE)), np.zeros((tracks, SIZE))
-    shared = []
-    for family, b in zip(families, own, strict=True):
-        p = family.weight
-        pj = p[:, None] * family.jacobian
-        sums = _sums(family.track, np.column_stack([pj, p, p * family.value]), tracks)
-        g, mass, pull = -sums[:, :SIZE], sums[:, SIZE], sums[:, SIZE + 1]
-        variance = 1.0 / (family.shared**-2 + mass)
-        gradient = b * family.shared**-2 - pull
-        information += family.jacobian.T @ pj - g.T @ (variance[:, None] * g)
-        scores += _sums(family.track, pj * family.value[:, None], tracks)
-        scores -= g * (variance * gradient)[:, None]
-        shared.append((gradient, g, variance))
-    return Normal(
-        information=information, gradient=scores.sum(axis=0), scores=scores, shared=shared
-    )
-
-
-def _sums(track: Integers, rows: Floats, tracks: int) -> Floats:
-    """Return the sum of the rows of each track, (tracks, columns)."""
-    return np.column_stack(
-        [np.bincount(track, weights=column, minlength=tracks) for column in rows.T]
-    )
-
-
-def _described(
-    lanes: Lanes, samples: Samples, here: _Here, prior: Prior, *, converged: bool
-) -> Fit:
+def _described(cost: _Cost, here: _Here, *, converged: bool) -> Fit:
     """Return the evidence at a point."""
-    normal = assemble(here.families, here.point.own)
-    street, count = _streets(lanes, samples, here.matches)
+    across = here.families[0]
+    track, own = cost.samples.track, here.point.own
+    normal = assemble(here.families, own, track, curved=True)
+    # where the curvature is no minimum's, a small part of what known faces would tell counts
+    known = assemble(here.families, own, track).information + cost.prior.information
+    told = at_least(
+        normal.information + cost.prior.information,
+        LEAST_TOLD * known + HARDLY * np.eye(len(known)),
+    )
+    street, count = _streets(cost.lanes, cost.samples, here.matches)
     pulls = []
     for family, (_, g, variance) in zip(here.families, normal.shared, strict=True):
         # what a vehicle may add by itself takes most of its bias up
         felt = g * (variance * family.shared**-2)[:, None]
-        pulls.append(_sums(street, felt, count))
+        pulls.append(sums(street, felt, count))
     return Fit(
         state=here.point.state,
-        information=normal.information + prior.information,
-        data_information=normal.information,
+        information=told,
+        data_information=told - cost.prior.information,
         scores=normal.scores,
         streets=pulls,
         cost=here.total,
-        loss=here.families[0].loss,
-        on_lane=here.families[0].loss < NO_VEHICLE - np.log(2.0),
+        loss=across.say * across.loss,
+        on_lane=across.loss < NO_VEHICLE - np.log(2.0),
         matches=here.matches,
         converged=converged,
+        own=here.point.own,
+        considered=partial(_considered, cost, here),
+    )
+
+
+def _considered(cost: _Cost, here: _Here) -> Floats:
+    """Return how the gradient changes by a standard deviation of each constant of the model."""
+
+    def gradient(model: Model) -> Floats:
+        families = replace(cost, model=model).families(here.matches, here.point)
+        return assemble(families, here.point.own, cost.samples.track, curved=True).gradient
+
+    return np.array(
+        [(gradient(more) - gradient(less)) / 2.0 for less, more in cost.model.variations()]
     )
 
 

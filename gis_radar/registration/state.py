@@ -1,4 +1,4 @@
-"""What a registration estimates: the pose, and how vehicles reflect there."""
+"""What a registration estimates: the pose, and how high vehicles reflect."""
 
 from __future__ import annotations
 
@@ -9,20 +9,17 @@ from scipy.spatial.transform import Rotation
 
 from gis_radar.arrays import Floats
 
-# The order of a step: metres, radians about the map's axes, then how vehicles reflect and drive.
-NAMES = ("easting", "northing", "height", "turn_x", "turn_y", "turn_z",
-         "reflection", "half_width", "habit")  # fmt: skip
+# The order of a step: metres, radians about the map's axes, then how high vehicles reflect.
+NAMES = ("easting", "northing", "height", "turn_x", "turn_y", "turn_z", "reflection")
 SIZE = len(NAMES)
 POSE = slice(0, 6)
 TURN = slice(3, 6)
-REFLECTION, HALF_WIDTH, HABIT = 6, 7, 8
-FREE = slice(0, 7)  # estimated; the rest is only held against the answer's certainty
-CONSIDERED = slice(7, 9)
+REFLECTION = 6
 
 
 @dataclass(frozen=True, kw_only=True)
 class State:
-    """A pose in local coordinates and the reflections' place on vehicles.
+    """A pose in local coordinates and the reflections' height on vehicles.
 
     Parameters
     ----------
@@ -32,17 +29,11 @@ class State:
         Rotation from the sensor frame to the map frame.
     reflection : float
         Mean height of reflections from bumpers, sills and wheels over the road, metres.
-    half_width : float
-        From the middle of a vehicle to its side, metres.
-    habit : float
-        How far drivers keep to the left of their lane's centre line on average, metres.
     """
 
     position: Floats
     R_map_sensor: Floats
     reflection: float
-    half_width: float = 0.9
-    habit: float = 0.0
 
     def moved(self, step: Floats) -> State:
         """Return the state after a step in the order of `NAMES`; turns are about the map's axes."""
@@ -51,8 +42,6 @@ class State:
             position=self.position + step[:3],
             R_map_sensor=Rotation.from_rotvec(step[TURN]).as_matrix() @ self.R_map_sensor,
             reflection=self.reflection + float(step[REFLECTION]),
-            half_width=self.half_width + float(step[HALF_WIDTH]),
-            habit=self.habit + float(step[HABIT]),
         )
 
     def to_map(self, points: Floats) -> Floats:
@@ -68,15 +57,7 @@ class State:
         """Return the step from another state to this one."""
         turn = Rotation.from_matrix(self.R_map_sensor @ other.R_map_sensor.T).as_rotvec()
         return np.concatenate(
-            [
-                self.position - other.position,
-                turn,
-                [
-                    self.reflection - other.reflection,
-                    self.half_width - other.half_width,
-                    self.habit - other.habit,
-                ],
-            ]
+            [self.position - other.position, turn, [self.reflection - other.reflection]]
         )
 
 

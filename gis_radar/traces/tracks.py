@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numba
 import numpy as np
@@ -23,6 +24,7 @@ MIN_PATH_M = 3.0
 SURE_MPS = 1.5  # leaves and grass stay below
 VOXEL_M = 6.0  # wider than a vehicle: what is kept shows its faces in their true proportion
 PER_VOXEL = 8
+CROWD_M = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +50,14 @@ class Samples:
     track: Integers
     tracks: int
     elevation: float
+
+    @cached_property
+    def crowd(self) -> Integers:
+        """How many samples of its own object lie within the same ten metres, itself included."""
+        cells = np.floor(self.points[:, :2] / CROWD_M).astype(np.int64)
+        keys = np.column_stack([self.track, cells])
+        _, number, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
+        return np.asarray(count[number.ravel()])
 
     def __len__(self) -> int:
         return len(self.track)

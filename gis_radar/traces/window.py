@@ -82,6 +82,17 @@ class RollingWindow:
             if not self._pieces:
                 break
 
+    def forget(self, before: float) -> None:
+        """Drop the frames before a time (UNIX seconds)."""
+        while self._times and self._times[0] < before:
+            self._times.popleft()
+            self._counts.popleft()
+
+    @property
+    def begin(self) -> float:
+        """UNIX seconds of the first frame; NaN where there is none."""
+        return self._times[0] if self._times else float("nan")
+
     def __len__(self) -> int:
         return len(self._times)
 
@@ -98,7 +109,7 @@ class RollingWindow:
             range_rate=rate[inside],
             frames=len(self._times),
             detections=sum(self._counts),
-            begin=self._times[0] if self._times else float("nan"),
+            begin=self.begin,
             end=self._times[-1] if self._times else float("nan"),
         )
 

@@ -1,0 +1,82 @@
+"""The model: how vehicles drive and reflect, each constant with what is not known about it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+
+
+def _known(value: float, *, within: float) -> Any:
+    """Return a field for a constant that is known within a factor (one standard deviation)."""
+    return field(default=value, metadata={"within": within})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model:
+    """What a registration takes for granted about vehicles and the radar.
+
+    Lengths in metres, angles in radians. No constant holds for every radar and every street, so
+    each carries the standard deviation of its own error, which goes into an answer's covariance
+    (considered parameters after Schmidt; Tapley, Schutz and Born 2004, section 6.3).
+
+    Parameters
+    ----------
+    habit : float
+        How far drivers keep to the left of the middle of their lane on average.
+    half_width : float
+        From the middle of a vehicle to its side: small cars to lorries, 1.7 to 2.5 m wide.
+    side_strength : float
+        Of a side against a front, both seen straight on.
+    hidden_strength, hidden_share : float
+        The same where a vehicle's ends are hidden by the next one, as in a queue; and of how many
+        vehicles they are.
+    face : float
+        How sharply a face shows, one standard deviation, and a third of a front.
+    driver : float
+        How drivers differ in their place in the lane, one standard deviation.
+    wander : float
+        How a vehicle sways in its lane from one ten metres to the next, one standard deviation.
+    bearing, elevation : float
+        One standard deviation of the radar's angles.
+    low : float
+        How reflections from bumpers, sills and wheels scatter up and down.
+    vehicle : float
+        How vehicles differ in the height at which they reflect.
+    body_share, body_over, body : float
+        Share of reflections from the rest of the body, how much higher, how widely spread.
+    """
+
+    habit: float = field(default=0.0, metadata={"sigma": 0.1})
+    half_width: float = _known(0.9, within=1.1)
+    side_strength: float = _known(1.0, within=1.5)
+    hidden_strength: float = _known(10.0, within=1.5)
+    hidden_share: float = _known(0.3, within=1.5)
+    face: float = _known(0.25, within=1.4)
+    driver: float = _known(0.25, within=1.4)
+    wander: float = _known(0.2, within=1.4)
+    bearing: float = _known(float(np.radians(0.2)), within=1.5)
+    elevation: float = _known(float(np.radians(0.6)), within=1.3)
+    low: float = _known(0.25, within=1.4)
+    vehicle: float = _known(0.3, within=1.3)
+    body_share: float = _known(0.3, within=1.5)
+    body_over: float = _known(1.0, within=1.3)
+    body: float = _known(0.8, within=1.3)
+
+    def variations(self) -> Iterator[tuple[Model, Model]]:
+        """Yield for each constant the models with it a standard deviation lower and higher."""
+        for constant in fields(self):
+            value = getattr(self, constant.name)
+            sigma, within = (
+                constant.metadata.get("sigma", 0.0),
+                constant.metadata.get("within", 1.0),
+            )
+            yield (
+                replace(self, **{constant.name: value / within - sigma}),
+                replace(self, **{constant.name: value * within + sigma}),
+            )
+
+
+MODEL = Model()
