@@ -140,7 +140,9 @@ class Pose:
         (n, 3) float64 array
             Easting, northing, height.
         """
-        return np.asarray(points, dtype=np.float64) @ self.R_map_sensor.T + self.position
+        # Not a matrix product: its last digits would depend on how the points are cut into pieces.
+        turned = np.einsum("nj,ij->ni", np.asarray(points, np.float64), self.R_map_sensor)
+        return np.asarray(turned + self.position)
 
     def to_sensor(self, points: Floats) -> Floats:
         """Move (n, 3) points from the map (easting, northing, height) to the sensor frame."""

@@ -10,14 +10,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pyproj import CRS
 
 from gis_radar.arrays import Floats, Integers
-from gis_radar.clock import seconds_from_iso
+from gis_radar.clock import iso_from_step, seconds_from_iso, step_of
+from gis_radar.crs import metric_crs, name_of
 from gis_radar.errors import InputError
 from gis_radar.outputs import whole_file
 from gis_radar.pose import ANGLES, POSITION, Pose, View, pose_from_dict
 
 VIEW_FIELDS = tuple(View.__dataclass_fields__)
+SIGMA_FIELDS = tuple(f"sigma_{name}" for name in (*POSITION, *ANGLES))
+QUATERNION_FIELDS = ("quaternion_x", "quaternion_y", "quaternion_z", "quaternion_w")
+TRACK_FIELDS = ("time", "sensor", "crs", *POSITION, *ANGLES, *QUATERNION_FIELDS, *SIGMA_FIELDS,
+                "event", "vehicles", "fitness")  # fmt: skip
+DECIMALS = 6  # of metres and degrees
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,11 +89,60 @@ def read_pose(path: str | Path) -> Pose:
     return pose_from_dict(record, what=str(path))
 
 
+def write_track(track: PoseTrack, path: str | Path) -> None:
+    """Write a pose track as CSV, whole or not at all.
+
+    A row a pose: time, position, angles, the quaternion (x, y, z, w; its sign does not jump from
+    row to row), sigma in metres and degrees, and `event`, `vehicles` and `fitness` where the
+    pose's evidence has them; the view where there is one. What is not known stays empty.
+
+    Parameters
+    ----------
+    track : PoseTrack
+        Its times must be finite.
+    path : str or Path
+        The file.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written.
+    """
+    seen = any(pose.view is not None for pose in track.poses)
+    names = (*TRACK_FIELDS, *(VIEW_FIELDS if seen else ()))
+    with whole_file(Path(path)) as part, part.open("w", encoding="utf-8", newline="") as file:
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(names)
+        last = track.poses[0].quaternion
+        for pose, since in zip(track.poses, track.since, strict=True):
+            last = pose.quaternion if pose.quaternion @ last >= 0.0 else -pose.quaternion
+            values = _row_of_pose(pose, float(since), last)
+            table.writerow([values.get(name, "") for name in names])
+
+
+def _row_of_pose(pose: Pose, since: float, quaternion: Floats) -> dict[str, Any]:
+    sigma = pose.evidence.get("sigma")
+    said = {f"sigma_{k}": v for k, v in sigma.items()} if isinstance(sigma, dict) else {}
+    numbers = {name: getattr(pose, name) for name in (*POSITION, *ANGLES)} | said
+    fitness = pose.evidence.get("fitness")
+    return {
+        "time": iso_from_step(int(step_of(np.array([since]))[0])),
+        "sensor": pose.sensor,
+        "crs": name_of(pose.crs),
+        **{name: round(value, DECIMALS) for name, value in numbers.items()},
+        **dict(zip(QUATERNION_FIELDS, quaternion.round(9).tolist(), strict=True)),
+        "event": pose.evidence.get("event", ""),
+        "vehicles": pose.evidence.get("vehicles", ""),
+        "fitness": "" if fitness is None or math.isnan(fitness) else round(fitness, 3),
+        **({} if pose.view is None else vars(pose.view)),
+    }
+
+
 def read_track(path: str | Path) -> PoseTrack:
     """Read a pose (JSON) or a pose track (CSV), whichever the file is.
 
     The row of an event `rejected` holds the pose that stays in force, so it counts like any
-    other. Columns that are no part of a pose go into its evidence.
+    other. Columns that are no part of a pose go into its evidence, `sigma_...` as its sigma.
 
     Raises
     ------
@@ -98,7 +154,10 @@ def read_track(path: str | Path) -> PoseTrack:
     rows = list(csv.DictReader(_text(Path(path)).splitlines()))
     if not rows:
         raise InputError(f"{path}: pose track without rows")
-    poses = tuple(_pose_of_row(row, f"{path}: row {i}") for i, row in enumerate(rows, start=1))
+    shared: dict[str, CRS] = {}
+    poses = tuple(
+        _pose_of_row(row, f"{path}: row {i}", shared) for i, row in enumerate(rows, start=1)
+    )
     since = np.array(
         [
             seconds_from_iso(row.get("time") or "", what=f"{path}: row {i}: time")
@@ -113,12 +172,22 @@ def read_track(path: str | Path) -> PoseTrack:
     return PoseTrack(poses=poses, since=since)
 
 
-def _pose_of_row(row: dict[str, Any], what: str) -> Pose:
-    known = {"sensor", "crs", "quaternion", *POSITION, *ANGLES, *VIEW_FIELDS}
-    record: dict[str, Any] = {name: row.get(name) or None for name in ("sensor", "crs")}
+def _pose_of_row(row: dict[str, Any], what: str, shared: dict[str, CRS]) -> Pose:
+    known = {"sensor", "crs", "quaternion", *QUATERNION_FIELDS, *POSITION, *ANGLES, *VIEW_FIELDS,
+             *SIGMA_FIELDS}  # fmt: skip
+    record: dict[str, Any] = {"sensor": row.get("sensor") or None, "crs": None}
+    if text := row.get("crs"):
+        record["crs"] = shared.setdefault(text, metric_crs(shared.get(text, text), what=what))
     for name in (*POSITION, *ANGLES, *VIEW_FIELDS):
         if text := row.get(name):
             record[name] = _parsed(text, f"{what}: {name}")
+    sigma = {
+        name.removeprefix("sigma_"): _parsed(text, f"{what}: {name}")
+        for name in SIGMA_FIELDS
+        if (text := row.get(name))
+    }
+    if sigma:
+        record["sigma"] = sigma
     view = {name: record.pop(name) for name in VIEW_FIELDS if name in record}
     further = {name: text for name, text in row.items() if name and text and name not in known}
     return pose_from_dict(further | record | ({"view": view} if view else {}), what=what)

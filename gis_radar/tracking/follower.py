@@ -1,0 +1,239 @@
+"""The follower: frames in, a corrected pose every five seconds out."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gis_radar.arrays import Floats
+from gis_radar.detections import Detections
+from gis_radar.errors import NoAnswerError
+from gis_radar.localization.by_lanes import LEAST_TRACKS
+from gis_radar.localization.product import LEAST_FRAMES
+from gis_radar.registration import State
+from gis_radar.registration.hypotheses import REFLECTION_M
+from gis_radar.traces import FRAMES, RollingWindow
+from gis_radar.tracking.changes import GATE, KNOCK, Change, doubt
+from gis_radar.tracking.filter import Estimate, corrected, innovation, predicted
+from gis_radar.tracking.registering import Ground, Scene, Sighting
+
+CYCLE_S = 5.0  # the paper's
+MOVED, REJECTED, NOTHING = "moved", "rejected", ""
+LOST_S = 100.0
+HINT = "find the pose with gis-radar localize"
+LEAST_CYCLE = 0.5  # a last cycle shorter than that share is none
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One pose of the track.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        The pose, from its time on.
+    event : str
+        `moved`, `rejected`, or nothing.
+    vehicles : int
+        Moving objects in the window.
+    fitness : float
+        Share of the window's traces on lanes; NaN where it was not registered.
+    chi2 : float
+        How far the window's pose lay from the expected one; NaN where it was not registered.
+    corrected : bool
+        Whether the window corrected the pose.
+    """
+
+    estimate: Estimate
+    event: str = NOTHING
+    vehicles: int = 0
+    fitness: float = float("nan")
+    chi2: float = float("nan")
+    corrected: bool = False
+
+
+class Follower:
+    """Follows the pose of one sensor through its frames.
+
+    Each cycle lays the rolling window on the lanes and corrects by it the estimate that was valid
+    **before the window began**: so no detection counts twice although windows overlap by 95 %.
+
+    Parameters
+    ----------
+    ground : Ground
+        The lanes.
+    start : Estimate
+        The pose to begin with.
+    frames : int
+        Length of the window.
+    """
+
+    def __init__(self, ground: Ground, start: Estimate, *, frames: int = FRAMES) -> None:
+        self.rows = [Row(estimate=start)]
+        self.confirmed = False
+        self._ground = ground
+        self._window = RollingWindow(frames=frames)
+        self._frames = frames
+        self._past: deque[Estimate] = deque([start])
+        self._like = start.state(
+            State(position=start.position, R_map_sensor=np.eye(3), reflection=REFLECTION_M)
+        )
+        self._seen: Sighting | None = None
+        self._vehicles = 0
+        self._doubt: Estimate | None = None
+
+    @property
+    def now(self) -> Estimate:
+        """The latest estimate."""
+        return self.rows[-1].estimate
+
+    def push(self, piece: Detections) -> None:
+        """Take the next detections, if there are any."""
+        if len(piece):
+            self._window.push(piece)
+
+    def cycle(self, time: float) -> None:
+        """Correct the pose from all frames so far.
+
+        Parameters
+        ----------
+        time : float
+            UNIX seconds: the end of the last frame, when the corrected pose becomes valid.
+
+        Raises
+        ------
+        NoAnswerError
+            If a whole window of traffic does not confirm the start pose.
+        """
+        scene = Scene.of(self._window.moving())
+        doubted = self._doubted(scene, time)
+        if isinstance(doubted, Change):
+            self._restart(doubted, time)
+        else:
+            self._keep(self._corrected(scene, time, doubted=doubted))
+        self._give_up_if_lost(time)
+        self._vehicles = max(self._vehicles, scene.tracks)
+        if not self.confirmed and len(self._window) == self._frames and self._seen:
+            self._refuse_start(self._seen)
+
+    def _doubted(self, scene: Scene, time: float) -> Change | bool:
+        """Return a change, or whether the newest data contradict the pose."""
+        if not self.confirmed or scene.tracks < LEAST_TRACKS:
+            return False
+        found = doubt(self._ground, scene, time, self._before, self._like)
+        if found is None:
+            return False
+        return found.change or True
+
+    def _corrected(self, scene: Scene, time: float, *, doubted: bool) -> Row:
+        held = Row(estimate=predicted(self.now, time), vehicles=scene.tracks)
+        if doubted:
+            return replace(held, event=REJECTED)
+        prior = predicted(self._before(scene.moving.begin), time)
+        seen = self._ground.register(scene, prior, self._like)
+        if seen is None:
+            return held
+        self._seen = seen
+        distance = innovation(prior, seen.measurement).chi2
+        held = replace(held, fitness=seen.fit.fitness, chi2=distance)
+        if not seen.trusted or distance > GATE:
+            return replace(held, event=REJECTED)
+        if len(self._window) < self._frames:
+            self._ground.refuse_other_lane(seen)
+        self.confirmed = True
+        self._like = seen.fit.state
+        return replace(held, estimate=corrected(prior, seen.measurement), corrected=True)
+
+    def _before(self, time: float) -> Estimate:
+        """Return the latest estimate that has seen no data after a time, or else the first."""
+        earlier = [e for e in self._past if e.time <= time]
+        return earlier[-1] if earlier else self._past[0]
+
+    def _keep(self, row: Row) -> None:
+        self.rows.append(row)
+        self._past.append(row.estimate)
+        while len(self._past) > 1 and self._past[1].time <= self._window.begin:
+            self._past.popleft()
+
+    def _restart(self, change: Change, time: float) -> None:
+        """Begin anew at a change; what was said of the time since then is taken back."""
+        before = predicted(self._before(change.time), change.time)
+        start = replace(before, covariance=before.covariance + np.diag(KNOCK**2))
+        new = corrected(start, change.sighting.measurement)
+        self._window.forget(change.time)
+        self._like = change.sighting.fit.state
+        vehicles, fitness = change.sighting.samples.tracks, change.sighting.fit.fitness
+        row = Row(
+            estimate=new, vehicles=vehicles, fitness=fitness, chi2=change.chi2, corrected=True
+        )
+        self.rows.append(replace(row, estimate=predicted(new, time)))
+        self._replace_since(replace(row, event=MOVED))
+        self._past = deque([start, self.now])
+
+    def _give_up_if_lost(self, time: float) -> None:
+        """Believe that the sensor moved, nobody knows where to, after a whole window of doubt."""
+        row = self.rows[-1]
+        if row.event != REJECTED:
+            self._doubt = None
+            return
+        if self._doubt is None:
+            self._doubt = row.estimate
+        if not self.confirmed or time - self._doubt.time < LOST_S:
+            return
+        lost = replace(self._doubt, covariance=self._doubt.covariance + np.diag(KNOCK**2))
+        self._window.forget(lost.time)
+        self._replace_since(Row(estimate=lost, event=MOVED), REJECTED)
+        self._past, self._doubt = deque([lost]), None
+
+    def _replace_since(self, row: Row, event: str = NOTHING) -> None:
+        """Put a row in, and what follows from it in the place of all later ones."""
+        begin = row.estimate.time
+        late = [r.estimate.time for r in self.rows if r.estimate.time > begin]
+        self.rows = [r for r in self.rows if r.estimate.time < begin] + [row]
+        self.rows += [
+            replace(row, estimate=predicted(row.estimate, time), event=event) for time in late
+        ]
+
+    def finish(self, name: str) -> None:
+        """Refuse a track that no data have confirmed.
+
+        Parameters
+        ----------
+        name : str
+            Of the recording.
+
+        Raises
+        ------
+        NoAnswerError
+            If there were too few frames or vehicles, or they contradict the start pose.
+        """
+        if self.confirmed:
+            return
+        if len(self._window) < LEAST_FRAMES:
+            raise NoAnswerError(
+                f"{name}: {len(self._window)} frames, at least {LEAST_FRAMES} are needed",
+                hint="record longer: 100 s are a good length",
+            )
+        if self._seen:
+            self._refuse_start(self._seen)
+        raise NoAnswerError(
+            f"{name}: {self._vehicles} moving vehicles within 100 s, at least {LEAST_TRACKS} are "
+            "needed to confirm the start pose",
+            hint="record while traffic flows",
+        )
+
+    def _refuse_start(self, seen: Sighting) -> None:
+        if not seen.trusted:
+            raise NoAnswerError(
+                f"at the start pose only {seen.fit.fitness:.0%} of the traffic lie on lanes",
+                hint=HINT,
+            )
+        gap: Floats = innovation(self.rows[0].estimate, seen.measurement).gap
+        raise NoAnswerError(
+            f"the traffic puts the sensor {np.linalg.norm(gap[:3]):.2f} m and "
+            f"{np.degrees(np.linalg.norm(gap[3:])):.2f} deg from its start pose, more than that "
+            "pose's sigma allows",
+            hint=HINT,
+        )
