@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from datetime import UTC, datetime, timedelta
+from zoneinfo import ZoneInfo
 
 import numpy as np
 
@@ -117,6 +118,20 @@ def seconds_from_iso(text: str, *, what: str) -> float:
     return (moment - _EPOCH) / timedelta(seconds=1)
 
 
+def duration_s(text: str, *, what: str = "time") -> float:
+    """Return the seconds of a duration such as `57ms`, `20s`, `15min` or `1h`.
+
+    Raises
+    ------
+    UsageError
+        If it is no duration.
+    """
+    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([a-z]+)\s*", text.lower())
+    if match is None or match[2] not in _UNITS_S:
+        raise UsageError(f"{what} {text!r} is no duration", hint="e.g. 20s, 15min, 1h")
+    return float(match[1]) * _UNITS_S[match[2]]
+
+
 def interval_steps(text: str) -> int:
     """Return the length of an interval such as `20s`, `15min` or `1h` in steps.
 
@@ -125,13 +140,26 @@ def interval_steps(text: str) -> int:
     UsageError
         If it is no duration, not a whole number of 50 ms steps, or over 100 years long.
     """
-    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([a-z]+)\s*", text.lower())
-    if match is None or match[2] not in _UNITS_S:
-        raise UsageError(f"interval {text!r} is no duration", hint="e.g. 20s, 15min, 1h")
-    seconds = float(match[1]) * _UNITS_S[match[2]]
+    seconds = duration_s(text, what="interval")
     if seconds > _LONGEST_INTERVAL_S:
         raise UsageError(f"interval {text!r} is longer than {LONGEST_INTERVAL_YEARS} years")
     steps = seconds * STEPS_PER_SECOND
     if steps < 1 or abs(steps - round(steps)) > 1e-6:
         raise UsageError(f"interval {text!r} is not a whole number of 50 ms steps")
     return round(steps)
+
+
+def zone_of(name: str) -> ZoneInfo:
+    """Return a time zone by its name, such as Europe/Berlin.
+
+    Raises
+    ------
+    UsageError
+        If there is none of that name.
+    """
+    try:
+        return ZoneInfo(name)
+    except (KeyError, ValueError, OSError) as error:
+        raise UsageError(
+            f"there is no time zone {name!r}", hint="a name such as Europe/Berlin or UTC"
+        ) from error

@@ -5,6 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 import pytest
+import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely import Point, prepare
@@ -16,6 +17,7 @@ from gis_radar.detections import Recording
 from gis_radar.errors import CrsError, InputError, NoAnswerError, UsageError
 from gis_radar.occupancy import Filters, measure_occupancy, merge_occupancies, read_occupancy
 from gis_radar.occupancy.hits import merge_hits
+from gis_radar.occupancy.views import name_of_view, seen_tiles, standing_for
 from gis_radar.pose import View
 from gis_radar.pose_files import PoseTrack
 from gis_radar.progress import Reporter
@@ -188,6 +190,76 @@ def test_a_pose_that_moves_changes_view_and_place(tmp_path):
         [FIRST_STEP + 10, FIRST_STEP + 10, FIRST_STEP + 19, FIRST_STEP + 19],
     ]
     assert occupancy.frames["view"].nunique() == 2
+
+
+def corrected(corrections, *, moved=(), **fields):
+    """A track with a pose each 5 s that is a little off the first one."""
+    rng = np.random.default_rng(7)
+    off = rng.normal(0.0, 0.02, (corrections, 6)).round(6)
+    poses = tuple(
+        pose(
+            easting=EAST + e + 2.0 * sum(index >= at for at in moved),
+            northing=NORTH + n, height=375.0 + h, yaw=y, pitch=p, roll=r,
+            evidence={"event": "moved"} if index in moved else {}, **fields,
+        )
+        for index, (e, n, h, y, p, r) in enumerate(off)
+    )  # fmt: skip
+    return PoseTrack(poses=poses, since=START + 5.0 * np.arange(corrections))
+
+
+def test_tiny_corrections_share_a_view_and_a_move_makes_a_new_one(tmp_path):
+    view = View(max_range_m=float(np.hypot(20.25, 5.0)))  # ends in the middle of a tile
+    time = START + np.arange(5000)
+    path = recording(tmp_path / "r.parquet", time, np.tile([12.25, 0.0, -5.0], (5000, 1)))
+    middle = shapely.get_coordinates(shapely.centroid(crossing().geometry.array))
+    ids = crossing()["tile_id"].to_numpy(np.int64)
+    centres = np.column_stack([middle, crossing()["height_m"]])
+    exact = {name_of_view(seen_tiles(each, view, ids, centres)) for each in corrected(1000).poses}
+    assert len(exact) > 1  # or the test could not fail
+    for moved, views in (((), 1), ((500,), 2)):
+        track = corrected(1000, moved=moved, view=view)
+        found = measure_occupancy([path], [track], crossing(), tmp_path / f"occ{len(moved)}")
+        assert found.frames["view"].nunique() == views
+        assert len(found.frames) == 5000  # a frame a second touches no other's step
+    late = found.frames.sort_values("first_step")["view"].to_numpy()
+    assert set(late[:2500]) & set(late[2500:]) == set()
+
+
+def test_a_pose_shares_a_view_with_near_ones_only():
+    def track(*places, **fields):
+        return [pose(easting=EAST + place, **fields) for place in places]
+
+    said = pose(evidence={"event": "moved"})
+    assert standing_for(track(0.0, 0.15, 0.3, 0.1, 0.4, -0.1)).tolist() == [0, 0, 2, 2, 2, 0]
+    assert standing_for([*track(0.0, 0.0), said, *track(0.0)]).tolist() == [0, 0, 2, 2]
+    turned = [pose(yaw=10.0), pose(yaw=10.15), pose(yaw=10.25), pose(yaw=10.25, pitch=0.15)]
+    assert standing_for(turned).tolist() == [0, 0, 2, 2]
+    assert standing_for([pose(), pose(view=View(max_range_m=9.0))]).tolist() == [0, 1]
+
+
+def test_merging_is_exact_with_a_track(tmp_path):
+    """Views follow from the track, whatever part of the time a recording shows."""
+    rng = np.random.default_rng(3)
+    base = corrected(40, view=View(max_range_m=25.0), moved=(20,))
+    walk = np.cumsum(rng.normal(0.0, 0.3, 40))
+    poses = tuple(
+        replace(each, easting=each.easting + w) for each, w in zip(base.poses, walk, strict=True)
+    )
+    track = PoseTrack(poses=poses, since=START + 0.05 * np.arange(40))
+    record = traffic(rng, 40)
+    whole = recording(tmp_path / "whole.parquet", *record)
+    views = measure_occupancy([whole], [track], crossing(), tmp_path / "whole").views
+    assert 3 < views["view"].nunique() < 40
+    parts = [
+        measure_occupancy([path], [track], crossing(), tmp_path / f"occ-{path.stem}")
+        for path in pieces_of(tmp_path, *record, [7, 21, 33])
+    ]
+    merge_occupancies(parts[::-1]).write(tmp_path / "merged")
+    for file in ("hits.parquet", "frames.parquet", "views.parquet"):
+        same = (tmp_path / "merged" / file).read_bytes() == (tmp_path / "whole" / file).read_bytes()
+        assert same, file
+    met = [len(each["poses"]) for part in parts for each in part.sources]
+    assert met == [7, 14, 12, 7]  # those that a recording met
 
 
 def bridge():

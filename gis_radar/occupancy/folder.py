@@ -16,16 +16,22 @@ import pyarrow.parquet as pq
 
 from gis_radar.clock import STEP_S, iso_from_step
 from gis_radar.errors import InputError
+from gis_radar.occupancy.deliveries import COLUMNS as DELIVERY_COLUMNS
+from gis_radar.occupancy.deliveries import FILE as DELIVERIES
+from gis_radar.occupancy.deliveries import merge_deliveries, read_deliveries, write_deliveries
 from gis_radar.occupancy.frames import frames_table
 from gis_radar.occupancy.hits import Hits, merge_hits, read_hits, write_hits
+from gis_radar.occupancy.merging import Rows
 from gis_radar.occupancy.views import NOTHING, name_of_view, views_table
 from gis_radar.outputs import whole_folder
 
 FILES = ("hits.parquet", "frames.parquet", "views.parquet", "manifest.json")
+OWNED = (*FILES, DELIVERIES, "quality.")  # a table made of it may stand there
 NEEDED = {
     "hits": ("step", "tile_id"),
     "frames": ("sensor", "first_step", "last_step"),
     "views": ("sensor", "tile_id"),
+    "deliveries": DELIVERY_COLUMNS,
 }
 
 
@@ -47,6 +53,9 @@ class Occupancy:
         Starts reading the pairs (step, tile_id), each once, ascending, piece by piece.
     sources : list of dict
         Per recording: file, sensor, poses, filters.
+    deliveries : callable
+        Takes the names of all sensors and starts reading the rows of frames, as of
+        :mod:`gis_radar.occupancy.deliveries`; none where the folder does not tell.
     """
 
     fingerprint: str
@@ -54,9 +63,15 @@ class Occupancy:
     views: pd.DataFrame
     hits: Callable[[], Iterator[Hits]]
     sources: list[dict[str, Any]]
+    deliveries: Callable[[Sequence[str]], Iterator[Rows]] = lambda _: iter(())
+
+    @property
+    def sensors(self) -> list[str]:
+        """The names of the sensors that delivered frames."""
+        return sorted(map(str, self.frames["sensor"].unique()))
 
     def __repr__(self) -> str:
-        sensors = ", ".join(sorted(self.frames["sensor"].unique()))
+        sensors = ", ".join(self.sensors)
         seconds = (self.frames["last_step"] - self.frames["first_step"] + 1).sum() * STEP_S
         tiles = self.views["tile_id"].nunique()
         return f"Occupancy({sensors}: {seconds:.1f} s of frames, {tiles} tiles seen)"
@@ -65,7 +80,7 @@ class Occupancy:
         """Return what is worth a look: sensors, time span, tiles, hits."""
         first, last = int(self.frames["first_step"].min()), int(self.frames["last_step"].max())
         return {
-            "sensors": sorted(self.frames["sensor"].unique()),
+            "sensors": self.sensors,
             "begin": iso_from_step(first),
             "end": iso_from_step(last + 1),
             "tiles_observed": int(self.views["tile_id"].nunique()),
@@ -75,7 +90,7 @@ class Occupancy:
     def write(self, folder: str | Path) -> Path:
         """Write the folder, whole or not at all; equal content gives equal files."""
         folder = Path(folder)
-        with whole_folder(folder, owned=FILES) as part:
+        with whole_folder(folder, owned=OWNED) as part:
             write_hits(self.hits(), part / "hits.parquet", fingerprint=self.fingerprint)
             write_tables(self, part)
         return folder
@@ -92,6 +107,9 @@ def write_tables(occupancy: Occupancy, folder: Path) -> None:
             compression="zstd",
             write_page_checksum=True,
         )
+    sensors = occupancy.sensors
+    rows = occupancy.deliveries(sensors)
+    write_deliveries(rows, folder / DELIVERIES, sensors, occupancy.fingerprint)
     manifest = {
         "fingerprint": occupancy.fingerprint,
         "software": {"name": "gis_radar", "version": version("gis_radar")},
@@ -123,6 +141,8 @@ def read_occupancy(folder: str | Path) -> Occupancy:
         raise InputError(f"{folder / 'manifest.json'}: damaged: {error!r}") from error
     frames, views = (_read_table(folder, name, fingerprint) for name in ("frames", "views"))
     _check_table(folder, "hits", fingerprint)
+    if (folder / DELIVERIES).exists():
+        _check_table(folder, "deliveries", fingerprint)
     frames, views = _with_view_names(frames, views)
     return Occupancy(
         fingerprint=fingerprint,
@@ -130,6 +150,7 @@ def read_occupancy(folder: str | Path) -> Occupancy:
         views=views,
         hits=lambda: read_hits(folder / "hits.parquet"),
         sources=sources,
+        deliveries=lambda sensors: read_deliveries(folder / DELIVERIES, sensors),
     )
 
 
@@ -194,6 +215,7 @@ def merge_occupancies(parts: Sequence[Occupancy]) -> Occupancy:
         views=views_table(frames, tiles),
         hits=lambda: merge_hits([part.hits() for part in parts]),
         sources=_ordered([source for part in parts for source in part.sources]),
+        deliveries=lambda sensors: merge_deliveries([part.deliveries(sensors) for part in parts]),
     )
 
 

@@ -9,23 +9,39 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from gis_radar.arrays import Integers
+from gis_radar.arrays import Booleans, Integers
 from gis_radar.errors import InputError
+from gis_radar.occupancy.merging import merge_ascending
 
 ROWS_AT_ONCE = 1 << 18
 ROWS_IN_GROUP = 1 << 20
+MOST_KEYS = 1 << 62
 SCHEMA = pa.schema([("step", pa.int64()), ("tile_id", pa.int64())])
 
 Hits = tuple[Integers, Integers]
 
 
-def unique_hits(step: Integers, tile: Integers) -> Hits:
-    """Return each pair once, ascending by step, then by tile."""
+def distinct(step: Integers, tile: Integers) -> Hits:
+    """Return each pair of two columns once, ascending by the first, then by the second."""
+    if len(step) == 0:
+        return step, tile
+    low, tiles = int(step.min()), int(tile.max()) + 1
+    if int(tile.min()) >= 0 and (int(step.max()) - low + 1) * tiles < MOST_KEYS:
+        # One number a pair sorts several times faster than two columns.
+        keys = np.sort((step - low) * tiles + tile)
+        step, tile = np.divmod(keys[_fresh(keys)], tiles)
+        return step + low, tile
     order = np.lexsort((tile, step))
     step, tile = step[order], tile[order]
-    fresh = np.ones(len(step), dtype=np.bool_)
-    fresh[1:] = (np.diff(step) != 0) | (np.diff(tile) != 0)
+    fresh = _fresh(step) | _fresh(tile)
     return step[fresh], tile[fresh]
+
+
+def _fresh(ordered: Integers) -> Booleans:
+    """Tell which values differ from the one before."""
+    fresh = np.ones(len(ordered), dtype=np.bool_)
+    np.not_equal(ordered[1:], ordered[:-1], out=fresh[1:])
+    return fresh
 
 
 def merge_hits(streams: Sequence[Iterator[Hits]]) -> Iterator[Hits]:
@@ -41,46 +57,8 @@ def merge_hits(streams: Sequence[Iterator[Hits]]) -> Iterator[Hits]:
     step, tile : (k,) int64 arrays
         No step is split between two pieces.
     """
-    heads = [_Head(stream) for stream in streams]
-    while heads := [head for head in heads if head.more()]:
-        # Up to here every stream is known; what lies later waits.
-        bound = min(head.known_until for head in heads)
-        taken = [head.take(bound) for head in heads]
-        step, tile = (np.concatenate(column) for column in zip(*taken, strict=True))
-        if len(step):
-            yield unique_hits(step, tile)
-
-
-class _Head:
-    """What has been read of one stream and not yet been taken."""
-
-    def __init__(self, stream: Iterator[Hits]) -> None:
-        self._stream = stream
-        self._step = self._tile = np.empty(0, np.int64)
-        self._ended = False
-
-    def more(self) -> bool:
-        """Read on until something is surely complete; tell whether anything is left."""
-        while not self._ended and (len(self._step) == 0 or self._step[0] > self.known_until):
-            step, tile = next(self._stream, (None, None))
-            if step is None or tile is None:
-                self._ended = True
-            else:
-                self._step = np.concatenate([self._step, step])
-                self._tile = np.concatenate([self._tile, tile])
-        return len(self._step) > 0
-
-    @property
-    def known_until(self) -> int:
-        """The last step of which nothing more can come."""
-        return int(self._step[-1]) - (0 if self._ended else 1)
-
-    def take(self, bound: int) -> Hits:
-        """Take away all up to and with the step `bound`."""
-        cut = int(np.searchsorted(self._step, bound, side="right"))
-        taken = self._step[:cut], self._tile[:cut]
-        self._step, self._tile = self._step[cut:], self._tile[cut:]
-        return taken
+    for step, tile in merge_ascending(streams, 2):
+        yield distinct(step, tile)
 
 
 def read_hits(path: Path) -> Iterator[Hits]:

@@ -2,35 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
 import shapely
 
-from gis_radar.arrays import Floats, Integers
+from gis_radar.arrays import Floats
 from gis_radar.assignment import TileEngine, TileGrid
-from gis_radar.clock import step_of
 from gis_radar.crs import metric_crs, require_same
-from gis_radar.detections import Detections, Recording, as_recording
+from gis_radar.detections import Recording, as_recording
 from gis_radar.errors import InputError, NoAnswerError, UsageError
+from gis_radar.occupancy.cycles import Cycles, cycles_us
+from gis_radar.occupancy.deliveries import DeliveryWriter, merge_deliveries, read_deliveries
 from gis_radar.occupancy.filters import Filters
-from gis_radar.occupancy.folder import FILES, Occupancy, read_occupancy, write_tables
+from gis_radar.occupancy.folder import OWNED, Occupancy, read_occupancy, write_tables
 from gis_radar.occupancy.frames import frames_table
-from gis_radar.occupancy.hits import Hits, merge_hits, unique_hits, write_hits
-from gis_radar.occupancy.runs import Runs, union
+from gis_radar.occupancy.hits import merge_hits, write_hits
+from gis_radar.occupancy.reading import Gauge, Reading, Site, warn_of_clocks
 from gis_radar.occupancy.views import ViewBook, views_table
 from gis_radar.outputs import whole_folder
-from gis_radar.pose import Pose, View
+from gis_radar.pose import Pose
 from gis_radar.pose_files import PoseTrack, as_track
 from gis_radar.progress import QUIET, Reporter
+from gis_radar.sensor_clocks import SensorClock
 from gis_radar.tiles import fingerprint, quads
-
-STAGE = "occupancy"
 
 
 def measure_occupancy(
@@ -40,6 +38,8 @@ def measure_occupancy(
     folder: str | Path,
     *,
     filters: Filters | None = None,
+    cycles: Cycles | None = None,
+    clocks: Mapping[str, SensorClock] | None = None,
     engine: Callable[[Floats], TileEngine] = TileGrid,
     reporter: Reporter = QUIET,
 ) -> Occupancy:
@@ -61,6 +61,12 @@ def measure_occupancy(
         Where the occupancy goes; it appears whole or not at all.
     filters : Filters, optional
         Which detections count; without it, all.
+    cycles : mapping or "auto", optional
+        Seconds from frame to frame, by sensor, or "auto" to measure them: a frame then speaks
+        for each step that ends within its cycle (:mod:`gis_radar.occupancy.cycles`). Without
+        it, a frame speaks for the step it falls in, and for no other.
+    clocks : mapping, optional
+        How far the clocks of sensors are ahead, by sensor; times are corrected by it.
     engine : type
         :class:`TileGrid` or :class:`TileTree`; both give the same.
     reporter : Reporter
@@ -83,38 +89,60 @@ def measure_occupancy(
         raise UsageError(f"{len(recordings)} recordings, but {len(poses)} poses")
     opened = [as_recording(recording) for recording in recordings]
     tracks = [as_track(pose) for pose in poses]
-    site = _Site.of(tiles, tracks, filters or Filters(), engine)
-    _refuse_blindness(site, tracks, reporter)
-    gauge = _Gauge(reporter=reporter, total=_total(opened))
-    readings = [
-        _Reading(recording=recording, track=track, site=site, gauge=gauge)
-        for recording, track in zip(opened, tracks, strict=True)
-    ]
-    with whole_folder(Path(folder), owned=FILES) as part:
+    sensors = [track.sensor for track in tracks]
+    site = _site_of(tiles, tracks, filters or Filters(), engine)
+    views = _views_of(site, tracks, reporter)
+    spans_us = cycles_us(cycles, opened, sensors)
+    gauge = Gauge(reporter=reporter, total=_total(opened))
+    with whole_folder(Path(folder), owned=OWNED) as part:
+        readings = [
+            Reading(
+                recording=recording,
+                track=track,
+                site=site,
+                gauge=gauge,
+                log=DeliveryWriter(part / f"{number}.part", [track.sensor], site.fingerprint),
+                views=views[number],
+                cycle_us=spans_us[track.sensor],
+                clock=(clocks or {}).get(track.sensor),
+            )
+            for number, (recording, track) in enumerate(zip(opened, tracks, strict=True))
+        ]
         hits = merge_hits([reading.hits() for reading in readings])
         write_hits(hits, part / "hits.parquet", fingerprint=site.fingerprint)
-        frames = frames_table(pd.concat([reading.frames() for reading in readings]))
-        write_tables(
-            Occupancy(
-                fingerprint=site.fingerprint,
-                frames=frames,
-                views=views_table(frames, site.views.tiles),
-                hits=lambda: iter(()),
-                sources=[reading.source() for reading in readings],
-            ),
-            part,
-        )
+        write_tables(_rest_of(readings, site), part)
+        for reading in readings:
+            reading.log.path.unlink()
     for reading in readings:
         reading.warn_of_range()
+        reading.warn_of_cycle()
+    warn_of_clocks(readings, reporter)
     return read_occupancy(folder)
 
 
-def _refuse_blindness(site: _Site, tracks: list[PoseTrack], reporter: Reporter) -> None:
-    """Say which sensors see no tile at all; refuse where none sees any."""
+def _rest_of(readings: list[Reading], site: Site) -> Occupancy:
+    """Return all but the hits of what has been read."""
+    frames = frames_table(pd.concat([reading.frames() for reading in readings]))
+    return Occupancy(
+        fingerprint=site.fingerprint,
+        frames=frames,
+        views=views_table(frames, site.views.tiles),
+        hits=lambda: iter(()),
+        sources=[reading.source() for reading in readings],
+        deliveries=lambda sensors: merge_deliveries(
+            [read_deliveries(reading.log.path, sensors) for reading in readings]
+        ),
+    )
+
+
+def _views_of(site: Site, tracks: list[PoseTrack], reporter: Reporter) -> list[tuple[str, ...]]:
+    """Return the views of each track's poses; refuse where no sensor sees a tile."""
+    distinct = {id(track): track for track in tracks}
+    views = {key: site.views.enter(track) for key, track in distinct.items()}
     blind = [
         track.sensor
         for track in tracks
-        if not any(len(site.views.tiles[site.views.enter(pose)]) for pose in track.poses)
+        if not any(len(site.views.tiles[name]) for name in set(views[id(track)]))
     ]
     if len(blind) == len(tracks):
         raise NoAnswerError(
@@ -123,6 +151,7 @@ def _refuse_blindness(site: _Site, tracks: list[PoseTrack], reporter: Reporter) 
         )
     for sensor in blind:
         reporter.log(f"no tile lies in the view of {sensor}", "warning")
+    return [views[id(track)] for track in tracks]
 
 
 def _total(recordings: list[Recording]) -> int | None:
@@ -130,137 +159,29 @@ def _total(recordings: list[Recording]) -> int | None:
     return None if None in rows else sum(row for row in rows if row is not None)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Site:
-    """What all recordings share: tiles, their engine, the views, the filters."""
-
-    fingerprint: str
-    tile_id: Integers
-    road_height: Floats
-    engine: TileEngine
-    views: ViewBook
-    filters: Filters
-
-    @classmethod
-    def of(
-        cls,
-        tiles: gpd.GeoDataFrame,
-        tracks: list[PoseTrack],
-        filters: Filters,
-        engine: Callable[[Floats], TileEngine],
-    ) -> _Site:
-        crs = metric_crs(tiles.crs, what="tiles")
-        for track in tracks:
-            what = f"the pose of {track.sensor}"
-            require_same(track.poses[0].crs, crs, what=what, other_what="the tiles")
-        tile_id = tiles["tile_id"].to_numpy(np.int64)
-        height = tiles["height_m"].to_numpy(np.float64)
-        if filters.clearance is not None and np.isnan(height).all():
-            raise InputError(
-                "the tiles know no road heights, which the clearance filter needs",
-                hint="make the tiles with --road, or from a map with ele",
-            )
-        middle = shapely.get_coordinates(shapely.centroid(tiles.geometry.array))
-        return cls(
-            fingerprint=fingerprint(tiles),
-            tile_id=tile_id,
-            road_height=height,
-            engine=engine(quads(tiles)),
-            views=ViewBook(tile_id=tile_id, centres=np.column_stack([middle, height])),
-            filters=filters,
+def _site_of(
+    tiles: gpd.GeoDataFrame,
+    tracks: list[PoseTrack],
+    filters: Filters,
+    engine: Callable[[Floats], TileEngine],
+) -> Site:
+    crs = metric_crs(tiles.crs, what="tiles")
+    for track in tracks:
+        what = f"the pose of {track.sensor}"
+        require_same(track.poses[0].crs, crs, what=what, other_what="the tiles")
+    tile_id = tiles["tile_id"].to_numpy(np.int64)
+    height = tiles["height_m"].to_numpy(np.float64)
+    if filters.clearance is not None and np.isnan(height).all():
+        raise InputError(
+            "the tiles know no road heights, which the clearance filter needs",
+            hint="make the tiles with --road, or from a map with ele",
         )
-
-
-@dataclass(kw_only=True)
-class _Gauge:
-    """Rows read so far, over all recordings."""
-
-    reporter: Reporter
-    total: int | None
-    rows: int = 0
-
-    def add(self, rows: int) -> None:
-        self.rows += rows
-        self.reporter.progress(STAGE, self.rows, self.total)
-
-
-@dataclass(kw_only=True)
-class _Reading:
-    """One recording on its way through the site."""
-
-    recording: Recording
-    track: PoseTrack
-    site: _Site
-    gauge: _Gauge
-    views: dict[int, str] = field(default_factory=dict)
-    runs: dict[str, list[Runs]] = field(default_factory=dict)
-    rows: int = 0
-    ranges: Integers = field(default_factory=lambda: np.zeros(4096, np.int64))
-
-    def hits(self) -> Iterator[Hits]:
-        """Read the recording; yield its hits, and note frames and ranges on the way."""
-        for detections in self.recording.read():
-            step = step_of(detections.time)
-            held = self.track.at(detections.time)
-            for pose_index in np.unique(held):
-                now = held == pose_index
-                self._note_frames(step[now], pose_index)
-                part = detections if now.all() else detections.take(now)
-                yield self._hits_of(part, step[now], self.track.poses[pose_index])
-            self._note_ranges(detections)
-            self.rows += len(detections)
-            self.gauge.add(len(detections))
-
-    def _hits_of(self, detections: Detections, step: Integers, pose: Pose) -> Hits:
-        keep = self.site.filters.keep_detections(detections)
-        points, step = detections.points[keep], step[keep]
-        footprint = pose.to_map(points)
-        point, tile = self.site.engine.assign(footprint[:, 0], footprint[:, 1])
-        fits = self.site.filters.keep_pairs(
-            point,
-            footprint[point, 2],
-            np.linalg.norm(points, axis=1)[point],
-            self.site.road_height[tile],
-        )
-        return unique_hits(step[point[fits]], self.site.tile_id[tile[fits]])
-
-    def _note_frames(self, step: Integers, pose_index: int) -> None:
-        if pose_index not in self.views:
-            self.views[pose_index] = self.site.views.enter(self.track.poses[pose_index])
-        self.runs.setdefault(self.views[pose_index], []).append(Runs.of(step))
-
-    def _note_ranges(self, detections: Detections) -> None:
-        metres = np.linalg.norm(detections.points[detections.present], axis=1)
-        bins = np.minimum(metres, len(self.ranges) - 1).astype(np.int64)
-        self.ranges += np.bincount(bins, minlength=len(self.ranges))
-
-    def frames(self) -> pd.DataFrame:
-        """Return the runs of steps with a frame, by view."""
-        pieces = [
-            pd.DataFrame({"view": view, "first_step": joined.first, "last_step": joined.last})
-            for view, joined in ((view, union(runs)) for view, runs in self.runs.items())
-        ]
-        return pd.concat(pieces).assign(sensor=self.track.sensor)
-
-    def warn_of_range(self) -> None:
-        """Say so where the recording ends well before the view does."""
-        share = np.cumsum(self.ranges) / max(int(self.ranges.sum()), 1)
-        reached_m = int(np.searchsorted(share, 0.999)) + 1
-        view = self.track.poses[0].view or View()
-        if self.ranges.any() and reached_m < 0.8 * view.max_range_m:
-            self.gauge.reporter.log(
-                f"{self.recording.path.name}: 99.9 % of the detections lie within {reached_m} m, "
-                f"but the view of {self.track.sensor} reaches {view.max_range_m:g} m: what lies "
-                "beyond reads as observed and empty; set the view's max_range_m or --max-range",
-                "warning",
-            )
-
-    def source(self) -> dict[str, Any]:
-        """Return what the manifest says of this recording."""
-        return {
-            "recording": self.recording.path.name,
-            "rows": self.rows,
-            "sensor": self.track.sensor,
-            "filters": asdict(self.site.filters),
-            "poses": [pose.as_dict() for pose in self.track.poses],
-        }
+    middle = shapely.get_coordinates(shapely.centroid(tiles.geometry.array))
+    return Site(
+        fingerprint=fingerprint(tiles),
+        tile_id=tile_id,
+        road_height=height,
+        engine=engine(quads(tiles)),
+        views=ViewBook(tile_id=tile_id, centres=np.column_stack([middle, height])),
+        filters=filters,
+    )

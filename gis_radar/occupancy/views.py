@@ -1,16 +1,27 @@
-"""Views: which tiles a sensor sees from where it stands."""
+"""Views: which tiles a sensor sees from where it stands.
+
+A pose track corrects a pose by centimetres, and each correction takes a tile at the view's rim in
+or out. So a pose shares the view of an earlier one of its track within `SAME_M` and `SAME_DEG`,
+unless a pose `moved` stands between them. Views follow from the track alone, not from what was
+recorded; detections are moved to the map by the poses as they are.
+"""
 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
+from scipy.spatial.transform import Rotation
 
 from gis_radar.arrays import Floats, Integers
 from gis_radar.pose import Pose, View
+from gis_radar.pose_files import PoseTrack
 
+SAME_M, SAME_DEG = 0.25, 0.2  # half a tile; and as well as a track knows its angles
+MOST_HEADS = 64
 NOTHING: Integers = np.empty(0, np.int64)
 COLUMNS = ("sensor", "tile_id", "view", "first_step", "last_step")
 
@@ -57,12 +68,47 @@ class ViewBook:
     centres: Floats
     tiles: dict[str, Integers] = field(default_factory=dict)
 
-    def enter(self, pose: Pose) -> str:
-        """Return the name of what a pose sees, and remember its tiles."""
+    def enter(self, track: PoseTrack) -> tuple[str, ...]:
+        """Return the name of what each pose of a track sees, and remember the tiles."""
+        standing = standing_for(track.poses)
+        names = {index: self._name(track.poses[index]) for index in np.unique(standing).tolist()}
+        return tuple(names[index] for index in standing.tolist())
+
+    def _name(self, pose: Pose) -> str:
         seen = seen_tiles(pose, pose.view or View(), self.tile_id, self.centres)
         name = name_of_view(seen)
         self.tiles[name] = seen
         return name
+
+
+def standing_for(poses: Sequence[Pose]) -> Integers:
+    """Return for each pose of a track the one whose view it shares: an earlier one, or itself.
+
+    Parameters
+    ----------
+    poses : sequence of Pose
+        In order of time.
+
+    Returns
+    -------
+    (n,) int64 array
+        Indices into `poses`.
+    """
+    position = np.array([pose.position for pose in poses])
+    turn = Rotation.from_quat([pose.quaternion for pose in poses])
+    found = np.zeros(len(poses), np.int64)
+    heads: list[int] = []  # poses with a view of their own, the one in force last
+    for index, pose in enumerate(poses):
+        if pose.evidence.get("event") == "moved":
+            heads = []
+        apart_m = np.linalg.norm(position[heads] - position[index], axis=1)
+        apart_deg = np.degrees((turn[index].inv() * turn[heads]).magnitude()) if heads else apart_m
+        near = np.flatnonzero((apart_m <= SAME_M) & (apart_deg <= SAME_DEG))
+        alike = [heads[each] for each in near if poses[heads[each]].view == pose.view]
+        head = alike[-1] if alike else index
+        heads = [*(each for each in heads if each != head), head][-MOST_HEADS:]
+        found[index] = head
+    return found
 
 
 def views_table(frames: pd.DataFrame, tiles: dict[str, Integers]) -> pd.DataFrame:

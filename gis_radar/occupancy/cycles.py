@@ -1,0 +1,147 @@
+"""Cycles: how long a frame of a sensor speaks, where its sensor is slower than the steps.
+
+A frame speaks for the step that its time stamp falls in. With a stated cycle it also speaks for
+each later step that ends within one cycle of its time stamp: it covers [time, time + cycle), and
+what covers the end of a step stands for it. A cycle of 50 ms gives the frame's own step and no
+other, whatever the phase; a frame of a longer one speaks on average for cycle / 50 ms steps. A
+frame that is missing leaves its steps empty: a cycle is a property of the sensor, and no frame
+looks at the next one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from gis_radar.arrays import Floats, Integers
+from gis_radar.clock import STEP_US, step_of
+from gis_radar.detections import Recording
+from gis_radar.errors import UsageError
+from gis_radar.occupancy.hits import Hits
+
+SHORTEST_CYCLE_S, LONGEST_CYCLE_S = 0.001, 2.0
+FRAMES_ENOUGH = 4000
+AUTO: Literal["auto"] = "auto"
+Cycles = Mapping[str, float] | Literal["auto"]
+
+
+def last_step(time: Floats, cycle_us: int) -> Integers:
+    """Return the last step that a frame at each time speaks for.
+
+    Parameters
+    ----------
+    time : (n,) array
+        UNIX seconds.
+    cycle_us : int
+        The sensor's cycle, microseconds; up to 50 000 the answer is the step of the time.
+    """
+    reached = (np.rint(np.asarray(time) * 1e6).astype(np.int64) + cycle_us) // STEP_US - 1
+    return np.maximum(step_of(time), reached)
+
+
+@dataclass(kw_only=True)
+class Spoken:
+    """Spreads hits of frames over the steps that the frames speak for, in order.
+
+    Steps beyond those read so far wait, so that what comes out ascends.
+    """
+
+    waiting: Hits = field(default_factory=lambda: (np.empty(0, np.int64), np.empty(0, np.int64)))
+
+    def spread(self, step: Integers, last: Integers, tile: Integers, until: int) -> Hits:
+        """Return the hits of all steps up to `until`, ascending by step.
+
+        Parameters
+        ----------
+        step, last, tile : (k,) int64 arrays
+            First and last step that each hit speaks for, and its tile.
+        until : int
+            The last step of the frames read so far.
+        """
+        if len(self.waiting[0]) == 0 and np.array_equal(step, last):
+            return step, tile
+        length = last - step + 1
+        offset = np.arange(length.sum()) - np.repeat(np.cumsum(length) - length, length)
+        steps = np.concatenate([self.waiting[0], np.repeat(step, length) + offset])
+        tiles = np.concatenate([self.waiting[1], np.repeat(tile, length)])
+        order = np.argsort(steps, kind="stable")
+        steps, tiles = steps[order], tiles[order]
+        cut = int(np.searchsorted(steps, until, side="right"))
+        self.waiting = steps[cut:], tiles[cut:]
+        return steps[:cut], tiles[:cut]
+
+    def rest(self) -> Hits:
+        """Return what still waits at the end of the recording."""
+        rest, self.waiting = self.waiting, (np.empty(0, np.int64), np.empty(0, np.int64))
+        return rest
+
+
+def cycles_us(
+    cycles: Cycles | None, recordings: list[Recording], sensors: list[str]
+) -> dict[str, int]:
+    """Return the cycle of each sensor in microseconds; 50 ms where none is stated.
+
+    Parameters
+    ----------
+    cycles : mapping, "auto" or None
+        Seconds by sensor; or the median of the time from frame to frame, in whole milliseconds,
+        over the first frames of the sensor's recordings.
+    recordings, sensors : lists
+        The recordings, and whose they are.
+
+    Raises
+    ------
+    UsageError
+        If a cycle is no duration of 1 ms to 2 s, or of a sensor that is not there.
+    """
+    found = dict.fromkeys(sensors, STEP_US)
+    if cycles is None:
+        return found
+    if cycles == AUTO:
+        return {sensor: _measured_us(recordings, sensors, sensor) for sensor in found}
+    for sensor, cycle_s in cycles.items():
+        if sensor not in found:
+            raise UsageError(
+                f"a cycle is given for {sensor}, but the poses are of {', '.join(found)}"
+            )
+        if not SHORTEST_CYCLE_S <= cycle_s <= LONGEST_CYCLE_S:
+            raise UsageError(
+                f"the cycle of {sensor} is {cycle_s} s, "
+                f"expected {SHORTEST_CYCLE_S:g} to {LONGEST_CYCLE_S:g}",
+                hint="the time from one of its frames to the next, such as 57ms",
+            )
+        found[sensor] = max(round(cycle_s * 1e6), STEP_US)
+    return found
+
+
+def _measured_us(recordings: list[Recording], sensors: list[str], sensor: str) -> int:
+    apart = [
+        gaps
+        for recording, owner in zip(recordings, sensors, strict=True)
+        if owner == sensor
+        for gaps in _gaps_s(recording)
+    ]
+    if not apart:
+        return STEP_US
+    cycle_s = float(np.median(np.concatenate(apart)))
+    if cycle_s > LONGEST_CYCLE_S:
+        raise UsageError(
+            f"the frames of {sensor} lie {cycle_s:.3g} s apart: no cycle of a radar",
+            hint=f"state its cycle, such as {sensor}=100ms",
+        )
+    return max(round(cycle_s * 1000) * 1000, STEP_US)
+
+
+def _gaps_s(recording: Recording) -> Iterator[Floats]:
+    """Yield the times from frame to frame at the begin of a recording."""
+    last, frames = np.nan, 0
+    for detections in recording.read():
+        gaps = np.diff(detections.time, prepend=last)
+        gaps = gaps[gaps > 0.0]
+        yield gaps
+        last, frames = float(detections.time[-1]), frames + len(gaps)
+        if frames >= FRAMES_ENOUGH:
+            return

@@ -1,0 +1,189 @@
+"""Counts of frames by sensor and hour, from the deliveries of an occupancy."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass, field
+from zoneinfo import ZoneInfo
+
+import numpy as np
+
+from gis_radar.arrays import Integers
+from gis_radar.occupancy import Occupancy
+from gis_radar.occupancy.deliveries import COLUMNS
+from gis_radar.progress import Reporter
+from gis_radar.quality.hours import HOUR_S, hour_begins
+
+STAGE = "data quality"
+GAP_US = 100  # resolution of the time from frame to frame
+MOST_GAPS = 20_000  # two seconds; what lies further apart is no cycle
+HIGH = 0.7
+Columns = dict[str, Integers]
+
+
+@dataclass(kw_only=True)
+class Count:
+    """What a sensor delivered in an hour: sums over its frames.
+
+    Parameters
+    ----------
+    frames, dropped, doubled, repeated, empty, high : int
+        Frames received; missing between them; less than half a cycle after the one before;
+        equal to the one before; without detections; with over 70 % of the seen tiles hit.
+    detections, moving, wild : int
+        Detections; those that move; those too fast for any vehicle.
+    hits, fewest, most : int
+        Tiles hit: the sum, the least and the most in a frame.
+    share : float
+        Sum of the share of the seen tiles that was hit.
+    seen : int
+        The most tiles seen.
+    shift_us : int
+        Sum of the corrections of the clock.
+    """
+
+    frames: int = 0
+    dropped: int = 0
+    doubled: int = 0
+    repeated: int = 0
+    empty: int = 0
+    high: int = 0
+    detections: int = 0
+    moving: int = 0
+    wild: int = 0
+    hits: int = 0
+    fewest: int = 1 << 62
+    most: int = 0
+    share: float = 0.0
+    seen: int = 0
+    shift_us: int = 0
+
+    def add(self, rows: Columns) -> None:
+        """Add frames."""
+        self.frames += len(rows["time_us"])
+        for name in ("detections", "moving", "wild", "shift_us"):
+            setattr(self, name, getattr(self, name) + int(rows[name].sum()))
+        hit, seen = rows["tiles_hit"], rows["tiles_seen"]
+        share = hit / np.maximum(seen, 1)
+        self.hits += int(hit.sum())
+        self.fewest, self.most = min(self.fewest, int(hit.min())), max(self.most, int(hit.max()))
+        self.share += float(share.sum())
+        self.high += int((share > HIGH).sum())
+        self.seen = max(self.seen, int(seen.max()))
+        self.empty += int((rows["detections"] == 0).sum())
+        self.doubled += int(rows["doubled"].sum())
+        self.repeated += int(rows["repeated"].sum())
+
+
+@dataclass(kw_only=True)
+class Span:
+    """The frames of a sensor as a whole: from when to when, and how far apart."""
+
+    first_us: int
+    last_us: int
+    gaps: Integers = field(default_factory=lambda: np.zeros(MOST_GAPS, np.int64))
+    sums_us: Integers = field(default_factory=lambda: np.zeros(MOST_GAPS, np.int64))
+
+    def add(self, time_us: Integers) -> None:
+        """Add frames that follow those so far."""
+        gap_us = np.diff(time_us, prepend=self.last_us)
+        gap_us = gap_us[(gap_us > 0) & (gap_us < MOST_GAPS * GAP_US)]
+        self.gaps += np.bincount(gap_us // GAP_US, minlength=MOST_GAPS)
+        sums_us = np.bincount(gap_us // GAP_US, gap_us, MOST_GAPS)
+        self.sums_us += sums_us.astype(np.int64)
+        self.last_us = int(time_us[-1])
+
+    @property
+    def cycle_us(self) -> float:
+        """The median time from one frame to the next; infinite where there is but one."""
+        done = np.cumsum(self.gaps)
+        if done[-1] == 0:
+            return np.inf
+        middle = int(np.searchsorted(done, done[-1] / 2))
+        return float(self.sums_us[middle] / self.gaps[middle])
+
+
+def spans_of(occupancy: Occupancy) -> dict[int, Span]:
+    """Find the span and the cycle of each sensor, by its number among `occupancy.sensors`."""
+    spans: dict[int, Span] = {}
+    for rows in occupancy.deliveries(occupancy.sensors):
+        for number in np.unique(rows[1]).tolist():
+            time = rows[0][rows[1] == number]
+            span = spans.setdefault(number, Span(first_us=int(time[0]), last_us=int(time[0])))
+            span.add(time)
+    return spans
+
+
+Counts = dict[tuple[int, int], Count]
+Gap = tuple[int, int, int]  # the sensor's number, and when the gap begins and ends, us
+
+
+def count_frames(
+    occupancy: Occupancy, spans: dict[int, Span], zone: ZoneInfo, reporter: Reporter
+) -> Counts:
+    """Count by sensor (its number) and hour (the UTC second of its begin).
+
+    Only hours in which some sensor delivered a frame count. In them a frame is missing where a
+    sensor's next one comes over 1.5 cycles later; so is what comes before a sensor's
+    first frame and after its last, from the first to the last frame of all.
+    """
+    counts: Counts = defaultdict(Count)
+    begin_us = min(span.first_us for span in spans.values())
+    end_us = max(span.last_us for span in spans.values())
+    before: dict[int, Columns] = {}
+    done = 0
+    lost: list[Gap] = []
+    for rows in occupancy.deliveries(occupancy.sensors):
+        named = dict(zip(COLUMNS, rows, strict=True))
+        for number in np.unique(named["sensor"]).tolist():
+            mine = {name: rows[named["sensor"] == number] for name, rows in named.items()}
+            lost += _compare(mine, before.get(number, mine), number, spans[number].cycle_us)
+            before[number] = {name: column[-1:] for name, column in mine.items()}
+            hours = hour_begins(mine["time_us"], zone)
+            for hour in np.unique(hours).tolist():
+                part = {name: column[hours == hour] for name, column in mine.items()}
+                counts[number, hour].add(part)
+        done += len(rows[0])
+        reporter.progress(STAGE, done, None)
+    for number, span in spans.items():
+        # As if a frame stood just beyond both ends: what is missing up to there counts too.
+        room_us = min(0.55 * span.cycle_us, MOST_GAPS * GAP_US)
+        lost.append((number, int(begin_us - room_us), span.first_us))
+        lost.append((number, span.last_us, int(end_us + room_us)))
+    _add_lost(counts, lost, spans)
+    return dict(counts)
+
+
+def _compare(mine: Columns, before: Columns, number: int, cycle_us: float) -> list[Gap]:
+    """Mark frames that are doubled or repeated; return the gaps in which frames are missing.
+
+    The first frame is compared with the row `before`; where that is itself, it is neither.
+    """
+    gap, of_sum, of_count = (
+        np.diff(mine[name], prepend=before[name][:1])
+        for name in ("time_us", "checksum", "detections")
+    )
+    later = np.ones(len(gap), np.bool_)
+    later[0] = before is not mine
+    same = (of_sum == 0) & (of_count == 0) & (mine["detections"] > 0)
+    mine["repeated"] = (later & same).astype(np.int64)
+    mine["doubled"] = (later & (gap < cycle_us / 2)).astype(np.int64)
+    wide = np.flatnonzero(gap > 1.5 * cycle_us)
+    time = mine["time_us"]
+    return [(number, int(time[i] - gap[i]), int(time[i])) for i in wide]
+
+
+def _add_lost(counts: Counts, lost: list[Gap], spans: dict[int, Span]) -> None:
+    """Count the frames missing in gaps, in the hours in which any sensor delivered."""
+    hours = np.unique([hour for _, hour in counts])
+    for number, begin_us, end_us in lost:
+        cycle_us = spans[number].cycle_us
+        missing = round((end_us - begin_us) / cycle_us) - 1
+        if missing < 1 or not np.isfinite(cycle_us):
+            continue
+        low = np.searchsorted(hours, begin_us // 1_000_000 - HOUR_S)
+        for hour in hours[low : np.searchsorted(hours, end_us // 1_000_000 + 1)].tolist():
+            first = max(np.ceil((hour * 1e6 - begin_us) / cycle_us), 1)
+            last = min(np.ceil(((hour + HOUR_S) * 1e6 - begin_us) / cycle_us) - 1, missing)
+            if last >= first:
+                counts[number, hour].dropped += int(last - first + 1)

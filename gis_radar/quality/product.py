@@ -1,0 +1,189 @@
+"""The table of data quality: one row a sensor and hour, with a verdict in words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC
+from pathlib import Path
+from typing import Any
+from zoneinfo import ZoneInfo
+
+import numpy as np
+import pandas as pd
+
+from gis_radar.clock import seconds_from_iso, zone_of
+from gis_radar.errors import InputError, OutputError
+from gis_radar.occupancy import Occupancy
+from gis_radar.outputs import whole_file
+from gis_radar.progress import QUIET, Reporter
+from gis_radar.quality.counting import Count, count_frames, spans_of
+from gis_radar.quality.hours import HOUR_S, moment
+from gis_radar.quality.verdict import GOOD, faults_of
+
+WRITERS = {".csv": "to_csv", ".parquet": "to_parquet"}
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Quality:
+    """What the numbers rest on.
+
+    Parameters
+    ----------
+    table : DataFrame
+        One row a sensor and hour: `sensor`; `begin`, `end` (UTC); `date`, `hour`, `weekday`
+        of local time; `frames_expected`, `frames`, `dropped`, `doubled`, `repeated`;
+        `detections_per_frame`, `moving_share`, `wild_share`; `tiles_hit_share`, the mean share
+        of the seen tiles hit in a frame; `clock_offset_s`, what the clock was corrected by;
+        `pose`, `pose_age_h`; `verdict`, "good" or what is wrong.
+    timezone : str
+        Of the local hours.
+    """
+
+    table: pd.DataFrame
+    timezone: str
+
+    def figures(self) -> dict[str, Any]:
+        """Return a line a sensor: how many hours are good, and what is wrong with the others."""
+        lines: dict[str, Any] = {}
+        for sensor, rows in self.table.groupby("sensor"):
+            good = int((rows["verdict"] == GOOD).sum())
+            bad = rows.loc[rows["verdict"] != GOOD, "verdict"].value_counts()
+            wrong = [f"{text} ({hours} h)" for text, hours in bad.items()]
+            lines[str(sensor)] = "; ".join([f"{good} of {len(rows)} hours good", *wrong])
+        return lines
+
+    def warnings(self) -> list[str]:
+        """Return one line for each sensor that is not good throughout."""
+        bad = self.table[self.table["verdict"] != GOOD]
+        return [
+            f"{sensor}: {rows['verdict'].iloc[0]} (in {len(rows)} of its hours, first in that from "
+            f"{rows['begin'].iloc[0]:%Y-%m-%dT%H:%MZ})"
+            for sensor, rows in bad.groupby("sensor")
+        ]
+
+    def write(self, path: str | Path) -> Path:
+        """Write the table as CSV (times as ISO 8601 with Z) or Parquet, by the file's ending.
+
+        Raises
+        ------
+        OutputError
+            If the ending is another, or the place cannot be written.
+        """
+        path = Path(path)
+        if path.suffix.lower() not in WRITERS:
+            raise OutputError(f"{path}: not a known table format", hint="use .csv or .parquet")
+        with whole_file(path) as part:
+            if path.suffix.lower() == ".csv":
+                self.table.to_csv(part, index=False, date_format="%Y-%m-%dT%H:%M:%SZ")
+            else:
+                self.table.to_parquet(part, index=False)
+        return path
+
+    def __repr__(self) -> str:
+        lines = "; ".join(f"{sensor}: {text}" for sensor, text in self.figures().items())
+        return f"Quality({lines})"
+
+
+def measure_quality(
+    occupancy: Occupancy, *, timezone: str = "UTC", reporter: Reporter = QUIET
+) -> Quality:
+    """Tell by sensor and hour what an occupancy rests on, and whether the sensor was well.
+
+    Parameters
+    ----------
+    occupancy : Occupancy
+        With the deliveries of its sensors; merged ones give what the whole would have given.
+    timezone : str
+        Whose hours, days and weekdays: a name such as Europe/Berlin.
+    reporter : Reporter
+        Hears how far the work is.
+
+    Raises
+    ------
+    UsageError
+        If there is no such time zone.
+    InputError
+        If the occupancy does not tell what was delivered.
+    """
+    zone = zone_of(timezone)
+    spans = spans_of(occupancy)
+    if not spans:
+        raise InputError(
+            "the occupancy does not tell what its sensors delivered",
+            hint="make it again with: gis-radar occupancy",
+        )
+    counts = count_frames(occupancy, spans, zone, reporter)
+    poses = _poses(occupancy.sources)
+    hours = sorted({hour for _, hour in counts})
+    rows = [
+        _row(sensor, hour, counts.get((number, hour), Count()), poses.get(sensor, []), zone)
+        for number, sensor in enumerate(occupancy.sensors)
+        if number in spans
+        for hour in hours
+    ]
+    return Quality(table=pd.DataFrame(rows), timezone=timezone)
+
+
+Poses = list[tuple[float, str]]
+
+
+def _poses(sources: list[dict[str, Any]]) -> dict[str, Poses]:
+    """Return by sensor when its poses were found (NaN where nobody said), and their text."""
+    found: dict[str, set[tuple[float, str]]] = {}
+    for source in sources:
+        for pose in source.get("poses", []):
+            text = ", ".join(
+                f"{pose[name]:.2f} {unit}"
+                for name, unit in (("easting", "E"), ("northing", "N"), ("height", "m"))
+            )
+            angles = " ".join(f"{name} {pose[name]:.2f}" for name in ("yaw", "pitch", "roll"))
+            found.setdefault(source["sensor"], set()).add((_time_of(pose), f"{text}, {angles}"))
+    return {sensor: sorted(poses, key=_known_first) for sensor, poses in found.items()}
+
+
+def _known_first(pose: tuple[float, str]) -> tuple[bool, float, str]:
+    return bool(np.isnan(pose[0])), 0.0 if np.isnan(pose[0]) else pose[0], pose[1]
+
+
+def _time_of(pose: dict[str, Any]) -> float:
+    try:
+        return seconds_from_iso(str(pose["time"]), what="time of a pose")
+    except (KeyError, InputError):
+        return float("nan")
+
+
+def _pose_at(poses: Poses, second: int) -> tuple[str, float]:
+    """Return the pose that was in force, and its age in hours."""
+    if not poses:
+        return "", float("nan")
+    held = [pose for pose in poses if pose[0] < second + HOUR_S] or poses[:1]
+    since, text = held[-1]
+    return text, (second - since) / HOUR_S
+
+
+def _row(sensor: str, hour: int, count: Count, poses: Poses, zone: ZoneInfo) -> dict[str, Any]:
+    local = moment(hour).astimezone(zone)
+    pose, age_h = _pose_at(poses, hour)
+    frames, detections = max(count.frames, 1), max(count.detections, 1)
+    nothing = count.frames == 0
+    return {
+        "sensor": sensor,
+        "begin": pd.Timestamp(hour, unit="s", tz=UTC),
+        "end": pd.Timestamp(hour + HOUR_S, unit="s", tz=UTC),
+        "date": f"{local:%Y-%m-%d}",
+        "hour": local.hour,
+        "weekday": f"{local:%A}",
+        "frames_expected": count.frames - count.doubled + count.dropped,
+        "frames": count.frames,
+        "dropped": count.dropped,
+        "doubled": count.doubled,
+        "repeated": count.repeated,
+        "detections_per_frame": np.nan if nothing else count.detections / frames,
+        "moving_share": np.nan if count.detections == 0 else count.moving / detections,
+        "wild_share": np.nan if count.detections == 0 else count.wild / detections,
+        "tiles_hit_share": np.nan if nothing or count.seen == 0 else count.share / frames,
+        "clock_offset_s": np.nan if nothing else -count.shift_us / frames / 1e6,
+        "pose": pose,
+        "pose_age_h": age_h,
+        "verdict": "; ".join(faults_of(count, hour)) or GOOD,
+    }
