@@ -1,24 +1,20 @@
-"""The whole way on the sample junction: scan to road, map to tiles, recordings to a heat map."""
+"""The whole way on the sample junction, and how near the poses that it finds are to the truth."""
 
 from __future__ import annotations
 
+import csv
+import math
 from pathlib import Path
 from typing import Any
 
-from gis_radar.aerial import mask_road, read_road
-from gis_radar.aerial.roads import roads_of_map
-from gis_radar.elevation import with_road_heights
 from gis_radar.errors import InputError
-from gis_radar.heatmap import make_heatmap
-from gis_radar.lanelets import read_map
-from gis_radar.occupancy import Filters, measure_occupancy
+from gis_radar.outputs import whole_file
+from gis_radar.pose import ANGLES, Pose
 from gis_radar.pose_files import read_pose
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.tiles import make_tiles, write_tiles
+from gis_radar.site_runs import run_site
 
-INTERVAL = "20s"
-SENSORS = ("R1", "R2")
-CLEARANCE_M = (-0.5, 4.5)  # what drives, without the tree crowns over the kerb
+ERRORS = "pose_errors.csv"
 
 
 def sample_folder() -> Path:
@@ -39,12 +35,13 @@ def sample_folder() -> Path:
 def run_demo(
     folder: str | Path, *, reporter: Reporter = QUIET
 ) -> tuple[list[Path], dict[str, Any]]:
-    """Run the main job on the sample and write its results.
+    """Run the sample site, whose sensors must find their poses, and compare these with the truth.
 
     Parameters
     ----------
     folder : str or Path
-        Where `road.laz`, `tiles.gpkg`, `occupancy/` and `heatmap/` go; made if it is not there.
+        Where the results of :func:`gis_radar.run_site` go, among them the QGIS project `site.qgz`,
+        and `pose_errors.csv`.
     reporter : Reporter
         Hears how far the work is.
 
@@ -53,26 +50,45 @@ def run_demo(
     outputs : list of Path
         What was written.
     figures : dict
-        A few figures worth a look.
+        Figures worth a look, among them the errors of the poses.
     """
     sample, folder = sample_folder(), Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    roads = read_map(sample / "junction.osm", reporter=reporter)
-    mask = mask_road([sample / "scan.laz"], roads_of_map(roads), reporter=reporter)
-    written = mask.write(folder / "road.laz")
-    tiles = make_tiles(roads, reporter=reporter)
-    tiles = with_road_heights(tiles, read_road(folder / "road.laz", roads.crs))
-    write_tiles(tiles, folder / "tiles.gpkg", problems=roads.problems)
-    occupancy = measure_occupancy(
-        [sample / f"{sensor}.parquet" for sensor in SENSORS],
-        [read_pose(sample / f"{sensor}.json") for sensor in SENSORS],
-        tiles,
-        folder / "occupancy",
-        filters=Filters(clearance=CLEARANCE_M),
-        reporter=reporter,
-    )
-    heat = make_heatmap(occupancy, tiles, interval=INTERVAL, reporter=reporter)
-    pictures = heat.write(folder / "heatmap", reporter=reporter)
-    road = {name: mask.figures()[name] for name in ("engine", "points_on_road", "covered")}
-    figures = {**road, "tiles": len(tiles), **occupancy.figures(), **heat.figures()}
-    return [*written, folder / "tiles.gpkg", folder / "occupancy", *pictures], figures
+    done = run_site(sample / "SITE.toml", folder, reporter=reporter)
+    if done.failure is not None:
+        raise done.failure
+    errors = {
+        sensor.name: pose_errors(
+            read_pose(folder / "sensors" / sensor.name / "pose.json"),
+            read_pose(sample / f"{sensor.name}.json"),
+        )
+        for sensor in done.site.sensor
+    }
+    _write(errors, folder / ERRORS)
+    figures = {**done.figures(), "errors_of_the_poses": errors}
+    return [*done.outputs, folder / ERRORS], figures
+
+
+def pose_errors(found: Pose, true: Pose) -> dict[str, float]:
+    """Return how far a pose is from the true one.
+
+    Returns
+    -------
+    dict
+        `2D_m` the distance on the map, `height_m`, and `yaw_deg`, `pitch_deg`, `roll_deg` in
+        (-180, 180]; found less true.
+    """
+    flat_m = math.hypot(found.easting - true.easting, found.northing - true.northing)
+    turned = {
+        f"{name}_deg": 180.0 - (180.0 - getattr(found, name) + getattr(true, name)) % 360.0
+        for name in ANGLES
+    }
+    errors = {"2D_m": flat_m, "height_m": found.height - true.height, **turned}
+    return {name: round(value, 3) for name, value in errors.items()}
+
+
+def _write(errors: dict[str, dict[str, float]], path: Path) -> None:
+    with whole_file(path) as part, part.open("w", encoding="utf-8", newline="") as file:
+        columns = ["sensor", *next(iter(errors.values()))]
+        writer = csv.DictWriter(file, columns, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows({"sensor": name, **each} for name, each in errors.items())

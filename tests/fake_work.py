@@ -1,0 +1,78 @@
+"""Work that tests let workers do: it joins texts, and misbehaves where it is told to."""
+
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+from gis_radar.errors import InputError, NoAnswerError, OutputError
+from gis_radar.outputs import whole_file
+
+
+def join(*, outputs, reporter, text="", wait_s=0.0, **inputs):
+    """Write the texts of all inputs and one's own into each output."""
+    reporter.log(f"joining {text}")
+    _note(outputs[0], text)
+    reporter.progress("joining", 0, 2)
+    read = [path.read_text() for paths in inputs.values() for path in paths]
+    for output in outputs:
+        with whole_file(output) as part:
+            part.write_text("".join(read) + text)
+            time.sleep(wait_s)
+    reporter.progress("joining", 2, 2)
+    return {"text": text, "share": 0.1}
+
+
+def _note(output, text):
+    """Leave a trace of each call, and of the process that did it."""
+    root = next(folder for folder in output.parents if (folder / ".gis-radar").is_dir())
+    with (root / "calls").open("a") as calls:
+        calls.write(f"{text}\n")
+    with (root / "workers").open("a") as workers:
+        workers.write(f"{os.getpid()}\n")
+
+
+def warn(*, reporter, **more):
+    reporter.log("beware", "warning")
+    return join(reporter=reporter, **more)
+
+
+def refuse(*, outputs, reporter, text="", **_inputs):
+    _note(outputs[0], text)
+    raise NoAnswerError("nothing fits", hint="look again")
+
+
+def fail(*, outputs, reporter, text="", **_inputs):
+    _note(outputs[0], text)
+    raise InputError("bad data")
+
+
+def cannot_write(*, outputs, reporter, **_inputs):
+    raise OutputError("disk full")
+
+
+def break_down(*, outputs, reporter, **_inputs):
+    raise ZeroDivisionError
+
+
+def die(*, outputs, reporter, **_inputs):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def chatter(*, outputs, reporter, **inputs):
+    sys.stdout.write("a library that prints to standard output\n")
+    os.write(1, b"even from below Python\n")
+    return join(outputs=outputs, reporter=reporter, **inputs)
+
+
+def touch_input(*, outputs, reporter, first, **_more):
+    """Change an input while it is read."""
+    Path(first[0]).write_text("changed meanwhile")
+    return join(outputs=outputs, reporter=reporter, text="T", first=first)
+
+
+WORKS = {
+    work.__name__: work
+    for work in (join, warn, refuse, fail, cannot_write, break_down, die, chatter, touch_input)
+}

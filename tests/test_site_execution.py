@@ -1,0 +1,327 @@
+"""The execution of stages: what is done, what is kept, and what a kill or a fault leaves."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from fake_stages import diamond, execute, stage
+from maps import Listener
+
+from gis_radar.errors import GisRadarError, InputError, NoAnswerError, OutputError
+from gis_radar.locks import only_writer
+from gis_radar.site_runs import execution
+from gis_radar.site_runs.contents import Contents
+from gis_radar.site_runs.workers import Workers, workers_here
+
+HERE = Path(__file__).parent
+NAMES = ["road", "a1", "b1", "a2", "b2", "map"]
+OLD = 1_700_000_000
+
+
+@pytest.fixture
+def root(tmp_path):
+    folder = tmp_path / "out"
+    (folder / ".gis-radar").mkdir(parents=True)
+    return folder
+
+
+@pytest.fixture
+def source(tmp_path):
+    return written(tmp_path / "source", "S")
+
+
+def written(path, text):
+    """Write a file that has settled: its hash may be remembered."""
+    path.write_text(text)
+    os.utime(path, (OLD, OLD))
+    return path
+
+
+def calls(root):
+    """The stages that were done since the last time one asked."""
+    path = root / "calls"
+    found = path.read_text().split() if path.exists() else []
+    path.unlink(missing_ok=True)
+    return sorted(found)
+
+
+def states(outcomes):
+    return {name: outcome.state for name, outcome in outcomes.items()}
+
+
+def is_gone(pid):
+    """Tell whether a process has ended, even if nobody has asked for its exit code."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except OSError:
+        return True
+
+
+def all_gone(root):
+    return soon_gone({int(line) for line in (root / "workers").read_text().split()})
+
+
+def soon_gone(pids, *, within_s=10.0):
+    end = time.monotonic() + within_s
+    while not all(map(is_gone, pids)) and time.monotonic() < end:
+        time.sleep(0.05)
+    return all(map(is_gone, pids))
+
+
+def test_stages_are_done_once_in_the_order_of_need(root, source):
+    first = execute(diamond(root, source), root, most=2)
+    assert set(states(first).values()) == {"done"}
+    assert (root / "map").read_text() == "Sroad" + "Sroada1a2" + "Sroadb1b2" + "map"
+    assert calls(root) == sorted(NAMES)
+    second = execute(diamond(root, source), root)
+    assert set(states(second).values()) == {"kept"}
+    assert calls(root) == []
+    assert [dict(o.figures) for o in first.values()] == [dict(o.figures) for o in second.values()]
+    assert all_gone(root)
+
+
+def test_what_changes_is_done_again_and_no_more(root, source, monkeypatch):
+    execute(diamond(root, source), root)
+    calls(root)
+    changed = diamond(root, source)
+    changed[2] = stage(root, "b1", ["road"], sensor="b", wait_s=0.01)
+    execute(changed, root)
+    assert calls(root) == ["b1"]  # its output is what it was, so the rest stands
+    written(source, "T")
+    execute(changed, root)
+    assert calls(root) == sorted(NAMES)
+    (root / "a2").unlink()
+    execute(changed, root)
+    assert calls(root) == ["a2"]
+    (root / "b2").write_text("tampered with")
+    execute(changed, root)
+    assert calls(root) == ["b2"]
+    assert "tampered" not in (root / "map").read_text()
+    monkeypatch.setattr(execution, "software", lambda: {"gis_radar": "99"})
+    execute(changed, root)
+    assert calls(root) == sorted(NAMES)
+
+
+@pytest.mark.parametrize("damage", ["", '{"name": "a1"}'])
+def test_a_damaged_record_is_none(root, source, damage):
+    execute(diamond(root, source), root)
+    calls(root)
+    (root / ".gis-radar" / "stages" / "a1.json").write_text(damage)
+    (root / ".gis-radar" / "contents.json").write_text(damage)
+    execute(diamond(root, source), root)
+    assert calls(root) == ["a1"]
+
+
+def test_a_moved_run_goes_on(root, source):
+    execute(diamond(root, source), root)
+    calls(root)
+    moved = root.rename(root.with_name("elsewhere"))
+    execute(diamond(moved, source), moved)
+    assert calls(moved) == []
+
+
+@pytest.mark.parametrize(("work", "kind"), [("refuse", NoAnswerError), ("fail", InputError)])
+def test_a_sensor_that_fails_does_not_stop_the_others(root, source, work, kind):
+    stages = diamond(root, source)
+    execute(stages, root)
+    calls(root)
+    stages[1] = stage(root, "a1", ["road"], work=work, sensor="a")
+    heard = Listener()
+    found = execute(stages, root, reporter=heard)
+    state = "refused" if work == "refuse" else "failed"
+    assert states(found) == {**dict.fromkeys(["road", "b1", "b2"], "kept"),
+                             "a1": state, "a2": "skipped", "map": "done"}  # fmt: skip
+    assert isinstance(found["a1"].error, kind)
+    assert found["a2"].error is found["a1"].error
+    assert (root / "map").read_text() == "SroadSroadb1b2map"
+    # What the earlier run found is no answer of this one.
+    assert not (root / "a1").exists()
+    assert not (root / "a2").exists()
+    assert any("a1" in text and found["a1"].error.message in text for _, text in heard.messages)
+    calls(root)
+    execute(stages, root)
+    # A refusal is an answer and stands; bad data may have been a bad moment.
+    assert calls(root) == ([] if work == "refuse" else ["a1"])
+    assert execute(diamond(root, source), root)["map"].state == "done"
+    assert (root / "map").read_text() == "SroadSroada1a2Sroadb1b2map"
+
+
+def test_without_any_sensor_there_is_no_map(root, source):
+    stages = diamond(root, source)
+    execute(stages, root)
+    for place, name in ((1, "a1"), (2, "b1")):
+        stages[place] = stage(root, name, ["road"], work="refuse", sensor=name[0])
+    found = execute(stages, root)
+    assert found["map"].state == "skipped"
+    assert isinstance(found["map"].error, NoAnswerError)
+    assert not (root / "map").exists()
+
+
+@pytest.mark.parametrize(
+    ("work", "kind", "words"),
+    [
+        ("fail", InputError, "bad data"),
+        ("refuse", NoAnswerError, "nothing fits"),
+        ("cannot_write", OutputError, "disk full"),
+        ("break_down", RuntimeError, "ZeroDivisionError"),
+        ("die", GisRadarError, "signal 9"),
+    ],
+)
+def test_what_all_depends_on_stops_all(root, source, work, kind, words):
+    stages = diamond(root, source)
+    stages[0] = stage(root, "road", [source], work=work)
+    with pytest.raises(kind, match=words):
+        execute(stages, root)
+    assert not (root / "a1").exists()
+
+
+def test_a_full_disk_stops_all_whoever_meets_it(root, source):
+    stages = diamond(root, source)
+    stages[1] = stage(root, "a1", ["road"], work="cannot_write", sensor="a")
+    with pytest.raises(OutputError, match="disk full"):
+        execute(stages, root)
+
+
+def test_warnings_stand_when_a_stage_is_kept(root, source):
+    for state in ("done", "kept"):
+        found = execute([stage(root, "road", [source], work="warn")], root)
+        assert (found["road"].state, tuple(found["road"].warnings)) == (state, ("beware",))
+
+
+def test_libraries_that_print_disturb_nothing(root, source, capfd):
+    found = execute([stage(root, "road", [source], work="chatter")], root)
+    assert found["road"].state == "done"
+    assert capfd.readouterr().out == ""
+
+
+def test_an_input_that_changes_meanwhile_leaves_no_record(root, source):
+    heard = Listener()
+    work = [stage(root, "road", [source], work="touch_input")]
+    assert execute(work, root, reporter=heard)["road"].state == "done"
+    assert any("has changed meanwhile" in text for _, text in heard.messages)
+    assert not (root / ".gis-radar" / "stages" / "road.json").exists()
+
+
+def test_a_bar_a_stage_never_goes_back_and_ends_full(root, source):
+    heard = Listener()
+    execute(diamond(root, source), root, reporter=heard)
+    for name in NAMES:
+        told = [done for stage, done, _ in heard.stages if stage == name]
+        assert told == sorted(told)
+        assert told[-1] == 100
+    assert ("all stages", 6, 6) in heard.stages
+
+
+class Interrupting(Listener):
+    """Interrupts at the n-th word of progress, as a Ctrl-C or a cancel button would."""
+
+    def __init__(self, after):
+        super().__init__()
+        self.after = after
+
+    def progress(self, stage, done, total):
+        super().progress(stage, done, total)
+        if len(self.stages) == self.after:
+            raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("after", [1, 5, 12])
+def test_an_interrupted_run_goes_on_to_the_same_end(root, source, tmp_path, after):
+    with pytest.raises(KeyboardInterrupt):
+        execute(diamond(root, source), root, most=2, reporter=Interrupting(after))
+    assert not (root / "workers").exists() or all_gone(root)
+    done = calls(root)
+    found = execute(diamond(root, source), root)
+    kept = [name for name, state in states(found).items() if state == "kept"]
+    assert set(kept) <= set(done)
+    assert sorted(kept + calls(root)) == sorted(NAMES)
+    whole = tmp_path / "whole"
+    whole.mkdir()
+    execute(diamond(whole, source), whole)
+    assert {name: (root / name).read_text() for name in NAMES} == {
+        name: (whole / name).read_text() for name in NAMES
+    }
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+@pytest.mark.parametrize("after", ["road", "a1", "map"])
+def test_kill_9_leaves_no_worker_no_lock_and_no_half_answer(root, source, after):
+    words = [sys.executable, str(HERE / "fake_stages.py"), str(root), str(source), "0.3"]
+    paths = os.environ | {"PYTHONPATH": os.pathsep.join([str(HERE), *sys.path])}
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=paths) as run:
+        for line in run.stdout:
+            name, done, _ = json.loads(line)
+            if name == after and (root / "workers").exists() and done < 100:
+                break
+        run.send_signal(signal.SIGKILL)
+    assert all_gone(root)
+    calls(root)
+    found = execute(diamond(root, source, wait_s=0.3), root)
+    assert all(outcome.has_result for outcome in found.values())
+    assert found["road"].state == ("done" if after == "road" else "kept")
+    assert (root / "map").read_text() == "SroadSroada1a2Sroadb1b2map"
+
+
+def test_two_runs_in_one_folder_are_refused(root, source):
+    with (
+        only_writer(root, lock=root / ".gis-radar" / "lock"),
+        pytest.raises(OutputError, match=f"another run is writing it .process {os.getpid()}"),
+    ):
+        execute(diamond(root, source), root)
+    assert execute(diamond(root, source), root)["map"].state == "done"
+
+
+def test_contents_follow_the_bytes(tmp_path):
+    memory = tmp_path / "memory.json"
+    file = written(tmp_path / "file", "one")
+    first = Contents(memory)
+    before = first.of(file)
+    first.save()
+    read = []
+    second = Contents(memory)
+    assert second.of(file, read.append) == before
+    assert read == []  # remembered
+    file.write_text("two")
+    assert second.of(file, read.append) != before
+    assert read == [3]
+    written(file, "one")
+    assert second.of(file) == before
+    assert second.of(tmp_path / "gone") is None
+
+
+def test_a_file_that_is_still_young_is_read_each_time(tmp_path):
+    file = tmp_path / "file"
+    file.write_text("one")
+    contents, read = Contents(tmp_path / "memory.json"), []
+    for _ in range(2):
+        contents.of(file, read.append)
+    assert read == [3, 3]
+
+
+def test_the_content_of_a_folder_is_that_of_its_files(tmp_path):
+    folder = tmp_path / "folder"
+    (folder / "inner").mkdir(parents=True)
+    (folder / "inner" / "a").write_text("a")
+    contents = Contents(tmp_path / "memory.json")
+    before = contents.of(folder)
+    (folder / "heatmap.tif.aux.xml").write_text("left by a viewer")
+    assert contents.of(folder) == before
+    (folder / "inner" / "a").rename(folder / "inner" / "b")
+    assert contents.of(folder) != before
+
+
+def test_there_is_at_least_one_worker(monkeypatch, tmp_path):
+    monkeypatch.setattr("gis_radar.site_runs.workers._free_memory", lambda: 1)
+    assert workers_here() == 1
+    monkeypatch.setattr("gis_radar.site_runs.workers._free_memory", lambda: None)
+    assert workers_here() >= 1
+    idle = Workers(1, tmp_path)
+    assert not idle.busy
+    idle.stop()

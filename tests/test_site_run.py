@@ -1,0 +1,492 @@
+"""Runs of a small site, and of the sample: results, exit codes, resumption to the same files."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import re
+import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import geopandas as gpd
+import laspy
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+import pytest
+import scans
+from click.testing import CliRunner
+from maps import Listener
+from sites import START, recording
+from small_site import write_site
+from streets import errors
+from test_site_execution import soon_gone
+
+import gis_radar as gr
+from gis_radar.cli.commands import group
+from gis_radar.demo import pose_errors
+from gis_radar.locks import only_writer
+from gis_radar.site_runs import product, work
+from gis_radar.site_runs.plan import stages_of
+from gis_radar.site_runs.records import Records
+
+TIMES = {"last_change", "update_time", "timestamp"}
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    """A small site, the folder of an unbroken run of it, and the true poses."""
+    folder = tmp_path_factory.mktemp("small")
+    path, poses = write_site(folder)
+    out = tmp_path_factory.mktemp("unbroken") / "out"
+    done = gr.run_site(path, out)
+    assert done.failure is None
+    return path, out, poses
+
+
+@pytest.fixture
+def copied(small, tmp_path):
+    """A copy of the site and of its results, to be changed."""
+    path, out, _ = small
+    shutil.copytree(path.parent, tmp_path / "site")
+    shutil.copytree(out, tmp_path / "out")
+    return tmp_path / "site" / "SITE.toml", tmp_path / "out"
+
+
+def change(path, old, new):
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+
+
+def contents(path):
+    """What a result holds, without the time at which it was written."""
+    if path.suffix == ".gpkg":
+        with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as database:
+            names = [row[0] for row in database.execute("SELECT name FROM sqlite_master")]
+            tables = {}
+            for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'"):
+                rows = database.execute(f'SELECT * FROM "{name}"')  # noqa: S608 - its own name
+                kept = [i for i, column in enumerate(rows.description) if column[0] not in TIMES]
+                tables[name] = [tuple(row[i] for i in kept) for row in rows]
+        return sorted(names), tables
+    if path.suffix == ".laz":
+        las = laspy.read(path)
+        return las.xyz.tobytes(), bytes(las.classification), las.header.parse_crs().to_wkt()
+    data = path.read_bytes()
+    # Where the results lie is no result.
+    return re.sub(rb'"[^"]*/(road\.[a-z.]*)"', rb'"\1"', data) if path.suffix == ".json" else data
+
+
+def results(out):
+    files = (path for path in sorted(out.rglob("*")) if path.is_file())
+    shown = [path for path in files if ".gis-radar" not in path.relative_to(out).parts]
+    return {path.relative_to(out).as_posix(): contents(path) for path in shown}
+
+
+def same(one, other):
+    one, other = results(one), results(other)
+    assert sorted(one) == sorted(other)
+    assert [name for name in one if one[name] != other[name]] == []
+
+
+def states(done):
+    return {outcome.stage.name: outcome.state for outcome in done.outcomes}
+
+
+def test_the_whole_way(small):
+    _, out, true = small
+    found = gr.read_pose(out / "sensors" / "R1" / "pose.json")
+    assert found.sensor == "R1"
+    assert found.view.max_range_m == 150.0
+    assert found.evidence["second_look"]["verdict"] == "nothing to compare"  # a bare road
+    assert (np.abs(errors(found, true["R1"])) < [0.4, 0.4, 0.2, 0.5, 0.5, 0.3]).all()
+    given = gr.read_pose(out / "sensors" / "R2" / "pose.json")
+    assert given.sensor == "R2"
+    assert errors(given, true["R2"]) == pytest.approx(np.zeros(6), abs=1e-9)
+    assert gr.read_tiles(out / "tiles.gpkg")["height_m"].notna().all()
+    # The same by hand.
+    tiles = gr.read_tiles(out / "tiles.gpkg")
+    parts = [gr.read_occupancy(out / "occupancy" / name) for name in ("R1", "R2")]
+    heat = gr.make_heatmap(gr.merge_occupancies(parts), tiles, interval="10s")
+    wide = gpd.read_parquet(out / "heatmap" / "heatmap.parquet")
+    assert wide["occupied_s"].to_numpy() == pytest.approx(heat.wide()["occupied_s"].to_numpy())
+    names = {"road.laz", "tiles.gpkg", "run.json", "summary.md", "sensors/R1/localization.png",
+             "heatmap/heatmap.gpkg", "heatmap/heatmap.tif", "heatmap/heatmap.png",
+             "sensors.gpkg", "site.qgz"}  # fmt: skip
+    assert names <= set(results(out))
+
+
+def test_the_project_shows_the_sensors_of_the_heat_map(small, tmp_path):
+    _, out, _ = small
+    assert list(gpd.read_file(out / "sensors.gpkg", layer="sensors")["sensor"]) == ["R1", "R2"]
+    assert {"sensors.gpkg", "site.qgz"} <= {
+        name for stage in json.loads((out / "run.json").read_text())["stages"]
+        for name in stage["outputs"]
+    }  # fmt: skip
+    moved = shutil.copytree(out, tmp_path / "moved")
+    project = (moved / "site.qgz").read_bytes()
+    shutil.rmtree(moved / "occupancy" / "R2")
+    gr.write_site_project(moved, title="Small site")
+    assert list(gpd.read_file(moved / "sensors.gpkg", layer="sensors")["sensor"]) == ["R1"]
+    assert (moved / "site.qgz").read_bytes() == project
+
+
+def test_what_was_in_effect_is_beside_the_results(small):
+    path, out, _ = small
+    run = json.loads((out / "run.json").read_text(encoding="utf-8"))
+    assert run["finished"] is True
+    assert run["sensors_in_heat_maps"] == ["R1", "R2"]
+    assert set(run["inputs"]) == {each.name for each in path.parent.iterdir()}
+    assert all(re.fullmatch("[0-9a-f]{32}", found) for found in run["inputs"].values())
+    assert run["site"]["sensor"][0]["recordings"] == ["R1.parquet"]
+    assert run["site"]["occupancy"]["clearance"] == [-0.5, 4.5]
+    assert {"gis_radar", "numpy", "python"} <= set(run["software"])
+    summary = (out / "summary.md").read_text(encoding="utf-8")
+    assert "2023-11-14 23:13:20+01:00" in summary  # 22:13:20 UTC
+    assert "R2_0.parquet: 99.9 %" in summary
+
+
+def test_what_stands_elsewhere_is_a_warning(small, copied):
+    """A second look that doubts is no failure; it is in pose, picture, figures and summary."""
+    path, out = copied
+    scan = laspy.read(path.parent / "scan_1.laz")
+    pose = small[2]["R1"]
+    rng = np.random.default_rng(4)
+    recorded = pd.read_parquet(path.parent / "R1.parquet")
+    trees = np.column_stack([rng.uniform(25, 70, 25), rng.uniform(-30, 30, 25), np.full(25, 0.5)])
+    places = np.repeat(trees, 8, axis=0) + rng.uniform(-1.2, 1.2, (200, 3)) * [1.0, 1.0, 0.1]
+    times = recorded["time"].unique()
+    still = pd.DataFrame(np.tile(places, (len(times), 1)), columns=["x", "y", "z"]).assign(
+        time=np.repeat(times, len(places)), rcs=5.0, range_rate=0.0
+    )
+    both = pd.concat([recorded, still]).sort_values("time", kind="stable")[[*recorded.columns]]
+    both.astype(recorded.dtypes).to_parquet(path.parent / "R1.parquet", index=False)
+    turned = replace(pose, yaw=pose.yaw + 20.0)  # the crowns stand 20 degrees aside
+    crowns = np.repeat(turned.to_map(trees), 300, axis=0)
+    crowns += rng.uniform(-1.5, 1.5, crowns.shape)
+    xyz = np.vstack([scan.xyz, crowns]) - [scans.EAST, scans.NORTH, 0.0]
+    kinds = np.r_[np.asarray(scan.classification), np.full(len(crowns), 5, np.uint8)]
+    scans.write_points(path.parent / "scan_1.laz", xyz, category=kinds)
+    done = gr.run_site(path, out)
+    assert done.failure is None
+    look = gr.read_pose(out / "sensors" / "R1" / "pose.json").evidence["second_look"]
+    assert look["verdict"] == "doubts", look
+    assert done.figures()["sensors"]["R1"]["second_look"] == "doubts"
+    summary = (out / "summary.md").read_text(encoding="utf-8")
+    assert "- localize R1: second look: doubts: " in summary
+    assert "| doubts | ok |" in summary
+    picture = plt.imread(out / "sensors" / "R1" / "localization.png")
+    assert picture.shape[1] > 1.5 * picture.shape[0]  # a second panel
+
+
+def test_a_cycle_and_clocks_of_the_site_file_are_used(copied):
+    path, out = copied
+    change(path, 'pose = "R2.json"', 'pose = "R2.json"\ncycle = "150ms"')
+    change(path, "[heatmap]", 'clocks = "clocks.json"\n\n[heatmap]')
+    clocks = {"clocks": {"R2": {"offset_s": 2.0}}}
+    (path.parent / "clocks.json").write_text(json.dumps(clocks), encoding="utf-8")
+    before = gr.read_occupancy(out / "occupancy" / "R2").frames
+    done = gr.run_site(path, out)
+    assert done.failure is None
+    after = gr.read_occupancy(out / "occupancy" / "R2")
+    (source,) = after.sources
+    assert (source["cycle_s"], source["clock"]["offset_s"]) == (0.15, 2.0)
+    assert after.frames["first_step"].min() == before["first_step"].min() - 40
+    assert after.frames["last_step"].max() == before["last_step"].max() - 40 + 2
+    assert "the clock of R1 is not corrected" in (out / "summary.md").read_text(encoding="utf-8")
+    assert "clocks.json" in json.loads((out / "run.json").read_text(encoding="utf-8"))["inputs"]
+
+
+def test_nothing_is_done_twice(small, copied):
+    path, out = copied
+    before = {name: (out / name).stat().st_mtime_ns for name in results(out)}
+    done = gr.run_site(path, out)
+    assert set(states(done).values()) == {"kept"}
+    after = {name: (out / name).stat().st_mtime_ns for name in results(out)}
+    assert {name for name in after if after[name] != before[name]} == {"run.json", "summary.md"}
+    same(out, small[1])
+
+
+class Killing(Listener):
+    """Interrupts when a stage begins."""
+
+    def __init__(self, stage):
+        super().__init__()
+        self.stage = stage
+
+    def progress(self, stage, done, total):
+        super().progress(stage, done, total)
+        if (stage, done) == (self.stage, 0):
+            raise KeyboardInterrupt
+
+
+def test_a_run_that_was_stopped_and_killed_ends_with_the_same_files(small, tmp_path):
+    path, unbroken, _ = small
+    out = tmp_path / "out"
+    with pytest.raises(KeyboardInterrupt):
+        gr.run_site(path, out, reporter=Killing("localize R1"))
+    assert json.loads((out / "run.json").read_text())["finished"] is False
+    assert not (out / "summary.md").exists()
+    words = [sys.executable, "-m", "gis_radar", "run", str(path), "-o", str(out), "--json"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=environment()) as run:
+        for line in run.stdout:
+            if json.loads(line).get("stage", "").startswith("occupancy"):
+                break
+        run.send_signal(signal.SIGKILL)
+    # As if it had been killed in the midst of writing.
+    (out / "heatmap").mkdir(exist_ok=True)
+    (out / ".heatmap.x1.part" / "heatmap").mkdir(parents=True)
+    (out / ".heatmap.x1.part" / "heatmap" / "heatmap.gpkg").write_text("half")
+    (out / "sensors" / ".R1.x2.before").mkdir(parents=True, exist_ok=True)
+    done = gr.run_site(path, out)
+    assert {name for name, state in states(done).items() if state == "kept"} >= {"mask"}
+    same(out, unbroken)
+    assert not [each for each in out.rglob(".*") if each.suffix in {".part", ".before"}]
+    assert not (out / ".gis-radar" / "scratch").exists()
+
+
+def environment():
+    return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+def test_ctrl_c_ends_with_130_and_leaves_no_process(small, tmp_path):
+    words = [sys.executable, "-m", "gis_radar", "run", str(small[0]), "-o", str(tmp_path / "out")]
+    with subprocess.Popen(
+        [*words, "--json"], stdout=subprocess.PIPE, text=True, env=environment()
+    ) as run:
+        for line in run.stdout:
+            if json.loads(line).get("stage") == "mask":
+                break
+        children = children_of(run.pid)
+        run.send_signal(signal.SIGINT)
+        said = [json.loads(line) for line in run.stdout]
+        assert run.wait(30) == 130
+    assert said[-1]["event"] == "error"
+    assert any("goes on from there" in event.get("message", "") for event in said)
+    assert children
+    assert soon_gone(children)
+
+
+def children_of(pid):
+    """The processes that a process has started."""
+    found = set()
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            if int(stat.read_text().rpartition(")")[2].split()[1]) == pid:
+                found.add(int(stat.parent.name))
+        except OSError:
+            continue
+    return found
+
+
+def test_a_sensor_without_an_answer_and_one_with_bad_data(small, copied):
+    path, out = copied
+    folder = path.parent
+    recording(folder / "R3.parquet", START + np.arange(150) * 0.05, np.ones((150, 3)))
+    (folder / "R4.parquet").write_bytes((folder / "R1.parquet").read_bytes()[:5000])
+    text = path.read_text()
+    third = '\n[[sensor]]\nname = "R3"\nrecordings = "R3.parquet"\nguess = [677990, 5403610]\n'
+    path.write_text(text + third)
+    words = ["run", str(path), "-o", str(out), "--jobs", "1", "--json"]
+    answer = CliRunner().invoke(group, words)
+    assert isinstance(answer.exception, gr.NoAnswerError)
+    assert "no result for R3; the heat maps show R1, R2 only" in answer.exception.message
+    assert "moving vehicles" in answer.exception.message
+    result = json.loads(answer.stdout.splitlines()[-1])
+    assert result["summary"]["heat_maps_show"] == ["R1", "R2"]
+    assert json.loads((out / "run.json").read_text())["sensors_in_heat_maps"] == ["R1", "R2"]
+    assert not (out / "sensors" / "R3").exists()
+    assert list(gpd.read_file(out / "sensors.gpkg", layer="sensors")["sensor"]) == ["R1", "R2"]
+    path.write_text(text + third + third.replace("R3", "R4"))
+    done = gr.run_site(path, out, jobs=1)
+    assert type(done.failure) is gr.InputError
+    assert "R4.parquet" in done.failure.message
+    assert set(done.missing) == {"R3", "R4"}
+    assert (out / "heatmap" / "heatmap.gpkg").is_file()
+    assert states(done)["localize R3"] == "refused"
+    path.write_text(text)
+    assert gr.run_site(path, out, jobs=1).failure is None
+    same(out, small[1])
+
+
+def test_what_is_changed_is_done_again_and_what_is_taken_out_is_gone(copied):
+    path, out = copied
+    text = path.read_text()
+    path.write_text(text[: text.rindex("[[sensor]]")].replace('"10s"', '"15s"'))
+    heard = Listener()
+    done = gr.run_site(path, out, jobs=1, reporter=heard)
+    assert done.failure is None
+    assert {name for name, state in states(done).items() if state == "done"} == {
+        "heat map", "QGIS project",
+    }  # fmt: skip
+    assert not (out / "occupancy" / "R2").exists()
+    assert not (out / "sensors" / "R2").exists()
+    assert set(gr.read_occupancy(out / "occupancy" / "R1").frames["sensor"]) == {"R1"}
+    assert json.loads((out / "run.json").read_text())["sensors_in_heat_maps"] == ["R1"]
+    assert any("no longer part of the site" in text for _, text in heard.messages)
+    records = Records(out / product.STATE / "stages", out)
+    assert "localize R1" in records.names()
+    product._forget(
+        records, [outcome.stage for outcome in done.outcomes], fresh=True, reporter=heard
+    )
+    assert records.names() == []
+    assert (out / "sensors" / "R1" / "pose.json").exists()
+
+
+def test_a_given_pose_with_a_bad_covariance_stops_its_sensor_alone(copied):
+    path, out = copied
+    pose = path.parent / "R2.json"
+    told = json.loads(pose.read_text()) | {"covariance": [[1.0]]}
+    pose.write_text(json.dumps(told))
+    done = gr.run_site(path, out, jobs=1)
+    assert set(done.missing) == {"R2"}
+    assert "covariance" in done.failure.message
+    assert list(gpd.read_file(out / "sensors.gpkg", layer="sensors")["sensor"]) == ["R1"]
+    assert (out / "site.qgz").is_file()
+
+
+def test_a_track_and_a_road_that_are_there(small, tmp_path):
+    path, out, _ = small
+    folder = tmp_path / "site"
+    shutil.copytree(path.parent, folder)
+    shutil.copy(out / "road.laz", folder)
+    pose = json.loads((out / "sensors" / "R1" / "pose.json").read_text())
+    names = ("sensor", "crs", "easting", "northing", "height", "yaw", "pitch", "roll")
+    with (folder / "R1_track.csv").open("w", newline="") as file:
+        rows = csv.writer(file)
+        rows.writerow(["time", *names])
+        rows.writerow(["2023-11-14T22:13:20Z", *(pose[name] for name in names)])
+    site = folder / "SITE.toml"
+    change(site, 'files = ["scan*.laz"]', 'road = "road.laz"')
+    text = re.sub(r"guess = .*\ncompass = .*", 'pose = "R1_track.csv"', site.read_text())
+    site.write_text(text)
+    done = gr.run_site(site, tmp_path / "out", jobs=1)
+    assert done.failure is None
+    assert (tmp_path / "out" / "sensors" / "R1" / "track.csv").is_file()
+    shown = gpd.read_file(tmp_path / "out" / "sensors.gpkg", layer="sensors")
+    assert list(shown["sensor"]) == ["R1", "R2"]
+    for name in ("R1", "R2"):
+        one, other = (
+            [tuple(map(np.ndarray.tolist, hits)) for hits in gr.read_occupancy(each).hits()]
+            for each in (out / "occupancy" / name, tmp_path / "out" / "occupancy" / name)
+        )
+        assert one == other
+
+
+def test_bad_places_for_results(small, tmp_path):
+    path = small[0]
+    (tmp_path / "file").touch()
+    with pytest.raises(gr.OutputError, match="cannot be written"):
+        gr.run_site(path, tmp_path / "file")
+    with pytest.raises(gr.OutputError, match="would replace the input"):
+        gr.run_site(path, path.parent)
+    (tmp_path / "home").mkdir()
+    (tmp_path / "home" / "letter.txt").touch()
+    with pytest.raises(gr.OutputError, match=r"holds 'letter.txt'"):
+        gr.run_site(path, tmp_path / "home")
+    assert [each.name for each in (tmp_path / "home").iterdir()] == ["letter.txt"]
+    with pytest.raises(gr.UsageError, match="jobs is 0"):
+        gr.run_site(path, tmp_path / "out", jobs=0)
+    state = tmp_path / "two" / product.STATE
+    state.mkdir(parents=True)
+    with (
+        only_writer(tmp_path / "two", lock=state / "lock"),
+        pytest.raises(gr.OutputError, match="two: another run is writing it"),
+    ):
+        gr.run_site(path, tmp_path / "two")
+
+
+@pytest.mark.skipif(hasattr(os, "geteuid") and os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_that_cannot_be_written(small, tmp_path):
+    (tmp_path / "out").mkdir(mode=0o500)
+    with pytest.raises(gr.OutputError, match="cannot be written: Permission denied"):
+        gr.run_site(small[0], tmp_path / "out")
+
+
+class Recorder:
+    """Stands for `gis_radar.convert`: converts by copying, and splits sensors where told to."""
+
+    def __init__(self, sensors=("a",)):
+        self.sensors, self.heard = sensors, {}
+
+    def convert(self, inputs, output, **options):
+        self.heard = {"inputs": inputs, **options}
+        places = [output.with_name(f"{name}.parquet") for name in self.sensors]
+        for place in places:
+            shutil.copyfile(inputs[0], place)
+        recordings = [SimpleNamespace(sensor=name) for name in self.sensors]
+        return SimpleNamespace(outputs=places, recordings=recordings, figures=lambda: {"frames": 3})
+
+
+def test_other_formats_are_converted_first(small, tmp_path, monkeypatch):
+    folder = tmp_path / "site"
+    shutil.copytree(small[0].parent, folder)
+    (folder / "R1.parquet").rename(folder / "R1.bag")
+    site = folder / "SITE.toml"
+    convert = 'convert = { columns = { x = "-X" }, clock = "sensor" }'
+    change(site, '["R1.parquet"]', f'"R1.bag"\n{convert}')
+    stages = {stage.name: stage for stage in stages_of(gr.read_site(site), tmp_path / "out")}
+    stage = stages["convert R1"]
+    assert "convert R2" not in stages
+    for reader in ("localize R1", "occupancy R1"):
+        assert stages[reader].inputs["recordings"] == stage.outputs
+    recorder = Recorder()
+    monkeypatch.setattr(work, "convert_recordings", recorder.convert)
+    stage.outputs[0].parent.mkdir(parents=True)
+    words = {name: list(paths) for name, paths in stage.inputs.items()} | dict(stage.options)
+    assert work.convert(outputs=list(stage.outputs), reporter=Listener(), **words) == {"frames": 3}
+    assert stage.outputs[0].read_bytes() == (folder / "R1.bag").read_bytes()
+    assert recorder.heard["columns"] == {"x": "-X"}
+    assert (recorder.heard["clock"], recorder.heard["sensor"]) == ("sensor", None)
+    monkeypatch.setattr(work, "convert_recordings", Recorder(("a", "b")).convert)
+    with pytest.raises(gr.InputError, match="has several sensors: a, b"):
+        work.convert(outputs=list(stage.outputs), reporter=Listener(), **words)
+
+
+def test_the_options_of_the_command_reach_their_arguments(monkeypatch, tmp_path):
+    heard = {}
+
+    def listen(*places, **options):
+        heard.update(options, places=places)
+        raise gr.NoAnswerError("heard")
+
+    monkeypatch.setattr(gr, "run_site", listen, raising=False)
+    words = ["run", "S.toml", "-o", str(tmp_path), "--jobs", "3", "--fresh"]
+    assert isinstance(CliRunner().invoke(group, words).exception, gr.NoAnswerError)
+    assert heard["places"] == (Path("S.toml"), tmp_path)
+    assert (heard["jobs"], heard["fresh"]) == (3, True)
+    printed = CliRunner().invoke(group, ["run", "--template"])
+    assert (printed.exit_code, printed.stdout) == (0, gr.site_template())
+
+
+def test_the_demo_finds_its_sensors(tmp_path):
+    heard = Listener()
+    outputs, figures = gr.run_demo(tmp_path / "demo", reporter=heard)
+    assert all(path.exists() for path in outputs)
+    with (tmp_path / "demo" / "pose_errors.csv").open() as file:
+        rows = {row["sensor"]: row for row in csv.DictReader(file)}
+    for sensor in ("R1", "R2"):
+        off = figures["errors_of_the_poses"][sensor]
+        assert off["2D_m"] < 0.5
+        assert abs(off["height_m"]) < 0.3
+        assert max(abs(off[f"{name}_deg"]) for name in ("yaw", "pitch", "roll")) < 0.5
+        assert {name: float(rows[sensor][name]) for name in off} == off
+    for name in ("road.laz", "tiles.gpkg", "occupancy/R1/hits.parquet", "heatmap/heatmap.gpkg"):
+        assert (tmp_path / "demo" / name).is_file()
+
+
+def test_errors_of_poses_turn_the_short_way():
+    true = gr.read_pose(gr.sample_folder() / "R1.json")
+    found = replace(true, yaw=true.yaw - 359.0, easting=true.easting + 3.0, height=true.height - 1)
+    off = pose_errors(replace(found, northing=true.northing + 4.0), true)
+    assert off == {"2D_m": 5.0, "height_m": -1.0, "yaw_deg": 1.0, "pitch_deg": 0.0, "roll_deg": 0.0}
