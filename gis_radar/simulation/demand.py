@@ -84,16 +84,28 @@ KINDS = (
 def random_flows(
     network: RoadNetwork, *, per_hour: float, rng: np.random.Generator
 ) -> tuple[Flow, ...]:
-    """Return a flow between every pair of entry and exit; their sum is `per_hour`.
+    """Return a flow between every entry and every exit that it leads to; their sum is `per_hour`.
 
-    Pairs that no route joins are left out by SUMO.
+    A vehicle that has no way to its exit would stop at the end of its road and block it.
     """
-    pairs = [(a, b) for a in network.sources() for b in network.sinks()]
+    sinks = set(network.sinks())
+    pairs = [(a, b) for a in network.sources() for b in sorted(_reached(network, a) & sinks)]
     weights = rng.dirichlet(np.full(len(pairs), 2.0))
     return tuple(
         Flow(source=a, sink=b, per_hour=per_hour * float(weight))
         for (a, b), weight in zip(pairs, weights, strict=True)
     )
+
+
+def _reached(network: RoadNetwork, edge: str) -> set[str]:
+    """Return the edges that a vehicle on an edge can drive to, and that edge."""
+    lanes = network.lanes
+    ways = [(lanes[t.source].edge, lanes[t.target].edge) for t in network.turns.values()]
+    reached, before = {edge}, set[str]()
+    while reached != before:
+        before = set(reached)
+        reached |= {b for a, b in ways if a in reached}
+    return reached
 
 
 def run_demand(

@@ -21,6 +21,8 @@ from gis_radar.simulation.scene import (
 )
 from gis_radar.simulation.terrain import Terrain
 
+_BLOCK_M2 = 1500.0  # what roads enclose is lined inside too, but no traffic island
+
 
 @dataclass(frozen=True, kw_only=True)
 class Roadside:
@@ -108,8 +110,9 @@ class _Places:
     def along(self, setback_m: float, gap_m: float) -> Iterator[tuple[Floats, float]]:
         """Yield points every `gap_m` or so at a distance from the kerb, and the way's heading."""
         outer = self.road.buffer(setback_m)
-        for part in getattr(outer, "geoms", [outer]):
-            ring = part.exterior
+        parts = getattr(outer, "geoms", [outer])
+        inner = [r for part in parts for r in part.interiors if shapely.Polygon(r).area > _BLOCK_M2]
+        for ring in [*(part.exterior for part in parts), *inner]:
             count = max(1, int(ring.length / gap_m))
             jitter = self.rng.uniform(-0.3, 0.3, count)
             for s in (np.arange(count) + 0.5 + jitter) * gap_m:

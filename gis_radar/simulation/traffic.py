@@ -15,13 +15,12 @@ from gis_radar.arrays import Floats, Integers
 from gis_radar.clock import STEP_S
 from gis_radar.simulation.curves import arc_length
 from gis_radar.simulation.demand import Flow, VehicleKind, run_demand
+from gis_radar.simulation.driving import DrivenRoads, LaneKeeping, eased
 from gis_radar.simulation.network import RoadNetwork
 from gis_radar.simulation.terrain import Terrain
 
 _LANE_CHANGE_M = 22.0
 _LANE_JUMP_M = 0.5
-_HABIT_M = 0.15
-_WANDER_M = 0.08
 _WANDER_LENGTH_M = 14.0
 _RUN_UP_S = 40.0
 
@@ -142,6 +141,7 @@ def simulate_traffic(
     duration_s: float,
     warm_up_s: float = 240.0,
     seed: int,
+    keeping: LaneKeeping | None = None,
 ) -> Traffic:
     """Simulate traffic with SUMO and lay it on the network's smooth lanes.
 
@@ -159,7 +159,10 @@ def simulate_traffic(
         How long to record, and how long traffic builds up before.
     seed : int
         Same seed, same traffic.
+    keeping : LaneKeeping, optional
+        Where in their lanes drivers keep.
     """
+    keeping = keeping or LaneKeeping()
     with tempfile.TemporaryDirectory() as folder:
         trace = Path(folder) / "trace.xml"
         run_demand(
@@ -171,17 +174,18 @@ def simulate_traffic(
             end_s=warm_up_s + duration_s + 2 * STEP_S,
             seed=seed,
         )
-        runs = _read_trace(trace, np.random.default_rng(seed))
+        runs = _read_trace(trace, np.random.default_rng(seed), keeping)
     steps = round(duration_s / STEP_S) + 1
-    return _lay(runs, network, {k.name: k for k in kinds}, start, steps, round(warm_up_s / STEP_S))
+    roads = keeping.on(network, seed=seed)
+    return _lay(runs, roads, {k.name: k for k in kinds}, start, steps, round(warm_up_s / STEP_S))
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Run:
     """One vehicle's way as SUMO tells it: the front bumper's lane and position at each step.
 
-    SUMO drives on the middle of the lane to the millimetre; `habit` (metres to the left) and
-    `phase` make each driver keep a line of his own.
+    SUMO drives on the middle of the lane to the millimetre; `habit` (metres to the left),
+    `wander` and `phase` make each driver keep a line of his own.
     """
 
     kind: str
@@ -190,10 +194,11 @@ class _Run:
     position: Floats
     speed: Floats
     habit: float
+    wander: float
     phase: float
 
 
-def _read_trace(path: Path, rng: np.random.Generator) -> list[_Run]:
+def _read_trace(path: Path, rng: np.random.Generator, keeping: LaneKeeping) -> list[_Run]:
     """Return the runs of a floating-car file, in the order of first appearance."""
     rows: dict[str, list[tuple[int, str, float, float]]] = {}
     kinds: dict[str, str] = {}
@@ -208,7 +213,7 @@ def _read_trace(path: Path, rng: np.random.Generator) -> list[_Run]:
             kinds[told["id"]] = told["type"]
         elif event == "end":
             element.clear()
-    runs = []
+    runs, spread = [], keeping.driver_m
     for name, steps in rows.items():
         when, lane, position, speed = zip(*steps, strict=True)
         runs.append(
@@ -218,7 +223,8 @@ def _read_trace(path: Path, rng: np.random.Generator) -> list[_Run]:
                 lane=lane,
                 position=np.array(position),
                 speed=np.array(speed),
-                habit=float(np.clip(rng.normal(0.0, _HABIT_M), -2 * _HABIT_M, 2 * _HABIT_M)),
+                habit=float(np.clip(rng.normal(0.0, spread), -2 * spread, 2 * spread)),
+                wander=keeping.wander_m,
                 phase=float(rng.uniform(0.0, 2.0 * np.pi)),
             )
         )
@@ -227,7 +233,7 @@ def _read_trace(path: Path, rng: np.random.Generator) -> list[_Run]:
 
 def _lay(
     runs: list[_Run],
-    network: RoadNetwork,
+    roads: DrivenRoads,
     kinds: dict[str, VehicleKind],
     start: float,
     steps: int,
@@ -241,7 +247,7 @@ def _lay(
     for column, run in enumerate(runs):
         inside = (run.step >= first_step) & (run.step < first_step + steps)
         rows = run.step[inside] - first_step
-        poses[:, rows, column] = _drive(run, network, sizes[column][0])[:, inside]
+        poses[:, rows, column] = _drive(run, roads, sizes[column][0])[:, inside]
         speed[rows, column] = run.speed[inside]
     return Traffic(
         start=start,
@@ -254,12 +260,12 @@ def _lay(
     )
 
 
-def _drive(run: _Run, network: RoadNetwork, length_m: float) -> Floats:
+def _drive(run: _Run, roads: DrivenRoads, length_m: float) -> Floats:
     """Return easting, northing, heading and yaw rate at each step of a run.
 
     The rear bumper follows the way of the front one, the vehicle's length behind it.
     """
-    front = _front(run, network)
+    front = _front(run, roads)
     s = arc_length(front)
     first = front[min(int(np.searchsorted(s, 0.5)), len(s) - 1)] - front[0]
     ahead = first / np.hypot(*first) if np.hypot(*first) > 0 else np.array([1.0, 0.0])
@@ -270,17 +276,20 @@ def _drive(run: _Run, network: RoadNetwork, length_m: float) -> Floats:
     return np.vstack([((front + rear) / 2.0).T, heading, np.gradient(heading, STEP_S)])
 
 
-def _front(run: _Run, network: RoadNetwork) -> Floats:
+def _front(run: _Run, roads: DrivenRoads) -> Floats:
     """Return the front bumper's way, with SUMO's sudden lane changes drawn out."""
     names = np.array(run.lane)
     point, ahead = np.empty((len(names), 2)), np.empty((len(names), 2))
+    street = np.empty(len(names))
     for lane in dict.fromkeys(run.lane):
         on = names == lane
-        point[on], ahead[on] = network.locate(lane, run.position[on])
+        point[on], ahead[on] = roads.network.locate(lane, run.position[on])
+        street[on] = roads.aside(lane)
     left = np.column_stack([-ahead[:, 1], ahead[:, 0]])
     driven = np.concatenate([[0.0], np.cumsum(run.speed[1:] * STEP_S)])
     jump = np.sum((point[:-1] - point[1:]) * left[1:], axis=1)
-    aside = run.habit + _WANDER_M * np.sin(driven / _WANDER_LENGTH_M + run.phase)
+    aside = run.habit + run.wander * np.sin(driven / _WANDER_LENGTH_M + run.phase)
+    aside += eased(street, driven)
     for k in np.flatnonzero(np.abs(jump) > _LANE_JUMP_M):
         share = np.clip((driven[k + 1 :] - driven[k + 1]) / _LANE_CHANGE_M, 0.0, 1.0)
         aside[k + 1 :] += jump[k] * (1.0 - share**2 * (3.0 - 2.0 * share))

@@ -1,0 +1,203 @@
+"""Localization, measured: our method and the paper's beside the paper's figures.
+
+    python bench/localization             all, half an hour on two free cores
+    python bench/localization --quick     a look, a few minutes
+    python bench/localization --only table,straight
+
+Parts: speed, straight (a road that fixes no place along it), table (sets DY and DO of a town, as in
+Table I), sites (the sample and what lies beside the project), calibration, curves (start, length,
+traffic). Results in out/bench-localization: report.md, a JSON file a part, pictures. What is
+simulated is kept there and made again when the simulator changes. Needs Eclipse SUMO and Open3D.
+Exit code 1 where one of our answers in table, sites or straight is wrong and does not say so.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import calibration
+import curves
+import figures
+import speed
+import straight
+import table
+from places import OUT
+from town import SETS, town_folder
+from trials import run_all
+from workers import workers
+
+QUICK_COMBINATIONS = 10
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Effort:
+    """How much to do.
+
+    Parameters
+    ----------
+    quick : bool
+        A few starts everywhere.
+    starts : int
+        At most so many a sensor, set and method in the table.
+    """
+
+    quick: bool
+    starts: int
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Part:
+    """What a part of the benchmark found.
+
+    Parameters
+    ----------
+    title, text : str
+        Of its chapter in the report, Markdown.
+    figures : dict or list
+        The same for programs.
+    wrong : int
+        How many of our answers are wrong and do not say so.
+    """
+
+    title: str
+    text: str
+    figures: Any
+    wrong: int = 0
+
+
+def make_table(effort: Effort) -> Part:
+    """Measure the town's sets."""
+    town = town_folder("town")
+    results = run_all(table.plan(town, most=effort.starts), what="table")
+    groups = table.report(results)
+    figures.draw_town(town, OUT / "town.png")
+    pictures = ["![The town](town.png)"]
+    for set_name in SETS:
+        near = [r for r in results if r.trial.group == f"near {set_name}"]
+        figures.draw_starts(town, set_name, near, OUT / f"starts_{set_name}.png")
+        pictures.append(f"![Set {set_name}: starts and ends](starts_{set_name}.png)")
+    wrong = [r for r in results if r.wrong and r.trial.method == "lane"]
+    return Part(
+        title="Sets DY and DO, as in the paper's Table I",
+        text="\n\n".join([table.markdown(groups), *pictures]),
+        figures={"groups": groups, "trials": [_plain(r) for r in results]},
+        wrong=len(wrong),
+    )
+
+
+def make_curves(effort: Effort) -> Part:
+    """Measure against start, length and traffic."""
+    town = town_folder("town")
+    with workers() as pool:
+        pool.map(curves.other_town, curves.other_rates(quick=effort.quick), chunksize=1)
+    made = curves.report(run_all(curves.plan(town, quick=effort.quick), what="curves"))
+    figures.draw_curves(made, OUT / "curves.png")
+    text = f"![Curves](curves.png)\n{curves.markdown(made)}"
+    return Part(title="Against start, length and traffic", text=text, figures=made)
+
+
+def make_sites(effort: Effort) -> Part:
+    """Measure the other sites."""
+    sys.path.append(str(Path(__file__).resolve().parents[1]))  # what all benches share
+    import sites  # noqa: PLC0415 - needs it
+
+    made = sites.report(run_all(sites.plan(quick=effort.quick), what="sites"))
+    wrong = sum(round(f["wrong"] * f["starts"]) for f in made.values())
+    return Part(title="Other sites", text=sites.markdown(made), figures=made, wrong=wrong)
+
+
+def make_calibration(effort: Effort) -> Part:
+    """Measure errors against their covariance."""
+    outcomes = calibration.run(range(QUICK_COMBINATIONS if effort.quick else calibration.COUNT))
+    told = calibration.summary(outcomes)
+    figures.draw_calibration((o.nees for o in outcomes if o.outcome == "right"),
+                             OUT / "calibration.png")  # fmt: skip
+    return Part(
+        title="Calibration",
+        text=f"{calibration.table(told)}\n\n![NEES](calibration.png)",
+        figures={"summary": told, "outcomes": [dataclasses.asdict(o) for o in outcomes]},
+    )
+
+
+def make_straight(effort: Effort) -> Part:
+    """Try a road that fixes no place along it."""
+    attempts = straight.measure(quick=effort.quick)
+    return Part(
+        title="A straight road, the sensor looks along it",
+        text=straight.markdown(attempts),
+        figures=[dataclasses.asdict(a) for a in attempts],
+        wrong=sum(a.confident for a in attempts),
+    )
+
+
+def make_speed(effort: Effort) -> Part:
+    """Time the command."""
+    del effort
+    costs = speed.measure()
+    told = {way: dataclasses.asdict(cost) for way, cost in costs.items()}
+    return Part(title="Speed and memory", text=speed.markdown(costs), figures=told)
+
+
+PARTS: dict[str, Callable[[Effort], Part]] = {
+    "speed": make_speed,
+    "straight": make_straight,
+    "table": make_table,
+    "sites": make_sites,
+    "calibration": make_calibration,
+    "curves": make_curves,
+}
+
+
+def _plain(result: Any) -> dict[str, Any]:
+    """Return a result as plain values, without paths of this machine."""
+    row = dataclasses.asdict(result)
+    row["trial"]["folder"] = result.trial.folder.name
+    return row
+
+
+def main() -> None:
+    """Run the parts, write the report, judge."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--quick", action="store_true", help="a few starts")
+    parser.add_argument("--only", default=",".join(PARTS), help=f"some of {','.join(PARTS)}")
+    parser.add_argument("--starts", type=int, help="a sensor in the table, at most (50)")
+    options = parser.parse_args()
+    most = table.QUICK_STARTS if options.quick else table.NEAR_STARTS["lane"]
+    effort = Effort(quick=options.quick, starts=options.starts or most)
+    names = options.only.split(",")
+    if unknown := set(names) - set(PARTS):
+        parser.error(f"--only: no part is called {', '.join(sorted(unknown))}")
+    OUT.mkdir(parents=True, exist_ok=True)
+    wrong = {}
+    for name in names:
+        begin = time.perf_counter()
+        part = PARTS[name](effort)
+        print(f"\n## {part.title}\n\n{part.text}\n", flush=True)
+        _keep(name, part, effort, time.perf_counter() - begin)
+        if part.wrong:
+            wrong[name] = part.wrong
+    if wrong:
+        told = ", ".join(f"{count} in {name}" for name, count in wrong.items())
+        sys.exit(f"answers that are wrong and do not say so: {told}")
+
+
+def _keep(name: str, part: Part, effort: Effort, seconds: float) -> None:
+    """Write a part, and the report of all parts that are there, also of earlier runs."""
+    how = "quick" if effort.quick else f"up to {effort.starts} starts a sensor"
+    kept = dataclasses.asdict(part) | {"how": f"{how}, {seconds / 60.0:.0f} min"}
+    (OUT / f"{name}.json").write_text(json.dumps(kept, indent=1) + "\n")
+    files = [OUT / f"{other}.json" for other in PARTS]
+    parts = [json.loads(file.read_text()) for file in files if file.exists()]
+    chapters = [f"## {p['title']} ({p['how']})\n\n{p['text']}" for p in parts]
+    (OUT / "report.md").write_text("\n\n".join(["# Localization", *chapters]) + "\n")
+
+
+if __name__ == "__main__":
+    main()

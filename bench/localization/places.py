@@ -1,0 +1,197 @@
+"""Simulated places: streets with houses and traffic, a map, a scanned road, and sensors."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import date
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import shapely
+from pyproj import CRS
+from street_plans import NO_TURNS, StreetPlan
+
+import gis_radar as gr
+from gis_radar.arrays import Floats
+from gis_radar.simulation.demand import KINDS, VehicleKind, random_flows
+from gis_radar.simulation.driving import LaneKeeping
+from gis_radar.simulation.lanelet_writer import write_lanelets
+from gis_radar.simulation.network import RoadNetwork, build_network, read_network
+from gis_radar.simulation.radar import RadarModel, place_radar
+from gis_radar.simulation.recording import frame_times, simulate_recording
+from gis_radar.simulation.roadside import Roadside, furnish
+from gis_radar.simulation.scan import fly, write_scan
+from gis_radar.simulation.scene import Scene
+from gis_radar.simulation.terrain import Terrain
+from gis_radar.simulation.traffic import Traffic, simulate_traffic
+
+ROOT = Path(__file__).parents[2]
+OUT = ROOT / "out" / "bench-localization"
+UTM = CRS.from_epsg(25832)
+ORIGIN = (678_000.0, 5_403_600.0)
+START = 1_780_300_800.0
+WINDOW_S = 100.0  # 2000 frames at 20 Hz
+# Localization takes moving detections only: few fixed ones a frame, and as many false ones of
+# them as of the 480 that a radar of the paper's kind delivers.
+STATIC_PER_FRAME, FALSE_DOPPLER_SHARE = 40.0, 0.0015 * 480.0 / 40.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Manners:
+    """What drives, and how.
+
+    Parameters
+    ----------
+    per_hour : float
+        Vehicles an hour, over all ways in.
+    kinds : tuple of VehicleKind
+        The mix.
+    keeping : LaneKeeping
+        Where in the lanes.
+    """
+
+    per_hour: float = 1800.0
+    kinds: tuple[VehicleKind, ...] = KINDS
+    keeping: LaneKeeping = field(default_factory=LaneKeeping)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """Streets with traffic.
+
+    Parameters
+    ----------
+    network : RoadNetwork
+        The lanes, in the map frame.
+    scene : Scene
+        What stands there.
+    traffic : Traffic
+        What drives there.
+    """
+
+    network: RoadNetwork
+    scene: Scene
+    traffic: Traffic
+
+    def record(
+        self, pose: gr.Pose, *, seed: int, model: RadarModel, begin_s: float = 0.0,
+        duration_s: float = WINDOW_S,
+    ) -> pd.DataFrame:  # fmt: skip
+        """Return what a radar records from `begin_s` after the traffic's first moment."""
+        stand, times, noise = np.random.default_rng([seed, 2]).spawn(3)
+        radar = place_radar(pose, self.scene, rng=stand, model=model)
+        moments = frame_times(START + begin_s, duration_s, rng=times)
+        return simulate_recording(radar, self.traffic, moments, rng=noise)
+
+    def write_ground(self, folder: Path, *, seed: int) -> None:
+        """Write `map.osm`, and `road.npy`: the road in half-metre cells, masked from a scan."""
+        write_lanelets(self.network, folder / "map.osm", terrain=self.scene.terrain, crs=UTM)
+        scan = fly(self.scene, rng=np.random.default_rng([seed, 3]))
+        with tempfile.TemporaryDirectory() as scratch:
+            write_scan(scan, Path(scratch) / "scan.laz", crs=UTM, flown=date(2026, 3, 14))
+            roads = gr.read_roads(folder / "map.osm")
+            mask = gr.mask_road([Path(scratch) / "scan.laz"], roads, engine="laspy")
+        np.save(folder / "road.npy", mask.points)
+
+
+def make_place(
+    plan: StreetPlan, *, seed: int, terrain: Terrain, manners: Manners, duration_s: float,
+    roadside: Roadside | None = None,
+) -> Place:  # fmt: skip
+    """Return a street plan come to life."""
+    with tempfile.TemporaryDirectory() as folder:
+        net = Path(folder) / "streets.net.xml"
+        build_network(plan.nodes_xml, plan.edges_xml, NO_TURNS, net)
+        network = read_network(net, origin=ORIGIN)
+        flows, furniture = np.random.default_rng([seed, 4]).spawn(2)
+        traffic = simulate_traffic(
+            net,
+            network,
+            flows=random_flows(network, per_hour=manners.per_hour, rng=flows),
+            kinds=manners.kinds,
+            start=START,
+            duration_s=duration_s,
+            warm_up_s=120.0,
+            seed=seed,
+            keeping=manners.keeping,
+        )
+    scene = furnish(network, terrain, rng=furniture, roadside=roadside)
+    return Place(network=network, scene=scene, traffic=traffic)
+
+
+def roadside_stand(
+    scene: Scene, rng: np.random.Generator, *, within_m: tuple[float, float]
+) -> Floats:
+    """Return where a mast may stand: beside a kerb, in no house, some way from the plan's middle.
+
+    Parameters
+    ----------
+    scene : Scene
+        The surroundings.
+    rng : Generator
+        Decides.
+    within_m : tuple of float
+        Least and greatest distance from the middle of the plan.
+    """
+    houses = [shapely.Polygon(b.outline).buffer(1.0) for b in scene.buildings]
+    taken = shapely.union_all([*houses, scene.road.buffer(1.5)])
+    near = scene.road.buffer(7.0).difference(taken)
+    shapely.prepare(near)
+    while True:
+        reach, turn = rng.uniform(*within_m), rng.uniform(0.0, 2.0 * np.pi)
+        place = ORIGIN + reach * np.array([np.cos(turn), np.sin(turn)])
+        if shapely.contains_xy(near, *place):
+            return np.asarray(place)
+
+
+def write_moving(recording: pd.DataFrame, path: Path) -> None:
+    """Write a recording quickly; the files are many and short-lived."""
+    recording.to_parquet(path, index=False, compression="snappy")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ground:
+    """The map and the road of a place, read back from its files."""
+
+    roads: gr.LaneletMap
+    road: Floats
+
+
+def read_ground(folder: Path) -> Ground:
+    """Return what :meth:`Place.write_ground` wrote."""
+    return Ground(roads=gr.read_map(folder / "map.osm"), road=np.load(folder / "road.npy"))
+
+
+def errors(found: gr.Pose, true: gr.Pose) -> Floats:
+    """Return east, north, height (m) and roll, pitch, yaw (degrees): found minus true."""
+    turns = [getattr(found, a) - getattr(true, a) for a in ("roll", "pitch", "yaw")]
+    wrapped = (np.array(turns) + 180.0) % 360.0 - 180.0
+    return np.concatenate([found.position - true.position, wrapped])
+
+
+def disc(rng: np.random.Generator, count: int, within_m: float) -> Floats:
+    """Return offsets spread evenly over a disc, (n, 2) metres."""
+    turn = rng.uniform(0.0, 2.0 * np.pi, count)
+    reach = within_m * np.sqrt(rng.random(count))
+    return np.column_stack([reach * np.cos(turn), reach * np.sin(turn)])
+
+
+def mixed(kinds: Sequence[VehicleKind], rng: np.random.Generator) -> tuple[VehicleKind, ...]:
+    """Return the kinds in other shares, and each a little other in size."""
+    made = []
+    for kind in kinds:
+        length, width, height = 1.0 + rng.uniform(-0.06, 0.06, 3)
+        made.append(
+            VehicleKind(
+                name=kind.name,
+                sumo_class=kind.sumo_class,
+                length_m=round(kind.length_m * float(length), 2),
+                width_m=round(kind.width_m * float(width), 2),
+                height_m=round(kind.height_m * float(height), 2),
+                share=round(kind.share * float(np.exp(rng.normal(0.0, 0.5))), 4),
+            )
+        )
+    return tuple(made)
