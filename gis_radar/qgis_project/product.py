@@ -1,0 +1,130 @@
+"""From results to a project file."""
+
+from __future__ import annotations
+
+import sqlite3
+import zipfile
+from contextlib import closing
+from pathlib import Path
+
+import pyogrio
+
+from gis_radar.clock import seconds_from_iso
+from gis_radar.crs import metric_crs
+from gis_radar.errors import InputError, UsageError
+from gis_radar.heatmap.layers import LONG, WIDE
+from gis_radar.outputs import whole_file
+from gis_radar.pose_files import read_track
+from gis_radar.qgis_project.document import Span, View, project_xml
+from gis_radar.qgis_project.layers import sensor_group, traffic_group
+from gis_radar.sensors import write_sensors
+
+ROOM = 0.05  # around what was observed, as a share of its size
+_TIMES = f'SELECT min("begin"), min("end"), max("end") FROM "{LONG}"'  # noqa: S608 - our own name
+
+
+def write_qgis_project(
+    path: str | Path, *, heatmap: str | Path, sensors: str | Path | None = None, title: str = ""
+) -> None:
+    """Write a QGIS project that shows a heat map, and the sensors that made it.
+
+    Files are named relative to the project, so that a folder with all of them can be moved.
+
+    Parameters
+    ----------
+    path : str or Path
+        The project, ending in `.qgz`; it appears whole or not at all.
+    heatmap : str or Path
+        Folder of a heat map.
+    sensors : str or Path, optional
+        GeoPackage of :func:`gis_radar.write_sensors`.
+    title : str
+        Of the project; by default the file's name.
+
+    Raises
+    ------
+    UsageError
+        If the name does not end in `.qgz`.
+    InputError
+        If the folder holds no heat map.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".qgz":
+        raise UsageError(f"{path}: a QGIS project ends in .qgz", hint="end the name in .qgz")
+    package = Path(heatmap) / "heatmap.gpkg"
+    view, span = _view(package), _span(package)
+    length_s = span.step_s if span is not None else 0.0
+    groups = [traffic_group(Path(heatmap).resolve(), length_s)]
+    if sensors is not None:
+        groups.insert(0, sensor_group(Path(sensors).resolve()))
+    home = path.resolve().parent
+    text = project_xml(title or path.stem, groups, view, span, home)
+    with whole_file(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
+        # Without a time of its own: the same results give the same file.
+        archive.writestr(zipfile.ZipInfo(f"{path.stem}.qgs"), text, zipfile.ZIP_DEFLATED)
+
+
+def write_site_project(folder: str | Path, *, title: str = "") -> list[Path]:
+    """Write the layers of the sensors and the project into the folder of a site's results.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Holds `heatmap/`, the poses as `sensors/NAME/pose.json` or `track.csv`, of which the last
+        pose counts, and `occupancy/NAME/` of the sensors that the heat map shows; without any
+        `occupancy/`, all sensors are shown.
+    title : str
+        Of the project; by default the folder's name.
+
+    Returns
+    -------
+    list of Path
+        `sensors.gpkg`, where there is a pose, and `site.qgz`.
+    """
+    folder = Path(folder)
+    poses = _poses(folder)
+    sensors = folder / "sensors.gpkg" if poses else None
+    if sensors is not None:
+        write_sensors([read_track(path).poses[-1] for path in poses], sensors)
+    project = folder / "site.qgz"
+    name = title or folder.resolve().name
+    write_qgis_project(project, heatmap=folder / "heatmap", sensors=sensors, title=name)
+    return [path for path in (sensors, project) if path is not None]
+
+
+def _poses(folder: Path) -> list[Path]:
+    """Return the poses of the sensors that the heat map shows, by name."""
+    shown = {path.name for path in (folder / "occupancy").glob("*/")}
+    found = {path.parent.name: path for path in (folder / "sensors").glob("*/track.csv")}
+    found |= {path.parent.name: path for path in (folder / "sensors").glob("*/pose.json")}
+    return [found[name] for name in sorted(found) if not shown or name in shown]
+
+
+def _view(package: Path) -> View:
+    """Return the box around the tiles that were observed, or all where none was."""
+    if not package.is_file():
+        raise InputError(f"{package}: no such file", hint="make it with: gis-radar heatmap")
+    try:
+        info = pyogrio.read_info(package, layer=WIDE, force_total_bounds=True)
+        _, boxes = pyogrio.read_bounds(package, layer=WIDE, where="observed_s > 0")
+    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, ValueError) as error:
+        raise InputError(f"{package}: not a heat map: {str(error).splitlines()[0]}") from error
+    crs = metric_crs(info["crs"], what=str(package))
+    west, south, east, north = (float(value) for value in info["total_bounds"])
+    if boxes.shape[1]:
+        west, south = (float(value) for value in boxes[:2].min(axis=1))
+        east, north = (float(value) for value in boxes[2:].max(axis=1))
+    room = ROOM * max(east - west, north - south)
+    return View(crs=crs, box=(west - room, south - room, east + room, north + room))
+
+
+def _span(package: Path) -> Span | None:
+    with closing(sqlite3.connect(f"{package.resolve().as_uri()}?mode=ro", uri=True)) as database:
+        try:
+            begin, first_end, end = database.execute(_TIMES).fetchone()
+        except sqlite3.Error as error:
+            raise InputError(f"{package}: not a heat map: {error}") from error
+    if begin is None:
+        return None
+    length_s = seconds_from_iso(first_end, what="end") - seconds_from_iso(begin, what="begin")
+    return Span(begin=begin, end=end, step_s=round(length_s, 3))

@@ -1,0 +1,27 @@
+"""The algorithms of the toolbox, one a file."""
+
+from .convert import ConvertRecordings
+from .heatmap import MakeHeatMap
+from .localize import LocalizeRadar
+from .mask import MaskRoad
+from .occupancy import MeasureOccupancy
+from .report import ExportReport
+from .run_site import RunSite
+from .sample import SampleSite
+from .set_up import SetUpWorker
+from .tiles import SplitLanelets
+
+ALGORITHMS = (
+    SplitLanelets,
+    MaskRoad,
+    LocalizeRadar,
+    ConvertRecordings,
+    MeasureOccupancy,
+    MakeHeatMap,
+    RunSite,
+    ExportReport,
+    SetUpWorker,
+    SampleSite,
+)
+
+__all__ = ["ALGORITHMS"]

@@ -1,0 +1,135 @@
+"""Heat map of occupancy."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+from qgis.core import (
+    QgsProcessing,
+    QgsProcessingContext,
+    QgsProcessingFeedback,
+    QgsProcessingOutputFile,
+    QgsProcessingOutputRasterLayer,
+    QgsProcessingOutputVectorLayer,
+    QgsProcessingParameterBoolean,
+    QgsProcessingParameterFeatureSource,
+    QgsProcessingParameterFile,
+    QgsProcessingParameterFolderDestination,
+    QgsProcessingParameterMultipleLayers,
+    QgsProcessingParameterString,
+)
+
+from ..base import TRAFFIC, WorkerAlgorithm, option
+from ..inputs import TILE_FIELDS, TILES, layer_file
+from ..loading import INTERVALS, load
+from ..words import tr
+
+INTERVAL = re.compile(r"\d+(\.\d+)?\s*(ms|s|min|h|d)")
+
+
+class MakeHeatMap(WorkerAlgorithm):
+    """Occupancy becomes layers that compare over places and times."""
+
+    NAME = "heatmap"
+    TITLE = "Heat map"
+    GROUP = TRAFFIC
+    HELP = (
+        "Makes maps of occupancy: the share of the observed time in which a tile was hit. What was "
+        "never observed is left out, not 0.\n"
+        "The result is a GeoPackage (the whole time, and by interval), a GeoTIFF with a band an "
+        "interval, a GeoParquet and a picture. Colours are the same on every map, so that maps "
+        "compare.\n"
+        "The layer 'by interval' is animated by the temporal controller as it is loaded. Times are "
+        "UTC in the data; the clock on the map shows the local time."
+    )
+    KEYWORDS = ("occupancy", "raster", "animation")
+
+    def initAlgorithm(self, _configuration: Any = None) -> None:  # noqa: N802
+        self.add(
+            QgsProcessingParameterFile(
+                "OCCUPANCY", tr("Occupancy"), QgsProcessingParameterFile.Behavior.Folder
+            ),
+            about="A folder from 'Occupancy from recordings', or the one of all sensors of a site.",
+        )
+        self.add(
+            QgsProcessingParameterFeatureSource(
+                "TILES", tr("Tiles"), [QgsProcessing.SourceType.TypeVectorPolygon]
+            ),
+            about="The tiles that the occupancy was made with.",
+        )
+        self.add(
+            QgsProcessingParameterString("INTERVAL", tr("Interval"), "15min", optional=True),
+            about="Length of the intervals: 20s, 15min, 1h; empty for the whole time only.",
+        )
+        self.add(
+            QgsProcessingParameterMultipleLayers(
+                "MORE", tr("Further occupancy"), QgsProcessing.SourceType.TypeFile, optional=True
+            ),
+            about="The files manifest.json of more folders, which are merged.",
+            advanced=True,
+        )
+        self.add(
+            QgsProcessingParameterBoolean("LOAD", tr("Load the layers"), True),
+            about="Switch it off in a model that goes on with the files.",
+            advanced=True,
+        )
+        self.add(
+            QgsProcessingParameterFolderDestination("OUTPUT", tr("Heat map")), about="A folder."
+        )
+        self.addOutput(QgsProcessingOutputVectorLayer("HEATMAP", tr("Occupancy, whole time")))
+        self.addOutput(QgsProcessingOutputVectorLayer("INTERVALS", tr("Occupancy by interval")))
+        self.addOutput(QgsProcessingOutputRasterLayer("RASTER", tr("Occupancy, raster")))
+        self.addOutput(QgsProcessingOutputFile("PICTURE", tr("Picture")))
+
+    def processAlgorithm(  # noqa: N802
+        self,
+        parameters: dict[str, Any],
+        context: QgsProcessingContext,
+        feedback: QgsProcessingFeedback,
+    ) -> dict[str, Any]:
+        dest = self.parameterAsString(parameters, "OUTPUT", context)
+        manifests = self.files(parameters, "MORE", context)
+        folders = [
+            *occupancies_in(self.parameterAsFile(parameters, "OCCUPANCY", context)),
+            *[str(Path(manifest).parent) for manifest in manifests],
+        ]
+        tiles, _ = layer_file(
+            self, parameters, "TILES", context, layer_name=TILES, fields=TILE_FIELDS
+        )
+        interval = self.parameterAsString(parameters, "INTERVAL", context).strip()
+        words = ["heatmap", *folders, "--tiles", tiles, "-o", dest, *option("--interval", interval)]
+        self.work(words, [dest], feedback)
+        if self.parameterAsBoolean(parameters, "LOAD", context):
+            load_heatmap(context, Path(dest), Path(dest).name)
+        return {"OUTPUT": dest, **layers_of(Path(dest))}
+
+
+def occupancies_in(folder: str) -> list[str]:
+    """Return a folder of occupancy, or those that are in it, as a site's run leaves them."""
+    inside = sorted(Path(folder).glob("*/manifest.json"))
+    if (Path(folder) / "manifest.json").is_file() or not inside:
+        return [folder]
+    return [str(manifest.parent) for manifest in inside]
+
+
+def layers_of(folder: Path) -> dict[str, str]:
+    """Return what is in a heat map's folder, by output."""
+    package = folder / "heatmap.gpkg"
+    return {
+        "HEATMAP": f"{package}|layername=heatmap",
+        "INTERVALS": f"{package}|layername={INTERVALS}",
+        "RASTER": str(folder / "heatmap.tif"),
+        "PICTURE": str(folder / "heatmap.png"),
+    }
+
+
+def load_heatmap(context: QgsProcessingContext, folder: Path, group: str) -> None:
+    """Have QGIS load a heat map as a group, the layer by interval on top and switched on."""
+    layers = layers_of(folder)
+    load(context, layers["INTERVALS"], tr("Occupancy by interval"), group=group, order=3)
+    whole = tr("Occupancy, whole time")
+    load(context, layers["HEATMAP"], whole, group=group, order=2, visible=False)
+    raster = tr("Occupancy, raster")
+    load(context, layers["RASTER"], raster, group=group, order=1, visible=False)

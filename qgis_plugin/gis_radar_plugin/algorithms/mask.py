@@ -1,0 +1,114 @@
+"""Mask the road out of an airborne scan."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from qgis.core import (
+    QgsProcessing,
+    QgsProcessingContext,
+    QgsProcessingException,
+    QgsProcessingFeedback,
+    QgsProcessingParameterCrs,
+    QgsProcessingParameterFeatureSource,
+    QgsProcessingParameterFile,
+    QgsProcessingParameterFileDestination,
+    QgsProcessingParameterMultipleLayers,
+    QgsProcessingParameterString,
+)
+
+from ..base import SITE, WorkerAlgorithm, option
+from ..inputs import layer_file
+from ..words import tr
+from .tiles import CRS_HELP, ORIGIN_HELP, crs_words
+
+
+class MaskRoad(WorkerAlgorithm):
+    """An airborne scan and a map or road polygons become the road's surface."""
+
+    NAME = "maskroad"
+    TITLE = "Mask road from airborne scan"
+    GROUP = SITE
+    HELP = (
+        "Keeps the road of an airborne laser scan (LAS, LAZ, COPC): one point each half metre, at "
+        "the height of its surface.\n"
+        "What is road says a Lanelet2 map, or a layer of polygons, which may be filtered, "
+        "selected or in memory.\n"
+        "The result is a LAZ file, which the other algorithms read."
+    )
+    KEYWORDS = ("lidar", "laz", "point cloud")
+
+    def initAlgorithm(self, _configuration: Any = None) -> None:  # noqa: N802
+        self.add(
+            QgsProcessingParameterMultipleLayers(
+                "SCANS", tr("Airborne scans"), QgsProcessing.SourceType.TypeFile
+            ),
+            about="One or more LAS or LAZ files of the site.",
+        )
+        self.add(
+            QgsProcessingParameterFile(
+                "MAP", tr("Lanelet2 map"), optional=True,
+                fileFilter=tr("Lanelet2 maps") + " (*.osm *.xml)",
+            ),
+            about="The HD map; or choose road polygons below.",
+        )  # fmt: skip
+        self.add(
+            QgsProcessingParameterFeatureSource(
+                "ROADS", tr("Road polygons"), [QgsProcessing.SourceType.TypeVectorPolygon],
+                optional=True,
+            ),
+            about="A layer of polygons, in place of the map.",
+        )  # fmt: skip
+        self.add(
+            QgsProcessingParameterCrs("SCAN_CRS", tr("CRS of the scans"), optional=True),
+            about="Only for scans that do not say theirs.", advanced=True,
+        )  # fmt: skip
+        self.add(
+            QgsProcessingParameterCrs("CRS", tr("Coordinate system"), optional=True),
+            about=CRS_HELP, advanced=True,
+        )  # fmt: skip
+        self.add(
+            QgsProcessingParameterString("ORIGIN", tr("Origin of the map"), optional=True),
+            about=ORIGIN_HELP, advanced=True,
+        )  # fmt: skip
+        self.add(
+            QgsProcessingParameterFileDestination(
+                "OUTPUT", tr("Road"), tr("Point clouds") + " (*.laz)"
+            ),
+            about="The road's surface as LAZ.",
+        )
+
+    def processAlgorithm(  # noqa: N802
+        self,
+        parameters: dict[str, Any],
+        context: QgsProcessingContext,
+        feedback: QgsProcessingFeedback,
+    ) -> dict[str, Any]:
+        dest = self.parameterAsFileOutput(parameters, "OUTPUT", context)
+        crs = crs_words(self.parameterAsCrs(parameters, "CRS", context))
+        words = [
+            "mask", *self.files(parameters, "SCANS", context), "-o", dest,
+            *self._roads(parameters, context, reprojected=bool(crs)),
+            *option("--crs", crs),
+            *option("--scan-crs", crs_words(self.parameterAsCrs(parameters, "SCAN_CRS", context))),
+            *option("--origin", self.parameterAsString(parameters, "ORIGIN", context)),
+        ]  # fmt: skip
+        self.work(words, [dest], feedback)
+        return {"OUTPUT": dest}
+
+    def _roads(
+        self, parameters: dict[str, Any], context: QgsProcessingContext, *, reprojected: bool
+    ) -> list[str]:
+        """Return the words that name the map or the layer: one of them, not both."""
+        lanelets = self.parameterAsFile(parameters, "MAP", context)
+        polygons = parameters.get("ROADS") not in (None, "")
+        if bool(lanelets) == polygons:
+            raise QgsProcessingException(
+                tr("Choose either a Lanelet2 map or a layer of road polygons.")
+            )
+        if lanelets:
+            return ["--map", lanelets]
+        path, layer = layer_file(
+            self, parameters, "ROADS", context, layer_name="roads", metric=not reprojected
+        )
+        return ["--map", path, "--layer", layer]

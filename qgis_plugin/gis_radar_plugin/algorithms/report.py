@@ -1,0 +1,291 @@
+"""Export report: a heat map as sheets."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from qgis.core import (
+    QgsGeometry,
+    QgsProcessing,
+    QgsProcessingAlgorithm,
+    QgsProcessingContext,
+    QgsProcessingException,
+    QgsProcessingFeedback,
+    QgsProcessingOutputFile,
+    QgsProcessingParameterEnum,
+    QgsProcessingParameterFeatureSource,
+    QgsProcessingParameterField,
+    QgsProcessingParameterFile,
+    QgsProcessingParameterFolderDestination,
+    QgsProcessingParameterMultipleLayers,
+    QgsProcessingParameterNumber,
+    QgsProcessingParameterString,
+    QgsProject,
+    QgsVectorLayer,
+)
+from qgis.PyQt.QtCore import QDateTime, QTimeZone
+
+from ..base import RESULTS, Algorithm, one_sentence
+from ..claims import claimed
+from ..loading import INTERVALS
+from ..report.export import (
+    PAGES,
+    PDF,
+    PROJECT,
+    copied,
+    explained,
+    export,
+    heat_layer,
+    sensor_layers,
+    write_pages,
+)
+from ..report.layout import Texts, make_layout
+from ..report.pages import Page, pages_of, places_of, time_zone
+from ..timeline import intervals_of
+from ..words import speaks_german, tr
+
+OURS = {PAGES, PDF, PROJECT}
+PNG, MOST_PAGES = ".png", 2000
+
+
+class ExportReport(Algorithm):
+    """Sheets over places and intervals, as PDF and PNG."""
+
+    NAME = "exportreport"
+    TITLE = "Export report"
+    GROUP = RESULTS
+    HELP = (
+        "Prints a heat map as sheets: map, legend, scale bar, north arrow, title, source and time, "
+        "one page for each junction or sensor and each interval.\n"
+        "Places are a layer of points or polygons with a name, such as junctions drawn by hand or "
+        "the sensors; without one a page shows the whole map.\n"
+        "The folder gets one PDF, a PNG a page, and a project with the print layout, to change it "
+        "by hand. It needs no window: qgis_process runs it every night."
+    )
+    KEYWORDS = ("print", "layout", "atlas", "pdf", "png")
+
+    def flags(self) -> Any:
+        """Keep to the main thread, as layouts need."""
+        return super().flags() | QgsProcessingAlgorithm.Flag.FlagNoThreading
+
+    def initAlgorithm(self, _configuration: Any = None) -> None:  # noqa: N802
+        self._add_pages()
+        self._add_texts()
+        self._add_layers()
+        self.add(QgsProcessingParameterFolderDestination("OUTPUT", tr("Report")), about="A folder.")
+        self.addOutput(QgsProcessingOutputFile("PDF", tr("Report as PDF")))
+
+    def _add_pages(self) -> None:
+        anything = QgsProcessing.SourceType.TypeVectorAnyGeometry
+        number = QgsProcessingParameterNumber.Type.Double
+        folder = QgsProcessingParameterFile.Behavior.Folder
+        self.add(
+            QgsProcessingParameterFile("HEATMAP", tr("Heat map"), folder),
+            about="A folder from 'Heat map'.",
+        )
+        self.add(
+            QgsProcessingParameterFeatureSource("PLACES", tr("Places"), [anything], optional=True),
+            about="Junctions or sensors: a page each.",
+        )
+        self.add(
+            QgsProcessingParameterField(
+                "NAME", tr("Field with their names"), parentLayerParameterName="PLACES",
+                optional=True,
+            )
+        )  # fmt: skip
+        self.add(
+            QgsProcessingParameterNumber("RADIUS", tr("Room around a place, m"), number, 60.0,
+                                         minValue=1.0)
+        )  # fmt: skip
+        self.add(
+            QgsProcessingParameterEnum(
+                "WHAT", tr("Pages"),
+                [tr("whole time and each interval"), tr("whole time"), tr("each interval")],
+                defaultValue=0,
+            )
+        )  # fmt: skip
+
+    def _add_texts(self) -> None:
+        self.add(QgsProcessingParameterString("TITLE", tr("Title"), tr("Traffic occupancy")))
+        self.add(
+            QgsProcessingParameterString("SOURCE", tr("Source"), tr("roadside radar, gis_radar"))
+        )
+        self.add(
+            QgsProcessingParameterString("TIME_ZONE", tr("Time zone"), optional=True),
+            about="Of the times on the sheets, such as Europe/Berlin; without one the computer's.",
+        )
+
+    def _add_layers(self) -> None:
+        number = QgsProcessingParameterNumber.Type.Double
+        self.add(
+            QgsProcessingParameterFile(
+                "SENSORS", tr("Sensors"), extension="gpkg", optional=True
+            ),
+            about="The GeoPackage from 'Localize a radar' or of a site's run, shown on top.",
+        )  # fmt: skip
+        self.add(
+            QgsProcessingParameterMultipleLayers("BACKGROUND", tr("Background"), optional=True),
+            about="Layers below the heat map, such as a base map.",
+        )
+        self.add(
+            QgsProcessingParameterNumber("DPI", tr("Resolution, dpi"), number, 200.0,
+                                         minValue=50.0, maxValue=1200.0),
+            advanced=True,
+        )  # fmt: skip
+
+    def processAlgorithm(  # noqa: N802
+        self,
+        parameters: dict[str, Any],
+        context: QgsProcessingContext,
+        feedback: QgsProcessingFeedback,
+    ) -> dict[str, Any]:
+        try:
+            return self._report(parameters, context, feedback)
+        except QgsProcessingException as error:
+            reason = str(error)
+        # QGIS never lets go of an exception's traceback, nor of the project in its frames: a
+        # project that outlives QGIS makes it crash as it closes. So the exception is a new one.
+        raise QgsProcessingException(reason)
+
+    def _report(
+        self,
+        parameters: dict[str, Any],
+        context: QgsProcessingContext,
+        feedback: QgsProcessingFeedback,
+    ) -> dict[str, Any]:
+        dest = Path(self.parameterAsString(parameters, "OUTPUT", context))
+        zone = time_zone(self.parameterAsString(parameters, "TIME_ZONE", context).strip())
+        with one_sentence(), claimed([str(dest)]):
+            self._refuse_foreign(dest)
+            # Beside the target first: a report appears whole or not at all.
+            with _private_folder(dest) as folder:
+                project, pages = self._project(parameters, context, folder, zone)
+                texts = Texts(
+                    title=self.parameterAsString(parameters, "TITLE", context),
+                    source=self.parameterAsString(parameters, "SOURCE", context),
+                    made=_today(zone),
+                )
+                legend = explained(project)
+                layout = make_layout(project, pages, legend, texts)
+                dpi = self.parameterAsDouble(parameters, "DPI", context)
+                feedback.pushInfo(tr("{count} pages").format(count=pages.featureCount()))
+                files = export(layout, folder, dpi, feedback)
+                project.write(str(folder / PROJECT))
+                names = [path.name for path in files]
+                project.clear()  # lets go of the files
+                del layout
+                _move(folder, dest)
+        feedback.pushInfo("\n".join(str(dest / name) for name in names))
+        return {"OUTPUT": str(dest), "PDF": str(dest / PDF)}
+
+    def _project(
+        self,
+        parameters: dict[str, Any],
+        context: QgsProcessingContext,
+        folder: Path,
+        zone: QTimeZone,
+    ) -> tuple[QgsProject, QgsVectorLayer]:
+        """Return a project with all layers, and the layer of pages."""
+        package = Path(self.parameterAsFile(parameters, "HEATMAP", context)) / "heatmap.gpkg"
+        whole, each = heat_layer(package, "heatmap"), heat_layer(package, INTERVALS)
+        sensors = self.parameterAsFile(parameters, "SENSORS", context)
+        above = sensor_layers(Path(sensors) if sensors else None)
+        below = copied(self.parameterAsLayerList(parameters, "BACKGROUND", context) or [])
+        project = QgsProject()
+        project.setCrs(whole.crs())
+        project.setTransformContext(context.transformContext())
+        for layer in (*above, each, whole, *below):
+            project.addMapLayer(layer)
+        shown = {
+            one: "|".join(layer.name() for layer in (*above, whole if one else each, *below))
+            for one in (True, False)
+        }
+        pages = self._pages(parameters, context, whole, each)
+        layer = write_pages(folder / PAGES, pages, shown, whole.crs(), zone)
+        project.addMapLayer(layer)
+        project.layerTreeRoot().findLayer(layer.id()).setItemVisibilityChecked(False)
+        return project, layer
+
+    def _pages(
+        self,
+        parameters: dict[str, Any],
+        context: QgsProcessingContext,
+        whole: QgsVectorLayer,
+        each: QgsVectorLayer,
+    ) -> list[Page]:
+        source = self.parameterAsSource(parameters, "PLACES", context)
+        if source is None and parameters.get("PLACES") not in (None, ""):
+            raise QgsProcessingException(tr("The layer of places cannot be read."))
+        names = self.parameterAsStrings(parameters, "NAME", context)
+        radius = self.parameterAsDouble(parameters, "RADIUS", context)
+        frame = QgsGeometry.fromRect(_observed_extent(whole))
+        places = places_of(source, names[0] if names else "", radius, whole.crs(), frame)
+        what = self.parameterAsEnum(parameters, "WHAT", context)
+        pages = list(pages_of(places, intervals_of(each), whole=what != 2, each=what != 1))
+        if len(pages) > MOST_PAGES:
+            text = tr("{count} pages are more than {most}: take fewer places or longer intervals.")
+            raise QgsProcessingException(text.format(count=len(pages), most=MOST_PAGES))
+        return pages
+
+    @staticmethod
+    def _refuse_foreign(folder: Path) -> None:
+        """Refuse a folder that holds other things than an earlier report."""
+        if not folder.is_dir():
+            return
+        other = [p.name for p in folder.iterdir() if p.name not in OURS and p.suffix != PNG]
+        if other:
+            text = tr("{folder}: holds '{name}', which is not part of a report: name a new folder.")
+            raise QgsProcessingException(text.format(folder=folder, name=min(other)))
+
+
+def _observed_extent(layer: QgsVectorLayer) -> Any:
+    """Return the box around the tiles that were observed, or around all where none was."""
+    part = layer.clone()
+    part.setSubsetString('"observed_s" > 0')
+    part.updateExtents(True)
+    extent = part.extent()
+    return layer.extent() if extent.isEmpty() else extent
+
+
+class _private_folder:  # noqa: N801 - reads as a function
+    """A folder beside the target that is gone afterwards."""
+
+    def __init__(self, dest: Path) -> None:
+        self._dest = dest
+
+    def __enter__(self) -> Path:
+        try:
+            made = tempfile.mkdtemp(
+                prefix=f".{self._dest.name}.", suffix=".part", dir=self._dest.parent
+            )
+        except OSError as error:
+            reason = error.strerror or str(error)
+            text = f"{self._dest}: {tr('cannot be written')}: {reason}"
+            raise QgsProcessingException(text) from error
+        self._folder = Path(made)
+        return self._folder
+
+    def __exit__(self, *_: object) -> None:
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+
+def _move(folder: Path, dest: Path) -> None:
+    """Put the files of a finished report in place of an earlier one's."""
+    try:
+        dest.mkdir(exist_ok=True)
+        for earlier in [*dest.glob("*.png"), *(dest / name for name in OURS)]:
+            earlier.unlink(missing_ok=True)
+        for path in folder.iterdir():
+            path.replace(dest / path.name)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise QgsProcessingException(f"{dest}: {tr('cannot be written')}: {reason}") from error
+
+
+def _today(zone: QTimeZone) -> str:
+    now = QDateTime.currentDateTimeUtc().toTimeZone(zone)
+    day = "dd.MM.yyyy" if speaks_german() else "yyyy-MM-dd"
+    return str(now.toString(day))

@@ -1,0 +1,72 @@
+"""Run a site file: the whole way for all sensors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from qgis.core import (
+    QgsProcessingContext,
+    QgsProcessingFeedback,
+    QgsProcessingParameterBoolean,
+    QgsProcessingParameterFile,
+    QgsProcessingParameterFolderDestination,
+)
+
+from ..base import TRAFFIC, WorkerAlgorithm
+from ..loading import load
+from ..words import tr
+from .heatmap import layers_of, load_heatmap
+
+
+class RunSite(WorkerAlgorithm):
+    """A site file becomes all results."""
+
+    NAME = "runsite"
+    TITLE = "Run a site file"
+    GROUP = TRAFFIC
+    HELP = (
+        "Goes the whole way for all sensors of a site, as its site file (TOML) says: road, tiles, "
+        "poses, occupancy, heat map.\n"
+        "The folder also holds a QGIS project that is ready to present."
+    )
+    KEYWORDS = ("batch", "nightly", "project")
+
+    def initAlgorithm(self, _configuration: Any = None) -> None:  # noqa: N802
+        self.add(
+            QgsProcessingParameterFile(
+                "SITE", tr("Site file"), fileFilter=tr("Site files") + " (*.toml)"
+            )
+        )
+        self.add(QgsProcessingParameterBoolean("LOAD", tr("Load the layers"), True), advanced=True)
+        self.add(QgsProcessingParameterFolderDestination("OUTPUT", tr("Results")))
+
+    def processAlgorithm(  # noqa: N802
+        self,
+        parameters: dict[str, Any],
+        context: QgsProcessingContext,
+        feedback: QgsProcessingFeedback,
+    ) -> dict[str, Any]:
+        dest = self.parameterAsString(parameters, "OUTPUT", context)
+        site = self.parameterAsFile(parameters, "SITE", context)
+        self.work(["run", site, "-o", dest], [dest], feedback)
+        folder = Path(dest)
+        if self.parameterAsBoolean(parameters, "LOAD", context):
+            load_site(context, folder, Path(site).stem)
+        projects = [str(path) for path in sorted(folder.glob("*.qgz"))]
+        for path in projects:
+            feedback.pushInfo(tr("Project that is ready to present:") + f" {path}")
+        return {"OUTPUT": dest, **layers_of(folder / "heatmap")}
+
+
+def load_site(context: QgsProcessingContext, folder: Path, group: str) -> None:
+    """Have QGIS load what a run left in its folder."""
+    sensors = folder / "sensors.gpkg"
+    if sensors.is_file():
+        for order, (layer, name) in enumerate(
+            (("uncertainty", tr("Uncertainty (95 %)")), ("views", tr("Views")),
+             ("sensors", tr("Sensors"))), start=10,
+        ):  # fmt: skip
+            load(context, f"{sensors}|layername={layer}", name, group=group, order=order)
+    if (folder / "heatmap" / "heatmap.gpkg").is_file():
+        load_heatmap(context, folder / "heatmap", group)

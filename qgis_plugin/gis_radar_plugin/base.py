@@ -1,0 +1,218 @@
+"""What all algorithms share: the worker, its progress in QGIS, its errors as one sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, ClassVar
+
+from qgis.core import (
+    QgsApplication,
+    QgsProcessingAlgorithm,
+    QgsProcessingContext,
+    QgsProcessingException,
+    QgsProcessingParameterDefinition,
+    QgsSettings,
+)
+from qgis.PyQt.QtGui import QIcon
+
+from .claims import claimed
+from .runner import Answer, CancelledError, Listener, WorkerError, run_worker
+from .words import tr
+from .worker import find_python, plugin_version, same_series, worker_version
+
+PROVIDER = "gisradar"
+SETTING = "gis_radar/worker_python"
+ICONS = Path(__file__).parent / "icons"
+SITE, TRAFFIC, RESULTS, SET_UP = "Site", "Traffic", "Results", "Set-up"
+
+
+def profile_folder() -> Path:
+    """Return the folder of the user's QGIS profile."""
+    return Path(QgsApplication.qgisSettingsDirPath())
+
+
+def chosen_python() -> str:
+    """Return the worker's Python; see :func:`worker.find_python`."""
+    return find_python(str(QgsSettings().value(SETTING, "") or ""), profile_folder())
+
+
+class Heard(Listener):
+    """Passes on to a QGIS feedback what the worker tells."""
+
+    def __init__(self, feedback: Any) -> None:
+        self._feedback = feedback
+        self._stage = ""
+
+    def progress(self, stage: str, done: float, total: float | None) -> None:
+        """Show the stage and how far it is."""
+        if stage != self._stage:
+            self._stage = stage
+            self._feedback.setProgressText(tr(stage))
+        if total:
+            self._feedback.setProgress(min(100.0, 100.0 * done / total))
+
+    def log(self, message: str, level: str) -> None:
+        """Show a remark."""
+        show = self._feedback.pushWarning if level == "warning" else self._feedback.pushInfo
+        show(message)
+
+    def cancelled(self) -> bool:
+        """Tell whether the user has pressed Cancel."""
+        return bool(self._feedback.isCanceled())
+
+
+@contextmanager
+def one_sentence() -> Iterator[None]:
+    """Turn what goes wrong with a worker into QGIS's own exception, in the user's language."""
+    try:
+        yield
+    except CancelledError as error:
+        raise QgsProcessingException(tr("Cancelled; nothing was left half-written.")) from error
+    except WorkerError as error:
+        raise QgsProcessingException(str(error)) from error
+
+
+class Algorithm(QgsProcessingAlgorithm):  # type: ignore[misc]
+    """An algorithm of the toolbox; children say in class attributes what they are."""
+
+    NAME: ClassVar[str] = ""
+    TITLE: ClassVar[str] = ""
+    GROUP: ClassVar[str] = SITE
+    HELP: ClassVar[str] = ""
+    KEYWORDS: ClassVar[tuple[str, ...]] = ()
+
+    def createInstance(self) -> QgsProcessingAlgorithm:  # noqa: N802
+        return type(self)()
+
+    def name(self) -> str:
+        return self.NAME
+
+    def displayName(self) -> str:  # noqa: N802
+        return tr(self.TITLE)
+
+    def group(self) -> str:
+        return tr(self.GROUP)
+
+    def groupId(self) -> str:  # noqa: N802
+        return self.GROUP.lower().replace("-", "")
+
+    def tags(self) -> list[str]:
+        return ["radar", "traffic", "lanelet", *self.KEYWORDS]
+
+    def shortDescription(self) -> str:  # noqa: N802
+        return tr(self.HELP).split("\n", maxsplit=1)[0]
+
+    def shortHelpString(self) -> str:  # noqa: N802
+        paragraphs = tr(self.HELP).split("\n")
+        return "".join(f"<p>{paragraph}</p>" for paragraph in paragraphs if paragraph)
+
+    def icon(self) -> QIcon:
+        return QIcon(self.svgIconPath())
+
+    def svgIconPath(self) -> str:  # noqa: N802
+        return str(ICONS / f"{self.NAME}.svg")
+
+    def add(
+        self,
+        parameter: QgsProcessingParameterDefinition,
+        *,
+        about: str = "",
+        advanced: bool = False,
+    ) -> None:
+        """Add a parameter, with a help text and, if so, in the folded part of the dialog."""
+        parameter.setHelp(tr(about))
+        if advanced:
+            flag = QgsProcessingParameterDefinition.Flag.FlagAdvanced
+            parameter.setFlags(parameter.flags() | flag)
+        self.addParameter(parameter)
+
+    def files(
+        self, parameters: dict[str, Any], name: str, context: QgsProcessingContext
+    ) -> list[str]:
+        """Return the files of a parameter; QGIS gives one without a name where there are none."""
+        return [path for path in self.parameterAsFileList(parameters, name, context) if path]
+
+
+class WorkerAlgorithm(Algorithm):
+    """An algorithm that the worker does."""
+
+    def canExecute(self) -> tuple[bool, str]:  # noqa: N802
+        """Tell whether there is a worker, and if not, what to do."""
+        try:
+            chosen_python()
+        except WorkerError as error:
+            return False, self._what_to_do(error)
+        return True, ""
+
+    @staticmethod
+    def _what_to_do(error: WorkerError) -> str:
+        if str(error) == "no worker":
+            return tr(
+                "gis_radar needs its worker: run 'Set up the worker' in the toolbox "
+                "(group gis_radar, Set-up) once."
+            )
+        return f"{error}: " + tr("run 'Set up the worker' again.")
+
+    def _python(self) -> str:
+        """Return the worker's Python if it fits this plugin."""
+        try:
+            python = chosen_python()
+            version = worker_version(python)
+        except WorkerError as error:
+            raise QgsProcessingException(self._what_to_do(error)) from error
+        if not same_series(version, plugin_version()):
+            raise QgsProcessingException(
+                tr("The worker is gis_radar {worker}, the plugin {plugin}:").format(
+                    worker=version, plugin=plugin_version()
+                )
+                + " "
+                + tr("run 'Set up the worker' again.")
+            )
+        return python
+
+    def work(self, words: Sequence[str], outputs: Sequence[str], feedback: Any) -> Answer:
+        """Let the worker do a command, and show its figures.
+
+        Parameters
+        ----------
+        words : sequence of str
+            The command and its options.
+        outputs : sequence of str
+            The files and folders that it writes.
+        feedback : QgsProcessingFeedback
+            Shows progress and remarks, and may cancel.
+
+        Raises
+        ------
+        QgsProcessingException
+            In one sentence, if it is cancelled or fails.
+        """
+        python = self._python()
+        with one_sentence(), claimed(outputs):
+            try:
+                answer = run_worker(python, words, Heard(feedback))
+            except WorkerError as error:
+                if str(error).startswith(f"No such command '{words[0]}'"):
+                    text = tr("This worker cannot do '{command}' yet:").format(command=words[0])
+                    again = tr("run 'Set up the worker' again.")
+                    raise WorkerError(f"{text} {again}") from error
+                raise
+        for name, value in answer.summary.items():
+            feedback.pushInfo(f"{tr(name.replace('_', ' '))}: {readable(value)}")
+        return answer
+
+
+def readable(value: Any) -> str:
+    """Return a figure as a person would write it."""
+    if isinstance(value, float):
+        return f"{value:.4g}" if abs(value) < 1000 else f"{value:.2f}"
+    if isinstance(value, list | tuple):
+        return ", ".join(readable(item) for item in value)
+    return str(value)
+
+
+def option(flag: str, value: Any) -> list[str]:
+    """Return an option's words, or none where it has no value."""
+    return [] if value is None or value == "" else [flag, str(value)]

@@ -1,0 +1,67 @@
+"""The clock on the map: the local time of what the temporal controller shows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from qgis.core import QgsProject, QgsVectorLayer
+from qgis.PyQt.QtCore import QTimeZone
+from qgis.PyQt.QtWidgets import QLabel
+
+from .report.pages import local_time
+from .timeline import as_utc
+
+_LOOK = (
+    "QLabel { background: rgba(255, 255, 255, 215); color: #111827; font-weight: bold;"
+    " padding: 4px 8px; border: 1px solid #9ca3af; border-radius: 3px; }"
+)
+
+
+class Clock:
+    """A label on the map canvas; data are UTC, people read local time.
+
+    Parameters
+    ----------
+    canvas : QgsMapCanvas
+        The map.
+    """
+
+    def __init__(self, canvas: Any) -> None:
+        self._canvas = canvas
+        self._label = QLabel(canvas)
+        self._label.setStyleSheet(_LOOK)
+        self._label.move(10, 10)
+        self._label.hide()
+        canvas.temporalRangeChanged.connect(self.show_time)
+        QgsProject.instance().layersRemoved.connect(self.show_time)
+
+    def show_time(self, *_: Any) -> None:
+        """Show the local time of the map, nothing where no layer of ours is animated."""
+        text = self.text()
+        self._label.setText(text)
+        self._label.adjustSize()
+        self._label.setVisible(bool(text))
+
+    def text(self) -> str:
+        """Return what the clock says."""
+        span = self._canvas.temporalRange()
+        if not self._canvas.mapSettings().isTemporal() or span.begin().isNull():
+            return ""
+        shown, _ = QgsProject.instance().readBoolEntry("TitleLabel", "/Enabled", False)
+        if shown or not any(map(_is_ours, QgsProject.instance().mapLayers().values())):
+            return ""  # a project of a site's run has its own clock
+        return local_time(as_utc(span.begin()), as_utc(span.end()), QTimeZone.systemTimeZone())
+
+    def remove(self) -> None:
+        """Take the label away."""
+        self._canvas.temporalRangeChanged.disconnect(self.show_time)
+        QgsProject.instance().layersRemoved.disconnect(self.show_time)
+        self._label.deleteLater()
+
+
+def _is_ours(layer: Any) -> bool:
+    return (
+        isinstance(layer, QgsVectorLayer)
+        and layer.temporalProperties().isActive()
+        and layer.fields().lookupField("occupied_s") >= 0
+    )

@@ -1,0 +1,239 @@
+"""Builds the worker: a Python environment of its own with gis_radar; knows nothing of QGIS."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess  # nosec B404
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from .runner import WorkerError, clean_environment, run_command
+from .worker import forget_versions, python_in, worker_version
+
+OLDEST = (3, 11)
+BUNDLED = Path(__file__).parent / "worker"
+_NAMES = ("python3.13", "python3.12", "python3.11", "python3", "python")
+_ASK = "import sys; print('%d.%d' % sys.version_info[:2])"
+_PACKAGES = 45  # about as many as gis_radar brings along; only the progress bar counts them
+
+
+@dataclass(frozen=True)
+class Tools:
+    """With what the environment is made.
+
+    Parameters
+    ----------
+    python : str
+        A Python that is new enough, or empty where uv must fetch one.
+    uv : str
+        The program uv, or empty.
+    """
+
+    python: str
+    uv: str
+
+
+class Teller:
+    """Hears how far the set-up is; this one ignores it."""
+
+    def stage(self, text: str, percent: float) -> None:
+        """Hear what is done now, and how far all of it is."""
+
+    def line(self, text: str) -> None:
+        """Hear what a tool prints."""
+
+    def cancelled(self) -> bool:
+        """Tell whether to stop."""
+        return False
+
+
+def bundled_package() -> str:
+    """Return the wheel that came with the plugin, or an empty text."""
+    wheels = sorted(BUNDLED.glob("gis_radar-*.whl"))
+    return str(wheels[-1]) if wheels else ""
+
+
+def find_tools(python: str = "") -> Tools:
+    """Find a Python that is new enough, and uv.
+
+    Parameters
+    ----------
+    python : str
+        The one to take; without it those of QGIS and of the system are looked at.
+
+    Raises
+    ------
+    WorkerError
+        If there is neither a fitting Python nor uv.
+    """
+    uv = shutil.which("uv") or ""
+    if python:
+        if not _is_new_enough(python):
+            raise WorkerError(f"{python} is no Python 3.11 or newer (choose another)")
+        return Tools(python, uv)
+    found = next((name for name in _candidates() if _is_new_enough(name)), "")
+    if not found and not uv:
+        raise WorkerError(
+            "There is no Python 3.11 or newer on this computer "
+            "(install one from python.org, or uv, and run this again)"
+        )
+    return Tools(found, uv)
+
+
+def _candidates() -> Iterator[str]:
+    """Yield Pythons: QGIS's own first; on Windows sys.executable is QGIS itself."""
+    program = "python.exe" if sys.platform == "win32" else "bin/python3"
+    for folder in (sys.base_exec_prefix, sys.exec_prefix):
+        yield str(Path(folder) / program)
+    if "python" in Path(sys.executable).name.lower():
+        yield sys.executable
+    for name in _NAMES:
+        if found := shutil.which(name):
+            yield found
+
+
+def _is_new_enough(python: str) -> bool:
+    try:
+        done = subprocess.run(  # noqa: S603  # nosec B603
+            [python, "-c", _ASK],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            encoding="utf-8",
+            timeout=30,
+            env=clean_environment(os.environ),
+            check=True,
+        )
+        major, minor = done.stdout.strip().split(".")
+    except (OSError, ValueError, subprocess.SubprocessError):
+        return False
+    return (int(major), int(minor)) >= OLDEST
+
+
+def set_up(
+    folder: Path, package: str, tools: Tools, teller: Teller, *, options: Sequence[str] = ()
+) -> str:
+    """Build the environment and put it in place of an earlier one.
+
+    Parameters
+    ----------
+    folder : Path
+        Where it shall be; it appears whole or not at all.
+    package : str
+        The wheel of gis_radar.
+    tools : Tools
+        With what.
+    teller : Teller
+        Hears how far it is, and is asked whether to stop.
+    options : sequence of str
+        Further words for pip or uv, such as where packages come from.
+
+    Returns
+    -------
+    str
+        The version of gis_radar that it has.
+
+    Raises
+    ------
+    WorkerError
+        If a step fails, in one sentence with the tool's last word.
+    CancelledError
+        If the teller wanted to stop.
+    """
+    part = folder.with_name(f"{folder.name}.part")
+    _remove(part)
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        teller.stage("Making an environment", 2)
+        _make_environment(part, tools, teller)
+        teller.stage("Fetching gis_radar and what it needs", 8)
+        _install(part, package, tools, teller, options)
+        teller.stage("Trying it out", 94)
+        version = worker_version(str(python_in(part)))
+        _run([str(python_in(part)), "-P", "-m", "gis_radar", "--version"], teller)
+        _put_in_place(part, folder)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise WorkerError(f"{folder}: cannot be written: {reason}") from error
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+        forget_versions()
+    teller.stage("Done", 100)
+    return version
+
+
+def _make_environment(part: Path, tools: Tools, teller: Teller) -> None:
+    if tools.uv:
+        wanted = tools.python or ">=3.11"
+        _run([tools.uv, "venv", "--quiet", "--python", wanted, str(part)], teller)
+        return
+    try:
+        _run([tools.python, "-m", "venv", str(part)], teller)
+    except WorkerError as error:
+        raise WorkerError(
+            f"{error} (on Debian and Ubuntu the package python3-venv may be missing)"
+        ) from error
+
+
+def _install(
+    part: Path, package: str, tools: Tools, teller: Teller, options: Sequence[str]
+) -> None:
+    python = str(python_in(part))
+    words = [python, "-m", "pip", "install", "--disable-pip-version-check", "--no-input",
+             "--progress-bar", "off"]  # fmt: skip
+    if tools.uv:
+        words = [tools.uv, "pip", "install", "--python", python, "--no-progress"]
+    pins = BUNDLED / "constraints.txt"
+    if pins.is_file():
+        words += ["--constraint", str(pins)]
+    _run([*words, "--only-binary", ":all:", *options, package], teller, counted=True)
+
+
+def _run(command: Sequence[str], teller: Teller, *, counted: bool = False) -> None:
+    """Run a step; count the packages that it names, so that the bar moves."""
+    last: list[str] = []
+    seen = 0
+
+    def hear(line: str) -> None:
+        nonlocal seen
+        text = line.strip()
+        if not text:
+            return
+        last.append(text)
+        teller.line(text)
+        if counted and text.startswith(("Collecting", "Downloading", "Processing", "Prepared")):
+            seen += 1
+            teller.stage("", 8 + min(84.0, 84.0 * seen / (2 * _PACKAGES)))
+
+    code, _ = run_command(command, hear, teller.cancelled, merged=True)
+    if code != 0:
+        raise WorkerError(_why(command[0], last, code))
+
+
+def _why(program: str, lines: Sequence[str], code: int) -> str:
+    """Choose the line that says most about a failed step."""
+    named = [line for line in lines if line.lower().startswith(("error", "fatal"))]
+    chosen = (named or list(lines) or [f"it ended with code {code}"])[-1]
+    return f"{Path(program).name}: {chosen}"
+
+
+def _put_in_place(part: Path, folder: Path) -> None:
+    """Swap the new environment in; the earlier one stays where that cannot be."""
+    before = folder.with_name(f"{folder.name}.before")
+    _remove(before)
+    if folder.exists():
+        folder.rename(before)
+    try:
+        part.rename(folder)
+    except OSError:
+        if before.exists():
+            before.rename(folder)
+        raise
+    shutil.rmtree(before, ignore_errors=True)
+
+
+def _remove(folder: Path) -> None:
+    if folder.exists():
+        shutil.rmtree(folder)

@@ -1,0 +1,163 @@
+"""Results in the project: their style with a legend in words, their time, their group."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+from qgis.core import (
+    Qgis,
+    QgsGraduatedSymbolRenderer,
+    QgsMapLayer,
+    QgsProcessingContext,
+    QgsProcessingLayerPostProcessorInterface,
+    QgsProject,
+    QgsRasterLayer,
+    QgsVectorLayer,
+)
+
+from .timeline import show_time, step_of
+from .words import speaks_german, tr
+
+SHAVED_MS = 10  # as in the style that gis_radar stores
+INTERVALS = "occupancy_by_interval"
+Finish = Callable[[QgsMapLayer], None]
+
+
+class Finisher(QgsProcessingLayerPostProcessorInterface):  # type: ignore[misc]
+    """Finishes a layer once it is in the project."""
+
+    # QGIS does not own post-processors: one without a reference is never called.
+    kept: ClassVar[list[Finisher]] = []
+
+    def __init__(self, finish: Finish, *, visible: bool) -> None:
+        super().__init__()
+        self._finish = finish
+        self._visible = visible
+        Finisher.kept.append(self)
+        del Finisher.kept[:-200]
+
+    def postProcessLayer(  # noqa: N802
+        self, layer: QgsMapLayer, context: QgsProcessingContext, _feedback: Any
+    ) -> None:
+        self._finish(layer)
+        project = context.project() or QgsProject.instance()
+        node = project.layerTreeRoot().findLayer(layer.id())
+        if node is not None:
+            node.setItemVisibilityChecked(self._visible)
+            node.setExpanded(self._visible)
+
+
+def load(
+    context: QgsProcessingContext,
+    source: str,
+    name: str,
+    *,
+    group: str = "",
+    finish: Finish | None = None,
+    visible: bool = True,
+    order: int = 0,
+) -> None:
+    """Have QGIS load a result when the algorithm has ended.
+
+    Parameters
+    ----------
+    context : QgsProcessingContext
+        Of the run; without a project in it nothing is loaded.
+    source : str
+        What to load.
+    name, group : str
+        Of the layer, and of the group that it goes into.
+    finish : callable, optional
+        Gets the layer once it is in the project; without it, :func:`dress`.
+    visible : bool
+        Whether it is switched on.
+    order : int
+        Layers of one run with a higher order lie above.
+    """
+    project = context.project()
+    if project is None:
+        return
+    details = QgsProcessingContext.LayerDetails(name, project, name)
+    details.groupName = group
+    details.layerSortKey = order
+    details.forceName = True
+    details.setPostProcessor(Finisher(finish or dress, visible=visible))
+    context.addLayerToLoadOnCompletion(source, details)
+
+
+def finish_output(
+    context: QgsProcessingContext, dest: str, finish: Finish | None = None, *, visible: bool = True
+) -> bool:
+    """Finish a layer that QGIS loads by itself; tell whether it does."""
+    if not context.willLoadLayerOnCompletion(dest):
+        return False
+    details = context.layerToLoadOnCompletionDetails(dest)
+    details.setPostProcessor(Finisher(finish or dress, visible=visible))
+    return True
+
+
+def dress(layer: QgsMapLayer) -> None:
+    """Show a layer as planners see it: its file's style, legend in their words, time on.
+
+    Processing loads layers without the style that their file holds.
+    """
+    layer.reload()
+    layer.loadDefaultStyle()
+    if isinstance(layer, QgsVectorLayer):
+        translate_legend(layer)
+        if switch_time_on(layer):
+            show_time(layer)
+    elif isinstance(layer, QgsRasterLayer):
+        _translate_raster(layer)
+    layer.triggerRepaint()
+
+
+def translate_legend(layer: QgsVectorLayer) -> None:
+    """Put the classes' labels in the user's language."""
+    renderer = layer.renderer()
+    if not isinstance(renderer, QgsGraduatedSymbolRenderer):
+        return
+    for place, step in enumerate(renderer.ranges()):
+        renderer.updateRangeLabel(place, legend_words(step.label()))
+    layer.emitStyleChanged()
+
+
+def _translate_raster(layer: QgsRasterLayer) -> None:
+    shader = getattr(layer.renderer(), "shader", lambda: None)()
+    ramp = shader.rasterShaderFunction() if shader is not None else None
+    if ramp is None or not hasattr(ramp, "colorRampItemList"):
+        return
+    items = ramp.colorRampItemList()
+    for item in items:
+        item.label = legend_words(item.label)
+    ramp.setColorRampItemList(items)
+
+
+def legend_words(label: str) -> str:
+    """Return a class's label in the user's language: `2 to 5 %` has words in it, too."""
+    for words in ("never hit", "up to", " to "):
+        label = label.replace(words, tr(words))
+    return label.replace(".", ",") if speaks_german() else label
+
+
+def switch_time_on(layer: QgsVectorLayer) -> bool:
+    """Let the temporal controller drive a layer with begin and end; tell whether it has them.
+
+    The style in the GeoPackage says the same, but QGIS brings its time up switched off. A row is
+    shown for a little less than its interval: QGIS compares the times of a GeoPackage as text,
+    and would show the interval that ends at a moment, too.
+    """
+    fields = layer.fields()
+    if fields.lookupField("begin") < 0 or fields.lookupField("end") < 0:
+        return False
+    properties = layer.temporalProperties()
+    length_ms = step_of(layer).seconds() * 1000
+    properties.setMode(Qgis.VectorTemporalMode.FeatureDateTimeInstantFromField)
+    properties.setStartField("begin")
+    properties.setEndField("end")
+    properties.setDurationUnits(Qgis.TemporalUnit.Milliseconds)
+    properties.setFixedDuration(max(0.0, round(length_ms) - SHAVED_MS))
+    properties.setLimitMode(Qgis.VectorTemporalLimitMode.IncludeBeginExcludeEnd)
+    properties.setIsActive(True)
+    return True

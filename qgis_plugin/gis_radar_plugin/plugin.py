@@ -1,0 +1,105 @@
+"""The plugin as QGIS loads it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from qgis.core import Qgis, QgsApplication
+from qgis.PyQt.QtGui import QIcon
+
+from .base import ICONS, PROVIDER, chosen_python
+from .provider import GisRadarProvider
+from .runner import WorkerError
+from .words import tr
+
+MENU = "gis_radar"
+
+
+class GisRadarPlugin:
+    """Brings the provider in, and in a QGIS with a window the clock and the live look.
+
+    Parameters
+    ----------
+    iface : QgisInterface or None
+        The window, where there is one.
+    """
+
+    def __init__(self, iface: Any) -> None:
+        self._iface = iface
+        self._provider: GisRadarProvider | None = None
+        self._actions: list[Any] = []
+        self._clock: Any = None
+        self._live: Any = None
+
+    def initProcessing(self) -> None:  # noqa: N802
+        """Register the algorithms; all that `qgis_process` needs."""
+        self._provider = GisRadarProvider()
+        QgsApplication.processingRegistry().addProvider(self._provider)
+
+    def initGui(self) -> None:  # noqa: N802
+        """Register the algorithms in a QGIS with a window, and add the menu."""
+        # Widgets are not imported where QGIS has no window.
+        from .clock import Clock  # noqa: PLC0415
+        from .live import LiveLook  # noqa: PLC0415
+
+        self.initProcessing()
+        canvas = self._iface.mapCanvas()
+        self._clock = Clock(canvas)
+        self._live = LiveLook(canvas.temporalController(), self._iface.mainWindow())
+        live = self._action(tr("Live look"), "live", self._switch_live)
+        live.setCheckable(True)
+        live.setToolTip(tr("Read layers anew when their files change"))
+        self._iface.addToolBarIcon(live)
+        self._action(tr("Set up the worker"), "setupworker", self._set_up)
+        self._say_what_is_missing()
+
+    def _action(self, text: str, icon: str, do: Any) -> Any:
+        try:
+            from qgis.PyQt.QtGui import QAction  # noqa: PLC0415 - where Qt 6 has it
+        except ImportError:
+            from qgis.PyQt.QtWidgets import QAction  # noqa: PLC0415 - where Qt 5 has it
+
+        action = QAction(QIcon(str(ICONS / f"{icon}.svg")), text, self._iface.mainWindow())
+        action.triggered.connect(do)
+        self._iface.addPluginToMenu(MENU, action)
+        self._actions.append(action)
+        return action
+
+    def _switch_live(self, on: bool) -> None:  # noqa: FBT001 - as Qt calls it
+        if on:
+            self._live.start()
+        else:
+            self._live.stop()
+
+    def _set_up(self, *_: Any) -> None:
+        import processing  # noqa: PLC0415 - a plugin of QGIS, there once it has started
+
+        processing.execAlgorithmDialog(f"{PROVIDER}:setupworker")
+
+    def _say_what_is_missing(self) -> None:
+        try:
+            chosen_python()
+        except WorkerError:
+            from qgis.PyQt.QtWidgets import QPushButton  # noqa: PLC0415 - as above
+
+            text = tr("The plugin needs its worker, once.")
+            message = self._iface.messageBar().createMessage("gis_radar", text)
+            button = QPushButton(tr("Set up the worker"), message)
+            button.clicked.connect(self._set_up)
+            message.layout().addWidget(button)
+            self._iface.messageBar().pushWidget(message, Qgis.MessageLevel.Info)
+
+    def unload(self) -> None:
+        """Leave QGIS as it was."""
+        if self._live is not None:
+            self._live.stop()
+            self._live.deleteLater()
+        if self._clock is not None:
+            self._clock.remove()
+        for action in self._actions:
+            self._iface.removePluginMenu(MENU, action)
+            self._iface.removeToolBarIcon(action)
+        self._actions.clear()
+        if self._provider is not None:
+            QgsApplication.processingRegistry().removeProvider(self._provider)
+            self._provider = None

@@ -1,0 +1,174 @@
+"""From a heat map's folder to PDF and PNG: a project, its atlas, the files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from qgis.core import (
+    Qgis,
+    QgsFeature,
+    QgsFeatureSink,
+    QgsField,
+    QgsFields,
+    QgsLayoutExporter,
+    QgsMapLayer,
+    QgsPrintLayout,
+    QgsProcessingException,
+    QgsProject,
+    QgsRasterLayer,
+    QgsSimpleMarkerSymbolLayer,
+    QgsVectorFileWriter,
+    QgsVectorLayer,
+    QgsWkbTypes,
+)
+from qgis.PyQt.QtCore import QMetaType, QTimeZone, QVariant
+
+from ..loading import INTERVALS, switch_time_on, translate_legend
+from ..words import tr
+from .pages import Page, local_time
+
+PROJECT, PAGES, PDF = "report.qgz", "pages.gpkg", "report.pdf"
+_DRAWN = (QgsVectorLayer, QgsRasterLayer)
+SENSOR_TABLES = {"Sensors": "sensors", "Uncertainty (95 %)": "uncertainty", "Views": "views"}
+SENSOR_LAYERS = tuple(SENSOR_TABLES)  # top to bottom
+
+
+def heat_layer(package: Path, name: str) -> QgsVectorLayer:
+    """Return a layer of a heat map with its style.
+
+    Raises
+    ------
+    QgsProcessingException
+        If it is not there.
+    """
+    layer = QgsVectorLayer(f"{package}|layername={name}", _title(name), "ogr")
+    if not layer.isValid():
+        raise QgsProcessingException(
+            tr("{folder} is no heat map: it has no layer '{layer}'.").format(
+                folder=package.parent, layer=name
+            )
+        )
+    translate_legend(layer)
+    switch_time_on(layer)
+    return layer
+
+
+def _title(name: str) -> str:
+    titles = {"heatmap": tr("Occupancy, whole time"), INTERVALS: tr("Occupancy by interval")}
+    return titles.get(name, name)
+
+
+def sensor_layers(package: Path | None) -> list[QgsMapLayer]:
+    """Return the layers of a file of sensors, none without one."""
+    if package is None:
+        return []
+    layers = [
+        QgsVectorLayer(f"{package}|layername={SENSOR_TABLES[name]}", tr(name), "ogr")
+        for name in SENSOR_LAYERS
+    ]
+    kept = [layer for layer in layers if layer.isValid() and layer.featureCount() > 0]
+    for layer in kept:
+        if layer.geometryType() == QgsWkbTypes.GeometryType.PointGeometry:
+            _make_room(layer.renderer())
+    return kept
+
+
+def _make_room(renderer: Any) -> None:
+    """Let the legend see how high a sensor's symbol is: the arrow rises above the dot."""
+    symbol = renderer.symbol().clone()
+    room = {"name": "circle", "size": "17", "color": "0,0,0,0", "outline_style": "no"}
+    symbol.appendSymbolLayer(QgsSimpleMarkerSymbolLayer.create(room))
+    renderer.setSymbol(symbol)
+
+
+def explained(project: QgsProject) -> list[QgsMapLayer]:
+    """Return the layers that the legend explains: occupancy first, then the sensors."""
+    names = (_title("heatmap"), *map(tr, SENSOR_LAYERS))
+    return [layer for name in names for layer in project.mapLayersByName(name)]
+
+
+def copied(layers: Sequence[QgsMapLayer]) -> list[QgsMapLayer]:
+    """Return background layers as a project of its own may hold them, with their style.
+
+    Pages name their layers with bars between them, so each gets a name of its own without bars.
+    """
+    kept = [layer.clone() for layer in layers if isinstance(layer, _DRAWN)]
+    for number, layer in enumerate(kept, start=1):
+        layer.setName(f"{layer.name().replace('|', ' ')} ({tr('Background')} {number})")
+    return kept
+
+
+def write_pages(
+    path: Path, pages: Sequence[Page], layers: dict[bool, str], crs: Any, zone: QTimeZone
+) -> QgsVectorLayer:
+    """Write the pages as the layer that the atlas runs over, and open it."""
+    options = QgsVectorFileWriter.SaveVectorOptions()
+    options.driverName, options.layerName = "GPKG", "pages"
+    fields = _page_fields()
+    context = QgsProject.instance().transformContext()
+    kind = QgsWkbTypes.Type.Polygon
+    writer = QgsVectorFileWriter.create(str(path), fields, kind, crs, context, options)
+    if writer.hasError() != QgsVectorFileWriter.WriterError.NoError:
+        raise QgsProcessingException(f"{path}: {writer.errorMessage()}")
+    for page in pages:
+        row = QgsFeature(fields)
+        row.setGeometry(page.place.frame)
+        row["place"], row["file"] = page.place.name, page.file_name()
+        row["begin"], row["end"] = page.begin, page.end
+        row["whole"], row["layers"] = page.whole, layers[page.whole]
+        row["time"], row["note"] = local_time(page.begin, page.end, zone), tr("whole time")
+        writer.addFeature(row, QgsFeatureSink.Flag.FastInsert)
+    writer.flushBuffer()
+    del writer  # closes the file
+    return QgsVectorLayer(f"{path}|layername=pages", tr("Pages"), "ogr")
+
+
+def _page_fields() -> QgsFields:
+    text, time, truth = _kinds()
+    fields = QgsFields()
+    for name, kind in (
+        ("place", text), ("file", text), ("time", text), ("note", text), ("layers", text),
+        ("begin", time), ("end", time), ("whole", truth),
+    ):  # fmt: skip
+        fields.append(QgsField(name, kind))
+    return fields
+
+
+def _kinds() -> tuple[Any, Any, Any]:
+    """Return the types of fields: QVariant's until QGIS 3.38, Qt's from then on."""
+    if Qgis.QGIS_VERSION_INT >= 33800:
+        kinds = QMetaType.Type
+        return kinds.QString, kinds.QDateTime, kinds.Bool
+    return QVariant.String, QVariant.DateTime, QVariant.Bool
+
+
+def export(layout: QgsPrintLayout, folder: Path, dpi: float, feedback: Any) -> list[Path]:
+    """Write the atlas as one PDF and a PNG a page.
+
+    Returns
+    -------
+    list of Path
+        The files, the PDF first.
+    """
+    atlas = layout.atlas()
+    pdf = folder / PDF
+    sheets = QgsLayoutExporter.PdfExportSettings()
+    sheets.dpi = dpi
+    sheets.rasterizeWholeImage = False
+    _checked(QgsLayoutExporter.exportToPdf(atlas, str(pdf), sheets, feedback), pdf, feedback)
+    pictures = QgsLayoutExporter.ImageExportSettings()
+    pictures.dpi = dpi
+    base = folder / "page.png"  # only its folder counts: each page has a name of its own
+    done = QgsLayoutExporter.exportToImage(atlas, str(base), "png", pictures, feedback)
+    _checked(done, base, feedback)
+    return [pdf, *sorted(folder.glob("*.png"))]
+
+
+def _checked(done: tuple[Any, str], path: Path, feedback: Any) -> None:
+    result, reason = done
+    if feedback.isCanceled() or result == QgsLayoutExporter.ExportResult.Canceled:
+        raise QgsProcessingException(tr("Cancelled; nothing was left half-written."))
+    if result != QgsLayoutExporter.ExportResult.Success:
+        raise QgsProcessingException(f"{path}: {tr('cannot be written')}: {reason or result}")

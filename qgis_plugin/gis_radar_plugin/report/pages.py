@@ -1,0 +1,168 @@
+"""The pages of a report: each place over the whole time and in each interval."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from qgis.core import (
+    QgsCoordinateReferenceSystem,
+    QgsCoordinateTransform,
+    QgsFeature,
+    QgsFields,
+    QgsGeometry,
+    QgsProcessingException,
+    QgsProcessingFeatureSource,
+    QgsProject,
+)
+from qgis.PyQt.QtCore import QDateTime, QLocale, QTimeZone
+
+from ..words import speaks_german, tr
+
+NAMES = ("name", "junction", "sensor", "id")
+Interval = tuple[QDateTime, QDateTime]
+
+
+@dataclass(frozen=True)
+class Place:
+    """A junction, a sensor, or the whole map.
+
+    Parameters
+    ----------
+    name : str
+        As it stands on the page.
+    frame : QgsGeometry
+        What the page shows, in the coordinate system of the heat map.
+    """
+
+    name: str
+    frame: QgsGeometry
+
+
+@dataclass(frozen=True)
+class Page:
+    """One page.
+
+    Parameters
+    ----------
+    place : Place
+        What it shows.
+    begin, end : QDateTime
+        Of which time, UTC.
+    whole : bool
+        Whether that is the whole time.
+    """
+
+    place: Place
+    begin: QDateTime
+    end: QDateTime
+    whole: bool
+
+    def file_name(self) -> str:
+        """Return a name without characters that a file system might refuse."""
+        place = re.sub(r"[^\w-]+", "_", self.place.name).strip("_") or "page"
+        time = "whole" if self.whole else self.begin.toString("yyyyMMdd'T'HHmmss") + "Z"
+        return f"{place}_{time}"
+
+
+def places_of(
+    source: QgsProcessingFeatureSource | None,
+    field: str,
+    radius_m: float,
+    crs: QgsCoordinateReferenceSystem,
+    whole: QgsGeometry,
+) -> list[Place]:
+    """Return the places of a layer, each with room around it; without a layer the whole map.
+
+    Raises
+    ------
+    QgsProcessingException
+        If the layer has no coordinate system or no place.
+    """
+    if source is None:
+        return [Place(tr("Overview"), whole)]
+    if not source.sourceCrs().isValid():
+        text = tr("The layer '{layer}' has no coordinate system: set it first.")
+        raise QgsProcessingException(text.format(layer=source.sourceName()))
+    transform = QgsCoordinateTransform(source.sourceCrs(), crs, QgsProject.instance())
+    column = field or _name_field(source.fields())
+    places = []
+    for number, row in enumerate(source.getFeatures(), start=1):
+        shape = QgsGeometry(row.geometry())
+        if shape.isEmpty():
+            continue
+        shape.transform(transform)
+        frame = QgsGeometry.fromRect(shape.boundingBox().buffered(radius_m))
+        places.append(Place(_called(row, column, number), frame))
+    if not places:
+        text = tr("The layer '{layer}' holds nothing, or nothing in it is selected.")
+        raise QgsProcessingException(text.format(layer=source.sourceName()))
+    return _distinct(places)
+
+
+def _name_field(fields: QgsFields) -> str:
+    for name in NAMES:
+        place = fields.lookupField(name)
+        if place >= 0:
+            return str(fields.at(place).name())
+    return ""
+
+
+def _called(row: QgsFeature, column: str, number: int) -> str:
+    value = row[column] if column else None
+    text = str(value) if value not in (None, "") else ""
+    return text if text and text != "NULL" else f"{tr('Place')} {number}"
+
+
+def _distinct(places: Sequence[Place]) -> list[Place]:
+    """Give places of one name a number, so that no page takes another's file."""
+    seen: dict[str, int] = {}
+    named = []
+    for place in places:
+        seen[place.name] = count = seen.get(place.name, 0) + 1
+        named.append(place if count == 1 else Place(f"{place.name} ({count})", place.frame))
+    return named
+
+
+def pages_of(
+    places: Sequence[Place], intervals: Sequence[Interval], *, whole: bool, each: bool
+) -> Iterator[Page]:
+    """Yield the pages, place by place: the whole time, then the intervals."""
+    for place in places:
+        if whole:
+            yield Page(place, intervals[0][0], intervals[-1][1], whole=True)
+        if each:
+            for begin, end in intervals:
+                yield Page(place, begin, end, whole=False)
+
+
+def time_zone(name: str) -> QTimeZone:
+    """Return the time zone of a name such as `Europe/Berlin`; without one the machine's.
+
+    Raises
+    ------
+    QgsProcessingException
+        If there is no such zone.
+    """
+    zone = QTimeZone(name.encode()) if name else QTimeZone.systemTimeZone()
+    if not zone.isValid():
+        raise QgsProcessingException(
+            tr("'{name}' is no time zone: give one such as Europe/Berlin.").format(name=name)
+        )
+    return zone
+
+
+def local_time(begin: QDateTime, end: QDateTime, zone: QTimeZone) -> str:
+    """Return a span of time as people there read it, with the zone and its offset."""
+    first, last = begin.toTimeZone(zone), end.toTimeZone(zone)
+    locale = QLocale("de" if speaks_german() else "en")
+    clock = "HH:mm:ss" if first.time().second() or last.time().second() else "HH:mm"
+    day = "ddd dd.MM.yyyy " if speaks_german() else "ddd yyyy-MM-dd "
+    same_day = first.date() == last.date()
+    text = f"{locale.toString(first, day + clock)} \u2013 "
+    text += locale.toString(last, clock if same_day else day + clock)
+    hours, minutes = divmod(abs(first.offsetFromUtc()) // 60, 60)
+    sign = "+" if first.offsetFromUtc() >= 0 else "-"
+    offset = f"UTC{sign}{hours}" + (f":{minutes:02d}" if minutes else "")
+    return f"{text} ({'UTC' if first.offsetFromUtc() == 0 else offset})"

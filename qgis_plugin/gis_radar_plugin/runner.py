@@ -1,0 +1,296 @@
+"""Runs gis_radar in another Python and listens to it; knows nothing of QGIS.
+
+The worker tells what it does as JSON lines on standard output. It is cancelled by closing its
+standard input, which also happens when QGIS dies; what does not stop within a grace time is killed
+with all that it started.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import signal
+import subprocess  # nosec B404
+import sys
+import tempfile
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import IO, Any
+
+GRACE_S = 3.0
+_LISTEN_S = 0.1
+_LAST_LINES = 20
+# What QGIS sets for itself and what would lead another Python's libraries astray.
+_FOREIGN = (
+    "PYTHONHOME", "PYTHONPATH", "PYTHONEXECUTABLE", "PYTHONSTARTUP", "PYTHONUSERBASE",
+    "PROJ_DATA", "PROJ_LIB", "GDAL_DATA", "GDAL_DRIVER_PATH", "GDAL_FILENAME_IS_UTF8",
+    "LD_LIBRARY_PATH", "LD_PRELOAD", "DYLD_LIBRARY_PATH", "DYLD_INSERT_LIBRARIES",
+    "QT_PLUGIN_PATH", "QGIS_PREFIX_PATH", "VIRTUAL_ENV",
+)  # fmt: skip
+
+Event = dict[str, Any]
+
+
+class WorkerError(Exception):
+    """What went wrong, in one sentence for the user."""
+
+
+class CancelledError(Exception):
+    """The user stopped the work."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What the worker did.
+
+    `outputs` are the files and folders it wrote, `summary` its figures by name.
+    """
+
+    outputs: list[str]
+    summary: dict[str, Any] = field(default_factory=dict)
+
+
+class Listener:
+    """Hears what a worker tells; this one ignores it."""
+
+    def progress(self, stage: str, done: float, total: float | None) -> None:
+        """Hear how far a stage is."""
+
+    def log(self, message: str, level: str) -> None:
+        """Hear a remark; the level is `info` or `warning`."""
+
+    def cancelled(self) -> bool:
+        """Tell whether to stop."""
+        return False
+
+
+def clean_environment(around: Mapping[str, str]) -> dict[str, str]:
+    """Return the environment for the worker: without what is meant for QGIS's own libraries."""
+    kept = {name: value for name, value in around.items() if name not in _FOREIGN}
+    return kept | {"GIS_RADAR_LEASH": "stdin", "PYTHONUTF8": "1", "PYTHONIOENCODING": "utf-8"}
+
+
+def run_worker(
+    python: str, words: Sequence[str], listener: Listener, *, grace_s: float = GRACE_S
+) -> Answer:
+    """Run one command of gis_radar.
+
+    Parameters
+    ----------
+    python : str
+        The worker's Python.
+    words : sequence of str
+        The command and its options.
+    listener : Listener
+        Hears progress and remarks, and is asked whether to stop.
+    grace_s : float
+        How long a cancelled worker may take to leave.
+
+    Raises
+    ------
+    CancelledError
+        If the listener wanted to stop.
+    WorkerError
+        If the worker says why it failed, does not start, or dies.
+    """
+    command = [python, "-P", "-m", "gis_radar", *words, "--json"]
+    end: list[Event] = []
+
+    def hear(line: str) -> None:
+        event = _event(line)
+        kind = event.get("event")
+        if kind == "progress":
+            total = event.get("total")
+            listener.progress(str(event.get("stage", "")), event.get("done") or 0, total)
+        elif kind == "log":
+            listener.log(str(event.get("message", "")), str(event.get("level", "info")))
+        elif kind in ("result", "error"):
+            end.append(event)
+
+    code, last_words = run_command(command, hear, listener.cancelled, grace_s=grace_s)
+    if end and end[-1]["event"] == "error":
+        raise WorkerError(_sentence(end[-1]))
+    if code != 0 or not end:
+        raise WorkerError(_obituary(code, last_words))
+    return Answer(list(end[-1].get("outputs", [])), dict(end[-1].get("summary", {})))
+
+
+def run_command(
+    command: Sequence[str],
+    hear: Callable[[str], None],
+    cancelled: Callable[[], bool],
+    *,
+    grace_s: float = GRACE_S,
+    merged: bool = False,
+) -> tuple[int, list[str]]:
+    """Run a program and hand on each line that it prints.
+
+    Parameters
+    ----------
+    command : sequence of str
+        The program and its words.
+    hear : callable
+        Gets each line of its standard output, in the caller's thread.
+    cancelled : callable
+        Asked about ten times a second whether to stop.
+    grace_s : float
+        How long a cancelled program may take to leave.
+    merged : bool
+        Whether its standard error is heard, too.
+
+    Returns
+    -------
+    code : int
+        Its exit code; below 0 the signal that ended it.
+    last_words : list of str
+        The last lines of its standard error.
+
+    Raises
+    ------
+    CancelledError
+        If `cancelled` said so; the program has ended then.
+    WorkerError
+        If the program does not start.
+    """
+    process = _start(command, subprocess.STDOUT if merged else subprocess.PIPE)
+    lines: queue.Queue[str | None] = queue.Queue()
+    last_words: deque[str | None] = deque(maxlen=_LAST_LINES)
+    readers = [
+        threading.Thread(target=_read, args=(stream, put), daemon=True)
+        for stream, put in ((process.stdout, lines.put), (process.stderr, last_words.append))
+        if stream is not None
+    ]
+    for reader in readers:
+        reader.start()
+    try:
+        _listen(process, lines, hear, cancelled)
+    except BaseException:
+        _stop(process, grace_s)
+        raise
+    code = process.wait()
+    readers[-1].join(timeout=1.0)  # the last words may still be on their way
+    if process.stdin is not None:
+        process.stdin.close()
+    return code, [line.strip() for line in last_words if line and line.strip()]
+
+
+def _start(command: Sequence[str], errors: int) -> subprocess.Popen[str]:
+    group: dict[str, Any] = {"start_new_session": True}
+    if sys.platform == "win32":
+        group = {"creationflags": subprocess.CREATE_NO_WINDOW}
+    try:
+        return subprocess.Popen(  # noqa: S603  # nosec B603
+            list(command),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=errors,
+            encoding="utf-8",
+            errors="replace",
+            env=clean_environment(os.environ),
+            cwd=tempfile.gettempdir(),
+            **group,
+        )
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise WorkerError(f"{command[0]} does not start: {reason}.") from error
+
+
+def _read(stream: IO[str], put: Callable[[str | None], None]) -> None:
+    """Hand on the lines of a stream, then None; whoever reads it closes it."""
+    with stream:
+        for line in stream:
+            put(line)
+    put(None)
+
+
+def _listen(
+    process: subprocess.Popen[str],
+    lines: queue.Queue[str | None],
+    hear: Callable[[str], None],
+    cancelled: Callable[[], bool],
+) -> None:
+    """Hear lines until there are no more; look now and then whether to stop."""
+    asked = 0.0
+    while True:
+        # Lines may come without a pause, so the question does not wait for one.
+        if time.monotonic() - asked > _LISTEN_S:
+            asked = time.monotonic()
+            if cancelled():
+                raise CancelledError
+        try:
+            line = lines.get(timeout=_LISTEN_S)
+        except queue.Empty:
+            # What the program has started may hold its output open after its own end.
+            if process.poll() is not None:
+                return
+            continue
+        if line is None:
+            return
+        hear(line)
+
+
+def _stop(process: subprocess.Popen[str], grace_s: float) -> None:
+    """Let the program go; kill it and its children if it stays."""
+    try:
+        if process.stdin is not None:
+            process.stdin.close()
+    except OSError:
+        process.terminate()
+    try:
+        process.wait(timeout=grace_s)
+    except subprocess.TimeoutExpired:
+        _kill(process)
+        process.wait()
+
+
+def _kill(process: subprocess.Popen[str]) -> None:
+    if sys.platform == "win32":
+        words = ["taskkill", "/F", "/T", "/PID", str(process.pid)]
+        subprocess.run(words, capture_output=True, check=False)  # noqa: S603  # nosec B603
+        process.kill()
+        return
+    try:
+        os.killpg(process.pid, signal.SIGKILL)
+    except ProcessLookupError:
+        process.kill()
+
+
+def _event(line: str) -> Event:
+    """Return a line as an event; what is none becomes a remark."""
+    try:
+        event = json.loads(line)
+    except ValueError:
+        event = None
+    if not isinstance(event, dict):
+        return {"event": "log", "level": "info", "message": line.strip()} if line.strip() else {}
+    return event
+
+
+def _sentence(error: Event) -> str:
+    """Return the worker's error as one sentence, with what to do about it."""
+    message = " ".join(str(error.get("message", "the worker failed")).split())
+    hint = " ".join(str(error.get("hint") or "").split())
+    return f"{message} ({hint})" if hint else message
+
+
+def _obituary(code: int, last_words: Sequence[str]) -> str:
+    """Say how a worker ended that said nothing itself."""
+    if code < 0:
+        how = f"it was ended by {_signal_name(-code)}"
+    elif code == 0:
+        how = "it ended without a result"
+    else:
+        how = f"it ended with code {code}"
+    said = f": {last_words[-1]}" if last_words else ""
+    return f"The worker stopped unexpectedly, {how}{said}"
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"

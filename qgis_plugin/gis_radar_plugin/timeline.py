@@ -1,0 +1,82 @@
+"""The time of results in the temporal controller: UTC, stepped by their interval."""
+
+from __future__ import annotations
+
+from qgis.core import (
+    Qgis,
+    QgsDateTimeRange,
+    QgsFeatureRequest,
+    QgsInterval,
+    QgsProject,
+    QgsTemporalNavigationObject,
+    QgsTemporalUtils,
+    QgsVectorLayer,
+)
+from qgis.PyQt.QtCore import QDateTime, Qt
+
+
+def as_utc(moment: QDateTime) -> QDateTime:
+    """Return a time whose figures are UTC as a time that says so.
+
+    GeoPackages hold UTC, but QGIS hands the limits of a layer out without saying that.
+    """
+    return QDateTime(moment.date(), moment.time(), Qt.TimeSpec.UTC)
+
+
+def extent_of(layer: QgsVectorLayer) -> QgsDateTimeRange:
+    """Return the time from the first begin to the last end, UTC."""
+    fields = layer.fields()
+    begin = layer.minimumValue(fields.lookupField("begin"))
+    end = layer.maximumValue(fields.lookupField("end"))
+    if not isinstance(begin, QDateTime) or not isinstance(end, QDateTime):
+        return QgsDateTimeRange()
+    return QgsDateTimeRange(as_utc(begin), as_utc(end), True, False)
+
+
+def step_of(layer: QgsVectorLayer) -> QgsInterval:
+    """Return the length of the first interval."""
+    request = QgsFeatureRequest().setLimit(1).setFlags(QgsFeatureRequest.Flag.NoGeometry)
+    for row in layer.getFeatures(request):
+        return QgsInterval(max(0.05, row["begin"].msecsTo(row["end"]) / 1000.0))
+    return QgsInterval(0)
+
+
+def intervals_of(layer: QgsVectorLayer) -> list[tuple[QDateTime, QDateTime]]:
+    """Return begin and end of each interval, in order, UTC."""
+    fields = layer.fields()
+    begins = sorted(layer.uniqueValues(fields.lookupField("begin")))
+    ends = sorted(layer.uniqueValues(fields.lookupField("end")))
+    return [(as_utc(begin), as_utc(end)) for begin, end in zip(begins, ends)]
+
+
+def show_time(layer: QgsVectorLayer) -> None:
+    """Set the project's time to the layer's, and the temporal controller where there is one."""
+    extent, step = extent_of(layer), step_of(layer)
+    if extent.begin().isNull():
+        return
+    settings = QgsProject.instance().timeSettings()
+    settings.setTemporalRange(extent)
+    seconds = step.seconds()
+    unit, length = Qgis.TemporalUnit.Seconds, seconds
+    if seconds >= 60 and seconds % 60 == 0:
+        unit, length = Qgis.TemporalUnit.Minutes, seconds / 60
+    settings.setTimeStepUnit(unit)
+    settings.setTimeStep(length)
+    _drive(extent, QgsInterval(length, unit))
+
+
+def _drive(extent: QgsDateTimeRange, step: QgsInterval) -> None:
+    from qgis.utils import iface  # noqa: PLC0415 - None where QGIS has no window, set late
+
+    controller = iface.mapCanvas().temporalController() if iface is not None else None
+    if controller is None:
+        return
+    controller.setNavigationMode(QgsTemporalNavigationObject.NavigationMode.Animated)
+    controller.setTemporalExtents(extent)
+    controller.setFrameDuration(step)
+    controller.setCurrentFrameNumber(0)
+
+
+def project_extent() -> QgsDateTimeRange:
+    """Return the time that all layers of the project cover."""
+    return QgsTemporalUtils.calculateTemporalRangeForProject(QgsProject.instance())

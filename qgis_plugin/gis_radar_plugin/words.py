@@ -1,0 +1,36 @@
+"""The plugin's words in the language of QGIS: English in the code, others from `i18n`."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+
+FOLDER = Path(__file__).parent / "i18n"
+
+
+@cache
+def dictionary(language: str) -> dict[str, str]:
+    """Return the translations into a language (`de`), empty where there are none."""
+    path = FOLDER / f"{language}.json"
+    if not path.is_file():
+        return {}
+    words: dict[str, str] = json.loads(path.read_text(encoding="utf-8"))
+    return words
+
+
+def language() -> str:
+    """Return the language that QGIS speaks, as two letters."""
+    from qgis.core import QgsApplication  # noqa: PLC0415 - the dictionary works without QGIS
+
+    return QgsApplication.instance().locale()[:2] if QgsApplication.instance() else "en"
+
+
+def speaks_german() -> bool:
+    """Tell whether dates and numbers are written the German way."""
+    return language() == "de"
+
+
+def tr(text: str) -> str:
+    """Return a text in the language that QGIS speaks."""
+    return dictionary(language()).get(text, text)

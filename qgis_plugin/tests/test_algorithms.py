@@ -1,0 +1,269 @@
+"""Each algorithm in a real QGIS: run, progress, cancel, crash, missing worker, odd layers."""
+
+import shutil
+import time
+from pathlib import Path
+
+import pytest
+from conftest import SAMPLE
+from helpers import Feedback, algorithm, layer_called, leftovers, one_sentence
+from qgis.core import (
+    QgsFeature,
+    QgsGeometry,
+    QgsProcessingFeatureSourceDefinition,
+    QgsProject,
+    QgsRectangle,
+    QgsVectorLayer,
+)
+
+IDS = (
+    "splitlanelets", "maskroad", "localizeradar", "convertrecordings", "occupancy", "heatmap",
+    "runsite", "exportreport", "setupworker", "samplesite",
+)  # fmt: skip
+BY_WORKER = tuple(name for name in IDS if name not in ("exportreport", "setupworker"))
+
+
+def parameters_of(name, site, out):
+    """Return a call of an algorithm that works, and its main output."""
+    calls = {
+        "splitlanelets": ({"MAP": SAMPLE / "junction.osm", "ROAD": site / "road.laz",
+                           "OUTPUT": out / "tiles.gpkg"}, "tiles.gpkg"),
+        "maskroad": ({"SCANS": [SAMPLE / "scan.laz"], "MAP": SAMPLE / "junction.osm",
+                      "OUTPUT": out / "road.laz"}, "road.laz"),
+        "localizeradar": ({"RECORDING": SAMPLE / "R1.parquet", "MAP": SAMPLE / "junction.osm",
+                           "ROAD": site / "road.laz", "GUESS": "11.559382,48.150384 [EPSG:4326]",
+                           "COMPASS": "68", "POSE": out / "R1.json", "FIGURE": out / "R1.png",
+                           "OUTPUT": out / "R1.gpkg"}, "R1.gpkg"),
+        "convertrecordings": ({"INPUT": [SAMPLE / "R1.parquet"], "OUTPUT": out / "c.parquet"},
+                              "c.parquet"),
+        "occupancy": ({"RECORDINGS": [SAMPLE / "R1.parquet", SAMPLE / "R2.parquet"],
+                       "POSES": [SAMPLE / "R2.json", SAMPLE / "R1.json"],
+                       "TILES": f"{site}/tiles.gpkg|layername=tiles", "CLEARANCE": "-0.5,4.5",
+                       "OUTPUT": out / "occ"}, "occ/hits.parquet"),
+        "heatmap": ({"OCCUPANCY": site / "occupancy", "INTERVAL": "20s",
+                     "TILES": f"{site}/tiles.gpkg|layername=tiles", "OUTPUT": out / "map"},
+                    "map/heatmap.gpkg"),
+        "runsite": ({"SITE": SAMPLE / "SITE.toml", "OUTPUT": out / "run"}, "run/site.qgz"),
+        "samplesite": ({"OUTPUT": out / "sample"}, "sample/junction.osm"),
+    }  # fmt: skip
+    call, made = calls[name]
+    text = {
+        key: [str(path) for path in value] if isinstance(value, list) else str(value)
+        for key, value in call.items()
+    }
+    return text, out / made
+
+
+def test_ids_are_stable(provider):
+    assert sorted(alg.name() for alg in provider.algorithms()) == sorted(IDS)
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_each_says_what_it_is(provider, name):
+    one = algorithm(name)
+    assert one.shortHelpString().startswith("<p>")
+    assert one.displayName() and one.group() and one.groupId().isalpha()
+    assert not one.icon().isNull()
+    assert Path(one.svgIconPath()).is_file()
+    assert one.flags() is not None
+
+
+@pytest.mark.preload
+@pytest.mark.parametrize(
+    "name",
+    ["maskroad", "splitlanelets", "localizeradar", "convertrecordings", "occupancy", "heatmap",
+     "samplesite"],
+)  # fmt: skip
+def test_run(run, site, tmp_path, name):
+    parameters, made = parameters_of(name, site, tmp_path)
+    results, heard = run(name, parameters, load=True)
+    assert heard.errors == []
+    assert made.is_file()
+    assert results["OUTPUT"] in (str(made), str(made.parent))
+    assert heard.percents, "no progress"
+    assert heard.percents[-1] <= 100
+    assert heard.stages, "no stage"
+    assert leftovers(tmp_path) == []
+
+
+@pytest.mark.parametrize("name", BY_WORKER)
+def test_cancel(run, site, tmp_path, fake_worker, name):
+    """The worker ignores that it is let go, so it is killed after the grace time."""
+    fake_worker(
+        "signal.signal(signal.SIGINT, signal.SIG_IGN)\n"
+        "for done in range(600):\n    say(event='progress', stage='work', done=done, total=600)\n"
+        "    time.sleep(0.05)"
+    )
+    parameters, made = parameters_of(name, site, tmp_path)
+    began = time.monotonic()
+    results, heard = run(name, parameters, feedback=Feedback(cancel_after=3))
+    assert results is None
+    assert one_sentence(heard) == "Cancelled; nothing was left half-written."
+    assert time.monotonic() - began < 15
+    assert not made.exists()
+
+
+def test_cancel_of_the_real_worker_leaves_nothing(run, site, tmp_path):
+    parameters, made = parameters_of("occupancy", site, tmp_path)
+    results, heard = run("occupancy", parameters, feedback=Feedback(cancel_after=1))
+    assert results is None
+    assert one_sentence(heard) == "Cancelled; nothing was left half-written."
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", BY_WORKER)
+def test_crash_of_the_worker(run, site, tmp_path, fake_worker, name):
+    fake_worker(
+        "say(event='progress', stage='work', done=1, total=2)\n"
+        "print('Fatal Python error', file=sys.stderr, flush=True)\n"
+        "os.kill(os.getpid(), signal.SIGSEGV)"
+    )
+    parameters, made = parameters_of(name, site, tmp_path)
+    results, heard = run(name, parameters)
+    assert results is None
+    said = one_sentence(heard)
+    assert "stopped unexpectedly" in said
+    assert "SIGSEGV" in said
+    assert "Fatal Python error" in said
+    assert not made.exists()
+
+
+@pytest.mark.parametrize("name", BY_WORKER)
+def test_without_a_worker(provider, monkeypatch, tmp_path, name):
+    monkeypatch.delenv("GIS_RADAR_PYTHON")
+    can, why = algorithm(name).canExecute()
+    assert not can
+    assert "Set up the worker" in why
+    assert "\n" not in why
+    monkeypatch.setenv("GIS_RADAR_PYTHON", str(tmp_path / "gone"))
+    can, why = algorithm(name).canExecute()
+    assert not can
+    assert "gone is not there: run 'Set up the worker' again." in why
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_with_a_worker(provider, name):
+    assert algorithm(name).canExecute() == (True, "")
+
+
+@pytest.mark.parametrize(
+    ("name", "command"), [("convertrecordings", "convert"), ("runsite", "run")]
+)
+def test_a_command_that_the_worker_has_not(run, site, tmp_path, fake_worker, name, command):
+    fake_worker(
+        f"say(event='error', code=2, message=\"No such command '{command}'.\", hint='try')\n"
+        "sys.exit(2)"
+    )
+    parameters, _ = parameters_of(name, site, tmp_path)
+    results, heard = run(name, parameters)
+    assert results is None
+    assert one_sentence(heard) == (
+        f"This worker cannot do '{command}' yet: run 'Set up the worker' again."
+    )
+
+
+def test_words_of_convert(run, site, tmp_path, fake_worker):
+    """As the contract has it: IN... -o OUT.parquet."""
+    fake_worker(
+        "assert words[0] == 'convert' and words[-1] == '--json', words\n"
+        "out = words[words.index('-o') + 1]\nopen(out, 'w').close()\n"
+        "say(event='result', outputs=[out], summary={'frames': len(words) - 4})"
+    )
+    parameters, made = parameters_of("convertrecordings", site, tmp_path)
+    parameters["INPUT"] = [str(SAMPLE / "R1.parquet"), str(SAMPLE / "R2.parquet")]
+    results, heard = run("convertrecordings", parameters)
+    assert results["OUTPUT"] == str(made)
+    assert "frames: 2" in heard.infos
+
+
+def test_run_of_a_site_loads_all(run, site, tmp_path):
+    """The real worker goes on from what a run of the same site has left."""
+    parameters, made = parameters_of("runsite", site, tmp_path)
+    shutil.copytree(site, made.parent)
+    made.unlink()
+    results, heard = run("runsite", parameters, load=True)
+    assert heard.errors == []
+    assert f"Project that is ready to present: {made}" in heard.infos
+    names = {layer.name() for layer in QgsProject.instance().mapLayers().values()}
+    assert names == {
+        "Sensors", "Views", "Uncertainty (95 %)", "Occupancy by interval",
+        "Occupancy, whole time", "Occupancy, raster",
+    }  # fmt: skip
+    tree = QgsProject.instance().layerTreeRoot().findGroup("SITE")
+    order = [node.name() for node in tree.findLayers()]
+    assert order.index("Sensors") < order.index("Occupancy by interval")
+
+
+def tiles_layer(site):
+    layer = QgsVectorLayer(f"{site}/tiles.gpkg|layername=tiles", "tiles", "ogr")
+    assert layer.isValid()
+    return layer
+
+
+def memory_copy(layer, keep):
+    copy = QgsVectorLayer("Polygon?crs=EPSG:25832", "in memory", "memory")
+    fields = [field for field in layer.fields() if field.name() != "fid"]
+    copy.dataProvider().addAttributes(fields)
+    copy.updateFields()
+    rows = []
+    for row in layer.getFeatures():
+        if keep(row):
+            new = QgsFeature(copy.fields())
+            new.setGeometry(row.geometry())
+            for field in fields:
+                new[field.name()] = row[field.name()]
+            rows.append(new)
+    assert copy.dataProvider().addFeatures(rows)[0]
+    return copy
+
+
+@pytest.mark.parametrize("kind", ["memory", "filtered", "selected"])
+def test_parts_of_tiles(run, site, tmp_path, kind):
+    """Occupancy and heat map of a part of the tiles, which live in QGIS alone."""
+    layer = tiles_layer(site)
+    few = layer.uniqueValues(layer.fields().lookupField("lanelet_id"))
+    some = sorted(few)[: len(few) // 2]
+    wanted = f'"lanelet_id" in ({",".join(map(str, some))})'
+    if kind == "memory":
+        chosen = memory_copy(layer, lambda row: row["lanelet_id"] in some)
+        count = chosen.featureCount()
+        QgsProject.instance().addMapLayer(chosen)
+        value = chosen.id()
+    else:
+        QgsProject.instance().addMapLayer(layer)
+        layer.setSubsetString(wanted) if kind == "filtered" else layer.selectByExpression(wanted)
+        count = layer.featureCount() if kind == "filtered" else layer.selectedFeatureCount()
+        value = layer.id()
+        if kind == "selected":
+            value = QgsProcessingFeatureSourceDefinition(layer.id(), selectedFeaturesOnly=True)
+    assert 0 < count < 5387
+    parameters, made = parameters_of("occupancy", site, tmp_path)
+    _, heard = run("occupancy", parameters | {"TILES": value})
+    assert heard.errors == []
+    if kind != "filtered":
+        return  # the heat map takes its tiles by the same way
+    parameters, made = parameters_of("heatmap", site, tmp_path)
+    parameters |= {"TILES": value, "OCCUPANCY": str(tmp_path / "occ")}
+    _, heard = run("heatmap", parameters, load=True)
+    assert heard.errors == []
+    assert layer_called("Occupancy, whole time").featureCount() == count
+
+
+@pytest.mark.parametrize("kind", ["memory", "filtered"])
+def test_parts_of_road_polygons(run, site, tmp_path, kind):
+    whole = QgsVectorLayer(f"{site}/road.roads.gpkg", "roads", "ogr")
+    box = QgsRectangle(690400, 5336150, 690460, 5336230)
+    layer = QgsVectorLayer("Polygon?crs=EPSG:25832&field=name:string", "drawn", "memory")
+    if kind == "filtered":
+        layer = whole
+        layer.setSubsetString(f'"fid" <= {layer.featureCount()} and 1 = 1')
+    else:
+        row = QgsFeature(layer.fields())
+        row.setGeometry(QgsGeometry.fromRect(box))
+        assert layer.dataProvider().addFeatures([row])[0]
+    QgsProject.instance().addMapLayer(layer)
+    parameters, made = parameters_of("maskroad", site, tmp_path)
+    del parameters["MAP"]
+    results, heard = run("maskroad", parameters | {"ROADS": layer.id()})
+    assert heard.errors == []
+    assert made.is_file()

@@ -1,0 +1,122 @@
+"""The zip in an empty profile: qgis_process as a nightly job."""
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import ROOT, SAMPLE, SHARED, call
+from helpers import is_whole, leftovers
+
+TOWN = SHARED / "town02"
+needs_town = pytest.mark.skipif(not TOWN.is_dir(), reason="shared data absent: town02")
+
+
+def run(profiles, name, **inputs):
+    """Run an algorithm; the exit code of qgis_process says little, so the caller looks at files."""
+    return call(profiles, "--json", "run", f"gisradar:{name}", inputs=inputs)
+
+
+def test_all_algorithms_are_there(profiles):
+    done = call(profiles, "list")
+    assert done.stdout.count("gisradar:") == 10
+    assert "Traceback" not in done.stdout + done.stderr
+
+
+def test_they_are_there_in_german(profiles):
+    done = call(profiles, "list", LANGUAGE="de", LANG="de_DE.UTF-8", LC_ALL="de_DE.UTF-8")
+    assert done.stdout.count("gisradar:") == 10
+
+
+def test_the_version_is_the_projects(profiles):
+    metadata = profiles / "profiles/default/python/plugins/gis_radar_plugin/metadata.txt"
+    version = next(
+        line for line in (ROOT / "pyproject.toml").read_text().splitlines() if "version" in line
+    )
+    assert f"version={version.split(chr(34))[1]}" in metadata.read_text()
+
+
+def test_a_night_on_the_sample(profiles, tmp_path):
+    """Scan to report, each step by qgis_process, in a folder with a space and an umlaut."""
+    out = tmp_path / "über Nacht"
+    osm, road, tiles = SAMPLE / "junction.osm", out / "road.laz", out / "tiles.gpkg"
+    run(profiles, "maskroad", SCANS=[SAMPLE / "scan.laz"], MAP=osm, OUTPUT=road)
+    assert road.stat().st_size > 10_000
+    run(profiles, "splitlanelets", MAP=osm, ROAD=road, OUTPUT=tiles)
+    assert is_whole(tiles)
+    found = out / "R1.json"
+    run(profiles, "localizeradar", RECORDING=SAMPLE / "R1.parquet", MAP=osm, ROAD=road,
+        GUESS="690356,5336183 [EPSG:25832]", POSE=found, FIGURE=out / "R1.png",
+        OUTPUT=out / "R1.gpkg")  # fmt: skip
+    pose = json.loads(found.read_text())
+    assert abs(pose["easting"] - 690360.113) < 0.5
+    assert (out / "R1.png").stat().st_size > 10_000
+    run(profiles, "occupancy", RECORDINGS=[SAMPLE / "R1.parquet"], POSES=[found],
+        TILES=f"{tiles}|layername=tiles", CLEARANCE="-0.5,4.5", OUTPUT=out / "occ")  # fmt: skip
+    assert (out / "occ" / "hits.parquet").is_file()
+    run(profiles, "heatmap", OCCUPANCY=out / "occ", TILES=f"{tiles}|layername=tiles",
+        INTERVAL="50s", OUTPUT=out / "map")  # fmt: skip
+    assert is_whole(out / "map" / "heatmap.gpkg")
+    run(profiles, "exportreport", HEATMAP=out / "map", SENSORS=out / "R1.gpkg", DPI=60,
+        PLACES=f"{out}/R1.gpkg|layername=sensors", OUTPUT=out / "report")  # fmt: skip
+    assert (out / "report" / "report.pdf").read_bytes().startswith(b"%PDF")
+    assert len(list((out / "report").glob("R1_*.png"))) == 3
+    assert leftovers(out) == []
+
+
+@needs_town
+def test_town02(profiles, tmp_path):
+    road, tiles = tmp_path / "road.laz", tmp_path / "tiles.gpkg"
+    run(profiles, "maskroad", SCANS=[TOWN / "als.laz"], MAP=TOWN / "map.osm", OUTPUT=road)
+    assert road.stat().st_size > 10_000
+    run(profiles, "splitlanelets", MAP=TOWN / "map.osm", ROAD=road, OUTPUT=tiles)
+    assert is_whole(tiles)
+    truth = json.loads((TOWN / "truth.json").read_text())["R1"]
+    pose = tmp_path / "R1.json"
+    fields = ("easting", "northing", "height", "yaw", "pitch", "roll")
+    pose.write_text(
+        json.dumps({"sensor": "R1", "crs": "EPSG:25832", **{name: truth[name] for name in fields}})
+    )
+    run(profiles, "occupancy", RECORDINGS=[TOWN / "R1.parquet"], POSES=[pose], MAX_RANGE=200,
+        TILES=f"{tiles}|layername=tiles", CLEARANCE="-0.5,4.5",
+        OUTPUT=tmp_path / "occ")  # fmt: skip
+    run(profiles, "heatmap", OCCUPANCY=tmp_path / "occ", TILES=f"{tiles}|layername=tiles",
+        INTERVAL="1min", OUTPUT=tmp_path / "map")  # fmt: skip
+    assert is_whole(tmp_path / "map" / "heatmap.gpkg")
+    assert (tmp_path / "map" / "heatmap.tif").stat().st_size > 10_000
+
+
+def test_a_failure_leaves_no_file_and_says_why(profiles, tmp_path):
+    """The exit code is not to be trusted, the file and the sentence are."""
+    done = run(profiles, "splitlanelets", MAP=SAMPLE / "scan.laz", OUTPUT=tmp_path / "t.gpkg")
+    assert not (tmp_path / "t.gpkg").exists()
+    assert "Incorrect parameter value for MAP" in done.stderr + done.stdout
+    broken = tmp_path / "broken.osm"
+    broken.write_text("<osm>")
+    done = run(profiles, "splitlanelets", MAP=broken, OUTPUT=tmp_path / "t.gpkg")
+    assert "broken.osm" in done.stderr + done.stdout
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "t.gpkg").exists()
+
+
+def test_without_a_worker(profiles, tmp_path):
+    done = call(profiles, "run", "gisradar:samplesite", inputs={"OUTPUT": tmp_path / "s"},
+                GIS_RADAR_PYTHON="")  # fmt: skip
+    assert "Set up the worker" in done.stderr + done.stdout
+    assert not (tmp_path / "s").exists()
+
+
+def test_nothing_of_the_plugin_needs_a_wheel(profiles):
+    """No file of it imports anything but the standard library and QGIS."""
+    import ast
+
+    known = set(sys.stdlib_module_names) | {"qgis", "processing"}
+    folder = Path(profiles) / "profiles/default/python/plugins/gis_radar_plugin"
+    for path in folder.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = []
+            if isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom) and node.level == 0:
+                names = [node.module]
+            assert all(name.split(".")[0] in known for name in names), (path, names)

@@ -1,0 +1,281 @@
+"""What planners see: style, legend, transparency, time, groups, and the project of a run."""
+
+import runpy
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+from conftest import ROOT, SAMPLE, worker
+from helpers import layer_called
+from qgis.core import (
+    Qgis,
+    QgsDateTimeRange,
+    QgsFeatureRequest,
+    QgsGraduatedSymbolRenderer,
+    QgsMapRendererSequentialJob,
+    QgsMapSettings,
+    QgsProject,
+    QgsRasterLayer,
+    QgsVectorLayer,
+    QgsVectorLayerTemporalContext,
+)
+from qgis.PyQt.QtCore import QDateTime, QSize, Qt
+from qgis.PyQt.QtGui import QColor
+
+STYLE = runpy.run_path(str(ROOT / "gis_radar" / "heatmap" / "style.py"))
+
+
+@pytest.fixture
+def heatmap(run, site, tmp_path):
+    """The layers of a heat map, loaded by the algorithm."""
+    parameters = {
+        "OCCUPANCY": str(site / "occupancy"), "INTERVAL": "20s",
+        "TILES": f"{site}/tiles.gpkg|layername=tiles", "OUTPUT": str(tmp_path / "map"),
+    }  # fmt: skip
+    results, heard = run("heatmap", parameters, load=True)
+    assert heard.errors == []
+    return results
+
+
+def drawn(layer, *, seconds=None, size=300):
+    """Draw a layer on nothing; `seconds` since the first interval's begin is the time shown."""
+    settings = QgsMapSettings()
+    settings.setLayers([layer])
+    settings.setBackgroundColor(QColor(0, 0, 0, 0))
+    settings.setFlag(Qgis.MapSettingsFlag.Antialiasing, False)
+    settings.setOutputSize(QSize(size, size))
+    settings.setDestinationCrs(layer.crs())
+    settings.setExtent(layer.extent())
+    if seconds is not None:
+        begin = QDateTime(2025, 6, 12, 7, 30, 0, 0, Qt.TimeSpec.UTC).addSecs(seconds)
+        settings.setIsTemporal(True)
+        settings.setTemporalRange(QgsDateTimeRange(begin, begin.addSecs(20), True, False))
+    job = QgsMapRendererSequentialJob(settings)
+    job.start()
+    job.waitForFinished()
+    return job.renderedImage()
+
+
+def colours(image):
+    """Return the colours of an image; what lies over nothing may lose a part in 255."""
+    pixels = {image.pixel(x, y) for x in range(image.width()) for y in range(image.height())}
+    return {QColor(pixel).name() for pixel in pixels if pixel >> 24 >= 254}
+
+
+def test_the_style_is_the_one_of_all_maps(heatmap):
+    layer = layer_called("Occupancy by interval")
+    renderer = layer.renderer()
+    assert isinstance(renderer, QgsGraduatedSymbolRenderer)
+    assert renderer.classAttribute() == "occupancy"
+    shown = [(step.symbol().color().name(), step.label()) for step in renderer.ranges()]
+    assert shown == [(level.colour, level.label) for level in STYLE["levels"]()]
+    assert shown[0][1] == "0 %, never hit"
+    raster = layer_called("Occupancy, raster")
+    items = raster.renderer().shader().rasterShaderFunction().colorRampItemList()
+    assert [item.color.name() for item in items] == [level.colour for level in STYLE["levels"]()]
+
+
+def test_not_observed_is_transparent(heatmap):
+    """A tile that no radar sees is drawn with nothing; one never hit has a colour."""
+    layer = layer_called("Occupancy, whole time")
+    unseen = QgsVectorLayer(layer.source(), "unseen", "ogr")
+    unseen.setSubsetString('"observed_s" = 0')
+    assert unseen.featureCount() > 100
+    image = drawn(unseen)
+    assert not any(
+        image.pixelColor(x, y).alpha() for x in range(image.width()) for y in range(image.height())
+    )
+    never = QgsVectorLayer(layer.source(), "never hit", "ogr")
+    never.setSubsetString('"occupancy" = 0')
+    assert STYLE["NEVER_HIT"] in colours(drawn(never))
+
+
+def test_time_is_on_at_once(heatmap):
+    layer = layer_called("Occupancy by interval")
+    time = layer.temporalProperties()
+    assert time.isActive()
+    assert time.mode() == Qgis.VectorTemporalMode.FeatureDateTimeInstantFromField
+    assert time.startField() == "begin"
+    assert (time.fixedDuration(), time.durationUnits()) == (19990, Qgis.TemporalUnit.Milliseconds)
+    assert time.limitMode() == Qgis.VectorTemporalLimitMode.IncludeBeginExcludeEnd
+    settings = QgsProject.instance().timeSettings()
+    span = settings.temporalRange()
+    assert span.begin().toString(Qt.DateFormat.ISODate) == "2025-06-12T07:30:00Z"
+    assert span.end().toString(Qt.DateFormat.ISODate) == "2025-06-12T07:31:40Z"
+    assert (settings.timeStep(), settings.timeStepUnit()) == (20, Qgis.TemporalUnit.Seconds)
+
+
+def begins_shown(layer, after_s, length_s):
+    """Tell which intervals a layer shows in a span of time, and how many rows."""
+    context = QgsVectorLayerTemporalContext()
+    context.setLayer(layer)
+    begin = QDateTime(2025, 6, 12, 7, 30, 0, 0, Qt.TimeSpec.UTC).addSecs(after_s)
+    span = QgsDateTimeRange(begin, begin.addSecs(length_s), True, False)
+    wanted = layer.temporalProperties().createFilterString(context, span)
+    found = list(layer.getFeatures(QgsFeatureRequest().setFilterExpression(wanted)))
+    return {row["begin"].toUTC().toString("HH:mm:ss") for row in found}, len(found)
+
+
+@pytest.mark.parametrize("way", ["loaded", "project"])
+def test_a_moment_shows_its_interval_alone(heatmap, project, way):
+    if way == "project":
+        assert QgsProject.instance().read(str(project))
+    layer = layer_called("Occupancy by interval")
+    rows = layer.featureCount() / 5
+    for number, clock in enumerate(("07:30:00", "07:30:20", "07:30:40", "07:31:00", "07:31:20")):
+        assert begins_shown(layer, 20 * number, 20) == ({clock}, rows)
+    assert begins_shown(layer, 25, 5) == ({"07:30:20"}, rows)  # finer steps than the intervals
+    assert begins_shown(layer, 20, 40) == ({"07:30:20", "07:30:40"}, 2 * rows)
+
+
+def test_two_moments_differ(heatmap):
+    layer = layer_called("Occupancy by interval")
+    first, second = drawn(layer, seconds=0), drawn(layer, seconds=60)
+    assert colours(first) & {level.colour for level in STYLE["levels"]()}
+    assert first != second
+
+
+def test_layers_of_a_heat_map_are_a_group(heatmap):
+    group = QgsProject.instance().layerTreeRoot().findGroup("map")
+    shown = {node.name(): node.itemVisibilityChecked() for node in group.findLayers()}
+    assert shown == {
+        "Occupancy by interval": True,
+        "Occupancy, whole time": False,
+        "Occupancy, raster": False,
+    }
+    assert group.findLayers()[0].name() == "Occupancy by interval"
+
+
+NO_SHIFT = """
+import sys
+from qgis.core import *
+from qgis.PyQt.QtCore import QDateTime, Qt, QTimeZone
+app = QgsApplication([], False)
+app.initQgis()
+assert QTimeZone.systemTimeZoneId().data().decode() == sys.argv[3]
+sys.path.insert(0, sys.argv[1])
+from gis_radar_plugin.loading import switch_time_on
+from gis_radar_plugin.timeline import extent_of, intervals_of
+from gis_radar_plugin.report.pages import local_time
+layer = QgsVectorLayer(sys.argv[2] + "|layername=occupancy_by_interval", "x", "ogr")
+switch_time_on(layer)
+span = extent_of(layer)
+begin, end = intervals_of(layer)[1]
+context = QgsVectorLayerTemporalContext()
+context.setLayer(layer)
+wanted = layer.temporalProperties().createFilterString(
+    context, QgsDateTimeRange(begin, end, True, False))
+count = sum(1 for _ in layer.getFeatures(QgsFeatureRequest().setFilterExpression(wanted)))
+print(span.begin().toString(Qt.DateFormat.ISODate), begin.toString(Qt.DateFormat.ISODate), count)
+print(local_time(begin, end, QTimeZone.systemTimeZone()))
+"""
+
+
+@pytest.mark.parametrize(
+    ("zone", "local"),
+    [
+        ("Europe/Berlin", "09:30:20 – 09:30:40 (UTC+2)"),
+        ("UTC", "07:30:20 – 07:30:40 (UTC)"),
+        ("Asia/Kolkata", "13:00:20 – 13:00:40 (UTC+5:30)"),
+        ("America/New_York", "03:30:20 – 03:30:40 (UTC-4)"),
+    ],
+)
+def test_no_shift_wherever_the_computer_stands(site, monkeypatch, zone, local):
+    """The data stay in UTC, the controller finds them there, people read local time."""
+    monkeypatch.setenv("TZ", zone)
+    package = str(site / "heatmap" / "heatmap.gpkg")
+    words = [sys.executable, "-c", NO_SHIFT, str(ROOT / "qgis_plugin"), package, zone]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    first, second = done.stdout.splitlines()
+    assert first == "2025-06-12T07:30:00Z 2025-06-12T07:30:20Z 5387"
+    assert second.endswith(local)
+
+
+def test_the_sensor_comes_with_view_and_ellipse(run, site, tmp_path):
+    parameters = {
+        "RECORDING": str(SAMPLE / "R1.parquet"), "MAP": str(SAMPLE / "junction.osm"),
+        "ROAD": str(site / "road.laz"), "GUESS": "690356,5336183 [EPSG:25832]", "HEADING": 20,
+        "POSE": str(tmp_path / "R1.json"), "FIGURE": str(tmp_path / "R1.png"),
+        "OUTPUT": str(tmp_path / "R1.gpkg"),
+    }  # fmt: skip
+    results, heard = run("localizeradar", parameters, load=True)
+    assert heard.errors == []
+    sensor, view = layer_called("Sensor"), layer_called("View")
+    ellipse = layer_called("Uncertainty (95 %)")
+    row = next(sensor.getFeatures())
+    assert row["sensor"] == "R1"
+    assert row.geometry().asPoint().distance(690360.113, 5336178.1) < 1.0
+    outline = next(view.getFeatures()).geometry()
+    assert outline.area() > 10_000
+    inside = next(ellipse.getFeatures()).geometry()
+    assert inside.contains(row.geometry())
+    assert inside.area() < 3.0
+    assert sensor.labelsEnabled()
+    arrow = sensor.renderer().symbol().symbolLayer(0)
+    turned = arrow.dataDefinedProperties().property(arrow.Property.PropertyAngle)
+    assert turned.expressionString() == '90 - "yaw"'
+    page = Path(results["REPORT"]).read_text(encoding="utf-8")
+    assert "R1.png" in page
+    assert "fitness" in page
+
+
+@pytest.fixture
+def project(site, tmp_path):
+    """A project as a run writes it, in a folder that was moved afterwards."""
+    folder = tmp_path / "moved"
+    subprocess.run(["cp", "-r", str(site), str(folder)], check=True)
+    worker("qgis", folder / "heatmap", "--sensors", folder / "sensors.gpkg",
+           "--title", "Sample", "-o", folder / "site.qgz")  # fmt: skip
+    there = tmp_path / "and moved again"
+    folder.rename(there)
+    return there / "site.qgz"
+
+
+def test_the_project_of_a_run_opens(qgis_new_project, project):
+    shown = QgsProject.instance()
+    assert shown.read(str(project))
+    layers = {layer.name(): layer for layer in shown.mapLayers().values()}
+    assert set(layers) == {
+        "Sensors", "Uncertainty (95 %)", "Views",
+        "Occupancy by interval", "Occupancy, whole time", "Occupancy, raster",
+    }  # fmt: skip
+    assert all(layer.isValid() for layer in layers.values())
+    assert shown.crs().authid() == "EPSG:25832"
+    assert shown.title() == "Sample"
+    tree = shown.layerTreeRoot()
+    assert [group.name() for group in tree.findGroups()] == [
+        "Sensors",
+        "Share of the observed time",
+    ]
+    on = {node.name() for node in tree.findLayers() if node.isVisible()}
+    assert on == {"Sensors", "Uncertainty (95 %)", "Views", "Occupancy by interval"}
+    assert all(node.layer() is not None for node in tree.findLayers())
+
+
+def test_the_project_has_style_and_time(qgis_new_project, project):
+    shown = QgsProject.instance()
+    assert shown.read(str(project))
+    layer = layer_called("Occupancy by interval")
+    assert layer.temporalProperties().isActive()
+    assert [step.label() for step in layer.renderer().ranges()] == [
+        level.label for level in STYLE["levels"]()
+    ]
+    assert isinstance(layer_called("Occupancy, raster"), QgsRasterLayer)
+    span = shown.timeSettings().temporalRange()
+    assert span.begin().toString(Qt.DateFormat.ISODate) == "2025-06-12T07:30:00Z"
+    assert span.end().toString(Qt.DateFormat.ISODate) == "2025-06-12T07:31:40Z"
+    assert shown.readNumEntry("TemporalControllerWidget", "/NavigationMode")[0] == 1
+    assert layer_called("Sensors").labelsEnabled()
+    assert colours(drawn(layer, seconds=20)) & {level.colour for level in STYLE["levels"]()}
+    extent = shown.viewSettings().defaultViewExtent()
+    assert extent.contains(690400.0, 5336200.0)
+
+
+def test_the_project_names_no_absolute_path(project):
+    with zipfile.ZipFile(project) as archive:
+        text = archive.read("site.qgs").decode()
+    assert str(project.parent) not in text
+    assert "file:" not in text

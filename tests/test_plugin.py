@@ -1,0 +1,320 @@
+"""The QGIS plugin as far as it can be seen without QGIS: its runner, its words, its zip.
+
+The rest is tested in a real QGIS, in qgis_plugin/tests.
+"""
+
+import ast
+import importlib.util
+import json
+import os
+import re
+import subprocess
+import sys
+import time
+import zipfile
+from pathlib import Path
+
+import pytest
+from plugin_words import FOLDER, texts
+
+ROOT = Path(__file__).parents[1]
+posix = pytest.mark.skipif(os.name == "nt", reason="the stand-in for a worker is a script")
+
+
+@pytest.fixture
+def plugin(monkeypatch):
+    """Let the plugin's modules be imported that know nothing of QGIS."""
+    monkeypatch.syspath_prepend(str(FOLDER.parent))
+    from gis_radar_plugin import runner
+
+    return runner
+
+
+@pytest.fixture
+def program(tmp_path):
+    """Give a function that writes a program to stand in the worker's place."""
+
+    def make(body):
+        path = tmp_path / "worker"
+        path.write_text(
+            f"#!{sys.executable}\nimport json, os, signal, subprocess, sys, time\n"
+            "words = sys.argv[1:]\n"
+            f"def say(**event): print(json.dumps(event), flush=True)\n{body}\n"
+        )
+        path.chmod(0o755)
+        return str(path)
+
+    return make
+
+
+class Heard:
+    """Keeps what a worker tells, and stops it after so many stages."""
+
+    def __init__(self, stop_after=None):
+        self.stages, self.remarks, self.asked = [], [], []
+        self._stop_after = stop_after
+
+    def progress(self, stage, done, total):
+        self.stages.append((stage, done, total))
+
+    def log(self, message, level):
+        self.remarks.append((level, message))
+
+    def cancelled(self):
+        self.asked.append(time.monotonic())
+        return self._stop_after is not None and len(self.stages) >= self._stop_after
+
+
+@posix
+def test_a_worker_is_heard(plugin, program):
+    heard = Heard()
+    python = program(
+        "say(event='progress', stage='work', done=1, total=2)\n"
+        "say(event='log', level='warning', message='käse')\n"
+        "say(event='result', outputs=['a'], summary={'words': words})"
+    )
+    answer = plugin.run_worker(python, ["tiles", "map with space.osm"], heard)
+    assert heard.stages == [("work", 1, 2)]
+    assert heard.remarks == [("warning", "käse")]
+    assert answer.outputs == ["a"]
+    words = ["-P", "-m", "gis_radar", "tiles", "map with space.osm", "--json"]
+    assert answer.summary == {"words": words}
+
+
+@posix
+def test_the_real_worker(plugin, tmp_path):
+    heard = Heard()
+    python = tmp_path / "python"
+    python.write_text(f'#!/bin/sh\nPYTHONPATH={ROOT!s} exec {sys.executable} "$@"\n')
+    python.chmod(0o755)
+    sample = ROOT / "sample_maps"
+    out = tmp_path / "Ärger.gpkg"
+    words = ["sensors", str(sample / "R1.json"), "-o", str(out)]
+    assert plugin.run_worker(str(python), words, heard).summary == {"sensors": ["R1"]}
+    assert out.is_file()
+    with pytest.raises(plugin.WorkerError, match=r"no such file|cannot be read"):
+        plugin.run_worker(
+            str(python), ["sensors", str(tmp_path / "no.json"), "-o", str(out)], heard
+        )
+
+
+@posix
+def test_a_polite_worker_stops_when_let_go(plugin, program):
+    """It has no signal to wait for: its standard input ends."""
+    python = program(
+        "say(event='progress', stage='work', done=0, total=1)\n"
+        "assert os.environ['GIS_RADAR_LEASH'] == 'stdin'\nsys.stdin.read()\n"
+        "open(sys.argv[0] + '.left', 'w').close()"
+    )
+    with pytest.raises(plugin.CancelledError):
+        plugin.run_worker(python, [], Heard(stop_after=1), grace_s=60.0)
+    assert Path(f"{python}.left").exists()
+
+
+@posix
+def test_a_stubborn_worker_is_killed_with_its_children(plugin, program, tmp_path):
+    note = tmp_path / "child"
+    python = program(
+        "signal.signal(signal.SIGINT, signal.SIG_IGN)\n"
+        "child = subprocess.Popen(['sleep', '600'])\n"
+        f"open({str(note)!r}, 'w').write(str(child.pid))\n"
+        "say(event='progress', stage='work', done=0, total=1)\ntime.sleep(600)"
+    )
+    with pytest.raises(plugin.CancelledError):
+        plugin.run_worker(python, [], Heard(stop_after=1), grace_s=0.2)
+    state = Path(f"/proc/{note.read_text()}/stat")
+    for _ in range(100):
+        if not state.exists() or state.read_text().split()[2] == "Z":
+            return
+        time.sleep(0.05)
+    pytest.fail("the child lives on")
+
+
+@posix
+def test_whether_to_stop_is_asked_while_lines_pour_in(plugin, program):
+    python = program("for n in range(200000): print('{}')")
+    heard = Heard()
+    with pytest.raises(plugin.WorkerError):  # no result
+        plugin.run_worker(python, [], heard)
+    gaps = [b - a for a, b in zip(heard.asked, heard.asked[1:], strict=False)]
+    assert heard.asked
+    assert not gaps or max(gaps) < 30.0
+
+
+@posix
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        ("os.kill(os.getpid(), signal.SIGSEGV)", "ended by SIGSEGV"),
+        ("print('out of memory', file=sys.stderr)\nsys.exit(7)", "code 7: out of memory"),
+        ("pass", "ended without a result"),
+        ("say(event='error', code=3, message='a.osm: bad', hint='mend it')\nsys.exit(3)",
+         "a.osm: bad (mend it)"),
+        ("say(event='error', code=3, message='two\\nlines', hint='')\nsys.exit(3)", "two lines"),
+        ("say(event='result', outputs=[])\nsys.exit(1)", "ended with code 1"),
+    ],
+)  # fmt: skip
+def test_how_a_worker_fails(plugin, program, body, said):
+    with pytest.raises(plugin.WorkerError) as caught:
+        plugin.run_worker(program(body), [], Heard())
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_worker_that_is_not_there(plugin, tmp_path):
+    with pytest.raises(plugin.WorkerError, match="does not start"):
+        plugin.run_worker(str(tmp_path / "gone"), [], Heard())
+
+
+def test_the_environment_is_cleaned(plugin):
+    around = {"PATH": "/bin", "PYTHONHOME": "x", "PROJ_LIB": "x", "LD_PRELOAD": "x"}
+    assert plugin.clean_environment(around) == {
+        "PATH": "/bin", "GIS_RADAR_LEASH": "stdin", "PYTHONUTF8": "1",
+        "PYTHONIOENCODING": "utf-8",
+    }  # fmt: skip
+
+
+def test_versions_of_one_series_work_together(plugin):
+    from gis_radar_plugin.worker import same_series
+
+    assert same_series("0.7.3", "0.7.0")
+    assert same_series("0.7.3", "")  # a checkout
+    assert not same_series("0.8.0", "0.7.9")
+
+
+@pytest.mark.parametrize("path", sorted((FOLDER / "i18n").glob("*.json")), ids=lambda p: p.stem)
+def test_a_translation_is_complete(path):
+    known = json.loads(path.read_text(encoding="utf-8"))
+    missing = [text for text in texts() if text not in known]
+    assert missing == []
+    holes = re.compile(r"\{\w+\}")
+    for text, translated in known.items():
+        assert sorted(holes.findall(text)) == sorted(holes.findall(translated)), text
+        assert text.count("\n") == translated.count("\n"), text
+        assert translated.strip(), text
+
+
+def test_german_is_there():
+    assert (FOLDER / "i18n" / "de.json").is_file()
+
+
+def test_the_texts_are_found():
+    found = texts()
+    assert {"Heat map", "Traffic", "Cancelled; nothing was left half-written.", " to "} <= set(
+        found
+    )
+    assert len(found) > 150
+
+
+# Qt 6 knows an enum's members by the enum only: Qt.AlignmentFlag.AlignRight, not Qt.AlignRight.
+NO_ENUM = {
+    "QMetaType.Type", "QgsLayoutObject.DataDefinedProperty",  # the enums themselves
+    "Qgis.QGIS_VERSION_INT", "QVariant.String", "QVariant.DateTime", "QVariant.Bool",
+    "QgsVectorFileWriter.SaveVectorOptions", "QgsProcessingContext.LayerDetails",
+    "QgsLayoutExporter.PdfExportSettings", "QgsLayoutExporter.ImageExportSettings",
+}  # fmt: skip
+
+
+def is_short(node):
+    """Tell Class.Member of Qt or QGIS."""
+    return (
+        isinstance(node, ast.Attribute)
+        and isinstance(node.value, ast.Name)
+        and re.match(r"(Qgs|Qgis$|Q[A-Z]|Qt$)", node.value.id) is not None
+        and node.attr[0].isupper()
+    )
+
+
+def test_enums_are_scoped_as_qt_6_wants_them():
+    short = set()
+    for path in FOLDER.rglob("*.py"):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        longer = {node.value for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
+        for node in ast.walk(tree):
+            if is_short(node) and node not in longer:
+                short.add(f"{node.value.id}.{node.attr}")
+    assert sorted(short - NO_ENUM) == []
+
+
+def test_qt_comes_through_qgis():
+    for path in FOLDER.rglob("*.py"):
+        assert not re.search(r"import PyQt|from PyQt", path.read_text(encoding="utf-8")), path
+
+
+def test_it_reads_as_python_3_9():
+    for path in FOLDER.rglob("*.py"):
+        ast.parse(path.read_text(encoding="utf-8"), feature_version=(3, 9))
+
+
+def tool():
+    spec = importlib.util.spec_from_file_location("plugin_zip", ROOT / "tools" / "plugin_zip.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_zip(tmp_path):
+    builder = tool()
+    wheel = tmp_path / f"gis_radar-{builder.project()['version']}-py3-none-any.whl"
+    wheel.write_bytes(b"wheel")
+    first = builder.build(tmp_path / "a", wheel)
+    assert first.read_bytes() == builder.build(tmp_path / "b", wheel).read_bytes()
+    with zipfile.ZipFile(first) as archive:
+        names = archive.namelist()
+        metadata = archive.read("gis_radar_plugin/metadata.txt").decode()
+    assert {name.split("/")[0] for name in names} == {"gis_radar_plugin"}
+    assert not [name for name in names if re.search(r"__pycache__|\.pyc$|/\.|tests?/", name)]
+    for name in ("metadata.txt", "LICENSE", "__init__.py", f"worker/{wheel.name}", "i18n/de.json"):
+        assert f"gis_radar_plugin/{name}" in names
+    fields = dict(line.split("=", 1) for line in metadata.splitlines() if re.match(r"\w+=", line))
+    assert fields["version"] == builder.project()["version"]
+    assert fields["hasProcessingProvider"] == "yes"
+    assert (fields["qgisMinimumVersion"], fields["qgisMaximumVersion"]) == ("3.34", "4.99")
+    assert (FOLDER / fields["icon"]).is_file()
+    assert all(fields[name] for name in builder.REQUIRED)
+
+
+def test_a_wheel_of_another_version_is_refused(tmp_path):
+    with pytest.raises(SystemExit, match="not of version"):
+        tool().build(tmp_path, tmp_path / "gis_radar-99.0-py3-none-any.whl")
+
+
+def test_the_version_stands_in_one_place():
+    assert "version=" not in (FOLDER / "metadata.txt").read_text().replace("Version=", "")
+
+
+def test_the_checks_of_the_plugin_site():
+    """The site that distributes plugins runs bandit; it shall find nothing."""
+    if importlib.util.find_spec("bandit") is None:
+        pytest.skip("bandit is not installed")
+    words = [sys.executable, "-m", "bandit", "--quiet", "--recursive", "--format", "json", FOLDER]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert json.loads(done.stdout)["results"] == []
+
+
+def test_what_the_site_rejects_is_not_there():
+    for path in FOLDER.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ExceptHandler):
+                assert not all(isinstance(part, ast.Pass) for part in node.body), path
+            if isinstance(node, ast.Call):
+                assert getattr(node.func, "id", "") not in ("eval", "exec"), path
+                assert all(word.arg != "shell" for word in node.keywords), path
+            if isinstance(node, ast.Import | ast.ImportFrom):
+                names = [alias.name for alias in node.names] + [getattr(node, "module", "") or ""]
+                assert not {"pickle", "marshal"} & set(names), path
+
+
+@posix
+@pytest.mark.parametrize(("required", "code"), [("", 0), ("required", 1)])
+def test_without_qgis_one_line_says_so(tmp_path, required, code):
+    """And in CI, which requires it, that is a failure."""
+    (tmp_path / "tools").mkdir()
+    script = tmp_path / "tools" / "test_qgis.sh"
+    script.write_bytes((ROOT / "tools" / "test_qgis.sh").read_bytes())
+    stand_in = 'echo "QGIS: not tested: this is no Debian 12" >&2\nexit 1\n'
+    (tmp_path / "tools" / "get_qgis.sh").write_text(stand_in)
+    around = os.environ | {"GIS_RADAR_QGIS": required}
+    done = subprocess.run(["sh", script], capture_output=True, text=True, check=False, env=around)
+    assert done.returncode == code
+    assert (done.stdout + done.stderr).splitlines() == ["QGIS: not tested: this is no Debian 12"]

@@ -1,0 +1,220 @@
+"""Sensors as layers, and QGIS projects; that QGIS opens them is tested in qgis_plugin/tests."""
+
+import json
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+import zipfile
+from contextlib import closing
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import geopandas as gpd
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given
+from hypothesis import strategies as st
+
+import gis_radar as gr
+from gis_radar.sensors.layers import ellipse, view_outline
+
+ROOT = Path(__file__).parents[1]
+SIGMA = {"easting": 0.1, "northing": 0.2, "height": 0.1, "yaw": 0.1, "pitch": 0.1, "roll": 0.1}
+
+
+def a_pose(sensor="R1", **more):
+    fields = {"crs": "EPSG:25832", "easting": 690360.0, "northing": 5336178.0, "height": 520.0,
+              "yaw": 20.0, "pitch": 3.0, "roll": 0.0}  # fmt: skip
+    evidence = {"evidence": more.pop("evidence", {})}
+    return gr.Pose(sensor=sensor, **(fields | more), **evidence)
+
+
+@given(
+    st.floats(-180, 180), st.floats(-30, 30), st.sampled_from([0.0, 180.0]),
+    st.floats(10, 170), st.floats(0.05, 0.95), st.floats(-0.95, 0.95),
+)  # fmt: skip
+def test_the_view_is_what_the_sensor_sees(yaw, pitch, roll, azimuth, far, aside):
+    """Points straight ahead and aside within azimuth and range lie in it, seen from above."""
+    view = gr.View(azimuth_deg=azimuth, max_range_m=100.0)
+    pose = a_pose(yaw=yaw, pitch=pitch, roll=roll, view=view)
+    outline = view_outline(pose)
+    assert outline.is_valid
+    angle = np.radians(azimuth / 2 * aside)
+    ray = np.array([np.cos(angle), np.sin(angle), 0.0])
+    reach = view.min_range_m + far * (view.max_range_m - view.min_range_m) * 0.99
+    inside = pose.to_map((ray * reach)[None])[0]
+    assert outline.buffer(0.2).contains(shapely.Point(*inside[:2]))
+    beyond = pose.to_map((ray * view.max_range_m * 1.05)[None])[0]
+    assert not outline.contains(shapely.Point(*beyond[:2]))
+
+
+def test_a_view_all_around_is_a_ring():
+    outline = view_outline(a_pose(view=gr.View(azimuth_deg=360.0), pitch=0.0))
+    assert outline.is_valid
+    assert len(outline.interiors) == 1
+
+
+def test_the_ellipse_holds_95_percent():
+    rng = np.random.default_rng(3)
+    turn = np.array([[0.8, -0.6], [0.6, 0.8]])
+    covariance = turn @ np.diag([0.04, 0.0025]) @ turn.T
+    outline = ellipse(np.zeros(2), covariance)
+    points = rng.multivariate_normal([0, 0], covariance, 20_000)
+    share = shapely.contains_xy(outline, points[:, 0], points[:, 1]).mean()
+    assert 0.94 < share < 0.96
+
+
+def test_layers_of_sensors(tmp_path):
+    path = tmp_path / "sensors.gpkg"
+    known = a_pose("R1", evidence={"sigma": SIGMA, "fitness": 0.9, "method": "lane"})
+    gr.write_sensors([known, a_pose("R2", easting=690400.0)], path)
+    points = gpd.read_file(path, layer="sensors")
+    assert list(points["sensor"]) == ["R1", "R2"]
+    assert points.geometry[1].x == 690400.0
+    assert points["sigma_northing"][0] == 0.2
+    assert np.isnan(points["sigma_northing"][1])
+    assert len(gpd.read_file(path, layer="views")) == 2
+    assert list(gpd.read_file(path, layer="uncertainty")["sensor"]) == ["R1"]
+    with closing(sqlite3.connect(path)) as database:
+        styled = database.execute("SELECT f_table_name FROM layer_styles WHERE useAsDefault")
+        assert {name for (name,) in styled} == {"sensors", "views", "uncertainty"}
+
+
+def test_no_sensor_is_known_exactly(tmp_path):
+    gr.write_sensors([a_pose()], tmp_path / "s.gpkg")
+    assert gpd.read_file(tmp_path / "s.gpkg", layer="uncertainty").empty
+
+
+@pytest.mark.parametrize(
+    ("poses", "name", "error"),
+    [
+        ([], "s.gpkg", gr.UsageError),
+        ([a_pose()], "s.shp", gr.UsageError),
+        ([a_pose(), a_pose("R2", crs="EPSG:25833")], "s.gpkg", gr.CrsError),
+        ([a_pose(evidence={"covariance": [[1.0]]})], "s.gpkg", gr.InputError),
+    ],
+)
+def test_sensors_that_are_refused(tmp_path, poses, name, error):
+    with pytest.raises(error):
+        gr.write_sensors(poses, tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    """Results of the sample as a run leaves them."""
+    folder = tmp_path_factory.mktemp("site") / "Straße"
+    gr.run_demo(folder)
+    return folder
+
+
+def read_project(path):
+    with zipfile.ZipFile(path) as archive:
+        (name,) = archive.namelist()
+        return ET.fromstring(archive.read(name))  # noqa: S314 - our own text
+
+
+def test_a_project_of_a_site(results):
+    assert gr.write_site_project(results, title="Knoten 7") == [
+        results / "sensors.gpkg",
+        results / "site.qgz",
+    ]
+    root = read_project(results / "site.qgz")
+    assert root.findtext("title") == "Knoten 7"
+    layers = root.findall("projectlayers/maplayer")
+    sources = [layer.findtext("datasource") for layer in layers]
+    assert sources[0] == "./sensors.gpkg|layername=sensors"
+    assert "./heatmap/heatmap.gpkg|layername=occupancy_by_interval" in sources
+    assert all((results / source.split("|")[0]).exists() for source in sources)
+    ids = [layer.findtext("id") for layer in layers]
+    leaves = root.findall("layer-tree-group/layer-tree-group/layer-tree-layer")
+    assert [leaf.get("id") for leaf in leaves] == ids
+    assert all(len(key) > 10 for key in ids)
+    span = root.find("ProjectTimeSettings/TemporalRange")
+    assert span.findtext("start").startswith("2025-06-12T07:30:00")
+    assert span.findtext("end").startswith("2025-06-12T07:31:40")
+    step = root.find("ProjectTimeSettings")
+    assert (step.get("timeStep"), step.get("timeStepUnit")) == ("20", "s")
+    assert root.findtext("projectCrs/spatialrefsys/authid") == "EPSG:25832"
+
+
+def test_the_same_results_give_the_same_project(results, tmp_path):
+    paths = []
+    for name in "ab":
+        place = tmp_path / name
+        place.mkdir()
+        paths.append(place / "site.qgz")
+        (place / "heatmap").symlink_to(results / "heatmap")
+        gr.write_qgis_project(paths[-1], heatmap=place / "heatmap", title="x")
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+
+
+def test_projects_that_are_refused(results, tmp_path):
+    with pytest.raises(gr.UsageError, match=r"\.qgz"):
+        gr.write_qgis_project(tmp_path / "p.qgs", heatmap=results / "heatmap")
+    with pytest.raises(gr.InputError, match="no such file"):
+        gr.write_qgis_project(tmp_path / "p.qgz", heatmap=tmp_path)
+    (tmp_path / "heatmap.gpkg").write_bytes(b"SQLite format 3\0 and no more")
+    with pytest.raises(gr.InputError, match="not a heat map"):
+        gr.write_qgis_project(tmp_path / "p.qgz", heatmap=tmp_path)
+    assert not (tmp_path / "p.qgz").exists()
+
+
+@pytest.mark.parametrize("code", [31467, 3857])
+def test_a_guess_in_another_system(code):
+    there = gr.moved_position((690356.0, 5336183.0), "EPSG:25832", gr.crs.metric_crs(code, what=""))
+    back = gr.moved_position((*there, 521.0), f"EPSG:{code}", gr.crs.metric_crs(25832, what=""))
+    assert back == pytest.approx((690356.0, 5336183.0, 521.0), abs=1e-3)
+
+
+def test_a_guess_in_degrees_is_refused():
+    with pytest.raises(gr.CrsError):
+        gr.moved_position((11.5, 48.1), "EPSG:4326", gr.crs.metric_crs(25832, what=""))
+
+
+WORK = [sys.executable, "-m", "gis_radar", "demo", "--json", "-o"]
+
+
+def leashed(out, **options):
+    around = os.environ | {"GIS_RADAR_LEASH": "stdin", "PYTHONPATH": str(ROOT)}
+    return subprocess.Popen(
+        [*WORK, str(out)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=around,
+        **options,
+    )  # fmt: skip
+
+
+def test_a_worker_that_is_let_go_stops(tmp_path):
+    with leashed(tmp_path / "out") as worker:
+        assert json.loads(worker.stdout.readline())["event"] in ("progress", "log")
+        worker.stdin.close()
+        last = worker.stdout.read().splitlines()[-1]
+    assert worker.returncode == 130
+    assert json.loads(last)["message"].startswith("interrupted")
+    left = [path for path in (tmp_path / "out").rglob("*") if ".part" in path.name]
+    assert left == []
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals")
+def test_a_worker_that_was_told_to_ignore_ctrl_c_stops_too(tmp_path):
+    def ignore():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    with leashed(tmp_path / "out", preexec_fn=ignore) as worker:
+        worker.stdout.readline()
+        worker.stdin.close()
+        worker.stdout.read()
+    assert worker.returncode == 130
+
+
+def test_without_a_leash_the_input_does_not_matter(tmp_path):
+    words = [sys.executable, "-m", "gis_radar", "sample", "--json", "-o", str(tmp_path / "s")]
+    around = {name: value for name, value in os.environ.items() if name != "GIS_RADAR_LEASH"}
+    done = subprocess.run(
+        words, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=True,
+        env=around | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert json.loads(done.stdout.splitlines()[-1])["event"] == "result"
+    assert (tmp_path / "s" / "junction.osm").is_file()

@@ -1,0 +1,34 @@
+#!/bin/sh
+# Test the plugin in a real QGIS: PyQGIS, qgis_process, and the desktop on a virtual screen.
+#
+# Where QGIS cannot be had, one line says why; with GIS_RADAR_QGIS=required that fails.
+# Further words go to pytest.
+set -eu
+cd "$(dirname "$0")/.."
+
+if ! sh tools/get_qgis.sh; then
+    [ "${GIS_RADAR_QGIS:-}" != required ] || exit 1
+    exit 0
+fi
+# A Python of pyenv or conda in front makes qgis_process crash.
+export PATH=/usr/sbin:/usr/bin:/sbin:/bin
+export QT_QPA_PLATFORM=offscreen PYTHONDONTWRITEBYTECODE=1
+export GIS_RADAR_UV="${GIS_RADAR_UV:-$PWD/.venv/bin/uv}"
+export GIS_RADAR_PYTHON="${GIS_RADAR_PYTHON:-$PWD/.venv/bin/python}"
+place=$(mktemp -d)
+trap 'rm -rf "$place"' EXIT
+mkdir -m 700 "$place/run"
+export XDG_RUNTIME_DIR="$place/run" QGIS_CUSTOM_CONFIG_PATH="$place/profile"
+test_with() {
+    .qgis/bin/python -m pytest -c qgis_plugin/tests/pytest.ini --rootdir qgis_plugin/tests "$@"
+}
+if [ $# -gt 0 ]; then
+    test_with "$@"
+    exit 0
+fi
+test_with -n 2 --dist worksteal qgis_plugin/tests
+# Once more with QGIS's libraries in front of all others, as the desktop has them.
+core=$(ls /usr/lib/libqgis_core.so.3.*.* /usr/lib/*/libqgis_core.so.3.*.* 2>/dev/null | head -n 1)
+echo "QGIS: again under LD_PRELOAD=$core"
+export LD_PRELOAD="$core"
+test_with -m preload qgis_plugin/tests
