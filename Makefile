@@ -1,13 +1,15 @@
 # `make` lists the targets. Whatever they need is set up first, in .venv.
 # PDAL, for the road mask, comes along where it can be had: see tools/get_pdal.sh.
-# PYTHON=/path/to/python3.12 chooses the Python; UPGRADE=--upgrade renews the pins.
+# PYTHON=/path/to/python3.12 chooses the Python; UPGRADE=--upgrade renews the pins;
+# QUICK=--quick makes bench-localization a quick look.
 BIN := .venv/bin
-MADE := .venv .pdal .pdal.part.* out build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
+MADE := .venv .pdal .pdal.part.* .qgis out build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help set-up set-up-dev pdal demo test lint format types bench bench-assignment \
-	bench-tiles bench-memory bench-truth bench-mask bench-localization samples wheel constraints clean
+.PHONY: help set-up set-up-dev set-up-bench pdal demo test test-qgis lint format types bench \
+	bench-assignment bench-tiles bench-occupancy bench-memory bench-truth bench-mask \
+	bench-localization bench-clocks bench-convert samples wheel plugin-zip constraints clean
 
 help: ## List the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' Makefile | expand -t 20
@@ -20,6 +22,9 @@ set-up-dev: ## Set up .venv for the checks too
 	@sh tools/set_up.sh dev
 	@sh tools/get_pdal.sh
 
+set-up-bench: set-up-dev ## Set up .venv for bench-localization: Open3D too, 1.5 GB
+	@sh tools/set_up.sh bench
+
 pdal: ## Get PDAL into .pdal, or try again
 	@sh tools/get_pdal.sh --again
 
@@ -28,6 +33,9 @@ demo: set-up ## Run the main job on the sample site; results in out/demo
 
 test: lint types ## Run every check: lint, types, tests
 	$(BIN)/pytest -n 2 --dist worksteal
+
+test-qgis: set-up ## Test the plugin in a real QGIS, which is installed on Debian 12
+	@sh tools/test_qgis.sh
 
 lint: set-up-dev ## Check style and layout
 	$(BIN)/ruff check
@@ -40,13 +48,16 @@ format: set-up-dev ## Mend style and layout
 types: set-up-dev ## Check the types
 	$(BIN)/mypy
 
-bench: bench-assignment bench-tiles bench-memory bench-truth bench-mask bench-localization ## Run every benchmark
+bench: bench-assignment bench-tiles bench-occupancy bench-memory bench-truth bench-mask bench-localization bench-clocks bench-convert ## Run every benchmark
 
 bench-assignment: set-up-dev ## Measure tile assignment against its targets
 	$(BIN)/python bench/assignment.py
 
 bench-tiles: set-up-dev ## Measure a million tiles, made and written
 	$(BIN)/python bench/tiles.py
+
+bench-occupancy: set-up-dev ## Measure occupancy against real time; memory and disk of an hour
+	$(BIN)/python bench/occupancy.py
 
 bench-memory: set-up-dev ## Measure memory over a recording and one ten times as long
 	$(BIN)/python bench/memory.py
@@ -57,14 +68,23 @@ bench-truth: set-up-dev ## Compare hit occupancy with the true traffic
 bench-mask: set-up-dev ## Measure the road mask: time, and memory from few tiles to many
 	$(BIN)/python bench/mask.py
 
-bench-localization: set-up-dev ## Measure localization from many starts, no heading given
-	$(BIN)/python bench/localization.py
+bench-localization: set-up-bench ## Measure localization beside the paper's (QUICK=--quick for a look)
+	$(BIN)/python bench/localization $(QUICK)
+
+bench-convert: set-up-dev ## Measure the conversion of captures: time, and memory from short to long
+	$(BIN)/python bench/convert.py
+
+bench-clocks: set-up-dev ## Measure clocks that are off against the truth
+	$(BIN)/python bench/clocks.py
 
 samples: set-up-dev ## Make the files in sample_maps again
 	$(BIN)/python sample_maps/make_samples.py
 
 wheel: set-up-dev ## Build a wheel in dist
 	$(BIN)/uv build --wheel --build-constraints constraints.txt --out-dir dist
+
+plugin-zip: wheel ## Build the installable zip of the QGIS plugin in dist
+	$(BIN)/python tools/plugin_zip.py --wheel "$$(ls -t dist/gis_radar-*.whl | head -n 1)"
 
 constraints: set-up-dev ## Pin what pyproject.toml asks for in constraints.txt
 	printf 'hatchling\nuv\n' | $(BIN)/uv pip compile --quiet --no-header --no-annotate \

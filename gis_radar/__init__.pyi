@@ -8,7 +8,8 @@ from .aerial import (
     road_crs,
 )
 from .assignment import TileGrid, TileTree
-from .crs import name_of, yaw_from_compass
+from .clocks import Clocks, measure_clocks
+from .crs import moved_position, name_of, yaw_from_compass
 from .demo import run_demo, sample_folder
 from .detections import open_recording
 from .elevation import with_road_heights
@@ -20,9 +21,11 @@ from .errors import (
     OutputError,
     UsageError,
 )
+from .formats import Conversion, convert
 from .heatmap import HeatMap, make_heatmap
 from .lanelets import LaneletMap, read_map
-from .localization import Localization, draw_localization, localize
+from .localization import Localization, localize
+from .localization.picture import draw_localization
 from .occupancy import (
     Filters,
     Occupancy,
@@ -31,11 +34,20 @@ from .occupancy import (
     read_occupancy,
 )
 from .pose import Pose, View
-from .pose_files import PoseTrack, read_pose, read_track, write_pose
+from .pose_files import PoseTrack, read_pose, read_track, write_pose, write_track
 from .projection import project, write_projection
+from .qgis_project import write_qgis_project, write_site_project
+from .quality import Quality, measure_quality
+from .sensor_clocks import SensorClock, read_clocks
+from .sensors import write_sensors
+from .site_runs import Site, SiteRun, read_site, run_site, site_template
+from .surroundings import SecondLook, draw_second_look, require_scans_near, second_look
 from .tiles import fingerprint, make_tiles, quads, read_tiles, write_tiles
+from .tracking import Track, draw_track, track
 
 __all__ = [
+    "Clocks",
+    "Conversion",
     "CrsError",
     "Filters",
     "GisRadarError",
@@ -48,38 +60,61 @@ __all__ = [
     "OutputError",
     "Pose",
     "PoseTrack",
+    "Quality",
     "RoadMask",
     "Roads",
+    "SecondLook",
+    "SensorClock",
+    "Site",
+    "SiteRun",
     "TileGrid",
     "TileTree",
+    "Track",
     "UsageError",
     "View",
+    "convert",
     "draw_localization",
+    "draw_second_look",
+    "draw_track",
     "fingerprint",
     "localize",
     "make_heatmap",
     "make_tiles",
     "mask_road",
+    "measure_clocks",
     "measure_occupancy",
+    "measure_quality",
     "merge_occupancies",
+    "moved_position",
     "name_of",
     "open_recording",
     "project",
     "quads",
+    "read_clocks",
     "read_map",
     "read_occupancy",
     "read_pose",
     "read_road",
     "read_roads",
+    "read_site",
     "read_tiles",
     "read_track",
     "require_road_name",
+    "require_scans_near",
     "road_crs",
     "run_demo",
+    "run_site",
     "sample_folder",
+    "second_look",
+    "site_template",
+    "track",
     "with_road_heights",
     "write_pose",
     "write_projection",
+    "write_qgis_project",
+    "write_sensors",
+    "write_site_project",
     "write_tiles",
+    "write_track",
     "yaw_from_compass",
 ]

@@ -20,6 +20,9 @@ _FITTING = "use the UTM zone or the national grid of the site"
 Box: TypeAlias = tuple[float, float, float, float]
 """West, south, east, north."""
 
+WINDS = ("north", "north-east", "east", "south-east",
+         "south", "south-west", "west", "north-west")  # fmt: skip
+
 
 def metric_crs(crs: Any, *, what: str) -> CRS:
     """Return a projected coordinate system in metres, or refuse by name.
@@ -147,7 +150,8 @@ def horizontal(crs: CRS) -> CRS:
         return horizontal(crs.source_crs)
     if crs.is_compound:
         return horizontal(crs.sub_crs_list[0])
-    return crs.to_2d()
+    # an object as it is: thousands of poses share one
+    return crs if len(crs.axis_info) == 2 else crs.to_2d()
 
 
 def name_of(crs: CRS) -> str:
@@ -214,6 +218,21 @@ def transformer(source: CRS, target: CRS) -> Transformer:
     return Transformer.from_crs(source, target, always_xy=True)
 
 
+def moved_position(position: tuple[float, ...], source: Any, target: CRS) -> tuple[float, ...]:
+    """Return easting and northing in another CRS; what follows them stays.
+
+    Raises
+    ------
+    CrsError
+        If `source` is no projected, metric coordinate system, or does not reach there.
+    """
+    metric = metric_crs(source, what="CRS of the guess")
+    east, north = transformer(metric, target).transform(position[0], position[1])
+    if not np.isfinite([east, north]).all():
+        raise CrsError(f"{metric.name} does not reach into the area of {target.name}")
+    return (float(east), float(north), *position[2:])
+
+
 def same_plane(crs: CRS, other: CRS) -> bool:
     """Tell whether the coordinates of both systems are the same numbers."""
     return crs == other or name_of(crs) == name_of(other)
@@ -234,6 +253,29 @@ def moved_box(box: Box, source: CRS, target: CRS) -> Box:
     if not np.isfinite([west, south, east, north]).all():
         raise CrsError(f"{source.name} does not reach into the area of {target.name}")
     return west, south, east, north
+
+
+def looks_like_degrees(easting: float, northing: float) -> bool:
+    """Tell whether a position may be longitude and latitude, in either order, not metres."""
+    low, high = sorted((abs(easting), abs(northing)))
+    return low <= 90.0 and high <= 180.0
+
+
+def bearing_of(value: Any) -> float:
+    """Return a bearing, degrees clockwise from true north, of a number or a word of `WINDS`.
+
+    Raises
+    ------
+    ValueError
+        If it is neither.
+    """
+    text = str(value).strip().lower()
+    if text in WINDS:
+        return 45.0 * WINDS.index(text)
+    bearing = float(text)
+    if not math.isfinite(bearing):
+        raise ValueError(text)
+    return bearing
 
 
 def yaw_from_compass(bearing_deg: float, crs: CRS, easting: float, northing: float) -> float:

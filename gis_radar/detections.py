@@ -130,7 +130,7 @@ def open_recording(path: str | Path) -> Recording:
     if path.suffix.lower() not in FORMATS:
         raise InputError(
             f"{path}: not a known recording format ({path.suffix or 'no ending'})",
-            hint=f"known endings: {', '.join(FORMATS)}",
+            hint=f"known endings: {', '.join(FORMATS)}; gis-radar convert takes other formats",
         )
     if not path.is_file():
         raise InputError(f"{path}: no such file")
@@ -215,10 +215,17 @@ def _refuse_times(time: Floats, path: Path, row: int, last: float) -> None:
     _refuse_rows(~np.isfinite(time), f"{path}: time is not a finite number", row)
     years = f"{path}: time is outside the years {FIRST_YEAR} to {LAST_YEAR}"
     _refuse_rows(~in_known_years(time), years, row, hint=UNIX_SECONDS_HINT)
-    _refuse_rows(np.diff(time, prepend=last) < 0.0, f"{path}: time goes back", row)
+    _refuse_rows(
+        np.diff(time, prepend=last) < 0.0,
+        f"{path}: time goes back",
+        row,
+        hint="the sensor's clock was set back, or rows are out of order: sort them, or cut there",
+    )
 
 
 def _refuse_positions(points: Floats, path: Path, row: int) -> None:
+    if np.all(np.abs(points) <= FARTHEST_M):
+        return
     gaps = np.isnan(points)
     odd = np.isinf(points).any(axis=1) | (gaps.any(axis=1) & ~gaps.all(axis=1))
     _refuse_rows(np.asarray(odd), f"{path}: position is not finite", row)

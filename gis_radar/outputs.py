@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from gis_radar.errors import OutputError
+from gis_radar.locks import only_writer
+
+FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
 def refuse_inputs(output: str | Path, *inputs: str | Path) -> None:
@@ -37,6 +41,24 @@ def refuse_inputs(output: str | Path, *inputs: str | Path) -> None:
             raise OutputError(
                 f"{output}: would replace the input {source}", hint="name another output"
             )
+
+
+def require_folder(output: str | Path) -> None:
+    """Refuse a file whose folder is not there, before any work.
+
+    Parameters
+    ----------
+    output : str or Path
+        The file that shall be written.
+
+    Raises
+    ------
+    OutputError
+        If it has no folder to lie in.
+    """
+    folder = Path(output).absolute().parent
+    if not folder.is_dir():
+        raise OutputError(f"{output}: cannot be written: there is no folder {folder}")
 
 
 @contextmanager
@@ -67,6 +89,38 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
+def whole_files(path: Path) -> Iterator[tuple[Path, dict[Path, Path]]]:
+    """Write several files that appear only when the block ends well.
+
+    Parameters
+    ----------
+    path : Path
+        One of the files, or what they are named after; they stand beside it.
+
+    Yields
+    ------
+    private : Path
+        An empty folder beside `path` to write in.
+    places : dict of Path to Path
+        Empty; to be filled with files in `private` and where they shall be.
+
+    Raises
+    ------
+    OutputError
+        If the folder around `path` does not exist, or a place cannot be written.
+    """
+    places: dict[Path, Path] = {}
+    with _beside(path) as private:
+        yield private, places
+        for place in places.values():
+            if place.is_dir():
+                raise OutputError(f"{place}: is a folder", hint="name a file for the output")
+        for part, place in places.items():
+            with _named(place):
+                os.replace(part, place)  # noqa: PTH105 - atomic on every platform
+
+
+@contextmanager
 def whole_folder(path: Path, *, owned: tuple[str, ...]) -> Iterator[Path]:
     """Write a folder that appears only when the block ends well.
 
@@ -86,14 +140,14 @@ def whole_folder(path: Path, *, owned: tuple[str, ...]) -> Iterator[Path]:
     Raises
     ------
     OutputError
-        If the place cannot be written, holds files that are not ours, or is the folder that
-        the program runs in.
+        If the place cannot be written, holds files that are not ours, is the folder that
+        the program runs in, or is being written by another run.
     """
     path = path.resolve()
     if path.exists():
         _refuse_here(path)
         _refuse_foreign(path, owned)
-    with _beside(path) as private:
+    with _alone(path), _beside(path) as private:
         fresh = private / path.name
         fresh.mkdir()
         yield fresh
@@ -142,8 +196,24 @@ def _beside(path: Path) -> Iterator[Path]:
         private = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent))
     try:
         yield private
+    except OSError as error:
+        # Arrow says it in words alone.
+        if error.errno in FULL or os.strerror(errno.ENOSPC) in str(error):
+            raise OutputError(
+                f"{path}: cannot be written: the disk is full", hint="nothing was left behind"
+            ) from error
+        raise
     finally:
         shutil.rmtree(private, ignore_errors=True)
+
+
+@contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Hold the lock of an output; a place that cannot have one is said by its name."""
+    with ExitStack() as held:
+        with _named(path):
+            held.enter_context(only_writer(path))
+        yield
 
 
 @contextmanager

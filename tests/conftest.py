@@ -1,6 +1,7 @@
 """What this machine has for the tests: PDAL, with a word on it at the end, and SUMO."""
 
 import importlib.util
+import signal
 from pathlib import Path
 
 import pytest
@@ -42,6 +43,9 @@ def sumo_installed():
 
 
 def pytest_configure(config):
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        # a shell's background job ignores interrupts, and what the tests start would inherit that
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     config.addinivalue_line("markers", "pdal: runs a real PDAL, by the fixture `pdal`")
 
 
@@ -54,7 +58,12 @@ def pytest_collection_modifyitems(items):
 def pytest_terminal_summary(terminalreporter):
     """Say before the runner's own last line whether real PDAL was tested."""
     reports = {
-        outcome: [r for r in terminalreporter.getreports(outcome) if "pdal" in r.keywords]
+        # a file that could not be collected reports too, but has no keywords
+        outcome: [
+            report
+            for report in terminalreporter.getreports(outcome)
+            if "pdal" in getattr(report, "keywords", ())
+        ]
         for outcome in ("passed", "failed", "error", "skipped")
     }
     if not any(reports.values()):

@@ -17,6 +17,7 @@ from sites import EAST, NORTH, START, crossing, lane_quads, pose, recording, til
 import gis_radar as gr
 from gis_radar.cli import commands
 from gis_radar.cli.commands import group
+from gis_radar.cli.console import HumanDoor, Result
 from gis_radar.cli.door import open_door
 
 COMMANDS = sorted(group.commands)
@@ -311,3 +312,15 @@ def test_a_foreign_proj_database_does_not_spoil_a_map(site, run):
     assert "PROJ_DATA" in answer.stderr
     assert "Traceback" not in answer.stderr
     assert not (site / "map").exists()
+
+
+def test_a_table_in_a_summary_keeps_its_digits(capfd, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "40")
+    row = {"easting": 690360.0421, "northing": 5336178.0914, "state": "no pose fits [/b]"}
+    result = Result(outputs=[], summary={"sensors": {"R2": {"yaw": -1.5}, "R1": row}})
+    with HumanDoor() as door:
+        door.result(result)
+    heads, second, first = filter(None, capfd.readouterr().out.splitlines())
+    assert heads.split() == ["sensors", "easting", "northing", "state", "yaw"]
+    assert first.split() == ["R1", "690360.042", "5336178.091", "no", "pose", "fits", "[/b]"]
+    assert second.split() == ["R2", "-1.500"]

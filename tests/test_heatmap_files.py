@@ -152,7 +152,7 @@ def test_default_styles_are_registered(folder):
         assert geometry == columns[name]
         assert default == 1
         assert "graduatedSymbol" in qml
-        assert ('mode="2"' in qml) == (name == "occupancy_by_interval")
+        assert ('mode="1"' in qml) == (name == "occupancy_by_interval")
         assert "StyledLayerDescriptor" in sld
     kind = "SELECT data_type FROM gpkg_contents WHERE table_name = 'layer_styles'"
     assert rows(folder, kind) == [("attributes",)]

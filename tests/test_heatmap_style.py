@@ -43,7 +43,7 @@ def test_not_observed_is_unlike_never_hit():
 
 @pytest.mark.parametrize("begin", ["", "begin"])
 def test_vector_qml(begin):
-    root = ET.fromstring(style.vector_qml(begin=begin, end="end" if begin else ""))  # noqa: S314
+    root = ET.fromstring(style.vector_qml(begin=begin, end="end" if begin else "", length_s=900.0))  # noqa: S314
     renderer = root.find("renderer-v2")
     assert renderer.get("attr") == "occupancy"
     ranges = renderer.findall("ranges/range")
@@ -54,7 +54,8 @@ def test_vector_qml(begin):
     temporal = root.find("temporal")
     if begin:
         assert (temporal.get("startField"), temporal.get("endField")) == ("begin", "end")
-        assert (temporal.get("mode"), temporal.get("limitMode")) == ("2", "0")
+        assert (temporal.get("mode"), temporal.get("limitMode")) == ("1", "0")
+        assert (temporal.get("fixedDuration"), temporal.get("durationUnit")) == ("899990", "ms")
     else:
         assert temporal is None
 

@@ -10,17 +10,23 @@ PACKAGE = Path(__file__).parents[1] / "gis_radar"
 # `__init__.py`: what `import gis_radar` offers.
 ROWS = """
     errors arrays progress compiled
-    clock outputs crs streams
+    locks
+    clock outputs crs streams layer_styles
     pose pose_files
+    sensors
     lanelets
-    csv_tables detections
+    csv_tables detections formats sensor_clocks
     aerial
     tiles cells assignment elevation projection
-    occupancy
+    occupancy clocks
+    quality
     heatmap
     simulation
-    traces registration
+    traces registration surroundings
     localization
+    tracking
+    qgis_project
+    site_runs
     demo
     gis_radar
     cli

@@ -1,9 +1,14 @@
+import errno
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
+from gis_radar import locks
 from gis_radar.errors import OutputError
 from gis_radar.outputs import refuse_inputs, whole_file, whole_folder
+from gis_radar.progress import Reporter
 
 
 def contents(folder):
@@ -147,3 +152,81 @@ def test_an_input_is_not_replaced(tmp_path, monkeypatch):
             refuse_inputs(output, tmp_path / "gone", source)
     for output in ("new.parquet", "in/other", "in/r.gpkg"):
         refuse_inputs(output, source, "gone")
+
+
+def test_two_runs_do_not_write_one_folder(tmp_path):
+    with whole_folder(tmp_path / "o", owned=("a",)) as part:
+        (part / "a").write_text("first")
+        with (
+            pytest.raises(OutputError, match="o: another run is writing it"),
+            whole_folder(tmp_path / "o", owned=("a",)),
+        ):
+            pass
+        with whole_folder(tmp_path / "p", owned=("a",)):
+            pass
+    assert (tmp_path / "o" / "a").read_text() == "first"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["o", "p"]
+
+
+def test_a_lock_that_a_killed_run_left_does_not_count(tmp_path):
+    (tmp_path / ".o.lock").write_text("")
+    with whole_folder(tmp_path / "o", owned=("a",)):
+        pass
+    with pytest.raises(RuntimeError), whole_folder(tmp_path / "o", owned=("a",)):
+        raise RuntimeError
+    assert [path.name for path in tmp_path.iterdir()] == ["o"]
+
+
+def test_another_process_holds_the_lock(tmp_path):
+    code = (
+        "import sys; from pathlib import Path; from gis_radar.outputs import whole_folder\n"
+        "with whole_folder(Path(sys.argv[1]), owned=()): print('in', flush=True); input()"
+    )
+    other = subprocess.Popen(
+        [sys.executable, "-c", code, tmp_path / "o"],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=Path(__file__).parents[1],
+    )  # fmt: skip
+    with other:
+        assert other.stdout.readline().strip() == b"in"
+        with (
+            pytest.raises(OutputError, match="another run"),
+            whole_folder(tmp_path / "o", owned=()),
+        ):
+            pass
+        other.kill()
+    with whole_folder(tmp_path / "o", owned=()):
+        pass
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        OSError(errno.ENOSPC, "No space left on device"),
+        OSError("Error writing bytes to file. Detail: [errno 28] No space left on device"),
+    ],
+)
+def test_a_full_disk_is_said_and_leaves_nothing(tmp_path, error):
+    place = tmp_path / "o"
+    said = pytest.raises(OutputError, match="o: cannot be written: the disk is full")
+    with said, whole_folder(place, owned=()) as part:
+        (part / "half").write_text("half")
+        raise error
+    with said, whole_file(place):
+        raise error
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_system_without_locks_is_said(tmp_path, monkeypatch):
+    said = []
+
+    class Listener(Reporter):
+        def log(self, message, level="info"):
+            said.append((level, message))
+
+    def refuse(_):
+        raise OSError(errno.ENOTSUP, "Operation not supported")
+
+    monkeypatch.setattr(locks, "_take", refuse)
+    with locks.only_writer(tmp_path / "o", reporter=Listener()):
+        pass
+    assert said == [("warning", f"{tmp_path / 'o'}: cannot be locked: Operation not supported")]

@@ -15,6 +15,7 @@ SCRIPT = ROOT / "tools" / "get_pdal.sh"
 CONDA_NAMES = {
     "laspy": ["laspy", "lazrs-python"],
     "matplotlib": ["matplotlib-base"],
+    "tzdata": ["python-tzdata"],
 }
 
 

@@ -1,9 +1,9 @@
 """Tell which system libraries the wheels miss here.
 
-``missing_libraries.py run`` (or ``dev``) prints what to install for the libraries that are known to
-be needed: Debian's packages where there is apt, else the names of the libraries. It runs on a bare
-Python. With ``--load`` it runs in the finished environment: it loads every package and starts every
-program, and says what fails.
+``missing_libraries.py run`` (or ``dev``, ``bench``) prints what to install for the libraries that
+are known to be needed: Debian's packages where there is apt, else the names of the libraries. It
+runs on a bare Python. With ``--load`` it runs in the finished environment: it loads every package
+and starts every program, and says what fails.
 """
 
 from __future__ import annotations
@@ -32,13 +32,25 @@ DEV_LIBRARIES = {
     "libXext.so.6": "libxext6",
     "libXrender.so.1": "libxrender1",
 }
+BENCH_LIBRARIES = {
+    "libEGL.so.1": "libegl1",  # these are Open3D's
+    "libudev.so.1": "libudev1",
+    "libusb-1.0.so.0": "libusb-1.0-0",
+    "libidn2.so.0": "libidn2-0",
+    "libgomp.so.1": "libgomp1",
+}
+LIBRARIES = {
+    "run": RUN_LIBRARIES,
+    "dev": RUN_LIBRARIES | DEV_LIBRARIES,
+    "bench": RUN_LIBRARIES | DEV_LIBRARIES | BENCH_LIBRARIES,
+}
 DEV_PROGRAMS = ("sumo/bin/sumo", "sumo/bin/netconvert", "sumo/bin/netgenerate")
 
 
 def main() -> None:
     """Answer for the level that the command line names."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("level", choices=["run", "dev"])
+    parser.add_argument("level", choices=LIBRARIES)
     parser.add_argument("--load", action="store_true", help="load what is installed")
     arguments = parser.parse_args()
     if arguments.load:
@@ -51,8 +63,7 @@ def missing_libraries(level: str) -> list[str]:
     """Return what to install for the known libraries that this system lacks."""
     if sys.platform != "linux":
         return []
-    libraries = RUN_LIBRARIES if level == "run" else RUN_LIBRARIES | DEV_LIBRARIES
-    missing = {name: package for name, package in libraries.items() if not is_there(name)}
+    missing = {name: package for name, package in LIBRARIES[level].items() if not is_there(name)}
     return list(missing.values() if shutil.which("apt-get") else missing)
 
 
@@ -73,7 +84,7 @@ def load_all(level: str) -> list[str]:
             importlib.import_module(module)
         except Exception as error:  # noqa: BLE001 - whatever a package raises is the answer
             failures.append(f"{module}: {error}")
-    programs = DEV_PROGRAMS if level == "dev" and sys.platform == "linux" else ()
+    programs = DEV_PROGRAMS if level != "run" and sys.platform == "linux" else ()
     return failures + [line for program in programs for line in start(program)]
 
 
@@ -84,8 +95,10 @@ def requirements(level: str) -> set[str]:
     text = (Path(__file__).parents[1] / "pyproject.toml").read_text(encoding="utf-8")
     project: dict[str, Any] = tomllib.loads(text)
     lines = list(project["project"]["dependencies"])
-    if level == "dev":
+    if level != "run":
         lines += project["dependency-groups"]["dev"]
+    if level == "bench":
+        lines += project["project"]["optional-dependencies"]["localize"]
     return {re.split(r"[^\w.-]", line)[0].lower() for line in lines}
 
 

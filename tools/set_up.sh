@@ -3,6 +3,7 @@
 #
 #   tools/set_up.sh run    what gis-radar needs
 #   tools/set_up.sh dev    and what its checks need
+#   tools/set_up.sh bench  and the extra packages that the benchmarks compare with
 #
 # PYTHON=... names the Python to use (3.11 or newer). Where all is in place already,
 # this says nothing and uses no network.
@@ -88,12 +89,14 @@ make_venv() {
 
 install_packages() {
     set -- --editable .
+    [ "$level" != bench ] || set -- --editable '.[localize]'
     [ "$level" = run ] || set -- "$@" --group dev
     $venv/bin/python -m pip install --quiet --disable-pip-version-check \
         --constraint constraints.txt uv || fail "pip could not install uv (see above)."
     # Without a home to write to, downloads are kept beside what they become.
     [ -w "${HOME:-/nonexistent}" ] || export UV_CACHE_DIR=$venv/cache
-    $venv/bin/uv pip install --quiet --python $venv/bin/python \
+    # Compiled now, the packages start at once also where Python may not write.
+    $venv/bin/uv pip install --quiet --compile-bytecode --python $venv/bin/python \
         --constraints constraints.txt --build-constraints constraints.txt "$@" ||
         fail "the packages could not be installed (see above)."
 }
@@ -105,8 +108,8 @@ check_packages() {
 }
 
 case $level in
-run | dev) ;;
-*) fail "what is \"$level\"? Give run or dev." ;;
+run | dev | bench) ;;
+*) fail "what is \"$level\"? Give run, dev or bench." ;;
 esac
 state=$({
     pwd -P
@@ -127,4 +130,5 @@ make_venv
 install_packages
 check_packages
 [ "$level" = run ] || echo "$state" >$venv/.set-up-run
+[ "$level" != bench ] || echo "$state" >$venv/.set-up-dev
 echo "$state" >"$stamp"

@@ -10,13 +10,11 @@ import click
 import gis_radar as gr
 from gis_radar.cli.console import Result
 from gis_radar.cli.door import command, open_door
-from gis_radar.cli.options import Bearing, Numbers, Position, Words
-from gis_radar.errors import UsageError
+from gis_radar.cli.options import Numbers, Words
 from gis_radar.outputs import refuse_inputs
 from gis_radar.progress import Reporter
 
 FILE = click.Path(path_type=Path)
-ENGINES = {"grid": "TileGrid", "rtree": "TileTree"}
 MASK_ENGINES = ("auto", "pdal", "laspy")
 
 output = click.option("-o", "--output", type=FILE, required=True, help="Where the result goes.")
@@ -112,134 +110,12 @@ def mask(
     return Result(outputs=road.write(output), summary=road.figures())
 
 
-@command(
-    group,
-    example="gis-radar localize R1.parquet --map junction.osm --road road.laz "
-    "--guess 690356,5336183 -o R1.json",
-)
-@click.argument("recording", metavar="RECORDING", type=FILE)
-@click.option("--map", "map_path", metavar="MAP.osm", type=FILE, required=True, help="The lanes.")
-@click.option("--road", type=FILE, required=True, help="The scanned road (LAZ).")
-@click.option("--guess", type=Position(), required=True, help="Within 15 m, in the road's CRS.")
-@click.option("--heading", type=float, help="Yaw within 25 deg: from grid east, anticlockwise.")
-@click.option("--compass", type=Bearing(), help="The same as a bearing: 210, north-east, ...")
-@click.option("--origin", type=Numbers("E,N"), help="Map-frame position of the map's local (0, 0).")
-@click.option(
-    "--method", type=click.Choice(["lane", "icp"]), default="lane", show_default=True,
-    help="Lanes and Doppler, or the paper's ICP.",
-)  # fmt: skip
-@click.option("--figure", type=FILE, help="Draw the traces over lanes and scan (PNG).")
-@output
-def localize(
-    *,
-    recording: Path,
-    map_path: Path,
-    road: Path,
-    guess: tuple[float, ...],
-    heading: float | None,
-    compass: float | None,
-    origin: tuple[float, float] | None,
-    method: str,
-    figure: Path | None,
-    output: Path,
-    reporter: Reporter,
-) -> Result:
-    """Find a sensor's pose from its recording and a rough guess (JSON)."""
-    if heading is not None and compass is not None:
-        raise UsageError("both --heading and --compass are given", hint="give one of them")
-    refuse_inputs(output, recording, map_path, road)
-    crs = gr.road_crs(road)
-    roads = gr.read_map(map_path, crs=crs, origin=origin, reporter=reporter)
-    points = gr.read_road(road, roads.crs)
-    if compass is not None:
-        heading = gr.yaw_from_compass(compass, roads.crs, guess[0], guess[1])
-    found = gr.localize(
-        recording, roads, points, guess=guess, heading=heading, method=method, reporter=reporter
-    )
-    outputs = [output]
-    if figure is not None:
-        gr.draw_localization(found, roads, points, figure)
-        outputs.append(figure)
-    gr.write_pose(found.pose, output)
-    return Result(outputs=outputs, summary=found.figures())
-
-
-@command(
-    group,
-    example="gis-radar occupancy R1.parquet R2.parquet --pose R1.json --pose R2.json "
-    "--tiles tiles.gpkg -o occupancy/",
-)
-@click.argument("recordings", metavar="RECORDING...", type=FILE, nargs=-1, required=True)
-@click.option("--pose", "poses", type=FILE, multiple=True, required=True, help="One a recording.")
-@click.option("--tiles", "tiles_path", type=FILE, required=True, help="From gis-radar tiles.")
-@output
-@click.option("--max-range", "max_range_m", type=float, help="Range of poses without a view, m.")
-@click.option("--azimuth", "azimuth_deg", type=float, help="Full azimuth of such poses, deg.")
-@click.option("--elevation", "elevation_deg", type=float, help="Full elevation of such poses, deg.")
-@click.option("--min-speed", type=float, help="Least absolute range rate, m/s; off by default.")
-@click.option("--min-rcs", type=float, help="Least radar cross section, dBm2; off by default.")
-@click.option("--clearance", type=Numbers("LOW,HIGH"), help="Heights over the road that count, m.")
-@click.option(
-    "--elevation-error", type=float, default=0.5, show_default=True,
-    help="The radar's elevation error, deg (1 sigma): widens the clearance with range.",
-)  # fmt: skip
-@click.option("--engine", type=click.Choice(sorted(ENGINES)), default="grid", show_default=True)
-def occupancy(
-    *,
-    recordings: tuple[Path, ...],
-    poses: tuple[Path, ...],
-    tiles_path: Path,
-    output: Path,
-    max_range_m: float | None,
-    azimuth_deg: float | None,
-    elevation_deg: float | None,
-    min_speed: float | None,
-    min_rcs: float | None,
-    clearance: tuple[float, float] | None,
-    elevation_error: float,
-    engine: str,
-    reporter: Reporter,
-) -> Result:
-    """Join recordings to tiles: which tile was hit in which 50 ms step."""
-    refuse_inputs(output, *recordings, *poses, tiles_path)
-    filters = gr.Filters(
-        min_speed=min_speed,
-        min_rcs=min_rcs,
-        clearance=clearance,
-        elevation_error_deg=elevation_error,
-    )
-    view = {"azimuth_deg": azimuth_deg, "elevation_deg": elevation_deg, "max_range_m": max_range_m}
-    result = gr.measure_occupancy(
-        recordings,
-        [_seeing(gr.read_track(pose), view, reporter) for pose in poses],
-        gr.read_tiles(tiles_path),
-        output,
-        filters=filters,
-        engine=getattr(gr, ENGINES[engine]),
-        reporter=reporter,
-    )
-    return Result(outputs=[output], summary=result.figures())
-
-
-def _seeing(
-    track: gr.PoseTrack, options: dict[str, float | None], reporter: Reporter
-) -> gr.PoseTrack:
-    """Give poses without a view the one of the options."""
-    given = {name: value for name, value in options.items() if value is not None}
-    try:
-        view = gr.View(**given)
-    except gr.InputError as error:
-        raise gr.UsageError(error.message) from error
-    if given and any(pose.view is not None for pose in track.poses):
-        reporter.log(f"the pose of {track.sensor} has a view, which counts", "warning")
-    return track.with_view(view)
-
-
 @command(group, example="gis-radar heatmap occupancy/ --tiles tiles.gpkg --interval 15min -o map/")
 @click.argument("folders", metavar="OCCUPANCY...", type=FILE, nargs=-1, required=True)
 @click.option("--tiles", "tiles_path", type=FILE, required=True, help="From gis-radar tiles.")
 @output
 @click.option("--interval", help="Length of the intervals: 20s, 15min, 1h, ...")
+@click.option("--timezone", help="Whose hours and days the intervals follow: Europe/Berlin.")
 @click.option("--at", help="Map of the one 50 ms step at this time (ISO 8601 with Z).")
 def heatmap(
     *,
@@ -247,6 +123,7 @@ def heatmap(
     tiles_path: Path,
     output: Path,
     interval: str | None,
+    timezone: str | None,
     at: str | None,
     reporter: Reporter,
 ) -> Result:
@@ -254,7 +131,12 @@ def heatmap(
     refuse_inputs(output, *folders, tiles_path)
     merged = gr.merge_occupancies([gr.read_occupancy(folder) for folder in folders])
     heat = gr.make_heatmap(
-        merged, gr.read_tiles(tiles_path), interval=interval, at=at, reporter=reporter
+        merged,
+        gr.read_tiles(tiles_path),
+        interval=interval,
+        at=at,
+        timezone=timezone,
+        reporter=reporter,
     )
     outputs = heat.write(output, reporter=reporter)
     return Result(outputs=outputs, summary=heat.figures())

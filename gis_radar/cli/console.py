@@ -18,6 +18,9 @@ from rich.text import Text
 from gis_radar.errors import GisRadarError
 from gis_radar.progress import Level, Reporter
 
+WIDE = 160
+MOST_BARS = 8  # with more than that, those that are full make way
+
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
@@ -28,11 +31,14 @@ class Result:
     outputs : list of Path
         The files and folders it wrote.
     summary : mapping
-        Figures worth a look, by name.
+        Figures worth a look, by name; a mapping of mappings is a table.
+    failure : GisRadarError, optional
+        What is missing, told as an error after all that was done.
     """
 
     outputs: list[Path]
     summary: Mapping[str, Any] = field(default_factory=dict)
+    failure: GisRadarError | None = None
 
 
 class Door(Protocol):
@@ -120,6 +126,8 @@ class HumanDoor(Reporter):
         if stage not in self._tasks:
             self._tasks[stage] = self._bars.add_task(stage, total=total)
         self._bars.update(self._tasks[stage], completed=done, total=total)
+        if done == total and len(self._tasks) > MOST_BARS:
+            self._bars.update(self._tasks[stage], visible=False)
 
     def log(self, message: str, level: Level = "info") -> None:
         """Say a remark."""
@@ -131,7 +139,11 @@ class HumanDoor(Reporter):
         console = Console()
         table = Table(show_header=False, box=None, pad_edge=False)
         for name, value in result.summary.items():
-            table.add_row(name.replace("_", " "), Text(_readable(value)))
+            if isinstance(value, Mapping):
+                # A number that is cut short is a wrong number: rather a line too long.
+                Console(width=max(console.width, WIDE)).print(_grid(name, value))
+            else:
+                table.add_row(name.replace("_", " "), Text(_readable(value)))
         console.print(table)
         for path in result.outputs:
             console.print(f"wrote {path}", markup=False, highlight=False, soft_wrap=True)
@@ -141,6 +153,22 @@ class HumanDoor(Reporter):
         hint = f" ({error.hint})" if error.hint else ""
         text = " ".join(f"gis-radar: {error.message}{hint}".split())
         self._console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+def _grid(name: str, rows: Mapping[str, Mapping[str, Any]]) -> Table:
+    """Return a table with a row for each entry, and a column for each name that any has."""
+    fullest_first = sorted(rows.values(), key=len, reverse=True)
+    columns = list(dict.fromkeys(column for row in fullest_first for column in row))
+    table = Table(box=None, pad_edge=False)
+    for title in (name, *columns):
+        table.add_column(
+            Text(title.replace("_", " ")), justify="left" if title == name else "right"
+        )
+    for key, row in rows.items():
+        cells = [row.get(column, "") for column in columns]
+        told = [f"{c:.3f}" if isinstance(c, float) else _readable(c) for c in cells]
+        table.add_row(Text(key), *map(Text, told))
+    return table
 
 
 def _readable(value: Any) -> str:

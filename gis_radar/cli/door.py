@@ -12,6 +12,7 @@ from typing import Any, NoReturn
 import click
 
 from gis_radar.cli.console import Door, HumanDoor, JsonDoor, Result
+from gis_radar.cli.leash import wear_leash
 from gis_radar.errors import GisRadarError, OutputError, UsageError
 
 INTERRUPTED = 130
@@ -36,6 +37,8 @@ def command(group: click.Group, *, example: str) -> Callable[[Verb], Verb]:
             with _door(json_lines=json_lines) as door:
                 result = verb(reporter=door.reporter, **options)
             door.result(result)
+            if result.failure is not None:
+                raise result.failure
 
         flagged = click.option(
             "--json", "json_lines", is_flag=True, help="Print one JSON object a line."
@@ -53,6 +56,7 @@ def _door(*, json_lines: bool) -> Door:
 def open_door(group: click.Group) -> NoReturn:
     """Run the command line and leave with the exit code that says how it went."""
     signal.signal(signal.SIGTERM, _interrupt)
+    wear_leash()
     door = _door(json_lines="--json" in sys.argv)
     try:
         group(standalone_mode=False)

@@ -11,9 +11,11 @@ from pathlib import Path
 import pyarrow as pa
 import pyogrio
 
+from gis_radar.clock import STEPS_PER_SECOND
 from gis_radar.heatmap import style
 from gis_radar.heatmap.layers import BEGIN, END, LONG, LONG_SCHEMA, WIDE, long_batches, wide_layer
 from gis_radar.heatmap.tally import DEFINITIONS, Tally
+from gis_radar.layer_styles import add_styles
 from gis_radar.progress import Reporter
 from gis_radar.streams import write_stream
 
@@ -41,7 +43,7 @@ def write_geopackage(tally: Tally, path: Path, reporter: Reporter) -> None:
     with closing(sqlite3.connect(path)) as database, database:
         for field in (BEGIN, END):
             database.execute(f'CREATE INDEX "{LONG}_{field}" ON "{LONG}" ("{field}")')
-        _add_styles(database)
+        _add_styles(database, _length_s(tally))
 
 
 def _write_long(tally: Tally, path: Path, metadata: dict[str, str], reporter: Reporter) -> None:
@@ -60,44 +62,15 @@ def _reported(tally: Tally, reporter: Reporter) -> Iterator[pa.RecordBatch]:
         reporter.progress("writing occupancy by interval", done, total)
 
 
-# As QGIS itself makes it; GDAL and QGIS look for it by this name.
-_STYLES_TABLE = """
-CREATE TABLE layer_styles (
-    id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL,
-    f_table_catalog TEXT(256),
-    f_table_schema TEXT(256),
-    f_table_name TEXT(256),
-    f_geometry_column TEXT(256),
-    styleName TEXT(30),
-    styleQML TEXT,
-    styleSLD TEXT,
-    useAsDefault BOOLEAN,
-    description TEXT,
-    owner TEXT(30),
-    ui TEXT(30),
-    update_time DATETIME DEFAULT (strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))
-)
-"""
-_STYLES_CONTENTS = """
-INSERT INTO gpkg_contents (table_name, data_type, identifier, description, last_change)
-VALUES ('layer_styles', 'attributes', 'layer_styles', '', strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))
-"""
-_STYLE = """
-INSERT INTO layer_styles (
-    f_table_catalog, f_table_schema, f_table_name, f_geometry_column,
-    styleName, styleQML, styleSLD, useAsDefault, description, owner
-)
-SELECT '', '', table_name, column_name, 'occupancy', ?, ?, 1, ?, ''
-FROM gpkg_geometry_columns WHERE table_name = ?
-"""
+def _length_s(tally: Tally) -> float:
+    """Return the length of the intervals, which is one for all."""
+    return float(tally.timeline.end[0] - tally.timeline.begin[0]) / STEPS_PER_SECOND
 
 
-def _add_styles(database: sqlite3.Connection) -> None:
-    database.execute(_STYLES_TABLE)
-    database.execute(_STYLES_CONTENTS)
+def _add_styles(database: sqlite3.Connection, length_s: float) -> None:
+    styles = {
+        WIDE: (style.vector_qml(), style.sld(WIDE)),
+        LONG: (style.vector_qml(begin=BEGIN, end=END, length_s=length_s), style.sld(LONG)),
+    }
     about = "fixed classes of occupancy, so that maps compare"
-    for layer, qml in (
-        (WIDE, style.vector_qml()),
-        (LONG, style.vector_qml(begin=BEGIN, end=END)),
-    ):
-        database.execute(_STYLE, (qml, style.sld(layer), about, layer))
+    add_styles(database, styles, name="occupancy", about=about)

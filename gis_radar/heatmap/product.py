@@ -5,15 +5,17 @@ from __future__ import annotations
 import sqlite3
 from pathlib import Path
 from typing import Any
+from zoneinfo import ZoneInfo
 
 import geopandas as gpd
 import numpy as np
 from pyogrio.errors import DataSourceError
 from rasterio.errors import RasterioError
 
-from gis_radar.clock import interval_steps, iso_from_step, seconds_from_iso, step_of
+from gis_radar.clock import interval_steps, iso_from_step, seconds_from_iso, step_of, zone_of
 from gis_radar.crs import metric_crs
 from gis_radar.errors import InputError, OutputError, UsageError
+from gis_radar.heatmap.calendar import follows_utc, local_intervals
 from gis_radar.heatmap.geopackage import write_geopackage
 from gis_radar.heatmap.layers import long_layer, wide_layer
 from gis_radar.heatmap.measure import count_hits, frame_runs, observe
@@ -22,7 +24,13 @@ from gis_radar.heatmap.raster import write_raster
 from gis_radar.heatmap.style import sidecar_qml
 from gis_radar.heatmap.table import write_table
 from gis_radar.heatmap.tally import MOST_COLUMNS, Tally
-from gis_radar.heatmap.timeline import Timeline, aligned, aligned_with, intervals_with
+from gis_radar.heatmap.timeline import (
+    Timeline,
+    aligned,
+    aligned_with,
+    intervals_with,
+    those_with,
+)
 from gis_radar.occupancy import Occupancy
 from gis_radar.occupancy.runs import Runs
 from gis_radar.outputs import whole_folder
@@ -105,6 +113,7 @@ def make_heatmap(
     *,
     interval: str | None = None,
     at: str | None = None,
+    timezone: str | None = None,
     reporter: Reporter = QUIET,
 ) -> HeatMap:
     """Make the heat map of all tiles (the paper's section "Global Occupancy Heat Map").
@@ -120,6 +129,8 @@ def make_heatmap(
         The tiles of the same map.
     interval : str, optional
         Length of intervals such as `15min`; they begin at multiples of it since the UNIX epoch.
+    timezone : str, optional
+        Whose hours and days intervals follow, such as Europe/Berlin; all output stays in UTC.
     at : str, optional
         ISO 8601 time: the map of the one step that contains it, instead of the whole time.
     reporter : Reporter
@@ -132,7 +143,8 @@ def make_heatmap(
     Raises
     ------
     UsageError
-        If `interval` is no duration, stands beside `at`, or is too short for this much data.
+        If `interval` is no duration, stands beside `at`, or is too short for this much data;
+        if there is no such time zone, or it stands without `interval`.
     CrsError
         If the tiles' coordinate system is not a projected one in metres.
     InputError
@@ -140,12 +152,17 @@ def make_heatmap(
     """
     if at is not None and interval is not None:
         raise UsageError("at and interval do not go together", hint="give one of them")
+    if timezone is not None and interval is None:
+        raise UsageError("a timezone needs an interval", hint="such as 1h or 1d")
+    zone = None if timezone is None else zone_of(timezone)
     tiles = _checked(tiles, occupancy.fingerprint)
     tile_ids = tiles["tile_id"].to_numpy(np.int64)
     runs = frame_runs(occupancy)
     whole = _whole(runs, at)
     observation = observe(occupancy, tile_ids)
-    timeline = _intervals(runs, interval, len(tiles), reporter) if interval is not None else whole
+    timeline = whole
+    if interval is not None:
+        timeline = _intervals(runs, interval, zone, len(tiles), reporter)
     occupied = count_hits(occupancy, observation, timeline, tile_ids, reporter)
     return HeatMap(
         tiles=tiles,
@@ -202,13 +219,20 @@ def _moment(at: str) -> float:
         raise UsageError(error.message, hint=error.hint) from error
 
 
-def _intervals(runs: Runs, interval: str, tiles: int, reporter: Reporter) -> Timeline:
+def _intervals(
+    runs: Runs, interval: str, zone: ZoneInfo | None, tiles: int, reporter: Reporter
+) -> Timeline:
     """Return the intervals; where there are very many, only those with a frame."""
     steps = interval_steps(interval)
     first, last = int(runs.first[0]), int(runs.last[-1])
-    if last // steps - first // steps < MOST_COLUMNS:
-        return aligned(first, last, steps)
-    filled = intervals_with(runs, steps)
+    local = None
+    if zone is not None and not follows_utc(steps):
+        local = local_intervals(first, last, steps, zone)
+    count = last // steps - first // steps + 1 if local is None else len(local)
+    if count <= MOST_COLUMNS:
+        return aligned(first, last, steps) if local is None else local
+    kept = None if local is None else those_with(local, runs)
+    filled = intervals_with(runs, steps) if kept is None else len(kept)
     if filled * tiles > MOST_ROWS:
         raise UsageError(
             f"{filled} intervals of {interval} for {tiles} tiles are more than a heat map can hold",
@@ -221,4 +245,4 @@ def _intervals(runs: Runs, interval: str, tiles: int, reporter: Reporter) -> Tim
             "not columns and bands"
         )
     reporter.log(said)
-    return aligned_with(runs, steps)
+    return aligned_with(runs, steps) if kept is None else kept

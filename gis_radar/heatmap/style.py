@@ -26,7 +26,7 @@ LEGEND_TITLE = "Share of the observed time"
 NOT_OBSERVED_LABEL = "not observed"
 
 _QGIS_DOCTYPE = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>"
-_START_AND_END_FROM_FIELDS = "2"
+_BEGIN_AND_DURATION = "1"
 _INCLUDE_BEGIN_EXCLUDE_END = "0"
 
 
@@ -54,7 +54,7 @@ def _label(lower: float, upper: float) -> str:
     return f"{lower * 100:g} to {upper * 100:g} %"
 
 
-def vector_qml(*, begin: str = "", end: str = "") -> str:
+def vector_qml(*, begin: str = "", end: str = "", length_s: float = 0.0) -> str:
     """Return the QGIS style of a layer of tiles.
 
     Parameters
@@ -62,6 +62,8 @@ def vector_qml(*, begin: str = "", end: str = "") -> str:
     begin, end : str
         Fields with the begin and the end of each row, for the temporal controller; empty
         where a layer holds the whole time.
+    length_s : float
+        Length of a row's interval, seconds.
 
     Returns
     -------
@@ -70,17 +72,24 @@ def vector_qml(*, begin: str = "", end: str = "") -> str:
     """
     root = Element("qgis", version="3.34", styleCategories="Symbology|Temporal")
     if begin:
-        _add_temporal(root, begin, end)
+        _add_temporal(root, begin, end, length_s)
     _add_renderer(root)
     SubElement(root, "layerGeometryType").text = "2"
     return _document(root, _QGIS_DOCTYPE)
 
 
-def _add_temporal(root: Element, begin: str, end: str) -> None:
+def _add_temporal(root: Element, begin: str, end: str, length_s: float) -> None:
+    """Show a row from its begin for its length.
+
+    QGIS compares the times of a GeoPackage as text, one with a Z and one without, and so takes
+    an interval that ends at a moment for one that holds it. A hundredth of a second less ends
+    that; it is more than QGIS loses in rounding, and less than a step.
+    """
+    shown_ms = max(0, round(length_s * 1000) - 10)
     SubElement(
-        root, "temporal", enabled="1", mode=_START_AND_END_FROM_FIELDS,
+        root, "temporal", enabled="1", mode=_BEGIN_AND_DURATION,
         limitMode=_INCLUDE_BEGIN_EXCLUDE_END, startField=begin, endField=end,
-        fixedDuration="0", durationUnit="min", durationField="", accumulate="0",
+        fixedDuration=str(shown_ms), durationUnit="ms", durationField="", accumulate="0",
         startExpression="", endExpression="",
     )  # fmt: skip
 

@@ -65,3 +65,9 @@ def aligned_with(runs: Runs, steps: int) -> Timeline:
     offset = np.arange(length.sum()) - np.repeat(np.cumsum(length) - length, length)
     begin = (np.repeat(low, length) + offset) * steps
     return Timeline(begin=begin, end=begin + steps)
+
+
+def those_with(timeline: Timeline, runs: Runs) -> Timeline:
+    """Return only those intervals that hold a step of the set."""
+    filled = timeline.counts(runs) > 0
+    return Timeline(begin=timeline.begin[filled], end=timeline.end[filled])

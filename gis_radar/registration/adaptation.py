@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import Bounds, minimize
-from scipy.special import ndtr
-from scipy.stats import gamma
+from scipy.special import gammaincinv, ndtr
 
 from gis_radar.arrays import Floats, Integers
 from gis_radar.registration.lanes import Lanes
@@ -17,7 +16,7 @@ from gis_radar.registration.solver import Fit
 from gis_radar.traces import Samples
 
 EDGE_M, EDGE_SIGMA_M = 0.2, 0.07  # bumpers, sills and wheels end that far over the road
-NODES = gamma.ppf((np.arange(16) + 0.5) / 16, 2)
+NODES = gammaincinv(2.0, (np.arange(16) + 0.5) / 16)
 TALL_SHARE, TALL_M = 0.2, (0.2, 2.8)  # of bodies, from where to where above the edge
 STRAY_SHARE, STRAY_M = 0.05, 8.0
 NEAR_M, LEAST, MOST = 80.0, 200, 1500

@@ -1,0 +1,47 @@
+"""The texts of the QGIS plugin that people read, taken from its source."""
+
+import ast
+from pathlib import Path
+
+FOLDER = Path(__file__).parents[1] / "qgis_plugin" / "gis_radar_plugin"
+CLASS_TEXTS = ("TITLE", "HELP")
+CONSTANTS = ("SITE", "TRAFFIC", "RESULTS", "SET_UP", "CRS_HELP", "ORIGIN_HELP")
+
+
+def texts():
+    """Return every text that goes through `tr`, in the order of the source."""
+    found = {}
+    for path in sorted(FOLDER.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            for part in _said(node):
+                if isinstance(part, ast.Constant) and isinstance(part.value, str) and part.value:
+                    found.setdefault(part.value, path.name)
+    return found
+
+
+def _said(node):
+    """Yield the texts in a node: of `tr`, of `about=`, of a class, of a constant."""
+    if isinstance(node, ast.Call):
+        name = getattr(node.func, "id", getattr(node.func, "attr", ""))
+        if name in ("tr", "stage"):
+            yield from node.args[:1]
+        yield from (word.value for word in node.keywords if word.arg == "about")
+    elif isinstance(node, ast.Assign):
+        targets = [name for target in node.targets for name in _names(target)]
+        if set(targets) & {*CLASS_TEXTS, *CONSTANTS}:
+            yield from getattr(node.value, "elts", [node.value])
+        if "SENSOR_TABLES" in targets:
+            yield from node.value.keys
+    elif isinstance(node, ast.For) and isinstance(node.iter, ast.Tuple):
+        yield from (node.iter.elts if _is_legend(node) else ())
+
+
+def _names(target):
+    if isinstance(target, ast.Tuple):
+        return [name for part in target.elts for name in _names(part)]
+    return [target.id] if isinstance(target, ast.Name) else []
+
+
+def _is_legend(node):
+    """Tell the loop over the words of class labels in loading.py."""
+    return isinstance(node.target, ast.Name) and node.target.id == "words"
