@@ -12,15 +12,16 @@ from gis_radar.pose import Pose
 from gis_radar.tracking.filter import (
     DRIFT,
     LEVER,
-    NOISE_SHARE,
     Estimate,
+    Innovation,
     Measurement,
     corrected,
     covariance_from_angles,
     innovation,
-    noise_share,
+    likeliest_move,
     predicted,
     same_sign,
+    widened,
 )
 
 HOUR_S = 3600.0
@@ -51,7 +52,7 @@ def measured(rng, of, *, share=1.0, covariance=None, gap=None):
         position=of.position + gap[:3],
         quaternion=turn.as_quat(),
         covariance=covariance,
-        noise_share=share,
+        noise=share * covariance,
     )
 
 
@@ -84,7 +85,7 @@ def test_equal_measurements_of_a_turn_come_to_the_mean_quaternion():
         sign = rng.choice([-1.0, 1.0])
         seen = Measurement(
             position=np.zeros(3), quaternion=sign * turn.as_quat(), covariance=np.eye(6) * 1e-4,
-            noise_share=1.0,
+            noise=np.eye(6) * 1e-4,
         )  # fmt: skip
         now = corrected(now, seen)
     apart = Rotation.from_quat(now.quaternion).inv() * turns.mean()
@@ -186,15 +187,38 @@ def test_angles_and_turns_have_one_covariance(yaw, pitch, roll, seed):
     assert np.allclose(back.angle_covariance, covariance, rtol=1e-6, atol=1e-12)
 
 
-def test_longer_windows_have_less_noise_and_the_same_rest():
-    whole = noise_share(100.0, 100.0)
-    assert whole == pytest.approx(NOISE_SHARE)
-    for length in (5.0, 20.0, 50.0):
-        share = noise_share(length, 100.0)
-        # noise over rest goes with one over the length
-        assert share / (1 - share) == pytest.approx(whole / (1 - whole) * 100.0 / length)
-    assert noise_share(0.0, 100.0) == 1.0
-    assert noise_share(900.0, 100.0) == pytest.approx(NOISE_SHARE)
+def test_what_windows_share_hides_no_move():
+    """A move is held against noise alone: what the windows share cancels in their difference."""
+    rng = np.random.default_rng(7)
+    now = estimate(rng, quaternion=LEVEL, covariance=np.eye(6) * 100.0)
+    covariance = np.diag(np.square([0.2, 0.2, 0.2, 4e-3, 4e-3, 4e-3]))
+    first = measured(rng, now, covariance=covariance, share=0.1, gap=np.zeros(6))
+    now = corrected(now, first)
+    move = np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.0])
+    after = measured(rng, now, covariance=covariance, share=0.1, gap=move)
+    # 0.5 m against twice the variance of the noise, not of the whole
+    assert innovation(now, after).chi2 == pytest.approx(0.25 / (2 * 0.1 * 0.04), rel=0.02)
+    assert now.covariance[0, 0] == pytest.approx(0.04, rel=0.01)
+
+
+def test_a_pose_that_may_have_moved_is_less_certain():
+    rng = np.random.default_rng(8)
+    now = estimate(rng)
+    move = np.array([0.8, -0.3, 0.1, 0.002, 0.0, 0.02])
+    wide = widened(now, move)
+    assert move @ np.linalg.solve(wide.covariance, move) == pytest.approx(1.0)
+    assert np.linalg.eigvalsh(wide.covariance - now.covariance)[0] > -1e-12
+    again = widened(wide, move)  # a doubt that lasts does not add up
+    assert np.allclose(again.covariance, wide.covariance)
+    assert widened(now, 1e-3 * move) is now
+
+
+def test_the_likeliest_move_leaves_out_what_is_not_seen():
+    covariance = np.diag(np.square([0.1, 100.0, 0.1, 1e-3, 1e-3, 1e-3]))
+    found = Innovation(gap=np.array([0.5, 50.0, 0.0, 0.0, 0.0, 0.0]), covariance=covariance)
+    move = likeliest_move(found, np.array([0.7, 0.7, 0.4, 0.05, 0.05, 0.05]))
+    assert move[0] == pytest.approx(0.49, abs=0.01)
+    assert abs(move[1]) < 0.01
 
 
 def test_the_sign_is_that_of_the_quaternion_before():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from streets import CROSSING, Street
 
@@ -15,10 +16,10 @@ from gis_radar.registration import Lanes, State, advantage, certainty, sample_la
 from gis_radar.registration.adaptation import heights
 from gis_radar.registration.hypotheses import prior_at
 from gis_radar.registration.level import level
-from gis_radar.registration.matching import match
+from gis_radar.registration.matching import match, place
 from gis_radar.registration.model import MODEL
 from gis_radar.registration.normal import at_least
-from gis_radar.registration.residuals import Scene, height, lateral
+from gis_radar.registration.residuals import Comparison, height, lateral
 from gis_radar.registration.solver import solve
 from gis_radar.registration.state import SIZE, TURN, angles_from_turn
 from gis_radar.traces import Moving, Samples, thin, track
@@ -44,11 +45,16 @@ def scene():
 
 def matched(scene, scale_m):
     lanes, samples, state, _ = scene
-    compared = Scene(
-        lanes=lanes, samples=samples, matches=match(lanes, samples, state),
+    placed = place(samples, state)
+    compared = Comparison(
+        lanes=lanes, placed=placed, matches=match(lanes, placed),
         model=replace(MODEL, hidden_share=1e-9), scale_m=scale_m,
     )  # fmt: skip
     return compared, state, np.zeros(samples.tracks)
+
+
+def at(compared, state):
+    return replace(compared, placed=place(compared.placed.samples, state))
 
 
 @pytest.mark.parametrize(
@@ -58,11 +64,11 @@ def matched(scene, scale_m):
 )
 def test_derivatives_are_those_of_the_loss(scene, family, column):
     compared, state, own = matched(scene, 0.5)
-    rows = family(compared, state, own)
+    rows = family(compared, own)
     gradient = rows.jacobian[:, column] * rows.weight * rows.value
     step = np.zeros(SIZE)
     step[column] = 1e-6
-    plus, minus = (family(compared, state.moved(s * step), own).loss for s in (1, -1))
+    plus, minus = (family(at(compared, state.moved(s * step)), own).loss for s in (1, -1))
     slack = 0.02 * np.abs(rows.jacobian[:, column]) + 1e-6
     close = np.abs(gradient - (plus - minus) / 2e-6) <= slack
     assert close.mean() > 0.97
@@ -70,9 +76,9 @@ def test_derivatives_are_those_of_the_loss(scene, family, column):
 
 @pytest.mark.parametrize("family", [lateral, height])
 def test_curvatures_are_second_derivatives_of_the_loss(scene, family):
-    compared, state, own = matched(scene, 0.1)
-    rows = family(compared, state, own)
-    plus, minus = (family(compared, state, own + d).loss for d in (1e-3, -1e-3))
+    compared, _, own = matched(scene, 0.1)
+    rows = family(compared, own)
+    plus, minus = (family(compared, own + d).loss for d in (1e-3, -1e-3))
     numeric = (plus - 2.0 * rows.loss + minus) / 1e-6
     assert np.allclose(rows.curvature, numeric, atol=0.05)
     assert (rows.curvature <= rows.weight + 1e-9).all()
@@ -89,13 +95,44 @@ def test_a_start_beside_the_truth_comes_back(scene):
 
 def test_every_match_has_a_doppler_that_its_lane_allows(scene):
     lanes, samples, state, _ = scene
-    matches = match(lanes, samples, state)
+    matches = match(lanes, place(samples, state))
     assert matches.found.mean() > 0.95
     sight = (samples.points @ state.R_map_sensor.T)[:, :2]
     sight = sight / np.hypot(*sight.T)[:, None]
     away = np.sum(lanes.along[matches.lane] * sight, axis=1)
     clear = matches.found & (np.abs(samples.range_rate) > 0.6)
     assert (np.sign(away[clear]) == np.sign(samples.range_rate[clear])).all()
+
+
+def test_between_two_lanes_a_sample_lies_on_the_nearer_one():
+    """Also where the middle of its cell of the raster is nearer to the other lane."""
+    street = Street(lanes=CROSSING)
+    lanes = sample_lanes(
+        street.roads().lanelets, street.road_points(), place=np.array(street.middle), reach_m=60.0
+    )
+    rng = np.random.default_rng(3)
+    k = rng.integers(len(lanes.points), size=3000)
+    normal = np.column_stack([-lanes.along[k, 1], lanes.along[k, 0]])
+    off = rng.uniform(-2.5, 2.5, len(k))
+    spots = lanes.points[k] + np.column_stack([off[:, None] * normal, np.zeros(len(k))])
+    spots = spots[np.isfinite(spots[:, 2])]
+    samples = Samples(
+        points=spots, range_rate=np.zeros(len(spots)), track=np.zeros(len(spots), dtype=np.int64),
+        tracks=1, elevation=1.0,
+    )  # fmt: skip
+    state = State(position=np.zeros(3), R_map_sensor=np.eye(3), reflection=0.6)
+    matches = match(lanes, place(samples, state))
+    chosen = np.hypot(*(spots - lanes.points[matches.lane])[:, :2].T)
+    nearest = cKDTree(lanes.points[:, :2]).query(spots[:, :2])[0]
+    # within the half metre by which samples along one lane may be taken for each other
+    assert (chosen[matches.found] < np.hypot(nearest, 1.6)[matches.found]).mean() > 0.97
+    away = (spots - lanes.points[matches.lane])[:, :2]
+    across = np.abs(np.sum(normal_of(lanes, matches.lane) * away, axis=1))
+    assert np.mean((across > nearest + 0.3)[matches.found]) < 0.01
+
+
+def normal_of(lanes, lane):
+    return np.column_stack([-lanes.along[lane, 1], lanes.along[lane, 0]])
 
 
 def test_matching_turned_round_fails(scene):
@@ -159,6 +196,19 @@ def test_turns_become_angles(yaw, pitch, roll, seed):
     assert np.allclose(state.moved(step).difference(state), step, atol=1e-9)
 
 
+@settings(max_examples=200, deadline=None)
+@given(
+    st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda axis: np.linalg.norm(axis) > 1e-3),
+    st.one_of(st.floats(0.0, np.pi - 1e-4), st.floats(0.0, 1e-7), st.just(np.pi - 1e-9)),
+)
+def test_turns_are_those_of_scipy(axis, angle):
+    turn = np.array(axis) / np.linalg.norm(axis) * angle
+    state = State(position=np.zeros(3), R_map_sensor=np.eye(3), reflection=0.6)
+    there = state.moved(np.concatenate([np.zeros(3), turn, [0.0]]))
+    assert np.allclose(there.R_map_sensor, Rotation.from_rotvec(turn).as_matrix(), atol=1e-12)
+    assert np.allclose(there.difference(state)[TURN], turn, atol=1e-7)
+
+
 def test_vehicles_vote(scene):
     lanes, samples, state, _ = scene
     fit = solve(lanes, samples, state, prior_at(state))
@@ -182,8 +232,8 @@ def test_few_vehicles_that_agree_suffice(scene):
 
 def test_samples_of_a_vehicle_side_by_side_share_what_they_say(scene):
     lanes, samples, state, _ = scene
-    compared, state, own = matched(scene, 0.0)
-    say = lateral(compared, state, own).say
+    compared, _, own = matched(scene, 0.0)
+    say = lateral(compared, own).say
     assert (say <= 1.0).all()
     assert say[samples.crowd == 1].min() > say[samples.crowd > 4].max()
     twice = replace(

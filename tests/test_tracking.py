@@ -18,10 +18,12 @@ from gis_radar.clock import seconds_from_iso
 from gis_radar.errors import CrsError, InputError, NoAnswerError
 from gis_radar.pose_files import read_track, write_track
 from gis_radar.progress import Reporter
-from gis_radar.tracking import draw_track, track
+from gis_radar.tracking import track
 from gis_radar.tracking.changes import KNOCK as KNOCKED
 from gis_radar.tracking.filter import Measurement
 from gis_radar.tracking.follower import Follower
+from gis_radar.tracking.picture import draw_track
+from gis_radar.tracking.registering import Ground
 from gis_radar.tracking.start import BY_HAND, start_estimate
 
 STREET = Street()
@@ -120,6 +122,29 @@ def test_windows_that_overlap_do_not_count_twice(still):
     assert (sigma[-1] > 0.5 * sigma[10]).all()
 
 
+def test_what_a_window_tells_of_reflections_fixes_the_height(still, seen):
+    """Without it the height is no better known than that of reflections, 0.25 m."""
+    last = still[0].poses.poses[-1]
+    assert last.evidence["sigma"]["height"] < 0.13
+    assert abs(errors(last, seen[3])[2]) < 0.2
+
+
+def test_a_fit_that_came_to_no_rest_contradicts_nothing(seen, tmp_path, monkeypatch):
+    path = record(tmp_path / "R1.parquet", seen, until=60.0)
+    register, count = Ground.register, []
+
+    def restless(self, traffic, centre, like, **options):
+        found = register(self, traffic, centre, like, **options)
+        if found is not None and "near" in options:
+            count.append(found)
+            found = replace(found, fit=replace(found.fit, converged=False))
+        return found
+
+    monkeypatch.setattr(Ground, "register", restless)
+    assert times(follow(path, start(seen[3])), "rejected") == []
+    assert count
+
+
 def test_a_track_is_written_and_read(still, tmp_path):
     found, *_ = still
     write_track(found.poses, tmp_path / "track.csv")
@@ -174,6 +199,17 @@ def test_a_knock_is_told_with_its_time(moved, seen):
     assert sigma[1] > sigma[0]
     assert sigma[2] < sigma[1]
     assert (np.diff(found.poses.since) > 0).all()
+
+
+def test_a_move_of_half_a_metre_is_told(seen, tmp_path):
+    after = knocked(seen[3], {"easting": 0.5})
+    path = record(tmp_path / "R1.parquet", seen, [(45.0, np.inf, after)], until=80.0)
+    found = follow(path, start(seen[3]))
+    assert times(found, "moved") == [pytest.approx(45.0, abs=2.0)]
+    last = found.poses.poses[-1]
+    assert np.abs(errors(last, after)[:2]).max() < 0.25
+    assert abs(errors(last, after)[5]) < 0.3
+    assert nees(last, after) < 22.5  # chi2(6) at 99.9 %
 
 
 def test_occupancy_uses_the_corrected_poses(moved, seen, tmp_path):
@@ -398,9 +434,11 @@ class Lost:
     def register(self, *_, **__):
         turn = np.array([0.0, 0.0, 0.0, 1.0])
         told = Measurement(
-            position=np.ones(3), quaternion=turn, covariance=np.eye(6), noise_share=0.3
+            position=np.ones(3), quaternion=turn, covariance=np.eye(6), noise=0.3 * np.eye(6)
         )
-        return SimpleNamespace(trusted=False, fit=SimpleNamespace(fitness=0.1), measurement=told)
+        return SimpleNamespace(
+            trusted=False, on_lanes=False, fit=SimpleNamespace(fitness=0.1), measurement=told
+        )
 
 
 def test_who_is_lost_for_long_says_so(seen):

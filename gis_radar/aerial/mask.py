@@ -17,13 +17,15 @@ from gis_radar.aerial.engines import engine_of
 from gis_radar.aerial.layer import write_layer
 from gis_radar.aerial.pipeline import Pipeline, touches
 from gis_radar.aerial.road import write_road
-from gis_radar.aerial.roads import Roads
+from gis_radar.aerial.roads import Roads, roads_of_map
 from gis_radar.aerial.scans import Days, Scan, open_scan
 from gis_radar.aerial.site import CELL_M, site_of
 from gis_radar.aerial.store import PointStore
 from gis_radar.arrays import Floats
+from gis_radar.cards import card
 from gis_radar.crs import moved_box, name_of
 from gis_radar.errors import InputError, NoAnswerError, UsageError
+from gis_radar.lanelets import LaneletMap
 from gis_radar.outputs import whole_file
 from gis_radar.progress import QUIET, Reporter
 
@@ -132,6 +134,15 @@ class RoadMask:
             write_road(self.points, part, crs=self.roads.crs)
         return [path, document, layer]
 
+    def __repr__(self) -> str:
+        return (
+            f"RoadMask({len(self.points)} cells of {CELL_M} m, {self.covered:.0%} of the roads, "
+            f"{self.density:.1f} points/m2, {self.engine})"
+        )
+
+    def _repr_html_(self) -> str:
+        return card("Road mask", self.figures())
+
 
 def require_road_name(path: str | Path) -> None:
     """Refuse a name that does not say LAZ, before the work and not after it."""
@@ -141,7 +152,7 @@ def require_road_name(path: str | Path) -> None:
 
 def mask_road(
     scans: Sequence[str | Path],
-    roads: Roads,
+    roads: Roads | LaneletMap,
     *,
     engine: str = "auto",
     scan_crs: Any = None,
@@ -153,8 +164,8 @@ def mask_road(
     ----------
     scans : sequence of paths
         LAS, LAZ or COPC files; those that do not touch the site are skipped by their extent.
-    roads : Roads
-        From :func:`read_roads`.
+    roads : Roads or LaneletMap
+        From :func:`read_roads`, or the map itself: its lanelets for vehicles.
     engine : str
         `pdal`, `laspy` (built-in), or `auto` for PDAL where there is one.
     scan_crs : CRS, str or int, optional
@@ -168,6 +179,7 @@ def mask_road(
         If a scan is damaged, or map and scans do not overlap; CrsError if a scan says no
         coordinate system; NoAnswerError if nothing on the roads is a road's surface.
     """
+    roads = roads_of_map(roads) if isinstance(roads, LaneletMap) else roads
     runner = engine_of(engine, reporter=reporter)
     opened = [open_scan(scan, crs=scan_crs) for scan in scans]
     touching = [scan for scan in opened if touches(scan, roads.area.bounds, roads)]

@@ -13,7 +13,7 @@ from pyproj import CRS
 
 from gis_radar.aerial.levels import Level, levels_of
 from gis_radar.aerial.polygons import read_polygons
-from gis_radar.crs import metric_crs, utm_zone
+from gis_radar.crs import metric_crs, name_of, utm_zone
 from gis_radar.errors import CrsError, InputError
 from gis_radar.lanelets import LaneletMap, read_map
 from gis_radar.lanelets.tagging import ON_FOOT_OR_BICYCLE
@@ -47,6 +47,9 @@ class Roads:
     def has_heights(self) -> bool:
         """Whether the map knows how high its roads lie."""
         return any(level.has_heights for level in self.levels)
+
+    def __repr__(self) -> str:
+        return f"Roads({self.source}: {self.area.area:.0f} m2, {name_of(self.crs)})"
 
 
 def read_roads(

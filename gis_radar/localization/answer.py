@@ -5,17 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gis_radar.arrays import Floats
+from gis_radar.axes import axes_or_new, label_map, small_picture
+from gis_radar.cards import card
 from gis_radar.clock import iso_from_step, step_of
 from gis_radar.lanelets import LaneletMap
 from gis_radar.pose import Pose
 from gis_radar.registration import State
-from gis_radar.surroundings import SecondLook
+from gis_radar.sensor_shapes import draw_sensor, ellipse
 from gis_radar.traces import Moving
+
+if TYPE_CHECKING:  # what it takes to make one is loaded by those who do
+    from gis_radar.surroundings import SecondLook
 
 SIGMA = ("easting", "northing", "height", "roll", "pitch", "yaw")
 STAGE = "finding the pose"
@@ -78,6 +83,68 @@ class Localization:
         """Return the same answer with what a second look says in its evidence."""
         evidence = {**self.pose.evidence, "second_look": dict(look.figures())}
         return replace(self, pose=replace(self.pose, evidence=evidence))
+
+    def plot(
+        self, roads: LaneletMap | None = None, road_points: Floats | None = None, ax: Any = None
+    ) -> Any:
+        """Draw the traces at the found pose, the sensor, and the 95 % ellipse of its place.
+
+        Parameters
+        ----------
+        roads : LaneletMap, optional
+            Drawn under them: the lanes.
+        road_points : (n, 3) array, optional
+            Drawn under them: the scanned road.
+        ax : matplotlib Axes, optional
+            In metres of the map; without it, those of a new figure.
+
+        Returns
+        -------
+        matplotlib Axes
+        """
+        # not at the top: whoever draws nothing does not wait for matplotlib
+        from gis_radar.localization import drawing  # noqa: PLC0415
+
+        ax = axes_or_new(ax, (8.0, 8.0))
+        traces, place = self.pose.to_map(self.traces), self.pose.position[:2]
+        low, high = extent = drawing.extent_of(traces, place)
+        if road_points is not None:
+            drawing.draw_road(ax, road_points, extent)
+        if roads is not None:
+            drawing.draw_lanes(ax, roads, extent)
+        drawing.draw_traces(ax, traces, self.range_rate)
+        covariance = self.pose.plane_covariance()
+        ring = None if covariance is None else ellipse(place, covariance)
+        ahead = self.pose.R_map_sensor[:2, 0] * float((high - low).max()) / 12.0
+        draw_sensor(ax, place, ahead, ring, "sensor")
+        label_map(ax)
+        ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), title=self._said())
+        for handle in ax.legend(loc="best", framealpha=0.9).legend_handles:
+            if hasattr(handle, "set_sizes"):
+                handle.set_sizes([18.0])  # points too small to tell their colours
+        return ax
+
+    def _said(self) -> str:
+        sigma = self.pose.evidence.get("sigma")
+        said = [f"{self.pose.sensor}: {self.fitness:.0%} of the traces fit"]
+        if sigma:
+            across = float(np.hypot(sigma["easting"], sigma["northing"]))
+            said.append(f"position \u00b1 {across:.2f} m, yaw \u00b1 {sigma['yaw']:.2f} deg")
+        if not self.observable:
+            said.append("the scene does not fix all of the pose")
+        return "; ".join(said)
+
+    def __repr__(self) -> str:
+        return f"Localization({self.pose!r}; {self._said()})"
+
+    def _repr_html_(self) -> str:
+        picture = small_picture(self._small) if len(self.traces) else b""
+        return card(f"Localization of {self.pose.sensor}", self.figures(), picture=picture)
+
+    def _small(self, ax: Any) -> None:
+        self.plot(ax=ax).set_title("")
+        ax.get_legend().remove()
+        ax.tick_params(labelsize=6)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,6 +21,7 @@ from gis_radar.registration import (
     refine,
     rough,
     sample_lanes,
+    surveyed,
 )
 from gis_radar.traces import Moving, Samples, thin, track
 
@@ -52,11 +53,12 @@ def by_lanes(site: Site, moving: Moving, reporter: Reporter) -> Localization:
     reporter.progress(STAGE, 4, 5)
     answers = _within_reach(site, refine(lanes, samples, tried), samples)
     _refuse_unfit(site, answers[0])
-    lead, rival = _lead(answers, samples)
+    best = surveyed(lanes, samples, answers[0])
+    lead, rival = _lead(best, answers[1:], samples)
     reporter.progress(STAGE, 5, 5)
     if rival is not None and lead < CLEAR:
-        raise _ambiguous(site, answers[0], rival)
-    return _answer(site, moving, samples, answers[0], tried, lead)
+        raise _ambiguous(site, best, rival)
+    return _answer(site, moving, samples, best, tried, lead)
 
 
 def lanes_around(site: Site, samples: Samples, reporter: Reporter, *, grow: float = 1.0) -> Lanes:
@@ -111,12 +113,13 @@ def _refuse_mirrored(
         )
 
 
-def _lead(answers: list[Hypothesis], samples: Samples) -> tuple[float, Hypothesis | None]:
-    """Return how clearly the vehicles prefer the first answer to its closest rival, and that."""
-    best = answers[0].fit
-    known = certainty(best)
+def _lead(
+    answer: Hypothesis, others: list[Hypothesis], samples: Samples
+) -> tuple[float, Hypothesis | None]:
+    """Return how clearly the vehicles prefer an answer to its closest rival, and that."""
+    best, known = answer.fit, certainty(answer.fit)
     lead, closest = math.inf, None
-    for other in answers[1:]:
+    for other in others:
         away_m = float(np.hypot(*other.fit.state.position[:2]))
         if away_m > GUESS_M or other.fit.fitness < LEAST_FITNESS:
             continue  # no rival: farther off than a guess may be, or no answer itself

@@ -9,6 +9,7 @@ from gis_radar.registration.hypotheses import (
     promise,
     refine,
     rough,
+    surveyed,
 )
 from gis_radar.registration.lanes import Lanes, sample_lanes
 from gis_radar.registration.solver import Fit, Prior, solve
@@ -31,4 +32,5 @@ __all__ = [
     "rough",
     "sample_lanes",
     "solve",
+    "surveyed",
 ]

@@ -10,9 +10,11 @@ from scipy.special import gammaincinv, ndtr
 
 from gis_radar.arrays import Floats, Integers
 from gis_radar.registration.lanes import Lanes
+from gis_radar.registration.matching import place
 from gis_radar.registration.model import Model
-from gis_radar.registration.residuals import Scene, height_over_road, lateral
-from gis_radar.registration.solver import Fit
+from gis_radar.registration.residuals import Comparison, height_over_road, lateral
+from gis_radar.registration.solver import Fit, Prior
+from gis_radar.registration.state import REFLECTION
 from gis_radar.traces import Samples
 
 EDGE_M, EDGE_SIGMA_M = 0.2, 0.07  # bumpers, sills and wheels end that far over the road
@@ -46,6 +48,31 @@ class Heights:
     elevation: float
 
 
+def adapted(
+    lanes: Lanes, samples: Samples, fit: Fit, prior: Prior, model: Model
+) -> tuple[Prior, Model]:
+    """Return prior and model with what samples tell about the radar and the vehicles.
+
+    Parameters
+    ----------
+    lanes, samples : Lanes, Samples
+        The map and the traces.
+    fit : Fit
+        Near the answer.
+    prior, model : Prior, Model
+        What was believed of reflections before.
+    """
+    model = replace(model, side_strength=side_strength(lanes, samples, fit, model))
+    told = heights(lanes, samples, fit)
+    if told is None:
+        return prior, model
+    information = prior.information.copy()
+    information[REFLECTION, REFLECTION] = told.sigma_m**-2
+    mean = replace(prior.mean, reflection=told.mean_m)
+    prior = Prior(mean=mean, information=information)
+    return prior, replace(model, elevation=told.elevation)
+
+
 def side_strength(lanes: Lanes, samples: Samples, fit: Fit, model: Model) -> float:
     """Return how strongly sides reflect against fronts: the likeliest, by where samples lie.
 
@@ -58,12 +85,15 @@ def side_strength(lanes: Lanes, samples: Samples, fit: Fit, model: Model) -> flo
     model : Model
         Its strength is believed within a factor of two.
     """
+    placed = place(samples, fit.state)
 
     def cost(factor: float) -> float:
         tried = replace(model, side_strength=model.side_strength * factor)
-        scene = Scene(lanes=lanes, samples=samples, matches=fit.matches, model=tried, scale_m=0.0)
+        compared = Comparison(
+            lanes=lanes, placed=placed, matches=fit.matches, model=tried, scale_m=0.0
+        )
         belief = (np.log(factor) / BELIEVED) ** 2
-        rows = lateral(scene, fit.state, fit.own[0])
+        rows = lateral(compared, fit.own[0])
         return float(rows.say @ rows.loss + 0.5 * belief)
 
     return float(model.side_strength * min(FACTORS, key=cost))
@@ -90,8 +120,7 @@ def heights(lanes: Lanes, samples: Samples, fit: Fit) -> Heights | None:
     Heights or None
         None where too few samples are near enough to tell.
     """
-    over = height_over_road(lanes, samples, fit.matches, fit.state)
-    reach = np.linalg.norm(samples.points, axis=1)
+    over, reach = height_over_road(lanes, place(samples, fit.state), fit.matches), samples.reach
     usable = np.flatnonzero(fit.on_lane & np.isfinite(over) & (reach < NEAR_M))
     if len(usable) < LEAST:
         return None

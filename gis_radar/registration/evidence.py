@@ -11,7 +11,7 @@ from gis_radar.registration.solver import Fit
 from gis_radar.registration.state import POSE, angles_from_turn
 from gis_radar.traces import Samples
 
-STREET_M = (0.25, 0.2)  # of lanes as drawn and driven, and of the scan, from street to street
+STREET_SIGMA_M = (0.25, 0.2)  # of lanes as drawn and driven, and of the scan, from street to street
 UNFIXED = np.array([1.0, 1.0, 0.5, *np.radians([2.0, 2.0, 1.0])])
 
 
@@ -23,6 +23,8 @@ class Certainty:
     ----------
     covariance : (6, 6) array
         Order easting, northing, height, roll, pitch, yaw; metres and radians.
+    noise : (6, 6) array
+        The part of it that other vehicles would draw anew; the rest, from map and model, stays.
     sigma : (6,) array
         Its standard deviations.
     eigenvalues : (6,) array
@@ -33,6 +35,7 @@ class Certainty:
     """
 
     covariance: Floats
+    noise: Floats
     sigma: Floats
     eigenvalues: Floats
     observable: bool
@@ -51,22 +54,25 @@ def certainty(fit: Fit) -> Certainty:
         A local optimum.
     """
     inverse: Floats = np.asarray(np.linalg.inv(fit.information), dtype=np.float64)
-    covariance = _widened(inverse, fit)
-    streets = [sigma_m * pull for pull, sigma_m in zip(fit.streets, STREET_M, strict=True)]
+    noise = _widened(inverse, fit)
+    streets = [sigma_m * pull for pull, sigma_m in zip(fit.streets, STREET_SIGMA_M, strict=True)]
     effects = np.vstack([fit.considered(), *streets]) @ inverse
-    covariance += effects.T @ effects
+    covariance = noise + effects.T @ effects
     yaw, pitch, _ = fit.state.yaw_pitch_roll
     to_angles = np.eye(6)
     to_angles[3:, 3:] = angles_from_turn(float(yaw), float(pitch))
     pose = to_angles @ covariance[POSE, POSE] @ to_angles.T
     sigma = np.sqrt(np.diag(pose))
+    drawn = to_angles @ noise[POSE, POSE] @ to_angles.T
     lever = np.diag([1.0, 1.0, 1.0, 1 / 50.0, 1 / 50.0, 1 / 50.0])
     eigenvalues: Floats = np.asarray(
         np.linalg.eigvalsh(lever @ fit.data_information[POSE, POSE] @ lever), dtype=np.float64
     )
     longest = np.sqrt(np.linalg.eigvalsh(pose[:2, :2])[-1])
     observable = bool((sigma < UNFIXED).all() and longest < UNFIXED[0])
-    return Certainty(covariance=pose, sigma=sigma, eigenvalues=eigenvalues, observable=observable)
+    return Certainty(
+        covariance=pose, noise=drawn, sigma=sigma, eigenvalues=eigenvalues, observable=observable
+    )
 
 
 def _widened(inverse: Floats, fit: Fit) -> Floats:

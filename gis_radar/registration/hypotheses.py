@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gis_radar.arrays import Floats
-from gis_radar.registration.adaptation import heights, side_strength
+from gis_radar.registration.adaptation import adapted
 from gis_radar.registration.evidence import advantage
 from gis_radar.registration.lanes import CELL_M, Lanes
 from gis_radar.registration.level import TILT, Levelling, level
@@ -25,6 +26,7 @@ GUESS_M = 15.0  # how far a guess may be off
 SLACK_M = 2.0
 CANDIDATES, KNOWN_CANDIDATES = 20, 8  # without and with a heading
 FINALISTS, GONE = 4, 5.0  # most of them; standard deviations behind the first
+RIVAL = 3.5  # behind the first; a closer look brings a place nearer by about half of one
 ROUGH_SAMPLES = 1000
 ROUGH_SCALES_M, FINE_SCALES_M = (1.5, 0.75, 0.3), (0.2, 0.1, 0.0)
 ROUGH_ROUNDS, FINE_ROUNDS = 4, 30
@@ -79,7 +81,7 @@ def explore(
     tried = [_rough_fit(lanes, part, _start(lanes, part, levelling, c), "search") for c in found]
     best = min(tried, key=lambda h: h.loss)
     tried += [_rough_fit(lanes, part, state, "shifted") for state in shifted(lanes, best.fit)]
-    return _different(sorted(tried, key=lambda h: h.loss))
+    return _ranked(tried)
 
 
 def promise(lanes: Lanes, samples: Samples, *, heading: tuple[float, float] | None) -> float:
@@ -110,38 +112,49 @@ def rough(samples: Samples) -> Samples:
     return samples.where(np.isin(np.arange(len(samples)), chosen))
 
 
-def climb(lanes: Lanes, samples: Samples, hypothesis: Hypothesis) -> Hypothesis:
+def climb(lanes: Lanes, samples: Samples, best: Hypothesis) -> Hypothesis:
     """Look beside an optimum for better ones, along the directions that are fixed least.
 
     Which face of which vehicle a trace shows makes the cost bumpy in the small.
     """
-    best = replace(hypothesis, fit=_settled(lanes, samples, hypothesis, hypothesis.fit.state))
     for _ in range(CLIMBS):
         covariance = np.linalg.inv(best.fit.information[POSE, POSE])[np.ix_(PLANE, PLANE)]
         _, vectors = np.linalg.eigh(LEVER @ covariance @ LEVER)
         sides = np.zeros((4, SIZE))
         sides[:, PLANE] = HOP_M * np.vstack([vectors.T[1:], -vectors.T[1:]]) @ np.linalg.inv(LEVER)
         others = [_settled(lanes, samples, best, best.fit.state.moved(side)) for side in sides]
-        better = min(others, key=lambda fit: fit.cost)
-        if better.cost > best.fit.cost - 1.0:
+        better = min(others, key=lambda other: other.fit.cost)
+        if better.fit.cost > best.fit.cost - 1.0:
             break
-        best = replace(best, fit=better)
+        best = better
     return best
 
 
-def _settled(lanes: Lanes, samples: Samples, hypothesis: Hypothesis, start: State) -> Fit:
-    return solve(
-        lanes, samples, start, hypothesis.prior, scales_m=HOP_SCALES_M, rounds=ROUGH_ROUNDS
-    )
+def _settled(lanes: Lanes, samples: Samples, hypothesis: Hypothesis, start: State) -> Hypothesis:
+    fit = solve(lanes, samples, start, hypothesis.prior, scales_m=HOP_SCALES_M, rounds=ROUGH_ROUNDS)
+    return replace(hypothesis, fit=fit)
 
 
 def refine(lanes: Lanes, samples: Samples, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Fit the first hypotheses to all samples, and return them the best first."""
+    """Fit the first hypotheses to all samples, and return them the best first.
+
+    The best one is looked at in full, and so is each that could still overtake it.
+    """
     part, best = rough(samples), hypotheses[0]
     finalists = [h for h in hypotheses if advantage(best.fit, h.fit, part) < GONE][:FINALISTS]
-    climbed = [climb(lanes, part, h) for h in finalists]
-    fine = [_adapted(lanes, samples, h) for h in climbed]
-    return _different(sorted(fine, key=lambda h: h.loss))
+    settled = _ranked([_settled(lanes, part, h, h.fit.state) for h in finalists])
+    climbed = _with_rivals(settled, part, partial(climb, lanes, part))
+    fine = _ranked([_fine(lanes, samples, h) for h in climbed])
+    return _with_rivals(fine, samples, partial(_adapted, lanes, samples))
+
+
+def _with_rivals(
+    ranked: Sequence[Hypothesis], samples: Samples, better: Callable[[Hypothesis], Hypothesis]
+) -> list[Hypothesis]:
+    """Improve the best hypothesis and its rivals, and return all, the best first."""
+    first = ranked[0]
+    near = [advantage(first.fit, h.fit, samples) < RIVAL for h in ranked]
+    return _ranked([better(h) if close else h for h, close in zip(ranked, near, strict=True)])
 
 
 def _fine(lanes: Lanes, samples: Samples, hypothesis: Hypothesis) -> Hypothesis:
@@ -157,23 +170,16 @@ def _fine(lanes: Lanes, samples: Samples, hypothesis: Hypothesis) -> Hypothesis:
     return replace(hypothesis, fit=fit)
 
 
-def _adapted(lanes: Lanes, samples: Samples, hypothesis: Hypothesis) -> Hypothesis:
+def _adapted(lanes: Lanes, samples: Samples, fine: Hypothesis) -> Hypothesis:
     """Fit to all samples, with what these tell about the radar and the vehicles."""
-    fine = _fine(lanes, samples, hypothesis)
-    strength = side_strength(lanes, samples, fine.fit, fine.model)
-    model, prior = replace(fine.model, side_strength=strength), fine.prior
-    told = heights(lanes, samples, fine.fit)
-    if told is not None:
-        model = replace(model, elevation=told.elevation)
-        prior = _with_reflection(prior, told.mean_m, told.sigma_m)
-    best = _fine(lanes, samples, replace(fine, model=model, prior=prior))
-    return replace(best, fit=along_valley(lanes, samples, best.fit, prior, model))
+    prior, model = adapted(lanes, samples, fine.fit, fine.prior, fine.model)
+    return _fine(lanes, samples, replace(fine, model=model, prior=prior))
 
 
-def _with_reflection(prior: Prior, mean_m: float, sigma_m: float) -> Prior:
-    information = prior.information.copy()
-    information[REFLECTION, REFLECTION] = sigma_m**-2
-    return Prior(mean=replace(prior.mean, reflection=mean_m), information=information)
+def surveyed(lanes: Lanes, samples: Samples, hypothesis: Hypothesis) -> Hypothesis:
+    """Return a hypothesis that knows no more than what lies along its weakest way tells."""
+    h = hypothesis
+    return replace(h, fit=along_valley(lanes, samples, h.fit, h.prior, h.model))
 
 
 def _start(lanes: Lanes, samples: Samples, levelling: Levelling, candidate: Candidate) -> State:
@@ -235,10 +241,10 @@ def shifted(lanes: Lanes, fit: Fit) -> list[State]:
     return [replace(fit.state, position=fit.state.position + move) for move in moves]
 
 
-def _different(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Drop what another, better one has found as well."""
+def _ranked(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Return hypotheses the best first, without what another, better one has found as well."""
     kept: list[Hypothesis] = []
-    for h in hypotheses:
+    for h in sorted(hypotheses, key=lambda h: h.loss):
         gaps = [np.abs(h.fit.state.difference(k.fit.state)[POSE]) / TWIN for k in kept]
         if not any((gap < 1.0).all() for gap in gaps):
             kept.append(h)

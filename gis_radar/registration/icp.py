@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from gis_radar.arrays import Floats
 from gis_radar.errors import InputError, NoAnswerError
+from gis_radar.extras import LOCALIZE
 from gis_radar.registration.state import State
 from gis_radar.traces import Moving, cluster, voxels
 
@@ -19,7 +20,6 @@ DISTANCES_M = (10.0, 2.0 * VOXEL_M, VOXEL_M)  # large, then 2 and 1 voxels
 ITERATIONS = 60
 MAST_M = 5.0
 COMPASS = 8
-INSTALL = "pip install gis_radar[localize]"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,5 +123,5 @@ def _open3d() -> Any:
     try:
         import open3d  # noqa: PLC0415 - large, and only this method needs it
     except ImportError as error:
-        raise InputError("the method icp needs Open3D, which is missing", hint=INSTALL) from error
+        raise InputError("the method icp needs Open3D, which is missing", hint=LOCALIZE) from error
     return open3d

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import geopandas as gpd
 import numpy as np
 import shapely
-from scipy.ndimage import distance_transform_edt
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.compiled import compiled
 from gis_radar.errors import NoAnswerError
 
 STEP_M = 1.0
@@ -202,20 +203,33 @@ def _slopes(points: Floats, along: Floats, lane: Integers) -> Floats:
 def _raster(points: Floats, along: Floats) -> tuple[Floats, np.ndarray, np.ndarray]:
     """Return the grid's corner, and for each bin of direction the nearest sample of each cell."""
     corner = np.floor(points[:, :2].min(axis=0)) - REACH_M
-    cell = np.floor((points[:, :2] - corner) / CELL_M).astype(np.int64)
-    columns, rows = cell.max(axis=0) + 1 + int(REACH_M / CELL_M)
+    place = (points[:, :2] - corner) / CELL_M
+    columns, rows = np.floor(place.max(axis=0)).astype(np.int64) + 1 + int(REACH_M / CELL_M)
     nearest = np.full((BINS, rows, columns), -1, dtype=np.int32)
     distance = np.full((BINS, rows, columns), np.float32(np.inf))
-    bins = direction_bin(along)
-    for b in np.unique(bins):
-        mine = np.flatnonzero(bins == b)
-        seed = np.full((rows, columns), -1, dtype=np.int32)
-        seed[cell[mine, 1], cell[mine, 0]] = mine
-        gap, (i, j) = distance_transform_edt(seed < 0, return_indices=True)
-        near = gap * CELL_M < REACH_M
-        nearest[b][near] = seed[i, j][near]
-        distance[b][near] = gap[near] * CELL_M
+    _spread(nearest, distance, direction_bin(along), place, REACH_M / CELL_M)
+    distance *= np.float32(CELL_M)
     return corner, nearest, distance
+
+
+@compiled
+def _spread(  # pragma: no cover - compiled
+    nearest: NDArray[np.int32],
+    distance: NDArray[np.float32],
+    bins: Integers,
+    place: Floats,
+    reach: float,
+) -> None:
+    """Enter each sample, and how many cells off it is, where no other of its bin is nearer."""
+    _, rows, columns = nearest.shape
+    for k in range(len(place)):
+        b, x, y = bins[k], place[k, 0] - 0.5, place[k, 1] - 0.5  # of the cells' centres
+        for i in range(max(int(y - reach), 0), min(int(y + reach) + 2, rows)):
+            for j in range(max(int(x - reach), 0), min(int(x + reach) + 2, columns)):
+                gap = np.sqrt((i - y) ** 2 + (j - x) ** 2)
+                if gap < reach and gap < distance[b, i, j]:
+                    nearest[b, i, j] = k
+                    distance[b, i, j] = gap
 
 
 def direction_bin(along: Floats) -> Integers:

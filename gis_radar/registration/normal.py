@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gis_radar.arrays import Floats, Integers
+from gis_radar.compiled import compiled
 from gis_radar.registration.residuals import Residuals
 from gis_radar.registration.state import SIZE
 
@@ -68,9 +69,16 @@ def _curvature(family: Residuals, track: Integers, tracks: int) -> Floats:
 
 def sums(track: Integers, rows: Floats, tracks: int) -> Floats:
     """Return the sum of the rows of each track, (tracks, columns)."""
-    return np.column_stack(
-        [np.bincount(track, weights=column, minlength=tracks) for column in rows.T]
-    )
+    total = np.zeros((tracks, rows.shape[1]))
+    _add(total, track, rows)
+    return total
+
+
+@compiled
+def _add(total: Floats, track: Integers, rows: Floats) -> None:  # pragma: no cover - compiled
+    for i in range(len(rows)):
+        for j in range(rows.shape[1]):
+            total[track[i], j] += rows[i, j]
 
 
 def at_least(information: Floats, floor: Floats) -> Floats:

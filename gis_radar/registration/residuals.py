@@ -14,10 +14,9 @@ import numpy as np
 
 from gis_radar.arrays import Booleans, Floats
 from gis_radar.registration.lanes import Lanes
-from gis_radar.registration.matching import Matches, directions
+from gis_radar.registration.matching import Matches, Placed
 from gis_radar.registration.model import Model
-from gis_radar.registration.state import REFLECTION, SIZE, TURN, State
-from gis_radar.traces import Samples
+from gis_radar.registration.state import REFLECTION, SIZE, TURN
 
 FRONT = (-2.0 / 3.0, 0.0, 2.0 / 3.0)  # thirds of a front or rear, in half widths
 VIEW_EDGE = np.radians(1.0)
@@ -61,13 +60,13 @@ class Residuals:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scene:
+class Comparison:
     """What residuals compare: samples matched to lanes, seen through a model.
 
     Parameters
     ----------
-    lanes, samples, matches
-        The map, the traces, and who lies where.
+    lanes, placed, matches
+        The map, the traces in it, and who lies where.
     model : Model
         How vehicles drive and reflect.
     scale_m : float
@@ -75,13 +74,13 @@ class Scene:
     """
 
     lanes: Lanes
-    samples: Samples
+    placed: Placed
     matches: Matches
     model: Model
     scale_m: float
 
 
-def lateral(scene: Scene, state: State, own: Floats) -> Residuals:
+def lateral(compared: Comparison, own: Floats) -> Residuals:
     """Compare samples with the centre line of their lane, across it.
 
     A radar sees the faces of a vehicle that are turned to it: its side, sharp and `half_width`
@@ -91,31 +90,28 @@ def lateral(scene: Scene, state: State, own: Floats) -> Residuals:
 
     Parameters
     ----------
-    scene : Scene
+    compared : Comparison
         What to compare.
-    state : State
-        The pose.
     own : (tracks,) array
         How far each vehicle drives to the left of where drivers do, metres.
     """
-    lanes, samples, matches, model = scene.lanes, scene.samples, scene.matches, scene.model
-    points, arms = _placed(samples, state)
-    along = lanes.along[matches.lane]
-    normal = np.column_stack([-along[:, 1], along[:, 0]])
-    off = np.sum((points - lanes.points[matches.lane])[:, :2] * normal, axis=1)
-    off -= own[samples.track] + model.habit
-    sight = directions(arms[:, :2])
-    left, ahead = -np.sum(sight * normal, axis=1), np.abs(np.sum(sight * along, axis=1))
-    faces = np.column_stack([np.sign(left), *(np.full(len(off), at) for at in FRONT)]).T
-    noise = np.hypot(model.bearing * np.hypot(arms[:, 0], arms[:, 1]) * ahead, scene.scale_m)
+    lanes, placed, matches = compared.lanes, compared.placed, compared.matches
+    samples, model = placed.samples, compared.model
+    east, north = lanes.along[matches.lane].T
+    away = placed.points[:, :2] - lanes.points[matches.lane, :2]
+    off = away[:, 1] * east - away[:, 0] * north - own[samples.track] - model.habit
+    x, y = placed.sight.T
+    left, ahead = x * north - y * east, np.abs(x * east + y * north)
+    faces = np.vstack([np.sign(left), *(np.full(len(off), at) for at in FRONT)])
+    noise = np.hypot(model.bearing * placed.flat * ahead, compared.scale_m)
     value = off - faces * model.half_width
     sigma = np.broadcast_to(np.hypot(model.face, noise), value.shape)
     bell = (1.0 - STRAY) * matches.found * np.exp(-0.5 * (value / sigma) ** 2) / sigma
-    side = _side_share(scene, bell, np.abs(left), ahead)
+    side = _side_share(compared, bell, np.abs(left), ahead)
     density = bell * np.stack([side, *([(1.0 - side) / len(FRONT)] * len(FRONT))])
     jacobian = np.zeros((len(off), SIZE))
-    jacobian[:, :2] = normal
-    jacobian[:, TURN] = np.cross(arms, np.pad(normal, ((0, 0), (0, 1))))
+    jacobian[:, 0], jacobian[:, 1] = -north, east
+    jacobian[:, TURN] = _turning(placed.arms, jacobian[:, :3])
     rows = _mixed("lateral", value, sigma, density, np.exp(-NO_VEHICLE), jacobian, model.driver)
     # many samples of a vehicle on a few metres share its swaying there: v / (v + n wander^2)
     own_m = model.half_width / 2.0
@@ -151,47 +147,45 @@ def _mixed(
     )
 
 
-def _side_share(scene: Scene, bell: Floats, left: Floats, ahead: Floats) -> Floats:
+def _side_share(compared: Comparison, bell: Floats, left: Floats, ahead: Floats) -> Floats:
     """Return the share of side faces at each sample.
 
     In a queue the fronts and rears are hidden by the next vehicle: each vehicle shows its ends
     well or badly, which its own samples tell (expectation over both).
     """
-    model, track = scene.model, scene.samples.track
+    model, samples = compared.model, compared.placed.samples
+    track = samples.track
     strengths = np.array([model.side_strength, model.hidden_strength])[:, None] * left
     share = strengths / (strengths + ahead)
     whole = share * bell[0] + (1.0 - share) * bell[1:].mean(axis=0) + np.exp(-NO_VEHICLE)
-    odds = np.bincount(track, weights=np.log(whole[1] / whole[0]), minlength=scene.samples.tracks)
+    odds = np.bincount(track, weights=np.log(whole[1] / whole[0]), minlength=samples.tracks)
     odds += np.log(model.hidden_share / (1.0 - model.hidden_share))
     hidden = 1.0 / (1.0 + np.exp(-np.clip(odds, -50.0, 50.0)))[track]
     return np.asarray(share[0] + hidden * (share[1] - share[0]))
 
 
-def height(scene: Scene, state: State, own: Floats) -> Residuals:
+def height(compared: Comparison, own: Floats) -> Residuals:
     """Compare samples with the scanned road below them plus the height of reflections.
 
     Parameters
     ----------
-    scene : Scene
+    compared : Comparison
         What to compare.
-    state : State
-        The pose.
     own : (tracks,) array
         How much higher than others each vehicle reflects, metres.
     """
-    lanes, samples, matches, model = scene.lanes, scene.samples, scene.matches, scene.model
-    _, arms = _placed(samples, state)
-    along, slope = lanes.along[matches.lane], lanes.slope[matches.lane]
-    over = height_over_road(lanes, samples, matches, state)
-    value = over - state.reflection - own[samples.track]
-    plane = np.column_stack([-slope[:, None] * along, np.ones(len(samples))])
+    lanes, placed, matches = compared.lanes, compared.placed, compared.matches
+    samples, model = placed.samples, compared.model
+    over = height_over_road(lanes, placed, matches)
+    value = over - placed.state.reflection - own[samples.track]
     jacobian = np.zeros((len(samples), SIZE))
-    jacobian[:, :3] = plane
-    jacobian[:, TURN] = np.cross(arms, plane)
+    jacobian[:, :2] = -lanes.slope[matches.lane, None] * lanes.along[matches.lane]
+    jacobian[:, 2] = 1.0
+    jacobian[:, TURN] = _turning(placed.arms, jacobian[:, :3])
     jacobian[:, REFLECTION] = -1.0
     valid = np.isfinite(over)
     value = np.nan_to_num(value) - np.array([[0.0], [model.body_over]])
-    noise = np.hypot(model.elevation * np.linalg.norm(arms, axis=1), scene.scale_m)
+    noise = np.hypot(model.elevation * samples.reach, compared.scale_m)
     sigma = np.hypot([[model.low], [model.body]], noise)
     share = np.array([[1.0 - model.body_share], [model.body_share]]) * (1.0 - STRAY)
     density = valid * share * np.exp(-0.5 * (value / sigma) ** 2) / sigma
@@ -200,29 +194,27 @@ def height(scene: Scene, state: State, own: Floats) -> Residuals:
     return replace(rows, loss=np.where(valid, rows.loss, 0.0))
 
 
-def height_over_road(lanes: Lanes, samples: Samples, matches: Matches, state: State) -> Floats:
+def height_over_road(lanes: Lanes, placed: Placed, matches: Matches) -> Floats:
     """Return the height of samples over the scanned road below them, metres.
 
     NaN where no lane lies below, where its height is unknown, and where the road itself is out of
     view: there only the tall are seen.
     """
-    points, arms = _placed(samples, state)
-    off = points - lanes.points[matches.lane]
-    along, slope = lanes.along[matches.lane], lanes.slope[matches.lane]
-    over = off[:, 2] - slope * np.sum(off[:, :2] * along, axis=1)
-    return np.where(matches.found & _in_view(samples, arms, off[:, 2]), over, np.nan)
+    off = placed.points - lanes.points[matches.lane]
+    ahead = np.einsum("ij,ij->i", off[:, :2], lanes.along[matches.lane])
+    over = off[:, 2] - lanes.slope[matches.lane] * ahead
+    return np.where(matches.found & _in_view(placed, off[:, 2]), over, np.nan)
 
 
-def _in_view(samples: Samples, arms: Floats, over_m: Floats) -> Booleans:
+def _in_view(placed: Placed, over_m: Floats) -> Booleans:
     """Tell where the road itself would be in view: below it only the tall are seen."""
-    flat = np.hypot(arms[:, 0], arms[:, 1])
-    lower = np.arctan2(arms[:, 2] - np.nan_to_num(over_m), flat) - np.arctan2(arms[:, 2], flat)
-    x, y, z = samples.points.T
-    angle = np.abs(np.arctan2(z, np.hypot(x, y)) + np.sign(z) * np.abs(lower))
-    return np.asarray(angle < samples.elevation - VIEW_EDGE)
+    up, flat, upward = placed.arms[:, 2], placed.flat, placed.samples.upward
+    lower = np.arctan2(up - np.nan_to_num(over_m), flat) - np.arctan2(up, flat)
+    angle = np.abs(upward + np.sign(upward) * np.abs(lower))
+    return np.asarray(angle < placed.samples.elevation - VIEW_EDGE)
 
 
-def _placed(samples: Samples, state: State) -> tuple[Floats, Floats]:
-    """Return the samples in the map, and as seen from the sensor in the map's axes."""
-    arms = samples.points @ state.R_map_sensor.T
-    return arms + state.position, arms
+def _turning(arms: Floats, pull: Floats) -> Floats:
+    """Return how a turn about each axis of the map moves samples along a pull: arms x pull."""
+    (x, y, z), (u, v, w) = arms.T, pull.T
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)

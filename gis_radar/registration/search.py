@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from gis_radar.arrays import Booleans, Floats
+from gis_radar.compiled import compiled
 from gis_radar.registration.lanes import BINS, CELL_M, Lanes
 from gis_radar.traces import Samples
 
@@ -145,7 +145,7 @@ def _wrapped(angle: float) -> float:
     return (angle + np.pi) % (2.0 * np.pi) - np.pi
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _score(
     close: NDArray[np.uint8],
     corner: Floats,

@@ -10,17 +10,17 @@ import numpy as np
 
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.registration.lanes import Lanes, direction_bin
-from gis_radar.registration.matching import Matches, match
+from gis_radar.registration.matching import Matches, Placed, match, place
 from gis_radar.registration.model import MODEL, Model
 from gis_radar.registration.normal import assemble, at_least, sums
-from gis_radar.registration.residuals import NO_VEHICLE, Residuals, Scene, height, lateral
+from gis_radar.registration.residuals import NO_VEHICLE, Comparison, Residuals, height, lateral
 from gis_radar.registration.state import State
 from gis_radar.traces import Samples
 
 FAMILIES = (lateral, height)
 SCALES_M = (1.5, 0.75, 0.3, 0.0)
 ROUNDS = 6
-STREET_M = 60.0
+STRETCH_M = 60.0
 SETTLED_M = 5e-3
 SETTLED_SIGMAS, AT_REST_SIGMAS = 0.02, 0.5
 AT_REST_M = 0.1  # where no shorter step helps either
@@ -162,6 +162,7 @@ class _Point:
 @dataclass(frozen=True, kw_only=True)
 class _Here:
     point: _Point
+    placed: Placed
     matches: Matches
     families: list[Residuals]
     total: float
@@ -180,8 +181,9 @@ class _Cost:
 
     def at(self, point: _Point) -> _Here:
         """Return residuals and cost at a point."""
-        matches = match(self.lanes, self.samples, point.state)
-        families = self.families(matches, point)
+        placed = place(self.samples, point.state)
+        matches = match(self.lanes, placed)
+        families = self.families(placed, matches, point.own)
         away = point.state.difference(self.prior.mean)
         total = sum(
             float(f.say @ f.loss + 0.5 * np.sum((own / f.shared) ** 2))
@@ -189,23 +191,22 @@ class _Cost:
         )
         return _Here(
             point=point,
+            placed=placed,
             matches=matches,
             families=families,
             total=total + 0.5 * float(away @ self.prior.information @ away),
         )
 
-    def families(self, matches: Matches, point: _Point) -> list[Residuals]:
-        """Return all residuals at a point."""
-        scene = Scene(
+    def families(self, placed: Placed, matches: Matches, own: Floats) -> list[Residuals]:
+        """Return all residuals of samples that lie on their lanes."""
+        compared = Comparison(
             lanes=self.lanes,
-            samples=self.samples,
+            placed=placed,
             matches=matches,
             model=self.model,
             scale_m=self.scale_m,
         )
-        return [
-            family(scene, point.state, own) for family, own in zip(FAMILIES, point.own, strict=True)
-        ]
+        return [family(compared, mine) for family, mine in zip(FAMILIES, own, strict=True)]
 
     def step(self, here: _Here) -> tuple[Floats, Floats, float]:
         """Return the steps of the state and of what the vehicles add, and the first in sigmas."""
@@ -261,7 +262,7 @@ def _considered(cost: _Cost, here: _Here) -> Floats:
     """Return how the gradient changes by a standard deviation of each constant of the model."""
 
     def gradient(model: Model) -> Floats:
-        families = replace(cost, model=model).families(here.matches, here.point)
+        families = replace(cost, model=model).families(here.placed, here.matches, here.point.own)
         return assemble(families, here.point.own, cost.samples.track, curved=True).gradient
 
     return np.array(
@@ -273,7 +274,7 @@ def _streets(lanes: Lanes, samples: Samples, matches: Matches) -> tuple[Integers
     """Return for each track the number of the stretch of street that it drives on most."""
     lane = matches.lane[matches.found]
     way = direction_bin(lanes.along[lane]) // 2
-    cell = np.floor(lanes.points[lane, :2] / STREET_M).astype(np.int64)
+    cell = np.floor(lanes.points[lane, :2] / STRETCH_M).astype(np.int64)
     keys = np.column_stack([cell, way])
     _, number = np.unique(keys, axis=0, return_inverse=True)
     count = int(number.max(initial=-1)) + 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 import matplotlib as mpl
@@ -22,8 +23,8 @@ from gis_radar.surroundings.grid import CELL_M
 from gis_radar.surroundings.product import SecondLook
 from gis_radar.surroundings.structure import TALL_M, Structure
 
-DPI = 160
-SIZE_IN = (9.0, 9.0)
+DPI = 216
+SIZE_IN = (6.6, 6.6)
 MARGIN_M = 12.0
 TALLEST_M = 15.0
 ON, LEAVES, OFF, SENSOR = "#1e1b6b", "#0e93c9", "#dc2626", "#111827"
@@ -32,6 +33,7 @@ CANOPY, ROOF, TALL = ("#d3e8c4", "#4f9a51"), ("#e6ddd3", "#a8927e"), ("#dfe5d3",
 WALL = "#6b5c4f"
 RUSTLING = 0.15  # share of a cell's detections
 FITS = 0.3
+LINE = 78  # letters of the title beside each other
 SETTINGS: dict[Any, Any] = {"font.family": ["DejaVu Sans"], "text.usetex": False, "font.size": 8}
 
 
@@ -50,7 +52,8 @@ def draw_second_look(look: SecondLook, path: str | Path) -> None:
         FigureCanvasAgg(figure)
         draw_surroundings(figure.add_subplot(), look)
         with whole_file(Path(path)) as part:
-            figure.savefig(part, format="png")
+            # axes true to scale outgrow a constrained layout: nothing is cut off
+            figure.savefig(part, format="png", bbox_inches="tight")
 
 
 def draw_surroundings(ax: Axes, look: SecondLook) -> None:
@@ -79,7 +82,8 @@ def draw_surroundings(ax: Axes, look: SecondLook) -> None:
 
 
 def _title(look: SecondLook) -> str:
-    return f"{look.pose.sensor}, second look: {look.verdict}\n{look.reason}"
+    reason = "\n".join(fill(part, LINE) for part in look.reason.replace("; ", ";\n").splitlines())
+    return f"{look.pose.sensor}, second look: {look.verdict}\n{reason}"
 
 
 def _colours(structure: Structure) -> Floats:

@@ -89,6 +89,9 @@ class SecondLook:
         """The frame in which cells and structure lie."""
         return Level(pose=self.pose)
 
+    def __repr__(self) -> str:
+        return f"SecondLook({self.pose.sensor}: {self.verdict}: {self.reason})"
+
     def figures(self) -> Mapping[str, Any]:
         """Return figures worth a look, by name, ready for JSON.
 

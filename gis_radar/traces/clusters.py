@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
 from gis_radar.arrays import Floats, Integers
+from gis_radar.compiled import compiled
 
 NOISE = -1
 
@@ -63,7 +63,7 @@ def _by_size(roots: Integers) -> Integers:
     return np.asarray(place[inverse])
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _find(parent: Integers, i: int) -> int:  # pragma: no cover - compiled
     while parent[i] != i:
         parent[i] = parent[parent[i]]
@@ -71,7 +71,7 @@ def _find(parent: Integers, i: int) -> int:  # pragma: no cover - compiled
     return i
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _dbscan(  # noqa: C901, PLR0912 - numba takes plain arrays  # pragma: no cover
     points: Floats,
     keys: Integers,

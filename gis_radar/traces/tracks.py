@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-import numba
 import numpy as np
 import pandas as pd
 
 from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.compiled import compiled
 from gis_radar.traces.window import Moving
 
 NONE = -1
@@ -58,6 +58,17 @@ class Samples:
         keys = np.column_stack([self.track, cells])
         _, number, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
         return np.asarray(count[number.ravel()])
+
+    @cached_property
+    def reach(self) -> Floats:
+        """How far off they are, metres."""
+        return np.asarray(np.linalg.norm(self.points, axis=1), dtype=np.float64)
+
+    @cached_property
+    def upward(self) -> Floats:
+        """Their elevation angles, radians."""
+        x, y, z = self.points.T
+        return np.asarray(np.arctan2(z, np.hypot(x, y)), dtype=np.float64)
 
     def __len__(self) -> int:
         return len(self.track)
@@ -163,7 +174,7 @@ def _elevation(points: Floats) -> float:
     return float(np.percentile(np.abs(np.arctan2(z, np.hypot(x, y))), 99.5))
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _link(  # pragma: no cover - compiled
     time: Floats, reach: Floats, bearing: Floats, rate: Floats
 ) -> Integers:
@@ -192,7 +203,7 @@ def _link(  # pragma: no cover - compiled
     return parent_roots(parent)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def parent_roots(parent: Integers) -> Integers:  # pragma: no cover - compiled
     """Return the root of every node of a forest whose parents have lower numbers."""
     for i in range(len(parent)):

@@ -8,7 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from gis_radar.axes import axes_or_new, label_times
+from gis_radar.cards import card
 from gis_radar.clock import STEP_US, iso_from_step, step_of
+from gis_radar.errors import UsageError
 from gis_radar.localization.answer import SIGMA, Site
 from gis_radar.pose import Pose
 from gis_radar.pose_files import PoseTrack
@@ -63,6 +66,56 @@ class Track:
             **{f"sigma_{name}": float(f"{value:.2g}") for name, value in sigma.items()},
             "shift_m": round(float(np.linalg.norm(last.position - first.position)), 3),
         }
+
+    def plot(self, component: str = "easting", ax: Any = None) -> Any:
+        """Draw a component of the pose over time, with bands of one and two sigma, and events.
+
+        Parameters
+        ----------
+        component : str
+            `easting`, `northing`, `height` (metres), `roll`, `pitch` or `yaw` (degrees). All six
+            on one page: :func:`gis_radar.draw_track`.
+        ax : matplotlib Axes, optional
+            Where; without it, on a new figure.
+
+        Returns
+        -------
+        matplotlib Axes
+
+        Raises
+        ------
+        UsageError
+            If there is no such component.
+        """
+        if component not in SIGMA:
+            raise UsageError(f"component is {component!r}, expected one of {', '.join(SIGMA)}")
+        # not at the top: whoever draws nothing does not wait for matplotlib
+        from gis_radar.tracking.drawing import draw_component  # noqa: PLC0415
+
+        ax = axes_or_new(ax, (8.0, 3.5))
+        draw_component(ax, self.poses, component)
+        label_times(ax)
+        ax.set_title(self.told(), fontsize="medium")
+        ax.legend(loc="best", frameon=False, ncols=3)
+        return ax
+
+    def told(self) -> str:
+        """Return the track in a line: how many poses, what moved, how well the end is known."""
+        sigma = self.poses.poses[-1].evidence["sigma"]
+        across = float(np.hypot(sigma["easting"], sigma["northing"]))
+        moves = sum(event.kind == MOVED for event in self.events)
+        said = [
+            f"{self.poses.sensor}: {len(self.poses.poses)} poses",
+            "never moved" if not moves else f"moved {moves} time{'s' * (moves > 1)}",
+            f"at the end \u00b1 {across:.2f} m, yaw \u00b1 {sigma['yaw']:.2f} deg",
+        ]
+        return "; ".join(said)
+
+    def __repr__(self) -> str:
+        return f"Track({self.told()})"
+
+    def _repr_html_(self) -> str:
+        return card(f"Track of {self.poses.sensor}", self.figures())
 
 
 def answer(site: Site, start: Pose, rows: list[Row]) -> Track:

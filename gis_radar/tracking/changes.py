@@ -8,15 +8,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
+from gis_radar.arrays import Floats
 from gis_radar.registration import State
 from gis_radar.registration.solver import SCALES_M
-from gis_radar.tracking.filter import Estimate, innovation, predicted
-from gis_radar.tracking.registering import Ground, Scene, Sighting
+from gis_radar.tracking.filter import (
+    HOUR_S,
+    Estimate,
+    Innovation,
+    innovation,
+    likeliest_move,
+    predicted,
+)
+from gis_radar.tracking.registering import Ground, Sighting, Traffic
 
-GATE, SURE = (float(chi2.ppf(1.0 - chance, 6)) for chance in (1e-5, 1e-3))
+CYCLE_S = 5.0  # the paper's
 # Newest parts that are held against the pose: a short one soon shows a blow, but holds few
-# vehicles, whose errors have long tails; a long one shows a shift of some decimetres.
-TESTS = ((20.0, GATE), (60.0, SURE))
+# vehicles; a long one shows a shift of some decimetres.
+LENGTHS_S = (20.0, 60.0)
+FALSE_ALARMS = 0.01  # an hour; at most, as if no test had data in common with another
+_TESTS = HOUR_S / CYCLE_S * len(LENGTHS_S)  # an hour
+GATE = float(chi2.ppf(1.0 - FALSE_ALARMS / _TESTS, 6))
+SUSPECT = float(chi2.ppf(0.95, 6))  # a change is looked for, and the pose less certain
 NEWEST_TRACKS = 8
 MATURE_S = 30.0
 SETTLED_S = 15.0  # what lasts no longer is a shake
@@ -49,50 +61,60 @@ class Change:
 
 @dataclass(frozen=True, kw_only=True)
 class Doubt:
-    """The newest part of a window that contradicts the pose.
+    """The newest part of a window that casts doubt on the pose.
 
     Parameters
     ----------
+    certain : bool
+        Whether it contradicts the pose beyond chance.
+    move : (6,) array
+        The likeliest move behind it, metres and a turn about the map's axes in radians; zeros
+        where the data fit no pose.
     change : Change or None
         The lasting change behind it, where there is one already.
     """
 
-    change: Change | None
+    certain: bool
+    move: Floats
+    change: Change | None = None
 
 
-def newest(scene: Scene, now: float, length_s: float) -> Scene:
-    """Return the newest part of a scene; a longer one where there is little traffic.
+def newest(traffic: Traffic, now: float, length_s: float) -> Traffic:
+    """Return the newest part of a traffic; a longer one where there is little traffic.
 
     Parameters
     ----------
-    scene : Scene
+    traffic : Traffic
         Of the window.
     now : float
         UNIX seconds at which it ends.
     length_s : float
         How much.
     """
-    part = scene.between(now - length_s, np.inf)
-    while part.tracks < NEWEST_TRACKS and now - length_s > scene.moving.begin:
+    part = traffic.between(now - length_s, np.inf)
+    while part.tracks < NEWEST_TRACKS and now - length_s > traffic.moving.begin:
         length_s *= 1.5
-        part = scene.between(now - length_s, np.inf)
+        part = traffic.between(now - length_s, np.inf)
     return part
 
 
 def doubt(
     ground: Ground,
-    scene: Scene,
+    traffic: Traffic,
     now: float,
     before: Callable[[float], Estimate],
     like: State,
 ) -> Doubt | None:
-    """Return whether the newest data contradict the pose, and the change that explains it.
+    """Return whether the newest data cast doubt on the pose, and the change that explains it.
+
+    What all windows have in common is the same before and after: a move is held against the noise
+    of the vehicles alone (:func:`gis_radar.tracking.filter.innovation`).
 
     Parameters
     ----------
     ground : Ground
         The lanes.
-    scene : Scene
+    traffic : Traffic
         The window.
     now : float
         UNIX seconds at which it ends.
@@ -101,43 +123,66 @@ def doubt(
     like : State
         How vehicles reflected so far.
     """
-    for length_s, gate in TESTS:
-        part = newest(scene, now, length_s)
-        if part.moving.begin - scene.moving.begin < MATURE_S:
+    suspected = None
+    for length_s in LENGTHS_S:
+        part = newest(traffic, now, length_s)
+        if part.moving.begin - traffic.moving.begin < MATURE_S:
             break  # what is known from so little data is corrected by the next windows anyway
         held = predicted(before(part.moving.begin), now)
         seen = ground.register(part, held, like, near=KNOCK, scales_m=SCALES_M)
-        if seen is None or (seen.trusted and innovation(held, seen.measurement).chi2 < gate):
+        if seen is None:
             continue
         if not seen.trusted:
-            seen = ground.find(part, held, like, near=KNOCK)
-        return Doubt(change=None if seen is None else _change(ground, scene, now, held, seen))
-    return None
+            found = ground.find(part, held, like, near=KNOCK)
+            if found is None and seen.on_lanes:
+                continue  # a fit of few vehicles that came to no rest contradicts nothing
+            if found is None:
+                return Doubt(certain=True, move=np.zeros(6))
+            seen = found
+        gap = innovation(held, seen.measurement)
+        if gap.chi2 < SUSPECT:
+            continue
+        change = _change(ground, traffic, now, before, held, seen)
+        suspected = _told(gap, change)
+        if change is not None or suspected.certain:
+            return suspected
+    return suspected
+
+
+def _told(found: Innovation, change: Change | None) -> Doubt:
+    move = likeliest_move(found, KNOCK)
+    return Doubt(certain=found.chi2 >= GATE, move=move, change=change)
 
 
 def _change(
-    ground: Ground, scene: Scene, now: float, held: Estimate, seen: Sighting
+    ground: Ground,
+    traffic: Traffic,
+    now: float,
+    before: Callable[[float], Estimate],
+    held: Estimate,
+    seen: Sighting,
 ) -> Change | None:
-    """Return the change that the newest data show, if it lasts."""
+    """Return the change that the newest data show, if it lasts and is certain."""
     since, old = now, held.state(seen.fit.state)
     for _ in range(ROUNDS):
-        new = seen.fit.state
-        since = change_time(ground, scene, now, replace(old, reflection=new.reflection), new)
-        part = scene.between(since, np.inf)
+        new, old = seen.fit.state, held.state(seen.fit.state)
+        since = change_time(ground, traffic, now, replace(old, reflection=new.reflection), new)
+        part = traffic.between(since, np.inf)
+        held = predicted(before(since), now)  # all data since then speak of the new pose
         again = ground.register(part, held, new, near=KNOCK, start=new)
         if now - since < SETTLED_S or again is None or not again.trusted:
             return None
         seen = again
-    latest = scene.between(now - LATEST_S, np.inf).samples()
+    latest = traffic.between(now - LATEST_S, np.inf).samples()
     if len(latest) and ground.cost(latest, seen.fit.state) > ground.cost(latest, old):
         return None
     contradiction = innovation(held, seen.measurement).chi2
-    if contradiction < SURE:
+    if contradiction < GATE:
         return None
     return Change(time=since, sighting=seen, chi2=contradiction)
 
 
-def change_time(ground: Ground, scene: Scene, now: float, old: State, new: State) -> float:
+def change_time(ground: Ground, traffic: Traffic, now: float, old: State, new: State) -> float:
     """Return since when the new pose explains the data better than the old one.
 
     The likeliest time of one change: the sum over all later slices of time of what the old pose
@@ -148,18 +193,18 @@ def change_time(ground: Ground, scene: Scene, now: float, old: State, new: State
     ----------
     ground : Ground
         The lanes.
-    scene : Scene
+    traffic : Traffic
         The window.
     now : float
         UNIX seconds at which it ends.
     old, new : State
         The two poses.
     """
-    begin = max(now - BACK_S, scene.moving.begin)
+    begin = max(now - BACK_S, traffic.moving.begin)
     edges = begin + SLICE_S * np.arange(max(int(np.ceil((now - begin) / SLICE_S)), 1))
     gains = np.zeros(len(edges))
     for i, edge in enumerate(edges):
-        samples = scene.between(edge, edge + SLICE_S).samples()
+        samples = traffic.between(edge, edge + SLICE_S).samples()
         if len(samples):
             gains[i] = ground.cost(samples, old) - ground.cost(samples, new)
     later = np.cumsum(gains[::-1])[::-1]

@@ -20,7 +20,6 @@ from gis_radar.registration.state import angles_from_turn
 HOUR_S = 3600.0
 # Steel masts bend in the sun by centimetres and tenths of a degree within hours.
 DRIFT = np.array([0.02, 0.02, 0.01, *np.radians([0.1, 0.1, 0.1])])  # after an hour, 1 sigma
-NOISE_SHARE = 0.3  # of a whole window's variance; the rest is in every window
 LEVER = np.array([1.0, 1.0, 1.0, 50.0, 50.0, 50.0])  # metres that a turn moves what is seen
 
 
@@ -71,23 +70,22 @@ class Measurement:
         As in :class:`Estimate`.
     covariance : (6, 6) array
         R, in the estimate's coordinates.
-    noise_share : float
-        Share of R that another window draws anew; the rest is in all of them.
+    noise : (6, 6) array
+        The part of R that another window draws anew; the rest is in all of them.
     """
 
     position: Floats
     quaternion: Floats
     covariance: Floats
-    noise_share: float
+    noise: Floats
 
     @property
     def common(self) -> Floats:
         """What one standard deviation of the common error does to the measurement, (6, 6)."""
-        scaled = LEVER[:, None] * self.covariance * LEVER
+        scaled = LEVER[:, None] * (self.covariance - self.noise) * LEVER
         values, vectors = np.linalg.eigh(scaled)
         root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
-        spread: Floats = np.sqrt(1.0 - self.noise_share) * root / LEVER[:, None]
-        return spread
+        return np.asarray(root / LEVER[:, None])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,20 +107,6 @@ class Innovation:
     def chi2(self) -> float:
         """Squared Mahalanobis distance, of six degrees of freedom."""
         return float(self.gap @ np.linalg.solve(self.covariance, self.gap))
-
-
-def noise_share(length_s: float, whole_s: float) -> float:
-    """Return the share of a window's variance that other windows do not have.
-
-    Noise goes down with the length of a window, what is common stays.
-
-    Parameters
-    ----------
-    length_s, whole_s : float
-        Of the window, and of a whole one.
-    """
-    part = min(max(length_s / whole_s, 0.0), 1.0)
-    return NOISE_SHARE / (NOISE_SHARE + (1.0 - NOISE_SHARE) * part)
 
 
 def covariance_from_angles(quaternion: Floats, covariance: Floats) -> Floats:
@@ -155,6 +139,37 @@ def innovation(estimate: Estimate, measurement: Measurement) -> Innovation:
         gap=np.concatenate([measurement.position - estimate.position, turn.as_rotvec()]),
         covariance=estimate.covariance + cross + cross.T + measurement.covariance,
     )
+
+
+def likeliest_move(found: Innovation, spread: Floats) -> Floats:
+    """Return the likeliest difference of pose behind a gap, (6,).
+
+    Parameters
+    ----------
+    found : Innovation
+        The gap.
+    spread : (6,) array
+        How far a pose may have moved, one standard deviation.
+    """
+    may = np.diag(spread**2)
+    return np.asarray(may @ np.linalg.solve(may + found.covariance, found.gap))
+
+
+def widened(estimate: Estimate, move: Floats) -> Estimate:
+    """Return an estimate that allows for a move: along it a standard deviation is at least that.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        To be widened.
+    move : (6,) array
+        Metres and a turn about the map's axes in radians.
+    """
+    far = float(move @ np.linalg.solve(estimate.covariance, move))
+    if far <= 1.0:
+        return estimate
+    more = (1.0 - 1.0 / far) * np.outer(move, move)
+    return replace(estimate, covariance=estimate.covariance + more)
 
 
 def corrected(estimate: Estimate, measurement: Measurement) -> Estimate:

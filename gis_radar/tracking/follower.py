@@ -15,11 +15,17 @@ from gis_radar.localization.product import LEAST_FRAMES
 from gis_radar.registration import State
 from gis_radar.registration.hypotheses import REFLECTION_M
 from gis_radar.traces import FRAMES, RollingWindow
-from gis_radar.tracking.changes import GATE, KNOCK, Change, doubt
-from gis_radar.tracking.filter import Estimate, corrected, innovation, predicted
-from gis_radar.tracking.registering import Ground, Scene, Sighting
+from gis_radar.tracking.changes import GATE, KNOCK, Change, Doubt, doubt
+from gis_radar.tracking.filter import (
+    Estimate,
+    corrected,
+    innovation,
+    likeliest_move,
+    predicted,
+    widened,
+)
+from gis_radar.tracking.registering import Ground, Sighting, Traffic
 
-CYCLE_S = 5.0  # the paper's
 MOVED, REJECTED, NOTHING = "moved", "rejected", ""
 LOST_S = 100.0
 HINT = "find the pose with gis-radar localize"
@@ -107,43 +113,46 @@ class Follower:
         NoAnswerError
             If a whole window of traffic does not confirm the start pose.
         """
-        scene = Scene.of(self._window.moving())
-        doubted = self._doubted(scene, time)
-        if isinstance(doubted, Change):
-            self._restart(doubted, time)
+        traffic = Traffic.of(self._window.moving())
+        doubted = self._doubted(traffic, time)
+        if doubted is not None and doubted.change is not None:
+            self._restart(doubted.change, time)
         else:
-            self._keep(self._corrected(scene, time, doubted=doubted))
+            row = self._corrected(traffic, time, doubted=doubted is not None and doubted.certain)
+            self._keep(row if doubted is None else _allowing(row, doubted.move))
         self._give_up_if_lost(time)
-        self._vehicles = max(self._vehicles, scene.tracks)
+        self._vehicles = max(self._vehicles, traffic.tracks)
         if not self.confirmed and len(self._window) == self._frames and self._seen:
             self._refuse_start(self._seen)
 
-    def _doubted(self, scene: Scene, time: float) -> Change | bool:
-        """Return a change, or whether the newest data contradict the pose."""
-        if not self.confirmed or scene.tracks < LEAST_TRACKS:
-            return False
-        found = doubt(self._ground, scene, time, self._before, self._like)
-        if found is None:
-            return False
-        return found.change or True
+    def _doubted(self, traffic: Traffic, time: float) -> Doubt | None:
+        """Return what in the newest data casts doubt on the pose."""
+        if not self.confirmed or traffic.tracks < LEAST_TRACKS:
+            return None
+        return doubt(self._ground, traffic, time, self._before, self._like)
 
-    def _corrected(self, scene: Scene, time: float, *, doubted: bool) -> Row:
-        held = Row(estimate=predicted(self.now, time), vehicles=scene.tracks)
+    def _corrected(self, traffic: Traffic, time: float, *, doubted: bool) -> Row:
+        held = Row(estimate=predicted(self.now, time), vehicles=traffic.tracks)
         if doubted:
             return replace(held, event=REJECTED)
-        prior = predicted(self._before(scene.moving.begin), time)
-        seen = self._ground.register(scene, prior, self._like)
+        prior = predicted(self._before(traffic.moving.begin), time)
+        seen = self._ground.register(traffic, prior, self._like)
         if seen is None:
             return held
         self._seen = seen
-        distance = innovation(prior, seen.measurement).chi2
-        held = replace(held, fitness=seen.fit.fitness, chi2=distance)
-        if not seen.trusted or distance > GATE:
+        found = innovation(prior, seen.measurement)
+        held = replace(held, fitness=seen.fit.fitness, chi2=found.chi2)
+        if not seen.on_lanes:
             return replace(held, event=REJECTED)
+        if seen.trusted and found.chi2 > GATE:
+            return _allowing(replace(held, event=REJECTED), likeliest_move(found, KNOCK))
+        if not seen.trusted:
+            return held  # came to no rest: it says nothing
         if len(self._window) < self._frames:
             self._ground.refuse_other_lane(seen)
         self.confirmed = True
         self._like = seen.fit.state
+        self._ground.adapt(seen)
         return replace(held, estimate=corrected(prior, seen.measurement), corrected=True)
 
     def _before(self, time: float) -> Estimate:
@@ -237,3 +246,8 @@ class Follower:
             "pose's sigma allows",
             hint=HINT,
         )
+
+
+def _allowing(row: Row, move: Floats) -> Row:
+    """Return a row whose pose may have moved: a failure must not look like an answer."""
+    return replace(row, estimate=widened(row.estimate, move))

@@ -16,14 +16,13 @@ from gis_radar.localization.answer import Site
 from gis_radar.pose import Pose
 from gis_radar.pose_files import PoseTrack, as_track
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.traces import FRAMES
 from gis_radar.tracking.answer import Track, answer
-from gis_radar.tracking.follower import CYCLE_S, LEAST_CYCLE, Follower
+from gis_radar.tracking.changes import CYCLE_S
+from gis_radar.tracking.follower import LEAST_CYCLE, Follower
 from gis_radar.tracking.registering import Ground
 from gis_radar.tracking.start import start_estimate
 
 STAGE = "following the pose"
-FRAME_S = 0.05
 
 
 def track(
@@ -75,7 +74,7 @@ def track(
         guess=start.position[:2],
         heading=None,
     )
-    ground = Ground(site, whole_s=FRAMES * FRAME_S, reporter=reporter)
+    ground = Ground(site, reporter=reporter)
     follower = Follower(ground, start_estimate(start, begin))
     for piece, end in chain([(first, ends)], cycles):
         follower.push(piece)

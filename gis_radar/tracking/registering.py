@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from gis_radar.arrays import Floats, Integers
 from gis_radar.errors import NoAnswerError
@@ -24,32 +23,27 @@ from gis_radar.registration import (
     Prior,
     State,
     advantage,
-    certainty,
     explore,
     rough,
     solve,
 )
+from gis_radar.registration.adaptation import adapted
 from gis_radar.registration.hypotheses import prior_at, shifted
-from gis_radar.registration.state import POSE, SIZE
+from gis_radar.registration.model import MODEL
+from gis_radar.registration.state import POSE, REFLECTION, SIZE
 from gis_radar.traces import Moving, Samples, thin, track
-from gis_radar.tracking.filter import (
-    Estimate,
-    Measurement,
-    covariance_from_angles,
-    noise_share,
-)
+from gis_radar.tracking.filter import Estimate, Measurement
+from gis_radar.tracking.measuring import data_alone
 
 NEAR = np.array([1.0, 1.0, 1.0, *np.radians([2.0, 2.0, 2.0])])  # where a solution is looked for
 SCALES_M, ROUNDS = (0.3, 0.1, 0.0), 12
-LEAST_KNOWN = 0.05  # information less than that share of the prior's is none
-UNKNOWN = 1e-4  # and counts as that
 FARTHEST = 4.0  # sigmas
 REACH_GROWS = 1.2
 NOTHING = np.zeros((SIZE, SIZE))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scene:
+class Traffic:
     """What moved within some time, by track.
 
     Parameters
@@ -64,12 +58,12 @@ class Scene:
     number: Integers
 
     @classmethod
-    def of(cls, moving: Moving) -> Scene:
+    def of(cls, moving: Moving) -> Traffic:
         """Link the detections of a window to tracks."""
         return cls(moving=moving, number=track(moving))
 
-    def between(self, begin: float, end: float) -> Scene:
-        """Return the part of the scene within a time, its end not included."""
+    def between(self, begin: float, end: float) -> Traffic:
+        """Return the part of the traffic within a time, its end not included."""
         low, high = np.searchsorted(self.moving.time, [begin, end])
         part = slice(int(low), int(high))
         _, number = np.unique(np.append(self.number[part], -1), return_inverse=True)
@@ -83,7 +77,7 @@ class Scene:
             begin=max(begin, self.moving.begin),
             end=min(end, self.moving.end),
         )
-        return Scene(moving=moving, number=number[:-1] - 1)
+        return Traffic(moving=moving, number=number[:-1] - 1)
 
     @property
     def tracks(self) -> int:
@@ -115,8 +109,13 @@ class Sighting:
 
     @property
     def trusted(self) -> bool:
+        """Whether the traffic lies on the lanes, at a pose that is a fit's."""
+        return self.fit.converged and self.on_lanes
+
+    @property
+    def on_lanes(self) -> bool:
         """Whether the traffic lies on the lanes."""
-        return self.fit.converged and self.fit.fitness >= LEAST_FITNESS
+        return self.fit.fitness >= LEAST_FITNESS
 
 
 class Ground:
@@ -126,18 +125,17 @@ class Ground:
     ----------
     site : Site
         Map, road and where the sensor stands.
-    whole_s : float
-        Length of a whole window.
     reporter : Reporter
         Told remarks.
     """
 
-    def __init__(self, site: Site, *, whole_s: float, reporter: Reporter) -> None:
+    def __init__(self, site: Site, *, reporter: Reporter) -> None:
         self._site = site
-        self._whole_s = whole_s
         self._reporter = reporter
         self._reach_m = 0.0
         self._lanes: Lanes | None = None
+        self._model = MODEL
+        self._reflections: tuple[float, float] | None = None  # mean and information
 
     def lanes(self, samples: Samples) -> Lanes:
         """Return the lanes within reach of samples."""
@@ -151,7 +149,7 @@ class Ground:
 
     def register(
         self,
-        scene: Scene,
+        traffic: Traffic,
         centre: Estimate,
         like: State,
         *,
@@ -159,11 +157,11 @@ class Ground:
         start: State | None = None,
         scales_m: tuple[float, ...] = SCALES_M,
     ) -> Sighting | None:
-        """Lay a scene on the lanes near a pose; None where it holds too little traffic.
+        """Lay a traffic on the lanes near a pose; None where it holds too little traffic.
 
         Parameters
         ----------
-        scene : Scene
+        traffic : Traffic
             What moved.
         centre : Estimate
             Where to look.
@@ -176,30 +174,33 @@ class Ground:
         scales_m : tuple of float
             As for :func:`gis_radar.registration.solve`.
         """
-        samples = scene.samples()
-        if scene.tracks < LEAST_TRACKS:
+        samples = traffic.samples()
+        if traffic.tracks < LEAST_TRACKS:
             return None
-        prior = _prior(centre.state(like), near)
+        prior = self._prior(centre.state(like), near)
         begin = prior.mean if start is None else start
         lanes = self.lanes(samples)
-        fit = solve(lanes, samples, begin, prior, scales_m=scales_m, rounds=ROUNDS)
-        share = noise_share(scene.moving.end - scene.moving.begin, self._whole_s)
-        return Sighting(measurement=_data_alone(fit, prior, share), fit=fit, samples=samples)
+        fit = solve(
+            lanes, samples, begin, prior, scales_m=scales_m, rounds=ROUNDS, model=self._model
+        )
+        return Sighting(measurement=data_alone(fit, prior), fit=fit, samples=samples)
 
-    def find(self, scene: Scene, centre: Estimate, like: State, *, near: Floats) -> Sighting | None:
+    def find(
+        self, traffic: Traffic, centre: Estimate, like: State, *, near: Floats
+    ) -> Sighting | None:
         """Look farther around a pose at which the traffic lies on no lanes; None if in vain.
 
         Parameters
         ----------
-        scene, centre, like, near
+        traffic, centre, like, near
             As for :meth:`register`.
         """
-        samples, state = scene.samples(), centre.state(like)
+        samples, state = traffic.samples(), centre.state(like)
         heading = float(state.yaw_pitch_roll[0]), HEADING_TOLERANCE
         for tried in explore(self.lanes(samples), samples, heading=heading):
             away = tried.fit.state.difference(state)[POSE] / near
             if np.abs(away).max() < FARTHEST:
-                found = self.register(scene, centre, like, near=near, start=tried.fit.state)
+                found = self.register(traffic, centre, like, near=near, start=tried.fit.state)
                 return found if found is not None and found.trusted else None
         return None
 
@@ -207,7 +208,26 @@ class Ground:
         """Return what samples cost at a pose, a negative logarithm of likelihood."""
         indifferent = Prior(mean=state, information=NOTHING)
         lanes = self.lanes(samples)
-        return solve(lanes, samples, state, indifferent, scales_m=(0.0,), rounds=0).cost
+        return solve(
+            lanes, samples, state, indifferent, scales_m=(0.0,), rounds=0, model=self._model
+        ).cost
+
+    def adapt(self, sighting: Sighting) -> None:
+        """Learn from a trusted sighting how this radar sees vehicles; each is asked anew."""
+        samples, fit = sighting.samples, sighting.fit
+        before = Prior(mean=fit.state, information=NOTHING)
+        told, self._model = adapted(self.lanes(samples), samples, fit, before, MODEL)
+        if told is not before:
+            known = float(told.information[REFLECTION, REFLECTION])
+            self._reflections = told.mean.reflection, known
+
+    def _prior(self, centre: State, near: Floats) -> Prior:
+        information = prior_at(centre).information.copy()
+        information[POSE, POSE] = np.diag(near**-2.0)
+        if self._reflections is not None:
+            mean_m, information[REFLECTION, REFLECTION] = self._reflections
+            centre = replace(centre, reflection=mean_m)
+        return Prior(mean=centre, information=information)
 
     def refuse_other_lane(self, sighting: Sighting) -> None:
         """Refuse a pose where the same data lie clearly better on a neighbouring lane.
@@ -231,40 +251,3 @@ class Ground:
                     f"{np.hypot(*away):.1f} m from its start pose",
                     hint="find the pose with gis-radar localize",
                 )
-
-
-def _prior(centre: State, near: Floats) -> Prior:
-    information = prior_at(centre).information.copy()
-    information[POSE, POSE] = np.diag(near**-2.0)
-    return Prior(mean=centre, information=information)
-
-
-def _data_alone(fit: Fit, prior: Prior, share: float) -> Measurement:
-    """Take the prior out of a fit again, or every window would confirm what was believed.
-
-    In coordinates where the prior has variance one along each axis, `1 + m` is the information of
-    the fit and `m` that of the data; the data's pose is farther off by `(1 + m) / m`.
-    """
-    known = certainty(fit)
-    quaternion = _quaternion(fit.state)
-    covariance = covariance_from_angles(quaternion, known.covariance)
-    root = np.diag(prior.information[POSE, POSE]) ** -0.5
-    values, vectors = np.linalg.eigh(np.linalg.inv(covariance / np.outer(root, root)))
-    data = values - 1.0
-    seen = data > LEAST_KNOWN
-    away = fit.state.difference(prior.mean)[POSE] / root
-    farther = np.where(seen, values / np.where(seen, data, 1.0), 0.0)
-    step = np.zeros(SIZE)
-    step[POSE] = root * (vectors @ (farther * (vectors.T @ away)))
-    spread = (vectors / np.where(seen, data, UNKNOWN)) @ vectors.T * np.outer(root, root)
-    there = prior.mean.moved(step)
-    return Measurement(
-        position=there.position,
-        quaternion=_quaternion(there),
-        covariance=(spread + spread.T) / 2.0,
-        noise_share=share,
-    )
-
-
-def _quaternion(state: State) -> Floats:
-    return np.asarray(Rotation.from_matrix(state.R_map_sensor).as_quat(canonical=True))

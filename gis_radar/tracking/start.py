@@ -12,10 +12,11 @@ from gis_radar.clock import STEP_S, seconds_from_iso
 from gis_radar.errors import InputError
 from gis_radar.localization.answer import SIGMA
 from gis_radar.pose import Pose
-from gis_radar.tracking.filter import Estimate, Measurement, covariance_from_angles, noise_share
+from gis_radar.tracking.filter import Estimate, Measurement, covariance_from_angles
 
 # of a pose without sigma, as people measure it: metres and degrees in the order of SIGMA
 BY_HAND = (1.0, 1.0, 1.0, 2.0, 2.0, 2.0)
+NOISE_SHARE = 0.3  # of the variance of a pose that a window gave; the rest is in every window
 LEAST = np.array([1e-3, 1e-3, 1e-3, *np.radians([1e-3, 1e-3, 1e-3])])
 SAME_MAP = ("lane", "track")  # methods that share the map's errors with ours
 
@@ -53,7 +54,7 @@ def start_estimate(pose: Pose, time: float) -> Estimate:
             position=position,
             quaternion=pose.quaternion,
             covariance=turned,
-            noise_share=noise_share(1.0, 1.0),
+            noise=NOISE_SHARE * turned,
         )
         common = -measured.common
     return Estimate(
