@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import sqlite3
 import subprocess
@@ -17,9 +18,11 @@ import pytest
 import shapely
 from hypothesis import given
 from hypothesis import strategies as st
+from maps import Listener
 
 import gis_radar as gr
-from gis_radar.sensors.layers import ellipse, view_outline
+from gis_radar.qgis_project.sheet import MAP_MM, filling
+from gis_radar.sensor_shapes import ellipse
 
 ROOT = Path(__file__).parents[1]
 SIGMA = {"easting": 0.1, "northing": 0.2, "height": 0.1, "yaw": 0.1, "pitch": 0.1, "roll": 0.1}
@@ -40,7 +43,7 @@ def test_the_view_is_what_the_sensor_sees(yaw, pitch, roll, azimuth, far, aside)
     """Points straight ahead and aside within azimuth and range lie in it, seen from above."""
     view = gr.View(azimuth_deg=azimuth, max_range_m=100.0)
     pose = a_pose(yaw=yaw, pitch=pitch, roll=roll, view=view)
-    outline = view_outline(pose)
+    outline = pose.outline()
     assert outline.is_valid
     angle = np.radians(azimuth / 2 * aside)
     ray = np.array([np.cos(angle), np.sin(angle), 0.0])
@@ -52,7 +55,7 @@ def test_the_view_is_what_the_sensor_sees(yaw, pitch, roll, azimuth, far, aside)
 
 
 def test_a_view_all_around_is_a_ring():
-    outline = view_outline(a_pose(view=gr.View(azimuth_deg=360.0), pitch=0.0))
+    outline = a_pose(view=gr.View(azimuth_deg=360.0), pitch=0.0).outline()
     assert outline.is_valid
     assert len(outline.interiors) == 1
 
@@ -105,9 +108,17 @@ def test_sensors_that_are_refused(tmp_path, poses, name, error):
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
-    """Results of the sample as a run leaves them."""
-    folder = tmp_path_factory.mktemp("site") / "Straße"
-    gr.run_demo(folder)
+    """Results of the sample as a run leaves them, with the pose that is known."""
+    folder, sample = tmp_path_factory.mktemp("site") / "Straße", gr.sample_folder()
+    (folder / "sensors" / "R1").mkdir(parents=True)
+    (folder / "occupancy").mkdir()
+    known = gr.read_pose(sample / "R1.json")
+    gr.write_pose(known, folder / "sensors" / "R1" / "pose.json")
+    tiles = gr.make_tiles(gr.read_map(sample / "junction.osm"))
+    place = folder / "occupancy" / "R1"
+    occupancy = gr.measure_occupancy([sample / "R1.parquet"], [known], tiles, place)
+    gr.make_heatmap(occupancy, tiles, interval="20s").write(folder / "heatmap")
+    gr.write_site_project(folder)
     return folder
 
 
@@ -150,6 +161,59 @@ def test_the_same_results_give_the_same_project(results, tmp_path):
         (place / "heatmap").symlink_to(results / "heatmap")
         gr.write_qgis_project(paths[-1], heatmap=place / "heatmap", title="x")
     assert paths[0].read_bytes() == paths[1].read_bytes()
+
+
+def test_the_print_layout_of_a_project(results, tmp_path):
+    gr.write_qgis_project(
+        tmp_path / "site.qgz", heatmap=results / "heatmap", sensors=results / "sensors.gpkg",
+        title="Knoten 7", time_zone="Europe/Berlin", source="Stadt & Land",
+    )  # fmt: skip
+    root = read_project(tmp_path / "site.qgz")
+    layout = root.find("Layouts/Layout")
+    texts = [item.get("labelText") for item in layout.iter("LayoutItem") if item.get("labelText")]
+    assert texts[:3] == [
+        "Knoten 7", "2025-06-12 09:30:00 \u2013 09:31:40 (Europe/Berlin)", "Source: Stadt & Land"
+    ]  # fmt: skip
+    names = {layer.findtext("id"): layer.findtext("layername") for layer in root.iter("maplayer")}
+    shown = [names[layer.text] for layer in layout.iter("Layer")]
+    assert shown == ["Sensors", "Uncertainty (95 %)", "Views",
+                     "Occupancy, whole time", "Road, not observed"]  # fmt: skip
+    explained = [names[leaf.get("id")] for leaf in layout.iter("layer-tree-layer")]
+    assert explained[:2] == ["Occupancy, whole time", "Road, not observed"]
+    assert sorted(explained) == sorted(shown)
+
+
+@given(
+    st.floats(-1e6, 1e6), st.floats(-1e6, 1e6), st.floats(1, 1e4), st.floats(1, 1e4),
+)  # fmt: skip
+def test_the_map_on_the_sheet_holds_all_in_its_shape(west, south, wide, high):
+    box = (west, south, west + wide, south + high)
+    found = shapely.box(*filling(box, *MAP_MM))
+    assert found.buffer(1e-6).contains(shapely.box(*box))
+    x0, y0, x1, y1 = found.bounds
+    assert (x1 - x0) / (y1 - y0) == pytest.approx(MAP_MM[0] / MAP_MM[1], rel=1e-6)
+
+
+def test_a_project_that_somebody_edited_stays(results, tmp_path):
+    folder = shutil.copytree(results, tmp_path / "site")
+    project, second = folder / "site.qgz", folder / "site_2.qgz"
+    gr.write_site_project(folder, title="Mine")  # nobody has touched it: written anew
+    with zipfile.ZipFile(project) as archive:
+        text = archive.read("site.qgs").replace(b"Mine", b"Edited")
+    with zipfile.ZipFile(project, "w") as archive:  # as QGIS saves it
+        archive.writestr("site.qgs", text)
+    edited, heard = project.read_bytes(), Listener()
+    for title in ("New", "Newer"):
+        assert gr.write_site_project(folder, title=title, reporter=heard)[1] == second
+        assert read_project(second).findtext("title") == title
+    assert project.read_bytes() == edited
+    assert "site.qgz was edited" in str(heard.messages)
+    with pytest.raises(gr.OutputError, match="edited"):
+        gr.write_qgis_project(project, heatmap=folder / "heatmap")
+    second.write_bytes(b"no archive")
+    assert gr.write_site_project(folder)[1].name == "site_3.qgz"
+    assert second.read_bytes() == b"no archive"
+    assert project.read_bytes() == edited
 
 
 def test_projects_that_are_refused(results, tmp_path):
@@ -195,6 +259,18 @@ def test_a_worker_that_is_let_go_stops(tmp_path):
     assert json.loads(last)["message"].startswith("interrupted")
     left = [path for path in (tmp_path / "out").rglob("*") if ".part" in path.name]
     assert left == []
+
+
+@pytest.mark.skipif(os.name == "nt", reason="pipes")
+def test_a_worker_that_nobody_hears_stops(tmp_path):
+    """Its listener died: what it says breaks the pipe. It has nobody to complain to."""
+    with leashed(tmp_path / "out", stderr=subprocess.PIPE) as worker:
+        worker.stdout.readline()
+        worker.stdout.close()
+        complaint = worker.stderr.read()
+    assert complaint == ""
+    assert worker.returncode == 130
+    assert [path for path in (tmp_path / "out").rglob("*") if ".part" in path.name] == []
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals")

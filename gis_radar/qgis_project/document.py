@@ -11,7 +11,10 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 from pyproj import CRS
 
 from gis_radar.crs import name_of
+from gis_radar.heatmap.layers import LONG, WIDE
+from gis_radar.heatmap.style import LEGEND_TITLE
 from gis_radar.qgis_project.layers import Group, Layer
+from gis_radar.qgis_project.sheet import Sheet, layout_element
 
 VERSION = "3.34.0"
 _DOCTYPE = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>"
@@ -56,14 +59,31 @@ class View:
     box: tuple[float, float, float, float]
 
 
+@dataclass(frozen=True, kw_only=True)
+class Texts:
+    """What is written around the map.
+
+    Parameters
+    ----------
+    title : str
+        Of the project and its print layout.
+    time, source : str
+        Of what the layout shows, and where it comes from.
+    """
+
+    title: str
+    time: str = ""
+    source: str = ""
+
+
 def project_xml(
-    title: str, groups: Sequence[Group], view: View, span: Span | None, home: Path
+    texts: Texts, groups: Sequence[Group], view: View, span: Span | None, home: Path
 ) -> str:
     """Return a project as text.
 
     Parameters
     ----------
-    title : str
+    texts : Texts
         Of the project.
     groups : sequence of Group
         Top to bottom.
@@ -74,18 +94,20 @@ def project_xml(
     home : Path
         The project's folder: the files are named from there.
     """
-    root = Element("qgis", version=VERSION, projectname=title)
+    root = Element("qgis", version=VERSION, projectname=texts.title)
     SubElement(root, "homePath", path="")
-    SubElement(root, "title").text = title
+    SubElement(root, "title").text = texts.title
     _add_crs(SubElement(root, "projectCrs"), view.crs)
     tree = SubElement(root, "layer-tree-group")
     drawn = SubElement(root, "projectlayers")
+    keys: dict[str, Layer] = {}
     for number, group in enumerate(groups):
         branch = SubElement(
             tree, "layer-tree-group", name=group.name, checked="Qt::Checked", expanded="1"
         )
         for place, layer in enumerate(group.layers):
             key = f"gis_radar_layer_{number}_{place}"  # QGIS drops ids of up to ten letters
+            keys[key] = layer
             _add_leaf(branch, layer, key, home)
             _add_layer(drawn, layer, key, view.crs, home)
     _add_canvas(root, view)
@@ -93,6 +115,7 @@ def project_xml(
     _add_view(root, view)
     if span is not None:
         _add_span(root, span)
+    _add_layout(root, texts, keys, view, home)
     indent(root)
     return f"{_DOCTYPE}\n{tostring(root, encoding='unicode')}\n"
 
@@ -111,14 +134,10 @@ def _source(layer: Layer, home: Path) -> str:
     return f"{named}|layername={layer.table}" if layer.table else named
 
 
-def _provider(layer: Layer) -> str:
-    return "ogr" if layer.table else "gdal"
-
-
 def _add_leaf(branch: Element, layer: Layer, key: str, home: Path) -> None:
     SubElement(
         branch, "layer-tree-layer", id=key, name=layer.name, source=_source(layer, home),
-        providerKey=_provider(layer), expanded=str(int(layer.shown)),
+        providerKey=layer.provider, expanded=str(int(layer.shown)),
         checked="Qt::Checked" if layer.shown else "Qt::Unchecked",
     )  # fmt: skip
 
@@ -133,7 +152,7 @@ def _add_layer(drawn: Element, layer: Layer, key: str, crs: CRS, home: Path) -> 
     SubElement(element, "datasource").text = _source(layer, home)
     SubElement(element, "layername").text = layer.name
     _add_crs(SubElement(element, "srs"), crs)
-    SubElement(element, "provider", encoding="UTF-8").text = _provider(layer)
+    SubElement(element, "provider", encoding="UTF-8").text = layer.provider
     element.extend(part for part in layer.style() if part.tag != "layerGeometryType")
 
 
@@ -161,6 +180,7 @@ def _add_properties(root: Element, span: Span | None) -> None:
     _add_value(clock, "Enabled", "bool", "true")
     _add_value(clock, "Label", "QString", _clock(span))
     _add_value(clock, "Placement", "int", "2")
+    _add_value(clock, "BackgroundColor", "QString", "255,255,255,215")
     _add_value(clock, "MarginH", "int", "1")
     _add_value(clock, "MarginV", "int", "1")
 
@@ -194,3 +214,20 @@ def _add_span(root: Element, span: Span) -> None:
     limits = SubElement(settings, "TemporalRange")
     SubElement(limits, "start").text = span.begin
     SubElement(limits, "end").text = span.end
+
+
+def _add_layout(
+    root: Element, texts: Texts, keys: dict[str, Layer], view: View, home: Path
+) -> None:
+    """Add a sheet of the whole time: what is by interval or pixels does not go onto it."""
+    drawn = {
+        key: layer for key, layer in keys.items() if layer.table and layer.table != LONG
+    }  # fmt: skip
+    # Occupancy first, its ground next, then the sensors.
+    legend = sorted(drawn, key=lambda key: drawn[key].table != WIDE)
+    sheet = Sheet(
+        title=texts.title, time=texts.time, source=texts.source, box=view.box, drawn=drawn,
+        legend=legend, legend_title=LEGEND_TITLE,
+    )  # fmt: skip
+    sources = {key: _source(layer, home) for key, layer in drawn.items()}
+    SubElement(root, "Layouts").append(layout_element(sheet, sources))

@@ -39,6 +39,11 @@ class Layer:
     qml: str
     shown: bool = True
 
+    @property
+    def provider(self) -> str:
+        """What of QGIS reads it."""
+        return "ogr" if self.table else "gdal"
+
     def style(self) -> list[Element]:
         """Return the parts of the style as a project holds them."""
         body = self.qml[self.qml.index("<qgis") :]
@@ -68,7 +73,7 @@ def sensor_group(path: Path) -> Group:
 
 
 def traffic_group(folder: Path, length_s: float) -> Group:
-    """Return the layers of a heat map: by interval switched on, the rest at hand.
+    """Return the layers of a heat map: by interval over the road switched on, the rest at hand.
 
     Parameters
     ----------
@@ -90,4 +95,8 @@ def traffic_group(folder: Path, length_s: float) -> Group:
     if raster.is_file():
         pixels = heat_style.sidecar_qml()
         layers.append(Layer(name="Occupancy, raster", path=raster, qml=pixels, shown=False))
-    return Group(name=heat_style.LEGEND_TITLE, layers=tuple(layers))
+    ground = Layer(
+        name="Road, not observed", path=package, table=WIDE, geometry="Polygon",
+        qml=heat_style.ground_qml(),
+    )  # fmt: skip
+    return Group(name=heat_style.LEGEND_TITLE, layers=(*layers, ground))

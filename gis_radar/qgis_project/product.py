@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import sqlite3
-import zipfile
 from contextlib import closing
+from datetime import datetime
 from pathlib import Path
 
 import pyogrio
 
-from gis_radar.clock import seconds_from_iso
+from gis_radar.clock import seconds_from_iso, zone_of
 from gis_radar.crs import metric_crs
-from gis_radar.errors import InputError, UsageError
+from gis_radar.errors import InputError, OutputError, UsageError
 from gis_radar.heatmap.layers import LONG, WIDE
-from gis_radar.outputs import whole_file
 from gis_radar.pose_files import read_track
-from gis_radar.qgis_project.document import Span, View, project_xml
+from gis_radar.progress import QUIET, Reporter
+from gis_radar.project_files import unedited_name, was_edited, write_project_file
+from gis_radar.qgis_project.document import Span, Texts, View, project_xml
 from gis_radar.qgis_project.layers import sensor_group, traffic_group
 from gis_radar.sensors import write_sensors
 
@@ -24,9 +25,15 @@ _TIMES = f'SELECT min("begin"), min("end"), max("end") FROM "{LONG}"'  # noqa: S
 
 
 def write_qgis_project(
-    path: str | Path, *, heatmap: str | Path, sensors: str | Path | None = None, title: str = ""
+    path: str | Path,
+    *,
+    heatmap: str | Path,
+    sensors: str | Path | None = None,
+    title: str = "",
+    time_zone: str = "UTC",
+    source: str = "",
 ) -> None:
-    """Write a QGIS project that shows a heat map, and the sensors that made it.
+    """Write a QGIS project with a print layout: a heat map, and the sensors that made it.
 
     Files are named relative to the project, so that a folder with all of them can be moved.
 
@@ -39,7 +46,11 @@ def write_qgis_project(
     sensors : str or Path, optional
         GeoPackage of :func:`gis_radar.write_sensors`.
     title : str
-        Of the project; by default the file's name.
+        Of the project and the layout; by default the file's name.
+    time_zone : str
+        Of the time on the layout, such as `Europe/Berlin`.
+    source : str
+        Where the data come from, as the layout says it.
 
     Raises
     ------
@@ -47,25 +58,37 @@ def write_qgis_project(
         If the name does not end in `.qgz`.
     InputError
         If the folder holds no heat map.
+    OutputError
+        If there is a project that somebody has edited.
     """
     path = Path(path)
     if path.suffix.lower() != ".qgz":
         raise UsageError(f"{path}: a QGIS project ends in .qgz", hint="end the name in .qgz")
     package = Path(heatmap) / "heatmap.gpkg"
+    if was_edited(path):
+        raise OutputError(f"{path}: somebody has edited this project", hint="name another output")
     view, span = _view(package), _span(package)
     length_s = span.step_s if span is not None else 0.0
     groups = [traffic_group(Path(heatmap).resolve(), length_s)]
     if sensors is not None:
         groups.insert(0, sensor_group(Path(sensors).resolve()))
     home = path.resolve().parent
-    text = project_xml(title or path.stem, groups, view, span, home)
-    with whole_file(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
-        # Without a time of its own: the same results give the same file.
-        archive.writestr(zipfile.ZipInfo(f"{path.stem}.qgs"), text, zipfile.ZIP_DEFLATED)
+    time = "" if span is None else _local_time(span, time_zone)
+    texts = Texts(title=title or path.stem, time=time, source=source)
+    write_project_file(path, project_xml(texts, groups, view, span, home))
 
 
-def write_site_project(folder: str | Path, *, title: str = "") -> list[Path]:
+def write_site_project(
+    folder: str | Path,
+    *,
+    title: str = "",
+    time_zone: str = "UTC",
+    source: str = "",
+    reporter: Reporter = QUIET,
+) -> list[Path]:
     """Write the layers of the sensors and the project into the folder of a site's results.
+
+    A project that somebody has edited stays as it is; the new one is put beside it.
 
     Parameters
     ----------
@@ -75,20 +98,30 @@ def write_site_project(folder: str | Path, *, title: str = "") -> list[Path]:
         `occupancy/`, all sensors are shown.
     title : str
         Of the project; by default the folder's name.
+    time_zone, source : str
+        As :func:`write_qgis_project` takes them.
+    reporter : Reporter
+        Hears where an edited project is in the way.
 
     Returns
     -------
     list of Path
-        `sensors.gpkg`, where there is a pose, and `site.qgz`.
+        `sensors.gpkg`, where there is a pose, and `site.qgz`; `site_2.qgz` where that was edited.
     """
     folder = Path(folder)
     poses = _poses(folder)
     sensors = folder / "sensors.gpkg" if poses else None
     if sensors is not None:
         write_sensors([read_track(path).poses[-1] for path in poses], sensors)
-    project = folder / "site.qgz"
-    name = title or folder.resolve().name
-    write_qgis_project(project, heatmap=folder / "heatmap", sensors=sensors, title=name)
+    project = unedited_name(folder / "site.qgz")
+    if project.name != "site.qgz":
+        reporter.log(
+            f"site.qgz was edited and stays as it is; the new project is {project.name}", "warning"
+        )
+    write_qgis_project(
+        project, heatmap=folder / "heatmap", sensors=sensors,
+        title=title or folder.resolve().name, time_zone=time_zone, source=source,
+    )  # fmt: skip
     return [path for path in (sensors, project) if path is not None]
 
 
@@ -128,3 +161,13 @@ def _span(package: Path) -> Span | None:
         return None
     length_s = seconds_from_iso(first_end, what="end") - seconds_from_iso(begin, what="begin")
     return Span(begin=begin, end=end, step_s=round(length_s, 3))
+
+
+def _local_time(span: Span, time_zone: str) -> str:
+    """Return the time that a project covers as people there read it."""
+    zone = zone_of(time_zone)
+    begin, end = (datetime.fromisoformat(text).astimezone(zone) for text in (span.begin, span.end))
+    clock = "%H:%M:%S" if begin.second or end.second else "%H:%M"
+    day = f"%Y-%m-%d {clock}"
+    last = end.strftime(clock if begin.date() == end.date() else day)
+    return f"{begin.strftime(day)} \u2013 {last} ({time_zone})"

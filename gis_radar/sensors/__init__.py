@@ -1,11 +1,5 @@
 """Sensors as layers of a map: where they stand, what they see, how well that is known."""
 
-from gis_radar.sensors.layers import (
-    SENSORS,
-    UNCERTAINTY,
-    VIEWS,
-    plane_covariance,
-    write_sensors,
-)
+from gis_radar.sensors.layers import SENSORS, UNCERTAINTY, VIEWS, write_sensors
 
-__all__ = ["SENSORS", "UNCERTAINTY", "VIEWS", "plane_covariance", "write_sensors"]
+__all__ = ["SENSORS", "UNCERTAINTY", "VIEWS", "write_sensors"]

@@ -10,22 +10,19 @@ from pathlib import Path
 from typing import Any
 
 import geopandas as gpd
-import numpy as np
 import pyogrio
 import shapely
 
-from gis_radar.arrays import Floats
 from gis_radar.crs import require_same
-from gis_radar.errors import InputError, UsageError
+from gis_radar.errors import UsageError
 from gis_radar.layer_styles import add_styles
 from gis_radar.outputs import whole_file
 from gis_radar.pose import ANGLES, POSITION, Pose, View
+from gis_radar.sensor_shapes import ellipse
 from gis_radar.sensors import style
 
 SENSORS, VIEWS, UNCERTAINTY = "sensors", "views", "uncertainty"
 VERSION = "1.2"  # the GDAL of QGIS 3.40 warns of later ones
-_ARC_DEG = 2.0
-_CHI2_95 = -2.0 * math.log(0.05)  # of two degrees of freedom
 _SIGMA = (*POSITION, *ANGLES)
 _EVIDENCE = ("fitness", "converged", "observable", "method", "time", "frames")
 
@@ -93,31 +90,12 @@ def _text(value: Any) -> str | None:
 
 def _views(poses: Sequence[Pose]) -> gpd.GeoDataFrame:
     rows = [{"sensor": pose.sensor, **vars(pose.view or View())} for pose in poses]
-    shapes = [view_outline(pose) for pose in poses]
+    shapes = [pose.outline() for pose in poses]
     return gpd.GeoDataFrame(rows, geometry=shapes, crs=poses[0].crs)
 
 
-def view_outline(pose: Pose) -> shapely.Polygon:
-    """Return what a sensor's azimuth and range reach in the map, seen from above.
-
-    The rim is the view's azimuths at elevation 0 in the sensor frame, turned by the whole pose:
-    a sensor that hangs upside down or looks down is drawn where it looks.
-    """
-    view = pose.view or View()
-    half = math.radians(view.azimuth_deg) / 2
-    steps = max(2, math.ceil(view.azimuth_deg / _ARC_DEG) + 1)
-    angle = np.linspace(-half, half, steps)
-    rays = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(steps)])
-    flat = (rays @ pose.R_map_sensor.T)[:, :2]
-    centre = pose.position[:2]
-    outer, inner = (centre + flat * reach for reach in (view.max_range_m, view.min_range_m))
-    if view.azimuth_deg >= 360.0:
-        return shapely.Polygon(outer, [inner])
-    return shapely.Polygon(np.concatenate([outer, inner[::-1]]))
-
-
 def _ellipses(poses: Sequence[Pose]) -> gpd.GeoDataFrame:
-    known = [(pose, cov) for pose in poses if (cov := plane_covariance(pose)) is not None]
+    known = [(pose, cov) for pose in poses if (cov := pose.plane_covariance()) is not None]
     rows = {
         "sensor": [pose.sensor for pose, _ in known],
         "sigma_easting": [math.sqrt(cov[0, 0]) for _, cov in known],
@@ -125,44 +103,3 @@ def _ellipses(poses: Sequence[Pose]) -> gpd.GeoDataFrame:
     }
     shapes = [ellipse(pose.position[:2], cov) for pose, cov in known]
     return gpd.GeoDataFrame(rows, geometry=shapes, crs=poses[0].crs)
-
-
-def ellipse(centre: Floats, covariance: Floats) -> shapely.Polygon:
-    """Return the ellipse that holds the true place with 95 % probability.
-
-    Parameters
-    ----------
-    centre : (2,) array
-        Easting, northing, metres.
-    covariance : (2, 2) array
-        Of easting and northing, m^2.
-    """
-    values, axes = np.linalg.eigh(covariance)
-    half_m = np.sqrt(np.maximum(values, 0.0) * _CHI2_95)
-    angle = np.linspace(0.0, 2 * math.pi, 73)
-    return shapely.Polygon(
-        centre + np.column_stack([np.cos(angle), np.sin(angle)]) * half_m @ axes.T
-    )
-
-
-def plane_covariance(pose: Pose) -> Floats | None:
-    """Return the covariance of easting and northing, m^2, or None where the pose does not say.
-
-    Raises
-    ------
-    InputError
-        If the covariance of the pose is not 6 x 6 finite numbers.
-    """
-    whole = pose.evidence.get("covariance")
-    sigma = pose.evidence.get("sigma") or {}
-    if whole is None:
-        if not all(isinstance(sigma.get(name), int | float) for name in POSITION[:2]):
-            return None
-        return np.diag([float(sigma[name]) ** 2 for name in POSITION[:2]])
-    try:
-        matrix = np.asarray(whole, dtype=np.float64)
-    except (TypeError, ValueError):
-        matrix = np.empty(0)
-    if matrix.shape != (6, 6) or not np.isfinite(matrix).all():
-        raise InputError(f"pose of {pose.sensor}: covariance is not 6 x 6 finite numbers")
-    return np.asarray((matrix[:2, :2] + matrix[:2, :2].T) / 2)

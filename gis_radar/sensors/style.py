@@ -13,6 +13,12 @@ VIEW = "29,78,216,255"
 _DOCTYPE = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>"
 _GRID_BEARING = '90 - "yaw"'  # a marker turns clockwise from up, yaw anticlockwise from east
 _EXPRESSION = "3"
+_OVER_POINT = "1"
+_DISTANCE_MM = 2.5
+# A label stands behind its sensor, so that it leaves the arrow free: eighths of a turn from east.
+_EIGHTH = '(round((("yaw" + 900) % 360) / 45) % 8)'
+_QUADRANT = f"array_get(array(5, 2, 1, 0, 3, 6, 7, 8), {_EIGHTH})"
+_ASIDE = f'array(-{_DISTANCE_MM} * cos(radians("yaw")), {_DISTANCE_MM} * sin(radians("yaw")))'
 _LABEL = (
     "\"sensor\" || coalesce(' ± ' || "
     "format_number(sqrt(\"sigma_easting\"^2 + \"sigma_northing\"^2), 2) || ' m', '')"
@@ -27,11 +33,23 @@ def sensors_qml() -> str:
         "name": "arrow", "size": "8", "color": VIEW, "outline_color": "255,255,255,255",
         "outline_width": "0.4", "vertical_anchor_point": "2",
     }  # fmt: skip
-    _turned(_layer(symbol, "SimpleMarker", arrow))
+    turned = _layer(symbol, "SimpleMarker", arrow)
+    _given(SubElement(turned, "data_defined_properties"), angle=_GRID_BEARING)
     dot = {"name": "circle", "size": "2.6", "color": INK, "outline_color": "255,255,255,255"}
     _layer(symbol, "SimpleMarker", dot)
     _label(root)
     return _document(root, geometry="0")
+
+
+def legend_symbol() -> str:
+    """Return what a legend shows for a sensor: it looks along the line, which takes less room."""
+    symbol = Element("symbol", type="marker", name="0", alpha="1", clip_to_extent="1")
+    arrow = {"name": "arrow", "size": "4.4", "angle": "90", "color": VIEW, "outline_style": "no",
+             "offset": "0,-1"}  # fmt: skip
+    _layer(symbol, "SimpleMarker", arrow)
+    dot = {"name": "circle", "size": "2.4", "color": INK, "outline_style": "no", "offset": "-2,0"}
+    _layer(symbol, "SimpleMarker", dot)
+    return tostring(symbol, encoding="unicode")
 
 
 def views_qml() -> str:
@@ -86,13 +104,15 @@ def _options(parent: Element, values: dict[str, str]) -> Element:
     return options
 
 
-def _turned(layer: Element) -> None:
-    whole = SubElement(SubElement(layer, "data_defined_properties"), "Option", type="Map")
+def _given(parent: Element, **expressions: str) -> None:
+    """Let properties follow from a row."""
+    whole = SubElement(parent, "Option", type="Map")
     properties = SubElement(whole, "Option", name="properties", type="Map")
-    angle = SubElement(properties, "Option", name="angle", type="Map")
-    SubElement(angle, "Option", name="active", type="bool", value="true")
-    SubElement(angle, "Option", name="expression", type="QString", value=_GRID_BEARING)
-    SubElement(angle, "Option", name="type", type="int", value=_EXPRESSION)
+    for name, expression in expressions.items():
+        one = SubElement(properties, "Option", name=name, type="Map")
+        SubElement(one, "Option", name="active", type="bool", value="true")
+        SubElement(one, "Option", name="expression", type="QString", value=expression)
+        SubElement(one, "Option", name="type", type="int", value=_EXPRESSION)
     SubElement(whole, "Option", name="type", type="QString", value="collection")
 
 
@@ -107,8 +127,12 @@ def _label(root: Element) -> None:
         text, "text-buffer", bufferDraw="1", bufferSize="0.9", bufferSizeUnits="MM",
         bufferColor="255,255,255,255", bufferOpacity="0.9", bufferJoinStyle="128",
     )  # fmt: skip
-    SubElement(settings, "placement", placement="0", dist="3", distUnits="MM", priority="8")
+    SubElement(
+        settings, "placement", placement=_OVER_POINT, offsetUnits="MM", xOffset="0", yOffset="0",
+        quadOffset="4", priority="8", overlapHandling="AllowOverlapIfRequired",
+    )  # fmt: skip
     SubElement(settings, "rendering", drawLabels="1", obstacle="0", scaleVisibility="0")
+    _given(SubElement(settings, "dd_properties"), OffsetQuad=_QUADRANT, OffsetXY=_ASIDE)
 
 
 def _document(root: Element, *, geometry: str) -> str:

@@ -25,6 +25,7 @@ from .worker import find_python, plugin_version, same_series, worker_version
 PROVIDER = "gisradar"
 SETTING = "gis_radar/worker_python"
 ICONS = Path(__file__).parent / "icons"
+ALL_STAGES = "all stages"  # as a site's run calls them
 SITE, TRAFFIC, RESULTS, SET_UP = "Site", "Traffic", "Results", "Set-up"
 
 
@@ -43,15 +44,26 @@ class Heard(Listener):
 
     def __init__(self, feedback: Any) -> None:
         self._feedback = feedback
-        self._stage = ""
+        self._shares: dict[str, float] = {}  # of the stages heard of, how much is done
+        self._ended, self._stages = 0.0, 0.0  # of a site's run, once it says so
+        self._percent = 0.0
 
     def progress(self, stage: str, done: float, total: float | None) -> None:
-        """Show the stage and how far it is."""
-        if stage != self._stage:
-            self._stage = stage
-            self._feedback.setProgressText(tr(stage))
-        if total:
-            self._feedback.setProgress(min(100.0, 100.0 * done / total))
+        """Show the stage, and how far it is; of a site's run, how far all stages are."""
+        if stage == ALL_STAGES:
+            self._ended, self._stages = done, total or 0.0
+        else:
+            # Stages at work at once take turns in telling: each is named once.
+            if stage not in self._shares:
+                self._feedback.setProgressText(stage_words(stage))
+            self._shares[stage] = min(1.0, done / total) if total else 0.0
+        if self._stages:
+            begun = sum(share for share in self._shares.values() if share < 1.0)
+            percent = 100.0 * min(1.0, (self._ended + begun) / self._stages)
+            self._percent = max(self._percent, percent)
+            self._feedback.setProgress(self._percent)
+        elif total:
+            self._feedback.setProgress(100.0 * self._shares[stage])
 
     def log(self, message: str, level: str) -> None:
         """Show a remark."""
@@ -199,16 +211,38 @@ class WorkerAlgorithm(Algorithm):
                     again = tr("run 'Set up the worker' again.")
                     raise WorkerError(f"{text} {again}") from error
                 raise
-        for name, value in answer.summary.items():
-            feedback.pushInfo(f"{tr(name.replace('_', ' '))}: {readable(value)}")
+        for line in summary_lines(answer.summary):
+            feedback.pushInfo(line)
         return answer
+
+
+def stage_words(stage: str) -> str:
+    """Return a stage in the user's language; `localize R1` has the name of a sensor in it."""
+    if tr(stage) != stage:
+        return tr(stage)
+    work, _, sensor = stage.rpartition(" ")
+    return f"{tr(work)} {sensor}" if work else stage
+
+
+def summary_lines(summary: dict[str, Any]) -> list[str]:
+    """Return a line for each figure; those of each sensor stand in a line of their own."""
+    lines = []
+    for name, value in summary.items():
+        title = tr(name.replace("_", " "))
+        if isinstance(value, dict) and all(isinstance(part, dict) for part in value.values()):
+            lines += [f"{title}: {key}: {readable(part)}" for key, part in value.items()]
+        else:
+            lines.append(f"{title}: {readable(value)}")
+    return lines
 
 
 def readable(value: Any) -> str:
     """Return a figure as a person would write it."""
+    if isinstance(value, dict):
+        return ", ".join(f"{tr(k.replace('_', ' '))} {readable(v)}" for k, v in value.items())
     if isinstance(value, float):
         return f"{value:.4g}" if abs(value) < 1000 else f"{value:.2f}"
-    if isinstance(value, list | tuple):
+    if isinstance(value, (list, tuple)):
         return ", ".join(readable(item) for item in value)
     return str(value)
 

@@ -10,13 +10,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from .runner import WorkerError, clean_environment, run_command
+from .runner import NO_WINDOW, WorkerError, clean_environment, run_command
 from .worker import forget_versions, python_in, worker_version
 
 OLDEST = (3, 11)
 BUNDLED = Path(__file__).parent / "worker"
 _NAMES = ("python3.13", "python3.12", "python3.11", "python3", "python")
 _ASK = "import sys; print('%d.%d' % sys.version_info[:2])"
+_GRACE_S = 0.3  # pip and venv do not notice that they are let go: they are ended
 _PACKAGES = 45  # about as many as gis_radar brings along; only the progress bar counts them
 
 
@@ -104,6 +105,7 @@ def _is_new_enough(python: str) -> bool:
             encoding="utf-8",
             timeout=30,
             env=clean_environment(os.environ),
+            creationflags=NO_WINDOW,
             check=True,
         )
         major, minor = done.stdout.strip().split(".")
@@ -207,7 +209,7 @@ def _run(command: Sequence[str], teller: Teller, *, counted: bool = False) -> No
             seen += 1
             teller.stage("", 8 + min(84.0, 84.0 * seen / (2 * _PACKAGES)))
 
-    code, _ = run_command(command, hear, teller.cancelled, merged=True)
+    code, _ = run_command(command, hear, teller.cancelled, grace_s=_GRACE_S, merged=True)
     if code != 0:
         raise WorkerError(_why(command[0], last, code))
 

@@ -80,12 +80,16 @@ class LiveLook(QObject):  # type: ignore[misc]
             if isinstance(layer, QgsVectorLayer) and layer.isEditable():
                 continue
             self._stamps[layer.id()] = stamp
-            if before is not None and before != stamp:
+            if before != stamp and (before is not None or not layer.isValid()):
                 self._read(layer)
                 fresh.append(layer.name())
         return fresh
 
     def _read(self, layer: QgsMapLayer) -> None:
+        if not layer.isValid():  # its file was not there when the project was opened
+            layer.setDataSource(layer.source(), layer.name(), layer.providerType(), False)
+            if not layer.isValid():
+                return
         # Setting the source again opens the new file; a reload may go on with the replaced one.
         layer.dataProvider().reloadData()
         layer.reload()

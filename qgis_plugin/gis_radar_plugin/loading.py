@@ -7,12 +7,14 @@ from typing import Any, ClassVar
 
 from qgis.core import (
     Qgis,
+    QgsFillSymbol,
     QgsGraduatedSymbolRenderer,
     QgsMapLayer,
     QgsProcessingContext,
     QgsProcessingLayerPostProcessorInterface,
     QgsProject,
     QgsRasterLayer,
+    QgsSingleSymbolRenderer,
     QgsVectorLayer,
 )
 
@@ -21,6 +23,7 @@ from .words import speaks_german, tr
 
 SHAVED_MS = 10  # as in the style that gis_radar stores
 INTERVALS = "occupancy_by_interval"
+NOT_OBSERVED = "185,189,193,255"
 Finish = Callable[[QgsMapLayer], None]
 
 
@@ -110,6 +113,14 @@ def dress(layer: QgsMapLayer) -> None:
             show_time(layer)
     elif isinstance(layer, QgsRasterLayer):
         _translate_raster(layer)
+    layer.legendChanged.emit()  # the list of layers shows the labels as they were before
+    layer.triggerRepaint()
+
+
+def as_ground(layer: QgsVectorLayer) -> None:
+    """Show all tiles in one grey, below a heat map: it remains where nothing was observed."""
+    look = {"color": NOT_OBSERVED, "outline_color": NOT_OBSERVED, "outline_width": "0.3"}
+    layer.setRenderer(QgsSingleSymbolRenderer(QgsFillSymbol.createSimple(look)))
     layer.triggerRepaint()
 
 

@@ -30,6 +30,7 @@ class GisRadarPlugin:
         self._actions: list[Any] = []
         self._clock: Any = None
         self._live: Any = None
+        self._message: Any = None
 
     def initProcessing(self) -> None:  # noqa: N802
         """Register the algorithms; all that `qgis_process` needs."""
@@ -75,6 +76,7 @@ class GisRadarPlugin:
         import processing  # noqa: PLC0415 - a plugin of QGIS, there once it has started
 
         processing.execAlgorithmDialog(f"{PROVIDER}:setupworker")
+        self._say_no_more()
 
     def _say_what_is_missing(self) -> None:
         try:
@@ -87,7 +89,20 @@ class GisRadarPlugin:
             button = QPushButton(tr("Set up the worker"), message)
             button.clicked.connect(self._set_up)
             message.layout().addWidget(button)
-            self._iface.messageBar().pushWidget(message, Qgis.MessageLevel.Info)
+            self._message = self._iface.messageBar().pushWidget(message, Qgis.MessageLevel.Info)
+            self._message.destroyed.connect(self._forget_message)
+
+    def _say_no_more(self) -> None:
+        """Take the message away once there is a worker."""
+        try:
+            chosen_python()
+        except WorkerError:
+            return
+        if self._message is not None:
+            self._iface.messageBar().popWidget(self._message)
+
+    def _forget_message(self, *_: Any) -> None:
+        self._message = None
 
     def unload(self) -> None:
         """Leave QGIS as it was."""

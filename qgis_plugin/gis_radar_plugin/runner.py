@@ -22,6 +22,7 @@ from dataclasses import dataclass, field
 from typing import IO, Any
 
 GRACE_S = 3.0
+NO_WINDOW: int = getattr(subprocess, "CREATE_NO_WINDOW", 0)  # on Windows a program opens one
 _LISTEN_S = 0.1
 _LAST_LINES = 20
 # What QGIS sets for itself and what would lead another Python's libraries astray.
@@ -181,7 +182,7 @@ def run_command(
 def _start(command: Sequence[str], errors: int) -> subprocess.Popen[str]:
     group: dict[str, Any] = {"start_new_session": True}
     if sys.platform == "win32":
-        group = {"creationflags": subprocess.CREATE_NO_WINDOW}
+        group = {"creationflags": NO_WINDOW}
     try:
         return subprocess.Popen(  # noqa: S603  # nosec B603
             list(command),
@@ -250,7 +251,9 @@ def _stop(process: subprocess.Popen[str], grace_s: float) -> None:
 def _kill(process: subprocess.Popen[str]) -> None:
     if sys.platform == "win32":
         words = ["taskkill", "/F", "/T", "/PID", str(process.pid)]
-        subprocess.run(words, capture_output=True, check=False)  # noqa: S603  # nosec B603
+        subprocess.run(  # noqa: S603  # nosec B603
+            words, capture_output=True, check=False, creationflags=NO_WINDOW
+        )
         process.kill()
         return
     try:

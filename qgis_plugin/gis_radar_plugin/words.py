@@ -23,7 +23,9 @@ def language() -> str:
     """Return the language that QGIS speaks, as two letters."""
     from qgis.core import QgsApplication  # noqa: PLC0415 - the dictionary works without QGIS
 
-    return QgsApplication.instance().locale()[:2] if QgsApplication.instance() else "en"
+    qgis = QgsApplication.instance()
+    # The locale does not know of `qgis --lang de`.
+    return str(qgis.translation() or qgis.locale())[:2] if qgis else "en"
 
 
 def speaks_german() -> bool:

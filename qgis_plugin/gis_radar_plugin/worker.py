@@ -9,7 +9,7 @@ import sys
 from functools import lru_cache
 from pathlib import Path
 
-from .runner import WorkerError, clean_environment
+from .runner import NO_WINDOW, WorkerError, clean_environment
 
 VARIABLE = "GIS_RADAR_PYTHON"
 _PROBE = (
@@ -84,6 +84,7 @@ def _asked(python: str, _changed: float) -> str:
             errors="replace",
             timeout=_PROBE_S,
             env=clean_environment(os.environ),
+            creationflags=NO_WINDOW,
             check=False,
         )
     except (OSError, subprocess.TimeoutExpired) as error:

@@ -33,6 +33,19 @@ def site(tmp_path_factory):
     return folder
 
 
+@pytest.fixture
+def project(site, tmp_path):
+    """A project as a run writes it, in a folder that was moved afterwards."""
+    folder = tmp_path / "moved"
+    subprocess.run(["cp", "-r", str(site), str(folder)], check=True)
+    worker("qgis", folder / "heatmap", "--sensors", folder / "sensors.gpkg",
+           "--title", "Sample", "--timezone", "Europe/Berlin", "--source", "City",
+           "-o", folder / "site.qgz")  # fmt: skip
+    there = tmp_path / "and moved again"
+    folder.rename(there)
+    return there / "site.qgz"
+
+
 @pytest.fixture(scope="session")
 def provider(qgis_app, qgis_processing):
     """The provider, registered as QGIS does it without a window."""
@@ -110,5 +123,5 @@ def call(profiles, *words, inputs=None, **more):
     return subprocess.run(
         ["qgis_process", *words],
         input=json.dumps({"inputs": inputs}, default=str) if inputs is not None else None,
-        capture_output=True, text=True, check=False, timeout=110, env=environment(profiles, **more),
+        capture_output=True, text=True, check=False, timeout=350, env=environment(profiles, **more),
     )  # fmt: skip

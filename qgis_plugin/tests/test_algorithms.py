@@ -103,6 +103,27 @@ def test_cancel(run, site, tmp_path, fake_worker, name):
     assert not made.exists()
 
 
+def test_stages_that_take_turns(run, site, tmp_path, fake_worker):
+    """A site's run tells of several sensors at once: each is named once, the bar only grows."""
+    fake_worker(
+        "def at(stage, done, total):\n"
+        "    say(event='progress', stage=stage, done=done, total=total)\n"
+        "at('all stages', 0, 4)\n"
+        "for share in (10, 50, 99):\n"
+        "    at('localize R1', share, 100)\n    at('localize R2', share, 100)\n"
+        "at('localize R1', 100, 100)\nat('all stages', 1, 4)\nat('occupancy R1', 50, 100)\n"
+        "sensor = {'easting': 690360.041, 'second_look': 'confirms'}\n"
+        "say(event='result', outputs=[], summary={'sensors': {'R1': sensor}, 'tiles': 7})"
+    )
+    parameters, _ = parameters_of("samplesite", site, tmp_path)
+    results, heard = run("samplesite", parameters)
+    assert results is not None
+    assert heard.stages == ["localize R1", "localize R2", "occupancy R1"]
+    assert heard.percents == sorted(heard.percents)
+    assert heard.percents[-1] == pytest.approx(100 * (1 + 0.99 + 0.5) / 4)
+    assert heard.infos[-2:] == ["sensors: R1: easting 690360.04, second look confirms", "tiles: 7"]
+
+
 def test_cancel_of_the_real_worker_leaves_nothing(run, site, tmp_path):
     parameters, made = parameters_of("occupancy", site, tmp_path)
     results, heard = run("occupancy", parameters, feedback=Feedback(cancel_after=1))
@@ -187,9 +208,9 @@ def test_run_of_a_site_loads_all(run, site, tmp_path):
     names = {layer.name() for layer in QgsProject.instance().mapLayers().values()}
     assert names == {
         "Sensors", "Views", "Uncertainty (95 %)", "Occupancy by interval",
-        "Occupancy, whole time", "Occupancy, raster",
+        "Occupancy, whole time", "Occupancy, raster", "Road, not observed",
     }  # fmt: skip
-    tree = QgsProject.instance().layerTreeRoot().findGroup("SITE")
+    tree = QgsProject.instance().layerTreeRoot().findGroup("Sample junction")
     order = [node.name() for node in tree.findLayers()]
     assert order.index("Sensors") < order.index("Occupancy by interval")
 

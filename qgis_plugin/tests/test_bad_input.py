@@ -221,7 +221,6 @@ def test_a_killed_worker_leaves_nothing_beside_its_output(run, site, tmp_path, f
 def test_qgis_dies_during_a_run(site, tmp_path, fake_worker):
     """The worker notices that nobody holds its standard input any more."""
     fake_worker("")  # only for its folder
-    real = os.environ["GIS_RADAR_PYTHON"]
     script = tmp_path / "qgis.py"
     script.write_text(
         "import sys, threading\n"
@@ -231,7 +230,6 @@ def test_qgis_dies_during_a_run(site, tmp_path, fake_worker):
         "    def progress(self, stage, done, total):\n        print(stage, flush=True)\n"
         "run_worker(sys.argv[2], sys.argv[3:], Told())\n"
     )
-    del real
     from conftest import ROOT, WORKER
 
     out = tmp_path / "occ"
@@ -240,10 +238,8 @@ def test_qgis_dies_during_a_run(site, tmp_path, fake_worker):
              "--tiles", str(site / "tiles.gpkg"), "-o", str(out)]  # fmt: skip
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as qgis:
         assert qgis.stdout.readline()
-        children = subprocess.run(
-            ["ps", "-o", "pid=", "--ppid", str(qgis.pid)], capture_output=True, text=True,
-            check=False,
-        ).stdout.split()  # fmt: skip
+        tasks = Path(f"/proc/{qgis.pid}/task").glob("*/children")
+        children = [child for task in tasks for child in task.read_text().split()]
         assert children
         qgis.send_signal(signal.SIGKILL)
     for _ in range(200):

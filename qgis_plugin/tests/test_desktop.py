@@ -144,7 +144,7 @@ def test_the_desktop(profiles, site, screen, tmp_path):
     done = subprocess.run(
         ["qgis", "--nologo", "--noversioncheck", "--profiles-path", str(desktop),
          "--profile", "default", "--code", str(startup)],
-        capture_output=True, text=True, timeout=115, check=False,
+        capture_output=True, text=True, timeout=350, check=False,
         env=environment(profiles, DISPLAY=screen, QT_QPA_PLATFORM="xcb", TZ="Europe/Berlin"),
     )  # fmt: skip
     said = [line[5:] for line in done.stdout.splitlines() if line.startswith("SAID ")]
@@ -153,7 +153,7 @@ def test_the_desktop(profiles, site, screen, tmp_path):
         "mode 1 frames 5",
         "time 2025-06-12 07:30:00",
         "clock ['Thu 2025-06-12 09:30:00 – 09:30:20 (UTC+2)']",
-        "layers 3",
+        "layers 4",
     ]
     pictures = [(SHOTS / name).read_bytes() for name in names]
     assert all(len(picture) > 20_000 for picture in pictures)

@@ -26,6 +26,8 @@ def test_all_algorithms_are_there(profiles):
 def test_they_are_there_in_german(profiles):
     done = call(profiles, "list", LANGUAGE="de", LANG="de_DE.UTF-8", LC_ALL="de_DE.UTF-8")
     assert done.stdout.count("gisradar:") == 10
+    assert "Standortdatei ausführen" in done.stdout
+    assert "Run a site file" not in done.stdout
 
 
 def test_the_version_is_the_projects(profiles):

@@ -83,6 +83,25 @@ def test_a_file_that_is_gone_for_a_moment(shown):
     assert live.look() == ["live"]
 
 
+def test_a_file_that_comes_later(qgis_new_project, provider, site, tmp_path):
+    """A project may be opened before a site has written its first heat map."""
+    from gis_radar_plugin.live import LiveLook
+
+    late = tmp_path / "heatmap.gpkg"
+    layer = QgsVectorLayer(f"{late}|layername=occupancy_by_interval", "late", "ogr")
+    QgsProject.instance().addMapLayer(layer)
+    live = LiveLook()
+    assert live.look() == []
+    late.write_bytes(b"half")  # no GeoPackage yet
+    live.look()
+    assert not layer.isValid()
+    shutil.copy(site / "heatmap" / "heatmap.gpkg", late)
+    assert live.look() == ["late"]
+    assert layer.isValid()
+    assert layer.featureCount() == 5 * 5387
+    assert live.look() == []
+
+
 def test_a_layer_that_is_edited_stays(shown):
     from gis_radar_plugin.live import LiveLook
 

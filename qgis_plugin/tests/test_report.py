@@ -1,9 +1,12 @@
 """Sheets in batch: PDF and PNG over places and intervals, and a project to change them by hand."""
 
+import shutil
+
 import pytest
 from conftest import SAMPLE
 from helpers import Feedback, leftovers, one_sentence
 from qgis.core import (
+    QgsCoordinateReferenceSystem,
     QgsFeature,
     QgsGeometry,
     QgsLayoutItemLabel,
@@ -15,6 +18,7 @@ from qgis.core import (
     QgsProject,
     QgsVectorLayer,
 )
+from qgis.PyQt.QtCore import QDateTime
 from qgis.PyQt.QtGui import QImage
 
 
@@ -106,13 +110,106 @@ def test_a_report_replaces_an_earlier_one(run, report, site):
     before = len(list(report.iterdir()))
     results, heard = run(
         "exportreport",
-        {"HEATMAP": str(site / "heatmap"), "WHAT": 1, "DPI": 60, "OUTPUT": str(report)},
+        {"HEATMAP": str(site / "heatmap"), "WHAT": 1, "OVER": 2, "DPI": 60, "OUTPUT": str(report)},
     )
     assert heard.errors == []
     assert sorted(path.name for path in report.iterdir()) == [
         "Overview_whole.png", "pages.gpkg", "report.pdf", "report.qgz",
     ]  # fmt: skip
     assert before > 4
+
+
+@pytest.mark.parametrize(
+    ("over", "places"), [(0, ["Junction_1", "Overview"]), (1, ["Overview", "R1", "R2"])]
+)
+def test_places_are_found_without_a_layer(run, site, tmp_path, over, places):
+    """Nothing but a heat map is given: junctions, and sensors from the run's file beside it."""
+    out = tmp_path / "report"
+    call = {"HEATMAP": str(site / "heatmap"), "OVER": over, "WHAT": 1, "DPI": 60}
+    results, heard = run("exportreport", call | {"OUTPUT": str(out)})
+    assert heard.errors == []
+    assert sorted(path.stem for path in out.glob("*.png")) == [f"{name}_whole" for name in places]
+    assert QgsProject.instance().read(str(out / "report.qgz"))
+    assert len(QgsProject.instance().mapLayersByName("Sensors")) == 1
+
+
+def lanes(*rows):
+    """Tiles of straight lanes: id, height, observed time, and the points on them."""
+    layer = QgsVectorLayer(
+        "Polygon?crs=EPSG:25832&field=lanelet_id:integer&field=index:integer"
+        "&field=height_m:double&field=observed_s:double", "heatmap", "memory",
+    )  # fmt: skip
+    for lanelet, height, observed, start, step in rows:
+        for index in range(60):
+            row = QgsFeature(layer.fields())
+            row.setAttributes([lanelet, index, height, observed])
+            x, y = start[0] + index * step[0], start[1] + index * step[1]
+            row.setGeometry(QgsGeometry.fromPointXY(QgsPointXY(x, y)).buffer(0.25, 1))
+            assert layer.dataProvider().addFeatures([row])[0]
+    return layer
+
+
+@pytest.mark.parametrize(
+    ("second", "number"),
+    [
+        ((2, 0.0, 9.0, (15.0, -15.0), (0.0, 0.5)), 1),  # across
+        ((2, None, 9.0, (15.0, -15.0), (0.0, 0.5)), 1),  # across, its height not known
+        ((2, 6.0, 9.0, (15.0, -15.0), (0.0, 0.5)), 0),  # a bridge
+        ((2, 0.0, 0.0, (15.0, -15.0), (0.0, 0.5)), 0),  # across, never observed
+        ((2, 0.0, 9.0, (0.0, 0.4), (0.5, 0.0)), 0),  # beside
+        ((2, 0.0, 9.0, (0.0, -2.0), (0.5, 0.1)), 0),  # merging
+    ],
+)
+def test_what_is_a_junction(qgis_app, second, number):
+    from gis_radar_plugin.report.junctions import junctions_of
+
+    boxes = junctions_of(lanes((1, 0.0, 9.0, (0.0, 0.0), (0.5, 0.0)), second))
+    assert len(boxes) == number
+    for box in boxes:
+        assert abs(box.center().x() - 15.0) < 2.0
+        assert abs(box.center().y()) < 2.0
+
+
+def test_junctions_far_apart_are_two(qgis_app):
+    from gis_radar_plugin.report.junctions import junctions_of
+
+    across = [(2, 0.0, 9.0, (2.0, -5.0), (0.0, 0.5)), (3, 0.0, 9.0, (60.0, -5.0), (0.0, 0.5))]
+    near = (4, 0.0, 9.0, (8.0, -5.0), (0.0, 0.5))
+    boxes = junctions_of(lanes((1, 0.0, 9.0, (0.0, 0.0), (1.2, 0.0)), near, *across))
+    assert [round(box.center().x() / 10) for box in boxes] in ([0, 6], [1, 6], [6, 0], [6, 1])
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        ("Point", "has no coordinate system"),
+        ("Point?crs=EPSG:25832", "holds nothing"),
+        ("Point?crs=EPSG:4326", "has a place that is none on earth: Place 1"),
+    ],
+)
+def test_places_that_are_none(run, site, tmp_path, kind, said):
+    layer = QgsVectorLayer(kind, "mine", "memory")
+    if said.startswith("has no"):
+        layer.setCrs(QgsCoordinateReferenceSystem())
+    if "on earth" in said:
+        row = QgsFeature()
+        row.setGeometry(QgsGeometry.fromPointXY(QgsPointXY(400.0, 95.0)))
+        assert layer.dataProvider().addFeatures([row])[0]
+    QgsProject.instance().addMapLayer(layer)
+    call = {"HEATMAP": str(site / "heatmap"), "PLACES": layer.id()}
+    results, heard = run("exportreport", call | {"OUTPUT": str(tmp_path / "report")})
+    assert results is None
+    assert said in one_sentence(heard)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_sensors_that_are_missing_are_told(run, site, tmp_path):
+    heat = tmp_path / "heatmap"
+    shutil.copytree(site / "heatmap", heat)
+    call = {"HEATMAP": str(heat), "OVER": 1, "OUTPUT": str(tmp_path / "report")}
+    results, heard = run("exportreport", call)
+    assert results is None
+    assert one_sentence(heard) == "There are no sensors: name their file."
 
 
 def test_a_cancelled_report_leaves_nothing(run, site, tmp_path):
@@ -132,6 +229,8 @@ def test_a_cancelled_report_leaves_nothing(run, site, tmp_path):
         ({"TIME_ZONE": "Middle/Earth"}, "'Middle/Earth' is no time zone"),
         ({"HEATMAP": str(SAMPLE)}, "is no heat map"),
         ({"OUTPUT": "/proc/gis_radar/report"}, "/proc/gis_radar"),
+        ({"SENSORS": "/nowhere/sensors.gpkg"}, "/nowhere/sensors.gpkg is no file of sensors"),
+        ({"SENSORS": "/nowhere/sensors.gpkg", "OVER": 1}, "is no file of sensors"),
     ],
 )
 def test_refusals(run, site, tmp_path, given, said):
@@ -142,9 +241,42 @@ def test_refusals(run, site, tmp_path, given, said):
     assert leftovers(tmp_path) == []
 
 
-def test_a_folder_of_others_is_left_alone(run, site, tmp_path):
-    (tmp_path / "notes.txt").touch()
+@pytest.mark.parametrize("name", ["notes.txt", "photo.png"])
+def test_a_folder_of_others_is_left_alone(run, site, tmp_path, name):
+    (tmp_path / name).touch()
     call = {"HEATMAP": str(site / "heatmap"), "OUTPUT": str(tmp_path)}
     results, heard = run("exportreport", call)
     assert results is None
-    assert "notes.txt" in one_sentence(heard)
+    assert name in one_sentence(heard)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+def test_a_picture_among_those_of_a_report_is_left_alone(run, report, site):
+    (report / "photo.png").touch()
+    before = sorted(report.iterdir())
+    call = {"HEATMAP": str(site / "heatmap"), "OUTPUT": str(report)}
+    results, heard = run("exportreport", call)
+    assert results is None
+    assert "photo.png" in one_sentence(heard)
+    assert sorted(report.iterdir()) == before
+
+
+def test_places_whose_files_would_be_one(qgis_app):
+    from gis_radar_plugin.report.pages import Page, Place, _distinct
+
+    frame, time = QgsGeometry(), QDateTime.currentDateTimeUtc()
+    places = _distinct([Place(name, frame) for name in ("Ost/West", "Ost West", "ost west", "Süd")])
+    files = [Page(place, time, time, whole=True).file_name().lower() for place in places]
+    assert len(set(files)) == 4
+
+
+def test_one_interval_is_the_whole_time(qgis_app):
+    """A heat map without intervals has no page twice."""
+    from gis_radar_plugin.report.pages import Place, pages_of
+
+    time = QDateTime.currentDateTimeUtc()
+    place, spans = Place("all", QgsGeometry()), [(time, time.addSecs(60))]
+    assert [page.whole for page in pages_of([place], spans, whole=True, each=True)] == [True]
+    assert [page.whole for page in pages_of([place], spans, whole=False, each=True)] == [False]
+    spans.append((time.addSecs(60), time.addSecs(120)))
+    assert len(list(pages_of([place], spans, whole=True, each=True))) == 3

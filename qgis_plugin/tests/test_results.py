@@ -3,21 +3,20 @@
 import runpy
 import subprocess
 import sys
-import zipfile
 from pathlib import Path
 
 import pytest
-from conftest import ROOT, SAMPLE, worker
+from conftest import ROOT, SAMPLE
 from helpers import layer_called
 from qgis.core import (
     Qgis,
     QgsDateTimeRange,
     QgsFeatureRequest,
     QgsGraduatedSymbolRenderer,
+    QgsLayerTreeModel,
     QgsMapRendererSequentialJob,
     QgsMapSettings,
     QgsProject,
-    QgsRasterLayer,
     QgsVectorLayer,
     QgsVectorLayerTemporalContext,
 )
@@ -75,6 +74,24 @@ def test_the_style_is_the_one_of_all_maps(heatmap):
     raster = layer_called("Occupancy, raster")
     items = raster.renderer().shader().rasterShaderFunction().colorRampItemList()
     assert [item.color.name() for item in items] == [level.colour for level in STYLE["levels"]()]
+
+
+def test_the_list_of_layers_speaks_german(heatmap, monkeypatch):
+    """Its legend was made as the layer was loaded, before the labels were translated."""
+    from gis_radar_plugin import loading, words
+
+    layer = layer_called("Occupancy by interval")
+    model = QgsLayerTreeModel(QgsProject.instance().layerTreeRoot())
+
+    def labels():
+        node = model.rootGroup().findLayer(layer.id())
+        said = [part.data(Qt.ItemDataRole.DisplayRole) for part in model.layerLegendNodes(node)]
+        return [label for label in said if "%" in label]
+
+    assert "0 %, never hit" in labels()
+    monkeypatch.setattr(words, "language", lambda: "de")
+    loading.dress(layer)
+    assert labels()[:3] == ["0 %, nie getroffen", "bis 0,5 %", "0,5 bis 1 %"]
 
 
 def test_not_observed_is_transparent(heatmap):
@@ -144,6 +161,7 @@ def test_layers_of_a_heat_map_are_a_group(heatmap):
         "Occupancy by interval": True,
         "Occupancy, whole time": False,
         "Occupancy, raster": False,
+        "Road, not observed": True,
     }
     assert group.findLayers()[0].name() == "Occupancy by interval"
 
@@ -220,62 +238,3 @@ def test_the_sensor_comes_with_view_and_ellipse(run, site, tmp_path):
     page = Path(results["REPORT"]).read_text(encoding="utf-8")
     assert "R1.png" in page
     assert "fitness" in page
-
-
-@pytest.fixture
-def project(site, tmp_path):
-    """A project as a run writes it, in a folder that was moved afterwards."""
-    folder = tmp_path / "moved"
-    subprocess.run(["cp", "-r", str(site), str(folder)], check=True)
-    worker("qgis", folder / "heatmap", "--sensors", folder / "sensors.gpkg",
-           "--title", "Sample", "-o", folder / "site.qgz")  # fmt: skip
-    there = tmp_path / "and moved again"
-    folder.rename(there)
-    return there / "site.qgz"
-
-
-def test_the_project_of_a_run_opens(qgis_new_project, project):
-    shown = QgsProject.instance()
-    assert shown.read(str(project))
-    layers = {layer.name(): layer for layer in shown.mapLayers().values()}
-    assert set(layers) == {
-        "Sensors", "Uncertainty (95 %)", "Views",
-        "Occupancy by interval", "Occupancy, whole time", "Occupancy, raster",
-    }  # fmt: skip
-    assert all(layer.isValid() for layer in layers.values())
-    assert shown.crs().authid() == "EPSG:25832"
-    assert shown.title() == "Sample"
-    tree = shown.layerTreeRoot()
-    assert [group.name() for group in tree.findGroups()] == [
-        "Sensors",
-        "Share of the observed time",
-    ]
-    on = {node.name() for node in tree.findLayers() if node.isVisible()}
-    assert on == {"Sensors", "Uncertainty (95 %)", "Views", "Occupancy by interval"}
-    assert all(node.layer() is not None for node in tree.findLayers())
-
-
-def test_the_project_has_style_and_time(qgis_new_project, project):
-    shown = QgsProject.instance()
-    assert shown.read(str(project))
-    layer = layer_called("Occupancy by interval")
-    assert layer.temporalProperties().isActive()
-    assert [step.label() for step in layer.renderer().ranges()] == [
-        level.label for level in STYLE["levels"]()
-    ]
-    assert isinstance(layer_called("Occupancy, raster"), QgsRasterLayer)
-    span = shown.timeSettings().temporalRange()
-    assert span.begin().toString(Qt.DateFormat.ISODate) == "2025-06-12T07:30:00Z"
-    assert span.end().toString(Qt.DateFormat.ISODate) == "2025-06-12T07:31:40Z"
-    assert shown.readNumEntry("TemporalControllerWidget", "/NavigationMode")[0] == 1
-    assert layer_called("Sensors").labelsEnabled()
-    assert colours(drawn(layer, seconds=20)) & {level.colour for level in STYLE["levels"]()}
-    extent = shown.viewSettings().defaultViewExtent()
-    assert extent.contains(690400.0, 5336200.0)
-
-
-def test_the_project_names_no_absolute_path(project):
-    with zipfile.ZipFile(project) as archive:
-        text = archive.read("site.qgs").decode()
-    assert str(project.parent) not in text
-    assert "file:" not in text

@@ -1,6 +1,7 @@
 """'Set up the worker': an environment made from inside QGIS, whole or not at all."""
 
 import os
+import time
 import zipfile
 from pathlib import Path
 
@@ -89,6 +90,26 @@ def test_cancel(run, profile, tmp_path):
     assert results is None
     assert one_sentence(heard) == "Cancelled; nothing was left half-written."
     assert list((profile / "gis_radar").iterdir()) == []
+
+
+def test_cancel_of_a_tool_that_does_not_listen(run, profile, tmp_path):
+    """Neither pip nor venv notices that its standard input ends: it is ended within a second."""
+    from gis_radar_plugin.installer import Teller, Tools, set_up
+    from gis_radar_plugin.runner import CancelledError
+
+    python = tmp_path / "python"
+    python.write_text("#!/usr/bin/python3\nimport time\ntime.sleep(60)\n")
+    python.chmod(0o755)
+
+    class Stopped(Teller):
+        def cancelled(self):
+            return time.monotonic() - began > 0.5
+
+    began = time.monotonic()
+    with pytest.raises(CancelledError):
+        set_up(profile / "worker", "no.whl", Tools(str(python), ""), Stopped())
+    assert time.monotonic() - began < 0.5 + 1.0
+    assert list(profile.iterdir()) == []
 
 
 def test_without_a_package(run, profile):

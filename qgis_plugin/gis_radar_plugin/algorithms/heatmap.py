@@ -23,7 +23,7 @@ from qgis.core import (
 
 from ..base import TRAFFIC, WorkerAlgorithm, option
 from ..inputs import TILE_FIELDS, TILES, layer_file
-from ..loading import INTERVALS, load
+from ..loading import INTERVALS, as_ground, load
 from ..words import tr
 
 INTERVAL = re.compile(r"\d+(\.\d+)?\s*(ms|s|min|h|d)")
@@ -133,3 +133,7 @@ def load_heatmap(context: QgsProcessingContext, folder: Path, group: str) -> Non
     load(context, layers["HEATMAP"], whole, group=group, order=2, visible=False)
     raster = tr("Occupancy, raster")
     load(context, layers["RASTER"], raster, group=group, order=1, visible=False)
+    ground = tr("Road, not observed")
+    # In other words, as Processing loads a source once.
+    source = f"{layers['HEATMAP']}|geometrytype=Polygon"
+    load(context, source, ground, group=group, order=0, finish=as_ground)

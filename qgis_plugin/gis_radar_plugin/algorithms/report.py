@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +11,7 @@ from qgis.core import (
     QgsProcessingAlgorithm,
     QgsProcessingContext,
     QgsProcessingException,
+    QgsProcessingFeatureSource,
     QgsProcessingFeedback,
     QgsProcessingOutputFile,
     QgsProcessingParameterEnum,
@@ -38,17 +37,20 @@ from ..report.export import (
     copied,
     explained,
     export,
+    ground_layer,
     heat_layer,
+    refuse_no_sensors,
     sensor_layers,
     write_pages,
 )
+from ..report.folder import earlier, move, private_folder
 from ..report.layout import Texts, make_layout
-from ..report.pages import Page, pages_of, places_of, time_zone
+from ..report.pages import Page, Place, junction_places, pages_of, places_of, time_zone
 from ..timeline import intervals_of
 from ..words import speaks_german, tr
 
-OURS = {PAGES, PDF, PROJECT}
-PNG, MOST_PAGES = ".png", 2000
+MOST_PAGES = 2000
+JUNCTIONS, SENSORS = 0, 1  # what the pages go over
 
 
 class ExportReport(Algorithm):
@@ -60,8 +62,8 @@ class ExportReport(Algorithm):
     HELP = (
         "Prints a heat map as sheets: map, legend, scale bar, north arrow, title, source and time, "
         "one page for each junction or sensor and each interval.\n"
-        "Places are a layer of points or polygons with a name, such as junctions drawn by hand or "
-        "the sensors; without one a page shows the whole map.\n"
+        "Junctions are found where lanes cross; the first pages show the whole map. In their place "
+        "a layer of points or polygons with a name will do, such as places drawn by hand.\n"
         "The folder gets one PDF, a PNG a page, and a project with the print layout, to change it "
         "by hand. It needs no window: qgis_process runs it every night."
     )
@@ -87,8 +89,19 @@ class ExportReport(Algorithm):
             about="A folder from 'Heat map'.",
         )
         self.add(
-            QgsProcessingParameterFeatureSource("PLACES", tr("Places"), [anything], optional=True),
-            about="Junctions or sensors: a page each.",
+            QgsProcessingParameterEnum(
+                "OVER", tr("Pages over"),
+                [tr("the whole map and its junctions"), tr("the whole map and the sensors"),
+                 tr("the whole map")],
+                defaultValue=0,
+            ),
+            about="Junctions are found where observed lanes cross.",
+        )  # fmt: skip
+        self.add(
+            QgsProcessingParameterFeatureSource(
+                "PLACES", tr("Places of your own"), [anything], optional=True
+            ),
+            about="In place of what is chosen above: points or polygons, a page each.",
         )
         self.add(
             QgsProcessingParameterField(
@@ -161,7 +174,7 @@ class ExportReport(Algorithm):
         with one_sentence(), claimed([str(dest)]):
             self._refuse_foreign(dest)
             # Beside the target first: a report appears whole or not at all.
-            with _private_folder(dest) as folder:
+            with private_folder(dest) as folder:
                 project, pages = self._project(parameters, context, folder, zone)
                 texts = Texts(
                     title=self.parameterAsString(parameters, "TITLE", context),
@@ -177,7 +190,7 @@ class ExportReport(Algorithm):
                 names = [path.name for path in files]
                 project.clear()  # lets go of the files
                 del layout
-                _move(folder, dest)
+                move(folder, dest)
         feedback.pushInfo("\n".join(str(dest / name) for name in names))
         return {"OUTPUT": str(dest), "PDF": str(dest / PDF)}
 
@@ -191,16 +204,18 @@ class ExportReport(Algorithm):
         """Return a project with all layers, and the layer of pages."""
         package = Path(self.parameterAsFile(parameters, "HEATMAP", context)) / "heatmap.gpkg"
         whole, each = heat_layer(package, "heatmap"), heat_layer(package, INTERVALS)
-        sensors = self.parameterAsFile(parameters, "SENSORS", context)
-        above = sensor_layers(Path(sensors) if sensors else None)
+        above = sensor_layers(self._sensors(parameters, context))
         below = copied(self.parameterAsLayerList(parameters, "BACKGROUND", context) or [])
         project = QgsProject()
         project.setCrs(whole.crs())
         project.setTransformContext(context.transformContext())
-        for layer in (*above, each, whole, *below):
+        ground = ground_layer(package)
+        for layer in (*above, each, whole, ground, *below):
             project.addMapLayer(layer)
         shown = {
-            one: "|".join(layer.name() for layer in (*above, whole if one else each, *below))
+            one: "|".join(
+                layer.name() for layer in (*above, whole if one else each, ground, *below)
+            )
             for one in (True, False)
         }
         pages = self._pages(parameters, context, whole, each)
@@ -216,13 +231,7 @@ class ExportReport(Algorithm):
         whole: QgsVectorLayer,
         each: QgsVectorLayer,
     ) -> list[Page]:
-        source = self.parameterAsSource(parameters, "PLACES", context)
-        if source is None and parameters.get("PLACES") not in (None, ""):
-            raise QgsProcessingException(tr("The layer of places cannot be read."))
-        names = self.parameterAsStrings(parameters, "NAME", context)
-        radius = self.parameterAsDouble(parameters, "RADIUS", context)
-        frame = QgsGeometry.fromRect(_observed_extent(whole))
-        places = places_of(source, names[0] if names else "", radius, whole.crs(), frame)
+        places = self._places(parameters, context, whole)
         what = self.parameterAsEnum(parameters, "WHAT", context)
         pages = list(pages_of(places, intervals_of(each), whole=what != 2, each=what != 1))
         if len(pages) > MOST_PAGES:
@@ -230,12 +239,46 @@ class ExportReport(Algorithm):
             raise QgsProcessingException(text.format(count=len(pages), most=MOST_PAGES))
         return pages
 
+    def _places(
+        self, parameters: dict[str, Any], context: QgsProcessingContext, whole: QgsVectorLayer
+    ) -> list[Place]:
+        """Return what the pages show: the user's places, or the whole map and what is in it."""
+        radius = self.parameterAsDouble(parameters, "RADIUS", context)
+        source = self.parameterAsSource(parameters, "PLACES", context)
+        if source is not None:
+            names = self.parameterAsStrings(parameters, "NAME", context)
+            return places_of(source, names[0] if names else "", radius, whole.crs())
+        if parameters.get("PLACES") not in (None, ""):
+            raise QgsProcessingException(tr("The layer of places cannot be read."))
+        overview = Place(tr("Overview"), QgsGeometry.fromRect(_observed_extent(whole)))
+        over = self.parameterAsEnum(parameters, "OVER", context)
+        if over == JUNCTIONS:
+            return [overview, *junction_places(whole, radius)]
+        if over == SENSORS:
+            package = self._sensors(parameters, context)
+            if package is None:
+                raise QgsProcessingException(tr("There are no sensors: name their file."))
+            points = QgsVectorLayer(f"{package}|layername=sensors", tr("Sensors"), "ogr")
+            source = QgsProcessingFeatureSource(points, context)
+            return [overview, *places_of(source, "", radius, whole.crs())]
+        return [overview]
+
+    def _sensors(self, parameters: dict[str, Any], context: QgsProcessingContext) -> Path | None:
+        """Return the file of sensors: the one named, or a run's own beside the heat map."""
+        named = self.parameterAsFile(parameters, "SENSORS", context)
+        if named:
+            refuse_no_sensors(Path(named))
+            return Path(named)
+        heat = Path(self.parameterAsFile(parameters, "HEATMAP", context))
+        beside = heat.parent / "sensors.gpkg"
+        return beside if beside.is_file() else None
+
     @staticmethod
     def _refuse_foreign(folder: Path) -> None:
         """Refuse a folder that holds other things than an earlier report."""
         if not folder.is_dir():
             return
-        other = [p.name for p in folder.iterdir() if p.name not in OURS and p.suffix != PNG]
+        other = {path.name for path in folder.iterdir()} - earlier(folder)
         if other:
             text = tr("{folder}: holds '{name}', which is not part of a report: name a new folder.")
             raise QgsProcessingException(text.format(folder=folder, name=min(other)))
@@ -248,41 +291,6 @@ def _observed_extent(layer: QgsVectorLayer) -> Any:
     part.updateExtents(True)
     extent = part.extent()
     return layer.extent() if extent.isEmpty() else extent
-
-
-class _private_folder:  # noqa: N801 - reads as a function
-    """A folder beside the target that is gone afterwards."""
-
-    def __init__(self, dest: Path) -> None:
-        self._dest = dest
-
-    def __enter__(self) -> Path:
-        try:
-            made = tempfile.mkdtemp(
-                prefix=f".{self._dest.name}.", suffix=".part", dir=self._dest.parent
-            )
-        except OSError as error:
-            reason = error.strerror or str(error)
-            text = f"{self._dest}: {tr('cannot be written')}: {reason}"
-            raise QgsProcessingException(text) from error
-        self._folder = Path(made)
-        return self._folder
-
-    def __exit__(self, *_: object) -> None:
-        shutil.rmtree(self._folder, ignore_errors=True)
-
-
-def _move(folder: Path, dest: Path) -> None:
-    """Put the files of a finished report in place of an earlier one's."""
-    try:
-        dest.mkdir(exist_ok=True)
-        for earlier in [*dest.glob("*.png"), *(dest / name for name in OURS)]:
-            earlier.unlink(missing_ok=True)
-        for path in folder.iterdir():
-            path.replace(dest / path.name)
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise QgsProcessingException(f"{dest}: {tr('cannot be written')}: {reason}") from error
 
 
 def _today(zone: QTimeZone) -> str:

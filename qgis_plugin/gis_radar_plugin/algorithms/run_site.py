@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -52,11 +53,20 @@ class RunSite(WorkerAlgorithm):
         self.work(["run", site, "-o", dest], [dest], feedback)
         folder = Path(dest)
         if self.parameterAsBoolean(parameters, "LOAD", context):
-            load_site(context, folder, Path(site).stem)
-        projects = [str(path) for path in sorted(folder.glob("*.qgz"))]
+            load_site(context, folder, title_of(folder) or Path(site).stem)
+        projects = [str(path) for path in sorted(folder.glob("site*.qgz"))]
         for path in projects:
             feedback.pushInfo(tr("Project that is ready to present:") + f" {path}")
         return {"OUTPUT": dest, **layers_of(folder / "heatmap")}
+
+
+def title_of(folder: Path) -> str:
+    """Return what the site of a run is called, empty where the run does not say it."""
+    try:
+        said = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+        return str(said["site"]["title"])
+    except (OSError, ValueError, TypeError, KeyError):
+        return ""
 
 
 def load_site(context: QgsProcessingContext, folder: Path, group: str) -> None:

@@ -18,14 +18,13 @@ from qgis.core import (
     QgsProcessingException,
     QgsProject,
     QgsRasterLayer,
-    QgsSimpleMarkerSymbolLayer,
     QgsVectorFileWriter,
     QgsVectorLayer,
     QgsWkbTypes,
 )
 from qgis.PyQt.QtCore import QMetaType, QTimeZone, QVariant
 
-from ..loading import INTERVALS, switch_time_on, translate_legend
+from ..loading import INTERVALS, as_ground, switch_time_on, translate_legend
 from ..words import tr
 from .pages import Page, local_time
 
@@ -55,9 +54,24 @@ def heat_layer(package: Path, name: str) -> QgsVectorLayer:
     return layer
 
 
+def ground_layer(package: Path) -> QgsVectorLayer:
+    """Return all tiles in grey."""
+    layer = QgsVectorLayer(f"{package}|layername=heatmap", tr("Road, not observed"), "ogr")
+    as_ground(layer)
+    return layer
+
+
 def _title(name: str) -> str:
     titles = {"heatmap": tr("Occupancy, whole time"), INTERVALS: tr("Occupancy by interval")}
     return titles.get(name, name)
+
+
+def refuse_no_sensors(package: Path) -> None:
+    """Refuse a file that is none of sensors, in one sentence."""
+    if not QgsVectorLayer(f"{package}|layername=sensors", "", "ogr").isValid():
+        raise QgsProcessingException(
+            tr("{file} is no file of sensors: it has no layer 'sensors'.").format(file=package)
+        )
 
 
 def sensor_layers(package: Path | None) -> list[QgsMapLayer]:
@@ -68,24 +82,12 @@ def sensor_layers(package: Path | None) -> list[QgsMapLayer]:
         QgsVectorLayer(f"{package}|layername={SENSOR_TABLES[name]}", tr(name), "ogr")
         for name in SENSOR_LAYERS
     ]
-    kept = [layer for layer in layers if layer.isValid() and layer.featureCount() > 0]
-    for layer in kept:
-        if layer.geometryType() == QgsWkbTypes.GeometryType.PointGeometry:
-            _make_room(layer.renderer())
-    return kept
-
-
-def _make_room(renderer: Any) -> None:
-    """Let the legend see how high a sensor's symbol is: the arrow rises above the dot."""
-    symbol = renderer.symbol().clone()
-    room = {"name": "circle", "size": "17", "color": "0,0,0,0", "outline_style": "no"}
-    symbol.appendSymbolLayer(QgsSimpleMarkerSymbolLayer.create(room))
-    renderer.setSymbol(symbol)
+    return [layer for layer in layers if layer.isValid() and layer.featureCount() > 0]
 
 
 def explained(project: QgsProject) -> list[QgsMapLayer]:
-    """Return the layers that the legend explains: occupancy first, then the sensors."""
-    names = (_title("heatmap"), *map(tr, SENSOR_LAYERS))
+    """Return the layers that the legend explains: occupancy and its ground, then the sensors."""
+    names = (_title("heatmap"), tr("Road, not observed"), *map(tr, SENSOR_LAYERS))
     return [layer for name in names for layer in project.mapLayersByName(name)]
 
 

@@ -18,12 +18,16 @@ from qgis.core import (
     QgsLayoutSize,
     QgsLegendRenderer,
     QgsLegendStyle,
+    QgsMapLayerLegendUtils,
+    QgsMarkerSymbol,
     QgsPrintLayout,
     QgsProject,
     QgsProperty,
+    QgsSimpleMarkerSymbolLayer,
     QgsTextFormat,
     QgsUnitTypes,
     QgsVectorLayer,
+    QgsWkbTypes,
 )
 from qgis.PyQt.QtCore import Qt
 from qgis.PyQt.QtGui import QColor, QFont
@@ -33,7 +37,7 @@ from ..words import tr
 
 NAME = "Report"
 MARGIN_MM, WIDTH_MM, HEIGHT_MM = 10.0, 297.0, 210.0
-SIDE_MM, HEAD_MM, FOOT_MM = 58.0, 22.0, 12.0
+SIDE_MM, HEAD_MM, FOOT_MM = 58.0, 20.0, 8.0
 INK, SOFT = "#111827", "#4b5563"
 # A segment of 1, 2 or 5 times a power of ten, at most 22 mm long.
 _ROUND_SEGMENT = """
@@ -147,6 +151,9 @@ def _add_side(
         node = tree.addLayer(layer)
         if layer is layers[0]:  # the title says it already
             QgsLegendRenderer.setNodeLegendStyle(node, QgsLegendStyle.Style.Hidden)
+        if layer.geometryType() == QgsWkbTypes.GeometryType.PointGeometry:
+            QgsMapLayerLegendUtils.setLegendNodeCustomSymbol(node, 0, _lying_sensor())
+            legend.model().refreshLayerLegend(node)
     for kind, size in (
         (QgsLegendStyle.Style.Title, 10), (QgsLegendStyle.Style.Subgroup, 9),
         (QgsLegendStyle.Style.SymbolLabel, 9),
@@ -156,8 +163,16 @@ def _add_side(
     legend.setBackgroundEnabled(False)
     legend.setTitle(_wrapped(legend.title()))
     _put(layout, legend, left - 2, top + 34, SIDE_MM, 80)
-    note = _label(layout, tr("Without colour: not observed by any radar."), 9)
-    _put(layout, note, left, HEIGHT_MM - MARGIN_MM - FOOT_MM - 10, SIDE_MM, 10)
+
+
+def _lying_sensor() -> QgsMarkerSymbol:
+    """Return a sensor as a legend shows it: it looks along the line, which takes less room."""
+    arrow = {"name": "arrow", "size": "4.4", "angle": "90", "color": "29,78,216,255",
+             "outline_style": "no", "offset": "0,-1"}  # fmt: skip
+    dot = {"name": "circle", "size": "2.4", "color": INK, "outline_style": "no", "offset": "-2,0"}
+    symbol = QgsMarkerSymbol.createSimple(arrow)
+    symbol.appendSymbolLayer(QgsSimpleMarkerSymbolLayer.create(dot))
+    return symbol
 
 
 def _wrapped(text: str, width: int = 26) -> str:
@@ -189,7 +204,7 @@ def _scale_bar(layout: QgsPrintLayout, chart: QgsLayoutItemMap) -> QgsLayoutItem
 
 
 def _add_foot(layout: QgsPrintLayout, texts: Texts) -> None:
-    top = HEIGHT_MM - MARGIN_MM - FOOT_MM + 4
+    top = HEIGHT_MM - MARGIN_MM - FOOT_MM + 3
     width = WIDTH_MM - 2 * MARGIN_MM
     source = _label(layout, f"{tr('Source')}: {texts.source}", 8)
     _put(layout, source, MARGIN_MM, top, width - 75, 8)

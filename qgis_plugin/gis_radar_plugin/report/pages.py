@@ -9,16 +9,19 @@ from dataclasses import dataclass
 from qgis.core import (
     QgsCoordinateReferenceSystem,
     QgsCoordinateTransform,
+    QgsCsException,
     QgsFeature,
     QgsFields,
     QgsGeometry,
     QgsProcessingException,
     QgsProcessingFeatureSource,
     QgsProject,
+    QgsVectorLayer,
 )
 from qgis.PyQt.QtCore import QDateTime, QLocale, QTimeZone
 
 from ..words import speaks_german, tr
+from .junctions import junctions_of
 
 NAMES = ("name", "junction", "sensor", "id")
 Interval = tuple[QDateTime, QDateTime]
@@ -61,27 +64,24 @@ class Page:
 
     def file_name(self) -> str:
         """Return a name without characters that a file system might refuse."""
-        place = re.sub(r"[^\w-]+", "_", self.place.name).strip("_") or "page"
+        place = _file_form(self.place.name)
         time = "whole" if self.whole else self.begin.toString("yyyyMMdd'T'HHmmss") + "Z"
         return f"{place}_{time}"
 
 
 def places_of(
-    source: QgsProcessingFeatureSource | None,
+    source: QgsProcessingFeatureSource,
     field: str,
     radius_m: float,
     crs: QgsCoordinateReferenceSystem,
-    whole: QgsGeometry,
 ) -> list[Place]:
-    """Return the places of a layer, each with room around it; without a layer the whole map.
+    """Return the places of a layer, each with room around it.
 
     Raises
     ------
     QgsProcessingException
-        If the layer has no coordinate system or no place.
+        If the layer has no coordinate system or no place, or one that is none on earth.
     """
-    if source is None:
-        return [Place(tr("Overview"), whole)]
     if not source.sourceCrs().isValid():
         text = tr("The layer '{layer}' has no coordinate system: set it first.")
         raise QgsProcessingException(text.format(layer=source.sourceName()))
@@ -92,13 +92,27 @@ def places_of(
         shape = QgsGeometry(row.geometry())
         if shape.isEmpty():
             continue
-        shape.transform(transform)
+        try:
+            shape.transform(transform)
+        except QgsCsException as error:
+            text = tr("The layer '{layer}' has a place that is none on earth: {place}.")
+            called = _called(row, column, number)
+            raise QgsProcessingException(
+                text.format(layer=source.sourceName(), place=called)
+            ) from error
         frame = QgsGeometry.fromRect(shape.boundingBox().buffered(radius_m))
         places.append(Place(_called(row, column, number), frame))
     if not places:
         text = tr("The layer '{layer}' holds nothing, or nothing in it is selected.")
         raise QgsProcessingException(text.format(layer=source.sourceName()))
     return _distinct(places)
+
+
+def junction_places(layer: QgsVectorLayer, radius_m: float) -> list[Place]:
+    """Return the junctions of a heat map, numbered from north to south."""
+    boxes = junctions_of(layer)
+    frames = [QgsGeometry.fromRect(box.buffered(radius_m)) for box in boxes]
+    return [Place(f"{tr('Junction')} {n}", frame) for n, frame in enumerate(frames, start=1)]
 
 
 def _name_field(fields: QgsFields) -> str:
@@ -115,12 +129,17 @@ def _called(row: QgsFeature, column: str, number: int) -> str:
     return text if text and text != "NULL" else f"{tr('Place')} {number}"
 
 
+def _file_form(name: str) -> str:
+    return re.sub(r"[^\w-]+", "_", name).strip("_") or "page"
+
+
 def _distinct(places: Sequence[Place]) -> list[Place]:
     """Give places of one name a number, so that no page takes another's file."""
     seen: dict[str, int] = {}
     named = []
     for place in places:
-        seen[place.name] = count = seen.get(place.name, 0) + 1
+        key = _file_form(place.name).lower()
+        seen[key] = count = seen.get(key, 0) + 1
         named.append(place if count == 1 else Place(f"{place.name} ({count})", place.frame))
     return named
 
@@ -132,7 +151,7 @@ def pages_of(
     for place in places:
         if whole:
             yield Page(place, intervals[0][0], intervals[-1][1], whole=True)
-        if each:
+        if each and not (whole and len(intervals) == 1):  # they would be the same page
             for begin, end in intervals:
                 yield Page(place, begin, end, whole=False)
 
