@@ -11,6 +11,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
+import zipfile
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -35,6 +36,7 @@ from gis_radar.cli.commands import group
 from gis_radar.demo import pose_errors
 from gis_radar.locks import only_writer
 from gis_radar.site_runs import product, work
+from gis_radar.site_runs.execution import discard
 from gis_radar.site_runs.plan import stages_of
 from gis_radar.site_runs.records import Records
 
@@ -121,23 +123,42 @@ def test_the_whole_way(small):
     assert wide["occupied_s"].to_numpy() == pytest.approx(heat.wide()["occupied_s"].to_numpy())
     names = {"road.laz", "tiles.gpkg", "run.json", "summary.md", "sensors/R1/localization.png",
              "heatmap/heatmap.gpkg", "heatmap/heatmap.tif", "heatmap/heatmap.png",
-             "sensors.gpkg", "site.qgz"}  # fmt: skip
+             "sensors.gpkg", "site.qgz", "report.html", "report.pdf", "lanes.csv",
+             "lanes_by_interval.csv", "sensors.csv", "quality.csv"}  # fmt: skip
     assert names <= set(results(out))
 
 
 def test_the_project_shows_the_sensors_of_the_heat_map(small, tmp_path):
     _, out, _ = small
     assert list(gpd.read_file(out / "sensors.gpkg", layer="sensors")["sensor"]) == ["R1", "R2"]
-    assert {"sensors.gpkg", "site.qgz"} <= {
-        name for stage in json.loads((out / "run.json").read_text())["stages"]
-        for name in stage["outputs"]
-    }  # fmt: skip
+    stages = json.loads((out / "run.json").read_text())["stages"]
+    (stage,) = [stage for stage in stages if stage["name"] == "QGIS project"]
+    assert stage["outputs"] == ["sensors.gpkg", "site.qgz"]
     moved = shutil.copytree(out, tmp_path / "moved")
     project = (moved / "site.qgz").read_bytes()
     shutil.rmtree(moved / "occupancy" / "R2")
-    gr.write_site_project(moved, title="Small site")
+    gr.write_site_project(moved, **stage["options"])
     assert list(gpd.read_file(moved / "sensors.gpkg", layer="sensors")["sensor"]) == ["R1"]
     assert (moved / "site.qgz").read_bytes() == project
+
+
+def test_a_run_leaves_a_project_that_was_edited(copied):
+    path, out = copied
+    project, state = out / "site.qgz", out / ".gis-radar"
+    with zipfile.ZipFile(project) as archive:
+        text = archive.read("site.qgs")
+    with zipfile.ZipFile(project, "w") as archive:  # as QGIS saves it
+        archive.writestr("site.qgs", text)
+    edited = project.read_bytes()
+    heard = Listener()
+    first = states(gr.run_site(path, out, reporter=heard))
+    assert first["QGIS project"] == "done"
+    assert "the new project is site_2.qgz" in str(heard.messages)
+    assert set(states(gr.run_site(path, out)).values()) == {"kept"}
+    discard([project, out / "site_2.qgz"])
+    assert project.read_bytes() == edited
+    assert not (out / "site_2.qgz").exists()
+    assert state.is_dir()
 
 
 def test_what_was_in_effect_is_beside_the_results(small):
@@ -327,7 +348,7 @@ def test_what_is_changed_is_done_again_and_what_is_taken_out_is_gone(copied):
     done = gr.run_site(path, out, jobs=1, reporter=heard)
     assert done.failure is None
     assert {name for name, state in states(done).items() if state == "done"} == {
-        "heat map", "QGIS project",
+        "heat map", "QGIS project", "report",
     }  # fmt: skip
     assert not (out / "occupancy" / "R2").exists()
     assert not (out / "sensors" / "R2").exists()

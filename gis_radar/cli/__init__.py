@@ -5,6 +5,7 @@ from gis_radar.cli import (
     for_qgis,
     localize_command,
     occupancy_command,
+    report_command,
     run_command,
 )
 from gis_radar.cli.commands import main
@@ -15,5 +16,6 @@ __all__ = [
     "localize_command",
     "main",
     "occupancy_command",
+    "report_command",
     "run_command",
 ]

@@ -19,6 +19,7 @@ from gis_radar.errors import GisRadarError
 from gis_radar.progress import Level, Reporter
 
 WIDE = 160
+NAMES = {"busiest_tile"}  # whole numbers that name something: no thousands set apart
 MOST_BARS = 8  # with more than that, those that are full make way
 
 
@@ -143,7 +144,8 @@ class HumanDoor(Reporter):
                 # A number that is cut short is a wrong number: rather a line too long.
                 Console(width=max(console.width, WIDE)).print(_grid(name, value))
             else:
-                table.add_row(name.replace("_", " "), Text(_readable(value)))
+                told = str(value) if name in NAMES else _readable(value)
+                table.add_row(name.replace("_", " "), Text(told))
         console.print(table)
         for path in result.outputs:
             console.print(f"wrote {path}", markup=False, highlight=False, soft_wrap=True)
@@ -172,6 +174,8 @@ def _grid(name: str, rows: Mapping[str, Mapping[str, Any]]) -> Table:
 
 
 def _readable(value: Any) -> str:
+    if value is None:
+        return "not known"
     if isinstance(value, float):
         return f"{value:.4g}" if abs(value) < 1000 else f"{value:,.2f}"
     if isinstance(value, list | tuple):

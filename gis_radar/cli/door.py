@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import os
 import signal
 import sys
 from collections.abc import Callable
@@ -70,6 +71,8 @@ def open_door(group: click.Group) -> NoReturn:
         _fail(door, error)
     except (KeyboardInterrupt, click.Abort):
         _fail(door, GisRadarError("interrupted; nothing was left half-written"), INTERRUPTED)
+    except BrokenPipeError:
+        _leave_unheard()
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         _fail(door, OutputError(f"{where}{error.strerror or error}"))
@@ -77,8 +80,17 @@ def open_door(group: click.Group) -> NoReturn:
 
 
 def _fail(door: Door, error: GisRadarError, code: int | None = None) -> NoReturn:
-    door.error(error)
+    try:
+        door.error(error)
+    except BrokenPipeError:
+        _leave_unheard()
     sys.exit(error.exit_code if code is None else code)
+
+
+def _leave_unheard() -> NoReturn:
+    """Leave when nobody listens any more; Python's own flush at exit would complain."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    sys.exit(INTERRUPTED)
 
 
 def _interrupt(_signal: int, _frame: FrameType | None) -> None:

@@ -33,13 +33,24 @@ def sensors(*, poses: tuple[Path, ...], output: Path, reporter: Reporter) -> Res
 @click.argument("heatmap", metavar="HEATMAP", type=FILE)
 @click.option("--sensors", type=FILE, help="From gis-radar sensors.")
 @click.option("--title", default="", help="Of the project; by default the file's name.")
+@click.option("--timezone", default="UTC", show_default=True, help="Of the time on its layout.")
+@click.option("--source", default="", help="Where the data come from, as its layout says it.")
 @output
 def qgis(
-    *, heatmap: Path, sensors: Path | None, title: str, output: Path, reporter: Reporter
+    *,
+    heatmap: Path,
+    sensors: Path | None,
+    title: str,
+    timezone: str,
+    source: str,
+    output: Path,
+    reporter: Reporter,
 ) -> Result:
-    """Write a QGIS project that shows a heat map ready to present."""
+    """Write a QGIS project that shows a heat map ready to present, with a print layout."""
     refuse_inputs(output, heatmap, *[path for path in (sensors,) if path])
-    gr.write_qgis_project(output, heatmap=heatmap, sensors=sensors, title=title)
+    gr.write_qgis_project(
+        output, heatmap=heatmap, sensors=sensors, title=title, time_zone=timezone, source=source
+    )
     reporter.progress("writing the project", 1, 1)
     return Result(outputs=[output])
 

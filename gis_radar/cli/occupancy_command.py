@@ -130,7 +130,8 @@ def _seeing(
         view = gr.View(**given)
     except gr.InputError as error:
         raise gr.UsageError(error.message) from error
-    if given and any(pose.view is not None for pose in track.poses):
+    own = [pose.view for pose in track.poses if pose.view is not None]
+    if any(getattr(each, name) != value for each in own for name, value in given.items()):
         reporter.log(f"the pose of {track.sensor} has a view, which counts", "warning")
     return track.with_view(view)
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from gis_radar.errors import GisRadarError, NoAnswerError, OutputError
 from gis_radar.progress import Reporter
+from gis_radar.project_files import was_edited
 from gis_radar.site_runs.contents import Contents, Stamp, stamp_of
 from gis_radar.site_runs.records import KINDS, Record, Records, key_of
 from gis_radar.site_runs.software import software
@@ -61,14 +62,16 @@ class Execution:
     _begun: dict[str, _Begun] = field(default_factory=dict)
     _said: set[str] = field(default_factory=set)
 
-    def run(self) -> list[Outcome]:
-        """Do all stages; return how each ended, in their order.
+    def run(self, before: Sequence[Outcome] = ()) -> list[Outcome]:
+        """Do all stages but those that have ended `before`; return how each ended, in their order.
 
         Raises
         ------
         GisRadarError
             What went wrong with a stage that all depends on, or with writing.
         """
+        self.outcomes.update({each.stage.name: each for each in before})
+        self.reporter.progress(ALL, len(self.outcomes), len(self.stages))
         try:
             self._go_on()
             for stage, event in self.workers.events():
@@ -211,8 +214,13 @@ class Execution:
 
 
 def discard(paths: Sequence[Path]) -> None:
-    """Remove results that hold no longer, files or folders, and folders that are left empty."""
+    """Remove results that hold no longer, files or folders, and folders that are left empty.
+
+    A QGIS project that somebody has edited is not ours any more and stays.
+    """
     for path in paths:
+        if path.suffix == ".qgz" and was_edited(path):
+            continue
         if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path)
         else:

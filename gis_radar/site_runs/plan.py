@@ -7,12 +7,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from gis_radar.report_files import REPORT_FILES
 from gis_radar.site_runs.sensor import ConvertPart, Sensor
 from gis_radar.site_runs.site import Site
 from gis_radar.site_runs.stage import Stage
 
 OWNED = (
-    "road.", "tiles.gpkg", "sensors", "occupancy", "heatmap", "site.qgz", "run.json", "summary.md",
+    "road.", "tiles.gpkg", "sensors", "occupancy", "heatmap", "site.qgz", "site_", "run.json",
+    "summary.md", *REPORT_FILES,
 )  # fmt: skip
 
 
@@ -198,6 +200,32 @@ def _project(site: Site, poses: list[Stage], folder: Path) -> Stage:
             "poses": tuple(pose.outputs[0] for pose in poses),
             "occupancies": tuple(folder / "occupancy" / each.name for each in site.sensor),
         },
-        options={"title": site.title},
+        options={"title": site.title, "time_zone": site.time_zone, "source": _sources(site)},
         outputs=(folder / "sensors.gpkg", folder / "site.qgz"),
+    )
+
+
+def _sources(site: Site) -> str:
+    """Return where the data come from, in one line, each source once."""
+    named = (site.map.source, site.scan.source if site.scan else None, *site.attribution)
+    return "; ".join(dict.fromkeys(each for each in named if each))
+
+
+def report_of(site: Site, folder: Path) -> Stage:
+    """Return the last stage: the report, which reads what the run says of the others.
+
+    Parameters
+    ----------
+    site : Site
+        From :func:`gis_radar.site_runs.read_site`.
+    folder : Path
+        Where the results go.
+    """
+    return Stage(
+        name="report",
+        work="report",
+        inputs={"heat": (folder / "heatmap",), "told": (folder / "run.json",)},
+        parts={"occupancies": tuple(folder / "occupancy" / each.name for each in site.sensor)},
+        outputs=tuple(folder / name for name in REPORT_FILES),
+        phases=3,
     )

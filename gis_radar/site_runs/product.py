@@ -9,17 +9,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from gis_radar.cards import card
 from gis_radar.errors import GisRadarError, InputError, NoAnswerError, OutputError, UsageError
 from gis_radar.locks import only_writer
 from gis_radar.outputs import refuse_inputs
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.site_runs.contents import Contents
 from gis_radar.site_runs.execution import Execution, discard
-from gis_radar.site_runs.plan import OWNED, stages_of
+from gis_radar.site_runs.plan import OWNED, report_of, stages_of
 from gis_radar.site_runs.records import Records
-from gis_radar.site_runs.report import figures_of, write_report
 from gis_radar.site_runs.site import Site, read_site
 from gis_radar.site_runs.stage import Outcome, Stage
+from gis_radar.site_runs.summary import figures_of, write_summary
 from gis_radar.site_runs.workers import Workers, workers_here
 
 STATE = ".gis-radar"
@@ -45,8 +46,10 @@ class SiteRun:
 
     @property
     def outputs(self) -> list[Path]:
-        """What is there now."""
+        """What is there now, as paths below `folder`."""
+        root = self.folder.resolve()
         made = [p for each in self.outcomes if each.has_result for p in each.stage.outputs]
+        made = [self.folder / p.resolve().relative_to(root) for p in made]
         return [*made, self.folder / "run.json", self.folder / "summary.md"]
 
     @property
@@ -85,6 +88,13 @@ class SiteRun:
     def figures(self) -> Mapping[str, Any]:
         """Return figures worth a look, by name."""
         return figures_of(self.outcomes, self.site)
+
+    def __repr__(self) -> str:
+        lost = [f"; no result for {name}: {why.message}" for name, why in self.missing.items()]
+        return f"SiteRun({self.site!r}, {len(self.outcomes)} stages, {self.folder}{''.join(lost)})"
+
+    def _repr_html_(self) -> str:
+        return card(f"Run of {self.site.title or self.site.path}", self.figures())
 
 
 def run_site(
@@ -132,7 +142,7 @@ def run_site(
         raise UsageError(f"jobs is {jobs}, expected 1 or more")
     site, root = read_site(path), Path(folder).absolute()
     refuse_inputs(root, site.path, *site.inputs)
-    stages = stages_of(site, root)
+    stages, last = stages_of(site, root), report_of(site, root)
     state = _prepared(root)
     with ExitStack() as stack:
         stack.enter_context(only_writer(Path(folder), lock=state / "lock", reporter=reporter))
@@ -140,23 +150,28 @@ def run_site(
         stack.callback(shutil.rmtree, scratch, ignore_errors=True)
         contents = Contents(state / "contents.json")
         records = Records(state / "stages", root)
-        _forget(records, stages, fresh=fresh, reporter=reporter)
+        _forget(records, [*stages, last], fresh=fresh, reporter=reporter)
         _look_at(site, contents, reporter)
-        write_report(site, root, (), contents)
-        execution = Execution(
-            stages=stages,
-            root=root,
-            records=records,
-            contents=contents,
-            workers=Workers(jobs or workers_here(), scratch),
-            reporter=reporter,
+        write_summary(site, root, (), contents)
+        executions = (
+            Execution(
+                stages=some,
+                root=root,
+                records=records,
+                contents=contents,
+                workers=Workers(jobs or workers_here(), scratch),
+                reporter=reporter,
+            )
+            for some in (stages, [*stages, last])
         )
         try:
-            outcomes = execution.run()
+            outcomes = next(executions).run()
+            write_summary(site, root, outcomes, contents)
+            # The report tells of the other stages, so it comes once they are all told of.
+            outcomes = next(executions).run(outcomes)
         except KeyboardInterrupt:
             reporter.log("stopped; what is done stays done: the same call goes on from there")
             raise
-        write_report(site, root, outcomes, contents)
         contents.save()
     return SiteRun(site=site, folder=Path(folder), outcomes=outcomes)
 

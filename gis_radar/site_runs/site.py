@@ -169,6 +169,10 @@ class Site:
                 hint="add a table [scan] with files, or give poses",
             )
 
+    def __repr__(self) -> str:
+        names = ", ".join(each.name for each in self.sensor)
+        return f"Site({self.title or self.path}: {names})"
+
     @property
     def inputs(self) -> tuple[Path, ...]:
         """All files that a run reads."""
@@ -200,6 +204,13 @@ def read_site(path: str | Path) -> Site:
     InputError
         If it is no TOML, a key is unknown or missing, a value does not fit, or a file that it names
         does not exist. The message names the line, the key and what was expected.
+
+    Examples
+    --------
+    >>> import gis_radar as gr
+    >>> site = gr.read_site(gr.sample_folder() / "SITE.toml")
+    >>> site.title, [sensor.name for sensor in site.sensor]
+    ('Sample junction', ['R1', 'R2'])
     """
     path = Path(path)
     try:

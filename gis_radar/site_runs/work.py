@@ -25,8 +25,8 @@ from gis_radar.pose import View
 from gis_radar.pose_files import PoseTrack, read_track, write_pose
 from gis_radar.progress import Reporter
 from gis_radar.qgis_project import write_site_project
+from gis_radar.report import write_report
 from gis_radar.sensor_clocks import read_clocks
-from gis_radar.sensors import plane_covariance
 from gis_radar.surroundings import require_scans_near, second_look
 from gis_radar.tiles import fingerprint, make_tiles, read_tiles, write_tiles
 
@@ -159,7 +159,7 @@ def take_pose(
 ) -> Figures:
     """Take a pose or a pose track that was given."""
     track = read_track(pose[0])
-    plane_covariance(track.poses[-1])  # told here, a bad one stops this sensor alone
+    track.poses[-1].plane_covariance()  # told here, a bad one stops this sensor alone
     if track.sensor != sensor:
         reporter.log(f"{pose[0]}: is the pose of {track.sensor}, taken for {sensor}")
     if view is not None and any(each.view is not None for each in track.poses):
@@ -216,11 +216,21 @@ def heat_map(
 
 
 def qgis_project(
-    *, heat: Paths, poses: Paths, occupancies: Paths, outputs: Paths, reporter: Reporter,  # noqa: ARG001
-    title: str,
+    *, heat: Paths, poses: Paths, occupancies: Paths, outputs: Paths,  # noqa: ARG001
+    reporter: Reporter, title: str, time_zone: str, source: str,
 ) -> Figures:  # fmt: skip
     """Write the sensors as layers, and the project that shows them on the heat map."""
-    write_site_project(heat[0].parent, title=title)
+    write_site_project(
+        heat[0].parent, title=title, time_zone=time_zone, source=source, reporter=reporter
+    )
+    return {}
+
+
+def report(
+    *, heat: Paths, told: Paths, occupancies: Paths, outputs: Paths, reporter: Reporter,  # noqa: ARG001
+) -> Figures:  # fmt: skip
+    """Write the report of all that was made."""
+    write_report(told[0].parent, reporter=reporter)
     return {}
 
 
@@ -236,5 +246,6 @@ WORKS: dict[str, Callable[..., Figures]] = {
         occupancy,
         heat_map,
         qgis_project,
+        report,
     )
 }

@@ -19,7 +19,7 @@ from gis_radar.site_runs.stage import Outcome
 _POSE = ("easting", "northing", "height", "yaw", "pitch", "roll")
 
 
-def write_report(site: Site, root: Path, outcomes: Sequence[Outcome], contents: Contents) -> None:
+def write_summary(site: Site, root: Path, outcomes: Sequence[Outcome], contents: Contents) -> None:
     """Write `run.json`, and `summary.md` of a run that has ended.
 
     Nothing in them tells when or how long: a run that was resumed writes the same as one that was

@@ -1,0 +1,209 @@
+"""What a report says, against the tables that it was made from."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from itertools import pairwise
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pypdf
+import pytest
+from report_site import SIGMA, Page, report_tiles, write_results, write_run
+
+import gis_radar as gr
+
+FILES = [
+    "lanes.csv", "lanes_by_interval.csv", "quality.csv", "report.html", "report.pdf", "sensors.csv",
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    folder = write_results(tmp_path_factory.mktemp("site"))
+    write_run(folder, title="Kreuzung Münchner Straße \u2013 Süd")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def made(results, tmp_path_factory):
+    out = tmp_path_factory.mktemp("report")
+    report = gr.write_report(results, output=out)
+    assert sorted(path.name for path in report.outputs) == FILES
+    assert sorted(path.name for path in out.iterdir()) == FILES
+    return out
+
+
+@pytest.fixture(scope="module")
+def page(made):
+    return Page((made / "report.html").read_text(encoding="utf-8"))
+
+
+def long_layer(folder):
+    layer = gpd.read_file(folder / "heatmap" / "heatmap.gpkg", layer="occupancy_by_interval")
+    return pd.DataFrame(layer.drop(columns="geometry"))
+
+
+LANES = {1: [100, 101], 2: [102], 3: [103]}
+
+
+def test_lanes_are_the_sums_of_their_tiles(results, made):
+    rows = long_layer(results)
+    table = pd.read_csv(made / "lanes.csv").set_index("lane")
+    assert table.index.tolist() == sorted(
+        LANES, key=lambda lane: -np.nan_to_num(table.loc[lane, "occupancy"], nan=-1.0)
+    )
+    for lane, lanelets in LANES.items():
+        mine = rows[rows["lanelet_id"].isin(lanelets)]
+        assert str(table.loc[lane, "lanelets"]) == " ".join(map(str, lanelets))
+        observed = mine["observed_s"].sum()
+        assert table.loc[lane, "observed_tile_s"] == pytest.approx(observed, abs=0.006)
+        if observed == 0:
+            assert pd.isna(table.loc[lane, "occupancy"])
+            continue
+        share = mine["occupied_s"].sum() / observed
+        assert table.loc[lane, "occupancy"] == pytest.approx(share, abs=1e-6)
+        by_tile = mine.groupby("tile_id")[["occupied_s", "observed_s"]].sum()
+        shares = by_tile["occupied_s"] / by_tile["observed_s"].where(by_tile["observed_s"] > 0)
+        assert table.loc[lane, "busiest_spot"] == pytest.approx(shares.max(), abs=1e-6)
+        assert table.loc[lane, "over_20_percent_m"] == pytest.approx(0.5 * (shares >= 0.2).sum())
+        assert table.loc[lane, "observed_m"] == pytest.approx(0.5 * shares.notna().sum())
+
+
+def test_intervals_of_lanes(results, made):
+    rows = long_layer(results)
+    table = pd.read_csv(made / "lanes_by_interval.csv")
+    assert len(table) == len(LANES) * rows["begin"].nunique()
+    for _, row in table.iterrows():
+        begin = pd.Timestamp(row["begin_utc"])
+        assert pd.Timestamp(row["begin_local"]) == begin
+        assert row["begin_local"].endswith("+02:00")
+        mine = rows[rows["lanelet_id"].isin(LANES[row["lane"]]) & rows["begin"].eq(begin)]
+        observed = mine["observed_s"].sum()
+        if observed == 0:
+            assert pd.isna(row["occupancy"])
+        else:
+            assert row["occupancy"] == pytest.approx(mine["occupied_s"].sum() / observed, abs=1e-6)
+
+
+def test_the_busiest_interval_is_that_of_the_table(made):
+    lanes = pd.read_csv(made / "lanes.csv").set_index("lane")
+    intervals = pd.read_csv(made / "lanes_by_interval.csv")
+    for lane in (1, 2):
+        mine = intervals[intervals["lane"].eq(lane)]
+        best = mine.loc[mine["occupancy"].idxmax()]
+        assert lanes.loc[lane, "busiest_begin_utc"] == best["begin_utc"]
+        assert lanes.loc[lane, "busiest_occupancy"] == best["occupancy"]
+
+
+def test_the_page_says_what_the_tables_say(made, page):
+    lanes = pd.read_csv(made / "lanes.csv")
+    head, *rows = page.tables[0]
+    assert head[0] == "Lane"
+    seen = lanes[lanes["occupancy"].notna()]
+    assert [int(row[0]) for row in rows] == seen["lane"].tolist()
+    for row, (_, known) in zip(rows, seen.iterrows(), strict=True):
+        shown = row[4].replace("\u202f", "").removesuffix("%")
+        assert float(shown) == pytest.approx(100 * known["occupancy"], abs=0.05)
+    assert len(lanes) - len(seen) == 1
+    assert "1 lane of the map was not observed." in " ".join(page.words)
+
+
+def test_times_are_those_of_the_site_and_said_so(page):
+    text = " ".join(page.words)
+    assert "All times: Europe/Berlin, UTC+02:00." in text
+    assert "15 June 2025, 17:06:40 to 17:07:40" in text
+    assert "17:07:00 to 17:07:20" in text
+    assert "15:06" not in text
+
+
+def test_the_zone_of_the_call_wins(results, tmp_path):
+    report = gr.write_report(results, output=tmp_path, timezone="Asia/Kolkata")
+    assert report.summary["timezone"] == "Asia/Kolkata"
+    assert "20:36:40" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def test_sensors_have_their_sigma(page, made):
+    rows = pd.read_csv(made / "sensors.csv")
+    assert rows["sensor"].tolist() == ["R1", "R2"]
+    assert rows["sigma_easting"].tolist() == [SIGMA["easting"]] * 2
+    (table,) = (each for each in page.tables if each[0][0] == "Sensor" and len(each[0]) == 8)
+    assert [row[0] for row in table[1:]] == ["R1", "R2"]
+    assert table[1][1] == "678\u202f000.00 ± 0.25"
+    assert table[1][4] == "east, 90.0° ± 0.25°"
+    assert "91\u202f% of the traces fit" in table[1][7]
+
+
+def test_quality_is_that_of_the_occupancy(results, page, made):
+    parts = [gr.read_occupancy(path) for path in sorted((results / "occupancy").iterdir())]
+    known = gr.measure_quality(gr.merge_occupancies(parts), timezone="Europe/Berlin").table
+    written = pd.read_csv(made / "quality.csv")
+    assert written["verdict"].tolist() == known["verdict"].tolist()
+    assert written["frames"].tolist() == known["frames"].tolist()
+    (table,) = (each for each in page.tables if each[0][-1] == "Verdict")
+    assert [row[-1] for row in table[1:]] == known["verdict"].tolist()
+
+
+def test_the_page_is_closed(made, page):
+    text = (made / "report.html").read_text(encoding="utf-8")
+    (policy,) = (each for each in page.all("meta") if "http-equiv" in each)
+    assert policy["content"].startswith("default-src 'none'; img-src data:; style-src 'sha256-")
+    assert "unsafe" not in policy["content"]
+    assert not re.search(r"(?:src|href)=\"(?!data:|#)", text)
+    assert "url(" not in text
+    assert "@import" not in text
+
+
+def test_the_page_is_readable_by_machines(page):
+    assert page.all("html") == [{"lang": "en"}]
+    assert page.tags.count("h1") == 1
+    levels = [int(tag[1]) for tag in page.tags if re.fullmatch(r"h\d", tag)]
+    assert all(after - before <= 1 for before, after in pairwise(levels))
+    assert page.tags.count("caption") == page.tags.count("table") == len(page.tables)
+    assert all(each.get("scope") in {"row", "col"} for each in page.all("th"))
+    pictures = [each["alt"] for each in page.all("img")]
+    assert pictures.count("") == 1  # scale and north lie over a picture that is described
+    assert sum("Map of occupancy" in alt for alt in pictures) == 4
+
+
+def test_the_paper(made):
+    paper = pypdf.PdfReader(made / "report.pdf")
+    text = " ".join(page.extract_text() for page in paper.pages).replace("\n", " ")
+    assert paper.metadata.title.startswith("Kreuzung Münchner Straße \u2013 Süd: traffic occupancy")
+    assert "Kreuzung Münchner Straße \u2013 Süd" in text
+    assert "All times: Europe/Berlin, UTC+02:00." in text
+    assert "678 000.00 ± 0.25" in text.replace("\u202f", " ")
+    assert f"Page 1 of {len(paper.pages)}" in text
+    assert f"Page {len(paper.pages)} of {len(paper.pages)}" in text
+    assert paper.root_object["/Lang"] == "en"
+    titles = [each["/Title"] for each in paper.outline]
+    assert titles == [
+        "In short", "Map, whole time", "The map through time", "Lanes", "Sensors",
+        "What the numbers rest on", "Settings and sources", "What the words mean",
+    ]  # fmt: skip
+    described = [
+        node["/Alt"]
+        for number in range(1, paper.trailer["/Size"])
+        if isinstance(node := paper.get_object(number), dict) and "/Alt" in node
+    ]
+    assert sum("Map of occupancy" in text for text in described) == 4
+
+
+def test_the_same_results_give_the_same_report(results, made, tmp_path):
+    gr.write_report(results, output=tmp_path)
+    for name in FILES:
+        assert (tmp_path / name).read_bytes() == (made / name).read_bytes(), name
+
+
+def test_an_occupancy_from_elsewhere(results, made, tmp_path):
+    shutil.copytree(results / "heatmap", tmp_path / "map")
+    occupancies = sorted((results / "occupancy").iterdir())
+    gr.write_report(tmp_path / "map", occupancies=occupancies, timezone="Europe/Berlin", title="x")
+    for name in ("quality.csv", "sensors.csv", "lanes.csv"):
+        assert (tmp_path / "map" / name).read_bytes() == (made / name).read_bytes()
+    # a new heat map takes the place of all that
+    parts = gr.merge_occupancies([gr.read_occupancy(path) for path in occupancies])
+    gr.make_heatmap(parts, report_tiles()).write(tmp_path / "map")
+    assert not (tmp_path / "map" / "quality.csv").exists()

@@ -1,0 +1,257 @@
+"""The report in a real Chromium, headless: the slider, the console, the network, paper, reading."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import shutil
+from io import BytesIO
+
+import pypdf
+import pytest
+from axe_core_python.selenium import Axe
+from report_site import write_results, write_run
+from selenium import webdriver
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.support.ui import WebDriverWait
+
+import gis_radar as gr
+
+FLAGS = (
+    "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+    "--window-size=1280,900",
+)  # fmt: skip
+WAIT_S = 20
+PAPER_PX = 688  # 182 mm, between the margins of A4
+LABELS = [
+    "Whole time", "17:06:40 to 17:07:00", "17:07:00 to 17:07:20", "17:07:20 to 17:07:40",
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def chromium(tmp_path_factory):
+    """Give a driver of Chromium; skip where there is none, fail where there must be one."""
+    program, driver = shutil.which("chromium"), shutil.which("chromedriver")
+    if program is None or driver is None:
+        why = "no chromium and chromedriver here: see tools/get_chromium.sh"
+        if os.environ.get("GIS_RADAR_CHROMIUM") == "required":
+            pytest.fail(why)
+        pytest.skip(why)
+    options = webdriver.ChromeOptions()
+    options.binary_location = program
+    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('chromium')}"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    browser = webdriver.Chrome(options, webdriver.ChromeService(driver))
+    yield browser
+    browser.quit()
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory):
+    folder = write_results(tmp_path_factory.mktemp("site"))
+    write_run(folder, title="Kreuzung Süd")
+    gr.write_report(folder)
+    return folder / "report.html"
+
+
+@pytest.fixture
+def page(chromium, report):
+    """Open the page afresh, with nothing left in the logs."""
+    wide(chromium, 1280)
+    for kind in ("browser", "performance"):
+        chromium.get_log(kind)
+    chromium.get(report.as_uri())
+    return chromium
+
+
+def wide(browser, width):
+    browser.execute_cdp_cmd(
+        "Emulation.setDeviceMetricsOverride",
+        {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False},
+    )
+
+
+def by_id(page, name):
+    return page.find_element(By.ID, name)
+
+
+def shown(page):
+    """Return the source of the large picture, and all that says what it shows."""
+    words = {by_id(page, "shown").text, by_id(page, "label").text}
+    words.add(by_id(page, "slider").get_attribute("aria-valuetext"))
+    assert len(words) == 1, f"the page disagrees with itself: {words}"
+    (label,) = words
+    picture = by_id(page, "picture")
+    assert label in picture.get_attribute("alt")
+    return picture.get_attribute("src"), label
+
+
+def test_the_slider_by_keyboard(page):
+    slider = by_id(page, "slider")
+    assert slider.is_displayed()
+    seen = [shown(page)]
+    for _ in LABELS[1:]:
+        slider.send_keys(Keys.ARROW_RIGHT)
+        seen.append(shown(page))
+    assert [label for _, label in seen] == LABELS
+    assert len({src for src, _ in seen}) == len(LABELS)
+    slider.send_keys(Keys.HOME)
+    assert shown(page) == seen[0]
+    slider.send_keys(Keys.END)
+    assert shown(page) == seen[-1]
+
+
+def test_the_slider_reaches_the_keyboard_in_order(page):
+    by_id(page, "content")
+    reached = []
+    for _ in range(14):
+        page.switch_to.active_element.send_keys(Keys.TAB)
+        reached.append(page.switch_to.active_element.get_attribute("id"))
+    # "Earlier" is off at the begin
+    found = [name for name in reached if name in {"slider", "play", "later", "reset"}]
+    assert found == ["slider", "play", "later", "reset"]
+
+
+def test_the_buttons(page):
+    earlier, later = by_id(page, "earlier"), by_id(page, "later")
+    assert not earlier.is_enabled()
+    later.click()
+    later.click()
+    assert shown(page)[1] == LABELS[2]
+    earlier.click()
+    assert shown(page)[1] == LABELS[1]
+    by_id(page, "reset").click()
+    assert shown(page)[1] == LABELS[0]
+
+
+def test_the_slider_by_mouse(page):
+    slider = by_id(page, "slider")
+    webdriver.ActionChains(page).move_to_element_with_offset(
+        slider, slider.size["width"] // 2 - 8, 0
+    ).click().perform()
+    assert shown(page)[1] == LABELS[-1]
+
+
+def test_play_goes_on_and_stops(page):
+    play = by_id(page, "play")
+    play.click()
+    assert play.text == "Pause"
+    assert play.get_attribute("aria-pressed") == "true"
+    WebDriverWait(page, WAIT_S, 0.05).until(lambda each: by_id(each, "shown").text == LABELS[3])
+    WebDriverWait(page, WAIT_S, 0.05).until(lambda each: by_id(each, "shown").text == LABELS[1])
+    play.click()
+    assert play.text == "Play"
+    before = shown(page)
+    page.execute_async_script("setTimeout(arguments[0], 1200)")
+    assert shown(page) == before
+
+
+def test_no_request_and_no_complaint(page, report):
+    slider = by_id(page, "slider")
+    for _ in LABELS:
+        slider.send_keys(Keys.ARROW_RIGHT)
+    by_id(page, "play").click()
+    page.execute_script("window.scrollTo(0, document.body.scrollHeight)")
+    pictures = "[...document.images].every(each => each.complete && each.naturalWidth > 100)"
+    page.execute_script("for (const each of document.images) each.loading = 'eager'")
+    WebDriverWait(page, WAIT_S).until(lambda each: each.execute_script(f"return {pictures}"))
+    assert page.get_log("browser") == []
+    messages = [json.loads(entry["message"])["message"] for entry in page.get_log("performance")]
+    asked = [
+        message["params"]["request"]["url"]
+        for message in messages
+        if message["method"] == "Network.requestWillBeSent"
+    ]
+    assert [url for url in asked if not url.startswith("data:")] == [report.as_uri()]
+    assert not any(message["method"].startswith("Network.webSocket") for message in messages)
+
+
+def test_the_policy_holds_even_if_something_got_in(page):
+    page.execute_script(
+        "const image = new Image(); image.src = 'https://example.org/a.png';"
+        "document.body.append(image);"
+        "const script = document.createElement('script'); script.textContent = 'window.evil = 1';"
+        "document.body.append(script);"
+    )
+    assert page.execute_script("return window.evil === undefined")
+    refused = [entry["message"] for entry in page.get_log("browser")]
+    assert len(refused) == 2
+    assert all("Content Security Policy" in message for message in refused)
+
+
+@pytest.mark.parametrize("width", [1280, 400])
+def test_accessible_by_the_rules_of_axe(page, width):
+    wide(page, width)
+    found = Axe().run(page)
+    wrong = [(each["id"], each["help"], len(each["nodes"])) for each in found["violations"]]
+    assert wrong == []
+    assert len(found["passes"]) > 30
+
+
+def test_names_for_a_screen_reader(page):
+    tree = page.execute_cdp_cmd("Accessibility.getFullAXTree", {})["nodes"]
+
+    def named(role):
+        return [
+            node.get("name", {}).get("value", "")
+            for node in tree
+            if node.get("role", {}).get("value") == role and not node["ignored"]
+        ]
+
+    assert named("slider") == ["Time of the map"]
+    assert all(named("image"))
+    assert sum("Map of occupancy, " in name for name in named("image")) == len(LABELS)
+    assert all(named("table"))
+    assert {"Contents"} <= set(named("navigation"))
+    assert named("banner") == [""] == named("main")
+
+
+@pytest.mark.parametrize("width", [1280, 800, 400])
+def test_nothing_is_wider_than_the_window(page, width):
+    wide(page, width)
+    assert page.execute_script("return document.documentElement.scrollWidth") <= width
+
+
+def test_without_script(chromium, report):
+    chromium.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": True})
+    try:
+        chromium.get(report.as_uri())
+        assert not by_id(chromium, "controls").is_displayed()
+        assert by_id(chromium, "picture").is_displayed()
+        frames = chromium.find_elements(By.CSS_SELECTOR, ".frames figure")
+        assert [each.text.splitlines()[0] for each in frames] == LABELS[1:]
+    finally:
+        chromium.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": False})
+
+
+def test_on_paper(page, report):
+    by_id(page, "later").click()
+    sheet = page.execute_cdp_cmd(
+        "Page.printToPDF", {"printBackground": True, "preferCSSPageSize": True}
+    )
+    paper = pypdf.PdfReader(BytesIO(base64.b64decode(sheet["data"])))
+    text = "\n".join(each.extract_text() for each in paper.pages)
+    for words in ("Kreuzung Süd", *LABELS, "What the words mean", "not observed", "Verdict"):
+        assert words in text, words
+    assert "Arrow keys" not in text
+    assert len(paper.pages) < 12
+    assert shown(page)[1] == LABELS[1]  # what was shown before is shown again
+
+
+def test_no_table_is_cut_on_paper(page):
+    wide(page, PAPER_PX)
+    page.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    try:
+        edges = page.execute_script(
+            "return [...document.querySelectorAll('table, figure, dl')]"
+            ".map(each => each.getBoundingClientRect().right)"
+        )
+        assert len(edges) > 8
+        assert max(edges) <= PAPER_PX + 0.5
+        assert not by_id(page, "controls").is_displayed()
+    finally:
+        page.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})

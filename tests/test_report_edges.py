@@ -1,0 +1,207 @@
+"""Reports of odd folders, hostile names and very many intervals; refusals; the command."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from pathlib import Path
+from types import SimpleNamespace
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pytest
+from click.testing import CliRunner
+from report_site import FORMULA, HOSTILE, Page, report_tiles, write_results, write_run
+from sites import pose
+
+import gis_radar as gr
+from gis_radar.cli.commands import group
+from gis_radar.heatmap import make_heatmap
+from gis_radar.report.spreadsheets import safe
+
+FILES = [
+    "lanes.csv", "lanes_by_interval.csv", "quality.csv", "report.html", "report.pdf", "sensors.csv",
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    folder = write_results(tmp_path_factory.mktemp("site"))
+    write_run(folder, title="Kreuzung Münchner Straße \u2013 Süd")
+    return folder
+
+
+def test_text_of_others_stays_text(tmp_path):
+    folder = write_results(tmp_path, names=(HOSTILE, FORMULA), interval=None, steps=400)
+    write_run(folder, title=f"Site {HOSTILE} & \"quotes'")
+    gr.write_report(folder)
+    text = (folder / "report.html").read_text(encoding="utf-8")
+    assert HOSTILE not in text
+    page = Page(text)
+    assert page.tags.count("script") == 0  # one map alone needs none
+    assert any(HOSTILE in cell for table in page.tables for row in table for cell in row)
+    assert "".join(page.words).count(f"Town of {HOSTILE}") >= 1
+    with (folder / "sensors.csv").open(encoding="utf-8", newline="") as file:
+        names = [row["sensor"] for row in csv.DictReader(file)]
+    assert sorted(names) == sorted([HOSTILE, f"'{FORMULA}"])
+    with (folder / "quality.csv").open(encoding="utf-8", newline="") as file:
+        assert {row["sensor"] for row in csv.DictReader(file)} == {HOSTILE, f"'{FORMULA}"}
+
+
+@pytest.mark.parametrize("begin", list("=+-@\t\r\n") + [" =", "\uff1d"])
+def test_no_cell_begins_a_formula(begin):
+    assert safe(f"{begin}cmd|' /C calc'!A0").startswith("'")
+
+
+@pytest.mark.parametrize("number", [-0.5, 3, 0.0, np.float64(-2.5), np.int64(-7)])
+def test_numbers_stay_numbers(number):
+    assert safe(number) == number
+    assert not isinstance(safe(number), str)
+
+
+def test_what_is_not_known_is_empty():
+    assert [safe(None), safe(float("nan")), safe(pd.NaT)] == ["", "", ""]
+
+
+def test_a_heat_map_alone(results, tmp_path):
+    shutil.copytree(results / "heatmap", tmp_path / "map")
+    report = gr.write_report(tmp_path / "map")
+    names = sorted(path.name for path in report.outputs)
+    assert names == [name for name in FILES if name != "quality.csv"]
+    text = (tmp_path / "map" / "report.html").read_text(encoding="utf-8")
+    assert "All times: UTC." in text
+    assert "is not in the folder" in text
+    assert "not known here" in text
+    assert report.summary["sensors"] == []
+    assert repr(report).startswith("Report('map', 5 files: ")
+    assert "report.html" in report._repr_html_()
+    # a new heat map takes the place of both
+    parts = [gr.read_occupancy(path) for path in sorted((results / "occupancy").iterdir())]
+    tiles = gr.read_tiles(tiles_file(tmp_path))
+    make_heatmap(gr.merge_occupancies(parts), tiles).write(tmp_path / "map")
+    assert not (tmp_path / "map" / "report.html").exists()
+
+
+def test_a_pose_in_another_plane_is_told(results, tmp_path):
+    shutil.copytree(results / "heatmap", tmp_path / "run" / "heatmap")
+    for name, crs in (("R1", "EPSG:25832"), ("R2", "EPSG:25833")):
+        (tmp_path / "run" / "sensors" / name).mkdir(parents=True)
+        gr.write_pose(pose(sensor=name, crs=crs), tmp_path / "run" / "sensors" / name / "pose.json")
+    report = gr.write_report(tmp_path / "run")
+    told = "The pose of sensor R2 is in EPSG:25833, the map in EPSG:25832: it is left out."
+    assert told in report.summary["remarks"]
+    assert told in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    assert pd.read_csv(tmp_path / "run" / "sensors.csv")["sensor"].tolist() == ["R1"]
+
+
+def test_a_file_of_somebody_beside_a_heat_map_stays(results, tmp_path):
+    shutil.copytree(results / "heatmap", tmp_path / "map")
+    (tmp_path / "map" / "heatmap_notes.txt").write_text("mine")
+    parts = [gr.read_occupancy(path) for path in sorted((results / "occupancy").iterdir())]
+    heat = make_heatmap(gr.merge_occupancies(parts), gr.read_tiles(tiles_file(tmp_path)))
+    with pytest.raises(gr.OutputError, match="heatmap_notes"):
+        heat.write(tmp_path / "map")
+    assert (tmp_path / "map" / "heatmap_notes.txt").read_text() == "mine"
+
+
+def tiles_file(folder):
+    tiles = report_tiles()
+    problems = gpd.GeoDataFrame({"action": []}, geometry=[], crs=tiles.crs)
+    gr.write_tiles(tiles, folder / "tiles.gpkg", problems=problems)
+    return folder / "tiles.gpkg"
+
+
+def test_a_sensor_without_a_result_is_told_first(results, tmp_path):
+    shutil.copytree(results, tmp_path / "run")
+    write_run(
+        tmp_path / "run", title="x", sensors_in_heat_maps=["R1", "R2"],
+        stages=[{"name": "localize R3", "error": "two places fit", "warnings": ["a <b> c"]}],
+    )  # fmt: skip
+    document = json.loads((tmp_path / "run" / "run.json").read_text())
+    document["site"]["sensor"] = [{"name": name} for name in ("R1", "R2", "R3")]
+    (tmp_path / "run" / "run.json").write_text(json.dumps(document))
+    gr.write_report(tmp_path / "run")
+    text = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    assert "No result for sensor R3: two places fit" in text
+    assert "localize R3: a &lt;b&gt; c" in text
+    assert "no result: two places fit" in (tmp_path / "run" / "sensors.csv").read_text()
+
+
+def test_a_warning_of_several_stages_is_told_once(results, tmp_path):
+    shutil.copytree(results, tmp_path / "run")
+    stages = [{"name": name, "warnings": ["27 repaired"] * 2} for name in ("mask", "tiles")]
+    write_run(tmp_path / "run", title="x", sensors_in_heat_maps=["R1", "R2"], stages=stages)
+    gr.write_report(tmp_path / "run")
+    text = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    assert text.count("27 repaired") == 1
+    assert "mask, tiles: 27 repaired" in text
+
+
+@pytest.mark.parametrize("kind", ["missing", "empty", "broken", "run"])
+def test_refusals(kind, tmp_path):
+    folder = tmp_path / "there"
+    if kind != "missing":
+        folder.mkdir()
+    if kind == "broken":
+        (folder / "heatmap.gpkg").write_bytes(b"no database")
+    if kind == "run":
+        (folder / "run.json").write_text("{")
+    with pytest.raises(gr.InputError) as caught:
+        gr.write_report(folder)
+    assert str(folder) in caught.value.message
+    assert "\n" not in caught.value.message
+    assert not list(tmp_path.rglob("report.*"))
+
+
+def test_a_zone_that_is_none(results, tmp_path):
+    with pytest.raises(gr.UsageError, match="time zone"):
+        gr.write_report(results, output=tmp_path, timezone="Mars/Olympus")
+
+
+def test_very_many_intervals_share_pictures(tmp_path):
+    folder = write_results(tmp_path, interval="250ms", names=("R1",), steps=500)
+    report = gr.write_report(folder)
+    text = (folder / "report.html").read_text(encoding="utf-8")
+    frames = Page(text).all("img")
+    assert sum(each.get("class") == "frame" for each in frames) == 50
+    assert report.summary["pictures"] == 51
+    assert "100 intervals; each picture shows 2 of them together" in text
+    assert len(pd.read_csv(folder / "lanes_by_interval.csv")) == 100 * 3
+
+
+def test_the_options_of_the_command_reach_their_arguments(monkeypatch, tmp_path):
+    told = {}
+
+    def listen(folder, **options):
+        told.update(folder=folder, **options)
+        return SimpleNamespace(outputs=[tmp_path / "report.html"], summary={"pictures": 3})
+
+    monkeypatch.setattr(gr, "write_report", listen)
+    words = [
+        "report", "results", "-o", "out", "--title", "Main Street", "--timezone", "Europe/Berlin",
+        "--occupancy", "a", "--occupancy", "b", "--json",
+    ]  # fmt: skip
+    done = CliRunner().invoke(group, words)
+    assert done.exit_code == 0, done.output
+    (line,) = done.stdout.splitlines()
+    assert json.loads(line)["summary"] == {"pictures": 3}
+    assert told.pop("reporter") is not None
+    assert told == {
+        "folder": Path("results"), "output": Path("out"), "title": "Main Street",
+        "timezone": "Europe/Berlin", "occupancies": (Path("a"), Path("b")),
+    }  # fmt: skip
+
+
+def test_a_folder_without_a_heat_map_is_bad_input(tmp_path):
+    done = CliRunner().invoke(group, ["report", str(tmp_path)])
+    assert isinstance(done.exception, gr.InputError)
+    assert str(done.exception).startswith(f"{tmp_path}: holds no heat map")
+
+
+def test_a_chosen_output_that_is_a_file(results, tmp_path):
+    (tmp_path / "report").write_text("mine")
+    with pytest.raises(gr.OutputError, match="report"):
+        gr.write_report(results, output=tmp_path / "report")
+    assert (tmp_path / "report").read_text() == "mine"

@@ -1,0 +1,108 @@
+"""How a report writes numbers and times."""
+
+from __future__ import annotations
+
+import math
+from datetime import UTC, datetime
+from zoneinfo import ZoneInfo
+
+import pytest
+
+from gis_radar.report.words import Clock, direction, listed, number, percent
+
+
+def at(*fields):
+    return datetime(*fields, tzinfo=UTC)
+
+
+def clock(first, last, zone="Europe/Berlin", **options):
+    return Clock(zone=ZoneInfo(zone), first=first, last=last, **options)
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "text"),
+    [
+        (1234567.891, 1, "1\u202f234\u202f567.9"),
+        (-0.5, 1, "\u22120.5"),
+        (-0.04, 1, "0.0"),
+        (math.nan, 1, "\u2013"),
+        (0, 0, "0"),
+    ],
+)
+def test_numbers(value, digits, text):
+    assert number(value, digits) == text
+
+
+def test_a_little_is_not_nothing():
+    assert percent(0.0) == "0.0\u202f%"
+    assert percent(0.0004) == "under 0.1\u202f%"
+    assert percent(0.0006) == "0.1\u202f%"
+    assert percent(math.nan) == "\u2013"
+
+
+def test_winds():
+    assert direction(1.0, 0.1) == "east"
+    assert direction(-1.0, -1.0) == "south-west"
+    assert direction(0.0, 0.0) == "\u2013"
+    assert listed(["a", "b", "c"]) == "a, b and c"
+
+
+def test_one_day_is_not_named_again():
+    day = clock(at(2025, 6, 12, 7), at(2025, 6, 12, 10), to_seconds=False)
+    assert day.span(at(2025, 6, 12, 7), at(2025, 6, 12, 8)) == "09:00 to 10:00"
+    assert day.whole(day.first, day.last) == "12 June 2025, 09:00:00 to 12:00:00"
+    assert day.name == "Europe/Berlin, UTC+02:00"
+
+
+def test_a_day_ends_at_24():
+    days = clock(at(2025, 6, 11, 22), at(2025, 6, 13, 22), to_seconds=False)
+    whole_day = days.span(at(2025, 6, 11, 22), at(2025, 6, 12, 22))
+    assert whole_day == "Thu 2025-06-12 00:00 to 24:00"
+
+
+def test_an_hour_that_comes_twice_has_its_offset():
+    autumn = clock(at(2025, 10, 25, 22), at(2025, 10, 26, 23), to_seconds=False)
+    assert autumn.name == "Europe/Berlin, UTC+02:00 then UTC+01:00"
+    before, after = (autumn.time(at(2025, 10, 26, hour)) for hour in (0, 1))
+    assert before == "02:00 UTC+02:00"
+    assert after == "02:00 UTC+01:00"
+    long = clock(at(2025, 10, 25, 12), at(2025, 10, 26, 23), to_seconds=False)
+    assert long.time(at(2025, 10, 26, 1)) == "Sun 2025-10-26 02:00 UTC+01:00"
+    span = long.span(at(2025, 10, 26, 0), at(2025, 10, 26, 1))
+    assert span == "Sun 2025-10-26 02:00 UTC+02:00 to 02:00 UTC+01:00"
+    assert autumn.iso(at(2025, 10, 26, 1)) == "2025-10-26T02:00:00+01:00"
+
+
+def test_a_day_of_utc_is_no_local_day():
+    days = clock(at(2025, 6, 12), at(2025, 6, 13), to_seconds=False)
+    text = days.span(at(2025, 6, 12), at(2025, 6, 13))
+    assert text == "Thu 2025-06-12 02:00 to Fri 2025-06-13 02:00"
+    assert (
+        days.whole(at(2025, 6, 12, 7), at(2025, 6, 12, 8)) == "12 June 2025, 09:00:00 to 10:00:00"
+    )
+
+
+def test_a_year_ends_as_it_began_and_changes_twice():
+    year = clock(at(2025, 1, 1), at(2026, 1, 1), to_seconds=False)
+    assert year.name == "Europe/Berlin, UTC+01:00 then UTC+02:00 then UTC+01:00"
+    assert year.time(at(2025, 10, 26, 0)).endswith("UTC+02:00")
+
+
+def test_a_day_without_its_midnight():
+    cairo = clock(at(2023, 4, 26), at(2023, 4, 29), zone="Africa/Cairo")
+    night = cairo.span(at(2023, 4, 27, 21), at(2023, 4, 27, 22))
+    assert night == "Thu 2023-04-27 23:00:00 UTC+02:00 to 01:00:00 UTC+03:00"
+
+
+def test_parts_of_a_second_are_kept():
+    day = clock(at(2025, 6, 12, 7), at(2025, 6, 12, 10))
+    assert day.iso(at(2025, 6, 12, 7, 0, 0, 250_000)) == "2025-06-12T09:00:00.250+02:00"
+
+
+def test_utc_is_called_so():
+    assert clock(at(2025, 6, 12), at(2025, 6, 13), zone="UTC").name == "UTC"
+
+
+def test_west_and_half_hours():
+    first, last = at(2025, 6, 12, 7), at(2025, 6, 12, 8)
+    assert clock(first, last, zone="America/St_Johns").name == "America/St_Johns, UTC\u221202:30"
