@@ -22,7 +22,7 @@ from .errors import (
     UsageError,
 )
 from .formats import Conversion, convert
-from .heatmap import HeatMap, make_heatmap
+from .heatmap import HeatMap, make_heatmap, read_heatmap, to_xarray
 from .lanelets import LaneletMap, read_map
 from .localization import Localization, localize
 from .localization.picture import draw_localization
@@ -38,12 +38,15 @@ from .pose_files import PoseTrack, read_pose, read_track, write_pose, write_trac
 from .projection import project, write_projection
 from .qgis_project import write_qgis_project, write_site_project
 from .quality import Quality, measure_quality
+from .report import Report, write_report
 from .sensor_clocks import SensorClock, read_clocks
 from .sensors import write_sensors
 from .site_runs import Site, SiteRun, read_site, run_site, site_template
-from .surroundings import SecondLook, draw_second_look, require_scans_near, second_look
+from .surroundings import SecondLook, require_scans_near, second_look
+from .surroundings.picture import draw_second_look
 from .tiles import fingerprint, make_tiles, quads, read_tiles, write_tiles
-from .tracking import Track, draw_track, track
+from .tracking import Track, track
+from .tracking.picture import draw_track
 
 __all__ = [
     "Clocks",
@@ -61,6 +64,7 @@ __all__ = [
     "Pose",
     "PoseTrack",
     "Quality",
+    "Report",
     "RoadMask",
     "Roads",
     "SecondLook",
@@ -91,6 +95,7 @@ __all__ = [
     "project",
     "quads",
     "read_clocks",
+    "read_heatmap",
     "read_map",
     "read_occupancy",
     "read_pose",
@@ -107,11 +112,13 @@ __all__ = [
     "sample_folder",
     "second_look",
     "site_template",
+    "to_xarray",
     "track",
     "with_road_heights",
     "write_pose",
     "write_projection",
     "write_qgis_project",
+    "write_report",
     "write_sensors",
     "write_site_project",
     "write_tiles",

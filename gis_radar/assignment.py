@@ -55,6 +55,14 @@ class TileGrid:
     ----------
     quads : (n, 4, 2) array
         Vertices of the tiles in order around them; map frame, metres.
+
+    Examples
+    --------
+    >>> import gis_radar as gr
+    >>> tiles = gr.make_tiles(gr.read_map(gr.sample_folder() / "junction.osm"))
+    >>> point, tile = gr.TileGrid(gr.quads(tiles)).assign([690400.0], [5336200.0])
+    >>> point.tolist(), tiles["tile_id"].iloc[tile].tolist()
+    ([0], [4894])
     """
 
     def __init__(self, quads: Floats) -> None:

@@ -125,6 +125,14 @@ def open_recording(path: str | Path) -> Recording:
     ------
     InputError
         If the file does not exist, is of no known format, lacks columns, or has one twice.
+
+    Examples
+    --------
+    >>> import gis_radar as gr
+    >>> recording = gr.open_recording(gr.sample_folder() / "R1.parquet")
+    >>> detections = next(recording.read())
+    >>> recording.rows, detections.points.shape
+    (853768, (65536, 3))
     """
     path = Path(path)
     if path.suffix.lower() not in FORMATS:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import atexit
 import errno
 import os
+import secrets
 import shutil
-import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -14,6 +15,8 @@ from gis_radar.errors import OutputError
 from gis_radar.locks import only_writer
 
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+
+_unfinished: set[Path] = set()
 
 
 def refuse_inputs(output: str | Path, *inputs: str | Path) -> None:
@@ -192,9 +195,12 @@ def _refuse_foreign(path: Path, owned: tuple[str, ...]) -> None:
 @contextmanager
 def _beside(path: Path) -> Iterator[Path]:
     """Yield a private folder on the same file system as `path`; it is gone afterwards."""
-    with _named(path):
-        private = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent))
+    private = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
+    # Known before it is there: an interruption may come at any moment, in the clearing up too.
+    _unfinished.add(private)
     try:
+        with _named(path):
+            private.mkdir(mode=0o700)
         yield private
     except OSError as error:
         # Arrow says it in words alone.
@@ -204,6 +210,14 @@ def _beside(path: Path) -> Iterator[Path]:
             ) from error
         raise
     finally:
+        shutil.rmtree(private, ignore_errors=True)
+        _unfinished.discard(private)
+
+
+@atexit.register
+def _clear_up() -> None:
+    """Remove what a second interruption kept from being removed."""
+    for private in tuple(_unfinished):
         shutil.rmtree(private, ignore_errors=True)
 
 

@@ -8,16 +8,21 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import shapely
 from pyproj import CRS
 from scipy.spatial.transform import Rotation
 
 from gis_radar.arrays import Booleans, Floats
+from gis_radar.axes import axes_or_new, label_map
+from gis_radar.cards import card
 from gis_radar.crs import metric_crs, name_of
 from gis_radar.errors import InputError
+from gis_radar.sensor_shapes import draw_sensor, ellipse, plane_covariance, rim
 
 ANGLES = ("yaw", "pitch", "roll")
 POSITION = ("easting", "northing", "height")
 REQUIRED = ("sensor", "crs", *POSITION, *ANGLES)
+EVIDENCE = ("fitness", "observable", "method", "time", "frames")  # worth a look
 QUATERNION_TOLERANCE_DEG = 0.01
 
 
@@ -31,6 +36,13 @@ class View:
         Full opening angles, degrees.
     min_range_m, max_range_m : float
         Slant range, metres.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> ahead, aside = [50.0, 0.0, 0.0], [50.0, 60.0, 0.0]
+    >>> View(azimuth_deg=90).sees(np.array([ahead, aside])).tolist()
+    [True, False]
     """
 
     azimuth_deg: float = 120.0
@@ -162,6 +174,54 @@ class Pose:
             **self.evidence,
         }
         return record if self.view is None else record | {"view": vars(self.view)}
+
+    def outline(self) -> shapely.Polygon:
+        """Return what its azimuth and range reach in the map; without a view, the usual one."""
+        return rim(self.position, self.R_map_sensor, self.view or View())
+
+    def plane_covariance(self) -> Floats | None:
+        """Return the covariance of easting and northing, (2, 2) m^2, or None where not known."""
+        return plane_covariance(self.evidence, f"pose of {self.sensor}")
+
+    def plot(self, ax: Any = None, *, reach_m: float | None = None, **style: Any) -> Any:
+        """Draw the sensor, where it looks, what it reaches, and the 95 % ellipse of its place.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, optional
+            In metres of the map; without it, those of a new figure.
+        reach_m : float, optional
+            Draw its view no further than this.
+        **style
+            For the area of its view, as of a matplotlib patch.
+
+        Returns
+        -------
+        matplotlib Axes
+        """
+        ax = axes_or_new(ax)
+        view = self.view or View()
+        far_m = min(reach_m or view.max_range_m, view.max_range_m)
+        shown = replace(view, min_range_m=min(view.min_range_m, far_m / 2), max_range_m=far_m)
+        outline = replace(self, view=shown).outline()
+        look: dict[str, Any] = {"color": "#1d4ed8", "alpha": 0.15, "linewidth": 0}
+        ax.fill(*outline.exterior.xy, **look | style)
+        covariance = self.plane_covariance()
+        ring = None if covariance is None else ellipse(self.position[:2], covariance)
+        draw_sensor(ax, self.position, self.R_map_sensor[:2, 0] * far_m / 5, ring, self.sensor)
+        label_map(ax)
+        return ax
+
+    def _repr_html_(self) -> str:
+        sigma = self.evidence.get("sigma") or {}
+        units = dict.fromkeys(POSITION, "m") | dict.fromkeys(ANGLES, "deg")
+        said = {
+            name: f"{getattr(self, name):.3f} {unit}"
+            + (f" \u00b1 {sigma[name]:.2g}" if isinstance(sigma.get(name), int | float) else "")
+            for name, unit in units.items()
+        }
+        known = {name: self.evidence[name] for name in EVIDENCE if name in self.evidence}
+        return card(f"Pose of {self.sensor}", {"crs": name_of(self.crs), **said, **known})
 
     def __repr__(self) -> str:
         return (

@@ -13,6 +13,7 @@ import numpy as np
 from pyproj import CRS
 
 from gis_radar.arrays import Floats, Integers
+from gis_radar.cards import table_card
 from gis_radar.clock import iso_from_step, seconds_from_iso, step_of
 from gis_radar.crs import metric_crs, name_of
 from gis_radar.errors import InputError
@@ -55,6 +56,27 @@ class PoseTrack:
         """Return the same track with a view wherever a pose has none."""
         return replace(self, poses=tuple(pose.with_view(view) for pose in self.poses))
 
+    def __repr__(self) -> str:
+        return f"PoseTrack({self._title()})"
+
+    def _title(self) -> str:
+        if not math.isfinite(self.since[0]):
+            return f"{self.sensor}: one pose, always"
+        first, last = (iso_from_step(int(step)) for step in step_of(self.since[[0, -1]]))
+        return f"{self.sensor}: {len(self.poses)} poses, {first} to {last}"
+
+    def _repr_html_(self) -> str:
+        names = (*POSITION, *ANGLES)
+        begins = ["always"] if not math.isfinite(self.since[0]) else [
+            iso_from_step(int(step)) for step in step_of(self.since)
+        ]  # fmt: skip
+        rows = [
+            [begin, *(f"{getattr(pose, name):.3f}" for name in names), pose.evidence.get("event")]
+            for begin, pose in zip(begins, self.poses, strict=True)
+        ]
+        units = [*(f"{name}, m" for name in POSITION), *(f"{name}, deg" for name in ANGLES)]
+        return table_card(f"Poses of {self._title()}", ["since", *units, "event"], rows)
+
 
 def still(pose: Pose) -> PoseTrack:
     """Return a track of one pose that always holds."""
@@ -79,6 +101,12 @@ def read_pose(path: str | Path) -> Pose:
     ------
     InputError
         If the file is not a pose; CrsError if its coordinate system is missing or not metric.
+
+    Examples
+    --------
+    >>> import gis_radar as gr
+    >>> gr.read_pose(gr.sample_folder() / "R1.json")
+    Pose(R1: 690360.11 E 5336178.10 N 520.01 m, yaw 21.70 pitch 3.20 roll -0.80)
     """
     try:
         record = json.loads(_text(Path(path)))

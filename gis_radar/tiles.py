@@ -73,6 +73,13 @@ def make_tiles(
         If no lanelet is of these subtypes, or one cannot be cut.
     UsageError
         If `length_m` is not positive.
+
+    Examples
+    --------
+    >>> import gis_radar as gr
+    >>> tiles = gr.make_tiles(gr.read_map(gr.sample_folder() / "junction.osm"))
+    >>> len(tiles), tiles.geometry.geom_type.unique().tolist()
+    (5387, ['Polygon'])
     """
     if not 0.0 < length_m < np.inf:
         raise UsageError(f"tile length is {length_m} m, expected more than 0")

@@ -2,6 +2,7 @@
 
 import json
 import re
+import time
 from pathlib import Path
 
 import matplotlib as mpl
@@ -38,16 +39,44 @@ def test_the_commands_of_the_readme_exist():
     assert shown <= set(group.commands)
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_runs(elsewhere, path):
-    names = {}
+def code_of(path):
     cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
-    code = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
-    assert code
+    return ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_runs(elsewhere, path, request):
+    """A notebook runs as it stands, draws something in each of its figures, and is quick."""
+    names, code = {}, code_of(path)
+    if any("gis_radar.simulation" in source for source in code):
+        request.getfixturevalue("sumo_installed")
+    if any("to_xarray" in source for source in code):
+        pytest.importorskip("xarray")
+    begin = time.process_time()  # others may use the machine, too
     for number, source in enumerate(code):
         exec(compile(source, f"{path.name} cell {number}", "exec"), names)  # noqa: S102
-    assert plt.get_fignums()
+    assert time.process_time() - begin < 60.0
+    figures = [plt.figure(number) for number in plt.get_fignums()]
+    assert len(figures) == sum(source.count("plt.show()") for source in code) >= 3
+    for figure in figures:
+        figure.canvas.draw()
+        assert all(ax.has_data() for ax in figure.axes)
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_is_stripped_and_needs_the_public_interface_only(path):
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    assert cells[0]["cell_type"] == "markdown"
+    for cell in cells:
+        assert cell["metadata"] == {}
+        assert not cell.get("outputs")
+        assert cell.get("execution_count") is None
+    imported = re.findall(
+        r"^(?:from|import) (gis_radar[.\w]*)", "\n".join(code_of(path)), re.MULTILINE
+    )
+    assert imported
+    assert all(re.fullmatch(r"gis_radar(\.simulation\..*)?", name) for name in imported)
 
 
 def test_there_are_notebooks():
-    assert NOTEBOOKS
+    assert [path.stem.split("_")[0] for path in NOTEBOOKS] == ["1", "2", "3", "4", "5"]

@@ -11,6 +11,7 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 
+from gis_radar.cards import card
 from gis_radar.clocks.coarse import rough_offset
 from gis_radar.clocks.fine import Offset, fine_offset
 from gis_radar.clocks.network import CONTRADICTION, best_linked, settle
@@ -75,6 +76,9 @@ class Clocks:
         }
         write_clocks(record, path)
         return Path(path)
+
+    def _repr_html_(self) -> str:
+        return card("Clocks: ahead of the reference", self.figures())
 
     def __repr__(self) -> str:
         return f"Clocks({'; '.join(f'{name}: {text}' for name, text in self.figures().items())})"

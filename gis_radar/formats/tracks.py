@@ -79,6 +79,14 @@ class Conversion:
             **self.left_out,
         }
 
+    def __repr__(self) -> str:
+        told = self.figures()
+        files = ", ".join(str(path) for path in self.outputs)
+        return (
+            f"Conversion({files}: {told['frames']} frames, {told['detections']} detections, "
+            f"{told['begin']} to {told['end']})"
+        )
+
 
 class _Track:
     """One sensor's way from frames as they come to rows of its recording."""

@@ -78,9 +78,10 @@ def _foot(tally: Tally) -> str:
     )
 
 
-def time_span(tally: Tally) -> str:
-    """Say the time span in UTC, no longer than needed."""
-    first, after = int(tally.whole.begin[0]), int(tally.whole.end[0])
+def time_span(tally: Tally, interval: int | None = None) -> str:
+    """Say the time span, or that of an interval, in UTC, no longer than needed."""
+    times, row = (tally.whole, 0) if interval is None else (tally.timeline, interval)
+    first, after = int(times.begin[row]), int(times.end[row])
     begin, end = step_begin(first), step_begin(after)
     finest = "milliseconds" if (first % STEPS_PER_SECOND or after % STEPS_PER_SECOND) else "seconds"
     date, time = begin.date().isoformat(), begin.time().isoformat(timespec=finest)
@@ -90,6 +91,20 @@ def time_span(tally: Tally) -> str:
     if begin.date() != end.date():
         until = f"{end.date().isoformat()}  {until}"
     return f"{date}  {time} to {until} UTC"
+
+
+def add_legend(ax: Axes) -> None:
+    """Write the classes of occupancy beside axes."""
+    classes = [(level.colour, level.label) for level in reversed(style.levels())]
+    handles = [
+        Rectangle((0, 0), 1, 1, facecolor=colour, edgecolor=SOFT, linewidth=0.5, label=label)
+        for colour, label in (*classes, (style.NOT_OBSERVED, style.NOT_OBSERVED_LABEL))
+    ]
+    ax.legend(
+        handles=handles, title=style.LEGEND_TITLE, loc="upper left", bbox_to_anchor=(1.01, 1.0),
+        borderaxespad=0.0, frameon=False, fontsize="small", title_fontsize="small",
+        alignment="left",
+    )  # fmt: skip
 
 
 def add_side(ax: Axes, tally: Tally, dpi: float) -> None:

@@ -14,7 +14,7 @@ import pyogrio
 from gis_radar.clock import STEPS_PER_SECOND
 from gis_radar.heatmap import style
 from gis_radar.heatmap.layers import BEGIN, END, LONG, LONG_SCHEMA, WIDE, long_batches, wide_layer
-from gis_radar.heatmap.tally import DEFINITIONS, Tally
+from gis_radar.heatmap.tally import Tally
 from gis_radar.layer_styles import add_styles
 from gis_radar.progress import Reporter
 from gis_radar.streams import write_stream
@@ -34,7 +34,10 @@ def write_geopackage(tally: Tally, path: Path, reporter: Reporter) -> None:
     reporter : Reporter
         Where progress goes; the long layer is streamed in batches.
     """
-    metadata = {"fingerprint": tally.fingerprint, "definitions": json.dumps(DEFINITIONS)}
+    metadata = {
+        name: value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+        for name, value in tally.metadata.items()
+    }
     pyogrio.write_dataframe(
         wide_layer(tally), path, layer=WIDE, driver="GPKG", use_arrow=True,
         geometry_type="Polygon", layer_metadata=metadata, VERSION=VERSION,

@@ -16,10 +16,12 @@ from matplotlib.transforms import Affine2D
 from numpy.typing import NDArray
 
 from gis_radar.arrays import Floats
+from gis_radar.axes import axes_or_new, label_map
 from gis_radar.heatmap import style
 from gis_radar.heatmap.annotations import (
     INK,
     SOFT,
+    add_legend,
     add_scale_bar,
     add_side,
     add_titles,
@@ -44,8 +46,10 @@ SETTINGS: dict[Any, Any] = {"font.family": ["DejaVu Sans"], "text.usetex": False
 Extent = tuple[Floats, Floats]  # south-west and north-east, metres
 
 
-def draw(tally: Tally, ax: Axes | None = None) -> Axes:
-    """Draw the occupancy of the tiles over the whole time, the busiest on top.
+def draw(
+    tally: Tally, ax: Axes | None = None, *, interval: int | None = None, legend: bool = True
+) -> Axes:
+    """Draw the occupancy of the tiles, the busiest on top.
 
     Parameters
     ----------
@@ -53,19 +57,22 @@ def draw(tally: Tally, ax: Axes | None = None) -> Axes:
         What to draw.
     ax : Axes, optional
         Where; without it, on a new figure of pyplot.
+    interval : int, optional
+        Which interval; without it, the whole time.
+    legend : bool
+        Whether the classes stand beside it.
 
     Returns
     -------
     Axes
         In metres of the map, cropped to the tiles that were observed.
     """
-    if ax is None:
-        from matplotlib import pyplot as plt  # noqa: PLC0415 - chooses a window system
-
-        ax = plt.figure().add_subplot()
-    low, high = _bounds(tally)
-    _add_tiles(ax, tally, (low, high))
-    ax.set_aspect("equal")
+    ax = axes_or_new(ax, (8.5, 6.0))
+    _add_tiles(ax, tally, _bounds(tally), interval=interval)
+    label_map(ax)
+    ax.set_title(time_span(tally, interval), fontsize="medium")
+    if legend:
+        add_legend(ax)
     return ax
 
 
@@ -131,12 +138,14 @@ def _widened(extent: Extent, aspect: float) -> Extent:
     return (low + high - size) / 2, (low + high + size) / 2
 
 
-def _add_tiles(ax: Axes, tally: Tally, extent: Extent, outline: float = 0.9) -> None:
+def _add_tiles(
+    ax: Axes, tally: Tally, extent: Extent, outline: float = 0.9, interval: int | None = None
+) -> None:
     """Draw the tiles over a dark edge, of which only the outline of the road stays in sight."""
     low, high = extent
     corners = quads(tally.tiles)
     shown = (corners.max(axis=1) >= low).all(axis=1) & (corners.min(axis=1) <= high).all(axis=1)
-    share = tally.shares().occupancy[shown]
+    share = tally.shares(interval).occupancy[shown]
     order = np.argsort(np.nan_to_num(share, nan=-1.0), kind="stable")
     # Coordinates near zero: those of UTM leave few digits to the renderer.
     shapes, colours = corners[shown][order] - low, _colours(share[order])

@@ -5,39 +5,35 @@ from __future__ import annotations
 import sqlite3
 from pathlib import Path
 from typing import Any
-from zoneinfo import ZoneInfo
 
 import geopandas as gpd
 import numpy as np
 from pyogrio.errors import DataSourceError
 from rasterio.errors import RasterioError
 
-from gis_radar.clock import interval_steps, iso_from_step, seconds_from_iso, step_of, zone_of
-from gis_radar.crs import metric_crs
-from gis_radar.errors import InputError, OutputError, UsageError
-from gis_radar.heatmap.calendar import follows_utc, local_intervals
+from gis_radar.axes import small_picture
+from gis_radar.cards import card
+from gis_radar.clock import zone_of
+from gis_radar.errors import OutputError, UsageError
+from gis_radar.heatmap.cube import MOST_MIB, dataset
+from gis_radar.heatmap.exploring import explore
 from gis_radar.heatmap.geopackage import write_geopackage
 from gis_radar.heatmap.layers import long_layer, wide_layer
 from gis_radar.heatmap.measure import count_hits, frame_runs, observe
 from gis_radar.heatmap.picture import draw, write_picture
+from gis_radar.heatmap.question import checked, intervals_of, whole_of
 from gis_radar.heatmap.raster import write_raster
 from gis_radar.heatmap.style import sidecar_qml
 from gis_radar.heatmap.table import write_table
-from gis_radar.heatmap.tally import MOST_COLUMNS, Tally
-from gis_radar.heatmap.timeline import (
-    Timeline,
-    aligned,
-    aligned_with,
-    intervals_with,
-    those_with,
-)
+from gis_radar.heatmap.tally import Tally
 from gis_radar.occupancy import Occupancy
-from gis_radar.occupancy.runs import Runs
 from gis_radar.outputs import whole_folder
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.tiles import COLUMNS, fingerprint
+from gis_radar.report_files import REPORT_FILES
 
-MOST_ROWS = 100_000_000  # of the long layer: about 35 GB of GeoPackage
+MOST_DRAWN = 60_000  # tiles in the small picture of a notebook
+# A report of it may stand there; it goes when the heat map does.
+OWNED = ("heatmap.", *REPORT_FILES)
 
 
 class HeatMap(Tally):
@@ -54,19 +50,80 @@ class HeatMap(Tally):
         """Return one row a tile and interval; see :func:`long_layer`."""
         return long_layer(self)
 
-    def plot(self, ax: Any = None) -> Any:
-        """Draw the occupancy over the whole time.
+    def plot(self, ax: Any = None, *, interval: int | None = None, legend: bool = True) -> Any:
+        """Draw the occupancy of the tiles in the classes and colours of all heat maps.
 
         Parameters
         ----------
         ax : matplotlib Axes, optional
             Where to draw; without it, on a new figure.
+        interval : int, optional
+            Which interval, from 0, negative from the end; without it, the whole time.
+        legend : bool
+            Whether the classes stand beside it.
 
         Returns
         -------
         matplotlib Axes
+
+        Raises
+        ------
+        UsageError
+            If there is no such interval.
         """
-        return draw(self, ax)
+        if interval is not None:
+            interval = self._known(interval)
+        return draw(self, ax, interval=interval, legend=legend)
+
+    def explore(self, *, interval: int | None = None, **options: Any) -> Any:
+        """Show the observed tiles on a map to move about in (folium, extra `notebooks`).
+
+        Parameters
+        ----------
+        interval : int, optional
+            Which interval, as for :meth:`plot`; without it, the whole time.
+        **options
+            For :meth:`geopandas.GeoDataFrame.explore`; with `tiles=None` nothing is loaded from
+            a map server.
+
+        Returns
+        -------
+        folium.Map
+
+        Raises
+        ------
+        UsageError
+            If there is no such interval.
+        InputError
+            If folium is not installed.
+        """
+        return explore(self, None if interval is None else self._known(interval), options)
+
+    def to_xarray(self, *, most_mib: float = MOST_MIB) -> Any:
+        """Return the occupancy over (tile, time) as an xarray Dataset; see :func:`dataset`.
+
+        Raises
+        ------
+        UsageError
+            If it would take more than `most_mib` of memory; :func:`gis_radar.to_xarray` cuts out
+            times and tiles before it counts.
+        InputError
+            If xarray is not installed.
+        """
+        return dataset(self, most_mib=most_mib)
+
+    def _known(self, interval: int) -> int:
+        count = len(self.timeline)
+        if not -count <= interval < count:
+            raise UsageError(f"interval {interval} of {count}", hint=f"from 0 to {count - 1}")
+        return interval % count
+
+    def _repr_html_(self) -> str:
+        def small(ax: Any) -> None:
+            self.plot(ax, legend=False).set_axis_off()
+
+        few = len(self.seen) <= MOST_DRAWN
+        return card("Heat map", self.figures(), picture=small_picture(small) if few else b"")
 
     def write(self, folder: str | Path, reporter: Reporter = QUIET) -> list[Path]:
         """Write `heatmap.gpkg`, `heatmap.tif`, `heatmap.parquet`, `heatmap.png`.
@@ -98,7 +155,7 @@ class HeatMap(Tally):
             "heatmap.png": write_picture,
             "heatmap.qml": _write_style,
         }
-        with whole_folder(folder, owned=("heatmap",)) as fresh:
+        with whole_folder(folder, owned=OWNED) as fresh:
             for name, write in writers.items():
                 try:
                     write(self, fresh / name, reporter)
@@ -149,20 +206,32 @@ def make_heatmap(
         If the tiles' coordinate system is not a projected one in metres.
     InputError
         If there is no frame, no tile in view, or the tiles are not those of the occupancy.
+
+    Examples
+    --------
+    >>> import gis_radar as gr
+    >>> sample = gr.sample_folder()
+    >>> tiles = gr.make_tiles(gr.read_map(sample / "junction.osm"))
+    >>> pose = gr.read_pose(sample / "R1.json")
+    >>> occupancy = gr.measure_occupancy([sample / "R1.parquet"], [pose], tiles, "occupancy")
+    >>> heat = gr.make_heatmap(occupancy, tiles, interval="20s").wide()
+    >>> seen = heat[heat["observed_s"] > 0]
+    >>> bool(seen["occupancy"].between(0, 1).all())
+    True
     """
     if at is not None and interval is not None:
         raise UsageError("at and interval do not go together", hint="give one of them")
     if timezone is not None and interval is None:
         raise UsageError("a timezone needs an interval", hint="such as 1h or 1d")
     zone = None if timezone is None else zone_of(timezone)
-    tiles = _checked(tiles, occupancy.fingerprint)
+    tiles = checked(tiles, occupancy.fingerprint)
     tile_ids = tiles["tile_id"].to_numpy(np.int64)
     runs = frame_runs(occupancy)
-    whole = _whole(runs, at)
+    whole = whole_of(runs, at)
     observation = observe(occupancy, tile_ids)
     timeline = whole
     if interval is not None:
-        timeline = _intervals(runs, interval, zone, len(tiles), reporter)
+        timeline = intervals_of(runs, interval, zone, len(tiles), reporter)
     occupied = count_hits(occupancy, observation, timeline, tile_ids, reporter)
     return HeatMap(
         tiles=tiles,
@@ -179,70 +248,3 @@ def make_heatmap(
 
 def _write_style(_tally: Tally, path: Path, _reporter: Reporter) -> None:
     path.write_text(sidecar_qml(), encoding="utf-8")
-
-
-def _checked(tiles: gpd.GeoDataFrame, wanted: str) -> gpd.GeoDataFrame:
-    missing = [name for name in COLUMNS if name not in tiles]
-    if missing:
-        raise InputError(f"the tiles lack the column(s) {', '.join(missing)}")
-    metric_crs(tiles.crs, what="tiles")
-    got = fingerprint(tiles)
-    if got != wanted:
-        raise InputError(
-            f"the tiles have the fingerprint {got}, the occupancy was made with {wanted}",
-            hint="use the tiles that the occupancy was made with",
-        )
-    attributes = tiles[list(COLUMNS)].reset_index(drop=True)
-    shapes = tiles.geometry.reset_index(drop=True)
-    return gpd.GeoDataFrame(attributes, geometry=shapes, crs=tiles.crs)
-
-
-def _whole(runs: Runs, at: str | None) -> Timeline:
-    """Return the whole time, or the step that contains `at`, as one interval."""
-    first, last = int(runs.first[0]), int(runs.last[-1])
-    if at is not None:
-        moment = _moment(at)
-        first = last = int(step_of(np.array([moment]))[0])
-        nearest = runs.nearest(first)
-        if nearest != first:
-            raise InputError(
-                f"no sensor delivered a frame at {at}, in the step from {iso_from_step(first)}",
-                hint=f"the nearest step with a frame begins at {iso_from_step(nearest)}",
-            )
-    return Timeline(begin=np.array([first]), end=np.array([last + 1]))
-
-
-def _moment(at: str) -> float:
-    try:
-        return seconds_from_iso(at, what="at")
-    except InputError as error:
-        raise UsageError(error.message, hint=error.hint) from error
-
-
-def _intervals(
-    runs: Runs, interval: str, zone: ZoneInfo | None, tiles: int, reporter: Reporter
-) -> Timeline:
-    """Return the intervals; where there are very many, only those with a frame."""
-    steps = interval_steps(interval)
-    first, last = int(runs.first[0]), int(runs.last[-1])
-    local = None
-    if zone is not None and not follows_utc(steps):
-        local = local_intervals(first, last, steps, zone)
-    count = last // steps - first // steps + 1 if local is None else len(local)
-    if count <= MOST_COLUMNS:
-        return aligned(first, last, steps) if local is None else local
-    kept = None if local is None else those_with(local, runs)
-    filled = intervals_with(runs, steps) if kept is None else len(kept)
-    if filled * tiles > MOST_ROWS:
-        raise UsageError(
-            f"{filled} intervals of {interval} for {tiles} tiles are more than a heat map can hold",
-            hint="use a longer interval",
-        )
-    said = f"only the {filled} intervals in which a sensor delivered a frame are kept"
-    if filled > MOST_COLUMNS:
-        said += (
-            f"; more than {MOST_COLUMNS}, so they are rows of occupancy_by_interval, "
-            "not columns and bands"
-        )
-    reporter.log(said)
-    return aligned_with(runs, steps) if kept is None else kept

@@ -78,6 +78,18 @@ def vector_qml(*, begin: str = "", end: str = "", length_s: float = 0.0) -> str:
     return _document(root, _QGIS_DOCTYPE)
 
 
+def ground_qml() -> str:
+    """Return the QGIS style of all tiles as the ground below a heat map, in one colour.
+
+    Where nothing lies above it, nothing was observed.
+    """
+    root = Element("qgis", version="3.34", styleCategories="Symbology")
+    renderer = SubElement(root, "renderer-v2", type="singleSymbol", symbollevels="0")
+    _add_fill(SubElement(renderer, "symbols"), "0", NOT_OBSERVED, outline_mm=0.3)
+    SubElement(root, "layerGeometryType").text = "2"
+    return _document(root, _QGIS_DOCTYPE)
+
+
 def _add_temporal(root: Element, begin: str, end: str, length_s: float) -> None:
     """Show a row from its begin for its length.
 
@@ -111,7 +123,7 @@ def _add_renderer(root: Element) -> None:
     SubElement(order, "orderByClause", asc="1", nullsFirst="1").text = '"occupancy"'
 
 
-def _add_fill(symbols: Element, name: str, colour: str) -> None:
+def _add_fill(symbols: Element, name: str, colour: str, *, outline_mm: float = 0.1) -> None:
     symbol = SubElement(
         symbols, "symbol", type="fill", name=name, alpha="1", clip_to_extent="1",
         force_rhr="0", is_animated="0", frame_rate="10",
@@ -123,7 +135,7 @@ def _add_fill(symbols: Element, name: str, colour: str) -> None:
         "style": "solid",
         "outline_color": _rgba(colour),  # closes the hairlines between neighbours
         "outline_style": "solid",
-        "outline_width": "0.1",
+        "outline_width": f"{outline_mm:g}",
         "outline_width_unit": "MM",
     }
     for key, value in values.items():

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from gis_radar.heatmap.layers import wide_layer
-from gis_radar.heatmap.tally import DEFINITIONS, Tally
+from gis_radar.heatmap.tally import Tally
 from gis_radar.progress import Reporter
 
 
@@ -20,7 +20,7 @@ def write_table(tally: Tally, path: Path, _reporter: Reporter) -> None:
         The file.
     """
     frame = wide_layer(tally)
-    frame.attrs = {"fingerprint": tally.fingerprint, "definitions": DEFINITIONS}
+    frame.attrs = tally.metadata
     frame.to_parquet(
         path,
         index=False,

@@ -117,6 +117,18 @@ class Tally:
             return occupied, self.observed.sum(axis=0)[self.group]
         return self.occupied[interval].astype(np.int64), self.observed[interval][self.group]
 
+    @property
+    def metadata(self) -> dict[str, Any]:
+        """What files of a heat map say of the whole, beside their tables."""
+        begin, end = (iso_from_step(int(step[0])) for step in (self.whole.begin, self.whole.end))
+        return {
+            "fingerprint": self.fingerprint,
+            "sensors": list(self.sensors),
+            "begin": begin,
+            "end": end,
+            "definitions": DEFINITIONS,
+        }
+
     def figures(self) -> dict[str, Any]:
         """Return a few figures worth a look: the time, and how much was observed and hit."""
         occupied, observed = self.steps()

@@ -16,6 +16,8 @@ from shapely import LineString, MultiLineString
 from shapely.geometry.base import BaseGeometry
 
 from gis_radar.arrays import Floats
+from gis_radar.cards import card
+from gis_radar.crs import name_of
 from gis_radar.errors import InputError
 from gis_radar.lanelets.bounds import drawn_direction, rungs, slices
 from gis_radar.lanelets.chains import Chain, chain_of, heights_filled
@@ -57,6 +59,27 @@ class LaneletMap:
     problems: gpd.GeoDataFrame
     crs: CRS
     remarks: tuple[str, ...]
+
+    def figures(self) -> dict[str, Any]:
+        """Return what is worth a look, by name."""
+        done = self.problems["action"].value_counts()
+        return {
+            "lanelets": len(self.lanelets),
+            "length_km": round(float(self.lanelets["centre"].length.sum()) / 1000.0, 3),
+            "crs": name_of(self.crs),
+            REPAIRED: int(done.get(REPAIRED, 0)),
+            LEFT_OUT: int(done.get(LEFT_OUT, 0)),
+        }
+
+    def __repr__(self) -> str:
+        told = self.figures()
+        return (
+            f"LaneletMap({told['lanelets']} lanelets, {told['length_km']} km, {told['crs']}; "
+            f"{told[REPAIRED]} {REPAIRED}, {told[LEFT_OUT]} {LEFT_OUT})"
+        )
+
+    def _repr_html_(self) -> str:
+        return card("Lanelet map", self.figures())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,6 +133,13 @@ def read_map(
         If the file is no Lanelet2 map, says nowhere where it lies, or no lanelet can be read.
     CrsError
         If `crs` is not a projected one in metres.
+
+    Examples
+    --------
+    >>> import gis_radar as gr
+    >>> roads = gr.read_map(gr.sample_folder() / "junction.osm")
+    >>> len(roads.lanelets), gr.name_of(roads.crs)
+    (48, 'EPSG:25832')
     """
     osm = read_osm(path)
     relations = dict(sorted(osm.relations_of("lanelet")))

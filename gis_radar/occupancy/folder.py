@@ -14,6 +14,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from gis_radar.cards import card
 from gis_radar.clock import STEP_S, iso_from_step
 from gis_radar.errors import InputError
 from gis_radar.occupancy.deliveries import COLUMNS as DELIVERY_COLUMNS
@@ -78,14 +79,26 @@ class Occupancy:
 
     def figures(self) -> dict[str, Any]:
         """Return what is worth a look: sensors, time span, tiles, hits."""
+        return self._span() | {"hits": sum(len(step) for step, _ in self.hits())}
+
+    def _span(self) -> dict[str, Any]:
         first, last = int(self.frames["first_step"].min()), int(self.frames["last_step"].max())
         return {
             "sensors": self.sensors,
             "begin": iso_from_step(first),
             "end": iso_from_step(last + 1),
             "tiles_observed": int(self.views["tile_id"].nunique()),
-            "hits": sum(len(step) for step, _ in self.hits()),
         }
+
+    def _repr_html_(self) -> str:
+        if self.frames.empty:
+            return card("Occupancy", {"frames": "none"})
+        runs = self.frames.groupby("sensor")[["first_step", "last_step"]]
+        seconds = {
+            str(name): f"{(run['last_step'] - run['first_step'] + 1).sum() * STEP_S:.1f} s"
+            for name, run in runs
+        }
+        return card("Occupancy", {**self._span(), "frames": seconds})
 
     def write(self, folder: str | Path) -> Path:
         """Write the folder, whole or not at all; equal content gives equal files."""

@@ -84,6 +84,15 @@ def measure_occupancy(
         If a recording is damaged, a CRS differs, or heights are asked for and unknown.
     NoAnswerError
         If no sensor sees any tile.
+
+    Examples
+    --------
+    >>> import gis_radar as gr
+    >>> sample = gr.sample_folder()
+    >>> tiles = gr.make_tiles(gr.read_map(sample / "junction.osm"))
+    >>> pose = gr.read_pose(sample / "R1.json")
+    >>> gr.measure_occupancy([sample / "R1.parquet"], [pose], tiles, "occupancy")
+    Occupancy(R1: 73.9 s of frames, 2931 tiles seen)
     """
     if len(recordings) != len(poses) or not recordings:
         raise UsageError(f"{len(recordings)} recordings, but {len(poses)} poses")

@@ -11,6 +11,8 @@ from zoneinfo import ZoneInfo
 import numpy as np
 import pandas as pd
 
+from gis_radar.axes import axes_or_new
+from gis_radar.cards import table_card
 from gis_radar.clock import seconds_from_iso, zone_of
 from gis_radar.errors import InputError, OutputError
 from gis_radar.occupancy import Occupancy
@@ -79,6 +81,31 @@ class Quality:
                 self.table.to_parquet(part, index=False)
         return path
 
+    def plot(self, ax: Any = None) -> Any:
+        """Draw sensors by hours: good, at fault, or without data, with the share of frames.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, optional
+            Where; without it, on a new figure.
+
+        Returns
+        -------
+        matplotlib Axes
+        """
+        # not at the top: whoever draws nothing does not wait for matplotlib
+        from gis_radar.quality.picture import draw_hours  # noqa: PLC0415
+
+        sensors = self.table["sensor"].nunique()
+        ax = axes_or_new(ax, (8.0, 1.4 + 0.5 * sensors))
+        draw_hours(ax, self.table, self.timezone)
+        return ax
+
+    def _repr_html_(self) -> str:
+        columns = ["sensor", "date", "hour", "frames", "frames_expected", "verdict"]
+        title = f"Quality by sensor and hour ({self.timezone})"
+        return table_card(title, columns, self.table[columns].to_numpy(object).tolist())
+
     def __repr__(self) -> str:
         lines = "; ".join(f"{sensor}: {text}" for sensor, text in self.figures().items())
         return f"Quality({lines})"
@@ -104,6 +131,16 @@ def measure_quality(
         If there is no such time zone.
     InputError
         If the occupancy does not tell what was delivered.
+
+    Examples
+    --------
+    >>> import gis_radar as gr
+    >>> sample = gr.sample_folder()
+    >>> tiles = gr.make_tiles(gr.read_map(sample / "junction.osm"))
+    >>> pose = gr.read_pose(sample / "R1.json")
+    >>> occupancy = gr.measure_occupancy([sample / "R1.parquet"], [pose], tiles, "occupancy")
+    >>> gr.measure_quality(occupancy)
+    Quality(R1: 1 of 1 hours good)
     """
     zone = zone_of(timezone)
     spans = spans_of(occupancy)

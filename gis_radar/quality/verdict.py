@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from gis_radar.quality.counting import HIGH, Count
 
 GOOD = "good"
+NO_DATA = "no data"
 LEAST_SHARE = 0.6  # of the frames expected
 HIGH_SHARE = 0.2  # of the frames may have more than `HIGH` of the tiles hit
 STILL_SHARE = 0.001  # of the detections move at least
@@ -32,7 +33,7 @@ def faults_of(count: Count, hour: int) -> Iterator[str]:
         UNIX second in which the hour began.
     """
     if count.frames == 0:
-        yield "no data"
+        yield NO_DATA
         return
     single = count.frames - count.doubled
     expected = single + count.dropped

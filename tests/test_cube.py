@@ -1,0 +1,207 @@
+"""Occupancy as xarray, against a count by pandas; and heat maps read back."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+import sys
+import tracemalloc
+from contextlib import closing
+
+import numpy as np
+import pandas as pd
+import pytest
+from test_heatmap import T0, lane_tiles, two_sensors
+
+import gis_radar as gr
+from gis_radar.heatmap.cube import require_room
+
+xr = pytest.importorskip("xarray")
+
+
+def as_occupancy(site):
+    return gr.Occupancy(
+        fingerprint=site.fingerprint, frames=site.frames, views=site.views, hits=site.hits,
+        sources=[],
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def site():
+    return two_sensors()
+
+
+def counted(site, steps, within=None):
+    """Count occupied and observed steps by tile and interval with pandas, step by step."""
+    rows = [
+        (step, tile)
+        for key, delivered in site.delivered.items()
+        for step in delivered
+        for tile in site.seen.get(key, ())
+    ]
+    observed = pd.DataFrame(rows, columns=["step", "tile"]).drop_duplicates()
+    hits = pd.DataFrame(sorted(site.hit), columns=["step", "tile"]).assign(hit=1)
+    table = observed.merge(hits, how="left").fillna({"hit": 0})
+    if within:
+        table = table[(table["step"] >= within[0]) & (table["step"] < within[1])]
+    table["time"] = pd.to_datetime(table["step"] // steps * steps * 50, unit="ms")
+    return table.groupby(["tile", "time"])["hit"].agg(["sum", "count"]) / 20.0
+
+
+def compared(cube, expected):
+    """Compare every cell of a cube with the count."""
+    for tile in cube["tile_id"].to_numpy():
+        for time in cube["time"].to_numpy():
+            cell = cube.sel(tile_id=tile, time=time)
+            occupied, observed = float(cell["occupied_s"]), float(cell["observed_s"])
+            if (tile, time) in expected.index:
+                sum_s, count_s = expected.loc[(tile, time)]
+                assert (occupied, observed) == pytest.approx((sum_s, count_s))
+                assert float(cell["occupancy"]) == pytest.approx(sum_s / count_s)
+            else:
+                assert observed == 0.0
+                assert np.isnan([occupied, float(cell["occupancy"])]).all()
+
+
+def test_a_heat_map_as_a_cube(site):
+    heat = gr.make_heatmap(as_occupancy(site), site.tiles, interval="5s")
+    cube = heat.to_xarray()
+    assert dict(cube.sizes) == {"tile": 16, "time": 4}
+    compared(cube, counted(site, 100))
+    assert cube.attrs["crs"] == "EPSG:25832"
+    assert cube.attrs["fingerprint"] == site.fingerprint
+    assert {name: cube[name].attrs["units"] for name in cube} == {
+        "occupied_s": "s", "observed_s": "s", "occupancy": "1",
+    }  # fmt: skip
+    assert cube["begin"].dtype == np.dtype("datetime64[ns]")
+    assert ((cube["end"] - cube["begin"]) == np.timedelta64(5, "s")).all()
+    centre = site.tiles.geometry.iloc[3].centroid
+    assert float(cube["easting"][3]) == pytest.approx(centre.x)
+    assert cube["lanelet_id"].to_numpy().tolist() == site.tiles["lanelet_id"].tolist()
+
+
+@pytest.mark.parametrize(("interval", "steps"), [("50ms", 1), ("2s", 40)])
+def test_a_series_of_chosen_tiles_and_times(site, interval, steps):
+    begin, end = (pd.Timestamp((T0 + k) * 50, unit="ms", tz="UTC") for k in (90, 171))
+    cube = gr.to_xarray(
+        as_occupancy(site), site.tiles, interval=interval, tile_ids=[9, 2, 5], within=(begin, end)
+    )
+    assert cube["tile_id"].to_numpy().tolist() == [2, 5, 9]
+    assert cube["begin"].to_numpy().max() < end.to_datetime64() <= cube["end"].to_numpy().max()
+    expected = counted(site, steps, (T0 + 90, T0 + 171))
+    cut = expected.reset_index()
+    cut["time"] = cut["time"].clip(lower=begin.tz_localize(None))  # intervals are cut at the ends
+    compared(cube, cut.set_index(["tile", "time"]))
+    assert float(cube["occupied_s"].sum()) > 0.0
+
+
+def test_the_series_of_all_is_the_heat_map(site):
+    occupancy = as_occupancy(site)
+    one = gr.to_xarray(occupancy, site.tiles, interval="5s")
+    xr.testing.assert_identical(
+        one, gr.make_heatmap(occupancy, site.tiles, interval="5s").to_xarray()
+    )
+
+
+def test_memory_is_that_of_the_result():
+    """Hits of 40 times the memory allowed pass through."""
+    tiles = lane_tiles(400)
+    steps, tile_ids = 60_000, tiles["tile_id"].to_numpy()
+    frames = pd.DataFrame({"sensor": ["R1"], "view": ["a"], "first_step": [T0],
+                           "last_step": [T0 + steps - 1]})  # fmt: skip
+    views = pd.DataFrame({"sensor": "R1", "view": "a", "tile_id": tile_ids})
+
+    def hits():
+        for begin in range(T0, T0 + steps, 100):
+            yield (np.repeat(np.arange(begin, begin + 100), 400), np.tile(tile_ids, 100))
+
+    fingerprint = gr.fingerprint(tiles)
+    occupancy = gr.Occupancy(
+        fingerprint=fingerprint, frames=frames, views=views, hits=hits, sources=[]
+    )
+    tracemalloc.start()
+    cube = gr.to_xarray(occupancy, tiles, interval="1min")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert float(cube["occupied_s"].sum()) == pytest.approx(400 * steps / 20)
+    assert peak < 400 * steps * 16 / 40
+
+
+def test_too_large_a_cube_is_refused_before_it_is_counted(site):
+    def never():
+        raise AssertionError("the hits were read")
+
+    occupancy = gr.Occupancy(**{**vars(as_occupancy(site)), "hits": never})
+    with pytest.raises(gr.UsageError, match=r"16 tiles in .* over 0.01 MiB") as error:
+        gr.to_xarray(occupancy, site.tiles, interval="50ms", most_mib=0.01)
+    for way in ("longer interval", "tile_ids", "within"):
+        assert way in error.value.hint
+    with pytest.raises(gr.UsageError, match="60000 tiles in 1728000 intervals take 1582031 MiB"):
+        require_room(60_000, 1_728_000, 1024.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "words"),
+    [
+        ({"tile_ids": [3, 99]}, gr.InputError, "tile 99"),
+        ({"tile_ids": []}, gr.UsageError, "names no tile"),
+        ({"within": ("2023-11-14T22:13:21Z", "2023-11-14T22:13:20Z")}, gr.UsageError, "ascending"),
+        ({"within": ("2001-01-01T00:00Z", "2001-01-02T00:00Z")}, gr.InputError, "no sensor"),
+        ({"within": ("2001-01-01T00:00", "2001-01-02T00:00")}, gr.UsageError, "no time zone"),
+    ],
+)  # fmt: skip
+def test_what_makes_no_sense_is_refused(site, options, error, words):
+    with pytest.raises(error, match=words):
+        gr.to_xarray(as_occupancy(site), site.tiles, interval="1s", **options)
+
+
+def test_without_xarray_the_install_line_is_given(site, monkeypatch):
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(gr.InputError, match="needs xarray") as error:
+        gr.to_xarray(as_occupancy(site), site.tiles, interval="1s")
+    assert error.value.hint == "pip install gis_radar[notebooks]"
+
+
+@pytest.mark.parametrize("options", [{}, {"interval": "5s"}, {"interval": "50ms"}])
+def test_a_heat_map_is_read_back_as_it_was(site, tmp_path, options):
+    made = gr.make_heatmap(as_occupancy(site), site.tiles, **options)
+    made.write(tmp_path / "heat")
+    for path in (tmp_path / "heat", tmp_path / "heat" / "heatmap.gpkg"):
+        read = gr.read_heatmap(path)
+        assert read.figures() == made.figures()
+        assert read.metadata == made.metadata
+        for name in ("wide", "long"):
+            mine, theirs = (pd.DataFrame(getattr(h, name)()) for h in (read, made))
+            pd.testing.assert_frame_equal(
+                mine.drop(columns="geometry"), theirs.drop(columns="geometry")
+            )
+        assert read.wide().geometry.geom_equals(made.wide().geometry).all()
+    read.write(tmp_path / "again")
+    names = ("heatmap.tif", "heatmap.parquet", "heatmap.qml")
+    for name in names:
+        assert (tmp_path / "again" / name).read_bytes() == (tmp_path / "heat" / name).read_bytes()
+
+
+def test_a_heat_map_that_was_changed_is_not_read(site, tmp_path):
+    gr.make_heatmap(as_occupancy(site), site.tiles).write(tmp_path / "heat")
+    file = tmp_path / "heat" / "heatmap.gpkg"
+    changes = (
+        ("UPDATE heatmap SET lanelet_id = 8 WHERE tile_id = 15", "changed since"),
+        ("DELETE FROM occupancy_by_interval WHERE tile_id = 3", "damaged"),
+        ("DELETE FROM gpkg_metadata_reference", "does not say"),
+    )
+    for number, (change, words) in enumerate(changes):
+        other = tmp_path / f"{number}.gpkg"
+        shutil.copyfile(file, other)
+        with closing(sqlite3.connect(other)) as database, database:
+            named = database.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'")
+            for (trigger,) in named.fetchall():  # they need functions that SQLite lacks
+                database.execute(f'DROP TRIGGER "{trigger}"')
+            database.execute(change)
+        with pytest.raises(gr.InputError, match=words):
+            gr.read_heatmap(other)
+    with pytest.raises(gr.InputError, match="there is no heat map"):
+        gr.read_heatmap(tmp_path)
+    (tmp_path / "text.gpkg").write_text("no")
+    with pytest.raises(gr.InputError, match="not a heat map"):
+        gr.read_heatmap(tmp_path / "text.gpkg")

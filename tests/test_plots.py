@@ -1,0 +1,141 @@
+"""Plots by one call: on the axes given, with units, showing what they should."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import matplotlib as mpl
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+import pytest
+import shapely
+from matplotlib.colors import to_rgba
+from test_cards import a_localization, a_pose, a_track
+from test_heatmap import T0, lane_tiles, make_site
+
+import gis_radar as gr
+from gis_radar.heatmap import style
+
+
+@pytest.fixture(autouse=True)
+def no_window():
+    mpl.use("Agg")
+    yield
+    plt.close("all")
+
+
+@pytest.fixture
+def heat():
+    """Tile 0 is hit in all of the first second and never after, tile 1 the other way round."""
+    steps = set(range(T0, T0 + 40))
+    hit = {(s, 0) for s in range(T0, T0 + 20)} | {(s, 1) for s in range(T0 + 20, T0 + 40)}
+    site = make_site(lane_tiles(6), {("R1", "a"): steps}, {("R1", "a"): {0, 1, 2}}, hit)
+    return gr.make_heatmap(site, site.tiles, interval="1s")
+
+
+def colours(ax):
+    """Return the colours of the drawn tiles; their dark edge is drawn under them."""
+    return [tuple(face.round(3)) for face in ax.collections[1].get_facecolor()]
+
+
+def named(share):
+    level = next(level for level in style.levels() if share <= level.upper)
+    return tuple(np.round(to_rgba(level.colour), 3))
+
+
+def test_a_heat_map_is_drawn_on_the_axes_given(heat):
+    figure, ax = plt.subplots()
+    assert heat.plot(ax) is ax
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("easting, m", "northing, m")
+    labels = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert labels == [level.label for level in reversed(style.levels())] + ["not observed"]
+    assert plt.get_fignums() == [figure.number]
+
+
+def test_a_heat_map_is_drawn_by_interval(heat):
+    whole, first, last = (
+        colours(heat.plot(interval=interval, legend=False)) for interval in (None, 0, -1)
+    )
+    assert whole.count(named(0.5)) == 2
+    for drawn in (first, last):
+        assert drawn.count(named(1.0)) == 1
+        assert drawn.count(named(0.0)) == 2
+        assert drawn.count(tuple(np.round(to_rgba(style.NOT_OBSERVED), 3))) == 3
+    with pytest.raises(gr.UsageError, match="interval 2 of 2"):
+        heat.plot(interval=2)
+
+
+def test_exploring_shows_the_observed_tiles_and_loads_no_map(heat):
+    pytest.importorskip("folium")
+    text = heat.explore(interval=0, tiles=None).get_root().render()
+    assert "CartoDB" not in text
+    assert text.count('"type": "Polygon"') == 3
+    assert "50 to 100 %" in text
+    assert style.RAMP[-1] in text
+
+
+def test_exploring_without_folium_gives_the_install_line(heat, monkeypatch):
+    monkeypatch.setitem(sys.modules, "folium", None)
+    with pytest.raises(gr.InputError, match="explore needs folium") as error:
+        heat.explore()
+    assert error.value.hint == "pip install gis_radar[notebooks]"
+
+
+def test_a_pose_is_drawn_with_view_arrow_and_ellipse():
+    pose = a_pose()
+    ax = pose.plot(reach_m=50.0)
+    area = shapely.Polygon(ax.patches[0].get_xy())
+    assert area.area == pytest.approx(np.pi * 50.0**2 / 3, rel=0.01)
+    east, north = pose.position[:2]
+    tip = ax.texts[0].xy
+    assert np.degrees(np.arctan2(tip[1] - north, tip[0] - east)) == pytest.approx(30.0, abs=0.2)
+    ring = shapely.Polygon(ax.lines[0].get_xydata())
+    assert ring.area == pytest.approx(np.pi * 5.991 * 0.25**2, rel=0.01)
+    bare = gr.Pose(**{**vars(pose), "evidence": {}})
+    assert len(bare.plot().lines) == 0
+
+
+def test_a_localization_is_drawn_with_or_without_a_map():
+    found = a_localization()
+    roads = gr.read_map(gr.sample_folder() / "junction.osm")
+    plain, whole = found.plot(), found.plot(roads, np.zeros((0, 3)))
+    assert "97% of the traces fit" in plain.get_title()
+    drawn = np.vstack([c.get_offsets() for c in plain.collections[:2]])
+    expected = found.pose.to_map(found.traces)[:, :2]
+    assert sorted(drawn[:, 0]) == pytest.approx(sorted(expected[:, 0]))
+    assert len(whole.collections) > len(plain.collections)
+
+
+def test_a_track_is_drawn_component_by_component():
+    track = gr.Track(poses=a_track())
+    ax = track.plot("yaw")
+    assert ax.get_ylabel() == "yaw, deg"
+    assert ax.lines[-1].get_ydata()[0] == pytest.approx(30.0)
+    assert track.plot().get_ylabel() == "easting, m"
+    with pytest.raises(gr.UsageError, match="component is 'x'"):
+        track.plot("x")
+
+
+def test_quality_is_drawn_by_sensor_and_hour():
+    hours = pd.to_datetime(["2025-06-12T22:00Z", "2025-06-12T23:00Z"])
+    rows = [
+        ("R1", hours[0], 72_000, "good"), ("R1", hours[1], 7_200, "10 % of the frames expected"),
+        ("R2", hours[0], 0, "no data"),
+    ]  # fmt: skip
+    table = pd.DataFrame(rows, columns=["sensor", "begin", "frames", "verdict"])
+    table = table.assign(frames_expected=72_000, doubled=0)
+    ax = gr.Quality(table=table, timezone="Europe/Berlin").plot()
+    assert ax.collections[0].get_array().ravel().tolist() == [0, 1, 2, 2]
+    assert [text.get_text() for text in ax.texts] == ["100 %", "10 %", "0 %"]
+    labels = [label.get_text() for label in ax.get_xticklabels()]
+    assert labels == ["00:00\n2025-06-13", "01:00"]
+
+
+def test_reading_a_pose_does_not_wait_for_matplotlib():
+    code = (
+        "import sys, gis_radar as gr; p = gr.read_pose(gr.sample_folder() / 'R1.json'); repr(p); "
+        "p._repr_html_(); assert not {'matplotlib', 'xarray', 'folium'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
