@@ -3,11 +3,11 @@
 # PYTHON=/path/to/python3.12 chooses the Python; UPGRADE=--upgrade renews the pins;
 # QUICK=--quick makes bench-localization a quick look.
 BIN := .venv/bin
-MADE := .venv .pdal .pdal.part.* .qgis out build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
+MADE := .venv .pdal .pdal.part.* .qgis out build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis qgis_plugin/tests/.qgis-settings
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help set-up set-up-dev set-up-bench pdal demo test test-qgis lint format types bench \
+.PHONY: help set-up set-up-dev set-up-bench pdal demo docs test test-qgis lint format types bench \
 	bench-assignment bench-tiles bench-occupancy bench-memory bench-truth bench-mask \
 	bench-localization bench-clocks bench-convert samples wheel plugin-zip constraints clean
 
@@ -31,8 +31,13 @@ pdal: ## Get PDAL into .pdal, or try again
 demo: set-up ## Run the main job on the sample site; results in out/demo
 	$(BIN)/gis-radar demo -o out/demo
 
-test: lint types ## Run every check: lint, types, tests
+docs: set-up-dev ## Build the documentation in out/docs/html, with the notebooks run
+	$(BIN)/python tools/build_docs.py --run-notebooks
+
+test: lint types ## Run every check: lint, types, tests, the plugin in a real QGIS
+	@sh tools/get_chromium.sh || [ "$$GIS_RADAR_CHROMIUM" != required ]
 	$(BIN)/pytest -n 2 --dist worksteal
+	@sh tools/test_qgis.sh
 
 test-qgis: set-up ## Test the plugin in a real QGIS, which is installed on Debian 12
 	@sh tools/test_qgis.sh
@@ -88,7 +93,7 @@ plugin-zip: wheel ## Build the installable zip of the QGIS plugin in dist
 
 constraints: set-up-dev ## Pin what pyproject.toml asks for in constraints.txt
 	printf 'hatchling\nuv\n' | $(BIN)/uv pip compile --quiet --no-header --no-annotate \
-		--universal --python-version 3.11 --fork-strategy fewest --all-extras --group dev \
+		--universal --python-version 3.11 --fork-strategy fewest --all-extras --group dev --group docs \
 		$(UPGRADE) --output-file constraints.txt pyproject.toml -
 
 clean: ## Remove all that was made, .venv too

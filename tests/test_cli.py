@@ -86,6 +86,13 @@ def test_an_option_that_a_pose_overrules_is_said(site, run):
     assert "the pose of R1 has a view, which counts" in err
 
 
+def test_an_option_that_a_pose_agrees_with_is_no_warning(site, run):
+    seen_m = gr.read_pose(site / "R1.json").view.max_range_m
+    code, _, err = run(*occupancy_words(site), "--max-range", str(seen_m))
+    assert code == 0
+    assert "which counts" not in err
+
+
 def test_no_trustworthy_answer(site, run):
     gr.write_pose(pose(easting=EAST + 9000), site / "R1.json")
     refused(run(*occupancy_words(site)), 4, "no tile lies in the view of R1")
@@ -324,3 +331,11 @@ def test_a_table_in_a_summary_keeps_its_digits(capfd, monkeypatch):
     assert heads.split() == ["sensors", "easting", "northing", "state", "yaw"]
     assert first.split() == ["R1", "690360.042", "5336178.091", "no", "pose", "fits", "[/b]"]
     assert second.split() == ["R2", "-1.500"]
+
+
+def test_a_summary_groups_no_ids_and_says_what_is_not_known(capfd):
+    result = Result(outputs=[], summary={"tiles": 66549, "busiest_tile": 45009, "epoch": None})
+    with HumanDoor() as door:
+        door.result(result)
+    told = [line.split() for line in capfd.readouterr().out.splitlines() if line.strip()]
+    assert told == [["tiles", "66,549"], ["busiest", "tile", "45009"], ["epoch", "not", "known"]]

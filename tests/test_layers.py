@@ -1,6 +1,7 @@
 """Imports between the modules of gis_radar go one way: down the table below."""
 
 import ast
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -9,10 +10,10 @@ PACKAGE = Path(__file__).parents[1] / "gis_radar"
 # Lowest first. A module imports only what stands before it. "gis_radar" is the package's own front,
 # `__init__.py`: what `import gis_radar` offers.
 ROWS = """
-    errors arrays progress compiled
+    errors arrays progress compiled cards axes extras
     locks
-    clock outputs crs streams layer_styles
-    pose pose_files
+    clock outputs crs streams layer_styles project_files report_files
+    sensor_shapes pose pose_files
     sensors
     lanelets
     csv_tables detections formats sensor_clocks
@@ -26,6 +27,7 @@ ROWS = """
     localization
     tracking
     qgis_project
+    report
     site_runs
     demo
     gis_radar
@@ -43,6 +45,7 @@ def module_name(path, package):
     return ".".join(parts) or package.name
 
 
+@cache
 def read_imports(package):
     """Map each module to the modules of the same package that it imports, wherever it does so."""
     files = {module_name(path, package): path for path in sorted(package.rglob("*.py"))}

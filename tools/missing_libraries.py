@@ -96,7 +96,7 @@ def requirements(level: str) -> set[str]:
     project: dict[str, Any] = tomllib.loads(text)
     lines = list(project["project"]["dependencies"])
     if level != "run":
-        lines += project["dependency-groups"]["dev"]
+        lines += [line for group in ("dev", "docs") for line in project["dependency-groups"][group]]
     if level == "bench":
         lines += project["project"]["optional-dependencies"]["localize"]
     return {re.split(r"[^\w.-]", line)[0].lower() for line in lines}

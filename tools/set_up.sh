@@ -2,7 +2,7 @@
 # Set up .venv with pinned packages, and the system libraries that they miss.
 #
 #   tools/set_up.sh run    what gis-radar needs
-#   tools/set_up.sh dev    and what its checks need
+#   tools/set_up.sh dev    and what its checks and its documentation need
 #   tools/set_up.sh bench  and the extra packages that the benchmarks compare with
 #
 # PYTHON=... names the Python to use (3.11 or newer). Where all is in place already,
@@ -90,7 +90,7 @@ make_venv() {
 install_packages() {
     set -- --editable .
     [ "$level" != bench ] || set -- --editable '.[localize]'
-    [ "$level" = run ] || set -- "$@" --group dev
+    [ "$level" = run ] || set -- "$@" --group dev --group docs
     $venv/bin/python -m pip install --quiet --disable-pip-version-check \
         --constraint constraints.txt uv || fail "pip could not install uv (see above)."
     # Without a home to write to, downloads are kept beside what they become.

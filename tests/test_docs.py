@@ -1,0 +1,260 @@
+"""The documentation: it builds without a warning, stands alone, and says what is so."""
+
+import doctest
+import importlib
+import json
+import re
+import subprocess
+import sys
+import tomllib
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+from zoneinfo import ZoneInfo
+
+import click
+import matplotlib as mpl
+import pandas as pd
+import pytest
+import yaml
+from click.testing import CliRunner
+from doc_pages import DOCS, PAGES, ROOT, blocks, commands, sayings
+
+import gis_radar as gr
+from gis_radar.cli.commands import group
+from gis_radar.occupancy.deliveries import COLUMNS as DELIVERIES
+from gis_radar.occupancy.folder import FILES, NEEDED
+from gis_radar.pose_files import TRACK_FIELDS
+from gis_radar.quality.counting import Count
+from gis_radar.quality.product import _row
+from gis_radar.quality.verdict import faults_of
+from gis_radar.tiles import COLUMNS as TILES
+
+LOADS = {"script": "src", "img": "src", "iframe": "src", "source": "src", "video": "src"}
+HEAVY = {"localize", "track"}  # run elsewhere in the tests, and slow
+
+
+class Page(HTMLParser):
+    """What a built page holds: ids, links, and what a browser loads for it."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.ids, self.links, self.loads = set(), [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        named = dict(attrs)
+        self.ids |= {named[key] for key in ("id", "name") if named.get(key)}
+        if tag == "a" and named.get("href"):
+            self.links.append(named["href"])
+        if tag == "link" and named.get("href"):
+            self.loads.append(named["href"])
+        if tag in LOADS and named.get(LOADS[tag]):
+            self.loads.append(named[LOADS[tag]])
+
+
+def test_the_site_builds_without_a_warning_and_stands_alone(tmp_path):
+    command = [sys.executable, ROOT / "tools" / "build_docs.py", tmp_path]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-3000:]
+    site = tmp_path / "html"
+    pages = {
+        path.relative_to(site).as_posix(): Page(path.read_text(encoding="utf-8"))
+        for path in site.rglob("*.html")
+    }
+    expected = {p.relative_to(DOCS).with_suffix(".html").as_posix() for p in DOCS.rglob("*.md")}
+    assert expected <= set(pages)
+    assert broken_links(site, pages) == []
+    assert [load for page in pages.values() for load in page.loads if is_outside(load)] == []
+    for sheet in site.rglob("*.css"):
+        assert not re.search(r"url\(['\"]?(https?:)?//", sheet.read_text(encoding="utf-8")), sheet
+
+
+def is_outside(address):
+    return bool(urlsplit(address).netloc)
+
+
+def broken_links(site, pages):
+    """List the links that lead nowhere; of links to the outside only the form is looked at."""
+    broken = []
+    for name, page in pages.items():
+        for link in page.links:
+            parts = urlsplit(link)
+            if parts.netloc or parts.scheme:
+                if parts.scheme not in {"http", "https", "mailto"} or " " in link:
+                    broken.append((name, link))
+                continue
+            path = (site / name).parent / unquote(parts.path) if parts.path else site / name
+            target = path.resolve()
+            if not target.is_file():
+                broken.append((name, link))
+                continue
+            key = target.relative_to(site.resolve()).as_posix()
+            if parts.fragment and key in pages and unquote(parts.fragment) not in pages[key].ids:
+                broken.append((name, link))
+    return broken
+
+
+def test_the_check_of_links_finds_what_is_broken(tmp_path):
+    (tmp_path / "a.html").write_text('<a href="a.html#x">1</a><a href="b.html">2</a>')
+    pages = {"a.html": Page((tmp_path / "a.html").read_text())}
+    assert broken_links(tmp_path, pages) == [("a.html", "a.html#x"), ("a.html", "b.html")]
+    assert is_outside("https://fonts.example/a.css")
+    assert not is_outside("_static/a.css")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.stem)
+def test_the_commands_shown_exist_with_their_options(page):
+    for words in commands(page):
+        if words[1].startswith("-"):
+            assert words[1] in {"--version", "--help"}
+            continue
+        assert words[1] in group.commands, words
+        command = group.commands[words[1]]
+        names = {name for param in command.params for name in param.opts} | {"--help"}
+        used = {word.partition("=")[0] for word in words[2:] if re.match(r"--?[a-z]", word)}
+        assert used <= names, (words, used - names)
+
+
+@pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md"])
+def test_links_within_the_repository_lead_somewhere(name):
+    links = re.findall(r"\]\(([^)#\s]+)[^)]*\)", (ROOT / name).read_text(encoding="utf-8"))
+    inside = [link for link in links if not urlsplit(link).scheme]
+    assert inside
+    assert [link for link in inside if not (ROOT / link).exists()] == []
+
+
+def test_there_are_commands_to_check():
+    assert len([words for page in PAGES for words in commands(page)]) > 30
+
+
+def test_the_tutorial_runs_as_it_stands(tmp_path, monkeypatch):
+    sample = gr.sample_folder()
+    monkeypatch.chdir(tmp_path)
+    mpl.use("Agg")
+    for words in commands(DOCS / "tutorial.md"):
+        arguments = words[1:]
+        if arguments[0] in HEAVY:
+            assert parses(arguments)
+            found = json.loads((sample / "R1.json").read_text(encoding="utf-8"))
+            del found["view"]  # as one that is found
+            place = Path(arguments[arguments.index("-o") + 1])
+            place.write_text(json.dumps(found), encoding="utf-8")
+            continue
+        done = CliRunner().invoke(group, arguments, catch_exceptions=False)
+        assert done.exit_code == 0, done.output
+        assert "warning:" not in done.output
+        if arguments[0] == "sample":
+            monkeypatch.chdir("sample")
+    names = {}
+    for code in blocks(DOCS / "tutorial.md", "python"):
+        exec(compile(code, "tutorial.md", "exec"), names)  # noqa: S102 - our own example
+    assert names["by_lane"]["occupancy"].between(0.0, 1.0).all()
+    assert pd.read_csv("quality.csv")["verdict"].eq("good").all()
+
+
+def parses(arguments):
+    """Tell whether a command understands its arguments, without running it."""
+    command = group.commands[arguments[0]]
+    return isinstance(command.make_context(arguments[0], arguments[1:]), click.Context)
+
+
+def with_examples():
+    modules = {
+        path.relative_to(ROOT).with_suffix("").as_posix().replace("/", ".")
+        for path in (ROOT / "gis_radar").rglob("*.py")
+        if ">>> " in path.read_text(encoding="utf-8")
+    }
+    return sorted(modules)
+
+
+@pytest.mark.parametrize("name", with_examples())
+def test_the_examples_of_docstrings_run(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = doctest.testmod(importlib.import_module(name), optionflags=doctest.ELLIPSIS)
+    assert result.attempted > 0
+    assert result.failed == 0
+
+
+def test_there_are_examples_in_docstrings():
+    assert len(with_examples()) >= 8
+
+
+def test_every_public_name_is_documented():
+    shown = re.findall(r"auto\w+:: gis_radar\.(\w+)$", text_of("api.md"), flags=re.MULTILINE)
+    assert sorted(shown) == sorted(gr.__all__)
+
+
+def test_the_python_that_pages_show_is_python():
+    shown = [code for page in PAGES for code in blocks(page, "python")]
+    assert shown
+    for code in shown:
+        compile(code, "page", "exec")
+
+
+def quoted():
+    text = "".join(blocks(DOCS / "troubleshooting.md", "text"))
+    return [line for line in text.splitlines() if line]
+
+
+@pytest.mark.parametrize("line", quoted())
+def test_the_messages_quoted_are_those_of_the_code(line):
+    message = line.removeprefix("gis-radar: ")
+    assert says(message), f"no text of gis_radar reads like: {message}"
+
+
+def says(message):
+    """Tell whether some text of the package reads so; a row, and a hint in brackets may follow."""
+    cuts = [len(message), *(found.start() for found in re.finditer(r" \(", message))]
+    ends = [re.sub(r" in row \d+$", "", message[:cut]) for cut in cuts]
+    return any(pattern.fullmatch(end) for end in ends for pattern in sayings())
+
+
+def test_a_message_that_the_code_does_not_have_is_found():
+    assert says("tiles.gpkg: layer tiles is empty")
+    assert not says("tiles.gpkg: the moon is empty")
+
+
+def text_of(name):
+    return (DOCS / name).read_text(encoding="utf-8")
+
+
+def test_every_measure_of_a_file_is_defined():
+    defined = set(re.findall(r"`([\w.]+)`", text_of("definitions.md")))
+    row = set(_row("R1", 0, Count(), [], ZoneInfo("UTC")))
+    tables = {column for columns in NEEDED.values() for column in columns} | {*DELIVERIES, *TILES}
+    track = {name.removeprefix("sigma_").partition("_")[0] for name in TRACK_FIELDS}
+    layers = {"occupied_s", "observed_s", "occupancy", "begin", "end"}
+    assert (row | tables | track | layers | {*FILES}) - defined == set()
+
+
+def test_the_verdicts_on_quality_are_listed():
+    listed = text_of("fusion.md")
+    count = Count(frames=200, doubled=20, repeated=100, dropped=1000)
+    assert list(faults_of(Count(), 0)) == ["no data"]
+    for fault in faults_of(count, 0):
+        words = re.sub(r"^[\d.]+ % ", "", fault).partition(":")[0]
+        assert words in listed, fault
+
+
+def test_the_citation_fits_the_project():
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert cited["cff-version"] == "1.2.0"
+    assert {"message", "title", "authors", "type", "license"} <= set(cited)
+    assert cited["version"] == project["version"]
+    assert cited["license"] == project["license"]
+    assert cited["authors"] == [{"name": project["authors"][0]["name"]}]
+    (paper,) = [each for each in cited["references"] if each["type"] == "conference-paper"]
+    assert [author["family-names"] for author in paper["authors"]] == [
+        "Han", "Xu", "Kefferpütz", "Lu", "Elger", "Beyerer",
+    ]  # fmt: skip
+    allowed = {"family-names", "given-names", "affiliation", "email", "name"}
+    assert all(set(author) <= allowed for author in paper["authors"])
+
+
+def test_every_notebook_has_a_title_for_the_site():
+    for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
+        first = json.loads(path.read_text(encoding="utf-8"))["cells"][0]
+        assert first["cell_type"] == "markdown", path
+        assert "".join(first["source"]).startswith("# "), path
