@@ -13,6 +13,9 @@ from gis_radar.heatmap import make_heatmap
 from gis_radar.occupancy import measure_occupancy, merge_occupancies
 from gis_radar.pose import View
 
+FILES = [
+    "lanes.csv", "lanes_by_interval.csv", "quality.csv", "report.html", "report.pdf", "sensors.csv",
+]  # fmt: skip
 HOSTILE = "<script>alert(1)</script>"
 FORMULA = "=1+1"
 BEGIN = 1_750_000_000.0  # 2025-06-15T15:06:40Z, the begin of an aligned 20 s
@@ -71,6 +74,13 @@ def write_run(folder: Path, *, title: str, zone="Europe/Berlin", **further) -> N
         "stages": [],
     }
     (folder / "run.json").write_text(json.dumps(document | further), encoding="utf-8")
+
+
+def write_whole_run(folder: Path) -> Path:
+    """Write results and what the run notes of them, with letters beyond ASCII."""
+    write_results(folder)
+    write_run(folder, title="Kreuzung Münchner Straße \u2013 Süd")
+    return folder
 
 
 class Page(HTMLParser):

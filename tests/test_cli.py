@@ -339,3 +339,25 @@ def test_a_summary_groups_no_ids_and_says_what_is_not_known(capfd):
         door.result(result)
     told = [line.split() for line in capfd.readouterr().out.splitlines() if line.strip()]
     assert told == [["tiles", "66,549"], ["busiest", "tile", "45009"], ["epoch", "not", "known"]]
+
+
+def test_another_pipe_that_breaks_is_told():
+    """Only where nobody listens is there nothing to say."""
+    code = (
+        "import click\n"
+        "from gis_radar.cli.door import command, open_door\n"
+        "group = click.Group()\n"
+        "@command(group, example='work')\n"
+        "def work(*, reporter):\n"
+        "    raise BrokenPipeError(32, 'Broken pipe')\n"
+        "open_door(group)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, "work"],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert done.returncode == 3
+    assert "ended early: [Errno 32] Broken pipe" in done.stderr

@@ -11,20 +11,14 @@ import numpy as np
 import pandas as pd
 import pypdf
 import pytest
-from report_site import SIGMA, Page, report_tiles, write_results, write_run
+from report_site import FILES, SIGMA, Page, report_tiles, write_whole_run
 
 import gis_radar as gr
-
-FILES = [
-    "lanes.csv", "lanes_by_interval.csv", "quality.csv", "report.html", "report.pdf", "sensors.csv",
-]  # fmt: skip
 
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
-    folder = write_results(tmp_path_factory.mktemp("site"))
-    write_run(folder, title="Kreuzung Münchner Straße \u2013 Süd")
-    return folder
+    return write_whole_run(tmp_path_factory.mktemp("site"))
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,16 @@ import numpy as np
 import pandas as pd
 import pytest
 from click.testing import CliRunner
-from report_site import FORMULA, HOSTILE, Page, report_tiles, write_results, write_run
+from report_site import (
+    FILES,
+    FORMULA,
+    HOSTILE,
+    Page,
+    report_tiles,
+    write_results,
+    write_run,
+    write_whole_run,
+)
 from sites import pose
 
 import gis_radar as gr
@@ -21,16 +30,10 @@ from gis_radar.cli.commands import group
 from gis_radar.heatmap import make_heatmap
 from gis_radar.report.spreadsheets import safe
 
-FILES = [
-    "lanes.csv", "lanes_by_interval.csv", "quality.csv", "report.html", "report.pdf", "sensors.csv",
-]  # fmt: skip
-
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
-    folder = write_results(tmp_path_factory.mktemp("site"))
-    write_run(folder, title="Kreuzung Münchner Straße \u2013 Süd")
-    return folder
+    return write_whole_run(tmp_path_factory.mktemp("site"))
 
 
 def test_text_of_others_stays_text(tmp_path):

@@ -36,7 +36,13 @@ def command(group: click.Group, *, example: str) -> Callable[[Verb], Verb]:
         @functools.wraps(verb)
         def run(*, json_lines: bool, **options: Any) -> None:
             with _door(json_lines=json_lines) as door:
-                result = verb(reporter=door.reporter, **options)
+                try:
+                    result = verb(reporter=door.reporter, **options)
+                except BrokenPipeError as error:
+                    # click takes every broken pipe for standard output's, and says nothing.
+                    if not _is_heard():
+                        raise
+                    raise OutputError(f"a program that was started ended early: {error}") from error
             door.result(result)
             if result.failure is not None:
                 raise result.failure
@@ -71,9 +77,9 @@ def open_door(group: click.Group) -> NoReturn:
         _fail(door, error)
     except (KeyboardInterrupt, click.Abort):
         _fail(door, GisRadarError("interrupted; nothing was left half-written"), INTERRUPTED)
-    except BrokenPipeError:
-        _leave_unheard()
     except OSError as error:
+        if not _is_heard():
+            _leave_unheard()
         where = f"{error.filename}: " if error.filename else ""
         _fail(door, OutputError(f"{where}{error.strerror or error}"))
     sys.exit(0)
@@ -85,6 +91,15 @@ def _fail(door: Door, error: GisRadarError, code: int | None = None) -> NoReturn
     except BrokenPipeError:
         _leave_unheard()
     sys.exit(error.exit_code if code is None else code)
+
+
+def _is_heard() -> bool:
+    """Tell whether standard output is still open; it may be another pipe that broke."""
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        return False
+    return True
 
 
 def _leave_unheard() -> NoReturn:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -14,7 +15,7 @@ from gis_radar.report.content import Content, Figure, MapPart
 from gis_radar.report.folder import Results
 from gis_radar.report.lanes import LaneTally
 from gis_radar.report.overlay import thumbnail
-from gis_radar.report.words import THIN, Clock, number
+from gis_radar.report.words import THIN, Clock, number, percent
 
 FIGURE_PIXELS, FINE_FIGURES = 1600, 6  # more than that many are drawn coarser
 COARSE_PIXELS, MOST_FIGURES = 1000, 20
@@ -48,6 +49,19 @@ class Findings:
     table: pd.DataFrame
 
 
+class Figures(NamedTuple):
+    """Figures of the whole time; the busiest lane is None where none was hit."""
+
+    lanes: int
+    lanes_observed: int
+    length_m: float
+    length_observed_m: float
+    tiles_observed: int
+    tiles_hit: int
+    busiest_lane: int | None
+    busiest_occupancy: float | None
+
+
 def content_of(found: Findings, parts: MapPart, plan: Figure) -> Content:
     """Say what was found.
 
@@ -69,7 +83,7 @@ def content_of(found: Findings, parts: MapPart, plan: Figure) -> Content:
         subtitle=clock.whole(*traffic.whole),
         zone=clock.name,
         until=traffic.whole[1],
-        facts=_facts(results, found.table),
+        facts=_facts(found),
         remarks=_remarks(results, found.quality),
         map=parts,
         lane_figure=plan,
@@ -84,23 +98,40 @@ def content_of(found: Findings, parts: MapPart, plan: Figure) -> Content:
     )
 
 
-def _facts(results: Results, table: pd.DataFrame) -> list[tuple[str, str]]:
-    """Return the figures at the top."""
-    seconds = results.traffic.overall
+def figures_of(found: Findings) -> Figures:
+    """Count what is worth a look."""
+    traffic, table = found.results.traffic, found.table
+    seconds = traffic.overall
     seen = seconds.observed > 0
-    length = results.traffic.tiles["length_m"].to_numpy(np.float64)
-    hit = int(np.count_nonzero(seconds.occupied[seen]))
-    top = tables.busiest_of(table)
-    sensors = results.sensors
+    length_m = traffic.tiles["length_m"].to_numpy(np.float64)
+    hit = not table.empty and table["occupancy"].iloc[0] > 0  # the busiest stands first
+    return Figures(
+        lanes=len(table),
+        lanes_observed=int(table["occupancy"].notna().sum()),
+        length_m=float(length_m.sum()),
+        length_observed_m=float(length_m[seen].sum()),
+        tiles_observed=int(seen.sum()),
+        tiles_hit=int(np.count_nonzero(seconds.occupied[seen])),
+        busiest_lane=int(table["lane"].iloc[0]) if hit else None,
+        busiest_occupancy=float(table["occupancy"].iloc[0]) if hit else None,
+    )
+
+
+def _facts(found: Findings) -> list[tuple[str, str]]:
+    """Return the figures at the top."""
+    told, sensors = figures_of(found), found.results.sensors
+    busiest = "none was hit"
+    if told.busiest_occupancy is not None:
+        busiest = f"No. {told.busiest_lane}: {percent(told.busiest_occupancy)}"
     return [
         ("Sensors", str(len(sensors)) if sensors else "not known here"),
-        ("Lanes observed", f"{int(table['occupancy'].notna().sum())} of {len(table)}"),
+        ("Lanes observed", f"{told.lanes_observed} of {told.lanes}"),
         (
             "Lane length observed",
-            f"{number(float(length[seen].sum()))} of {number(length.sum())}{THIN}m",
+            f"{number(told.length_observed_m)} of {number(told.length_m)}{THIN}m",
         ),
-        ("Tiles hit", f"{number(hit)} of {number(int(seen.sum()))}"),
-        ("Busiest lane", f"No. {top[0]}: {top[1]}" if top else "none was hit"),
+        ("Tiles hit", f"{number(told.tiles_hit)} of {number(told.tiles_observed)}"),
+        ("Busiest lane", busiest),
     ]
 
 

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from gis_radar.cards import card
 from gis_radar.clock import zone_of
 from gis_radar.errors import OutputError, UsageError
@@ -17,7 +15,7 @@ from gis_radar.progress import QUIET, Reporter
 from gis_radar.quality import Quality, measure_quality
 from gis_radar.report.basis import credits_of
 from gis_radar.report.content import Content
-from gis_radar.report.findings import Findings, content_of
+from gis_radar.report.findings import Findings, content_of, figures_of
 from gis_radar.report.folder import Results, read_results
 from gis_radar.report.lanes import lane_table, lane_tally
 from gis_radar.report.map_part import canvas_for, frames_of, lane_figure, map_part
@@ -183,12 +181,9 @@ def _write_text(path: Path, text: str) -> None:
 
 def _summary(found: Findings, content: Content) -> dict[str, Any]:
     """Return the figures as numbers, None where not known; the page says them in words."""
-    traffic, table = found.results.traffic, found.table
-    seconds = traffic.overall
-    seen = seconds.observed > 0
-    length_m = traffic.tiles["length_m"].to_numpy(np.float64)
-    top = table.iloc[0] if table["occupied_s"].gt(0).any() else None
-    begin, end = traffic.whole
+    told = figures_of(found)
+    begin, end = found.results.traffic.whole
+    busiest = told.busiest_occupancy
     return {
         "title": content.title,
         "begin": utc(begin),
@@ -196,12 +191,12 @@ def _summary(found: Findings, content: Content) -> dict[str, Any]:
         "timezone": str(found.clock.zone),
         "pictures": len(content.map.frames) + 1,
         "sensors": found.results.sensors,
-        "lanes": len(table),
-        "lanes_observed": int(table["occupancy"].notna().sum()),
-        "lane_length_observed_m": round(float(length_m[seen].sum()), 2),
-        "tiles_observed": int(seen.sum()),
-        "tiles_hit": int(np.count_nonzero(seconds.occupied[seen])),
-        "busiest_lane": None if top is None else int(top["lane"]),
-        "busiest_lane_occupancy": None if top is None else round(float(top["occupancy"]), 6),
+        "lanes": told.lanes,
+        "lanes_observed": told.lanes_observed,
+        "lane_length_observed_m": round(told.length_observed_m, 2),
+        "tiles_observed": told.tiles_observed,
+        "tiles_hit": told.tiles_hit,
+        "busiest_lane": told.busiest_lane,
+        "busiest_lane_occupancy": None if busiest is None else round(busiest, 6),
         "remarks": list(content.remarks),
     }

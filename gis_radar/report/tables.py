@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import pandas as pd
 
@@ -225,10 +224,3 @@ def warnings_of(results: Results) -> list[str]:
         for text in dict.fromkeys(stage.get("warnings") or []):
             by_text.setdefault(text, []).append(str(stage["name"]))
     return [f"{', '.join(names)}: {text}" for text, names in by_text.items()]
-
-
-def busiest_of(table: pd.DataFrame) -> Sequence[str]:
-    """Return the busiest lane and how busy it is; nothing where none was hit."""
-    if table.empty or not table["occupancy"].iloc[0] > 0:
-        return ()
-    return str(table["lane"].iloc[0]), percent(table["occupancy"].iloc[0])
