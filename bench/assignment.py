@@ -25,8 +25,8 @@ from simulated import ROOT, true_pose
 
 import gis_radar as gr
 from gis_radar.arrays import Floats
-from gis_radar.assignment import TileEngine, TileGridNumpy
-from gis_radar.detections import ROWS_AT_ONCE
+from gis_radar.recordings.recording import ROWS_AT_ONCE
+from gis_radar.tiles.lookup import TileEngine, TileGridNumpy
 
 TARGETS = {"sjoin from coordinates": 25.0, "sjoin with points built": 5.0}
 ROUNDS = 3

@@ -18,7 +18,7 @@ import pyarrow as pa
 from simulated import ROOT, sites, true_pose
 
 import gis_radar as gr
-from gis_radar.detections import Recording
+from gis_radar.recordings.recording import Recording
 
 AHEAD_S = (0.0, 0.35, -3600.4, -1.7e9)
 MOST_SIGMAS = 4.0

@@ -22,10 +22,9 @@ import shapely
 from pyproj import CRS
 
 import gis_radar as gr
-from gis_radar.aerial.layer import write_layer
-from gis_radar.aerial.levels import Level
-from gis_radar.aerial.pdal import find_pdal
-from gis_radar.aerial.roads import Roads, roads_of_map
+from gis_radar.scans.engines import write_layer
+from gis_radar.scans.pdal import find_pdal
+from gis_radar.scans.roads import Level, Roads, roads_of_map
 
 ROOT = Path(__file__).parent.parent
 TARGET_READS = 5.0

@@ -21,7 +21,7 @@ import numpy as np
 import pyarrow as pa
 
 import gis_radar as gr
-from gis_radar.detections import Recording
+from gis_radar.recordings.recording import Recording
 
 ROOT = Path(__file__).parent.parent
 PER_SECOND = 10_000

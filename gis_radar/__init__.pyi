@@ -1,18 +1,7 @@
-from .aerial import (
-    RoadMask,
-    Roads,
-    mask_road,
-    read_road,
-    read_roads,
-    require_road_name,
-    road_crs,
-)
-from .assignment import TileGrid, TileTree
 from .clocks import Clocks, measure_clocks
+from .clocks.sensor_clock import SensorClock, read_clocks
 from .crs import moved_position, name_of, yaw_from_compass
 from .demo import run_demo, sample_folder
-from .detections import open_recording
-from .elevation import with_road_heights
 from .errors import (
     CrsError,
     GisRadarError,
@@ -21,7 +10,6 @@ from .errors import (
     OutputError,
     UsageError,
 )
-from .formats import Conversion, convert
 from .heatmap import HeatMap, make_heatmap, read_heatmap, to_xarray
 from .lanelets import LaneletMap, read_map
 from .localization import Localization, localize
@@ -33,20 +21,38 @@ from .occupancy import (
     merge_occupancies,
     read_occupancy,
 )
-from .pose import Pose, View
-from .pose_files import PoseTrack, read_pose, read_track, write_pose, write_track
+from .poses import Pose, PoseTrack, View, read_pose, read_track, write_pose, write_track
+from .poses.layers import write_sensors
 from .projection import project, write_projection
-from .qgis_project import write_qgis_project, write_site_project
+from .qgis import write_qgis_project, write_site_project
 from .quality import Quality, measure_quality
+from .recordings import Conversion, convert
+from .recordings.recording import open_recording
 from .report import Report, write_report
-from .sensor_clocks import SensorClock, read_clocks
-from .sensors import write_sensors
-from .site_runs import Site, SiteRun, read_site, run_site, site_template
-from .surroundings import SecondLook, require_scans_near, second_look
-from .surroundings.picture import draw_second_look
-from .tiles import fingerprint, make_tiles, quads, read_tiles, write_tiles
+from .scans import (
+    RoadMask,
+    Roads,
+    mask_road,
+    read_road,
+    read_roads,
+    require_road_name,
+    road_crs,
+)
+from .second_look import SecondLook, require_scans_near, second_look
+from .second_look.picture import draw_second_look
+from .site import Site, SiteRun, read_site, run_site, site_template
+from .tiles import (
+    TileGrid,
+    TileTree,
+    fingerprint,
+    make_tiles,
+    quads,
+    read_tiles,
+    with_road_heights,
+    write_tiles,
+)
 from .tracking import Track, track
-from .tracking.picture import draw_track
+from .tracking.track import draw_track
 
 __all__ = [
     "Clocks",

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from gis_radar.errors import InputError
-from gis_radar.outputs import whole_file
-from gis_radar.pose import ANGLES, Pose
-from gis_radar.pose_files import read_pose
+from gis_radar.files import whole_file
+from gis_radar.poses.files import read_pose
+from gis_radar.poses.pose import ANGLES, Pose
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.site_runs import run_site
+from gis_radar.site import run_site
 
 ERRORS = "pose_errors.csv"
 

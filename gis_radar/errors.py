@@ -46,3 +46,7 @@ class NoAnswerError(GisRadarError):
     """The inputs are sound, but no trustworthy answer follows from them."""
 
     exit_code = 4
+
+
+LOCALIZE = "pip install gis_radar[localize]"
+NOTEBOOKS = "pip install gis_radar[notebooks]"

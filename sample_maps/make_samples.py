@@ -15,24 +15,19 @@ import numpy as np
 import street_plan
 from pyproj import CRS
 
-from gis_radar.pose import Pose, View
-from gis_radar.pose_files import write_pose
-from gis_radar.simulation.curves import arc_length, points_at
-from gis_radar.simulation.demand import KINDS, Flow
-from gis_radar.simulation.lanelet_writer import Crosswalk, write_lanelets
-from gis_radar.simulation.network import RoadNetwork, build_network, read_network
-from gis_radar.simulation.radar import place_radar
-from gis_radar.simulation.recording import (
-    frame_times,
-    simulate_recording,
-    write_packed,
-    write_recording,
-)
-from gis_radar.simulation.roadside import furnish
-from gis_radar.simulation.scan import fly, write_scan
-from gis_radar.simulation.scene import ParkedCar, Rail, Scene
-from gis_radar.simulation.terrain import Terrain
-from gis_radar.simulation.traffic import Traffic, simulate_traffic
+from gis_radar.poses.files import write_pose
+from gis_radar.poses.pose import Pose, View
+from simulation.curves import arc_length, points_at
+from simulation.demand import KINDS, Flow
+from simulation.lanelet_writer import Crosswalk, write_lanelets
+from simulation.network import RoadNetwork, build_network, read_network
+from simulation.radar import place_radar
+from simulation.recording import frame_times, simulate_recording, write_packed, write_recording
+from simulation.roadside import furnish
+from simulation.scan import fly, write_scan
+from simulation.scene import ParkedCar, Rail, Scene
+from simulation.terrain import Terrain
+from simulation.traffic import Traffic, simulate_traffic
 
 HERE = Path(__file__).parent
 CRS_OF_SITE = CRS.from_epsg(25832)

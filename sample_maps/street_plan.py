@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gis_radar.arrays import Floats
-from gis_radar.simulation.curves import offset
+from simulation.curves import offset
 
 LANE_WIDTH_M = 3.25
 POCKET_WIDTH_M = 3.0

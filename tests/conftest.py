@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from gis_radar.aerial.pdal import PRIVATE, VARIABLE, candidates, find_pdal
+from gis_radar.scans.pdal import PRIVATE, VARIABLE, candidates, find_pdal
 
 REASON = Path(__file__).parents[1] / ".pdal" / "not-there"
 
@@ -84,7 +84,7 @@ def pytest_terminal_summary(terminalreporter):
 @pytest.fixture
 def no_pdal(monkeypatch, tmp_path):
     """Hide every PDAL of this machine."""
-    monkeypatch.setattr("gis_radar.aerial.pdal.PRIVATE", tmp_path / "not there")
-    monkeypatch.setattr("gis_radar.aerial.pdal._binding_is_installed", lambda: False)
-    monkeypatch.setattr("gis_radar.aerial.pdal.shutil.which", lambda _: None)
+    monkeypatch.setattr("gis_radar.scans.pdal.PRIVATE", tmp_path / "not there")
+    monkeypatch.setattr("gis_radar.scans.pdal._binding_is_installed", lambda: False)
+    monkeypatch.setattr("gis_radar.scans.pdal.shutil.which", lambda _: None)
     monkeypatch.delenv(VARIABLE, raising=False)

@@ -6,13 +6,13 @@ import json
 import sys
 from pathlib import Path
 
-from gis_radar.locks import only_writer
+from gis_radar.files import only_writer
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.site_runs.contents import Contents
-from gis_radar.site_runs.execution import Execution
-from gis_radar.site_runs.records import Records
-from gis_radar.site_runs.stage import Stage
-from gis_radar.site_runs.workers import Workers
+from gis_radar.site.contents import Contents
+from gis_radar.site.execution import Execution
+from gis_radar.site.records import Records
+from gis_radar.site.stage import Stage
+from gis_radar.site.workers import Workers
 
 
 def stage(root, name, inputs=(), *, work="join", parts=(), sensor="", **options):

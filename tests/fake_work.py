@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 from gis_radar.errors import InputError, NoAnswerError, OutputError
-from gis_radar.outputs import whole_file
+from gis_radar.files import whole_file
 
 
 def join(*, outputs, reporter, text="", wait_s=0.0, **inputs):

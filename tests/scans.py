@@ -7,8 +7,7 @@ import numpy as np
 import shapely
 from pyproj import CRS
 
-from gis_radar.aerial.levels import Level
-from gis_radar.aerial.roads import Roads
+from gis_radar.scans.roads import Level, Roads
 
 UTM = CRS.from_epsg(25832)
 EAST, NORTH = 678_000.0, 5_403_600.0

@@ -13,8 +13,8 @@ from maps import write_road
 from scans import EAST, NORTH, UTM, ground, write_points
 
 import gis_radar as gr
-from gis_radar.aerial import engines
 from gis_radar.cli import commands
+from gis_radar.scans import engines
 
 
 def level(x, y):

@@ -11,10 +11,10 @@ from scans import EAST, NORTH, UTM, box_roads, ground, hidden, write_points
 from scipy.spatial import cKDTree
 
 import gis_radar as gr
-from gis_radar.aerial import pipeline
-from gis_radar.aerial.scans import NEVER_CLASSES, ROAD_CLASSES
 from gis_radar.crs import transformer
 from gis_radar.errors import InputError
+from gis_radar.scans import engines as pipeline
+from gis_radar.scans.scan import NEVER_CLASSES, ROAD_CLASSES
 
 ROAD = (0.0, 0.0, 60.0, 8.0)
 AROUND = (-30.0, -30.0, 90.0, 38.0)
@@ -100,7 +100,7 @@ def test_pdal_tile_by_tile(tmp_path, pdal, monkeypatch):
         some = (points[:, 0] >= low) & (points[:, 0] < high)
         paths.append(write_points(tmp_path / f"{number}.laz", points[some]))
     whole = gr.mask_road(paths, box_roads(ROAD), engine="pdal")
-    monkeypatch.setattr("gis_radar.aerial.engines.MOST_AT_ONCE", 100)
+    monkeypatch.setattr("gis_radar.scans.engines.MOST_AT_ONCE", 100)
     tiled = gr.mask_road(paths, box_roads(ROAD), engine="pdal")
     agree(whole, tiled, cells=0.01, metres=0.03)
 

@@ -14,10 +14,9 @@ from pyproj import CRS
 from scans import EAST, NORTH, UTM, box_roads, ground, write_points
 
 import gis_radar as gr
-from gis_radar.aerial.headers import check_header
-from gis_radar.aerial.scans import days_of, open_scan
 from gis_radar.crs import transformer
 from gis_radar.errors import CrsError, GisRadarError, InputError, UsageError
+from gis_radar.scans.scan import check_header, days_of, open_scan
 
 ROAD = (0.0, 0.0, 60.0, 8.0)
 AROUND = (-5.0, -5.0, 65.0, 13.0)

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from shapely import LineString, Polygon
 
 from gis_radar.lanelets.bounds import (
+    CannotMendError,
     at_fractions,
     drawn_direction,
     length,
@@ -16,7 +17,6 @@ from gis_radar.lanelets.bounds import (
     sound,
     sound_rungs,
 )
-from gis_radar.lanelets.errors import CannotMendError
 from gis_radar.lanelets.mending import is_sound, mend, outline
 from gis_radar.lanelets.ribbons import matched
 from gis_radar.lanelets.tangles import _first_loop_cut, without_loops

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 import gis_radar as gr
-from gis_radar.cards import MOST_ROWS, card, table_card
+from gis_radar.notebooks import MOST_ROWS, card, table_card
 
 SAMPLE = gr.sample_folder()
 SIGMA = dict.fromkeys(("easting", "northing", "height", "roll", "pitch", "yaw"), 0.25)

@@ -17,8 +17,7 @@ from sites import EAST, NORTH, START, crossing, lane_quads, pose, recording, til
 import gis_radar as gr
 from gis_radar.cli import commands
 from gis_radar.cli.commands import group
-from gis_radar.cli.console import HumanDoor, Result
-from gis_radar.cli.door import open_door
+from gis_radar.cli.console import HumanDoor, Result, open_door
 
 COMMANDS = sorted(group.commands)
 
@@ -345,7 +344,7 @@ def test_another_pipe_that_breaks_is_told():
     """Only where nobody listens is there nothing to say."""
     code = (
         "import click\n"
-        "from gis_radar.cli.door import command, open_door\n"
+        "from gis_radar.cli.console import command, open_door\n"
         "group = click.Group()\n"
         "@command(group, example='work')\n"
         "def work(*, reporter):\n"

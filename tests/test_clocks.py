@@ -10,14 +10,12 @@ from sites import EAST, NORTH, START, lane_quads, pose, recording, tiles_of
 
 from gis_radar import read_clocks
 from gis_radar.clocks import measure_clocks
-from gis_radar.clocks.coarse import rough_offset
-from gis_radar.clocks.fine import Offset, fine_offset
-from gis_radar.clocks.network import best_linked, settle
-from gis_radar.clocks.proof import doubt_of
+from gis_radar.clocks.clocks import best_linked, doubt_of, settle
+from gis_radar.clocks.offsets import Offset, fine_offset, rough_offset
+from gis_radar.clocks.sensor_clock import SensorClock
 from gis_radar.clocks.sightings import Sightings
 from gis_radar.errors import InputError, NoAnswerError, UsageError
 from gis_radar.occupancy import measure_occupancy
-from gis_radar.sensor_clocks import SensorClock
 
 LENGTH_M = 4.4
 

@@ -1,7 +1,7 @@
 import numba
 import numpy as np
 
-from gis_radar.compiled import compiled
+from gis_radar.arrays import compiled
 
 
 def total(values):

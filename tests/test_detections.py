@@ -5,8 +5,8 @@ import pyarrow.parquet as pq
 import pytest
 from sites import START, recording, table
 
-from gis_radar.detections import ROWS_AT_ONCE, as_recording, open_recording
 from gis_radar.errors import InputError
+from gis_radar.recordings.recording import ROWS_AT_ONCE, as_recording, open_recording
 
 NAN = np.nan
 

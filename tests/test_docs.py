@@ -22,13 +22,12 @@ from doc_pages import DOCS, PAGES, ROOT, blocks, commands, sayings
 
 import gis_radar as gr
 from gis_radar.cli.commands import group
-from gis_radar.occupancy.deliveries import COLUMNS as DELIVERIES
 from gis_radar.occupancy.folder import FILES, NEEDED
-from gis_radar.pose_files import TRACK_FIELDS
+from gis_radar.occupancy.frame_log import COLUMNS as DELIVERIES
+from gis_radar.poses.files import TRACK_FIELDS
 from gis_radar.quality.counting import Count
-from gis_radar.quality.product import _row
-from gis_radar.quality.verdict import faults_of
-from gis_radar.tiles import COLUMNS as TILES
+from gis_radar.quality.quality import _row, faults_of
+from gis_radar.tiles.tiles import COLUMNS as TILES
 
 LOADS = {"script": "src", "img": "src", "iframe": "src", "source": "src", "video": "src"}
 HEAVY = {"localize", "track"}  # run elsewhere in the tests, and slow

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import shapely
 
-from gis_radar.simulation.demand import random_flows
-from gis_radar.simulation.driving import EASED_M, LaneKeeping, eased
-from gis_radar.simulation.network import Lane, RoadNetwork, Turn
-from gis_radar.simulation.roadside import furnish
-from gis_radar.simulation.terrain import Terrain
+from simulation.demand import random_flows
+from simulation.driving import EASED_M, LaneKeeping, eased
+from simulation.network import Lane, RoadNetwork, Turn
+from simulation.roadside import furnish
+from simulation.terrain import Terrain
 
 LEVEL = Terrain(origin=(0.0, 0.0))
 

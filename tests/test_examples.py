@@ -48,7 +48,7 @@ def code_of(path):
 def test_a_notebook_runs(elsewhere, path, request):
     """A notebook runs as it stands, draws something in each of its figures, and is quick."""
     names, code = {}, code_of(path)
-    if any("gis_radar.simulation" in source for source in code):
+    if any("simulation" in source for source in code):
         request.getfixturevalue("sumo_installed")
     if any("to_xarray" in source for source in code):
         pytest.importorskip("xarray")

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from gis_radar.pose import Pose
+from gis_radar.poses.pose import Pose
 from gis_radar.tracking.filter import (
     DRIFT,
     LEVER,

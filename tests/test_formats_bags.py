@@ -16,9 +16,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import gis_radar as gr
 from gis_radar.errors import InputError, UsageError
-from gis_radar.formats.clouds import frame_of, message_rows
-from gis_radar.formats.columns import find_layout
-from gis_radar.formats.ros_messages import DEFINITIONS
+from gis_radar.recordings.columns import find_layout, frame_of, message_rows
+from gis_radar.recordings.readers.bags import DEFINITIONS
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 KINDS = ("ros1", "sqlite3", "mcap")

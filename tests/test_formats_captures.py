@@ -26,9 +26,8 @@ from radars import (
 
 import gis_radar as gr
 from gis_radar.errors import InputError
-from gis_radar.formats.captures import Packet, read_packets
-from gis_radar.formats.frames import DamagedError
-from gis_radar.formats.packets import Datagrams
+from gis_radar.recordings.captures import Datagrams, Packet, read_packets
+from gis_radar.recordings.frames import DamagedError
 
 
 def convert(path, **options):

@@ -217,14 +217,16 @@ def test_a_disk_that_is_full(tmp_path):
 
 
 def test_start_up_does_not_load_the_bags_library():
-    code = "import sys, gis_radar.formats.conversion as c; c.known_formats(); print(*sys.modules)"
+    code = (
+        "import sys, gis_radar.recordings.conversion as c; c.known_formats(); print(*sys.modules)"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert "gis_radar.formats.readers.bags" in done.stdout.split()
+    assert "gis_radar.recordings.readers.bags" in done.stdout.split()
     assert "rosbags" not in done.stdout.split()
 
 
 def test_the_commands_are_there_before_numpy():
     code = "import sys, gis_radar.cli; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert "gis_radar.cli.convert_command" in done.stdout.split()
+    assert "gis_radar.cli.recordings" in done.stdout.split()
     assert "numpy" not in done.stdout.split()

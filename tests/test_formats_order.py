@@ -22,8 +22,8 @@ from radars import (
 )
 
 import gis_radar as gr
-from gis_radar.detections import open_recording
 from gis_radar.errors import InputError, OutputError, UsageError
+from gis_radar.recordings.recording import open_recording
 
 LATER = 0.06
 
@@ -246,7 +246,7 @@ def test_the_recording_has_the_columns_of_the_contract(tmp_path):
 
 
 def test_a_long_recording_has_several_row_groups(tmp_path, monkeypatch):
-    monkeypatch.setattr("gis_radar.formats.recorder.ROWS_IN_GROUP", 4)
+    monkeypatch.setattr("gis_radar.recordings.writer.ROWS_IN_GROUP", 4)
     result, _ = convert(whole(tmp_path / "r.pcap"))
     file = pq.ParquetFile(result.outputs[0])
     assert file.num_row_groups == 3

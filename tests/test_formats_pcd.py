@@ -11,8 +11,8 @@ from radars import START, Notes, times
 
 import gis_radar as gr
 from gis_radar.errors import InputError
-from gis_radar.formats.frames import DamagedError
-from gis_radar.formats.readers.pcd import decompress, read_pcd, time_in_name
+from gis_radar.recordings.frames import DamagedError
+from gis_radar.recordings.readers.pcd import decompress, read_pcd, time_in_name
 
 FIELDS = [("x", "f4"), ("y", "f4"), ("z", "f4"), ("doppler", "f8"), ("rcs", "i1"), ("snr", "u2")]
 DATA = ("ascii", "binary", "binary_compressed")

@@ -12,16 +12,16 @@ from maps import SHARED
 from sites import EAST, NORTH, START, crossing, pose, recording
 from test_occupancy import Notes, pairs_of, pieces_of, steps_of, traffic
 
-from gis_radar.clock import STEP_US
+from gis_radar.clocks.sensor_clock import SensorClock
 from gis_radar.errors import UsageError
 from gis_radar.heatmap import make_heatmap
 from gis_radar.lanelets import read_map
 from gis_radar.occupancy import measure_occupancy, merge_occupancies
 from gis_radar.occupancy.cycles import last_step
-from gis_radar.occupancy.deliveries import COLUMNS
-from gis_radar.pose import View
-from gis_radar.sensor_clocks import SensorClock
-from gis_radar.tiles import make_tiles
+from gis_radar.occupancy.frame_log import COLUMNS
+from gis_radar.poses.pose import View
+from gis_radar.steps import STEP_US
+from gis_radar.tiles.tiles import make_tiles
 
 FIRST_STEP = int(START * 20)
 FILES = ("hits.parquet", "frames.parquet", "views.parquet", "deliveries.parquet")
@@ -131,7 +131,7 @@ def test_pieces_never_split_a_frame(tmp_path, monkeypatch, rows_at_once):
     path = recording(tmp_path / "r.parquet", *traffic(np.random.default_rng(4), cycle_s=0.12))
     options = {"cycles": {"R1": 0.12}}
     measure_occupancy([path], [pose()], crossing(), tmp_path / "one", **options)
-    monkeypatch.setattr("gis_radar.detections.ROWS_AT_ONCE", rows_at_once)
+    monkeypatch.setattr("gis_radar.recordings.recording.ROWS_AT_ONCE", rows_at_once)
     measure_occupancy([path], [pose()], crossing(), tmp_path / "many", **options)
     for file in FILES:
         assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "many" / file).read_bytes()

@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sites import START, crossing, pose, recording
 
-from gis_radar.clock import interval_steps, step_begin
 from gis_radar.errors import UsageError
 from gis_radar.heatmap import make_heatmap
-from gis_radar.heatmap.calendar import local_intervals
+from gis_radar.heatmap.intervals import local_intervals
 from gis_radar.occupancy import measure_occupancy
+from gis_radar.steps import interval_steps, step_begin
 
 BERLIN = ZoneInfo("Europe/Berlin")
 

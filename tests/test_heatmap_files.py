@@ -61,7 +61,7 @@ def test_a_failure_leaves_nothing(heatmap, tmp_path, monkeypatch):
     def fail(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("gis_radar.heatmap.product.write_raster", fail)
+    monkeypatch.setattr("gis_radar.heatmap.heatmap.write_raster", fail)
     with pytest.raises(OutputError, match=r"heatmap\.tif: cannot be written: .*No space left"):
         heatmap.write(tmp_path / "map")
     assert list(tmp_path.iterdir()) == []

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gis_radar.heatmap.annotations import round_length
-from gis_radar.heatmap.detail import busiest_window, free_corner
+from gis_radar.heatmap.picture import busiest_window, free_corner, round_length
 
 SITE = np.array([677_000.0, 5_403_000.0])
 EXTENT = (SITE, SITE + [400.0, 300.0])

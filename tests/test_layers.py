@@ -10,25 +10,16 @@ PACKAGE = Path(__file__).parents[1] / "gis_radar"
 # Lowest first. A module imports only what stands before it. "gis_radar" is the package's own front,
 # `__init__.py`: what `import gis_radar` offers.
 ROWS = """
-    errors arrays progress compiled cards axes extras
-    locks
-    clock outputs crs streams layer_styles project_files report_files
-    sensor_shapes pose pose_files
-    sensors
-    lanelets
-    csv_tables detections formats sensor_clocks
-    aerial
-    tiles cells assignment elevation projection
-    occupancy clocks
-    quality
-    heatmap
-    simulation
-    traces registration surroundings
-    localization
-    tracking
-    qgis_project
-    report
-    site_runs
+    errors arrays progress
+    crs steps files geopackage notebooks
+    poses
+    lanelets recordings scans
+    tiles
+    projection clocks occupancy
+    second_look localization tracking
+    quality heatmap
+    qgis report
+    site
     demo
     gis_radar
     cli

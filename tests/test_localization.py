@@ -11,7 +11,7 @@ from streets import CROSSING, STRAIGHT, Street, errors
 from gis_radar.errors import InputError, NoAnswerError, UsageError
 from gis_radar.localization import localize
 from gis_radar.localization.picture import draw_localization
-from gis_radar.pose_files import read_pose, write_pose
+from gis_radar.poses.files import read_pose, write_pose
 from gis_radar.progress import Reporter
 
 CLOSE = np.array([0.4, 0.4, 0.2, 0.5, 0.5, 0.3])

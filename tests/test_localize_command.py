@@ -14,7 +14,7 @@ import gis_radar as gr
 from gis_radar.cli import commands
 from gis_radar.cli.commands import group
 from gis_radar.crs import yaw_from_compass
-from gis_radar.pose_files import read_pose
+from gis_radar.poses.files import read_pose
 
 
 @pytest.fixture

@@ -11,17 +11,17 @@ from hypothesis import strategies as st
 from shapely import Point, prepare
 from sites import EAST, NORTH, START, crossing, lane_quads, pose, recording, table, tiles_of
 
-from gis_radar.assignment import TileTree
-from gis_radar.clock import step_of
-from gis_radar.detections import Recording
 from gis_radar.errors import CrsError, InputError, NoAnswerError, UsageError
 from gis_radar.occupancy import Filters, measure_occupancy, merge_occupancies, read_occupancy
 from gis_radar.occupancy.hits import merge_hits
 from gis_radar.occupancy.views import name_of_view, seen_tiles, standing_for
-from gis_radar.pose import View
-from gis_radar.pose_files import PoseTrack
+from gis_radar.poses.files import PoseTrack
+from gis_radar.poses.pose import View
 from gis_radar.progress import Reporter
-from gis_radar.tiles import fingerprint
+from gis_radar.recordings.recording import Recording
+from gis_radar.steps import step_of
+from gis_radar.tiles.lookup import TileTree
+from gis_radar.tiles.tiles import fingerprint
 
 FIRST_STEP = int(START * 20)
 

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from gis_radar import locks
+from gis_radar import files as locks
 from gis_radar.errors import OutputError
-from gis_radar.outputs import refuse_inputs, whole_file, whole_folder
+from gis_radar.files import refuse_inputs, whole_file, whole_folder
 from gis_radar.progress import Reporter
 
 
@@ -179,7 +179,7 @@ def test_a_lock_that_a_killed_run_left_does_not_count(tmp_path):
 
 def test_another_process_holds_the_lock(tmp_path):
     code = (
-        "import sys; from pathlib import Path; from gis_radar.outputs import whole_folder\n"
+        "import sys; from pathlib import Path; from gis_radar.files import whole_folder\n"
         "with whole_folder(Path(sys.argv[1]), owned=()): print('in', flush=True); input()"
     )
     other = subprocess.Popen(
@@ -201,7 +201,7 @@ def test_another_process_holds_the_lock(tmp_path):
 def test_an_interruption_of_the_clearing_up_leaves_nothing(tmp_path):
     """A worker whose listener dies is told twice: by the broken pipe, and by its leash."""
     code = (
-        "import shutil, sys; from pathlib import Path; from gis_radar.outputs import whole_folder\n"
+        "import shutil, sys; from pathlib import Path; from gis_radar.files import whole_folder\n"
         "remove, told = shutil.rmtree, []\n"
         "def rmtree(*words, **options):\n"
         "    if not told:\n"

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from pyproj import CRS
 
-import gis_radar.aerial.pdal
-from gis_radar.aerial.pdal import INSTALL_HINT, VARIABLE, find_pdal
+import gis_radar.scans.pdal
 from gis_radar.crs import transformer
 from gis_radar.errors import GisRadarError, InputError, OutputError
 from gis_radar.progress import Reporter
+from gis_radar.scans.pdal import INSTALL_HINT, VARIABLE, find_pdal
 
 WHICH = shutil.which
 needs_sh = pytest.mark.skipif(os.name == "nt", reason="stand-ins are shell scripts")
@@ -92,14 +92,14 @@ def test_the_order(no_pdal, tmp_path, monkeypatch):
     for name, path in names.items():
         make_program(path, version=versions[name])
     fake_binding(tmp_path, monkeypatch)
-    monkeypatch.setattr(gis_radar.aerial.pdal, "_binding_is_installed", lambda: True)
+    monkeypatch.setattr(gis_radar.scans.pdal, "_binding_is_installed", lambda: True)
     monkeypatch.setenv(VARIABLE, str(names["named"]))
-    monkeypatch.setattr("gis_radar.aerial.pdal.shutil.which", WHICH)
+    monkeypatch.setattr("gis_radar.scans.pdal.shutil.which", WHICH)
     monkeypatch.setenv("PATH", str(names["path"].parent))
-    monkeypatch.setattr(gis_radar.aerial.pdal, "PRIVATE", names["private"])
+    monkeypatch.setattr(gis_radar.scans.pdal, "PRIVATE", names["private"])
 
     assert find_pdal().name == "pdal binding 2.9.3"
-    monkeypatch.setattr(gis_radar.aerial.pdal, "_binding_is_installed", lambda: False)
+    monkeypatch.setattr(gis_radar.scans.pdal, "_binding_is_installed", lambda: False)
     assert find_pdal().name == "pdal program 2.3.0"
     monkeypatch.delenv(VARIABLE)
     assert find_pdal().name == "pdal program 2.4.0"
@@ -123,7 +123,7 @@ def test_a_broken_program_is_passed_over(no_pdal, tmp_path, monkeypatch, text, r
     broken.chmod(0o755)
     monkeypatch.setenv(VARIABLE, str(broken))
     private = make_program(tmp_path / "private" / "pdal")
-    monkeypatch.setattr(gis_radar.aerial.pdal, "PRIVATE", private)
+    monkeypatch.setattr(gis_radar.scans.pdal, "PRIVATE", private)
     notes = Notes()
     assert find_pdal(reporter=notes).command[0] == str(private)
     [(level, line)] = notes.lines
@@ -186,7 +186,7 @@ def test_a_binding_that_does_not_import(no_pdal, tmp_path, monkeypatch):
     package.mkdir(parents=True)
     (package / "__init__.py").write_text("raise ImportError('libpdalcpp.so.18: not found')")
     monkeypatch.setenv("PYTHONPATH", str(package.parent))
-    monkeypatch.setattr(gis_radar.aerial.pdal, "_binding_is_installed", lambda: True)
+    monkeypatch.setattr(gis_radar.scans.pdal, "_binding_is_installed", lambda: True)
     notes = Notes()
     assert find_pdal(reporter=notes) is None
     assert "libpdalcpp.so.18: not found" in notes.lines[0][1]
@@ -195,7 +195,7 @@ def test_a_binding_that_does_not_import(no_pdal, tmp_path, monkeypatch):
 def test_a_folder_with_the_name_is_no_binding(tmp_path, monkeypatch):
     (tmp_path / "pdal").mkdir()
     monkeypatch.setattr(sys, "path", [str(tmp_path)])
-    assert not gis_radar.aerial.pdal._binding_is_installed()
+    assert not gis_radar.scans.pdal._binding_is_installed()
 
 
 # Running stand-ins
@@ -261,7 +261,7 @@ def test_progress_and_much_output(stand_in):
 @needs_sh
 def test_the_private_program_gets_a_clean_environment(no_pdal, tmp_path, monkeypatch):
     program = make_program(tmp_path / "private" / "pdal", f"env >'{tmp_path}/seen'")
-    monkeypatch.setattr(gis_radar.aerial.pdal, "PRIVATE", program)
+    monkeypatch.setattr(gis_radar.scans.pdal, "PRIVATE", program)
     foreign = ("PYTHONHOME", "PYTHONPATH", "PROJ_DATA", "PROJ_LIB", "GDAL_DATA", "LD_LIBRARY_PATH")
     for name in (*foreign, "KEPT"):
         monkeypatch.setenv(name, "/nowhere")
@@ -273,7 +273,7 @@ def test_the_private_program_gets_a_clean_environment(no_pdal, tmp_path, monkeyp
 
 INTERRUPTED = """
 import signal, sys
-from gis_radar.aerial.pdal import find_pdal
+from gis_radar.scans.pdal import find_pdal
 def stop(*_): raise KeyboardInterrupt
 signal.signal(signal.SIGTERM, stop)
 find_pdal().run({"pipeline": []})

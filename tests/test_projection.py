@@ -7,11 +7,11 @@ import pytest
 import shapely
 from sites import EAST, NORTH, START, UTM, pose, recording
 
-from gis_radar.detections import ROWS_AT_ONCE
 from gis_radar.errors import InputError, OutputError, UsageError
-from gis_radar.pose_files import PoseTrack
+from gis_radar.poses.files import PoseTrack
 from gis_radar.progress import Reporter
 from gis_radar.projection import project, write_projection
+from gis_radar.recordings.recording import ROWS_AT_ONCE
 
 
 @pytest.fixture

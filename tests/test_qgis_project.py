@@ -21,8 +21,8 @@ from hypothesis import strategies as st
 from maps import Listener
 
 import gis_radar as gr
-from gis_radar.qgis_project.sheet import MAP_MM, filling
-from gis_radar.sensor_shapes import ellipse
+from gis_radar.poses.shapes import ellipse
+from gis_radar.qgis.sheet import MAP_MM, filling
 
 ROOT = Path(__file__).parents[1]
 SIGMA = {"easting": 0.1, "northing": 0.2, "height": 0.1, "yaw": 0.1, "pitch": 0.1, "roll": 0.1}

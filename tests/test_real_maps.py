@@ -11,7 +11,7 @@ from pyproj import Transformer
 from gis_radar.lanelets import read_map
 from gis_radar.lanelets.bounds import rungs, slices, sound
 from gis_radar.lanelets.osm import read_osm
-from gis_radar.tiles import make_tiles, quads
+from gis_radar.tiles.tiles import make_tiles, quads
 
 
 @needs_shared_maps

@@ -11,18 +11,18 @@ from scipy.spatial.transform import Rotation
 from streets import CROSSING, Street
 
 from gis_radar.errors import NoAnswerError
-from gis_radar.pose import Pose
-from gis_radar.registration import Lanes, State, advantage, certainty, sample_lanes
-from gis_radar.registration.adaptation import heights
-from gis_radar.registration.hypotheses import prior_at
-from gis_radar.registration.level import level
-from gis_radar.registration.matching import match, place
-from gis_radar.registration.model import MODEL
-from gis_radar.registration.normal import at_least
-from gis_radar.registration.residuals import Comparison, height, lateral
-from gis_radar.registration.solver import solve
-from gis_radar.registration.state import SIZE, TURN, angles_from_turn
-from gis_radar.traces import Moving, Samples, thin, track
+from gis_radar.localization.adaptation import heights
+from gis_radar.localization.certainty import advantage, certainty
+from gis_radar.localization.hypotheses import prior_at
+from gis_radar.localization.lanes import Lanes, sample_lanes
+from gis_radar.localization.matching import match, place
+from gis_radar.localization.model import MODEL
+from gis_radar.localization.residuals import Comparison, at_least, height, lateral
+from gis_radar.localization.search import level
+from gis_radar.localization.solver import solve
+from gis_radar.localization.state import SIZE, TURN, State, angles_from_turn
+from gis_radar.localization.traces import Moving, Samples, thin, track
+from gis_radar.poses.pose import Pose
 
 
 @pytest.fixture(scope="module")

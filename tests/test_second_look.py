@@ -17,13 +17,12 @@ from scipy.spatial import KDTree
 from sites import recording
 
 import gis_radar as gr
-from gis_radar.aerial import scans as aerial_scans
 from gis_radar.cli.commands import group
 from gis_radar.localization import Localization
-from gis_radar.surroundings.alignment import CLOSE_M, Alignment, align
-from gis_radar.surroundings.grid import CELL_M, Level
-from gis_radar.surroundings.standing import FRAMES, read_slow
-from gis_radar.surroundings.structure import read_structure
+from gis_radar.scans import scan as aerial_scans
+from gis_radar.second_look.alignment import CLOSE_M, Alignment, align
+from gis_radar.second_look.standing import CELL_M, FRAMES, Level, read_slow
+from gis_radar.second_look.structure import read_structure
 
 SAMPLE = gr.sample_folder()
 SCAN = SAMPLE / "scan.laz"

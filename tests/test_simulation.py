@@ -16,27 +16,22 @@ import pytest
 import shapely
 from pyproj import CRS
 
-from gis_radar.pose import Pose, View
-from gis_radar.simulation import sumo
-from gis_radar.simulation.clutter import draw_clutter
-from gis_radar.simulation.curves import arc_length, offset, points_at, tangents, turn
-from gis_radar.simulation.demand import KINDS, random_flows
-from gis_radar.simulation.echoes import ghosts, vehicle_echoes
-from gis_radar.simulation.lanelet_writer import Crosswalk, write_lanelets
-from gis_radar.simulation.network import Lane, RoadNetwork, Turn, read_network
-from gis_radar.simulation.radar import Radar, RadarModel, place_radar
-from gis_radar.simulation.recording import (
-    COLUMNS,
-    frame_times,
-    simulate_recording,
-    write_recording,
-)
-from gis_radar.simulation.roadside import furnish
-from gis_radar.simulation.scan import BUILDING, GROUND, HIGH, Scan, fly, write_scan
-from gis_radar.simulation.scene import Building, ParkedCar, Post, Scene, Tree
-from gis_radar.simulation.sight import Boxes, Walls, building_walls, parked_boxes
-from gis_radar.simulation.terrain import Terrain
-from gis_radar.simulation.traffic import Traffic, Vehicles, simulate_traffic
+from gis_radar.poses.pose import Pose, View
+from simulation import sumo
+from simulation.clutter import draw_clutter
+from simulation.curves import arc_length, offset, points_at, tangents, turn
+from simulation.demand import KINDS, random_flows
+from simulation.echoes import ghosts, vehicle_echoes
+from simulation.lanelet_writer import Crosswalk, write_lanelets
+from simulation.network import Lane, RoadNetwork, Turn, read_network
+from simulation.radar import Radar, RadarModel, place_radar
+from simulation.recording import COLUMNS, frame_times, simulate_recording, write_recording
+from simulation.roadside import furnish
+from simulation.scan import BUILDING, GROUND, HIGH, Scan, fly, write_scan
+from simulation.scene import Building, ParkedCar, Post, Scene, Tree
+from simulation.sight import Boxes, Walls, building_walls, parked_boxes
+from simulation.terrain import Terrain
+from simulation.traffic import Traffic, Vehicles, simulate_traffic
 
 UTM = CRS.from_epsg(25832)
 ORIGIN = np.array([600_000.0, 5_400_000.0])

@@ -15,10 +15,10 @@ from fake_stages import diamond, execute, stage
 from maps import Listener
 
 from gis_radar.errors import GisRadarError, InputError, NoAnswerError, OutputError
-from gis_radar.locks import only_writer
-from gis_radar.site_runs import execution
-from gis_radar.site_runs.contents import Contents
-from gis_radar.site_runs.workers import Workers, workers_here
+from gis_radar.files import only_writer
+from gis_radar.site import execution
+from gis_radar.site.contents import Contents
+from gis_radar.site.workers import Workers, workers_here
 
 HERE = Path(__file__).parent
 NAMES = ["road", "a1", "b1", "a2", "b2", "map"]
@@ -318,9 +318,9 @@ def test_the_content_of_a_folder_is_that_of_its_files(tmp_path):
 
 
 def test_there_is_at_least_one_worker(monkeypatch, tmp_path):
-    monkeypatch.setattr("gis_radar.site_runs.workers._free_memory", lambda: 1)
+    monkeypatch.setattr("gis_radar.site.workers._free_memory", lambda: 1)
     assert workers_here() == 1
-    monkeypatch.setattr("gis_radar.site_runs.workers._free_memory", lambda: None)
+    monkeypatch.setattr("gis_radar.site.workers._free_memory", lambda: None)
     assert workers_here() >= 1
     idle = Workers(1, tmp_path)
     assert not idle.busy

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 import gis_radar as gr
 from gis_radar.errors import InputError
-from gis_radar.site_runs.place import lines_of
-from gis_radar.site_runs.schema import TableKind, keys_of
-from gis_radar.site_runs.site import Site
-from gis_radar.site_runs.template import site_reference
+from gis_radar.site.place import lines_of
+from gis_radar.site.schema import TableKind, keys_of
+from gis_radar.site.site import Site
+from gis_radar.site.template import site_reference
 
 ROOT = Path(__file__).parents[1]
 FILES = ("junction.osm", "scan_1.laz", "scan_2.laz", "R1_1.parquet", "R1_2.parquet", "R2.json")

@@ -34,11 +34,12 @@ from test_site_execution import soon_gone
 import gis_radar as gr
 from gis_radar.cli.commands import group
 from gis_radar.demo import pose_errors
-from gis_radar.locks import only_writer
-from gis_radar.site_runs import product, work
-from gis_radar.site_runs.execution import discard
-from gis_radar.site_runs.plan import stages_of
-from gis_radar.site_runs.records import Records
+from gis_radar.files import only_writer
+from gis_radar.site import run as product
+from gis_radar.site import work
+from gis_radar.site.execution import discard
+from gis_radar.site.plan import stages_of
+from gis_radar.site.records import Records
 
 TIMES = {"last_change", "update_time", "timestamp"}
 

@@ -7,13 +7,13 @@ import pytest
 from pyproj import CRS
 
 import gis_radar as gr
-from gis_radar.simulation.lanelet_writer import write_lanelets
-from gis_radar.simulation.network import Lane, RoadNetwork
-from gis_radar.simulation.radar import RadarModel, place_radar
-from gis_radar.simulation.recording import frame_times, simulate_recording
-from gis_radar.simulation.scene import Scene, road_surface
-from gis_radar.simulation.terrain import Terrain
-from gis_radar.simulation.traffic import Traffic
+from simulation.lanelet_writer import write_lanelets
+from simulation.network import Lane, RoadNetwork
+from simulation.radar import RadarModel, place_radar
+from simulation.recording import frame_times, simulate_recording
+from simulation.scene import Scene, road_surface
+from simulation.terrain import Terrain
+from simulation.traffic import Traffic
 
 UTM = CRS.from_epsg(25832)
 MIDDLE = np.array([678_000.0, 5_403_600.0])

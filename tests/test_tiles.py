@@ -9,11 +9,18 @@ import shapely
 from maps import Listener
 from sites import EAST, NORTH, UTM, crossing, lane_quads, tiles_of
 
-from gis_radar.aerial import read_road
-from gis_radar.elevation import with_road_heights
 from gis_radar.errors import CrsError, InputError, OutputError, UsageError
 from gis_radar.lanelets import LaneletMap
-from gis_radar.tiles import COLUMNS, fingerprint, make_tiles, quads, read_tiles, write_tiles
+from gis_radar.scans import read_road
+from gis_radar.tiles.heights import with_road_heights
+from gis_radar.tiles.tiles import (
+    COLUMNS,
+    fingerprint,
+    make_tiles,
+    quads,
+    read_tiles,
+    write_tiles,
+)
 
 NO_PROBLEMS = gpd.GeoDataFrame(
     {"lanelet_id": np.empty(0, np.int64), "action": [], "reason": []}, geometry=[], crs=UTM

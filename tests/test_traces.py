@@ -8,16 +8,9 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 from sites import START, recording, table
 
-from gis_radar.detections import Detections
-from gis_radar.traces import (
-    Moving,
-    RollingWindow,
-    cluster,
-    read_moving,
-    thin,
-    track,
-    voxels,
-)
+from gis_radar.localization.clusters import cluster
+from gis_radar.localization.traces import Moving, RollingWindow, read_moving, thin, track, voxels
+from gis_radar.recordings.recording import Detections
 
 
 def plain_dbscan(points, eps, least):

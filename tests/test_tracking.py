@@ -14,17 +14,17 @@ from streets import STRAIGHT, Street, errors
 
 import gis_radar as gr
 from gis_radar.cli.commands import group
-from gis_radar.clock import seconds_from_iso
 from gis_radar.errors import CrsError, InputError, NoAnswerError
-from gis_radar.pose_files import read_track, write_track
+from gis_radar.poses.files import read_track, write_track
 from gis_radar.progress import Reporter
+from gis_radar.steps import seconds_from_iso
 from gis_radar.tracking import track
-from gis_radar.tracking.changes import KNOCK as KNOCKED
 from gis_radar.tracking.filter import Measurement
 from gis_radar.tracking.follower import Follower
-from gis_radar.tracking.picture import draw_track
-from gis_radar.tracking.registering import Ground
+from gis_radar.tracking.moves import KNOCK as KNOCKED
 from gis_radar.tracking.start import BY_HAND, start_estimate
+from gis_radar.tracking.track import draw_track
+from gis_radar.tracking.windows import Ground
 
 STREET = Street()
 FRAMES, VEHICLES = 2000, 140  # 100 s

@@ -29,13 +29,13 @@ from places import (
 from street_plans import PLANS
 
 import gis_radar as gr
-from gis_radar.pose_files import write_pose
-from gis_radar.simulation.demand import KINDS
-from gis_radar.simulation.driving import LaneKeeping
-from gis_radar.simulation.radar import RadarModel
-from gis_radar.simulation.roadside import Roadside
-from gis_radar.simulation.scene import Scene
-from gis_radar.simulation.terrain import Terrain
+from gis_radar.poses.files import write_pose
+from simulation.demand import KINDS
+from simulation.driving import LaneKeeping
+from simulation.radar import RadarModel
+from simulation.roadside import Roadside
+from simulation.scene import Scene
+from simulation.terrain import Terrain
 
 
 def combination(number: int) -> Path:
@@ -55,7 +55,7 @@ def _recipe() -> str:
     """Return a checksum of all that decides how a combination comes out."""
     here = Path(__file__).parent
     parts = [here / f"{name}.py" for name in ("combinations", "places", "street_plans")]
-    parts += sorted((ROOT / "gis_radar" / "simulation").glob("*.py"))
+    parts += sorted((ROOT / "simulation").glob("*.py"))
     return hashlib.sha256(b"".join(p.read_bytes() for p in parts)).hexdigest()
 
 

@@ -16,17 +16,17 @@ from street_plans import NO_TURNS, StreetPlan
 
 import gis_radar as gr
 from gis_radar.arrays import Floats
-from gis_radar.simulation.demand import KINDS, VehicleKind, random_flows
-from gis_radar.simulation.driving import LaneKeeping
-from gis_radar.simulation.lanelet_writer import write_lanelets
-from gis_radar.simulation.network import RoadNetwork, build_network, read_network
-from gis_radar.simulation.radar import RadarModel, place_radar
-from gis_radar.simulation.recording import frame_times, simulate_recording
-from gis_radar.simulation.roadside import Roadside, furnish
-from gis_radar.simulation.scan import fly, write_scan
-from gis_radar.simulation.scene import Scene
-from gis_radar.simulation.terrain import Terrain
-from gis_radar.simulation.traffic import Traffic, simulate_traffic
+from simulation.demand import KINDS, VehicleKind, random_flows
+from simulation.driving import LaneKeeping
+from simulation.lanelet_writer import write_lanelets
+from simulation.network import RoadNetwork, build_network, read_network
+from simulation.radar import RadarModel, place_radar
+from simulation.recording import frame_times, simulate_recording
+from simulation.roadside import Roadside, furnish
+from simulation.scan import fly, write_scan
+from simulation.scene import Scene
+from simulation.terrain import Terrain
+from simulation.traffic import Traffic, simulate_traffic
 
 ROOT = Path(__file__).parents[2]
 OUT = ROOT / "out" / "bench-localization"

@@ -13,7 +13,7 @@ from table import HEADS, figures, row
 from trials import Result, Trial, spread
 
 import gis_radar as gr
-from gis_radar.pose_files import write_pose
+from gis_radar.poses.files import write_pose
 
 STARTS, QUICK_STARTS = 10, 2
 

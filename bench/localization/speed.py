@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 import gis_radar as gr
-from gis_radar.simulation.recording import write_recording
+from simulation.recording import write_recording
 
 DETECTIONS = 1_000_000
 FRAMES = 2000

@@ -28,9 +28,9 @@ from street_plans import StreetPlan, axis
 
 import gis_radar as gr
 from gis_radar.arrays import Floats
-from gis_radar.pose_files import write_pose
-from gis_radar.simulation.radar import RadarModel
-from gis_radar.simulation.terrain import Terrain
+from gis_radar.poses.files import write_pose
+from simulation.radar import RadarModel
+from simulation.terrain import Terrain
 
 HEADING_DEG = 27.0
 HALF_M = 420.0  # beyond the view: an end of the road would fix the place along it

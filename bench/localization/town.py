@@ -34,9 +34,9 @@ from street_plans import StreetPlan
 
 import gis_radar as gr
 from gis_radar.arrays import Floats
-from gis_radar.pose_files import write_pose
-from gis_radar.simulation.radar import RadarModel
-from gis_radar.simulation.terrain import Terrain
+from gis_radar.poses.files import write_pose
+from simulation.radar import RadarModel
+from simulation.terrain import Terrain
 
 SETS = ("DY", "DO")
 MAST_M, PITCH_DEG = 6.0, 3.0
@@ -217,5 +217,5 @@ def town_folder(name: str, per_hour: float = PER_HOUR, sets: Sequence[str] = SET
 def _recipe() -> str:
     here = Path(__file__).parent
     parts = [here / f"{name}.py" for name in ("town", "places", "street_plans")]
-    parts += sorted((ROOT / "gis_radar" / "simulation").glob("*.py"))
+    parts += sorted((ROOT / "simulation").glob("*.py"))
     return hashlib.sha256(b"".join(p.read_bytes() for p in parts)).hexdigest()

@@ -16,7 +16,7 @@ from workers import workers
 
 import gis_radar as gr
 from gis_radar.arrays import Floats
-from gis_radar.outputs import whole_file
+from gis_radar.files import whole_file
 
 METHODS = ("lane", "icp")
 RIGHT_M, RIGHT_DEG = 1.0, 1.0

@@ -1,7 +1,6 @@
 """References to a thing by any of its names lead to where the pages document it.
 
-`gis_radar.tiles.read_tiles` leads to `gis_radar.read_tiles`, and `gis_radar.registration.solve` to
-`gis_radar.registration.solver.solve`.
+`gis_radar.tiles.tiles.read_tiles` leads to `gis_radar.read_tiles`.
 """
 
 from __future__ import annotations

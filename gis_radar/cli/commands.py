@@ -8,10 +8,9 @@ from typing import NoReturn
 import click
 
 import gis_radar as gr
-from gis_radar.cli.console import Result
-from gis_radar.cli.door import command, open_door
+from gis_radar.cli.console import Result, command, open_door
 from gis_radar.cli.options import Numbers, Words
-from gis_radar.outputs import refuse_inputs
+from gis_radar.files import refuse_inputs
 from gis_radar.progress import Reporter
 
 FILE = click.Path(path_type=Path)

@@ -1,22 +1,64 @@
-"""What a command says: bars and tables for people, JSON lines for programs."""
+"""Run a command: bars and tables for people, JSON lines for programs, errors and exit codes.
+
+A program that starts gis-radar as a worker sets `GIS_RADAR_LEASH=stdin` and keeps the worker's
+standard input open. Closing it, on purpose or by dying, interrupts the worker as Ctrl+C would;
+unlike a signal this works on every system and needs nobody alive to send it.
+"""
 
 from __future__ import annotations
 
+import _thread
+import functools
 import json
+import os
+import signal
 import sys
-from collections.abc import Mapping
+import threading
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Protocol, Self
+from types import FrameType, TracebackType
+from typing import Any, NoReturn, Protocol, Self
 
+import click
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
-from gis_radar.errors import GisRadarError
+from gis_radar.errors import GisRadarError, OutputError, UsageError
 from gis_radar.progress import Level, Reporter
+
+VARIABLE = "GIS_RADAR_LEASH"
+
+
+def wear_leash() -> None:
+    """Watch standard input from now on, if the environment asks for it."""
+    if os.environ.get(VARIABLE) == "stdin":
+        # A worker started in the background would ignore the interruption.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        threading.Thread(target=_watch, args=(0,), daemon=True, name="leash").start()
+
+
+def _watch(descriptor: int) -> None:
+    """Wait for the end of the input; a reader of :mod:`io` would hold a lock at exit."""
+    try:
+        while os.read(descriptor, 1024):
+            pass
+    except OSError:
+        pass  # nothing to read from is the end, too
+    _interrupt_main()
+
+
+def _interrupt_main() -> None:
+    """Interrupt the main thread, out of a system call too where signals can do that."""
+    if hasattr(signal, "pthread_kill"):
+        main = threading.main_thread().ident
+        if main is not None:
+            signal.pthread_kill(main, signal.SIGINT)
+    else:
+        _thread.interrupt_main()
+
 
 WIDE = 160
 NAMES = {"busiest_tile"}  # whole numbers that name something: no thousands set apart
@@ -181,3 +223,99 @@ def _readable(value: Any) -> str:
     if isinstance(value, list | tuple):
         return ", ".join(_readable(item) for item in value)
     return f"{value:,}" if isinstance(value, int) and not isinstance(value, bool) else str(value)
+
+
+INTERRUPTED = 130
+
+Verb = Callable[..., Result]
+
+
+def command(group: click.Group, *, example: str) -> Callable[[Verb], Verb]:
+    """Make a function that reports and returns a result into a command of `group`.
+
+    Parameters
+    ----------
+    group : click.Group
+        Where the command belongs.
+    example : str
+        A call that works, shown at the end of its help.
+    """
+
+    def register(verb: Verb) -> Verb:
+        @functools.wraps(verb)
+        def run(*, json_lines: bool, **options: Any) -> None:
+            with _door(json_lines=json_lines) as door:
+                try:
+                    result = verb(reporter=door.reporter, **options)
+                except BrokenPipeError as error:
+                    # click takes every broken pipe for standard output's, and says nothing.
+                    if not _is_heard():
+                        raise
+                    raise OutputError(f"a program that was started ended early: {error}") from error
+            door.result(result)
+            if result.failure is not None:
+                raise result.failure
+
+        flagged = click.option(
+            "--json", "json_lines", is_flag=True, help="Print one JSON object a line."
+        )(run)
+        group.command(epilog=f"Example: {example}")(flagged)
+        return verb
+
+    return register
+
+
+def _door(*, json_lines: bool) -> Door:
+    return JsonDoor() if json_lines else HumanDoor()
+
+
+def open_door(group: click.Group) -> NoReturn:
+    """Run the command line and leave with the exit code that says how it went."""
+    signal.signal(signal.SIGTERM, _interrupt)
+    wear_leash()
+    door = _door(json_lines="--json" in sys.argv)
+    try:
+        group(standalone_mode=False)
+    except click.exceptions.Exit as leave:
+        sys.exit(leave.exit_code)
+    except click.ClickException as error:
+        context = getattr(error, "ctx", None)
+        hint = f"try {context.command_path} --help" if context else ""
+        _fail(door, UsageError(error.format_message(), hint=hint))
+    except GisRadarError as error:
+        _fail(door, error)
+    except (KeyboardInterrupt, click.Abort):
+        _fail(door, GisRadarError("interrupted; nothing was left half-written"), INTERRUPTED)
+    except OSError as error:
+        if not _is_heard():
+            _leave_unheard()
+        where = f"{error.filename}: " if error.filename else ""
+        _fail(door, OutputError(f"{where}{error.strerror or error}"))
+    sys.exit(0)
+
+
+def _fail(door: Door, error: GisRadarError, code: int | None = None) -> NoReturn:
+    try:
+        door.error(error)
+    except BrokenPipeError:
+        _leave_unheard()
+    sys.exit(error.exit_code if code is None else code)
+
+
+def _is_heard() -> bool:
+    """Tell whether standard output is still open; it may be another pipe that broke."""
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        return False
+    return True
+
+
+def _leave_unheard() -> NoReturn:
+    """Leave when nobody listens any more; Python's own flush at exit would complain."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    sys.exit(INTERRUPTED)
+
+
+def _interrupt(_signal: int, _frame: FrameType | None) -> None:
+    raise KeyboardInterrupt

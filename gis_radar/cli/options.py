@@ -122,7 +122,7 @@ class Duration(click.ParamType):  # type: ignore[type-arg]
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> float:
         """Return seconds, or fail as wrong usage."""
-        from gis_radar.clock import duration_s  # noqa: PLC0415 - NumPy
+        from gis_radar.steps import duration_s  # noqa: PLC0415 - NumPy
 
         try:
             return float(value)
@@ -143,7 +143,7 @@ class Cycles(click.ParamType):  # type: ignore[type-arg]
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> Literal["auto"] | dict[str, float]:
         """Return seconds by sensor or `auto`, or fail as wrong usage."""
-        from gis_radar.clock import duration_s  # noqa: PLC0415 - NumPy
+        from gis_radar.steps import duration_s  # noqa: PLC0415 - NumPy
 
         if value == "auto":
             return "auto"

@@ -8,11 +8,11 @@ import geopandas as gpd
 import numpy as np
 
 from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.assignment import TileGrid
-from gis_radar.detections import Detections, Recording
-from gis_radar.pose_files import PoseTrack
+from gis_radar.poses.files import PoseTrack
 from gis_radar.progress import Reporter
-from gis_radar.tiles import quads
+from gis_radar.recordings.recording import Detections, Recording
+from gis_radar.tiles.lookup import TileGrid
+from gis_radar.tiles.tiles import quads
 
 MIN_SPEED_MPS = 1.5
 MAX_SPEED_MPS = 60.0
@@ -70,7 +70,7 @@ class Lanes:
     Parameters
     ----------
     tiles : GeoDataFrame
-        As from :func:`gis_radar.tiles.read_tiles`.
+        As from :func:`gis_radar.tiles.tiles.read_tiles`.
     """
 
     def __init__(self, tiles: gpd.GeoDataFrame) -> None:

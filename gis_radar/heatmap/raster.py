@@ -21,12 +21,12 @@ from rasterio.transform import Affine
 from rasterio.windows import Window
 
 from gis_radar.arrays import Floats, Integers
-from gis_radar.assignment import TileGrid
-from gis_radar.clock import iso_from_step
 from gis_radar.errors import OutputError
-from gis_radar.heatmap.tally import DEFINITIONS, Tally
+from gis_radar.heatmap.counting import DEFINITIONS, Tally
 from gis_radar.progress import Reporter
-from gis_radar.tiles import quads
+from gis_radar.steps import iso_from_step
+from gis_radar.tiles.lookup import TileGrid
+from gis_radar.tiles.tiles import quads
 
 PIXEL_M = 0.5
 AT_ONCE = 1_000_000

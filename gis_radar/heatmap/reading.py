@@ -12,12 +12,12 @@ import pyogrio
 from pyogrio.errors import DataLayerError, DataSourceError
 
 from gis_radar.arrays import Floats, Integers
-from gis_radar.clock import STEPS_PER_SECOND, seconds_from_iso, step_of
 from gis_radar.errors import InputError
+from gis_radar.heatmap.heatmap import HeatMap
+from gis_radar.heatmap.intervals import Timeline
 from gis_radar.heatmap.layers import BEGIN, END, LONG, WIDE
-from gis_radar.heatmap.product import HeatMap
-from gis_radar.heatmap.timeline import Timeline
-from gis_radar.tiles import COLUMNS, fingerprint
+from gis_radar.steps import STEPS_PER_SECOND, seconds_from_iso, step_of
+from gis_radar.tiles.tiles import COLUMNS, fingerprint
 
 FILE = "heatmap.gpkg"
 _MAKE_ONE = "make one with: gis-radar heatmap"

@@ -12,8 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from gis_radar.arrays import Booleans, Floats
-from gis_radar.lanelets.errors import CannotMendError
 from gis_radar.lanelets.ribbons import arc_lengths, matched, turn
+
+
+class CannotMendError(Exception):
+    """A lanelet has to be left out; the message is the reason, in plain words."""
+
 
 # How much of the plain arc-length pairing is kept; the first that works is taken.
 _BLENDS = (0.75, 0.5, 0.25, 0.1, 0.03)

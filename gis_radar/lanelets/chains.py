@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gis_radar.arrays import Floats
-from gis_radar.lanelets.bounds import at_fractions, without_repeats
-from gis_radar.lanelets.errors import CannotMendError
+from gis_radar.lanelets.bounds import CannotMendError, at_fractions, without_repeats
 from gis_radar.lanelets.osm import OsmMap
 from gis_radar.lanelets.ribbons import arc_lengths
 

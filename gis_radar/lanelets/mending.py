@@ -12,6 +12,7 @@ from shapely import LineString, Polygon
 
 from gis_radar.arrays import Floats
 from gis_radar.lanelets.bounds import (
+    CannotMendError,
     at_fractions,
     length,
     rungs,
@@ -20,7 +21,6 @@ from gis_radar.lanelets.bounds import (
     sound,
     without_repeats,
 )
-from gis_radar.lanelets.errors import CannotMendError
 from gis_radar.lanelets.ribbons import NEVER_M, arc_lengths, matched, turn
 from gis_radar.lanelets.tangles import part_at_crossings, without_loops
 

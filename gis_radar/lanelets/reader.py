@@ -16,17 +16,16 @@ from shapely import LineString, MultiLineString
 from shapely.geometry.base import BaseGeometry
 
 from gis_radar.arrays import Floats
-from gis_radar.cards import card
 from gis_radar.crs import name_of
 from gis_radar.errors import InputError
-from gis_radar.lanelets.bounds import drawn_direction, rungs, slices
+from gis_radar.lanelets.bounds import CannotMendError, drawn_direction, rungs, slices
 from gis_radar.lanelets.chains import Chain, chain_of, heights_filled
-from gis_radar.lanelets.errors import CannotMendError
 from gis_radar.lanelets.mending import Mended, mend, outline
 from gis_radar.lanelets.osm import OsmMap, Relation, read_osm
 from gis_radar.lanelets.positions import place_nodes
 from gis_radar.lanelets.regulatory import regulated_kmh, regulatory_table
 from gis_radar.lanelets.tagging import kmh, one_way_of, participants_of, subtype_of
+from gis_radar.notebooks import card
 from gis_radar.progress import QUIET, Reporter
 
 STAGE = "reading lanelets"

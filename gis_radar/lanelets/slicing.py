@@ -9,8 +9,7 @@ from shapely.geometry.base import BaseGeometry
 
 from gis_radar.arrays import Floats
 from gis_radar.errors import InputError
-from gis_radar.lanelets.bounds import slices, sound_rungs
-from gis_radar.lanelets.errors import CannotMendError
+from gis_radar.lanelets.bounds import CannotMendError, slices, sound_rungs
 from gis_radar.lanelets.mending import outline
 from gis_radar.progress import Reporter
 

@@ -6,8 +6,7 @@ import numpy as np
 from shapely import LineString, Point, STRtree, box, get_coordinates
 
 from gis_radar.arrays import Floats, Integers
-from gis_radar.lanelets.bounds import without_repeats
-from gis_radar.lanelets.errors import CannotMendError
+from gis_radar.lanelets.bounds import CannotMendError, without_repeats
 from gis_radar.lanelets.ribbons import arc_lengths
 
 _LOOP_SHARE = 0.5

@@ -1,6 +1,6 @@
 """Localization: the pose of a radar from what it saw, with its evidence."""
 
-from gis_radar.localization.answer import Localization
-from gis_radar.localization.product import localize
+from gis_radar.localization.localize import localize
+from gis_radar.localization.result import Localization
 
 __all__ = ["Localization", "localize"]

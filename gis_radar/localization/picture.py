@@ -10,11 +10,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from gis_radar.arrays import Floats
+from gis_radar.files import whole_file
 from gis_radar.lanelets import LaneletMap
-from gis_radar.localization.answer import Localization
-from gis_radar.outputs import whole_file
-from gis_radar.surroundings import SecondLook
-from gis_radar.surroundings.picture import draw_surroundings
+from gis_radar.localization.result import Localization
+from gis_radar.second_look import SecondLook
+from gis_radar.second_look.picture import draw_surroundings
 
 DPI = 216
 SIZE_IN = (6.6, 6.6)

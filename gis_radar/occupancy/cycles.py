@@ -17,10 +17,10 @@ from typing import Literal
 import numpy as np
 
 from gis_radar.arrays import Floats, Integers
-from gis_radar.clock import STEP_US, step_of
-from gis_radar.detections import Recording
 from gis_radar.errors import UsageError
 from gis_radar.occupancy.hits import Hits
+from gis_radar.recordings.recording import Recording
+from gis_radar.steps import STEP_US, step_of
 
 SHORTEST_CYCLE_S, LONGEST_CYCLE_S = 0.001, 2.0
 FRAMES_ENOUGH = 4000

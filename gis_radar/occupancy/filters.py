@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.detections import Detections
 from gis_radar.errors import UsageError
+from gis_radar.recordings.recording import Detections
 
 LEVELS_APART_M = 2.5
 SIGMAS = 2.0

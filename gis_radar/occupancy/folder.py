@@ -14,17 +14,16 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from gis_radar.cards import card
-from gis_radar.clock import STEP_S, iso_from_step
 from gis_radar.errors import InputError
-from gis_radar.occupancy.deliveries import COLUMNS as DELIVERY_COLUMNS
-from gis_radar.occupancy.deliveries import FILE as DELIVERIES
-from gis_radar.occupancy.deliveries import merge_deliveries, read_deliveries, write_deliveries
-from gis_radar.occupancy.frames import frames_table
-from gis_radar.occupancy.hits import Hits, merge_hits, read_hits, write_hits
-from gis_radar.occupancy.merging import Rows
+from gis_radar.files import whole_folder
+from gis_radar.notebooks import card
+from gis_radar.occupancy.frame_log import COLUMNS as DELIVERY_COLUMNS
+from gis_radar.occupancy.frame_log import FILE as DELIVERIES
+from gis_radar.occupancy.frame_log import merge_deliveries, read_deliveries, write_deliveries
+from gis_radar.occupancy.hits import Hits, Rows, merge_hits, read_hits, write_hits
+from gis_radar.occupancy.step_sets import frames_table
 from gis_radar.occupancy.views import NOTHING, name_of_view, views_table
-from gis_radar.outputs import whole_folder
+from gis_radar.steps import STEP_S, iso_from_step
 
 FILES = ("hits.parquet", "frames.parquet", "views.parquet", "manifest.json")
 OWNED = (*FILES, DELIVERIES, "quality.")  # a table made of it may stand there
@@ -56,7 +55,7 @@ class Occupancy:
         Per recording: file, sensor, poses, filters.
     deliveries : callable
         Takes the names of all sensors and starts reading the rows of frames, as of
-        :mod:`gis_radar.occupancy.deliveries`; none where the folder does not tell.
+        :mod:`gis_radar.occupancy.frame_log`; none where the folder does not tell.
     """
 
     fingerprint: str

@@ -11,24 +11,24 @@ import pandas as pd
 import shapely
 
 from gis_radar.arrays import Floats
-from gis_radar.assignment import TileEngine, TileGrid
+from gis_radar.clocks.sensor_clock import SensorClock
 from gis_radar.crs import metric_crs, require_same
-from gis_radar.detections import Recording, as_recording
 from gis_radar.errors import InputError, NoAnswerError, UsageError
+from gis_radar.files import whole_folder
 from gis_radar.occupancy.cycles import Cycles, cycles_us
-from gis_radar.occupancy.deliveries import DeliveryWriter, merge_deliveries, read_deliveries
 from gis_radar.occupancy.filters import Filters
 from gis_radar.occupancy.folder import OWNED, Occupancy, read_occupancy, write_tables
-from gis_radar.occupancy.frames import frames_table
+from gis_radar.occupancy.frame_log import DeliveryWriter, merge_deliveries, read_deliveries
 from gis_radar.occupancy.hits import merge_hits, write_hits
 from gis_radar.occupancy.reading import Gauge, Reading, Site, warn_of_clocks
+from gis_radar.occupancy.step_sets import frames_table
 from gis_radar.occupancy.views import ViewBook, views_table
-from gis_radar.outputs import whole_folder
-from gis_radar.pose import Pose
-from gis_radar.pose_files import PoseTrack, as_track
+from gis_radar.poses.files import PoseTrack, as_track
+from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.sensor_clocks import SensorClock
-from gis_radar.tiles import fingerprint, quads
+from gis_radar.recordings.recording import Recording, as_recording
+from gis_radar.tiles.lookup import TileEngine, TileGrid
+from gis_radar.tiles.tiles import fingerprint, quads
 
 
 def measure_occupancy(
@@ -52,11 +52,11 @@ def measure_occupancy(
     Parameters
     ----------
     recordings : sequence
-        Files, or what :func:`gis_radar.detections.open_recording` returns.
+        Files, or what :func:`gis_radar.recordings.recording.open_recording` returns.
     poses : sequence of Pose or PoseTrack
         As many as recordings, in order. A pose without a view gets the default one.
     tiles : GeoDataFrame
-        As from :func:`gis_radar.tiles.read_tiles`.
+        As from :func:`gis_radar.tiles.tiles.read_tiles`.
     folder : str or Path
         Where the occupancy goes; it appears whole or not at all.
     filters : Filters, optional

@@ -1,4 +1,4 @@
-"""A recording on its way into an occupancy: hits, frames, deliveries."""
+"""Read a recording into hits, frames and the frame log."""
 
 from __future__ import annotations
 
@@ -9,27 +9,66 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 
 from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.assignment import TileEngine
-from gis_radar.clock import STEP_US, iso_from_step, step_of
-from gis_radar.detections import Detections, Recording
+from gis_radar.clocks.sensor_clock import SensorClock
 from gis_radar.occupancy.cycles import Spoken, last_step
-from gis_radar.occupancy.deliveries import (
-    MOVING_MPS,
-    WILD_MPS,
-    DeliveryWriter,
-    position_sums,
-)
 from gis_radar.occupancy.filters import Filters
+from gis_radar.occupancy.frame_log import MOVING_MPS, WILD_MPS, DeliveryWriter, position_sums
 from gis_radar.occupancy.hits import Hits, distinct
-from gis_radar.occupancy.pieces import rows_of, whole_frames
-from gis_radar.occupancy.runs import Runs, union
+from gis_radar.occupancy.step_sets import Runs, union
 from gis_radar.occupancy.views import ViewBook
-from gis_radar.pose import Pose, View
-from gis_radar.pose_files import PoseTrack
+from gis_radar.poses.files import PoseTrack
+from gis_radar.poses.pose import Pose, View
 from gis_radar.progress import Reporter
-from gis_radar.sensor_clocks import SensorClock
+from gis_radar.recordings.recording import Detections, Recording
+from gis_radar.steps import STEP_US, iso_from_step, step_of
+from gis_radar.tiles.lookup import TileEngine
+
+MOST_WAITING = 1 << 21
+NO_FURTHER = pa.RecordBatch.from_pydict({})
+
+
+def whole_frames(pieces: Iterator[Detections]) -> Iterator[Detections]:
+    """Cut pieces at the borders of frames, so that none is split; further columns go.
+
+    A frame of over two million rows is no frame of a radar, and is passed on in parts.
+    """
+    waiting: Detections | None = None
+    for piece in pieces:
+        rows = replace(piece, further=NO_FURTHER)
+        joined = rows if waiting is None else _joined(waiting, rows)
+        cut = int(np.searchsorted(joined.time, joined.time[-1], side="left"))
+        if cut == 0 and len(joined) > MOST_WAITING:
+            cut = len(joined)
+        if cut:
+            yield rows_of(joined, slice(0, cut))
+        waiting = rows_of(joined, slice(cut, None))
+    if waiting is not None and len(waiting):
+        yield waiting
+
+
+def _joined(one: Detections, other: Detections) -> Detections:
+    return Detections(
+        time=np.concatenate([one.time, other.time]),
+        points=np.concatenate([one.points, other.points]),
+        range_rate=np.concatenate([one.range_rate, other.range_rate]),
+        rcs=np.concatenate([one.rcs, other.rcs]),
+        further=NO_FURTHER,
+    )
+
+
+def rows_of(rows: Detections, part: slice | Booleans) -> Detections:
+    """Return some of the rows, without further columns."""
+    return Detections(
+        time=rows.time[part],
+        points=rows.points[part],
+        range_rate=rows.range_rate[part],
+        rcs=rows.rcs[part],
+        further=NO_FURTHER,
+    )
+
 
 STAGE = "occupancy"
 MOST_GAP_MS = 2000

@@ -17,8 +17,8 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from gis_radar.arrays import Floats, Integers
-from gis_radar.pose import Pose, View
-from gis_radar.pose_files import PoseTrack
+from gis_radar.poses.files import PoseTrack
+from gis_radar.poses.pose import Pose, View
 
 SAME_M, SAME_DEG = 0.25, 0.2  # half a tile; and as well as a track knows its angles
 MOST_HEADS = 64

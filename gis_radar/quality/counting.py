@@ -1,18 +1,51 @@
-"""Counts of frames by sensor and hour, from the deliveries of an occupancy."""
+"""Count frames by sensor and hour, from the frame log of an occupancy."""
 
 from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from functools import cache
 from zoneinfo import ZoneInfo
 
 import numpy as np
 
 from gis_radar.arrays import Integers
 from gis_radar.occupancy import Occupancy
-from gis_radar.occupancy.deliveries import COLUMNS
+from gis_radar.occupancy.frame_log import COLUMNS
 from gis_radar.progress import Reporter
-from gis_radar.quality.hours import HOUR_S, hour_begins
+
+HOUR_S = 3600
+QUARTER_S = 900  # zones differ from UTC by whole quarters of an hour
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+def hour_begins(time_us: Integers, zone: ZoneInfo) -> Integers:
+    """Return for each time the UTC second in which its hour of local time began.
+
+    Parameters
+    ----------
+    time_us : (n,) int64 array
+        Microseconds since the UNIX epoch.
+    zone : ZoneInfo
+        Whose hours. Where clocks are set back, the hour that comes twice is two hours.
+    """
+    quarter, place = np.unique(time_us // (QUARTER_S * 1_000_000), return_inverse=True)
+    begin = [_hour_begin(int(number), zone) for number in quarter]
+    return np.asarray(np.array(begin, np.int64)[place])
+
+
+@cache
+def _hour_begin(quarter: int, zone: ZoneInfo) -> int:
+    second = quarter * QUARTER_S
+    local = moment(second).astimezone(zone)
+    return second - local.minute * 60 - local.second
+
+
+def moment(second: int) -> datetime:
+    """Return a UNIX second as a UTC time."""
+    return _EPOCH + timedelta(seconds=second)
+
 
 STAGE = "data quality"
 GAP_US = 100  # resolution of the time from frame to frame

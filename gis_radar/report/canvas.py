@@ -13,8 +13,8 @@ from PIL import Image
 from scipy import ndimage
 
 from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.assignment import TileGrid
 from gis_radar.heatmap import style
+from gis_radar.tiles.lookup import TileGrid
 
 LEAST_MARGIN_M = 12.0
 MARGIN = 0.05  # of the longer side

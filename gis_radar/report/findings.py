@@ -9,7 +9,8 @@ import numpy as np
 import pandas as pd
 
 from gis_radar.quality import Quality
-from gis_radar.report import basis, tables
+from gis_radar.report import folder as basis
+from gis_radar.report import tables
 from gis_radar.report.canvas import png
 from gis_radar.report.content import Content, Figure, MapPart
 from gis_radar.report.folder import Results

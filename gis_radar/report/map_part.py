@@ -9,15 +9,14 @@ import numpy as np
 import pandas as pd
 
 from gis_radar.crs import name_of
-from gis_radar.pose import Pose
+from gis_radar.poses.pose import Pose
 from gis_radar.progress import Reporter
 from gis_radar.report.canvas import Canvas, canvas_of, png
 from gis_radar.report.content import Figure, Frame, MapPart
-from gis_radar.report.lanes import LaneTally
+from gis_radar.report.lanes import LaneTally, Seconds, Span, Traffic
 from gis_radar.report.overlay import lane_map, overlay_of
-from gis_radar.report.traffic import Seconds, Span, Traffic
 from gis_radar.report.words import Clock, count, percent
-from gis_radar.tiles import quads
+from gis_radar.tiles.tiles import quads
 
 MOST_FRAMES = 96
 MOST_PIXELS = 2_200_000  # of a picture

@@ -18,12 +18,11 @@ from matplotlib.patches import Polygon, Rectangle
 from PIL import Image
 
 from gis_radar.arrays import Floats
-from gis_radar.heatmap.annotations import INK, SOFT, round_length
-from gis_radar.heatmap.picture import SETTINGS
-from gis_radar.pose import Pose
+from gis_radar.heatmap.picture import INK, SETTINGS, SOFT, round_length
+from gis_radar.poses.pose import Pose
 from gis_radar.report.canvas import PAPER, Canvas
 from gis_radar.report.lanes import Lane
-from gis_radar.tiles import quads
+from gis_radar.tiles.tiles import quads
 
 WIDTH_IN, PLAN_WIDTH_IN = 8.0, 6.0  # the fewer, the larger the words
 SENSOR = "#00519e"

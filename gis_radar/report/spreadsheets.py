@@ -12,7 +12,7 @@ from typing import Any
 
 import pandas as pd
 
-from gis_radar.pose import ANGLES, POSITION, View
+from gis_radar.poses.pose import ANGLES, POSITION, View
 from gis_radar.quality import Quality
 from gis_radar.report.folder import Results
 from gis_radar.report.lanes import LaneTally

@@ -6,9 +6,9 @@ import math
 
 import pandas as pd
 
-from gis_radar.pose import Pose, View
+from gis_radar.poses.pose import Pose, View
 from gis_radar.quality import Quality
-from gis_radar.quality.verdict import GOOD
+from gis_radar.quality.quality import GOOD
 from gis_radar.report.content import Column, Table
 from gis_radar.report.folder import Results
 from gis_radar.report.words import NOTHING, Clock, count, direction, number, percent, plus_minus

@@ -14,8 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gis_radar.arrays import Floats
-from gis_radar.registration import State
-from gis_radar.registration.state import angles_from_turn
+from gis_radar.localization.state import State, angles_from_turn
 
 HOUR_S = 3600.0
 # Steel masts bend in the sun by centimetres and tenths of a degree within hours.

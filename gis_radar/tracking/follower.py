@@ -8,14 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gis_radar.arrays import Floats
-from gis_radar.detections import Detections
 from gis_radar.errors import NoAnswerError
-from gis_radar.localization.by_lanes import LEAST_TRACKS
-from gis_radar.localization.product import LEAST_FRAMES
-from gis_radar.registration import State
-from gis_radar.registration.hypotheses import REFLECTION_M
-from gis_radar.traces import FRAMES, RollingWindow
-from gis_radar.tracking.changes import GATE, KNOCK, Change, Doubt, doubt
+from gis_radar.localization.hypotheses import REFLECTION_M
+from gis_radar.localization.lane_method import LEAST_TRACKS
+from gis_radar.localization.localize import LEAST_FRAMES
+from gis_radar.localization.state import State
+from gis_radar.localization.traces import FRAMES, RollingWindow
+from gis_radar.recordings.recording import Detections
 from gis_radar.tracking.filter import (
     Estimate,
     corrected,
@@ -24,7 +23,8 @@ from gis_radar.tracking.filter import (
     predicted,
     widened,
 )
-from gis_radar.tracking.registering import Ground, Sighting, Traffic
+from gis_radar.tracking.moves import GATE, KNOCK, Change, Doubt, doubt
+from gis_radar.tracking.windows import Ground, Sighting, Traffic
 
 MOVED, REJECTED, NOTHING = "moved", "rejected", ""
 LOST_S = 100.0

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from gis_radar.arrays import Floats
-from gis_radar.clock import STEP_S, seconds_from_iso
 from gis_radar.errors import InputError
-from gis_radar.localization.answer import SIGMA
-from gis_radar.pose import Pose
+from gis_radar.localization.result import SIGMA
+from gis_radar.poses.pose import Pose
+from gis_radar.steps import STEP_S, seconds_from_iso
 from gis_radar.tracking.filter import Estimate, Measurement, covariance_from_angles
 
 # of a pose without sigma, as people measure it: metres and degrees in the order of SIGMA

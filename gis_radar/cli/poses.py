@@ -1,0 +1,142 @@
+"""The commands that find a sensor's pose, and follow it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+import gis_radar as gr
+from gis_radar.cli.commands import FILE, group, output
+from gis_radar.cli.console import Result, command
+from gis_radar.cli.options import Bearing, Numbers, Position
+from gis_radar.errors import UsageError
+from gis_radar.files import refuse_inputs, require_folder
+from gis_radar.progress import Reporter
+
+
+@command(
+    group,
+    example="gis-radar localize R1.parquet --map junction.osm --road road.laz "
+    "--guess 690356,5336183 -o R1.json",
+)
+@click.argument("recording", metavar="RECORDING", type=FILE)
+@click.option("--map", "map_path", metavar="MAP.osm", type=FILE, required=True, help="The lanes.")
+@click.option("--road", type=FILE, required=True, help="The scanned road (LAZ).")
+@click.option("--guess", type=Position(), required=True, help="Within 15 m, in the road's CRS.")
+@click.option("--guess-crs", help="CRS of the guess, where it is not the road's: EPSG:3857.")
+@click.option("--heading", type=float, help="Yaw within 25 deg: from grid east, anticlockwise.")
+@click.option("--compass", type=Bearing(), help="The same as a bearing: 210, north-east, ...")
+@click.option("--origin", type=Numbers("E,N"), help="Map-frame position of the map's local (0, 0).")
+@click.option(
+    "--method", type=click.Choice(["lane", "icp"]), default="lane", show_default=True,
+    help="Lanes and Doppler, or the paper's ICP.",
+)  # fmt: skip
+@click.option(
+    "--scan", "scans", metavar="SCAN.laz", type=FILE, multiple=True,
+    help="Airborne scan for a second look: what stands against canopy and walls. May be repeated.",
+)  # fmt: skip
+@click.option("--scan-crs", help="CRS of scans that do not say theirs: EPSG:2154.")
+@click.option("--figure", type=FILE, help="Draw the traces over lanes and scan (PNG).")
+@output
+def localize(
+    *,
+    recording: Path,
+    map_path: Path,
+    road: Path,
+    guess: tuple[float, ...],
+    guess_crs: str | None,
+    heading: float | None,
+    compass: float | None,
+    origin: tuple[float, float] | None,
+    method: str,
+    scans: tuple[Path, ...],
+    scan_crs: str | None,
+    figure: Path | None,
+    output: Path,
+    reporter: Reporter,
+) -> Result:
+    """Find a sensor's pose from its recording and a rough guess (JSON)."""
+    if heading is not None and compass is not None:
+        raise UsageError("both --heading and --compass are given", hint="give one of them")
+    require_folder(output)
+    refuse_inputs(output, recording, map_path, road, *scans)
+    if figure is not None:
+        _check_figure(figure, output)
+        refuse_inputs(figure, recording, map_path, road, *scans)
+    crs = gr.road_crs(road)
+    roads = gr.read_map(map_path, crs=crs, origin=origin, reporter=reporter)
+    points = gr.read_road(road, roads.crs)
+    if guess_crs is not None:
+        guess = gr.moved_position(guess, guess_crs, roads.crs)
+    if scans:
+        gr.require_scans_near(scans, roads.crs, guess, scan_crs=scan_crs)
+    if compass is not None:
+        heading = gr.yaw_from_compass(compass, roads.crs, guess[0], guess[1])
+    found = gr.localize(
+        recording, roads, points, guess=guess, heading=heading, method=method, reporter=reporter
+    )
+    look = None
+    if scans:
+        look = gr.second_look(recording, found.pose, scans, scan_crs=scan_crs, reporter=reporter)
+        found = found.with_second_look(look)
+    outputs = [output]
+    if figure is not None:
+        gr.draw_localization(found, roads, points, figure, look=look)
+        outputs.append(figure)
+    gr.write_pose(found.pose, output)
+    return Result(outputs=outputs, summary=found.figures())
+
+
+@command(
+    group,
+    example="gis-radar track R1.parquet --map junction.osm --road road.laz --pose R1.json "
+    "-o track.csv",
+)
+@click.argument("recording", metavar="RECORDING", type=FILE)
+@click.option("--map", "map_path", metavar="MAP.osm", type=FILE, required=True, help="The lanes.")
+@click.option("--road", type=FILE, required=True, help="The scanned road (LAZ).")
+@click.option(
+    "--pose", type=FILE, required=True, help="Where it stands at the beginning: JSON, or a track."
+)
+@click.option("--origin", type=Numbers("E,N"), help="Map-frame position of the map's local (0, 0).")
+@click.option("--figure", type=FILE, help="Draw the pose over time, with its error (PNG).")
+@output
+def track(
+    *,
+    recording: Path,
+    map_path: Path,
+    road: Path,
+    pose: Path,
+    origin: tuple[float, float] | None,
+    figure: Path | None,
+    output: Path,
+    reporter: Reporter,
+) -> Result:
+    """Follow a sensor's pose through a recording: a corrected pose every 5 s (CSV)."""
+    if output.suffix.lower() != ".csv":
+        raise UsageError(f"{output}: a pose track is a CSV file", hint="name it track.csv")
+    inputs = (recording, map_path, road, pose)
+    require_folder(output)
+    refuse_inputs(output, *inputs)
+    if figure is not None:
+        _check_figure(figure, output)
+        refuse_inputs(figure, *inputs)
+    start = gr.read_track(pose)
+    roads = gr.read_map(map_path, crs=gr.road_crs(road), origin=origin, reporter=reporter)
+    points = gr.read_road(road, roads.crs)
+    followed = gr.track(recording, roads, points, start, reporter=reporter)
+    outputs = [output]
+    if figure is not None:
+        gr.draw_track(followed, figure)
+        outputs.append(figure)
+    gr.write_track(followed.poses, output)
+    return Result(outputs=outputs, summary=followed.figures())
+
+
+def _check_figure(figure: Path, output: Path) -> None:
+    if figure.suffix.lower() != ".png":
+        raise UsageError(f"{figure}: a figure is a PNG file", hint="name it figure.png")
+    require_folder(figure)
+    if figure.resolve() == output.resolve():
+        raise UsageError(f"{figure}: figure and output are the same file", hint="name two files")

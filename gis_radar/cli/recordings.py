@@ -1,0 +1,229 @@
+"""The commands about recordings: convert, occupancy, clocks, quality."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import click
+
+import gis_radar as gr
+from gis_radar.cli.commands import FILE, group, output
+from gis_radar.cli.console import Result, command
+from gis_radar.cli.options import Cycles, Duration, Numbers, Pairs
+from gis_radar.files import refuse_inputs
+from gis_radar.progress import Reporter
+
+
+@command(group, example="gis-radar convert capture.pcap -o R1.parquet")
+@click.argument("inputs", metavar="IN...", nargs=-1, required=True)
+@output
+@click.option("--sensor", help="Only this one, where there are several: 10.13.1.113, /radar/front.")
+@click.option(
+    "--columns", type=Pairs(), help="Fields of a table or cloud: x=X,range_rate=-doppler."
+)
+@click.option(
+    "--time-unit", type=click.Choice(["s", "ms", "us", "ns"]), default="s", show_default=True,
+    help="Of the times in a table, since 1970.",
+)  # fmt: skip
+@click.option(
+    "--clock", type=click.Choice(["auto", "sensor", "recorder"]), default="auto", show_default=True,
+    help="Whose times count; auto takes the sensor's where they are right.",
+)  # fmt: skip
+@click.option("--duration", type=Duration(), help="How long to listen to an address: 30s, 10min.")
+def convert(
+    *,
+    inputs: tuple[str, ...],
+    output: Path,
+    sensor: str | None,
+    columns: dict[str, str] | None,
+    time_unit: str,
+    clock: Literal["auto", "sensor", "recorder"],
+    duration: float | None,
+    reporter: Reporter,
+) -> Result:
+    """Make recordings of captures, ROS bags, PCD folders, tables, or udp://224.0.2.2:42102."""
+    made = gr.convert(
+        inputs,
+        output,
+        sensor=sensor,
+        columns=columns,
+        time_unit=time_unit,
+        clock=clock,
+        duration_s=duration,
+        reporter=reporter,
+    )
+    return Result(outputs=made.outputs, summary=made.figures())
+
+
+if TYPE_CHECKING:
+    import geopandas as gpd
+
+ENGINES = {"grid": "TileGrid", "rtree": "TileTree"}
+AUTO = "auto"
+
+
+@command(
+    group,
+    example="gis-radar occupancy R1.parquet R2.parquet --pose R1.json --pose R2.json "
+    "--tiles tiles.gpkg -o occupancy/",
+)
+@click.argument("recordings", metavar="RECORDING...", type=FILE, nargs=-1, required=True)
+@click.option("--pose", "poses", type=FILE, multiple=True, required=True, help="One a recording.")
+@click.option("--tiles", "tiles_path", type=FILE, required=True, help="From gis-radar tiles.")
+@output
+@click.option("--max-range", "max_range_m", type=float, help="Range of poses without a view, m.")
+@click.option("--azimuth", "azimuth_deg", type=float, help="Full azimuth of such poses, deg.")
+@click.option("--elevation", "elevation_deg", type=float, help="Full elevation of such poses, deg.")
+@click.option("--min-speed", type=float, help="Least absolute range rate, m/s; off by default.")
+@click.option("--min-rcs", type=float, help="Least radar cross section, dBm2; off by default.")
+@click.option("--clearance", type=Numbers("LOW,HIGH"), help="Heights over the road that count, m.")
+@click.option(
+    "--elevation-error", type=float, default=0.5, show_default=True,
+    help="The radar's elevation error, deg (1 sigma): widens the clearance with range.",
+)  # fmt: skip
+@click.option(
+    "--cycle", "cycles", type=Cycles(),
+    help="Of sensors slower than 20 Hz, the time from frame to frame: a frame speaks for it.",
+)  # fmt: skip
+@click.option(
+    "--clocks", metavar="auto|FILE",
+    help="Correct the sensors' clocks: by a file from gis-radar clocks, or as found here.",
+)  # fmt: skip
+@click.option("--engine", type=click.Choice(sorted(ENGINES)), default="grid", show_default=True)
+def occupancy(
+    *,
+    recordings: tuple[Path, ...],
+    poses: tuple[Path, ...],
+    tiles_path: Path,
+    output: Path,
+    max_range_m: float | None,
+    azimuth_deg: float | None,
+    elevation_deg: float | None,
+    min_speed: float | None,
+    min_rcs: float | None,
+    clearance: tuple[float, float] | None,
+    elevation_error: float,
+    cycles: dict[str, float] | Literal["auto"] | None,
+    clocks: str | None,
+    engine: str,
+    reporter: Reporter,
+) -> Result:
+    """Join recordings to tiles: which tile was hit in which 50 ms step."""
+    refuse_inputs(output, *recordings, *poses, tiles_path)
+    if clocks not in {None, AUTO}:
+        refuse_inputs(output, str(clocks))
+    filters = gr.Filters(
+        min_speed=min_speed,
+        min_rcs=min_rcs,
+        clearance=clearance,
+        elevation_error_deg=elevation_error,
+    )
+    view = {"azimuth_deg": azimuth_deg, "elevation_deg": elevation_deg, "max_range_m": max_range_m}
+    tracks = [_seeing(gr.read_track(pose), view, reporter) for pose in poses]
+    table = gr.read_tiles(tiles_path)
+    result = gr.measure_occupancy(
+        recordings,
+        tracks,
+        table,
+        output,
+        filters=filters,
+        cycles=cycles,
+        clocks=None if clocks is None else _clocks(clocks, recordings, tracks, table, reporter),
+        engine=getattr(gr, ENGINES[engine]),
+        reporter=reporter,
+    )
+    for line in gr.measure_quality(result).warnings():
+        reporter.log(line, "warning")
+    return Result(outputs=[output], summary=result.figures())
+
+
+def _clocks(
+    source: str,
+    recordings: tuple[Path, ...],
+    tracks: list[gr.PoseTrack],
+    tiles: gpd.GeoDataFrame,
+    reporter: Reporter,
+) -> dict[str, gr.SensorClock]:
+    """Return the clocks of a file, or compare them; say whose is not corrected."""
+    if source == AUTO:
+        found = gr.measure_clocks(recordings, tracks, tiles, reporter=reporter)
+        for sensor, text in found.figures().items():
+            reporter.log(
+                f"clock of {sensor}: {text}"
+                if sensor != "reference"
+                else f"clocks are corrected to that of {text}"
+            )
+        clocks = found.clocks
+    else:
+        clocks = gr.read_clocks(source)
+    for sensor in sorted({track.sensor for track in tracks} - clocks.keys()):
+        reporter.log(f"the clock of {sensor} is not corrected: its offset is not known", "warning")
+    return clocks
+
+
+def _seeing(
+    track: gr.PoseTrack, options: dict[str, float | None], reporter: Reporter
+) -> gr.PoseTrack:
+    """Give poses without a view the one of the options."""
+    given = {name: value for name, value in options.items() if value is not None}
+    try:
+        view = gr.View(**given)
+    except gr.InputError as error:
+        raise gr.UsageError(error.message) from error
+    own = [pose.view for pose in track.poses if pose.view is not None]
+    if any(getattr(each, name) != value for each in own for name, value in given.items()):
+        reporter.log(f"the pose of {track.sensor} has a view, which counts", "warning")
+    return track.with_view(view)
+
+
+@command(
+    group,
+    example="gis-radar clocks R1.parquet R2.parquet --pose R1.json --pose R2.json "
+    "--tiles tiles.gpkg -o clocks.json",
+)
+@click.argument("recordings", metavar="RECORDING...", type=FILE, nargs=-1, required=True)
+@click.option("--pose", "poses", type=FILE, multiple=True, required=True, help="One a recording.")
+@click.option("--tiles", "tiles_path", type=FILE, required=True, help="From gis-radar tiles.")
+@click.option("-o", "--output", type=FILE, help="A file for gis-radar occupancy --clocks (JSON).")
+@click.option("--reference", help="The sensor whose clock counts as right.")
+def clocks(
+    *,
+    recordings: tuple[Path, ...],
+    poses: tuple[Path, ...],
+    tiles_path: Path,
+    output: Path | None,
+    reference: str | None,
+    reporter: Reporter,
+) -> Result:
+    """Find how far the clocks of sensors are apart, by the traffic that they share."""
+    if output is not None:
+        refuse_inputs(output, *recordings, *poses, tiles_path)
+    found = gr.measure_clocks(
+        recordings,
+        [gr.read_track(pose) for pose in poses],
+        gr.read_tiles(tiles_path),
+        reference=reference,
+        reporter=reporter,
+    )
+    outputs = [] if output is None else [found.write(output)]
+    return Result(outputs=outputs, summary=found.figures())
+
+
+@command(group, example="gis-radar quality occupancy/ --timezone Europe/Berlin -o quality.csv")
+@click.argument("folders", metavar="OCCUPANCY...", type=FILE, nargs=-1, required=True)
+@click.option("--timezone", default="UTC", show_default=True, help="Whose hours: Europe/Berlin.")
+@click.option(
+    "-o", "--output", type=FILE, help="The table, a row a sensor and hour (CSV, Parquet)."
+)
+def quality(
+    *, folders: tuple[Path, ...], timezone: str, output: Path | None, reporter: Reporter
+) -> Result:
+    """Say what an occupancy rests on: frames, detections, clocks, poses, and a verdict."""
+    if output is not None:
+        inside = [file for folder in folders if folder.is_dir() for file in folder.iterdir()]
+        refuse_inputs(output, *folders, *(file for file in inside if file.stem != "quality"))
+    merged = gr.merge_occupancies([gr.read_occupancy(folder) for folder in folders])
+    found = gr.measure_quality(merged, timezone=timezone, reporter=reporter)
+    outputs = [] if output is None else [found.write(output)]
+    return Result(outputs=outputs, summary=found.figures())

@@ -1,0 +1,130 @@
+"""The commands for a whole site: run, report, and what QGIS opens."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import click
+
+import gis_radar as gr
+from gis_radar.cli.commands import FILE, group, output
+from gis_radar.cli.console import Result, command
+from gis_radar.files import refuse_inputs, whole_folder
+from gis_radar.progress import Reporter
+
+
+def _print_template(context: click.Context, _option: click.Parameter, wanted: object) -> None:
+    if wanted:
+        click.echo(gr.site_template(), nl=False)
+        context.exit()
+
+
+@command(group, example="gis-radar run SITE.toml -o results")
+@click.argument("site", metavar="SITE.toml", type=FILE)
+@output
+@click.option("--jobs", type=int, help="Stages at once; by default as cores and memory allow.")
+@click.option("--fresh", is_flag=True, help="Do all again, also what an earlier run has done.")
+@click.option(
+    "--template", is_flag=True, is_eager=True, expose_value=False, callback=_print_template,
+    help="Print a site file to fill in, and do nothing else.",
+)  # fmt: skip
+def run(*, site: Path, output: Path, jobs: int | None, fresh: bool, reporter: Reporter) -> Result:
+    """Go the whole way for all sensors of a site; go on where an earlier run ended.
+
+    Exit code 4 tells that a sensor has no trustworthy pose, 3 that its data are bad; the heat maps
+    show the others.
+    """
+    done = gr.run_site(site, output, jobs=jobs, fresh=fresh, reporter=reporter)
+    return Result(outputs=done.outputs, summary=done.figures(), failure=done.failure)
+
+
+@command(group, example="gis-radar report results --timezone Europe/Berlin")
+@click.argument("folder", metavar="DIR", type=FILE)
+@click.option("-o", "--output", type=FILE, help="Where the report goes; by default into DIR.")
+@click.option("--title", help="What it is about; by default the site's title or DIR.")
+@click.option(
+    "--timezone",
+    help="Whose clocks its times follow: Europe/Berlin; by default the site's, or UTC.",
+)
+@click.option(
+    "--occupancy", "occupancies", type=FILE, multiple=True,
+    help="What the heat map was made of, where it is not in DIR.",
+)  # fmt: skip
+def report(
+    *,
+    folder: Path,
+    output: Path | None,
+    title: str | None,
+    timezone: str | None,
+    occupancies: tuple[Path, ...],
+    reporter: Reporter,
+) -> Result:
+    """Write a report for people without QGIS: HTML, PDF, and tables (CSV).
+
+    DIR holds the results of gis-radar run or demo, or a heat map.
+    """
+    made = gr.write_report(
+        folder,
+        output=output,
+        title=title,
+        timezone=timezone,
+        occupancies=occupancies,
+        reporter=reporter,
+    )
+    return Result(outputs=list(made.outputs), summary=made.summary)
+
+
+SAMPLE_KINDS = (".osm", ".laz", ".parquet", ".json", ".toml", ".md")
+
+
+@command(group, example="gis-radar sensors R1.json R2.json -o sensors.gpkg")
+@click.argument("poses", metavar="POSE...", type=FILE, nargs=-1, required=True)
+@output
+def sensors(*, poses: tuple[Path, ...], output: Path, reporter: Reporter) -> Result:
+    """Write sensors as layers of a map: points, views, uncertainty (GeoPackage)."""
+    refuse_inputs(output, *poses)
+    found = [gr.read_track(path).poses[-1] for path in poses]
+    gr.write_sensors(found, output)
+    reporter.progress("writing sensors", len(found), len(found))
+    return Result(outputs=[output], summary={"sensors": [pose.sensor for pose in found]})
+
+
+@command(group, example="gis-radar qgis map/ --sensors sensors.gpkg -o site.qgz")
+@click.argument("heatmap", metavar="HEATMAP", type=FILE)
+@click.option("--sensors", type=FILE, help="From gis-radar sensors.")
+@click.option("--title", default="", help="Of the project; by default the file's name.")
+@click.option("--timezone", default="UTC", show_default=True, help="Of the time on its layout.")
+@click.option("--source", default="", help="Where the data come from, as its layout says it.")
+@output
+def qgis(
+    *,
+    heatmap: Path,
+    sensors: Path | None,
+    title: str,
+    timezone: str,
+    source: str,
+    output: Path,
+    reporter: Reporter,
+) -> Result:
+    """Write a QGIS project that shows a heat map ready to present, with a print layout."""
+    refuse_inputs(output, heatmap, *[path for path in (sensors,) if path])
+    gr.write_qgis_project(
+        output, heatmap=heatmap, sensors=sensors, title=title, time_zone=timezone, source=source
+    )
+    reporter.progress("writing the project", 1, 1)
+    return Result(outputs=[output])
+
+
+@command(group, example="gis-radar sample -o sample")
+@output
+def sample(*, output: Path, reporter: Reporter) -> Result:
+    """Copy the files of the sample junction to a folder, to try everything on."""
+    source = gr.sample_folder()
+    files = sorted(path for path in source.iterdir() if path.suffix in SAMPLE_KINDS)
+    refuse_inputs(output, *files)
+    with whole_folder(output, owned=tuple(path.name for path in files)) as fresh:
+        for done, path in enumerate(files, start=1):
+            shutil.copyfile(path, fresh / path.name)
+            reporter.progress("copying the sample", done, len(files))
+    return Result(outputs=[output / path.name for path in files])

@@ -1,0 +1,322 @@
+"""Write outputs whole or not at all, and let one run at a time write a result."""
+
+from __future__ import annotations
+
+import atexit
+import errno
+import os
+import secrets
+import shutil
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+
+from gis_radar.errors import OutputError
+from gis_radar.progress import Reporter
+
+FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+
+_unfinished: set[Path] = set()
+
+
+def refuse_inputs(output: str | Path, *inputs: str | Path) -> None:
+    """Refuse an output that would take the place of an input.
+
+    Parameters
+    ----------
+    output : str or Path
+        The file or folder that shall be written.
+    *inputs : str or Path
+        The files and folders that are read.
+
+    Raises
+    ------
+    OutputError
+        If the output is one of the inputs, under whatever name, or a folder that holds one.
+    """
+    place = Path(output)
+    if not place.exists():
+        return
+    for source in map(Path, inputs):
+        if source.exists() and any(
+            place.samefile(part) for part in (source, *source.resolve().parents)
+        ):
+            raise OutputError(
+                f"{output}: would replace the input {source}", hint="name another output"
+            )
+
+
+def require_folder(output: str | Path) -> None:
+    """Refuse a file whose folder is not there, before any work.
+
+    Parameters
+    ----------
+    output : str or Path
+        The file that shall be written.
+
+    Raises
+    ------
+    OutputError
+        If it has no folder to lie in.
+    """
+    folder = Path(output).absolute().parent
+    if not folder.is_dir():
+        raise OutputError(f"{output}: cannot be written: there is no folder {folder}")
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Write a file that appears only when the block ends well.
+
+    Parameters
+    ----------
+    path : Path
+        Where the file shall be; an existing file is replaced in one move.
+
+    Yields
+    ------
+    Path
+        A file name with the same ending in a private folder beside `path`.
+
+    Raises
+    ------
+    OutputError
+        If the folder around it does not exist, or the place cannot be written.
+    """
+    if path.is_dir():
+        raise OutputError(f"{path}: is a folder", hint="name a file for the output")
+    with _beside(path) as private:
+        yield private / path.name
+        with _named(path):
+            os.replace(private / path.name, path)  # noqa: PTH105 - atomic on every platform
+
+
+@contextmanager
+def whole_files(path: Path) -> Iterator[tuple[Path, dict[Path, Path]]]:
+    """Write several files that appear only when the block ends well.
+
+    Parameters
+    ----------
+    path : Path
+        One of the files, or what they are named after; they stand beside it.
+
+    Yields
+    ------
+    private : Path
+        An empty folder beside `path` to write in.
+    places : dict of Path to Path
+        Empty; to be filled with files in `private` and where they shall be.
+
+    Raises
+    ------
+    OutputError
+        If the folder around `path` does not exist, or a place cannot be written.
+    """
+    places: dict[Path, Path] = {}
+    with _beside(path) as private:
+        yield private, places
+        for place in places.values():
+            if place.is_dir():
+                raise OutputError(f"{place}: is a folder", hint="name a file for the output")
+        for part, place in places.items():
+            with _named(place):
+                os.replace(part, place)  # noqa: PTH105 - atomic on every platform
+
+
+@contextmanager
+def whole_folder(path: Path, *, owned: tuple[str, ...]) -> Iterator[Path]:
+    """Write a folder that appears only when the block ends well.
+
+    Parameters
+    ----------
+    path : Path
+        Where the folder shall be. An earlier result there is replaced as a whole.
+    owned : tuple of str
+        How the names of our own files begin. A folder that holds anything else is not ours
+        to replace.
+
+    Yields
+    ------
+    Path
+        An empty private folder beside `path`.
+
+    Raises
+    ------
+    OutputError
+        If the place cannot be written, holds files that are not ours, is the folder that
+        the program runs in, or is being written by another run.
+    """
+    path = path.resolve()
+    if path.exists():
+        _refuse_here(path)
+        _refuse_foreign(path, owned)
+    with _alone(path), _beside(path) as private:
+        fresh = private / path.name
+        fresh.mkdir()
+        yield fresh
+        _replace_folder(path, fresh, private.with_suffix(".before"))
+
+
+def _replace_folder(path: Path, fresh: Path, earlier: Path) -> None:
+    """Move `fresh` to `path`; until it is there, the earlier result comes back."""
+    try:
+        with _named(path):
+            if path.exists():
+                path.rename(earlier)
+            fresh.rename(path)
+    finally:
+        if earlier.exists() and fresh.exists():
+            earlier.rename(path)
+        elif earlier.exists():
+            shutil.rmtree(earlier, ignore_errors=True)
+
+
+def _refuse_here(path: Path) -> None:
+    """Refuse the working folder: whoever is in it would stay in the one that is replaced."""
+    here = Path.cwd()
+    if path == here or path in here.parents:
+        raise OutputError(
+            f"{path}: is the folder you are in, which cannot be replaced",
+            hint="name a folder in it, such as result",
+        )
+
+
+def _refuse_foreign(path: Path, owned: tuple[str, ...]) -> None:
+    if not path.is_dir():
+        raise OutputError(f"{path}: is a file", hint="name a folder for the output")
+    foreign = sorted(entry.name for entry in path.iterdir() if not entry.name.startswith(owned))
+    if foreign:
+        raise OutputError(
+            f"{path}: holds {foreign[0]!r}, which is not part of such a result",
+            hint="name a new or an empty folder",
+        )
+
+
+@contextmanager
+def _beside(path: Path) -> Iterator[Path]:
+    """Yield a private folder on the same file system as `path`; it is gone afterwards."""
+    private = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
+    # Known before it is there: an interruption may come at any moment, in the clearing up too.
+    _unfinished.add(private)
+    try:
+        with _named(path):
+            private.mkdir(mode=0o700)
+        yield private
+    except OSError as error:
+        # Arrow says it in words alone.
+        if error.errno in FULL or os.strerror(errno.ENOSPC) in str(error):
+            raise OutputError(
+                f"{path}: cannot be written: the disk is full", hint="nothing was left behind"
+            ) from error
+        raise
+    finally:
+        shutil.rmtree(private, ignore_errors=True)
+        _unfinished.discard(private)
+
+
+@atexit.register
+def _clear_up() -> None:
+    """Remove what a second interruption kept from being removed."""
+    for private in tuple(_unfinished):
+        shutil.rmtree(private, ignore_errors=True)
+
+
+@contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Hold the lock of an output; a place that cannot have one is said by its name."""
+    with ExitStack() as held:
+        with _named(path):
+            held.enter_context(only_writer(path))
+        yield
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Say which output it is that cannot be written."""
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise OutputError(f"{path}: cannot be written: {reason}") from error
+
+
+if sys.platform == "win32":
+    import msvcrt
+
+    def _take(handle: int) -> None:
+        # Far behind the text, which others shall be able to read.
+        os.lseek(handle, 1 << 20, os.SEEK_SET)
+        try:
+            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+        except PermissionError as error:
+            raise BlockingIOError from error
+        finally:
+            os.lseek(handle, 0, os.SEEK_SET)
+
+else:
+    import fcntl
+
+    def _take(handle: int) -> None:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+@contextmanager
+def only_writer(
+    path: Path, *, lock: Path | None = None, reporter: Reporter | None = None
+) -> Iterator[None]:
+    """Keep other runs from writing the same result while the block runs.
+
+    Parameters
+    ----------
+    path : Path
+        The result, for the message.
+    lock : Path, optional
+        The file that is locked, gone afterwards; by default a hidden one beside the result. It
+        says which process holds it.
+    reporter : Reporter, optional
+        Told where the file system knows no locks, and there is none.
+
+    Raises
+    ------
+    OutputError
+        If another run is writing it.
+    """
+    lock = lock or path.with_name(f".{path.name}.lock")
+    handle = _taken(lock, path, reporter)
+    try:
+        os.truncate(handle, 0)
+        os.write(handle, f"{os.getpid()}\n".encode())
+        yield
+    finally:
+        # While still held, where the system allows it: who opens it anew gets another file.
+        with suppress(OSError):
+            lock.unlink()
+        os.close(handle)
+        with suppress(OSError):
+            if sys.platform == "win32":
+                lock.unlink()
+
+
+def _taken(lock: Path, path: Path, reporter: Reporter | None) -> int:
+    """Open and lock the file; a file that was taken away meanwhile is no lock."""
+    while True:
+        handle = os.open(lock, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            _take(handle)
+        except BlockingIOError as error:
+            holder = os.read(handle, 20).decode(errors="replace").strip()
+            os.close(handle)
+            who = f" (process {holder})" if holder else ""
+            raise OutputError(
+                f"{path}: another run is writing it{who}",
+                hint="wait for it, stop it, or name another output",
+            ) from error
+        except OSError as error:
+            if reporter is not None:
+                reporter.log(f"{path}: cannot be locked: {error.strerror}", "warning")
+            return handle
+        with suppress(OSError):
+            if os.path.samestat(lock.stat(), os.fstat(handle)):
+                return handle
+        os.close(handle)

@@ -1,0 +1,454 @@
+"""Count in how many steps each tile was observed and occupied, interval by interval.
+
+Occupied(tile, interval) is the number of steps in which the tile was hit, observed(tile,
+interval) the number of steps in which any sensor delivered a frame in a view that sees the tile:
+a union over the sensors, so that overlapping views never count twice (the paper's section
+"Global Occupancy Heat Map"). A hit counts only where the tile was observed in that step: a
+detection on the corner of a tile whose centre lies outside the view is left out, and occupied
+never exceeds observed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+from zoneinfo import ZoneInfo
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.crs import metric_crs
+from gis_radar.errors import InputError, UsageError
+from gis_radar.heatmap.intervals import (
+    Timeline,
+    aligned,
+    aligned_with,
+    follows_utc,
+    intervals_with,
+    local_intervals,
+    those_with,
+)
+from gis_radar.occupancy import Occupancy
+from gis_radar.occupancy.step_sets import Runs, runs_in, union
+from gis_radar.progress import Reporter
+from gis_radar.steps import (
+    STEPS_PER_SECOND,
+    interval_steps,
+    iso_from_step,
+    seconds_from_iso,
+    step_of,
+)
+from gis_radar.tiles.tiles import COLUMNS, fingerprint
+
+MOST_COLUMNS = 500
+DEFINITIONS = {
+    "occupied_s": (
+        "seconds in which the tile was occupied: 0.05 s for each step of 50 ms in which at least "
+        "one kept detection of any sensor fell in it while it was observed (hit occupancy)"
+    ),
+    "observed_s": (
+        "seconds in which the tile was observed: 0.05 s for each step of 50 ms in which a sensor "
+        "that sees the tile's centre delivered a frame; overlapping views count once"
+    ),
+    "occupancy": "occupied_s / observed_s, 0 to 1; no data where not observed",
+}
+
+
+class Shares(NamedTuple):
+    """One value a tile, in the order of the tiles.
+
+    Parameters
+    ----------
+    occupied_s, observed_s : (n,) float64 arrays
+        Seconds; occupied is NaN where not observed, observed is 0 there.
+    occupancy : (n,) float64 array
+        Their quotient, NaN where not observed.
+    """
+
+    occupied_s: Floats
+    observed_s: Floats
+    occupancy: Floats
+
+
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
+class Tally:
+    """Steps in which tiles were occupied and observed.
+
+    Parameters
+    ----------
+    tiles : GeoDataFrame
+        All tiles, by ascending `tile_id`, in the map's coordinate system.
+    fingerprint : str
+        Theirs.
+    sensors : tuple of str
+        The sensors that delivered frames.
+    whole : Timeline
+        The whole time, as one interval: from the first to the last step with a frame.
+    timeline : Timeline
+        The intervals; `whole` where none were asked for.
+    seen : (k,) int64 array
+        Positions of the tiles that some view sees.
+    group : (k,) int64 array
+        For each of them its column in `observed`: tiles that the same views see share one.
+    occupied : (intervals, k) uint32 array
+        Steps in which a tile was occupied.
+    observed : (intervals, groups) int64 array
+        Steps in which a group of tiles was observed.
+    """
+
+    tiles: gpd.GeoDataFrame
+    fingerprint: str
+    sensors: tuple[str, ...]
+    whole: Timeline
+    timeline: Timeline
+    seen: Integers
+    group: Integers
+    occupied: NDArray[np.uint32]
+    observed: Integers
+
+    @property
+    def crs(self) -> CRS:
+        """The map's coordinate system."""
+        return CRS.from_user_input(self.tiles.crs)
+
+    @property
+    def columns(self) -> range:
+        """The intervals that become columns and bands: none where there are too many."""
+        if self.timeline is self.whole or len(self.timeline) > MOST_COLUMNS:
+            return range(0)
+        return range(len(self.timeline))
+
+    def shares(self, interval: int | None = None) -> Shares:
+        """Return seconds and occupancy of all tiles.
+
+        Parameters
+        ----------
+        interval : int, optional
+            Which interval; without it, the whole time.
+        """
+        occupied, observed = self.steps(interval)
+        occupied_s = np.full(len(self.tiles), np.nan)
+        observed_s = np.zeros(len(self.tiles))
+        known = observed > 0
+        occupied_s[self.seen[known]] = occupied[known] / STEPS_PER_SECOND
+        observed_s[self.seen] = observed / STEPS_PER_SECOND
+        share = np.full(len(self.tiles), np.nan)
+        share[self.seen[known]] = occupied[known] / observed[known]
+        return Shares(occupied_s, observed_s, share)
+
+    def steps(self, interval: int | None = None) -> tuple[Integers, Integers]:
+        """Return the steps in which each of the `seen` tiles was occupied and observed."""
+        if interval is None:
+            occupied = self.occupied.sum(axis=0, dtype=np.int64)
+            return occupied, self.observed.sum(axis=0)[self.group]
+        return self.occupied[interval].astype(np.int64), self.observed[interval][self.group]
+
+    @property
+    def metadata(self) -> dict[str, Any]:
+        """What files of a heat map say of the whole, beside their tables."""
+        begin, end = (iso_from_step(int(step[0])) for step in (self.whole.begin, self.whole.end))
+        return {
+            "fingerprint": self.fingerprint,
+            "sensors": list(self.sensors),
+            "begin": begin,
+            "end": end,
+            "definitions": DEFINITIONS,
+        }
+
+    def figures(self) -> dict[str, Any]:
+        """Return a few figures worth a look: the time, and how much was observed and hit."""
+        occupied, observed = self.steps()
+        begin, end = (iso_from_step(int(step[0])) for step in (self.whole.begin, self.whole.end))
+        figures: dict[str, Any] = {
+            "begin": begin,
+            "end": end,
+            "intervals": len(self.timeline),
+            "tiles_observed": int(np.count_nonzero(observed)),
+            "tiles_hit": int(np.count_nonzero(occupied)),
+        }
+        if not occupied.any():
+            return figures
+        share = occupied / np.maximum(observed, 1)
+        top = int(share.argmax())
+        return figures | {
+            "busiest_tile": int(self.tiles["tile_id"].iloc[int(self.seen[top])]),
+            "busiest_occupied_s": float(occupied[top] / STEPS_PER_SECOND),
+            "busiest_observed_s": float(observed[top] / STEPS_PER_SECOND),
+            "busiest_occupancy": float(share[top]),
+        }
+
+    def __repr__(self) -> str:
+        known = self.figures()
+        text = (
+            f"{type(self).__name__}({known['begin']} to {known['end']}, "
+            f"{known['intervals']} interval(s), {known['tiles_observed']} of "
+            f"{len(self.tiles)} tiles observed, {known['tiles_hit']} hit"
+        )
+        if "busiest_tile" not in known:
+            return text + ")"
+        return (
+            f"{text}; busiest tile {known['busiest_tile']}: {known['busiest_occupied_s']:g} of "
+            f"{known['busiest_observed_s']:g} s, {known['busiest_occupancy']:.1%})"
+        )
+
+
+Counts = NDArray[np.uint32]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Observation:
+    """Which tiles were observed in which steps.
+
+    Parameters
+    ----------
+    seen : (k,) int64 array
+        Positions of the tiles that some view sees, ascending.
+    group : (k,) int64 array
+        For each of them, the group of tiles that the same views see.
+    runs : tuple of Runs
+        For each group, the steps in which it was observed.
+    """
+
+    seen: Integers
+    group: Integers
+    runs: tuple[Runs, ...]
+
+
+def frame_runs(occupancy: Occupancy) -> Runs:
+    """Return the steps in which any sensor delivered a frame.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    frames = occupancy.frames
+    if frames.empty:
+        raise InputError("the occupancy holds no frame", hint="was the recording empty?")
+    return union([runs_in(frames)])
+
+
+def observe(occupancy: Occupancy, tile_ids: Integers) -> Observation:
+    """Find the steps in which each tile was observed.
+
+    Tiles that the same views see are observed in the same steps and are treated as one.
+
+    Parameters
+    ----------
+    occupancy : Occupancy
+        Its frames and views.
+    tile_ids : (n,) int64 array
+        The tiles, ascending.
+
+    Raises
+    ------
+    InputError
+        If no view sees any tile, or a view names a tile that is not there.
+    """
+    frames, views = occupancy.frames, occupancy.views
+    if views.empty:
+        raise InputError(
+            "no sensor sees any of the tiles", hint="do the poses belong to this place?"
+        )
+    codes, tiles = _view_codes(frames, views)
+    position = positions(tile_ids, views["tile_id"].to_numpy(np.int64))
+    seen, group, members = _group(position, tiles)
+    of_view: dict[Any, Runs] = {
+        code: union([runs_in(rows)]) for code, rows in frames.groupby(codes)
+    }
+    runs = tuple(union([of_view.get(code, _NO_RUNS) for code in each]) for each in members)
+    return Observation(seen=seen, group=group, runs=runs)
+
+
+def positions(tile_ids: Integers, wanted: Integers) -> Integers:
+    """Return where each wanted tile stands among the ascending `tile_ids`.
+
+    Raises
+    ------
+    InputError
+        If one is not there.
+    """
+    position = np.searchsorted(tile_ids, wanted)
+    known = position < len(tile_ids)
+    known[known] = tile_ids[position[known]] == wanted[known]
+    if not known.all():
+        raise InputError(f"the occupancy names tile {wanted[~known][0]}, which the tiles lack")
+    return position
+
+
+def count_hits(
+    occupancy: Occupancy,
+    observation: Observation,
+    timeline: Timeline,
+    tile_ids: Integers,
+    reporter: Reporter,
+) -> Counts:
+    """Count the steps in which each tile was occupied while it was observed.
+
+    Parameters
+    ----------
+    occupancy : Occupancy
+        Its hits; read once, chunk by chunk.
+    observation : Observation
+        Which tiles were observed when.
+    timeline : Timeline
+        The intervals.
+    tile_ids : (n,) int64 array
+        The tiles, ascending.
+    reporter : Reporter
+        Where progress goes.
+
+    Returns
+    -------
+    (intervals, k) uint32 array
+        One column for each of `observation.seen`.
+    """
+    tiles = len(observation.seen)
+    column = np.full(len(tile_ids), -1)
+    column[observation.seen] = np.arange(tiles)
+    lookup = _Lookup(observation)
+    counts = np.zeros((len(timeline), tiles), np.uint32)
+    done = 0
+    for step, tile_id in occupancy.hits():
+        place, row = column[positions(tile_ids, tile_id)], timeline.find(step)
+        kept = np.flatnonzero((place >= 0) & (row >= 0))
+        kept = kept[lookup.observed(observation.group[place[kept]], step[kept])]
+        np.add.at(counts.reshape(-1), row[kept] * tiles + place[kept], 1)
+        done += len(step)
+        reporter.progress("counting hits", done, None)
+    return counts
+
+
+class _Lookup:
+    """Tells whether a group was observed in a step: all runs of all groups in one sorted list."""
+
+    def __init__(self, observation: Observation) -> None:
+        runs = observation.runs
+        first = np.concatenate([one.first for one in runs])
+        last = np.concatenate([one.last for one in runs])
+        self._low = int(first.min()) if len(first) else 0
+        self._high = int(last.max()) if len(last) else -1
+        self._span = self._high - self._low + 1
+        shift = np.repeat(np.arange(len(runs)), [len(one) for one in runs]) * self._span - self._low
+        self._first, self._last = first + shift, last + shift
+
+    def observed(self, group: Integers, step: Integers) -> Booleans:
+        within = (step >= self._low) & (step <= self._high)
+        key = group * self._span + (step - self._low)
+        run = np.searchsorted(self._first, key, side="right") - 1
+        within &= run >= 0
+        within[within] = key[within] <= self._last[run[within]]
+        return np.asarray(within)
+
+
+_NO_RUNS = Runs(first=np.empty(0, np.int64), last=np.empty(0, np.int64))
+
+
+def _view_codes(frames: pd.DataFrame, views: pd.DataFrame) -> tuple[Integers, Integers]:
+    """Return a number for the view of each row of `frames` and of each row of `views`."""
+    columns = ["sensor", "view"]
+    both = pd.concat([frames[columns], views[columns]], ignore_index=True).astype(str)
+    codes = np.asarray(both.groupby(columns, sort=False).ngroup(), dtype=np.int64)
+    return codes[: len(frames)], codes[len(frames) :]
+
+
+def _group(position: Integers, code: Integers) -> tuple[Integers, Integers, list[list[int]]]:
+    """Group tiles by the set of views that see them.
+
+    Returns
+    -------
+    seen, group : (k,) int64 arrays
+        Position and group of each tile that is seen.
+    members : list of lists of int
+        The views of each group.
+    """
+    views = code.max() + 1
+    tile, codes = np.divmod(np.unique(position * views + code), views)
+    seen, start = np.unique(tile, return_index=True)
+    stop = np.append(start[1:], len(tile))
+    numbers: dict[bytes, int] = {}
+    group = np.array(
+        [
+            numbers.setdefault(codes[low:high].tobytes(), len(numbers))
+            for low, high in zip(start.tolist(), stop.tolist(), strict=True)
+        ],
+        dtype=np.int64,
+    )
+    members = [np.frombuffer(text, np.int64).tolist() for text in numbers]
+    return seen, group, members
+
+
+MOST_ROWS = 100_000_000  # of the long layer: about 35 GB of GeoPackage
+
+
+def checked(tiles: gpd.GeoDataFrame, wanted: str) -> gpd.GeoDataFrame:
+    """Return the tiles with their own columns only; refuse those of another fingerprint."""
+    missing = [name for name in COLUMNS if name not in tiles]
+    if missing:
+        raise InputError(f"the tiles lack the column(s) {', '.join(missing)}")
+    metric_crs(tiles.crs, what="tiles")
+    got = fingerprint(tiles)
+    if got != wanted:
+        raise InputError(
+            f"the tiles have the fingerprint {got}, the occupancy was made with {wanted}",
+            hint="use the tiles that the occupancy was made with",
+        )
+    attributes = tiles[list(COLUMNS)].reset_index(drop=True)
+    shapes = tiles.geometry.reset_index(drop=True)
+    return gpd.GeoDataFrame(attributes, geometry=shapes, crs=tiles.crs)
+
+
+def whole_of(runs: Runs, at: str | None) -> Timeline:
+    """Return the whole time, or the step that contains `at`, as one interval."""
+    first, last = int(runs.first[0]), int(runs.last[-1])
+    if at is not None:
+        moment = moment_of(at, "at")
+        first = last = int(step_of(np.array([moment]))[0])
+        nearest = runs.nearest(first)
+        if nearest != first:
+            raise InputError(
+                f"no sensor delivered a frame at {at}, in the step from {iso_from_step(first)}",
+                hint=f"the nearest step with a frame begins at {iso_from_step(nearest)}",
+            )
+    return Timeline(begin=np.array([first]), end=np.array([last + 1]))
+
+
+def moment_of(text: str, what: str) -> float:
+    """Return a time that a caller gave as UNIX seconds."""
+    try:
+        return seconds_from_iso(text, what=what)
+    except InputError as error:
+        raise UsageError(error.message, hint=error.hint) from error
+
+
+def intervals_of(
+    runs: Runs, interval: str, zone: ZoneInfo | None, tiles: int, reporter: Reporter
+) -> Timeline:
+    """Return the intervals; where there are very many, only those with a frame."""
+    steps = interval_steps(interval)
+    first, last = int(runs.first[0]), int(runs.last[-1])
+    local = None
+    if zone is not None and not follows_utc(steps):
+        local = local_intervals(first, last, steps, zone)
+    count = last // steps - first // steps + 1 if local is None else len(local)
+    if count <= MOST_COLUMNS:
+        return aligned(first, last, steps) if local is None else local
+    kept = None if local is None else those_with(local, runs)
+    filled = intervals_with(runs, steps) if kept is None else len(kept)
+    if filled * tiles > MOST_ROWS:
+        raise UsageError(
+            f"{filled} intervals of {interval} for {tiles} tiles are more than a heat map can hold",
+            hint="use a longer interval",
+        )
+    said = f"only the {filled} intervals in which a sensor delivered a frame are kept"
+    if filled > MOST_COLUMNS:
+        said += (
+            f"; more than {MOST_COLUMNS}, so they are rows of occupancy_by_interval, "
+            "not columns and bands"
+        )
+    reporter.log(said)
+    return aligned_with(runs, steps) if kept is None else kept

@@ -1,0 +1,142 @@
+"""Intervals in which steps are counted: equal ones, and local hours, days and weeks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, date, datetime, time, timedelta
+from itertools import pairwise
+from zoneinfo import ZoneInfo
+
+import numpy as np
+
+from gis_radar.arrays import Integers
+from gis_radar.errors import UsageError
+from gis_radar.occupancy.step_sets import Runs
+from gis_radar.steps import STEPS_PER_SECOND, step_begin
+
+
+@dataclass(frozen=True, kw_only=True)
+class Timeline:
+    """Intervals that ascend and do not overlap.
+
+    Parameters
+    ----------
+    begin, end : (n,) int64 arrays
+        First step of each interval, and the step after its last.
+    """
+
+    begin: Integers
+    end: Integers
+
+    def __len__(self) -> int:
+        return len(self.begin)
+
+    def counts(self, runs: Runs) -> Integers:
+        """Return how many steps of a set fall in each interval."""
+        return runs.before(self.end) - runs.before(self.begin)
+
+    def find(self, step: Integers) -> Integers:
+        """Return the interval of each step, -1 where it lies in none."""
+        interval = np.searchsorted(self.begin, step, side="right") - 1
+        inside = (interval >= 0) & (step < self.end[interval])
+        return np.where(inside, interval, -1)
+
+
+def aligned(first: int, last: int, steps: int) -> Timeline:
+    """Return all intervals from that of step `first` to that of step `last`.
+
+    Parameters
+    ----------
+    first, last : int
+        Steps.
+    steps : int
+        Length of an interval; intervals begin at multiples of it since the UNIX epoch.
+    """
+    begin = np.arange(first // steps, last // steps + 1, dtype=np.int64) * steps
+    return Timeline(begin=begin, end=begin + steps)
+
+
+def intervals_with(runs: Runs, steps: int) -> int:
+    """Return how many aligned intervals hold a step of the set, without listing them."""
+    low, high = runs.first // steps, runs.last // steps
+    return int((high - low + 1).sum() - np.count_nonzero(low[1:] == high[:-1]))
+
+
+def aligned_with(runs: Runs, steps: int) -> Timeline:
+    """Return only those aligned intervals that hold a step of the set."""
+    low, high = runs.first // steps, runs.last // steps
+    low[1:] += low[1:] == high[:-1]  # counted with the run before
+    length = high - low + 1
+    offset = np.arange(length.sum()) - np.repeat(np.cumsum(length) - length, length)
+    begin = (np.repeat(low, length) + offset) * steps
+    return Timeline(begin=begin, end=begin + steps)
+
+
+def those_with(timeline: Timeline, runs: Runs) -> Timeline:
+    """Return only those intervals that hold a step of the set."""
+    filled = timeline.counts(runs) > 0
+    return Timeline(begin=timeline.begin[filled], end=timeline.end[filled])
+
+
+QUARTER = 900 * STEPS_PER_SECOND
+HOUR = 4 * QUARTER
+DAY = 24 * HOUR
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_A_MONDAY = date(1970, 1, 5)
+
+
+def follows_utc(steps: int) -> bool:
+    """Tell whether intervals begin alike in every zone: zones differ by whole quarter hours."""
+    return QUARTER % steps == 0
+
+
+def local_intervals(first: int, last: int, steps: int, zone: ZoneInfo) -> Timeline:
+    """Return all intervals from that of step `first` to that of step `last`.
+
+    Parameters
+    ----------
+    first, last : int
+        Steps.
+    steps : int
+        Length of an interval: a part of a day, or whole days. Up to an hour they follow each other
+        from midnight on, so that the day on which clocks are set back has 25 hours; longer ones
+        begin at their time of day, so that `6h` begins at 0, 6, 12 and 18 o'clock. Whole
+        days count from a Monday.
+    zone : ZoneInfo
+        Whose midnights.
+
+    Raises
+    ------
+    UsageError
+        If the length neither divides a day nor is one of whole days.
+    """
+    if DAY % steps and steps % DAY:
+        raise UsageError(
+            "with a timezone, intervals are parts of a day or whole days",
+            hint="such as 15min, 1h, 6h, 1d",
+        )
+    days = max(steps // DAY, 1)
+    begin = step_begin(first).astimezone(zone).date()
+    begin -= timedelta(days=(begin - _A_MONDAY).days % days)
+    count = (step_begin(last).astimezone(zone).date() - begin).days // days + 2
+    dates = [begin + timedelta(days=days * i) for i in range(count)]
+    edges = _edges(dates, min(steps, DAY), zone)
+    low, high = np.searchsorted(edges, [first, last], side="right")
+    return Timeline(begin=edges[low - 1 : high], end=edges[low : high + 1])
+
+
+def _edges(dates: list[date], steps: int, zone: ZoneInfo) -> Integers:
+    """Return all begins of intervals on these days, and the midnight of the last one."""
+    midnights = np.array([_step_of(day, time(), zone) for day in dates])
+    if steps <= HOUR:
+        parts = [np.arange(low, high, steps) for low, high in pairwise(midnights.tolist())]
+        return np.concatenate([*parts, midnights[-1:]])
+    minutes = range(0, 24 * 60, steps // (60 * STEPS_PER_SECOND))
+    clock = [time(minute // 60, minute % 60) for minute in minutes]
+    every = [_step_of(day, at, zone) for day in dates[:-1] for at in clock]
+    return np.unique(np.array([*every, midnights[-1]], np.int64))
+
+
+def _step_of(day: date, at: time, zone: ZoneInfo) -> int:
+    moment = datetime.combine(day, at, tzinfo=zone)
+    return round((moment - _EPOCH).total_seconds() * STEPS_PER_SECOND)

@@ -1,0 +1,206 @@
+"""The method `lane`: tracks on lanes that their Doppler allows, and on the scanned road."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gis_radar.errors import InputError, NoAnswerError
+from gis_radar.localization.certainty import advantage, certainty
+from gis_radar.localization.hypotheses import (
+    GUESS_M,
+    Hypothesis,
+    explore,
+    mirrored,
+    promise,
+    refine,
+    rough,
+    surveyed,
+)
+from gis_radar.localization.lanes import Lanes, sample_lanes
+from gis_radar.localization.result import SIGMA, STAGE, Localization, Site, common
+from gis_radar.localization.traces import Moving, Samples, thin, track
+from gis_radar.progress import Reporter
+
+HEADING_TOLERANCE = math.radians(30.0)
+LEAST_TRACKS = 5
+LEAST_FITNESS = 0.6
+CLEAR = 2.5  # standard deviations by which the answer must beat every other
+SAME_CHI2 = 16.0
+LEAST_SCANNED = 0.3  # of the lanes in reach
+MARGIN_M = 20.0
+SLACK_M = 5.0
+
+
+def by_lanes(site: Site, moving: Moving, reporter: Reporter) -> Localization:
+    """Lay the tracks of vehicles on lanes that their Doppler allows, and on the scanned road."""
+    samples = thin(moving, track(moving))
+    if samples.tracks < LEAST_TRACKS:
+        raise NoAnswerError(
+            f"{site.name}: {samples.tracks} moving vehicles in {moving.frames} frames, at least "
+            f"{LEAST_TRACKS} are needed",
+            hint="record while traffic flows",
+        )
+    reporter.progress(STAGE, 1, 5)
+    lanes = lanes_around(site, samples, reporter)
+    heading = None if site.heading is None else (site.heading, HEADING_TOLERANCE)
+    tried = explore(lanes, samples, heading=heading)
+    reporter.progress(STAGE, 3, 5)
+    _refuse_mirrored(lanes, samples, tried[0], heading)
+    reporter.progress(STAGE, 4, 5)
+    answers = _within_reach(site, refine(lanes, samples, tried), samples)
+    _refuse_unfit(site, answers[0])
+    best = surveyed(lanes, samples, answers[0])
+    lead, rival = _lead(best, answers[1:], samples)
+    reporter.progress(STAGE, 5, 5)
+    if rival is not None and lead < CLEAR:
+        raise _ambiguous(site, best, rival)
+    return _answer(site, moving, samples, best, tried, lead)
+
+
+def lanes_around(site: Site, samples: Samples, reporter: Reporter, *, grow: float = 1.0) -> Lanes:
+    """Return the lanes around the guess, as far as the samples reach.
+
+    Parameters
+    ----------
+    site : Site
+        Map, road and guess.
+    samples : Samples
+        Traces.
+    reporter : Reporter
+        Told where the lanes have no direction.
+    grow : float
+        How many times as far.
+
+    Raises
+    ------
+    InputError
+        If lanes and scanned road do not overlap.
+    NoAnswerError
+        If no lane is there.
+    """
+    reach = np.hypot(samples.points[:, 0], samples.points[:, 1])
+    reach_m = grow * float(np.percentile(reach, 99.5)) + GUESS_M + MARGIN_M
+    lanes = sample_lanes(site.roads.lanelets, site.road, place=site.guess[:2], reach_m=reach_m)
+    if lanes.scanned < LEAST_SCANNED:
+        raise InputError(
+            f"the road's points lie on {lanes.scanned:.0%} of the lanes around the guess",
+            hint="take the mask of a scan of this place, in the map's coordinate system",
+        )
+    if not lanes.directed:
+        reporter.log(
+            "most lanes have no direction: the sign of the Doppler does not help", "warning"
+        )
+    return lanes
+
+
+def _refuse_mirrored(
+    lanes: Lanes, samples: Samples, best: Hypothesis, heading: tuple[float, float] | None
+) -> None:
+    """Refuse a recording that fits far better with its y axis turned round."""
+    part, turned = rough(samples), mirrored(samples)
+    if promise(lanes, turned, heading=heading) < promise(lanes, samples, heading=heading):
+        return
+    other = explore(lanes, turned, heading=heading)[0]
+    if advantage(other.fit, best.fit, part) > CLEAR and other.fit.fitness > LEAST_FITNESS:
+        raise NoAnswerError(
+            f"the recording fits the lanes only when mirrored ({other.fit.fitness:.0%} of the "
+            f"traces, {best.fit.fitness:.0%} as it is)",
+            hint="the y axis of the sensor frame must point to the left; change the sign of y",
+        )
+
+
+def _lead(
+    answer: Hypothesis, others: list[Hypothesis], samples: Samples
+) -> tuple[float, Hypothesis | None]:
+    """Return how clearly the vehicles prefer an answer to its closest rival, and that."""
+    best, known = answer.fit, certainty(answer.fit)
+    lead, closest = math.inf, None
+    for other in others:
+        away_m = float(np.hypot(*other.fit.state.position[:2]))
+        if away_m > GUESS_M or other.fit.fitness < LEAST_FITNESS:
+            continue  # no rival: farther off than a guess may be, or no answer itself
+        gap = other.fit.state.difference(best.state)[:6]
+        # along what the scene does not fix, two answers are one
+        apart = gap[:2] @ np.linalg.solve(known.covariance[:2, :2], gap[:2])
+        turned = (gap[5] / known.sigma[5]) ** 2
+        ahead = advantage(best, other.fit, samples)
+        if apart + turned > SAME_CHI2 and ahead < lead:
+            lead, closest = ahead, other
+    return lead, closest
+
+
+def _within_reach(site: Site, answers: list[Hypothesis], samples: Samples) -> list[Hypothesis]:
+    """Return the answers that lie near the guess; refuse where one beyond is clearly better."""
+    away = [float(np.hypot(*h.fit.state.position[:2])) for h in answers]
+    inside = [h for h, away_m in zip(answers, away, strict=True) if away_m < GUESS_M + SLACK_M]
+    if not inside or (
+        inside[0] is not answers[0] and advantage(answers[0].fit, inside[0].fit, samples) > CLEAR
+    ):
+        raise NoAnswerError(
+            f"{site.name}: the fit went {away[0]:.0f} m from the guess, which is too far off",
+            hint=f"guess within {GUESS_M:.0f} m",
+        )
+    return inside
+
+
+def _refuse_unfit(site: Site, answer: Hypothesis) -> None:
+    if answer.fit.fitness < LEAST_FITNESS:
+        raise NoAnswerError(
+            f"{site.name}: no pose within {GUESS_M:.0f} m of the guess puts the traffic on the "
+            f"lanes; the best one {answer.fit.fitness:.0%} of it",
+            hint="check the guess, the map, and that the recording's y axis points to the left",
+        )
+    if not answer.fit.converged:
+        raise NoAnswerError(f"{site.name}: the fit did not come to rest")
+
+
+def _ambiguous(site: Site, answer: Hypothesis, rival: Hypothesis) -> NoAnswerError:
+    gap = rival.fit.state.difference(answer.fit.state)
+    return NoAnswerError(
+        f"{site.name}: ambiguous, two poses {float(np.hypot(*gap[:2])):.1f} m and "
+        f"{abs(math.degrees(gap[5])):.1f} deg apart put {answer.fit.fitness:.0%} and "
+        f"{rival.fit.fitness:.0%} of the traffic on lanes",
+        hint="record longer, or give a heading",
+    )
+
+
+def _answer(
+    site: Site,
+    moving: Moving,
+    samples: Samples,
+    best: Hypothesis,
+    tried: list[Hypothesis],
+    lead: float,
+) -> Localization:
+    known = certainty(best.fit)
+    sigma = np.concatenate([known.sigma[:3], np.degrees(known.sigma[3:])])
+    evidence = {
+        "sigma": {name: float(value) for name, value in zip(SIGMA, sigma, strict=True)},
+        "covariance": known.covariance.tolist(),
+        **common(moving, "lane"),
+        "converged": best.fit.converged,
+        "fitness": best.fit.fitness,
+        "observable": known.observable,
+    }
+    return Localization(
+        pose=site.pose(best.fit.state, evidence),
+        fitness=best.fit.fitness,
+        observable=known.observable,
+        eigenvalues=tuple(known.eigenvalues.tolist()),
+        hypotheses=tuple(
+            (
+                float(h.fit.state.position[0] + site.guess[0]),
+                float(h.fit.state.position[1] + site.guess[1]),
+                float(np.degrees(h.fit.state.yaw_pitch_roll[0])),
+                h.loss,
+            )
+            for h in tried
+        ),
+        vehicles=samples.tracks,
+        samples=len(samples),
+        lead=lead,
+        traces=samples.points,
+        range_rate=samples.range_rate,
+    )

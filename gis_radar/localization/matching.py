@@ -1,0 +1,159 @@
+"""Matching: to each sample the nearest lane that its Doppler allows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gis_radar.arrays import Booleans, Floats, Integers, compiled
+from gis_radar.localization.lanes import CELL_M, STEP_M, Lanes
+from gis_radar.localization.state import State
+from gis_radar.localization.traces import Samples
+
+LEVEL_M = 4.0  # a lane of another storey is no match
+NO_WAY_M = 1e-9
+BORDER_M = 1.0  # nearer to the middle of its lane no sample is another lane's
+SLACK_MPS = 0.5  # noise, and the turning of a long vehicle
+
+
+@dataclass(frozen=True, kw_only=True)
+class Placed:
+    """Samples as they lie in the map, where the sensor is in some state.
+
+    Parameters
+    ----------
+    samples : Samples
+        Traces.
+    state : State
+        Of the sensor.
+    points : (n, 3) array
+        The samples in local map coordinates.
+    arms : (n, 3) array
+        The same as seen from the sensor, in the map's axes.
+    flat : (n,) array
+        How far off they are in the plane, metres.
+    sight : (n, 2) array
+        Unit vectors from the sensor to them; east where there is no way.
+    """
+
+    samples: Samples
+    state: State
+    points: Floats
+    arms: Floats
+    flat: Floats
+    sight: Floats
+
+
+def place(samples: Samples, state: State) -> Placed:
+    """Return samples as they lie in the map.
+
+    Parameters
+    ----------
+    samples : Samples
+        Traces.
+    state : State
+        Where the sensor is thought to be.
+    """
+    arms = samples.points @ state.R_map_sensor.T
+    flat = np.hypot(arms[:, 0], arms[:, 1])
+    sight = arms[:, :2] / np.maximum(flat, NO_WAY_M)[:, None]
+    sight[flat <= NO_WAY_M] = [1.0, 0.0]
+    return Placed(
+        samples=samples,
+        state=state,
+        points=arms + state.position,
+        arms=arms,
+        flat=flat,
+        sight=sight,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Matches:
+    """Which lane sample each trace sample lies on.
+
+    Parameters
+    ----------
+    lane : (n,) int array
+        Index of the lane sample; any where there is no match.
+    found : (n,) bool array
+        Whether there is one.
+    """
+
+    lane: Integers
+    found: Booleans
+
+
+def match(lanes: Lanes, placed: Placed) -> Matches:
+    """Find for each sample the nearest lane of a direction that fits its range rate.
+
+    Parameters
+    ----------
+    lanes : Lanes
+        The map.
+    placed : Placed
+        Traces, with the sensor where it is thought to be.
+    """
+    lane, found = _match(
+        placed.points,
+        placed.sight,
+        placed.samples.reach,
+        placed.samples.range_rate,
+        lanes.points,
+        lanes.along,
+        lanes.top_speed,
+        lanes.corner,
+        lanes.nearest,
+    )
+    return Matches(lane=lane, found=found)
+
+
+@compiled
+def _match(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - compiled
+    points: Floats,
+    sight: Floats,
+    reach: Floats,
+    range_rate: Floats,
+    lane_points: Floats,
+    along: Floats,
+    top_speed: Floats,
+    corner: Floats,
+    nearest: NDArray[np.int32],
+) -> tuple[Integers, Booleans]:
+    """Return the lane sample of each point, and whether there is one."""
+    bins, rows, columns = nearest.shape
+    lane = np.zeros(len(points), dtype=np.int64)
+    found = np.zeros(len(points), dtype=np.bool_)
+    for i in range(len(points)):
+        best = np.inf
+        for b in range(bins):
+            east, north = points[i, 0] - corner[0], points[i, 1] - corner[1]
+            # the nearest lane of a cell's centre; then, where lanes meet, of the cell beside it
+            for _ in range(2):
+                column, row = int(np.floor(east / CELL_M)), int(np.floor(north / CELL_M))
+                if not (0 <= column < columns and 0 <= row < rows):
+                    break
+                k = nearest[b, row, column]
+                if k < 0:
+                    break
+                x, y, z = points[i] - lane_points[k]
+                ahead = abs(x * along[k, 0] + y * along[k, 1])
+                across = y * along[k, 0] - x * along[k, 1]
+                # past the end of a lane counts as off it; samples lie a step apart
+                gap = np.hypot(across, max(ahead - 1.5 * STEP_M, 0.0))
+                # Doppler sign and size: the speed along the lane that explains the range rate
+                # is neither negative nor above the lane's top speed
+                cosine = along[k, 0] * sight[i, 0] + along[k, 1] * sight[i, 1]
+                forward = range_rate[i] if cosine >= 0.0 else -range_rate[i]
+                allowed = -SLACK_MPS <= forward <= abs(cosine) * top_speed[k] + SLACK_MPS
+                if allowed and gap < best and abs(z) <= LEVEL_M + 0.05 * reach[i]:
+                    best = gap
+                    lane[i] = k
+                    found[i] = True
+                if abs(across) < BORDER_M:
+                    break
+                east -= np.copysign(CELL_M, across) * along[k, 1]
+                north += np.copysign(CELL_M, across) * along[k, 0]
+    return lane, found

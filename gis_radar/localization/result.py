@@ -1,0 +1,196 @@
+"""Questions and answers: a sensor to be located at a site, and its pose with evidence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gis_radar.arrays import Floats
+from gis_radar.lanelets import LaneletMap
+from gis_radar.localization.state import State
+from gis_radar.localization.traces import Moving
+from gis_radar.notebooks import axes_or_new, card, label_map, small_picture
+from gis_radar.poses.pose import Pose
+from gis_radar.poses.shapes import draw_sensor, ellipse
+from gis_radar.steps import iso_from_step, step_of
+
+if TYPE_CHECKING:  # what it takes to make one is loaded by those who do
+    from gis_radar.second_look import SecondLook
+
+SIGMA = ("easting", "northing", "height", "roll", "pitch", "yaw")
+STAGE = "finding the pose"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Localization:
+    """A pose, and why to believe it.
+
+    Parameters
+    ----------
+    pose : Pose
+        The answer; its evidence goes into the pose file.
+    fitness : float
+        Share of traces that lie where they should: on lanes of fitting direction (`lane`), or
+        within a voxel of the road (`icp`).
+    observable : bool
+        Whether the scene fixes all six components.
+    eigenvalues : tuple of float
+        Of the data's information about the pose, ascending, 1/m^2; empty for `icp`.
+    hypotheses : tuple of (easting, northing, yaw_deg, loss)
+        What was tried, the best first.
+    vehicles, samples : int
+        Moving objects and detections used.
+    lead : float
+        By how many standard deviations the vehicles prefer the answer to the next hypothesis;
+        infinite where there is none.
+    traces : (n, 3) array
+        The detections used, sensor frame.
+    range_rate : (n,) array
+        Theirs, m/s; NaN for `icp`.
+    """
+
+    pose: Pose
+    fitness: float
+    observable: bool
+    eigenvalues: tuple[float, ...] = ()
+    hypotheses: tuple[tuple[float, float, float, float], ...] = ()
+    vehicles: int = 0
+    samples: int = 0
+    lead: float = math.inf
+    traces: Floats = field(repr=False, default_factory=lambda: np.empty((0, 3)))
+    range_rate: Floats = field(repr=False, default_factory=lambda: np.empty(0))
+
+    def figures(self) -> Mapping[str, Any]:
+        """Return figures worth a look, by name."""
+        sigma = self.pose.evidence.get("sigma", {})
+        look = self.pose.evidence.get("second_look")
+        return {
+            **{name: round(getattr(self.pose, name), 3) for name in SIGMA},
+            **{f"sigma_{name}": float(f"{value:.2g}") for name, value in sigma.items()},
+            "fitness": round(self.fitness, 3),
+            "observable": self.observable,
+            "vehicles": self.vehicles,
+            "hypotheses": len(self.hypotheses),
+            **({"second_look": look["verdict"]} if look else {}),
+        }
+
+    def with_second_look(self, look: SecondLook) -> Localization:
+        """Return the same answer with what a second look says in its evidence."""
+        evidence = {**self.pose.evidence, "second_look": dict(look.figures())}
+        return replace(self, pose=replace(self.pose, evidence=evidence))
+
+    def plot(
+        self, roads: LaneletMap | None = None, road_points: Floats | None = None, ax: Any = None
+    ) -> Any:
+        """Draw the traces at the found pose, the sensor, and the 95 % ellipse of its place.
+
+        Parameters
+        ----------
+        roads : LaneletMap, optional
+            Drawn under them: the lanes.
+        road_points : (n, 3) array, optional
+            Drawn under them: the scanned road.
+        ax : matplotlib Axes, optional
+            In metres of the map; without it, those of a new figure.
+
+        Returns
+        -------
+        matplotlib Axes
+        """
+        # not at the top: whoever draws nothing does not wait for matplotlib
+        from gis_radar.localization import drawing  # noqa: PLC0415
+
+        ax = axes_or_new(ax, (8.0, 8.0))
+        traces, place = self.pose.to_map(self.traces), self.pose.position[:2]
+        low, high = extent = drawing.extent_of(traces, place)
+        if road_points is not None:
+            drawing.draw_road(ax, road_points, extent)
+        if roads is not None:
+            drawing.draw_lanes(ax, roads, extent)
+        drawing.draw_traces(ax, traces, self.range_rate)
+        covariance = self.pose.plane_covariance()
+        ring = None if covariance is None else ellipse(place, covariance)
+        ahead = self.pose.R_map_sensor[:2, 0] * float((high - low).max()) / 12.0
+        draw_sensor(ax, place, ahead, ring, "sensor")
+        label_map(ax)
+        ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), title=self._said())
+        for handle in ax.legend(loc="best", framealpha=0.9).legend_handles:
+            if hasattr(handle, "set_sizes"):
+                handle.set_sizes([18.0])  # points too small to tell their colours
+        return ax
+
+    def _said(self) -> str:
+        sigma = self.pose.evidence.get("sigma")
+        said = [f"{self.pose.sensor}: {self.fitness:.0%} of the traces fit"]
+        if sigma:
+            across = float(np.hypot(sigma["easting"], sigma["northing"]))
+            said.append(f"position \u00b1 {across:.2f} m, yaw \u00b1 {sigma['yaw']:.2f} deg")
+        if not self.observable:
+            said.append("the scene does not fix all of the pose")
+        return "; ".join(said)
+
+    def __repr__(self) -> str:
+        return f"Localization({self.pose!r}; {self._said()})"
+
+    def _repr_html_(self) -> str:
+        picture = small_picture(self._small) if len(self.traces) else b""
+        return card(f"Localization of {self.pose.sensor}", self.figures(), picture=picture)
+
+    def _small(self, ax: Any) -> None:
+        self.plot(ax=ax).set_title("")
+        ax.get_legend().remove()
+        ax.tick_params(labelsize=6)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Site:
+    """Where a sensor is to be found.
+
+    Parameters
+    ----------
+    name : str
+        Of the sensor.
+    roads : LaneletMap
+        The lanes.
+    road : (n, 3) array
+        Points of the road's surface in the map's CRS, metres.
+    guess : (2,) or (3,) array
+        Easting, northing and perhaps height, metres.
+    heading : float or None
+        Yaw, radians, where one is known.
+    """
+
+    name: str
+    roads: LaneletMap
+    road: Floats
+    guess: Floats
+    heading: float | None
+
+    def pose(self, state: State, evidence: Mapping[str, Any]) -> Pose:
+        """Return a state in local coordinates as a pose in the map."""
+        yaw, pitch, roll = (float(angle) for angle in np.degrees(state.yaw_pitch_roll))
+        easting, northing = (float(v) for v in state.position[:2] + self.guess[:2])
+        return Pose(
+            sensor=self.name,
+            crs=self.roads.crs,
+            easting=easting,
+            northing=northing,
+            height=float(state.position[2]),
+            yaw=yaw,
+            pitch=pitch,
+            roll=roll,
+            evidence=evidence,
+        )
+
+
+def common(moving: Moving, method: str) -> dict[str, Any]:
+    """Return what the evidence of every method says."""
+    return {
+        "time": iso_from_step(int(step_of(np.array(moving.end)))),
+        "method": method,
+        "frames": moving.frames,
+    }

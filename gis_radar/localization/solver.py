@@ -1,0 +1,291 @@
+"""The solver: robust least squares over all residuals, the vehicles' own shares taken out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.localization.lanes import Lanes, direction_bin
+from gis_radar.localization.matching import Matches, Placed, match, place
+from gis_radar.localization.model import MODEL, Model
+from gis_radar.localization.residuals import (
+    NO_VEHICLE,
+    Comparison,
+    Residuals,
+    assemble,
+    at_least,
+    height,
+    lateral,
+    sums,
+)
+from gis_radar.localization.state import State
+from gis_radar.localization.traces import Samples
+
+FAMILIES = (lateral, height)
+SCALES_M = (1.5, 0.75, 0.3, 0.0)
+ROUNDS = 6
+STRETCH_M = 60.0
+SETTLED_M = 5e-3
+SETTLED_SIGMAS, AT_REST_SIGMAS = 0.02, 0.5
+AT_REST_M = 0.1  # where no shorter step helps either
+LEAST_SHARE = 0.05
+LEAST_TOLD, HARDLY = 0.05, 1e-6  # the latter a kilometre, for what nothing tells
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prior:
+    """What is believed beforehand.
+
+    Parameters
+    ----------
+    mean : State
+        The likeliest state.
+    information : (7, 7) array
+        About it; inverse variances.
+    """
+
+    mean: State
+    information: Floats
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fit:
+    """A local optimum.
+
+    Parameters
+    ----------
+    state : State
+        Where it is.
+    information : (7, 7) array
+        Of the state, priors included.
+    data_information : (7, 7) array
+        What the samples alone say.
+    scores : (tracks, 7) array
+        Gradient of each vehicle's rows, for a covariance that asks the vehicles.
+    streets : list of (streets, 7) arrays
+        For each family of residuals the pull of a bias of one metre, common to a stretch of
+        street in one direction, on the state.
+    cost : float
+        Negative logarithm of the likelihood of everything, up to a constant.
+    loss : (n,) array
+        Lateral loss of each sample, a negative logarithm of likelihood, by what it counts.
+    on_lane : (n,) bool array
+        Samples more likely on a vehicle in a lane than not.
+    matches : Matches
+        Who lies where.
+    converged : bool
+        Whether the last steps were small.
+    own : (2, tracks) array
+        What each vehicle adds to the residuals of each family, metres.
+    considered : callable
+        Returns a (constants, 7) array: for each constant of the model how much its standard
+        deviation changes the gradient.
+    """
+
+    state: State
+    information: Floats
+    data_information: Floats
+    scores: Floats
+    streets: list[Floats]
+    cost: float
+    loss: Floats
+    on_lane: Booleans
+    matches: Matches
+    converged: bool
+    own: Floats
+    considered: Callable[[], Floats]
+
+    @property
+    def fitness(self) -> float:
+        """Share of samples that lie on a vehicle in a lane that their Doppler allows."""
+        return float(self.on_lane.mean())
+
+
+def solve(
+    lanes: Lanes,
+    samples: Samples,
+    start: State,
+    prior: Prior,
+    *,
+    scales_m: tuple[float, ...] = SCALES_M,
+    rounds: int = ROUNDS,
+    model: Model = MODEL,
+    hold: Floats | None = None,
+) -> Fit:
+    """Find the pose near a start at which the traces lie on the lanes and on the road.
+
+    Gauss-Newton steps on the expectation over the faces that samples may lie on, with all spreads
+    widened at first, less and less, so that the optimum is found from afar.
+
+    Parameters
+    ----------
+    lanes, samples : Lanes, Samples
+        The map and the traces.
+    start : State
+        Where to begin.
+    prior : Prior
+        What is believed beforehand.
+    scales_m : tuple of float
+        By how much all spreads are widened, stage by stage (root of squares).
+    rounds : int
+        Most steps at each scale.
+    model : Model
+        How vehicles drive and reflect.
+    hold : (7,) array, optional
+        A combination of the state's parts that stays as it is at the start.
+    """
+    point = _Point(start, np.zeros((len(FAMILIES), samples.tracks)))
+    converged = False
+    for scale_m in scales_m:
+        cost = _Cost(lanes, samples, prior, model, scale_m, hold)
+        here = cost.at(point)
+        for _ in range(rounds):
+            step, own, sigmas = cost.step(here)
+            there, share = None, 1.0
+            while share > LEAST_SHARE and (there is None or there.total > here.total):
+                moved = _Point(here.point.state.moved(share * step), here.point.own + share * own)
+                there, share = cost.at(moved), share / 3.0
+            length_m = float(np.abs(step[:6] * _LEVER).max())
+            if there is None or there.total > here.total:
+                converged = length_m < AT_REST_M or sigmas < AT_REST_SIGMAS
+                break
+            here = there
+            converged = length_m < SETTLED_M or sigmas < SETTLED_SIGMAS
+            if converged:
+                break
+        point = here.point
+    return _described(cost, here, converged=converged)
+
+
+@dataclass(frozen=True)
+class _Point:
+    state: State
+    own: Floats
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Here:
+    point: _Point
+    placed: Placed
+    matches: Matches
+    families: list[Residuals]
+    total: float
+
+
+@dataclass(frozen=True)
+class _Cost:
+    """The negative logarithm of the likelihood, and the steps that lower it."""
+
+    lanes: Lanes
+    samples: Samples
+    prior: Prior
+    model: Model
+    scale_m: float
+    hold: Floats | None
+
+    def at(self, point: _Point) -> _Here:
+        """Return residuals and cost at a point."""
+        placed = place(self.samples, point.state)
+        matches = match(self.lanes, placed)
+        families = self.families(placed, matches, point.own)
+        away = point.state.difference(self.prior.mean)
+        total = sum(
+            float(f.say @ f.loss + 0.5 * np.sum((own / f.shared) ** 2))
+            for f, own in zip(families, point.own, strict=True)
+        )
+        return _Here(
+            point=point,
+            placed=placed,
+            matches=matches,
+            families=families,
+            total=total + 0.5 * float(away @ self.prior.information @ away),
+        )
+
+    def families(self, placed: Placed, matches: Matches, own: Floats) -> list[Residuals]:
+        """Return all residuals of samples that lie on their lanes."""
+        compared = Comparison(
+            lanes=self.lanes,
+            placed=placed,
+            matches=matches,
+            model=self.model,
+            scale_m=self.scale_m,
+        )
+        return [family(compared, mine) for family, mine in zip(FAMILIES, own, strict=True)]
+
+    def step(self, here: _Here) -> tuple[Floats, Floats, float]:
+        """Return the steps of the state and of what the vehicles add, and the first in sigmas."""
+        normal = assemble(here.families, here.point.own, self.samples.track)
+        information = normal.information + self.prior.information
+        away = here.point.state.difference(self.prior.mean)
+        gradient = normal.gradient + self.prior.information @ away
+        step: Floats = np.asarray(-np.linalg.solve(information, gradient), dtype=np.float64)
+        if self.hold is not None:
+            way = np.linalg.solve(information, self.hold)
+            step -= way * (self.hold @ step) / (self.hold @ way)
+        own = np.array([-(r + g @ step) * a for r, g, a in normal.shared])
+        return step, own, float(np.sqrt(step @ information @ step))
+
+
+_LEVER = np.array([1.0, 1.0, 1.0, 20.0, 20.0, 50.0])  # metres that a turn moves
+
+
+def _described(cost: _Cost, here: _Here, *, converged: bool) -> Fit:
+    """Return the evidence at a point."""
+    across = here.families[0]
+    track, own = cost.samples.track, here.point.own
+    normal = assemble(here.families, own, track, curved=True)
+    # where the curvature is no minimum's, a small part of what known faces would tell counts
+    known = assemble(here.families, own, track).information + cost.prior.information
+    told = at_least(
+        normal.information + cost.prior.information,
+        LEAST_TOLD * known + HARDLY * np.eye(len(known)),
+    )
+    street, count = _streets(cost.lanes, cost.samples, here.matches)
+    pulls = []
+    for family, (_, g, variance) in zip(here.families, normal.shared, strict=True):
+        # what a vehicle may add by itself takes most of its bias up
+        felt = g * (variance * family.shared**-2)[:, None]
+        pulls.append(sums(street, felt, count))
+    return Fit(
+        state=here.point.state,
+        information=told,
+        data_information=told - cost.prior.information,
+        scores=normal.scores,
+        streets=pulls,
+        cost=here.total,
+        loss=across.say * across.loss,
+        on_lane=across.loss < NO_VEHICLE - np.log(2.0),
+        matches=here.matches,
+        converged=converged,
+        own=here.point.own,
+        considered=partial(_considered, cost, here),
+    )
+
+
+def _considered(cost: _Cost, here: _Here) -> Floats:
+    """Return how the gradient changes by a standard deviation of each constant of the model."""
+
+    def gradient(model: Model) -> Floats:
+        families = replace(cost, model=model).families(here.placed, here.matches, here.point.own)
+        return assemble(families, here.point.own, cost.samples.track, curved=True).gradient
+
+    return np.array(
+        [(gradient(more) - gradient(less)) / 2.0 for less, more in cost.model.variations()]
+    )
+
+
+def _streets(lanes: Lanes, samples: Samples, matches: Matches) -> tuple[Integers, int]:
+    """Return for each track the number of the stretch of street that it drives on most."""
+    lane = matches.lane[matches.found]
+    way = direction_bin(lanes.along[lane]) // 2
+    cell = np.floor(lanes.points[lane, :2] / STRETCH_M).astype(np.int64)
+    keys = np.column_stack([cell, way])
+    _, number = np.unique(keys, axis=0, return_inverse=True)
+    count = int(number.max(initial=-1)) + 1
+    votes = np.zeros((samples.tracks, count + 1))
+    np.add.at(votes, (samples.track[matches.found], number.ravel()), 1.0)
+    return votes.argmax(axis=1), count + 1

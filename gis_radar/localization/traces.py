@@ -1,0 +1,369 @@
+"""Extract the traces of moving vehicles from a recording: window, tracks, samples, voxels."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from gis_radar.arrays import Booleans, Floats, Integers, compiled
+from gis_radar.progress import QUIET, Reporter
+from gis_radar.recordings.recording import Detections, open_recording
+
+FRAMES = 2000  # n_f of the paper: 100 s at 20 Hz
+MIN_SPEED = 0.15  # m/s, the paper's Doppler threshold
+STAGE = "reading traces"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Moving:
+    """The moving detections of a window.
+
+    Parameters
+    ----------
+    time : (n,) array
+        UNIX seconds, ascending.
+    points : (n, 3) array
+        Sensor frame, metres.
+    range_rate : (n,) array
+        m/s, positive when receding.
+    frames, detections : int
+        How many frames and detections, still ones too, the window holds.
+    begin, end : float
+        UNIX seconds of its first and last frame.
+    """
+
+    time: Floats
+    points: Floats
+    range_rate: Floats
+    frames: int
+    detections: int
+    begin: float
+    end: float
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+class RollingWindow:
+    """The last frames of a stream of detections, of which only the moving ones are kept.
+
+    Parameters
+    ----------
+    frames : int
+        Length of the window.
+    min_speed : float
+        Least absolute range rate of a moving detection, m/s.
+    """
+
+    def __init__(self, *, frames: int = FRAMES, min_speed: float = MIN_SPEED) -> None:
+        self._frames = frames
+        self._min_speed = min_speed
+        self._times: deque[float] = deque(maxlen=frames)
+        self._counts: deque[int] = deque(maxlen=frames)
+        self._pieces: deque[tuple[Floats, Floats, Floats]] = deque()
+
+    def push(self, piece: Detections) -> None:
+        """Take the next detections; a frame may have begun in the piece before."""
+        stamps, first = np.unique(piece.time, return_index=True)
+        counts = np.add.reduceat(piece.present.astype(np.int64), first)
+        if self._times and self._times[-1] == stamps[0]:
+            self._counts[-1] += int(counts[0])
+            stamps, counts = stamps[1:], counts[1:]
+        self._times.extend(stamps.tolist())
+        self._counts.extend(counts.tolist())
+        keep = piece.present & (np.abs(piece.range_rate) > self._min_speed)
+        self._pieces.append((piece.time[keep], piece.points[keep], piece.range_rate[keep]))
+        while self._pieces[0][0].size == 0 or self._pieces[0][0][-1] < self._times[0]:
+            self._pieces.popleft()
+            if not self._pieces:
+                break
+
+    def forget(self, before: float) -> None:
+        """Drop the frames before a time (UNIX seconds)."""
+        while self._times and self._times[0] < before:
+            self._times.popleft()
+            self._counts.popleft()
+
+    @property
+    def begin(self) -> float:
+        """UNIX seconds of the first frame; NaN where there is none."""
+        return self._times[0] if self._times else float("nan")
+
+    def __len__(self) -> int:
+        return len(self._times)
+
+    def moving(self) -> Moving:
+        """Return what moved in the window."""
+        none = (np.empty(0), np.empty((0, 3)), np.empty(0))
+        time, points, rate = (
+            np.concatenate(parts) for parts in zip(none, *self._pieces, strict=True)
+        )
+        inside = time >= self._times[0] if self._times else np.zeros(0, dtype=bool)
+        return Moving(
+            time=time[inside],
+            points=points[inside],
+            range_rate=rate[inside],
+            frames=len(self._times),
+            detections=sum(self._counts),
+            begin=self.begin,
+            end=self._times[-1] if self._times else float("nan"),
+        )
+
+
+def read_moving(
+    path: str | Path,
+    *,
+    frames: int = FRAMES,
+    min_speed: float = MIN_SPEED,
+    reporter: Reporter = QUIET,
+) -> Moving:
+    """Read what moved in the last frames of a recording, in bounded memory.
+
+    Parameters
+    ----------
+    path : str or Path
+        A recording.
+    frames : int
+        Length of the window.
+    min_speed : float
+        Least absolute range rate, m/s.
+    reporter : Reporter
+        Told the progress.
+
+    Raises
+    ------
+    InputError
+        If the recording cannot be read.
+    """
+    window = RollingWindow(frames=frames, min_speed=min_speed)
+    for piece in _reported(path, reporter):
+        window.push(piece)
+    return window.moving()
+
+
+def _reported(path: str | Path, reporter: Reporter) -> Iterator[Detections]:
+    recording = open_recording(path)
+    done = 0
+    for piece in recording.read():
+        yield piece
+        done += len(piece)
+        reporter.progress(STAGE, done, recording.rows)
+
+
+def voxels(points: Floats, size_m: float) -> Floats:
+    """Return the centres of the cubes that hold a point, in a fixed order.
+
+    Parameters
+    ----------
+    points : (n, d) array
+        Metres.
+    size_m : float
+        Edge of a cube.
+    """
+    cells: Integers = np.floor(np.asarray(points) / size_m).astype(np.int64)
+    return np.asarray((np.unique(cells, axis=0) + 0.5) * size_m, dtype=np.float64)
+
+
+NONE = -1
+LINK_S = 0.35  # a far vehicle is hit in every fourth frame or so
+RANGE_M = 1.5  # faces of one vehicle, after the Doppler has been followed
+ACROSS_M = 1.5
+ACROSS_MPS = 6.0  # crossing speed, which the Doppler does not tell
+RATE_MPS = 1.5
+SEGMENT_S = 8.0  # a stream of vehicles that never breaks counts as several
+MIN_POINTS = 6
+MIN_PATH_M = 3.0
+SURE_MPS = 1.5  # leaves and grass stay below
+VOXEL_M = 6.0  # wider than a vehicle: what is kept shows its faces in their true proportion
+PER_VOXEL = 8
+CROWD_M = 10.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Samples:
+    """Moving detections on tracks, thinned: what a registration works on.
+
+    Parameters
+    ----------
+    points : (n, 3) array
+        Sensor frame, metres.
+    range_rate : (n,) array
+        m/s.
+    track : (n,) array
+        Number of the moving object, 0 to `tracks` - 1.
+    tracks : int
+        How many objects there are.
+    elevation : float
+        How far the view reaches up and down, radians: what hardly any detection exceeds.
+    """
+
+    points: Floats
+    range_rate: Floats
+    track: Integers
+    tracks: int
+    elevation: float
+
+    @cached_property
+    def crowd(self) -> Integers:
+        """How many samples of its own object lie within the same ten metres, itself included."""
+        cells = np.floor(self.points[:, :2] / CROWD_M).astype(np.int64)
+        keys = np.column_stack([self.track, cells])
+        _, number, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
+        return np.asarray(count[number.ravel()])
+
+    @cached_property
+    def reach(self) -> Floats:
+        """How far off they are, metres."""
+        return np.asarray(np.linalg.norm(self.points, axis=1), dtype=np.float64)
+
+    @cached_property
+    def upward(self) -> Floats:
+        """Their elevation angles, radians."""
+        x, y, z = self.points.T
+        return np.asarray(np.arctan2(z, np.hypot(x, y)), dtype=np.float64)
+
+    def __len__(self) -> int:
+        return len(self.track)
+
+    def where(self, keep: Booleans) -> Samples:
+        """Return the samples for which `keep` is true; tracks keep their numbers."""
+        return Samples(
+            points=self.points[keep],
+            range_rate=self.range_rate[keep],
+            track=self.track[keep],
+            tracks=self.tracks,
+            elevation=self.elevation,
+        )
+
+
+def track(moving: Moving) -> Integers:
+    """Link moving detections to tracks.
+
+    Two detections belong together where the range changed as the Doppler says and bearing and
+    Doppler are alike. What has few points is a false alarm; what is slow and goes nowhere are
+    leaves.
+
+    Parameters
+    ----------
+    moving : Moving
+        Of one window.
+
+    Returns
+    -------
+    (n,) int64 array
+        Number of the track, `NONE` for detections of none.
+    """
+    if len(moving) == 0:
+        return np.empty(0, dtype=np.int64)
+    time = moving.time - moving.time[0]
+    x, y = moving.points[:, 0], moving.points[:, 1]
+    reach = np.linalg.norm(moving.points, axis=1)
+    root = _link(time, reach, np.arctan2(y, x), moving.range_rate)
+    table = pd.DataFrame({"root": root, "piece": (time / SEGMENT_S).astype(np.int64)})
+    number = np.asarray(table.groupby(["root", "piece"], sort=True).ngroup(), dtype=np.int64)
+    good = _goes_somewhere(number, time, moving)
+    renumbered = np.where(good, np.cumsum(good) - 1, NONE)
+    return np.asarray(renumbered[number])
+
+
+def _goes_somewhere(number: Integers, time: Floats, moving: Moving) -> Booleans:
+    """Tell which tracks are long and fast enough for something that drives."""
+    rows = pd.DataFrame(
+        {
+            "n": number,
+            "t": time,
+            "x": moving.points[:, 0],
+            "y": moving.points[:, 1],
+            "rate": np.abs(moving.range_rate),
+        }
+    ).groupby("n")
+    early, late = rows.head(2).groupby("n").mean(), rows.tail(2).groupby("n").mean()
+    path = np.hypot(late["x"] - early["x"], late["y"] - early["y"])
+    extent = np.hypot(rows["x"].max() - rows["x"].min(), rows["y"].max() - rows["y"].min())
+    goes = (path >= MIN_PATH_M) & (path >= 0.5 * extent)
+    streams = (rows["rate"].median() >= SURE_MPS) & (extent >= MIN_PATH_M)
+    return np.asarray((rows.size() >= MIN_POINTS) & (goes | streams))
+
+
+def thin(
+    moving: Moving, tracks: Integers, *, voxel_m: float = VOXEL_M, most: int = 6000, seed: int = 0
+) -> Samples:
+    """Keep a few detections of each track in each voxel, at most `most` in all.
+
+    Parameters
+    ----------
+    moving : Moving
+        Of one window.
+    tracks : (n,) array
+        As from :func:`track`.
+    voxel_m : float
+        Edge of a voxel.
+    most : int
+        Samples in all; more are thinned out evenly.
+    seed : int
+        Decides which; the same again for the same seed.
+    """
+    rng = np.random.default_rng(seed)
+    on = np.flatnonzero(tracks != NONE)
+    on = on[rng.permutation(len(on))]
+    cells = np.floor(moving.points[on, :2] / voxel_m).astype(np.int64)
+    frame = pd.DataFrame({"k": tracks[on], "i": cells[:, 0], "j": cells[:, 1]})
+    keep = on[(frame.groupby(["k", "i", "j"]).cumcount() < PER_VOXEL).to_numpy()][:most]
+    keep.sort()
+    return Samples(
+        points=moving.points[keep],
+        range_rate=moving.range_rate[keep],
+        track=tracks[keep],
+        tracks=int(tracks.max(initial=NONE)) + 1,
+        elevation=_elevation(moving.points),
+    )
+
+
+def _elevation(points: Floats) -> float:
+    if len(points) == 0:
+        return np.pi / 2
+    x, y, z = points.T
+    return float(np.percentile(np.abs(np.arctan2(z, np.hypot(x, y))), 99.5))
+
+
+@compiled
+def _link(  # pragma: no cover - compiled
+    time: Floats, reach: Floats, bearing: Floats, rate: Floats
+) -> Integers:
+    """Return the root of each detection's track (union-find over pairs that agree)."""
+    parent = np.arange(len(time))
+    for i in range(len(time)):
+        for j in range(i + 1, len(time)):
+            lapse = time[j] - time[i]
+            if lapse > LINK_S:
+                break
+            moved = reach[j] - reach[i] - 0.5 * (rate[i] + rate[j]) * lapse
+            if abs(rate[i] - rate[j]) > RATE_MPS or abs(moved) > RANGE_M:
+                continue
+            turn = abs(bearing[j] - bearing[i])
+            turn = min(turn, 2.0 * np.pi - turn)
+            if turn * reach[i] > ACROSS_M + ACROSS_MPS * lapse:
+                continue
+            a, b = i, j
+            while parent[a] != a:
+                parent[a] = parent[parent[a]]
+                a = parent[a]
+            while parent[b] != b:
+                parent[b] = parent[parent[b]]
+                b = parent[b]
+            parent[max(a, b)] = min(a, b)
+    return parent_roots(parent)
+
+
+@compiled
+def parent_roots(parent: Integers) -> Integers:  # pragma: no cover - compiled
+    """Return the root of every node of a forest whose parents have lower numbers."""
+    for i in range(len(parent)):
+        parent[i] = parent[parent[i]]
+    return parent

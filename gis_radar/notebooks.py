@@ -1,0 +1,133 @@
+"""Show results in notebooks: cards of figures, axes of plots.
+
+Plain HTML in one piece: text is escaped, the picture is inside, nothing is loaded from elsewhere.
+
+Matplotlib is imported where it is used: whoever draws nothing does not wait for it.
+"""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from datetime import UTC
+from html import escape
+from io import BytesIO
+from typing import Any
+
+MOST_ROWS = 24
+_CELL = "text-align:left;padding:1px 10px 1px 0"
+_SOFT = f"{_CELL};opacity:0.65;font-weight:normal"
+
+
+def card(title: str, figures: Mapping[str, Any], *, picture: bytes = b"") -> str:
+    """Return a result as HTML: its figures as rows of a table.
+
+    Parameters
+    ----------
+    title : str
+        What it is.
+    figures : mapping
+        Values by name; underscores in names become spaces.
+    picture : bytes
+        PNG, shown beside the figures.
+    """
+    names = (str(name).replace("_", " ") for name in figures)
+    rows = zip(names, map(_text, figures.values()), strict=True)
+    return _whole(title, _table(rows), picture)
+
+
+def table_card(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+    """Return a result as HTML: a table with a head, cut where it is long.
+
+    Parameters
+    ----------
+    title : str
+        What it is.
+    columns : sequence of str
+        The head.
+    rows : sequence of sequences
+        A value a column.
+    """
+    told = [[_text(value) for value in row] for row in rows[:MOST_ROWS]]
+    if len(rows) > MOST_ROWS:
+        told.append([f"... {len(rows) - MOST_ROWS} more"])
+    return _whole(title, _table(told, head=columns), b"")
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.6g}" if abs(value) < 1e5 else f"{value:.2f}"
+    if isinstance(value, Mapping):
+        return "; ".join(f"{name}: {_text(each)}" for name, each in value.items())
+    if isinstance(value, list | tuple):
+        return ", ".join(map(_text, value)) or "none"
+    return "" if value is None else str(value)
+
+
+def _table(rows: Iterable[Sequence[str]], head: Sequence[str] = ()) -> str:
+    lines = []
+    if head:
+        cells = "".join(f'<th style="{_SOFT}">{escape(name)}</th>' for name in head)
+        lines.append(f"<tr>{cells}</tr>")
+    for first, *rest in rows:
+        style = _CELL if head else _SOFT
+        cells = "".join(f'<td style="{_CELL}">{escape(text)}</td>' for text in rest)
+        lines.append(f'<tr><th style="{style}">{escape(first)}</th>{cells}</tr>')
+    return f"<table>{''.join(lines)}</table>"
+
+
+def _whole(title: str, table: str, picture: bytes) -> str:
+    image = ""
+    if picture:
+        data = b64encode(picture).decode("ascii")
+        image = f'<img alt="{escape(title)}" src="data:image/png;base64,{data}">'
+    return (
+        f"<div><strong>{escape(title)}</strong>"
+        f'<div style="display:flex;flex-wrap:wrap;gap:16px;align-items:flex-start">'
+        f"<div>{table}</div>{image}</div></div>"
+    )
+
+
+SMALL_IN, SMALL_DPI = (4.6, 3.6), 80
+
+
+def axes_or_new(ax: Any, size_in: tuple[float, float] = (7.0, 6.0)) -> Any:
+    """Return the axes, or those of a new figure of pyplot where `ax` is None."""
+    if ax is not None:
+        return ax
+    from matplotlib import pyplot as plt  # noqa: PLC0415 - chooses a window system
+
+    return plt.figure(figsize=size_in, layout="constrained").add_subplot()
+
+
+def label_map(ax: Any) -> None:
+    """Give axes in metres of the map their labels and equal scales."""
+    ax.set_aspect("equal")
+    ax.set(xlabel="easting, m", ylabel="northing, m")
+    ax.ticklabel_format(useOffset=False, style="plain")
+    ax.locator_params(nbins=5)
+
+
+def label_times(ax: Any) -> None:
+    """Write UTC times along x, no longer than needed."""
+    from matplotlib import dates  # noqa: PLC0415
+
+    locator: Any = dates.AutoDateLocator(tz=UTC)  # type: ignore[no-untyped-call]
+    ax.xaxis.set_major_locator(locator)
+    ax.xaxis.set_major_formatter(dates.ConciseDateFormatter(locator, tz=UTC))  # type: ignore[no-untyped-call]
+    ax.set_xlabel("time, UTC")
+
+
+def small_picture(draw: Callable[[Any], Any]) -> bytes:
+    """Return what a function draws on axes as a small PNG, without pyplot."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    figure = Figure(figsize=SMALL_IN, dpi=SMALL_DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    draw(figure.add_subplot())
+    picture = BytesIO()
+    figure.savefig(picture, format="png")
+    return picture.getvalue()

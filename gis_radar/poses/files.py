@@ -1,0 +1,236 @@
+"""Pose files: one pose as JSON, or a track of poses over time as CSV."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pyproj import CRS
+
+from gis_radar.arrays import Floats, Integers
+from gis_radar.crs import metric_crs, name_of
+from gis_radar.errors import InputError
+from gis_radar.files import whole_file
+from gis_radar.notebooks import table_card
+from gis_radar.poses.pose import ANGLES, POSITION, Pose, View, pose_from_dict
+from gis_radar.steps import iso_from_step, seconds_from_iso, step_of
+
+VIEW_FIELDS = tuple(View.__dataclass_fields__)
+SIGMA_FIELDS = tuple(f"sigma_{name}" for name in (*POSITION, *ANGLES))
+QUATERNION_FIELDS = ("quaternion_x", "quaternion_y", "quaternion_z", "quaternion_w")
+TRACK_FIELDS = ("time", "sensor", "crs", *POSITION, *ANGLES, *QUATERNION_FIELDS, *SIGMA_FIELDS,
+                "event", "vehicles", "fitness")  # fmt: skip
+DECIMALS = 6  # of metres and degrees
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseTrack:
+    """The poses of one sensor, each valid from its time until the next one's.
+
+    Parameters
+    ----------
+    poses : tuple of Pose
+        At least one, all of one sensor and one coordinate system.
+    since : (n,) array
+        UNIX seconds from which each pose holds, ascending; the first holds before, too.
+    """
+
+    poses: tuple[Pose, ...]
+    since: Floats
+
+    @property
+    def sensor(self) -> str:
+        """Name of the sensor."""
+        return self.poses[0].sensor
+
+    def at(self, time: Floats) -> Integers:
+        """Return which pose holds at each time (UNIX seconds), as indices into `poses`."""
+        return np.maximum(np.searchsorted(self.since, time, side="right") - 1, 0)
+
+    def with_view(self, view: View) -> PoseTrack:
+        """Return the same track with a view wherever a pose has none."""
+        return replace(self, poses=tuple(pose.with_view(view) for pose in self.poses))
+
+    def __repr__(self) -> str:
+        return f"PoseTrack({self._title()})"
+
+    def _title(self) -> str:
+        if not math.isfinite(self.since[0]):
+            return f"{self.sensor}: one pose, always"
+        first, last = (iso_from_step(int(step)) for step in step_of(self.since[[0, -1]]))
+        return f"{self.sensor}: {len(self.poses)} poses, {first} to {last}"
+
+    def _repr_html_(self) -> str:
+        names = (*POSITION, *ANGLES)
+        begins = ["always"] if not math.isfinite(self.since[0]) else [
+            iso_from_step(int(step)) for step in step_of(self.since)
+        ]  # fmt: skip
+        rows = [
+            [begin, *(f"{getattr(pose, name):.3f}" for name in names), pose.evidence.get("event")]
+            for begin, pose in zip(begins, self.poses, strict=True)
+        ]
+        units = [*(f"{name}, m" for name in POSITION), *(f"{name}, deg" for name in ANGLES)]
+        return table_card(f"Poses of {self._title()}", ["since", *units, "event"], rows)
+
+
+def still(pose: Pose) -> PoseTrack:
+    """Return a track of one pose that always holds."""
+    return PoseTrack(poses=(pose,), since=np.array([-math.inf]))
+
+
+def as_track(pose: Pose | PoseTrack) -> PoseTrack:
+    """Return a pose as a track; a track as it is."""
+    return still(pose) if isinstance(pose, Pose) else pose
+
+
+def write_pose(pose: Pose, path: str | Path) -> None:
+    """Write a pose as JSON, whole or not at all."""
+    with whole_file(Path(path)) as part:
+        part.write_text(json.dumps(pose.as_dict(), indent=1) + "\n", encoding="utf-8")
+
+
+def read_pose(path: str | Path) -> Pose:
+    """Read one pose from JSON.
+
+    Raises
+    ------
+    InputError
+        If the file is not a pose; CrsError if its coordinate system is missing or not metric.
+
+    Examples
+    --------
+    >>> import gis_radar as gr
+    >>> gr.read_pose(gr.sample_folder() / "R1.json")
+    Pose(R1: 690360.11 E 5336178.10 N 520.01 m, yaw 21.70 pitch 3.20 roll -0.80)
+    """
+    try:
+        record = json.loads(_text(Path(path)))
+    except ValueError as error:
+        raise InputError(f"{path}: not JSON: {error}") from error
+    if not isinstance(record, dict):
+        raise InputError(f"{path}: not a pose: expected a JSON object with its fields")
+    return pose_from_dict(record, what=str(path))
+
+
+def write_track(track: PoseTrack, path: str | Path) -> None:
+    """Write a pose track as CSV, whole or not at all.
+
+    A row a pose: time, position, angles, the quaternion (x, y, z, w; its sign does not jump from
+    row to row), sigma in metres and degrees, and `event`, `vehicles` and `fitness` where the
+    pose's evidence has them; the view where there is one. What is not known stays empty.
+
+    Parameters
+    ----------
+    track : PoseTrack
+        Its times must be finite.
+    path : str or Path
+        The file.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written.
+    """
+    seen = any(pose.view is not None for pose in track.poses)
+    names = (*TRACK_FIELDS, *(VIEW_FIELDS if seen else ()))
+    with whole_file(Path(path)) as part, part.open("w", encoding="utf-8", newline="") as file:
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(names)
+        last = track.poses[0].quaternion
+        for pose, since in zip(track.poses, track.since, strict=True):
+            last = pose.quaternion if pose.quaternion @ last >= 0.0 else -pose.quaternion
+            values = _row_of_pose(pose, float(since), last)
+            table.writerow([values.get(name, "") for name in names])
+
+
+def _row_of_pose(pose: Pose, since: float, quaternion: Floats) -> dict[str, Any]:
+    sigma = pose.evidence.get("sigma")
+    said = {f"sigma_{k}": v for k, v in sigma.items()} if isinstance(sigma, dict) else {}
+    numbers = {name: getattr(pose, name) for name in (*POSITION, *ANGLES)} | said
+    fitness = pose.evidence.get("fitness")
+    return {
+        "time": iso_from_step(int(step_of(np.array([since]))[0])),
+        "sensor": pose.sensor,
+        "crs": name_of(pose.crs),
+        **{name: round(value, DECIMALS) for name, value in numbers.items()},
+        **dict(zip(QUATERNION_FIELDS, quaternion.round(9).tolist(), strict=True)),
+        "event": pose.evidence.get("event", ""),
+        "vehicles": pose.evidence.get("vehicles", ""),
+        "fitness": "" if fitness is None or math.isnan(fitness) else round(fitness, 3),
+        **({} if pose.view is None else vars(pose.view)),
+    }
+
+
+def read_track(path: str | Path) -> PoseTrack:
+    """Read a pose (JSON) or a pose track (CSV), whichever the file is.
+
+    The row of an event `rejected` holds the pose that stays in force, so it counts like any
+    other. Columns that are no part of a pose go into its evidence, `sigma_...` as its sigma.
+
+    Raises
+    ------
+    InputError
+        If the file is neither, holds several sensors, or its times do not ascend.
+    """
+    if Path(path).suffix.lower() != ".csv":
+        return still(read_pose(path))
+    rows = list(csv.DictReader(_text(Path(path)).splitlines()))
+    if not rows:
+        raise InputError(f"{path}: pose track without rows")
+    shared: dict[str, CRS] = {}
+    poses = tuple(
+        _pose_of_row(row, f"{path}: row {i}", shared) for i, row in enumerate(rows, start=1)
+    )
+    since = np.array(
+        [
+            seconds_from_iso(row.get("time") or "", what=f"{path}: row {i}: time")
+            for i, row in enumerate(rows, start=1)
+        ]
+    )
+    if len({(pose.sensor, pose.crs.to_wkt()) for pose in poses}) != 1:
+        raise InputError(f"{path}: a pose track has one sensor and one coordinate system")
+    if np.any(np.diff(since) <= 0.0):
+        late = int(np.flatnonzero(np.diff(since) <= 0.0)[0]) + 2
+        raise InputError(f"{path}: row {late}: times of a pose track must ascend")
+    return PoseTrack(poses=poses, since=since)
+
+
+def _pose_of_row(row: dict[str, Any], what: str, shared: dict[str, CRS]) -> Pose:
+    known = {"sensor", "crs", "quaternion", *QUATERNION_FIELDS, *POSITION, *ANGLES, *VIEW_FIELDS,
+             *SIGMA_FIELDS}  # fmt: skip
+    record: dict[str, Any] = {"sensor": row.get("sensor") or None, "crs": None}
+    if text := row.get("crs"):
+        record["crs"] = shared.setdefault(text, metric_crs(shared.get(text, text), what=what))
+    for name in (*POSITION, *ANGLES, *VIEW_FIELDS):
+        if text := row.get(name):
+            record[name] = _parsed(text, f"{what}: {name}")
+    sigma = {
+        name.removeprefix("sigma_"): _parsed(text, f"{what}: {name}")
+        for name in SIGMA_FIELDS
+        if (text := row.get(name))
+    }
+    if sigma:
+        record["sigma"] = sigma
+    view = {name: record.pop(name) for name in VIEW_FIELDS if name in record}
+    further = {name: text for name, text in row.items() if name and text and name not in known}
+    return pose_from_dict(further | record | ({"view": view} if view else {}), what=what)
+
+
+def _parsed(text: str, what: str) -> float:
+    try:
+        return float(text)
+    except ValueError as error:
+        raise InputError(f"{what} is {text!r}, expected a number") from error
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "not UTF-8 text"
+        raise InputError(f"{path}: cannot be read: {reason}") from error

@@ -1,0 +1,105 @@
+"""The three layers of a GeoPackage of sensors: points, views, uncertainties."""
+
+from __future__ import annotations
+
+import math
+import sqlite3
+from collections.abc import Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import pyogrio
+import shapely
+
+from gis_radar.crs import require_same
+from gis_radar.errors import UsageError
+from gis_radar.files import whole_file
+from gis_radar.geopackage import add_styles
+from gis_radar.poses import style
+from gis_radar.poses.pose import ANGLES, POSITION, Pose, View
+from gis_radar.poses.shapes import ellipse
+
+SENSORS, VIEWS, UNCERTAINTY = "sensors", "views", "uncertainty"
+VERSION = "1.2"  # the GDAL of QGIS 3.40 warns of later ones
+_SIGMA = (*POSITION, *ANGLES)
+_EVIDENCE = ("fitness", "converged", "observable", "method", "time", "frames")
+
+
+def write_sensors(poses: Sequence[Pose], path: str | Path) -> None:
+    """Write sensors as the layers `sensors`, `views` and `uncertainty` of a GeoPackage.
+
+    Parameters
+    ----------
+    poses : sequence of Pose
+        At least one, all in one coordinate system. A pose without a view gets the usual one.
+    path : str or Path
+        The GeoPackage; it appears whole or not at all. QGIS loads its styles by itself.
+
+    Raises
+    ------
+    UsageError
+        If the name does not end in `.gpkg`, or there is no pose.
+    CrsError
+        If the poses are not all in one coordinate system.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".gpkg":
+        raise UsageError(f"{path}: sensors are written as GeoPackage", hint="end it in .gpkg")
+    if not poses:
+        raise UsageError("there is no pose to write")
+    for pose in poses[1:]:
+        require_same(pose.crs, poses[0].crs, what=pose.sensor, other_what=poses[0].sensor)
+    layers = {SENSORS: _points(poses), VIEWS: _views(poses), UNCERTAINTY: _ellipses(poses)}
+    kinds = {SENSORS: "Point", VIEWS: "Polygon", UNCERTAINTY: "Polygon"}
+    with whole_file(path) as part:
+        for name, table in layers.items():
+            pyogrio.write_dataframe(
+                table, part, layer=name, driver="GPKG", geometry_type=kinds[name],
+                append=part.exists(), dataset_options={"VERSION": VERSION},
+            )  # fmt: skip
+        with closing(sqlite3.connect(part)) as database, database:
+            styles = {name: (style.QML[name](), "") for name in layers}
+            add_styles(database, styles, name="sensor", about="where a sensor stands and looks")
+
+
+def _points(poses: Sequence[Pose]) -> gpd.GeoDataFrame:
+    points = shapely.points([(pose.easting, pose.northing) for pose in poses])
+    return gpd.GeoDataFrame([_row(pose) for pose in poses], geometry=points, crs=poses[0].crs)
+
+
+def _row(pose: Pose) -> dict[str, Any]:
+    sigma = pose.evidence.get("sigma") or {}
+    return {
+        "sensor": pose.sensor,
+        **{name: getattr(pose, name) for name in _SIGMA},
+        **{f"sigma_{name}": _number(sigma.get(name)) for name in _SIGMA},
+        **{name: _text(pose.evidence.get(name)) for name in _EVIDENCE},
+        **vars(pose.view or View()),
+    }
+
+
+def _number(value: Any) -> float:
+    return float(value) if isinstance(value, int | float) else math.nan
+
+
+def _text(value: Any) -> str | None:
+    return None if value is None else str(value)
+
+
+def _views(poses: Sequence[Pose]) -> gpd.GeoDataFrame:
+    rows = [{"sensor": pose.sensor, **vars(pose.view or View())} for pose in poses]
+    shapes = [pose.outline() for pose in poses]
+    return gpd.GeoDataFrame(rows, geometry=shapes, crs=poses[0].crs)
+
+
+def _ellipses(poses: Sequence[Pose]) -> gpd.GeoDataFrame:
+    known = [(pose, cov) for pose in poses if (cov := pose.plane_covariance()) is not None]
+    rows = {
+        "sensor": [pose.sensor for pose, _ in known],
+        "sigma_easting": [math.sqrt(cov[0, 0]) for _, cov in known],
+        "sigma_northing": [math.sqrt(cov[1, 1]) for _, cov in known],
+    }
+    shapes = [ellipse(pose.position[:2], cov) for pose, cov in known]
+    return gpd.GeoDataFrame(rows, geometry=shapes, crs=poses[0].crs)

@@ -1,0 +1,296 @@
+"""Poses: where a sensor stands and looks, how points move between its frame and the map."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import shapely
+from pyproj import CRS
+from scipy.spatial.transform import Rotation
+
+from gis_radar.arrays import Booleans, Floats
+from gis_radar.crs import metric_crs, name_of
+from gis_radar.errors import InputError
+from gis_radar.notebooks import axes_or_new, card, label_map
+from gis_radar.poses.shapes import draw_sensor, ellipse, plane_covariance, rim
+
+ANGLES = ("yaw", "pitch", "roll")
+POSITION = ("easting", "northing", "height")
+REQUIRED = ("sensor", "crs", *POSITION, *ANGLES)
+EVIDENCE = ("fitness", "observable", "method", "time", "frames")  # worth a look
+QUATERNION_TOLERANCE_DEG = 0.01
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """What a sensor can see: full opening angles about its x axis, and a range.
+
+    Parameters
+    ----------
+    azimuth_deg, elevation_deg : float
+        Full opening angles, degrees.
+    min_range_m, max_range_m : float
+        Slant range, metres.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> ahead, aside = [50.0, 0.0, 0.0], [50.0, 60.0, 0.0]
+    >>> View(azimuth_deg=90).sees(np.array([ahead, aside])).tolist()
+    [True, False]
+    """
+
+    azimuth_deg: float = 120.0
+    elevation_deg: float = 30.0
+    min_range_m: float = 1.0
+    max_range_m: float = 300.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.azimuth_deg <= 360.0:
+            raise InputError(f"view: azimuth_deg is {self.azimuth_deg}, expected 0 to 360")
+        if not 0.0 < self.elevation_deg <= 180.0:
+            raise InputError(f"view: elevation_deg is {self.elevation_deg}, expected 0 to 180")
+        if not 0.0 <= self.min_range_m < self.max_range_m < math.inf:
+            raise InputError(
+                f"view: range is {self.min_range_m} to {self.max_range_m} m, expected ascending"
+            )
+
+    def sees(self, points: Floats) -> Booleans:
+        """Tell which points lie within range, azimuth and elevation.
+
+        Parameters
+        ----------
+        points : (n, 3) array
+            Sensor frame, metres; a z of NaN leaves the elevation out of the question.
+
+        Returns
+        -------
+        (n,) bool array
+        """
+        x, y, z = points.T
+        flat_m = np.hypot(x, y)
+        height_m = np.nan_to_num(z, nan=0.0)
+        slant_m = np.hypot(flat_m, height_m)
+        azimuth = np.abs(np.arctan2(y, x)) <= math.radians(self.azimuth_deg) / 2
+        elevation = np.abs(np.arctan2(height_m, flat_m)) <= math.radians(self.elevation_deg) / 2
+        within = (slant_m >= self.min_range_m) & (slant_m <= self.max_range_m)
+        return np.asarray(azimuth & elevation & within)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pose:
+    """Where a sensor stands and looks: rotation and translation sensor -> map.
+
+    Parameters
+    ----------
+    sensor : str
+        Its name.
+    crs : CRS
+        The map frame: projected, metric, z up.
+    easting, northing, height : float
+        Position in the map frame, metres.
+    yaw, pitch, roll : float
+        Degrees, intrinsic Z-Y-X: `R_map_sensor = Rz(yaw) Ry(pitch) Rx(roll)`. Yaw counts
+        counter-clockwise from grid east, pitch > 0 looks down.
+    view : View, optional
+        What it sees; None where nobody said.
+    evidence : dict
+        What else the pose file says (sigma, covariance, time, method, ...), kept as read.
+    """
+
+    sensor: str
+    crs: CRS
+    easting: float
+    northing: float
+    height: float
+    yaw: float
+    pitch: float
+    roll: float
+    view: View | None = None
+    evidence: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in (*POSITION, *ANGLES):
+            if not math.isfinite(getattr(self, name)):
+                raise InputError(f"pose of {self.sensor}: {name} is {getattr(self, name)}")
+        crs = metric_crs(self.crs, what=f"pose of {self.sensor}")
+        object.__setattr__(self, "crs", crs)
+
+    @property
+    def position(self) -> Floats:
+        """Position of the sensor in the map frame, (3,) metres."""
+        return np.array([self.easting, self.northing, self.height])
+
+    @property
+    def R_map_sensor(self) -> Floats:  # noqa: N802 - frames name a rotation
+        """Rotation from the sensor frame to the map frame, (3, 3)."""
+        return np.asarray(self._rotation().as_matrix())
+
+    @property
+    def quaternion(self) -> Floats:
+        """The rotation as (x, y, z, w) with w >= 0."""
+        return np.asarray(self._rotation().as_quat(canonical=True))
+
+    def _rotation(self) -> Rotation:
+        return Rotation.from_euler("ZYX", [self.yaw, self.pitch, self.roll], degrees=True)
+
+    def to_map(self, points: Floats) -> Floats:
+        """Move points from the sensor frame to the map.
+
+        Parameters
+        ----------
+        points : (n, 3) array
+            x forward, y left, z up, metres.
+
+        Returns
+        -------
+        (n, 3) float64 array
+            Easting, northing, height.
+        """
+        # Not a matrix product: its last digits would depend on how the points are cut into pieces.
+        turned = np.einsum("nj,ij->ni", np.asarray(points, np.float64), self.R_map_sensor)
+        return np.asarray(turned + self.position)
+
+    def to_sensor(self, points: Floats) -> Floats:
+        """Move (n, 3) points from the map (easting, northing, height) to the sensor frame."""
+        return (np.asarray(points, dtype=np.float64) - self.position) @ self.R_map_sensor
+
+    def with_view(self, view: View) -> Pose:
+        """Return the same pose with a view, unless it has one."""
+        return self if self.view is not None else replace(self, view=view)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what a pose file holds, ready for JSON."""
+        record = {
+            "sensor": self.sensor,
+            "crs": name_of(self.crs),
+            **{name: getattr(self, name) for name in (*POSITION, *ANGLES)},
+            "quaternion": self.quaternion.tolist(),
+            **self.evidence,
+        }
+        return record if self.view is None else record | {"view": vars(self.view)}
+
+    def outline(self) -> shapely.Polygon:
+        """Return what its azimuth and range reach in the map; without a view, the usual one."""
+        return rim(self.position, self.R_map_sensor, self.view or View())
+
+    def plane_covariance(self) -> Floats | None:
+        """Return the covariance of easting and northing, (2, 2) m^2, or None where not known."""
+        return plane_covariance(self.evidence, f"pose of {self.sensor}")
+
+    def plot(self, ax: Any = None, *, reach_m: float | None = None, **style: Any) -> Any:
+        """Draw the sensor, where it looks, what it reaches, and the 95 % ellipse of its place.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, optional
+            In metres of the map; without it, those of a new figure.
+        reach_m : float, optional
+            Draw its view no further than this.
+        **style
+            For the area of its view, as of a matplotlib patch.
+
+        Returns
+        -------
+        matplotlib Axes
+        """
+        ax = axes_or_new(ax)
+        view = self.view or View()
+        far_m = min(reach_m or view.max_range_m, view.max_range_m)
+        shown = replace(view, min_range_m=min(view.min_range_m, far_m / 2), max_range_m=far_m)
+        outline = replace(self, view=shown).outline()
+        look: dict[str, Any] = {"color": "#1d4ed8", "alpha": 0.15, "linewidth": 0}
+        ax.fill(*outline.exterior.xy, **look | style)
+        covariance = self.plane_covariance()
+        ring = None if covariance is None else ellipse(self.position[:2], covariance)
+        draw_sensor(ax, self.position, self.R_map_sensor[:2, 0] * far_m / 5, ring, self.sensor)
+        label_map(ax)
+        return ax
+
+    def _repr_html_(self) -> str:
+        sigma = self.evidence.get("sigma") or {}
+        units = dict.fromkeys(POSITION, "m") | dict.fromkeys(ANGLES, "deg")
+        said = {
+            name: f"{getattr(self, name):.3f} {unit}"
+            + (f" \u00b1 {sigma[name]:.2g}" if isinstance(sigma.get(name), int | float) else "")
+            for name, unit in units.items()
+        }
+        known = {name: self.evidence[name] for name in EVIDENCE if name in self.evidence}
+        return card(f"Pose of {self.sensor}", {"crs": name_of(self.crs), **said, **known})
+
+    def __repr__(self) -> str:
+        return (
+            f"Pose({self.sensor}: {self.easting:.2f} E {self.northing:.2f} N "
+            f"{self.height:.2f} m, yaw {self.yaw:.2f} pitch {self.pitch:.2f} roll {self.roll:.2f})"
+        )
+
+
+def pose_from_dict(record: Mapping[str, Any], *, what: str) -> Pose:
+    """Build a pose from the fields of a pose file.
+
+    Parameters
+    ----------
+    record : mapping
+        The contract's fields. Angles win; a quaternion beside them must agree.
+    what : str
+        Where the record comes from; begins error messages.
+
+    Raises
+    ------
+    InputError
+        If a field is missing, is not a finite number, or contradicts another.
+    """
+    missing = [name for name in REQUIRED if record.get(name) is None]
+    if missing:
+        raise InputError(f"{what}: pose lacks {', '.join(missing)}")
+    numbers = {name: _number(record[name], f"{what}: {name}") for name in (*POSITION, *ANGLES)}
+    known = {*REQUIRED, "quaternion", "view"}
+    sensor = record["sensor"]
+    if not isinstance(sensor, str) or not sensor.strip() or not sensor.isprintable():
+        raise InputError(f"{what}: sensor is {sensor!r}, expected a name")
+    pose = Pose(
+        sensor=sensor,
+        crs=metric_crs(record["crs"], what=f"{what}: crs"),
+        **numbers,
+        view=_view(record.get("view"), what),
+        evidence={name: value for name, value in record.items() if name not in known},
+    )
+    _check_quaternion(pose, record.get("quaternion"), what)
+    return pose
+
+
+def _number(value: Any, what: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise InputError(f"{what} is {value!r}, expected a finite number")
+    return float(value)
+
+
+def _view(record: Any, what: str) -> View | None:
+    if record is None:
+        return None
+    names = View.__dataclass_fields__
+    if not isinstance(record, dict) or (unknown := record.keys() - names.keys()):
+        bad = record if not isinstance(record, dict) else sorted(unknown)
+        raise InputError(f"{what}: view has {bad!r}, expected {', '.join(names)}")
+    return View(**{name: _number(value, f"{what}: view.{name}") for name, value in record.items()})
+
+
+def _check_quaternion(pose: Pose, quaternion: Any, what: str) -> None:
+    if quaternion is None:
+        return
+    if not isinstance(quaternion, list | tuple) or len(quaternion) != 4:
+        raise InputError(f"{what}: quaternion is {quaternion!r}, expected [x, y, z, w]")
+    values = [_number(value, f"{what}: quaternion") for value in quaternion]
+    if abs(math.hypot(*values) - 1.0) > 1e-3:
+        raise InputError(f"{what}: quaternion has length {math.hypot(*values):.4f}, expected 1")
+    turn = Rotation.from_quat(values).inv() * Rotation.from_matrix(pose.R_map_sensor)
+    apart_deg = math.degrees(turn.magnitude())
+    if apart_deg > QUATERNION_TOLERANCE_DEG:
+        raise InputError(
+            f"{what}: quaternion and angles differ by {apart_deg:.3f} deg",
+            hint="angles are intrinsic Z-Y-X, the quaternion is x, y, z, w; drop one of them",
+        )

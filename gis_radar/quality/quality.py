@@ -1,0 +1,332 @@
+"""Measure data quality: one row a sensor and hour, with a verdict in words.
+
+The tests are those that freeway operators run on loop detectors (PeMS), carried over to radar: no
+data, too few samples, never occupied, occupied too much, constant, and hits without motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC
+from pathlib import Path
+from typing import Any
+from zoneinfo import ZoneInfo
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.patches import Patch
+
+from gis_radar.errors import InputError, OutputError
+from gis_radar.files import whole_file
+from gis_radar.notebooks import axes_or_new, table_card
+from gis_radar.occupancy import Occupancy
+from gis_radar.progress import QUIET, Reporter
+from gis_radar.quality.counting import HIGH, HOUR_S, Count, count_frames, moment, spans_of
+from gis_radar.steps import seconds_from_iso, zone_of
+
+GOOD = "good"
+NO_DATA = "no data"
+LEAST_SHARE = 0.6  # of the frames expected
+HIGH_SHARE = 0.2  # of the frames may have more than `HIGH` of the tiles hit
+STILL_SHARE = 0.001  # of the detections move at least
+TWICE_SHARE = 0.05
+REPEATED_SHARE = 0.2
+WILD_SHARE = 0.02
+FRAMES_ENOUGH = 100
+CLOCKS_SET_S = 631_152_000  # 1990
+
+
+def faults_of(count: Count, hour: int) -> Iterator[str]:
+    """Yield what is wrong with a sensor in an hour, worst first; nothing where it is well.
+
+    Parameters
+    ----------
+    count : Count
+        What it delivered. Under 100 frames only their number is judged.
+    hour : int
+        UNIX second in which the hour began.
+    """
+    if count.frames == 0:
+        yield NO_DATA
+        return
+    single = count.frames - count.doubled
+    expected = single + count.dropped
+    if single < LEAST_SHARE * expected:
+        yield f"{100 * single / expected:.0f} % of the frames expected"
+    if hour < CLOCKS_SET_S:
+        yield "clock not set"
+    if count.frames >= FRAMES_ENOUGH:
+        yield from _faults_of_frames(count)
+
+
+def _faults_of_frames(count: Count) -> Iterator[str]:
+    if count.doubled > TWICE_SHARE * count.frames:
+        yield f"{100 * count.doubled / count.frames:.0f} % of the frames come twice"
+    if count.repeated > REPEATED_SHARE * count.frames:
+        yield f"frozen: {100 * count.repeated / count.frames:.0f} % of the frames repeat the last"
+    if count.detections == 0:
+        yield "all frames are empty"
+        return
+    if count.seen == 0:
+        yield "sees no tile"
+    elif count.hits == 0:
+        yield "no tile is ever hit"
+    elif count.high > HIGH_SHARE * count.frames:
+        yield (
+            f"over {100 * HIGH:.0f} % of its tiles hit in "
+            f"{100 * count.high / count.frames:.0f} % of the frames"
+        )
+    elif count.fewest == count.most:
+        yield "occupancy is constant"
+    if count.hits and count.moving < STILL_SHARE * count.detections:
+        yield "hits without motion"
+    if count.wild > WILD_SHARE * count.detections:
+        yield f"{100 * count.wild / count.detections:.0f} % of the detections are absurdly fast"
+
+
+MOST_NUMBERS = 24  # hours; beyond that numbers would overlap
+KINDS = {"good": "#a8c8e8", "at fault": "#d9641a", "no data": "#e5e7eb"}
+
+
+def draw_hours(ax: Axes, table: pd.DataFrame, timezone: str) -> None:
+    """Draw a row a sensor and a column an hour, coloured by the verdict.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where.
+    table : DataFrame
+        As of :class:`gis_radar.Quality`.
+    timezone : str
+        Of its local hours.
+    """
+    sensors, hours = table["sensor"].unique(), np.sort(table["begin"].unique())
+    row = pd.Index(sensors).get_indexer(table["sensor"])
+    column = pd.Index(hours).get_indexer(table["begin"])
+    kind = np.full((len(sensors), len(hours)), 2)
+    bad = (table["verdict"] != GOOD).to_numpy(int)
+    kind[row, column] = np.where(table["verdict"] == NO_DATA, 2, bad)
+    ax.pcolormesh(kind, cmap=ListedColormap(list(KINDS.values())), vmin=0, vmax=2,
+                  edgecolors="white", linewidth=1.0)  # fmt: skip
+    if len(hours) <= MOST_NUMBERS:
+        expected = table["frames_expected"].clip(lower=1)
+        share = (100.0 * (table["frames"] - table["doubled"]) / expected).round()
+        for x, y, text in zip(column, row, share, strict=True):
+            ax.text(x + 0.5, y + 0.5, f"{text:.0f} %", ha="center", va="center", fontsize=8)
+    local = pd.DatetimeIndex(hours).tz_convert(timezone)
+    every = max(1, len(hours) // 12)
+    labels = [f"{t:%H:%M}" + (f"\n{t:%Y-%m-%d}" if i == 0 or t.hour == 0 else "")
+              for i, t in enumerate(local)]  # fmt: skip
+    ax.set_xticks(np.arange(0, len(hours), every) + 0.5, labels[::every])
+    ax.set_yticks(np.arange(len(sensors)) + 0.5, sensors)
+    ax.invert_yaxis()
+    ax.tick_params(length=0)
+    ax.set(xlabel=f"hour ({timezone})", title="Data quality; share of the frames expected")
+    ax.legend(handles=[Patch(color=c, label=n) for n, c in KINDS.items()], frameon=False,
+              loc="upper left", bbox_to_anchor=(1.0, 1.0))  # fmt: skip
+
+
+WRITERS = {".csv": "to_csv", ".parquet": "to_parquet"}
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Quality:
+    """What the numbers rest on.
+
+    Parameters
+    ----------
+    table : DataFrame
+        One row a sensor and hour: `sensor`; `begin`, `end` (UTC); `date`, `hour`, `weekday`
+        of local time; `frames_expected`, `frames`, `dropped`, `doubled`, `repeated`;
+        `detections_per_frame`, `moving_share`, `wild_share`; `tiles_hit_share`, the mean share
+        of the seen tiles hit in a frame; `clock_offset_s`, what the clock was corrected by;
+        `pose`, `pose_age_h`; `verdict`, "good" or what is wrong.
+    timezone : str
+        Of the local hours.
+    """
+
+    table: pd.DataFrame
+    timezone: str
+
+    def figures(self) -> dict[str, Any]:
+        """Return a line a sensor: how many hours are good, and what is wrong with the others."""
+        lines: dict[str, Any] = {}
+        for sensor, rows in self.table.groupby("sensor"):
+            good = int((rows["verdict"] == GOOD).sum())
+            bad = rows.loc[rows["verdict"] != GOOD, "verdict"].value_counts()
+            wrong = [f"{text} ({hours} h)" for text, hours in bad.items()]
+            lines[str(sensor)] = "; ".join([f"{good} of {len(rows)} hours good", *wrong])
+        return lines
+
+    def warnings(self) -> list[str]:
+        """Return one line for each sensor that is not good throughout."""
+        bad = self.table[self.table["verdict"] != GOOD]
+        return [
+            f"{sensor}: {rows['verdict'].iloc[0]} (in {len(rows)} of its hours, first in that from "
+            f"{rows['begin'].iloc[0]:%Y-%m-%dT%H:%MZ})"
+            for sensor, rows in bad.groupby("sensor")
+        ]
+
+    def write(self, path: str | Path) -> Path:
+        """Write the table as CSV (times as ISO 8601 with Z) or Parquet, by the file's ending.
+
+        Raises
+        ------
+        OutputError
+            If the ending is another, or the place cannot be written.
+        """
+        path = Path(path)
+        if path.suffix.lower() not in WRITERS:
+            raise OutputError(f"{path}: not a known table format", hint="use .csv or .parquet")
+        with whole_file(path) as part:
+            if path.suffix.lower() == ".csv":
+                self.table.to_csv(part, index=False, date_format="%Y-%m-%dT%H:%M:%SZ")
+            else:
+                self.table.to_parquet(part, index=False)
+        return path
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw sensors by hours: good, at fault, or without data, with the share of frames.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, optional
+            Where; without it, on a new figure.
+
+        Returns
+        -------
+        matplotlib Axes
+        """
+        # not at the top: whoever draws nothing does not wait for matplotlib
+
+        sensors = self.table["sensor"].nunique()
+        ax = axes_or_new(ax, (8.0, 1.4 + 0.5 * sensors))
+        draw_hours(ax, self.table, self.timezone)
+        return ax
+
+    def _repr_html_(self) -> str:
+        columns = ["sensor", "date", "hour", "frames", "frames_expected", "verdict"]
+        title = f"Quality by sensor and hour ({self.timezone})"
+        return table_card(title, columns, self.table[columns].to_numpy(object).tolist())
+
+    def __repr__(self) -> str:
+        lines = "; ".join(f"{sensor}: {text}" for sensor, text in self.figures().items())
+        return f"Quality({lines})"
+
+
+def measure_quality(
+    occupancy: Occupancy, *, timezone: str = "UTC", reporter: Reporter = QUIET
+) -> Quality:
+    """Tell by sensor and hour what an occupancy rests on, and whether the sensor was well.
+
+    Parameters
+    ----------
+    occupancy : Occupancy
+        With the deliveries of its sensors; merged ones give what the whole would have given.
+    timezone : str
+        Whose hours, days and weekdays: a name such as Europe/Berlin.
+    reporter : Reporter
+        Hears how far the work is.
+
+    Raises
+    ------
+    UsageError
+        If there is no such time zone.
+    InputError
+        If the occupancy does not tell what was delivered.
+
+    Examples
+    --------
+    >>> import gis_radar as gr
+    >>> sample = gr.sample_folder()
+    >>> tiles = gr.make_tiles(gr.read_map(sample / "junction.osm"))
+    >>> pose = gr.read_pose(sample / "R1.json")
+    >>> occupancy = gr.measure_occupancy([sample / "R1.parquet"], [pose], tiles, "occupancy")
+    >>> gr.measure_quality(occupancy)
+    Quality(R1: 1 of 1 hours good)
+    """
+    zone = zone_of(timezone)
+    spans = spans_of(occupancy)
+    if not spans:
+        raise InputError(
+            "the occupancy does not tell what its sensors delivered",
+            hint="make it again with: gis-radar occupancy",
+        )
+    counts = count_frames(occupancy, spans, zone, reporter)
+    poses = _poses(occupancy.sources)
+    hours = sorted({hour for _, hour in counts})
+    rows = [
+        _row(sensor, hour, counts.get((number, hour), Count()), poses.get(sensor, []), zone)
+        for number, sensor in enumerate(occupancy.sensors)
+        if number in spans
+        for hour in hours
+    ]
+    return Quality(table=pd.DataFrame(rows), timezone=timezone)
+
+
+Poses = list[tuple[float, str]]
+
+
+def _poses(sources: list[dict[str, Any]]) -> dict[str, Poses]:
+    """Return by sensor when its poses were found (NaN where nobody said), and their text."""
+    found: dict[str, set[tuple[float, str]]] = {}
+    for source in sources:
+        for pose in source.get("poses", []):
+            text = ", ".join(
+                f"{pose[name]:.2f} {unit}"
+                for name, unit in (("easting", "E"), ("northing", "N"), ("height", "m"))
+            )
+            angles = " ".join(f"{name} {pose[name]:.2f}" for name in ("yaw", "pitch", "roll"))
+            found.setdefault(source["sensor"], set()).add((_time_of(pose), f"{text}, {angles}"))
+    return {sensor: sorted(poses, key=_known_first) for sensor, poses in found.items()}
+
+
+def _known_first(pose: tuple[float, str]) -> tuple[bool, float, str]:
+    return bool(np.isnan(pose[0])), 0.0 if np.isnan(pose[0]) else pose[0], pose[1]
+
+
+def _time_of(pose: dict[str, Any]) -> float:
+    try:
+        return seconds_from_iso(str(pose["time"]), what="time of a pose")
+    except (KeyError, InputError):
+        return float("nan")
+
+
+def _pose_at(poses: Poses, second: int) -> tuple[str, float]:
+    """Return the pose that was in force, and its age in hours."""
+    if not poses:
+        return "", float("nan")
+    held = [pose for pose in poses if pose[0] < second + HOUR_S] or poses[:1]
+    since, text = held[-1]
+    return text, (second - since) / HOUR_S
+
+
+def _row(sensor: str, hour: int, count: Count, poses: Poses, zone: ZoneInfo) -> dict[str, Any]:
+    local = moment(hour).astimezone(zone)
+    pose, age_h = _pose_at(poses, hour)
+    frames, detections = max(count.frames, 1), max(count.detections, 1)
+    nothing = count.frames == 0
+    return {
+        "sensor": sensor,
+        "begin": pd.Timestamp(hour, unit="s", tz=UTC),
+        "end": pd.Timestamp(hour + HOUR_S, unit="s", tz=UTC),
+        "date": f"{local:%Y-%m-%d}",
+        "hour": local.hour,
+        "weekday": f"{local:%A}",
+        "frames_expected": count.frames - count.doubled + count.dropped,
+        "frames": count.frames,
+        "dropped": count.dropped,
+        "doubled": count.doubled,
+        "repeated": count.repeated,
+        "detections_per_frame": np.nan if nothing else count.detections / frames,
+        "moving_share": np.nan if count.detections == 0 else count.moving / detections,
+        "wild_share": np.nan if count.detections == 0 else count.wild / detections,
+        "tiles_hit_share": np.nan if nothing or count.seen == 0 else count.share / frames,
+        "clock_offset_s": np.nan if nothing else -count.shift_us / frames / 1e6,
+        "pose": pose,
+        "pose_age_h": age_h,
+        "verdict": "; ".join(faults_of(count, hour)) or GOOD,
+    }

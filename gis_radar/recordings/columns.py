@@ -1,0 +1,239 @@
+"""Map the fields of tables and point clouds to the columns of a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gis_radar.errors import UsageError
+from gis_radar.recordings.frames import Column, DamagedError, Frame
+from gis_radar.recordings.recording import COLUMNS
+
+# Names that radar drivers and data sets use, however they are written; the first one counts.
+NAMES: dict[str, tuple[str, ...]] = {
+    "time": ("time", "timestamp", "t", "stamp"),
+    "x": ("x", "x_m", "pos_x"),
+    "y": ("y", "y_m", "pos_y"),
+    "z": ("z", "z_m", "pos_z"),
+    "range": ("range", "r", "distance", "range_m", "radius"),
+    "azimuth": ("azimuth", "azimuth_angle", "azi", "az"),
+    "azimuth_deg": ("azimuth_deg", "az_deg"),
+    "elevation": ("elevation", "elevation_angle", "ele", "el"),
+    "elevation_deg": ("elevation_deg", "el_deg"),
+    "range_rate": (
+        "range_rate", "doppler", "doppler_velocity", "doppler_speed", "radial_velocity",
+        "radial_speed", "v_radial", "v_rad", "v_r", "velocity", "vel", "speed", "v",
+    ),
+    "rcs": ("rcs", "radar_cross_section", "rcs_dbsm", "rcs_dbm2"),
+}  # fmt: skip
+CARTESIAN, POLAR = ("x", "y", "z"), ("range", "azimuth", "elevation")
+TARGETS = tuple(NAMES)
+
+Values = Callable[[str], Column]
+
+
+def cartesian(distance: Column, azimuth: Column, elevation: Column) -> Column:
+    """Return positions in the sensor frame from polar ones.
+
+    Parameters
+    ----------
+    distance : (n,) array
+        Metres.
+    azimuth, elevation : (n,) array
+        Radians: azimuth from x towards y (to the left), elevation from the x-y plane upwards.
+
+    Returns
+    -------
+    (n, 3) float32 array
+        x forward, y left, z up, metres.
+    """
+    flat = distance * np.cos(elevation)
+    points = np.empty((len(distance), 3), dtype=np.float32)
+    points[:, 0] = flat * np.cos(azimuth)
+    points[:, 1] = flat * np.sin(azimuth)
+    points[:, 2] = distance * np.sin(elevation)
+    return points
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layout:
+    """Where the columns of a recording come from.
+
+    Parameters
+    ----------
+    sources : mapping of str to str
+        Our name to the field's name; a leading minus turns the sign.
+    further : mapping of str to str
+        A further column's name to the field's name.
+    """
+
+    sources: Mapping[str, str]
+    further: Mapping[str, str]
+
+    @property
+    def placed(self) -> bool:
+        """Whether there are positions."""
+        return self._has(CARTESIAN[:2]) or self._has(POLAR[:2])
+
+    @property
+    def is_radar(self) -> bool:
+        """Whether there are positions and speeds: what tells radar from other clouds."""
+        return self.placed and "range_rate" in self.sources
+
+    def points(self, values: Values) -> Column:
+        """Return the positions, (n, 3) float32; without height or elevation they lie flat."""
+        if self._has(CARTESIAN[:2]):
+            axes = [self._read(axis, values) for axis in CARTESIAN]
+            return np.column_stack(axes).astype(np.float32, copy=False)
+        return cartesian(*(self._read(name, values) for name in POLAR))
+
+    def column(self, name: str, values: Values) -> Column:
+        """Return a column as float32, NaN where there is no field for it."""
+        if name in self.sources:
+            return np.asarray(self._read(name, values), dtype=np.float32)
+        return np.full(len(self._read(self._anchor, values)), np.nan, dtype=np.float32)
+
+    def frame(self, values: Values, **known: Any) -> Frame:
+        """Return a frame of the fields' values; `known` is what else is known of it."""
+        return Frame(
+            points=self.points(values),
+            range_rate=self.column("range_rate", values),
+            rcs=self.column("rcs", values),
+            further={name: values(field) for name, field in self.further.items()},
+            **known,
+        )
+
+    def _has(self, names: tuple[str, ...]) -> bool:
+        return all(name in self.sources or f"{name}_deg" in self.sources for name in names)
+
+    @property
+    def _anchor(self) -> str:
+        return "x" if "x" in self.sources else "range"
+
+    def _read(self, name: str, values: Values) -> Column:
+        if name in self.sources:
+            return _signed(self.sources[name], values)
+        if f"{name}_deg" in self.sources:
+            return np.asarray(np.radians(_signed(self.sources[f"{name}_deg"], values)))
+        return np.zeros(len(self._read(self._anchor, values)), dtype=np.float32)
+
+
+def find_layout(fields: Collection[str], columns: Mapping[str, str]) -> Layout:
+    """Find the columns of a recording among the fields of a file.
+
+    Parameters
+    ----------
+    fields : collection of str
+        Names as the file has them.
+    columns : mapping of str to str
+        Our name to the field's name, as the user says; these win.
+
+    Raises
+    ------
+    UsageError
+        If the user names a field that is not there, or a column that is not ours.
+    """
+    sources = {}
+    for target, field in columns.items():
+        if target not in TARGETS:
+            raise UsageError(
+                f"columns: {target!r} is no column of a recording",
+                hint=f"known: {', '.join(TARGETS)}",
+            )
+        if field.removeprefix("-") not in fields:
+            raise UsageError(
+                f"columns: no field {field.removeprefix('-')!r} for {target}",
+                hint=f"fields: {', '.join(fields)}",
+            )
+        sources[target] = field
+    taken = {field.removeprefix("-") for field in sources.values()}
+    lower = {_plain(field): field for field in reversed(list(fields)) if field not in taken}
+    for target, names in NAMES.items():
+        found = next((lower[_plain(name)] for name in names if _plain(name) in lower), None)
+        # Radians that are found by name give way to degrees that the user names.
+        said = any(name.removesuffix("_deg") == target.removesuffix("_deg") for name in columns)
+        if found is not None and not said:
+            sources[target] = found
+    used = {field.removeprefix("-") for field in sources.values()}
+    further = {_apart(field): field for field in fields if field not in used}
+    return Layout(sources=sources, further=further)
+
+
+def _apart(field: str) -> str:
+    """Return a name for a further column that is none of a recording's own."""
+    return f"{field}_" if field in COLUMNS else field
+
+
+def _plain(name: str) -> str:
+    """Return a name without what only style decides: `RangeRate` is `range_rate`."""
+    return name.strip().lower().replace("_", "").replace(" ", "")
+
+
+def _signed(field: str, values: Values) -> Column:
+    if field.startswith("-"):
+        return np.negative(values(field[1:]), dtype=np.float32, casting="unsafe")
+    return values(field)
+
+
+# PointField's numbers for the types of numbers.
+POINT_FIELDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+
+
+def message_rows(message: Any) -> Column:
+    """Return the points of a `sensor_msgs/PointCloud2` as a structured array.
+
+    Fields may lie in any order, packed or with gaps, in either byte order.
+
+    Raises
+    ------
+    DamagedError
+        If a field is of an unknown type or lies outside the point, or data are missing.
+    """
+    order = ">" if message.is_bigendian else "<"
+    fields = [field for field in message.fields if field.count != 0]
+    try:
+        layout = np.dtype(
+            {
+                "names": [field.name for field in fields],
+                "formats": [_kind(field, order) for field in fields],
+                "offsets": [field.offset for field in fields],
+                "itemsize": message.point_step,
+            }
+        )
+    except (KeyError, ValueError) as error:
+        raise DamagedError(f"fields of a cloud make no sense: {error}") from error
+    height, width = message.height, message.width
+    data = np.asarray(message.data, dtype=np.uint8)
+    line = message.row_step if height > 1 else width * message.point_step
+    if line < width * message.point_step or len(data) < height * line:
+        raise DamagedError(f"{len(data):,} bytes for {height} x {width} points")
+    lines = data[: height * line].reshape(height, line)[:, : width * message.point_step]
+    return np.ascontiguousarray(lines).reshape(-1).view(layout) if lines.size else _empty(layout)
+
+
+def values_of(rows: Column) -> Values:
+    """Return how to read a field of structured rows: native numbers, the first of several."""
+
+    def read(name: str) -> Column:
+        column = rows[name]
+        flat = column if column.ndim == 1 else column[:, 0]
+        return flat.astype(flat.dtype.newbyteorder("="))
+
+    return read
+
+
+def frame_of(rows: Column, layout: Layout, **known: Any) -> Frame:
+    """Return a frame of structured rows; see :meth:`Layout.frame`."""
+    return layout.frame(values_of(rows), **known)
+
+
+def _kind(field: Any, order: str) -> Any:
+    kind = order + POINT_FIELDS[field.datatype]
+    return kind if field.count == 1 else (kind, (field.count,))
+
+
+def _empty(layout: np.dtype[Any]) -> Column:
+    return np.empty(0, dtype=layout)

@@ -1,0 +1,350 @@
+"""Convert files and sockets of any known format to recordings."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+import re
+from collections import Counter
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import cache, partial
+from pathlib import Path
+from typing import Any, Self
+
+from gis_radar.errors import InputError, OutputError, UsageError
+from gis_radar.files import refuse_inputs, whole_files
+from gis_radar.progress import QUIET, Reporter
+from gis_radar.recordings import readers
+from gis_radar.recordings.frame_order import Doubles, FrameOrder, merged
+from gis_radar.recordings.frame_times import CLOCKS, Clock, FrameClock
+from gis_radar.recordings.frames import Format, Frame, Reading, counted
+from gis_radar.recordings.writer import RecordingFile
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorRecording:
+    """What became of one sensor's frames.
+
+    Parameters
+    ----------
+    path : Path
+        The recording.
+    sensor : str
+        Source address, topic or name.
+    frames, empty_frames, detections : int
+        How many are in it.
+    begin, end : float
+        UNIX seconds of the first and the last frame.
+    clock : str
+        Whose times they are: `sensor`, `recorder`, or `sensor, then recorder`.
+    """
+
+    path: Path
+    sensor: str
+    frames: int
+    empty_frames: int
+    detections: int
+    begin: float
+    end: float
+    clock: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Conversion:
+    """What became of the inputs.
+
+    Parameters
+    ----------
+    recordings : tuple of SensorRecording
+        One a sensor.
+    left_out : mapping of str to int
+        What was dropped or mended, by kind.
+    """
+
+    recordings: tuple[SensorRecording, ...]
+    left_out: Mapping[str, int]
+
+    @property
+    def outputs(self) -> list[Path]:
+        """The files."""
+        return [recording.path for recording in self.recordings]
+
+    def figures(self) -> dict[str, Any]:
+        """Return what is worth a look, by name."""
+        recordings = self.recordings
+        return {
+            "sensors": [recording.sensor for recording in recordings],
+            "clock": [recording.clock for recording in recordings],
+            "begin": _iso(min(recording.begin for recording in recordings)),
+            "end": _iso(max(recording.end for recording in recordings)),
+            "frames": sum(recording.frames for recording in recordings),
+            "empty_frames": sum(recording.empty_frames for recording in recordings),
+            "detections": sum(recording.detections for recording in recordings),
+            **self.left_out,
+        }
+
+    def __repr__(self) -> str:
+        told = self.figures()
+        files = ", ".join(str(path) for path in self.outputs)
+        return (
+            f"Conversion({files}: {told['frames']} frames, {told['detections']} detections, "
+            f"{told['begin']} to {told['end']})"
+        )
+
+
+class _Track:
+    """One sensor's way from frames as they come to rows of its recording."""
+
+    def __init__(self, sensor: str, file: RecordingFile, clock: Clock, reading: Reading) -> None:
+        self.file = file
+        self.clock = FrameClock(sensor, clock, reading.reporter)
+        self.doubles = Doubles()
+        self.order = FrameOrder(sensor)
+        self._counts = reading.counts
+
+    def put(self, frame: Frame) -> None:
+        if self.doubles.is_new(frame):
+            self._put_in_order(self.clock.feed(frame.sound(self._counts)))
+
+    def finish(self) -> None:
+        self._put_in_order(self.clock.finish())
+        self._write(self.order.finish())
+        self.file.close()
+
+    def _put_in_order(self, timed: Iterator[tuple[float, Frame]]) -> None:
+        for time, frame in timed:
+            self._write(self.order.put(time, frame))
+
+    def _write(self, timed: Iterator[tuple[float, Frame]]) -> None:
+        for time, frame in timed:
+            self.file.add(time, frame)
+
+
+class Tracks:
+    """The sensors of a conversion, as they turn up.
+
+    Parameters
+    ----------
+    folder : Path
+        Where their recordings grow.
+    place : Path
+        Where the recording shall be, or what those of several sensors are named after.
+    clock : str
+        Whose times count.
+    reading : Reading
+        What readers are told, and where they count.
+    """
+
+    def __init__(self, folder: Path, place: Path, clock: Clock, reading: Reading) -> None:
+        self._folder, self._place = folder, place
+        self._clock, self._reading = clock, reading
+        self._tracks: dict[str, _Track] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for track in self._tracks.values():
+            track.file.abandon()
+
+    @property
+    def parts(self) -> list[Path]:
+        """The files as they grow, a sensor each."""
+        return [track.file.path for track in self._tracks.values()]
+
+    def put(self, frame: Frame) -> None:
+        """Take the next frame of whichever sensor."""
+        track = self._tracks.get(frame.sensor)
+        if track is None:
+            part = self._folder / f"{len(self._tracks)}.parquet"
+            file = RecordingFile(part, self._place)
+            track = _Track(frame.sensor, file, self._clock, self._reading)
+            self._tracks[frame.sensor] = track
+        track.put(frame)
+
+    def finish(self) -> Conversion:
+        """Finish all recordings."""
+        if not self._tracks:
+            raise InputError(
+                "no usable frame in the inputs",
+                hint=f"left out: {counted(self._reading.counts) or 'nothing'}",
+            )
+        for sensor, track in self._tracks.items():
+            track.finish()
+            if track.file.left_out:
+                columns = ", ".join(sorted(track.file.left_out))
+                said = f"{sensor}: columns that came late are left out: {columns}"
+                self._reading.reporter.log(said, "warning")
+        counts = Counter(self._reading.counts)
+        for track in self._tracks.values():
+            counts["duplicates"] += track.doubles.count
+            counts["reordered_frames"] += track.order.late
+        recordings = tuple(
+            SensorRecording(
+                path=path,
+                sensor=sensor,
+                frames=track.file.frames,
+                empty_frames=track.file.empty_frames,
+                detections=track.file.detections,
+                begin=track.file.begin,
+                end=track.file.end,
+                clock=", then ".join(track.clock.used),
+            )
+            for path, (sensor, track) in zip(
+                _places(self._place, list(self._tracks)), self._tracks.items(), strict=True
+            )
+        )
+        return Conversion(recordings=recordings, left_out=dict(sorted((+counts).items())))
+
+
+def _places(place: Path, sensors: list[str]) -> list[Path]:
+    """Return where the recordings go: `place` itself, or for several sensors beside it."""
+    if len(sensors) == 1:
+        return [place]
+    words = [re.sub(r"[^\w.-]+", "_", sensor).strip("_.") or "sensor" for sensor in sensors]
+    if len(set(words)) < len(words):  # two sensors may have one name once it is fit for a file
+        words = [f"{word}_{number}" for number, word in enumerate(words)]
+    return [place.with_name(f"{place.stem}.{word}{place.suffix}") for word in words]
+
+
+def _iso(time: float) -> str:
+    text = datetime.fromtimestamp(time, tz=UTC).isoformat(timespec="milliseconds")
+    return text.replace("+00:00", "Z")
+
+
+def convert(
+    inputs: str | Path | Sequence[str | Path],
+    output: str | Path,
+    *,
+    sensor: str | None = None,
+    columns: Mapping[str, str] | None = None,
+    time_unit: str = "s",
+    clock: Clock = "auto",
+    duration_s: float | None = None,
+    reporter: Reporter = QUIET,
+) -> Conversion:
+    """Make recordings from radar data of any known format.
+
+    Frames are put in order of time, doubles and detections without a position are left out and
+    counted, and frames without detections are kept. Memory does not grow with the length.
+
+    Parameters
+    ----------
+    inputs : str, Path, or several
+        Captures, bags, folders of point clouds, tables, or an address such as
+        `udp://224.0.2.2:42102`. Several are merged by time.
+    output : str or Path
+        The recording, `.parquet`. Where the inputs have several sensors, each has a file of its
+        own: `OUT.parquet` becomes `OUT.10.13.1.113.parquet`, and so on.
+    sensor : str, optional
+        Only this sensor (source address, topic).
+    columns : mapping of str to str, optional
+        Our column to the field's name, for clouds and tables; a leading minus turns the sign.
+    time_unit : str
+        Unit of times in tables: `s`, `ms`, `us` or `ns` since 1970.
+    clock : str
+        Whose times count: `auto` takes the sensor's where they are right, else the recorder's.
+    duration_s : float, optional
+        How long to listen to an address; without it until Ctrl-C.
+    reporter : Reporter
+        Told of progress and of what is odd.
+
+    Raises
+    ------
+    UsageError
+        If the options do not fit the inputs.
+    InputError
+        If an input is of no known format, damaged or without radar, or time goes back too far.
+    OutputError
+        If the recording cannot be written, or would replace an input.
+    """
+    sources = [inputs] if isinstance(inputs, str | Path) else list(inputs)
+    names, place = [str(source) for source in sources], Path(output)
+    formats = [format_of(name) for name in names]
+    _refuse_options(formats, place, clock=clock, duration_s=duration_s)
+    refuse_inputs(place, *names)
+    reading = Reading(
+        columns=columns or {},
+        time_unit=time_unit,
+        sensor=sensor,
+        duration_s=duration_s,
+        reporter=reporter,
+    )
+    opened = [partial(_read, form, name) for form, name in zip(formats, names, strict=True)]
+    with (
+        whole_files(place) as (private, places),
+        Tracks(private, place, clock, reading) as tracks,
+    ):
+        for frame in merged(opened, reading):
+            tracks.put(frame)
+        result = tracks.finish()
+        for recording in result.recordings:
+            refuse_inputs(recording.path, *names)
+        places.update(zip(tracks.parts, result.outputs, strict=True))
+    _tell(result, reporter)
+    return result
+
+
+def format_of(source: str) -> Format:
+    """Return the format of an input.
+
+    Raises
+    ------
+    InputError
+        If it does not exist or is of no known format.
+    """
+    for form in known_formats():
+        if form.knows(source):
+            return form
+    if "://" not in source and not Path(source).exists():
+        raise InputError(f"{source}: no such file or folder")
+    takes = "; ".join(f"{form.name}: {form.takes}" for form in known_formats())
+    raise InputError(f"{source}: of no known radar format", hint=takes)
+
+
+@cache
+def known_formats() -> tuple[Format, ...]:
+    """Return the formats, one of each module in `readers`."""
+    found = sorted(info.name for info in pkgutil.iter_modules(readers.__path__))
+    return tuple(importlib.import_module(f"{readers.__name__}.{name}").FORMAT for name in found)
+
+
+def _refuse_options(
+    formats: list[Format], place: Path, *, clock: Clock, duration_s: float | None
+) -> None:
+    if not formats:
+        raise UsageError("no input given")
+    if clock not in CLOCKS:
+        raise UsageError(f"clock is {clock!r}, expected one of {', '.join(CLOCKS)}")
+    if place.suffix.lower() != ".parquet":
+        raise OutputError(f"{place}: a recording is written as .parquet", hint="name it so")
+    live = [form for form in formats if form.live]
+    if live and len(formats) > 1:
+        raise UsageError("an address cannot be merged with other inputs", hint="record it alone")
+    if duration_s is not None and not live:
+        raise UsageError("a duration is for an address; files end by themselves")
+    if duration_s is not None and not duration_s > 0:
+        raise UsageError(f"the duration is {duration_s:g} s, expected more than 0")
+
+
+def _read(form: Format, source: str, reading: Reading) -> Generator[Frame]:
+    """Read an input; what the system refuses is said with the input's name."""
+    try:
+        yield from form.frames(source, reading)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise InputError(f"{source}: cannot be read: {reason}") from error
+
+
+def _tell(result: Conversion, reporter: Reporter) -> None:
+    if len(result.recordings) > 1:
+        reporter.log(f"{len(result.recordings)} sensors, a recording each (--sensor takes one)")
+    for recording in result.recordings:
+        reporter.log(
+            f"{recording.sensor}: {recording.frames:,} frames, "
+            f"{recording.detections:,} detections, clock: {recording.clock}"
+        )
+    if result.left_out:
+        reporter.log(f"left out or mended: {counted(result.left_out)}")

@@ -1,0 +1,150 @@
+"""Frames in order: several inputs merged, late ones put in their place, doubles left out."""
+
+from __future__ import annotations
+
+import heapq
+from collections import Counter, OrderedDict
+from collections.abc import Callable, Generator, Iterator, Sequence
+from dataclasses import replace
+
+from gis_radar.errors import InputError
+from gis_radar.progress import QUIET
+from gis_radar.recordings.frames import Frame, NothingHereError, Reading
+
+# 12 s of a 20 Hz sensor: far more than a network or a bag writer ever reorders.
+WINDOW = 256
+REMEMBERED = 4 * WINDOW
+
+Input = Callable[[Reading], Generator[Frame]]
+Active = tuple[float, int, Frame, Iterator[Frame]]
+
+
+def merged(inputs: Sequence[Input], reading: Reading) -> Iterator[Frame]:
+    """Yield the frames of several inputs in order of arrival, whatever the order of the inputs.
+
+    An input is opened when its first frame is due: a day in a thousand files needs no thousand
+    open files.
+
+    Raises
+    ------
+    NothingHereError
+        If no input has a frame; one of several that has none is a warning.
+    """
+    if len(inputs) == 1:
+        yield from inputs[0](reading)
+        return
+    due = sorted(_begins(inputs, reading), reverse=True)
+    active: list[Active] = []
+    while due or active:
+        while due and (not active or due[-1][0] <= active[0][0]):
+            _, number = due.pop()
+            _push(active, number, inputs[number](reading))
+        if active:
+            _, number, frame, frames = heapq.heappop(active)
+            yield frame
+            _push(active, number, frames)
+
+
+def _push(active: list[Active], number: int, frames: Iterator[Frame]) -> None:
+    frame = next(frames, None)
+    if frame is not None:
+        heapq.heappush(active, (frame.arrival, number, frame, frames))
+
+
+def _begins(inputs: Sequence[Input], reading: Reading) -> list[tuple[float, int]]:
+    """Return when each input begins, and say which have nothing."""
+    looking = replace(reading, reporter=QUIET, counts=Counter())
+    begins: list[tuple[float, int]] = []
+    empty: list[NothingHereError] = []
+    for number, begin in enumerate(inputs):
+        frames = begin(looking)
+        try:
+            begins.append((next(frames).arrival, number))
+        except NothingHereError as error:
+            empty.append(error)
+        frames.close()
+    if not begins:
+        raise empty[0]
+    for nothing in empty:
+        reading.reporter.log(f"{nothing.message} ({nothing.hint})", "warning")
+    return begins
+
+
+class Doubles:
+    """Knows the frames of a sensor that came a while ago.
+
+    Attributes
+    ----------
+    count : int
+        How many came again.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._known: OrderedDict[object, None] = OrderedDict()
+
+    def is_new(self, frame: Frame) -> bool:
+        """Return whether a frame did not come before, and remember it."""
+        if frame.identity is None:
+            return True
+        if frame.identity in self._known:
+            self.count += 1
+            return False
+        self._known[frame.identity] = None
+        if len(self._known) > REMEMBERED:
+            self._known.popitem(last=False)
+        return True
+
+
+class FrameOrder:
+    """Puts the frames of one sensor in order of time, within a window.
+
+    Parameters
+    ----------
+    sensor : str
+        As messages name it.
+
+    Attributes
+    ----------
+    late : int
+        How many came after one that is later.
+    """
+
+    def __init__(self, sensor: str) -> None:
+        self.late = 0
+        self._sensor = sensor
+        self._heap: list[tuple[float, int, Frame]] = []
+        self._number = 0
+        self._latest = -float("inf")
+        self._left = -float("inf")
+
+    def put(self, time: float, frame: Frame) -> Iterator[tuple[float, Frame]]:
+        """Take a frame; yield those that none can precede any more.
+
+        Raises
+        ------
+        InputError
+            If the frame comes so late that those after it are gone.
+        """
+        if time < self._left:
+            raise InputError(
+                f"{self._sensor}: time goes back by {self._latest - time:.3f} s "
+                f"(to {time:.3f} s since 1970), farther than frames are put in order",
+                hint="split the input there, or sort it (reordercap sorts captures)",
+            )
+        self.late += time < self._latest
+        self._latest = max(self._latest, time)
+        self._number += 1
+        heapq.heappush(self._heap, (time, self._number, frame))
+        if len(self._heap) > WINDOW:
+            yield self._pop()
+
+    def finish(self) -> Iterator[tuple[float, Frame]]:
+        """Yield all that is left."""
+        while self._heap:
+            yield self._pop()
+
+    def _pop(self) -> tuple[float, Frame]:
+        time, _, frame = heapq.heappop(self._heap)
+        self._left = time
+        return time, frame

@@ -1,0 +1,156 @@
+"""Frames as formats deliver them, and what a format is."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Generator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gis_radar.errors import InputError
+from gis_radar.progress import QUIET, Reporter
+from gis_radar.recordings.recording import FARTHEST_M
+
+Column = NDArray[Any]
+
+# Fewer bytes between two reports would cost more than they tell.
+BYTES_A_REPORT = 1 << 22
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Frame:
+    """The detections of one radar cycle, as a file or a socket delivers them.
+
+    Parameters
+    ----------
+    sensor : str
+        Which sensor: a source address, a topic, or a name given to the only one.
+    points : (n, 3) float32 array
+        Sensor frame: x forward, y left, z up, metres. NaN where the
+        sensor calls a position invalid.
+    range_rate, rcs : (n,) float32 array
+        m/s, positive when receding, and dBm2; NaN where unknown.
+    further : mapping of str to (n,) array
+        Other columns of the recording.
+    sensor_time, recorder_time : float or None
+        UNIX seconds by the sensor's clock, and by that of the computer that recorded.
+    synchronised : bool
+        False where the sensor itself says that its clock is not set.
+    identity : object
+        Equal for two copies of a frame and for nothing else; None where that cannot be told.
+    """
+
+    sensor: str
+    points: Column
+    range_rate: Column
+    rcs: Column
+    further: Mapping[str, Column] = field(default_factory=dict)
+    sensor_time: float | None = None
+    recorder_time: float | None = None
+    synchronised: bool = True
+    identity: object = None
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    @property
+    def arrival(self) -> float:
+        """When the frame came in, as far as anyone knows: what files are merged by."""
+        if self.recorder_time is not None:
+            return self.recorder_time
+        return 0.0 if self.sensor_time is None else self.sensor_time
+
+    def sound(self, counts: Counter[str]) -> Frame:
+        """Return the frame without detections that have no position, and count those."""
+        placed = np.isfinite(self.points).all(axis=1)
+        near = placed & (np.abs(self.points) <= FARTHEST_M).all(axis=1)
+        # An infinite speed or cross section is one that nobody knows.
+        rate = np.where(np.isfinite(self.range_rate), self.range_rate, np.nan)
+        rcs = np.where(np.isfinite(self.rcs), self.rcs, np.nan)
+        if near.all():
+            return replace(self, range_rate=rate, rcs=rcs)
+        counts["invalid_detections"] += int((~placed).sum())
+        counts["absurd_detections"] += int((placed & ~near).sum())
+        return replace(
+            self,
+            points=self.points[near],
+            range_rate=rate[near],
+            rcs=rcs[near],
+            further={name: values[near] for name, values in self.further.items()},
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reading:
+    """What a format's reader is told, and where it counts what it leaves out.
+
+    Parameters
+    ----------
+    columns : mapping of str to str
+        Which of the file's fields is which of ours, as the user says.
+    time_unit : str
+        Unit of times in tables: `s`, `ms`, `us` or `ns`.
+    sensor : str or None
+        The only sensor that is asked for.
+    duration_s : float or None
+        When a reader that never ends by itself shall end.
+    reporter : Reporter
+        Told of progress and of what is odd.
+    counts : Counter
+        What was left out, by a name that the summary shows.
+    """
+
+    columns: Mapping[str, str] = field(default_factory=dict)
+    time_unit: str = "s"
+    sensor: str | None = None
+    duration_s: float | None = None
+    reporter: Reporter = QUIET
+    counts: Counter[str] = field(default_factory=Counter)
+
+    def wants(self, sensor: str) -> bool:
+        """Return whether the frames of a sensor are asked for."""
+        return self.sensor is None or sensor == self.sensor
+
+
+class DamagedError(Exception):
+    """The bytes of a frame or a file cannot be what they say they are."""
+
+
+class NothingHereError(InputError):
+    """A sound file without a frame that was asked for; others beside it may have some."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Format:
+    """A format that recordings are made from; each module in `readers` has one as `FORMAT`.
+
+    Parameters
+    ----------
+    name : str
+        As the documentation calls it.
+    takes : str
+        What its files look like, for the message on an unknown one.
+    knows : callable
+        Whether an input (a path or an address) is of this format.
+    frames : callable
+        Reads an input. Frames come in order of arrival. Raises NothingHereError where there is
+        none, and says what there is instead.
+    live : bool
+        Whether it never ends by itself.
+    """
+
+    name: str
+    takes: str
+    knows: Callable[[str], bool]
+    frames: Callable[[str, Reading], Generator[Frame]]
+    live: bool = False
+
+
+def counted(seen: Mapping[str, int], *, most: int = 8) -> str:
+    """Return what was seen how often as text, the most frequent first."""
+    ranked = sorted(seen.items(), key=lambda item: (-item[1], item[0]))
+    shown = ", ".join(f"{name} ({count:,})" for name, count in ranked[:most])
+    return f"{shown} and {len(ranked) - most} more" if len(ranked) > most else shown

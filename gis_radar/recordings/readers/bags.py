@@ -1,0 +1,328 @@
+"""Radar in ROS 1 and ROS 2 bags: clouds, scans, detection lists, and packets of the ARS548."""
+
+from __future__ import annotations
+
+import sqlite3
+import struct
+from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager, suppress
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gis_radar.errors import InputError, UsageError
+from gis_radar.recordings.ars548 import METHOD, method_of, read_detections
+from gis_radar.recordings.columns import Layout, find_layout, frame_of, message_rows
+from gis_radar.recordings.frames import DamagedError, Format, Frame, NothingHereError, Reading
+
+CLOUD = "sensor_msgs/msg/PointCloud2"
+# Messages that list their detections one by one: where, and of which type.
+LISTS = {
+    "radar_msgs/msg/RadarScan": ("returns", "radar_msgs/msg/RadarReturn"),
+    "continental_msgs/msg/ContinentalArs548DetectionList": (
+        "detections",
+        "continental_msgs/msg/ContinentalArs548Detection",
+    ),
+}
+# Messages that carry datagrams as they came.
+PACKETS = (
+    "nebula_msgs/msg/NebulaPackets",
+    "nebula_msgs/msg/NebulaPacket",
+    "udp_msgs/msg/UdpPacket",
+    "ethernet_msgs/msg/Packet",
+    "std_msgs/msg/UInt8MultiArray",
+)
+KNOWN = (CLOUD, *LISTS, *PACKETS)
+# ROS 2 bags up to Humble do not say what their messages hold.
+DEFINITIONS = {
+    "radar_msgs/msg/RadarReturn": "float32 range\nfloat32 azimuth\nfloat32 elevation\n"
+    "float32 doppler_velocity\nfloat32 amplitude",
+    "radar_msgs/msg/RadarScan": "std_msgs/Header header\nradar_msgs/RadarReturn[] returns",
+    "nebula_msgs/msg/NebulaPacket": "builtin_interfaces/Time stamp\nuint8[] data",
+    "nebula_msgs/msg/NebulaPackets": "std_msgs/Header header\nnebula_msgs/NebulaPacket[] packets",
+    "udp_msgs/msg/UdpPacket": "std_msgs/Header header\nstring address\nuint16 src_port\n"
+    "uint8[] data",
+    "continental_msgs/msg/ContinentalArs548Detection": "float32 azimuth_angle\n"
+    "float32 azimuth_angle_std\nbool invalid_distance\nbool invalid_distance_std\n"
+    "bool invalid_azimuth\nbool invalid_azimuth_std\nbool invalid_elevation\n"
+    "bool invalid_elevation_std\nbool invalid_range_rate\nbool invalid_range_rate_std\n"
+    "float32 elevation_angle\nfloat32 elevation_angle_std\nfloat32 range\nfloat32 range_std\n"
+    "float32 range_rate\nfloat32 range_rate_std\nint8 rcs\nuint16 measurement_id\n"
+    "uint8 raw_positive_predictive_value\nuint8 classification\n"
+    "uint8 raw_multi_target_probability\nuint16 object_id\nuint8 raw_ambiguity_flag",
+    "continental_msgs/msg/ContinentalArs548DetectionList": "std_msgs/Header header\n"
+    "uint8 stamp_sync_status\ngeometry_msgs/Point origin_pos\nfloat32 origin_pitch\n"
+    "float32 origin_pitch_std\nfloat32 origin_yaw\nfloat32 origin_yaw_std\n"
+    "float32 ambiguity_free_velocity_min\nfloat32 ambiguity_free_velocity_max\n"
+    "float32 alignment_azimuth_correction\nfloat32 alignment_elevation_correction\n"
+    "uint8 alignment_status\ncontinental_msgs/ContinentalArs548Detection[] detections",
+}
+
+
+def typestore(connection: Any) -> Any:
+    """Return what the messages of a topic hold: as the bag describes it, else as is usual.
+
+    Parameters
+    ----------
+    connection : rosbags.interfaces.Connection
+        A topic of a bag.
+
+    Returns
+    -------
+    rosbags.typesys.store.Typestore
+        Knows the topic's type and all in it.
+    """
+    from rosbags.interfaces import MessageDefinitionFormat as Described  # noqa: PLC0415
+    from rosbags.typesys import (  # noqa: PLC0415
+        Stores,
+        get_types_from_idl,
+        get_types_from_msg,
+        get_typestore,
+    )
+
+    definition = connection.msgdef
+    if definition.format == Described.NONE:
+        store = get_typestore(Stores.ROS2_HUMBLE)
+        for name, text in DEFINITIONS.items():
+            store.register(get_types_from_msg(text, name))
+        return store
+    store = get_typestore(Stores.EMPTY)
+    if definition.format == Described.MSG:
+        store.register(get_types_from_msg(definition.data, connection.msgtype))
+    else:
+        store.register(get_types_from_idl(definition.data))
+    return store
+
+
+STORAGE = (".bag", ".db3", ".mcap")
+MENDED_BY = {".bag": "rosbag reindex", ".mcap": "mcap recover", ".db3": "sqlite3 FILE .recover"}
+MESSAGES_A_REPORT = 256
+# What the library lets through when it meets bytes that cannot be.
+DAMAGE = (
+    ValueError, LookupError, AssertionError, RuntimeError, EOFError, MemoryError, OverflowError,
+    TypeError, struct.error,
+)  # fmt: skip
+
+Decode = Callable[[bytes], Any]
+
+
+def _knows(source: str) -> bool:
+    path = Path(source)
+    if path.is_dir():
+        return (path / "metadata.yaml").is_file()
+    return path.is_file() and path.suffix.lower() in STORAGE
+
+
+def _frames(source: str, reading: Reading) -> Generator[Frame]:
+    with _opened(source) as reader:
+        wanted = [c for c in reader.connections if c.msgtype in KNOWN and reading.wants(c.topic)]
+        topics = {topic.id: _Topic(source, topic, reader, reading) for topic in wanted}
+        found = False
+        for topic, stamp, raw in _messages(source, reader, wanted, reading):
+            for frame in topics[topic.id].frames(raw, stamp * 1e-9):
+                found = True
+                yield frame
+        if not found:
+            raise NothingHereError(
+                f"{source}: no radar topic{' of that name' if reading.sensor else ''} in it",
+                hint=f"topics: {_listed(reader)}; known types: {', '.join(KNOWN)}",
+            )
+
+
+def _listed(reader: Any) -> str:
+    return ", ".join(f"{c.topic} ({c.msgtype})" for c in reader.connections) or "none"
+
+
+@contextmanager
+def _opened(source: str) -> Iterator[Any]:
+    """Open a bag of either kind; what it says against its damage becomes one line."""
+    # Here and not above: the library takes a fifth of a second to load.
+    from rosbags import rosbag1, rosbag2  # noqa: PLC0415
+
+    kind = rosbag1 if Path(source).suffix.lower() == ".bag" else rosbag2
+    reader = kind.Reader(source)
+    try:
+        reader.open()
+    except _unreadable() as error:
+        raise _damaged(source, error) from error
+    try:
+        yield reader
+    finally:
+        reader.close()
+
+
+def _messages(
+    source: str, reader: Any, wanted: list[Any], reading: Reading
+) -> Iterator[tuple[Any, int, bytes]]:
+    """Yield the messages of the wanted topics as far as the bag can be read."""
+    total, stage = sum(topic.msgcount for topic in wanted), f"reading {Path(source).name}"
+    messages = iter(reader.messages(connections=wanted)) if wanted else iter(())
+    for number in count():
+        if number % MESSAGES_A_REPORT == 0:
+            reading.reporter.progress(stage, min(number, total), total)
+        try:
+            message = next(messages, None)
+        except _unreadable() as error:
+            if number == 0:
+                raise _damaged(source, error) from error
+            reading.counts["damaged_files"] += 1
+            reading.reporter.log(
+                f"{source}: after {number:,} whole messages: {_first_line(error)}", "warning"
+            )
+            return
+        if message is None:
+            return
+        yield message
+
+
+def _unreadable() -> tuple[type[Exception], ...]:
+    """Return what the library raises when it meets a bag that it cannot read."""
+    from rosbags import rosbag1, rosbag2  # noqa: PLC0415
+
+    kinds = [rosbag1.ReaderError, rosbag2.ReaderError, sqlite3.Error, *DAMAGE]
+    with suppress(ImportError):  # older releases do without
+        from apsw import Error  # noqa: PLC0415
+
+        kinds.append(Error)
+    return tuple(kinds)
+
+
+def _damaged(source: str, error: Exception) -> InputError:
+    mended = MENDED_BY.get(Path(source).suffix.lower(), "ros2 bag reindex")
+    return InputError(
+        f"{source}: cannot be read as a bag: {_first_line(error)}",
+        hint=f"a bag that was cut off: {mended}",
+    )
+
+
+class _Topic:
+    """One topic of a bag: from its messages to frames."""
+
+    def __init__(self, source: str, connection: Any, reader: Any, reading: Reading) -> None:
+        self._name, self._kind = connection.topic, connection.msgtype
+        self._reading = reading
+        self._decode = _decoder(source, connection, reader)
+        self._layouts: dict[tuple[str, ...], Layout] = {}
+
+    def frames(self, raw: bytes, recorded: float) -> Iterator[Frame]:
+        """Yield the frames of a message; one that is damaged is counted."""
+        try:
+            message = self._decode(raw)
+            if self._kind in PACKETS:
+                yield from self._from_packets(message, recorded)
+            else:
+                rows = message_rows(message) if self._kind == CLOUD else _rows(message, self._kind)
+                yield from self._from_rows(rows, message, recorded)
+        # A type of a known name may be of another make, and lack what we look for.
+        except (DamagedError, AttributeError) as error:
+            if not self._reading.counts["damaged_frames"]:
+                self._reading.reporter.log(f"{self._name}: {error}", "warning")
+            self._reading.counts["damaged_frames"] += 1
+
+    def _from_rows(self, rows: Any, message: Any, recorded: float) -> Iterator[Frame]:
+        layout = self._layout(rows.dtype.names)
+        # A cloud without speeds is a lidar's, unless the user asks for it by name.
+        if not (layout.is_radar or (layout.placed and self._reading.sensor)):
+            return
+        stamp = _seconds(message.header.stamp)
+        frame = frame_of(
+            rows,
+            layout,
+            sensor=self._name,
+            sensor_time=stamp,
+            recorder_time=recorded,
+            # Without a stamp, empty clouds are all alike.
+            identity=(stamp, hash(rows.tobytes())) if stamp else None,
+        )
+        yield _without_invalid(frame, rows)
+
+    def _layout(self, names: tuple[str, ...]) -> Layout:
+        if names not in self._layouts:
+            try:
+                layout = find_layout(names, self._reading.columns)
+            except UsageError as error:
+                hint = f"{error.hint}; --sensor takes one topic of several"
+                raise UsageError(f"{self._name}: {error.message}", hint=hint) from error
+            if layout.placed and not layout.is_radar:
+                fields = ", ".join(names)
+                self._reading.reporter.log(f"{self._name}: no speeds among the fields {fields}")
+            self._layouts[names] = layout
+        return self._layouts[names]
+
+    def _from_packets(self, message: Any, recorded: float) -> Iterator[Frame]:
+        for packet in getattr(message, "packets", [message]):
+            data = packet.payload if hasattr(packet, "payload") else packet.data
+            payload = np.asarray(data, dtype=np.uint8).tobytes()
+            if method_of(payload) != METHOD:
+                continue
+            time = _packet_time(packet, recorded)
+            frame = read_detections(payload, sensor=self._name, recorder_time=time)
+            if frame is None:
+                raise DamagedError("a detection list counts more than it holds")
+            yield frame
+
+
+def _decoder(source: str, connection: Any, reader: Any) -> Decode:
+    """Return how messages of a topic are read."""
+    from rosbags.serde import SerdeError  # noqa: PLC0415
+    from rosbags.typesys import TypesysError  # noqa: PLC0415
+
+    try:
+        store = typestore(connection)
+    except (TypesysError, *DAMAGE) as error:
+        raise _damaged(source, error) from error
+    ros1 = type(reader).__module__.startswith("rosbags.rosbag1")
+    read = store.deserialize_ros1 if ros1 else store.deserialize_cdr
+
+    def decode(raw: bytes) -> Any:
+        try:
+            return read(raw, connection.msgtype)
+        except (SerdeError, *DAMAGE) as error:
+            raise DamagedError(_first_line(error)) from error
+
+    return decode
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).partition("\n")[0] or type(error).__name__
+
+
+def _rows(message: Any, kind: str) -> Any:
+    """Return the detections that a message lists, as a structured array."""
+    where, item_kind = LISTS[kind]
+    names = [line.split()[1] for line in DEFINITIONS[item_kind].splitlines()]
+    return np.array(
+        [tuple(getattr(item, name) for name in names) for item in getattr(message, where)],
+        dtype=[(name, np.float32) for name in names],
+    )
+
+
+def _without_invalid(frame: Frame, rows: Any) -> Frame:
+    """Respect the marks of a detection list by which the sensor calls a value invalid."""
+    for name in ("invalid_distance", "invalid_azimuth", "invalid_elevation"):
+        if name in rows.dtype.names:
+            frame.points[rows[name] != 0] = np.nan
+    if "invalid_range_rate" in rows.dtype.names:
+        frame.range_rate[rows["invalid_range_rate"] != 0] = np.nan
+    return frame
+
+
+def _packet_time(packet: Any, recorded: float) -> float:
+    """Return when a packet was received, as far as its message says."""
+    stamped = packet if hasattr(packet, "stamp") else getattr(packet, "header", None)
+    stamp = getattr(stamped, "stamp", None)
+    return recorded if stamp is None else _seconds(stamp)
+
+
+def _seconds(stamp: Any) -> float:
+    return float(stamp.sec + stamp.nanosec * 1e-9)
+
+
+FORMAT = Format(
+    name="ROS bag",
+    takes=".bag (ROS 1), a folder with metadata.yaml, .db3 or .mcap (ROS 2)",
+    knows=_knows,
+    frames=_frames,
+)

@@ -1,0 +1,243 @@
+"""Folders of PCD files, one file a frame, the time in its name; or one such file."""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Generator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gis_radar.errors import InputError
+from gis_radar.recordings.columns import find_layout, frame_of
+from gis_radar.recordings.frames import (
+    Column,
+    DamagedError,
+    Format,
+    Frame,
+    NothingHereError,
+    Reading,
+)
+
+# Digits of a time as one whole number: seconds, milli-, micro-, nanoseconds since 1970.
+WHOLE = {10: 1.0, 13: 1e-3, 16: 1e-6, 19: 1e-9}
+LONGEST_HEADER = 1 << 14
+LARGEST_CLOUD = 1 << 26  # points; a radar has some hundred
+_KINDS = {"F": "f", "I": "i", "U": "u"}
+_DATE = re.compile(
+    r"(\d{4})-?(\d\d)-?(\d\d)[T_ -]?(\d\d)[-:_h]?(\d\d)[-:_m]?(\d\d)(?:[._,-](\d{1,9}))?Z?"
+)
+
+
+def _knows(source: str) -> bool:
+    path = Path(source)
+    if path.is_dir():
+        return any(_files(path))
+    return path.is_file() and path.suffix.lower() == ".pcd"
+
+
+def _files(folder: Path) -> list[Path]:
+    return [path for path in folder.iterdir() if path.suffix.lower() == ".pcd"]
+
+
+def _frames(source: str, reading: Reading) -> Generator[Frame]:
+    place = Path(source)
+    sensor = place.resolve().name if place.is_dir() else place.resolve().parent.name
+    files = _files(place) if place.is_dir() else [place]
+    timed = sorted((time_in_name(path), path) for path in files)
+    if not reading.wants(sensor):
+        raise NothingHereError(f"{source}: holds the sensor {sensor}", hint="name it, or none")
+    found = False
+    for number, (time, path) in enumerate(timed):
+        if number % 64 == 0:
+            reading.reporter.progress(f"reading {place.name}", number, len(timed))
+        try:
+            rows = read_pcd(path)
+        except DamagedError as error:
+            reading.counts["damaged_frames"] += 1
+            reading.reporter.log(f"{path}: {error}", "warning")
+            continue
+        layout = find_layout(rows.dtype.names or (), reading.columns)
+        if not layout.placed:
+            raise InputError(
+                f"{path}: no positions among the fields {', '.join(rows.dtype.names or ())}",
+                hint="say which they are: --columns x=...,y=...,z=...",
+            )
+        found = True
+        yield frame_of(rows, layout, sensor=sensor, sensor_time=time)
+    if not found:
+        raise NothingHereError(f"{source}: no PCD file that can be read", hint="see the warnings")
+
+
+def time_in_name(path: Path) -> float:
+    """Return the time that the name of a file tells, UNIX seconds.
+
+    Known are seconds (`1708578204.202`), seconds and nanoseconds (`1708578204_202447652`), whole
+    milli-, micro- and nanoseconds, and dates in UTC (`2024-02-22T05-03-24.202Z`), anywhere in it.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    stem = path.stem
+    if found := re.search(r"(?<!\d)(\d{10})[._-](\d{1,9})(?!\d)", stem):
+        seconds, rest = found.groups()
+        # After an underscore come nanoseconds, whose leading zeros some writers leave out.
+        text = rest if stem[found.end(1)] == "." else rest.zfill(9)
+        return float(f"{seconds}.{text}")
+    if found := re.search(r"(?<!\d)(\d{10}|\d{13}|\d{16}|\d{19})(?!\d)", stem):
+        return int(found[1]) * WHOLE[len(found[1])]
+    if found := _DATE.search(stem):
+        *date, fraction = found.groups()
+        try:
+            moment = datetime(*map(int, date), tzinfo=UTC)  # type: ignore[arg-type, misc]
+        except ValueError as error:
+            raise InputError(f"{path}: its name has no valid date: {error}") from error
+        return moment.timestamp() + float(f"0.{fraction or 0}")
+    raise InputError(
+        f"{path}: no time in the name of the file",
+        hint="such as 1708578204.202.pcd or 2024-02-22T05-03-24.202Z.pcd (UTC)",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Header:
+    dtype: np.dtype[Any]
+    points: int
+    data: str
+
+
+def read_pcd(path: Path) -> Column:
+    """Return the points of a PCD file (ascii, binary, binary_compressed) as a structured array.
+
+    Raises
+    ------
+    DamagedError
+        If the header is none, or points are missing.
+    """
+    with path.open("rb") as file:
+        header = _header(file)
+        body = file.read()
+    if header.data == "ascii":
+        return _from_text(body, header)
+    if header.data == "binary":
+        return _from_bytes(body, header)
+    if header.data == "binary_compressed":
+        return _from_fields(body, header)
+    raise DamagedError(f"DATA {header.data}: expected ascii, binary or binary_compressed")
+
+
+def _header(file: Any) -> _Header:
+    words: dict[str, list[str]] = {}
+    while "DATA" not in words:
+        line = file.readline(LONGEST_HEADER)
+        if not line or file.tell() > LONGEST_HEADER:
+            raise DamagedError("no PCD header")
+        key, *rest = line.decode("latin-1").partition("#")[0].split() or [""]
+        words[key.upper()] = rest
+    try:
+        names, counts = words["FIELDS"], words.get("COUNT", ["1"] * len(words["FIELDS"]))
+        kinds = [_KINDS[k] + s for k, s in zip(words["TYPE"], words["SIZE"], strict=True)]
+        # Gaps are fields named _, several of them.
+        unique = [f"_{i}" if name == "_" else name for i, name in enumerate(names)]
+        fields = [
+            (name, f"<{kind}", (int(count),)) if count != "1" else (name, f"<{kind}")
+            for name, kind, count in zip(unique, kinds, counts, strict=True)
+        ]
+        size = words.get("POINTS") or [str(int(words["WIDTH"][0]) * int(words["HEIGHT"][0]))]
+        points = int(size[0])
+        dtype = np.dtype(fields)
+    except (KeyError, ValueError, IndexError, TypeError) as error:
+        raise DamagedError(f"the PCD header makes no sense: {error}") from error
+    if not 0 <= points <= LARGEST_CLOUD:
+        raise DamagedError(f"the PCD header speaks of {points:,} points")
+    return _Header(dtype=dtype, points=points, data=(words["DATA"] or [""])[0].lower())
+
+
+def _from_text(body: bytes, header: _Header) -> Column:
+    kinds = [header.dtype[name] for name in header.dtype.names or ()]
+    width = sum(kind.shape[0] if kind.shape else 1 for kind in kinds)
+    values = body.split()
+    if len(values) < header.points * width:
+        raise DamagedError(f"{len(values):,} values for {header.points:,} points of {width}")
+    try:
+        table = np.array(values[: header.points * width], dtype=np.float64)
+    except ValueError as error:
+        raise DamagedError(f"a value is no number: {error}") from error
+    table = table.reshape(header.points, width)
+    rows, column = np.empty(header.points, dtype=header.dtype), 0
+    for name, kind in zip(header.dtype.names or (), kinds, strict=True):
+        wide = kind.shape[0] if kind.shape else 1
+        part = table[:, column : column + wide]
+        rows[name] = part if kind.shape else part[:, 0]
+        column += wide
+    return rows
+
+
+def _from_bytes(body: bytes, header: _Header) -> Column:
+    need = header.points * header.dtype.itemsize
+    if len(body) < need:
+        raise DamagedError(f"{len(body):,} bytes for {header.points:,} points ({need:,})")
+    return np.frombuffer(body, dtype=header.dtype, count=header.points)
+
+
+def _from_fields(body: bytes, header: _Header) -> Column:
+    """Return points that lie one field after the other, compressed."""
+    need = header.points * header.dtype.itemsize
+    if len(body) < 8:
+        raise DamagedError("the compressed points are missing")
+    packed, size = struct.unpack_from("<II", body)
+    if size != need or len(body) < 8 + packed:
+        raise DamagedError(f"{size:,} bytes for {header.points:,} points ({need:,})")
+    plain = decompress(body[8 : 8 + packed], size)
+    rows, begin = np.empty(header.points, dtype=header.dtype), 0
+    for name in header.dtype.names or ():
+        kind = header.dtype[name]
+        end = begin + header.points * kind.itemsize
+        rows[name] = np.frombuffer(plain[begin:end], dtype=kind)
+        begin = end
+    return rows
+
+
+def decompress(packed: bytes, size: int) -> bytes:
+    """Return what LZF packed: literals, and copies of what came before.
+
+    Raises
+    ------
+    DamagedError
+        If it is not `size` bytes.
+    """
+    plain, at = bytearray(), 0
+    try:
+        while at < len(packed) and len(plain) <= size:
+            control, at = packed[at], at + 1
+            if control < 32:
+                plain += packed[at : at + control + 1]
+                at += control + 1
+                continue
+            length, back = control >> 5, (control & 0x1F) << 8
+            if length == 7:
+                length, at = length + packed[at], at + 1
+            start, at = len(plain) - back - packed[at] - 1, at + 1
+            if start < 0:
+                break
+            for place in range(start, start + length + 2):  # it may run into its own copy
+                plain.append(plain[place])
+    except IndexError:
+        pass  # what is there is too short, which is said below
+    if len(plain) != size:
+        raise DamagedError(f"{len(plain):,} bytes are packed, expected {size:,}")
+    return bytes(plain)
+
+
+FORMAT = Format(
+    name="PCD",
+    takes="a folder of .pcd files with the time in their names, or one",
+    knows=_knows,
+    frames=_frames,
+)

@@ -1,0 +1,170 @@
+"""Tables of detections, CSV or Parquet, a row a detection; rows of one time are a frame."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from gis_radar.arrays import Floats
+from gis_radar.errors import InputError, UsageError
+from gis_radar.recordings.columns import NAMES, Layout, find_layout
+from gis_radar.recordings.csv_tables import open_csv_table
+from gis_radar.recordings.frames import Column, Format, Frame, NothingHereError, Reading
+from gis_radar.recordings.recording import BYTES_AT_ONCE, ROWS_AT_ONCE
+
+UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+ENDINGS = (".csv", ".parquet")
+SENSOR = "table"  # several tables are one sensor's, hour by hour
+
+
+def _knows(source: str) -> bool:
+    return Path(source).is_file() and Path(source).suffix.lower() in ENDINGS
+
+
+def _frames(source: str, reading: Reading) -> Generator[Frame]:
+    path = Path(source)
+    if reading.time_unit not in UNITS_S:
+        raise UsageError(f"time unit {reading.time_unit!r}", hint=f"known: {', '.join(UNITS_S)}")
+    names = _names(path, reading.columns)
+    layout = find_layout(names, reading.columns)
+    missing = [name for name in ("time", "x", "y") if name not in layout.sources]
+    if "time" in missing or not layout.placed:
+        raise InputError(
+            f"{path}: not known which columns are {', '.join(missing)}",
+            hint=f"say it: --columns time=...,x=...,y=...; it has {', '.join(names)}",
+        )
+    if not reading.wants(SENSOR):
+        raise NothingHereError(f"{path}: a table has no sensors", hint="leave --sensor away")
+    held: Frame | None = None
+    for frame in _pieces(path, layout, reading):
+        # A frame may go on in the next batch of rows.
+        if held is not None and held.sensor_time == frame.sensor_time:
+            held = _joined(held, frame)
+            continue
+        if held is not None:
+            yield held
+        held = frame
+    if held is None:
+        raise NothingHereError(f"{path}: no rows", hint="it has a header only")
+    yield held
+
+
+def _names(path: Path, columns: Mapping[str, str]) -> tuple[str, ...]:
+    expected = (*(name for known in NAMES.values() for name in known), *columns.values())
+    try:
+        if path.suffix.lower() == ".csv":
+            names = open_csv_table(path, numbers=expected).names
+        else:
+            names = tuple(pq.read_schema(path).names)
+    except (pa.ArrowException, ValueError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from error
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError(f"{path}: has several columns {twice!r}", hint="give each its own name")
+    return names
+
+
+def _batches(path: Path, layout: Layout) -> Iterator[pa.RecordBatch]:
+    if path.suffix.lower() == ".csv":
+        fields = {target: field.removeprefix("-") for target, field in layout.sources.items()}
+        numbers = tuple(field for target, field in fields.items() if target != "time")
+        yield from open_csv_table(path, numbers=numbers).batches()
+        return
+    with pq.ParquetFile(
+        path, buffer_size=BYTES_AT_ONCE, pre_buffer=False, page_checksum_verification=True
+    ) as file:
+        yield from file.iter_batches(ROWS_AT_ONCE, use_threads=False)
+
+
+def _pieces(path: Path, layout: Layout, reading: Reading) -> Iterator[Frame]:
+    """Yield runs of rows of one time, batch by batch."""
+    done = 0
+    try:
+        for batch in _batches(path, layout):
+            reading.reporter.progress(f"reading {path.name}", done, None)
+            done += len(batch)
+            if len(batch):
+                yield from _runs(batch, layout, path, reading)
+    except pa.ArrowException as error:
+        raise InputError(f"{path}: damaged after row {done:,}: {error}") from error
+
+
+def _runs(batch: pa.RecordBatch, layout: Layout, path: Path, reading: Reading) -> Iterator[Frame]:
+    time = _seconds(batch.column(layout.sources["time"]), path, reading.time_unit)
+    columns = {name: _numpy(batch.column(name)) for name in batch.schema.names}
+    for target, field in layout.sources.items():
+        if target != "time" and columns[field.removeprefix("-")].dtype == object:
+            raise InputError(f"{path}: column {field} is text, expected numbers for {target}")
+    whole = layout.frame(columns.__getitem__, sensor=SENSOR)
+    starts = np.flatnonzero(np.diff(time, prepend=np.nan) != 0)
+    for begin, end in zip(starts, [*starts[1:], len(time)], strict=True):
+        yield _part(whole, slice(begin, end), float(time[begin]))
+
+
+def _part(whole: Frame, rows: slice, time: float) -> Frame:
+    # A row that says nothing at all says that there was a frame.
+    blank = rows.stop - rows.start == 1 and np.isnan(whole.points[rows]).all()
+    if blank and np.isnan(whole.range_rate[rows]).all():
+        rows = slice(rows.start, rows.start)
+    return replace(
+        whole,
+        points=whole.points[rows],
+        range_rate=whole.range_rate[rows],
+        rcs=whole.rcs[rows],
+        further={name: values[rows] for name, values in whole.further.items()},
+        sensor_time=time,
+        identity=(time, hash(whole.points[rows].tobytes())),
+    )
+
+
+def _joined(one: Frame, other: Frame) -> Frame:
+    both = {name: np.concatenate([one.further[name], other.further[name]]) for name in one.further}
+    points = np.concatenate([one.points, other.points])
+    return replace(
+        one,
+        points=points,
+        range_rate=np.concatenate([one.range_rate, other.range_rate]),
+        rcs=np.concatenate([one.rcs, other.rcs]),
+        further=both,
+        identity=(one.sensor_time, hash(points.tobytes())),
+    )
+
+
+def _seconds(column: pa.Array, path: Path, unit: str) -> Floats:
+    """Return times as UNIX seconds: numbers in `unit`, or ISO 8601 text, which is UTC."""
+    if pa.types.is_string(column.type) or pa.types.is_large_string(column.type):
+        try:
+            column = pc.cast(column, pa.timestamp("us", tz="UTC"))
+        except pa.ArrowException as error:
+            raise InputError(f"{path}: a time is neither a number nor ISO 8601: {error}") from error
+    if pa.types.is_timestamp(column.type):
+        column, unit = pc.cast(pc.cast(column, pa.timestamp("us")), pa.int64()), "us"
+    time = _numpy(column).astype(np.float64) * UNITS_S[unit]
+    if not np.isfinite(time).all():
+        raise InputError(f"{path}: a row has no time")
+    return np.asarray(time)
+
+
+def _numpy(column: pa.Array) -> Column:
+    """Return a column as numbers where it has some, else as text."""
+    if pa.types.is_boolean(column.type) or pa.types.is_decimal(column.type):
+        column = pc.cast(column, pa.float64())
+    values: Any = column.to_numpy(zero_copy_only=False)
+    if values.dtype.kind in "iuf":
+        return np.asarray(values)
+    return np.array([None if value is None else str(value) for value in values], dtype=object)
+
+
+FORMAT = Format(
+    name="table",
+    takes=".csv or .parquet with columns of any name (--columns)",
+    knows=_knows,
+    frames=_frames,
+)

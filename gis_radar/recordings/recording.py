@@ -1,0 +1,260 @@
+"""Recordings: radar detections over time, read in pieces and checked as they are read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from gis_radar.arrays import Booleans, Floats
+from gis_radar.errors import InputError
+from gis_radar.recordings.csv_tables import open_csv_table
+from gis_radar.steps import FIRST_YEAR, LAST_YEAR, UNIX_SECONDS_HINT, in_known_years
+
+COLUMNS = ("time", "x", "y", "z", "range_rate", "rcs")
+ROWS_AT_ONCE = 65_536
+BYTES_AT_ONCE = 1 << 20
+FARTHEST_M = 1e6  # no radar sees so far, and point cloud files hold no farther coordinates
+
+
+@dataclass(frozen=True, kw_only=True)
+class Detections:
+    """Some consecutive rows of a recording; rows of one frame share one time.
+
+    Parameters
+    ----------
+    time : (n,) array
+        UNIX seconds, UTC, ascending.
+    points : (n, 3) array
+        Sensor frame: x forward, y left, z up, metres. NaN in a frame without detections.
+    range_rate : (n,) array
+        m/s, positive when receding; NaN where unknown.
+    rcs : (n,) array
+        Radar cross section, dBm2.
+    further : pyarrow.RecordBatch
+        The recording's other columns, as they are.
+    """
+
+    time: Floats
+    points: Floats
+    range_rate: Floats
+    rcs: Floats
+    further: pa.RecordBatch
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def present(self) -> Booleans:
+        """Which rows are detections; the others only say that there was a frame."""
+        return ~np.isnan(self.points[:, 0])
+
+    def take(self, keep: Booleans) -> Detections:
+        """Return the rows for which `keep` is true."""
+        return Detections(
+            time=self.time[keep],
+            points=self.points[keep],
+            range_rate=self.range_rate[keep],
+            rcs=self.rcs[keep],
+            further=self.further.filter(pa.array(keep)),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording:
+    """A recording on disk.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    rows : int or None
+        How many rows it has, where that is known without reading it.
+    batches : callable
+        Starts reading: an iterator over record batches of bounded size.
+    """
+
+    path: Path
+    rows: int | None
+    batches: Callable[[], Iterator[pa.RecordBatch]]
+
+    def read(self) -> Iterator[Detections]:
+        """Read the recording piece by piece, in bounded memory.
+
+        Yields
+        ------
+        Detections
+            Consecutive rows; a frame may go on in the next piece.
+
+        Raises
+        ------
+        InputError
+            If the file is damaged, a column is missing or no number, times do not ascend, a
+            coordinate is infinite, absurd or half missing, or there is no row at all. Rows are
+            counted from 1, without a header.
+        """
+        row, last = 0, -np.inf
+        try:
+            for batch in self.batches():
+                piece = _checked(batch, path=self.path, row=row, last=last)
+                if len(piece):
+                    row, last = row + len(piece), float(piece.time[-1])
+                    yield piece
+        except UNREADABLE as error:
+            raise InputError(
+                f"{self.path}: damaged after row {row}: {_first_line(error)}"
+            ) from error
+        if row == 0:
+            raise InputError(f"{self.path}: recording without rows")
+
+
+def open_recording(path: str | Path) -> Recording:
+    """Open a recording of any known format.
+
+    Parameters
+    ----------
+    path : str or Path
+        A Parquet file, or CSV with the same header.
+
+    Raises
+    ------
+    InputError
+        If the file does not exist, is of no known format, lacks columns, or has one twice.
+
+    Examples
+    --------
+    >>> import gis_radar as gr
+    >>> recording = gr.open_recording(gr.sample_folder() / "R1.parquet")
+    >>> detections = next(recording.read())
+    >>> recording.rows, detections.points.shape
+    (853768, (65536, 3))
+    """
+    path = Path(path)
+    if path.suffix.lower() not in FORMATS:
+        raise InputError(
+            f"{path}: not a known recording format ({path.suffix or 'no ending'})",
+            hint=f"known endings: {', '.join(FORMATS)}; gis-radar convert takes other formats",
+        )
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    try:
+        return FORMATS[path.suffix.lower()](path)
+    except UNREADABLE as error:
+        raise InputError(f"{path}: cannot be read: {_first_line(error)}") from error
+
+
+def as_recording(source: str | Path | Recording) -> Recording:
+    """Return a recording, opened if `source` is its path."""
+    return source if isinstance(source, Recording) else open_recording(source)
+
+
+def _open_parquet(path: Path) -> Recording:
+    with pq.ParquetFile(path) as file:
+        _require_columns(file.schema_arrow.names, path)
+        rows = file.metadata.num_rows
+
+    def batches() -> Iterator[pa.RecordBatch]:
+        # A small buffer keeps a file of one huge row group from being read at once.
+        with pq.ParquetFile(
+            path, buffer_size=BYTES_AT_ONCE, pre_buffer=False, page_checksum_verification=True
+        ) as file:
+            yield from file.iter_batches(ROWS_AT_ONCE, use_threads=False)
+
+    return Recording(path=path, rows=rows, batches=batches)
+
+
+def _open_csv(path: Path) -> Recording:
+    table = open_csv_table(path, numbers=COLUMNS)
+    _require_columns(list(table.names), path)
+    return Recording(path=path, rows=None, batches=table.batches)
+
+
+UNREADABLE = (pa.ArrowException, OSError, ValueError)
+NUMERIC = (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal, pa.types.is_null)
+VIEWS = {pa.string_view(): pa.string(), pa.binary_view(): pa.binary()}
+FORMATS: dict[str, Callable[[Path], Recording]] = {".parquet": _open_parquet, ".csv": _open_csv}
+
+
+def _require_columns(names: list[str], path: Path) -> None:
+    missing = [name for name in COLUMNS if name not in names]
+    if missing:
+        raise InputError(
+            f"{path}: recording lacks the column{'s' * (len(missing) > 1)} {', '.join(missing)}",
+            hint=f"a recording has {', '.join(COLUMNS)}",
+        )
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError(
+            f"{path}: recording has {names.count(twice)} columns {twice!r}",
+            hint="give every column a name of its own",
+        )
+
+
+def _checked(batch: pa.RecordBatch, *, path: Path, row: int, last: float) -> Detections:
+    """Turn a batch whose first row is the file's `row` into detections, or say what is wrong."""
+    values = {name: _numbers(batch, name, path) for name in COLUMNS}
+    time, points = values["time"], np.column_stack([values[axis] for axis in "xyz"])
+    _refuse_times(time, path, row, last)
+    _refuse_positions(points, path, row)
+    return Detections(
+        time=time,
+        points=points,
+        range_rate=values["range_rate"],
+        rcs=values["rcs"],
+        further=_further(batch),
+    )
+
+
+def _further(batch: pa.RecordBatch) -> pa.RecordBatch:
+    """Return the columns that are not ours; Arrow cannot take rows of view types."""
+    others = batch.select([name for name in batch.schema.names if name not in COLUMNS])
+    for place, field in enumerate(others.schema):
+        if kind := VIEWS.get(field.type):
+            others = others.set_column(place, field.name, pc.cast(others.column(place), kind))
+    return others
+
+
+def _refuse_times(time: Floats, path: Path, row: int, last: float) -> None:
+    _refuse_rows(~np.isfinite(time), f"{path}: time is not a finite number", row)
+    years = f"{path}: time is outside the years {FIRST_YEAR} to {LAST_YEAR}"
+    _refuse_rows(~in_known_years(time), years, row, hint=UNIX_SECONDS_HINT)
+    _refuse_rows(
+        np.diff(time, prepend=last) < 0.0,
+        f"{path}: time goes back",
+        row,
+        hint="the sensor's clock was set back, or rows are out of order: sort them, or cut there",
+    )
+
+
+def _refuse_positions(points: Floats, path: Path, row: int) -> None:
+    if np.all(np.abs(points) <= FARTHEST_M):
+        return
+    gaps = np.isnan(points)
+    odd = np.isinf(points).any(axis=1) | (gaps.any(axis=1) & ~gaps.all(axis=1))
+    _refuse_rows(np.asarray(odd), f"{path}: position is not finite", row)
+    far = np.asarray((np.abs(points) > FARTHEST_M).any(axis=1))
+    reason = f"{path}: position is over {FARTHEST_M / 1000:.0f} km from the sensor"
+    _refuse_rows(far, reason, row, hint="x, y and z are metres")
+
+
+def _numbers(batch: pa.RecordBatch, name: str, path: Path) -> Floats:
+    column = batch.column(name)
+    # A column that is null throughout has no type of its own; text of digits is still text.
+    if not any(is_kind(column.type) for is_kind in NUMERIC):
+        raise InputError(f"{path}: column {name} is {column.type}, expected numbers")
+    numbers = pc.cast(column, pa.float64(), safe=False).to_numpy(zero_copy_only=False)
+    return np.asarray(numbers, dtype=np.float64)
+
+
+def _refuse_rows(bad: Booleans, message: str, row: int, *, hint: str = "") -> None:
+    if bad.any():
+        raise InputError(f"{message} in row {row + int(bad.argmax()) + 1}", hint=hint)
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).splitlines()[0] if str(error) else type(error).__name__

@@ -1,6 +1,0 @@
-"""The files of a report, by name: for those who write them, and who make room for new ones."""
-
-PAGE, PAPER = "report.html", "report.pdf"
-LANES, LANES_BY_INTERVAL = "lanes.csv", "lanes_by_interval.csv"
-SENSORS, QUALITY = "sensors.csv", "quality.csv"
-REPORT_FILES = (PAGE, PAPER, LANES, LANES_BY_INTERVAL, SENSORS, QUALITY)

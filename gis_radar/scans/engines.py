@@ -1,0 +1,378 @@
+"""Select the points on the roads out of the scans, by PDAL or by laspy.
+
+It keeps to stages that PDAL 2.2 and today's PDAL both have. With classified scans all of its
+stages stream, so its memory does not grow with the points.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import geopandas as gpd
+import laspy
+import numpy as np
+import pyogrio
+import shapely
+
+from gis_radar.crs import Box, moved_box, name_of, same_plane, transformer
+from gis_radar.errors import GisRadarError, UsageError
+from gis_radar.progress import QUIET, Reporter
+from gis_radar.scans.pdal import INSTALL_HINT, PdalRunner, find_pdal
+from gis_radar.scans.point_store import PointStore
+from gis_radar.scans.roads import Roads
+from gis_radar.scans.scan import (
+    LEAST_GROUND_SHARE,
+    NEVER_CLASSES,
+    ROAD_CLASSES,
+    Days,
+    Points,
+    Scan,
+    days_of,
+    ground_share,
+    open_scan,
+)
+
+LAYER, COLUMN = "roads", "road"
+MARGIN_M = 30.0  # what a ground filter looks at around a road: wider than its window
+MARK = "UserData"
+Stage = dict[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pipeline:
+    """Scans to points on the roads.
+
+    Parameters
+    ----------
+    scans : tuple of Scan
+        Those that touch the site.
+    classified : tuple of bool
+        For each, whether its classes tell ground from the rest.
+    roads : Roads
+        The site.
+    """
+
+    scans: tuple[Scan, ...]
+    classified: tuple[bool, ...]
+    roads: Roads = field(repr=False)
+
+    def document(self, *, roads: Path, points: Path, within: Box | None = None) -> dict[str, Any]:
+        """Return the pipeline as PDAL reads it.
+
+        Parameters
+        ----------
+        roads : Path
+            The GeoPackage with the layer `roads`.
+        points : Path
+            The LAZ file that the pipeline writes.
+        within : Box, optional
+            A part of the site, in the roads' system, without those scans that do not touch it;
+            around it a margin is read for the ground filter and left out again.
+        """
+        site = _widened(self.roads.area.bounds, MARGIN_M)
+        area = site if within is None else _common(site, _widened(within, MARGIN_M))
+        groups = [self._group(area, classified=status) for status in (True, False)]
+        stages = [stage for group in groups for stage in group]
+        if all(groups):
+            ends = [group[-1]["tag"] for group in groups]
+            stages.append({"type": "filters.merge", "inputs": ends})
+        if within is not None:
+            stages.append({"type": "filters.crop", "bounds": _text(within)})
+        stages += [
+            {"type": "filters.assign", "assignment": f"{MARK}[:]=0"},
+            {
+                "type": "filters.overlay", "datasource": str(roads), "layer": LAYER,
+                "column": COLUMN, "dimension": MARK,
+            },
+            {"type": "filters.range", "limits": f"{MARK}[1:1]"},
+            {
+                "type": "writers.las", "filename": str(points), "minor_version": 4,
+                "dataformat_id": 6, "a_srs": name_of(self.roads.crs),
+                "scale_x": 0.001, "scale_y": 0.001, "scale_z": 0.001,
+                "offset_x": int(site[0]), "offset_y": int(site[1]), "offset_z": 0,
+            },
+        ]  # fmt: skip
+        return {"pipeline": stages}
+
+    def _group(self, area: Box, *, classified: bool) -> list[Stage]:
+        """Return the stages up to the choice of ground, for scans of one kind."""
+        kind = "classified" if classified else "unclassified"
+        stages, ends = [], []
+        for number, (scan, status) in enumerate(zip(self.scans, self.classified, strict=True)):
+            if status is classified and touches(scan, area, self.roads):
+                stages += self._read(number, scan, area)
+                ends.append(stages[-1]["tag"])
+        if not stages:
+            return []
+        stages.append({"type": "filters.merge", "inputs": ends, "tag": f"all_{kind}"})
+        stages += self._ground(classified=classified)
+        stages[-1]["tag"] = kind
+        return stages
+
+    def _read(self, number: int, scan: Scan, area: Box) -> list[Stage]:
+        box = moved_box(area, self.roads.crs, scan.crs)
+        # The file's own system may be compound; heights shall stay as they are.
+        stages: list[Stage] = [
+            {
+                "type": "readers.las", "filename": str(scan.path.resolve()),
+                "override_srs": name_of(scan.crs), "tag": f"scan_{number}",
+            },
+            {"type": "filters.crop", "bounds": _text(box), "tag": f"crop_{number}"},
+        ]  # fmt: skip
+        if not same_plane(scan.crs, self.roads.crs):
+            stages.append({
+                "type": "filters.reprojection", "in_srs": name_of(scan.crs),
+                "out_srs": name_of(self.roads.crs), "tag": f"map_{number}",
+            })  # fmt: skip
+        # Without its input in words, a stage of PDAL 2.2 streams the points of a reader twice.
+        for stage, before in zip(stages[1:], stages, strict=False):
+            stage["inputs"] = [before["tag"]]
+        return stages
+
+    def _ground(self, *, classified: bool) -> list[Stage]:
+        if classified:
+            return [{"type": "filters.range", "limits": self._limits()}]
+        return [
+            {"type": "filters.assign", "assignment": "Classification[:]=1"},
+            {"type": "filters.elm"},
+            {"type": "filters.smrf", "ignore": "Classification[7:7]"},
+            {"type": "filters.range", "limits": self._limits()},
+        ]
+
+    def _limits(self) -> str:
+        classes = passing_classes(self.roads)
+        return ",".join(f"Classification[{a}:{b}]" for a, b in runs(classes))
+
+
+def passing_classes(roads: Roads) -> list[int]:
+    """Return the classes that pass: ground, and where the map knows heights, what may be it.
+
+    A bridge may bear any class; the map's heights find it later.
+    """
+    if roads.has_heights:
+        return [number for number in range(256) if number not in NEVER_CLASSES]
+    return list(ROAD_CLASSES)
+
+
+def touches(scan: Scan, box: Box, roads: Roads) -> bool:
+    """Tell whether a scan may have points in a box of the roads' system."""
+    west, south, east, north = moved_box(scan.bounds, scan.crs, roads.crs)
+    return west <= box[2] and east >= box[0] and south <= box[3] and north >= box[1]
+
+
+def as_text(document: dict[str, Any]) -> str:
+    """Return a document as JSON to read and to run."""
+    return json.dumps(document, indent=2) + "\n"
+
+
+def _text(box: Box) -> str:
+    west, south, east, north = (repr(round(side, 3)) for side in box)
+    return f"([{west},{east}],[{south},{north}])"
+
+
+def _widened(box: Box, margin_m: float) -> Box:
+    west, south, east, north = box
+    return west - margin_m, south - margin_m, east + margin_m, north + margin_m
+
+
+def _common(a: Box, b: Box) -> Box:
+    return max(a[0], b[0]), max(a[1], b[1]), min(a[2], b[2]), min(a[3], b[3])
+
+
+def runs(numbers: Sequence[int]) -> list[tuple[int, int]]:
+    """Return ascending numbers as runs without gaps."""
+    runs: list[tuple[int, int]] = []
+    for number in numbers:
+        if runs and runs[-1][1] == number - 1:
+            runs[-1] = (runs[-1][0], number)
+        else:
+            runs.append((number, number))
+    return runs
+
+
+OUTSIDE = "outside"
+
+
+def write_layer(roads: Roads, path: Path, *, outside: Any = None) -> None:
+    """Write the layer `roads`, and `outside` with the part of them that the scans miss.
+
+    Parameters
+    ----------
+    roads : Roads
+        The site.
+    path : Path
+        The GeoPackage.
+    outside : MultiPolygon, optional
+        What lies outside the scans.
+    """
+    parts = list(shapely.get_parts(roads.area))
+    layers = {LAYER: gpd.GeoDataFrame({COLUMN: [1] * len(parts)}, geometry=parts, crs=roads.crs)}
+    if outside is not None:
+        shapes = list(shapely.get_parts(outside))
+        layers[OUTSIDE] = gpd.GeoDataFrame(
+            {"area_m2": shapely.area(shapes)}, geometry=shapes, crs=roads.crs
+        )
+    for name, table in layers.items():
+        pyogrio.write_dataframe(
+            table, path, layer=name, driver="GPKG", geometry_type="Polygon",
+            append=path.exists(), dataset_options={"VERSION": "1.2"},
+        )  # fmt: skip
+
+
+NAMES = ("auto", "pdal", "laspy")
+STAGE = "reading scans"
+# PDAL holds the points of a ground filter in memory: more than these go tile by tile.
+MOST_AT_ONCE = 5_000_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Harvest:
+    """What was learnt while the points were read.
+
+    Parameters
+    ----------
+    classified : tuple of bool
+        For each scan, whether its classes tell ground from the rest.
+    on_road : int
+        Points on the roads, in classified scans without those whose class is no road's.
+    flown : (date, date), optional
+        Days of the first and the last point on the roads, where their times tell days.
+    """
+
+    classified: tuple[bool, ...]
+    on_road: int
+    flown: Days | None
+
+
+class Engine(Protocol):
+    """Gets the points on the roads out of scans."""
+
+    @property
+    def name(self) -> str:
+        """What it is, with its version."""
+        ...
+
+    def fill(self, store: PointStore, scans: Sequence[Scan], *, reporter: Reporter) -> Harvest:
+        """Put those points of scans that lie on the roads into a store."""
+        ...
+
+
+def engine_of(name: str, *, reporter: Reporter = QUIET) -> Engine:
+    """Return the engine of a name: `pdal`, `laspy`, or `auto` for the first of them that is there.
+
+    Raises
+    ------
+    GisRadarError
+        If it is to be PDAL and there is none.
+    """
+    if name not in NAMES:
+        raise UsageError(f"engine {name!r} is not known", hint=f"one of {', '.join(NAMES)}")
+    if name == "laspy":
+        return BuiltIn()
+    runner = find_pdal(reporter=reporter)
+    if runner is not None:
+        return Pdal(runner=runner)
+    if name == "pdal":
+        raise GisRadarError("PDAL was not found on this machine", hint=INSTALL_HINT)
+    return BuiltIn()
+
+
+@dataclass(frozen=True, kw_only=True)
+class BuiltIn:
+    """Reads, crops, reprojects and masks with laspy, pyproj and shapely."""
+
+    name: str = f"built-in (laspy {laspy.__version__})"
+
+    def fill(self, store: PointStore, scans: Sequence[Scan], *, reporter: Reporter) -> Harvest:
+        """Put those points of scans that lie on the roads into a store."""
+        total, done = sum(scan.points for scan in scans), 0
+        classified: list[bool] = []
+        times: list[float] = []
+        on_road = 0
+        passing = passing_classes(store.site.roads)
+        for number, scan in enumerate(scans):
+            ground = 0
+            for piece in _pieces(scan, store):
+                ground += piece.ground
+                times += _keep(store, scan, number, piece)
+                done += piece.read
+                reporter.progress(STAGE, done, total)
+            classified.append(ground >= LEAST_GROUND_SHARE * scan.points)
+            store.classified(number, ground=classified[-1])
+            counts = store.counts[number]
+            on_road += int(counts[passing].sum() if classified[-1] else counts.sum())
+        return Harvest(classified=tuple(classified), on_road=on_road, flown=days_of(times))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pdal:
+    """Runs the pipeline with PDAL."""
+
+    runner: PdalRunner
+
+    @property
+    def name(self) -> str:
+        """What it is, with its version."""
+        return self.runner.name
+
+    def fill(self, store: PointStore, scans: Sequence[Scan], *, reporter: Reporter) -> Harvest:
+        """Put those points of scans that lie on the roads into a store."""
+        classified = tuple(ground_share(scan) >= LEAST_GROUND_SHARE for scan in scans)
+        pipeline = Pipeline(scans=tuple(scans), classified=classified, roads=store.site.roads)
+        store.classified(0, ground=True)  # whatever the scans were, the pipeline classified them
+        times: list[float] = []
+        with tempfile.TemporaryDirectory(prefix="gis_radar_") as name:
+            layer, points = Path(name) / "roads.gpkg", Path(name) / "points.laz"
+            write_layer(store.site.roads, layer)
+            parts = _parts(pipeline)
+            for done, within in enumerate(parts):
+                document = pipeline.document(roads=layer, points=points, within=within)
+                self.runner.run(document, reporter=reporter)
+                if _holds_points(points):
+                    result = open_scan(points, crs=store.site.roads.crs)
+                    for piece in _pieces(result, store):
+                        times += _keep(store, result, 0, piece)
+                points.unlink(missing_ok=True)
+                reporter.progress("running the pipeline", done + 1, len(parts))
+        return Harvest(classified=classified, on_road=store.total, flown=days_of(times))
+
+
+def _parts(pipeline: Pipeline) -> list[Box | None]:
+    """Return the parts of the site to run one after the other; one None is the whole site."""
+    waiting = sum(
+        scan.points
+        for scan, classified in zip(pipeline.scans, pipeline.classified, strict=True)
+        if not classified
+    )
+    if waiting <= MOST_AT_ONCE or len(pipeline.scans) == 1:
+        return [None]
+    return [moved_box(scan.bounds, scan.crs, pipeline.roads.crs) for scan in pipeline.scans]
+
+
+def _holds_points(path: Path) -> bool:
+    with laspy.open(path) as reader:
+        return bool(reader.header.point_count)
+
+
+def _pieces(scan: Scan, store: PointStore) -> Iterator[Points]:
+    roads = store.site.roads
+    return scan.pieces(moved_box(roads.area.bounds, roads.crs, scan.crs))
+
+
+def _keep(store: PointStore, scan: Scan, number: int, piece: Points) -> list[float]:
+    """Store the points on the roads; return their earliest and latest time, if any."""
+    x, y = piece.x, piece.y
+    if not same_plane(scan.crs, store.site.roads.crs):
+        x, y = transformer(scan.crs, store.site.roads.crs).transform(x, y)
+    on_road, block = store.site.on_road(x, y)
+    xyz = np.column_stack([x[on_road], y[on_road], piece.z[on_road]])
+    store.add(xyz, piece.category[on_road], block, number)
+    if piece.gps_time is None or len(on_road) == 0:
+        return []
+    times = piece.gps_time[on_road]
+    return [float(times.min()), float(times.max())]

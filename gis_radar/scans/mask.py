@@ -1,0 +1,255 @@
+"""The mask: from airborne scans to the road in cells of half a metre."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import shapely
+
+from gis_radar.arrays import Floats
+from gis_radar.crs import moved_box, name_of
+from gis_radar.errors import InputError, NoAnswerError, UsageError
+from gis_radar.files import whole_file
+from gis_radar.lanelets import LaneletMap
+from gis_radar.notebooks import card
+from gis_radar.progress import QUIET, Reporter
+from gis_radar.scans.cells import SQUARE_M, RoadCells, make_cells
+from gis_radar.scans.engines import Pipeline, engine_of, touches, write_layer
+from gis_radar.scans.point_store import CELL_M, PointStore, site_of
+from gis_radar.scans.road import write_road
+from gis_radar.scans.roads import Roads, roads_of_map
+from gis_radar.scans.scan import Days, Scan, open_scan
+
+LEAST_ROAD_M2 = 20.0
+LEAST_OUTSIDE = 0.001
+BESIDE = (".roads.gpkg", ".pipeline.json")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoadMask:
+    """The road as the scans show it.
+
+    Parameters
+    ----------
+    points : (n, 3) array
+        Centres of cells of 0.5 m with the road's height, metres.
+    roads : Roads
+        The map they were masked by; its coordinate system is theirs.
+    outside : MultiPolygon
+        The part of the map's roads that lies outside the scans.
+    engine : str
+        Who read the scans, with its version.
+    pipeline : Pipeline
+        How the points were got, as PDAL would.
+    vertical : tuple of str
+        Names of the systems of the scans' heights, where these say.
+    flown : (date, date), optional
+        First and last day of the scans on the roads: the epoch of what they show.
+    points_in, points_on_road : int
+        Points in the scans that touch the site, and those of them on its roads; in classified scans
+        without those whose class is no road's.
+    cells : RoadCells
+        How the cells came about.
+    """
+
+    points: Floats = field(repr=False)
+    roads: Roads
+    outside: Any = field(repr=False)
+    engine: str
+    pipeline: Pipeline = field(repr=False)
+    vertical: tuple[str, ...]
+    flown: Days | None
+    points_in: int
+    points_on_road: int
+    cells: RoadCells = field(repr=False)
+
+    @property
+    def covered(self) -> float:
+        """Share of the road's cells that have a point."""
+        return len(self.points) / self.cells.area_cells
+
+    @property
+    def density(self) -> float:
+        """Points a square metre of the road that was scanned."""
+        scanned = self.roads.area.area - self.outside.area
+        return self.points_on_road / scanned if scanned > 0.0 else 0.0
+
+    def figures(self) -> dict[str, Any]:
+        """Return what a user should know about the result."""
+        offset = self.cells.offset_m
+        return {
+            "engine": self.engine,
+            "crs": name_of(self.roads.crs),
+            "vertical_crs": ", ".join(self.vertical) or None,
+            "epoch": [day.isoformat() for day in self.flown] if self.flown else None,
+            "scans": len(self.pipeline.scans),
+            "classified": [bool(status) for status in self.pipeline.classified],
+            "points_in": self.points_in,
+            "points_on_road": self.points_on_road,
+            "points_used": self.cells.used,
+            "density_per_m2": round(self.density, 3),
+            "cells": len(self.points),
+            "covered": round(self.covered, 4),
+            "small_clusters_removed": self.cells.removed,
+            "road_m2": round(self.roads.area.area, 1),
+            "outside_m2": round(self.outside.area, 1),
+            "outside_share": round(self.outside.area / self.roads.area.area, 4),
+            "levels": len(self.roads.levels),
+            "scan_over_map_m": None if np.isnan(offset) else offset,
+        }
+
+    def write(self, path: str | Path) -> list[Path]:
+        """Write the road, its pipeline and the layer of its roads.
+
+        Parameters
+        ----------
+        path : str or Path
+            The LAZ (or LAS) file; `<stem>.pipeline.json` and `<stem>.roads.gpkg` go beside it.
+
+        Returns
+        -------
+        list of Path
+            What was written.
+        """
+        path = Path(path)
+        require_road_name(path)
+        layer, document = (path.with_name(path.stem + end) for end in BESIDE)
+        with whole_file(layer) as part:
+            write_layer(self.roads, part, outside=self.outside)
+        stages = self.pipeline.document(
+            roads=layer.resolve(), points=path.resolve().with_name(f"{path.stem}.points.laz")
+        )
+        with whole_file(document) as part:
+            part.write_text(json.dumps(stages, indent=2) + "\n", encoding="utf-8")
+        with whole_file(path) as part:
+            write_road(self.points, part, crs=self.roads.crs)
+        return [path, document, layer]
+
+    def __repr__(self) -> str:
+        return (
+            f"RoadMask({len(self.points)} cells of {CELL_M} m, {self.covered:.0%} of the roads, "
+            f"{self.density:.1f} points/m2, {self.engine})"
+        )
+
+    def _repr_html_(self) -> str:
+        return card("Road mask", self.figures())
+
+
+def require_road_name(path: str | Path) -> None:
+    """Refuse a name that does not say LAZ, before the work and not after it."""
+    if Path(path).suffix.lower() not in {".laz", ".las"}:
+        raise UsageError(f"{path}: a road is written as LAZ", hint="end the name in .laz")
+
+
+def mask_road(
+    scans: Sequence[str | Path],
+    roads: Roads | LaneletMap,
+    *,
+    engine: str = "auto",
+    scan_crs: Any = None,
+    reporter: Reporter = QUIET,
+) -> RoadMask:
+    """Mask the road out of airborne scans (the paper, "Method Overview").
+
+    Parameters
+    ----------
+    scans : sequence of paths
+        LAS, LAZ or COPC files; those that do not touch the site are skipped by their extent.
+    roads : Roads or LaneletMap
+        From :func:`read_roads`, or the map itself: its lanelets for vehicles.
+    engine : str
+        `pdal`, `laspy` (built-in), or `auto` for PDAL where there is one.
+    scan_crs : CRS, str or int, optional
+        The scans' coordinate system, for files that do not say it.
+    reporter : Reporter
+        Hears how far the work is.
+
+    Raises
+    ------
+    InputError
+        If a scan is damaged, or map and scans do not overlap; CrsError if a scan says no
+        coordinate system; NoAnswerError if nothing on the roads is a road's surface.
+    """
+    roads = roads_of_map(roads) if isinstance(roads, LaneletMap) else roads
+    runner = engine_of(engine, reporter=reporter)
+    opened = [open_scan(scan, crs=scan_crs) for scan in scans]
+    touching = [scan for scan in opened if touches(scan, roads.area.bounds, roads)]
+    if not touching:
+        raise _no_overlap(opened, roads)
+    site = site_of(roads)
+    with tempfile.TemporaryDirectory(prefix="gis_radar_") as folder:
+        store = PointStore(site, Path(folder))
+        harvest = runner.fill(store, touching, reporter=reporter)
+        if store.total == 0:
+            raise _no_overlap(touching, roads)
+        cells = make_cells(store, reporter=reporter)
+    if len(cells.points) == 0:
+        raise NoAnswerError(
+            f"{roads.source}: {store.total} points on its roads, but none on a road's surface"
+        )
+    mask = RoadMask(
+        points=cells.points, roads=roads, engine=runner.name,
+        outside=_outside(cells, touching, roads),
+        vertical=tuple(sorted({scan.vertical for scan in touching} - {""})), flown=harvest.flown,
+        pipeline=Pipeline(scans=tuple(touching), classified=harvest.classified, roads=roads),
+        points_in=sum(scan.points for scan in touching), points_on_road=harvest.on_road,
+        cells=cells,
+    )  # fmt: skip
+    _remark(mask, opened, reporter)
+    return mask
+
+
+def _no_overlap(scans: Sequence[Scan], roads: Roads) -> InputError:
+    names = ", ".join(str(scan.path) for scan in scans[:3]) + (" ..." if len(scans) > 3 else "")
+    return InputError(
+        f"{names}: no point lies on the roads of {roads.source}: scan and map do not overlap",
+        hint=f"the roads lie at {_place(roads)}; is the coordinate system right?",
+    )
+
+
+def _place(roads: Roads) -> str:
+    west, south, east, north = roads.area.bounds
+    return f"{(west + east) / 2:.0f} {(south + north) / 2:.0f} in {roads.crs.name}"
+
+
+def _outside(cells: RoadCells, scans: Sequence[Scan], roads: Roads) -> shapely.MultiPolygon:
+    """Return the roads beyond the scans' extents, and in squares without a single point."""
+    extents = [moved_box(scan.bounds, scan.crs, roads.crs) for scan in scans]
+    known = np.isfinite(extents).all()
+    boxes = [shapely.box(*extent) for extent in extents] if known else [roads.area]
+    beyond = shapely.difference(roads.area, shapely.union_all(boxes))
+    bare, count = np.unique(cells.missing // SQUARE_M, axis=0, return_counts=True)
+    bare = bare[count * CELL_M**2 >= LEAST_ROAD_M2]
+    seen = set(map(tuple, (cells.seen // SQUARE_M).tolist()))
+    corners = np.array([place for place in bare.tolist() if tuple(place) not in seen]) * SQUARE_M
+    boxes = [shapely.box(*corner, *(corner + SQUARE_M)) for corner in corners]
+    empty = shapely.intersection(shapely.union_all(boxes), roads.area)
+    parts = shapely.get_parts(shapely.union(beyond, empty))
+    return shapely.MultiPolygon(list(parts[shapely.area(parts) > 0.0]))
+
+
+def _remark(mask: RoadMask, opened: Sequence[Scan], reporter: Reporter) -> None:
+    reporter.log(f"scans read by {mask.engine}")
+    skipped = len(opened) - len(mask.pipeline.scans)
+    if skipped:
+        reporter.log(f"{skipped} of {len(opened)} scans do not touch the site and were skipped")
+    share = mask.outside.area / mask.roads.area.area
+    if share > LEAST_OUTSIDE:
+        west, south, east, north = mask.outside.bounds
+        reporter.log(
+            f"{share:.1%} of the map's roads lie outside the scans: {mask.outside.area:.0f} m2 "
+            f"within {west:.0f} {south:.0f} {east:.0f} {north:.0f} (layer outside)",
+            "warning",
+        )
+    offset = mask.cells.offset_m
+    if abs(offset) > 2.0:
+        reporter.log(
+            f"the scans lie {offset:.2f} m over the map's heights: another vertical datum?",
+            "warning",
+        )

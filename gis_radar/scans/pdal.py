@@ -1,0 +1,299 @@
+"""PDAL, found on this machine and run: its Python binding or its program.
+
+Both run in a process of their own. PDAL cannot be stopped from Python otherwise, and its libraries
+(GDAL, PROJ) would meet those of other packages in ours.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import IO, Any
+
+from gis_radar.errors import GisRadarError, InputError, OutputError
+from gis_radar.progress import QUIET, Reporter
+
+OLDEST = (2, 2, 0)
+"""The oldest PDAL that has all stages of our pipelines."""
+
+INSTALL_HINT = (
+    "PDAL comes by `conda env create -f environment.yml`, by `conda install -c conda-forge pdal "
+    "python-pdal`, by `apt-get install pdal` on systems with that package, or in a checkout on "
+    "Debian 12 by `make pdal`"
+)
+"""How to come by PDAL, in one line."""
+
+PRIVATE = Path(__file__).parents[2] / ".pdal" / "bin" / "pdal"
+"""Where a checkout's set-up puts PDAL."""
+
+VARIABLE = "GIS_RADAR_PDAL"
+"""The environment variable that names a program to use before any other."""
+
+# What other installations leave in the environment and a self-contained program stumbles over.
+_FOREIGN = {
+    "GDAL_DATA",
+    "GDAL_DRIVER_PATH",
+    "LD_LIBRARY_PATH",
+    "PDAL_DRIVER_PATH",
+    "PROJ_DATA",
+    "PROJ_LIB",
+    "PYTHONHOME",
+    "PYTHONPATH",
+}
+_BINDING = (sys.executable, "-P", "-c")
+_ASK_BINDING = "import pdal; print('pdal', pdal.info.version)"
+_RUN_BINDING = """
+import sys
+import pdal
+try:
+    pipeline = pdal.Pipeline(sys.stdin.read())
+    pipeline.execute()
+except RuntimeError as error:
+    sys.exit(f"PDAL: {error}")
+sys.stderr.write(pipeline.log)
+"""
+# PDAL goes on and ends well after these, but points are not where they should be.
+_LOSES_POINTS = re.compile(r"GDAL failure.*(coordinate operation|[Rr]eproject|[Tt]ransform)")
+_START_S = 60.0
+_LOOK_S = 0.2
+
+
+@dataclass(frozen=True, kw_only=True)
+class PdalRunner:
+    """A PDAL that starts on this machine.
+
+    Parameters
+    ----------
+    name : str
+        What it is, with its version: ``pdal program 2.2.0``.
+    version : tuple of int
+        Major, minor, patch of the library.
+    command : tuple of str
+        What is started; it reads a pipeline from standard input.
+    environment : mapping of str to str
+        The environment it is started in.
+    """
+
+    name: str
+    version: tuple[int, ...]
+    command: tuple[str, ...]
+    environment: Mapping[str, str] = field(repr=False)
+
+    def run(self, pipeline: Mapping[str, Any], *, reporter: Reporter = QUIET) -> None:
+        """Run a pipeline to its end.
+
+        Parameters
+        ----------
+        pipeline : mapping
+            PDAL's document, ``{"pipeline": [stage, ...]}``, whose last stage is a writer. What
+            the writer has begun stays when the run fails: let it write into a private folder
+            (:mod:`gis_radar.files`).
+        reporter : Reporter
+            Is told the seconds so far, and PDAL's warnings.
+
+        Raises
+        ------
+        InputError
+            If PDAL refuses the pipeline or what it reads, with what PDAL said, or could not
+            reproject points, which PDAL itself passes over.
+        OutputError
+            If PDAL cannot write.
+        GisRadarError
+            If PDAL cannot be started or is killed.
+        """
+        with tempfile.TemporaryFile() as document, tempfile.TemporaryFile() as said:
+            document.write(json.dumps(pipeline).encode())
+            document.seek(0)
+            code = self._wait(document, said, reporter)
+            said.seek(0)
+            text = said.read().decode(errors="replace")
+        if code < 0:
+            raise GisRadarError(
+                f"{self.name} was ended by {_signal_name(-code)}",
+                hint="if memory ran out, give it smaller tiles",
+            )
+        lines = [line.strip() for line in text.splitlines() if line.strip()]
+        if code > 0 or any(_LOSES_POINTS.search(line) for line in lines):
+            raise _error(lines, code, pipeline)
+        for line in lines:
+            reporter.log(f"PDAL: {_strip(line)}", "warning")
+
+    def _wait(self, document: IO[bytes], said: IO[bytes], reporter: Reporter) -> int:
+        """Run the child, which does not outlive this call; return its exit code."""
+        try:
+            child = subprocess.Popen(  # noqa: S603 - the command was found by `find_pdal`
+                self.command,
+                stdin=document,
+                stdout=subprocess.DEVNULL,
+                stderr=said,
+                env=dict(self.environment),
+            )
+        except OSError as error:
+            raise GisRadarError(f"{self.command[0]}: does not start: {error.strerror}") from error
+        start = time.monotonic()
+        try:
+            while True:
+                try:
+                    return child.wait(timeout=_LOOK_S)
+                except subprocess.TimeoutExpired:
+                    reporter.progress("running PDAL", int(time.monotonic() - start), None)
+        finally:
+            child.kill()
+            child.wait()
+
+
+def find_pdal(*, reporter: Reporter = QUIET) -> PdalRunner | None:
+    """Find a PDAL that works.
+
+    In this order: the Python binding of the running Python, the program that the environment
+    variable ``GIS_RADAR_PDAL`` names, ``pdal`` on the PATH, the one of the checkout's set-up. What
+    does not start, or is older than 2.2, is passed over with a remark.
+
+    Parameters
+    ----------
+    reporter : Reporter
+        Is told what was passed over, and why.
+
+    Returns
+    -------
+    PdalRunner or None
+        None where there is none; :data:`INSTALL_HINT` says how to get one.
+    """
+    for candidate in candidates():
+        answer = _ask(candidate.ask, tuple(sorted(candidate.environment.items())))
+        if isinstance(answer, str):
+            reporter.log(f"{candidate.place} is passed over: {answer}", "warning")
+            continue
+        number = ".".join(map(str, answer))
+        return PdalRunner(
+            name=f"{candidate.kind} {number}",
+            version=answer,
+            command=candidate.command,
+            environment=candidate.environment,
+        )
+    return None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Candidate:
+    """What may be a working PDAL: what is started for its version, and for a pipeline."""
+
+    kind: str
+    place: str
+    ask: tuple[str, ...]
+    command: tuple[str, ...]
+    environment: Mapping[str, str] = field(repr=False)
+
+
+def candidates() -> Iterator[Candidate]:
+    """Yield what is there, in the order of preference, without starting it."""
+    if _binding_is_installed():
+        yield Candidate(
+            kind="pdal binding",
+            place="the Python package pdal",
+            ask=(*_BINDING, _ASK_BINDING),
+            command=(*_BINDING, _RUN_BINDING),
+            environment=dict(os.environ),
+        )
+    if named := os.environ.get(VARIABLE):
+        yield _program(named, place=f"{VARIABLE}={named}")
+    if found := shutil.which("pdal"):
+        yield _program(found, place=found)
+    if PRIVATE.is_file():
+        clean = {name: value for name, value in os.environ.items() if name not in _FOREIGN}
+        yield _program(str(PRIVATE), place=str(PRIVATE), environment=clean)
+
+
+def _binding_is_installed() -> bool:
+    """Tell whether there is a package `pdal`; a folder that happens to have the name is none."""
+    try:
+        spec = importlib.util.find_spec("pdal")
+    except (ImportError, ValueError):
+        return False
+    return spec is not None and spec.origin is not None
+
+
+def _program(path: str, *, place: str, environment: Mapping[str, str] | None = None) -> Candidate:
+    return Candidate(
+        kind="pdal program",
+        place=place,
+        ask=(path, "--version"),
+        command=(path, "pipeline", "--stdin"),
+        environment=dict(os.environ) if environment is None else environment,
+    )
+
+
+@cache
+def _ask(
+    command: tuple[str, ...], environment: tuple[tuple[str, str], ...]
+) -> str | tuple[int, ...]:
+    """Start a PDAL for its version; return that, or why it is of no use."""
+    try:
+        done = subprocess.run(  # noqa: S603 - asks what `candidates` found
+            command,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            timeout=_START_S,
+            env=dict(environment),
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return f"it does not answer within {_START_S:.0f} s"
+    except OSError as error:
+        return f"it does not start: {error.strerror or error}"
+    if done.returncode != 0:
+        said = done.stderr.decode(errors="replace").strip().splitlines()
+        return ": ".join(["it does not start", *said[-1:]])
+    found = re.search(rb"\bpdal (\d+)\.(\d+)(?:\.(\d+))?", done.stdout)
+    if found is None:
+        return "it does not tell a version of PDAL"
+    version = tuple(int(part or 0) for part in found.groups())
+    if version < OLDEST:
+        return f"it is PDAL {'.'.join(map(str, version))}, needed is 2.2 or newer"
+    return version
+
+
+def _strip(line: str) -> str:
+    """Take from a line of PDAL's log what tells the user nothing."""
+    return re.sub(r"^(\(.*? \w+\)|PDAL:) *(STDIN: )?(GDAL failure \(\d+\) )?", "", line)
+
+
+def _error(lines: list[str], code: int, pipeline: Mapping[str, Any]) -> GisRadarError:
+    """Choose the line that says most, and the error that fits it."""
+    final = [line for line in lines if line.startswith("PDAL: ")]
+    lost = [line for line in lines if _LOSES_POINTS.search(line)]
+    chosen = (final or lost or lines or [f"it ended with exit code {code}"])[0]
+    message = f"PDAL: {_strip(chosen)}"
+    if message.startswith("PDAL: writers."):
+        return OutputError(message)
+    files = [name for stage in pipeline.get("pipeline", []) if (name := _reads(stage))]
+    if message.startswith("PDAL: readers.") and len(files) == 1:
+        message = f"{files[0]}: {message}"
+    cut = re.search(r"reading point \d+ of \d+ total", message)
+    return InputError(message, hint="the file is cut or damaged" if cut else "")
+
+
+def _reads(stage: object) -> object:
+    """Return the file that a stage reads; a bare file name is a reader too."""
+    if isinstance(stage, Mapping) and str(stage.get("type", "readers.")).startswith("readers."):
+        return stage.get("filename")
+    return stage if isinstance(stage, str) else None
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"

@@ -1,0 +1,393 @@
+"""Where the roads are: the lanelets of a map or any polygon layer, as one area on its levels."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pyogrio
+import shapely
+from pyproj import CRS
+from pyproj.exceptions import CRSError as ProjError
+from scipy.spatial import cKDTree
+
+from gis_radar.arrays import Floats, Integers
+from gis_radar.crs import metric_crs, name_of, utm_zone
+from gis_radar.errors import CrsError, InputError
+from gis_radar.lanelets import LaneletMap, read_map
+from gis_radar.lanelets.bounds import at_fractions, length
+from gis_radar.lanelets.tagging import ON_FOOT_OR_BICYCLE
+from gis_radar.progress import QUIET, Reporter
+
+SPACING_M = 2.0
+# Two lanelets this close belong to one surface unless the way from one to the other would be
+# steeper than any road.
+NEAR_M = 6.0
+STEP_M = 1.0
+STEEPEST = 0.3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Level:
+    """Roads that make one surface in the plane: at no place does one pass over another.
+
+    Parameters
+    ----------
+    shapes : array of Polygon
+        Their outlines, which may overlap.
+    heights : (n, 3) array
+        Easting, northing and height of points on them; empty where the map knows no heights.
+    """
+
+    shapes: Any = field(repr=False)
+    heights: Floats = field(default_factory=lambda: np.empty((0, 3)), repr=False)
+
+    @property
+    def has_heights(self) -> bool:
+        """Whether the map knows how high these roads lie."""
+        return len(self.heights) > 0
+
+    @cached_property
+    def tree(self) -> shapely.STRtree:
+        """Finds the shapes at a place."""
+        return shapely.STRtree(self.shapes)
+
+    def height_near(self, xy: Floats) -> Floats:
+        """Return the map's height of the road nearest to the 2 m square of each place, (n,)."""
+        squares = np.floor(xy / SPACING_M).astype(np.int64)
+        squares -= squares.min(axis=0) if len(squares) else 0
+        width = int(squares[:, 0].max(initial=0)) + 1
+        unique, which = np.unique(squares[:, 1] * width + squares[:, 0], return_inverse=True)
+        first = np.empty(len(unique), np.int64)
+        first[which] = np.arange(len(xy))
+        middle = (np.floor(xy[first] / SPACING_M) + 0.5) * SPACING_M
+        return np.asarray(self._heights_at(middle)[which])
+
+    def _heights_at(self, xy: Floats) -> Floats:
+        _, nearest = self._samples.query(xy)
+        return np.asarray(self.heights[nearest, 2])
+
+    @cached_property
+    def _samples(self) -> cKDTree:
+        return cKDTree(self.heights[:, :2])
+
+
+def levels_of(outlines: Any, lefts: Iterable[Any], rights: Iterable[Any]) -> tuple[Level, ...]:
+    """Sort lanelets into levels.
+
+    Parameters
+    ----------
+    outlines : array of Polygon
+        The lanelets in the plane.
+    lefts, rights : iterables of LineString
+        Their bounds, with heights where the map knows them.
+    """
+    outlines = np.asarray(outlines)
+    samples = [_sampled(left, right) for left, right in zip(lefts, rights, strict=True)]
+    owner = np.repeat(np.arange(len(samples)), [len(sample) for sample in samples])
+    points = np.concatenate(samples)
+    known = np.isfinite(points[:, 2])
+    if not known.any():
+        return (Level(shapes=outlines),)
+    points, owner = points[known], owner[known]
+    number = _numbered(points, owner, len(outlines))
+    return tuple(
+        Level(shapes=outlines[number == level], heights=points[number[owner] == level])
+        for level in range(int(number.max()) + 1)
+    )
+
+
+def _sampled(left: shapely.LineString, right: shapely.LineString) -> Floats:
+    """Return points on both bounds and between them, (n, 3)."""
+    bounds = [shapely.get_coordinates(line, include_z=True) for line in (left, right)]
+    count = max(2, round(max(length(bound) for bound in bounds) / SPACING_M) + 1)
+    fractions = np.linspace(0.0, 1.0, count)
+    on_left, on_right = (at_fractions(bound, fractions) for bound in bounds)
+    return np.concatenate([on_left, (on_left + on_right) / 2.0, on_right])
+
+
+def _numbered(points: Floats, owner: Integers, count: int) -> Integers:
+    """Return the level of each lanelet: the lowest that none in conflict with it has taken."""
+    above, below = _conflicts(points, owner)
+    number = np.zeros(count, np.int64)
+    mean = np.bincount(owner, points[:, 2], count) / np.maximum(np.bincount(owner, None, count), 1)
+    rivals: dict[int, set[int]] = {}
+    for a, b in zip(above.tolist(), below.tolist(), strict=True):
+        rivals.setdefault(a, set()).add(b)
+        rivals.setdefault(b, set()).add(a)
+    settled: set[int] = set()
+    for lanelet in sorted(rivals, key=lambda one: (mean[one], one)):
+        taken = {int(number[other]) for other in rivals[lanelet] & settled}
+        number[lanelet] = next(level for level in range(count) if level not in taken)
+        settled.add(lanelet)
+    return number
+
+
+def _conflicts(points: Floats, owner: Integers) -> tuple[Integers, Integers]:
+    """Return pairs of lanelets that cannot be one surface."""
+    if np.ptp(points[:, 2]) <= STEP_M:
+        return np.empty(0, np.int64), np.empty(0, np.int64)
+    pairs = cKDTree(points[:, :2]).query_pairs(NEAR_M, output_type="ndarray")
+    a, b = pairs[owner[pairs[:, 0]] != owner[pairs[:, 1]]].T
+    step = np.abs(points[a, 2] - points[b, 2])
+    near = np.hypot(*(points[a, :2] - points[b, :2]).T)
+    steep = step > STEP_M + STEEPEST * near
+    unique = np.unique(np.column_stack([owner[a[steep]], owner[b[steep]]]), axis=0)
+    return unique[:, 0], unique[:, 1]
+
+
+SAME_AREA = 1e-3
+_POLYGONAL = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
+
+
+def read_polygons(
+    path: str | Path, *, crs: Any = None, layer: str | None = None, reporter: Reporter = QUIET
+) -> gpd.GeoDataFrame:
+    """Read the polygons of a layer.
+
+    A polygon that touches itself or repeats points is mended. One that crosses itself, so that
+    nobody can tell which part of it is meant, is refused.
+
+    Parameters
+    ----------
+    path : str or Path
+        Any format that GDAL reads, or CSV.
+    crs : CRS, str or int, optional
+        The coordinate system, where the file does not say it.
+    layer : str, optional
+        Which layer, where there are several with polygons.
+    reporter : Reporter
+        Told what was mended.
+
+    Raises
+    ------
+    InputError
+        If the file has no usable polygons; CrsError if it does not say its coordinate system.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    table = _read_csv(path) if path.suffix.lower() in {".csv", ".txt"} else _read_layer(path, layer)
+    shapes = shapely.force_2d(table.geometry.array)
+    kept = ~(shapely.is_missing(shapes) | shapely.is_empty(shapes))
+    if not np.isin(shapely.get_type_id(shapes[kept]), _POLYGONAL).all() or not kept.any():
+        kinds = ", ".join(sorted(set(table.geom_type[kept]))) or "nothing"
+        raise InputError(f"{path}: holds {kinds}, polygons of the roads are needed")
+    mended = _mended(shapes[kept], path, reporter)
+    return gpd.GeoDataFrame(geometry=mended, crs=_crs(table, crs, path))
+
+
+def _crs(table: gpd.GeoDataFrame, crs: Any, path: Path) -> CRS:
+    if table.crs is not None:
+        return CRS.from_user_input(table.crs)
+    if crs is None:
+        raise CrsError(f"{path}: has no coordinate system", hint="say which: --map-crs EPSG:25832")
+    try:
+        return CRS.from_user_input(crs)
+    except ProjError as error:
+        raise CrsError(f"--map-crs: {crs!r} is not a known coordinate system") from error
+
+
+def _read_layer(path: Path, layer: str | None) -> gpd.GeoDataFrame:
+    try:
+        name = layer or _only_layer(path)
+        table = pyogrio.read_dataframe(path, layer=name, columns=[])
+    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(
+            f"{path}: not a readable map: {reason}", hint="a Lanelet2 map ends in .osm"
+        ) from error
+    except (shapely.errors.GEOSException, ValueError) as error:
+        raise InputError(f"{path}: has broken geometry: {str(error).splitlines()[0]}") from error
+    if not isinstance(table, gpd.GeoDataFrame):
+        raise InputError(f"{path}: has no geometry, polygons of the roads are needed")
+    return table
+
+
+def _only_layer(path: Path) -> str:
+    layers = pyogrio.list_layers(path)
+    areas = [str(name) for name, kind in layers if kind and "Polygon" in kind]
+    if len(areas) > 1:
+        raise InputError(
+            f"{path}: has {len(areas)} layers with polygons: {', '.join(areas)}",
+            hint="choose one: --layer NAME",
+        )
+    return areas[0] if areas else str(layers[0][0])
+
+
+def _read_csv(path: Path) -> gpd.GeoDataFrame:
+    """Read a table whose column of polygons is found by what stands in it."""
+    try:
+        table = pd.read_csv(path, dtype=str, sep=None, engine="python")
+    except (ValueError, pd.errors.ParserError, UnicodeDecodeError, OSError) as error:
+        raise InputError(f"{path}: not a readable CSV: {str(error).splitlines()[0]}") from error
+    for name in table.columns:
+        texts = table[name].dropna().str.strip()
+        if texts.empty or not texts.iloc[0].upper().startswith(("POLYGON", "MULTIPOLYGON", "[[")):
+            continue
+        try:
+            shapes = [_polygon(text) for text in texts]
+        except (ValueError, TypeError, shapely.errors.GEOSException) as error:
+            raise InputError(f"{path}: column {name!r} has a broken polygon: {error}") from error
+        return gpd.GeoDataFrame(geometry=shapes)
+    raise InputError(f"{path}: has no column of polygons", hint="as WKT, or as rings [[x, y], ...]")
+
+
+def _polygon(text: str) -> Any:
+    return shapely.Polygon(json.loads(text)) if text.startswith("[") else shapely.from_wkt(text)
+
+
+def _mended(shapes: Any, path: Path, reporter: Reporter) -> Any:
+    """Mend polygons where that leaves their area as drawn."""
+    if not np.isfinite(shapely.bounds(shapes)).all():
+        raise InputError(f"{path}: polygon {_first(~np.isfinite(shapely.bounds(shapes)).all(1))} "
+                         "has coordinates that are no numbers")  # fmt: skip
+    invalid = ~shapely.is_valid(shapes)
+    if not invalid.any():
+        return shapes
+    mended = shapes.copy()
+    mended[invalid] = shapely.make_valid(shapes[invalid])
+    # The signed area of a ring that crosses itself is less than what it encloses.
+    off = np.abs(shapely.area(mended) - shapely.area(shapes))
+    unclear = invalid & (off > SAME_AREA * shapely.area(mended) + 1e-9)
+    unclear |= invalid & ~(shapely.area(mended) > 0.0)
+    if unclear.any():
+        reason = shapely.is_valid_reason(shapes[unclear][0]).replace("\n", " ")
+        raise InputError(
+            f"{path}: polygon {_first(unclear)} (from 0) is invalid: {reason}",
+            hint="mend the layer, e.g. in QGIS with Fix geometries",
+        )
+    reporter.log(f"{path.name}: {int(invalid.sum())} polygons mended, their areas kept", "warning")
+    return mended
+
+
+def _first(flags: Any) -> int:
+    return int(np.flatnonzero(flags)[0])
+
+
+MOST_EXTENT_M = 200_000.0  # wider is a node in the wrong place, not a site
+
+
+@dataclass(frozen=True, kw_only=True)
+class Roads:
+    """The roads of a site.
+
+    Parameters
+    ----------
+    crs : CRS
+        Projected, metric; that of the result, too.
+    area : MultiPolygon
+        All that is road, in one.
+    levels : tuple of Level
+        The same by level: roads that pass over each other lie on different ones.
+    source : str
+        The file it came from.
+    """
+
+    crs: CRS
+    area: shapely.MultiPolygon = field(repr=False)
+    levels: tuple[Level, ...] = field(repr=False)
+    source: str
+
+    @property
+    def has_heights(self) -> bool:
+        """Whether the map knows how high its roads lie."""
+        return any(level.has_heights for level in self.levels)
+
+    def __repr__(self) -> str:
+        return f"Roads({self.source}: {self.area.area:.0f} m2, {name_of(self.crs)})"
+
+
+def read_roads(
+    path: str | Path,
+    *,
+    crs: Any = None,
+    map_crs: Any = None,
+    origin: tuple[float, float] | None = None,
+    layer: str | None = None,
+    reporter: Reporter = QUIET,
+) -> Roads:
+    """Read the roads of a Lanelet2 map or of a polygon layer.
+
+    Parameters
+    ----------
+    path : str or Path
+        Lanelet2 in OSM XML (`.osm`); else polygons in any format that GDAL reads, or CSV with
+        a column of WKT or of rings `[[x, y], ...]`.
+    crs : CRS, str or int, optional
+        A projected system in metres for the result; without it that of the layer, or the site's
+        UTM zone where the file is in degrees.
+    map_crs : CRS, str or int, optional
+        The system of a polygon layer that does not say its own.
+    origin : (float, float), optional
+        Of the map's local coordinates, see :func:`read_map`.
+    layer : str, optional
+        Which layer, where a file has several with polygons.
+    reporter : Reporter
+        Told the progress and the remarks.
+
+    Raises
+    ------
+    InputError
+        If there are no usable polygons; CrsError if the coordinate system is missing.
+    """
+    if Path(path).suffix.lower() in {".osm", ".xml"}:
+        return roads_of_map(
+            read_map(path, crs=crs, origin=origin, reporter=reporter), source=str(path)
+        )
+    table = read_polygons(path, crs=map_crs, layer=layer, reporter=reporter)
+    return roads_of_polygons(_projected(table, crs, path), source=str(path))
+
+
+def roads_of_map(roads: LaneletMap, *, source: str = "the map") -> Roads:
+    """Return the roads that the lanelets for vehicles make, as `make_tiles` takes them."""
+    lanelets = roads.lanelets[~roads.lanelets["subtype"].isin(ON_FOOT_OR_BICYCLE)]
+    if lanelets.empty:
+        raise InputError(f"{source}: has no lanelet for vehicles")
+    # The outline of a mended lanelet may still touch itself.
+    outlines = shapely.make_valid(lanelets.geometry.array)
+    return Roads(
+        crs=roads.crs,
+        area=_area(outlines, source),
+        levels=levels_of(outlines, lanelets["left"], lanelets["right"]),
+        source=source,
+    )
+
+
+def roads_of_polygons(table: gpd.GeoDataFrame, *, source: str = "the road layer") -> Roads:
+    """Return the roads that valid polygons in a projected, metric system make."""
+    crs = metric_crs(table.crs, what=source)
+    area = _area(table.geometry.array, source)
+    return Roads(crs=crs, area=area, levels=(Level(shapes=shapely.get_parts(area)),), source=source)
+
+
+def _projected(table: gpd.GeoDataFrame, crs: Any, path: str | Path) -> gpd.GeoDataFrame:
+    if crs is None and table.crs.is_geographic:
+        west, south, east, north = table.to_crs(4326).total_bounds
+        crs = utm_zone((west + east) / 2.0, (south + north) / 2.0)
+    if crs is None:
+        return table.set_crs(metric_crs(table.crs, what=str(path)), allow_override=True)
+    moved = table.to_crs(metric_crs(crs, what="--crs"))
+    if not np.isfinite(moved.total_bounds).all():
+        raise CrsError(f"{path}: lies outside the area of {crs}")
+    return moved
+
+
+def _area(shapes: Any, source: str) -> shapely.MultiPolygon:
+    parts = shapely.get_parts(shapely.union_all(shapes))
+    parts = parts[shapely.area(parts) > 0.0]
+    if len(parts) == 0:
+        raise InputError(f"{source}: its polygons have no area")
+    area = shapely.MultiPolygon(list(parts))
+    west, south, east, north = area.bounds
+    if max(east - west, north - south) > MOST_EXTENT_M:
+        far_km = max(east - west, north - south) / 1000.0
+        raise InputError(f"{source}: spans {far_km:.0f} km, which is no site", hint="cut it out")
+    return area

@@ -1,0 +1,210 @@
+"""How well what stands in a recording lies on a scan, here and at poses moved and turned."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import fft, ndimage
+
+from gis_radar.arrays import Booleans, Floats
+from gis_radar.second_look.standing import CELL_M, Standing
+from gis_radar.second_look.structure import Structure
+
+CLOSE_M = 0.75  # how far a radar's echo of a wall may lie from where a scan sees its roof end
+COARSE = 2  # the search over all headings takes cells twice as wide, and twice the slack
+TURN_DEG = 1.0
+SHIFT_M = 10.0
+LANE_M = 3.0  # from here on, and from `ASKEW_DEG`, a pose is another one
+ASKEW_DEG = 3.0
+CANDIDATES = 8
+STEPS = ((1.0, 1.0), (0.5, 0.5), (0.25, 0.25), (0.1, 0.1))  # metres, degrees
+
+
+@dataclass(frozen=True, kw_only=True)
+class Offset:
+    """A pose beside the answer, and how well it fits.
+
+    Parameters
+    ----------
+    ahead_m, left_m : float
+        How far it is moved, as the sensor looks.
+    turn_deg : float
+        How far it is turned about the sensor, counter-clockwise, -180 to 180.
+    score : float
+        0 to 1; see :class:`Alignment`.
+    """
+
+    ahead_m: float
+    left_m: float
+    turn_deg: float
+    score: float
+
+    @property
+    def place(self) -> tuple[float, float, float]:
+        """Metres ahead and left, and degrees."""
+        return self.ahead_m, self.left_m, self.turn_deg
+
+    @property
+    def shift_m(self) -> float:
+        """How far it is moved."""
+        return float(np.hypot(self.ahead_m, self.left_m))
+
+    def words(self) -> str:
+        """Say it in words."""
+        return f"{self.shift_m:.1f} m and {abs(self.turn_deg):.1f} deg away"
+
+    def beyond(self, shift_m: float, turn_deg: float) -> bool:
+        """Tell whether it is moved or turned so far."""
+        return self.shift_m >= shift_m or abs(self.turn_deg) >= turn_deg
+
+
+HERE = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Alignment:
+    """What stands, laid on a scan.
+
+    The score of a pose is the mean over the standing cells of `exp(-d^2 / 2 CLOSE_M^2)`, `d` their
+    distance to the next structure of the scan: the share that lies where it should.
+
+    Parameters
+    ----------
+    standing : Standing
+        The cells, in the level frame of the answer.
+    closeness : (n, n) array
+        That value for each cell of the frame.
+    """
+
+    standing: Standing = field(repr=False)
+    closeness: Floats = field(repr=False)
+
+    def at(self, offset: Sequence[float]) -> Floats:
+        """Return the closeness of each standing cell at (ahead, left, turn in degrees)."""
+        ahead, left, turn = offset
+        angle = np.radians(turn)
+        cos, sin = np.cos(angle), np.sin(angle)
+        x, y = self.standing.points[:, :2].T
+        place = np.array([cos * x - sin * y + ahead, sin * x + cos * y + left]) / CELL_M
+        return np.asarray(
+            ndimage.map_coordinates(
+                self.closeness, place + (len(self.closeness) // 2 - 0.5), order=1, mode="constant"
+            )
+        )
+
+    def score(self, offset: Sequence[float] = HERE) -> float:
+        """Return the score at (ahead, left, turn in degrees)."""
+        return float(self.at(offset).mean())
+
+    def offset(self, place: Sequence[float]) -> Offset:
+        """Return an offset with its score."""
+        ahead, left, turn = (float(value) for value in place)
+        turn = (turn + 180.0) % 360.0 - 180.0
+        return Offset(ahead_m=ahead, left_m=left, turn_deg=turn, score=self.score(place))
+
+    @property
+    def here(self) -> Offset:
+        """The answer itself."""
+        return self.offset(HERE)
+
+    def lead(self, one: Offset, other: Offset) -> float:
+        """Return by how many standard deviations what stands prefers one offset to another.
+
+        Neighbouring cells show one wall or one tree, so they vote in patches.
+        """
+        return self._vote(self.at(one.place) - self.at(other.place))
+
+    def over(self, chance: float) -> float:
+        """Return by how many standard deviations the answer's score is over another one."""
+        return self._vote(self.at(HERE) - chance)
+
+    def _vote(self, gain: Floats) -> float:
+        votes = np.bincount(self.standing.patch, gain)
+        spread = float(np.sqrt((votes**2).sum()))
+        return float(votes.sum()) / spread if spread > 0.0 else 0.0
+
+    def climbed(self, place: Sequence[float], *, apart: bool = False) -> Offset:
+        """Walk from an offset to the top nearby; with `apart`, stay away from the answer."""
+        best = self.offset(place)
+        for shift_m, turn_deg in STEPS:
+            step = np.array([shift_m, shift_m, turn_deg])
+            for _ in range(30):
+                around = [self.offset(best.place + move * step) for move in _MOVES]
+                around = [o for o in around if o.shift_m <= _FARTHEST_M]
+                if apart:
+                    around = [o for o in around if o.beyond(LANE_M, ASKEW_DEG)]
+                top = max(around, key=lambda o: o.score, default=best)
+                if top.score <= best.score + 1e-9:
+                    break
+                best = top
+        return best
+
+    def surface(self) -> Floats:
+        """Return the scores at the answer's heading, (ahead, left) every cell up to `SHIFT_M`."""
+        return _shifted(_Search(self, 1), 0.0)
+
+    def explored(self) -> tuple[list[Offset], float]:
+        """Return the best offsets far from each other in all headings, and the mean of all."""
+        search = _Search(self, COARSE)
+        turns = np.arange(-180.0, 180.0, TURN_DEG)
+        scores = np.stack([_shifted(search, turn) for turn in turns])
+        size = (7, 5, 5)
+        peak = ndimage.maximum_filter(scores, size, mode=("wrap", "nearest", "nearest")) == scores
+        order = np.argsort(-np.where(peak, scores, -1.0), axis=None)[:CANDIDATES]
+        tops = np.column_stack(np.unravel_index(order, scores.shape))
+        middle = scores.shape[1] // 2
+        places = [
+            ((i - middle) * CELL_M * COARSE, (j - middle) * CELL_M * COARSE, turns[k])
+            for k, i, j in tops.tolist()
+        ]
+        return [self.offset(place) for place in places], float(scores.mean())
+
+
+_MOVES = np.array(
+    [(a, b, c) for a in (-1, 0, 1) for b in (-1, 0, 1) for c in (-1, 0, 1) if a or b or c], float
+)
+_FARTHEST_M = SHIFT_M * np.sqrt(2.0)
+
+
+def align(standing: Standing, structure: Structure) -> Alignment:
+    """Lay what stands on a scan."""
+    return Alignment(standing=standing, closeness=_closeness(structure.visible, CLOSE_M))
+
+
+def _closeness(cells: Booleans, slack_m: float) -> Floats:
+    if not cells.any():
+        return np.zeros(cells.shape)
+    away = ndimage.distance_transform_edt(~cells) * CELL_M
+    return np.asarray(np.exp(-0.5 * (away / slack_m) ** 2))
+
+
+class _Search:
+    """Scores of all shifts at once, by convolution."""
+
+    def __init__(self, alignment: Alignment, coarse: int) -> None:
+        field = alignment.closeness
+        if coarse > 1:
+            field = ndimage.gaussian_filter(field, coarse * CLOSE_M / CELL_M / 2.0)
+        size = len(field) // coarse
+        field = field[: size * coarse, : size * coarse]
+        field = field.reshape(size, coarse, size, coarse).mean(axis=(1, 3))
+        self.size = int(fft.next_fast_len(size, real=True))
+        self.middle = size / 2.0
+        self.cell_m = CELL_M * coarse
+        self.most = round(SHIFT_M / self.cell_m)
+        self.points = alignment.standing.points[:, :2]
+        self.spectrum = fft.rfft2(field.astype(np.float32), (self.size, self.size))
+
+
+def _shifted(search: _Search, turn_deg: float) -> Floats:
+    angle = np.radians(turn_deg)
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    place = np.floor(search.points @ turn / search.cell_m + search.middle).astype(np.int64)
+    cell = place[:, 0] * search.size + place[:, 1]
+    count = np.bincount(cell, minlength=search.size**2).astype(np.float32)
+    image = fft.rfft2(count.reshape(search.size, search.size))
+    scores = fft.irfft2(search.spectrum * np.conj(image), (search.size, search.size))
+    reach = np.arange(-search.most, search.most + 1)
+    return np.asarray(scores[np.ix_(reach, reach)], np.float64) / len(search.points)

@@ -1,0 +1,199 @@
+"""Find what stands in a recording: facades, crowns and poles, hit again and again at one place."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.poses.pose import Pose
+from gis_radar.progress import QUIET, Reporter
+from gis_radar.recordings.recording import Recording, as_recording
+
+CELL_M = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Level:
+    """A frame that stands under a sensor, looks where it looks, and has the map's heights.
+
+    In it, nothing depends on where on earth a site lies and how it is turned.
+
+    Parameters
+    ----------
+    pose : Pose
+        The sensor.
+    """
+
+    pose: Pose
+
+    @property
+    def _turn(self) -> Floats:
+        yaw = np.radians(self.pose.yaw)
+        return np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+
+    def from_map(self, xyz: Floats) -> Floats:
+        """Move (n, 3) points from the map into the frame."""
+        return np.column_stack([(xyz[:, :2] - self.pose.position[:2]) @ self._turn, xyz[:, 2]])
+
+    def to_map(self, xyz: Floats) -> Floats:
+        """Move (n, 2) or (n, 3) points from the frame into the map."""
+        flat = xyz[:, :2] @ self._turn.T + self.pose.position[:2]
+        return np.column_stack([flat, xyz[:, 2:]])
+
+    def from_sensor(self, xyz: Floats) -> Floats:
+        """Move (n, 3) points from the sensor frame into the frame."""
+        return self.from_map(self.pose.to_map(xyz))
+
+    @staticmethod
+    def cells(points: Floats, size: int) -> tuple[Integers, Integers]:
+        """Return row and column, ahead and left, of points in a grid of `size` cells a side.
+
+        The sensor stands in the grid's middle; points beyond its edge count to the outermost.
+        """
+        place = np.floor(points[:, :2] / CELL_M).astype(np.int64) + size // 2
+        rows, columns = np.clip(place, 0, size - 1).T
+        return rows, columns
+
+
+FRAMES = 2000  # the paper's window, as for the traces: 100 s at 20 Hz
+SLOW_MPS = 1.0  # leaves rustle up to here; what travels so slowly does not stay
+STILL_MPS = 0.15  # the paper's Doppler threshold
+SPANS = 20
+LEAST_SPANS = 8
+OVERHEAD_M = 2.0  # over parked cars, people and what grows beside the kerb
+PATCH_M = 8.0  # a tree, or a piece of wall
+STAGE = "reading what stands"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Slow:
+    """Detections that hardly move, from the last frames of a recording.
+
+    Parameters
+    ----------
+    points : (n, 3) array
+        Sensor frame, metres.
+    rustles : (n,) bool array
+        Whether they move like leaves rather than not at all.
+    span : (n,) array
+        In which of `SPANS` equal parts of the window they lie.
+    frames : int
+        Length of the window.
+    """
+
+    points: Floats = field(repr=False)
+    rustles: Booleans = field(repr=False)
+    span: Integers = field(repr=False)
+    frames: int
+
+    @property
+    def reach_m(self) -> float:
+        """Within which distance nearly all of them lie, metres."""
+        if len(self.points) == 0:
+            return 0.0
+        return float(np.percentile(np.linalg.norm(self.points, axis=1), 99.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Standing:
+    """Cells of the plane over which something stands, in the level frame of a pose.
+
+    Parameters
+    ----------
+    points : (n, 3) array
+        Mean place of the detections over each cell: ahead, left, height; metres.
+    rustles : (n,) array
+        Share of them that move like leaves.
+    """
+
+    points: Floats
+    rustles: Floats
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    @property
+    def patch(self) -> Integers:
+        """Number of the square of `PATCH_M` in which each cell lies."""
+        squares = np.floor(self.points[:, :2] / PATCH_M).astype(np.int64)
+        return np.asarray(np.unique(squares, axis=0, return_inverse=True)[1])
+
+    @property
+    def patches(self) -> int:
+        """How many such squares there are."""
+        return len(np.unique(self.patch))
+
+
+def read_slow(
+    recording: str | Path | Recording, *, frames: int = FRAMES, reporter: Reporter = QUIET
+) -> Slow:
+    """Read what hardly moves in the last frames of a recording, in bounded memory.
+
+    Raises
+    ------
+    InputError
+        If the recording cannot be read.
+    """
+    source = as_recording(recording)
+    times: deque[float] = deque(maxlen=frames)
+    pieces: deque[tuple[Any, Any, Any]] = deque()
+    done = 0
+    for piece in source.read():
+        stamps = np.unique(piece.time)
+        times.extend(stamps[1:] if times and times[-1] == stamps[0] else stamps)
+        keep = piece.present & (np.abs(piece.range_rate) <= SLOW_MPS)
+        rates = piece.range_rate[keep].astype(np.float32)
+        pieces.append((piece.time[keep], piece.points[keep].astype(np.float32), rates))
+        while pieces and (len(pieces[0][0]) == 0 or pieces[0][0][-1] < times[0]):
+            pieces.popleft()
+        done += len(piece)
+        reporter.progress(STAGE, done, source.rows)
+    none = (np.empty(0), np.empty((0, 3), np.float32), np.empty(0, np.float32))
+    time, points, rate = (np.concatenate(parts) for parts in zip(none, *pieces, strict=True))
+    inside = time >= times[0]
+    frame = np.searchsorted(np.asarray(times), time[inside])
+    return Slow(
+        points=points[inside],
+        rustles=np.abs(rate[inside]) > STILL_MPS,
+        span=frame * SPANS // len(times),
+        frames=len(times),
+    )
+
+
+def standing(slow: Slow, level: Level, ground: Floats, *, reach_m: float) -> Standing:
+    """Find the cells over which something stands through most of the window.
+
+    Parameters
+    ----------
+    slow : Slow
+        From :func:`read_slow`.
+    level : Level
+        The level frame of the pose.
+    ground : (cells, cells) array
+        Height of the ground under the cells of that frame, NaN where unknown.
+    reach_m : float
+        Farther away nothing counts.
+    """
+    points = level.from_sensor(slow.points)
+    near = np.hypot(points[:, 0], points[:, 1]) < reach_m
+    rows, columns = level.cells(points[near], len(ground))
+    over = points[near, 2] - ground[rows, columns]
+    # under the ground by much: it lies in a house whose roof was taken for the ground
+    tall = ~(np.abs(over) < OVERHEAD_M)
+    points, span, rustles = points[near][tall], slow.span[near][tall], slow.rustles[near][tall]
+    cell = rows[tall] * len(ground) + columns[tall]
+    cells, place = np.unique(cell, return_inverse=True)
+    hit = np.zeros((len(cells), SPANS), bool)
+    hit[place, span] = True
+    kept = hit.sum(axis=1) >= LEAST_SPANS
+    counts = np.bincount(place, minlength=len(cells))[kept]
+    means = [
+        np.bincount(place, values, minlength=len(cells))[kept] / counts
+        for values in (*points.T, rustles)
+    ]
+    return Standing(points=np.column_stack(means[:3]), rustles=means[3])

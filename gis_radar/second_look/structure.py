@@ -1,0 +1,216 @@
+"""What an airborne scan shows a radar: crowns of trees, and where walls rise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pyproj import CRS
+from scipy import ndimage
+
+from gis_radar.arrays import Booleans, Floats
+from gis_radar.crs import Box, moved_box, same_plane, transformer
+from gis_radar.progress import QUIET, Reporter
+from gis_radar.scans import Points, Scan, open_scan
+from gis_radar.second_look.standing import CELL_M, Level
+
+GROUND, PLANTS, BUILDING = (2, 8, 11, 17), (3, 4, 5), (6,)
+UNFIT = (7, 9, 13, 14, 15, 16, 18)  # noise, water, wires and pylons
+LEAST_GROUND_SHARE = 0.01
+TALL_M = 2.5
+JUMP_CELLS = 3
+GAP_CELLS = 3
+GROUND_CELLS = 4  # cells of the ground are so many times wider
+WIDEST_ROOF_M = 40.0
+STAGE = "reading the scan"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Structure:
+    """Grids of cells in the level frame of a pose, rows ahead and columns left.
+
+    Parameters
+    ----------
+    top : (n, n) array
+        Height of the highest point, NaN where the scan has none.
+    ground : (n, n) array
+        Height of the ground, also under roofs and crowns; NaN far from any point.
+    canopy, roof : (n, n) bool array
+        Plants of more than `TALL_M` and buildings, by their classes; nowhere without these.
+    edge : (n, n) bool array
+        Where something rises by more than `TALL_M`: walls, rims of crowns.
+    classified : bool
+        Whether every scan tells plants or buildings from the rest.
+    """
+
+    top: Floats = field(repr=False)
+    ground: Floats = field(repr=False)
+    canopy: Booleans = field(repr=False)
+    roof: Booleans = field(repr=False)
+    edge: Booleans = field(repr=False)
+    classified: bool
+
+    @property
+    def visible(self) -> Booleans:
+        """Cells in which a radar may see something that stands."""
+        return self.edge | self.canopy
+
+
+class _Tops:
+    """Highest and lowest points by cell, gathered from pieces."""
+
+    def __init__(self, size: int) -> None:
+        self.any, self.plants, self.building = (np.full((size, size), -np.inf) for _ in range(3))
+        self.ground, self.low = (np.full((size, size), np.inf) for _ in range(2))
+        self.points = 0
+
+    def add(self, xyz: Floats, category: Any) -> None:
+        size = len(self.any)
+        half = size // 2 * CELL_M
+        kept = (np.abs(xyz[:, :2]) < half).all(axis=1) & ~np.isin(category, UNFIT)
+        xyz, category = xyz[kept], category[kept]
+        rows, columns = Level.cells(xyz, size)
+        self.points += len(xyz)
+        for grid, which in ((self.plants, PLANTS), (self.building, BUILDING)):
+            of = np.isin(category, which)
+            np.maximum.at(grid, (rows[of], columns[of]), xyz[of, 2])
+        of = np.isin(category, GROUND)
+        np.minimum.at(self.ground, (rows[of], columns[of]), xyz[of, 2])
+        np.minimum.at(self.low, (rows, columns), xyz[:, 2])
+        np.maximum.at(self.any, (rows, columns), xyz[:, 2])
+
+
+def read_structure(
+    scans: Sequence[str | Path],
+    level: Level,
+    *,
+    reach_m: float,
+    scan_crs: Any = None,
+    reporter: Reporter = QUIET,
+) -> Structure | None:
+    """Read what stands around a sensor from airborne scans, piece by piece.
+
+    Parameters
+    ----------
+    scans : sequence of paths
+        LAS, LAZ or COPC.
+    level : Level
+        The level frame of the sensor's pose.
+    reach_m : float
+        Up to how far from the sensor.
+    scan_crs : CRS, str or int, optional
+        The scans' coordinate system, for files that do not say it.
+    reporter : Reporter
+        Told the progress.
+
+    Returns
+    -------
+    Structure, or None where no scan has a point there.
+
+    Raises
+    ------
+    InputError
+        If a scan is damaged; CrsError if it says no projected, metric coordinate system.
+    """
+    opened = [open_scan(scan, crs=scan_crs) for scan in scans]
+    tops = _Tops(2 * int(np.ceil(reach_m / CELL_M)))
+    east, north, _ = level.pose.position
+    box = box_around(east, north, reach_m * np.sqrt(2.0))
+    total, done, grounds, seen = sum(scan.points for scan in opened), 0, 0, 0
+    for scan in opened:
+        for piece in _pieces(scan, level, box):
+            tops.add(level.from_map(_in_map(piece, scan, level)), piece.category)
+            done += piece.read
+            grounds, seen = grounds + piece.ground, seen + piece.read
+            reporter.progress(STAGE, done, total)
+    if tops.points == 0:
+        return None
+    return _structure(tops, classified=grounds >= LEAST_GROUND_SHARE * max(seen, 1))
+
+
+def _pieces(scan: Scan, level: Level, box: Box) -> Iterator[Points]:
+    if touches(scan, box, level.pose.crs):
+        yield from scan.pieces(moved_box(box, level.pose.crs, scan.crs))
+
+
+def box_around(east: float, north: float, reach_m: float) -> Box:
+    """Return the square that reaches so far in each of the four directions."""
+    return east - reach_m, north - reach_m, east + reach_m, north + reach_m
+
+
+def touches(scan: Scan, box: Box, crs: CRS) -> bool:
+    """Tell whether the bounds of a scan, as its header says them, meet a box in the map."""
+    within = moved_box(box, crs, scan.crs)
+    west, south, east, north = scan.bounds
+    return west <= within[2] and within[0] <= east and south <= within[3] and within[1] <= north
+
+
+def _in_map(piece: Points, scan: Scan, level: Level) -> Floats:
+    x, y = piece.x, piece.y
+    if not same_plane(scan.crs, level.pose.crs):
+        x, y = transformer(scan.crs, level.pose.crs).transform(x, y)
+    return np.column_stack([x, y, piece.z])
+
+
+def _structure(tops: _Tops, *, classified: bool) -> Structure:
+    top, plants, building = _without_gaps(tops)
+    ground = _ground(tops.ground if classified else tops.low, classified=classified)
+    below = ndimage.maximum_filter(np.where(np.isnan(top), -np.inf, top), JUMP_CELLS)
+    low = ndimage.minimum_filter(np.where(np.isnan(top), np.inf, top), JUMP_CELLS)
+    high = _solid(np.nan_to_num(top - low, nan=0.0) > TALL_M)
+    # the wall itself runs between the last high cell and the first low one
+    edge = high | (ndimage.binary_dilation(high) & (np.nan_to_num(below - top, nan=0.0) > TALL_M))
+    canopy = _solid(np.nan_to_num(plants - ground, nan=-1.0) > TALL_M)
+    roof = _solid(np.isfinite(building))
+    # a tree over a roof's edge is seen, one over the middle of a roof is taken for a roof
+    return Structure(
+        top=top, ground=ground, canopy=canopy & ~(roof & ~edge), roof=roof, edge=edge,
+        classified=classified and bool((canopy | roof).any()),
+    )  # fmt: skip
+
+
+def _solid(cells: Booleans) -> Booleans:
+    """Return cells that are no strays: three or more of nine around."""
+    around = ndimage.convolve(cells.astype(np.uint8), np.ones((3, 3), np.uint8), mode="constant")
+    return np.asarray(cells & (around >= 3))
+
+
+def _without_gaps(tops: _Tops) -> tuple[Floats, Floats, Floats]:
+    """Return highest points of any kind, of plants and of buildings; small gaps are filled."""
+    empty = np.isinf(tops.any)
+    away, index = ndimage.distance_transform_edt(empty, return_indices=True)
+    top, plants, building = (
+        np.where(away <= GAP_CELLS, grid[tuple(index)], np.nan)
+        for grid in (tops.any, tops.plants, tops.building)
+    )
+    return top, plants, building
+
+
+def _filled(grid: Floats) -> Floats:
+    """Fill gaps with the nearest value."""
+    index = ndimage.distance_transform_edt(
+        np.isnan(grid), return_distances=False, return_indices=True
+    )
+    return np.asarray(grid[tuple(index)])
+
+
+def _ground(low: Floats, *, classified: bool) -> Floats:
+    """Return the ground from lowest points: of its class, or under what an opening removes."""
+    size, wide = len(low), GROUND_CELLS
+    pad = -size % wide
+    coarse = np.pad(low, (0, pad), constant_values=np.inf)
+    coarse = coarse.reshape(len(coarse) // wide, wide, -1, wide).min(axis=(1, 3))
+    known = np.isfinite(coarse)
+    if not known.any():
+        return np.full_like(low, np.nan)
+    coarse = _filled(np.where(known, coarse, np.nan))
+    coarse = ndimage.median_filter(coarse, 3)
+    if not classified:
+        window = int(WIDEST_ROOF_M / CELL_M / wide)
+        coarse = ndimage.grey_opening(coarse, (window, window))
+    near = ndimage.distance_transform_edt(~known) * wide * CELL_M < WIDEST_ROOF_M
+    fine = np.where(near, coarse, np.nan).repeat(wide, axis=0).repeat(wide, axis=1)
+    return np.asarray(fine[:size, :size])

@@ -1,0 +1,251 @@
+"""What the stages do: each a call or two of the library, from files to files."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal
+
+from gis_radar.clocks.sensor_clock import read_clocks
+from gis_radar.crs import name_of, yaw_from_compass
+from gis_radar.errors import InputError, NoAnswerError
+from gis_radar.files import whole_file
+from gis_radar.heatmap import make_heatmap
+from gis_radar.lanelets import read_map
+from gis_radar.localization import Localization, localize
+from gis_radar.localization.picture import draw_localization
+from gis_radar.occupancy import Filters, measure_occupancy, merge_occupancies, read_occupancy
+from gis_radar.poses.files import PoseTrack, read_track, write_pose
+from gis_radar.poses.pose import View
+from gis_radar.progress import Reporter
+from gis_radar.qgis import write_site_project
+from gis_radar.recordings import convert as convert_recordings
+from gis_radar.recordings.recording import open_recording
+from gis_radar.report import write_report
+from gis_radar.scans import mask_road, read_road, read_roads, road_crs
+from gis_radar.second_look import require_scans_near, second_look
+from gis_radar.tiles.heights import with_road_heights
+from gis_radar.tiles.tiles import fingerprint, make_tiles, read_tiles, write_tiles
+
+MOST_TRIES = 5  # recordings that are asked for a pose, the newest first
+
+Figures = dict[str, Any]
+Paths = list[Path]
+
+
+def mask(
+    *, map_file: Paths, scans: Paths, outputs: Paths, reporter: Reporter,
+    crs: str | None, origin: tuple[float, float] | None, scan_crs: str | None, engine: str,
+) -> Figures:  # fmt: skip
+    """Mask the road out of the scans."""
+    roads = read_roads(map_file[0], crs=crs, origin=origin, reporter=reporter)
+    found = mask_road(scans, roads, engine=engine, scan_crs=scan_crs, reporter=reporter)
+    found.write(outputs[0])
+    return found.figures()
+
+
+def take_road(*, road: Paths, outputs: Paths, reporter: Reporter) -> Figures:  # noqa: ARG001
+    """Take a road that was masked before."""
+    crs = road_crs(road[0])
+    points = read_road(road[0], crs)
+    with whole_file(outputs[0]) as part:
+        shutil.copyfile(road[0], part)
+    return {"crs": name_of(crs), "cells": len(points)}
+
+
+def tiles(
+    *, map_file: Paths, outputs: Paths, reporter: Reporter, length: float,
+    crs: str | None, origin: tuple[float, float] | None, subtypes: list[str] | None,
+    road: Paths | tuple[()] = (),
+) -> Figures:  # fmt: skip
+    """Split the lanes into tiles, at the heights of the scanned road where there is one."""
+    roads = read_map(map_file[0], crs=crs, origin=origin, reporter=reporter)
+    table = make_tiles(
+        roads, length_m=length, subtypes=tuple(subtypes) if subtypes else None, reporter=reporter
+    )
+    if road:
+        table = with_road_heights(table, read_road(road[0], roads.crs))
+    write_tiles(table, outputs[0], problems=roads.problems)
+    return {
+        "crs": name_of(roads.crs),
+        "tiles": len(table),
+        "with_height": int(table["height_m"].notna().sum()),
+        "problems": len(roads.problems),
+        "fingerprint": fingerprint(table),
+    }
+
+
+def convert(
+    *, recordings: Paths, outputs: Paths, reporter: Reporter,
+    sensor: str | None, columns: dict[str, str] | None, time_unit: str,
+    clock: Literal["auto", "sensor", "recorder"],
+) -> Figures:  # fmt: skip
+    """Make one recording of what a sensor's own programs have written."""
+    with tempfile.TemporaryDirectory() as folder:
+        made = convert_recordings(
+            recordings, Path(folder) / outputs[0].name, sensor=sensor, columns=columns,
+            time_unit=time_unit, clock=clock, reporter=reporter,
+        )  # fmt: skip
+        if len(made.outputs) != 1:
+            names = ", ".join(str(each.sensor) for each in made.recordings)
+            raise InputError(
+                f"{recordings[0]}: has several sensors: {names}",
+                hint="say which in [sensor.convert]: sensor = ...",
+            )
+        with whole_file(outputs[0]) as part:
+            shutil.move(made.outputs[0], part)
+    return dict(made.figures())
+
+
+def find_pose(
+    *, recordings: Paths, map_file: Paths, road: Paths, outputs: Paths, reporter: Reporter,
+    sensor: str, crs: str | None, origin: tuple[float, float] | None, guess: list[float],
+    heading: float | None, compass: float | None, method: str, view: dict[str, float] | None,
+    scans: Paths | tuple[()] = (), scan_crs: str | None = None,
+) -> Figures:  # fmt: skip
+    """Find a pose from the newest recording that gives one; whole scans give a second look."""
+    roads = read_map(map_file[0], crs=crs or road_crs(road[0]), origin=origin, reporter=reporter)
+    points = read_road(road[0], roads.crs)
+    if scans:
+        require_scans_near(scans, roads.crs, guess, scan_crs=scan_crs)
+    if compass is not None:
+        heading = yaw_from_compass(compass, roads.crs, guess[0], guess[1])
+
+    def ask(recording: Path) -> Localization:
+        return localize(
+            recording, roads, points,
+            guess=tuple(guess), heading=heading, method=method, reporter=reporter,
+        )  # fmt: skip
+
+    recording, found = _first_answer(_newest_first(recordings), ask, reporter)
+    pose = replace(found.pose, sensor=sensor, view=None if view is None else View(**view))
+    found, look = replace(found, pose=pose), None
+    if scans:
+        look = second_look(recording, pose, scans, scan_crs=scan_crs, reporter=reporter)
+        found = found.with_second_look(look)
+    draw_localization(found, roads, points, outputs[1], look=look)
+    write_pose(found.pose, outputs[0])
+    return {**found.figures(), "recording": recording.name}
+
+
+def _first_answer(
+    recordings: Paths, ask: Callable[[Path], Localization], reporter: Reporter
+) -> tuple[Path, Localization]:
+    """Return the first recording that answers, with its answer; refuse where none does."""
+    refusals = []
+    for recording in recordings[:MOST_TRIES]:
+        try:
+            return recording, ask(recording)
+        except NoAnswerError as error:
+            refusals.append(error)
+            if len(recordings) > 1:
+                reporter.log(f"{recording.name} gives no pose: {error.message}")
+    raise refusals[0]
+
+
+def _newest_first(recordings: Paths) -> Paths:
+    """Return recordings by the time of their first frame, the newest first."""
+    if len(recordings) == 1:
+        return recordings
+    begins = {path: float(next(open_recording(path).read()).time[0]) for path in recordings}
+    return sorted(recordings, key=lambda path: (-begins[path], path.name))
+
+
+def take_pose(
+    *, pose: Paths, outputs: Paths, reporter: Reporter, sensor: str, view: dict[str, float] | None
+) -> Figures:
+    """Take a pose or a pose track that was given."""
+    track = read_track(pose[0])
+    track.poses[-1].plane_covariance()  # told here, a bad one stops this sensor alone
+    if track.sensor != sensor:
+        reporter.log(f"{pose[0]}: is the pose of {track.sensor}, taken for {sensor}")
+    if view is not None and any(each.view is not None for each in track.poses):
+        reporter.log(f"the pose of {sensor} has a view, which counts", "warning")
+    if outputs[0].suffix == ".csv":
+        with whole_file(outputs[0]) as part:
+            shutil.copyfile(pose[0], part)
+        return {"poses": len(track.poses)}
+    only = replace(_seeing(track, sensor, view).poses[0])
+    write_pose(only, outputs[0])
+    names = ("easting", "northing", "height", "roll", "pitch", "yaw")
+    return {name: round(getattr(only, name), 3) for name in names}
+
+
+def _seeing(track: PoseTrack, sensor: str, view: dict[str, float] | None) -> PoseTrack:
+    """Return a track under the sensor's name at this site, with its view where it has none."""
+    named = replace(track, poses=tuple(replace(each, sensor=sensor) for each in track.poses))
+    return named if view is None else named.with_view(View(**view))
+
+
+def occupancy(
+    *, recordings: Paths, pose: Paths, tile_file: Paths, outputs: Paths, reporter: Reporter,
+    sensor: str, view: dict[str, float] | None, filters: dict[str, Any],
+    cycle: float | Literal["auto"] | None, clocks: Paths | tuple[()] = (),
+) -> Figures:  # fmt: skip
+    """Join a sensor's recordings to the tiles."""
+    known = read_clocks(clocks[0]) if clocks else {}
+    if clocks and sensor not in known:
+        reporter.log(f"the clock of {sensor} is not corrected: its offset is not known", "warning")
+    clearance = filters["clearance"]
+    track = _seeing(read_track(pose[0]), sensor, view)
+    result = measure_occupancy(
+        recordings,
+        [track] * len(recordings),
+        read_tiles(tile_file[0]),
+        outputs[0],
+        filters=Filters(**{**filters, "clearance": clearance and tuple(clearance)}),
+        cycles={sensor: cycle} if isinstance(cycle, float) else cycle,
+        clocks=known,
+        reporter=reporter,
+    )
+    return result.figures()
+
+
+def heat_map(
+    *, occupancies: Paths, tile_file: Paths, outputs: Paths, reporter: Reporter,
+    interval: str | None,
+) -> Figures:  # fmt: skip
+    """Merge the occupancies and make the heat map."""
+    merged = merge_occupancies([read_occupancy(folder) for folder in occupancies])
+    heat = make_heatmap(merged, read_tiles(tile_file[0]), interval=interval, reporter=reporter)
+    heat.write(outputs[0], reporter=reporter)
+    return {**merged.figures(), **heat.figures()}
+
+
+def qgis_project(
+    *, heat: Paths, poses: Paths, occupancies: Paths, outputs: Paths,  # noqa: ARG001
+    reporter: Reporter, title: str, time_zone: str, source: str,
+) -> Figures:  # fmt: skip
+    """Write the sensors as layers, and the project that shows them on the heat map."""
+    write_site_project(
+        heat[0].parent, title=title, time_zone=time_zone, source=source, reporter=reporter
+    )
+    return {}
+
+
+def report(
+    *, heat: Paths, told: Paths, occupancies: Paths, outputs: Paths, reporter: Reporter,  # noqa: ARG001
+) -> Figures:  # fmt: skip
+    """Write the report of all that was made."""
+    write_report(told[0].parent, reporter=reporter)
+    return {}
+
+
+WORKS: dict[str, Callable[..., Figures]] = {
+    each.__name__: each
+    for each in (
+        mask,
+        take_road,
+        tiles,
+        convert,
+        find_pose,
+        take_pose,
+        occupancy,
+        heat_map,
+        qgis_project,
+        report,
+    )
+}

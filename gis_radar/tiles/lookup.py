@@ -1,0 +1,280 @@
+"""Find the tiles that points fall in: two exact engines that give the same pairs.
+
+A point belongs to a tile by the crossing number of a ray towards the west. Every edge is
+stored once in one direction, whichever tile it bounds, so that a point on an edge shared by two
+tiles of a lanelet falls in exactly one of them: the test for that edge is the same arithmetic.
+
+:class:`TileGrid` is the default. Its inner loop is compiled by numba, which is worth its 190 MB:
+the same look-up in NumPy alone (:class:`TileGridNumpy`, kept as oracle and as yardstick) is ten
+times slower (`make bench-assignment`) and barely three times faster than a spatial join. A
+compiled extension of our own would need a compiler on each user's machine. :class:`TileTree` is
+the paper's R-tree ("Local Sensor Data Processing").
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from rtree import index as rtree_index
+
+from gis_radar.arrays import Floats, Integers, compiled
+
+SLACK_M = 1e-6  # a point may be rounded into the cell beside its own
+
+
+def fill_cells(
+    quads: Floats, columns: int, rows: int, cell_m: float
+) -> tuple[Integers, NDArray[np.int32]]:
+    """Sort tiles into the cells of a grid that begins at (0, 0).
+
+    Parameters
+    ----------
+    quads : (n, 4, 2) array
+        Vertices of the tiles relative to the grid's corner, metres, none negative.
+    columns, rows : int
+        Size of the grid.
+    cell_m : float
+        Side of a cell.
+
+    Returns
+    -------
+    first : (columns * rows + 1,) int64 array
+        Where each cell's tiles begin in `tiles`; cells run along the rows.
+    tiles : (k,) int32 array
+        Positions of the tiles that touch each cell, ascending within a cell.
+    """
+    counts = np.zeros(columns * rows + 1, np.int64)
+    nothing = np.empty(0, np.int32)
+    _visit(quads, columns, rows, cell_m, counts, nothing)
+    first = np.concatenate([[0], np.cumsum(counts[:-1])])
+    tiles = np.empty(first[-1], np.int32)
+    _visit(quads, columns, rows, cell_m, first[:-1].copy(), tiles)
+    return first, tiles
+
+
+@compiled
+def _visit(  # pragma: no cover - compiled
+    quads: Floats,
+    columns: int,
+    rows: int,
+    cell_m: float,
+    cursor: Integers,
+    tiles: NDArray[np.int32],
+) -> None:
+    """Move each touched cell's cursor by one; note the tile there unless `tiles` is empty."""
+    for tile in range(len(quads)):
+        quad = quads[tile]
+        low_column = max(int((quad[:, 0].min() - SLACK_M) / cell_m), 0)
+        low_row = max(int((quad[:, 1].min() - SLACK_M) / cell_m), 0)
+        high_column = min(int((quad[:, 0].max() + SLACK_M) / cell_m), columns - 1)
+        high_row = min(int((quad[:, 1].max() + SLACK_M) / cell_m), rows - 1)
+        for row in range(low_row, high_row + 1):
+            for column in range(low_column, high_column + 1):
+                x, y = (column + 0.5) * cell_m, (row + 0.5) * cell_m
+                if not _apart(quad, x, y, 0.5 * cell_m + SLACK_M):
+                    cell = row * columns + column
+                    if len(tiles) > 0:
+                        tiles[cursor[cell]] = tile
+                    cursor[cell] += 1
+
+
+@compiled
+def _apart(quad: Floats, x: float, y: float, half_m: float) -> bool:  # pragma: no cover - compiled
+    """Tell whether the normal of an edge separates a tile from the square around (x, y)."""
+    for k in range(4):
+        normal_x = quad[(k + 1) % 4, 1] - quad[k, 1]
+        normal_y = quad[k, 0] - quad[(k + 1) % 4, 0]
+        reach = half_m * (abs(normal_x) + abs(normal_y))
+        low, high = np.inf, -np.inf
+        for vertex in range(4):
+            along = normal_x * (quad[vertex, 0] - x) + normal_y * (quad[vertex, 1] - y)
+            low, high = min(low, along), max(high, along)
+        if low > reach or high < -reach:
+            return True
+    return False
+
+
+CELL_M = 0.5
+MOST_CELLS = 16_000_000
+Pairs = tuple[Integers, Integers]
+
+
+class TileEngine(Protocol):
+    """Finds the tiles that points fall in."""
+
+    def assign(self, easting: Floats, northing: Floats) -> Pairs:
+        """Return the pairs (point, tile) of points inside tiles.
+
+        Parameters
+        ----------
+        easting, northing : (n,) arrays
+            Map frame, metres. NaN falls in no tile.
+
+        Returns
+        -------
+        point, tile : (k,) int64 arrays
+            Positions in the inputs and in the quads, ascending by point, then by tile.
+        """
+        ...
+
+
+class TileGrid:
+    """Cells of half a metre, each with the tiles that touch it; exact test in compiled code.
+
+    Parameters
+    ----------
+    quads : (n, 4, 2) array
+        Vertices of the tiles in order around them; map frame, metres.
+
+    Examples
+    --------
+    >>> import gis_radar as gr
+    >>> tiles = gr.make_tiles(gr.read_map(gr.sample_folder() / "junction.osm"))
+    >>> point, tile = gr.TileGrid(gr.quads(tiles)).assign([690400.0], [5336200.0])
+    >>> point.tolist(), tiles["tile_id"].iloc[tile].tolist()
+    ([0], [4894])
+    """
+
+    def __init__(self, quads: Floats) -> None:
+        self._origin = _origin(quads)
+        local = quads - self._origin
+        self._edges = _edges(local)
+        span = local.reshape(-1, 2).max(axis=0) if len(quads) else np.ones(2)
+        self._span = span
+        self._cell_m = max(CELL_M, math.sqrt(float(span.prod()) / MOST_CELLS))
+        self._columns, rows = (int(side / self._cell_m) + 1 for side in span)
+        self._first, self._tiles = fill_cells(local, self._columns, rows, self._cell_m)
+
+    def assign(self, easting: Floats, northing: Floats) -> Pairs:
+        """Return the pairs (point, tile); see :class:`TileEngine`."""
+        x, y = np.asarray(easting, np.float64), np.asarray(northing, np.float64)
+        room = len(x) + len(x) // 4 + 1024
+        point, tile = np.empty(room, np.int64), np.empty(room, np.int64)
+        done = found = 0
+        while True:
+            done, found = _assign(
+                x, y, self._origin, self._span, self._cell_m, self._columns,
+                self._first, self._tiles, self._edges, point, tile, done, found,
+            )  # fmt: skip
+            if done == len(x):
+                return point[:found], tile[:found]
+            point, tile = (np.concatenate([kept, np.empty_like(kept)]) for kept in (point, tile))
+
+
+class TileGridNumpy(TileGrid):
+    """The same cells and the same test without compiled code: all candidates at once."""
+
+    def assign(self, easting: Floats, northing: Floats) -> Pairs:
+        """Return the pairs (point, tile); see :class:`TileEngine`."""
+        points = np.column_stack([easting, northing]) - self._origin
+        within = np.flatnonzero(((points >= 0.0) & (points <= self._span)).all(axis=1))
+        column, row = (points[within] * (1.0 / self._cell_m)).astype(np.int64).T
+        cell = row * self._columns + column
+        counts = self._first[cell + 1] - self._first[cell]
+        begins = np.cumsum(counts) - counts
+        point = np.repeat(within, counts)
+        nth = np.arange(len(point)) - np.repeat(begins, counts)
+        tile = self._tiles[np.repeat(self._first[cell], counts) + nth].astype(np.int64)
+        inside = _inside(self._edges[tile], points[point])
+        return point[inside], tile[inside]
+
+
+class TileTree:
+    """The paper's R-tree over the tiles' bounding boxes, then the exact test.
+
+    Parameters
+    ----------
+    quads : (n, 4, 2) array
+        Vertices of the tiles in order around them; map frame, metres.
+    """
+
+    def __init__(self, quads: Floats) -> None:
+        self._origin = _origin(quads)
+        local = quads - self._origin
+        self._edges = _edges(local)
+        boxes = np.hstack([local.min(axis=1), local.max(axis=1)])
+        entries = ((i, tuple(box), None) for i, box in enumerate(boxes.tolist()))
+        self._tree = rtree_index.Index(entries) if len(boxes) else rtree_index.Index()
+
+    def assign(self, easting: Floats, northing: Floats) -> Pairs:
+        """Return the pairs (point, tile); see :class:`TileEngine`."""
+        points = np.column_stack([easting, northing]) - self._origin
+        finite = np.flatnonzero(np.isfinite(points).all(axis=1))
+        tiles, counts = self._tree.intersection_v(  # type: ignore[no-untyped-call]
+            points[finite], points[finite]
+        )
+        point = np.repeat(finite, counts.astype(np.int64))
+        tile = np.asarray(tiles, dtype=np.int64)
+        inside = _inside(self._edges[tile], points[point])
+        order = np.lexsort((tile[inside], point[inside]))
+        return point[inside][order], tile[inside][order]
+
+
+def _origin(quads: Floats) -> Floats:
+    """South-west corner of all tiles: sums near it keep their digits."""
+    return np.floor(quads.reshape(-1, 2).min(axis=0)) if len(quads) else np.zeros(2)
+
+
+def _edges(quads: Floats) -> Floats:
+    """Return (n, 4, 4): low end y, high end y, low end x, slope dx/dy, each of four edges."""
+    start, end = quads, np.roll(quads, -1, axis=1)
+    upward = (start[..., 1] < end[..., 1]) | (
+        (start[..., 1] == end[..., 1]) & (start[..., 0] <= end[..., 0])
+    )
+    low = np.where(upward[..., None], start, end)
+    high = np.where(upward[..., None], end, start)
+    rise = high[..., 1] - low[..., 1]
+    slope = np.divide(high[..., 0] - low[..., 0], rise, out=np.zeros_like(rise), where=rise > 0.0)
+    return np.stack([low[..., 1], high[..., 1], low[..., 0], slope], axis=1)
+
+
+def _inside(edges: Floats, points: Floats) -> NDArray[np.bool_]:
+    """Tell for each row whether the point lies in the tile with these (n, 4, 4) edges."""
+    x, y = points[:, None, 0], points[:, None, 1]
+    low, high, x_low, slope = np.moveaxis(edges, 1, 0)
+    crossed = (low <= y) & (y < high) & (x >= x_low + (y - low) * slope)
+    return np.asarray(np.bitwise_xor.reduce(crossed, axis=1))
+
+
+@compiled
+def _assign(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - compiled
+    x: Floats,
+    y: Floats,
+    origin: Floats,
+    span: Floats,
+    cell_m: float,
+    columns: int,
+    first: Integers,
+    tiles: NDArray[np.int32],
+    edges: Floats,
+    point_out: Integers,
+    tile_out: Integers,
+    done: int,
+    found: int,
+) -> tuple[int, int]:
+    """Go on at point `done` until the end or until the pairs found fill the room."""
+    per_m = 1.0 / cell_m
+    (west, south), (width, height) = origin, span
+    for i in range(done, len(x)):
+        px, py = x[i] - west, y[i] - south
+        # Not a number compares false, and what lies outside must never become a cell.
+        if not (0.0 <= px <= width and 0.0 <= py <= height):
+            continue
+        cell = int(py * per_m) * columns + int(px * per_m)
+        begin, end = first[cell], first[cell + 1]
+        if found + end - begin > len(point_out):
+            return i, found
+        for k in range(begin, end):
+            low, high, x_low, slope = edges[tiles[k]]
+            crossings = 0
+            for e in range(4):
+                crossings += (
+                    (low[e] <= py) & (py < high[e]) & (px >= x_low[e] + (py - low[e]) * slope[e])
+                )
+            point_out[found] = i
+            tile_out[found] = tiles[k]
+            found += crossings & 1
+    return len(x), found

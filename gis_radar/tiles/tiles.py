@@ -1,0 +1,257 @@
+"""Tiles: slices of lanelets, half a metre along the lane and as wide as it."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyogrio
+import shapely
+
+from gis_radar.arrays import Floats
+from gis_radar.crs import metric_crs, name_of
+from gis_radar.errors import InputError, UsageError
+from gis_radar.files import whole_file
+from gis_radar.lanelets import LaneletMap
+from gis_radar.lanelets.slicing import corners_between, cut
+from gis_radar.lanelets.tagging import ON_FOOT_OR_BICYCLE
+from gis_radar.progress import QUIET, Reporter
+
+LENGTH_M = 0.5
+LAYER = "tiles"
+PROBLEMS = "problems"
+_COUNT, _CONTENT = "gis_radar_tiles", "gis_radar_content"
+_DAMAGE = (shapely.errors.ShapelyError, pa.ArrowException, OSError, UnicodeDecodeError)
+_MAKE_ONE = "make one with: gis-radar tiles"
+COLUMNS = (
+    "tile_id", "lanelet_id", "index", "s_m", "length_m", "width_m", "height_m", "subtype",
+)  # fmt: skip
+IDS = ("tile_id", "lanelet_id", "index")
+
+
+def make_tiles(
+    roads: LaneletMap,
+    *,
+    length_m: float = LENGTH_M,
+    subtypes: Collection[str] | None = None,
+    reporter: Reporter = QUIET,
+) -> gpd.GeoDataFrame:
+    """Split the lanelets of a map into tiles.
+
+    Both bounds are interpolated to the same number of points; every four points that enclose a
+    smallest quadrilateral make a tile (the paper, "Using the HD Map as Scaffold").
+
+    Parameters
+    ----------
+    roads : LaneletMap
+        The map.
+    length_m : float
+        Length of a tile along the lane, metres; a lanelet gets
+        `max(1, round(mean length of its bounds / length_m))` tiles, or more where these would
+        cross themselves.
+    subtypes : collection of str, optional
+        Which lanelets; without it all but those for pedestrians and bicycles.
+    reporter : Reporter
+        Hears how far the work is, which lanelets are not tiled, and what long tiles lose.
+
+    Returns
+    -------
+    GeoDataFrame
+        A row a tile in the order of (lanelet_id, index), with the columns `COLUMNS` and the
+        map's CRS. `height_m` is NaN where the map knows no heights.
+
+    Raises
+    ------
+    InputError
+        If no lanelet is of these subtypes, or one cannot be cut.
+    UsageError
+        If `length_m` is not positive.
+
+    Examples
+    --------
+    >>> import gis_radar as gr
+    >>> tiles = gr.make_tiles(gr.read_map(gr.sample_folder() / "junction.osm"))
+    >>> len(tiles), tiles.geometry.geom_type.unique().tolist()
+    (5387, ['Polygon'])
+    """
+    if not 0.0 < length_m < np.inf:
+        raise UsageError(f"tile length is {length_m} m, expected more than 0")
+    lanelets = _chosen(roads.lanelets, subtypes)
+    _say_left_out(roads.lanelets, lanelets, reporter)
+    return _table(lanelets, cut(lanelets, length_m, reporter), roads.crs)
+
+
+def _chosen(lanelets: gpd.GeoDataFrame, subtypes: Collection[str] | None) -> gpd.GeoDataFrame:
+    if subtypes is None:
+        chosen = lanelets[~lanelets["subtype"].isin(ON_FOOT_OR_BICYCLE)]
+    else:
+        chosen = lanelets[lanelets["subtype"].isin(list(subtypes))]
+    if chosen.empty:
+        wanted = "a road" if subtypes is None else f"of subtype {', '.join(sorted(subtypes))}"
+        present = ", ".join(sorted(lanelets["subtype"].unique()))
+        raise InputError(f"the map has no lanelet that is {wanted}", hint=f"it has: {present}")
+    return chosen.sort_values("lanelet_id")
+
+
+def _say_left_out(lanelets: gpd.GeoDataFrame, chosen: gpd.GeoDataFrame, reporter: Reporter) -> None:
+    counts = Counter(lanelets["subtype"])
+    counts.subtract(chosen["subtype"])
+    others = [f"{count} {subtype}" for subtype, count in counts.most_common() if count]
+    if others:
+        reporter.log(f"not tiled: {', '.join(others)} (use --subtype)")
+
+
+def _table(lanelets: gpd.GeoDataFrame, pieces: list[Floats], crs: Any) -> gpd.GeoDataFrame:
+    """Lay the rungs of all lanelets, each (n + 1, left and right, xyz), out as tiles."""
+    counts = np.array([len(piece) - 1 for piece in pieces])
+    index = np.concatenate([np.arange(count) for count in counts])
+    corners = np.concatenate([corners_between(piece) for piece in pieces])
+    middle = [piece[..., :2].mean(axis=1) for piece in pieces]
+    steps = [np.hypot(*np.diff(line, axis=0).T) for line in middle]
+    begins = [np.cumsum(step) - step for step in steps]
+    widths = np.hypot(*(corners[:, [0, 1], :2] - corners[:, [3, 2], :2]).transpose(2, 0, 1))
+    return gpd.GeoDataFrame(
+        {
+            "tile_id": np.arange(len(index)),
+            "lanelet_id": np.repeat(lanelets["lanelet_id"].to_numpy(np.int64), counts),
+            "index": index,
+            "s_m": np.concatenate(begins),
+            "length_m": np.concatenate(steps),
+            "width_m": widths.mean(axis=1),
+            "height_m": corners[..., 2].mean(axis=1),
+            "subtype": np.repeat(lanelets["subtype"].to_numpy(object), counts),
+        },
+        geometry=polygons(corners[..., :2]),
+        crs=crs,
+    )
+
+
+def polygons(corners: Floats) -> np.ndarray[Any, np.dtype[Any]]:
+    """Return polygons with these (n, 4, 2) vertices."""
+    return np.asarray(shapely.polygons(np.concatenate([corners, corners[:, :1]], axis=1)))
+
+
+def quads(tiles: gpd.GeoDataFrame) -> Floats:
+    """Return the (n, 4, 2) vertices of tiles, in order around each."""
+    rings = shapely.get_coordinates(tiles.geometry.array)
+    return np.ascontiguousarray(rings.reshape(-1, 5, 2)[:, :4])
+
+
+def fingerprint(tiles: gpd.GeoDataFrame) -> str:
+    """Return a short text that only tables made from exactly these tiles carry.
+
+    It covers the coordinate system, the ids and every vertex.
+    """
+    return _digest(tiles, name_of(metric_crs(tiles.crs, what="tiles")))
+
+
+def _digest(tiles: gpd.GeoDataFrame, first: str = "") -> str:
+    digest = hashlib.blake2b(first.encode(), digest_size=16)
+    for column in IDS:
+        digest.update(tiles[column].to_numpy(np.int64).tobytes())
+    digest.update(quads(tiles).tobytes())
+    return digest.hexdigest()
+
+
+def write_tiles(tiles: gpd.GeoDataFrame, path: str | Path, *, problems: gpd.GeoDataFrame) -> None:
+    """Write tiles and the list of problems as the two layers of a GeoPackage.
+
+    Parameters
+    ----------
+    tiles, problems : GeoDataFrame
+        As from :func:`make_tiles` and :attr:`LaneletMap.problems`.
+    path : str or Path
+        The GeoPackage; it appears whole or not at all.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".gpkg":
+        raise UsageError(f"{path}: tiles are written as GeoPackage", hint="end the name in .gpkg")
+    # Without the CRS: GeoPackage rewrites the text of one that has no number.
+    seal = {_COUNT: str(len(tiles)), _CONTENT: _digest(tiles)}
+    with whole_file(path) as part:
+        for layer, table, kind in ((LAYER, tiles, "Polygon"), (PROBLEMS, problems, "Unknown")):
+            pyogrio.write_dataframe(
+                table, part, layer=layer, driver="GPKG", geometry_type=kind, use_arrow=True,
+                append=part.exists(), dataset_options={"VERSION": "1.2"},
+                layer_metadata=seal if layer == LAYER else None,
+            )  # fmt: skip
+
+
+def read_tiles(path: str | Path) -> gpd.GeoDataFrame:
+    """Read tiles from a GeoPackage.
+
+    Returns
+    -------
+    GeoDataFrame
+        Ascending by `tile_id`, with the columns `COLUMNS`.
+
+    Raises
+    ------
+    InputError
+        If the file is no GeoPackage with a layer `tiles` of four-vertex polygons, or it is not as
+        :func:`write_tiles` left it; CrsError if its coordinate system is missing or not metric.
+    """
+    tiles, seal = _layer(path)
+    missing = [name for name in COLUMNS if name not in tiles.columns]
+    if missing or not isinstance(tiles, gpd.GeoDataFrame):
+        raise InputError(f"{path}: layer {LAYER} lacks {', '.join(missing) or 'geometry'}")
+    tiles = tiles.set_crs(metric_crs(tiles.crs, what=str(path)), allow_override=True)
+    _refuse_odd_tiles(tiles, path)
+    tiles["height_m"] = tiles["height_m"].astype(np.float64)
+    tiles = tiles.sort_values("tile_id", ignore_index=True)
+    _refuse_other_tiles(tiles, seal, path)
+    return tiles
+
+
+def _layer(path: str | Path) -> tuple[gpd.GeoDataFrame, dict[str, str]]:
+    """Return the layer of tiles as it is, and what :func:`write_tiles` noted about it."""
+    if not Path(path).is_file():
+        raise InputError(f"{path}: no such file")
+    try:
+        tiles = pyogrio.read_dataframe(path, layer=LAYER, use_arrow=True)
+        seal = pyogrio.read_info(path, layer=LAYER)["layer_metadata"] or {}
+    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(f"{path}: not a GeoPackage of tiles: {reason}", hint=_MAKE_ONE) from error
+    except _DAMAGE as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(f"{path}: layer {LAYER} is damaged: {reason}", hint=_MAKE_ONE) from error
+    return tiles, seal
+
+
+def _refuse_other_tiles(tiles: gpd.GeoDataFrame, seal: dict[str, str], path: str | Path) -> None:
+    """Refuse tiles that are not those that were written; a layer without a seal is its own."""
+    if _CONTENT not in seal or seal[_CONTENT] == _digest(tiles):
+        return
+    count = seal.get(_COUNT, str(len(tiles)))
+    wrong = f"{len(tiles)} of {count} tiles" if count != str(len(tiles)) else "other ids or corners"
+    raise InputError(
+        f"{path}: layer {LAYER} was damaged or edited after gis_radar wrote it: it has {wrong}",
+        hint="make it again with: gis-radar tiles; a changed table of your own: write_tiles",
+    )
+
+
+def _refuse_odd_tiles(tiles: gpd.GeoDataFrame, path: str | Path) -> None:
+    if tiles.empty:
+        raise InputError(f"{path}: layer {LAYER} is empty")
+    for column in IDS:
+        if not pd.api.types.is_integer_dtype(tiles[column]) or tiles[column].hasnans:
+            raise InputError(f"{path}: column {column} holds something else than whole numbers")
+    shapes = tiles.geometry.array
+    odd = (shapely.get_type_id(shapes) != shapely.GeometryType.POLYGON) | (
+        shapely.get_num_coordinates(shapes) != 5
+    )
+    if odd.any():
+        raise InputError(
+            f"{path}: tile {tiles['tile_id'].to_numpy()[odd][0]} has not four vertices"
+        )
+    if tiles["tile_id"].duplicated().any():
+        twice = tiles["tile_id"][tiles["tile_id"].duplicated()].iloc[0]
+        raise InputError(f"{path}: tile {twice} is there twice")

@@ -1,0 +1,302 @@
+"""Register a window of traffic to the lanes, from a pose that is nearly right."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from gis_radar.arrays import Floats, Integers
+from gis_radar.errors import NoAnswerError
+from gis_radar.localization.adaptation import adapted
+from gis_radar.localization.certainty import advantage, certainty
+from gis_radar.localization.hypotheses import explore, prior_at, rough, shifted
+from gis_radar.localization.lane_method import (
+    CLEAR,
+    HEADING_TOLERANCE,
+    LEAST_FITNESS,
+    LEAST_TRACKS,
+    lanes_around,
+)
+from gis_radar.localization.lanes import Lanes
+from gis_radar.localization.model import MODEL
+from gis_radar.localization.result import Site
+from gis_radar.localization.solver import Fit, Prior, solve
+from gis_radar.localization.state import POSE, REFLECTION, SIZE, State
+from gis_radar.localization.traces import Moving, Samples, thin, track
+from gis_radar.progress import Reporter
+from gis_radar.tracking.filter import Estimate, Measurement, covariance_from_angles
+
+LEAST_KNOWN = 0.05  # information less than that share of the prior's is none
+UNKNOWN = 1e-4  # and counts as that
+
+
+def data_alone(fit: Fit, prior: Prior) -> Measurement:
+    """Take the prior out of a fit again, or every window would confirm what was believed.
+
+    In coordinates where the prior has variance one along each axis, `1 + m` is the information of
+    the fit and `m` that of the data; the data's pose is farther off by `(1 + m) / m`.
+
+    Parameters
+    ----------
+    fit : Fit
+        A registration.
+    prior : Prior
+        What it began with.
+    """
+    known = certainty(fit)
+    quaternion = _quaternion(fit.state)
+    unit = np.diag(prior.information[POSE, POSE]) ** -0.5
+    whole, noise = (
+        covariance_from_angles(quaternion, part) / np.outer(unit, unit)
+        for part in (known.covariance, known.noise)
+    )
+    values, vectors = np.linalg.eigh(np.linalg.inv(whole))
+    data = values - 1.0
+    seen = data > LEAST_KNOWN
+    away = fit.state.difference(prior.mean)[POSE] / unit
+    farther = np.where(seen, values / np.where(seen, data, 1.0), 0.0)
+    step = np.zeros(SIZE)
+    step[POSE] = unit * (vectors @ (farther * (vectors.T @ away)))
+    there = prior.mean.moved(step)
+    # what is common to all windows grows not where this one sees nothing
+    noise_grows = np.sqrt(values / np.where(seen, data, UNKNOWN))
+    common_grows = np.where(seen, noise_grows, 1.0)
+    noise, common = (
+        _stretched(part, vectors * grows @ vectors.T, unit)
+        for part, grows in ((noise, noise_grows), (whole - noise, common_grows))
+    )
+    return Measurement(
+        position=there.position,
+        quaternion=_quaternion(there),
+        covariance=noise + common,
+        noise=noise,
+    )
+
+
+def _stretched(part: Floats, stretch: Floats, unit: Floats) -> Floats:
+    wide = stretch @ part @ stretch.T * np.outer(unit, unit)
+    return np.asarray((wide + wide.T) / 2.0)
+
+
+def _quaternion(state: State) -> Floats:
+    return np.asarray(Rotation.from_matrix(state.R_map_sensor).as_quat(canonical=True))
+
+
+NEAR = np.array([1.0, 1.0, 1.0, *np.radians([2.0, 2.0, 2.0])])  # where a solution is looked for
+SCALES_M, ROUNDS = (0.3, 0.1, 0.0), 12
+FARTHEST = 4.0  # sigmas
+REACH_GROWS = 1.2
+NOTHING = np.zeros((SIZE, SIZE))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Traffic:
+    """What moved within some time, by track.
+
+    Parameters
+    ----------
+    moving : Moving
+        The detections.
+    number : (n,) array
+        The track of each.
+    """
+
+    moving: Moving
+    number: Integers
+
+    @classmethod
+    def of(cls, moving: Moving) -> Traffic:
+        """Link the detections of a window to tracks."""
+        return cls(moving=moving, number=track(moving))
+
+    def between(self, begin: float, end: float) -> Traffic:
+        """Return the part of the traffic within a time, its end not included."""
+        low, high = np.searchsorted(self.moving.time, [begin, end])
+        part = slice(int(low), int(high))
+        _, number = np.unique(np.append(self.number[part], -1), return_inverse=True)
+        share = (high - low) / max(len(self.moving), 1)
+        moving = replace(
+            self.moving,
+            time=self.moving.time[part],
+            points=self.moving.points[part],
+            range_rate=self.moving.range_rate[part],
+            detections=int(self.moving.detections * share),
+            begin=max(begin, self.moving.begin),
+            end=min(end, self.moving.end),
+        )
+        return Traffic(moving=moving, number=number[:-1] - 1)
+
+    @property
+    def tracks(self) -> int:
+        """How many vehicles there are."""
+        return int(self.number.max(initial=-1)) + 1
+
+    def samples(self) -> Samples:
+        """Return the detections that a registration works on."""
+        return thin(self.moving, self.number)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sighting:
+    """A registration and what it measures.
+
+    Parameters
+    ----------
+    measurement : Measurement
+        The pose, from the data alone.
+    fit : Fit
+        The registration.
+    samples : Samples
+        What was registered.
+    """
+
+    measurement: Measurement
+    fit: Fit
+    samples: Samples
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the traffic lies on the lanes, at a pose that is a fit's."""
+        return self.fit.converged and self.on_lanes
+
+    @property
+    def on_lanes(self) -> bool:
+        """Whether the traffic lies on the lanes."""
+        return self.fit.fitness >= LEAST_FITNESS
+
+
+class Ground:
+    """The lanes around a sensor, as far as its data reach.
+
+    Parameters
+    ----------
+    site : Site
+        Map, road and where the sensor stands.
+    reporter : Reporter
+        Told remarks.
+    """
+
+    def __init__(self, site: Site, *, reporter: Reporter) -> None:
+        self._site = site
+        self._reporter = reporter
+        self._reach_m = 0.0
+        self._lanes: Lanes | None = None
+        self._model = MODEL
+        self._reflections: tuple[float, float] | None = None  # mean and information
+
+    def lanes(self, samples: Samples) -> Lanes:
+        """Return the lanes within reach of samples."""
+        reach_m = float(np.percentile(np.hypot(*samples.points[:, :2].T), 99.5))
+        if self._lanes is None or reach_m > self._reach_m:
+            self._reach_m = REACH_GROWS * reach_m
+            first = self._lanes is None
+            reporter = self._reporter if first else Reporter()
+            self._lanes = lanes_around(self._site, samples, reporter, grow=REACH_GROWS)
+        return self._lanes
+
+    def register(
+        self,
+        traffic: Traffic,
+        centre: Estimate,
+        like: State,
+        *,
+        near: Floats = NEAR,
+        start: State | None = None,
+        scales_m: tuple[float, ...] = SCALES_M,
+    ) -> Sighting | None:
+        """Lay a traffic on the lanes near a pose; None where it holds too little traffic.
+
+        Parameters
+        ----------
+        traffic : Traffic
+            What moved.
+        centre : Estimate
+            Where to look.
+        like : State
+            How vehicles reflected so far.
+        near : (6,) array
+            How far around, 1 sigma: metres, radians.
+        start : State, optional
+            Where to begin, if not there.
+        scales_m : tuple of float
+            As for :func:`gis_radar.localization.solver.solve`.
+        """
+        samples = traffic.samples()
+        if traffic.tracks < LEAST_TRACKS:
+            return None
+        prior = self._prior(centre.state(like), near)
+        begin = prior.mean if start is None else start
+        lanes = self.lanes(samples)
+        fit = solve(
+            lanes, samples, begin, prior, scales_m=scales_m, rounds=ROUNDS, model=self._model
+        )
+        return Sighting(measurement=data_alone(fit, prior), fit=fit, samples=samples)
+
+    def find(
+        self, traffic: Traffic, centre: Estimate, like: State, *, near: Floats
+    ) -> Sighting | None:
+        """Look farther around a pose at which the traffic lies on no lanes; None if in vain.
+
+        Parameters
+        ----------
+        traffic, centre, like, near
+            As for :meth:`register`.
+        """
+        samples, state = traffic.samples(), centre.state(like)
+        heading = float(state.yaw_pitch_roll[0]), HEADING_TOLERANCE
+        for tried in explore(self.lanes(samples), samples, heading=heading):
+            away = tried.fit.state.difference(state)[POSE] / near
+            if np.abs(away).max() < FARTHEST:
+                found = self.register(traffic, centre, like, near=near, start=tried.fit.state)
+                return found if found is not None and found.trusted else None
+        return None
+
+    def cost(self, samples: Samples, state: State) -> float:
+        """Return what samples cost at a pose, a negative logarithm of likelihood."""
+        indifferent = Prior(mean=state, information=NOTHING)
+        lanes = self.lanes(samples)
+        return solve(
+            lanes, samples, state, indifferent, scales_m=(0.0,), rounds=0, model=self._model
+        ).cost
+
+    def adapt(self, sighting: Sighting) -> None:
+        """Learn from a trusted sighting how this radar sees vehicles; each is asked anew."""
+        samples, fit = sighting.samples, sighting.fit
+        before = Prior(mean=fit.state, information=NOTHING)
+        told, self._model = adapted(self.lanes(samples), samples, fit, before, MODEL)
+        if told is not before:
+            known = float(told.information[REFLECTION, REFLECTION])
+            self._reflections = told.mean.reflection, known
+
+    def _prior(self, centre: State, near: Floats) -> Prior:
+        information = prior_at(centre).information.copy()
+        information[POSE, POSE] = np.diag(near**-2.0)
+        if self._reflections is not None:
+            mean_m, information[REFLECTION, REFLECTION] = self._reflections
+            centre = replace(centre, reflection=mean_m)
+        return Prior(mean=centre, information=information)
+
+    def refuse_other_lane(self, sighting: Sighting) -> None:
+        """Refuse a pose where the same data lie clearly better on a neighbouring lane.
+
+        Raises
+        ------
+        NoAnswerError
+            If the vehicles prefer a pose that is a lane off.
+        """
+        part = rough(sighting.samples)
+        lanes, here = self.lanes(part), sighting.fit.state
+        fits = [
+            solve(lanes, part, state, replace(prior_at(state), mean=state))
+            for state in (here, *shifted(lanes, sighting.fit))
+        ]
+        for other in fits[1:]:
+            away = other.state.difference(fits[0].state)[:2]
+            if advantage(other, fits[0], part) > CLEAR + 1.0 and np.hypot(*away) > 1.0:
+                raise NoAnswerError(
+                    f"{self._site.name}: the traffic fits clearly better with the sensor "
+                    f"{np.hypot(*away):.1f} m from its start pose",
+                    hint="find the pose with gis-radar localize",
+                )

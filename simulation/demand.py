@@ -1,0 +1,169 @@
+"""Demand: which vehicles drive from where to where, told to SUMO."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from simulation import sumo
+from simulation.network import RoadNetwork
+
+
+@dataclass(frozen=True, kw_only=True)
+class VehicleKind:
+    """A kind of vehicle.
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+    sumo_class : str
+        SUMO's vehicle class, which decides how it accelerates and where it may drive.
+    length_m, width_m, height_m : float
+        The box around it.
+    share : float
+        Share of the traffic; shares need not add up to one.
+    """
+
+    name: str
+    sumo_class: str
+    length_m: float
+    width_m: float
+    height_m: float
+    share: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flow:
+    """Vehicles that come at random (exponential gaps) on one edge and leave on another.
+
+    Parameters
+    ----------
+    source, sink : str
+        Edge ids.
+    per_hour : float
+        Vehicles an hour.
+    """
+
+    source: str
+    sink: str
+    per_hour: float
+
+
+KINDS = (
+    VehicleKind(
+        name="small", sumo_class="passenger", length_m=3.8, width_m=1.7, height_m=1.5, share=0.18
+    ),
+    VehicleKind(
+        name="car", sumo_class="passenger", length_m=4.5, width_m=1.82, height_m=1.47, share=0.36
+    ),
+    VehicleKind(
+        name="suv", sumo_class="passenger", length_m=4.7, width_m=1.9, height_m=1.7, share=0.2
+    ),
+    VehicleKind(
+        name="van", sumo_class="delivery", length_m=5.9, width_m=2.05, height_m=2.6, share=0.1
+    ),
+    VehicleKind(
+        name="lorry", sumo_class="truck", length_m=8.5, width_m=2.5, height_m=3.4, share=0.06
+    ),
+    VehicleKind(
+        name="truck", sumo_class="truck", length_m=11.8, width_m=2.55, height_m=3.9, share=0.03
+    ),
+    VehicleKind(
+        name="bus", sumo_class="bus", length_m=12.0, width_m=2.55, height_m=3.1, share=0.04
+    ),
+    VehicleKind(
+        name="bike", sumo_class="motorcycle", length_m=2.2, width_m=0.8, height_m=1.4, share=0.03
+    ),
+)
+
+
+def random_flows(
+    network: RoadNetwork, *, per_hour: float, rng: np.random.Generator
+) -> tuple[Flow, ...]:
+    """Return a flow between every entry and every exit that it leads to; their sum is `per_hour`.
+
+    A vehicle that has no way to its exit would stop at the end of its road and block it.
+    """
+    sinks = set(network.sinks())
+    pairs = [(a, b) for a in network.sources() for b in sorted(_reached(network, a) & sinks)]
+    weights = rng.dirichlet(np.full(len(pairs), 2.0))
+    return tuple(
+        Flow(source=a, sink=b, per_hour=per_hour * float(weight))
+        for (a, b), weight in zip(pairs, weights, strict=True)
+    )
+
+
+def _reached(network: RoadNetwork, edge: str) -> set[str]:
+    """Return the edges that a vehicle on an edge can drive to, and that edge."""
+    lanes = network.lanes
+    ways = [(lanes[t.source].edge, lanes[t.target].edge) for t in network.turns.values()]
+    reached, before = {edge}, set[str]()
+    while reached != before:
+        before = set(reached)
+        reached |= {b for a, b in ways if a in reached}
+    return reached
+
+
+def run_demand(
+    net: Path,
+    trace: Path,
+    *,
+    flows: Sequence[Flow],
+    kinds: Sequence[VehicleKind],
+    trace_from_s: float,
+    end_s: float,
+    seed: int,
+) -> None:
+    """Drive the demand through a SUMO network at 20 Hz.
+
+    Parameters
+    ----------
+    net : Path
+        The ``.net.xml``.
+    trace : Path
+        SUMO's floating-car data, written here.
+    flows, kinds : sequence
+        The traffic.
+    trace_from_s, end_s : float
+        Seconds of simulation from which on to write, and when to stop.
+    seed : int
+        Of SUMO's random numbers.
+    """
+    routes = trace.with_name(f"{trace.name}.rou.xml")
+    routes.write_text(_routes_xml(flows, kinds, end_s), encoding="utf-8")
+    sumo.run(
+        "sumo",
+        [
+            f"--net-file={net}",
+            f"--route-files={routes}",
+            f"--fcd-output={trace}",
+            f"--device.fcd.begin={trace_from_s}",
+            f"--end={end_s}",
+            f"--seed={seed}",
+            "--step-length=0.05",
+            "--precision=4",
+            "--no-step-log=true",
+            "--ignore-route-errors=true",
+            "--time-to-teleport=-1",
+        ],
+    )
+
+
+def _routes_xml(flows: Sequence[Flow], kinds: Sequence[VehicleKind], end_s: float) -> str:
+    types = "".join(
+        f'<vType id="{k.name}" vClass="{k.sumo_class}" length="{k.length_m}" '
+        f'width="{k.width_m}" height="{k.height_m}" probability="{k.share}"/>'
+        for k in kinds
+    )
+    rows = "".join(
+        f'<flow id="f{i}" type="mix" begin="0" end="{end_s}" from="{f.source}" to="{f.sink}" '
+        f'period="exp({f.per_hour / 3600.0:.6f})" departLane="best" departSpeed="max"/>'
+        for i, f in enumerate(flows)
+        if f.per_hour > 0.0
+    )
+    mix = f'<vTypeDistribution id="mix">{types}</vTypeDistribution>'
+    return f"<routes>{mix}{rows}</routes>"

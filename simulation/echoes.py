@@ -1,0 +1,221 @@
+"""Echoes of vehicles: which points of their outside scatter back, and how these move."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gis_radar.arrays import Booleans, Floats, Integers
+from simulation.scene import Scene
+from simulation.sight import Walls
+from simulation.traffic import Vehicles
+
+_TALL_M = 2.4
+_WHEEL_SHARE = 0.16
+_INSIDE_M = 0.08
+
+
+@dataclass(frozen=True, kw_only=True)
+class Echoes:
+    """Scatter points of one moment, one row each.
+
+    Parameters
+    ----------
+    point : Floats
+        Place in the map, ``(n, 3)``, metres.
+    velocity : Floats
+        Of the scattering part, ``(n, 3)``, m/s.
+    rcs : Floats
+        Radar cross section, dBm2.
+    owner : Integers
+        Row of the vehicle it belongs to; -1 where it belongs to none.
+    """
+
+    point: Floats
+    velocity: Floats
+    rcs: Floats
+    owner: Integers
+
+    def where(self, keep: Booleans) -> Echoes:
+        """Return the echoes that `keep` says."""
+        return Echoes(
+            point=self.point[keep],
+            velocity=self.velocity[keep],
+            rcs=self.rcs[keep],
+            owner=self.owner[keep],
+        )
+
+    def range_rate(self, eye: Floats) -> Floats:
+        """Return how fast each point recedes from `eye`, m/s."""
+        sight = self.point - eye
+        away = sight / np.maximum(np.linalg.norm(sight, axis=1), 1e-6)[:, None]
+        return np.asarray(np.sum(away * self.velocity, axis=1))
+
+
+def join_echoes(parts: list[Echoes]) -> Echoes:
+    """Return the echoes of several sources as one."""
+    return Echoes(
+        point=np.vstack([p.point for p in parts]),
+        velocity=np.vstack([p.velocity for p in parts]),
+        rcs=np.concatenate([p.rcs for p in parts]),
+        owner=np.concatenate([p.owner for p in parts]),
+    )
+
+
+def vehicle_echoes(
+    vehicles: Vehicles, scene: Scene, eye: Floats, *, density: float, rng: np.random.Generator
+) -> Echoes:
+    """Draw the scatter points of vehicles on the faces turned to the sensor.
+
+    Parameters
+    ----------
+    vehicles : Vehicles
+        Where they are.
+    scene : Scene
+        Gives the road's height.
+    eye : (3,) array
+        The sensor in the map.
+    density : float
+        Mean number of scatter points of a car's front seen straight on.
+    rng : Generator
+        Decides how many points and where.
+    """
+    owner, side, outward = _draw_faces(vehicles, eye, density, rng)
+    across = _draw_across(side, rng)
+    wheel = side & (rng.random(len(side)) < _WHEEL_SHARE)
+    across[wheel] = np.sign(across[wheel]) * rng.normal(0.62, 0.04, int(wheel.sum()))
+    half = vehicles.size[owner, :2] / 2.0
+    depth = 1.0 - np.minimum(rng.exponential(_INSIDE_M, len(side)) / half.min(axis=1), 1.0)
+    lengthwise = np.where(side, across, outward * depth) * half[:, 0]
+    sidewise = np.where(side, outward * depth, across) * half[:, 1]
+    over = np.where(wheel, 0.35, _draw_heights(vehicles.size[owner, 2], rng))
+    return _placed(
+        vehicles, scene, owner, np.column_stack([lengthwise, sidewise, over]), wheel, rng
+    )
+
+
+def _draw_faces(
+    vehicles: Vehicles, eye: Floats, density: float, rng: np.random.Generator
+) -> tuple[Integers, Booleans, Floats]:
+    """Draw how many points each face gets: owner, whether it is a long side, and its sign."""
+    to_eye = eye[:2] - vehicles.centre
+    cos, sin = np.cos(vehicles.heading), np.sin(vehicles.heading)
+    length, width, height = vehicles.size.T
+    local = np.stack(
+        [cos * to_eye[:, 0] + sin * to_eye[:, 1], cos * to_eye[:, 1] - sin * to_eye[:, 0]]
+    )
+    outside = np.abs(local) - np.stack([length, width]) / 2.0
+    aspect = np.maximum(outside, 0.0) / np.hypot(*to_eye.T)
+    tall = np.sqrt(height / 1.5)
+    ends = density * (width / 1.8) * tall * aspect[0] ** 0.7
+    sides = density * (length / 4.5) ** 0.8 * tall * aspect[1] ** 0.8
+    counts = rng.poisson(np.concatenate([ends, sides]))
+    number = len(length)
+    face = np.repeat(np.arange(2 * number), counts)
+    owner, side = face % number, face >= number
+    outward = np.sign(local)[side.astype(int), owner]
+    return owner, side, outward
+
+
+def _draw_across(side: Booleans, rng: np.random.Generator) -> Floats:
+    """Draw the place on a face, -1 to 1: corners and wheel houses scatter best."""
+    count = len(side)
+    sign = rng.choice([-1.0, 1.0], count)
+    corner = sign * (1.0 - np.abs(rng.normal(0.0, 0.1, count)))
+    house = sign * rng.normal(0.62, 0.07, count)
+    plain = rng.uniform(-1.0, 1.0, count)
+    pick = rng.random(count)
+    special = np.where(side & (pick > 0.3), house, corner)
+    return np.asarray(np.where(pick < 0.55, special, plain))
+
+
+def _draw_heights(height: Floats, rng: np.random.Generator) -> Floats:
+    """Draw heights over the road: bumpers and sills, now and then anywhere up to the roof."""
+    low = rng.uniform(0.3, 0.9, len(height))
+    high = rng.uniform(0.3, 0.95, len(height)) * height
+    return np.where(rng.random(len(height)) < np.where(height > _TALL_M, 0.5, 0.25), high, low)
+
+
+def _placed(
+    vehicles: Vehicles,
+    scene: Scene,
+    owner: Integers,
+    local: Floats,
+    wheel: Booleans,
+    rng: np.random.Generator,
+) -> Echoes:
+    """Return echoes at places given in the vehicles' axes."""
+    heading, speed = vehicles.heading[owner], vehicles.speed[owner]
+    ahead = np.column_stack([np.cos(heading), np.sin(heading)])
+    left = np.column_stack([-ahead[:, 1], ahead[:, 0]])
+    arm = local[:, :1] * ahead + local[:, 1:2] * left
+    plane = vehicles.centre[owner] + arm
+    # the upper part of a rolling wheel moves at twice the vehicle's speed, its foot stands
+    spin = np.where(wheel, 1.0 + np.cos(rng.uniform(0.0, 2.0 * np.pi, len(owner))), 1.0)
+    turning = vehicles.yaw_rate[owner][:, None] * np.column_stack([-arm[:, 1], arm[:, 0]])
+    flat = (speed * spin)[:, None] * ahead + turning
+    size = vehicles.size[owner]
+    base = 8.0 * np.log10(size[:, 0] * size[:, 2] / 6.5)
+    return Echoes(
+        point=np.column_stack([plane, scene.terrain.height(plane) + local[:, 2]]),
+        velocity=np.column_stack([flat, np.zeros(len(owner))]),
+        rcs=base + np.where(wheel, -8.0, 1.0) + rng.normal(0.0, 5.5, len(owner)),
+        owner=owner,
+    )
+
+
+def ghosts(
+    echoes: Echoes, eye: Floats, walls: Walls, *, share: float, rng: np.random.Generator
+) -> Echoes:
+    """Draw multipath ghosts of some echoes.
+
+    Where a wall mirrors the vehicle to the sensor, the ghost is its mirror image, with the
+    mirrored motion; else the wave went an extra bounce, and the ghost lies behind its origin.
+
+    Parameters
+    ----------
+    echoes : Echoes
+        What the sensor sees directly.
+    eye : (3,) array
+        The sensor in the map.
+    walls : Walls
+        Mirrors.
+    share : float
+        Ghosts per echo.
+    rng : Generator
+        Decides which echoes get one.
+    """
+    chosen = echoes.where(rng.random(len(echoes.rcs)) < share)
+    sight = chosen.point - eye
+    reach = np.linalg.norm(sight, axis=1)
+    longer = 1.0 + rng.uniform(1.5, 25.0, len(reach)) / np.maximum(reach, 1.0)
+    point = eye + sight * longer[:, None]
+    velocity = chosen.velocity * rng.uniform(0.85, 1.15, len(reach))[:, None]
+    for row in range(len(reach)):
+        image = _image(chosen.point[row], chosen.velocity[row], eye, walls, rng)
+        if image is not None:
+            point[row], velocity[row] = image
+    loss = rng.uniform(4.0, 12.0, len(reach))
+    none = np.full(len(reach), -1)
+    return Echoes(point=point, velocity=velocity, rcs=chosen.rcs - loss, owner=none)
+
+
+def _image(
+    point: Floats, velocity: Floats, eye: Floats, walls: Walls, rng: np.random.Generator
+) -> tuple[Floats, Floats] | None:
+    """Return a mirror image that the sensor sees through one of the walls, if there is any."""
+    along = walls.end - walls.begin
+    normal = np.column_stack([-along[:, 1], along[:, 0]])
+    normal = normal / np.maximum(np.hypot(*normal.T), 1e-9)[:, None]
+    depth = np.sum((point[:2] - walls.begin) * normal, axis=1)
+    images = np.column_stack(
+        [point[:2] - 2.0 * depth[:, None] * normal, np.full(len(normal), point[2])]
+    )
+    seen = np.isfinite(np.diagonal(walls.crossing(eye, images)))
+    if not seen.any() or rng.random() < 0.5:
+        return None
+    # the nearest mirror stands in the way of the others
+    wall = int(np.argmin(np.where(seen, np.linalg.norm(images - eye, axis=1), np.inf)))
+    flat = velocity[:2] - 2.0 * (velocity[:2] @ normal[wall]) * normal[wall]
+    return images[wall], np.array([flat[0], flat[1], velocity[2]])
