@@ -22,7 +22,7 @@ def lightness(colour: str) -> float:
 
 
 def test_classes_cover_zero_to_one_without_gap():
-    levels = style.levels()
+    levels = style.colour_classes()
     assert (levels[0].lower, levels[0].upper) == (0.0, 0.0)
     assert levels[1].lower == 0.0
     assert levels[-1].upper == 1.0
@@ -31,7 +31,7 @@ def test_classes_cover_zero_to_one_without_gap():
 
 
 def test_darker_is_busier_in_even_steps():
-    light = [lightness(level.colour) for level in style.levels()[1:]]
+    light = [lightness(level.colour) for level in style.colour_classes()[1:]]
     steps = -np.diff(light)
     assert (steps > 7.0).all()
     assert steps.max() < 2 * steps.min()
@@ -48,7 +48,7 @@ def test_vector_qml(begin):
     assert renderer.get("attr") == "occupancy"
     ranges = renderer.findall("ranges/range")
     assert [(float(r.get("lower")), float(r.get("upper"))) for r in ranges] == [
-        (level.lower, level.upper) for level in style.levels()
+        (level.lower, level.upper) for level in style.colour_classes()
     ]
     assert len(renderer.findall("symbols/symbol")) == len(ranges)
     temporal = root.find("temporal")
@@ -62,7 +62,7 @@ def test_vector_qml(begin):
 
 def test_a_pixel_on_a_break_has_the_class_of_its_tile():
     items = ET.fromstring(style.sidecar_qml()).findall(".//colorrampshader/item")  # noqa: S314
-    for item, level in zip(items, style.levels(), strict=True):
+    for item, level in zip(items, style.colour_classes(), strict=True):
         assert float(item.get("value")) == float(np.float32(level.upper))
 
 
@@ -70,7 +70,7 @@ def test_sld_filters_are_half_open():
     space = {"s": "http://www.opengis.net/sld", "o": "http://www.opengis.net/ogc"}
     root = ET.fromstring(style.sld("heatmap"))  # noqa: S314
     rules = root.findall(".//s:Rule", space)
-    assert len(rules) == len(style.levels())
+    assert len(rules) == len(style.colour_classes())
     assert rules[0].find("o:Filter/o:PropertyIsEqualTo/o:Literal", space).text == "0"
     both = rules[2].find("o:Filter/o:And", space)
     assert both.find("o:PropertyIsGreaterThan/o:Literal", space).text == "0.005"

@@ -41,7 +41,7 @@ def colours(ax):
 
 
 def named(share):
-    level = next(level for level in style.levels() if share <= level.upper)
+    level = next(level for level in style.colour_classes() if share <= level.upper)
     return tuple(np.round(to_rgba(level.colour), 3))
 
 
@@ -50,7 +50,7 @@ def test_a_heat_map_is_drawn_on_the_axes_given(heat):
     assert heat.plot(ax) is ax
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("easting, m", "northing, m")
     labels = [text.get_text() for text in ax.get_legend().get_texts()]
-    assert labels == [level.label for level in reversed(style.levels())] + ["not observed"]
+    assert labels == [level.label for level in reversed(style.colour_classes())] + ["not observed"]
     assert plt.get_fignums() == [figure.number]
 
 

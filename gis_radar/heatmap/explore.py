@@ -35,7 +35,7 @@ def explore(tally: Tally, interval: int | None, options: Mapping[str, Any]) -> A
     """
     tiles = tally.tiles.assign(**tally.shares(interval)._asdict()).dropna(subset="occupancy")
     tiles = tiles.sort_values("occupancy", kind="stable")  # the busiest on top
-    levels = style.levels()
+    levels = style.colour_classes()
     place = np.searchsorted([level.upper for level in levels], tiles["occupancy"])
     labels = [level.label for level in levels]
     # what a browser reads has no 64-bit integers

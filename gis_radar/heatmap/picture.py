@@ -107,7 +107,7 @@ def time_span(tally: Tally, interval: int | None = None) -> str:
 
 def add_legend(ax: Axes) -> None:
     """Write the classes of occupancy beside axes."""
-    classes = [(level.colour, level.label) for level in reversed(style.levels())]
+    classes = [(level.colour, level.label) for level in reversed(style.colour_classes())]
     handles = [
         Rectangle((0, 0), 1, 1, facecolor=colour, edgecolor=SOFT, linewidth=0.5, label=label)
         for colour, label in (*classes, (style.NOT_OBSERVED, style.NOT_OBSERVED_LABEL))
@@ -128,7 +128,7 @@ def add_side(ax: Axes, tally: Tally, dpi: float) -> None:
     ax.text(0.25, 0.12, style.LEGEND_TITLE, fontsize=9.5, fontweight="bold", color=INK)
     ax.text(0.25, 0.3, "in which a tile is hit", fontsize=8.5, color=SOFT)
     y = 0.5
-    for level in reversed(style.levels()):
+    for level in reversed(style.colour_classes()):
         gap = 0.08 if level.upper == 0.0 else 0.0
         _add_swatch(ax, y + gap, level.colour, level.label)
         y += 0.24 + gap
@@ -351,7 +351,7 @@ def _add_tiles(
 
 def _colours(share: Floats) -> NDArray[np.float64]:
     """Return the colour of each occupancy, by the classes of the style."""
-    levels = style.levels()
+    levels = style.colour_classes()
     palette = mpl.colors.to_rgba_array([level.colour for level in levels] + [style.NOT_OBSERVED])
     place = np.searchsorted([level.upper for level in levels], share)
     return np.asarray(palette[np.where(np.isnan(share), len(levels), place)])

@@ -30,7 +30,7 @@ _BEGIN_AND_DURATION = "1"
 _INCLUDE_BEGIN_EXCLUDE_END = "0"
 
 
-class Level(NamedTuple):
+class ColourClass(NamedTuple):
     """A class of occupancy: more than `lower` up to `upper`; the first is exactly 0."""
 
     lower: float
@@ -39,12 +39,12 @@ class Level(NamedTuple):
     label: str
 
 
-def levels() -> tuple[Level, ...]:
+def colour_classes() -> tuple[ColourClass, ...]:
     """Return the classes of occupancy from 0 to 1, lowest first."""
     bounds = zip(pairwise(BREAKS), RAMP, strict=True)
     return (
-        Level(0.0, 0.0, NEVER_HIT, "0 %, never hit"),
-        *(Level(low, high, colour, _label(low, high)) for (low, high), colour in bounds),
+        ColourClass(0.0, 0.0, NEVER_HIT, "0 %, never hit"),
+        *(ColourClass(low, high, colour, _label(low, high)) for (low, high), colour in bounds),
     )
 
 
@@ -113,7 +113,7 @@ def _add_renderer(root: Element) -> None:
     )  # fmt: skip
     ranges = SubElement(renderer, "ranges")
     symbols = SubElement(renderer, "symbols")
-    for name, level in enumerate(levels()):
+    for name, level in enumerate(colour_classes()):
         SubElement(
             ranges, "range", symbol=str(name), render="true", label=level.label,
             lower=f"{level.lower:.15f}", upper=f"{level.upper:.15f}",
@@ -163,7 +163,7 @@ def _add_raster_renderer(pipe: Element) -> None:
         colorRampType="DISCRETE", classificationMode="1", clip="0",
         minimumValue="0", maximumValue="1", labelPrecision="3",
     )  # fmt: skip
-    for level in levels():
+    for level in colour_classes():
         SubElement(
             shader, "item", value=f"{_single(level.upper):.17g}", color=level.colour,
             alpha="255", label=level.label,
@@ -180,7 +180,7 @@ def sld(layer: str) -> str:
     named = SubElement(root, "NamedLayer")
     SubElement(named, "Name").text = layer
     style = SubElement(SubElement(named, "UserStyle"), "FeatureTypeStyle")
-    for level in levels():
+    for level in colour_classes():
         rule = SubElement(style, "Rule")
         SubElement(rule, "Name").text = level.label
         _add_filter(SubElement(rule, "ogc:Filter"), level)
@@ -189,7 +189,7 @@ def sld(layer: str) -> str:
     return _document(root, '<?xml version="1.0" encoding="UTF-8"?>')
 
 
-def _add_filter(parent: Element, level: Level) -> None:
+def _add_filter(parent: Element, level: ColourClass) -> None:
     if level.upper == 0.0:
         _add_comparison(parent, "ogc:PropertyIsEqualTo", 0.0)
         return

@@ -66,7 +66,7 @@ class Canvas:
         share : (n,) array
             Occupancy of all tiles, NaN where not observed: hatched, unlike a 0.
         """
-        breaks = [level.upper for level in style.levels()]
+        breaks = [level.upper for level in style.colour_classes()]
         place = np.where(np.isnan(share), UNSEEN, LEVELS + np.searchsorted(breaks, share))
         top = self.top(place.astype(np.uint8))
         row, column = np.divmod(self.pixel, self.width)
@@ -136,7 +136,13 @@ def _ground(pixel: Integers, width: int, height: int) -> Picture:
 
 def palette() -> list[int]:
     """Return red, green, blue of each place in the palette, one after the other."""
-    colours = [PAPER, CASING, style.NOT_OBSERVED, HATCH, *(each.colour for each in style.levels())]
+    colours = [
+        PAPER,
+        CASING,
+        style.NOT_OBSERVED,
+        HATCH,
+        *(each.colour for each in style.colour_classes()),
+    ]
     return [part for colour in colours for part in bytes.fromhex(colour.removeprefix("#"))]
 
 

@@ -20,7 +20,7 @@ def page_of(content: Content) -> str:
     css, script = _part("page.css") + _legend_css() + _map_css(content.map), _part("page.js")
     return _template().render(
         report=content,
-        levels=style.levels(),
+        levels=style.colour_classes(),
         legend_title=style.LEGEND_TITLE,
         not_observed=style.NOT_OBSERVED_LABEL,
         css=Markup(css),  # noqa: S704 - our own file
@@ -47,7 +47,8 @@ def _hash(text: str) -> str:
 def _legend_css() -> str:
     """Return the colours of the legend, which are those of the maps."""
     rules = [
-        f".level-{i} {{ background: {level.colour}; }}" for i, level in enumerate(style.levels())
+        f".level-{i} {{ background: {level.colour}; }}"
+        for i, level in enumerate(style.colour_classes())
     ]
     return "\n".join(rules) + "\n"
 

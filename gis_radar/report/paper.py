@@ -283,7 +283,7 @@ def _add_legend(paper: Paper, left: float, top: float) -> None:
     paper.set_font(FONT, size=7.5)
     paper.set_text_color(SOFT)
     paper.cell(LEGEND, 4, "in which a tile is hit")
-    rows = [(level.colour, level.label) for level in reversed(style.levels())]
+    rows = [(level.colour, level.label) for level in reversed(style.colour_classes())]
     paper.set_text_color(INK)
     for i, (colour, label) in enumerate([*rows, (style.NOT_OBSERVED, style.NOT_OBSERVED_LABEL)]):
         y = top + 10 + i * 6

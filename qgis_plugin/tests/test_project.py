@@ -48,7 +48,7 @@ def test_the_project_has_style_and_time(qgis_new_project, project):
     layer = layer_called("Occupancy by interval")
     assert layer.temporalProperties().isActive()
     assert [step.label() for step in layer.renderer().ranges()] == [
-        level.label for level in STYLE["levels"]()
+        level.label for level in STYLE["colour_classes"]()
     ]
     assert isinstance(layer_called("Occupancy, raster"), QgsRasterLayer)
     span = shown.timeSettings().temporalRange()
@@ -56,7 +56,7 @@ def test_the_project_has_style_and_time(qgis_new_project, project):
     assert span.end().toString(Qt.DateFormat.ISODate) == "2025-06-12T07:31:40Z"
     assert shown.readNumEntry("TemporalControllerWidget", "/NavigationMode")[0] == 1
     assert layer_called("Sensors").labelsEnabled()
-    assert colours(drawn(layer, seconds=20)) & {level.colour for level in STYLE["levels"]()}
+    assert colours(drawn(layer, seconds=20)) & {level.colour for level in STYLE["colour_classes"]()}
     extent = shown.viewSettings().defaultViewExtent()
     assert extent.contains(690400.0, 5336200.0)
 
@@ -88,7 +88,7 @@ def test_the_project_prints_at_once(qgis_new_project, project, tmp_path):
     done = QgsLayoutExporter(layout).exportToImage(path, settings)
     assert done == QgsLayoutExporter.ExportResult.Success
     found = colours(QImage(path))
-    assert len(found & {level.colour for level in STYLE["levels"]()}) > 5
+    assert len(found & {level.colour for level in STYLE["colour_classes"]()}) > 5
     assert STYLE["NOT_OBSERVED"] in found
 
 

@@ -69,11 +69,13 @@ def test_the_style_is_the_one_of_all_maps(heatmap):
     assert isinstance(renderer, QgsGraduatedSymbolRenderer)
     assert renderer.classAttribute() == "occupancy"
     shown = [(step.symbol().color().name(), step.label()) for step in renderer.ranges()]
-    assert shown == [(level.colour, level.label) for level in STYLE["levels"]()]
+    assert shown == [(level.colour, level.label) for level in STYLE["colour_classes"]()]
     assert shown[0][1] == "0 %, never hit"
     raster = layer_called("Occupancy, raster")
     items = raster.renderer().shader().rasterShaderFunction().colorRampItemList()
-    assert [item.color.name() for item in items] == [level.colour for level in STYLE["levels"]()]
+    assert [item.color.name() for item in items] == [
+        level.colour for level in STYLE["colour_classes"]()
+    ]
 
 
 def test_the_list_of_layers_speaks_german(heatmap, monkeypatch):
@@ -150,7 +152,7 @@ def test_a_moment_shows_its_interval_alone(heatmap, project, way):
 def test_two_moments_differ(heatmap):
     layer = layer_called("Occupancy by interval")
     first, second = drawn(layer, seconds=0), drawn(layer, seconds=60)
-    assert colours(first) & {level.colour for level in STYLE["levels"]()}
+    assert colours(first) & {level.colour for level in STYLE["colour_classes"]()}
     assert first != second
 
 
