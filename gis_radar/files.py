@@ -241,41 +241,24 @@ def _named(path: Path) -> Iterator[None]:
         raise OutputError(f"{path}: cannot be written: {reason}") from error
 
 
-if sys.platform == "win32":
-    import msvcrt
-
-    def _take(handle: int) -> None:
-        # Far behind the text, which others shall be able to read.
-        os.lseek(handle, 1 << 20, os.SEEK_SET)
-        try:
-            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
-        except PermissionError as error:
-            raise BlockingIOError from error
-        finally:
-            os.lseek(handle, 0, os.SEEK_SET)
-
-else:
-    import fcntl
-
-    def _take(handle: int) -> None:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
 @contextmanager
 def only_writer(
     path: Path, *, lock: Path | None = None, reporter: Reporter | None = None
 ) -> Iterator[None]:
     """Keep other runs from writing the same result while the block runs.
 
+    The lock is filelock's, on a file of ours: its `FileLock` leaves the file behind and does not
+    name the process that holds it.
+
     Parameters
     ----------
     path : Path
         The result, for the message.
     lock : Path, optional
-        The file that is locked, gone afterwards; by default a hidden one beside the result. It
-        says which process holds it.
+        The file that is locked, removed afterwards; by default a hidden one beside the result. It
+        holds the process id of the holder.
     reporter : Reporter, optional
-        Told where the file system knows no locks, and there is none.
+        Receives a warning where the file system has no locks; the block then runs without one.
 
     Raises
     ------
@@ -286,7 +269,8 @@ def only_writer(
     handle = _taken(lock, path, reporter)
     try:
         os.truncate(handle, 0)
-        os.write(handle, f"{os.getpid()}\n".encode())
+        # From the second byte on: Windows lets nobody else read the first, which is the locked one.
+        os.write(handle, f"\n{os.getpid()}\n".encode())
         yield
     finally:
         # While still held, where the system allows it: who opens it anew gets another file.
@@ -299,23 +283,26 @@ def only_writer(
 
 
 def _taken(lock: Path, path: Path, reporter: Reporter | None) -> int:
-    """Open and lock the file; a file that was taken away meanwhile is no lock."""
+    """Open and lock the file; a file that was removed meanwhile is no lock."""
+    from filelock import lock_descriptor  # noqa: PLC0415 - 70 ms
+
     while True:
         handle = os.open(lock, os.O_RDWR | os.O_CREAT, 0o644)
         try:
-            _take(handle)
-        except BlockingIOError as error:
+            free = lock_descriptor(handle, blocking=False)
+        except OSError as error:
+            if reporter is not None:
+                reporter.log(f"{path}: cannot be locked: {error.strerror}", "warning")
+            return handle
+        if not free:
+            os.lseek(handle, 1, os.SEEK_SET)
             holder = os.read(handle, 20).decode(errors="replace").strip()
             os.close(handle)
             who = f" (process {holder})" if holder else ""
             raise OutputError(
                 f"{path}: another run is writing it{who}",
                 hint="wait for it, stop it, or name another output",
-            ) from error
-        except OSError as error:
-            if reporter is not None:
-                reporter.log(f"{path}: cannot be locked: {error.strerror}", "warning")
-            return handle
+            )
         with suppress(OSError):
             if os.path.samestat(lock.stat(), os.fstat(handle)):
                 return handle
