@@ -1,6 +1,7 @@
 """Real maps: every lanelet can be cut into slices, and is what Lanelet2 itself reads."""
 
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -13,11 +14,14 @@ from gis_radar.lanelets.bounds import rungs, slices, sound
 from gis_radar.lanelets.osm import read_osm
 from gis_radar.tiles.tiles import make_tiles, quads
 
+# reading a map takes longer than most of what is checked of it
+map_at = cache(read_map)
+
 
 @needs_shared_maps
 @pytest.mark.parametrize("path", SHARED_MAPS, ids=map_name)
 def test_real_maps_are_cut_into_sound_slices(path):
-    road = read_map(path)
+    road = map_at(path)
     bounds = zip(road.lanelets["left"], road.lanelets["right"], strict=True)
     for (left, right), shape in zip(bounds, road.lanelets.geometry, strict=True):
         a, b = shapely.get_coordinates(left), shapely.get_coordinates(right)
@@ -41,7 +45,7 @@ def lanelet2():
 @pytest.mark.parametrize("path", SHARED_MAPS, ids=map_name)
 def test_real_maps_are_read_as_lanelet2_reads_them(lanelet2, path):
     theirs = {lanelet.id: lanelet for lanelet in loaded(lanelet2, path).laneletLayer}
-    road = read_map(path)
+    road = map_at(path)
     ours = road.lanelets.set_index("lanelet_id")
     assert set(theirs) == set(ours.index)
     drawn = Drawn(path, road.crs)
@@ -61,7 +65,7 @@ def test_real_maps_are_read_as_lanelet2_reads_them(lanelet2, path):
 def test_traffic_rules_are_those_of_lanelet2(lanelet2, path, user):
     theirs = {lanelet.id: lanelet for lanelet in loaded(lanelet2, path).laneletLayer}
     rules = lanelet2.traffic_rules.create("de", user)
-    ours = read_map(path).lanelets.set_index("lanelet_id")
+    ours = map_at(path).lanelets.set_index("lanelet_id")
     for ref, lanelet in theirs.items():
         assert (user in ours["participants"][ref]) == rules.canPass(lanelet)
         limit = ours["speed_limit_kmh"][ref]
@@ -70,6 +74,7 @@ def test_traffic_rules_are_those_of_lanelet2(lanelet2, path, user):
             assert bool(ours["one_way"][ref]) == rules.isOneWay(lanelet)
 
 
+@cache
 def loaded(lanelet2, path):
     longitude, latitude = np.nanmedian(read_osm(path).geographic, axis=0)
     origin = lanelet2.io.Origin(float(latitude), float(longitude))
@@ -101,7 +106,7 @@ class Drawn:
 @pytest.mark.parametrize("length_m", [0.5, 2.0, 20.0, 1000.0])
 @pytest.mark.parametrize("path", SHARED_MAPS, ids=map_name)
 def test_tiles_of_any_length_are_sound(path, length_m):
-    road, listener = read_map(path), Listener()
+    road, listener = map_at(path), Listener()
     subtypes = set(road.lanelets["subtype"])
     tiles = make_tiles(road, length_m=length_m, subtypes=subtypes, reporter=listener)
     assert shapely.is_valid(tiles.geometry.array).all()
