@@ -24,7 +24,7 @@ from pyproj import CRS
 import gis_radar as gr
 from gis_radar.scans.engines import write_layer
 from gis_radar.scans.pdal import find_pdal
-from gis_radar.scans.roads import Level, Roads, roads_of_map
+from gis_radar.scans.roads import RoadLevel, Roads, roads_of_map
 
 ROOT = Path(__file__).parent.parent
 TARGET_READS = 5.0
@@ -139,7 +139,7 @@ def _streets(count: int) -> Roads:
         shapes.append(shapely.box(west + low, south, west + high, south + TILE_M))
     parts = shapely.get_parts(shapely.union_all(shapes))
     area = shapely.MultiPolygon(list(parts))
-    return Roads(crs=CRS_OF_TILES, area=area, levels=(Level(shapes=parts),), source="streets")
+    return Roads(crs=CRS_OF_TILES, area=area, levels=(RoadLevel(shapes=parts),), source="streets")
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ import numpy as np
 import shapely
 from pyproj import CRS
 
-from gis_radar.scans.roads import Level, Roads
+from gis_radar.scans.roads import RoadLevel, Roads
 
 UTM = CRS.from_epsg(25832)
 EAST, NORTH = 678_000.0, 5_403_600.0
@@ -63,10 +63,10 @@ def box_roads(*boxes, heights=None, crs=UTM):
     shapes = [shapely.transform(shapely.box(*box), lambda xy: xy + [EAST, NORTH]) for box in boxes]
     area = shapely.union_all(shapes)
     if heights is None:
-        levels = (Level(shapes=np.array(shapes)),)
+        levels = (RoadLevel(shapes=np.array(shapes)),)
     else:
         levels = tuple(
-            Level(shapes=np.array([shape]), heights=sampled(box, height))
+            RoadLevel(shapes=np.array([shape]), heights=sampled(box, height))
             for shape, box, height in zip(shapes, boxes, heights, strict=True)
         )
     parts = shapely.get_parts(area)

@@ -19,9 +19,9 @@ from sites import recording
 import gis_radar as gr
 from gis_radar.cli.commands import group
 from gis_radar.localization import Localization
-from gis_radar.scans import scan as aerial_scans
+from gis_radar.scans import scan as scan_files
 from gis_radar.second_look.alignment import CLOSE_M, Alignment, align
-from gis_radar.second_look.standing import CELL_M, FRAMES, Level, read_slow
+from gis_radar.second_look.standing import CELL_M, FRAMES, LevelFrame, read_slow
 from gis_radar.second_look.structure import read_structure
 
 SAMPLE = gr.sample_folder()
@@ -144,8 +144,8 @@ def test_only_the_place_of_map_and_sensor_to_each_other_counts(look, tmp_path):
     st.lists(st.tuples(*[st.floats(-300.0, 300.0)] * 3), min_size=1, max_size=5),
 )
 def test_the_level_frame_stands_under_the_sensor(yaw, place, points):
-    level = Level(pose=replace(POSE, easting=place[0], northing=place[1], yaw=yaw))
-    here = Level(pose=POSE)
+    level = LevelFrame(pose=replace(POSE, easting=place[0], northing=place[1], yaw=yaw))
+    here = LevelFrame(pose=POSE)
     points = np.array(points)
     assert np.allclose(level.from_map(level.to_map(points)), points, atol=1e-6)
     assert np.allclose(level.from_sensor(points), here.from_sensor(points), atol=1e-6)
@@ -252,12 +252,12 @@ def test_vehicles_that_wait_or_drive_by_do_not_stand(look):
 
 
 def test_pieces_and_their_order_do_not_matter(tmp_path, monkeypatch):
-    level = Level(pose=POSE)
+    level = LevelFrame(pose=POSE)
     whole = read_structure([SCAN], level, reach_m=100.0)
     halves = [
         rewritten(tmp_path / f"{i}.laz", lambda xyz, c, i=i: (xyz[i::2], c[i::2])) for i in (1, 0)
     ]
-    monkeypatch.setattr(aerial_scans, "AT_ONCE", 40_000)
+    monkeypatch.setattr(scan_files, "AT_ONCE", 40_000)
     parts = read_structure(halves, level, reach_m=100.0)
     for name in ("top", "ground", "canopy", "roof", "edge"):
         assert np.allclose(getattr(parts, name), getattr(whole, name), atol=1e-6, equal_nan=True)
@@ -315,7 +315,7 @@ def test_a_scan_of_another_place_is_told_before_the_search(tmp_path, monkeypatch
         raise AssertionError
 
     monkeypatch.setattr(gr, "localize", never, raising=False)
-    monkeypatch.setattr(aerial_scans.Scan, "pieces", never)  # nor is a scan read
+    monkeypatch.setattr(scan_files.Scan, "pieces", never)  # nor is a scan read
     far = rewritten(tmp_path / "far.laz", lambda xyz, c: (xyz[::50] + [900.0, 0.0, 0.0], c[::50]))
     words = command(tmp_path, "--scan", str(far), "--json")
     words[words.index("--road") + 1] = str(SAMPLE / "scan.laz")

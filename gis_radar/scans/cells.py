@@ -18,8 +18,8 @@ from scipy import ndimage
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.scans.point_store import BLOCK_CELLS, BLOCK_M, CELL_M, PointStore
-from gis_radar.scans.roads import Level
-from gis_radar.scans.surface import SURFACE_M, lay_sheet
+from gis_radar.scans.roads import RoadLevel
+from gis_radar.scans.surface import SURFACE_M, fit_ground
 
 # A cell is a core with so many cells within the radius, itself among them.
 RADIUS_CELLS = 2
@@ -142,14 +142,14 @@ def scan_over_map(store: PointStore) -> float:
     Roads lie at one offset to within centimetres, while trees, roofs and other levels spread over
     many; so the mode finds them without knowing which points are road.
     """
-    levels = [level for level in store.site.roads.levels if level.has_heights]
+    levels = [level for level in store.blocks.roads.levels if level.has_heights]
     if not levels:
         return float("nan")
     bins = np.zeros(int(2 * MOST_M / BIN_M) + 1, np.int64)
-    for block in range(len(store.site.shapes)):
+    for block in range(len(store.blocks.shapes)):
         xyz, _ = store.points(block)
         xyz = xyz[:: max(1, len(xyz) // ENOUGH)]
-        xy = xyz[:, :2] + store.site.corner(block)
+        xy = xyz[:, :2] + store.blocks.corner(block)
         for level in levels:
             place = np.rint((xyz[:, 2] - level.height_near(xy) + MOST_M) / BIN_M)
             kept = (place >= 0) & (place < len(bins))
@@ -217,24 +217,24 @@ def make_cells(store: PointStore, *, reporter: Reporter = QUIET) -> RoadCells:
     reporter : Reporter
         Hears how far the work is.
     """
-    site = store.site
+    blocks = store.blocks
     offset_m = scan_over_map(store)
     parts: list[_Part] = []
     seen = [np.empty((0, 2))]
-    for block in range(len(site.shapes)):
+    for block in range(len(blocks.shapes)):
         xyz, ground = store.points(block, MARGIN_M)
-        corner = np.array(site.corner(block))
+        corner = np.array(blocks.corner(block))
         seen.append(_squares(xyz) * SQUARE_M + corner)
-        for level, masks in zip(site.roads.levels, site.level_masks, strict=True):
+        for level, masks in zip(blocks.roads.levels, blocks.level_masks, strict=True):
             if masks[block].any():
-                area = site.window(masks, block, MARGIN_CELLS)
+                area = blocks.window(masks, block, MARGIN_CELLS)
                 parts.append(_part(level, xyz, ground, area, corner, offset_m))
-        reporter.progress("making cells", block + 1, len(site.shapes))
+        reporter.progress("making cells", block + 1, len(blocks.shapes))
     found = np.concatenate([part.points for part in parts])
     return RoadCells(
         points=found[np.lexsort((found[:, 2], found[:, 0], found[:, 1]))],
         used=sum(part.used for part in parts),
-        area_cells=sum(int(masks.sum()) for masks in site.level_masks),
+        area_cells=sum(int(masks.sum()) for masks in blocks.level_masks),
         missing=np.concatenate([part.missing for part in parts]),
         seen=np.concatenate(seen),
         removed=sum(part.removed for part in parts),
@@ -243,7 +243,7 @@ def make_cells(store: PointStore, *, reporter: Reporter = QUIET) -> RoadCells:
 
 
 def _part(
-    level: Level, xyz: Floats, ground: Booleans, area: Booleans, corner: Floats, offset_m: float
+    level: RoadLevel, xyz: Floats, ground: Booleans, area: Booleans, corner: Floats, offset_m: float
 ) -> _Part:
     """Make the cells of one level in one block; `area` and the points have a margin around it."""
     cell = _cell(xyz)
@@ -254,8 +254,8 @@ def _part(
     inner = np.flatnonzero(_inner(area))
     if len(xyz) == 0:
         return _Part(points=np.empty((0, 3)), used=0, missing=_centres(inner) + corner, removed=0)
-    sheet = lay_sheet(xyz)
-    over = xyz[:, 2] - sheet.height(xyz[:, 0], xyz[:, 1])
+    surface = fit_ground(xyz)
+    over = xyz[:, 2] - surface.height(xyz[:, 0], xyz[:, 1])
     kept = np.abs(over) <= SURFACE_M
     over, cell = over[kept], cell[kept]
     order = np.argsort(cell, kind="stable")
@@ -267,7 +267,7 @@ def _part(
     height.ravel()[cells] = median
     found = np.flatnonzero(_inner(large))
     centre = _centres(found)
-    up = sheet.height(centre[:, 0], centre[:, 1]) + _inner(height).ravel()[found]
+    up = surface.height(centre[:, 0], centre[:, 1]) + _inner(height).ravel()[found]
     return _Part(
         points=np.column_stack([centre + corner, up]),
         used=int(np.count_nonzero(_inside_of(large)[cell])),
@@ -277,7 +277,7 @@ def _part(
 
 
 def _candidates(
-    level: Level, xyz: Floats, ground: Booleans, cell: Integers, corner: Floats, offset_m: float
+    level: RoadLevel, xyz: Floats, ground: Booleans, cell: Integers, corner: Floats, offset_m: float
 ) -> Booleans:
     """Choose the points that may be this level's road.
 

@@ -40,7 +40,6 @@ from gis_radar.scans.scan import (
 LAYER, COLUMN = "roads", "road"
 MARGIN_M = 30.0  # what a ground filter looks at around a road: wider than its window
 MARK = "UserData"
-Stage = dict[str, Any]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +98,7 @@ class Pipeline:
         ]  # fmt: skip
         return {"pipeline": stages}
 
-    def _group(self, area: Box, *, classified: bool) -> list[Stage]:
+    def _group(self, area: Box, *, classified: bool) -> list[dict[str, Any]]:
         """Return the stages up to the choice of ground, for scans of one kind."""
         kind = "classified" if classified else "unclassified"
         stages, ends = [], []
@@ -114,10 +113,10 @@ class Pipeline:
         stages[-1]["tag"] = kind
         return stages
 
-    def _read(self, number: int, scan: Scan, area: Box) -> list[Stage]:
+    def _read(self, number: int, scan: Scan, area: Box) -> list[dict[str, Any]]:
         box = moved_box(area, self.roads.crs, scan.crs)
         # The file's own system may be compound; heights shall stay as they are.
-        stages: list[Stage] = [
+        stages: list[dict[str, Any]] = [
             {
                 "type": "readers.las", "filename": str(scan.path.resolve()),
                 "override_srs": name_of(scan.crs), "tag": f"scan_{number}",
@@ -134,7 +133,7 @@ class Pipeline:
             stage["inputs"] = [before["tag"]]
         return stages
 
-    def _ground(self, *, classified: bool) -> list[Stage]:
+    def _ground(self, *, classified: bool) -> list[dict[str, Any]]:
         if classified:
             return [{"type": "filters.range", "limits": self._limits()}]
         return [
@@ -231,7 +230,7 @@ MOST_AT_ONCE = 5_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class Harvest:
+class ReadStatistics:
     """What was learnt while the points were read.
 
     Parameters
@@ -257,7 +256,9 @@ class Engine(Protocol):
         """What it is, with its version."""
         ...
 
-    def fill(self, store: PointStore, scans: Sequence[Scan], *, reporter: Reporter) -> Harvest:
+    def fill(
+        self, store: PointStore, scans: Sequence[Scan], *, reporter: Reporter
+    ) -> ReadStatistics:
         """Put those points of scans that lie on the roads into a store."""
         ...
 
@@ -288,13 +289,15 @@ class BuiltIn:
 
     name: str = f"built-in (laspy {laspy.__version__})"
 
-    def fill(self, store: PointStore, scans: Sequence[Scan], *, reporter: Reporter) -> Harvest:
+    def fill(
+        self, store: PointStore, scans: Sequence[Scan], *, reporter: Reporter
+    ) -> ReadStatistics:
         """Put those points of scans that lie on the roads into a store."""
         total, done = sum(scan.points for scan in scans), 0
         classified: list[bool] = []
         times: list[float] = []
         on_road = 0
-        passing = passing_classes(store.site.roads)
+        passing = passing_classes(store.blocks.roads)
         for number, scan in enumerate(scans):
             ground = 0
             for piece in _pieces(scan, store):
@@ -306,7 +309,7 @@ class BuiltIn:
             store.classified(number, ground=classified[-1])
             counts = store.counts[number]
             on_road += int(counts[passing].sum() if classified[-1] else counts.sum())
-        return Harvest(classified=tuple(classified), on_road=on_road, flown=days_of(times))
+        return ReadStatistics(classified=tuple(classified), on_road=on_road, flown=days_of(times))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -320,26 +323,28 @@ class Pdal:
         """What it is, with its version."""
         return self.runner.name
 
-    def fill(self, store: PointStore, scans: Sequence[Scan], *, reporter: Reporter) -> Harvest:
+    def fill(
+        self, store: PointStore, scans: Sequence[Scan], *, reporter: Reporter
+    ) -> ReadStatistics:
         """Put those points of scans that lie on the roads into a store."""
         classified = tuple(ground_share(scan) >= LEAST_GROUND_SHARE for scan in scans)
-        pipeline = Pipeline(scans=tuple(scans), classified=classified, roads=store.site.roads)
+        pipeline = Pipeline(scans=tuple(scans), classified=classified, roads=store.blocks.roads)
         store.classified(0, ground=True)  # whatever the scans were, the pipeline classified them
         times: list[float] = []
         with tempfile.TemporaryDirectory(prefix="gis_radar_") as name:
             layer, points = Path(name) / "roads.gpkg", Path(name) / "points.laz"
-            write_layer(store.site.roads, layer)
+            write_layer(store.blocks.roads, layer)
             parts = _parts(pipeline)
             for done, within in enumerate(parts):
                 document = pipeline.document(roads=layer, points=points, within=within)
                 self.runner.run(document, reporter=reporter)
                 if _holds_points(points):
-                    result = open_scan(points, crs=store.site.roads.crs)
+                    result = open_scan(points, crs=store.blocks.roads.crs)
                     for piece in _pieces(result, store):
                         times += _keep(store, result, 0, piece)
                 points.unlink(missing_ok=True)
                 reporter.progress("running the pipeline", done + 1, len(parts))
-        return Harvest(classified=classified, on_road=store.total, flown=days_of(times))
+        return ReadStatistics(classified=classified, on_road=store.total, flown=days_of(times))
 
 
 def _parts(pipeline: Pipeline) -> list[Box | None]:
@@ -360,16 +365,16 @@ def _holds_points(path: Path) -> bool:
 
 
 def _pieces(scan: Scan, store: PointStore) -> Iterator[Points]:
-    roads = store.site.roads
+    roads = store.blocks.roads
     return scan.pieces(moved_box(roads.area.bounds, roads.crs, scan.crs))
 
 
 def _keep(store: PointStore, scan: Scan, number: int, piece: Points) -> list[float]:
     """Store the points on the roads; return their earliest and latest time, if any."""
     x, y = piece.x, piece.y
-    if not same_plane(scan.crs, store.site.roads.crs):
-        x, y = transformer(scan.crs, store.site.roads.crs).transform(x, y)
-    on_road, block = store.site.on_road(x, y)
+    if not same_plane(scan.crs, store.blocks.roads.crs):
+        x, y = transformer(scan.crs, store.blocks.roads.crs).transform(x, y)
+    on_road, block = store.blocks.on_road(x, y)
     xyz = np.column_stack([x[on_road], y[on_road], piece.z[on_road]])
     store.add(xyz, piece.category[on_road], block, number)
     if piece.gps_time is None or len(on_road) == 0:

@@ -21,7 +21,7 @@ from gis_radar.notebooks import card
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.scans.cells import SQUARE_M, RoadCells, make_cells
 from gis_radar.scans.engines import Pipeline, engine_of, touches, write_layer
-from gis_radar.scans.point_store import CELL_M, PointStore, site_of
+from gis_radar.scans.point_store import CELL_M, PointStore, blocks_of
 from gis_radar.scans.road import write_road
 from gis_radar.scans.roads import Roads, roads_of_map
 from gis_radar.scans.scan import Days, Scan, open_scan
@@ -182,10 +182,10 @@ def mask_road(
     touching = [scan for scan in opened if touches(scan, roads.area.bounds, roads)]
     if not touching:
         raise _no_overlap(opened, roads)
-    site = site_of(roads)
+    blocks = blocks_of(roads)
     with tempfile.TemporaryDirectory(prefix="gis_radar_") as folder:
-        store = PointStore(site, Path(folder))
-        harvest = runner.fill(store, touching, reporter=reporter)
+        store = PointStore(blocks, Path(folder))
+        statistics = runner.fill(store, touching, reporter=reporter)
         if store.total == 0:
             raise _no_overlap(touching, roads)
         cells = make_cells(store, reporter=reporter)
@@ -196,9 +196,9 @@ def mask_road(
     mask = RoadMask(
         points=cells.points, roads=roads, engine=runner.name,
         outside=_outside(cells, touching, roads),
-        vertical=tuple(sorted({scan.vertical for scan in touching} - {""})), flown=harvest.flown,
-        pipeline=Pipeline(scans=tuple(touching), classified=harvest.classified, roads=roads),
-        points_in=sum(scan.points for scan in touching), points_on_road=harvest.on_road,
+        vertical=tuple(sorted({scan.vertical for scan in touching} - {""})), flown=statistics.flown,
+        pipeline=Pipeline(scans=tuple(touching), classified=statistics.classified, roads=roads),
+        points_in=sum(scan.points for scan in touching), points_on_road=statistics.on_road,
         cells=cells,
     )  # fmt: skip
     _remark(mask, opened, reporter)

@@ -187,7 +187,7 @@ def find_pdal(*, reporter: Reporter = QUIET) -> PdalRunner | None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Candidate:
+class Installation:
     """What may be a working PDAL: what is started for its version, and for a pipeline."""
 
     kind: str
@@ -197,10 +197,10 @@ class Candidate:
     environment: Mapping[str, str] = field(repr=False)
 
 
-def candidates() -> Iterator[Candidate]:
+def candidates() -> Iterator[Installation]:
     """Yield what is there, in the order of preference, without starting it."""
     if _binding_is_installed():
-        yield Candidate(
+        yield Installation(
             kind="pdal binding",
             place="the Python package pdal",
             ask=(*_BINDING, _ASK_BINDING),
@@ -225,8 +225,10 @@ def _binding_is_installed() -> bool:
     return spec is not None and spec.origin is not None
 
 
-def _program(path: str, *, place: str, environment: Mapping[str, str] | None = None) -> Candidate:
-    return Candidate(
+def _program(
+    path: str, *, place: str, environment: Mapping[str, str] | None = None
+) -> Installation:
+    return Installation(
         kind="pdal program",
         place=place,
         ask=(path, "--version"),

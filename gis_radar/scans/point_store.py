@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rasterio.features import rasterize
 
 from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.scans.roads import Level, Roads
+from gis_radar.scans.roads import RoadLevel, Roads
 from gis_radar.scans.scan import is_road_class, never_road
 
 CELL_M = 0.5
@@ -26,7 +26,7 @@ OUTSIDE, INSIDE, EDGE = 0, 1, 2
 
 
 @dataclass(frozen=True, kw_only=True)
-class Site:
+class RoadBlocks:
     """Blocks of cells that hold roads; cells begin at multiples of `CELL_M`, blocks of `BLOCK_M`.
 
     Parameters
@@ -134,7 +134,7 @@ class Site:
         return float(self.columns[block] * BLOCK_M), float(self.rows[block] * BLOCK_M)
 
 
-def site_of(roads: Roads) -> Site:
+def blocks_of(roads: Roads) -> RoadBlocks:
     """Cut the roads into blocks."""
     parts = np.asarray(shapely.get_parts(roads.area))
     tree = shapely.STRtree(parts)
@@ -151,7 +151,7 @@ def site_of(roads: Roads) -> Site:
                 shapes.append(inside)
     shapely.prepare(shapes)
     columns, rows = np.array(places, dtype=np.int64).T
-    return Site(roads=roads, columns=columns, rows=rows, shapes=shapes)
+    return RoadBlocks(roads=roads, columns=columns, rows=rows, shapes=shapes)
 
 
 def centres_in(shapes: Any, west: float, south: float) -> Booleans:
@@ -164,7 +164,7 @@ def centres_in(shapes: Any, west: float, south: float) -> Booleans:
     return np.asarray(rasterize(some, size, transform=grid, dtype="uint8")).astype(bool)
 
 
-def _near(level: Level, column: int, row: int) -> Any:
+def _near(level: RoadLevel, column: int, row: int) -> Any:
     """Return the part of a level in a block."""
     box = column * BLOCK_M, row * BLOCK_M, (column + 1) * BLOCK_M, (row + 1) * BLOCK_M
     shapes = np.asarray(level.shapes)[level.tree.query(shapely.box(*box))]
@@ -214,14 +214,14 @@ class PointStore:
 
     Parameters
     ----------
-    site : Site
+    blocks : RoadBlocks
         The blocks.
     folder : Path
         Where points go when they become many; must exist.
     """
 
-    def __init__(self, site: Site, folder: Path) -> None:
-        self.site = site
+    def __init__(self, blocks: RoadBlocks, folder: Path) -> None:
+        self.blocks = blocks
         self.counts: dict[int, Integers] = defaultdict(lambda: np.zeros(256, np.int64))
         self._folder = folder
         self._kept: dict[int, list[Any]] = {}
@@ -256,7 +256,7 @@ class PointStore:
         order = np.argsort(block, kind="stable")
         numbers, begins = np.unique(block[order], return_index=True)
         for number, rows in zip(numbers.tolist(), np.split(order, begins[1:]), strict=True):
-            west, south = self.site.corner(number)
+            west, south = self.blocks.corner(number)
             records = np.empty(len(rows), RECORD)
             for name, column, origin in (("x", 0, west), ("y", 1, south), ("z", 2, 0.0)):
                 records[name] = np.rint((xyz[rows, column] - origin) * _MM)
@@ -291,12 +291,12 @@ class PointStore:
         ground : (n,) bool array
             Whether a point is road by its class, or by lack of any.
         """
-        west, south = self.site.corner(block)
+        west, south = self.blocks.corner(block)
         low, high = -margin_m * _MM, (BLOCK_M + margin_m) * _MM
         parts = []
-        for number in self.site.neighbours(block).tolist() if margin_m else [block]:
+        for number in self.blocks.neighbours(block).tolist() if margin_m else [block]:
             records = self._records(number)
-            for name, shift in zip("xy", self.site.corner(number), strict=True):
+            for name, shift in zip("xy", self.blocks.corner(number), strict=True):
                 records[name] += np.int32((shift - (west if name == "x" else south)) * _MM)
             if number != block:
                 x, y = records["x"], records["y"]

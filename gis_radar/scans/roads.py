@@ -35,7 +35,7 @@ STEEPEST = 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
-class Level:
+class RoadLevel:
     """Roads that make one surface in the plane: at no place does one pass over another.
 
     Parameters
@@ -79,7 +79,7 @@ class Level:
         return cKDTree(self.heights[:, :2])
 
 
-def levels_of(outlines: Any, lefts: Iterable[Any], rights: Iterable[Any]) -> tuple[Level, ...]:
+def levels_of(outlines: Any, lefts: Iterable[Any], rights: Iterable[Any]) -> tuple[RoadLevel, ...]:
     """Sort lanelets into levels.
 
     Parameters
@@ -95,11 +95,11 @@ def levels_of(outlines: Any, lefts: Iterable[Any], rights: Iterable[Any]) -> tup
     points = np.concatenate(samples)
     known = np.isfinite(points[:, 2])
     if not known.any():
-        return (Level(shapes=outlines),)
+        return (RoadLevel(shapes=outlines),)
     points, owner = points[known], owner[known]
     number = _numbered(points, owner, len(outlines))
     return tuple(
-        Level(shapes=outlines[number == level], heights=points[number[owner] == level])
+        RoadLevel(shapes=outlines[number == level], heights=points[number[owner] == level])
         for level in range(int(number.max()) + 1)
     )
 
@@ -285,7 +285,7 @@ class Roads:
         Projected, metric; that of the result, too.
     area : MultiPolygon
         All that is road, in one.
-    levels : tuple of Level
+    levels : tuple of RoadLevel
         The same by level: roads that pass over each other lie on different ones.
     source : str
         The file it came from.
@@ -293,7 +293,7 @@ class Roads:
 
     crs: CRS
     area: shapely.MultiPolygon = field(repr=False)
-    levels: tuple[Level, ...] = field(repr=False)
+    levels: tuple[RoadLevel, ...] = field(repr=False)
     source: str
 
     @property
@@ -365,7 +365,9 @@ def roads_of_polygons(table: gpd.GeoDataFrame, *, source: str = "the road layer"
     """Return the roads that valid polygons in a projected, metric system make."""
     crs = metric_crs(table.crs, what=source)
     area = _area(table.geometry.array, source)
-    return Roads(crs=crs, area=area, levels=(Level(shapes=shapely.get_parts(area)),), source=source)
+    return Roads(
+        crs=crs, area=area, levels=(RoadLevel(shapes=shapely.get_parts(area)),), source=source
+    )
 
 
 def _projected(table: gpd.GeoDataFrame, crs: Any, path: str | Path) -> gpd.GeoDataFrame:

@@ -1,9 +1,9 @@
-"""The lowest smooth surface under points: a stiff sheet that things on the road cannot lift.
+"""The lowest smooth surface under points: a stiff surface that things on the road cannot lift.
 
-The sheet is bilinear between nodes 4 m apart and resists bending: it minimises the squares of its
+The surface is bilinear between nodes 4 m apart and resists bending: it minimises the squares of its
 distances from the lowest point of each square metre, and of the differences between neighbouring
 slopes. What lies clearly over it - a roof, a crown, a car, a bridge that the map does not know -
-loses its pull in the next turn, and the sheet sinks to what is left; points below it pull with
+loses its pull in the next turn, and the surface sinks to what is left; points below it pull with
 bounded force, so that a stray reflection under the ground does not tear it down. A slope costs
 nothing, whatever its grade, and a road bends over tens of metres, a car's outline over one.
 """
@@ -23,14 +23,14 @@ NODE_M = 4.0
 LOW_M = 1.0
 # How stiff at first and in the end: bends shorter than some 40 and 20 m are flattened.
 STIFFNESS = (100.0, 100.0, 100.0, 100.0, 30.0, 30.0, 10.0, 10.0, 10.0)
-OBJECT_M = 0.3  # higher over the sheet is no road: tyres, kerbs and bonnets are
+OBJECT_M = 0.3  # higher over the surface is no road: tyres, kerbs and bonnets are
 PULL_M = 0.3
 SURFACE_M = 0.2
 _TINY = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sheet:
+class GroundSurface:
     """A surface over the plane.
 
     Parameters
@@ -50,8 +50,8 @@ class Sheet:
         return np.asarray((self.nodes.ravel()[base] * weight).sum(axis=1))
 
 
-def lay_sheet(points: Floats) -> Sheet:
-    """Lay a sheet under points.
+def fit_ground(points: Floats) -> GroundSurface:
+    """Lay a surface under points.
 
     Parameters
     ----------
@@ -72,8 +72,8 @@ def lay_sheet(points: Floats) -> Sheet:
     heights = _settled(look, bend, low[:, 2] - middle) + middle
     nodes = np.full(shape[0] * shape[1], np.nan)
     nodes[used] = heights
-    sheet = Sheet(corner=corner, nodes=nodes.reshape(shape))
-    return _centred(sheet, points, bend, used, middle)
+    surface = GroundSurface(corner=corner, nodes=nodes.reshape(shape))
+    return _centred(surface, points, bend, used, middle)
 
 
 def _settled(look: sparse.csr_array, bend: sparse.csr_array, z: Floats) -> Floats:
@@ -99,14 +99,14 @@ def _solved(
 
 
 def _centred(
-    sheet: Sheet, points: Floats, bend: sparse.csr_array, used: Integers, middle: float
-) -> Sheet:
-    """Lift a sheet from the lowest points to the middle of all that lie on it."""
-    over = points[:, 2] - sheet.height(points[:, 0], points[:, 1])
+    surface: GroundSurface, points: Floats, bend: sparse.csr_array, used: Integers, middle: float
+) -> GroundSurface:
+    """Lift a surface from the lowest points to the middle of all that lie on it."""
+    over = points[:, 2] - surface.height(points[:, 0], points[:, 1])
     kept = points[np.abs(over) <= OBJECT_M]
     if len(kept) == 0:
-        return sheet
-    base, weight = _bilinear(kept[:, 0], kept[:, 1], sheet.corner, sheet.nodes.shape)
+        return surface
+    base, weight = _bilinear(kept[:, 0], kept[:, 1], surface.corner, surface.nodes.shape)
     rows = np.repeat(np.arange(len(kept)), 4)
     look = sparse.csr_array(
         (weight.ravel(), (rows, np.searchsorted(used, base.ravel()))),
@@ -114,9 +114,9 @@ def _centred(
     )
     # As many points pull as there are square metres, whatever the density of the scan.
     pull = np.full(len(kept), min(1.0, len(used) * NODE_M**2 / LOW_M**2 / len(kept)))
-    nodes = sheet.nodes.ravel().copy()
+    nodes = surface.nodes.ravel().copy()
     nodes[used] = _solved(look, bend, kept[:, 2] - middle, pull, STIFFNESS[-1]) + middle
-    return Sheet(corner=sheet.corner, nodes=nodes.reshape(sheet.nodes.shape))
+    return GroundSurface(corner=surface.corner, nodes=nodes.reshape(surface.nodes.shape))
 
 
 def _lowest(points: Floats) -> Floats:

@@ -23,7 +23,7 @@ STEPS = ((1.0, 1.0), (0.5, 0.5), (0.25, 0.25), (0.1, 0.1))  # metres, degrees
 
 
 @dataclass(frozen=True, kw_only=True)
-class Offset:
+class PoseOffset:
     """A pose beside the answer, and how well it fits.
 
     Parameters
@@ -98,18 +98,18 @@ class Alignment:
         """Return the score at (ahead, left, turn in degrees)."""
         return float(self.at(offset).mean())
 
-    def offset(self, place: Sequence[float]) -> Offset:
+    def offset(self, place: Sequence[float]) -> PoseOffset:
         """Return an offset with its score."""
         ahead, left, turn = (float(value) for value in place)
         turn = (turn + 180.0) % 360.0 - 180.0
-        return Offset(ahead_m=ahead, left_m=left, turn_deg=turn, score=self.score(place))
+        return PoseOffset(ahead_m=ahead, left_m=left, turn_deg=turn, score=self.score(place))
 
     @property
-    def here(self) -> Offset:
+    def here(self) -> PoseOffset:
         """The answer itself."""
         return self.offset(HERE)
 
-    def lead(self, one: Offset, other: Offset) -> float:
+    def lead(self, one: PoseOffset, other: PoseOffset) -> float:
         """Return by how many standard deviations what stands prefers one offset to another.
 
         Neighbouring cells show one wall or one tree, so they vote in patches.
@@ -125,7 +125,7 @@ class Alignment:
         spread = float(np.sqrt((votes**2).sum()))
         return float(votes.sum()) / spread if spread > 0.0 else 0.0
 
-    def climbed(self, place: Sequence[float], *, apart: bool = False) -> Offset:
+    def climbed(self, place: Sequence[float], *, apart: bool = False) -> PoseOffset:
         """Walk from an offset to the top nearby; with `apart`, stay away from the answer."""
         best = self.offset(place)
         for shift_m, turn_deg in STEPS:
@@ -145,7 +145,7 @@ class Alignment:
         """Return the scores at the answer's heading, (ahead, left) every cell up to `SHIFT_M`."""
         return _shifted(_Search(self, 1), 0.0)
 
-    def explored(self) -> tuple[list[Offset], float]:
+    def explored(self) -> tuple[list[PoseOffset], float]:
         """Return the best offsets far from each other in all headings, and the mean of all."""
         search = _Search(self, COARSE)
         turns = np.arange(-180.0, 180.0, TURN_DEG)

@@ -16,8 +16,8 @@ from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Recording
 from gis_radar.scans.scan import open_scan
-from gis_radar.second_look.alignment import ASKEW_DEG, LANE_M, Alignment, Offset, align
-from gis_radar.second_look.standing import Level, Slow, Standing, read_slow, standing
+from gis_radar.second_look.alignment import ASKEW_DEG, LANE_M, Alignment, PoseOffset, align
+from gis_radar.second_look.standing import LevelFrame, Slow, Standing, read_slow, standing
 from gis_radar.second_look.structure import Structure, box_around, read_structure, touches
 
 CONFIRMS, DOUBTS, NOTHING = "confirms", "doubts", "nothing to compare"
@@ -50,9 +50,9 @@ class SecondLook:
         Score at the pose, 0 to 1; NaN where there was nothing to compare.
     chance : float
         Mean score of all poses up to 10 m away, in all headings.
-    best : Offset, optional
+    best : PoseOffset, optional
         Where the score is highest, near the pose or up to 10 m ahead and aside, in all headings.
-    rival : Offset, optional
+    rival : PoseOffset, optional
         The best one a lane (3 m) or 3 degrees and more away from the pose.
     lead : float
         By how many standard deviations what stands prefers the pose to `rival`; negative where it
@@ -74,8 +74,8 @@ class SecondLook:
     reason: str
     score: float = float("nan")
     chance: float = float("nan")
-    best: Offset | None = None
-    rival: Offset | None = None
+    best: PoseOffset | None = None
+    rival: PoseOffset | None = None
     lead: float = float("nan")
     standing: Standing = field(repr=False)
     closeness: Floats = field(repr=False, default_factory=lambda: np.empty(0))
@@ -84,9 +84,9 @@ class SecondLook:
     surface: Floats = field(repr=False, default_factory=lambda: np.empty((0, 0)))
 
     @property
-    def level(self) -> Level:
+    def level(self) -> LevelFrame:
         """The frame in which cells and structure lie."""
-        return Level(pose=self.pose)
+        return LevelFrame(pose=self.pose)
 
     def __repr__(self) -> str:
         return f"SecondLook({self.pose.sensor}: {self.verdict}: {self.reason})"
@@ -118,7 +118,7 @@ class SecondLook:
             found |= {"rival_score": round(self.rival.score, 3), "lead": round(self.lead, 2)}
         return found
 
-    def _east_north(self, offset: Offset) -> tuple[float, float]:
+    def _east_north(self, offset: PoseOffset) -> tuple[float, float]:
         place = np.array([[offset.ahead_m, offset.left_m]])
         east, north = self.level.to_map(place)[0] - self.pose.position[:2]
         return float(east), float(north)
@@ -200,7 +200,7 @@ def second_look(
         projected, metric coordinate system.
     """
     slow = read_slow(recording, reporter=reporter)
-    level = Level(pose=pose)
+    level = LevelFrame(pose=pose)
     reach_m = float(np.clip(slow.reach_m, LEAST_REACH_M, MOST_REACH_M))
     structure = read_structure(
         scans, level, reach_m=reach_m + MARGIN_M, scan_crs=scan_crs, reporter=reporter
@@ -238,7 +238,7 @@ def _look(pose: Pose, found: Standing, structure: Structure, too_little: str) ->
     others = [peak for peak in (*peaks, *tops) if peak.beyond(LANE_M, ASKEW_DEG)]
     rivals = [alignment.climbed(other.place, apart=True) for other in others]
     rival = max(rivals, key=lambda top: top.score, default=None)
-    rows, columns = Level.cells(found.points, len(structure.top))
+    rows, columns = LevelFrame.cells(found.points, len(structure.top))
     look = SecondLook(
         pose=pose, verdict=NOTHING, reason="", score=here.score, chance=chance, best=best,
         rival=rival, lead=alignment.lead(here, rival) if rival else float("inf"),
@@ -250,7 +250,7 @@ def _look(pose: Pose, found: Standing, structure: Structure, too_little: str) ->
     return replace(look, verdict=verdict, reason=reason)
 
 
-def _verdict(look: SecondLook, alignment: Alignment, best: Offset) -> tuple[str, str]:
+def _verdict(look: SecondLook, alignment: Alignment, best: PoseOffset) -> tuple[str, str]:
     fits = f"{look.score:.0%} of what stands lies on the scan's canopy and walls"
     elsewhere = best.beyond(SAME_M, SAME_DEG)
     other = best if elsewhere else look.rival

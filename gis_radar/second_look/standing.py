@@ -18,7 +18,7 @@ CELL_M = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Level:
+class LevelFrame:
     """A frame that stands under a sensor, looks where it looks, and has the map's heights.
 
     In it, nothing depends on where on earth a site lies and how it is turned.
@@ -165,14 +165,14 @@ def read_slow(
     )
 
 
-def standing(slow: Slow, level: Level, ground: Floats, *, reach_m: float) -> Standing:
+def standing(slow: Slow, level: LevelFrame, ground: Floats, *, reach_m: float) -> Standing:
     """Find the cells over which something stands through most of the window.
 
     Parameters
     ----------
     slow : Slow
         From :func:`read_slow`.
-    level : Level
+    level : LevelFrame
         The level frame of the pose.
     ground : (cells, cells) array
         Height of the ground under the cells of that frame, NaN where unknown.

@@ -15,7 +15,7 @@ from gis_radar.arrays import Booleans, Floats
 from gis_radar.crs import Box, moved_box, same_plane, transformer
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.scans import Points, Scan, open_scan
-from gis_radar.second_look.standing import CELL_M, Level
+from gis_radar.second_look.standing import CELL_M, LevelFrame
 
 GROUND, PLANTS, BUILDING = (2, 8, 11, 17), (3, 4, 5), (6,)
 UNFIT = (7, 9, 13, 14, 15, 16, 18)  # noise, water, wires and pylons
@@ -72,7 +72,7 @@ class _Tops:
         half = size // 2 * CELL_M
         kept = (np.abs(xyz[:, :2]) < half).all(axis=1) & ~np.isin(category, UNFIT)
         xyz, category = xyz[kept], category[kept]
-        rows, columns = Level.cells(xyz, size)
+        rows, columns = LevelFrame.cells(xyz, size)
         self.points += len(xyz)
         for grid, which in ((self.plants, PLANTS), (self.building, BUILDING)):
             of = np.isin(category, which)
@@ -85,7 +85,7 @@ class _Tops:
 
 def read_structure(
     scans: Sequence[str | Path],
-    level: Level,
+    level: LevelFrame,
     *,
     reach_m: float,
     scan_crs: Any = None,
@@ -97,7 +97,7 @@ def read_structure(
     ----------
     scans : sequence of paths
         LAS, LAZ or COPC.
-    level : Level
+    level : LevelFrame
         The level frame of the sensor's pose.
     reach_m : float
         Up to how far from the sensor.
@@ -131,7 +131,7 @@ def read_structure(
     return _structure(tops, classified=grounds >= LEAST_GROUND_SHARE * max(seen, 1))
 
 
-def _pieces(scan: Scan, level: Level, box: Box) -> Iterator[Points]:
+def _pieces(scan: Scan, level: LevelFrame, box: Box) -> Iterator[Points]:
     if touches(scan, box, level.pose.crs):
         yield from scan.pieces(moved_box(box, level.pose.crs, scan.crs))
 
@@ -148,7 +148,7 @@ def touches(scan: Scan, box: Box, crs: CRS) -> bool:
     return west <= within[2] and within[0] <= east and south <= within[3] and within[1] <= north
 
 
-def _in_map(piece: Points, scan: Scan, level: Level) -> Floats:
+def _in_map(piece: Points, scan: Scan, level: LevelFrame) -> Floats:
     x, y = piece.x, piece.y
     if not same_plane(scan.crs, level.pose.crs):
         x, y = transformer(scan.crs, level.pose.crs).transform(x, y)

@@ -9,7 +9,7 @@ import shapely
 from maps import SHARED
 from scipy import ndimage
 from scipy.spatial import cKDTree
-from test_aerial_engines import agree
+from test_mask_engines import agree
 
 import gis_radar as gr
 
