@@ -198,7 +198,7 @@ def test_another_process_holds_the_lock(tmp_path):
 
 
 def test_an_interruption_of_the_clearing_up_leaves_nothing(tmp_path):
-    """A worker whose listener dies is told twice: by the broken pipe, and by its leash."""
+    """A worker whose parent dies is stopped twice: by the broken pipe and by the watchdog."""
     code = (
         "import shutil, sys; from pathlib import Path; from gis_radar.files import whole_folder\n"
         "remove, told = shutil.rmtree, []\n"

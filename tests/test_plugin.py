@@ -103,7 +103,7 @@ def test_a_polite_worker_stops_when_let_go(plugin, program):
     """It has no signal to wait for: its standard input ends."""
     python = program(
         "say(event='progress', stage='work', done=0, total=1)\n"
-        "assert os.environ['GIS_RADAR_LEASH'] == 'stdin'\nsys.stdin.read()\n"
+        "assert os.environ['GIS_RADAR_PARENT_WATCHDOG'] == 'stdin'\nsys.stdin.read()\n"
         "open(sys.argv[0] + '.left', 'w').close()"
     )
     with pytest.raises(plugin.CancelledError):
@@ -169,7 +169,7 @@ def test_a_worker_that_is_not_there(plugin, tmp_path):
 def test_the_environment_is_cleaned(plugin):
     around = {"PATH": "/bin", "PYTHONHOME": "x", "PROJ_LIB": "x", "LD_PRELOAD": "x"}
     assert plugin.clean_environment(around) == {
-        "PATH": "/bin", "GIS_RADAR_LEASH": "stdin", "PYTHONUTF8": "1",
+        "PATH": "/bin", "GIS_RADAR_PARENT_WATCHDOG": "stdin", "PYTHONUTF8": "1",
         "PYTHONIOENCODING": "utf-8",
     }  # fmt: skip
 

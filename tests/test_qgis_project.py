@@ -1,15 +1,9 @@
 """Sensors as layers, and QGIS projects; that QGIS opens them is tested in qgis_plugin/tests."""
 
-import json
-import os
 import shutil
-import signal
 import sqlite3
-import subprocess
-import sys
 import zipfile
 from contextlib import closing
-from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import geopandas as gpd
@@ -24,7 +18,6 @@ import gis_radar as gr
 from gis_radar.poses.shapes import ellipse
 from gis_radar.qgis.sheet import MAP_MM, filling
 
-ROOT = Path(__file__).parents[1]
 SIGMA = {"easting": 0.1, "northing": 0.2, "height": 0.1, "yaw": 0.1, "pitch": 0.1, "roll": 0.1}
 
 
@@ -237,60 +230,3 @@ def test_a_guess_in_another_system(code):
 def test_a_guess_in_degrees_is_refused():
     with pytest.raises(gr.CrsError):
         gr.moved_position((11.5, 48.1), "EPSG:4326", gr.crs.metric_crs(25832, what=""))
-
-
-WORK = [sys.executable, "-m", "gis_radar", "demo", "--json", "-o"]
-
-
-def leashed(out, **options):
-    around = os.environ | {"GIS_RADAR_LEASH": "stdin", "PYTHONPATH": str(ROOT)}
-    return subprocess.Popen(
-        [*WORK, str(out)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=around,
-        **options,
-    )  # fmt: skip
-
-
-def test_a_worker_that_is_let_go_stops(tmp_path):
-    with leashed(tmp_path / "out") as worker:
-        assert json.loads(worker.stdout.readline())["event"] in ("progress", "log")
-        worker.stdin.close()
-        last = worker.stdout.read().splitlines()[-1]
-    assert worker.returncode == 130
-    assert json.loads(last)["message"].startswith("interrupted")
-    left = [path for path in (tmp_path / "out").rglob("*") if ".part" in path.name]
-    assert left == []
-
-
-@pytest.mark.skipif(os.name == "nt", reason="pipes")
-def test_a_worker_that_nobody_hears_stops(tmp_path):
-    """Its listener died: what it says breaks the pipe. It has nobody to complain to."""
-    with leashed(tmp_path / "out", stderr=subprocess.PIPE) as worker:
-        worker.stdout.readline()
-        worker.stdout.close()
-        complaint = worker.stderr.read()
-    assert complaint == ""
-    assert worker.returncode == 130
-    assert [path for path in (tmp_path / "out").rglob("*") if ".part" in path.name] == []
-
-
-@pytest.mark.skipif(os.name == "nt", reason="signals")
-def test_a_worker_that_was_told_to_ignore_ctrl_c_stops_too(tmp_path):
-    def ignore():
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-    with leashed(tmp_path / "out", preexec_fn=ignore) as worker:
-        worker.stdout.readline()
-        worker.stdin.close()
-        worker.stdout.read()
-    assert worker.returncode == 130
-
-
-def test_without_a_leash_the_input_does_not_matter(tmp_path):
-    words = [sys.executable, "-m", "gis_radar", "sample", "--json", "-o", str(tmp_path / "s")]
-    around = {name: value for name, value in os.environ.items() if name != "GIS_RADAR_LEASH"}
-    done = subprocess.run(
-        words, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=True,
-        env=around | {"PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
-    assert json.loads(done.stdout.splitlines()[-1])["event"] == "result"
-    assert (tmp_path / "s" / "junction.osm").is_file()

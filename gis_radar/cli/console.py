@@ -1,19 +1,12 @@
-"""Run a command: bars and tables for people, JSON lines for programs, errors and exit codes.
-
-A program that starts gis-radar as a worker sets `GIS_RADAR_LEASH=stdin` and keeps the worker's
-standard input open. Closing it, on purpose or by dying, interrupts the worker as Ctrl+C would;
-unlike a signal this works on every system and needs nobody alive to send it.
-"""
+"""Run a command: bars and tables for people, JSON lines for programs, errors and exit codes."""
 
 from __future__ import annotations
 
-import _thread
 import functools
 import json
 import os
 import signal
 import sys
-import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,38 +20,8 @@ from rich.table import Table
 from rich.text import Text
 
 from gis_radar.errors import GisRadarError, OutputError, UsageError
+from gis_radar.processes import watch_input
 from gis_radar.progress import Level, Reporter
-
-VARIABLE = "GIS_RADAR_LEASH"
-
-
-def wear_leash() -> None:
-    """Watch standard input from now on, if the environment asks for it."""
-    if os.environ.get(VARIABLE) == "stdin":
-        # A worker started in the background would ignore the interruption.
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        threading.Thread(target=_watch, args=(0,), daemon=True, name="leash").start()
-
-
-def _watch(descriptor: int) -> None:
-    """Wait for the end of the input; a reader of :mod:`io` would hold a lock at exit."""
-    try:
-        while os.read(descriptor, 1024):
-            pass
-    except OSError:
-        pass  # nothing to read from is the end, too
-    _interrupt_main()
-
-
-def _interrupt_main() -> None:
-    """Interrupt the main thread, out of a system call too where signals can do that."""
-    if hasattr(signal, "pthread_kill"):
-        main = threading.main_thread().ident
-        if main is not None:
-            signal.pthread_kill(main, signal.SIGINT)
-    else:
-        _thread.interrupt_main()
-
 
 WIDE = 160
 NAMES = {"busiest_tile"}  # whole numbers that name something: no thousands set apart
@@ -272,7 +235,7 @@ def _door(*, json_lines: bool) -> Door:
 def open_door(group: click.Group) -> NoReturn:
     """Run the command line and leave with the exit code that says how it went."""
     signal.signal(signal.SIGTERM, _interrupt)
-    wear_leash()
+    watch_input()
     door = _door(json_lines="--json" in sys.argv)
     try:
         group(standalone_mode=False)

@@ -15,14 +15,14 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from gis_radar.errors import GisRadarError, InputError, OutputError
+from gis_radar.processes import run_child
 from gis_radar.progress import QUIET, Reporter
 
 OLDEST = (2, 2, 0)
@@ -67,7 +67,6 @@ sys.stderr.write(pipeline.log)
 # PDAL goes on and ends well after these, but points are not where they should be.
 _LOSES_POINTS = re.compile(r"GDAL failure.*(coordinate operation|[Rr]eproject|[Tt]ransform)")
 _START_S = 60.0
-_LOOK_S = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,12 +112,15 @@ class PdalRunner:
         GisRadarError
             If PDAL cannot be started or is killed.
         """
-        with tempfile.TemporaryFile() as document, tempfile.TemporaryFile() as said:
+        with tempfile.TemporaryFile() as document, tempfile.TemporaryFile() as messages:
             document.write(json.dumps(pipeline).encode())
             document.seek(0)
-            code = self._wait(document, said, reporter)
-            said.seek(0)
-            text = said.read().decode(errors="replace")
+            code = run_child(
+                self.command, stdin=document, stderr=messages, environment=self.environment,
+                waiting=lambda seconds: reporter.progress("running PDAL", int(seconds), None),
+            )  # fmt: skip
+            messages.seek(0)
+            text = messages.read().decode(errors="replace")
         if code < 0:
             raise GisRadarError(
                 f"{self.name} was ended by {_signal_name(-code)}",
@@ -129,29 +131,6 @@ class PdalRunner:
             raise _error(lines, code, pipeline)
         for line in lines:
             reporter.log(f"PDAL: {_strip(line)}", "warning")
-
-    def _wait(self, document: IO[bytes], said: IO[bytes], reporter: Reporter) -> int:
-        """Run the child, which does not outlive this call; return its exit code."""
-        try:
-            child = subprocess.Popen(  # noqa: S603 - the command was found by `find_pdal`
-                self.command,
-                stdin=document,
-                stdout=subprocess.DEVNULL,
-                stderr=said,
-                env=dict(self.environment),
-            )
-        except OSError as error:
-            raise GisRadarError(f"{self.command[0]}: does not start: {error.strerror}") from error
-        start = time.monotonic()
-        try:
-            while True:
-                try:
-                    return child.wait(timeout=_LOOK_S)
-                except subprocess.TimeoutExpired:
-                    reporter.progress("running PDAL", int(time.monotonic() - start), None)
-        finally:
-            child.kill()
-            child.wait()
 
 
 def find_pdal(*, reporter: Reporter = QUIET) -> PdalRunner | None:

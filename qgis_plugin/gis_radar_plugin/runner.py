@@ -1,8 +1,8 @@
-"""Runs gis_radar in another Python and listens to it; knows nothing of QGIS.
+"""Run gis_radar in another Python and read what it writes; needs no QGIS.
 
-The worker tells what it does as JSON lines on standard output. It is cancelled by closing its
-standard input, which also happens when QGIS dies; what does not stop within a grace time is killed
-with all that it started.
+The worker writes JSON lines to standard output. It is cancelled by closing its standard input,
+which also happens when QGIS dies; what does not stop within a grace time is killed with all that
+it started. This is a runner of its own because QGIS's Python has no gis_radar to import one from.
 """
 
 from __future__ import annotations
@@ -72,7 +72,11 @@ class Listener:
 def clean_environment(around: Mapping[str, str]) -> dict[str, str]:
     """Return the environment for the worker: without what is meant for QGIS's own libraries."""
     kept = {name: value for name, value in around.items() if name not in _FOREIGN}
-    return kept | {"GIS_RADAR_LEASH": "stdin", "PYTHONUTF8": "1", "PYTHONIOENCODING": "utf-8"}
+    return kept | {
+        "GIS_RADAR_PARENT_WATCHDOG": "stdin",
+        "PYTHONUTF8": "1",
+        "PYTHONIOENCODING": "utf-8",
+    }
 
 
 def run_worker(

@@ -1,0 +1,164 @@
+"""Child processes that do not outlive their parent, and the parent watchdog of a child.
+
+A process that is killed cannot stop what it started. So a worker leads a process group, which is
+stopped as a whole, and watches its parent: it ends itself and its group when the parent is gone.
+"""
+
+from __future__ import annotations
+
+import _thread
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from multiprocessing.process import BaseProcess
+from typing import IO
+
+from gis_radar.errors import GisRadarError
+
+VARIABLE = "GIS_RADAR_PARENT_WATCHDOG"
+"""The environment variable that starts the watchdog of a command; its only value is `stdin`."""
+
+_FORMER_VARIABLE = "GIS_RADAR_LEASH"  # of version 0.1
+_POLL_S = 0.2  # an interruption reaches Python only between two waits; 5 Hz is not felt
+PATIENCE_S = 0.7
+"""How long a stopped worker may clear up, seconds: it has files to remove, not work to end."""
+
+
+def run_child(
+    command: Sequence[str],
+    *,
+    stdin: IO[bytes],
+    stderr: IO[bytes],
+    environment: Mapping[str, str],
+    waiting: Callable[[float], object],
+) -> int:
+    """Run a program to its end; when this call is interrupted, the program is killed.
+
+    It stays in the process group of its parent, so that who kills that group kills it too.
+
+    Parameters
+    ----------
+    command : sequence of str
+        The program and its arguments.
+    stdin, stderr : file
+        What it reads, and where its messages go; its standard output is dropped.
+    environment : mapping of str to str
+        The environment it is started in.
+    waiting : callable
+        Called five times a second with the seconds so far.
+
+    Returns
+    -------
+    int
+        Its exit code; negative for a signal.
+
+    Raises
+    ------
+    GisRadarError
+        If it does not start.
+    """
+    try:
+        child = subprocess.Popen(  # noqa: S603 - the caller has found the program
+            command,
+            stdin=stdin,
+            stdout=subprocess.DEVNULL,
+            stderr=stderr,
+            env=dict(environment),
+        )
+    except OSError as error:
+        raise GisRadarError(f"{command[0]}: does not start: {error.strerror}") from error
+    start = time.monotonic()
+    try:
+        while True:
+            try:
+                return child.wait(timeout=_POLL_S)
+            except subprocess.TimeoutExpired:
+                waiting(time.monotonic() - start)
+    finally:
+        child.kill()
+        child.wait()
+
+
+def watch_input() -> None:
+    """Interrupt this process, as Ctrl+C would, when its standard input is closed.
+
+    Only where the environment asks for it. A program that starts gis-radar as a worker keeps the
+    worker's standard input open; closing it, on purpose or by dying, works on every system and
+    needs nobody alive to send a signal.
+    """
+    if os.environ.get(VARIABLE, os.environ.get(_FORMER_VARIABLE)) == "stdin":
+        # A worker started in the background would ignore the interruption.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        _start_watchdog(_wait_for_end_of_input, _interrupt_main_thread)
+
+
+def watch_parent() -> None:
+    """End this worker of a process pool, and what it started, when the pool's process is gone.
+
+    For the initializer of a pool: makes the worker the leader of a process group, which leaves
+    interruptions from the terminal to the parent (see :func:`stop_workers`).
+    """
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        raise RuntimeError("only a process of multiprocessing has a parent to watch")
+    if sys.platform != "win32" and os.getpgrp() != os.getpid():
+        os.setsid()
+    _start_watchdog(parent.join, _kill_own_group)
+
+
+def stop_workers(workers: Iterable[BaseProcess], *, patience_s: float = PATIENCE_S) -> None:
+    """Stop workers that called :func:`watch_parent`, and all that they started.
+
+    Parameters
+    ----------
+    workers : iterable of multiprocessing.process.BaseProcess
+        Those of a pool. First they are asked to (SIGTERM), then killed with their groups.
+    patience_s : float
+        How long all of them together may take to clear up, seconds.
+    """
+    workers = list(workers)
+    for worker in workers:
+        worker.terminate()
+    end = time.monotonic() + patience_s
+    for worker in workers:
+        worker.join(max(end - time.monotonic(), 0.01))
+        if sys.platform != "win32" and worker.pid is not None:
+            with suppress(ProcessLookupError):
+                os.killpg(worker.pid, signal.SIGKILL)  # no group: ended before it led one
+        worker.kill()
+        worker.join()
+
+
+def _start_watchdog(wait: Callable[[], object], end: Callable[[], object]) -> None:
+    def watch() -> None:
+        wait()
+        end()
+
+    threading.Thread(target=watch, daemon=True, name="parent watchdog").start()
+
+
+def _wait_for_end_of_input() -> None:
+    """Wait on descriptor 0 itself; a reader of :mod:`io` would hold a lock at exit."""
+    with suppress(OSError):  # nothing to read from is the end, too
+        while os.read(0, 1024):
+            pass
+
+
+def _interrupt_main_thread() -> None:
+    """Interrupt the main thread, out of a system call too where signals can do that."""
+    if sys.platform == "win32":
+        _thread.interrupt_main()
+    elif (main := threading.main_thread().ident) is not None:
+        signal.pthread_kill(main, signal.SIGINT)
+
+
+def _kill_own_group() -> None:
+    if sys.platform != "win32":
+        os.killpg(os.getpgrp(), signal.SIGKILL)
+    os._exit(1)

@@ -1,0 +1,125 @@
+"""Child processes: none outlives its parent, and a parent that is gone ends its children."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from gis_radar.processes import VARIABLE, watch_parent
+
+ROOT = Path(__file__).parents[1]
+posix = pytest.mark.skipif(os.name == "nt", reason="process groups")
+WORK = [sys.executable, "-m", "gis_radar", "demo", "--json", "-o"]
+
+
+def watching(out, **options):
+    around = os.environ | {VARIABLE: "stdin", "PYTHONPATH": str(ROOT)}
+    return subprocess.Popen(
+        [*WORK, str(out)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=around,
+        **options,
+    )  # fmt: skip
+
+
+def test_a_worker_that_is_let_go_stops(tmp_path):
+    with watching(tmp_path / "out") as worker:
+        assert json.loads(worker.stdout.readline())["event"] in ("progress", "log")
+        worker.stdin.close()
+        last = worker.stdout.read().splitlines()[-1]
+    assert worker.returncode == 130
+    assert json.loads(last)["message"].startswith("interrupted")
+    left = [path for path in (tmp_path / "out").rglob("*") if ".part" in path.name]
+    assert left == []
+
+
+@posix
+def test_a_worker_that_nobody_hears_stops(tmp_path):
+    """Its listener died: what it says breaks the pipe. It has nobody to complain to."""
+    with watching(tmp_path / "out", stderr=subprocess.PIPE) as worker:
+        worker.stdout.readline()
+        worker.stdout.close()
+        complaint = worker.stderr.read()
+    assert complaint == ""
+    assert worker.returncode == 130
+    assert [path for path in (tmp_path / "out").rglob("*") if ".part" in path.name] == []
+
+
+@posix
+def test_a_worker_that_was_told_to_ignore_ctrl_c_stops_too(tmp_path):
+    def ignore():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    with watching(tmp_path / "out", preexec_fn=ignore) as worker:
+        worker.stdout.readline()
+        worker.stdin.close()
+        worker.stdout.read()
+    assert worker.returncode == 130
+
+
+def test_without_a_watchdog_the_input_does_not_matter(tmp_path):
+    words = [sys.executable, "-m", "gis_radar", "sample", "--json", "-o", str(tmp_path / "s")]
+    around = {name: value for name, value in os.environ.items() if name != VARIABLE}
+    done = subprocess.run(
+        words, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=True,
+        env=around | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert json.loads(done.stdout.splitlines()[-1])["event"] == "result"
+    assert (tmp_path / "s" / "junction.osm").is_file()
+
+
+POOL = """
+import multiprocessing, os, pathlib, subprocess, sys, time
+from concurrent.futures import ProcessPoolExecutor
+from gis_radar.processes import stop_workers, watch_parent
+
+def work(note):
+    child = subprocess.Popen(["sleep", "600"])
+    pathlib.Path(note + ".part").write_text(f"{os.getpid()} {child.pid}")
+    os.rename(note + ".part", note)
+    time.sleep(600)
+
+if __name__ == "__main__":
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=spawn, initializer=watch_parent) as pool:
+        pool.submit(work, sys.argv[1])
+        sys.stdin.read()
+        stop_workers(multiprocessing.active_children())
+"""
+
+
+@posix
+@pytest.mark.parametrize("end", ["kill", "stop"])
+def test_workers_of_a_pool_go_with_their_children(tmp_path, end):
+    script, note = tmp_path / "pool.py", tmp_path / "note"
+    script.write_text(POOL)
+    around = os.environ | {"PYTHONPATH": str(ROOT)}
+    with subprocess.Popen([sys.executable, script, note], stdin=subprocess.PIPE, env=around) as run:
+        wait_for(note.exists)
+        if end == "kill":
+            run.send_signal(signal.SIGKILL)
+        else:
+            run.stdin.close()
+            assert run.wait(20) == 0
+    for number in note.read_text().split():
+        wait_for(lambda number=number: is_gone(number))
+
+
+def is_gone(number):
+    state = Path(f"/proc/{number}/stat")
+    return not state.exists() or state.read_text().rpartition(")")[2].split()[0] == "Z"
+
+
+def wait_for(condition, seconds=20.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def test_only_a_worker_has_a_parent_to_watch():
+    with pytest.raises(RuntimeError, match="multiprocessing"):
+        watch_parent()
