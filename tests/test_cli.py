@@ -15,9 +15,8 @@ from click.testing import CliRunner
 from sites import EAST, NORTH, START, crossing, lane_quads, pose, recording, tiles_of
 
 import gis_radar as gr
-from gis_radar.cli import commands
-from gis_radar.cli.commands import group
-from gis_radar.cli.console import HumanDoor, Result, open_door
+from gis_radar.cli.console import Result, TerminalConsole, run_group
+from gis_radar.cli.main import group
 
 COMMANDS = sorted(group.commands)
 
@@ -31,7 +30,7 @@ def run(capfd, monkeypatch):
         before = signal.getsignal(signal.SIGTERM)
         try:
             with pytest.raises(SystemExit) as leave:
-                open_door(group)
+                run_group(group)
         finally:
             signal.signal(signal.SIGTERM, before)
         out, err = capfd.readouterr()
@@ -228,7 +227,7 @@ def test_every_option_reaches_its_argument(site, run, monkeypatch):
         seen.update(options, recordings=recordings, poses=poses, output=output)
         raise gr.NoAnswerError("enough")
 
-    monkeypatch.setattr(commands.gr, "measure_occupancy", caught)
+    monkeypatch.setattr(gr, "measure_occupancy", caught)
     gr.write_pose(pose(view=None), site / "R1.json")
     answer = run(
         *occupancy_words(site), "--max-range", "150", "--azimuth", "90", "--elevation", "20",
@@ -257,8 +256,8 @@ def test_tiles_options_reach_their_arguments(tmp_path, run, monkeypatch):
         raise gr.NoAnswerError("enough")
 
     roads = object()
-    monkeypatch.setattr(commands.gr, "read_map", read)
-    monkeypatch.setattr(commands.gr, "make_tiles", make)
+    monkeypatch.setattr(gr, "read_map", read)
+    monkeypatch.setattr(gr, "make_tiles", make)
     run(
         "tiles", "m.osm", "-o", tmp_path / "t.gpkg", "--crs", "EPSG:25832", "--length", "2",
         "--origin", "3.5,4.5", "--subtype", "road,walkway",
@@ -324,8 +323,8 @@ def test_a_table_in_a_summary_keeps_its_digits(capfd, monkeypatch):
     monkeypatch.setenv("COLUMNS", "40")
     row = {"easting": 690360.0421, "northing": 5336178.0914, "state": "no pose fits [/b]"}
     result = Result(outputs=[], summary={"sensors": {"R2": {"yaw": -1.5}, "R1": row}})
-    with HumanDoor() as door:
-        door.result(result)
+    with TerminalConsole() as console:
+        console.result(result)
     heads, second, first = filter(None, capfd.readouterr().out.splitlines())
     assert heads.split() == ["sensors", "easting", "northing", "state", "yaw"]
     assert first.split() == ["R1", "690360.042", "5336178.091", "no", "pose", "fits", "[/b]"]
@@ -334,8 +333,8 @@ def test_a_table_in_a_summary_keeps_its_digits(capfd, monkeypatch):
 
 def test_a_summary_groups_no_ids_and_says_what_is_not_known(capfd):
     result = Result(outputs=[], summary={"tiles": 66549, "busiest_tile": 45009, "epoch": None})
-    with HumanDoor() as door:
-        door.result(result)
+    with TerminalConsole() as console:
+        console.result(result)
     told = [line.split() for line in capfd.readouterr().out.splitlines() if line.strip()]
     assert told == [["tiles", "66,549"], ["busiest", "tile", "45009"], ["epoch", "not", "known"]]
 
@@ -344,12 +343,11 @@ def test_another_pipe_that_breaks_is_told():
     """Only where nobody listens is there nothing to say."""
     code = (
         "import click\n"
-        "from gis_radar.cli.console import command, open_door\n"
-        "group = click.Group()\n"
-        "@command(group, example='work')\n"
+        "from gis_radar.cli.console import command, run_group\n"
+        "@command(example='work')\n"
         "def work(*, reporter):\n"
         "    raise BrokenPipeError(32, 'Broken pipe')\n"
-        "open_door(group)\n"
+        "run_group(click.Group(commands=[work]))\n"
     )
     done = subprocess.run(
         [sys.executable, "-c", code, "work"],

@@ -11,8 +11,7 @@ from sites import UTM
 from streets import Street, errors
 
 import gis_radar as gr
-from gis_radar.cli import commands
-from gis_radar.cli.commands import group
+from gis_radar.cli.main import group
 from gis_radar.crs import yaw_from_compass
 from gis_radar.poses.files import read_pose
 
@@ -152,4 +151,3 @@ def test_grid_north_is_not_true_north():
 def test_the_crs_of_a_scan_is_read(files):
     _, folder = files
     assert gr.road_crs(folder / "road.laz") == UTM
-    assert commands.gr is gr

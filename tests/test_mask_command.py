@@ -13,7 +13,7 @@ from maps import write_road
 from scans import EAST, NORTH, UTM, ground, write_points
 
 import gis_radar as gr
-from gis_radar.cli import commands
+from gis_radar.cli.maps import MASK_ENGINES
 from gis_radar.scans import engines
 
 
@@ -95,4 +95,4 @@ def test_refusals(site, words, code, part):
 
 
 def test_the_command_offers_every_engine():
-    assert commands.MASK_ENGINES == engines.NAMES
+    assert MASK_ENGINES == engines.NAMES

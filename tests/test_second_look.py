@@ -17,7 +17,7 @@ from scipy.spatial import KDTree
 from sites import recording
 
 import gis_radar as gr
-from gis_radar.cli.commands import group
+from gis_radar.cli.main import group
 from gis_radar.localization import Localization
 from gis_radar.scans import scan as scan_files
 from gis_radar.second_look.alignment import CLOSE_M, Alignment, align

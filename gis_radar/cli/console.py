@@ -14,7 +14,7 @@ from types import FrameType, TracebackType
 from typing import Any, NoReturn, Protocol, Self
 
 import click
-from rich.console import Console
+import rich.console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
@@ -30,7 +30,7 @@ MOST_BARS = 8  # with more than that, those that are full make way
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """What a command did.
+    """Outputs and summary of a command.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class Result:
     summary : mapping
         Figures worth a look, by name; a mapping of mappings is a table.
     failure : GisRadarError, optional
-        What is missing, told as an error after all that was done.
+        What is missing, reported as an error after the result.
     """
 
     outputs: list[Path]
@@ -47,8 +47,8 @@ class Result:
     failure: GisRadarError | None = None
 
 
-class Door(Protocol):
-    """Where a command's reports, result and errors go."""
+class Console(Protocol):
+    """Destination of a command's progress, result and errors."""
 
     reporter: Reporter
 
@@ -62,13 +62,13 @@ class Door(Protocol):
     ) -> None: ...
 
     def result(self, result: Result) -> None:
-        """Tell what was done."""
+        """Write what was done."""
 
     def error(self, error: GisRadarError) -> None:
-        """Tell what went wrong."""
+        """Write what went wrong."""
 
 
-class JsonDoor(Reporter):
+class JsonConsole(Reporter):
     """One JSON object a line on standard output."""
 
     def __init__(self) -> None:
@@ -81,42 +81,42 @@ class JsonDoor(Reporter):
         return None
 
     def progress(self, stage: str, done: int, total: int | None) -> None:
-        """Say how far a stage is."""
-        self._say(event="progress", stage=stage, done=done, total=total)
+        """Write the progress of a stage."""
+        self._write(event="progress", stage=stage, done=done, total=total)
 
     def log(self, message: str, level: Level = "info") -> None:
-        """Say a remark."""
-        self._say(event="log", level=level, message=message)
+        """Write a remark."""
+        self._write(event="log", level=level, message=message)
 
     def result(self, result: Result) -> None:
-        """Tell what was done."""
+        """Write what was done."""
         outputs = [str(path) for path in result.outputs]
-        self._say(event="result", outputs=outputs, summary=dict(result.summary))
+        self._write(event="result", outputs=outputs, summary=dict(result.summary))
 
     def error(self, error: GisRadarError) -> None:
-        """Tell what went wrong; the code is the exit code."""
-        self._say(event="error", code=error.exit_code, message=error.message, hint=error.hint)
+        """Write what went wrong; the code is the exit code."""
+        self._write(event="error", code=error.exit_code, message=error.message, hint=error.hint)
 
     @staticmethod
-    def _say(**record: Any) -> None:
+    def _write(**record: Any) -> None:
         sys.stdout.write(json.dumps(record, ensure_ascii=False) + "\n")
         sys.stdout.flush()
 
 
-class HumanDoor(Reporter):
+class TerminalConsole(Reporter):
     """Bars and remarks on standard error, the result on standard output."""
 
     def __init__(self) -> None:
         self.reporter: Reporter = self
-        self._console = Console(stderr=True)
+        self._rich = rich.console.Console(stderr=True)
         self._bars = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
             TextColumn("{task.percentage:>3.0f} %"),
             TimeRemainingColumn(),
-            console=self._console,
+            console=self._rich,
             transient=True,
-            disable=not self._console.is_terminal,
+            disable=not self._rich.is_terminal,
         )
         self._tasks: dict[str, TaskID] = {}
 
@@ -136,30 +136,30 @@ class HumanDoor(Reporter):
             self._bars.update(self._tasks[stage], visible=False)
 
     def log(self, message: str, level: Level = "info") -> None:
-        """Say a remark."""
+        """Print a remark."""
         prefix = "warning: " if level == "warning" else ""
-        self._console.print(f"{prefix}{message}", markup=False, highlight=False, soft_wrap=True)
+        self._rich.print(f"{prefix}{message}", markup=False, highlight=False, soft_wrap=True)
 
     def result(self, result: Result) -> None:
         """Print the figures as a table, then the outputs."""
-        console = Console()
+        out = rich.console.Console()
         table = Table(show_header=False, box=None, pad_edge=False)
         for name, value in result.summary.items():
             if isinstance(value, Mapping):
                 # A number that is cut short is a wrong number: rather a line too long.
-                Console(width=max(console.width, WIDE)).print(_grid(name, value))
+                rich.console.Console(width=max(out.width, WIDE)).print(_grid(name, value))
             else:
-                told = str(value) if name in NAMES else _readable(value)
-                table.add_row(name.replace("_", " "), Text(told))
-        console.print(table)
+                shown = str(value) if name in NAMES else _readable(value)
+                table.add_row(name.replace("_", " "), Text(shown))
+        out.print(table)
         for path in result.outputs:
-            console.print(f"wrote {path}", markup=False, highlight=False, soft_wrap=True)
+            out.print(f"wrote {path}", markup=False, highlight=False, soft_wrap=True)
 
     def error(self, error: GisRadarError) -> None:
         """Print the error as one line; what to do about it in the same line."""
         hint = f" ({error.hint})" if error.hint else ""
         text = " ".join(f"gis-radar: {error.message}{hint}".split())
-        self._console.print(text, markup=False, highlight=False, soft_wrap=True)
+        self._rich.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
 def _grid(name: str, rows: Mapping[str, Mapping[str, Any]]) -> Table:
@@ -173,8 +173,8 @@ def _grid(name: str, rows: Mapping[str, Mapping[str, Any]]) -> Table:
         )
     for key, row in rows.items():
         cells = [row.get(column, "") for column in columns]
-        told = [f"{c:.3f}" if isinstance(c, float) else _readable(c) for c in cells]
-        table.add_row(Text(key), *map(Text, told))
+        texts = [f"{c:.3f}" if isinstance(c, float) else _readable(c) for c in cells]
+        table.add_row(Text(key), *map(Text, texts))
     return table
 
 
@@ -193,50 +193,47 @@ INTERRUPTED = 130
 Verb = Callable[..., Result]
 
 
-def command(group: click.Group, *, example: str) -> Callable[[Verb], Verb]:
-    """Make a function that reports and returns a result into a command of `group`.
+def command(*, example: str) -> Callable[[Verb], click.Command]:
+    """Turn a function that reports and returns a result into a command.
 
     Parameters
     ----------
-    group : click.Group
-        Where the command belongs.
     example : str
         A call that works, shown at the end of its help.
     """
 
-    def register(verb: Verb) -> Verb:
+    def register(verb: Verb) -> click.Command:
         @functools.wraps(verb)
         def run(*, json_lines: bool, **options: Any) -> None:
-            with _door(json_lines=json_lines) as door:
+            with _console(json_lines=json_lines) as console:
                 try:
-                    result = verb(reporter=door.reporter, **options)
+                    result = verb(reporter=console.reporter, **options)
                 except BrokenPipeError as error:
-                    # click takes every broken pipe for standard output's, and says nothing.
-                    if not _is_heard():
+                    # click takes every broken pipe for standard output's, and stays silent.
+                    if not _output_is_open():
                         raise
                     raise OutputError(f"a program that was started ended early: {error}") from error
-            door.result(result)
+            console.result(result)
             if result.failure is not None:
                 raise result.failure
 
         flagged = click.option(
             "--json", "json_lines", is_flag=True, help="Print one JSON object a line."
         )(run)
-        group.command(epilog=f"Example: {example}")(flagged)
-        return verb
+        return click.command(epilog=f"Example: {example}")(flagged)
 
     return register
 
 
-def _door(*, json_lines: bool) -> Door:
-    return JsonDoor() if json_lines else HumanDoor()
+def _console(*, json_lines: bool) -> Console:
+    return JsonConsole() if json_lines else TerminalConsole()
 
 
-def open_door(group: click.Group) -> NoReturn:
-    """Run the command line and leave with the exit code that says how it went."""
+def run_group(group: click.Group) -> NoReturn:
+    """Run a command of the group and exit with its exit code."""
     signal.signal(signal.SIGTERM, _interrupt)
     watch_input()
-    door = _door(json_lines="--json" in sys.argv)
+    console = _console(json_lines="--json" in sys.argv)
     try:
         group(standalone_mode=False)
     except click.exceptions.Exit as leave:
@@ -244,29 +241,29 @@ def open_door(group: click.Group) -> NoReturn:
     except click.ClickException as error:
         context = getattr(error, "ctx", None)
         hint = f"try {context.command_path} --help" if context else ""
-        _fail(door, UsageError(error.format_message(), hint=hint))
+        _fail(console, UsageError(error.format_message(), hint=hint))
     except GisRadarError as error:
-        _fail(door, error)
+        _fail(console, error)
     except (KeyboardInterrupt, click.Abort):
-        _fail(door, GisRadarError("interrupted; nothing was left half-written"), INTERRUPTED)
+        _fail(console, GisRadarError("interrupted; nothing was left half-written"), INTERRUPTED)
     except OSError as error:
-        if not _is_heard():
-            _leave_unheard()
+        if not _output_is_open():
+            _exit_without_output()
         where = f"{error.filename}: " if error.filename else ""
-        _fail(door, OutputError(f"{where}{error.strerror or error}"))
+        _fail(console, OutputError(f"{where}{error.strerror or error}"))
     sys.exit(0)
 
 
-def _fail(door: Door, error: GisRadarError, code: int | None = None) -> NoReturn:
+def _fail(console: Console, error: GisRadarError, code: int | None = None) -> NoReturn:
     try:
-        door.error(error)
+        console.error(error)
     except BrokenPipeError:
-        _leave_unheard()
+        _exit_without_output()
     sys.exit(error.exit_code if code is None else code)
 
 
-def _is_heard() -> bool:
-    """Tell whether standard output is still open; it may be another pipe that broke."""
+def _output_is_open() -> bool:
+    """Return whether standard output is still open; it may be another pipe that broke."""
     try:
         sys.stdout.flush()
     except BrokenPipeError:
@@ -274,8 +271,8 @@ def _is_heard() -> bool:
     return True
 
 
-def _leave_unheard() -> NoReturn:
-    """Leave when nobody listens any more; Python's own flush at exit would complain."""
+def _exit_without_output() -> NoReturn:
+    """Exit after standard output was closed; Python's own flush at exit would raise."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     sys.exit(INTERRUPTED)
 

@@ -1,16 +1,21 @@
-"""Values of options that are more than a number or a name.
+"""Options that several commands share, and values that are more than a number or a name.
 
-The modules that understand them are imported when there is a value: help needs no NumPy.
+The modules that parse them are imported when there is a value: `--help` needs no NumPy.
 """
 
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any, Literal
 
 import click
 
 from gis_radar.errors import UsageError
+
+FILE = click.Path(path_type=Path)
+
+output = click.option("-o", "--output", type=FILE, required=True, help="Where the result goes.")
 
 
 class Numbers(click.ParamType):  # type: ignore[type-arg]

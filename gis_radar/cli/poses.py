@@ -1,4 +1,4 @@
-"""The commands that find a sensor's pose, and follow it."""
+"""The commands about poses: localize, track, sensors."""
 
 from __future__ import annotations
 
@@ -7,16 +7,14 @@ from pathlib import Path
 import click
 
 import gis_radar as gr
-from gis_radar.cli.commands import FILE, group, output
 from gis_radar.cli.console import Result, command
-from gis_radar.cli.options import Bearing, Numbers, Position
+from gis_radar.cli.options import FILE, Bearing, Numbers, Position, output
 from gis_radar.errors import UsageError
 from gis_radar.files import refuse_inputs, require_folder
 from gis_radar.progress import Reporter
 
 
 @command(
-    group,
     example="gis-radar localize R1.parquet --map junction.osm --road road.laz "
     "--guess 690356,5336183 -o R1.json",
 )
@@ -89,7 +87,6 @@ def localize(
 
 
 @command(
-    group,
     example="gis-radar track R1.parquet --map junction.osm --road road.laz --pose R1.json "
     "-o track.csv",
 )
@@ -132,6 +129,18 @@ def track(
         outputs.append(figure)
     gr.write_track(followed.poses, output)
     return Result(outputs=outputs, summary=followed.figures())
+
+
+@command(example="gis-radar sensors R1.json R2.json -o sensors.gpkg")
+@click.argument("poses", metavar="POSE...", type=FILE, nargs=-1, required=True)
+@output
+def sensors(*, poses: tuple[Path, ...], output: Path, reporter: Reporter) -> Result:
+    """Write sensors as layers of a map: points, views, uncertainty (GeoPackage)."""
+    refuse_inputs(output, *poses)
+    found = [gr.read_track(path).poses[-1] for path in poses]
+    gr.write_sensors(found, output)
+    reporter.progress("writing sensors", len(found), len(found))
+    return Result(outputs=[output], summary={"sensors": [pose.sensor for pose in found]})
 
 
 def _check_figure(figure: Path, output: Path) -> None:

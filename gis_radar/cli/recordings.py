@@ -8,14 +8,19 @@ from typing import TYPE_CHECKING, Literal
 import click
 
 import gis_radar as gr
-from gis_radar.cli.commands import FILE, group, output
 from gis_radar.cli.console import Result, command
-from gis_radar.cli.options import Cycles, Duration, Numbers, Pairs
+from gis_radar.cli.options import FILE, Cycles, Duration, Numbers, Pairs, output
 from gis_radar.files import refuse_inputs
 from gis_radar.progress import Reporter
 
+if TYPE_CHECKING:
+    import geopandas as gpd
 
-@command(group, example="gis-radar convert capture.pcap -o R1.parquet")
+ENGINES = {"grid": "TileGrid", "rtree": "TileTree"}
+AUTO = "auto"
+
+
+@command(example="gis-radar convert capture.pcap -o R1.parquet")
 @click.argument("inputs", metavar="IN...", nargs=-1, required=True)
 @output
 @click.option("--sensor", help="Only this one, where there are several: 10.13.1.113, /radar/front.")
@@ -56,15 +61,7 @@ def convert(
     return Result(outputs=made.outputs, summary=made.figures())
 
 
-if TYPE_CHECKING:
-    import geopandas as gpd
-
-ENGINES = {"grid": "TileGrid", "rtree": "TileTree"}
-AUTO = "auto"
-
-
 @command(
-    group,
     example="gis-radar occupancy R1.parquet R2.parquet --pose R1.json --pose R2.json "
     "--tiles tiles.gpkg -o occupancy/",
 )
@@ -178,7 +175,6 @@ def _seeing(
 
 
 @command(
-    group,
     example="gis-radar clocks R1.parquet R2.parquet --pose R1.json --pose R2.json "
     "--tiles tiles.gpkg -o clocks.json",
 )
@@ -210,7 +206,7 @@ def clocks(
     return Result(outputs=outputs, summary=found.figures())
 
 
-@command(group, example="gis-radar quality occupancy/ --timezone Europe/Berlin -o quality.csv")
+@command(example="gis-radar quality occupancy/ --timezone Europe/Berlin -o quality.csv")
 @click.argument("folders", metavar="OCCUPANCY...", type=FILE, nargs=-1, required=True)
 @click.option("--timezone", default="UTC", show_default=True, help="Whose hours: Europe/Berlin.")
 @click.option(

@@ -1,4 +1,4 @@
-"""The commands for a whole site: run, report, and what QGIS opens."""
+"""The commands for a whole site: run, report, qgis, sample, demo."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from pathlib import Path
 import click
 
 import gis_radar as gr
-from gis_radar.cli.commands import FILE, group, output
 from gis_radar.cli.console import Result, command
+from gis_radar.cli.options import FILE, output
 from gis_radar.files import refuse_inputs, whole_folder
 from gis_radar.progress import Reporter
+
+SAMPLE_KINDS = (".osm", ".laz", ".parquet", ".json", ".toml", ".md")
 
 
 def _print_template(context: click.Context, _option: click.Parameter, wanted: object) -> None:
@@ -20,7 +22,7 @@ def _print_template(context: click.Context, _option: click.Parameter, wanted: ob
         context.exit()
 
 
-@command(group, example="gis-radar run SITE.toml -o results")
+@command(example="gis-radar run SITE.toml -o results")
 @click.argument("site", metavar="SITE.toml", type=FILE)
 @output
 @click.option("--jobs", type=int, help="Stages at once; by default as cores and memory allow.")
@@ -39,7 +41,7 @@ def run(*, site: Path, output: Path, jobs: int | None, fresh: bool, reporter: Re
     return Result(outputs=done.outputs, summary=done.figures(), failure=done.failure)
 
 
-@command(group, example="gis-radar report results --timezone Europe/Berlin")
+@command(example="gis-radar report results --timezone Europe/Berlin")
 @click.argument("folder", metavar="DIR", type=FILE)
 @click.option("-o", "--output", type=FILE, help="Where the report goes; by default into DIR.")
 @click.option("--title", help="What it is about; by default the site's title or DIR.")
@@ -75,22 +77,7 @@ def report(
     return Result(outputs=list(made.outputs), summary=made.summary)
 
 
-SAMPLE_KINDS = (".osm", ".laz", ".parquet", ".json", ".toml", ".md")
-
-
-@command(group, example="gis-radar sensors R1.json R2.json -o sensors.gpkg")
-@click.argument("poses", metavar="POSE...", type=FILE, nargs=-1, required=True)
-@output
-def sensors(*, poses: tuple[Path, ...], output: Path, reporter: Reporter) -> Result:
-    """Write sensors as layers of a map: points, views, uncertainty (GeoPackage)."""
-    refuse_inputs(output, *poses)
-    found = [gr.read_track(path).poses[-1] for path in poses]
-    gr.write_sensors(found, output)
-    reporter.progress("writing sensors", len(found), len(found))
-    return Result(outputs=[output], summary={"sensors": [pose.sensor for pose in found]})
-
-
-@command(group, example="gis-radar qgis map/ --sensors sensors.gpkg -o site.qgz")
+@command(example="gis-radar qgis map/ --sensors sensors.gpkg -o site.qgz")
 @click.argument("heatmap", metavar="HEATMAP", type=FILE)
 @click.option("--sensors", type=FILE, help="From gis-radar sensors.")
 @click.option("--title", default="", help="Of the project; by default the file's name.")
@@ -116,7 +103,7 @@ def qgis(
     return Result(outputs=[output])
 
 
-@command(group, example="gis-radar sample -o sample")
+@command(example="gis-radar sample -o sample")
 @output
 def sample(*, output: Path, reporter: Reporter) -> Result:
     """Copy the files of the sample junction to a folder, to try everything on."""
@@ -128,3 +115,14 @@ def sample(*, output: Path, reporter: Reporter) -> Result:
             shutil.copyfile(path, fresh / path.name)
             reporter.progress("copying the sample", done, len(files))
     return Result(outputs=[output / path.name for path in files])
+
+
+@command(example="gis-radar demo -o demo")
+@click.option(
+    "-o", "--output", type=FILE, default=Path("gis_radar_demo"), show_default=True,
+    help="Where the results go.",
+)  # fmt: skip
+def demo(*, output: Path, reporter: Reporter) -> Result:
+    """Go the whole way on the sample junction."""
+    outputs, summary = gr.run_demo(output, reporter=reporter)
+    return Result(outputs=outputs, summary=summary)

@@ -1,36 +1,21 @@
-"""The commands: each parses, calls the library once, and says what it did."""
+"""The commands that make maps: tiles, mask, heatmap, project."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NoReturn
 
 import click
 
 import gis_radar as gr
-from gis_radar.cli.console import Result, command, open_door
-from gis_radar.cli.options import Numbers, Words
+from gis_radar.cli.console import Result, command
+from gis_radar.cli.options import FILE, Numbers, Words, output
 from gis_radar.files import refuse_inputs
 from gis_radar.progress import Reporter
 
-FILE = click.Path(path_type=Path)
 MASK_ENGINES = ("auto", "pdal", "laspy")
 
-output = click.option("-o", "--output", type=FILE, required=True, help="Where the result goes.")
 
-
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(package_name="gis_radar")
-def group() -> None:
-    """Turn roadside 4D radar into traffic maps."""
-
-
-def main() -> NoReturn:
-    """Run the command line."""
-    open_door(group)
-
-
-@command(group, example="gis-radar tiles junction.osm -o tiles.gpkg")
+@command(example="gis-radar tiles junction.osm -o tiles.gpkg")
 @click.argument("map_path", metavar="MAP.osm", type=FILE)
 @output
 @click.option("--crs", help="Projected, metric CRS; without it the site's UTM zone.")
@@ -70,7 +55,7 @@ def tiles(
     return Result(outputs=[output], summary=summary)
 
 
-@command(group, example="gis-radar mask scan.laz --map junction.osm -o road.laz")
+@command(example="gis-radar mask scan.laz --map junction.osm -o road.laz")
 @click.argument("scans", metavar="SCAN.laz...", type=FILE, nargs=-1, required=True)
 @click.option(
     "--map", "map_path", type=FILE, required=True,
@@ -109,7 +94,7 @@ def mask(
     return Result(outputs=road.write(output), summary=road.figures())
 
 
-@command(group, example="gis-radar heatmap occupancy/ --tiles tiles.gpkg --interval 15min -o map/")
+@command(example="gis-radar heatmap occupancy/ --tiles tiles.gpkg --interval 15min -o map/")
 @click.argument("folders", metavar="OCCUPANCY...", type=FILE, nargs=-1, required=True)
 @click.option("--tiles", "tiles_path", type=FILE, required=True, help="From gis-radar tiles.")
 @output
@@ -141,7 +126,7 @@ def heatmap(
     return Result(outputs=outputs, summary=heat.figures())
 
 
-@command(group, example="gis-radar project R1.parquet --pose R1.json -o hits.gpkg")
+@command(example="gis-radar project R1.parquet --pose R1.json -o hits.gpkg")
 @click.argument("recording", metavar="RECORDING", type=FILE)
 @click.option("--pose", type=FILE, required=True, help="Pose (JSON) or pose track (CSV).")
 @output
@@ -150,14 +135,3 @@ def project(*, recording: Path, pose: Path, output: Path, reporter: Reporter) ->
     refuse_inputs(output, recording, pose)
     count = gr.write_projection(recording, gr.read_track(pose), output, reporter=reporter)
     return Result(outputs=[output], summary={"points": count})
-
-
-@command(group, example="gis-radar demo -o demo")
-@click.option(
-    "-o", "--output", type=FILE, default=Path("gis_radar_demo"), show_default=True,
-    help="Where the results go.",
-)  # fmt: skip
-def demo(*, output: Path, reporter: Reporter) -> Result:
-    """Go the whole way on the sample junction."""
-    outputs, summary = gr.run_demo(output, reporter=reporter)
-    return Result(outputs=outputs, summary=summary)
