@@ -1,3 +1,6 @@
+import subprocess
+import sys
+
 import numba
 import numpy as np
 
@@ -11,10 +14,28 @@ def total(values):
     return result
 
 
+@compiled
+def mean(values):
+    return fast_total(values) / len(values)
+
+
+fast_total = compiled(total)
+
+
 def test_a_loop_is_compiled():
     fast = compiled(total)
     assert fast(np.arange(5.0)) == 10.0
-    assert len(fast.signatures) == 1
+    assert len(fast.machine_code.signatures) == 1
+
+
+def test_a_compiled_function_calls_another():
+    assert mean(np.arange(5.0)) == 2.0
+    assert len(mean.machine_code.signatures) == 1
+
+
+def test_numba_is_not_imported_before_it_is_needed():
+    code = "import sys, gis_radar.localization, gis_radar.scans; assert 'numba' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_nowhere_to_keep_the_code_is_no_failure(monkeypatch):

@@ -11,11 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-import numba
 import numpy as np
 from scipy import ndimage
 
-from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.arrays import Booleans, Floats, Integers, compiled
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.scans.point_store import BLOCK_CELLS, BLOCK_M, CELL_M, PointStore
 from gis_radar.scans.roads import RoadLevel
@@ -58,7 +57,7 @@ def grown(cells: Booleans) -> Booleans:
     return tall
 
 
-@numba.njit(cache=True)
+@compiled
 def medians(  # pragma: no cover - compiled
     cell: Integers, value: Floats, width: int
 ) -> tuple[Integers, Floats]:
@@ -106,7 +105,7 @@ def medians(  # pragma: no cover - compiled
     return cells, median
 
 
-@numba.njit(cache=True)
+@compiled
 def _nth(some: Floats, total: int, nth: int) -> float:  # pragma: no cover - compiled
     """Return the nth smallest of the first values (Hoare), and move smaller ones before it."""
     low, high = 0, total - 1
