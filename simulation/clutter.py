@@ -43,7 +43,7 @@ class Clutter:
     wobble: Floats
 
     def where(self, keep: Booleans) -> Clutter:
-        """Return the points that `keep` says."""
+        """Return the points for which `keep` is true."""
         return Clutter(point=self.point[keep], rcs=self.rcs[keep], wobble=self.wobble[keep])
 
 
@@ -95,7 +95,7 @@ def _spread(line: Floats, gap_m: float, rng: np.random.Generator) -> Floats:
 
 
 def _kerbs(scene: Scene, eye: Floats, rng: np.random.Generator) -> Clutter:
-    # A gutter lies between the edge of the lane and the kerb stone.
+    # A gutter runs between the edge of the lane and the kerb stone.
     rings = shapely.get_parts(shapely.boundary(scene.road.buffer(_GUTTER_M)))
     plane = np.vstack([_spread(shapely.get_coordinates(ring), 0.7, rng) for ring in rings])
     plane = plane[np.hypot(*(plane - eye[:2]).T) < _KERB_REACH_M]

@@ -1,4 +1,4 @@
-"""Demand: which vehicles drive from where to where, told to SUMO."""
+"""Demand: which vehicles drive from where to where, as input of SUMO."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ class Echoes:
     owner: Integers
 
     def where(self, keep: Booleans) -> Echoes:
-        """Return the echoes that `keep` says."""
+        """Return the echoes for which `keep` is true."""
         return Echoes(
             point=self.point[keep],
             velocity=self.velocity[keep],
@@ -171,7 +171,7 @@ def ghosts(
     """Draw multipath ghosts of some echoes.
 
     Where a wall mirrors the vehicle to the sensor, the ghost is its mirror image, with the
-    mirrored motion; else the wave went an extra bounce, and the ghost lies behind its origin.
+    mirrored motion; else the wave went an extra bounce, and the ghost is behind its origin.
 
     Parameters
     ----------

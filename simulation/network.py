@@ -89,7 +89,7 @@ class Turn(Band):
 
 @dataclass(frozen=True, kw_only=True)
 class RoadNetwork:
-    """Lanes and turns, and where SUMO's lane positions lie on them.
+    """Lanes and turns, and SUMO's lane positions on them.
 
     Parameters
     ----------

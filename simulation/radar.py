@@ -223,7 +223,7 @@ def place_radar(
     Parameters
     ----------
     pose : Pose
-        Where; its view says what the radar can see.
+        Where; its view bounds what the radar can see.
     scene : Scene
         What is around it.
     rng : Generator

@@ -33,10 +33,10 @@ def run(program: str, arguments: Sequence[str]) -> None:
     Raises
     ------
     RuntimeError
-        When the program fails; the message ends with what it said.
+        When the program fails; the message ends with its output.
     """
     command = [str(sumo_home() / "bin" / program), *arguments]
     done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603
     if done.returncode != 0:
-        said = (done.stderr or done.stdout).strip()
-        raise RuntimeError(f"{program} failed with exit code {done.returncode}: {said[-2000:]}")
+        output = (done.stderr or done.stdout).strip()
+        raise RuntimeError(f"{program} failed with exit code {done.returncode}: {output[-2000:]}")

@@ -182,7 +182,7 @@ def simulate_traffic(
 
 @dataclass(frozen=True, kw_only=True)
 class _Run:
-    """One vehicle's way as SUMO tells it: the front bumper's lane and position at each step.
+    """One vehicle's way in the output of SUMO: the front bumper's lane and position at each step.
 
     SUMO drives on the middle of the lane to the millimetre; `habit` (metres to the left),
     `wander` and `phase` make each driver keep a line of his own.
@@ -207,10 +207,10 @@ def _read_trace(path: Path, rng: np.random.Generator, keeping: LaneKeeping) -> l
         if element.tag == "timestep" and event == "start":
             step = round(float(element.attrib["time"]) / STEP_S)
         elif element.tag == "vehicle" and event == "end":
-            told = element.attrib
-            row = (step, told["lane"], float(told["pos"]), float(told["speed"]))
-            rows.setdefault(told["id"], []).append(row)
-            kinds[told["id"]] = told["type"]
+            entry = element.attrib
+            row = (step, entry["lane"], float(entry["pos"]), float(entry["speed"]))
+            rows.setdefault(entry["id"], []).append(row)
+            kinds[entry["id"]] = entry["type"]
         elif event == "end":
             element.clear()
     runs, spread = [], keeping.driver_m
