@@ -16,7 +16,7 @@ from scans import EAST, NORTH, UTM, box_roads, ground, write_points
 import gis_radar as gr
 from gis_radar.crs import transformer
 from gis_radar.errors import CrsError, GisRadarError, InputError, UsageError
-from gis_radar.scans.scan import check_header, days_of, open_scan
+from gis_radar.scans.scan import days_of, open_scan
 
 ROAD = (0.0, 0.0, 60.0, 8.0)
 AROUND = (-5.0, -5.0, 65.0, 13.0)
@@ -202,10 +202,12 @@ def damaged(path, target, at, value, form="<Q"):
         (100, 2**31, "<I", "claims 2147483648 records"),
         (243, 2**31, "<I", "claims 2147483648 further records"),
         (96, 2**31, "<I", "points begin at byte"),
-        (96, 10, "<I", "inside the header"),
+        (96, 10, "<I", "2 records, which do not fit before byte 10"),
         (104, 0x80 | 33, "<B", "point format 33"),
-        (105, 3, "<H", "too short"),
+        (105, 3, "<H", "header says 3 point_format created says 30"),
         (25, 9, "<B", "version 1.9"),
+        (24, 2, "<B", "version 2.4"),
+        (94, 100, "<H", "header size"),
         (247, 0, "<Q", "without points"),
         (131, 0.0, "<d", "scales"),
         (155, float("nan"), "<d", "offsets"),
@@ -244,9 +246,9 @@ def test_random_damage_never_hangs_or_crashes(tmp_path, scan):
 
 def test_other_files_are_no_scans(tmp_path):
     (tmp_path / "text.laz").write_text("LAS?")
-    refused(lambda: check_header(tmp_path / "text.laz"), "text.laz", "LASF")
-    refused(lambda: check_header(tmp_path / "gone.laz"), "no such file")
-    refused(lambda: check_header(tmp_path), "no such file")
+    refused(lambda: open_scan(tmp_path / "text.laz"), "text.laz", "LASF")
+    refused(lambda: open_scan(tmp_path / "gone.laz"), "no such file")
+    refused(lambda: open_scan(tmp_path), "no such file")
 
 
 @pytest.mark.skipif(not (SHARED / "als").exists(), reason="shared data absent: als")

@@ -1,7 +1,6 @@
 from .mask import RoadMask, mask_road, require_road_name
-from .road import read_road, road_crs
 from .roads import Roads, read_roads
-from .scan import Points, Scan, open_scan
+from .scan import Points, Scan, open_scan, read_road, road_crs
 
 __all__ = [
     "Points",

@@ -6,9 +6,8 @@ stages stream, so its memory does not grow with the points.
 
 from __future__ import annotations
 
-import json
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -19,7 +18,7 @@ import numpy as np
 import pyogrio
 import shapely
 
-from gis_radar.crs import Box, moved_box, name_of, same_plane, transformer
+from gis_radar.crs import Box, moved_box, name_of, same_plane
 from gis_radar.errors import GisRadarError, UsageError
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.scans.pdal import INSTALL_HINT, PdalRunner, find_pdal
@@ -103,7 +102,7 @@ class Pipeline:
         kind = "classified" if classified else "unclassified"
         stages, ends = [], []
         for number, (scan, status) in enumerate(zip(self.scans, self.classified, strict=True)):
-            if status is classified and touches(scan, area, self.roads):
+            if status is classified and scan.touches(area, self.roads.crs):
                 stages += self._read(number, scan, area)
                 ends.append(stages[-1]["tag"])
         if not stages:
@@ -156,17 +155,6 @@ def passing_classes(roads: Roads) -> list[int]:
     if roads.has_heights:
         return [number for number in range(256) if number not in NEVER_CLASSES]
     return list(ROAD_CLASSES)
-
-
-def touches(scan: Scan, box: Box, roads: Roads) -> bool:
-    """Tell whether a scan may have points in a box of the roads' system."""
-    west, south, east, north = moved_box(scan.bounds, scan.crs, roads.crs)
-    return west <= box[2] and east >= box[0] and south <= box[3] and north >= box[1]
-
-
-def as_text(document: dict[str, Any]) -> str:
-    """Return a document as JSON to read and to run."""
-    return json.dumps(document, indent=2) + "\n"
 
 
 def _text(box: Box) -> str:
@@ -297,12 +285,13 @@ class BuiltIn:
         classified: list[bool] = []
         times: list[float] = []
         on_road = 0
-        passing = passing_classes(store.blocks.roads)
+        roads = store.blocks.roads
+        passing = passing_classes(roads)
         for number, scan in enumerate(scans):
             ground = 0
-            for piece in _pieces(scan, store):
+            for piece in scan.pieces(roads.area.bounds, roads.crs):
                 ground += piece.ground
-                times += _keep(store, scan, number, piece)
+                times += _keep(store, number, piece)
                 done += piece.read
                 reporter.progress(STAGE, done, total)
             classified.append(ground >= LEAST_GROUND_SHARE * scan.points)
@@ -328,20 +317,21 @@ class Pdal:
     ) -> ReadStatistics:
         """Put those points of scans that lie on the roads into a store."""
         classified = tuple(ground_share(scan) >= LEAST_GROUND_SHARE for scan in scans)
-        pipeline = Pipeline(scans=tuple(scans), classified=classified, roads=store.blocks.roads)
+        roads = store.blocks.roads
+        pipeline = Pipeline(scans=tuple(scans), classified=classified, roads=roads)
         store.classified(0, ground=True)  # whatever the scans were, the pipeline classified them
         times: list[float] = []
         with tempfile.TemporaryDirectory(prefix="gis_radar_") as name:
             layer, points = Path(name) / "roads.gpkg", Path(name) / "points.laz"
-            write_layer(store.blocks.roads, layer)
+            write_layer(roads, layer)
             parts = _parts(pipeline)
             for done, within in enumerate(parts):
                 document = pipeline.document(roads=layer, points=points, within=within)
                 self.runner.run(document, reporter=reporter)
                 if _holds_points(points):
-                    result = open_scan(points, crs=store.blocks.roads.crs)
-                    for piece in _pieces(result, store):
-                        times += _keep(store, result, 0, piece)
+                    result = open_scan(points, crs=roads.crs)
+                    for piece in result.pieces(roads.area.bounds, roads.crs):
+                        times += _keep(store, 0, piece)
                 points.unlink(missing_ok=True)
                 reporter.progress("running the pipeline", done + 1, len(parts))
         return ReadStatistics(classified=classified, on_road=store.total, flown=days_of(times))
@@ -364,18 +354,10 @@ def _holds_points(path: Path) -> bool:
         return bool(reader.header.point_count)
 
 
-def _pieces(scan: Scan, store: PointStore) -> Iterator[Points]:
-    roads = store.blocks.roads
-    return scan.pieces(moved_box(roads.area.bounds, roads.crs, scan.crs))
-
-
-def _keep(store: PointStore, scan: Scan, number: int, piece: Points) -> list[float]:
+def _keep(store: PointStore, number: int, piece: Points) -> list[float]:
     """Store the points on the roads; return their earliest and latest time, if any."""
-    x, y = piece.x, piece.y
-    if not same_plane(scan.crs, store.blocks.roads.crs):
-        x, y = transformer(scan.crs, store.blocks.roads.crs).transform(x, y)
-    on_road, block = store.blocks.on_road(x, y)
-    xyz = np.column_stack([x[on_road], y[on_road], piece.z[on_road]])
+    on_road, block = store.blocks.on_road(piece.x, piece.y)
+    xyz = np.column_stack([piece.x[on_road], piece.y[on_road], piece.z[on_road]])
     store.add(xyz, piece.category[on_road], block, number)
     if piece.gps_time is None or len(on_road) == 0:
         return []

@@ -20,11 +20,10 @@ from gis_radar.lanelets import LaneletMap
 from gis_radar.notebooks import card
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.scans.cells import SQUARE_M, RoadCells, make_cells
-from gis_radar.scans.engines import Pipeline, engine_of, touches, write_layer
+from gis_radar.scans.engines import Pipeline, engine_of, write_layer
 from gis_radar.scans.point_store import CELL_M, PointStore, blocks_of
-from gis_radar.scans.road import write_road
 from gis_radar.scans.roads import Roads, roads_of_map
-from gis_radar.scans.scan import Days, Scan, open_scan
+from gis_radar.scans.scan import Days, Scan, open_scan, write_road
 
 LEAST_ROAD_M2 = 20.0
 LEAST_OUTSIDE = 0.001
@@ -179,7 +178,7 @@ def mask_road(
     roads = roads_of_map(roads) if isinstance(roads, LaneletMap) else roads
     runner = engine_of(engine, reporter=reporter)
     opened = [open_scan(scan, crs=scan_crs) for scan in scans]
-    touching = [scan for scan in opened if touches(scan, roads.area.bounds, roads)]
+    touching = [scan for scan in opened if scan.touches(roads.area.bounds, roads.crs)]
     if not touching:
         raise _no_overlap(opened, roads)
     blocks = blocks_of(roads)

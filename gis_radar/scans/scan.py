@@ -1,8 +1,4 @@
-"""Open airborne scans: LAS, LAZ and COPC files of any point format, with their headers checked.
-
-A reader that believes a damaged header asks for 1e12 points of memory, or walks through 2^31
-records. Whatever the header promises must fit into the bytes that are there.
-"""
+"""Read airborne scans (LAS, LAZ, COPC of any point format), and the points of a masked road."""
 
 from __future__ import annotations
 
@@ -21,141 +17,33 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError as ProjError
 
 from gis_radar.arrays import Booleans, Floats
-from gis_radar.crs import Box, metric_crs, name_of
+from gis_radar.crs import Box, metric_crs, moved_box, name_of, require_same, same_plane, transformer
 from gis_radar.errors import CrsError, InputError
-
-_SMALLEST_HEADER = 227
-_VLR_BYTES, _EVLR_BYTES = 54, 60
-# A chunk of compressed points holds one of them in full, and by default this many in all.
-_CHUNK_POINTS = 50_000
-_LEAST_RECORD = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
-_COMPRESSED = 0x80 | 0x40
-
-
-class Header(NamedTuple):
-    """What a LAS header says about the layout of its file.
-
-    `size`, `points_at` and `evlrs_at` are in bytes from the file's begin; `record` is the length
-    of a point.
-    """
-
-    version: tuple[int, int]
-    size: int
-    points_at: int
-    vlrs: int
-    point_format: int
-    compressed: bool
-    record: int
-    points: int
-    evlrs_at: int
-    evlrs: int
-
-
-def check_header(path: str | Path) -> None:
-    """Refuse a file whose header promises what the file cannot hold.
-
-    Raises
-    ------
-    InputError
-        If the file is no LAS or LAZ file, is cut off, or holds no points.
-    """
-    if not Path(path).is_file():
-        raise InputError(f"{path}: no such file")
-    size = Path(path).stat().st_size
-    with Path(path).open("rb") as file:
-        head = file.read(375)
-    if size == 0:
-        raise InputError(f"{path}: empty file")
-    if head[:4] != b"LASF":
-        raise InputError(f"{path}: not a LAS or LAZ file: it does not begin with LASF")
-    if len(head) < _SMALLEST_HEADER:
-        raise InputError(f"{path}: cut off: {size} bytes, less than a header")
-    header = _parsed(head)
-    fault = _fault(header, size) or _long_record(path, header, size)
-    if fault:
-        raise InputError(f"{path}: damaged or cut off: {fault}")
-    if header.points == 0:
-        raise InputError(f"{path}: scan without points")
-
-
-def _parsed(head: bytes) -> Header:
-    major, minor = head[24], head[25]
-    size, points_at, vlrs, kind, record, points = struct.unpack_from("<HIIBHI", head, 94)
-    evlrs_at = evlrs = 0
-    if (major, minor) >= (1, 4) and len(head) >= 255:
-        evlrs_at, evlrs, points = struct.unpack_from("<QIQ", head, 235)
-    return Header(
-        version=(major, minor), size=size, points_at=points_at, vlrs=vlrs,
-        point_format=kind & ~_COMPRESSED, compressed=bool(kind & _COMPRESSED), record=record,
-        points=points, evlrs_at=evlrs_at, evlrs=evlrs,
-    )  # fmt: skip
-
-
-def _fault(header: Header, size: int) -> str:
-    """Say in a few words what cannot be, or nothing."""
-    shortest = dict(enumerate(_LEAST_RECORD)).get(header.point_format)
-    if header.version[0] != 1 or header.version[1] > 4:
-        fault = f"LAS version {header.version[0]}.{header.version[1]} is not known"
-    elif shortest is None:
-        fault = f"point format {header.point_format} is not known"
-    elif header.record < shortest:
-        fault = f"points of {header.record} bytes are too short for format {header.point_format}"
-    elif not _SMALLEST_HEADER <= header.size <= header.points_at:
-        fault = f"points begin at byte {header.points_at}, inside the header"
-    elif header.points_at > size:
-        fault = f"points begin at byte {header.points_at} of {size}"
-    elif header.vlrs * _VLR_BYTES > header.points_at - header.size:
-        fault = f"its header claims {header.vlrs} records, which do not fit before the points"
-    elif header.points > _most_points(header, size):
-        fault = f"its header claims {header.points} points, the file has {size} bytes"
-    elif header.evlrs and header.evlrs_at + header.evlrs * _EVLR_BYTES > size:
-        fault = f"its header claims {header.evlrs} further records behind the end of the file"
-    else:
-        fault = ""
-    return fault
-
-
-def _most_points(header: Header, size: int) -> int:
-    records = (size - header.points_at) // header.record
-    return records * (_CHUNK_POINTS if header.compressed else 1)
-
-
-def _long_record(path: str | Path, header: Header, size: int) -> str:
-    """Say which record claims to be longer than its file, or nothing."""
-    with Path(path).open("rb") as file:
-        at = header.size
-        for _ in range(header.vlrs):
-            file.seek(at + 20)
-            at += _VLR_BYTES + int.from_bytes(file.read(2), "little")
-            if at > header.points_at:
-                return "a record of its header reaches into the points"
-        at = header.evlrs_at
-        for _ in range(header.evlrs):
-            file.seek(at + 20)
-            length = file.read(8)
-            at += _EVLR_BYTES + int.from_bytes(length, "little")
-            if at > size:
-                return "a record behind its points is longer than the file"
-    return ""
-
 
 Days: TypeAlias = tuple[date, date]
 AT_ONCE = 1_000_000
-# ASPRS classes that are road for certain: ground, key points of it, road surface, bridge deck.
+# ASPRS LAS 1.4, table 17. Road for certain: ground, key points of it, road surface, bridge deck.
 ROAD_CLASSES = (2, 8, 11, 17)
-# Classes that never are: vegetation, noise, water, wires and pylons, high noise.
+# Never a road: vegetation, noise, water, wires and pylons, high noise.
 NEVER_CLASSES = (3, 4, 5, 7, 9, 13, 14, 15, 16, 18)
+ROAD_SURFACE = 11
 # Any classification finds ground everywhere; fewer of it are strays in an unclassified scan.
 LEAST_GROUND_SHARE = 0.01
-_DAMAGED = (laspy.LaspyException, LazrsError, OSError, ValueError, OverflowError, RuntimeError)
+_DAMAGED = (
+    laspy.LaspyException, LazrsError, MemoryError, OSError, OverflowError, RuntimeError,
+    ValueError,
+)  # fmt: skip
+_VLR_BYTES, _EVLR_BYTES = 54, 60
+_CHUNK_POINTS = 50_000  # of compressed points, one of which is stored in full
+_SMALLEST_SCALE = 1e-12
 _GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)
+_SAY = "say which: --scan-crs EPSG:25832"
 _WEEK_S = 604_800.0
 _ADJUSTED_S = 1e9
-_SMALLEST_SCALE = 1e-12
 
 
 class Points(NamedTuple):
-    """Some points of a scan: coordinates in its own system, class, GPS time where it has one.
+    """Some points of a scan: coordinates, class, GPS time where it has one.
 
     `read` and `ground` count the points they were chosen from, and those of a ground class.
     """
@@ -180,13 +68,13 @@ class Scan:
     crs : CRS
         Its projected, metric, horizontal coordinate system.
     vertical : str
-        Name of the system of its heights; empty where the file does not say.
+        Name of the system of its heights; empty where the file has none.
     declared : bool
-        True where the user, not the file, said the coordinate system.
+        True where the user, not the file, gave the coordinate system.
     points : int
         How many points it holds.
     bounds : (float, float, float, float)
-        West, south, east, north as its header says; infinite where it says nothing credible.
+        West, south, east, north from its header; infinite where that is not credible.
     written : date, optional
         When the file was made.
     """
@@ -199,57 +87,67 @@ class Scan:
     bounds: Box = field(repr=False)
     written: date | None = field(default=None, repr=False)
 
-    def pieces(self, box: Box | None = None) -> Iterator[Points]:
-        """Yield the points inside a box of the scan's own system, a bounded number at a time.
+    def touches(self, box: Box, crs: CRS) -> bool:
+        """Return whether the scan, as its header bounds it, may have points in a box of a CRS."""
+        within = moved_box(box, crs, self.crs)
+        west, south, east, north = self.bounds
+        return west <= within[2] and within[0] <= east and south <= within[3] and within[1] <= north
 
-        Withheld points are left out.
+    def pieces(self, box: Box, crs: CRS) -> Iterator[Points]:
+        """Yield the points in and around a box, a bounded number at a time.
+
+        Withheld points are left out. Heights stay as they are in the file.
+
+        Parameters
+        ----------
+        box : (float, float, float, float)
+            West, south, east, north, metres.
+        crs : CRS
+            The system of the box, and of the points.
 
         Raises
         ------
         InputError
             If the file is damaged or ends early.
         """
+        within = moved_box(box, crs, self.crs)
         seen = 0
         try:
             with laspy.open(self.path) as reader:
                 for record in reader.chunk_iterator(AT_ONCE):
                     seen += len(record)
-                    yield _inside(record, box)
+                    piece = _inside(record, within)
+                    if not same_plane(self.crs, crs):
+                        x, y = transformer(self.crs, crs).transform(piece.x, piece.y)
+                        piece = piece._replace(x=x, y=y)
+                    yield piece
         except _DAMAGED as error:
-            raise InputError(_damaged(self.path, error)) from error
+            raise _damaged(self.path, error) from error
         if seen != self.points:
             raise InputError(f"{self.path}: cut off: {seen} of {self.points} points are there")
 
 
 def open_scan(path: str | Path, *, crs: Any = None) -> Scan:
-    """Open a scan and find out where it lies.
+    """Open a scan and read from its header where it is located.
 
     Parameters
     ----------
     path : str or Path
         LAS, LAZ or COPC; read later, piece by piece.
     crs : CRS, str or int, optional
-        The scan's coordinate system, for files that do not say or say it wrong.
+        The scan's coordinate system, for files without one or with a wrong one.
 
     Raises
     ------
     InputError
         If the file is missing, no scan, damaged or empty; CrsError if neither it nor the caller
-        says a projected, metric coordinate system.
+        gives a projected, metric coordinate system.
     """
     path = Path(path)
-    check_header(path)
-    try:
-        with laspy.open(path) as reader:
-            header = reader.header
-    except _DAMAGED as error:
-        raise InputError(_damaged(path, error)) from error
-    scales = np.abs(header.scales)
-    if not (np.isfinite(header.offsets).all() and (scales > _SMALLEST_SCALE).all()):
-        raise InputError(f"{path}: damaged: scales {header.scales}, offsets {header.offsets}")
-    stated = crs if crs is not None else _stated(path, header)
+    header = _read_header(path)
+    stated = crs if crs is not None else _stated(path, header, hint=_SAY)
     if stated is None:
-        raise CrsError(f"{path}: has no coordinate system", hint="say which: --scan-crs EPSG:25832")
+        raise CrsError(f"{path}: has no coordinate system", hint=_SAY)
     return Scan(
         path=path,
         crs=metric_crs(stated, what="--scan-crs" if crs is not None else str(path)),
@@ -261,26 +159,145 @@ def open_scan(path: str | Path, *, crs: Any = None) -> Scan:
     )
 
 
+def _read_header(path: Path) -> laspy.LasHeader:
+    """Read the header of a scan.
+
+    laspy checks that the parts of a header agree with each other. It does not compare them with the
+    size of the file, and walks through as many records as the header claims, also through 2^31.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    size = path.stat().st_size
+    if size == 0:
+        raise InputError(f"{path}: empty file")
+    with path.open("rb") as file:
+        head = file.read(375).ljust(375, b"\0")
+    if head[:4] != b"LASF":
+        raise InputError(f"{path}: not a LAS or LAZ file: it does not begin with LASF")
+    try:
+        fault = _unfit(head, size)
+        if not fault:
+            with laspy.open(path) as reader:
+                header = reader.header
+            fault = _not_in_file(header, size)
+    except _DAMAGED as error:
+        raise _damaged(path, error) from error
+    if fault:
+        raise InputError(f"{path}: damaged or cut off: {fault}")
+    if header.point_count == 0:
+        raise InputError(f"{path}: scan without points")
+    return header
+
+
+def _unfit(head: bytes, size: int) -> str:
+    """Return what in the bytes of a header (ASPRS LAS 1.4, table 3) cannot be, or nothing."""
+    if head[24] != 1 or head[25] > 4:
+        return f"LAS version {head[24]}.{head[25]} is not known"
+    begin, points_at, count = struct.unpack_from("<HII", head, 94)
+    if points_at > size:
+        return f"points begin at byte {points_at} of {size}"
+    if count * _VLR_BYTES > max(points_at - begin, 0):
+        return f"its header claims {count} records, which do not fit before byte {points_at}"
+    begin, count = struct.unpack_from("<QI", head, 235) if head[25] >= 4 else (0, 0)
+    if count and begin + count * _EVLR_BYTES > size:
+        return f"its header claims {count} further records behind the end of the file"
+    return ""
+
+
+def _not_in_file(header: laspy.LasHeader, size: int) -> str:
+    """Return what laspy accepts in a header and cannot be, or nothing."""
+    most = (size - header.offset_to_point_data) // header.point_format.size
+    if header.point_count > most * (_CHUNK_POINTS if header.are_points_compressed else 1):
+        return f"its header claims {header.point_count} points, the file has {size} bytes"
+    scales = np.abs(header.scales)
+    if not (np.isfinite(header.offsets).all() and (scales > _SMALLEST_SCALE).all()):
+        return f"scales {header.scales}, offsets {header.offsets}"
+    return ""
+
+
+def write_road(points: Floats, path: Path, *, crs: CRS) -> None:
+    """Write the points of a road as LAZ 1.4 with its coordinate system, to the millimetre.
+
+    Parameters
+    ----------
+    points : (n, 3) array
+        Easting, northing, height, metres.
+    path : Path
+        The file.
+    crs : CRS
+        Of the points.
+    """
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    header.scales = np.full(3, 0.001)
+    header.offsets = np.floor(points.min(axis=0))
+    header.add_crs(crs)
+    las = laspy.LasData(header)
+    las.xyz = points
+    las.classification = np.full(len(points), ROAD_SURFACE, np.uint8)
+    las.return_number = np.ones(len(points), np.uint8)
+    las.number_of_returns = np.ones(len(points), np.uint8)
+    las.write(path)
+
+
+def read_road(path: str | Path, crs: CRS) -> Floats:
+    """Read the points of a road, as the mask of an airborne scan leaves them.
+
+    Parameters
+    ----------
+    path : str or Path
+        LAS or LAZ.
+    crs : CRS
+        The map's coordinate system, which the scan must have.
+
+    Returns
+    -------
+    (n, 3) array
+        Easting, northing, height, metres.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged or empty; CrsError if its CRS is missing or another.
+    """
+    require_same(road_crs(path), crs, what=str(path), other_what="the map")
+    try:
+        return np.asarray(laspy.read(path).xyz)
+    except _DAMAGED as error:
+        raise _damaged(path, error) from error
+
+
+def road_crs(path: str | Path) -> CRS:
+    """Return the coordinate system of a scan, from its header.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged; CrsError if its CRS is missing or not metric.
+    """
+    return metric_crs(_stated(Path(path), _read_header(Path(path))), what=str(path))
+
+
 def ground_share(scan: Scan) -> float:
     """Return the share of a scan's points that bear a class of ground or road."""
-    return sum(piece.ground for piece in scan.pieces((0.0, 0.0, 0.0, 0.0))) / scan.points
+    nowhere = (0.0, 0.0, 0.0, 0.0)
+    return sum(piece.ground for piece in scan.pieces(nowhere, scan.crs)) / scan.points
 
 
 def is_road_class(category: NDArray[np.uint8]) -> Booleans:
-    """Tell which classes are road for certain."""
+    """Return which classes are road for certain."""
     return _ROAD[category]
 
 
 def never_road(category: NDArray[np.uint8]) -> Booleans:
-    """Tell which classes are no road, whatever the place."""
+    """Return which classes are no road, whatever the place."""
     return _NEVER[category]
 
 
 def days_of(times: Sequence[float]) -> Days | None:
-    """Return the days of the earliest and the latest GPS time, where these tell days.
+    """Return the days of the earliest and the latest GPS time, where these give days.
 
-    Seconds of a GPS week do not; times beyond a week are counted from 1980, less 1e9 s, also in
-    files whose header says otherwise.
+    Seconds of a GPS week do not. Times beyond a week are adjusted standard GPS time (seconds since
+    1980, less 1e9), also where the header's flag for it is not set.
     """
     if not times or not _WEEK_S < min(times) <= max(times) < 2 * _ADJUSTED_S:
         return None
@@ -298,7 +315,7 @@ def _table(classes: tuple[int, ...]) -> Booleans:
 _ROAD, _NEVER = _table(ROAD_CLASSES), _table(NEVER_CLASSES)
 
 
-def _inside(record: Any, box: Box | None) -> Points:
+def _inside(record: Any, box: Box) -> Points:
     x, y = (
         np.asarray(record[axis], np.float64) * scale + offset
         for axis, scale, offset in zip("XY", record.scales, record.offsets, strict=False)
@@ -306,23 +323,21 @@ def _inside(record: Any, box: Box | None) -> Points:
     category = np.asarray(record["classification"]).astype(np.uint8)
     ground = int(np.count_nonzero(is_road_class(category)))
     kept = np.asarray(record["withheld"]) == 0
-    if box is not None:
-        kept &= (x >= box[0]) & (y >= box[1]) & (x <= box[2]) & (y <= box[3])
+    kept &= (x >= box[0]) & (y >= box[1]) & (x <= box[2]) & (y <= box[3])
     z = np.asarray(record["Z"][kept], np.float64) * record.scales[2] + record.offsets[2]
     timed = "gps_time" in record.point_format.dimension_names
     time = np.asarray(record["gps_time"][kept], np.float64) if timed else None
     return Points(x[kept], y[kept], z, category[kept], time, len(kept), ground)
 
 
-def _stated(path: Path, header: Any) -> CRS | None:
+def _stated(path: Path, header: laspy.LasHeader, *, hint: str = "") -> CRS | None:
     """Return the coordinate system that the file states, or None."""
     try:
         crs: CRS | None = header.parse_crs()
     except (ProjError, *_DAMAGED) as error:
         reason = str(error).splitlines()[0][:120]
         raise CrsError(
-            f"{path}: its coordinate system cannot be read: {reason}",
-            hint="say which: --scan-crs EPSG:25832",
+            f"{path}: its coordinate system cannot be read: {reason}", hint=hint
         ) from error
     return crs
 
@@ -345,6 +360,8 @@ def _bounds(header: Any) -> Box:
     return float(west), float(south), float(east), float(north)
 
 
-def _damaged(path: Path, error: BaseException) -> str:
+def _damaged(path: str | Path, error: BaseException) -> InputError:
     reason = (str(error).splitlines() or [type(error).__name__])[0][:160]
-    return f"{path}: not a readable LAS or LAZ file, damaged or cut off: {reason}"
+    if isinstance(error, laspy.errors.PointFormatNotSupported):
+        reason = f"point format {reason} is not known"
+    return InputError(f"{path}: not a readable LAS or LAZ file, damaged or cut off: {reason}")

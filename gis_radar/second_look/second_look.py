@@ -18,7 +18,7 @@ from gis_radar.recordings.recording import Recording
 from gis_radar.scans.scan import open_scan
 from gis_radar.second_look.alignment import ASKEW_DEG, LANE_M, Alignment, PoseOffset, align
 from gis_radar.second_look.standing import LevelFrame, Slow, Standing, read_slow, standing
-from gis_radar.second_look.structure import Structure, box_around, read_structure, touches
+from gis_radar.second_look.structure import Structure, box_around, read_structure
 
 CONFIRMS, DOUBTS, NOTHING = "confirms", "doubts", "nothing to compare"
 LEAST_CELLS = 60
@@ -146,7 +146,7 @@ def require_scans_near(
     """
     box = box_around(place[0], place[1], MOST_REACH_M)
     # each is opened, so that a bad one is told at once
-    near = [touches(open_scan(scan, crs=scan_crs), box, crs) for scan in scans]
+    near = [open_scan(scan, crs=scan_crs).touches(box, crs) for scan in scans]
     if not any(near):
         raise _elsewhere(scans, MOST_REACH_M, "the sensor", place, crs)
 

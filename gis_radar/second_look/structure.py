@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pyproj import CRS
 from scipy import ndimage
 
 from gis_radar.arrays import Booleans, Floats
-from gis_radar.crs import Box, moved_box, same_plane, transformer
+from gis_radar.crs import Box
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.scans import Points, Scan, open_scan
+from gis_radar.scans import open_scan
 from gis_radar.second_look.standing import CELL_M, LevelFrame
 
 GROUND, PLANTS, BUILDING = (2, 8, 11, 17), (3, 4, 5), (6,)
@@ -121,8 +120,11 @@ def read_structure(
     box = box_around(east, north, reach_m * np.sqrt(2.0))
     total, done, grounds, seen = sum(scan.points for scan in opened), 0, 0, 0
     for scan in opened:
-        for piece in _pieces(scan, level, box):
-            tops.add(level.from_map(_in_map(piece, scan, level)), piece.category)
+        if not scan.touches(box, level.pose.crs):
+            continue
+        for piece in scan.pieces(box, level.pose.crs):
+            xyz = np.column_stack([piece.x, piece.y, piece.z])
+            tops.add(level.from_map(xyz), piece.category)
             done += piece.read
             grounds, seen = grounds + piece.ground, seen + piece.read
             reporter.progress(STAGE, done, total)
@@ -131,28 +133,9 @@ def read_structure(
     return _structure(tops, classified=grounds >= LEAST_GROUND_SHARE * max(seen, 1))
 
 
-def _pieces(scan: Scan, level: LevelFrame, box: Box) -> Iterator[Points]:
-    if touches(scan, box, level.pose.crs):
-        yield from scan.pieces(moved_box(box, level.pose.crs, scan.crs))
-
-
 def box_around(east: float, north: float, reach_m: float) -> Box:
     """Return the square that reaches so far in each of the four directions."""
     return east - reach_m, north - reach_m, east + reach_m, north + reach_m
-
-
-def touches(scan: Scan, box: Box, crs: CRS) -> bool:
-    """Tell whether the bounds of a scan, as its header says them, meet a box in the map."""
-    within = moved_box(box, crs, scan.crs)
-    west, south, east, north = scan.bounds
-    return west <= within[2] and within[0] <= east and south <= within[3] and within[1] <= north
-
-
-def _in_map(piece: Points, scan: Scan, level: LevelFrame) -> Floats:
-    x, y = piece.x, piece.y
-    if not same_plane(scan.crs, level.pose.crs):
-        x, y = transformer(scan.crs, level.pose.crs).transform(x, y)
-    return np.column_stack([x, y, piece.z])
 
 
 def _structure(tops: _Tops, *, classified: bool) -> Structure:
