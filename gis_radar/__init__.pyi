@@ -12,7 +12,7 @@ from .errors import (
 )
 from .heatmap import HeatMap, make_heatmap, read_heatmap, to_xarray
 from .lanelets import LaneletMap, read_map
-from .localization import Localization, localize
+from .localization import Localization, localize, localize_files
 from .localization.picture import draw_localization
 from .occupancy import (
     Filters,
@@ -88,6 +88,7 @@ __all__ = [
     "draw_track",
     "fingerprint",
     "localize",
+    "localize_files",
     "make_heatmap",
     "make_tiles",
     "mask_road",

@@ -13,6 +13,7 @@ from streets import Street, errors
 import gis_radar as gr
 from gis_radar.cli.main import group
 from gis_radar.crs import yaw_from_compass
+from gis_radar.localization import files as files_to_pose
 from gis_radar.poses.files import read_pose
 
 
@@ -40,7 +41,7 @@ def words(folder, *more):
 
 def test_a_pose_file_comes_out(files, monkeypatch):
     street, folder = files
-    monkeypatch.setattr(gr, "read_map", lambda *_, **__: street.roads(), raising=False)
+    monkeypatch.setattr(files_to_pose, "read_map", lambda *_, **__: street.roads())
     true = street.pose()
     guess = f"{true.easting + 4:.1f},{true.northing - 3:.1f}"
     picture = folder / "figure.png"
@@ -79,8 +80,8 @@ def test_options_reach_their_arguments(files, monkeypatch, option, name, value):
         heard.update(options)
         raise gr.NoAnswerError("heard")
 
-    monkeypatch.setattr(gr, "read_map", lambda *_, **__: street.roads(), raising=False)
-    monkeypatch.setattr(gr, "localize", listen, raising=False)
+    monkeypatch.setattr(files_to_pose, "read_map", lambda *_, **__: street.roads())
+    monkeypatch.setattr(files_to_pose, "localize", listen)
     guess = () if option[0] == "--guess" else ("--guess", "690000,5336000")
     with pytest.raises(gr.NoAnswerError, match="heard"):
         CliRunner().invoke(
@@ -97,8 +98,8 @@ def test_a_compass_becomes_a_heading(files, monkeypatch):
         heard["heading"] = heading
         raise gr.NoAnswerError("heard")
 
-    monkeypatch.setattr(gr, "read_map", lambda *_, **__: street.roads(), raising=False)
-    monkeypatch.setattr(gr, "localize", listen, raising=False)
+    monkeypatch.setattr(files_to_pose, "read_map", lambda *_, **__: street.roads())
+    monkeypatch.setattr(files_to_pose, "localize", listen)
     call = words(folder, "--guess", "690000,5336000", "--compass", "north-east")
     with pytest.raises(gr.NoAnswerError, match="heard"):
         CliRunner().invoke(group, call, catch_exceptions=False, standalone_mode=False)
@@ -113,8 +114,8 @@ def test_a_guess_in_another_system_is_moved(files, monkeypatch):
         heard["guess"] = guess
         raise gr.NoAnswerError("heard")
 
-    monkeypatch.setattr(gr, "read_map", lambda *_, **__: street.roads(), raising=False)
-    monkeypatch.setattr(gr, "localize", listen, raising=False)
+    monkeypatch.setattr(files_to_pose, "read_map", lambda *_, **__: street.roads())
+    monkeypatch.setattr(files_to_pose, "localize", listen)
     there = Transformer.from_crs(UTM, 3857, always_xy=True).transform(690_000.0, 5_336_000.0)
     guess = ",".join(f"{value:.3f}" for value in there)
     call = words(folder, "--guess", guess, "--guess-crs", "EPSG:3857")

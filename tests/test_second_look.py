@@ -19,6 +19,7 @@ from sites import recording
 import gis_radar as gr
 from gis_radar.cli.main import group
 from gis_radar.localization import Localization
+from gis_radar.localization import files as files_to_pose
 from gis_radar.scans import scan as scan_files
 from gis_radar.second_look.alignment import CLOSE_M, Alignment, align
 from gis_radar.second_look.standing import CELL_M, FRAMES, LevelFrame, read_slow
@@ -294,7 +295,7 @@ def test_the_command_tells_the_verdict(tmp_path, monkeypatch, left):
         pose=moved(POSE, 0.0, left), fitness=1.0, observable=True,
         traces=np.array([[20.0, 0.0, -5.0], [40.0, 9.0, -5.0]]), range_rate=np.array([1.0, -1.0]),
     )  # fmt: skip
-    monkeypatch.setattr(gr, "localize", lambda *_, **__: answer, raising=False)
+    monkeypatch.setattr(files_to_pose, "localize", lambda *_, **__: answer)
     picture = tmp_path / "figure.png"
     call = command(tmp_path, "--scan", str(SCAN), "--figure", str(picture), "--json")
     done = CliRunner().invoke(group, call, catch_exceptions=False)
@@ -307,19 +308,38 @@ def test_the_command_tells_the_verdict(tmp_path, monkeypatch, left):
     evidence = gr.read_pose(tmp_path / "pose.json").evidence["second_look"]
     assert evidence["verdict"] == verdict
     assert {"score", "chance", "best_score", "best_east_m", "best_turn_deg"} <= set(evidence)
+    view = gr.read_pose(tmp_path / "pose.json").view
+    assert view == gr.View(max_range_m=reached_m(R2))
     assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def reached_m(path):
+    """Return the whole metres within which 99.9 % of a recording's detections lie."""
+    x, y, z = (pq.read_table(path)[axis].to_numpy() for axis in "xyz")
+    return np.ceil(np.nanpercentile(np.sqrt(x**2 + y**2 + z**2), 99.9))
+
+
+def test_a_view_that_is_known_is_not_measured(tmp_path, monkeypatch):
+    known = gr.View(azimuth_deg=90.0, max_range_m=150.0)
+    answer = Localization(pose=POSE, fitness=1.0, observable=True)
+    monkeypatch.setattr(files_to_pose, "localize", lambda *_, **__: answer)
+    found = gr.localize_files(
+        R2, SAMPLE / "junction.osm", SCAN, guess=(690379, 5336233), scans=[SCAN], view=known
+    )
+    assert found.pose.view == known
+    assert found.recording == "R2.parquet"
 
 
 def test_a_scan_of_another_place_is_told_before_the_search(tmp_path, monkeypatch):
     def never(*_, **__):
         raise AssertionError
 
-    monkeypatch.setattr(gr, "localize", never, raising=False)
+    monkeypatch.setattr(files_to_pose, "localize", never)
     monkeypatch.setattr(scan_files.Scan, "pieces", never)  # nor is a scan read
     far = rewritten(tmp_path / "far.laz", lambda xyz, c: (xyz[::50] + [900.0, 0.0, 0.0], c[::50]))
     words = command(tmp_path, "--scan", str(far), "--json")
     words[words.index("--road") + 1] = str(SAMPLE / "scan.laz")
-    monkeypatch.setattr(gr, "read_road", lambda *_: np.empty((0, 3)), raising=False)
+    monkeypatch.setattr(files_to_pose, "read_road", lambda *_: np.empty((0, 3)))
     done = CliRunner().invoke(group, words)
     assert isinstance(done.exception, gr.InputError)
     assert "far.laz: no point within 300 m of the sensor" in str(done.exception)

@@ -62,27 +62,13 @@ def localize(
     if figure is not None:
         _check_figure(figure, output)
         refuse_inputs(figure, recording, map_path, road, *scans)
-    crs = gr.road_crs(road)
-    roads = gr.read_map(map_path, crs=crs, origin=origin, reporter=reporter)
-    points = gr.read_road(road, roads.crs)
-    if guess_crs is not None:
-        guess = gr.moved_position(guess, guess_crs, roads.crs)
-    if scans:
-        gr.require_scans_near(scans, roads.crs, guess, scan_crs=scan_crs)
-    if compass is not None:
-        heading = gr.yaw_from_compass(compass, roads.crs, guess[0], guess[1])
-    found = gr.localize(
-        recording, roads, points, guess=guess, heading=heading, method=method, reporter=reporter
-    )
-    look = None
-    if scans:
-        look = gr.second_look(recording, found.pose, scans, scan_crs=scan_crs, reporter=reporter)
-        found = found.with_second_look(look)
-    outputs = [output]
-    if figure is not None:
-        gr.draw_localization(found, roads, points, figure, look=look)
-        outputs.append(figure)
+    found = gr.localize_files(
+        recording, map_path, road, guess=guess, guess_crs=guess_crs, heading=heading,
+        compass=compass, origin=origin, method=method, scans=scans, scan_crs=scan_crs,
+        figure=figure, reporter=reporter,
+    )  # fmt: skip
     gr.write_pose(found.pose, output)
+    outputs = [output] if figure is None else [output, figure]
     return Result(outputs=outputs, summary=found.figures())
 
 

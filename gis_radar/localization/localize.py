@@ -1,4 +1,4 @@
-"""Self-localization: from files and a rough guess to a pose."""
+"""Localize: from a recording, the lanes and a rough guess to a pose."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from gis_radar.lanelets import LaneletMap
 from gis_radar.localization.state import State
 from gis_radar.localization.traces import Moving
 from gis_radar.notebooks import axes_or_new, card, label_map, small_picture
-from gis_radar.poses.pose import Pose
+from gis_radar.poses.pose import Pose, View
 from gis_radar.poses.shapes import draw_sensor, ellipse
 from gis_radar.steps import iso_from_step, step_of
 
@@ -38,6 +38,8 @@ class Localization:
         within a voxel of the road (`icp`).
     observable : bool
         Whether the scene fixes all six components.
+    recording : str
+        File name of the recording that gave the pose, where several were tried.
     eigenvalues : tuple of float
         Of the data's information about the pose, ascending, 1/m^2; empty for `icp`.
     hypotheses : tuple of (easting, northing, yaw_deg, loss)
@@ -56,6 +58,7 @@ class Localization:
     pose: Pose
     fitness: float
     observable: bool
+    recording: str = ""
     eigenvalues: tuple[float, ...] = ()
     hypotheses: tuple[tuple[float, float, float, float], ...] = ()
     vehicles: int = 0
@@ -79,9 +82,16 @@ class Localization:
         }
 
     def with_second_look(self, look: SecondLook) -> Localization:
-        """Return the same answer with what a second look says in its evidence."""
+        """Return the same answer with a second look's verdict and the range that it measured.
+
+        The verdict goes into the pose's evidence; the range (99.9th percentile) into its view,
+        unless it has one.
+        """
         evidence = {**self.pose.evidence, "second_look": dict(look.figures())}
-        return replace(self, pose=replace(self.pose, evidence=evidence))
+        pose = replace(self.pose, evidence=evidence)
+        if look.range_m > View.min_range_m:
+            pose = pose.with_view(View(max_range_m=look.range_m))
+        return replace(self, pose=pose)
 
     def plot(
         self, roads: LaneletMap | None = None, road_points: Floats | None = None, ax: Any = None

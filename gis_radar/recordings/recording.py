@@ -65,6 +65,25 @@ class Detections:
         )
 
 
+class RangeCounts:
+    """How many detections lie at which slant range, counted piece by piece."""
+
+    def __init__(self) -> None:
+        self._counts = np.zeros(4096, np.int64)  # a metre each; beyond the reach of any radar
+
+    def add(self, piece: Detections) -> None:
+        """Count the detections of a piece."""
+        metres = np.sqrt(np.einsum("ij,ij->i", piece.points, piece.points)[piece.present])
+        bins = np.minimum(metres, len(self._counts) - 1).astype(np.int64)
+        self._counts += np.bincount(bins, minlength=len(self._counts))
+
+    def reached_m(self, share: float = 0.999) -> float:
+        """Return within how many whole metres a share of the detections lies; 0 without any."""
+        total = int(self._counts.sum())
+        inside = np.cumsum(self._counts) / max(total, 1)
+        return float(np.searchsorted(inside, share) + 1) if total else 0.0
+
+
 @dataclass(frozen=True, kw_only=True)
 class Recording:
     """A recording on disk.

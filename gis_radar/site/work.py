@@ -10,27 +10,22 @@ from pathlib import Path
 from typing import Any, Literal
 
 from gis_radar.clocks.sensor_clock import read_clocks
-from gis_radar.crs import name_of, yaw_from_compass
-from gis_radar.errors import InputError, NoAnswerError
+from gis_radar.crs import name_of
+from gis_radar.errors import InputError
 from gis_radar.files import whole_file
 from gis_radar.heatmap import make_heatmap
 from gis_radar.lanelets import read_map
-from gis_radar.localization import Localization, localize
-from gis_radar.localization.picture import draw_localization
+from gis_radar.localization import localize_files
 from gis_radar.occupancy import Filters, measure_occupancy, merge_occupancies, read_occupancy
 from gis_radar.poses.files import PoseTrack, read_track, write_pose
 from gis_radar.poses.pose import View
 from gis_radar.progress import Reporter
 from gis_radar.qgis import write_site_project
 from gis_radar.recordings import convert as convert_recordings
-from gis_radar.recordings.recording import open_recording
 from gis_radar.report import write_report
 from gis_radar.scans import mask_road, read_road, read_roads, road_crs
-from gis_radar.second_look import require_scans_near, second_look
 from gis_radar.tiles.heights import with_road_heights
 from gis_radar.tiles.tiles import fingerprint, make_tiles, read_tiles, write_tiles
-
-MOST_TRIES = 5  # recordings that are asked for a pose, the newest first
 
 Figures = dict[str, Any]
 Paths = list[Path]
@@ -107,51 +102,14 @@ def find_pose(
     scans: Paths | tuple[()] = (), scan_crs: str | None = None,
 ) -> Figures:  # fmt: skip
     """Find a pose from the newest recording that gives one; whole scans give a second look."""
-    roads = read_map(map_file[0], crs=crs or road_crs(road[0]), origin=origin, reporter=reporter)
-    points = read_road(road[0], roads.crs)
-    if scans:
-        require_scans_near(scans, roads.crs, guess, scan_crs=scan_crs)
-    if compass is not None:
-        heading = yaw_from_compass(compass, roads.crs, guess[0], guess[1])
-
-    def ask(recording: Path) -> Localization:
-        return localize(
-            recording, roads, points,
-            guess=tuple(guess), heading=heading, method=method, reporter=reporter,
-        )  # fmt: skip
-
-    recording, found = _first_answer(_newest_first(recordings), ask, reporter)
-    pose = replace(found.pose, sensor=sensor, view=None if view is None else View(**view))
-    found, look = replace(found, pose=pose), None
-    if scans:
-        look = second_look(recording, pose, scans, scan_crs=scan_crs, reporter=reporter)
-        found = found.with_second_look(look)
-    draw_localization(found, roads, points, outputs[1], look=look)
+    found = localize_files(
+        recordings, map_file[0], road[0],
+        guess=guess, heading=heading, compass=compass, crs=crs, origin=origin, method=method,
+        scans=scans, scan_crs=scan_crs, sensor=sensor,
+        view=None if view is None else View(**view), figure=outputs[1], reporter=reporter,
+    )  # fmt: skip
     write_pose(found.pose, outputs[0])
-    return {**found.figures(), "recording": recording.name}
-
-
-def _first_answer(
-    recordings: Paths, ask: Callable[[Path], Localization], reporter: Reporter
-) -> tuple[Path, Localization]:
-    """Return the first recording that answers, with its answer; refuse where none does."""
-    refusals = []
-    for recording in recordings[:MOST_TRIES]:
-        try:
-            return recording, ask(recording)
-        except NoAnswerError as error:
-            refusals.append(error)
-            if len(recordings) > 1:
-                reporter.log(f"{recording.name} gives no pose: {error.message}")
-    raise refusals[0]
-
-
-def _newest_first(recordings: Paths) -> Paths:
-    """Return recordings by the time of their first frame, the newest first."""
-    if len(recordings) == 1:
-        return recordings
-    begins = {path: float(next(open_recording(path).read()).time[0]) for path in recordings}
-    return sorted(recordings, key=lambda path: (-begins[path], path.name))
+    return {**found.figures(), "recording": found.recording}
 
 
 def take_pose(
