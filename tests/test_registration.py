@@ -15,10 +15,11 @@ from gis_radar.localization.adaptation import heights
 from gis_radar.localization.certainty import advantage, certainty
 from gis_radar.localization.hypotheses import prior_at
 from gis_radar.localization.lanes import Lanes, sample_lanes
-from gis_radar.localization.matching import match, place
+from gis_radar.localization.matching import Scene, match, place
 from gis_radar.localization.model import MODEL
 from gis_radar.localization.residuals import Comparison, at_least, height, lateral
 from gis_radar.localization.search import level
+from gis_radar.localization.settings import DEFAULTS, Schedule
 from gis_radar.localization.solver import solve
 from gis_radar.localization.state import SIZE, TURN, State, angles_from_turn
 from gis_radar.localization.traces import Moving, Samples, thin, track
@@ -34,21 +35,23 @@ def scene():
         time=time, points=xyz, range_rate=rate, frames=600, detections=len(time),
         begin=time[0], end=time[-1],
     )  # fmt: skip
-    samples = thin(moving, track(moving), most=400)
+    samples = thin(moving, track(moving), replace(DEFAULTS.traces, most=400))
     place = np.array(street.middle)
     lanes = sample_lanes(street.roads().lanelets, street.road_points(), place=place, reach_m=150.0)
     state = State(
         position=pose.position - [*place, 0.0], R_map_sensor=pose.R_map_sensor, reflection=0.6
     )
-    return lanes, samples, state, pose
+    return Scene(lanes=lanes, samples=samples), state, pose
 
 
 def matched(scene, scale_m):
-    lanes, samples, state, _ = scene
+    scene, state, _ = scene
+    lanes, samples = scene.lanes, scene.samples
     placed = place(samples, state)
     compared = Comparison(
         lanes=lanes, placed=placed, matches=match(lanes, placed),
         model=replace(MODEL, hidden_share=1e-9), scale_m=scale_m,
+        settings=DEFAULTS.solver,
     )  # fmt: skip
     return compared, state, np.zeros(samples.tracks)
 
@@ -85,16 +88,17 @@ def test_curvatures_are_second_derivatives_of_the_loss(scene, family):
 
 
 def test_a_start_beside_the_truth_comes_back(scene):
-    lanes, samples, state, _ = scene
+    scene, state, _ = scene
     start = state.moved(np.array([0.8, -0.6, 0.5, 0.01, -0.01, 0.02, 0.0]))
-    fit = solve(lanes, samples, start, prior_at(start))
+    fit = solve(scene, start, prior_at(start))
     assert fit.converged
     assert np.abs(fit.state.difference(state)[:3]).max() < 0.4
     assert np.linalg.eigvalsh(fit.information)[0] > 0.0
 
 
 def test_every_match_has_a_doppler_that_its_lane_allows(scene):
-    lanes, samples, state, _ = scene
+    scene, state, _ = scene
+    lanes, samples = scene.lanes, scene.samples
     matches = match(lanes, place(samples, state))
     assert matches.found.mean() > 0.95
     sight = (samples.points @ state.R_map_sensor.T)[:, :2]
@@ -136,14 +140,14 @@ def normal_of(lanes, lane):
 
 
 def test_matching_turned_round_fails(scene):
-    lanes, samples, state, _ = scene
-    backward = replace(samples, range_rate=-samples.range_rate)
-    loss = [solve(lanes, s, state, prior_at(state)).loss.mean() for s in (samples, backward)]
+    scene, state, _ = scene
+    backward = scene.of(replace(scene.samples, range_rate=-scene.samples.range_rate))
+    loss = [solve(s, state, prior_at(state)).loss.mean() for s in (scene, backward)]
     assert loss[0] + 0.5 < loss[1]
 
 
 def test_lanes_have_direction_and_the_scanned_height(scene):
-    lanes, *_ = scene
+    lanes = scene[0].lanes
     street = Street(lanes=CROSSING)
     assert np.allclose(np.hypot(*lanes.along.T), 1.0)
     assert np.allclose(lanes.points[:, 2], street.ground(lanes.points[:, :2]), atol=0.05)
@@ -172,7 +176,7 @@ def test_levelling_finds_which_way_is_up(pitch, roll, over_m, upside_down, seed)
         points=points, range_rate=np.ones(400), track=np.zeros(400, dtype=np.int64), tracks=1,
         elevation=1.0,
     )  # fmt: skip
-    found = level(samples)
+    found = level(Scene(lanes=None, samples=samples))
     assert np.linalg.det(found.R_level_sensor) == pytest.approx(1.0)
     up = turn.inv().apply([0, 0, 1])
     assert np.degrees(np.arccos(np.clip(found.R_level_sensor[2] @ up, -1, 1))) < 2.0
@@ -210,9 +214,9 @@ def test_turns_are_those_of_scipy(axis, angle):
 
 
 def test_vehicles_vote(scene):
-    lanes, samples, state, _ = scene
-    fit = solve(lanes, samples, state, prior_at(state))
-    rng = np.random.default_rng(2)
+    scene, state, _ = scene
+    fit = solve(scene, state, prior_at(state))
+    rng, samples = np.random.default_rng(2), scene.samples
     worse = replace(fit, loss=fit.loss + rng.uniform(0.1, 0.5, len(samples)))
     assert advantage(fit, worse, samples) > 5.0
     assert advantage(worse, fit, samples) < -5.0
@@ -222,17 +226,17 @@ def test_vehicles_vote(scene):
 
 
 def test_few_vehicles_that_agree_suffice(scene):
-    lanes, samples, state, _ = scene
-    few = samples.where(samples.track < 6)
-    fit = solve(lanes, few, state, prior_at(state))
+    scene, state, _ = scene
+    few = scene.of(scene.samples.where(scene.samples.track < 6))
+    fit = solve(few, state, prior_at(state))
     away = state.moved(np.array([6.0, -6.0, 0.0, 0.0, 0.0, 0.4, 0.0]))
-    there = solve(lanes, few, away, prior_at(state), scales_m=(0.0,), rounds=0)
-    assert advantage(fit, there, few) > 2.5
+    there = solve(few, away, prior_at(state), schedule=Schedule(scales_m=(0.0,), rounds=0))
+    assert advantage(fit, there, few.samples) > 2.5
 
 
 def test_samples_of_a_vehicle_side_by_side_share_what_they_say(scene):
-    lanes, samples, state, _ = scene
-    compared, _, own = matched(scene, 0.0)
+    samples, (compared, _, own) = scene[0].samples, matched(scene, 0.0)
+    scene, state, _ = scene
     say = lateral(compared, own).say
     assert (say <= 1.0).all()
     assert say[samples.crowd == 1].min() > say[samples.crowd > 4].max()
@@ -242,14 +246,14 @@ def test_samples_of_a_vehicle_side_by_side_share_what_they_say(scene):
         range_rate=np.tile(samples.range_rate, 2),
         track=np.tile(samples.track, 2),
     )
-    once = solve(lanes, samples, state, prior_at(state)).data_information
-    again = solve(lanes, twice, state, prior_at(state)).data_information
+    once = solve(scene, state, prior_at(state)).data_information
+    again = solve(scene.of(twice), state, prior_at(state)).data_information
     assert (np.diag(again)[:2] < 1.7 * np.diag(once)[:2]).all()
 
 
 def test_the_models_constants_widen_the_answer(scene):
-    lanes, samples, state, _ = scene
-    fit = solve(lanes, samples, state, prior_at(state))
+    scene, state, _ = scene
+    fit = solve(scene, state, prior_at(state))
     effects = fit.considered()
     assert effects.shape == (len(fields(MODEL)), SIZE)
     sure = replace(fit, considered=lambda: np.zeros_like(effects))
@@ -258,12 +262,12 @@ def test_the_models_constants_widen_the_answer(scene):
 
 @pytest.mark.parametrize("higher_m", [-0.2, 0.0, 0.2])
 def test_the_height_of_reflections_is_told_by_their_lower_edge(scene, higher_m):
-    lanes, samples, state, _ = scene
-    fit = solve(lanes, samples, state, prior_at(state))
+    scene, state, _ = scene
+    fit = solve(scene, state, prior_at(state))
     wrong = state.moved(np.array([0.0, 0.0, higher_m, 0.0, 0.0, 0.0, 0.0]))
     seen = replace(fit, state=replace(wrong, reflection=state.reflection + higher_m))
-    told = heights(lanes, samples, seen)
-    right = heights(lanes, samples, replace(fit, state=state))
+    told = heights(scene, seen)
+    right = heights(scene, replace(fit, state=state))
     # whatever the height at which the sensor is thought to be, the edge stays where it is
     assert told.mean_m == pytest.approx(right.mean_m, abs=0.03)
 

@@ -1,5 +1,7 @@
 """Traces: clusters, windows and tracks against plain ways to make them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,6 +11,7 @@ from scipy.spatial.distance import cdist
 from sites import START, recording, table
 
 from gis_radar.localization.clusters import cluster
+from gis_radar.localization.settings import DEFAULTS
 from gis_radar.localization.traces import Moving, RollingWindow, read_moving, thin, track, voxels
 from gis_radar.recordings.recording import Detections
 
@@ -131,8 +134,8 @@ def test_vehicles_become_tracks_and_clutter_does_not(passing):
 def test_thinning_keeps_tracks_and_a_limit(passing):
     moving, _ = passing
     tracks = track(moving)
-    samples = thin(moving, tracks, most=50)
+    samples = thin(moving, tracks, replace(DEFAULTS.traces, most=50))
     assert len(samples) == 50
     assert samples.tracks == tracks.max() + 1
-    again = thin(moving, tracks, most=50)
+    again = thin(moving, tracks, replace(DEFAULTS.traces, most=50))
     assert np.array_equal(samples.points, again.points)

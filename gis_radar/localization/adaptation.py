@@ -9,26 +9,12 @@ from scipy.optimize import Bounds, minimize
 from scipy.special import gammaincinv, ndtr
 
 from gis_radar.arrays import Floats, Integers
-from gis_radar.localization.lanes import Lanes
-from gis_radar.localization.matching import place
+from gis_radar.localization.matching import Scene, place
 from gis_radar.localization.model import Model
 from gis_radar.localization.residuals import Comparison, height_over_road, lateral
+from gis_radar.localization.settings import AdaptationSettings
 from gis_radar.localization.solver import Fit, Prior
 from gis_radar.localization.state import REFLECTION
-from gis_radar.localization.traces import Samples
-
-EDGE_M, EDGE_SIGMA_M = 0.2, 0.07  # bumpers, sills and wheels end that far over the road
-NODES = gammaincinv(2.0, (np.arange(16) + 0.5) / 16)
-TALL_SHARE, TALL_M = 0.2, (0.2, 2.8)  # of bodies, from where to where above the edge
-STRAY_SHARE, STRAY_M = 0.05, 8.0
-NEAR_M, LEAST, MOST = 80.0, 200, 1500
-START = np.array([EDGE_M, np.log(0.2), np.log(np.radians(0.5))])
-NOISE_M = 0.05
-LEAST_PARAMETERS = np.array([-1.5, np.log(0.05), np.log(np.radians(0.1))])
-MOST_PARAMETERS = np.array([2.0, np.log(0.6), np.log(np.radians(2.0))])
-FACTORS = np.geomspace(0.25, 4.0, 17)
-BELIEVED = np.log(2.0)  # 1 sigma of what is believed beforehand, either way
-STEP = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,22 +34,20 @@ class Heights:
     elevation: float
 
 
-def adapted(
-    lanes: Lanes, samples: Samples, fit: Fit, prior: Prior, model: Model
-) -> tuple[Prior, Model]:
+def adapted(scene: Scene, fit: Fit, prior: Prior, model: Model) -> tuple[Prior, Model]:
     """Return prior and model with what samples tell about the radar and the vehicles.
 
     Parameters
     ----------
-    lanes, samples : Lanes, Samples
+    scene : Scene
         The map and the traces.
     fit : Fit
         Near the answer.
     prior, model : Prior, Model
         What was believed of reflections before.
     """
-    model = replace(model, side_strength=side_strength(lanes, samples, fit, model))
-    told = heights(lanes, samples, fit)
+    model = replace(model, side_strength=side_strength(scene, fit, model))
+    told = heights(scene, fit)
     if told is None:
         return prior, model
     information = prior.information.copy()
@@ -73,44 +57,50 @@ def adapted(
     return prior, replace(model, elevation=told.elevation)
 
 
-def side_strength(lanes: Lanes, samples: Samples, fit: Fit, model: Model) -> float:
+def side_strength(scene: Scene, fit: Fit, model: Model) -> float:
     """Return how strongly sides reflect against fronts: the likeliest, by where samples lie.
 
     Parameters
     ----------
-    lanes, samples : Lanes, Samples
+    scene : Scene
         The map and the traces.
     fit : Fit
         Near the answer.
     model : Model
         Its strength is believed within a factor of two.
     """
-    placed = place(samples, fit.state)
+    placed, settings = place(scene.samples, fit.state), scene.settings.adaptation
 
     def cost(factor: float) -> float:
         tried = replace(model, side_strength=model.side_strength * factor)
         compared = Comparison(
-            lanes=lanes, placed=placed, matches=fit.matches, model=tried, scale_m=0.0
+            lanes=scene.lanes,
+            placed=placed,
+            matches=fit.matches,
+            model=tried,
+            scale_m=0.0,
+            settings=scene.settings.solver,
         )
-        belief = (np.log(factor) / BELIEVED) ** 2
+        belief = (np.log(factor) / settings.believed) ** 2
         rows = lateral(compared, fit.own[0])
         return float(rows.say @ rows.loss + 0.5 * belief)
 
-    return float(model.side_strength * min(FACTORS, key=cost))
+    factors = np.geomspace(1.0 / settings.most_factor, settings.most_factor, settings.factors)
+    return float(model.side_strength * min(factors, key=cost))
 
 
-def heights(lanes: Lanes, samples: Samples, fit: Fit) -> Heights | None:
+def heights(scene: Scene, fit: Fit) -> Heights | None:
     """Estimate at which heights vehicles reflect, from the shape of what a fit shows.
 
     The height of a sensor and that of the reflections look alike but for one thing: no vehicle
-    reflects from below its bumpers, sills and wheels, and those end `EDGE_M` over the road whatever
+    reflects from below its bumpers, sills and wheels, and those end 0.2 m over the road whatever
     the radar. The lower edge of the reflections is therefore known; their spread over it, and the
     noise that blurs it with the range, follow by maximum likelihood: a gamma distribution of
     shape 2 over the edge, bodies above, strays.
 
     Parameters
     ----------
-    lanes, samples : Lanes, Samples
+    scene : Scene
         The map and the traces.
     fit : Fit
         Near the answer.
@@ -120,49 +110,60 @@ def heights(lanes: Lanes, samples: Samples, fit: Fit) -> Heights | None:
     Heights or None
         None where too few samples are near enough to tell.
     """
-    over, reach = height_over_road(lanes, place(samples, fit.state), fit.matches), samples.reach
-    usable = np.flatnonzero(fit.on_lane & np.isfinite(over) & (reach < NEAR_M))
-    if len(usable) < LEAST:
+    samples, settings = scene.samples, scene.settings.adaptation
+    view_edge, reach = scene.settings.solver.view_edge, samples.reach
+    over = height_over_road(scene.lanes, place(samples, fit.state), fit.matches, view_edge)
+    usable = np.flatnonzero(fit.on_lane & np.isfinite(over) & (reach < settings.near_m))
+    if len(usable) < settings.least:
         return None
-    usable = np.random.default_rng(0).permutation(usable)[:MOST]
+    usable = np.random.default_rng(0).permutation(usable)[: settings.most]
     over, reach = over[usable], reach[usable]
 
     def cost(parameters: Floats) -> float:
-        return -float(_log_density(parameters, over, reach).sum())
+        return -float(_log_density(parameters, over, reach, settings).sum())
 
-    bounds = Bounds(LEAST_PARAMETERS, MOST_PARAMETERS)
-    found: Floats = np.asarray(minimize(cost, START, method="L-BFGS-B", bounds=bounds).x)
-    error = _sandwich(found, over, reach, samples.track[usable])
-    shift = found[0] - EDGE_M
+    start, low, high = (
+        np.array([edge, np.log(scale), np.log(noise)])
+        for edge, scale, noise in (settings.start, settings.low, settings.high)
+    )
+    fitted = minimize(cost, start, method="L-BFGS-B", bounds=Bounds(low, high))
+    found: Floats = np.asarray(fitted.x)
+    error = _sandwich(found, over, reach, samples.track[usable], settings)
+    shift = found[0] - settings.edge_m
     return Heights(
         mean_m=float(fit.state.reflection - shift),
-        sigma_m=float(np.hypot(EDGE_SIGMA_M, error)),
+        sigma_m=float(np.hypot(settings.edge_sigma_m, error)),
         elevation=float(np.exp(found[2])),
     )
 
 
-def _log_density(parameters: Floats, over: Floats, reach: Floats) -> Floats:
+def _log_density(
+    parameters: Floats, over: Floats, reach: Floats, settings: AdaptationSettings
+) -> Floats:
     """Return the log density of heights, given edge, log scale and log noise of elevations."""
     edge, scale = parameters[0], np.exp(parameters[1])
-    sigma = np.hypot(NOISE_M, np.exp(parameters[2]) * reach)
-    away = (over[:, None] - edge - scale * NODES) / sigma[:, None]
+    sigma = np.hypot(settings.noise_m, np.exp(parameters[2]) * reach)
+    nodes = gammaincinv(2.0, (np.arange(settings.nodes) + 0.5) / settings.nodes)
+    away = (over[:, None] - edge - scale * nodes) / sigma[:, None]
     low = np.exp(-0.5 * away**2).mean(axis=1) / (sigma * np.sqrt(2.0 * np.pi))
-    begin, end = TALL_M
+    begin, end = settings.tall_m
     tall = ndtr((over - edge - begin) / sigma) - ndtr((over - edge - end) / sigma)
-    vehicle = (1.0 - TALL_SHARE) * low + TALL_SHARE * tall / (end - begin)
-    return np.asarray(np.log((1.0 - STRAY_SHARE) * vehicle + STRAY_SHARE / STRAY_M))
+    share, stray = settings.tall_share, settings.stray_share
+    vehicle = (1.0 - share) * low + share * tall / (end - begin)
+    return np.asarray(np.log((1.0 - stray) * vehicle + stray / settings.stray_m))
 
 
-def _sandwich(parameters: Floats, over: Floats, reach: Floats, track: Integers) -> float:
+def _sandwich(
+    parameters: Floats, over: Floats, reach: Floats, track: Integers, settings: AdaptationSettings
+) -> float:
     """Return the standard error of the edge, with the vehicles as clusters."""
-    scores = np.column_stack(
-        [
-            (_log_density(parameters + d, over, reach) - _log_density(parameters - d, over, reach))
-            / (2.0 * STEP)
-            for d in STEP * np.eye(len(parameters))
-        ]
-    )
+
+    def density(shift: Floats) -> Floats:
+        return _log_density(parameters + shift, over, reach, settings)
+
+    shifts = settings.step * np.eye(len(parameters))
+    scores = np.column_stack([(density(d) - density(-d)) / (2.0 * settings.step) for d in shifts])
     bread = np.linalg.inv(scores.T @ scores + 1e-9 * np.eye(len(parameters)))
     _, number = np.unique(track, return_inverse=True)
-    voices = np.column_stack([np.bincount(number, weights=column) for column in scores.T])
-    return float(np.sqrt((bread @ (voices.T @ voices) @ bread)[0, 0]))
+    clusters = np.column_stack([np.bincount(number, weights=column) for column in scores.T])
+    return float(np.sqrt((bread @ (clusters.T @ clusters) @ bread)[0, 0]))

@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gis_radar.arrays import Floats
-from gis_radar.localization.lanes import Lanes
+from gis_radar.localization.matching import Scene
 from gis_radar.localization.model import Model
+from gis_radar.localization.settings import DEFAULTS, AnswerSettings
 from gis_radar.localization.solver import Fit, Prior, solve
 from gis_radar.localization.state import POSE, SIZE, angles_from_turn
 from gis_radar.localization.traces import Samples
 
-STREET_SIGMA_M = (0.25, 0.2)  # of lanes as drawn and driven, and of the scan, from street to street
-UNFIXED = np.array([1.0, 1.0, 0.5, *np.radians([2.0, 2.0, 1.0])])
+PLANE = [0, 1, 5]  # of the state: easting, northing, turn about the vertical
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +43,7 @@ class Certainty:
     observable: bool
 
 
-def certainty(fit: Fit) -> Certainty:
+def certainty(fit: Fit, settings: AnswerSettings = DEFAULTS.answer) -> Certainty:
     """Return how certain a fit is.
 
     The inverse information, widened where the vehicles disagree more than the model says (a
@@ -54,10 +54,13 @@ def certainty(fit: Fit) -> Certainty:
     ----------
     fit : Fit
         A local optimum.
+    settings : AnswerSettings
+        The sigmas of map and scan, and when a component is fixed.
     """
     inverse: Floats = np.asarray(np.linalg.inv(fit.information), dtype=np.float64)
     noise = _widened(inverse, fit)
-    streets = [sigma_m * pull for pull, sigma_m in zip(fit.streets, STREET_SIGMA_M, strict=True)]
+    pulls = zip(fit.streets, settings.street_sigma_m, strict=True)
+    streets = [sigma_m * pull for pull, sigma_m in pulls]
     effects = np.vstack([fit.considered(), *streets]) @ inverse
     covariance = noise + effects.T @ effects
     yaw, pitch, _ = fit.state.yaw_pitch_roll
@@ -66,12 +69,13 @@ def certainty(fit: Fit) -> Certainty:
     pose = to_angles @ covariance[POSE, POSE] @ to_angles.T
     sigma = np.sqrt(np.diag(pose))
     drawn = to_angles @ noise[POSE, POSE] @ to_angles.T
-    lever = np.diag([1.0, 1.0, 1.0, 1 / 50.0, 1 / 50.0, 1 / 50.0])
+    lever = np.diag([1.0] * 3 + [1.0 / settings.lever_m] * 3)
     eigenvalues: Floats = np.asarray(
         np.linalg.eigvalsh(lever @ fit.data_information[POSE, POSE] @ lever), dtype=np.float64
     )
     longest = np.sqrt(np.linalg.eigvalsh(pose[:2, :2])[-1])
-    observable = bool((sigma < UNFIXED).all() and longest < UNFIXED[0])
+    unfixed = [*settings.unfixed_m, *settings.unfixed_rad]
+    observable = bool((sigma < unfixed).all() and longest < unfixed[0])
     return Certainty(
         covariance=pose, noise=drawn, sigma=sigma, eigenvalues=eigenvalues, observable=observable
     )
@@ -110,13 +114,7 @@ def advantage(fit: Fit, other: Fit, samples: Samples) -> float:
     return mean * float(np.sqrt(len(voices))) / spread
 
 
-PLANE, LEVER_M = [0, 1, 5], np.array([1.0, 1.0, 50.0])  # a turn moves what is 50 m away
-STEPS_M = (2.0, 4.0, 8.0, 16.0)
-LEAST_RISE, CLEAR_RISE = 0.5, 50.0  # of the cost: one and ten standard deviations away
-SCALES_M, ROUNDS = (0.3, 0.0), 4
-
-
-def along_valley(lanes: Lanes, samples: Samples, fit: Fit, prior: Prior, model: Model) -> Fit:
+def along_valley(scene: Scene, fit: Fit, prior: Prior, model: Model) -> Fit:
     """Lower a fit's information along its weakest way in the plane to what lies far off tells.
 
     Along a bend of constant curvature, or a straight road, a recording slides with hardly a
@@ -126,18 +124,17 @@ def along_valley(lanes: Lanes, samples: Samples, fit: Fit, prior: Prior, model: 
 
     Parameters
     ----------
-    lanes, samples : Lanes, Samples
+    scene : Scene
         The map and the traces.
     fit : Fit
         A local optimum for these samples.
     prior, model : Prior, Model
         With which it was found.
     """
-    hold, way = _weakest(fit)
+    hold, way = _weakest(fit, scene.settings.answer)
     curved_m = float(np.sqrt(hold @ way))
     sigma_m = max(
-        _deviation(lanes, samples, fit, side * way / curved_m**2, hold, prior, model)
-        for side in (-1.0, 1.0)
+        _deviation(scene, fit, side * way / curved_m**2, hold, prior, model) for side in (-1.0, 1.0)
     )
     if sigma_m <= curved_m:
         return fit
@@ -149,35 +146,27 @@ def along_valley(lanes: Lanes, samples: Samples, fit: Fit, prior: Prior, model: 
     )
 
 
-def _weakest(fit: Fit) -> tuple[Floats, Floats]:
+def _weakest(fit: Fit, settings: AnswerSettings) -> tuple[Floats, Floats]:
     """Return the measure, metres, that a fit knows least, and its covariance with the state."""
     covariance: Floats = np.asarray(np.linalg.inv(fit.information), dtype=np.float64)
-    _, vectors = np.linalg.eigh(LEVER_M[:, None] * covariance[np.ix_(PLANE, PLANE)] * LEVER_M)
+    lever_m = np.array([1.0, 1.0, settings.lever_m])
+    _, vectors = np.linalg.eigh(lever_m[:, None] * covariance[np.ix_(PLANE, PLANE)] * lever_m)
     hold = np.zeros(SIZE)
-    hold[PLANE] = LEVER_M * vectors[:, -1]
+    hold[PLANE] = lever_m * vectors[:, -1]
     return hold, covariance @ hold
 
 
 def _deviation(
-    lanes: Lanes, samples: Samples, fit: Fit, way: Floats, hold: Floats, prior: Prior, model: Model
+    scene: Scene, fit: Fit, way: Floats, hold: Floats, prior: Prior, model: Model
 ) -> float:
     """Return the largest standard deviation, metres, that the cost along a valley tells."""
-    sigma_m, here, at_m = 0.0, fit, 0.0
-    for step_m in STEPS_M:
+    sigma_m, here, at_m, settings = 0.0, fit, 0.0, scene.settings.answer
+    for step_m in settings.valley_steps_m:
         start = here.state.moved((step_m - at_m) * way)
-        here = solve(
-            lanes,
-            samples,
-            start,
-            prior,
-            scales_m=SCALES_M,
-            rounds=ROUNDS,
-            model=model,
-            hold=hold,
-        )
+        here = solve(scene, start, prior, schedule=settings.valley, model=model, hold=hold)
         at_m = step_m
-        rise = max(here.cost - fit.cost, LEAST_RISE)
-        if rise > CLEAR_RISE:
+        rise = max(here.cost - fit.cost, settings.least_rise)
+        if rise > settings.clear_rise:
             continue  # this place is out of the question, however far it is
         sigma_m = max(sigma_m, step_m / float(np.sqrt(2.0 * rise)))
     return sigma_m

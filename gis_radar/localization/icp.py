@@ -11,18 +11,11 @@ from scipy.spatial.transform import Rotation
 from gis_radar.arrays import Floats
 from gis_radar.errors import LOCALIZE, InputError, NoAnswerError
 from gis_radar.localization.clusters import cluster
-from gis_radar.localization.hypotheses import GUESS_M
 from gis_radar.localization.result import STAGE, Localization, Site, common
+from gis_radar.localization.settings import DEFAULTS, IcpSettings, LocalizationSettings
 from gis_radar.localization.state import State
 from gis_radar.localization.traces import Moving, voxels
 from gis_radar.progress import Reporter
-
-VOXEL_M = 0.5
-EPS_M, MIN_POINTS = 2.0, 10
-DISTANCES_M = (10.0, 2.0 * VOXEL_M, VOXEL_M)  # large, then 2 and 1 voxels
-ITERATIONS = 60
-MAST_M = 5.0
-COMPASS = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,27 +37,31 @@ class IcpFit:
     rmse_m: float
 
 
-def source_voxels(moving: Moving) -> Floats:
+def source_voxels(moving: Moving, settings: IcpSettings = DEFAULTS.icp) -> Floats:
     """Return the traces as the paper makes them: the largest cluster, in voxels.
 
     Parameters
     ----------
     moving : Moving
         Detections faster than 0.15 m/s of the last 2000 frames.
+    settings : IcpSettings
+        Of clusters and voxels.
 
     Raises
     ------
     NoAnswerError
         If nothing that moved is dense enough for a cluster.
     """
-    labels = cluster(moving.points, eps_m=EPS_M, min_points=MIN_POINTS)
+    labels = cluster(moving.points, eps_m=settings.eps_m, min_points=settings.min_points)
     largest = moving.points[labels == 0]
     if len(largest) == 0:
         raise NoAnswerError("nothing moved on the same place often enough", hint="record longer")
-    return voxels(largest, VOXEL_M)
+    return voxels(largest, settings.voxel_m)
 
 
-def register_icp(source: Floats, road: Floats, starts: list[State]) -> IcpFit:
+def register_icp(
+    source: Floats, road: Floats, starts: list[State], settings: IcpSettings = DEFAULTS.icp
+) -> IcpFit:
     """Register traces to the road by point-to-point ICP at three distances, eq. (1) of the paper.
 
     Parameters
@@ -75,6 +72,8 @@ def register_icp(source: Floats, road: Floats, starts: list[State]) -> IcpFit:
         Cells of the road, local map coordinates, metres.
     starts : list of State
         Where to begin; the best end wins.
+    settings : IcpSettings
+        Of distances and iterations.
 
     Raises
     ------
@@ -87,13 +86,13 @@ def register_icp(source: Floats, road: Floats, starts: list[State]) -> IcpFit:
         cloud = o3d.geometry.PointCloud()
         cloud.points = o3d.utility.Vector3dVector(points)
         clouds.append(cloud)
-    fits = [_register(o3d, clouds[0], clouds[1], start) for start in starts]
+    fits = [_register(o3d, clouds[0], clouds[1], start, settings) for start in starts]
     return max(fits, key=lambda fit: (fit.fitness, -fit.rmse_m))
 
 
-def compass_starts(place: Floats, yaw: float | None) -> list[State]:
-    """Return starts at a place: the given heading, or the eight main ones of a compass."""
-    yaws = [yaw] if yaw is not None else (np.arange(COMPASS) * 2.0 * np.pi / COMPASS).tolist()
+def compass_starts(place: Floats, yaw: float | None, count: int) -> list[State]:
+    """Return starts at a place: the given heading, or so many evenly around."""
+    yaws = [yaw] if yaw is not None else (np.arange(count) * 2.0 * np.pi / count).tolist()
     return [
         State(
             position=place,
@@ -104,18 +103,18 @@ def compass_starts(place: Floats, yaw: float | None) -> list[State]:
     ]
 
 
-def _register(o3d: Any, source: Any, target: Any, start: State) -> IcpFit:
+def _register(o3d: Any, source: Any, target: Any, start: State, settings: IcpSettings) -> IcpFit:
     T_map_sensor = np.eye(4)  # noqa: N806 - frames name a transform
     T_map_sensor[:3, :3], T_map_sensor[:3, 3] = start.R_map_sensor, start.position
     pipeline = o3d.pipelines.registration
-    for distance_m in DISTANCES_M:
+    for distance_m in settings.distances_m:
         result = pipeline.registration_icp(
             source,
             target,
             distance_m,
             T_map_sensor,
             pipeline.TransformationEstimationPointToPoint(),
-            pipeline.ICPConvergenceCriteria(max_iteration=ITERATIONS),
+            pipeline.ICPConvergenceCriteria(max_iteration=settings.iterations),
         )
         T_map_sensor = np.array(result.transformation)  # noqa: N806
     state = State(position=T_map_sensor[:3, 3], R_map_sensor=T_map_sensor[:3, :3], reflection=0.0)
@@ -130,24 +129,24 @@ def _open3d() -> Any:
     return open3d
 
 
-FAR_M = 2.0 * GUESS_M
-
-
-def by_icp(site: Site, moving: Moving, reporter: Reporter) -> Localization:
+def by_icp(
+    site: Site, moving: Moving, reporter: Reporter, settings: LocalizationSettings = DEFAULTS
+) -> Localization:
     """Lay the traces on the road's surface, as the paper does."""
     reporter.progress(STAGE, 1, 3)
-    source = source_voxels(moving)
+    guess_m, icp = settings.search.guess_m, settings.icp
+    source = source_voxels(moving, icp)
     local = site.road - [*site.guess[:2], 0.0]
-    reach_m = float(np.hypot(source[:, 0], source[:, 1]).max()) + GUESS_M
+    reach_m = float(np.hypot(source[:, 0], source[:, 1]).max()) + guess_m
     local = local[np.hypot(local[:, 0], local[:, 1]) < reach_m]
     if len(local) == 0:
         raise NoAnswerError(f"{site.name}: no road within {reach_m:.0f} m of the guess")
     reporter.progress(STAGE, 2, 3)
-    height = site.guess[2] if len(site.guess) == 3 else _mast_top(local)
-    starts = compass_starts(np.array([0.0, 0.0, height]), site.heading)
-    fit = register_icp(source, voxels(local, VOXEL_M), starts)
+    height = site.guess[2] if len(site.guess) == 3 else _mast_top(local, icp.mast_m)
+    starts = compass_starts(np.array([0.0, 0.0, height]), site.heading, icp.headings)
+    fit = register_icp(source, voxels(local, icp.voxel_m), starts, icp)
     away = float(np.hypot(*fit.state.position[:2]))
-    if away > FAR_M:
+    if away > icp.farthest * guess_m:
         raise NoAnswerError(
             f"{site.name}: the registration went {away:.0f} m from the guess", hint="guess closer"
         )
@@ -163,7 +162,7 @@ def by_icp(site: Site, moving: Moving, reporter: Reporter) -> Localization:
     )
 
 
-def _mast_top(local: Floats) -> float:
+def _mast_top(local: Floats, mast_m: float) -> float:
     """Return the height of a usual mast at the local (0, 0)."""
     nearest = np.argsort(np.hypot(local[:, 0], local[:, 1]))[:100]
-    return float(np.median(local[nearest, 2])) + MAST_M
+    return float(np.median(local[nearest, 2])) + mast_m

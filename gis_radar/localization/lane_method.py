@@ -9,57 +9,64 @@ import numpy as np
 from gis_radar.errors import InputError, NoAnswerError
 from gis_radar.localization.certainty import advantage, certainty
 from gis_radar.localization.hypotheses import (
-    GUESS_M,
     Hypothesis,
-    explore,
+    find_hypotheses,
     mirrored,
-    promise,
     refine,
     rough,
-    surveyed,
+    search_score,
+    widen_by_profile,
 )
 from gis_radar.localization.lanes import Lanes, sample_lanes
+from gis_radar.localization.matching import Scene
 from gis_radar.localization.result import SIGMA, STAGE, Localization, Site, common
+from gis_radar.localization.settings import (
+    DEFAULTS,
+    LocalizationSettings,
+)
 from gis_radar.localization.traces import Moving, Samples, thin, track
 from gis_radar.progress import Reporter
 
-HEADING_TOLERANCE = math.radians(30.0)
-LEAST_TRACKS = 5
-LEAST_FITNESS = 0.6
-CLEAR = 2.5  # standard deviations by which the answer must beat every other
-SAME_CHI2 = 16.0
-LEAST_SCANNED = 0.3  # of the lanes in reach
-MARGIN_M = 20.0
-SLACK_M = 5.0
 
-
-def by_lanes(site: Site, moving: Moving, reporter: Reporter) -> Localization:
+def by_lanes(
+    site: Site, moving: Moving, reporter: Reporter, settings: LocalizationSettings = DEFAULTS
+) -> Localization:
     """Lay the tracks of vehicles on lanes that their Doppler allows, and on the scanned road."""
-    samples = thin(moving, track(moving))
-    if samples.tracks < LEAST_TRACKS:
+    samples = thin(moving, track(moving, settings.traces), settings.traces)
+    least = settings.answer.least_tracks
+    if samples.tracks < least:
         raise NoAnswerError(
             f"{site.name}: {samples.tracks} moving vehicles in {moving.frames} frames, at least "
-            f"{LEAST_TRACKS} are needed",
+            f"{least} are needed",
             hint="record while traffic flows",
         )
     reporter.progress(STAGE, 1, 5)
-    lanes = lanes_around(site, samples, reporter)
-    heading = None if site.heading is None else (site.heading, HEADING_TOLERANCE)
-    tried = explore(lanes, samples, heading=heading)
+    lanes = lanes_around(site, samples, reporter, settings=settings)
+    scene = Scene(lanes=lanes, samples=samples, settings=settings)
+    tolerance = settings.search.heading_tolerance
+    heading = None if site.heading is None else (site.heading, tolerance)
+    tried = find_hypotheses(scene, heading=heading)
     reporter.progress(STAGE, 3, 5)
-    _refuse_mirrored(lanes, samples, tried[0], heading)
+    _refuse_mirrored(scene, tried[0], heading)
     reporter.progress(STAGE, 4, 5)
-    answers = _within_reach(site, refine(lanes, samples, tried), samples)
-    _refuse_unfit(site, answers[0])
-    best = surveyed(lanes, samples, answers[0])
-    lead, rival = _lead(best, answers[1:], samples)
+    answers = _within_reach(site, refine(scene, tried), scene)
+    _refuse_unfit(site, answers[0], settings)
+    best = widen_by_profile(scene, answers[0])
+    lead, rival = _lead(best, answers[1:], scene)
     reporter.progress(STAGE, 5, 5)
-    if rival is not None and lead < CLEAR:
+    if rival is not None and lead < settings.answer.clear:
         raise _ambiguous(site, best, rival)
-    return _answer(site, moving, samples, best, tried, lead)
+    return _answer(site, moving, scene, best, tried, lead)
 
 
-def lanes_around(site: Site, samples: Samples, reporter: Reporter, *, grow: float = 1.0) -> Lanes:
+def lanes_around(
+    site: Site,
+    samples: Samples,
+    reporter: Reporter,
+    *,
+    grow: float = 1.0,
+    settings: LocalizationSettings = DEFAULTS,
+) -> Lanes:
     """Return the lanes around the guess, as far as the samples reach.
 
     Parameters
@@ -72,6 +79,8 @@ def lanes_around(site: Site, samples: Samples, reporter: Reporter, *, grow: floa
         Told where the lanes have no direction.
     grow : float
         How many times as far.
+    settings : LocalizationSettings
+        How finely, and which share must be scanned.
 
     Raises
     ------
@@ -81,9 +90,15 @@ def lanes_around(site: Site, samples: Samples, reporter: Reporter, *, grow: floa
         If no lane is there.
     """
     reach = np.hypot(samples.points[:, 0], samples.points[:, 1])
-    reach_m = grow * float(np.percentile(reach, 99.5)) + GUESS_M + MARGIN_M
-    lanes = sample_lanes(site.roads.lanelets, site.road, place=site.guess[:2], reach_m=reach_m)
-    if lanes.scanned < LEAST_SCANNED:
+    reach_m = grow * float(np.percentile(reach, 99.5))
+    lanes = sample_lanes(
+        site.roads.lanelets,
+        site.road,
+        place=site.guess[:2],
+        reach_m=reach_m + settings.search.guess_m + settings.lanes.margin_m,
+        settings=settings.lanes,
+    )
+    if lanes.scanned < settings.answer.least_scanned:
         raise InputError(
             f"the road's points lie on {lanes.scanned:.0%} of the lanes around the guess",
             hint="take the mask of a scan of this place, in the map's coordinate system",
@@ -95,15 +110,14 @@ def lanes_around(site: Site, samples: Samples, reporter: Reporter, *, grow: floa
     return lanes
 
 
-def _refuse_mirrored(
-    lanes: Lanes, samples: Samples, best: Hypothesis, heading: tuple[float, float] | None
-) -> None:
+def _refuse_mirrored(scene: Scene, best: Hypothesis, heading: tuple[float, float] | None) -> None:
     """Refuse a recording that fits far better with its y axis turned round."""
-    part, turned = rough(samples), mirrored(samples)
-    if promise(lanes, turned, heading=heading) < promise(lanes, samples, heading=heading):
+    turned, settings = scene.of(mirrored(scene.samples)), scene.settings.answer
+    if search_score(turned, heading=heading) < search_score(scene, heading=heading):
         return
-    other = explore(lanes, turned, heading=heading)[0]
-    if advantage(other.fit, best.fit, part) > CLEAR and other.fit.fitness > LEAST_FITNESS:
+    other, part = find_hypotheses(turned, heading=heading)[0], rough(scene).samples
+    lead = advantage(other.fit, best.fit, part)
+    if lead > settings.clear and other.fit.fitness > settings.least_fitness:
         raise NoAnswerError(
             f"the recording fits the lanes only when mirrored ({other.fit.fitness:.0%} of the "
             f"traces, {best.fit.fitness:.0%} as it is)",
@@ -112,43 +126,48 @@ def _refuse_mirrored(
 
 
 def _lead(
-    answer: Hypothesis, others: list[Hypothesis], samples: Samples
+    answer: Hypothesis, others: list[Hypothesis], scene: Scene
 ) -> tuple[float, Hypothesis | None]:
     """Return how clearly the vehicles prefer an answer to its closest rival, and that."""
-    best, known = answer.fit, certainty(answer.fit)
+    settings, guess_m = scene.settings.answer, scene.settings.search.guess_m
+    best, known = answer.fit, certainty(answer.fit, settings)
     lead, closest = math.inf, None
     for other in others:
         away_m = float(np.hypot(*other.fit.state.position[:2]))
-        if away_m > GUESS_M or other.fit.fitness < LEAST_FITNESS:
+        if away_m > guess_m or other.fit.fitness < settings.least_fitness:
             continue  # no rival: farther off than a guess may be, or no answer itself
         gap = other.fit.state.difference(best.state)[:6]
         # along what the scene does not fix, two answers are one
         apart = gap[:2] @ np.linalg.solve(known.covariance[:2, :2], gap[:2])
         turned = (gap[5] / known.sigma[5]) ** 2
-        ahead = advantage(best, other.fit, samples)
-        if apart + turned > SAME_CHI2 and ahead < lead:
+        ahead = advantage(best, other.fit, scene.samples)
+        if apart + turned > settings.same_chi2 and ahead < lead:
             lead, closest = ahead, other
     return lead, closest
 
 
-def _within_reach(site: Site, answers: list[Hypothesis], samples: Samples) -> list[Hypothesis]:
+def _within_reach(site: Site, answers: list[Hypothesis], scene: Scene) -> list[Hypothesis]:
     """Return the answers that lie near the guess; refuse where one beyond is clearly better."""
+    settings, guess_m = scene.settings.answer, scene.settings.search.guess_m
     away = [float(np.hypot(*h.fit.state.position[:2])) for h in answers]
-    inside = [h for h, away_m in zip(answers, away, strict=True) if away_m < GUESS_M + SLACK_M]
+    farthest_m = guess_m + settings.slack_m
+    inside = [h for h, away_m in zip(answers, away, strict=True) if away_m < farthest_m]
     if not inside or (
-        inside[0] is not answers[0] and advantage(answers[0].fit, inside[0].fit, samples) > CLEAR
+        inside[0] is not answers[0]
+        and advantage(answers[0].fit, inside[0].fit, scene.samples) > settings.clear
     ):
         raise NoAnswerError(
             f"{site.name}: the fit went {away[0]:.0f} m from the guess, which is too far off",
-            hint=f"guess within {GUESS_M:.0f} m",
+            hint=f"guess within {guess_m:.0f} m",
         )
     return inside
 
 
-def _refuse_unfit(site: Site, answer: Hypothesis) -> None:
-    if answer.fit.fitness < LEAST_FITNESS:
+def _refuse_unfit(site: Site, answer: Hypothesis, settings: LocalizationSettings) -> None:
+    guess_m = settings.search.guess_m
+    if answer.fit.fitness < settings.answer.least_fitness:
         raise NoAnswerError(
-            f"{site.name}: no pose within {GUESS_M:.0f} m of the guess puts the traffic on the "
+            f"{site.name}: no pose within {guess_m:.0f} m of the guess puts the traffic on the "
             f"lanes; the best one {answer.fit.fitness:.0%} of it",
             hint="check the guess, the map, and that the recording's y axis points to the left",
         )
@@ -169,12 +188,12 @@ def _ambiguous(site: Site, answer: Hypothesis, rival: Hypothesis) -> NoAnswerErr
 def _answer(
     site: Site,
     moving: Moving,
-    samples: Samples,
+    scene: Scene,
     best: Hypothesis,
     tried: list[Hypothesis],
     lead: float,
 ) -> Localization:
-    known = certainty(best.fit)
+    known, samples = certainty(best.fit, scene.settings.answer), scene.samples
     sigma = np.concatenate([known.sigma[:3], np.degrees(known.sigma[3:])])
     evidence = {
         "sigma": {name: float(value) for name, value in zip(SIGMA, sigma, strict=True)},

@@ -12,17 +12,7 @@ from scipy.spatial import cKDTree
 
 from gis_radar.arrays import Booleans, Floats, Integers, compiled
 from gis_radar.errors import NoAnswerError
-
-STEP_M = 1.0
-CELL_M = 1.0
-BINS = 16  # of direction, 22.5 degrees each
-REACH_M = 12.0  # a point farther from every lane matches none
-SAME_LEVEL_M = 2.0
-SCAN_NEAR_M = 2.0
-SMOOTH_M = 8.0
-UNLIMITED_MPS = 55.0
-SPEEDING = 1.5
-MIN_TOP_MPS = 15.0
+from gis_radar.localization.settings import DEFAULTS, LaneSettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,14 +36,16 @@ class Lanes:
         Of the lane.
     corner : (2,) array
         South-west corner of the grid.
-    nearest : (BINS, rows, columns) int32 array
+    nearest : (bins, rows, columns) int32 array
         Index of the nearest sample among those of a bin of direction, -1 where none is near.
-    distance : (BINS, rows, columns) float32 array
+    distance : (bins, rows, columns) float32 array
         Metres to it.
     directed : bool
         Whether most of the lanes have a direction.
     scanned : float
         Share of the samples whose height the scanned road gives.
+    settings : LaneSettings
+        With which they were sampled.
     """
 
     origin: Floats
@@ -67,11 +59,13 @@ class Lanes:
     distance: np.ndarray
     directed: bool
     scanned: float
+    settings: LaneSettings
 
 
 def sample_lanes(
-    lanelets: gpd.GeoDataFrame, road: Floats, *, place: Floats, reach_m: float
-) -> Lanes:
+    lanelets: gpd.GeoDataFrame, road: Floats, *, place: Floats, reach_m: float,
+    settings: LaneSettings = DEFAULTS.lanes,
+) -> Lanes:  # fmt: skip
     """Sample the lanes that vehicles use within reach of a place.
 
     Parameters
@@ -84,6 +78,8 @@ def sample_lanes(
         Easting and northing around which to sample; becomes the local origin.
     reach_m : float
         How far.
+    settings : LaneSettings
+        How finely.
 
     Raises
     ------
@@ -102,22 +98,23 @@ def sample_lanes(
             f"{place[0]:.1f},{place[1]:.1f}",
             hint="check the guess, its coordinate system, and that the map is the right one",
         )
-    parts = [_sampled(line) for line in table["centre"]]
+    parts = [_sampled(line, settings.step_m) for line in table["centre"]]
     count = [len(xyz) for xyz, _ in parts]
     local = np.vstack([xyz for xyz, _ in parts]) - [*place, 0.0]
     along = np.vstack([way for _, way in parts])
     lane = np.repeat(np.arange(len(parts)), count)
-    height, scanned = _heights(local, road - [*place, 0.0])
-    local[:, 2] = _smooth(height, lane)
-    slope = _slopes(local, along, lane)
+    height, scanned = _heights(local, road - [*place, 0.0], settings)
+    local[:, 2] = _smooth(height, lane, settings)
+    slope = _slopes(local, along, lane, settings)
     limit = table["speed_limit_kmh"].to_numpy(np.float64)[lane] / 3.6
-    top = np.where(np.isnan(limit), UNLIMITED_MPS, np.maximum(limit * SPEEDING, MIN_TOP_MPS))
+    top = np.maximum(limit * settings.speeding, settings.min_top_mps)
+    top = np.where(np.isnan(limit), settings.unlimited_mps, top)
     width = (table.geometry.area / table["centre"].length).to_numpy()[lane]
     two_way = ~table["one_way"].to_numpy(bool)[lane]
     near = np.hypot(local[:, 0], local[:, 1]) < reach_m
     rows = np.concatenate([np.flatnonzero(near), np.flatnonzero(near & two_way)])
     turn = np.where(np.arange(len(rows)) < near.sum(), 1.0, -1.0)
-    corner, nearest, distance = _raster(local[rows], along[rows] * turn[:, None])
+    corner, nearest, distance = _raster(local[rows], along[rows] * turn[:, None], settings)
     return Lanes(
         origin=np.asarray(place, dtype=np.float64),
         points=local[rows],
@@ -130,19 +127,20 @@ def sample_lanes(
         distance=distance,
         directed=bool(two_way.mean() < 0.5),
         scanned=float(scanned[rows].mean()) if len(rows) else 0.0,
+        settings=settings,
     )
 
 
-def _sampled(line: shapely.LineString) -> tuple[Floats, Floats]:
+def _sampled(line: shapely.LineString, step_m: float) -> tuple[Floats, Floats]:
     """Return points about a metre apart, and the directions there; heights may be NaN."""
     xyz = shapely.get_coordinates(line, include_z=True)
     step = np.hypot(*np.diff(xyz[:, :2], axis=0).T)
     xyz, step = xyz[np.append(True, step > 1e-6)], step[step > 1e-6]
     s = np.append(0.0, np.cumsum(step))
-    n = max(int(np.ceil(s[-1] / STEP_M)), 1)
+    n = max(int(np.ceil(s[-1] / step_m)), 1)
     at = (np.arange(n) + 0.5) * s[-1] / n
     points = np.column_stack([np.interp(at, s, c) for c in xyz.T])
-    reach = min(STEP_M, s[-1] / 2)
+    reach = min(step_m, s[-1] / 2)
     ahead, behind = (
         np.column_stack([np.interp(np.clip(at + d, 0, s[-1]), s, c) for c in xyz[:, :2].T])
         for d in (reach, -reach)
@@ -151,17 +149,19 @@ def _sampled(line: shapely.LineString) -> tuple[Floats, Floats]:
     return points, way / np.hypot(*way.T)[:, None]
 
 
-def _heights(local: Floats, road: Floats) -> tuple[Floats, Booleans]:
+def _heights(local: Floats, road: Floats, settings: LaneSettings) -> tuple[Floats, Booleans]:
     """Return heights at samples, and whether the scan gives them; the map's tells levels apart."""
     known = local[:, 2]
     if len(road) == 0:
         return known, np.zeros(len(known), dtype=bool)
     gap, index = cKDTree(road[:, :2]).query(
-        local[:, :2], k=min(12, len(road)), distance_upper_bound=SCAN_NEAR_M
+        local[:, :2],
+        k=min(settings.scan_points, len(road)),
+        distance_upper_bound=settings.scan_near_m,
     )
     gap, index = (np.asarray(a).reshape(len(local), -1) for a in (gap, index))
     z = np.where(np.isfinite(gap), road[np.minimum(index, len(road) - 1), 2], np.nan)
-    z = np.where(np.abs(z - known[:, None]) > SAME_LEVEL_M, np.nan, z)
+    z = np.where(np.abs(z - known[:, None]) > settings.same_level_m, np.nan, z)
     found = np.isfinite(z).sum(axis=1)
     ranked = np.sort(z, axis=1)
     rows = np.arange(len(z))
@@ -170,9 +170,9 @@ def _heights(local: Floats, road: Floats) -> tuple[Floats, Booleans]:
     return height, np.asarray(found > 0)
 
 
-def _smooth(height: Floats, lane: Integers) -> Floats:
+def _smooth(height: Floats, lane: Integers, settings: LaneSettings) -> Floats:
     """Return the running mean of heights along each lane, over gaps too."""
-    half = int(SMOOTH_M / STEP_M / 2)
+    half = int(settings.smooth_m / settings.step_m / 2)
     total, weight = np.zeros(len(height)), np.zeros(len(height))
     valid = np.isfinite(height)
     filled = np.where(valid, height, 0.0)
@@ -186,28 +186,31 @@ def _smooth(height: Floats, lane: Integers) -> Floats:
     return np.where(weight > 0, total / np.maximum(weight, 1), height)
 
 
-def _slopes(points: Floats, along: Floats, lane: Integers) -> Floats:
+def _slopes(points: Floats, along: Floats, lane: Integers, settings: LaneSettings) -> Floats:
     """Return the rise along each lane; level where the heights are unknown."""
-    reach = 3
+    reach = settings.slope_reach
     last = len(points) - 1
     ahead, behind = (np.clip(np.arange(len(points)) + d, 0, last) for d in (reach, -reach))
     ahead = np.where(lane[ahead] == lane, ahead, np.arange(len(points)))
     behind = np.where(lane[behind] == lane, behind, np.arange(len(points)))
     gap = points[ahead] - points[behind]
     run = np.sum(gap[:, :2] * along, axis=1)
-    rise = np.divide(gap[:, 2], run, out=np.zeros(len(points)), where=run > STEP_M)
-    return np.asarray(np.clip(np.nan_to_num(rise), -0.2, 0.2))
+    rise = np.divide(gap[:, 2], run, out=np.zeros(len(points)), where=run > settings.step_m)
+    return np.asarray(np.clip(np.nan_to_num(rise), -settings.most_slope, settings.most_slope))
 
 
-def _raster(points: Floats, along: Floats) -> tuple[Floats, np.ndarray, np.ndarray]:
+def _raster(
+    points: Floats, along: Floats, settings: LaneSettings
+) -> tuple[Floats, np.ndarray, np.ndarray]:
     """Return the grid's corner, and for each bin of direction the nearest sample of each cell."""
-    corner = np.floor(points[:, :2].min(axis=0)) - REACH_M
-    place = (points[:, :2] - corner) / CELL_M
-    columns, rows = np.floor(place.max(axis=0)).astype(np.int64) + 1 + int(REACH_M / CELL_M)
-    nearest = np.full((BINS, rows, columns), -1, dtype=np.int32)
-    distance = np.full((BINS, rows, columns), np.float32(np.inf))
-    _spread(nearest, distance, direction_bin(along), place, REACH_M / CELL_M)
-    distance *= np.float32(CELL_M)
+    cell_m, reach = settings.cell_m, settings.reach_m / settings.cell_m
+    corner = np.floor(points[:, :2].min(axis=0)) - settings.reach_m
+    place = (points[:, :2] - corner) / cell_m
+    columns, rows = np.floor(place.max(axis=0)).astype(np.int64) + 1 + int(reach)
+    nearest = np.full((settings.bins, rows, columns), -1, dtype=np.int32)
+    distance = np.full((settings.bins, rows, columns), np.float32(np.inf))
+    _spread(nearest, distance, direction_bin(along, settings.bins), place, reach)
+    distance *= np.float32(cell_m)
     return corner, nearest, distance
 
 
@@ -231,7 +234,7 @@ def _spread(  # pragma: no cover - compiled
                     distance[b, i, j] = gap
 
 
-def direction_bin(along: Floats) -> Integers:
+def direction_bin(along: Floats, bins: int) -> Integers:
     """Return the bin of direction of (m, 2) vectors; bin 0 is centred on east."""
     turns = np.arctan2(along[:, 1], along[:, 0]) / (2.0 * np.pi)
-    return np.asarray(np.rint(turns * BINS).astype(np.int64) % BINS)
+    return np.asarray(np.rint(turns * bins).astype(np.int64) % bins)

@@ -14,11 +14,11 @@ from gis_radar.lanelets import LaneletMap
 from gis_radar.localization.icp import by_icp
 from gis_radar.localization.lane_method import by_lanes
 from gis_radar.localization.result import Localization, Site
+from gis_radar.localization.settings import DEFAULTS, LocalizationSettings
 from gis_radar.localization.traces import Moving, read_moving
 from gis_radar.progress import QUIET, Reporter
 
-LEAST_FRAMES = 100
-METHODS: dict[str, Callable[[Site, Moving, Reporter], Localization]] = {
+METHODS: dict[str, Callable[[Site, Moving, Reporter, LocalizationSettings], Localization]] = {
     "lane": by_lanes,
     "icp": by_icp,
 }
@@ -32,6 +32,7 @@ def localize(
     guess: tuple[float, ...],
     heading: float | None = None,
     method: str = "lane",
+    settings: LocalizationSettings = DEFAULTS,
     reporter: Reporter = QUIET,
 ) -> Localization:
     """Find the pose of the sensor that made a recording.
@@ -51,6 +52,8 @@ def localize(
         it the heading is searched.
     method : str
         `lane`, traces against lanes; or `icp`, the paper's, traces against the road's surface.
+    settings : LocalizationSettings
+        All constants of both methods.
     reporter : Reporter
         Told the progress and remarks.
 
@@ -66,10 +69,13 @@ def localize(
         raise UsageError(f"method is {method!r}, expected one of {', '.join(METHODS)}")
     if not all(math.isfinite(number) for number in (*guess, heading or 0.0)):
         raise UsageError("guess and heading must be finite numbers")
-    moving = read_moving(recording, reporter=reporter)
-    if moving.frames < LEAST_FRAMES:
+    traces = settings.traces
+    moving = read_moving(
+        recording, frames=traces.frames, min_speed=traces.min_speed_mps, reporter=reporter
+    )
+    if moving.frames < traces.least_frames:
         raise NoAnswerError(
-            f"{recording}: {moving.frames} frames, at least {LEAST_FRAMES} are needed",
+            f"{recording}: {moving.frames} frames, at least {traces.least_frames} are needed",
             hint="record longer: 100 s are a good length",
         )
     site = Site(
@@ -79,4 +85,4 @@ def localize(
         guess=np.asarray(guess, dtype=np.float64),
         heading=None if heading is None else math.radians(heading),
     )
-    return METHODS[method](site, moving, reporter)
+    return METHODS[method](site, moving, reporter, settings)

@@ -2,20 +2,41 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gis_radar.arrays import Booleans, Floats, Integers, compiled
-from gis_radar.localization.lanes import CELL_M, STEP_M, Lanes
+from gis_radar.localization.lanes import Lanes
+from gis_radar.localization.settings import DEFAULTS, LocalizationSettings
 from gis_radar.localization.state import State
 from gis_radar.localization.traces import Samples
 
-LEVEL_M = 4.0  # a lane of another storey is no match
 NO_WAY_M = 1e-9
-BORDER_M = 1.0  # nearer to the middle of its lane no sample is another lane's
-SLACK_MPS = 0.5  # noise, and the turning of a long vehicle
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """What a registration works on.
+
+    Parameters
+    ----------
+    lanes : Lanes
+        The map around the guess.
+    samples : Samples
+        The traces.
+    settings : LocalizationSettings
+        How to go about it.
+    """
+
+    lanes: Lanes
+    samples: Samples
+    settings: LocalizationSettings = DEFAULTS
+
+    def of(self, samples: Samples) -> Scene:
+        """Return the scene with other samples."""
+        return replace(self, samples=samples)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +117,9 @@ def match(lanes: Lanes, placed: Placed) -> Matches:
     placed : Placed
         Traces, with the sensor where it is thought to be.
     """
+    s = lanes.settings
     lane, found = _match(
+        np.array([s.cell_m, s.step_m, s.level_m, s.level_share, s.border_m, s.slack_mps]),
         placed.points,
         placed.sight,
         placed.samples.reach,
@@ -112,6 +135,7 @@ def match(lanes: Lanes, placed: Placed) -> Matches:
 
 @compiled
 def _match(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - compiled
+    settings: Floats,
     points: Floats,
     sight: Floats,
     reach: Floats,
@@ -123,6 +147,7 @@ def _match(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - co
     nearest: NDArray[np.int32],
 ) -> tuple[Integers, Booleans]:
     """Return the lane sample of each point, and whether there is one."""
+    cell_m, step_m, level_m, level_share, border_m, slack_mps = settings
     bins, rows, columns = nearest.shape
     lane = np.zeros(len(points), dtype=np.int64)
     found = np.zeros(len(points), dtype=np.bool_)
@@ -132,7 +157,7 @@ def _match(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - co
             east, north = points[i, 0] - corner[0], points[i, 1] - corner[1]
             # the nearest lane of a cell's centre; then, where lanes meet, of the cell beside it
             for _ in range(2):
-                column, row = int(np.floor(east / CELL_M)), int(np.floor(north / CELL_M))
+                column, row = int(np.floor(east / cell_m)), int(np.floor(north / cell_m))
                 if not (0 <= column < columns and 0 <= row < rows):
                     break
                 k = nearest[b, row, column]
@@ -142,18 +167,18 @@ def _match(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - co
                 ahead = abs(x * along[k, 0] + y * along[k, 1])
                 across = y * along[k, 0] - x * along[k, 1]
                 # past the end of a lane counts as off it; samples lie a step apart
-                gap = np.hypot(across, max(ahead - 1.5 * STEP_M, 0.0))
+                gap = np.hypot(across, max(ahead - 1.5 * step_m, 0.0))
                 # Doppler sign and size: the speed along the lane that explains the range rate
                 # is neither negative nor above the lane's top speed
                 cosine = along[k, 0] * sight[i, 0] + along[k, 1] * sight[i, 1]
                 forward = range_rate[i] if cosine >= 0.0 else -range_rate[i]
-                allowed = -SLACK_MPS <= forward <= abs(cosine) * top_speed[k] + SLACK_MPS
-                if allowed and gap < best and abs(z) <= LEVEL_M + 0.05 * reach[i]:
+                allowed = -slack_mps <= forward <= abs(cosine) * top_speed[k] + slack_mps
+                if allowed and gap < best and abs(z) <= level_m + level_share * reach[i]:
                     best = gap
                     lane[i] = k
                     found[i] = True
-                if abs(across) < BORDER_M:
+                if abs(across) < border_m:
                     break
-                east -= np.copysign(CELL_M, across) * along[k, 1]
-                north += np.copysign(CELL_M, across) * along[k, 0]
+                east -= np.copysign(cell_m, across) * along[k, 1]
+                north += np.copysign(cell_m, across) * along[k, 0]
     return lane, found

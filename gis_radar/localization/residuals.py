@@ -16,13 +16,8 @@ from gis_radar.arrays import Booleans, Floats, Integers, compiled
 from gis_radar.localization.lanes import Lanes
 from gis_radar.localization.matching import Matches, Placed
 from gis_radar.localization.model import Model
+from gis_radar.localization.settings import SolverSettings
 from gis_radar.localization.state import REFLECTION, SIZE, TURN
-
-FRONT = (-2.0 / 3.0, 0.0, 2.0 / 3.0)  # thirds of a front or rear, in half widths
-VIEW_EDGE = np.radians(1.0)
-STRAY = 0.1  # share of detections that are on no vehicle, over a width and a height of
-STRAY_WIDTH_M, STRAY_HEIGHT_M = 8.0, 8.0
-NO_VEHICLE = -np.log(STRAY * np.sqrt(2.0 * np.pi) / STRAY_WIDTH_M)  # loss of a sample off all lanes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +66,8 @@ class Comparison:
         How vehicles drive and reflect.
     scale_m : float
         Added to all spreads (root of squares), to widen the basin at first.
+    settings : SolverSettings
+        What is robust about it.
     """
 
     lanes: Lanes
@@ -78,6 +75,7 @@ class Comparison:
     matches: Matches
     model: Model
     scale_m: float
+    settings: SolverSettings
 
 
 def lateral(compared: Comparison, own: Floats) -> Residuals:
@@ -96,23 +94,26 @@ def lateral(compared: Comparison, own: Floats) -> Residuals:
         How far each vehicle drives to the left of where drivers do, metres.
     """
     lanes, placed, matches = compared.lanes, compared.placed, compared.matches
-    samples, model = placed.samples, compared.model
+    samples, model, settings = placed.samples, compared.model, compared.settings
     east, north = lanes.along[matches.lane].T
     away = placed.points[:, :2] - lanes.points[matches.lane, :2]
     off = away[:, 1] * east - away[:, 0] * north - own[samples.track] - model.habit
     x, y = placed.sight.T
     left, ahead = x * north - y * east, np.abs(x * east + y * north)
-    faces = np.vstack([np.sign(left), *(np.full(len(off), at) for at in FRONT)])
+    faces = np.vstack([np.sign(left), *(np.full(len(off), at) for at in settings.front)])
     noise = np.hypot(model.bearing * placed.flat * ahead, compared.scale_m)
     value = off - faces * model.half_width
     sigma = np.broadcast_to(np.hypot(model.face, noise), value.shape)
-    bell = (1.0 - STRAY) * matches.found * np.exp(-0.5 * (value / sigma) ** 2) / sigma
+    bell = (
+        (1.0 - settings.stray_share) * matches.found * np.exp(-0.5 * (value / sigma) ** 2) / sigma
+    )
     side = _side_share(compared, bell, np.abs(left), ahead)
-    density = bell * np.stack([side, *([(1.0 - side) / len(FRONT)] * len(FRONT))])
+    density = bell * np.stack([side, *([(1.0 - side) / len(settings.front)] * len(settings.front))])
     jacobian = np.zeros((len(off), SIZE))
     jacobian[:, 0], jacobian[:, 1] = -north, east
     jacobian[:, TURN] = _turning(placed.arms, jacobian[:, :3])
-    rows = _mixed("lateral", value, sigma, density, np.exp(-NO_VEHICLE), jacobian, model.driver)
+    stray = np.exp(-settings.no_vehicle)
+    rows = _mixed("lateral", value, sigma, density, stray, jacobian, model.driver)
     # many samples of a vehicle on a few metres share its swaying there: v / (v + n wander^2)
     own_m = model.half_width / 2.0
     say: Floats = np.asarray(1.0 / (1.0 + samples.crowd * (model.wander / own_m) ** 2))
@@ -157,7 +158,8 @@ def _side_share(compared: Comparison, bell: Floats, left: Floats, ahead: Floats)
     track = samples.track
     strengths = np.array([model.side_strength, model.hidden_strength])[:, None] * left
     share = strengths / (strengths + ahead)
-    whole = share * bell[0] + (1.0 - share) * bell[1:].mean(axis=0) + np.exp(-NO_VEHICLE)
+    whole = share * bell[0] + (1.0 - share) * bell[1:].mean(axis=0)
+    whole += np.exp(-compared.settings.no_vehicle)
     odds = np.bincount(track, weights=np.log(whole[1] / whole[0]), minlength=samples.tracks)
     odds += np.log(model.hidden_share / (1.0 - model.hidden_share))
     hidden = 1.0 / (1.0 + np.exp(-np.clip(odds, -50.0, 50.0)))[track]
@@ -175,8 +177,8 @@ def height(compared: Comparison, own: Floats) -> Residuals:
         How much higher than others each vehicle reflects, metres.
     """
     lanes, placed, matches = compared.lanes, compared.placed, compared.matches
-    samples, model = placed.samples, compared.model
-    over = height_over_road(lanes, placed, matches)
+    samples, model, settings = placed.samples, compared.model, compared.settings
+    over = height_over_road(lanes, placed, matches, settings.view_edge)
     value = over - placed.state.reflection - own[samples.track]
     jacobian = np.zeros((len(samples), SIZE))
     jacobian[:, :2] = -lanes.slope[matches.lane, None] * lanes.along[matches.lane]
@@ -187,14 +189,14 @@ def height(compared: Comparison, own: Floats) -> Residuals:
     value = np.nan_to_num(value) - np.array([[0.0], [model.body_over]])
     noise = np.hypot(model.elevation * samples.reach, compared.scale_m)
     sigma = np.hypot([[model.low], [model.body]], noise)
-    share = np.array([[1.0 - model.body_share], [model.body_share]]) * (1.0 - STRAY)
+    share = np.array([[1.0 - model.body_share], [model.body_share]]) * (1.0 - settings.stray_share)
     density = valid * share * np.exp(-0.5 * (value / sigma) ** 2) / sigma
-    stray = STRAY * np.sqrt(2.0 * np.pi) / STRAY_HEIGHT_M
+    stray = settings.stray_share * np.sqrt(2.0 * np.pi) / settings.stray_height_m
     rows = _mixed("height", value, sigma, density, stray, jacobian, model.vehicle)
     return replace(rows, loss=np.where(valid, rows.loss, 0.0))
 
 
-def height_over_road(lanes: Lanes, placed: Placed, matches: Matches) -> Floats:
+def height_over_road(lanes: Lanes, placed: Placed, matches: Matches, view_edge: float) -> Floats:
     """Return the height of samples over the scanned road below them, metres.
 
     NaN where no lane lies below, where its height is unknown, and where the road itself is out of
@@ -203,15 +205,15 @@ def height_over_road(lanes: Lanes, placed: Placed, matches: Matches) -> Floats:
     off = placed.points - lanes.points[matches.lane]
     ahead = np.einsum("ij,ij->i", off[:, :2], lanes.along[matches.lane])
     over = off[:, 2] - lanes.slope[matches.lane] * ahead
-    return np.where(matches.found & _in_view(placed, off[:, 2]), over, np.nan)
+    return np.where(matches.found & _in_view(placed, off[:, 2], view_edge), over, np.nan)
 
 
-def _in_view(placed: Placed, over_m: Floats) -> Booleans:
+def _in_view(placed: Placed, over_m: Floats, view_edge: float) -> Booleans:
     """Tell where the road itself would be in view: below it only the tall are seen."""
     up, flat, upward = placed.arms[:, 2], placed.flat, placed.samples.upward
     lower = np.arctan2(up - np.nan_to_num(over_m), flat) - np.arctan2(up, flat)
     angle = np.abs(upward + np.sign(upward) * np.abs(lower))
-    return np.asarray(angle < placed.samples.elevation - VIEW_EDGE)
+    return np.asarray(angle < placed.samples.elevation - view_edge)
 
 
 def _turning(arms: Floats, pull: Floats) -> Floats:

@@ -8,13 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gis_radar.arrays import Booleans, Floats, compiled
-from gis_radar.localization.lanes import BINS, CELL_M, Lanes
-from gis_radar.localization.traces import Samples
-
-TILT = np.radians(6.0)  # 1 sigma of how far masts and roads lean
-LEVEL_SPREAD_M = 0.5
-ELEVATION = np.radians(0.6)
-ROUNDS = 12
+from gis_radar.localization.lanes import Lanes
+from gis_radar.localization.matching import Scene
+from gis_radar.localization.settings import SearchSettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,21 +30,23 @@ class Levelling:
     depth_m: float
 
 
-def level(samples: Samples) -> Levelling:
+def level(scene: Scene) -> Levelling:
     """Fit a plane to the traces, robustly; a sensor over which the road lies hangs upside down.
 
     Parameters
     ----------
-    samples : Samples
-        Traces.
+    scene : Scene
+        The traces.
     """
+    samples, settings = scene.samples, scene.settings.search
     x, y, z = samples.points.T
     rows = np.column_stack([x, y, np.ones(len(x))])
-    sigma = np.hypot(LEVEL_SPREAD_M, ELEVATION * np.linalg.norm(samples.points, axis=1))
-    prior = np.diag([TILT**-2, TILT**-2, 0.0])
+    reach = np.linalg.norm(samples.points, axis=1)
+    sigma = np.hypot(settings.level_spread_m, settings.level_elevation * reach)
+    prior = np.diag([settings.tilt**-2, settings.tilt**-2, 0.0])
     weight = sigma**-2
     plane = np.array([0.0, 0.0, float(np.median(z))])
-    for _ in range(ROUNDS):
+    for _ in range(settings.level_rounds):
         weight = sigma**-2 / (1.0 + ((z - rows @ plane) / (2.0 * sigma)) ** 2) ** 2
         plane = np.linalg.solve(rows.T @ (weight[:, None] * rows) + prior, rows.T @ (weight * z))
     up = np.array([-plane[0], -plane[1], 1.0]) / np.sqrt(1.0 + plane[0] ** 2 + plane[1] ** 2)
@@ -60,15 +58,6 @@ def level(samples: Samples) -> Levelling:
     return Levelling(
         R_level_sensor=np.vstack([ahead, np.cross(up, ahead), up]), depth_m=float(depth)
     )
-
-
-SIGHTS = 64  # bins of the direction of sight
-SPREAD_M, SHARP_M = 2.0, 1.0  # how far traces may lie off a lane's centre, and at second look
-STEP_M, SHARP_STEP_M = 2.0, 0.5
-YAW_STEP, SHARP_YAW_STEP = np.radians(2.0), np.radians(0.25)
-BESIDE = 0.25  # cosine by which a lane's direction may disagree with the Doppler's sign
-MOST_SAMPLES = 900
-NEAR_M, NEAR_RAD = 3.0, np.radians(5.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,63 +80,58 @@ class Candidate:
 
 
 def search(
-    lanes: Lanes,
-    samples: Samples,
-    level: Floats,
-    *,
-    radius_m: float,
-    heading: tuple[float, float] | None,
-    most: int,
+    scene: Scene, levelled: Floats, *, heading: tuple[float, float] | None, most: int
 ) -> list[Candidate]:
     """Score every place and heading on a grid, and return the best that differ.
 
     Parameters
     ----------
-    lanes : Lanes
-        Around the guess, which is the local (0, 0).
-    samples : Samples
-        Traces.
-    level : (n, 3) array
-        Their points in a levelled sensor frame: z up, yaw unknown.
-    radius_m : float
-        How far from the guess.
+    scene : Scene
+        The lanes around the guess, which is the local (0, 0), and the traces.
+    levelled : (n, 3) array
+        The traces' points in a levelled sensor frame: z up, yaw unknown.
     heading : (yaw, tolerance) or None
         Radians; without it all headings are tried.
     most : int
         Candidates to return, the best first.
     """
-    chosen = np.random.default_rng(0).permutation(len(samples))[:MOST_SAMPLES]
-    points, away = level[chosen, :2].copy(), samples.range_rate[chosen] > 0.0
+    lanes, samples, settings = scene.lanes, scene.samples, scene.settings.search
+    chosen = np.random.default_rng(0).permutation(len(samples))[: settings.samples]
+    points, away = levelled[chosen, :2].copy(), samples.range_rate[chosen] > 0.0
+    cell_m = lanes.settings.cell_m
 
     def score(close: NDArray[np.uint8], places: Floats, yaws: Floats) -> Floats:
-        return np.asarray(_score(close, lanes.corner, CELL_M, points, away, places, yaws))
+        return np.asarray(_score(close, lanes.corner, cell_m, points, away, places, yaws))
 
-    places, yaws = _places(radius_m), _yaws(heading)
-    peaks = _peaks(score(closeness(lanes, SPREAD_M), places, yaws), places, yaws, most)
-    sharp = closeness(lanes, SHARP_M)
+    places = _places(settings.guess_m + settings.slack_m, settings.step_m)
+    yaws = _yaws(heading, settings.yaw_step)
+    first = score(closeness(lanes, settings.spread_m, settings), places, yaws)
+    peaks = _peaks(first, places, yaws, most, settings)
+    sharp = closeness(lanes, settings.sharp_m, settings)
+    turns = np.arange(-settings.sharp_yaws, settings.sharp_yaws + 1) * settings.sharp_yaw_step
     second = []
     for peak in peaks:
-        places = peak.place + _places(STEP_M, SHARP_STEP_M)
-        yaws = peak.yaw + np.arange(-8, 9) * SHARP_YAW_STEP
-        second += _peaks(score(sharp, places, yaws), places, yaws, 1)
+        places = peak.place + _places(settings.step_m, settings.sharp_step_m)
+        yaws = np.asarray(peak.yaw + turns)
+        second += _peaks(score(sharp, places, yaws), places, yaws, 1, settings)
     return sorted(second, key=lambda candidate: -candidate.score)
 
 
-def _yaws(heading: tuple[float, float] | None) -> Floats:
+def _yaws(heading: tuple[float, float] | None, step: float) -> Floats:
     centre, tolerance = heading or (0.0, np.pi)
-    count = int(np.ceil(tolerance / YAW_STEP))
+    count = int(np.ceil(tolerance / step))
     steps = np.arange(-count, count + 1) * tolerance / count
     return np.asarray(centre + (steps[:-1] if heading is None else steps))
 
 
-def _places(radius_m: float, step_m: float = STEP_M) -> Floats:
+def _places(radius_m: float, step_m: float) -> Floats:
     count = np.ceil(radius_m / step_m)
     steps = np.arange(-count, count + 1) * step_m
     grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     return np.asarray(grid[np.hypot(*grid.T) <= radius_m])
 
 
-def closeness(lanes: Lanes, spread_m: float) -> NDArray[np.uint8]:
+def closeness(lanes: Lanes, spread_m: float, settings: SearchSettings) -> NDArray[np.uint8]:
     """Return for each direction of sight how close a cell is to lanes that lead away along it.
 
     Parameters
@@ -156,24 +140,29 @@ def closeness(lanes: Lanes, spread_m: float) -> NDArray[np.uint8]:
         The map.
     spread_m : float
         Standard deviation of the bell across a lane.
+    settings : SearchSettings
+        Which directions agree.
 
     Returns
     -------
-    (SIGHTS, rows, columns) uint8 array
+    (sights, rows, columns) uint8 array
         255 on a centre line. What comes towards the sensor is what leads away along the
         opposite sight.
     """
     near = np.exp(-0.5 * (lanes.distance / spread_m) ** 2)
-    ways = np.arange(BINS) * (2.0 * np.pi / BINS)
-    out = np.zeros((SIGHTS, *near.shape[1:]), dtype=np.uint8)
+    sights, bins = settings.sights, len(near)
+    ways = np.arange(bins) * (2.0 * np.pi / bins)
+    out = np.zeros((sights, *near.shape[1:]), dtype=np.uint8)
     bytes_near = np.rint(near * 255.0).astype(np.uint8)
-    for sight in range(SIGHTS):
-        agree = np.cos(ways - sight * (2.0 * np.pi / SIGHTS)) > -BESIDE
+    for sight in range(sights):
+        agree = np.cos(ways - sight * (2.0 * np.pi / sights)) > -settings.beside
         out[sight] = bytes_near[agree].max(axis=0)
     return out
 
 
-def _peaks(scores: Floats, places: Floats, yaws: Floats, most: int) -> list[Candidate]:
+def _peaks(
+    scores: Floats, places: Floats, yaws: Floats, most: int, settings: SearchSettings
+) -> list[Candidate]:
     """Return the best candidates, no two of them close to each other."""
     order = np.argsort(-scores, axis=None)[: 400 * most]
     kept: list[Candidate] = []
@@ -181,7 +170,8 @@ def _peaks(scores: Floats, places: Floats, yaws: Floats, most: int) -> list[Cand
         i, j = divmod(int(flat), scores.shape[1])
         place, yaw = places[i], float(yaws[j])
         twin = any(
-            np.hypot(*(place - other.place)) < NEAR_M and abs(_wrapped(yaw - other.yaw)) < NEAR_RAD
+            np.hypot(*(place - other.place)) < settings.near_m
+            and abs(_wrapped(yaw - other.yaw)) < settings.near_rad
             for other in kept
         )
         if not twin:

@@ -9,11 +9,10 @@ from functools import partial
 import numpy as np
 
 from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.localization.lanes import Lanes, direction_bin
-from gis_radar.localization.matching import Matches, Placed, match, place
+from gis_radar.localization.lanes import direction_bin
+from gis_radar.localization.matching import Matches, Placed, Scene, match, place
 from gis_radar.localization.model import MODEL, Model
 from gis_radar.localization.residuals import (
-    NO_VEHICLE,
     Comparison,
     Residuals,
     assemble,
@@ -22,18 +21,10 @@ from gis_radar.localization.residuals import (
     lateral,
     sums,
 )
+from gis_radar.localization.settings import Schedule
 from gis_radar.localization.state import State
-from gis_radar.localization.traces import Samples
 
 FAMILIES = (lateral, height)
-SCALES_M = (1.5, 0.75, 0.3, 0.0)
-ROUNDS = 6
-STRETCH_M = 60.0
-SETTLED_M = 5e-3
-SETTLED_SIGMAS, AT_REST_SIGMAS = 0.02, 0.5
-AT_REST_M = 0.1  # where no shorter step helps either
-LEAST_SHARE = 0.05
-LEAST_TOLD, HARDLY = 0.05, 1e-6  # the latter a kilometre, for what nothing tells
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,13 +97,11 @@ class Fit:
 
 
 def solve(
-    lanes: Lanes,
-    samples: Samples,
+    scene: Scene,
     start: State,
     prior: Prior,
     *,
-    scales_m: tuple[float, ...] = SCALES_M,
-    rounds: int = ROUNDS,
+    schedule: Schedule | None = None,
     model: Model = MODEL,
     hold: Floats | None = None,
 ) -> Fit:
@@ -123,38 +112,37 @@ def solve(
 
     Parameters
     ----------
-    lanes, samples : Lanes, Samples
+    scene : Scene
         The map and the traces.
     start : State
         Where to begin.
     prior : Prior
         What is believed beforehand.
-    scales_m : tuple of float
-        By how much all spreads are widened, stage by stage (root of squares).
-    rounds : int
-        Most steps at each scale.
+    schedule : Schedule, optional
+        By how much all spreads are widened, stage by stage; without it from a lane off.
     model : Model
         How vehicles drive and reflect.
     hold : (7,) array, optional
         A combination of the state's parts that stays as it is at the start.
     """
-    point = _Point(start, np.zeros((len(FAMILIES), samples.tracks)))
+    schedule, settings = schedule or scene.settings.solver.far, scene.settings.solver
+    point = _Point(start, np.zeros((len(FAMILIES), scene.samples.tracks)))
     converged = False
-    for scale_m in scales_m:
-        cost = _Cost(lanes, samples, prior, model, scale_m, hold)
+    for scale_m in schedule.scales_m:
+        cost = _Cost(scene, prior, model, scale_m, hold)
         here = cost.at(point)
-        for _ in range(rounds):
+        for _ in range(schedule.rounds):
             step, own, sigmas = cost.step(here)
             there, share = None, 1.0
-            while share > LEAST_SHARE and (there is None or there.total > here.total):
+            while share > settings.least_share and (there is None or there.total > here.total):
                 moved = _Point(here.point.state.moved(share * step), here.point.own + share * own)
-                there, share = cost.at(moved), share / 3.0
-            length_m = float(np.abs(step[:6] * _LEVER).max())
+                there, share = cost.at(moved), share / settings.shrink
+            length_m = float(np.abs(step[:6] * [1.0, 1.0, 1.0, *settings.lever_m]).max())
             if there is None or there.total > here.total:
-                converged = length_m < AT_REST_M or sigmas < AT_REST_SIGMAS
+                converged = length_m < settings.at_rest_m or sigmas < settings.at_rest_sigmas
                 break
             here = there
-            converged = length_m < SETTLED_M or sigmas < SETTLED_SIGMAS
+            converged = length_m < settings.settled_m or sigmas < settings.settled_sigmas
             if converged:
                 break
         point = here.point
@@ -180,8 +168,7 @@ class _Here:
 class _Cost:
     """The negative logarithm of the likelihood, and the steps that lower it."""
 
-    lanes: Lanes
-    samples: Samples
+    scene: Scene
     prior: Prior
     model: Model
     scale_m: float
@@ -189,8 +176,8 @@ class _Cost:
 
     def at(self, point: _Point) -> _Here:
         """Return residuals and cost at a point."""
-        placed = place(self.samples, point.state)
-        matches = match(self.lanes, placed)
+        placed = place(self.scene.samples, point.state)
+        matches = match(self.scene.lanes, placed)
         families = self.families(placed, matches, point.own)
         away = point.state.difference(self.prior.mean)
         total = sum(
@@ -208,17 +195,18 @@ class _Cost:
     def families(self, placed: Placed, matches: Matches, own: Floats) -> list[Residuals]:
         """Return all residuals of samples that lie on their lanes."""
         compared = Comparison(
-            lanes=self.lanes,
+            lanes=self.scene.lanes,
             placed=placed,
             matches=matches,
             model=self.model,
             scale_m=self.scale_m,
+            settings=self.scene.settings.solver,
         )
         return [family(compared, mine) for family, mine in zip(FAMILIES, own, strict=True)]
 
     def step(self, here: _Here) -> tuple[Floats, Floats, float]:
         """Return the steps of the state and of what the vehicles add, and the first in sigmas."""
-        normal = assemble(here.families, here.point.own, self.samples.track)
+        normal = assemble(here.families, here.point.own, self.scene.samples.track)
         information = normal.information + self.prior.information
         away = here.point.state.difference(self.prior.mean)
         gradient = normal.gradient + self.prior.information @ away
@@ -230,21 +218,18 @@ class _Cost:
         return step, own, float(np.sqrt(step @ information @ step))
 
 
-_LEVER = np.array([1.0, 1.0, 1.0, 20.0, 20.0, 50.0])  # metres that a turn moves
-
-
 def _described(cost: _Cost, here: _Here, *, converged: bool) -> Fit:
     """Return the evidence at a point."""
-    across = here.families[0]
-    track, own = cost.samples.track, here.point.own
+    across, settings = here.families[0], cost.scene.settings.solver
+    track, own = cost.scene.samples.track, here.point.own
     normal = assemble(here.families, own, track, curved=True)
     # where the curvature is no minimum's, a small part of what known faces would tell counts
     known = assemble(here.families, own, track).information + cost.prior.information
     told = at_least(
         normal.information + cost.prior.information,
-        LEAST_TOLD * known + HARDLY * np.eye(len(known)),
+        settings.least_curvature * known + settings.floor * np.eye(len(known)),
     )
-    street, count = _streets(cost.lanes, cost.samples, here.matches)
+    street, count = _streets(cost.scene, here.matches)
     pulls = []
     for family, (_, g, variance) in zip(here.families, normal.shared, strict=True):
         # what a vehicle may add by itself takes most of its bias up
@@ -258,7 +243,7 @@ def _described(cost: _Cost, here: _Here, *, converged: bool) -> Fit:
         streets=pulls,
         cost=here.total,
         loss=across.say * across.loss,
-        on_lane=across.loss < NO_VEHICLE - np.log(2.0),
+        on_lane=across.loss < settings.no_vehicle - np.log(2.0),
         matches=here.matches,
         converged=converged,
         own=here.point.own,
@@ -271,18 +256,19 @@ def _considered(cost: _Cost, here: _Here) -> Floats:
 
     def gradient(model: Model) -> Floats:
         families = replace(cost, model=model).families(here.placed, here.matches, here.point.own)
-        return assemble(families, here.point.own, cost.samples.track, curved=True).gradient
+        return assemble(families, here.point.own, cost.scene.samples.track, curved=True).gradient
 
     return np.array(
         [(gradient(more) - gradient(less)) / 2.0 for less, more in cost.model.variations()]
     )
 
 
-def _streets(lanes: Lanes, samples: Samples, matches: Matches) -> tuple[Integers, int]:
+def _streets(scene: Scene, matches: Matches) -> tuple[Integers, int]:
     """Return for each track the number of the stretch of street that it drives on most."""
+    lanes, samples = scene.lanes, scene.samples
     lane = matches.lane[matches.found]
-    way = direction_bin(lanes.along[lane]) // 2
-    cell = np.floor(lanes.points[lane, :2] / STRETCH_M).astype(np.int64)
+    way = direction_bin(lanes.along[lane], lanes.settings.bins) // 2
+    cell = np.floor(lanes.points[lane, :2] / scene.settings.answer.street_m).astype(np.int64)
     keys = np.column_stack([cell, way])
     _, number = np.unique(keys, axis=0, return_inverse=True)
     count = int(number.max(initial=-1)) + 1

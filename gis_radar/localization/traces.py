@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -12,11 +12,10 @@ import numpy as np
 import pandas as pd
 
 from gis_radar.arrays import Booleans, Floats, Integers, compiled
+from gis_radar.localization.settings import DEFAULTS, TraceSettings
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Detections, open_recording
 
-FRAMES = 2000  # n_f of the paper: 100 s at 20 Hz
-MIN_SPEED = 0.15  # m/s, the paper's Doppler threshold
 STAGE = "reading traces"
 
 
@@ -61,7 +60,12 @@ class RollingWindow:
         Least absolute range rate of a moving detection, m/s.
     """
 
-    def __init__(self, *, frames: int = FRAMES, min_speed: float = MIN_SPEED) -> None:
+    def __init__(
+        self,
+        *,
+        frames: int = DEFAULTS.traces.frames,
+        min_speed: float = DEFAULTS.traces.min_speed_mps,
+    ) -> None:
         self._frames = frames
         self._min_speed = min_speed
         self._times: deque[float] = deque(maxlen=frames)
@@ -119,8 +123,8 @@ class RollingWindow:
 def read_moving(
     path: str | Path,
     *,
-    frames: int = FRAMES,
-    min_speed: float = MIN_SPEED,
+    frames: int = DEFAULTS.traces.frames,
+    min_speed: float = DEFAULTS.traces.min_speed_mps,
     reporter: Reporter = QUIET,
 ) -> Moving:
     """Read what moved in the last frames of a recording, in bounded memory.
@@ -171,18 +175,6 @@ def voxels(points: Floats, size_m: float) -> Floats:
 
 
 NONE = -1
-LINK_S = 0.35  # a far vehicle is hit in every fourth frame or so
-RANGE_M = 1.5  # faces of one vehicle, after the Doppler has been followed
-ACROSS_M = 1.5
-ACROSS_MPS = 6.0  # crossing speed, which the Doppler does not tell
-RATE_MPS = 1.5
-SEGMENT_S = 8.0  # a stream of vehicles that never breaks counts as several
-MIN_POINTS = 6
-MIN_PATH_M = 3.0
-SURE_MPS = 1.5  # leaves and grass stay below
-VOXEL_M = 6.0  # wider than a vehicle: what is kept shows its faces in their true proportion
-PER_VOXEL = 8
-CROWD_M = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,6 +193,8 @@ class Samples:
         How many objects there are.
     elevation : float
         How far the view reaches up and down, radians: what hardly any detection exceeds.
+    crowd_m : float
+        Over which length the samples of an object share its swaying.
     """
 
     points: Floats
@@ -208,11 +202,12 @@ class Samples:
     track: Integers
     tracks: int
     elevation: float
+    crowd_m: float = DEFAULTS.traces.crowd_m
 
     @cached_property
     def crowd(self) -> Integers:
-        """How many samples of its own object lie within the same ten metres, itself included."""
-        cells = np.floor(self.points[:, :2] / CROWD_M).astype(np.int64)
+        """How many samples of its own object lie within the same `crowd_m`, itself included."""
+        cells = np.floor(self.points[:, :2] / self.crowd_m).astype(np.int64)
         keys = np.column_stack([self.track, cells])
         _, number, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
         return np.asarray(count[number.ravel()])
@@ -233,16 +228,15 @@ class Samples:
 
     def where(self, keep: Booleans) -> Samples:
         """Return the samples for which `keep` is true; tracks keep their numbers."""
-        return Samples(
+        return replace(
+            self,
             points=self.points[keep],
             range_rate=self.range_rate[keep],
             track=self.track[keep],
-            tracks=self.tracks,
-            elevation=self.elevation,
         )
 
 
-def track(moving: Moving) -> Integers:
+def track(moving: Moving, settings: TraceSettings = DEFAULTS.traces) -> Integers:
     """Link moving detections to tracks.
 
     Two detections belong together where the range changed as the Doppler says and bearing and
@@ -253,6 +247,8 @@ def track(moving: Moving) -> Integers:
     ----------
     moving : Moving
         Of one window.
+    settings : TraceSettings
+        How detections of one track may differ, and what a vehicle is.
 
     Returns
     -------
@@ -264,15 +260,19 @@ def track(moving: Moving) -> Integers:
     time = moving.time - moving.time[0]
     x, y = moving.points[:, 0], moving.points[:, 1]
     reach = np.linalg.norm(moving.points, axis=1)
-    root = _link(time, reach, np.arctan2(y, x), moving.range_rate)
-    table = pd.DataFrame({"root": root, "piece": (time / SEGMENT_S).astype(np.int64)})
+    s = settings
+    limits = np.array([s.link_s, s.rate_mps, s.range_m, s.across_m, s.across_mps])
+    root = _link(limits, time, reach, np.arctan2(y, x), moving.range_rate)
+    table = pd.DataFrame({"root": root, "piece": (time / settings.segment_s).astype(np.int64)})
     number = np.asarray(table.groupby(["root", "piece"], sort=True).ngroup(), dtype=np.int64)
-    good = _goes_somewhere(number, time, moving)
+    good = _goes_somewhere(number, time, moving, settings)
     renumbered = np.where(good, np.cumsum(good) - 1, NONE)
     return np.asarray(renumbered[number])
 
 
-def _goes_somewhere(number: Integers, time: Floats, moving: Moving) -> Booleans:
+def _goes_somewhere(
+    number: Integers, time: Floats, moving: Moving, settings: TraceSettings
+) -> Booleans:
     """Tell which tracks are long and fast enough for something that drives."""
     rows = pd.DataFrame(
         {
@@ -286,15 +286,16 @@ def _goes_somewhere(number: Integers, time: Floats, moving: Moving) -> Booleans:
     early, late = rows.head(2).groupby("n").mean(), rows.tail(2).groupby("n").mean()
     path = np.hypot(late["x"] - early["x"], late["y"] - early["y"])
     extent = np.hypot(rows["x"].max() - rows["x"].min(), rows["y"].max() - rows["y"].min())
-    goes = (path >= MIN_PATH_M) & (path >= 0.5 * extent)
-    streams = (rows["rate"].median() >= SURE_MPS) & (extent >= MIN_PATH_M)
-    return np.asarray((rows.size() >= MIN_POINTS) & (goes | streams))
+    least_m = settings.min_path_m
+    goes = (path >= least_m) & (path >= 0.5 * extent)
+    streams = (rows["rate"].median() >= settings.sure_mps) & (extent >= least_m)
+    return np.asarray((rows.size() >= settings.min_points) & (goes | streams))
 
 
 def thin(
-    moving: Moving, tracks: Integers, *, voxel_m: float = VOXEL_M, most: int = 6000, seed: int = 0
+    moving: Moving, tracks: Integers, settings: TraceSettings = DEFAULTS.traces, *, seed: int = 0
 ) -> Samples:
-    """Keep a few detections of each track in each voxel, at most `most` in all.
+    """Keep a few detections of each track in each voxel, evenly thinned to a limit.
 
     Parameters
     ----------
@@ -302,19 +303,19 @@ def thin(
         Of one window.
     tracks : (n,) array
         As from :func:`track`.
-    voxel_m : float
-        Edge of a voxel.
-    most : int
-        Samples in all; more are thinned out evenly.
+    settings : TraceSettings
+        Of voxels and limits.
     seed : int
         Decides which; the same again for the same seed.
     """
     rng = np.random.default_rng(seed)
     on = np.flatnonzero(tracks != NONE)
     on = on[rng.permutation(len(on))]
-    cells = np.floor(moving.points[on, :2] / voxel_m).astype(np.int64)
+    cells = np.floor(moving.points[on, :2] / settings.voxel_m).astype(np.int64)
     frame = pd.DataFrame({"k": tracks[on], "i": cells[:, 0], "j": cells[:, 1]})
-    keep = on[(frame.groupby(["k", "i", "j"]).cumcount() < PER_VOXEL).to_numpy()][:most]
+    keep = on[(frame.groupby(["k", "i", "j"]).cumcount() < settings.per_voxel).to_numpy()][
+        : settings.most
+    ]
     keep.sort()
     return Samples(
         points=moving.points[keep],
@@ -322,6 +323,7 @@ def thin(
         track=tracks[keep],
         tracks=int(tracks.max(initial=NONE)) + 1,
         elevation=_elevation(moving.points),
+        crowd_m=settings.crowd_m,
     )
 
 
@@ -334,21 +336,22 @@ def _elevation(points: Floats) -> float:
 
 @compiled
 def _link(  # pragma: no cover - compiled
-    time: Floats, reach: Floats, bearing: Floats, rate: Floats
+    limits: Floats, time: Floats, reach: Floats, bearing: Floats, rate: Floats
 ) -> Integers:
     """Return the root of each detection's track (union-find over pairs that agree)."""
+    link_s, rate_mps, range_m, across_m, across_mps = limits
     parent = np.arange(len(time))
     for i in range(len(time)):
         for j in range(i + 1, len(time)):
             lapse = time[j] - time[i]
-            if lapse > LINK_S:
+            if lapse > link_s:
                 break
             moved = reach[j] - reach[i] - 0.5 * (rate[i] + rate[j]) * lapse
-            if abs(rate[i] - rate[j]) > RATE_MPS or abs(moved) > RANGE_M:
+            if abs(rate[i] - rate[j]) > rate_mps or abs(moved) > range_m:
                 continue
             turn = abs(bearing[j] - bearing[i])
             turn = min(turn, 2.0 * np.pi - turn)
-            if turn * reach[i] > ACROSS_M + ACROSS_MPS * lapse:
+            if turn * reach[i] > across_m + across_mps * lapse:
                 continue
             a, b = i, j
             while parent[a] != a:

@@ -9,11 +9,9 @@ import numpy as np
 
 from gis_radar.arrays import Floats
 from gis_radar.errors import NoAnswerError
-from gis_radar.localization.hypotheses import REFLECTION_M
-from gis_radar.localization.lane_method import LEAST_TRACKS
-from gis_radar.localization.localize import LEAST_FRAMES
+from gis_radar.localization.settings import DEFAULTS
 from gis_radar.localization.state import State
-from gis_radar.localization.traces import FRAMES, RollingWindow
+from gis_radar.localization.traces import RollingWindow
 from gis_radar.recordings.recording import Detections
 from gis_radar.tracking.filter import (
     Estimate,
@@ -76,7 +74,9 @@ class Follower:
         Length of the window.
     """
 
-    def __init__(self, ground: Ground, start: Estimate, *, frames: int = FRAMES) -> None:
+    def __init__(
+        self, ground: Ground, start: Estimate, *, frames: int = DEFAULTS.traces.frames
+    ) -> None:
         self.rows = [Row(estimate=start)]
         self.confirmed = False
         self._ground = ground
@@ -84,7 +84,11 @@ class Follower:
         self._frames = frames
         self._past: deque[Estimate] = deque([start])
         self._like = start.state(
-            State(position=start.position, R_map_sensor=np.eye(3), reflection=REFLECTION_M)
+            State(
+                position=start.position,
+                R_map_sensor=np.eye(3),
+                reflection=DEFAULTS.hypotheses.reflection_m,
+            )
         )
         self._seen: Sighting | None = None
         self._vehicles = 0
@@ -127,7 +131,7 @@ class Follower:
 
     def _doubted(self, traffic: Traffic, time: float) -> Doubt | None:
         """Return what in the newest data casts doubt on the pose."""
-        if not self.confirmed or traffic.tracks < LEAST_TRACKS:
+        if not self.confirmed or traffic.tracks < DEFAULTS.answer.least_tracks:
             return None
         return doubt(self._ground, traffic, time, self._before, self._like)
 
@@ -220,16 +224,17 @@ class Follower:
         """
         if self.confirmed:
             return
-        if len(self._window) < LEAST_FRAMES:
+        if len(self._window) < DEFAULTS.traces.least_frames:
             raise NoAnswerError(
-                f"{name}: {len(self._window)} frames, at least {LEAST_FRAMES} are needed",
+                f"{name}: {len(self._window)} frames, at least "
+                f"{DEFAULTS.traces.least_frames} are needed",
                 hint="record longer: 100 s are a good length",
             )
         if self._seen:
             self._refuse_start(self._seen)
         raise NoAnswerError(
-            f"{name}: {self._vehicles} moving vehicles within 100 s, at least {LEAST_TRACKS} are "
-            "needed to confirm the start pose",
+            f"{name}: {self._vehicles} moving vehicles within 100 s, at least "
+            f"{DEFAULTS.answer.least_tracks} are needed to confirm the start pose",
             hint="record while traffic flows",
         )
 

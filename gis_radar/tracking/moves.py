@@ -9,7 +9,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from gis_radar.arrays import Floats
-from gis_radar.localization.solver import SCALES_M
+from gis_radar.localization.settings import DEFAULTS
 from gis_radar.localization.state import State
 from gis_radar.tracking.filter import (
     HOUR_S,
@@ -36,6 +36,7 @@ LATEST_S = 8.0  # in which the new pose must still be the better one
 SLICE_S = 1.0
 BACK_S = 75.0  # how far before now a change is looked for
 ROUNDS = 2
+FAR = replace(DEFAULTS.solver.far, rounds=12)  # registration after a suspected move
 # how far a blow moves a sensor that is still in use, 1 sigma
 KNOCK = np.array([0.7, 0.7, 0.4, *np.radians([3.0, 3.0, 4.0])])
 
@@ -129,7 +130,7 @@ def doubt(
         if part.moving.begin - traffic.moving.begin < MATURE_S:
             break  # what is known from so little data is corrected by the next windows anyway
         held = predicted(before(part.moving.begin), now)
-        seen = ground.register(part, held, like, near=KNOCK, scales_m=SCALES_M)
+        seen = ground.register(part, held, like, near=KNOCK, schedule=FAR)
         if seen is None:
             continue
         if not seen.trusted:

@@ -11,17 +11,13 @@ from gis_radar.arrays import Floats, Integers
 from gis_radar.errors import NoAnswerError
 from gis_radar.localization.adaptation import adapted
 from gis_radar.localization.certainty import advantage, certainty
-from gis_radar.localization.hypotheses import explore, prior_at, rough, shifted
-from gis_radar.localization.lane_method import (
-    CLEAR,
-    HEADING_TOLERANCE,
-    LEAST_FITNESS,
-    LEAST_TRACKS,
-    lanes_around,
-)
+from gis_radar.localization.hypotheses import find_hypotheses, prior_at, rough, shifted
+from gis_radar.localization.lane_method import lanes_around
 from gis_radar.localization.lanes import Lanes
+from gis_radar.localization.matching import Scene
 from gis_radar.localization.model import MODEL
 from gis_radar.localization.result import Site
+from gis_radar.localization.settings import DEFAULTS, Schedule
 from gis_radar.localization.solver import Fit, Prior, solve
 from gis_radar.localization.state import POSE, REFLECTION, SIZE, State
 from gis_radar.localization.traces import Moving, Samples, thin, track
@@ -85,7 +81,8 @@ def _quaternion(state: State) -> Floats:
 
 
 NEAR = np.array([1.0, 1.0, 1.0, *np.radians([2.0, 2.0, 2.0])])  # where a solution is looked for
-SCALES_M, ROUNDS = (0.3, 0.1, 0.0), 12
+WINDOW = Schedule(scales_m=(0.3, 0.1, 0.0), rounds=12)
+COST_ONLY = Schedule(scales_m=(0.0,), rounds=0)
 FARTHEST = 4.0  # sigmas
 REACH_GROWS = 1.2
 NOTHING = np.zeros((SIZE, SIZE))
@@ -164,7 +161,7 @@ class Sighting:
     @property
     def on_lanes(self) -> bool:
         """Whether the traffic lies on the lanes."""
-        return self.fit.fitness >= LEAST_FITNESS
+        return self.fit.fitness >= DEFAULTS.answer.least_fitness
 
 
 class Ground:
@@ -196,6 +193,10 @@ class Ground:
             self._lanes = lanes_around(self._site, samples, reporter, grow=REACH_GROWS)
         return self._lanes
 
+    def scene(self, samples: Samples) -> Scene:
+        """Return samples with the lanes within their reach."""
+        return Scene(lanes=self.lanes(samples), samples=samples)
+
     def register(
         self,
         traffic: Traffic,
@@ -204,7 +205,7 @@ class Ground:
         *,
         near: Floats = NEAR,
         start: State | None = None,
-        scales_m: tuple[float, ...] = SCALES_M,
+        schedule: Schedule = WINDOW,
     ) -> Sighting | None:
         """Lay a traffic on the lanes near a pose; None where it holds too little traffic.
 
@@ -220,18 +221,15 @@ class Ground:
             How far around, 1 sigma: metres, radians.
         start : State, optional
             Where to begin, if not there.
-        scales_m : tuple of float
+        schedule : Schedule
             As for :func:`gis_radar.localization.solver.solve`.
         """
         samples = traffic.samples()
-        if traffic.tracks < LEAST_TRACKS:
+        if traffic.tracks < DEFAULTS.answer.least_tracks:
             return None
         prior = self._prior(centre.state(like), near)
         begin = prior.mean if start is None else start
-        lanes = self.lanes(samples)
-        fit = solve(
-            lanes, samples, begin, prior, scales_m=scales_m, rounds=ROUNDS, model=self._model
-        )
+        fit = solve(self.scene(samples), begin, prior, schedule=schedule, model=self._model)
         return Sighting(measurement=data_alone(fit, prior), fit=fit, samples=samples)
 
     def find(
@@ -245,8 +243,8 @@ class Ground:
             As for :meth:`register`.
         """
         samples, state = traffic.samples(), centre.state(like)
-        heading = float(state.yaw_pitch_roll[0]), HEADING_TOLERANCE
-        for tried in explore(self.lanes(samples), samples, heading=heading):
+        heading = float(state.yaw_pitch_roll[0]), DEFAULTS.search.heading_tolerance
+        for tried in find_hypotheses(self.scene(samples), heading=heading):
             away = tried.fit.state.difference(state)[POSE] / near
             if np.abs(away).max() < FARTHEST:
                 found = self.register(traffic, centre, like, near=near, start=tried.fit.state)
@@ -256,16 +254,14 @@ class Ground:
     def cost(self, samples: Samples, state: State) -> float:
         """Return what samples cost at a pose, a negative logarithm of likelihood."""
         indifferent = Prior(mean=state, information=NOTHING)
-        lanes = self.lanes(samples)
-        return solve(
-            lanes, samples, state, indifferent, scales_m=(0.0,), rounds=0, model=self._model
-        ).cost
+        scene = self.scene(samples)
+        return solve(scene, state, indifferent, schedule=COST_ONLY, model=self._model).cost
 
     def adapt(self, sighting: Sighting) -> None:
         """Learn from a trusted sighting how this radar sees vehicles; each is asked anew."""
         samples, fit = sighting.samples, sighting.fit
         before = Prior(mean=fit.state, information=NOTHING)
-        told, self._model = adapted(self.lanes(samples), samples, fit, before, MODEL)
+        told, self._model = adapted(self.scene(samples), fit, before, MODEL)
         if told is not before:
             known = float(told.information[REFLECTION, REFLECTION])
             self._reflections = told.mean.reflection, known
@@ -286,15 +282,17 @@ class Ground:
         NoAnswerError
             If the vehicles prefer a pose that is a lane off.
         """
-        part = rough(sighting.samples)
-        lanes, here = self.lanes(part), sighting.fit.state
+        part, here = rough(self.scene(sighting.samples)), sighting.fit.state
         fits = [
-            solve(lanes, part, state, replace(prior_at(state), mean=state))
-            for state in (here, *shifted(lanes, sighting.fit))
+            solve(part, state, replace(prior_at(state), mean=state))
+            for state in (here, *shifted(part, sighting.fit))
         ]
         for other in fits[1:]:
             away = other.state.difference(fits[0].state)[:2]
-            if advantage(other, fits[0], part) > CLEAR + 1.0 and np.hypot(*away) > 1.0:
+            if (
+                advantage(other, fits[0], part.samples) > DEFAULTS.answer.clear + 1.0
+                and np.hypot(*away) > 1.0
+            ):
                 raise NoAnswerError(
                     f"{self._site.name}: the traffic fits clearly better with the sensor "
                     f"{np.hypot(*away):.1f} m from its start pose",

@@ -1,0 +1,480 @@
+"""Settings of the localization: every constant of its algorithms, with unit and reason.
+
+What is assumed of vehicles and radars is not here but in :mod:`gis_radar.localization.model`: those
+constants carry an uncertainty that enters an answer's covariance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, is_dataclass
+from math import log, radians
+from typing import Any
+
+import numpy as np
+
+LEVER_M = 50.0  # a turn counts as the metres by which it moves what is so far off: usual traces
+
+
+@dataclass(frozen=True, kw_only=True)
+class Schedule:
+    """Under which widths, and with how many steps, one call of the solver runs.
+
+    Parameters
+    ----------
+    scales_m : tuple of float
+        Widening of all spreads (root of squares), stage by stage. A fit comes back from about
+        twice the first scale; only with 0 last is it an optimum of the model itself.
+    rounds : int
+        Most Gauss-Newton steps a stage.
+    """
+
+    scales_m: tuple[float, ...]
+    rounds: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class TraceSettings:
+    """How moving detections become tracks and samples.
+
+    Parameters
+    ----------
+    frames : int
+        Window, 100 s at 20 Hz (the paper's n_f).
+    least_frames : int
+        Fewer are refused: 5 s show no traffic.
+    min_speed_mps : float
+        Least absolute range rate (the paper).
+    link_s : float
+        Longest gap in a track: a far vehicle is hit in every fourth frame or so.
+    range_m : float
+        Largest disagreement of range and Doppler: between the faces of one vehicle.
+    across_m, across_mps : float
+        Largest step across the sight: a vehicle's size, and a crossing speed the Doppler misses.
+    rate_mps : float
+        Largest difference of range rates in a track: a vehicle that turns.
+    segment_s : float
+        A stream of vehicles that never breaks counts as several tracks of this length.
+    min_points : int
+        A track of fewer is a false alarm.
+    min_path_m : float
+        A slow track of a shorter path is a leaf.
+    sure_mps : float
+        Median range rate that leaves and grass stay below.
+    voxel_m, per_voxel : float, int
+        Voxels wider than a vehicle, in which so many samples keep its faces' proportion.
+    most : int
+        Samples in all; cost grows in proportion.
+    crowd_m : float
+        Length over which the samples of a vehicle share its swaying (`Model.wander`).
+    """
+
+    frames: int = 2000
+    least_frames: int = 100
+    min_speed_mps: float = 0.15
+    link_s: float = 0.35
+    range_m: float = 1.5
+    across_m: float = 1.5
+    across_mps: float = 6.0
+    rate_mps: float = 1.5
+    segment_s: float = 8.0
+    min_points: int = 6
+    min_path_m: float = 3.0
+    sure_mps: float = 1.5
+    voxel_m: float = 6.0
+    per_voxel: int = 8
+    most: int = 6000
+    crowd_m: float = 10.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class LaneSettings:
+    """How lanes are sampled, and which of them a detection may lie on.
+
+    Parameters
+    ----------
+    step_m, cell_m : float
+        Spacing of centre line samples and edge of the grid's cells: bends of 10 m radius stay
+        within 1 cm.
+    bins : int
+        Of direction, 22.5 degrees each: lanes of a junction stay apart.
+    reach_m : float
+        A point farther from every lane matches none; more than three lanes.
+    margin_m : float
+        Lanes beyond the farthest traces and the error of the guess.
+    same_level_m : float
+        Scanned points farther from the map's height are of another storey.
+    scan_near_m, scan_points : float, int
+        Scanned points that give a sample's height (their median).
+    smooth_m : float
+        Length of the running mean of heights: noise of the scan, not the shape of a road.
+    slope_reach : int
+        Samples either way over which the rise is taken.
+    most_slope : float
+        Steeper is an error: roads rise 12 % at most (RAL), ramps 20 %.
+    unlimited_mps : float
+        Top speed where the map has no limit, 200 km/h.
+    speeding, min_top_mps : float
+        Top speed over the limit, and at least (54 km/h).
+    level_m, level_share : float
+        Largest height between sample and lane, plus that share of the range (3 degrees of tilt).
+    border_m : float
+        A sample nearer to its lane's middle is no other lane's: less than half a lane.
+    slack_mps : float
+        Range rates may disagree with a lane by noise and the turning of a long vehicle.
+    """
+
+    step_m: float = 1.0
+    cell_m: float = 1.0
+    bins: int = 16
+    reach_m: float = 12.0
+    margin_m: float = 20.0
+    same_level_m: float = 2.0
+    scan_near_m: float = 2.0
+    scan_points: int = 12
+    smooth_m: float = 8.0
+    slope_reach: int = 3
+    most_slope: float = 0.2
+    unlimited_mps: float = 55.0
+    speeding: float = 1.5
+    min_top_mps: float = 15.0
+    level_m: float = 4.0
+    level_share: float = 0.05
+    border_m: float = 1.0
+    slack_mps: float = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchSettings:
+    """How the traces are levelled and laid on a grid of places and headings.
+
+    Parameters
+    ----------
+    guess_m : float
+        How far a guess may be off (contract).
+    slack_m : float
+        Searched beyond it.
+    heading_tolerance : float
+        Radians either way of a given heading: 25 degrees (contract) and some slack.
+    tilt : float
+        1 sigma of how far masts and roads lean, radians.
+    level_spread_m, level_elevation : float
+        1 sigma of reflections about the levelled plane: vehicles, and elevation noise (radians).
+    level_rounds : int
+        Reweighted fits of the plane; it settles in five to eight.
+    samples : int
+        Traces scored; cost in proportion.
+    sights : int
+        Bins of the direction of sight, 5.6 degrees.
+    spread_m, step_m, yaw_step : float
+        First look: bell across a lane, grid of places, grid of headings (radians). Steps are at
+        most one spread, or 50 m off half of one.
+    sharp_m, sharp_step_m, sharp_yaw_step, sharp_yaws : float, int
+        Second look around each peak: the same, and headings either way.
+    beside : float
+        Cosine by which a lane's direction may disagree with the Doppler's sign (15 degrees).
+    near_m, near_rad : float
+        Closer peaks are one.
+    candidates, known_candidates : int
+        Peaks that are fitted, without and with a heading; cost in proportion.
+    """
+
+    guess_m: float = 15.0
+    slack_m: float = 2.0
+    heading_tolerance: float = radians(30.0)
+    tilt: float = radians(6.0)
+    level_spread_m: float = 0.5
+    level_elevation: float = radians(0.6)
+    level_rounds: int = 12
+    samples: int = 900
+    sights: int = 64
+    spread_m: float = 2.0
+    step_m: float = 2.0
+    yaw_step: float = radians(2.0)
+    sharp_m: float = 1.0
+    sharp_step_m: float = 0.5
+    sharp_yaw_step: float = radians(0.25)
+    sharp_yaws: int = 8
+    beside: float = 0.25
+    near_m: float = 3.0
+    near_rad: float = radians(5.0)
+    candidates: int = 20
+    known_candidates: int = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class SolverSettings:
+    """The robust part of the likelihood, and when a fit has converged.
+
+    Parameters
+    ----------
+    stray_share : float
+        Share of detections that are on no vehicle: ghosts and multipath.
+    stray_width_m, stray_height_m : float
+        Over which width and height these spread evenly.
+    front : tuple of float
+        Where a front or rear reflects, in half widths: the middles of its thirds.
+    view_edge : float
+        Radians inside the field of view within which a height counts; beyond it only the tall
+        are seen.
+    far : Schedule
+        From a lane off.
+    lever_m : (3,) tuple
+        Metres that a turn about each axis counts as.
+    settled_m, settled_sigmas : float
+        A step shorter than either ends a stage: far below the noise.
+    at_rest_m, at_rest_sigmas : float
+        Where no shorter step helps, one shorter than either is convergence too.
+    shrink, least_share : float
+        A step that does not help is divided by `shrink`, down to this share.
+    least_curvature : float
+        Where the curvature is no minimum's, the share of the weights' information that counts.
+    floor : float
+        Information of what nothing fixes, 1/m^2: a kilometre.
+    """
+
+    stray_share: float = 0.1
+    stray_width_m: float = 8.0
+    stray_height_m: float = 8.0
+    front: tuple[float, ...] = (-2.0 / 3.0, 0.0, 2.0 / 3.0)
+    view_edge: float = radians(1.0)
+    far: Schedule = Schedule(scales_m=(1.5, 0.75, 0.3, 0.0), rounds=6)
+    lever_m: tuple[float, float, float] = (20.0, 20.0, 50.0)
+    settled_m: float = 5e-3
+    settled_sigmas: float = 0.02
+    at_rest_m: float = 0.1
+    at_rest_sigmas: float = 0.5
+    shrink: float = 3.0
+    least_share: float = 0.05
+    least_curvature: float = 0.05
+    floor: float = 1e-6
+
+    @property
+    def no_vehicle(self) -> float:
+        """Loss of a sample that is on no vehicle."""
+        return float(-np.log(self.stray_share * np.sqrt(2.0 * np.pi) / self.stray_width_m))
+
+
+@dataclass(frozen=True, kw_only=True)
+class HypothesisSettings:
+    """How starts are fitted and told apart.
+
+    Parameters
+    ----------
+    reflection_m, reflection_sigma_m : float
+        Prior of the mean height of reflections: between wheel hubs and belt lines.
+    rough_samples : int
+        Enough to tell hypotheses apart; cost in proportion.
+    rough : Schedule
+        First fit of every candidate.
+    settle : Schedule
+        Fit of each finalist and each hop.
+    fine : Schedule
+        Fit to all samples.
+    finalists, gone : int, float
+        Most of them, and how many standard deviations behind the first none is one.
+    rival : float
+        Standard deviations behind the first that earn a full look, which brings a hypothesis
+        nearer by about half of one; more than `AnswerSettings.clear`.
+    twin_m, twin_rad : (3,) tuples
+        Closer fits are one: easting, northing, height; turns about the axes.
+    lane_m, lane_widths_m : float, (2,) tuple
+        A lane's width where the map's is not within the range.
+    climbs, hop_m, hop_gain : int, float, float
+        Most rounds of hill climbing, length of a hop (half a vehicle's width), and what it must
+        gain (half a sigma squared is 0.5).
+    lever_m : float
+        Metres that a turn counts as in a hop.
+    """
+
+    reflection_m: float = 0.6
+    reflection_sigma_m: float = 0.25
+    rough_samples: int = 1000
+    rough: Schedule = Schedule(scales_m=(1.5, 0.75, 0.3), rounds=4)
+    settle: Schedule = Schedule(scales_m=(0.3, 0.1, 0.0), rounds=4)
+    fine: Schedule = Schedule(scales_m=(0.2, 0.1, 0.0), rounds=30)
+    finalists: int = 4
+    gone: float = 5.0
+    rival: float = 3.5
+    twin_m: tuple[float, float, float] = (0.3, 0.3, 0.5)
+    twin_rad: tuple[float, float, float] = (radians(0.5), radians(0.5), radians(0.3))
+    lane_m: float = 3.5
+    lane_widths_m: tuple[float, float] = (2.0, 5.0)
+    climbs: int = 5
+    hop_m: float = 0.7
+    hop_gain: float = 1.0
+    lever_m: float = 60.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class AdaptationSettings:
+    """What is estimated of the radar and the vehicles of a recording.
+
+    Parameters
+    ----------
+    edge_m, edge_sigma_m : float
+        Bumpers, sills and wheels end that far over the road (ground clearance 0.12 to 0.3 m).
+    nodes : int
+        Of the quadrature over the gamma distribution of heights above the edge.
+    tall_share, tall_m : float, (2,) tuple
+        Share of bodies, and between which heights above the edge they reflect.
+    stray_share, stray_m : float
+        Share of strays, and over which height.
+    near_m : float
+        Farther samples tell little of heights: 0.6 degrees are 0.8 m.
+    least, most : int
+        Samples: fewer are too few, more cost time only.
+    noise_m : float
+        1 sigma of the heights of scan and map.
+    start, low, high : (3,) tuples
+        Edge (m), scale (m) and elevation noise (radians): start of the fit and its bounds.
+    most_factor, factors : float, int
+        Largest factor on the side strength that is tried, up and down, and how many.
+    believed : float
+        1 sigma of the logarithm of that factor.
+    step : float
+        Of numerical derivatives.
+    """
+
+    edge_m: float = 0.2
+    edge_sigma_m: float = 0.07
+    nodes: int = 16
+    tall_share: float = 0.2
+    tall_m: tuple[float, float] = (0.2, 2.8)
+    stray_share: float = 0.05
+    stray_m: float = 8.0
+    near_m: float = 80.0
+    least: int = 200
+    most: int = 1500
+    noise_m: float = 0.05
+    start: tuple[float, float, float] = (0.2, 0.2, radians(0.5))
+    low: tuple[float, float, float] = (-1.5, 0.05, radians(0.1))
+    high: tuple[float, float, float] = (2.0, 0.6, radians(2.0))
+    most_factor: float = 4.0
+    factors: int = 17
+    believed: float = log(2.0)
+    step: float = 1e-4
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnswerSettings:
+    """What an answer must show, and how certain it is.
+
+    Parameters
+    ----------
+    street_sigma_m : (2,) tuple
+        1 sigma, from street to street, of lanes as drawn and driven, and of the scan's heights.
+    street_m : float
+        Length of a street section with a bias of its own.
+    unfixed_m, unfixed_rad : (3,) tuples
+        Sigmas from which on a scene does not fix easting, northing, height; roll, pitch, yaw.
+        One metre is the paper's accuracy; with 2 degrees a far trace is a lane off.
+    lever_m : float
+        Metres that a turn counts as in eigenvalues and along a valley.
+    valley : Schedule
+        Fit at each step along the least-known direction.
+    valley_steps_m : tuple of float
+        How far along it the profile of the likelihood is taken; none turns it off.
+    least_rise, clear_rise : float
+        Rise of the cost: of one standard deviation, and of ten, where a place is excluded.
+    least_tracks : int
+        Vehicles; fewer leave the seven components of the state unfixed.
+    least_fitness : float
+        Share of traces on lanes. Right answers show 0.8 to 0.99, those a lane off 0.6 to 0.8.
+    clear : float
+        Standard deviations by which the vehicles must prefer an answer to every other
+        (99.4 %, one-sided).
+    same_chi2 : float
+        Squared standard deviations within which two answers are one (99.9 %, 3 components).
+    least_scanned : float
+        Share of lanes in reach that the scanned road must cover.
+    slack_m : float
+        An answer may lie that much farther off than a guess may.
+    """
+
+    street_sigma_m: tuple[float, float] = (0.25, 0.2)
+    street_m: float = 60.0
+    unfixed_m: tuple[float, float, float] = (1.0, 1.0, 0.5)
+    unfixed_rad: tuple[float, float, float] = (radians(2.0), radians(2.0), radians(1.0))
+    lever_m: float = LEVER_M
+    valley: Schedule = Schedule(scales_m=(0.3, 0.0), rounds=4)
+    valley_steps_m: tuple[float, ...] = (2.0, 4.0, 8.0, 16.0)
+    least_rise: float = 0.5
+    clear_rise: float = 50.0
+    least_tracks: int = 5
+    least_fitness: float = 0.6
+    clear: float = 2.5
+    same_chi2: float = 16.0
+    least_scanned: float = 0.3
+    slack_m: float = 5.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class IcpSettings:
+    """The paper's registration.
+
+    Parameters
+    ----------
+    voxel_m : float
+        Edge of the voxels of traces and road (the paper).
+    eps_m, min_points : float, int
+        DBSCAN of the traces: gaps between the lanes of a street stay closed.
+    distances_m : tuple of float
+        Correspondence distances: large, then two voxels and one (the paper).
+    iterations : int
+        Most at each distance.
+    mast_m : float
+        Height of a usual mast, where the guess has none.
+    headings : int
+        Tried where none is given, evenly around.
+    farthest : float
+        An answer farther off than so many times the error of a guess is refused.
+    """
+
+    voxel_m: float = 0.5
+    eps_m: float = 2.0
+    min_points: int = 10
+    distances_m: tuple[float, ...] = (10.0, 1.0, 0.5)
+    iterations: int = 60
+    mast_m: float = 5.0
+    headings: int = 8
+    farthest: float = 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class LocalizationSettings:
+    """All settings of the localization.
+
+    Parameters
+    ----------
+    traces, lanes, search, solver, hypotheses, adaptation, answer
+        Of the method `lane`, step by step.
+    icp
+        Of the method `icp`.
+    """
+
+    traces: TraceSettings = field(default_factory=TraceSettings)
+    lanes: LaneSettings = field(default_factory=LaneSettings)
+    search: SearchSettings = field(default_factory=SearchSettings)
+    solver: SolverSettings = field(default_factory=SolverSettings)
+    hypotheses: HypothesisSettings = field(default_factory=HypothesisSettings)
+    adaptation: AdaptationSettings = field(default_factory=AdaptationSettings)
+    answer: AnswerSettings = field(default_factory=AnswerSettings)
+    icp: IcpSettings = field(default_factory=IcpSettings)
+
+    def changes(self) -> dict[str, Any]:
+        """Return the settings that differ from the defaults, by dotted name."""
+        return dict(_changes(self, DEFAULTS, ""))
+
+
+def _changes(settings: Any, defaults: Any, path: str) -> list[tuple[str, Any]]:
+    found = []
+    for part in fields(settings):
+        value, default = getattr(settings, part.name), getattr(defaults, part.name)
+        if is_dataclass(value):
+            found += _changes(value, default, f"{path}{part.name}.")
+        elif value != default:
+            found.append((f"{path}{part.name}", value))
+    return found
+
+
+DEFAULTS = LocalizationSettings()
