@@ -12,7 +12,6 @@ from gis_radar.files import whole_file
 from gis_radar.poses.files import read_pose
 from gis_radar.poses.pose import ANGLES, Pose
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.site import run_site
 
 ERRORS = "pose_errors.csv"
 
@@ -52,6 +51,8 @@ def run_demo(
     figures : dict
         Figures worth a look, among them the errors of the poses.
     """
+    from gis_radar.site import run_site  # noqa: PLC0415 - a sample file is read without all of it
+
     sample, folder = sample_folder(), Path(folder)
     done = run_site(sample / "SITE.toml", folder, reporter=reporter)
     if done.failure is not None:

@@ -8,7 +8,8 @@ from scipy.spatial.transform import Rotation
 from sites import EAST, NORTH, UTM, pose
 
 from gis_radar.errors import CrsError, InputError
-from gis_radar.poses.files import read_pose, read_track, write_pose
+from gis_radar.poses.evidence import parse_evidence
+from gis_radar.poses.files import PoseTrack, read_pose, read_track, write_pose, write_track
 from gis_radar.poses.pose import View, pose_from_dict
 
 ANGLE = st.floats(-179.0, 179.0)
@@ -85,6 +86,40 @@ def test_contradictions_are_refused(change, reason):
         pose_from_dict(RECORD | change, what="pose.json")
 
 
+def test_evidence_is_parsed_once_for_all():
+    covariance = np.diag([0.04, 0.01, 0.01, 1e-5, 1e-5, 1e-5])
+    covariance[0, 1] = covariance[1, 0] = 0.01
+    known = parse_evidence(
+        {"sigma": {"yaw": 1, "roll": None}, "covariance": covariance.tolist(), "method": "lane"},
+        what="R1",
+    )
+    assert known.sigma == {"yaw": 1.0}
+    assert known.method == "lane"
+    np.testing.assert_array_equal(known.plane_covariance(), covariance[:2, :2])
+    by_sigma = parse_evidence({"sigma": {"easting": 0.5, "northing": 0.1}}, what="R1")
+    np.testing.assert_allclose(by_sigma.plane_covariance(), np.diag([0.25, 0.01]))
+    assert parse_evidence({"sigma": {"easting": 0.5}}, what="R1").plane_covariance() is None
+    assert pose().plane_covariance() is None
+
+
+@pytest.mark.parametrize(
+    ("record", "reason"),
+    [
+        ({"covariance": [[1.0]]}, "R1: covariance is not 6 x 6 finite numbers"),
+        ({"covariance": "none"}, "not 6 x 6"),
+        ({"covariance": np.full((6, 6), np.nan).tolist()}, "not 6 x 6"),
+        ({"covariance": (-np.eye(6)).tolist()}, "not symmetric and positive"),
+        ({"covariance": np.triu(np.ones((6, 6))).tolist()}, "not symmetric and positive"),
+        ({"sigma": {"yaw": -1.0}}, "R1: sigma of yaw is -1.0, expected a number from 0"),
+        ({"sigma": {"yaw": "small"}}, "sigma of yaw is 'small'"),
+        ({"sigma": 0.1}, "sigma is 0.1, expected a number by component"),
+    ],
+)
+def test_malformed_evidence_is_refused(record, reason):
+    with pytest.raises(InputError, match=reason):
+        parse_evidence(record, what="R1")
+
+
 @pytest.mark.parametrize("crs", [None, "EPSG:4326"])
 def test_a_pose_needs_a_metric_crs(crs):
     with pytest.raises(InputError, match="crs") as caught:
@@ -126,6 +161,16 @@ def test_a_track_holds_each_pose_until_the_next(tmp_path):
     assert track.poses[1].yaw == 1.0
     assert track.poses[1].evidence["event"] == "moved"
     assert track.poses[0].crs == UTM
+
+
+def test_a_track_survives_its_file_twice(tmp_path):
+    evidence = {"sigma": {"yaw": 0.25}, "event": "moved", "vehicles": 12, "fitness": 0.91}
+    first, again = tmp_path / "a.csv", tmp_path / "b.csv"
+    write_track(PoseTrack(poses=(pose(evidence=evidence),), since=np.array([1.7e9])), first)
+    read = read_track(first)
+    assert read.poses[0].evidence == evidence | {"time": "2023-11-14T22:13:20Z"}
+    write_track(read, again)
+    assert again.read_text() == first.read_text()
 
 
 @pytest.mark.parametrize(

@@ -19,12 +19,13 @@ from gis_radar.localization.hypotheses import (
 )
 from gis_radar.localization.lanes import Lanes, sample_lanes
 from gis_radar.localization.matching import Scene
-from gis_radar.localization.result import SIGMA, STAGE, Localization, Site, common
+from gis_radar.localization.result import STAGE, Localization, Site, common
 from gis_radar.localization.settings import (
     DEFAULTS,
     LocalizationSettings,
 )
 from gis_radar.localization.traces import Moving, Samples, thin, track
+from gis_radar.poses.evidence import COMPONENTS
 from gis_radar.progress import Reporter
 
 
@@ -196,7 +197,7 @@ def _answer(
     known, samples = certainty(best.fit, scene.settings.answer), scene.samples
     sigma = np.concatenate([known.sigma[:3], np.degrees(known.sigma[3:])])
     evidence = {
-        "sigma": {name: float(value) for name, value in zip(SIGMA, sigma, strict=True)},
+        "sigma": {name: float(value) for name, value in zip(COMPONENTS, sigma, strict=True)},
         "covariance": known.covariance.tolist(),
         **common(moving, "lane"),
         "converged": best.fit.converged,

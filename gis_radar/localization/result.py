@@ -14,6 +14,7 @@ from gis_radar.lanelets import LaneletMap
 from gis_radar.localization.state import State
 from gis_radar.localization.traces import Moving
 from gis_radar.notebooks import axes_or_new, card, label_map, small_picture
+from gis_radar.poses.evidence import COMPONENTS
 from gis_radar.poses.pose import Pose, View
 from gis_radar.poses.shapes import draw_sensor, ellipse
 from gis_radar.steps import iso_from_step, step_of
@@ -21,7 +22,6 @@ from gis_radar.steps import iso_from_step, step_of
 if TYPE_CHECKING:  # what it takes to make one is loaded by those who do
     from gis_radar.second_look import SecondLook
 
-SIGMA = ("easting", "northing", "height", "roll", "pitch", "yaw")
 STAGE = "finding the pose"
 
 
@@ -72,7 +72,7 @@ class Localization:
         sigma = self.pose.evidence.get("sigma", {})
         look = self.pose.evidence.get("second_look")
         return {
-            **{name: round(getattr(self.pose, name), 3) for name in SIGMA},
+            **{name: round(getattr(self.pose, name), 3) for name in COMPONENTS},
             **{f"sigma_{name}": float(f"{value:.2g}") for name, value in sigma.items()},
             "fitness": round(self.fitness, 3),
             "observable": self.observable,

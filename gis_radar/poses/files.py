@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ SIGMA_FIELDS = tuple(f"sigma_{name}" for name in (*POSITION, *ANGLES))
 QUATERNION_FIELDS = ("quaternion_x", "quaternion_y", "quaternion_z", "quaternion_w")
 TRACK_FIELDS = ("time", "sensor", "crs", *POSITION, *ANGLES, *QUATERNION_FIELDS, *SIGMA_FIELDS,
                 "event", "vehicles", "fitness")  # fmt: skip
+NUMBERS = {"vehicles": int, "fitness": float}  # of the evidence; the rest of it is text
 DECIMALS = 6  # of metres and degrees
 
 
@@ -149,9 +151,8 @@ def write_track(track: PoseTrack, path: str | Path) -> None:
 
 
 def _row_of_pose(pose: Pose, since: float, quaternion: Floats) -> dict[str, Any]:
-    sigma = pose.evidence.get("sigma")
-    said = {f"sigma_{k}": v for k, v in sigma.items()} if isinstance(sigma, dict) else {}
-    numbers = {name: getattr(pose, name) for name in (*POSITION, *ANGLES)} | said
+    sigma = {f"sigma_{name}": value for name, value in pose.parsed_evidence().sigma.items()}
+    numbers = {name: getattr(pose, name) for name in (*POSITION, *ANGLES)} | sigma
     fitness = pose.evidence.get("fitness")
     return {
         "time": iso_from_step(int(step_of(np.array([since]))[0])),
@@ -217,13 +218,17 @@ def _pose_of_row(row: dict[str, Any], what: str, shared: dict[str, CRS]) -> Pose
     if sigma:
         record["sigma"] = sigma
     view = {name: record.pop(name) for name in VIEW_FIELDS if name in record}
-    further = {name: text for name, text in row.items() if name and text and name not in known}
+    further: dict[str, Any] = {
+        name: _parsed(text, f"{what}: {name}", NUMBERS.get(name, str))
+        for name, text in row.items()
+        if name and text and name not in known
+    }
     return pose_from_dict(further | record | ({"view": view} if view else {}), what=what)
 
 
-def _parsed(text: str, what: str) -> float:
+def _parsed(text: str, what: str, kind: Callable[[str], Any] = float) -> Any:
     try:
-        return float(text)
+        return kind(text)
     except ValueError as error:
         raise InputError(f"{what} is {text!r}, expected a number") from error
 

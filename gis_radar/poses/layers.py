@@ -70,18 +70,14 @@ def _points(poses: Sequence[Pose]) -> gpd.GeoDataFrame:
 
 
 def _row(pose: Pose) -> dict[str, Any]:
-    sigma = pose.evidence.get("sigma") or {}
+    sigma = pose.parsed_evidence().sigma
     return {
         "sensor": pose.sensor,
         **{name: getattr(pose, name) for name in _SIGMA},
-        **{f"sigma_{name}": _number(sigma.get(name)) for name in _SIGMA},
+        **{f"sigma_{name}": sigma.get(name, math.nan) for name in _SIGMA},
         **{name: _text(pose.evidence.get(name)) for name in _EVIDENCE},
         **vars(pose.view or View()),
     }
-
-
-def _number(value: Any) -> float:
-    return float(value) if isinstance(value, int | float) else math.nan
 
 
 def _text(value: Any) -> str | None:

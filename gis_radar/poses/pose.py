@@ -16,7 +16,8 @@ from gis_radar.arrays import Booleans, Floats
 from gis_radar.crs import metric_crs, name_of
 from gis_radar.errors import InputError
 from gis_radar.notebooks import axes_or_new, card, label_map
-from gis_radar.poses.shapes import draw_sensor, ellipse, plane_covariance, rim
+from gis_radar.poses.evidence import Evidence, parse_evidence
+from gis_radar.poses.shapes import draw_sensor, ellipse, rim
 
 ANGLES = ("yaw", "pitch", "roll")
 POSITION = ("easting", "northing", "height")
@@ -178,9 +179,13 @@ class Pose:
         """Return what its azimuth and range reach in the map; without a view, the usual one."""
         return rim(self.position, self.R_map_sensor, self.view or View())
 
+    def parsed_evidence(self) -> Evidence:
+        """Return its evidence parsed and checked; an `InputError` where it is malformed."""
+        return parse_evidence(self.evidence, what=f"pose of {self.sensor}")
+
     def plane_covariance(self) -> Floats | None:
         """Return the covariance of easting and northing, (2, 2) m^2, or None where not known."""
-        return plane_covariance(self.evidence, f"pose of {self.sensor}")
+        return self.parsed_evidence().plane_covariance()
 
     def plot(self, ax: Any = None, *, reach_m: float | None = None, **style: Any) -> Any:
         """Draw the sensor, where it looks, what it reaches, and the 95 % ellipse of its place.
@@ -212,15 +217,15 @@ class Pose:
         return ax
 
     def _repr_html_(self) -> str:
-        sigma = self.evidence.get("sigma") or {}
+        sigma = self.parsed_evidence().sigma
         units = dict.fromkeys(POSITION, "m") | dict.fromkeys(ANGLES, "deg")
-        said = {
+        values = {
             name: f"{getattr(self, name):.3f} {unit}"
-            + (f" \u00b1 {sigma[name]:.2g}" if isinstance(sigma.get(name), int | float) else "")
+            + (f" \u00b1 {sigma[name]:.2g}" if name in sigma else "")
             for name, unit in units.items()
         }
         known = {name: self.evidence[name] for name in EVIDENCE if name in self.evidence}
-        return card(f"Pose of {self.sensor}", {"crs": name_of(self.crs), **said, **known})
+        return card(f"Pose of {self.sensor}", {"crs": name_of(self.crs), **values, **known})
 
     def __repr__(self) -> str:
         return (

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import shapely
 
 from gis_radar.arrays import Floats
-from gis_radar.errors import InputError
 
 _ARC_DEG = 2.0
 _CHI2_95 = -2.0 * math.log(0.05)  # of two degrees of freedom
@@ -59,37 +57,6 @@ def ellipse(centre: Floats, covariance: Floats) -> shapely.Polygon:
     return shapely.Polygon(
         centre + np.column_stack([np.cos(angle), np.sin(angle)]) * half_m @ axes.T
     )
-
-
-def plane_covariance(evidence: Mapping[str, Any], what: str) -> Floats | None:
-    """Return the covariance of easting and northing, m^2, or None where the evidence has none.
-
-    Parameters
-    ----------
-    evidence : mapping
-        Of a pose: `covariance`, or else `sigma`.
-    what : str
-        Whose; begins error messages.
-
-    Raises
-    ------
-    InputError
-        If the covariance is not 6 x 6 finite numbers.
-    """
-    whole = evidence.get("covariance")
-    sigma = evidence.get("sigma") or {}
-    if whole is None:
-        names = ("easting", "northing")
-        if not all(isinstance(sigma.get(name), int | float) for name in names):
-            return None
-        return np.diag([float(sigma[name]) ** 2 for name in names])
-    try:
-        matrix = np.asarray(whole, dtype=np.float64)
-    except (TypeError, ValueError):
-        matrix = np.empty(0)
-    if matrix.shape != (6, 6) or not np.isfinite(matrix).all():
-        raise InputError(f"{what}: covariance is not 6 x 6 finite numbers")
-    return np.asarray((matrix[:2, :2] + matrix[:2, :2].T) / 2)
 
 
 def draw_sensor(

@@ -13,9 +13,10 @@ import numpy as np
 from gis_radar.arrays import Booleans, Floats
 from gis_radar.errors import UsageError
 from gis_radar.files import whole_file
-from gis_radar.localization.result import SIGMA, Site
+from gis_radar.localization.result import Site
 from gis_radar.localization.state import State
 from gis_radar.notebooks import axes_or_new, card, label_times
+from gis_radar.poses.evidence import COMPONENTS
 from gis_radar.poses.files import PoseTrack
 from gis_radar.poses.pose import Pose
 from gis_radar.steps import STEP_US, iso_from_step, step_of
@@ -37,9 +38,9 @@ def draw_component(ax: Any, track: PoseTrack, name: str) -> None:
     track : PoseTrack
         The poses, with the evidence of a followed track.
     name : str
-        One of `SIGMA`.
+        One of `COMPONENTS`.
     """
-    poses, angle = track.poses, SIGMA.index(name) > 2
+    poses, angle = track.poses, COMPONENTS.index(name) > 2
     time = np.array([datetime.fromtimestamp(s, tz=UTC) for s in track.since])
     events = np.array([pose.evidence["event"] for pose in poses])
     idle = np.array([not pose.evidence["corrected"] for pose in poses])
@@ -137,7 +138,7 @@ class Track:
             "corrected": measured,
             "rejected": sum(event.kind == REJECTED for event in self.events),
             "moved": [event.time for event in self.events if event.kind == MOVED],
-            **{name: round(getattr(last, name), 3) for name in SIGMA},
+            **{name: round(getattr(last, name), 3) for name in COMPONENTS},
             **{f"sigma_{name}": float(f"{value:.2g}") for name, value in sigma.items()},
             "shift_m": round(float(np.linalg.norm(last.position - first.position)), 3),
         }
@@ -162,8 +163,8 @@ class Track:
         UsageError
             If there is no such component.
         """
-        if component not in SIGMA:
-            raise UsageError(f"component is {component!r}, expected one of {', '.join(SIGMA)}")
+        if component not in COMPONENTS:
+            raise UsageError(f"component is {component!r}, expected one of {', '.join(COMPONENTS)}")
         # not at the top: whoever draws nothing does not wait for matplotlib
 
         ax = axes_or_new(ax, (8.0, 3.5))
@@ -222,7 +223,7 @@ def _pose(site: Site, row: Row, step: int) -> Pose:
         State(position=estimate.position, R_map_sensor=np.eye(3), reflection=0.0)
     )
     evidence = {
-        "sigma": {name: float(value) for name, value in zip(SIGMA, sigma, strict=True)},
+        "sigma": {name: float(value) for name, value in zip(COMPONENTS, sigma, strict=True)},
         "covariance": covariance.tolist(),
         "time": iso_from_step(step),
         "method": "track",
@@ -258,7 +259,7 @@ def draw_track(track: Track, path: str | Path) -> None:
         figure = Figure(figsize=SIZE_IN, dpi=DPI, layout="constrained")
         FigureCanvasAgg(figure)
         axes = figure.subplots(3, 2, sharex=True)
-        for i, name in enumerate(SIGMA):
+        for i, name in enumerate(COMPONENTS):
             draw_component(axes[i % 3, i // 3], track.poses, name)
         for ax in axes[2]:
             label_times(ax)
