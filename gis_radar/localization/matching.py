@@ -163,7 +163,10 @@ def _match(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - co
                 k = nearest[b, row, column]
                 if k < 0:
                     break
-                x, y, z = points[i] - lane_points[k]
+                # not as arrays: numba would allocate one for each
+                x = points[i, 0] - lane_points[k, 0]
+                y = points[i, 1] - lane_points[k, 1]
+                z = points[i, 2] - lane_points[k, 2]
                 ahead = abs(x * along[k, 0] + y * along[k, 1])
                 across = y * along[k, 0] - x * along[k, 1]
                 # past the end of a lane counts as off it; samples lie a step apart
