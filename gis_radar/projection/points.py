@@ -103,7 +103,7 @@ def _plain(kind: pa.DataType) -> pa.DataType:
 STAGE = "projecting"
 
 
-class Points:
+class PointStream:
     """A recording's detections as points in the map, computed while they are read, once.
 
     Parameters

@@ -14,15 +14,19 @@ from gis_radar.files import refuse_inputs, whole_file
 from gis_radar.poses.files import PoseTrack, as_track
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.projection.points import GEOMETRY, Points
-from gis_radar.projection.writers import write_geopackage, write_geoparquet, write_scan
+from gis_radar.projection.points import GEOMETRY, PointStream
+from gis_radar.projection.writers import (
+    write_points_geopackage,
+    write_points_geoparquet,
+    write_points_las,
+)
 from gis_radar.recordings.recording import Recording, as_recording
 
-WRITERS: dict[str, Callable[[Points, Path], None]] = {
-    ".gpkg": write_geopackage,
-    ".laz": write_scan,
-    ".las": write_scan,
-    ".parquet": write_geoparquet,
+WRITERS: dict[str, Callable[[PointStream, Path], None]] = {
+    ".gpkg": write_points_geopackage,
+    ".laz": write_points_las,
+    ".las": write_points_las,
+    ".parquet": write_points_geoparquet,
 }
 
 
@@ -47,7 +51,7 @@ def project(
         `utc`, the time as a time stamp. A further column of the recording whose name is taken
         ends in `_recorded`.
     """
-    batches = Points(as_recording(recording), as_track(pose), reporter)
+    batches = PointStream(as_recording(recording), as_track(pose), reporter)
     table = pa.Table.from_batches(batches, schema=batches.schema)
     frame = table.drop_columns([GEOMETRY]).to_pandas()
     points = shapely.from_wkb(table[GEOMETRY].to_numpy())
@@ -92,7 +96,7 @@ def write_projection(
         )
     source = as_recording(recording)
     refuse_inputs(path, source.path)
-    points = Points(source, as_track(pose), reporter)
+    points = PointStream(source, as_track(pose), reporter)
     with whole_file(path) as part:
         WRITERS[path.suffix.lower()](points, part)
     return points.rows

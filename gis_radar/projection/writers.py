@@ -17,7 +17,7 @@ import shapely
 from gis_radar.arrays import Floats
 from gis_radar.crs import name_of
 from gis_radar.geopackage import write_stream
-from gis_radar.projection.points import GEOMETRY, OWN, Points, distinct_names, renamed
+from gis_radar.projection.points import GEOMETRY, OWN, PointStream, distinct_names, renamed
 from gis_radar.steps import gps_seconds
 
 LAYER = "hits"
@@ -25,7 +25,7 @@ VERSION = "1.2"  # the GDAL of QGIS 3.40 warns of later ones
 NOT_IN_GEOPACKAGE = (pa.types.is_duration, pa.types.is_interval, pa.types.is_decimal256)
 
 
-def write_geopackage(points: Points, path: Path) -> None:
+def write_points_geopackage(points: PointStream, path: Path) -> None:
     """Write the layer `hits` of a GeoPackage."""
     kept = [
         field.name
@@ -48,7 +48,7 @@ def write_geopackage(points: Points, path: Path) -> None:
     )
 
 
-def write_geoparquet(points: Points, path: Path) -> None:
+def write_points_geoparquet(points: PointStream, path: Path) -> None:
     """Write a GeoParquet file."""
     crs = points.pose.crs.to_json_dict()
     column = {"encoding": "WKB", "geometry_types": ["Point Z"], "crs": crs}
@@ -109,7 +109,7 @@ _INTEGERS: dict[pa.DataType, type[np.signedinteger[Any]]] = {
 }
 
 
-def write_scan(points: Points, path: Path) -> None:
+def write_points_las(points: PointStream, path: Path) -> None:
     """Write LAS 1.4 or LAZ, by the ending of `path`; columns without numbers are left out."""
     header = laspy.LasHeader(version="1.4", point_format=POINT_FORMAT)
     header.offsets = np.floor(points.pose.position)
@@ -123,7 +123,7 @@ def write_scan(points: Points, path: Path) -> None:
             writer.write_points(_scan_points(batch, header, dimensions))
 
 
-def _dimensions(points: Points, path: Path, standard: list[str]) -> list[_Dimension]:
+def _dimensions(points: PointStream, path: Path, standard: list[str]) -> list[_Dimension]:
     further = [f for f in points.schema if f.name not in {*OWN.names, GEOMETRY}]
     numeric = [field for field in further if _is_numeric(field.type)]
     taken = [*standard, *OWN.names, *(ours.name for ours in _OURS), "xyz"]

@@ -19,7 +19,7 @@ from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings import readers
 from gis_radar.recordings.frame_order import Doubles, FrameOrder, merged
 from gis_radar.recordings.frame_times import CLOCKS, Clock, FrameClock
-from gis_radar.recordings.frames import Format, Frame, Reading, counted
+from gis_radar.recordings.frames import Format, Frame, ReaderContext, counted
 from gis_radar.recordings.writer import RecordingFile
 
 
@@ -97,12 +97,14 @@ class Conversion:
 class _Track:
     """One sensor's way from frames as they come to rows of its recording."""
 
-    def __init__(self, sensor: str, file: RecordingFile, clock: Clock, reading: Reading) -> None:
+    def __init__(
+        self, sensor: str, file: RecordingFile, clock: Clock, context: ReaderContext
+    ) -> None:
         self.file = file
-        self.clock = FrameClock(sensor, clock, reading.reporter)
+        self.clock = FrameClock(sensor, clock, context.reporter)
         self.doubles = Doubles()
         self.order = FrameOrder(sensor)
-        self._counts = reading.counts
+        self._counts = context.counts
 
     def put(self, frame: Frame) -> None:
         if self.doubles.is_new(frame):
@@ -133,13 +135,13 @@ class Tracks:
         Where the recording shall be, or what those of several sensors are named after.
     clock : str
         Whose times count.
-    reading : Reading
+    context : ReaderContext
         What readers are told, and where they count.
     """
 
-    def __init__(self, folder: Path, place: Path, clock: Clock, reading: Reading) -> None:
+    def __init__(self, folder: Path, place: Path, clock: Clock, context: ReaderContext) -> None:
         self._folder, self._place = folder, place
-        self._clock, self._reading = clock, reading
+        self._clock, self._context = clock, context
         self._tracks: dict[str, _Track] = {}
 
     def __enter__(self) -> Self:
@@ -160,7 +162,7 @@ class Tracks:
         if track is None:
             part = self._folder / f"{len(self._tracks)}.parquet"
             file = RecordingFile(part, self._place)
-            track = _Track(frame.sensor, file, self._clock, self._reading)
+            track = _Track(frame.sensor, file, self._clock, self._context)
             self._tracks[frame.sensor] = track
         track.put(frame)
 
@@ -169,15 +171,15 @@ class Tracks:
         if not self._tracks:
             raise InputError(
                 "no usable frame in the inputs",
-                hint=f"left out: {counted(self._reading.counts) or 'nothing'}",
+                hint=f"left out: {counted(self._context.counts) or 'nothing'}",
             )
         for sensor, track in self._tracks.items():
             track.finish()
             if track.file.left_out:
                 columns = ", ".join(sorted(track.file.left_out))
                 said = f"{sensor}: columns that came late are left out: {columns}"
-                self._reading.reporter.log(said, "warning")
-        counts = Counter(self._reading.counts)
+                self._context.reporter.log(said, "warning")
+        counts = Counter(self._context.counts)
         for track in self._tracks.values():
             counts["duplicates"] += track.doubles.count
             counts["reordered_frames"] += track.order.late
@@ -265,7 +267,7 @@ def convert(
     formats = [format_of(name) for name in names]
     _refuse_options(formats, place, clock=clock, duration_s=duration_s)
     refuse_inputs(place, *names)
-    reading = Reading(
+    context = ReaderContext(
         columns=columns or {},
         time_unit=time_unit,
         sensor=sensor,
@@ -275,9 +277,9 @@ def convert(
     opened = [partial(_read, form, name) for form, name in zip(formats, names, strict=True)]
     with (
         whole_files(place) as (private, places),
-        Tracks(private, place, clock, reading) as tracks,
+        Tracks(private, place, clock, context) as tracks,
     ):
-        for frame in merged(opened, reading):
+        for frame in merged(opened, context):
             tracks.put(frame)
         result = tracks.finish()
         for recording in result.recordings:
@@ -329,10 +331,10 @@ def _refuse_options(
         raise UsageError(f"the duration is {duration_s:g} s, expected more than 0")
 
 
-def _read(form: Format, source: str, reading: Reading) -> Generator[Frame]:
+def _read(form: Format, source: str, context: ReaderContext) -> Generator[Frame]:
     """Read an input; what the system refuses is said with the input's name."""
     try:
-        yield from form.frames(source, reading)
+        yield from form.frames(source, context)
     except OSError as error:
         reason = error.strerror or str(error)
         raise InputError(f"{source}: cannot be read: {reason}") from error

@@ -9,17 +9,17 @@ from dataclasses import replace
 
 from gis_radar.errors import InputError
 from gis_radar.progress import QUIET
-from gis_radar.recordings.frames import Frame, NothingHereError, Reading
+from gis_radar.recordings.frames import Frame, NothingHereError, ReaderContext
 
 # 12 s of a 20 Hz sensor: far more than a network or a bag writer ever reorders.
 WINDOW = 256
 REMEMBERED = 4 * WINDOW
 
-Input = Callable[[Reading], Generator[Frame]]
+Input = Callable[[ReaderContext], Generator[Frame]]
 Active = tuple[float, int, Frame, Iterator[Frame]]
 
 
-def merged(inputs: Sequence[Input], reading: Reading) -> Iterator[Frame]:
+def merged(inputs: Sequence[Input], context: ReaderContext) -> Iterator[Frame]:
     """Yield the frames of several inputs in order of arrival, whatever the order of the inputs.
 
     An input is opened when its first frame is due: a day in a thousand files needs no thousand
@@ -31,14 +31,14 @@ def merged(inputs: Sequence[Input], reading: Reading) -> Iterator[Frame]:
         If no input has a frame; one of several that has none is a warning.
     """
     if len(inputs) == 1:
-        yield from inputs[0](reading)
+        yield from inputs[0](context)
         return
-    due = sorted(_begins(inputs, reading), reverse=True)
+    due = sorted(_begins(inputs, context), reverse=True)
     active: list[Active] = []
     while due or active:
         while due and (not active or due[-1][0] <= active[0][0]):
             _, number = due.pop()
-            _push(active, number, inputs[number](reading))
+            _push(active, number, inputs[number](context))
         if active:
             _, number, frame, frames = heapq.heappop(active)
             yield frame
@@ -51,9 +51,9 @@ def _push(active: list[Active], number: int, frames: Iterator[Frame]) -> None:
         heapq.heappush(active, (frame.arrival, number, frame, frames))
 
 
-def _begins(inputs: Sequence[Input], reading: Reading) -> list[tuple[float, int]]:
+def _begins(inputs: Sequence[Input], context: ReaderContext) -> list[tuple[float, int]]:
     """Return when each input begins, and say which have nothing."""
-    looking = replace(reading, reporter=QUIET, counts=Counter())
+    looking = replace(context, reporter=QUIET, counts=Counter())
     begins: list[tuple[float, int]] = []
     empty: list[NothingHereError] = []
     for number, begin in enumerate(inputs):
@@ -66,7 +66,7 @@ def _begins(inputs: Sequence[Input], reading: Reading) -> list[tuple[float, int]
     if not begins:
         raise empty[0]
     for nothing in empty:
-        reading.reporter.log(f"{nothing.message} ({nothing.hint})", "warning")
+        context.reporter.log(f"{nothing.message} ({nothing.hint})", "warning")
     return begins
 
 

@@ -84,8 +84,8 @@ class Frame:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reading:
-    """What a format's reader is told, and where it counts what it leaves out.
+class ReaderContext:
+    """Options of a format's reader, and its counts of what it leaves out.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ class Format:
     name: str
     takes: str
     knows: Callable[[str], bool]
-    frames: Callable[[str, Reading], Generator[Frame]]
+    frames: Callable[[str, ReaderContext], Generator[Frame]]
     live: bool = False
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from gis_radar.errors import InputError, UsageError
 from gis_radar.recordings.ars548 import METHOD, method_of, read_detections
 from gis_radar.recordings.columns import Layout, find_layout, frame_of, message_rows
-from gis_radar.recordings.frames import DamagedError, Format, Frame, NothingHereError, Reading
+from gis_radar.recordings.frames import DamagedError, Format, Frame, NothingHereError, ReaderContext
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 # Messages that list their detections one by one: where, and of which type.
@@ -115,18 +115,18 @@ def _knows(source: str) -> bool:
     return path.is_file() and path.suffix.lower() in STORAGE
 
 
-def _frames(source: str, reading: Reading) -> Generator[Frame]:
+def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
     with _opened(source) as reader:
-        wanted = [c for c in reader.connections if c.msgtype in KNOWN and reading.wants(c.topic)]
-        topics = {topic.id: _Topic(source, topic, reader, reading) for topic in wanted}
+        wanted = [c for c in reader.connections if c.msgtype in KNOWN and context.wants(c.topic)]
+        topics = {topic.id: _Topic(source, topic, reader, context) for topic in wanted}
         found = False
-        for topic, stamp, raw in _messages(source, reader, wanted, reading):
+        for topic, stamp, raw in _messages(source, reader, wanted, context):
             for frame in topics[topic.id].frames(raw, stamp * 1e-9):
                 found = True
                 yield frame
         if not found:
             raise NothingHereError(
-                f"{source}: no radar topic{' of that name' if reading.sensor else ''} in it",
+                f"{source}: no radar topic{' of that name' if context.sensor else ''} in it",
                 hint=f"topics: {_listed(reader)}; known types: {', '.join(KNOWN)}",
             )
 
@@ -154,21 +154,21 @@ def _opened(source: str) -> Iterator[Any]:
 
 
 def _messages(
-    source: str, reader: Any, wanted: list[Any], reading: Reading
+    source: str, reader: Any, wanted: list[Any], context: ReaderContext
 ) -> Iterator[tuple[Any, int, bytes]]:
     """Yield the messages of the wanted topics as far as the bag can be read."""
     total, stage = sum(topic.msgcount for topic in wanted), f"reading {Path(source).name}"
     messages = iter(reader.messages(connections=wanted)) if wanted else iter(())
     for number in count():
         if number % MESSAGES_A_REPORT == 0:
-            reading.reporter.progress(stage, min(number, total), total)
+            context.reporter.progress(stage, min(number, total), total)
         try:
             message = next(messages, None)
         except _unreadable() as error:
             if number == 0:
                 raise _damaged(source, error) from error
-            reading.counts["damaged_files"] += 1
-            reading.reporter.log(
+            context.counts["damaged_files"] += 1
+            context.reporter.log(
                 f"{source}: after {number:,} whole messages: {_first_line(error)}", "warning"
             )
             return
@@ -200,9 +200,9 @@ def _damaged(source: str, error: Exception) -> InputError:
 class _Topic:
     """One topic of a bag: from its messages to frames."""
 
-    def __init__(self, source: str, connection: Any, reader: Any, reading: Reading) -> None:
+    def __init__(self, source: str, connection: Any, reader: Any, context: ReaderContext) -> None:
         self._name, self._kind = connection.topic, connection.msgtype
-        self._reading = reading
+        self._context = context
         self._decode = _decoder(source, connection, reader)
         self._layouts: dict[tuple[str, ...], Layout] = {}
 
@@ -217,14 +217,14 @@ class _Topic:
                 yield from self._from_rows(rows, message, recorded)
         # A type of a known name may be of another make, and lack what we look for.
         except (DamagedError, AttributeError) as error:
-            if not self._reading.counts["damaged_frames"]:
-                self._reading.reporter.log(f"{self._name}: {error}", "warning")
-            self._reading.counts["damaged_frames"] += 1
+            if not self._context.counts["damaged_frames"]:
+                self._context.reporter.log(f"{self._name}: {error}", "warning")
+            self._context.counts["damaged_frames"] += 1
 
     def _from_rows(self, rows: Any, message: Any, recorded: float) -> Iterator[Frame]:
         layout = self._layout(rows.dtype.names)
         # A cloud without speeds is a lidar's, unless the user asks for it by name.
-        if not (layout.is_radar or (layout.placed and self._reading.sensor)):
+        if not (layout.is_radar or (layout.placed and self._context.sensor)):
             return
         stamp = _seconds(message.header.stamp)
         frame = frame_of(
@@ -241,13 +241,13 @@ class _Topic:
     def _layout(self, names: tuple[str, ...]) -> Layout:
         if names not in self._layouts:
             try:
-                layout = find_layout(names, self._reading.columns)
+                layout = find_layout(names, self._context.columns)
             except UsageError as error:
                 hint = f"{error.hint}; --sensor takes one topic of several"
                 raise UsageError(f"{self._name}: {error.message}", hint=hint) from error
             if layout.placed and not layout.is_radar:
                 fields = ", ".join(names)
-                self._reading.reporter.log(f"{self._name}: no speeds among the fields {fields}")
+                self._context.reporter.log(f"{self._name}: no speeds among the fields {fields}")
             self._layouts[names] = layout
         return self._layouts[names]
 

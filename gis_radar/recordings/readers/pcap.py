@@ -14,7 +14,7 @@ from gis_radar.recordings.frames import (
     Format,
     Frame,
     NothingHereError,
-    Reading,
+    ReaderContext,
     counted,
 )
 
@@ -23,28 +23,28 @@ def _knows(source: str) -> bool:
     return Path(source).is_file() and is_capture(Path(source))
 
 
-def _frames(source: str, reading: Reading) -> Generator[Frame]:
+def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
     datagrams, messages, sensors = Datagrams(), Counter[str](), Counter[str]()
-    for datagram, time in _datagrams(Path(source), datagrams, reading):
+    for datagram, time in _datagrams(Path(source), datagrams, context):
         method = method_of(datagram.payload)
         if method != METHOD:
             messages[OTHER_METHODS.get(method or 0, "")] += 1
             continue
         sensors[datagram.source] += 1
-        if not reading.wants(datagram.source):
+        if not context.wants(datagram.source):
             continue
         frame = read_detections(datagram.payload, sensor=datagram.source, recorder_time=time)
         if frame is None:
-            reading.counts["damaged_frames"] += 1
+            context.counts["damaged_frames"] += 1
             continue
         yield frame
-    _warn(source, datagrams, reading)
-    if not any(reading.wants(sensor) for sensor in sensors):
+    _warn(source, datagrams, context)
+    if not any(context.wants(sensor) for sensor in sensors):
         raise _nothing(source, datagrams, messages, sensors)
 
 
 def _datagrams(
-    path: Path, datagrams: Datagrams, reading: Reading
+    path: Path, datagrams: Datagrams, context: ReaderContext
 ) -> Iterator[tuple[Datagram, float | None]]:
     """Yield the datagrams of a capture; where it is cut off or damaged, say so and end."""
     total = None if path.suffix.lower() == ".gz" else path.stat().st_size
@@ -54,23 +54,23 @@ def _datagrams(
             packets += 1
             if position - reported > BYTES_A_REPORT:
                 reported = position
-                reading.reporter.progress(f"reading {path.name}", position, total)
+                context.reporter.progress(f"reading {path.name}", position, total)
             datagram = datagrams.take(packet)
             if datagram is not None:
                 yield datagram, packet.time
     except DamagedError as error:
-        reading.counts["damaged_files"] += 1
-        reading.reporter.log(f"{path}: after {packets:,} whole packets: {error}", "warning")
+        context.counts["damaged_files"] += 1
+        context.reporter.log(f"{path}: after {packets:,} whole packets: {error}", "warning")
 
 
-def _warn(source: str, datagrams: Datagrams, reading: Reading) -> None:
+def _warn(source: str, datagrams: Datagrams, context: ReaderContext) -> None:
     if datagrams.incomplete:
-        reading.counts["incomplete_datagrams"] += datagrams.incomplete
-        reading.reporter.log(
+        context.counts["incomplete_datagrams"] += datagrams.incomplete
+        context.reporter.log(
             f"{source}: {datagrams.incomplete:,} fragmented datagrams are not complete", "warning"
         )
     if datagrams.cut:
-        reading.reporter.log(
+        context.reporter.log(
             f"{source}: {datagrams.cut:,} packets are captured only in part "
             "(capture with a longer snap length: tcpdump -s 0)",
             "warning",

@@ -20,7 +20,7 @@ from gis_radar.recordings.frames import (
     Format,
     Frame,
     NothingHereError,
-    Reading,
+    ReaderContext,
 )
 
 # Digits of a time as one whole number: seconds, milli-, micro-, nanoseconds since 1970.
@@ -44,24 +44,24 @@ def _files(folder: Path) -> list[Path]:
     return [path for path in folder.iterdir() if path.suffix.lower() == ".pcd"]
 
 
-def _frames(source: str, reading: Reading) -> Generator[Frame]:
+def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
     place = Path(source)
     sensor = place.resolve().name if place.is_dir() else place.resolve().parent.name
     files = _files(place) if place.is_dir() else [place]
     timed = sorted((time_in_name(path), path) for path in files)
-    if not reading.wants(sensor):
+    if not context.wants(sensor):
         raise NothingHereError(f"{source}: holds the sensor {sensor}", hint="name it, or none")
     found = False
     for number, (time, path) in enumerate(timed):
         if number % 64 == 0:
-            reading.reporter.progress(f"reading {place.name}", number, len(timed))
+            context.reporter.progress(f"reading {place.name}", number, len(timed))
         try:
             rows = read_pcd(path)
         except DamagedError as error:
-            reading.counts["damaged_frames"] += 1
-            reading.reporter.log(f"{path}: {error}", "warning")
+            context.counts["damaged_frames"] += 1
+            context.reporter.log(f"{path}: {error}", "warning")
             continue
-        layout = find_layout(rows.dtype.names or (), reading.columns)
+        layout = find_layout(rows.dtype.names or (), context.columns)
         if not layout.placed:
             raise InputError(
                 f"{path}: no positions among the fields {', '.join(rows.dtype.names or ())}",

@@ -16,7 +16,7 @@ from gis_radar.arrays import Floats
 from gis_radar.errors import InputError, UsageError
 from gis_radar.recordings.columns import NAMES, Layout, find_layout
 from gis_radar.recordings.csv_tables import open_csv_table
-from gis_radar.recordings.frames import Column, Format, Frame, NothingHereError, Reading
+from gis_radar.recordings.frames import Column, Format, Frame, NothingHereError, ReaderContext
 from gis_radar.recordings.recording import BYTES_AT_ONCE, ROWS_AT_ONCE
 
 UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -28,22 +28,22 @@ def _knows(source: str) -> bool:
     return Path(source).is_file() and Path(source).suffix.lower() in ENDINGS
 
 
-def _frames(source: str, reading: Reading) -> Generator[Frame]:
+def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
     path = Path(source)
-    if reading.time_unit not in UNITS_S:
-        raise UsageError(f"time unit {reading.time_unit!r}", hint=f"known: {', '.join(UNITS_S)}")
-    names = _names(path, reading.columns)
-    layout = find_layout(names, reading.columns)
+    if context.time_unit not in UNITS_S:
+        raise UsageError(f"time unit {context.time_unit!r}", hint=f"known: {', '.join(UNITS_S)}")
+    names = _names(path, context.columns)
+    layout = find_layout(names, context.columns)
     missing = [name for name in ("time", "x", "y") if name not in layout.sources]
     if "time" in missing or not layout.placed:
         raise InputError(
             f"{path}: not known which columns are {', '.join(missing)}",
             hint=f"say it: --columns time=...,x=...,y=...; it has {', '.join(names)}",
         )
-    if not reading.wants(SENSOR):
+    if not context.wants(SENSOR):
         raise NothingHereError(f"{path}: a table has no sensors", hint="leave --sensor away")
     held: Frame | None = None
-    for frame in _pieces(path, layout, reading):
+    for frame in _pieces(path, layout, context):
         # A frame may go on in the next batch of rows.
         if held is not None and held.sensor_time == frame.sensor_time:
             held = _joined(held, frame)
@@ -83,21 +83,23 @@ def _batches(path: Path, layout: Layout) -> Iterator[pa.RecordBatch]:
         yield from file.iter_batches(ROWS_AT_ONCE, use_threads=False)
 
 
-def _pieces(path: Path, layout: Layout, reading: Reading) -> Iterator[Frame]:
+def _pieces(path: Path, layout: Layout, context: ReaderContext) -> Iterator[Frame]:
     """Yield runs of rows of one time, batch by batch."""
     done = 0
     try:
         for batch in _batches(path, layout):
-            reading.reporter.progress(f"reading {path.name}", done, None)
+            context.reporter.progress(f"reading {path.name}", done, None)
             done += len(batch)
             if len(batch):
-                yield from _runs(batch, layout, path, reading)
+                yield from _runs(batch, layout, path, context)
     except pa.ArrowException as error:
         raise InputError(f"{path}: damaged after row {done:,}: {error}") from error
 
 
-def _runs(batch: pa.RecordBatch, layout: Layout, path: Path, reading: Reading) -> Iterator[Frame]:
-    time = _seconds(batch.column(layout.sources["time"]), path, reading.time_unit)
+def _runs(
+    batch: pa.RecordBatch, layout: Layout, path: Path, context: ReaderContext
+) -> Iterator[Frame]:
+    time = _seconds(batch.column(layout.sources["time"]), path, context.time_unit)
     columns = {name: _numpy(batch.column(name)) for name in batch.schema.names}
     for target, field in layout.sources.items():
         if target != "time" and columns[field.removeprefix("-")].dtype == object:

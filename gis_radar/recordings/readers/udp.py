@@ -16,7 +16,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from gis_radar.errors import InputError, UsageError
 from gis_radar.recordings.ars548 import GROUP, METHOD, PORT, SIZE, method_of, read_detections
-from gis_radar.recordings.frames import Format, Frame, NothingHereError, Reading, counted
+from gis_radar.recordings.frames import Format, Frame, NothingHereError, ReaderContext, counted
 
 SCHEME = "udp://"
 # A second of frames, should the disk keep the writer waiting.
@@ -29,15 +29,15 @@ def _knows(source: str) -> bool:
     return source.lower().startswith(SCHEME)
 
 
-def _frames(source: str, reading: Reading) -> Generator[Frame]:
+def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
     seen = Counter[str]()
-    for payload, sensor, now in _received(source, reading):
+    for payload, sensor, now in _received(source, context):
         seen[sensor] += 1
-        if method_of(payload) != METHOD or not reading.wants(sensor):
+        if method_of(payload) != METHOD or not context.wants(sensor):
             continue
         frame = read_detections(payload, sensor=sensor, recorder_time=now)
         if frame is None:
-            reading.counts["damaged_frames"] += 1
+            context.counts["damaged_frames"] += 1
         else:
             yield frame
     if not seen:
@@ -45,19 +45,19 @@ def _frames(source: str, reading: Reading) -> Generator[Frame]:
             f"{source}: nothing came in",
             hint="is the sensor on, are address, port and interface right?",
         )
-    reading.reporter.log(f"heard {counted(seen)}")
+    context.reporter.log(f"heard {counted(seen)}")
 
 
-def _received(source: str, reading: Reading) -> Iterator[tuple[bytes, str, float]]:
+def _received(source: str, context: ReaderContext) -> Iterator[tuple[bytes, str, float]]:
     """Yield payload, sender and time of what comes in until the time is up or the user stops it."""
     group, port, interface = _address(source)
     waiting: Queue[tuple[bytes, str, float]] = Queue()
-    end = time.monotonic() + (reading.duration_s or float("inf"))
+    end = time.monotonic() + (context.duration_s or float("inf"))
     with _listening(source, group, port, interface) as listener, _stopping() as stop:
         # A thread of its own: the system drops what waits while the disk keeps us.
         receiver = Thread(target=_receive, args=(listener, waiting, stop), daemon=True)
         receiver.start()
-        reading.reporter.log(f"listening to {group}, port {port}; Ctrl-C ends it")
+        context.reporter.log(f"listening to {group}, port {port}; Ctrl-C ends it")
         try:
             while not stop.is_set() and time.monotonic() < end:
                 with suppress(Empty):
