@@ -10,10 +10,11 @@ from sites import EAST, NORTH, START, lane_quads, pose, recording, tiles_of
 
 from gis_radar import read_clocks
 from gis_radar.clocks import measure_clocks
-from gis_radar.clocks.clocks import best_linked, doubt_of, settle
-from gis_radar.clocks.offsets import Offset, fine_offset, rough_offset
+from gis_radar.clocks.clocks import adjust_network, best_linked
+from gis_radar.clocks.lane_detections import LaneDetections
+from gis_radar.clocks.offsets import ClockOffset, fine_offset, rough_offset, validate_offset
 from gis_radar.clocks.sensor_clock import SensorClock
-from gis_radar.clocks.sightings import Sightings
+from gis_radar.clocks.settings import ClockSettings
 from gis_radar.errors import InputError, NoAnswerError, UsageError
 from gis_radar.occupancy import measure_occupancy
 
@@ -103,7 +104,7 @@ def test_offsets_from_milliseconds_to_time_since_boot(drive, ahead_s):
     assert abs(clock.offset_s - ahead_s) < min(3.0 * clock.sigma_s, 0.1)
 
 
-def test_traffic_that_they_do_not_share_tells_nothing(drive, tmp_path):
+def test_traffic_that_they_do_not_share_gives_no_offset(drive, tmp_path):
     one, _ = drive("a")
     rng = np.random.default_rng(8)
     other = recorded(tmp_path, "b", looks()[1], vehicles(rng, 60), rng)
@@ -111,7 +112,13 @@ def test_traffic_that_they_do_not_share_tells_nothing(drive, tmp_path):
         measure_clocks([one, other], looks(), street())
 
 
-def test_sensors_that_see_different_roads_tell_nothing(drive):
+def test_settings_reach_the_comparison(drive):
+    for refusing in ({"rough_pairs": 10**6}, {"least_vehicles": 10**6}, {"least_share": 1.0}):
+        with pytest.raises(NoAnswerError):
+            measure_clocks(drive("a"), looks(), street(), settings=ClockSettings(**refusing))
+
+
+def test_sensors_that_see_different_roads_give_no_offset(drive):
     turned = [looks()[0], pose(sensor="R2", easting=EAST + 5000.0, yaw=180.0)]
     with pytest.raises(NoAnswerError, match="no common traffic"):
         measure_clocks(drive("a"), turned, street())
@@ -132,6 +139,9 @@ def test_a_corrected_occupancy_is_that_of_right_clocks(drive, tmp_path):
     wrong = drive("b", 3600.25)
     found = measure_clocks(wrong, looks(), street())
     found.write(tmp_path / "clocks.json")
+    record = json.loads((tmp_path / "clocks.json").read_text())
+    assert record["settings"] == json.loads(json.dumps(found.figures()["settings"]))
+    assert record["settings"]["bin_s"] == ClockSettings().bin_s
     clocks = read_clocks(tmp_path / "clocks.json")
     fixed = measure_occupancy(wrong, looks(), street(), tmp_path / "fixed", clocks=clocks)
     right = measure_occupancy(drive("a"), looks(), street(), tmp_path / "right")
@@ -147,7 +157,7 @@ def test_a_corrected_occupancy_is_that_of_right_clocks(drive, tmp_path):
     drift=st.lists(st.floats(-900, 900), min_size=5, max_size=5),
     late=st.lists(st.floats(0, 3000), min_size=10, max_size=10),
 )
-def test_a_network_of_exact_pairs_is_settled_exactly(ahead, drift, late):
+def test_a_network_of_exact_pairs_is_adjusted_exactly(ahead, drift, late):
     """Pairs compared at different times, clocks that run at different speeds."""
     names = [f"R{i}" for i in range(len(ahead))]
     drift = [1e-6 * ppm for ppm in drift[: len(names)]]
@@ -156,21 +166,21 @@ def test_a_network_of_exact_pairs_is_settled_exactly(ahead, drift, late):
         for j, other in enumerate(names[i + 1 :], start=i + 1):
             at = late[(i + j) % 10]  # by the clock that is right
             offset = [ahead[k] + drift[k] * at for k in (i, j)]
-            edges[one, other] = Offset(
+            edges[one, other] = ClockOffset(
                 offset_s=offset[1] - offset[0], sigma_s=1e-3, drift=drift[j] - drift[i],
                 drift_sigma=1e-9, at=START + at + offset[1], vehicles=9,
             )  # fmt: skip
-    network = settle(edges, "R0")
+    clocks, _ = adjust_network(edges, "R0")
     for k, name in enumerate(names):
         true = START + np.array([0.0, 1500.0, 3000.0])
         stamped = true + ahead[k] + drift[k] * (true - START)
         reference = true + ahead[0] + drift[0] * (true - START)
-        close = network.clocks[name].corrected(stamped) - reference
+        close = clocks[name].corrected(stamped) - reference
         assert np.abs(close).max() < 0.02  # what drifts do within the offsets themselves
 
 
 def passages(rng, seconds, ahead_s, drift, side):
-    """Sightings of an hour of vehicles, straight from their motion."""
+    """Detections of an hour of vehicles on a lane, straight from their motion."""
     count = seconds // 6
     enters = np.random.default_rng(3).uniform(0, seconds, count)
     speed = np.random.default_rng(4).uniform(5, 15, count)
@@ -178,7 +188,7 @@ def passages(rng, seconds, ahead_s, drift, side):
     s_m = speed[:, None] * age
     time = (enters[:, None] + age).ravel()
     order = np.argsort(time)
-    return Sightings(
+    return LaneDetections(
         time=START + time[order] + ahead_s + drift * (time[order] - seconds / 2),
         lanelet=np.zeros(len(order), np.int64),
         s_m=s_m.ravel()[order] - 2.0 * side + rng.normal(0, 0.5, len(order)),
@@ -187,22 +197,24 @@ def passages(rng, seconds, ahead_s, drift, side):
     )
 
 
-def test_an_hour_tells_the_drift():
+def test_an_hour_gives_the_drift():
     rng = np.random.default_rng(5)
     one, other = (passages(rng, 3600, *late) for late in ((0.0, 0.0, 1), (5.0, 80e-6, -1)))
-    rough_s, why = rough_offset(one, other, 4000.0)
+    rough_s, why = rough_offset(one, other)
     assert why == ""
     found, why = fine_offset(one, other, rough_s)
     assert why == ""
     assert found.drift_sigma < 15e-6
     assert abs(found.drift - 80e-6) < 3 * found.drift_sigma
     assert abs(found.offset_s - 5.0 - 80e-6 * (found.at - START - 1805)) < 3 * found.sigma_s
-    assert doubt_of(one, other, found.offset_s) == ""
-    assert doubt_of(one, other, found.offset_s + 40.0) != ""
+    assert validate_offset(one, other, found.offset_s) == ""
+    assert validate_offset(one, other, found.offset_s + 40.0) != ""
 
 
 def test_the_best_linked_clock_is_the_reference():
-    offset = Offset(offset_s=1.0, sigma_s=0.1, drift=0.0, drift_sigma=1e-4, at=START, vehicles=9)
+    offset = ClockOffset(
+        offset_s=1.0, sigma_s=0.1, drift=0.0, drift_sigma=1e-4, at=START, vehicles=9
+    )
     assert best_linked({("R2", "R3"): offset}, ["R1", "R2", "R3"]) == "R2"
     assert best_linked({}, ["R1", "R2"]) == "R1"
 

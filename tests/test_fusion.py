@@ -1,4 +1,4 @@
-"""Several sensors on one grid of steps: cycles, overlaps, deliveries, exact merging."""
+"""Several sensors on one grid of steps: cycles, overlaps, frame log, exact merging."""
 
 import json
 
@@ -17,7 +17,7 @@ from gis_radar.errors import UsageError
 from gis_radar.heatmap import make_heatmap
 from gis_radar.lanelets import read_map
 from gis_radar.occupancy import measure_occupancy, merge_occupancies
-from gis_radar.occupancy.cycles import last_step
+from gis_radar.occupancy.cycles import last_step_covered
 from gis_radar.occupancy.frame_log import COLUMNS
 from gis_radar.poses.pose import View
 from gis_radar.steps import STEP_US
@@ -29,31 +29,31 @@ ON_TILE_4 = [12.25, 0.0, -5.0]
 times_us = st.integers(0, 3_000_000_000_000_000)
 
 
-def spoken(time_us, cycle_us):
-    """Give the steps that a frame speaks for, straight from the words of the rule."""
+def covered(time_us, cycle_us):
+    """Give the steps that a frame covers, straight from the words of the rule."""
     own = time_us // STEP_US
     later = range(own + 1, own + 2 + cycle_us // STEP_US)
     return [own, *(step for step in later if (step + 1) * STEP_US <= time_us + cycle_us)]
 
 
 @given(time_us=times_us, cycle_us=st.integers(1000, 2_000_000))
-def test_a_frame_speaks_for_the_steps_that_its_cycle_ends(time_us, cycle_us):
-    last = int(last_step(np.array([time_us / 1e6]), cycle_us)[0])
+def test_a_frame_covers_the_steps_that_end_in_its_cycle(time_us, cycle_us):
+    last = int(last_step_covered(np.array([time_us / 1e6]), cycle_us)[0])
     time_us = round(time_us / 1e6 * 1e6)
-    assert list(range(time_us // STEP_US, last + 1)) == spoken(time_us, cycle_us)
+    assert list(range(time_us // STEP_US, last + 1)) == covered(time_us, cycle_us)
 
 
 @given(time_us=times_us, cycle_us=st.integers(1, STEP_US))
-def test_a_sensor_as_fast_as_the_steps_speaks_for_one(time_us, cycle_us):
+def test_a_frame_of_a_sensor_as_fast_as_the_steps_covers_one(time_us, cycle_us):
     time = np.array([time_us / 1e6])
-    assert last_step(time, cycle_us)[0] == round(time[0] * 1e6) // STEP_US
+    assert last_step_covered(time, cycle_us)[0] == round(time[0] * 1e6) // STEP_US
 
 
 @given(begin_us=st.integers(0, 10**15), cycle_us=st.integers(STEP_US, 400_000))
-def test_frames_at_their_cycle_speak_for_each_step_once(begin_us, cycle_us):
-    """No gap, and no step twice: together they speak for the time that they took."""
+def test_frames_at_their_cycle_cover_each_step_once(begin_us, cycle_us):
+    """No gap, and no step twice."""
     time_us = begin_us + np.arange(60) * cycle_us
-    last = last_step(time_us / 1e6, cycle_us)
+    last = last_step_covered(time_us / 1e6, cycle_us)
     assert ((time_us // STEP_US)[1:] == last[:-1] + 1).all()
 
 
@@ -77,7 +77,7 @@ def test_a_slow_sensor_does_not_halve_a_queue(tmp_path):
 
 
 def test_a_missing_frame_stays_missing(tmp_path):
-    """Whatever the cycle: a frame speaks for its own time, and never for a lost one's."""
+    """Whatever the cycle: a frame never covers the time of a lost one."""
     frames = np.setdiff1d(np.arange(40), [10, 11, 12])
     path = recording(tmp_path / "r.parquet", START + frames * 0.1, [ON_TILE_4] * len(frames))
     full = measure_occupancy([path], [pose()], crossing(), tmp_path / "a", cycles="auto")
@@ -127,7 +127,7 @@ def test_merging_is_exact_with_cycles_and_clocks(tmp_path_factory, seed, cuts, d
 
 @pytest.mark.parametrize("rows_at_once", [3, 50])
 def test_pieces_never_split_a_frame(tmp_path, monkeypatch, rows_at_once):
-    """However the file is cut on reading, held hits and deliveries stay the same."""
+    """However the file is cut on reading, held hits and the frame log stay the same."""
     path = recording(tmp_path / "r.parquet", *traffic(np.random.default_rng(4), cycle_s=0.12))
     options = {"cycles": {"R1": 0.12}}
     measure_occupancy([path], [pose()], crossing(), tmp_path / "one", **options)
@@ -137,7 +137,7 @@ def test_pieces_never_split_a_frame(tmp_path, monkeypatch, rows_at_once):
         assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "many" / file).read_bytes()
 
 
-def test_deliveries_tell_what_each_frame_brought(tmp_path):
+def test_the_frame_log_has_a_row_a_frame(tmp_path):
     time = [START, START, START, START + 0.05, START + 0.1]
     nowhere = [np.nan] * 3
     points = [ON_TILE_4, ON_TILE_4, [12.25, 50.0, -5.0], nowhere, ON_TILE_4]
@@ -159,7 +159,7 @@ def test_deliveries_tell_what_each_frame_brought(tmp_path):
     assert [step for step, _ in pairs_of(occupancy)] == [FIRST_STEP - 10, FIRST_STEP - 8]
 
 
-def test_folders_without_deliveries_still_merge(tmp_path):
+def test_folders_without_a_frame_log_still_merge(tmp_path):
     path = recording(tmp_path / "r.parquet", [START], [ON_TILE_4])
     one = measure_occupancy([path], [pose()], crossing(), tmp_path / "a")
     (tmp_path / "a" / "deliveries.parquet").unlink()
@@ -168,7 +168,7 @@ def test_folders_without_deliveries_still_merge(tmp_path):
 
 
 @pytest.mark.parametrize("late_s", [3600.0, -1.7e9])
-def test_clocks_that_cannot_be_right_are_said(tmp_path, late_s):
+def test_clocks_that_cannot_be_right_are_warned_of(tmp_path, late_s):
     one = recording(tmp_path / "1.parquet", [START, START + 0.05], [ON_TILE_4] * 2)
     other = recording(tmp_path / "2.parquet", [START + late_s + 9], [ON_TILE_4])
     notes = Notes()

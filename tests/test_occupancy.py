@@ -12,7 +12,13 @@ from shapely import Point, prepare
 from sites import EAST, NORTH, START, crossing, lane_quads, pose, recording, table, tiles_of
 
 from gis_radar.errors import CrsError, InputError, NoAnswerError, UsageError
-from gis_radar.occupancy import Filters, measure_occupancy, merge_occupancies, read_occupancy
+from gis_radar.occupancy import (
+    Filters,
+    OccupancySettings,
+    measure_occupancy,
+    merge_occupancies,
+    read_occupancy,
+)
 from gis_radar.occupancy.hits import merge_hits
 from gis_radar.occupancy.views import name_of_view, seen_tiles, standing_for
 from gis_radar.poses.files import PoseTrack
@@ -229,9 +235,9 @@ def test_a_pose_shares_a_view_with_near_ones_only():
     def track(*places, **fields):
         return [pose(easting=EAST + place, **fields) for place in places]
 
-    said = pose(evidence={"event": "moved"})
+    moved = pose(evidence={"event": "moved"})
     assert standing_for(track(0.0, 0.15, 0.3, 0.1, 0.4, -0.1)).tolist() == [0, 0, 2, 2, 2, 0]
-    assert standing_for([*track(0.0, 0.0), said, *track(0.0)]).tolist() == [0, 0, 2, 2]
+    assert standing_for([*track(0.0, 0.0), moved, *track(0.0)]).tolist() == [0, 0, 2, 2]
     turned = [pose(yaw=10.0), pose(yaw=10.15), pose(yaw=10.25), pose(yaw=10.25, pitch=0.15)]
     assert standing_for(turned).tolist() == [0, 0, 2, 2]
     assert standing_for([pose(), pose(view=View(max_range_m=9.0))]).tolist() == [0, 1]
@@ -397,7 +403,7 @@ def test_a_table_of_other_tiles_is_refused(tmp_path):
     read_occupancy(tmp_path / "occ")
 
 
-def test_a_sensor_that_sees_nothing_is_said_and_merges(tmp_path):
+def test_a_sensor_that_sees_nothing_is_warned_of_and_merges(tmp_path):
     path = recording(tmp_path / "r.parquet", [START], [[12.25, 0.0, -5.0]])
     far = pose(sensor="R2", easting=EAST + 5000)
     notes = Notes()
@@ -458,6 +464,27 @@ def test_hits_that_are_damaged_or_unsorted_are_refused(tmp_path):
         list(read_occupancy(tmp_path / "occ").hits())
 
 
+def test_settings_take_effect_and_stand_in_the_manifest(tmp_path):
+    """Folders of other settings, or from before settings were written, are read and merge."""
+    one = made(tmp_path)
+    (source,) = one.sources
+    assert source["settings"]["moving_mps"] == 0.5
+    assert source["filters"]["levels_apart_m"] == 2.5
+    time = START + 0.05 * np.arange(3)
+    track = PoseTrack(poses=tuple(pose(easting=EAST + 0.3 * k) for k in range(3)), since=time)
+    path = recording(tmp_path / "t.parquet", time, [[12.25, 0.0, -5.0]] * 3, range_rate=0.4)
+    shared = OccupancySettings(view_shared_m=5.0, moving_mps=0.3)
+    other = measure_occupancy([path], [track], crossing(), tmp_path / "b", settings=shared)
+    assert other.frames["view"].nunique() == 1
+    assert pd.read_parquet(tmp_path / "b" / "deliveries.parquet")["moving"].tolist() == [1, 1, 1]
+    manifest = json.loads((tmp_path / "b" / "manifest.json").read_text())
+    assert manifest["sources"][0]["settings"]["view_shared_m"] == 5.0
+    del manifest["sources"][0]["settings"]
+    (tmp_path / "b" / "manifest.json").write_text(json.dumps(manifest))
+    merged = merge_occupancies([one, read_occupancy(tmp_path / "b")]).write(tmp_path / "merged")
+    assert [("settings" in each) for each in read_occupancy(merged).sources].count(True) == 1
+
+
 def test_an_interruption_leaves_nothing(tmp_path):
     def batches():
         yield table([START], [[10.0, 0.0, -5.0]]).to_batches()[0]
@@ -477,7 +504,7 @@ class Notes(Reporter):
         self.lines.append((level, message))
 
 
-def test_a_view_far_beyond_the_detections_is_said(tmp_path):
+def test_a_view_far_beyond_the_detections_is_warned_of(tmp_path):
     path = recording(tmp_path / "r.parquet", [START] * 3, [[10.0, 0.0, -5.0]] * 3)
     for reach, lines in ((100.0, 1), (12.0, 0)):
         notes = Notes()

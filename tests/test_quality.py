@@ -14,6 +14,7 @@ from gis_radar.errors import InputError, OutputError, UsageError
 from gis_radar.occupancy import measure_occupancy, merge_occupancies
 from gis_radar.quality import measure_quality
 from gis_radar.quality.counting import hour_begins
+from gis_radar.quality.settings import QualitySettings
 
 BERLIN = ZoneInfo("Europe/Berlin")
 ON_TILE = np.array([12.25, 0.0, -5.0])
@@ -57,7 +58,7 @@ def test_dropped_and_doubled_frames(tmp_path):
     assert row["frames_expected"] == 400
 
 
-def test_a_sensor_that_stops_is_said_hour_by_hour(tmp_path):
+def test_a_sensor_that_stops_is_at_fault_hour_by_hour(tmp_path):
     """R1 delivers over three hours, R2 stops in the second: a slow 0.5 Hz keeps it small."""
     begin = 1_700_002_800.0 - 1800.0
     slow = begin + np.arange(0, 7200, 1.0)
@@ -108,6 +109,14 @@ def test_too_many_tiles_hit(tmp_path):
         tmp_path, "a", np.repeat(time, len(points)), np.tile(points, (120, 1)), 3.0
     )
     assert "over 70 % of its tiles hit in 100 % of the frames" in row_of(occupancy)["verdict"]
+
+
+def test_thresholds_are_those_in_effect(tmp_path):
+    occupancy = measured(tmp_path, "a", *drive(START + np.arange(400) * 0.05))
+    strict = measure_quality(occupancy, settings=QualitySettings(least_moving=0.6))
+    assert strict.table["verdict"].tolist() == ["hits without motion"]
+    assert strict.figures()["settings"]["least_moving"] == 0.6
+    assert measure_quality(occupancy).figures()["R1"] == "1 of 1 hours good"
 
 
 def test_pose_and_its_age(tmp_path):
@@ -163,7 +172,7 @@ def test_quality_of_merged_folders_is_that_of_the_whole(tmp_path_factory, seed, 
     assert table["dropped"].sum() == lost
 
 
-def test_written_tables_say_utc(tmp_path):
+def test_written_tables_are_in_utc(tmp_path):
     quality = measure_quality(measured(tmp_path, "a", *drive([START])), timezone="Europe/Berlin")
     quality.write(tmp_path / "q.csv")
     text = (tmp_path / "q.csv").read_text().splitlines()
@@ -174,10 +183,10 @@ def test_written_tables_say_utc(tmp_path):
         quality.write(tmp_path / "q.xlsx")
 
 
-def test_what_cannot_be_told_is_refused(tmp_path):
+def test_an_occupancy_without_frame_log_is_refused(tmp_path):
     occupancy = measured(tmp_path, "a", *drive([START]))
     with pytest.raises(UsageError, match="no time zone"):
         measure_quality(occupancy, timezone="Europe/Bayern")
     (tmp_path / "a" / "deliveries.parquet").unlink()
-    with pytest.raises(InputError, match="does not tell"):
+    with pytest.raises(InputError, match="no frame log"):
         measure_quality(occupancy)

@@ -1,21 +1,21 @@
-"""Measure how far the clocks of sensors are off, from the traffic that they see in common."""
+"""Measure how far the clocks of sensors are ahead, from the traffic that they see in common."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import geopandas as gpd
 import numpy as np
-from scipy.spatial import cKDTree
 
-from gis_radar.arrays import Floats, Integers
-from gis_radar.clocks.offsets import Offset, fine_offset, rough_offset
+from gis_radar.arrays import Floats
+from gis_radar.clocks.lane_detections import LaneDetections, LaneMatcher, read_lane_detections
+from gis_radar.clocks.offsets import ClockOffset, fine_offset, rough_offset, validate_offset
 from gis_radar.clocks.sensor_clock import SensorClock, write_clocks
-from gis_radar.clocks.sightings import Lanes, Sightings, read_sightings
+from gis_radar.clocks.settings import DEFAULTS, ClockSettings
 from gis_radar.crs import metric_crs, require_same
 from gis_radar.errors import NoAnswerError, UsageError
 from gis_radar.notebooks import card
@@ -24,29 +24,204 @@ from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Recording, as_recording
 
-Edges = dict[tuple[str, str], Offset]
-CONTRADICTION = 4.0  # standard deviations
-DRIFT_TOLD = 3.0  # the same: a drift below would only carry noise over hours
+Edges = dict[tuple[str, str], ClockOffset]  # by (one, other): how far the other one is ahead
 
 
 @dataclass(frozen=True, kw_only=True)
-class Network:
-    """The clocks that hang together with the reference.
+class Clocks:
+    """How far each clock is ahead of the reference.
 
     Parameters
     ----------
+    reference : str
+        The sensor whose clock counts as right.
     clocks : dict
-        Each sensor's clock, the reference's own with offset 0.
-    misfit : float
-        The largest misfit of a pair, in its standard deviations; 0 without loops.
+        By sensor, the reference too; those without an answer are not there.
+    refused : dict
+        Of the others: why there is no answer.
+    pairs : dict
+        What was found by pairs of sensors.
+    settings : ClockSettings
+        Constants in effect.
     """
 
+    reference: str
     clocks: dict[str, SensorClock]
-    misfit: float
+    refused: dict[str, str]
+    pairs: Edges
+    settings: ClockSettings = DEFAULTS
+
+    def figures(self) -> dict[str, Any]:
+        """Return a line a sensor, and the settings in effect."""
+        return {**self.lines(), "settings": asdict(self.settings)}
+
+    def lines(self) -> dict[str, str]:
+        """Return a line a sensor."""
+        lines = {"reference": self.reference}
+        for sensor, clock in self.clocks.items():
+            if sensor != self.reference:
+                drift = f"drift {clock.drift_ppm:+.0f} ppm" if clock.drift_ppm else "no drift"
+                lines[sensor] = (
+                    f"{clock.offset_s:+.3f} s (sigma {clock.sigma_s:.3f}), {drift} "
+                    f"(sigma {clock.drift_sigma_ppm:.0f} ppm)"
+                )
+        return lines | {sensor: f"no answer: {why}" for sensor, why in self.refused.items()}
+
+    def write(self, path: str | Path) -> Path:
+        """Write a file of clocks (JSON), which `occupancy` corrects times by."""
+        pairs = [
+            {"one": one, "other": other, "offset_s": offset.offset_s, "sigma_s": offset.sigma_s,
+             "vehicles": offset.vehicles}
+            for (one, other), offset in self.pairs.items()
+        ]  # fmt: skip
+        record = {
+            "reference": self.reference,
+            "clocks": {sensor: clock.as_dict() for sensor, clock in self.clocks.items()},
+            "refused": self.refused,
+            "pairs": pairs,
+            "settings": asdict(self.settings),
+        }
+        write_clocks(record, path)
+        return Path(path)
+
+    def _repr_html_(self) -> str:
+        return card("Clocks: ahead of the reference", self.lines())
+
+    def __repr__(self) -> str:
+        return f"Clocks({'; '.join(f'{name}: {text}' for name, text in self.lines().items())})"
 
 
-def settle(edges: Edges, reference: str) -> Network:
-    """Find all clocks by weighted least squares over the pairs.
+def measure_clocks(
+    recordings: Sequence[str | Path | Recording],
+    poses: Sequence[Pose | PoseTrack],
+    tiles: gpd.GeoDataFrame,
+    *,
+    reference: str | None = None,
+    settings: ClockSettings = DEFAULTS,
+    reporter: Reporter = QUIET,
+) -> Clocks:
+    """Find how far the clocks of sensors are ahead of one of them, and how fast they drift.
+
+    Moving detections are matched to the lanes, with the speed that their Doppler implies there. The
+    lag at which two sensors agree best gives the offset to half a second, the places of the
+    vehicles in both at that lag to milliseconds; the pairs are adjusted by least squares. An offset
+    that fails validation is refused. (The paper, "Global Occupancy Heat Map", names the offsets
+    that remain between synchronised sensors.)
+
+    Parameters
+    ----------
+    recordings : sequence
+        Files, or what :func:`gis_radar.open_recording` returns; of long ones about
+        an hour in which all record is used.
+    poses : sequence of Pose or PoseTrack
+        As many as recordings, in order.
+    tiles : GeoDataFrame
+        As from :func:`gis_radar.tiles.tiles.read_tiles`.
+    reference : str, optional
+        The sensor whose clock counts as right; by default the first of those that can be
+        compared with the most others.
+    settings : ClockSettings
+        Constants of the comparison; written to the file of clocks.
+    reporter : Reporter
+        Receives progress and warnings.
+
+    Returns
+    -------
+    Clocks
+
+    Raises
+    ------
+    UsageError
+        If there are not as many poses as recordings, fewer than two sensors, or no such reference.
+    InputError
+        If a recording is damaged or a CRS differs.
+    NoAnswerError
+        If no clock can be compared with the reference.
+    """
+    if len(recordings) != len(poses) or not recordings:
+        raise UsageError(f"{len(recordings)} recordings, but {len(poses)} poses")
+    tracks = [as_track(pose) for pose in poses]
+    sensors = list(dict.fromkeys(track.sensor for track in tracks))
+    if len(sensors) < 2 or (reference or sensors[0]) not in sensors:
+        raise UsageError(
+            f"the poses are of {', '.join(sensors)}: "
+            + ("clocks need two sensors" if len(sensors) < 2 else f"there is no {reference}")
+        )
+    crs = metric_crs(tiles.crs, what="tiles")
+    for track in tracks:
+        what = f"the pose of {track.sensor}"
+        require_same(track.poses[0].crs, crs, what=what, other_what="the tiles")
+    opened = [as_recording(recording) for recording in recordings]
+    seen = _read_all(opened, tracks, LaneMatcher(tiles, settings), reporter)
+    edges, reasons = _compare(seen, settings, reporter)
+    reference = reference or best_linked(edges, sensors)
+    clocks, misfit = adjust_network(edges, reference, settings.drift_sigmas)
+    refused = {sensor: _reason(sensor, reasons) for sensor in sensors if sensor not in clocks}
+    if len(clocks) < 2:
+        why = "; ".join(f"{one} and {other}: {text}" for (one, other), text in reasons.items())
+        raise NoAnswerError(
+            f"no clock can be compared with that of {reference}: {why}",
+            hint="sensors must see the same moving traffic; longer recordings help",
+        )
+    if misfit > settings.contradiction_sigmas:
+        reporter.log(
+            "the offsets of the pairs contradict each other by "
+            f"{misfit:.1f} standard deviations: is a pose wrong?",
+            "warning",
+        )
+    return Clocks(
+        reference=reference, clocks=clocks, refused=refused, pairs=edges, settings=settings
+    )
+
+
+def _read_all(
+    recordings: list[Recording], tracks: list[PoseTrack], lanes: LaneMatcher, reporter: Reporter
+) -> dict[str, LaneDetections]:
+    """Read what each sensor saw, around the begin of the last recording."""
+    begins = [float(next(recording.read()).time[0]) for recording in recordings]
+    parts: dict[str, list[LaneDetections]] = {}
+    order = np.argsort(begins, kind="stable")
+    for i in order.tolist():
+        found = read_lane_detections(recordings[i], tracks[i], lanes, max(begins), reporter)
+        parts.setdefault(tracks[i].sensor, []).append(found)
+    sensors = dict.fromkeys(track.sensor for track in tracks)
+    return {sensor: LaneDetections.joined(parts[sensor]) for sensor in sensors}
+
+
+def _compare(
+    seen: dict[str, LaneDetections], settings: ClockSettings, reporter: Reporter
+) -> tuple[Edges, dict[tuple[str, str], str]]:
+    """Compare all pairs of sensors; return the offsets, and the reasons where there is none."""
+    edges, reasons = {}, {}
+    pairs = list(combinations(seen, 2))
+    for done, (one, other) in enumerate(pairs):
+        reporter.progress("comparing clocks", done, len(pairs))
+        rough_s, why = rough_offset(seen[one], seen[other], settings)
+        found = None
+        if not why:
+            found, why = fine_offset(seen[one], seen[other], rough_s, settings)
+        if found is not None:
+            why = validate_offset(seen[one], seen[other], found.offset_s, settings)
+        if found is not None and not why:
+            edges[one, other] = found
+        else:
+            reasons[one, other] = why
+    reporter.progress("comparing clocks", len(pairs), len(pairs))
+    return edges, reasons
+
+
+def _reason(sensor: str, reasons: dict[tuple[str, str], str]) -> str:
+    """Return why a sensor could not be compared, with the other one that it shares most with."""
+    mine = {pair: why for pair, why in reasons.items() if sensor in pair}
+    pair = max(mine, key=lambda each: mine[each] != "they see no common traffic")
+    other = pair[1] if pair[0] == sensor else pair[0]
+    return f"with {other}: {mine[pair]}"
+
+
+def adjust_network(
+    edges: Edges, reference: str, drift_sigmas: float = DEFAULTS.drift_sigmas
+) -> tuple[dict[str, SensorClock], float]:
+    """Adjust all clocks by weighted least squares over the pairs.
 
     Parameters
     ----------
@@ -54,12 +229,21 @@ def settle(edges: Edges, reference: str) -> Network:
         By (one, other): how far the clock of `other` is ahead of that of `one`.
     reference : str
         The sensor whose clock counts as right.
+    drift_sigmas : float
+        A drift below so many of its standard deviations counts as none.
+
+    Returns
+    -------
+    clocks : dict
+        The clock of each sensor linked with the reference, whose own has offset 0.
+    misfit : float
+        The largest misfit of a pair, in its standard deviations; 0 without loops.
     """
     rough = _reached(edges, reference)
     names = [name for name in rough if name != reference]
     used = {pair: offset for pair, offset in edges.items() if pair[0] in rough}
     if not used:
-        return Network(clocks={reference: SensorClock(offset_s=0.0)}, misfit=0.0)
+        return {reference: SensorClock(offset_s=0.0)}, 0.0
     design = np.array([[(n == b) - (n == a) for n in names] for a, b in used], np.float64)
     found = list(used.values())
     # When each pair was compared, by the reference's clock.
@@ -68,7 +252,7 @@ def settle(edges: Edges, reference: str) -> Network:
     drift, drift_sigma, _ = _least_squares(
         design, np.array([f.drift for f in found]), np.array([f.drift_sigma for f in found])
     )
-    drift = np.where(np.abs(drift) > DRIFT_TOLD * drift_sigma, drift, 0.0)
+    drift = np.where(np.abs(drift) > drift_sigmas * drift_sigma, drift, 0.0)
     offset = np.array([f.offset_s for f in found]) - design @ drift * (at - middle)
     sigma = np.array([f.sigma_s for f in found])
     offset, offset_sigma, misfit = _least_squares(design, offset, sigma)
@@ -83,7 +267,7 @@ def settle(edges: Edges, reference: str) -> Network:
         for i, name in enumerate(names)
     }
     first = SensorClock(offset_s=0.0, sigma_s=0.0, drift_sigma_ppm=0.0, at=middle)
-    return Network(clocks={reference: first} | clocks, misfit=misfit)
+    return {reference: first} | clocks, misfit
 
 
 def best_linked(edges: Edges, sensors: list[str]) -> str:
@@ -114,252 +298,3 @@ def _least_squares(design: Floats, values: Floats, sigma: Floats) -> tuple[Float
     solution = covariance @ scaled.T @ (values / sigma)
     misfit = float(np.max(np.abs(values - design @ solution) / sigma))
     return solution, np.sqrt(np.diag(covariance)), misfit
-
-
-NEAR_M = 8.0
-NEAR_S = 0.2
-NEAR_MPS = 1.0
-PLACE_M = 10.0
-DECOYS_S = (-3.0, -2.0, -1.5, 1.5, 2.0, 3.0)
-LEAST_SHARE = 0.45
-LEAST_LEAD = 1.3
-LEAST_SIGHTINGS = 50
-MOST_SIGHTINGS = 20_000
-
-
-def doubt_of(one: Sightings, other: Sightings, offset_s: float) -> str:
-    """Return why an offset is not to be trusted; nothing where it is.
-
-    Where both look at the same road, most of what one sees the other sees at the same time, and
-    far less of it a moment before or after. Traffic that follows a signal is alike from
-    cycle to cycle, but not vehicle by vehicle.
-
-    Parameters
-    ----------
-    one, other : Sightings
-        Of two sensors.
-    offset_s : float
-        By how much the clock of `other` is ahead.
-    """
-    share = _share_of_both(one, other, offset_s)
-    decoys = [_share_of_both(one, other, offset_s + decoy_s) for decoy_s in DECOYS_S]
-    if not share >= LEAST_SHARE:
-        return "at no lag do they see the same vehicles"
-    if not share >= LEAST_LEAD * np.nanmax([0.0, *decoys]):
-        return "their common traffic looks alike at other lags too"
-    return ""
-
-
-def _share_of_both(one: Sightings, other: Sightings, offset_s: float) -> float:
-    return (_share_seen(one, other, offset_s) + _share_seen(other, one, -offset_s)) / 2
-
-
-def _share_seen(one: Sightings, other: Sightings, offset_s: float) -> float:
-    """Return the share of what `one` sees, where and while `other` sees too, that both see."""
-    time = other.time - offset_s
-    within = (one.time > time[0] + NEAR_S) & (one.time < time[-1] - NEAR_S)
-    mine = one.take(np.flatnonzero(within & np.isin(_place(one), _place(other))))
-    if len(mine) < LEAST_SIGHTINGS:
-        return np.nan
-    mine = mine.take(np.arange(0, len(mine), -(-len(mine) // MOST_SIGHTINGS)))
-    begin = mine.time[0]
-    tree = cKDTree(_points(other, time - begin))
-    apart, _ = tree.query(_points(mine, mine.time - begin), p=np.inf, distance_upper_bound=1.0)
-    return float(np.isfinite(apart).mean())
-
-
-def _place(sightings: Sightings) -> Integers:
-    return sightings.lanelet * 100_000 + (sightings.s_m // PLACE_M).astype(np.int64)
-
-
-def _points(sightings: Sightings, time: Floats) -> Floats:
-    return np.column_stack(
-        [
-            sightings.lanelet * 1e4,
-            sightings.s_m / NEAR_M,
-            time / NEAR_S,
-            sightings.speed / NEAR_MPS,
-        ]
-    )
-
-
-MOST_S = 4000.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Clocks:
-    """How far each clock is ahead of the reference.
-
-    Parameters
-    ----------
-    reference : str
-        The sensor whose clock counts as right.
-    clocks : dict
-        By sensor, the reference too; those without an answer are not there.
-    refused : dict
-        Of the others: why there is no answer.
-    pairs : dict
-        What was found by pairs of sensors.
-    """
-
-    reference: str
-    clocks: dict[str, SensorClock]
-    refused: dict[str, str]
-    pairs: dict[tuple[str, str], Offset]
-
-    def figures(self) -> dict[str, Any]:
-        """Return a line a sensor."""
-        lines = {"reference": self.reference}
-        for sensor, clock in self.clocks.items():
-            if sensor != self.reference:
-                drift = f"drift {clock.drift_ppm:+.0f} ppm" if clock.drift_ppm else "no drift told"
-                lines[sensor] = (
-                    f"{clock.offset_s:+.3f} s (sigma {clock.sigma_s:.3f}), {drift} "
-                    f"(sigma {clock.drift_sigma_ppm:.0f} ppm)"
-                )
-        return lines | {sensor: f"no answer: {why}" for sensor, why in self.refused.items()}
-
-    def write(self, path: str | Path) -> Path:
-        """Write a file of clocks (JSON), which `occupancy` corrects times by."""
-        pairs = [
-            {"one": one, "other": other, "offset_s": offset.offset_s, "sigma_s": offset.sigma_s,
-             "vehicles": offset.vehicles}
-            for (one, other), offset in self.pairs.items()
-        ]  # fmt: skip
-        record = {
-            "reference": self.reference,
-            "clocks": {sensor: clock.as_dict() for sensor, clock in self.clocks.items()},
-            "refused": self.refused,
-            "pairs": pairs,
-        }
-        write_clocks(record, path)
-        return Path(path)
-
-    def _repr_html_(self) -> str:
-        return card("Clocks: ahead of the reference", self.figures())
-
-    def __repr__(self) -> str:
-        return f"Clocks({'; '.join(f'{name}: {text}' for name, text in self.figures().items())})"
-
-
-def measure_clocks(
-    recordings: Sequence[str | Path | Recording],
-    poses: Sequence[Pose | PoseTrack],
-    tiles: gpd.GeoDataFrame,
-    *,
-    reference: str | None = None,
-    reporter: Reporter = QUIET,
-) -> Clocks:
-    """Find how far the clocks of sensors are ahead of one of them, and how fast they drift.
-
-    Moving detections are placed on the lanes, with the speed that their Doppler implies there. The
-    lag at which two sensors agree best gives the offset to half a second, the places of the
-    vehicles in both at that lag to milliseconds; pairs are settled by least squares. Where
-    the common traffic does not tell an offset beyond doubt there is none. (The paper, "Global
-    Occupancy Heat Map", names the offsets that remain between synchronised sensors.)
-
-    Parameters
-    ----------
-    recordings : sequence
-        Files, or what :func:`gis_radar.open_recording` returns; of long ones about
-        an hour in which all record is used.
-    poses : sequence of Pose or PoseTrack
-        As many as recordings, in order.
-    tiles : GeoDataFrame
-        As from :func:`gis_radar.tiles.tiles.read_tiles`.
-    reference : str, optional
-        The sensor whose clock counts as right; by default the first of those that can be
-        compared with the most others.
-    reporter : Reporter
-        Hears how far the work is.
-
-    Returns
-    -------
-    Clocks
-
-    Raises
-    ------
-    UsageError
-        If there are not as many poses as recordings, fewer than two sensors, or no such reference.
-    InputError
-        If a recording is damaged or a CRS differs.
-    NoAnswerError
-        If no clock can be compared with the reference.
-    """
-    if len(recordings) != len(poses) or not recordings:
-        raise UsageError(f"{len(recordings)} recordings, but {len(poses)} poses")
-    tracks = [as_track(pose) for pose in poses]
-    sensors = list(dict.fromkeys(track.sensor for track in tracks))
-    if len(sensors) < 2 or (reference or sensors[0]) not in sensors:
-        raise UsageError(
-            f"the poses are of {', '.join(sensors)}: "
-            + ("clocks need two sensors" if len(sensors) < 2 else f"there is no {reference}")
-        )
-    crs = metric_crs(tiles.crs, what="tiles")
-    for track in tracks:
-        what = f"the pose of {track.sensor}"
-        require_same(track.poses[0].crs, crs, what=what, other_what="the tiles")
-    opened = [as_recording(recording) for recording in recordings]
-    seen = _sightings(opened, tracks, Lanes(tiles), reporter)
-    edges, reasons = _compare(seen, reporter)
-    reference = reference or best_linked(edges, sensors)
-    network = settle(edges, reference)
-    refused = {
-        sensor: _reason(sensor, reasons) for sensor in sensors if sensor not in network.clocks
-    }
-    if len(network.clocks) < 2:
-        told = "; ".join(f"{one} and {other}: {why}" for (one, other), why in reasons.items())
-        raise NoAnswerError(
-            f"no clock can be compared with that of {reference}: {told}",
-            hint="sensors must see the same moving traffic; longer recordings help",
-        )
-    if network.misfit > CONTRADICTION:
-        reporter.log(
-            "the offsets of the pairs contradict each other by "
-            f"{network.misfit:.1f} standard deviations: is a pose wrong?",
-            "warning",
-        )
-    return Clocks(reference=reference, clocks=network.clocks, refused=refused, pairs=edges)
-
-
-def _sightings(
-    recordings: list[Recording], tracks: list[PoseTrack], lanes: Lanes, reporter: Reporter
-) -> dict[str, Sightings]:
-    begins = [float(next(recording.read()).time[0]) for recording in recordings]
-    parts: dict[str, list[Sightings]] = {}
-    order = np.argsort(begins, kind="stable")
-    for i in order.tolist():
-        found = read_sightings(recordings[i], tracks[i], lanes, max(begins), reporter)
-        parts.setdefault(tracks[i].sensor, []).append(found)
-    sensors = dict.fromkeys(track.sensor for track in tracks)
-    return {sensor: Sightings.joined(parts[sensor]) for sensor in sensors}
-
-
-def _compare(
-    seen: dict[str, Sightings], reporter: Reporter
-) -> tuple[dict[tuple[str, str], Offset], dict[tuple[str, str], str]]:
-    """Compare all pairs of sensors; return what was found, and why where nothing was."""
-    edges, reasons = {}, {}
-    pairs = list(combinations(seen, 2))
-    for done, (one, other) in enumerate(pairs):
-        reporter.progress("comparing clocks", done, len(pairs))
-        rough_s, why = rough_offset(seen[one], seen[other], MOST_S)
-        found = None
-        if not why:
-            found, why = fine_offset(seen[one], seen[other], rough_s)
-        if found is not None:
-            why = doubt_of(seen[one], seen[other], found.offset_s)
-        if found is not None and not why:
-            edges[one, other] = found
-        else:
-            reasons[one, other] = why
-    reporter.progress("comparing clocks", len(pairs), len(pairs))
-    return edges, reasons
-
-
-def _reason(sensor: str, reasons: dict[tuple[str, str], str]) -> str:
-    """Return why a sensor could not be compared: with whom it came furthest."""
-    mine = {pair: why for pair, why in reasons.items() if sensor in pair}
-    pair = max(mine, key=lambda each: mine[each] != "they see no common traffic")
-    other = pair[1] if pair[0] == sensor else pair[0]
-    return f"with {other}: {mine[pair]}"

@@ -1,4 +1,4 @@
-"""Clocks of sensors: how far each one is ahead, and the file that says so."""
+"""The clock of a sensor: how far it is ahead, and the file of clocks."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gis_radar.errors import InputError
 from gis_radar.files import whole_file
 from gis_radar.steps import seconds_from_iso
 
-MOST_DRIFT_PPM = 10_000.0
+MOST_DRIFT_PPM = 10_000.0  # a hundred times that of a bad quartz: a unit is mistaken
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,13 +27,13 @@ class SensorClock:
     Parameters
     ----------
     offset_s : float
-        Seconds by which it is ahead at the time `at`; what it stamps is later by that much.
+        Seconds by which it is ahead at the time `at`; its time stamps are later by that much.
     drift_ppm : float
         By how much it runs fast, microseconds a second.
     at : float
         UNIX seconds on its own clock at which the offset holds.
     sigma_s, drift_sigma_ppm : float
-        One standard deviation of both; NaN where nobody said.
+        One standard deviation of both; NaN where not known.
     """
 
     offset_s: float
@@ -56,7 +56,7 @@ class SensorClock:
         return np.asarray(time - ahead, dtype=np.float64)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return what a file of clocks says of it; what is unknown is left out."""
+        """Return its entry in a file of clocks; unknown values are left out."""
         moment = datetime.fromtimestamp(self.at, UTC).isoformat(timespec="milliseconds")
         numbers = {
             "offset_s": self.offset_s,
@@ -81,7 +81,7 @@ def read_clocks(path: str | Path) -> dict[str, SensorClock]:
     Raises
     ------
     InputError
-        If it cannot be read, or says of a sensor what no clock can be.
+        If it cannot be read, or a clock in it has impossible values.
     """
     try:
         record = json.loads(Path(path).read_text(encoding="utf-8-sig"))
@@ -92,24 +92,24 @@ def read_clocks(path: str | Path) -> dict[str, SensorClock]:
         raise InputError(
             f"{path}: not a file of clocks", hint="make one with: gis-radar clocks"
         ) from error
-    return {str(sensor): _clock_of(said, f"{path}: {sensor}") for sensor, said in clocks.items()}
+    return {str(sensor): _clock_of(entry, f"{path}: {sensor}") for sensor, entry in clocks.items()}
 
 
-def _clock_of(said: Any, what: str) -> SensorClock:
-    if not isinstance(said, dict) or "offset_s" not in said:
+def _clock_of(entry: Any, what: str) -> SensorClock:
+    if not isinstance(entry, dict) or "offset_s" not in entry:
         raise InputError(f"{what}: lacks offset_s")
     numbers = {
-        name: said[name]
+        name: entry[name]
         for name in ("offset_s", "sigma_s", "drift_ppm", "drift_sigma_ppm")
-        if name in said
+        if name in entry
     }
     for name, value in numbers.items():
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise InputError(f"{what}: {name} is {value!r}, expected a number")
     drifts = numbers.get("drift_ppm", 0.0) != 0.0
-    if drifts and "at" not in said:
+    if drifts and "at" not in entry:
         raise InputError(f"{what}: has a drift but not the time `at` which its offset holds")
-    at = seconds_from_iso(str(said["at"]), what=f"{what}: at") if "at" in said else 0.0
+    at = seconds_from_iso(str(entry["at"]), what=f"{what}: at") if "at" in entry else 0.0
     try:
         return SensorClock(at=at, **numbers)
     except InputError as error:

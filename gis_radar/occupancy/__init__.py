@@ -3,5 +3,13 @@
 from gis_radar.occupancy.filters import Filters
 from gis_radar.occupancy.folder import Occupancy, merge_occupancies, read_occupancy
 from gis_radar.occupancy.measure import measure_occupancy
+from gis_radar.occupancy.settings import OccupancySettings
 
-__all__ = ["Filters", "Occupancy", "measure_occupancy", "merge_occupancies", "read_occupancy"]
+__all__ = [
+    "Filters",
+    "Occupancy",
+    "OccupancySettings",
+    "measure_occupancy",
+    "merge_occupancies",
+    "read_occupancy",
+]

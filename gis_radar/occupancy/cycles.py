@@ -1,11 +1,10 @@
-"""Cycles: how long a frame of a sensor speaks, where its sensor is slower than the steps.
+"""Cycles: how many steps one frame covers, for sensors slower than 20 Hz.
 
-A frame speaks for the step that its time stamp falls in. With a stated cycle it also speaks for
-each later step that ends within one cycle of its time stamp: it covers [time, time + cycle), and
-what covers the end of a step stands for it. A cycle of 50 ms gives the frame's own step and no
-other, whatever the phase; a frame of a longer one speaks on average for cycle / 50 ms steps. A
-frame that is missing leaves its steps empty: a cycle is a property of the sensor, and no frame
-looks at the next one.
+A frame covers the step of its time stamp. With a stated cycle it also covers each later step that
+ends within one cycle of its time stamp: it holds for [time, time + cycle), and what holds at the
+end of a step stands for it. A cycle of 50 ms gives the frame's own step and no other, whatever the
+phase; a frame of a longer one covers cycle / 50 ms steps on average. A missing frame leaves its
+steps empty: a cycle is a property of the sensor, and no frame depends on the next one.
 """
 
 from __future__ import annotations
@@ -19,17 +18,19 @@ import numpy as np
 from gis_radar.arrays import Floats, Integers
 from gis_radar.errors import UsageError
 from gis_radar.occupancy.hits import Hits
+from gis_radar.occupancy.settings import DEFAULTS
 from gis_radar.recordings.recording import Recording
 from gis_radar.steps import STEP_US, step_of
 
-SHORTEST_CYCLE_S, LONGEST_CYCLE_S = 0.001, 2.0
-FRAMES_ENOUGH = 4000
+SHORTEST_CYCLE_S, LONGEST_CYCLE_S = 0.001, 2.0  # of any radar; beyond, a unit is mistaken
+GAP_US = 100  # resolution of measured cycles: jitter is larger
+MOST_GAPS = round(LONGEST_CYCLE_S * 1e6) // GAP_US
 AUTO: Literal["auto"] = "auto"
 Cycles = Mapping[str, float] | Literal["auto"]
 
 
-def last_step(time: Floats, cycle_us: int) -> Integers:
-    """Return the last step that a frame at each time speaks for.
+def last_step_covered(time: Floats, cycle_us: int) -> Integers:
+    """Return the last step that a frame at each time covers.
 
     Parameters
     ----------
@@ -43,8 +44,8 @@ def last_step(time: Floats, cycle_us: int) -> Integers:
 
 
 @dataclass(kw_only=True)
-class Spoken:
-    """Spreads hits of frames over the steps that the frames speak for, in order.
+class HeldHits:
+    """Hits of frames, repeated in each step that the frames cover, in order.
 
     Steps beyond those read so far wait, so that what comes out ascends.
     """
@@ -57,7 +58,7 @@ class Spoken:
         Parameters
         ----------
         step, last, tile : (k,) int64 arrays
-            First and last step that each hit speaks for, and its tile.
+            First and last step that the frame of each hit covers, and its tile.
         until : int
             The last step of the frames read so far.
         """
@@ -79,8 +80,52 @@ class Spoken:
         return rest
 
 
+@dataclass(kw_only=True)
+class FrameTimes:
+    """When the frames of a sensor came: the first, the last, and a histogram of the gaps.
+
+    Parameters
+    ----------
+    frames : int
+        Frames so far.
+    first_us, last_us : int
+        Time of the first and of the last one, microseconds since the UNIX epoch.
+    gaps, sums_us : (m,) int64 arrays
+        Gaps between frames by their length in `GAP_US`: how many, and their sum.
+    """
+
+    frames: int = 0
+    first_us: int = 0
+    last_us: int = 0
+    gaps: Integers = field(default_factory=lambda: np.zeros(MOST_GAPS, np.int64))
+    sums_us: Integers = field(default_factory=lambda: np.zeros(MOST_GAPS, np.int64))
+
+    def add(self, time_us: Integers) -> None:
+        """Add frames that follow those so far."""
+        if self.frames == 0:
+            self.first_us = self.last_us = int(time_us[0])
+        gap_us = np.diff(time_us, prepend=self.last_us)
+        gap_us = gap_us[(gap_us > 0) & (gap_us < MOST_GAPS * GAP_US)]
+        self.gaps += np.bincount(gap_us // GAP_US, minlength=MOST_GAPS)
+        self.sums_us += np.bincount(gap_us // GAP_US, gap_us, MOST_GAPS).astype(np.int64)
+        self.last_us = int(time_us[-1])
+        self.frames += len(time_us)
+
+    @property
+    def cycle_us(self) -> float:
+        """The median time from one frame to the next; infinite where there is but one."""
+        done = np.cumsum(self.gaps)
+        if done[-1] == 0:
+            return np.inf
+        middle = int(np.searchsorted(done, done[-1] / 2))
+        return float(self.sums_us[middle] / self.gaps[middle])
+
+
 def cycles_us(
-    cycles: Cycles | None, recordings: list[Recording], sensors: list[str]
+    cycles: Cycles | None,
+    recordings: list[Recording],
+    sensors: list[str],
+    frames: int = DEFAULTS.cycle_frames,
 ) -> dict[str, int]:
     """Return the cycle of each sensor in microseconds; 50 ms where none is stated.
 
@@ -91,6 +136,8 @@ def cycles_us(
         over the first frames of the sensor's recordings.
     recordings, sensors : lists
         The recordings, and whose they are.
+    frames : int
+        How many first frames that median takes from each recording.
 
     Raises
     ------
@@ -101,7 +148,7 @@ def cycles_us(
     if cycles is None:
         return found
     if cycles == AUTO:
-        return {sensor: _measured_us(recordings, sensors, sensor) for sensor in found}
+        return {sensor: _measured_us(recordings, sensors, sensor, frames) for sensor in found}
     for sensor, cycle_s in cycles.items():
         if sensor not in found:
             raise UsageError(
@@ -117,12 +164,12 @@ def cycles_us(
     return found
 
 
-def _measured_us(recordings: list[Recording], sensors: list[str], sensor: str) -> int:
+def _measured_us(recordings: list[Recording], sensors: list[str], sensor: str, frames: int) -> int:
     apart = [
         gaps
         for recording, owner in zip(recordings, sensors, strict=True)
         if owner == sensor
-        for gaps in _gaps_s(recording)
+        for gaps in _gaps_s(recording, frames)
     ]
     if not apart:
         return STEP_US
@@ -135,13 +182,13 @@ def _measured_us(recordings: list[Recording], sensors: list[str], sensor: str) -
     return max(round(cycle_s * 1000) * 1000, STEP_US)
 
 
-def _gaps_s(recording: Recording) -> Iterator[Floats]:
+def _gaps_s(recording: Recording, frames: int) -> Iterator[Floats]:
     """Yield the times from frame to frame at the begin of a recording."""
-    last, frames = np.nan, 0
+    last, done = np.nan, 0
     for detections in recording.read():
         gaps = np.diff(detections.time, prepend=last)
         gaps = gaps[gaps > 0.0]
         yield gaps
-        last, frames = float(detections.time[-1]), frames + len(gaps)
-        if frames >= FRAMES_ENOUGH:
+        last, done = float(detections.time[-1]), done + len(gaps)
+        if done >= frames:
             return

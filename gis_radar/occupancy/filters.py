@@ -11,13 +11,10 @@ from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.errors import UsageError
 from gis_radar.recordings.recording import Detections
 
-LEVELS_APART_M = 2.5
-SIGMAS = 2.0
-
 
 @dataclass(frozen=True, kw_only=True)
 class Filters:
-    """What a detection must be to count; without any of it, all count.
+    """Which detections count; by default all.
 
     A stopped vehicle has no Doppler, and a queue is what planners look for: so the default
     keeps what stands still. (The paper, "Local Sensor Data Processing", names these three.)
@@ -31,14 +28,21 @@ class Filters:
     clearance : (float, float), optional
         Lowest and highest height over the tile's road, metres: the clearance profile.
     elevation_error_deg : float
-        One standard deviation of the radar's elevation; the clearance profile widens by
-        two of them with range.
+        One standard deviation of the radar's elevation; the clearance profile widens with range
+        by `sigmas` of them.
+    sigmas : float
+        2: of the detections within the profile 95 % stay.
+    levels_apart_m : float
+        Tiles nearer in height belong to one level, metres: over a crossfall or a kerb, under the
+        least clearance of a bridge (4.5 m).
     """
 
     min_speed: float | None = None
     min_rcs: float | None = None
     clearance: tuple[float, float] | None = None
     elevation_error_deg: float = 0.5
+    sigmas: float = 2.0
+    levels_apart_m: float = 2.5
 
     def __post_init__(self) -> None:
         if self.min_speed is not None and not self.min_speed >= 0.0:
@@ -52,7 +56,7 @@ class Filters:
             raise UsageError(f"elevation error is {self.elevation_error_deg} deg, expected 0 to 45")
 
     def keep_detections(self, detections: Detections) -> Booleans:
-        """Tell which detections count, wherever they lie; an unknown value does not pass."""
+        """Return which detections count, wherever they are; an unknown value does not pass."""
         keep = detections.present
         if self.min_speed is not None:
             keep = keep & (np.abs(detections.range_rate) >= self.min_speed)
@@ -63,10 +67,10 @@ class Filters:
     def keep_pairs(
         self, point: Integers, height: Floats, range_m: Floats, road_height: Floats
     ) -> Booleans:
-        """Tell which pairs of a detection and a tile fit in height.
+        """Return which pairs of a detection and a tile fit in height.
 
-        Where tiles lie over each other (a bridge), the level that the detection fits best
-        takes it; tiles within `LEVELS_APART_M` of that one count as the same level.
+        Where tiles are above each other (a bridge), the detection counts on the level that it fits
+        best; tiles within `levels_apart_m` of that one are the same level.
 
         Parameters
         ----------
@@ -81,13 +85,14 @@ class Filters:
         low, high = self.clearance
         over_road = height - road_height
         outside = np.maximum(np.maximum(low - over_road, over_road - high), 0.0)
-        widened = range_m * math.tan(math.radians(SIGMAS * self.elevation_error_deg))
+        widened = range_m * math.tan(math.radians(self.sigmas * self.elevation_error_deg))
         fits = outside <= widened
+        # Of levels that fit alike, the one nearer to the profile's middle.
         misfit = np.where(fits, outside + 1e-3 * np.abs(over_road - (low + high) / 2), np.inf)
         begins = np.flatnonzero(np.diff(point, prepend=-1))
         least = np.repeat(np.minimum.reduceat(misfit, begins), np.diff([*begins, len(point)]))
         best = np.flatnonzero(fits & (misfit == least))
         level = np.full(int(point.max()) + 1, np.nan)
         level[point[best]] = road_height[best]
-        same_level = np.abs(road_height - level[point]) < LEVELS_APART_M
+        same_level = np.abs(road_height - level[point]) < self.levels_apart_m
         return np.asarray(fits & same_level)

@@ -1,4 +1,4 @@
-"""The folder of an occupancy: its tables, its reader, its writer, and how folders merge."""
+"""Read, write and merge the folder of an occupancy."""
 
 from __future__ import annotations
 
@@ -17,22 +17,21 @@ import pyarrow.parquet as pq
 from gis_radar.errors import InputError
 from gis_radar.files import whole_folder
 from gis_radar.notebooks import card
-from gis_radar.occupancy.frame_log import COLUMNS as DELIVERY_COLUMNS
-from gis_radar.occupancy.frame_log import FILE as DELIVERIES
-from gis_radar.occupancy.frame_log import merge_deliveries, read_deliveries, write_deliveries
+from gis_radar.occupancy import frame_log as log
 from gis_radar.occupancy.hits import Hits, Rows, merge_hits, read_hits, write_hits
 from gis_radar.occupancy.step_sets import frames_table
 from gis_radar.occupancy.views import NOTHING, name_of_view, views_table
 from gis_radar.steps import STEP_S, iso_from_step
 
 FILES = ("hits.parquet", "frames.parquet", "views.parquet", "manifest.json")
-OWNED = (*FILES, DELIVERIES, "quality.")  # a table made of it may stand there
+OWNED = (*FILES, log.FILE, "quality.")  # a table made of it may stand there
 NEEDED = {
     "hits": ("step", "tile_id"),
     "frames": ("sensor", "first_step", "last_step"),
     "views": ("sensor", "tile_id"),
-    "deliveries": DELIVERY_COLUMNS,
+    "deliveries": log.COLUMNS,
 }
+FrameLog = Callable[[Sequence[str]], Iterator[Rows]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +41,7 @@ class Occupancy:
     Parameters
     ----------
     fingerprint : str
-        Of the tiles it speaks of.
+        Of its tiles.
     frames : DataFrame
         `sensor, view, first_step, last_step`: runs of steps in which the sensor delivered a
         frame while it had that view.
@@ -52,10 +51,10 @@ class Occupancy:
     hits : callable
         Starts reading the pairs (step, tile_id), each once, ascending, piece by piece.
     sources : list of dict
-        Per recording: file, sensor, poses, filters.
-    deliveries : callable
-        Takes the names of all sensors and starts reading the rows of frames, as of
-        :mod:`gis_radar.occupancy.frame_log`; none where the folder does not tell.
+        Per recording: file, sensor, poses, filters, settings.
+    frame_log : callable
+        Takes the names of all sensors and starts reading the rows of the frame log, as of
+        :mod:`gis_radar.occupancy.frame_log`; none where the folder has no such log.
     """
 
     fingerprint: str
@@ -63,7 +62,7 @@ class Occupancy:
     views: pd.DataFrame
     hits: Callable[[], Iterator[Hits]]
     sources: list[dict[str, Any]]
-    deliveries: Callable[[Sequence[str]], Iterator[Rows]] = lambda _: iter(())
+    frame_log: FrameLog = lambda _: iter(())
 
     @property
     def sensors(self) -> list[str]:
@@ -77,7 +76,7 @@ class Occupancy:
         return f"Occupancy({sensors}: {seconds:.1f} s of frames, {tiles} tiles seen)"
 
     def figures(self) -> dict[str, Any]:
-        """Return what is worth a look: sensors, time span, tiles, hits."""
+        """Return sensors, time span, tiles and hits."""
         return self._span() | {"hits": sum(len(step) for step, _ in self.hits())}
 
     def _span(self) -> dict[str, Any]:
@@ -104,28 +103,42 @@ class Occupancy:
         folder = Path(folder)
         with whole_folder(folder, owned=OWNED) as part:
             write_hits(self.hits(), part / "hits.parquet", fingerprint=self.fingerprint)
-            write_tables(self, part)
+            write_tables(
+                part,
+                fingerprint=self.fingerprint,
+                frames=self.frames,
+                views=self.views,
+                sources=self.sources,
+                frame_log=self.frame_log,
+            )
         return folder
 
 
-def write_tables(occupancy: Occupancy, folder: Path) -> None:
-    """Write everything but the hits into an open folder."""
-    for name, table in (("frames", occupancy.frames), ("views", occupancy.views)):
+def write_tables(
+    folder: Path,
+    *,
+    fingerprint: str,
+    frames: pd.DataFrame,
+    views: pd.DataFrame,
+    sources: list[dict[str, Any]],
+    frame_log: FrameLog,
+) -> None:
+    """Write everything but the hits into an open folder; arguments as of :class:`Occupancy`."""
+    for name, table in (("frames", frames), ("views", views)):
         pq.write_table(
             pa.Table.from_pandas(table, preserve_index=False).replace_schema_metadata(
-                {"fingerprint": occupancy.fingerprint}
+                {"fingerprint": fingerprint}
             ),
             folder / f"{name}.parquet",
             compression="zstd",
             write_page_checksum=True,
         )
-    sensors = occupancy.sensors
-    rows = occupancy.deliveries(sensors)
-    write_deliveries(rows, folder / DELIVERIES, sensors, occupancy.fingerprint)
+    sensors = sorted(map(str, frames["sensor"].unique()))
+    log.write_frame_log(frame_log(sensors), folder / log.FILE, sensors, fingerprint)
     manifest = {
-        "fingerprint": occupancy.fingerprint,
+        "fingerprint": fingerprint,
         "software": {"name": "gis_radar", "version": version("gis_radar")},
-        "sources": _ordered(occupancy.sources),
+        "sources": _ordered(sources),
     }
     text = json.dumps(manifest, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
     (folder / "manifest.json").write_text(text, encoding="utf-8")
@@ -153,7 +166,7 @@ def read_occupancy(folder: str | Path) -> Occupancy:
         raise InputError(f"{folder / 'manifest.json'}: damaged: {error!r}") from error
     frames, views = (_read_table(folder, name, fingerprint) for name in ("frames", "views"))
     _check_table(folder, "hits", fingerprint)
-    if (folder / DELIVERIES).exists():
+    if (folder / log.FILE).exists():
         _check_table(folder, "deliveries", fingerprint)
     frames, views = _with_view_names(frames, views)
     return Occupancy(
@@ -162,7 +175,7 @@ def read_occupancy(folder: str | Path) -> Occupancy:
         views=views,
         hits=lambda: read_hits(folder / "hits.parquet"),
         sources=sources,
-        deliveries=lambda sensors: read_deliveries(folder / DELIVERIES, sensors),
+        frame_log=lambda sensors: log.read_frame_log(folder / log.FILE, sensors),
     )
 
 
@@ -176,7 +189,7 @@ def _read_table(folder: Path, name: str, fingerprint: str) -> pd.DataFrame:
 
 
 def _check_table(folder: Path, name: str, fingerprint: str) -> None:
-    """Refuse a table that lacks columns or says that it was made from other tiles."""
+    """Refuse a table that lacks columns or was made from other tiles."""
     path = folder / f"{name}.parquet"
     try:
         schema = pq.read_schema(path)
@@ -185,9 +198,9 @@ def _check_table(folder: Path, name: str, fingerprint: str) -> None:
     missing = [column for column in NEEDED[name] if column not in schema.names]
     if missing:
         raise InputError(f"{path}: lacks the column {missing[0]}")
-    said = (schema.metadata or {}).get(b"fingerprint", fingerprint.encode()).decode()
-    if said != fingerprint:
-        raise InputError(f"{path}: was made from tiles {said}, its folder from {fingerprint}")
+    other = (schema.metadata or {}).get(b"fingerprint", fingerprint.encode()).decode()
+    if other != fingerprint:
+        raise InputError(f"{path}: was made from tiles {other}, its folder from {fingerprint}")
 
 
 def _with_view_names(
@@ -212,7 +225,7 @@ def merge_occupancies(parts: Sequence[Occupancy]) -> Occupancy:
     Raises
     ------
     InputError
-        If they speak of different tiles.
+        If their tiles differ.
     """
     if len({part.fingerprint for part in parts}) > 1:
         raise InputError("the occupancy folders were made with different tiles")
@@ -227,7 +240,7 @@ def merge_occupancies(parts: Sequence[Occupancy]) -> Occupancy:
         views=views_table(frames, tiles),
         hits=lambda: merge_hits([part.hits() for part in parts]),
         sources=_ordered([source for part in parts for source in part.sources]),
-        deliveries=lambda sensors: merge_deliveries([part.deliveries(sensors) for part in parts]),
+        frame_log=lambda sensors: log.merge_frame_logs([part.frame_log(sensors) for part in parts]),
     )
 
 

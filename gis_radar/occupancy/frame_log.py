@@ -1,4 +1,4 @@
-"""Deliveries: one row a frame of a sensor, what it brought: the evidence of data quality.
+"""Frames of a recording, and the frame log: one row a frame, the evidence of data quality.
 
 A set of rows, like all tables of an occupancy: it merges exactly, in any order and split between
 frames, and repetition changes nothing. Of two rows for one frame the greater one stays.
@@ -7,27 +7,146 @@ frames, and repetition changes nothing. Of two rows for one frame the greater on
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Self
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
-from gis_radar.arrays import Floats, Integers
+from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.errors import InputError
-from gis_radar.occupancy.hits import Rows, merge_ascending
+from gis_radar.occupancy.hits import (
+    Rows,
+    SortedTableWriter,
+    fresh,
+    merge_ascending,
+    read_ascending,
+)
+from gis_radar.occupancy.settings import OccupancySettings
+from gis_radar.recordings.recording import Detections
 
 FILE = "deliveries.parquet"
-MOVING_MPS = 0.5
-WILD_MPS = 70.0
 COLUMNS = (
     "time_us", "sensor", "detections", "moving", "wild", "tiles_hit", "tiles_seen", "checksum",
     "shift_us",
 )  # fmt: skip
 SCHEMA = pa.schema([(name, pa.string() if name == "sensor" else pa.int64()) for name in COLUMNS])
 ROWS_AT_ONCE = 1 << 16
-ROWS_IN_GROUP = 1 << 16
+MOST_ROWS_OF_A_FRAME = 1 << 21  # 100 MiB
+NO_FURTHER = pa.RecordBatch.from_pydict({})
+
+
+def whole_frames(pieces: Iterator[Detections]) -> Iterator[Detections]:
+    """Cut pieces at the borders of frames, so that none is split; further columns are dropped.
+
+    A frame of over two million rows is no frame of a radar, and is passed on in parts.
+    """
+    waiting: Detections | None = None
+    for piece in pieces:
+        joined = replace(piece, further=NO_FURTHER) if waiting is None else _joined(waiting, piece)
+        cut = int(np.searchsorted(joined.time, joined.time[-1], side="left"))
+        if cut == 0 and len(joined) > MOST_ROWS_OF_A_FRAME:
+            cut = len(joined)
+        if cut:
+            yield rows_of(joined, slice(0, cut))
+        waiting = rows_of(joined, slice(cut, None))
+    if waiting is not None and len(waiting):
+        yield waiting
+
+
+def _joined(one: Detections, other: Detections) -> Detections:
+    return Detections(
+        time=np.concatenate([one.time, other.time]),
+        points=np.concatenate([one.points, other.points]),
+        range_rate=np.concatenate([one.range_rate, other.range_rate]),
+        rcs=np.concatenate([one.rcs, other.rcs]),
+        further=NO_FURTHER,
+    )
+
+
+def rows_of(rows: Detections, part: slice | Booleans) -> Detections:
+    """Return some of the rows, without further columns."""
+    return Detections(
+        time=rows.time[part],
+        points=rows.points[part],
+        range_rate=rows.range_rate[part],
+        rcs=rows.rcs[part],
+        further=NO_FURTHER,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameIndex:
+    """The frames of a piece of a recording: their times, and the rows of each.
+
+    Parameters
+    ----------
+    time : (f,) array
+        UNIX seconds, corrected.
+    begins : (f,) int64 array
+        The first row of each frame.
+    of_row : (n,) int64 array
+        The frame of each row.
+    """
+
+    time: Floats
+    begins: Integers
+    of_row: Integers
+
+    @classmethod
+    def of(cls, time: Floats) -> FrameIndex:
+        """Find the frames of rows with the given times, ascending."""
+        new = fresh(time)
+        begins = np.flatnonzero(new)
+        return cls(time=time[begins], begins=begins, of_row=np.cumsum(new) - 1)
+
+    @property
+    def time_us(self) -> Integers:
+        """Time of each frame in microseconds."""
+        return np.rint(self.time * 1e6).astype(np.int64)
+
+    def count(self, flags: Booleans) -> Integers:
+        """Return for each frame how many of its rows have a flag set."""
+        return np.add.reduceat(flags.astype(np.int64), self.begins)
+
+
+def rows_of_log(
+    piece: Detections,
+    frames: FrameIndex,
+    *,
+    tiles_hit: Integers,
+    tiles_seen: int,
+    shift_us: Integers,
+    settings: OccupancySettings,
+) -> Rows:
+    """Return the rows of the log for the frames of a piece, in the order of `COLUMNS`.
+
+    Parameters
+    ----------
+    piece, frames : Detections, FrameIndex
+        Whole frames of one sensor, and where each begins.
+    tiles_hit : (f,) int64 array
+        Tiles hit by each frame.
+    tiles_seen : int
+        Tiles that the view sees.
+    shift_us : (n,) int64 array
+        Microseconds added to the time of each row by the correction of the clock.
+    settings : OccupancySettings
+        From which speeds on a detection moves, or cannot be a vehicle.
+    """
+    speed = np.abs(piece.range_rate)
+    count = len(frames.time)
+    return (
+        frames.time_us,
+        np.zeros(count, np.int64),
+        frames.count(piece.present),
+        frames.count(speed >= settings.moving_mps),
+        frames.count(speed > settings.wild_mps),
+        tiles_hit,
+        np.full(count, tiles_seen),
+        position_sums(piece.points, frames.begins),
+        shift_us[frames.begins],
+    )
 
 
 def position_sums(points: Floats, begins: Integers) -> Integers:
@@ -45,7 +164,7 @@ def position_sums(points: Floats, begins: Integers) -> Integers:
     return np.add.reduceat(bits, begins) % 65521 if len(begins) else begins
 
 
-def merge_deliveries(streams: Sequence[Iterator[Rows]]) -> Iterator[Rows]:
+def merge_frame_logs(streams: Sequence[Iterator[Rows]]) -> Iterator[Rows]:
     """Merge streams of rows into one that holds each frame of each sensor once.
 
     Parameters
@@ -64,8 +183,8 @@ def merge_deliveries(streams: Sequence[Iterator[Rows]]) -> Iterator[Rows]:
         yield tuple(column[order[last]] for column in rows)
 
 
-class DeliveryWriter:
-    """Writes the table as rows come; equal rows give equal files.
+class FrameLogWriter(SortedTableWriter):
+    """Writes a frame log as rows come; equal rows give equal files.
 
     Parameters
     ----------
@@ -78,51 +197,30 @@ class DeliveryWriter:
     """
 
     def __init__(self, path: Path, sensors: Sequence[str], fingerprint: str) -> None:
+        super().__init__(
+            path, SCHEMA, fingerprint=fingerprint, rows_in_group=ROWS_AT_ONCE, names=["sensor"]
+        )
         self.path = path
         self._names = np.array(sensors, dtype=object)
-        self._schema = SCHEMA.with_metadata({"fingerprint": fingerprint})
-        self._waiting: list[pa.RecordBatch] = []
 
-    def __enter__(self) -> Self:
-        self._writer = pq.ParquetWriter(
-            self.path,
-            self._schema,
-            compression="zstd",
-            use_dictionary=["sensor"],
-            column_encoding={n: "DELTA_BINARY_PACKED" for n in COLUMNS if n != "sensor"},
-            write_page_checksum=True,
-        )
-        return self
-
-    def add(self, *columns: Integers) -> None:
+    def add_rows(self, rows: Rows) -> None:
         """Add rows: arrays in the order of `COLUMNS`, the sensor as a number."""
-        arrays = [pa.array(column, pa.int64()) for column in columns]
-        arrays[1] = pa.array(self._names[columns[1]], pa.string())
-        self._waiting.append(pa.record_batch(arrays, schema=SCHEMA))
-        # Row groups of one size, whatever the pieces: the file tells nothing of them.
-        while sum(map(len, self._waiting)) >= ROWS_IN_GROUP:
-            table = pa.Table.from_batches(self._waiting)
-            self._writer.write_table(table.slice(0, ROWS_IN_GROUP), row_group_size=ROWS_IN_GROUP)
-            self._waiting = table.slice(ROWS_IN_GROUP).to_batches()
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is None:
-            rest = pa.Table.from_batches(self._waiting, SCHEMA)
-            self._writer.write_table(rest, row_group_size=ROWS_IN_GROUP)
-        self._writer.close()
+        arrays = [pa.array(column, pa.int64()) for column in rows]
+        arrays[1] = pa.array(self._names[rows[1]], pa.string())
+        self.add(pa.record_batch(arrays, schema=SCHEMA))
 
 
-def write_deliveries(
+def write_frame_log(
     rows: Iterator[Rows], path: Path, sensors: Sequence[str], fingerprint: str
 ) -> None:
-    """Write the table from a stream of rows."""
-    with DeliveryWriter(path, sensors, fingerprint) as writer:
+    """Write a frame log from a stream of rows."""
+    with FrameLogWriter(path, sensors, fingerprint) as writer:
         for piece in rows:
-            writer.add(*piece)
+            writer.add_rows(piece)
 
 
-def read_deliveries(path: Path, sensors: Sequence[str]) -> Iterator[Rows]:
-    """Read the table piece by piece; nothing where there is no such file.
+def read_frame_log(path: Path, sensors: Sequence[str]) -> Iterator[Rows]:
+    """Read a frame log piece by piece; nothing where there is no such file.
 
     Parameters
     ----------
@@ -139,19 +237,8 @@ def read_deliveries(path: Path, sensors: Sequence[str]) -> Iterator[Rows]:
     if not path.is_file():
         return
     numbers = {name: number for number, name in enumerate(sensors)}
-    last = -np.inf
-    try:
-        with pq.ParquetFile(path, page_checksum_verification=True) as file:
-            if lacking := [name for name in COLUMNS if name not in file.schema_arrow.names]:
-                raise InputError(f"{path}: lacks the column {lacking[0]}")
-            for batch in file.iter_batches(ROWS_AT_ONCE, columns=list(COLUMNS), use_threads=False):
-                rows = _numbered(batch, numbers, path)
-                if np.any(np.diff(rows[0], prepend=last) < 0):
-                    raise InputError(f"{path}: times do not ascend")
-                last = rows[0][-1] if len(batch) else last
-                yield rows
-    except (pa.ArrowException, OSError) as error:
-        raise InputError(f"{path}: damaged: {str(error).splitlines()[0]}") from error
+    for batch in read_ascending(path, COLUMNS, ROWS_AT_ONCE):
+        yield _numbered(batch, numbers, path)
 
 
 def _numbered(batch: pa.RecordBatch, numbers: dict[str, int], path: Path) -> Rows:

@@ -1,22 +1,26 @@
-"""Hits: streams of (step, tile) pairs, each pair once, ascending, in pieces of bounded size."""
+"""Hits, and sorted tables at large: streams of rows in pieces of bounded size.
+
+Hits are pairs (step, tile), each once, ascending.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from gis_radar.arrays import Booleans, Integers
+from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.errors import InputError
 
 Rows = tuple[Integers, ...]
 
 
 def merge_ascending(streams: Sequence[Iterator[Rows]], columns: int) -> Iterator[Rows]:
-    """Bring the rows of all streams together, piece by piece, up to a common bound.
+    """Merge the rows of all streams, piece by piece, up to a common bound.
 
     Parameters
     ----------
@@ -34,7 +38,7 @@ def merge_ascending(streams: Sequence[Iterator[Rows]], columns: int) -> Iterator
     """
     heads = [_Head(stream, columns) for stream in streams]
     while heads := [head for head in heads if head.more()]:
-        # Up to here every stream is known; what lies later waits.
+        # Up to here every stream is known; later rows wait.
         bound = min(head.known_until for head in heads)
         taken = [head.take(bound) for head in heads]
         joined = tuple(np.concatenate(column) for column in zip(*taken, strict=True))
@@ -43,7 +47,7 @@ def merge_ascending(streams: Sequence[Iterator[Rows]], columns: int) -> Iterator
 
 
 class _Head:
-    """What has been read of one stream and not yet been taken."""
+    """Rows of one stream that were read and not yet taken."""
 
     def __init__(self, stream: Iterator[Rows], columns: int) -> None:
         self._stream = stream
@@ -51,7 +55,7 @@ class _Head:
         self._ended = False
 
     def more(self) -> bool:
-        """Read on until something is surely complete; tell whether anything is left."""
+        """Read on until some value is surely complete; return whether anything is left."""
         while not self._ended and (len(self._rows[0]) == 0 or self._rows[0][0] > self.known_until):
             piece = next(self._stream, None)
             if piece is None:
@@ -66,16 +70,105 @@ class _Head:
         return int(self._rows[0][-1]) - (0 if self._ended else 1)
 
     def take(self, bound: int) -> Rows:
-        """Take away all up to and with the value `bound`."""
+        """Remove and return all rows up to and with the value `bound`."""
         cut = int(np.searchsorted(self._rows[0], bound, side="right"))
         taken = tuple(column[:cut] for column in self._rows)
         self._rows = tuple(column[cut:] for column in self._rows)
         return taken
 
 
-ROWS_AT_ONCE = 1 << 18
+class SortedTableWriter:
+    """A Parquet file that is written as rows come; equal rows give equal files.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    schema : pyarrow.Schema
+        Its columns; integers are stored as differences.
+    fingerprint : str
+        Of the tiles, for the file's metadata.
+    rows_in_group : int
+        Rows of a row group, whatever the pieces: the file does not depend on them.
+    names : sequence of str
+        Columns of few different texts.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        schema: pa.Schema,
+        *,
+        fingerprint: str,
+        rows_in_group: int,
+        names: Sequence[str] = (),
+    ) -> None:
+        self._schema, self._rows_in_group = schema, rows_in_group
+        self._waiting: list[pa.RecordBatch] = []
+        self._writer = pq.ParquetWriter(
+            path,
+            schema.with_metadata({"fingerprint": fingerprint}),
+            compression="zstd",
+            use_dictionary=list(names) or False,
+            column_encoding={n: "DELTA_BINARY_PACKED" for n in schema.names if n not in names},
+            write_page_checksum=True,
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def add(self, rows: pa.RecordBatch) -> None:
+        """Add rows that follow those so far."""
+        self._waiting.append(rows)
+        while sum(map(len, self._waiting)) >= self._rows_in_group:
+            table = pa.Table.from_batches(self._waiting)
+            self._write(table.slice(0, self._rows_in_group))
+            self._waiting = table.slice(self._rows_in_group).to_batches()
+
+    def _write(self, table: pa.Table) -> None:
+        self._writer.write_table(table, row_group_size=self._rows_in_group)
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
+            self._write(pa.Table.from_batches(self._waiting, self._schema))
+        self._writer.close()
+
+
+def read_ascending(path: Path, columns: Sequence[str], rows: int) -> Iterator[pa.RecordBatch]:
+    """Read a sorted table piece by piece.
+
+    Parameters
+    ----------
+    path : Path
+        The table.
+    columns : sequence of str
+        Which columns, the one that it is sorted by first.
+    rows : int
+        Rows of a piece.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged, lacks a column, or its first column does not ascend.
+    """
+    last = -np.inf
+    try:
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            if lacking := [name for name in columns if name not in file.schema_arrow.names]:
+                raise InputError(f"{path}: lacks the column {lacking[0]}")
+            for batch in file.iter_batches(rows, columns=list(columns), use_threads=False):
+                first = batch.column(columns[0]).to_numpy(zero_copy_only=False)
+                if np.any(np.diff(first, prepend=last) < 0):
+                    raise InputError(f"{path}: rows do not ascend by {columns[0]}")
+                last = first[-1] if len(first) else last
+                yield batch
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(f"{path}: damaged: {str(error).splitlines()[0]}") from error
+
+
+ROWS_AT_ONCE = 1 << 18  # 4 MiB
 ROWS_IN_GROUP = 1 << 20
-MOST_KEYS = 1 << 62
+MOST_KEYS = 1 << 62  # a pair as one int64
 SCHEMA = pa.schema([("step", pa.int64()), ("tile_id", pa.int64())])
 
 Hits = tuple[Integers, Integers]
@@ -89,19 +182,19 @@ def distinct(step: Integers, tile: Integers) -> Hits:
     if int(tile.min()) >= 0 and (int(step.max()) - low + 1) * tiles < MOST_KEYS:
         # One number a pair sorts several times faster than two columns.
         keys = np.sort((step - low) * tiles + tile)
-        step, tile = np.divmod(keys[_fresh(keys)], tiles)
+        step, tile = np.divmod(keys[fresh(keys)], tiles)
         return step + low, tile
     order = np.lexsort((tile, step))
     step, tile = step[order], tile[order]
-    fresh = _fresh(step) | _fresh(tile)
-    return step[fresh], tile[fresh]
+    new = fresh(step) | fresh(tile)
+    return step[new], tile[new]
 
 
-def _fresh(ordered: Integers) -> Booleans:
-    """Tell which values differ from the one before."""
-    fresh = np.ones(len(ordered), dtype=np.bool_)
-    np.not_equal(ordered[1:], ordered[:-1], out=fresh[1:])
-    return fresh
+def fresh(values: Integers | Floats) -> Booleans:
+    """Return which values differ from the one before; the first one does."""
+    differs = np.ones(len(values), dtype=np.bool_)
+    np.not_equal(values[1:], values[:-1], out=differs[1:])
+    return differs
 
 
 def merge_hits(streams: Sequence[Iterator[Hits]]) -> Iterator[Hits]:
@@ -127,37 +220,17 @@ def read_hits(path: Path) -> Iterator[Hits]:
     Raises
     ------
     InputError
-        If the file is damaged or its steps do not ascend.
+        If the file is damaged, lacks a column, or its steps do not ascend.
     """
-    last = -np.inf
-    try:
-        with pq.ParquetFile(path, page_checksum_verification=True) as file:
-            for batch in file.iter_batches(ROWS_AT_ONCE, columns=SCHEMA.names, use_threads=False):
-                step, tile = (column.to_numpy(zero_copy_only=False) for column in batch.columns)
-                if np.any(np.diff(step, prepend=last) < 0):
-                    raise InputError(f"{path}: steps do not ascend")
-                last = step[-1] if len(step) else last
-                yield step, tile
-    except (pa.ArrowException, OSError) as error:
-        raise InputError(f"{path}: damaged: {str(error).splitlines()[0]}") from error
+    for batch in read_ascending(path, SCHEMA.names, ROWS_AT_ONCE):
+        step, tile = (batch.column(n).to_numpy(zero_copy_only=False) for n in SCHEMA.names)
+        yield step, tile
 
 
 def write_hits(hits: Iterator[Hits], path: Path, *, fingerprint: str) -> None:
     """Write the table `hits.parquet`, with the tiles' fingerprint; equal hits give equal files."""
-    waiting: list[pa.RecordBatch] = []
-    with pq.ParquetWriter(
-        path,
-        SCHEMA.with_metadata({"fingerprint": fingerprint}),
-        compression="zstd",
-        use_dictionary=False,
-        column_encoding=dict.fromkeys(SCHEMA.names, "DELTA_BINARY_PACKED"),
-        write_page_checksum=True,
+    with SortedTableWriter(
+        path, SCHEMA, fingerprint=fingerprint, rows_in_group=ROWS_IN_GROUP
     ) as writer:
         for step, tile in hits:
-            waiting.append(pa.record_batch([step, tile], schema=SCHEMA))
-            # Row groups of one size, whatever the pieces: the file tells nothing of them.
-            while sum(map(len, waiting)) >= ROWS_IN_GROUP:
-                table = pa.Table.from_batches(waiting)
-                writer.write_table(table.slice(0, ROWS_IN_GROUP), row_group_size=ROWS_IN_GROUP)
-                waiting = table.slice(ROWS_IN_GROUP).to_batches()
-        writer.write_table(pa.Table.from_batches(waiting, SCHEMA), row_group_size=ROWS_IN_GROUP)
+            writer.add(pa.record_batch([step, tile], schema=SCHEMA))

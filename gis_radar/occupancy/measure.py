@@ -1,34 +1,49 @@
-"""Occupancy from recordings: detections to the map, into tiles, into steps."""
+"""Measure occupancy: one pass over recordings, from detections to hits, frames and frame log."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, field, replace
+from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
 import shapely
 
-from gis_radar.arrays import Floats
+from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.clocks.sensor_clock import SensorClock
 from gis_radar.crs import metric_crs, require_same
 from gis_radar.errors import InputError, NoAnswerError, UsageError
 from gis_radar.files import whole_folder
-from gis_radar.occupancy.cycles import Cycles, cycles_us
+from gis_radar.occupancy.cycles import Cycles, FrameTimes, HeldHits, cycles_us, last_step_covered
 from gis_radar.occupancy.filters import Filters
 from gis_radar.occupancy.folder import OWNED, Occupancy, read_occupancy, write_tables
-from gis_radar.occupancy.frame_log import DeliveryWriter, merge_deliveries, read_deliveries
-from gis_radar.occupancy.hits import merge_hits, write_hits
-from gis_radar.occupancy.reading import Gauge, Reading, Site, warn_of_clocks
-from gis_radar.occupancy.step_sets import frames_table
+from gis_radar.occupancy.frame_log import (
+    FrameIndex,
+    FrameLogWriter,
+    merge_frame_logs,
+    read_frame_log,
+    rows_of,
+    rows_of_log,
+    whole_frames,
+)
+from gis_radar.occupancy.hits import Hits, distinct, merge_hits, write_hits
+from gis_radar.occupancy.settings import DEFAULTS, OccupancySettings
+from gis_radar.occupancy.step_sets import Runs, frames_table, union
 from gis_radar.occupancy.views import ViewBook, views_table
 from gis_radar.poses.files import PoseTrack, as_track
-from gis_radar.poses.pose import Pose
+from gis_radar.poses.pose import Pose, View
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.recordings.recording import Recording, as_recording
+from gis_radar.recordings.recording import Detections, RangeCounts, Recording, as_recording
+from gis_radar.steps import STEP_US, iso_from_step, step_of
 from gis_radar.tiles.lookup import TileEngine, TileGrid
 from gis_radar.tiles.tiles import fingerprint, quads
+
+STAGE = "occupancy"
 
 
 def measure_occupancy(
@@ -41,6 +56,7 @@ def measure_occupancy(
     cycles: Cycles | None = None,
     clocks: Mapping[str, SensorClock] | None = None,
     engine: Callable[[Floats], TileEngine] = TileGrid,
+    settings: OccupancySettings = DEFAULTS,
     reporter: Reporter = QUIET,
 ) -> Occupancy:
     """Find which tiles were hit in which steps, and write that as a folder.
@@ -62,15 +78,17 @@ def measure_occupancy(
     filters : Filters, optional
         Which detections count; without it, all.
     cycles : mapping or "auto", optional
-        Seconds from frame to frame, by sensor, or "auto" to measure them: a frame then speaks
-        for each step that ends within its cycle (:mod:`gis_radar.occupancy.cycles`). Without
-        it, a frame speaks for the step it falls in, and for no other.
+        Seconds from frame to frame, by sensor, or "auto" to measure them: a frame then covers
+        each step that ends within its cycle (:mod:`gis_radar.occupancy.cycles`). Without
+        it, a frame covers its own step and no other.
     clocks : mapping, optional
         How far the clocks of sensors are ahead, by sensor; times are corrected by it.
     engine : type
         :class:`TileGrid` or :class:`TileTree`; both give the same.
+    settings : OccupancySettings
+        Constants of the algorithm; written to the manifest.
     reporter : Reporter
-        Hears how far the work is.
+        Receives progress and warnings.
 
     Returns
     -------
@@ -96,84 +114,241 @@ def measure_occupancy(
     """
     if len(recordings) != len(poses) or not recordings:
         raise UsageError(f"{len(recordings)} recordings, but {len(poses)} poses")
-    opened = [as_recording(recording) for recording in recordings]
     tracks = [as_track(pose) for pose in poses]
+    target = _target(tiles, tracks, filters or Filters(), engine, settings)
+    views = _views(target, tracks, reporter)
+    opened = [as_recording(recording) for recording in recordings]
     sensors = [track.sensor for track in tracks]
-    site = _site_of(tiles, tracks, filters or Filters(), engine)
-    views = _views_of(site, tracks, reporter)
-    spans_us = cycles_us(cycles, opened, sensors)
-    gauge = Gauge(reporter=reporter, total=_total(opened))
+    cycle_us = cycles_us(cycles, opened, sensors, settings.cycle_frames)
+    sources = [
+        Source(recording, track, seen, cycle_us[track.sensor], (clocks or {}).get(track.sensor))
+        for recording, track, seen in zip(opened, tracks, views, strict=True)
+    ]
     with whole_folder(Path(folder), owned=OWNED) as part:
-        readings = [
-            Reading(
-                recording=recording,
-                track=track,
-                site=site,
-                gauge=gauge,
-                log=DeliveryWriter(part / f"{number}.part", [track.sensor], site.fingerprint),
-                views=views[number],
-                cycle_us=spans_us[track.sensor],
-                clock=(clocks or {}).get(track.sensor),
-            )
-            for number, (recording, track) in enumerate(zip(opened, tracks, strict=True))
-        ]
-        hits = merge_hits([reading.hits() for reading in readings])
-        write_hits(hits, part / "hits.parquet", fingerprint=site.fingerprint)
-        write_tables(_rest_of(readings, site), part)
-        for reading in readings:
-            reading.log.path.unlink()
-    for reading in readings:
-        reading.warn_of_range()
-        reading.warn_of_cycle()
-    warn_of_clocks(readings, reporter)
+        passes = _read_all(sources, target, part, reporter)
+        frames = frames_table(pd.concat([each.frames() for each in passes]))
+        write_tables(
+            part,
+            fingerprint=target.fingerprint,
+            frames=frames,
+            views=views_table(frames, target.views.tiles),
+            sources=[each.record(target) for each in passes],
+            frame_log=lambda names: merge_frame_logs(
+                [read_frame_log(each.log.path, names) for each in passes]
+            ),
+        )
+        for each in passes:
+            each.log.path.unlink()
+    _warn(passes, settings, reporter)
     return read_occupancy(folder)
 
 
-def _rest_of(readings: list[Reading], site: Site) -> Occupancy:
-    """Return all but the hits of what has been read."""
-    frames = frames_table(pd.concat([reading.frames() for reading in readings]))
-    return Occupancy(
-        fingerprint=site.fingerprint,
-        frames=frames,
-        views=views_table(frames, site.views.tiles),
-        hits=lambda: iter(()),
-        sources=[reading.source() for reading in readings],
-        deliveries=lambda sensors: merge_deliveries(
-            [read_deliveries(reading.log.path, sensors) for reading in readings]
-        ),
-    )
+@dataclass(frozen=True, kw_only=True)
+class Target:
+    """What detections are assigned to, the same for all recordings: tiles, views, filters."""
+
+    fingerprint: str
+    tile_id: Integers
+    road_height: Floats
+    engine: TileEngine
+    views: ViewBook
+    filters: Filters
+    settings: OccupancySettings
 
 
-def _views_of(site: Site, tracks: list[PoseTrack], reporter: Reporter) -> list[tuple[str, ...]]:
-    """Return the views of each track's poses; refuse where no sensor sees a tile."""
-    distinct = {id(track): track for track in tracks}
-    views = {key: site.views.enter(track) for key, track in distinct.items()}
-    blind = [
-        track.sensor
-        for track in tracks
-        if not any(len(site.views.tiles[name]) for name in set(views[id(track)]))
-    ]
-    if len(blind) == len(tracks):
-        raise NoAnswerError(
-            f"no tile lies in the view of {', '.join(blind)}",
-            hint="poses, heights and tiles do not fit each other",
-        )
-    for sensor in blind:
-        reporter.log(f"no tile lies in the view of {sensor}", "warning")
-    return [views[id(track)] for track in tracks]
+@dataclass(frozen=True)
+class Source:
+    """A recording with what is known of its sensor.
+
+    Parameters
+    ----------
+    recording, track : Recording, PoseTrack
+        What is read, and where its sensor stood.
+    views : sequence of str
+        The view of each pose of the track.
+    cycle_us : int
+        Time from frame to frame that a frame covers, microseconds.
+    clock : SensorClock, optional
+        How far the sensor's clock is ahead.
+    """
+
+    recording: Recording
+    track: PoseTrack
+    views: Sequence[str]
+    cycle_us: int
+    clock: SensorClock | None
+
+    @property
+    def sensor(self) -> str:
+        """The sensor's name."""
+        return self.track.sensor
 
 
-def _total(recordings: list[Recording]) -> int | None:
-    rows = [recording.rows for recording in recordings]
-    return None if None in rows else sum(row for row in rows if row is not None)
+@dataclass(frozen=True, kw_only=True)
+class RecordingPass:
+    """What one pass over a recording gives beside its hits.
+
+    Parameters
+    ----------
+    source : Source
+        What was read.
+    log : FrameLogWriter
+        One row a frame, on disk.
+    runs : dict
+        Steps with a frame, by view.
+    poses : set of int
+        Poses of the track that were in force at a frame.
+    times : FrameTimes
+        First and last frame, and the gaps between frames.
+    ranges : RangeCounts
+        Ranges of all detections.
+    rows : list of int
+        Rows of each piece.
+    """
+
+    source: Source
+    log: FrameLogWriter
+    runs: dict[str, list[Runs]] = field(default_factory=dict)
+    poses: set[int] = field(default_factory=set)
+    times: FrameTimes = field(default_factory=FrameTimes)
+    ranges: RangeCounts = field(default_factory=RangeCounts)
+    rows: list[int] = field(default_factory=list)
+
+    def frames(self) -> pd.DataFrame:
+        """Return the runs of steps with a frame, by view."""
+        pieces = [
+            pd.DataFrame({"view": view, "first_step": joined.first, "last_step": joined.last})
+            for view, joined in ((view, union(runs)) for view, runs in self.runs.items())
+        ]
+        return pd.concat(pieces).assign(sensor=self.source.sensor)
+
+    def record(self, target: Target) -> dict[str, Any]:
+        """Return the entry of the manifest for this recording, with the poses that it met."""
+        source = self.source
+        return {
+            "recording": source.recording.path.name,
+            "rows": sum(self.rows),
+            "sensor": source.sensor,
+            "filters": asdict(target.filters),
+            "settings": asdict(target.settings),
+            "poses": [source.track.poses[index].as_dict() for index in sorted(self.poses)],
+            **({} if source.cycle_us == STEP_US else {"cycle_s": source.cycle_us / 1e6}),
+            **({} if source.clock is None else {"clock": source.clock.as_dict()}),
+        }
 
 
-def _site_of(
+def _read_all(
+    sources: list[Source], target: Target, folder: Path, reporter: Reporter
+) -> list[RecordingPass]:
+    """Read all recordings side by side; write their merged hits, return all else."""
+    counter = RowCounter(reporter, [source.recording.rows for source in sources])
+    with ExitStack() as logs:
+        passes = [
+            RecordingPass(
+                source=source,
+                log=logs.enter_context(
+                    FrameLogWriter(folder / f"{number}.part", [source.sensor], target.fingerprint)
+                ),
+            )
+            for number, source in enumerate(sources)
+        ]
+        hits = merge_hits([_hits(each, target, counter) for each in passes])
+        write_hits(hits, folder / "hits.parquet", fingerprint=target.fingerprint)
+    return passes
+
+
+class RowCounter:
+    """Counts rows over all recordings and reports them as progress.
+
+    Parameters
+    ----------
+    reporter : Reporter
+        Receives the progress.
+    rows : sequence of int or None
+        Rows of each recording; None where not known beforehand.
+    """
+
+    def __init__(self, reporter: Reporter, rows: Sequence[int | None]) -> None:
+        self._reporter, self._done = reporter, 0
+        known = [each for each in rows if each is not None]
+        self._total = sum(known) if len(known) == len(rows) else None
+
+    def add(self, rows: int) -> None:
+        """Add rows that were read."""
+        self._done += rows
+        self._reporter.progress(STAGE, self._done, self._total)
+
+
+def _hits(found: RecordingPass, target: Target, counter: RowCounter) -> Iterator[Hits]:
+    """Yield the hits of a recording, step by step; add all else to `found` on the way."""
+    source, held = found.source, HeldHits()
+    for read in whole_frames(source.recording.read()):
+        piece, shift_us = _corrected(read, source.clock)
+        for index, now in _poses_in_force(piece, source.track):
+            part = piece if now.all() else rows_of(piece, now)
+            frames = FrameIndex.of(part.time)
+            frame, tile = _tiles_hit(part, frames, source.track.poses[index], target)
+            first = step_of(frames.time)
+            last = last_step_covered(frames.time, source.cycle_us)
+            view = source.views[index]
+            found.log.add_rows(
+                rows_of_log(
+                    part,
+                    frames,
+                    tiles_hit=np.bincount(frame, minlength=len(first)),
+                    tiles_seen=len(target.views.tiles[view]),
+                    shift_us=shift_us[now],
+                    settings=target.settings,
+                )
+            )
+            found.runs.setdefault(view, []).append(union([Runs(first=first, last=last)]))
+            found.poses.add(index)
+            found.times.add(frames.time_us)
+            yield held.spread(first[frame], last[frame], target.tile_id[tile], int(first[-1]))
+        found.ranges.add(piece)
+        found.rows.append(len(piece))
+        counter.add(len(piece))
+    yield held.rest()
+
+
+def _corrected(piece: Detections, clock: SensorClock | None) -> tuple[Detections, Integers]:
+    """Return a piece in the time of all sensors, and by how much that is later, microseconds."""
+    if clock is None:
+        return piece, np.zeros(len(piece), np.int64)
+    time = clock.corrected(piece.time)
+    shift_us = np.rint((time - piece.time) * 1e6).astype(np.int64)
+    return replace(piece, time=time), shift_us
+
+
+def _poses_in_force(piece: Detections, track: PoseTrack) -> Iterator[tuple[int, Booleans]]:
+    """Yield each pose (its index) that holds in a piece, and in which rows."""
+    held = track.at(piece.time)
+    for index in np.unique(held).tolist():
+        yield index, held == index
+
+
+def _tiles_hit(
+    piece: Detections, frames: FrameIndex, pose: Pose, target: Target
+) -> tuple[Integers, Integers]:
+    """Return the pairs of a frame and a tile (positions) that it hit, each once."""
+    keep = target.filters.keep_detections(piece)
+    points, frame = piece.points[keep], frames.of_row[keep]
+    place = pose.to_map(points)
+    point, tile = target.engine.assign(place[:, 0], place[:, 1])
+    if target.filters.clearance is not None:
+        range_m = np.linalg.norm(points, axis=1)[point]
+        fits = target.filters.keep_pairs(point, place[point, 2], range_m, target.road_height[tile])
+        point, tile = point[fits], tile[fits]
+    return distinct(frame[point], tile)
+
+
+def _target(
     tiles: gpd.GeoDataFrame,
     tracks: list[PoseTrack],
     filters: Filters,
     engine: Callable[[Floats], TileEngine],
-) -> Site:
+    settings: OccupancySettings,
+) -> Target:
     crs = metric_crs(tiles.crs, what="tiles")
     for track in tracks:
         what = f"the pose of {track.sensor}"
@@ -186,11 +361,87 @@ def _site_of(
             hint="make the tiles with --road, or from a map with ele",
         )
     middle = shapely.get_coordinates(shapely.centroid(tiles.geometry.array))
-    return Site(
+    centres = np.column_stack([middle, height])
+    return Target(
         fingerprint=fingerprint(tiles),
         tile_id=tile_id,
         road_height=height,
         engine=engine(quads(tiles)),
-        views=ViewBook(tile_id=tile_id, centres=np.column_stack([middle, height])),
+        views=ViewBook(tile_id=tile_id, centres=centres, settings=settings),
         filters=filters,
+        settings=settings,
     )
+
+
+def _views(target: Target, tracks: list[PoseTrack], reporter: Reporter) -> list[tuple[str, ...]]:
+    """Return the views of each track's poses; refuse where no sensor sees a tile."""
+    different = {id(track): track for track in tracks}
+    views = {key: target.views.enter(track) for key, track in different.items()}
+    blind = [
+        track.sensor
+        for track in tracks
+        if not any(len(target.views.tiles[name]) for name in set(views[id(track)]))
+    ]
+    if len(blind) == len(tracks):
+        raise NoAnswerError(
+            f"no tile lies in the view of {', '.join(blind)}",
+            hint="poses, heights and tiles do not fit each other",
+        )
+    for sensor in blind:
+        reporter.log(f"no tile lies in the view of {sensor}", "warning")
+    return [views[id(track)] for track in tracks]
+
+
+def _warn(passes: list[RecordingPass], settings: OccupancySettings, reporter: Reporter) -> None:
+    """Warn of views, cycles and clocks that do not fit what was recorded."""
+    for each in passes:
+        name, sensor = each.source.recording.path.name, each.source.sensor
+        for line in (*_range_warnings(each, settings), *_cycle_warnings(each, settings)):
+            reporter.log(f"{name}: {line}", "warning")
+        if each.times.first_us < settings.clock_set_s * 1e6:
+            begin = iso_from_step(each.times.first_us // STEP_US)
+            reporter.log(
+                f"{name}: times begin at {begin}: the clock of {sensor} may count since it was "
+                "switched on; gis-radar clocks finds its offset",
+                "warning",
+            )
+    for line in _apart_warnings(passes):
+        reporter.log(line, "warning")
+
+
+def _range_warnings(found: RecordingPass, settings: OccupancySettings) -> Iterator[str]:
+    reached_m = found.ranges.reached_m(settings.range_share)
+    view = found.source.track.poses[0].view or View()
+    if 0 < reached_m < settings.reach_share * view.max_range_m:
+        yield (
+            f"{100 * settings.range_share:g} % of the detections lie within {reached_m:.0f} m, "
+            f"but the view of {found.source.sensor} reaches {view.max_range_m:g} m: what lies "
+            "beyond reads as observed and empty; set the view's max_range_m or --max-range"
+        )
+
+
+def _cycle_warnings(found: RecordingPass, settings: OccupancySettings) -> Iterator[str]:
+    cycle_us, sensor = found.times.cycle_us, found.source.sensor
+    if found.source.cycle_us == STEP_US and settings.slow_cycle * STEP_US < cycle_us < np.inf:
+        cycle_ms, empty = round(cycle_us / 1000), 100.0 * (1.0 - STEP_US / cycle_us)
+        yield (
+            f"{sensor} delivers every {cycle_ms} ms: {empty:.0f} % of the 50 ms steps are without "
+            f"a frame, and read as not observed by it; --cycle {sensor}={cycle_ms}ms lets a frame "
+            "cover its whole cycle"
+        )
+
+
+def _apart_warnings(passes: list[RecordingPass]) -> Iterator[str]:
+    spans: dict[str, tuple[int, int]] = {}
+    for each in passes:
+        first, last = spans.get(each.source.sensor, (each.times.first_us, each.times.last_us))
+        span = min(first, each.times.first_us), max(last, each.times.last_us)
+        spans[each.source.sensor] = span
+    for (one, (begin, end)), (other, (first, last)) in combinations(spans.items(), 2):
+        if end < first or last < begin:
+            apart_s = max(first - end, begin - last) / 1e6
+            yield (
+                f"{one} and {other} have no time in common: {apart_s:,.0f} s lie between them; "
+                "if they were recorded together, a clock is off: gis-radar clocks finds by how "
+                "much"
+            )

@@ -13,7 +13,7 @@ from gis_radar.arrays import Integers
 
 @dataclass(frozen=True, kw_only=True)
 class Runs:
-    """A set of steps, kept as runs that ascend and do not touch.
+    """A set of steps: runs that ascend and do not touch.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ class Runs:
 
     @classmethod
     def of(cls, steps: Integers) -> Runs:
-        """Return the set of the given steps, which ascend and may be there more than once."""
+        """Return the set of the given steps, which ascend; repetition changes nothing."""
         return union([cls(first=steps, last=steps)])
 
     def __len__(self) -> int:
@@ -34,7 +34,7 @@ class Runs:
 
     @property
     def steps(self) -> int:
-        """How many steps the set has."""
+        """Number of steps in the set."""
         return int((self.last - self.first + 1).sum())
 
     def before(self, step: Integers) -> Integers:
@@ -54,7 +54,7 @@ class Runs:
         )
 
     def nearest(self, step: int) -> int:
-        """Return the step of the set that lies nearest to `step`."""
+        """Return the step of the set nearest to `step`."""
         inside = np.clip(step, self.first, self.last)
         return int(inside[np.argmin(np.abs(inside - step))])
 

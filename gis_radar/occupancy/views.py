@@ -1,9 +1,9 @@
 """Views: which tiles a sensor sees from where it stands.
 
-A pose track corrects a pose by centimetres, and each correction takes a tile at the view's rim in
-or out. So a pose shares the view of an earlier one of its track within `SAME_M` and `SAME_DEG`,
-unless a pose `moved` stands between them. Views follow from the track alone, not from what was
-recorded; detections are moved to the map by the poses as they are.
+A pose track corrects a pose by centimetres, and each correction adds or removes a tile at the rim
+of the view. So a pose shares the view of an earlier one of its track that is near enough, unless a
+pose `moved` stands between them. Views follow from the track alone, not from what was recorded;
+detections are moved to the map by the poses as they are.
 """
 
 from __future__ import annotations
@@ -17,11 +17,10 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from gis_radar.arrays import Floats, Integers
+from gis_radar.occupancy.settings import DEFAULTS, OccupancySettings
 from gis_radar.poses.files import PoseTrack
 from gis_radar.poses.pose import Pose, View
 
-SAME_M, SAME_DEG = 0.25, 0.2  # half a tile; and as well as a track knows its angles
-MOST_HEADS = 64
 NOTHING: Integers = np.empty(0, np.int64)
 COLUMNS = ("sensor", "tile_id", "view", "first_step", "last_step")
 
@@ -38,8 +37,8 @@ def seen_tiles(pose: Pose, view: View, tile_id: Integers, centres: Floats) -> In
     tile_id : (n,) int64 array
         Ids of the tiles.
     centres : (n, 3) array
-        Their centres in the map, metres. Where the road's height is NaN, the elevation is left
-        out of the question.
+        Their centres in the map, metres. Where the road's height is NaN, any elevation is in
+        view.
     """
     unknown = np.isnan(centres[:, 2])
     level = np.where(unknown, pose.height, centres[:, 2])
@@ -62,15 +61,18 @@ class ViewBook:
     tile_id : (n,) int64 array
     centres : (n, 3) array
         Ids and centres of all tiles, as for :func:`seen_tiles`.
+    settings : OccupancySettings
+        Which poses share a view.
     """
 
     tile_id: Integers
     centres: Floats
+    settings: OccupancySettings = DEFAULTS
     tiles: dict[str, Integers] = field(default_factory=dict)
 
     def enter(self, track: PoseTrack) -> tuple[str, ...]:
         """Return the name of what each pose of a track sees, and remember the tiles."""
-        standing = standing_for(track.poses)
+        standing = standing_for(track.poses, self.settings)
         names = {index: self._name(track.poses[index]) for index in np.unique(standing).tolist()}
         return tuple(names[index] for index in standing.tolist())
 
@@ -81,13 +83,15 @@ class ViewBook:
         return name
 
 
-def standing_for(poses: Sequence[Pose]) -> Integers:
+def standing_for(poses: Sequence[Pose], settings: OccupancySettings = DEFAULTS) -> Integers:
     """Return for each pose of a track the one whose view it shares: an earlier one, or itself.
 
     Parameters
     ----------
     poses : sequence of Pose
         In order of time.
+    settings : OccupancySettings
+        Which of them share a view.
 
     Returns
     -------
@@ -103,10 +107,11 @@ def standing_for(poses: Sequence[Pose]) -> Integers:
             heads = []
         apart_m = np.linalg.norm(position[heads] - position[index], axis=1)
         apart_deg = np.degrees((turn[index].inv() * turn[heads]).magnitude()) if heads else apart_m
-        near = np.flatnonzero((apart_m <= SAME_M) & (apart_deg <= SAME_DEG))
+        near_m, near_deg = apart_m <= settings.view_shared_m, apart_deg <= settings.view_shared_deg
+        near = np.flatnonzero(near_m & near_deg)
         alike = [heads[each] for each in near if poses[heads[each]].view == pose.view]
         head = alike[-1] if alike else index
-        heads = [*(each for each in heads if each != head), head][-MOST_HEADS:]
+        heads = [*(each for each in heads if each != head), head][-settings.views_compared :]
         found[index] = head
     return found
 

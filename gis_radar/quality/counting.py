@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from functools import cache
 from zoneinfo import ZoneInfo
@@ -12,6 +12,7 @@ import numpy as np
 
 from gis_radar.arrays import Integers
 from gis_radar.occupancy import Occupancy
+from gis_radar.occupancy.cycles import LONGEST_CYCLE_S, FrameTimes
 from gis_radar.occupancy.frame_log import COLUMNS
 from gis_radar.progress import Reporter
 
@@ -48,27 +49,24 @@ def moment(second: int) -> datetime:
 
 
 STAGE = "data quality"
-GAP_US = 100  # resolution of the time from frame to frame
-MOST_GAPS = 20_000  # two seconds; what lies further apart is no cycle
-HIGH = 0.7
 Columns = dict[str, Integers]
 
 
 @dataclass(kw_only=True)
 class Count:
-    """What a sensor delivered in an hour: sums over its frames.
+    """Sums over the frames of a sensor in an hour.
 
     Parameters
     ----------
-    frames, dropped, doubled, repeated, empty, high : int
-        Frames received; missing between them; less than half a cycle after the one before;
-        equal to the one before; without detections; with over 70 % of the seen tiles hit.
+    frames, dropped, doubled, repeated, high : int
+        Frames received; missing between them; less than half a cycle after the one before; equal
+        to the one before; with a high share of the seen tiles hit.
     detections, moving, wild : int
         Detections; those that move; those too fast for any vehicle.
     hits, fewest, most : int
         Tiles hit: the sum, the least and the most in a frame.
     share : float
-        Sum of the share of the seen tiles that was hit.
+        Sum of the shares of the seen tiles that were hit.
     seen : int
         The most tiles seen.
     shift_us : int
@@ -79,7 +77,6 @@ class Count:
     dropped: int = 0
     doubled: int = 0
     repeated: int = 0
-    empty: int = 0
     high: int = 0
     detections: int = 0
     moving: int = 0
@@ -91,8 +88,8 @@ class Count:
     seen: int = 0
     shift_us: int = 0
 
-    def add(self, rows: Columns) -> None:
-        """Add frames."""
+    def add(self, rows: Columns, high: float) -> None:
+        """Add frames; over a share `high` of the seen tiles hit, a frame is high."""
         self.frames += len(rows["time_us"])
         for name in ("detections", "moving", "wild", "shift_us"):
             setattr(self, name, getattr(self, name) + int(rows[name].sum()))
@@ -101,50 +98,19 @@ class Count:
         self.hits += int(hit.sum())
         self.fewest, self.most = min(self.fewest, int(hit.min())), max(self.most, int(hit.max()))
         self.share += float(share.sum())
-        self.high += int((share > HIGH).sum())
+        self.high += int((share > high).sum())
         self.seen = max(self.seen, int(seen.max()))
-        self.empty += int((rows["detections"] == 0).sum())
         self.doubled += int(rows["doubled"].sum())
         self.repeated += int(rows["repeated"].sum())
 
 
-@dataclass(kw_only=True)
-class Span:
-    """The frames of a sensor as a whole: from when to when, and how far apart."""
-
-    first_us: int
-    last_us: int
-    gaps: Integers = field(default_factory=lambda: np.zeros(MOST_GAPS, np.int64))
-    sums_us: Integers = field(default_factory=lambda: np.zeros(MOST_GAPS, np.int64))
-
-    def add(self, time_us: Integers) -> None:
-        """Add frames that follow those so far."""
-        gap_us = np.diff(time_us, prepend=self.last_us)
-        gap_us = gap_us[(gap_us > 0) & (gap_us < MOST_GAPS * GAP_US)]
-        self.gaps += np.bincount(gap_us // GAP_US, minlength=MOST_GAPS)
-        sums_us = np.bincount(gap_us // GAP_US, gap_us, MOST_GAPS)
-        self.sums_us += sums_us.astype(np.int64)
-        self.last_us = int(time_us[-1])
-
-    @property
-    def cycle_us(self) -> float:
-        """The median time from one frame to the next; infinite where there is but one."""
-        done = np.cumsum(self.gaps)
-        if done[-1] == 0:
-            return np.inf
-        middle = int(np.searchsorted(done, done[-1] / 2))
-        return float(self.sums_us[middle] / self.gaps[middle])
-
-
-def spans_of(occupancy: Occupancy) -> dict[int, Span]:
-    """Find the span and the cycle of each sensor, by its number among `occupancy.sensors`."""
-    spans: dict[int, Span] = {}
-    for rows in occupancy.deliveries(occupancy.sensors):
-        for number in np.unique(rows[1]).tolist():
-            time = rows[0][rows[1] == number]
-            span = spans.setdefault(number, Span(first_us=int(time[0]), last_us=int(time[0])))
-            span.add(time)
-    return spans
+def frame_times(occupancy: Occupancy) -> dict[int, FrameTimes]:
+    """Return when frames came, by the sensor's number among `occupancy.sensors`."""
+    found: dict[int, FrameTimes] = defaultdict(FrameTimes)
+    for time_us, sensor, *_ in occupancy.frame_log(occupancy.sensors):
+        for number in np.unique(sensor).tolist():
+            found[number].add(time_us[sensor == number])
+    return dict(found)
 
 
 Counts = dict[tuple[int, int], Count]
@@ -152,38 +118,52 @@ Gap = tuple[int, int, int]  # the sensor's number, and when the gap begins and e
 
 
 def count_frames(
-    occupancy: Occupancy, spans: dict[int, Span], zone: ZoneInfo, reporter: Reporter
-) -> Counts:
+    occupancy: Occupancy, times: dict[int, FrameTimes], zone: ZoneInfo, high: float,
+    reporter: Reporter,
+) -> Counts:  # fmt: skip
     """Count by sensor (its number) and hour (the UTC second of its begin).
 
-    Only hours in which some sensor delivered a frame count. In them a frame is missing where a
-    sensor's next one comes over 1.5 cycles later; so is what comes before a sensor's
-    first frame and after its last, from the first to the last frame of all.
+    Only hours in which some sensor has a frame count. In them frames are missing where a sensor's
+    next one comes over 1.5 cycles later, and before its first and after its last frame, from the
+    first to the last frame of all.
+
+    Parameters
+    ----------
+    occupancy : Occupancy
+        With a frame log.
+    times : dict
+        When frames came, as from :func:`frame_times`.
+    zone : ZoneInfo
+        Whose hours.
+    high : float
+        Over this share of the seen tiles hit a frame is high.
+    reporter : Reporter
+        Receives the progress.
     """
     counts: Counts = defaultdict(Count)
-    begin_us = min(span.first_us for span in spans.values())
-    end_us = max(span.last_us for span in spans.values())
+    begin_us = min(each.first_us for each in times.values())
+    end_us = max(each.last_us for each in times.values())
     before: dict[int, Columns] = {}
     done = 0
     lost: list[Gap] = []
-    for rows in occupancy.deliveries(occupancy.sensors):
+    for rows in occupancy.frame_log(occupancy.sensors):
         named = dict(zip(COLUMNS, rows, strict=True))
         for number in np.unique(named["sensor"]).tolist():
             mine = {name: rows[named["sensor"] == number] for name, rows in named.items()}
-            lost += _compare(mine, before.get(number, mine), number, spans[number].cycle_us)
+            lost += _compare(mine, before.get(number, mine), number, times[number].cycle_us)
             before[number] = {name: column[-1:] for name, column in mine.items()}
             hours = hour_begins(mine["time_us"], zone)
             for hour in np.unique(hours).tolist():
                 part = {name: column[hours == hour] for name, column in mine.items()}
-                counts[number, hour].add(part)
+                counts[number, hour].add(part, high)
         done += len(rows[0])
         reporter.progress(STAGE, done, None)
-    for number, span in spans.items():
-        # As if a frame stood just beyond both ends: what is missing up to there counts too.
-        room_us = min(0.55 * span.cycle_us, MOST_GAPS * GAP_US)
-        lost.append((number, int(begin_us - room_us), span.first_us))
-        lost.append((number, span.last_us, int(end_us + room_us)))
-    _add_lost(counts, lost, spans)
+    for number, each in times.items():
+        # As if a frame came just beyond both ends: what is missing up to there counts too.
+        room_us = min(0.55 * each.cycle_us, LONGEST_CYCLE_S * 1e6)
+        lost.append((number, int(begin_us - room_us), each.first_us))
+        lost.append((number, each.last_us, int(end_us + room_us)))
+    _add_lost(counts, lost, times)
     return dict(counts)
 
 
@@ -206,11 +186,11 @@ def _compare(mine: Columns, before: Columns, number: int, cycle_us: float) -> li
     return [(number, int(time[i] - gap[i]), int(time[i])) for i in wide]
 
 
-def _add_lost(counts: Counts, lost: list[Gap], spans: dict[int, Span]) -> None:
-    """Count the frames missing in gaps, in the hours in which any sensor delivered."""
+def _add_lost(counts: Counts, lost: list[Gap], times: dict[int, FrameTimes]) -> None:
+    """Count the frames missing in gaps, in the hours in which any sensor has a frame."""
     hours = np.unique([hour for _, hour in counts])
     for number, begin_us, end_us in lost:
-        cycle_us = spans[number].cycle_us
+        cycle_us = times[number].cycle_us
         missing = round((end_us - begin_us) / cycle_us) - 1
         if missing < 1 or not np.isfinite(cycle_us):
             continue

@@ -1,13 +1,13 @@
 """Measure data quality: one row a sensor and hour, with a verdict in words.
 
-The tests are those that freeway operators run on loop detectors (PeMS), carried over to radar: no
+The verdicts are those that freeway operators use for loop detectors (PeMS), adapted to radar: no
 data, too few samples, never occupied, occupied too much, constant, and hits without motion.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC
 from pathlib import Path
 from typing import Any
@@ -24,48 +24,43 @@ from gis_radar.files import whole_file
 from gis_radar.notebooks import axes_or_new, table_card
 from gis_radar.occupancy import Occupancy
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.quality.counting import HIGH, HOUR_S, Count, count_frames, moment, spans_of
+from gis_radar.quality.counting import HOUR_S, Count, count_frames, frame_times, moment
+from gis_radar.quality.settings import DEFAULTS, QualitySettings
 from gis_radar.steps import seconds_from_iso, zone_of
 
 GOOD = "good"
 NO_DATA = "no data"
-LEAST_SHARE = 0.6  # of the frames expected
-HIGH_SHARE = 0.2  # of the frames may have more than `HIGH` of the tiles hit
-STILL_SHARE = 0.001  # of the detections move at least
-TWICE_SHARE = 0.05
-REPEATED_SHARE = 0.2
-WILD_SHARE = 0.02
-FRAMES_ENOUGH = 100
-CLOCKS_SET_S = 631_152_000  # 1990
 
 
-def faults_of(count: Count, hour: int) -> Iterator[str]:
-    """Yield what is wrong with a sensor in an hour, worst first; nothing where it is well.
+def faults_of(count: Count, hour: int, settings: QualitySettings = DEFAULTS) -> Iterator[str]:
+    """Yield the faults of a sensor in an hour, worst first.
 
     Parameters
     ----------
     count : Count
-        What it delivered. Under 100 frames only their number is judged.
+        Its frames in that hour.
     hour : int
         UNIX second in which the hour began.
+    settings : QualitySettings
+        The thresholds.
     """
     if count.frames == 0:
         yield NO_DATA
         return
     single = count.frames - count.doubled
     expected = single + count.dropped
-    if single < LEAST_SHARE * expected:
+    if single < settings.least_share * expected:
         yield f"{100 * single / expected:.0f} % of the frames expected"
-    if hour < CLOCKS_SET_S:
+    if hour < settings.clock_set_s:
         yield "clock not set"
-    if count.frames >= FRAMES_ENOUGH:
-        yield from _faults_of_frames(count)
+    if count.frames >= settings.frames_judged:
+        yield from _faults_of_frames(count, settings)
 
 
-def _faults_of_frames(count: Count) -> Iterator[str]:
-    if count.doubled > TWICE_SHARE * count.frames:
+def _faults_of_frames(count: Count, settings: QualitySettings) -> Iterator[str]:
+    if count.doubled > settings.most_doubled * count.frames:
         yield f"{100 * count.doubled / count.frames:.0f} % of the frames come twice"
-    if count.repeated > REPEATED_SHARE * count.frames:
+    if count.repeated > settings.most_repeated * count.frames:
         yield f"frozen: {100 * count.repeated / count.frames:.0f} % of the frames repeat the last"
     if count.detections == 0:
         yield "all frames are empty"
@@ -74,16 +69,16 @@ def _faults_of_frames(count: Count) -> Iterator[str]:
         yield "sees no tile"
     elif count.hits == 0:
         yield "no tile is ever hit"
-    elif count.high > HIGH_SHARE * count.frames:
+    elif count.high > settings.high_share * count.frames:
         yield (
-            f"over {100 * HIGH:.0f} % of its tiles hit in "
+            f"over {100 * settings.high:.0f} % of its tiles hit in "
             f"{100 * count.high / count.frames:.0f} % of the frames"
         )
     elif count.fewest == count.most:
         yield "occupancy is constant"
-    if count.hits and count.moving < STILL_SHARE * count.detections:
+    if count.hits and count.moving < settings.least_moving * count.detections:
         yield "hits without motion"
-    if count.wild > WILD_SHARE * count.detections:
+    if count.wild > settings.most_wild * count.detections:
         yield f"{100 * count.wild / count.detections:.0f} % of the detections are absurdly fast"
 
 
@@ -134,7 +129,7 @@ WRITERS = {".csv": "to_csv", ".parquet": "to_parquet"}
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Quality:
-    """What the numbers rest on.
+    """Data quality of an occupancy, by sensor and hour.
 
     Parameters
     ----------
@@ -142,18 +137,25 @@ class Quality:
         One row a sensor and hour: `sensor`; `begin`, `end` (UTC); `date`, `hour`, `weekday`
         of local time; `frames_expected`, `frames`, `dropped`, `doubled`, `repeated`;
         `detections_per_frame`, `moving_share`, `wild_share`; `tiles_hit_share`, the mean share
-        of the seen tiles hit in a frame; `clock_offset_s`, what the clock was corrected by;
-        `pose`, `pose_age_h`; `verdict`, "good" or what is wrong.
+        of the seen tiles hit in a frame; `clock_offset_s`, by which the clock was corrected;
+        `pose`, `pose_age_h`; `verdict`, "good" or the faults.
     timezone : str
         Of the local hours.
+    settings : QualitySettings
+        Thresholds in effect.
     """
 
     table: pd.DataFrame
     timezone: str
+    settings: QualitySettings = DEFAULTS
 
     def figures(self) -> dict[str, Any]:
-        """Return a line a sensor: how many hours are good, and what is wrong with the others."""
-        lines: dict[str, Any] = {}
+        """Return a line a sensor, and the thresholds in effect."""
+        return {**self.lines(), "settings": asdict(self.settings)}
+
+    def lines(self) -> dict[str, str]:
+        """Return a line a sensor: how many hours are good, and the faults of the others."""
+        lines: dict[str, str] = {}
         for sensor, rows in self.table.groupby("sensor"):
             good = int((rows["verdict"] == GOOD).sum())
             bad = rows.loc[rows["verdict"] != GOOD, "verdict"].value_counts()
@@ -200,8 +202,6 @@ class Quality:
         -------
         matplotlib Axes
         """
-        # not at the top: whoever draws nothing does not wait for matplotlib
-
         sensors = self.table["sensor"].nunique()
         ax = axes_or_new(ax, (8.0, 1.4 + 0.5 * sensors))
         draw_hours(ax, self.table, self.timezone)
@@ -213,30 +213,36 @@ class Quality:
         return table_card(title, columns, self.table[columns].to_numpy(object).tolist())
 
     def __repr__(self) -> str:
-        lines = "; ".join(f"{sensor}: {text}" for sensor, text in self.figures().items())
+        lines = "; ".join(f"{sensor}: {text}" for sensor, text in self.lines().items())
         return f"Quality({lines})"
 
 
 def measure_quality(
-    occupancy: Occupancy, *, timezone: str = "UTC", reporter: Reporter = QUIET
+    occupancy: Occupancy,
+    *,
+    timezone: str = "UTC",
+    settings: QualitySettings = DEFAULTS,
+    reporter: Reporter = QUIET,
 ) -> Quality:
-    """Tell by sensor and hour what an occupancy rests on, and whether the sensor was well.
+    """Measure by sensor and hour which frames an occupancy is made from, and judge them.
 
     Parameters
     ----------
     occupancy : Occupancy
-        With the deliveries of its sensors; merged ones give what the whole would have given.
+        With the frame log of its sensors; merged ones give what the whole would have given.
     timezone : str
         Whose hours, days and weekdays: a name such as Europe/Berlin.
+    settings : QualitySettings
+        Thresholds of the verdicts.
     reporter : Reporter
-        Hears how far the work is.
+        Receives the progress.
 
     Raises
     ------
     UsageError
         If there is no such time zone.
     InputError
-        If the occupancy does not tell what was delivered.
+        If the occupancy has no frame log.
 
     Examples
     --------
@@ -249,29 +255,31 @@ def measure_quality(
     Quality(R1: 1 of 1 hours good)
     """
     zone = zone_of(timezone)
-    spans = spans_of(occupancy)
-    if not spans:
+    times = frame_times(occupancy)
+    if not times:
         raise InputError(
-            "the occupancy does not tell what its sensors delivered",
+            "the occupancy has no frame log (deliveries.parquet)",
             hint="make it again with: gis-radar occupancy",
         )
-    counts = count_frames(occupancy, spans, zone, reporter)
+    counts = count_frames(occupancy, times, zone, settings.high, reporter)
     poses = _poses(occupancy.sources)
     hours = sorted({hour for _, hour in counts})
     rows = [
-        _row(sensor, hour, counts.get((number, hour), Count()), poses.get(sensor, []), zone)
+        _row(
+            sensor, hour, counts.get((number, hour), Count()), poses.get(sensor, []), zone, settings
+        )
         for number, sensor in enumerate(occupancy.sensors)
-        if number in spans
+        if number in times
         for hour in hours
     ]
-    return Quality(table=pd.DataFrame(rows), timezone=timezone)
+    return Quality(table=pd.DataFrame(rows), timezone=timezone, settings=settings)
 
 
 Poses = list[tuple[float, str]]
 
 
 def _poses(sources: list[dict[str, Any]]) -> dict[str, Poses]:
-    """Return by sensor when its poses were found (NaN where nobody said), and their text."""
+    """Return by sensor when its poses were found (NaN where not known), and their text."""
     found: dict[str, set[tuple[float, str]]] = {}
     for source in sources:
         for pose in source.get("poses", []):
@@ -304,7 +312,10 @@ def _pose_at(poses: Poses, second: int) -> tuple[str, float]:
     return text, (second - since) / HOUR_S
 
 
-def _row(sensor: str, hour: int, count: Count, poses: Poses, zone: ZoneInfo) -> dict[str, Any]:
+def _row(
+    sensor: str, hour: int, count: Count, poses: Poses, zone: ZoneInfo,
+    settings: QualitySettings = DEFAULTS,
+) -> dict[str, Any]:  # fmt: skip
     local = moment(hour).astimezone(zone)
     pose, age_h = _pose_at(poses, hour)
     frames, detections = max(count.frames, 1), max(count.detections, 1)
@@ -328,5 +339,5 @@ def _row(sensor: str, hour: int, count: Count, poses: Poses, zone: ZoneInfo) -> 
         "clock_offset_s": np.nan if nothing else -count.shift_us / frames / 1e6,
         "pose": pose,
         "pose_age_h": age_h,
-        "verdict": "; ".join(faults_of(count, hour)) or GOOD,
+        "verdict": "; ".join(faults_of(count, hour, settings)) or GOOD,
     }

@@ -131,7 +131,7 @@ def _clock(traffic: Traffic, timezone: str) -> Clock:
 
 def _quality(results: Results, timezone: str, reporter: Reporter) -> Quality | None:
     occupancy = results.occupancy
-    if occupancy is None or not any(True for _ in occupancy.deliveries(occupancy.sensors)):
+    if occupancy is None or not any(True for _ in occupancy.frame_log(occupancy.sensors)):
         return None
     return measure_quality(occupancy, timezone=timezone, reporter=reporter)
 

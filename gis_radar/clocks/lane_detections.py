@@ -1,4 +1,4 @@
-"""Sightings: moving detections on the lanes, with the speed along the lane that they imply."""
+"""Match moving detections to lanes, with the speed along the lane that their Doppler implies."""
 
 from __future__ import annotations
 
@@ -8,23 +8,19 @@ import geopandas as gpd
 import numpy as np
 
 from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.clocks.settings import DEFAULTS, ClockSettings
 from gis_radar.poses.files import PoseTrack
 from gis_radar.progress import Reporter
 from gis_radar.recordings.recording import Detections, Recording
 from gis_radar.tiles.lookup import TileGrid
 from gis_radar.tiles.tiles import quads
 
-MIN_SPEED_MPS = 1.5
-MAX_SPEED_MPS = 60.0
-MIN_COSINE = 0.5  # between lane and line of sight: a range rate across it tells no speed
-MOST_HEIGHT_M = 4.5
 STAGE = "reading traffic"
-HOURS_S = (-4000.0, 7600.0)  # an hour of traffic, and an hour that a clock may be off, twice
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sightings:
-    """What one sensor saw move along the lanes.
+class LaneDetections:
+    """Detections of one sensor that move along lanes.
 
     Parameters
     ----------
@@ -49,13 +45,31 @@ class Sightings:
     def __len__(self) -> int:
         return len(self.time)
 
-    def take(self, keep: Booleans | Integers) -> Sightings:
+    def take(self, keep: Booleans | Integers) -> LaneDetections:
         """Return some of them."""
-        return Sightings(**{name: values[keep] for name, values in vars(self).items()})
+        return LaneDetections(**{name: values[keep] for name, values in vars(self).items()})
+
+    def scaled(self, time: Floats, *, near_m: float, near_s: float, near_mps: float) -> Floats:
+        """Return points of which those of one lanelet are near within 1 in every direction.
+
+        Parameters
+        ----------
+        time : (n,) array
+            Their times, seconds since any moment.
+        near_m, near_s, near_mps : float
+            The scales of place, time and speed.
+
+        Returns
+        -------
+        (n, 4) array
+        """
+        return np.column_stack(
+            [self.lanelet * 1e4, self.s_m / near_m, time / near_s, self.speed / near_mps]
+        )
 
     @classmethod
-    def joined(cls, parts: list[Sightings]) -> Sightings:
-        """Put parts one after the other."""
+    def joined(cls, parts: list[LaneDetections]) -> LaneDetections:
+        """Return parts one after the other."""
         return cls(
             **{
                 name: np.concatenate([getattr(part, name) for part in parts])
@@ -64,16 +78,19 @@ class Sightings:
         )
 
 
-class Lanes:
-    """The lanes as tiles: finds where on a lane a detection lies.
+class LaneMatcher:
+    """Finds the lane of a detection by the tiles of the lanes.
 
     Parameters
     ----------
     tiles : GeoDataFrame
         As from :func:`gis_radar.tiles.tiles.read_tiles`.
+    settings : ClockSettings
+        Which detections count.
     """
 
-    def __init__(self, tiles: gpd.GeoDataFrame) -> None:
+    def __init__(self, tiles: gpd.GeoDataFrame, settings: ClockSettings = DEFAULTS) -> None:
+        self.settings = settings
         corners = quads(tiles)
         self._engine = TileGrid(corners)
         self._begin = (corners[:, 0] + corners[:, 3]) / 2
@@ -83,19 +100,20 @@ class Lanes:
         self._height_m = tiles["height_m"].to_numpy(np.float64)
         self._lanelet = np.unique(tiles["lanelet_id"].to_numpy(), return_inverse=True)[1]
 
-    def sightings(self, rows: Detections, track: PoseTrack) -> Sightings:
-        """Return what moves along a lane; a detection on two lanelets counts on both."""
-        rows = rows.take(rows.present & (np.abs(rows.range_rate) >= MIN_SPEED_MPS * MIN_COSINE))
+    def match(self, rows: Detections, track: PoseTrack) -> LaneDetections:
+        """Return detections that move along a lane; one on two lanelets counts on both."""
+        least_mps = self.settings.min_speed_mps * self.settings.min_cosine
+        rows = rows.take(rows.present & (np.abs(rows.range_rate) >= least_mps))
         held = track.at(rows.time)
         parts = [self._of(rows, held == i, track, i) for i in np.unique(held)]
         nothing = np.empty(0)
-        empty = Sightings(
+        empty = LaneDetections(
             time=nothing, lanelet=np.empty(0, np.int64), s_m=nothing, speed=nothing, side=nothing
         )
-        return Sightings.joined([empty, *parts])
+        return LaneDetections.joined([empty, *parts])
 
-    def _of(self, rows: Detections, now: Booleans, track: PoseTrack, index: int) -> Sightings:
-        pose = track.poses[index]
+    def _of(self, rows: Detections, now: Booleans, track: PoseTrack, index: int) -> LaneDetections:
+        pose, limits = track.poses[index], self.settings
         place = pose.to_map(rows.points[now])
         point, tile = self._engine.assign(place[:, 0], place[:, 1])
         sight = place[point] - pose.position
@@ -103,11 +121,11 @@ class Lanes:
         cosine /= np.linalg.norm(sight, axis=1)
         speed = rows.range_rate[now][point] / np.where(cosine == 0.0, np.nan, cosine)
         over_road = np.nan_to_num(np.abs(place[point, 2] - self._height_m[tile]))
-        keep = (np.abs(cosine) >= MIN_COSINE) & (over_road <= MOST_HEIGHT_M)
-        keep &= (speed >= MIN_SPEED_MPS) & (speed <= MAX_SPEED_MPS)
+        keep = (np.abs(cosine) >= limits.min_cosine) & (over_road <= limits.max_over_road_m)
+        keep &= (speed >= limits.min_speed_mps) & (speed <= limits.max_speed_mps)
         point, tile = point[keep], tile[keep]
         offset = np.einsum("ij,ij->i", place[point, :2] - self._begin[tile], self._ahead[tile])
-        return Sightings(
+        return LaneDetections(
             time=rows.time[now][point],
             lanelet=self._lanelet[tile].astype(np.int64),
             s_m=self._s_m[tile] + offset,
@@ -116,35 +134,36 @@ class Lanes:
         )
 
 
-def read_sightings(
-    recording: Recording, track: PoseTrack, lanes: Lanes, latest_s: float, reporter: Reporter
-) -> Sightings:
-    """Read what a sensor saw move in a few hours, by its own clock.
+def read_lane_detections(
+    recording: Recording, track: PoseTrack, lanes: LaneMatcher, latest_s: float, reporter: Reporter
+) -> LaneDetections:
+    """Read what moved along lanes in a few hours, by the sensor's own clock.
 
     Parameters
     ----------
     recording, track : Recording, PoseTrack
         What is read, and where its sensor stood.
-    lanes : Lanes
+    lanes : LaneMatcher
         The lanes.
     latest_s : float
         When the last of all recordings begins: the hours around it are read, so that long ones
         meet. Where this one is over by then, its own first hours.
     reporter : Reporter
-        Hears how far the work is.
+        Receives the progress.
     """
-    parts: list[Sightings] = []
-    around: list[Sightings] = []
+    parts: list[LaneDetections] = []
+    around: list[LaneDetections] = []
+    before_s, after_s = lanes.settings.window_s
     done, begin_s = 0, np.nan
     for piece in recording.read():
         begin_s = float(piece.time[0]) if done == 0 else begin_s
         done += len(piece)
         reporter.progress(f"{STAGE}: {recording.path.name}", done, recording.rows)
-        if piece.time[0] > max(latest_s, begin_s) + HOURS_S[1]:
+        if piece.time[0] > max(latest_s, begin_s) + after_s:
             break
-        keep = np.abs(piece.time - latest_s - sum(HOURS_S) / 2) <= (HOURS_S[1] - HOURS_S[0]) / 2
+        keep = np.abs(piece.time - latest_s - (before_s + after_s) / 2) <= (after_s - before_s) / 2
         if keep.any():
-            around.append(lanes.sightings(piece.take(keep), track))
-        elif not around and piece.time[0] <= begin_s + HOURS_S[1] - HOURS_S[0]:
-            parts.append(lanes.sightings(piece, track))
-    return Sightings.joined(around or parts)
+            around.append(lanes.match(piece.take(keep), track))
+        elif not around and piece.time[0] <= begin_s + after_s - before_s:
+            parts.append(lanes.match(piece, track))
+    return LaneDetections.joined(around or parts)
