@@ -145,6 +145,8 @@ class TerminalConsole(Reporter):
         out = rich.console.Console()
         table = Table(show_header=False, box=None, pad_edge=False)
         for name, value in result.summary.items():
+            if name == "settings":
+                continue  # constants in effect: for --json and the files
             if isinstance(value, Mapping):
                 # A number that is cut short is a wrong number: rather a line too long.
                 rich.console.Console(width=max(out.width, WIDE)).print(_grid(name, value))

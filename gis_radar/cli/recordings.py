@@ -81,7 +81,7 @@ def convert(
 )  # fmt: skip
 @click.option(
     "--cycle", "cycles", type=Cycles(),
-    help="Of sensors slower than 20 Hz, the time from frame to frame: a frame speaks for it.",
+    help="Of sensors slower than 20 Hz, the time from frame to frame: a frame covers it.",
 )  # fmt: skip
 @click.option(
     "--clocks", metavar="auto|FILE",
@@ -145,7 +145,7 @@ def _clocks(
     """Return the clocks of a file, or compare them; say whose is not corrected."""
     if source == AUTO:
         found = gr.measure_clocks(recordings, tracks, tiles, reporter=reporter)
-        for sensor, text in found.figures().items():
+        for sensor, text in found.lines().items():
             reporter.log(
                 f"clock of {sensor}: {text}"
                 if sensor != "reference"

@@ -371,7 +371,7 @@ def _filters(results: Results) -> Iterator[tuple[str, str]]:
         yield f"Detections that count{whose}", text
     for source in results.occupancy.sources:
         if "cycle_s" in source:
-            cycle = f"{number(1000 * float(source['cycle_s']))} ms: a frame speaks for that long"
+            cycle = f"{number(1000 * float(source['cycle_s']))} ms: a frame covers that long"
             yield f"Cycle of {source['sensor']}", cycle
         if "clock" in source:
             told = json.dumps(source["clock"], sort_keys=True)

@@ -103,8 +103,8 @@ class Sensor:
         example='"R2.json"', default=None, shown="none",
     )  # fmt: skip
     cycle: float | Literal["auto"] | None = key(
-        CYCLE, "Of a sensor under 20 Hz, the time from frame to frame: a frame speaks for it.",
-        example='"57ms"', default=None, shown="a frame speaks for its step",
+        CYCLE, "Of a sensor under 20 Hz, the time from frame to frame: a frame covers it.",
+        example='"57ms"', default=None, shown="a frame covers its step",
     )  # fmt: skip
     view: ViewPart | None = optional_table(
         ViewPart, "What it sees, where its pose does not say; without it 120 by 30 deg, 1 to 300 m."
