@@ -1,5 +1,9 @@
 """The road mask on scans whose truth is known: what stays, what goes, at which height."""
 
+import json
+from dataclasses import asdict
+
+import laspy
 import numpy as np
 import pytest
 from maps import Listener
@@ -16,6 +20,7 @@ from scans import (
 
 import gis_radar as gr
 from gis_radar.errors import InputError, NoAnswerError
+from gis_radar.scans import MaskSettings
 
 ROAD = (0.0, 0.0, 120.0, 8.0)
 AROUND = (-20.0, -20.0, 140.0, 28.0)
@@ -241,3 +246,18 @@ def test_the_result_and_what_lies_beside(tmp_path):
         ["scan.laz", *(path.name for path in written)]
     )
     np.testing.assert_allclose(gr.read_road(tmp_path / "road.laz", UTM), mask.points, atol=6e-4)
+
+
+def test_the_settings_are_written_beside_the_road(tmp_path):
+    points = ground(ROAD, level)
+    path = write_points(tmp_path / "scan.laz", points[points[:, 0] < 40.0])
+    settings = MaskSettings(least_cells=10_000)
+    with pytest.raises(NoAnswerError):
+        gr.mask_road([path], box_roads(ROAD), engine="laspy", settings=settings)
+    settings = MaskSettings(surface_m=0.05)
+    mask = gr.mask_road([path], box_roads(ROAD), engine="laspy", settings=settings)
+    assert mask.cells.used < 0.95 * mask.points_on_road  # the noise is 0.03 m
+    assert mask.figures()["settings"]["surface_m"] == 0.05
+    with laspy.open(mask.write(tmp_path / "road.laz")[0]) as road:
+        (record,) = (one for one in road.header.vlrs if one.user_id == "gis_radar")
+    assert json.loads(record.record_data_bytes()) == json.loads(json.dumps(asdict(settings)))

@@ -1,10 +1,13 @@
 from .mask import RoadMask, mask_road, require_road_name
 from .roads import Roads, read_roads
 from .scan import Points, Scan, open_scan, read_road, road_crs
+from .settings import MaskSettings, RoadSettings
 
 __all__ = [
+    "MaskSettings",
     "Points",
     "RoadMask",
+    "RoadSettings",
     "Roads",
     "Scan",
     "mask_road",

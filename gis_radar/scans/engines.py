@@ -7,10 +7,11 @@ stages stream, so its memory does not grow with the points.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import geopandas as gpd
 import laspy
@@ -25,7 +26,6 @@ from gis_radar.scans.pdal import INSTALL_HINT, PdalRunner, find_pdal
 from gis_radar.scans.point_store import PointStore
 from gis_radar.scans.roads import Roads
 from gis_radar.scans.scan import (
-    LEAST_GROUND_SHARE,
     NEVER_CLASSES,
     ROAD_CLASSES,
     Days,
@@ -35,9 +35,9 @@ from gis_radar.scans.scan import (
     ground_share,
     open_scan,
 )
+from gis_radar.scans.settings import DEFAULTS, MaskSettings
 
 LAYER, COLUMN = "roads", "road"
-MARGIN_M = 30.0  # what a ground filter looks at around a road: wider than its window
 MARK = "UserData"
 
 
@@ -50,14 +50,17 @@ class Pipeline:
     scans : tuple of Scan
         Those that touch the site.
     classified : tuple of bool
-        For each, whether its classes tell ground from the rest.
+        For each, whether its classes distinguish ground.
     roads : Roads
         The site.
+    margin_m : float
+        What a ground filter reads around a road, metres.
     """
 
     scans: tuple[Scan, ...]
     classified: tuple[bool, ...]
     roads: Roads = field(repr=False)
+    margin_m: float = DEFAULTS.filter_margin_m
 
     def document(self, *, roads: Path, points: Path, within: Box | None = None) -> dict[str, Any]:
         """Return the pipeline as PDAL reads it.
@@ -72,8 +75,8 @@ class Pipeline:
             A part of the site, in the roads' system, without those scans that do not touch it;
             around it a margin is read for the ground filter and left out again.
         """
-        site = _widened(self.roads.area.bounds, MARGIN_M)
-        area = site if within is None else _common(site, _widened(within, MARGIN_M))
+        site = _widened(self.roads.area.bounds, self.margin_m)
+        area = site if within is None else _common(site, _widened(within, self.margin_m))
         groups = [self._group(area, classified=status) for status in (True, False)]
         stages = [stage for group in groups for stage in group]
         if all(groups):
@@ -127,7 +130,7 @@ class Pipeline:
                 "type": "filters.reprojection", "in_srs": name_of(scan.crs),
                 "out_srs": name_of(self.roads.crs), "tag": f"map_{number}",
             })  # fmt: skip
-        # Without its input in words, a stage of PDAL 2.2 streams the points of a reader twice.
+        # Without its input by name, a stage of PDAL 2.2 streams the points of a reader twice.
         for stage, before in zip(stages[1:], stages, strict=False):
             stage["inputs"] = [before["tag"]]
         return stages
@@ -148,9 +151,9 @@ class Pipeline:
 
 
 def passing_classes(roads: Roads) -> list[int]:
-    """Return the classes that pass: ground, and where the map knows heights, what may be it.
+    """Return the classes that pass: ground, and where the map has heights, what may be it.
 
-    A bridge may bear any class; the map's heights find it later.
+    A bridge may have any class; the map's heights select it later.
     """
     if roads.has_heights:
         return [number for number in range(256) if number not in NEVER_CLASSES]
@@ -195,7 +198,7 @@ def write_layer(roads: Roads, path: Path, *, outside: Any = None) -> None:
     path : Path
         The GeoPackage.
     outside : MultiPolygon, optional
-        What lies outside the scans.
+        What is outside the scans.
     """
     parts = list(shapely.get_parts(roads.area))
     layers = {LAYER: gpd.GeoDataFrame({COLUMN: [1] * len(parts)}, geometry=parts, crs=roads.crs)}
@@ -219,16 +222,16 @@ MOST_AT_ONCE = 5_000_000
 
 @dataclass(frozen=True, kw_only=True)
 class ReadStatistics:
-    """What was learnt while the points were read.
+    """Figures of the reading of scans.
 
     Parameters
     ----------
     classified : tuple of bool
-        For each scan, whether its classes tell ground from the rest.
+        For each scan, whether its classes distinguish ground.
     on_road : int
         Points on the roads, in classified scans without those whose class is no road's.
     flown : (date, date), optional
-        Days of the first and the last point on the roads, where their times tell days.
+        Days of the first and the last point on the roads, where their times give days.
     """
 
     classified: tuple[bool, ...]
@@ -236,19 +239,20 @@ class ReadStatistics:
     flown: Days | None
 
 
-class Engine(Protocol):
-    """Gets the points on the roads out of scans."""
+@dataclass(frozen=True, kw_only=True)
+class Engine:
+    """Puts those points of scans that are on the roads into a store.
 
-    @property
-    def name(self) -> str:
-        """What it is, with its version."""
-        ...
+    Parameters
+    ----------
+    name : str
+        What it is, with its version.
+    fill : callable
+        Takes store, scans, settings and reporter.
+    """
 
-    def fill(
-        self, store: PointStore, scans: Sequence[Scan], *, reporter: Reporter
-    ) -> ReadStatistics:
-        """Put those points of scans that lie on the roads into a store."""
-        ...
+    name: str
+    fill: Callable[[PointStore, Sequence[Scan], MaskSettings, Reporter], ReadStatistics]
 
 
 def engine_of(name: str, *, reporter: Reporter = QUIET) -> Engine:
@@ -262,79 +266,68 @@ def engine_of(name: str, *, reporter: Reporter = QUIET) -> Engine:
     if name not in NAMES:
         raise UsageError(f"engine {name!r} is not known", hint=f"one of {', '.join(NAMES)}")
     if name == "laspy":
-        return BuiltIn()
+        return _BUILT_IN
     runner = find_pdal(reporter=reporter)
     if runner is not None:
-        return Pdal(runner=runner)
+        return Engine(name=runner.name, fill=partial(_fill_by_pdal, runner))
     if name == "pdal":
         raise GisRadarError("PDAL was not found on this machine", hint=INSTALL_HINT)
-    return BuiltIn()
+    return _BUILT_IN
 
 
-@dataclass(frozen=True, kw_only=True)
-class BuiltIn:
-    """Reads, crops, reprojects and masks with laspy, pyproj and shapely."""
-
-    name: str = f"built-in (laspy {laspy.__version__})"
-
-    def fill(
-        self, store: PointStore, scans: Sequence[Scan], *, reporter: Reporter
-    ) -> ReadStatistics:
-        """Put those points of scans that lie on the roads into a store."""
-        total, done = sum(scan.points for scan in scans), 0
-        classified: list[bool] = []
-        times: list[float] = []
-        on_road = 0
-        roads = store.blocks.roads
-        passing = passing_classes(roads)
-        for number, scan in enumerate(scans):
-            ground = 0
-            for piece in scan.pieces(roads.area.bounds, roads.crs):
-                ground += piece.ground
-                times += _keep(store, number, piece)
-                done += piece.read
-                reporter.progress(STAGE, done, total)
-            classified.append(ground >= LEAST_GROUND_SHARE * scan.points)
-            store.classified(number, ground=classified[-1])
-            counts = store.counts[number]
-            on_road += int(counts[passing].sum() if classified[-1] else counts.sum())
-        return ReadStatistics(classified=tuple(classified), on_road=on_road, flown=days_of(times))
+def _fill_by_laspy(
+    store: PointStore, scans: Sequence[Scan], settings: MaskSettings, reporter: Reporter
+) -> ReadStatistics:
+    total, done, on_road = sum(scan.points for scan in scans), 0, 0
+    classified: list[bool] = []
+    times: list[float] = []
+    roads = store.blocks.roads
+    passing = passing_classes(roads)
+    for number, scan in enumerate(scans):
+        ground = 0
+        for piece in scan.pieces(roads.area.bounds, roads.crs):
+            ground += piece.ground
+            times += _keep(store, number, piece)
+            done += piece.read
+            reporter.progress(STAGE, done, total)
+        classified.append(ground >= settings.least_ground * scan.points)
+        store.classified(number, ground=classified[-1])
+        counts = store.counts[number]
+        on_road += int(counts[passing].sum() if classified[-1] else counts.sum())
+    return ReadStatistics(classified=tuple(classified), on_road=on_road, flown=days_of(times))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Pdal:
-    """Runs the pipeline with PDAL."""
+_BUILT_IN = Engine(name=f"built-in (laspy {laspy.__version__})", fill=_fill_by_laspy)
 
-    runner: PdalRunner
 
-    @property
-    def name(self) -> str:
-        """What it is, with its version."""
-        return self.runner.name
-
-    def fill(
-        self, store: PointStore, scans: Sequence[Scan], *, reporter: Reporter
-    ) -> ReadStatistics:
-        """Put those points of scans that lie on the roads into a store."""
-        classified = tuple(ground_share(scan) >= LEAST_GROUND_SHARE for scan in scans)
-        roads = store.blocks.roads
-        pipeline = Pipeline(scans=tuple(scans), classified=classified, roads=roads)
-        store.classified(0, ground=True)  # whatever the scans were, the pipeline classified them
-        times: list[float] = []
-        with tempfile.TemporaryDirectory(prefix="gis_radar_") as name:
-            layer, points = Path(name) / "roads.gpkg", Path(name) / "points.laz"
-            write_layer(roads, layer)
-            parts = _parts(pipeline)
-            for done, within in enumerate(parts):
-                document = pipeline.document(roads=layer, points=points, within=within)
-                self.runner.run(document, reporter=reporter)
-                if _holds_points(points):
-                    result = open_scan(points, crs=roads.crs)
-                    for piece in result.pieces(roads.area.bounds, roads.crs):
-                        times += _keep(store, 0, piece)
-                points.unlink(missing_ok=True)
-                reporter.progress("running the pipeline", done + 1, len(parts))
-        return ReadStatistics(classified=classified, on_road=store.total, flown=days_of(times))
+def _fill_by_pdal(
+    runner: PdalRunner,
+    store: PointStore,
+    scans: Sequence[Scan],
+    settings: MaskSettings,
+    reporter: Reporter,
+) -> ReadStatistics:
+    classified = tuple(ground_share(scan) >= settings.least_ground for scan in scans)
+    roads = store.blocks.roads
+    pipeline = Pipeline(
+        scans=tuple(scans), classified=classified, roads=roads, margin_m=settings.filter_margin_m
+    )
+    store.classified(0, ground=True)  # whatever the scans were, the pipeline classified them
+    times: list[float] = []
+    with tempfile.TemporaryDirectory(prefix="gis_radar_") as name:
+        layer, points = Path(name) / "roads.gpkg", Path(name) / "points.laz"
+        write_layer(roads, layer)
+        parts = _parts(pipeline)
+        for done, within in enumerate(parts):
+            document = pipeline.document(roads=layer, points=points, within=within)
+            runner.run(document, reporter=reporter)
+            if _holds_points(points):
+                result = open_scan(points, crs=roads.crs)
+                for piece in result.pieces(roads.area.bounds, roads.crs):
+                    times += _keep(store, 0, piece)
+            points.unlink(missing_ok=True)
+            reporter.progress("running the pipeline", done + 1, len(parts))
+    return ReadStatistics(classified=classified, on_road=store.total, flown=days_of(times))
 
 
 def _parts(pipeline: Pipeline) -> list[Box | None]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +19,13 @@ from gis_radar.files import whole_file
 from gis_radar.lanelets import LaneletMap
 from gis_radar.notebooks import card
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.scans.cells import SQUARE_M, RoadCells, make_cells
+from gis_radar.scans.cells import RoadCells, make_cells
 from gis_radar.scans.engines import Pipeline, engine_of, write_layer
 from gis_radar.scans.point_store import CELL_M, PointStore, blocks_of
 from gis_radar.scans.roads import Roads, roads_of_map
 from gis_radar.scans.scan import Days, Scan, open_scan, write_road
+from gis_radar.scans.settings import DEFAULTS, MaskSettings
 
-LEAST_ROAD_M2 = 20.0
-LEAST_OUTSIDE = 0.001
 BESIDE = (".roads.gpkg", ".pipeline.json")
 
 
@@ -41,20 +40,22 @@ class RoadMask:
     roads : Roads
         The map they were masked by; its coordinate system is theirs.
     outside : MultiPolygon
-        The part of the map's roads that lies outside the scans.
+        The part of the map's roads outside the scans.
     engine : str
-        Who read the scans, with its version.
+        What read the scans, with its version.
     pipeline : Pipeline
-        How the points were got, as PDAL would.
+        How the points were selected, as stages of PDAL.
     vertical : tuple of str
-        Names of the systems of the scans' heights, where these say.
+        Names of the systems of the scans' heights, where these have one.
     flown : (date, date), optional
         First and last day of the scans on the roads: the epoch of what they show.
     points_in, points_on_road : int
         Points in the scans that touch the site, and those of them on its roads; in classified scans
         without those whose class is no road's.
     cells : RoadCells
-        How the cells came about.
+        How the cells were made.
+    settings : MaskSettings
+        What was in effect.
     """
 
     points: Floats = field(repr=False)
@@ -67,6 +68,7 @@ class RoadMask:
     points_in: int
     points_on_road: int
     cells: RoadCells = field(repr=False)
+    settings: MaskSettings = field(default=DEFAULTS, repr=False)
 
     @property
     def covered(self) -> float:
@@ -80,7 +82,7 @@ class RoadMask:
         return self.points_on_road / scanned if scanned > 0.0 else 0.0
 
     def figures(self) -> dict[str, Any]:
-        """Return what a user should know about the result."""
+        """Return the figures of the result, ready for JSON."""
         offset = self.cells.offset_m
         return {
             "engine": self.engine,
@@ -101,6 +103,7 @@ class RoadMask:
             "outside_share": round(self.outside.area / self.roads.area.area, 4),
             "levels": len(self.roads.levels),
             "scan_over_map_m": None if np.isnan(offset) else offset,
+            "settings": asdict(self.settings),
         }
 
     def write(self, path: str | Path) -> list[Path]:
@@ -127,7 +130,7 @@ class RoadMask:
         with whole_file(document) as part:
             part.write_text(json.dumps(stages, indent=2) + "\n", encoding="utf-8")
         with whole_file(path) as part:
-            write_road(self.points, part, crs=self.roads.crs)
+            write_road(self.points, part, crs=self.roads.crs, settings=self.settings)
         return [path, document, layer]
 
     def __repr__(self) -> str:
@@ -137,11 +140,13 @@ class RoadMask:
         )
 
     def _repr_html_(self) -> str:
-        return card("Road mask", self.figures())
+        figures = self.figures()
+        del figures["settings"]
+        return card("Road mask", figures)
 
 
 def require_road_name(path: str | Path) -> None:
-    """Refuse a name that does not say LAZ, before the work and not after it."""
+    """Refuse a name that does not end in LAZ or LAS, before the work and not after it."""
     if Path(path).suffix.lower() not in {".laz", ".las"}:
         raise UsageError(f"{path}: a road is written as LAZ", hint="end the name in .laz")
 
@@ -152,6 +157,7 @@ def mask_road(
     *,
     engine: str = "auto",
     scan_crs: Any = None,
+    settings: MaskSettings = DEFAULTS,
     reporter: Reporter = QUIET,
 ) -> RoadMask:
     """Mask the road out of airborne scans (the paper, "Method Overview").
@@ -165,17 +171,21 @@ def mask_road(
     engine : str
         `pdal`, `laspy` (built-in), or `auto` for PDAL where there is one.
     scan_crs : CRS, str or int, optional
-        The scans' coordinate system, for files that do not say it.
+        The scans' coordinate system, for files without one.
+    settings : MaskSettings
+        Choices of the algorithm; those for the roads are of use where `roads` is a map.
     reporter : Reporter
-        Hears how far the work is.
+        Where progress and remarks go.
 
     Raises
     ------
     InputError
-        If a scan is damaged, or map and scans do not overlap; CrsError if a scan says no
+        If a scan is damaged, or map and scans do not overlap; CrsError if a scan has no
         coordinate system; NoAnswerError if nothing on the roads is a road's surface.
     """
-    roads = roads_of_map(roads) if isinstance(roads, LaneletMap) else roads
+    if isinstance(roads, LaneletMap):
+        roads = roads_of_map(roads, settings=settings.roads)
+    settings = replace(settings, roads=roads.settings)
     runner = engine_of(engine, reporter=reporter)
     opened = [open_scan(scan, crs=scan_crs) for scan in scans]
     touching = [scan for scan in opened if scan.touches(roads.area.bounds, roads.crs)]
@@ -184,21 +194,24 @@ def mask_road(
     blocks = blocks_of(roads)
     with tempfile.TemporaryDirectory(prefix="gis_radar_") as folder:
         store = PointStore(blocks, Path(folder))
-        statistics = runner.fill(store, touching, reporter=reporter)
+        statistics = runner.fill(store, touching, settings, reporter)
         if store.total == 0:
             raise _no_overlap(touching, roads)
-        cells = make_cells(store, reporter=reporter)
+        cells = make_cells(store, settings=settings, reporter=reporter)
     if len(cells.points) == 0:
         raise NoAnswerError(
             f"{roads.source}: {store.total} points on its roads, but none on a road's surface"
         )
     mask = RoadMask(
         points=cells.points, roads=roads, engine=runner.name,
-        outside=_outside(cells, touching, roads),
+        outside=_outside(cells, touching, roads, settings),
         vertical=tuple(sorted({scan.vertical for scan in touching} - {""})), flown=statistics.flown,
-        pipeline=Pipeline(scans=tuple(touching), classified=statistics.classified, roads=roads),
+        pipeline=Pipeline(
+            scans=tuple(touching), classified=statistics.classified, roads=roads,
+            margin_m=settings.filter_margin_m,
+        ),
         points_in=sum(scan.points for scan in touching), points_on_road=statistics.on_road,
-        cells=cells,
+        cells=cells, settings=settings,
     )  # fmt: skip
     _remark(mask, opened, reporter)
     return mask
@@ -217,17 +230,20 @@ def _place(roads: Roads) -> str:
     return f"{(west + east) / 2:.0f} {(south + north) / 2:.0f} in {roads.crs.name}"
 
 
-def _outside(cells: RoadCells, scans: Sequence[Scan], roads: Roads) -> shapely.MultiPolygon:
+def _outside(
+    cells: RoadCells, scans: Sequence[Scan], roads: Roads, settings: MaskSettings
+) -> shapely.MultiPolygon:
     """Return the roads beyond the scans' extents, and in squares without a single point."""
     extents = [moved_box(scan.bounds, scan.crs, roads.crs) for scan in scans]
     known = np.isfinite(extents).all()
     boxes = [shapely.box(*extent) for extent in extents] if known else [roads.area]
     beyond = shapely.difference(roads.area, shapely.union_all(boxes))
-    bare, count = np.unique(cells.missing // SQUARE_M, axis=0, return_counts=True)
-    bare = bare[count * CELL_M**2 >= LEAST_ROAD_M2]
-    seen = set(map(tuple, (cells.seen // SQUARE_M).tolist()))
-    corners = np.array([place for place in bare.tolist() if tuple(place) not in seen]) * SQUARE_M
-    boxes = [shapely.box(*corner, *(corner + SQUARE_M)) for corner in corners]
+    side_m = settings.square_m
+    bare, count = np.unique(cells.missing // side_m, axis=0, return_counts=True)
+    bare = bare[count * CELL_M**2 >= settings.bare_m2]
+    seen = set(map(tuple, (cells.seen // side_m).tolist()))
+    corners = np.array([place for place in bare.tolist() if tuple(place) not in seen]) * side_m
+    boxes = [shapely.box(*corner, *(corner + side_m)) for corner in corners]
     empty = shapely.intersection(shapely.union_all(boxes), roads.area)
     parts = shapely.get_parts(shapely.union(beyond, empty))
     return shapely.MultiPolygon(list(parts[shapely.area(parts) > 0.0]))
@@ -239,7 +255,7 @@ def _remark(mask: RoadMask, opened: Sequence[Scan], reporter: Reporter) -> None:
     if skipped:
         reporter.log(f"{skipped} of {len(opened)} scans do not touch the site and were skipped")
     share = mask.outside.area / mask.roads.area.area
-    if share > LEAST_OUTSIDE:
+    if share > mask.settings.warn_outside:
         west, south, east, north = mask.outside.bounds
         reporter.log(
             f"{share:.1%} of the map's roads lie outside the scans: {mask.outside.area:.0f} m2 "
@@ -247,7 +263,7 @@ def _remark(mask: RoadMask, opened: Sequence[Scan], reporter: Reporter) -> None:
             "warning",
         )
     offset = mask.cells.offset_m
-    if abs(offset) > 2.0:
+    if abs(offset) > mask.settings.warn_offset_m:
         reporter.log(
             f"the scans lie {offset:.2f} m over the map's heights: another vertical datum?",
             "warning",

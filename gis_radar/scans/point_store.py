@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import shapely
-from affine import Affine
 from numpy.typing import NDArray
 from rasterio.features import rasterize
 
 from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.crs import Box
+from gis_radar.grid import Grid
 from gis_radar.scans.roads import RoadLevel, Roads
-from gis_radar.scans.scan import is_road_class, never_road
+from gis_radar.scans.scan import NEVER_CLASSES, ROAD_CLASSES
 
 CELL_M = 0.5
 BLOCK_CELLS = 512
@@ -27,82 +27,71 @@ OUTSIDE, INSIDE, EDGE = 0, 1, 2
 
 @dataclass(frozen=True, kw_only=True)
 class RoadBlocks:
-    """Blocks of cells that hold roads; cells begin at multiples of `CELL_M`, blocks of `BLOCK_M`.
+    """Blocks of cells that hold roads.
 
     Parameters
     ----------
     roads : Roads
         What is road.
+    grid : Grid
+        Blocks around all roads.
     columns, rows : (n,) int64 arrays
-        Place of each block, in blocks from the origin of the coordinate system.
+        Which of them hold roads.
     shapes : list of geometry
         The roads in each block, prepared for asking whether they hold a point.
     """
 
     roads: Roads
+    grid: Grid = field(repr=False)
     columns: Integers = field(repr=False)
     rows: Integers = field(repr=False)
     shapes: list[Any] = field(repr=False)
 
+    def cells(self, block: int, margin: int = 0) -> Grid:
+        """Return the cells of a block, with a margin of so many."""
+        return Grid(
+            cell_m=CELL_M,
+            west=(self.grid.west + int(self.columns[block])) * BLOCK_CELLS - margin,
+            south=(self.grid.south + int(self.rows[block])) * BLOCK_CELLS - margin,
+            columns=BLOCK_CELLS + 2 * margin,
+            rows=BLOCK_CELLS + 2 * margin,
+        )
+
     @cached_property
     def states(self) -> NDArray[np.uint8]:
-        """For each block whether its cells lie outside the roads, inside, or on their edge."""
-        return np.stack([_states(shape, *place) for place, shape in self._blocks()])
+        """For each block whether its cells are outside the roads, inside, or on their edge."""
+        return np.stack([_states(shape, self.cells(i)) for i, shape in enumerate(self.shapes)])
 
     @cached_property
-    def level_masks(self) -> list[Booleans]:
-        """For each level, block, row and column, whether the cell's centre is on a road."""
+    def level_shapes(self) -> list[list[Any]]:
+        """For each level, its part in each block."""
         if len(self.roads.levels) == 1:
-            shapes = [self.shapes]
-        else:
-            shapes = [[_near(level, *place) for place, _ in self._blocks()]
-                      for level in self.roads.levels]  # fmt: skip
-        places = [place for place, _ in self._blocks()]
-        return [
-            np.stack([centres_in(shape, column * BLOCK_M, row * BLOCK_M)
-                      for (column, row), shape in zip(places, some, strict=True)])
-            for some in shapes
-        ]  # fmt: skip
+            return [self.shapes]
+        boxes = [self.cells(block).bounds for block in range(len(self.shapes))]
+        return [[_near(level, box) for box in boxes] for level in self.roads.levels]
 
-    def window(self, masks: Booleans, block: int, margin: int) -> Booleans:
-        """Return the cells of a block with a margin of so many cells from the blocks around it."""
-        size = BLOCK_CELLS + 2 * margin
-        whole = np.zeros((size, size), bool)
-        for number in self.neighbours(block).tolist():
-            up, across = (
-                int(side[number] - side[block]) * BLOCK_CELLS + margin
-                for side in (self.rows, self.columns)
-            )
-            to_rows, from_rows = _overlap(up, size)
-            to_columns, from_columns = _overlap(across, size)
-            whole[to_rows, to_columns] = masks[number][from_rows, from_columns]
-        return whole
+    def area(self, level: int, block: int, margin: int) -> Booleans:
+        """Return which cells of a block and of a margin have their centre on a level's roads."""
+        shapes = self.level_shapes[level]
+        near = [shapes[number] for number in self.neighbours(block).tolist()]
+        return centres_in(near, self.cells(block, margin))
 
     @cached_property
     def _lookup(self) -> NDArray[np.int32]:
         """Number of each block by place, -1 where there is none."""
-        size = (int(np.ptp(self.columns)) + 1, int(np.ptp(self.rows)) + 1)
-        lookup = np.full(size, -1, np.int32)
-        lookup[self.columns - self.columns.min(), self.rows - self.rows.min()] = np.arange(
-            len(self.columns)
-        )
+        lookup = np.full((self.grid.columns, self.grid.rows), -1, np.int32)
+        lookup[self.columns, self.rows] = np.arange(len(self.columns))
         return lookup
 
-    def _blocks(self) -> Iterator[tuple[tuple[int, int], Any]]:
-        return zip(
-            zip(self.columns.tolist(), self.rows.tolist(), strict=True), self.shapes, strict=True
-        )
-
     def on_road(self, x: Floats, y: Floats) -> tuple[Integers, Integers]:
-        """Find the points that lie on a road, exactly.
+        """Find the points that are on a road, exactly.
 
         Returns
         -------
         point, block : (k,) int64 arrays
             Positions in the inputs, ascending, and the number of the block.
         """
-        column = np.floor(x / CELL_M).astype(np.int64)
-        row = np.floor(y / CELL_M).astype(np.int64)
+        column, row = self._all_cells.cells(x, y)
         block = self._block_of(column // BLOCK_CELLS, row // BLOCK_CELLS)
         point = np.flatnonzero(block >= 0)
         block = block[point]
@@ -117,11 +106,19 @@ class RoadBlocks:
             inside[some] = shapely.intersects_xy(self.shapes[number], x[there], y[there])
         return point[inside], block[inside].astype(np.int64)
 
-    def _block_of(self, across: Integers, up: Integers) -> NDArray[np.int32]:
-        lookup = self._lookup
-        across, up = across - self.columns.min(), up - self.rows.min()
-        known = (across >= 0) & (up >= 0) & (across < lookup.shape[0]) & (up < lookup.shape[1])
-        return np.where(known, lookup[np.where(known, across, 0), np.where(known, up, 0)], -1)
+    @property
+    def _all_cells(self) -> Grid:
+        west, south, columns, rows = (
+            number * BLOCK_CELLS
+            for number in (self.grid.west, self.grid.south, self.grid.columns, self.grid.rows)
+        )
+        return Grid(cell_m=CELL_M, west=west, south=south, columns=columns, rows=rows)
+
+    def _block_of(self, column: Integers, row: Integers) -> NDArray[np.int32]:
+        known = self.grid.holds(column, row)
+        return np.where(
+            known, self._lookup[np.where(known, column, 0), np.where(known, row, 0)], -1
+        )
 
     def neighbours(self, block: int) -> Integers:
         """Return a block and those around it, as far as they hold roads."""
@@ -129,64 +126,52 @@ class RoadBlocks:
         found = self._block_of(self.columns[block] + across, self.rows[block] + up)
         return found[found >= 0].astype(np.int64)
 
-    def corner(self, block: int) -> tuple[float, float]:
-        """Return the south-west corner of a block, metres."""
-        return float(self.columns[block] * BLOCK_M), float(self.rows[block] * BLOCK_M)
-
 
 def blocks_of(roads: Roads) -> RoadBlocks:
     """Cut the roads into blocks."""
     parts = np.asarray(shapely.get_parts(roads.area))
     tree = shapely.STRtree(parts)
-    west, south, east, north = (int(np.floor(side / BLOCK_M)) for side in roads.area.bounds)
+    west, south, east, north = roads.area.bounds
+    grid = Grid.around((west, east), (south, north), BLOCK_M)
     places, shapes = [], []
-    for column in range(west, east + 1):
-        strip = (column * BLOCK_M, south * BLOCK_M, (column + 1) * BLOCK_M, (north + 1) * BLOCK_M)
-        near = shapely.clip_by_rect(parts[tree.query(shapely.box(*strip))], *strip)
-        for row in range(south, north + 1):
-            box = (strip[0], row * BLOCK_M, strip[2], (row + 1) * BLOCK_M)
+    for column in range(grid.columns):
+        strip = replace(grid, west=grid.west + column, columns=1)
+        near = parts[tree.query(shapely.box(*strip.bounds))]
+        near = shapely.clip_by_rect(near, *strip.bounds)
+        for row in range(grid.rows):
+            box = replace(strip, south=grid.south + row, rows=1).bounds
             inside = shapely.union_all(shapely.clip_by_rect(near, *box))
             if shapely.area(inside) > 0.0:
                 places.append((column, row))
                 shapes.append(inside)
     shapely.prepare(shapes)
     columns, rows = np.array(places, dtype=np.int64).T
-    return RoadBlocks(roads=roads, columns=columns, rows=rows, shapes=shapes)
+    return RoadBlocks(roads=roads, grid=grid, columns=columns, rows=rows, shapes=shapes)
 
 
-def centres_in(shapes: Any, west: float, south: float) -> Booleans:
-    """Return which cells of a block have their centre in any shape; rows run from the south."""
+def centres_in(shapes: Any, cells: Grid) -> Booleans:
+    """Return which cells have their centre in any shape; rows run from the south."""
     some = [shape for shape in np.atleast_1d(shapes) if not shapely.is_empty(shape)]
-    size = (BLOCK_CELLS, BLOCK_CELLS)
+    size = (cells.rows, cells.columns)
     if not some:
         return np.zeros(size, bool)
-    grid = Affine(CELL_M, 0.0, west, 0.0, CELL_M, south)
-    return np.asarray(rasterize(some, size, transform=grid, dtype="uint8")).astype(bool)
+    return np.asarray(rasterize(some, size, transform=cells.transform, dtype="uint8")).astype(bool)
 
 
-def _near(level: RoadLevel, column: int, row: int) -> Any:
-    """Return the part of a level in a block."""
-    box = column * BLOCK_M, row * BLOCK_M, (column + 1) * BLOCK_M, (row + 1) * BLOCK_M
+def _near(level: RoadLevel, box: Box) -> Any:
+    """Return the part of a level in a box."""
     shapes = np.asarray(level.shapes)[level.tree.query(shapely.box(*box))]
     return shapely.union_all(shapely.clip_by_rect(shapes, *box))
 
 
-def _overlap(begin: int, size: int) -> tuple[slice, slice]:
-    """Return where a block that begins at a cell of a window lies in it, and which part of it."""
-    low, high = max(begin, 0), min(begin + BLOCK_CELLS, size)
-    return slice(low, high), slice(low - begin, high - begin)
-
-
-def _states(shape: Any, column: int, row: int) -> NDArray[np.uint8]:
-    west, south = column * BLOCK_M, row * BLOCK_M
-    inside = centres_in(shape, west, south)
-    grid = Affine(CELL_M, 0.0, west, 0.0, CELL_M, south)
+def _states(shape: Any, cells: Grid) -> NDArray[np.uint8]:
+    inside = centres_in(shape, cells)
     touched = rasterize(
-        [shapely.boundary(shape)], (BLOCK_CELLS, BLOCK_CELLS), transform=grid, all_touched=True,
+        [shapely.boundary(shape)], inside.shape, transform=cells.transform, all_touched=True,
         dtype="uint8",
     )  # fmt: skip
     edge = np.asarray(touched).astype(bool)
-    # A cell whose neighbour lies on the other side is on the edge, however the line was rounded.
+    # A cell whose neighbour is on the other side is on the edge, however the line was rounded.
     for axis in (0, 1):
         change = np.diff(inside.astype(np.int8), axis=axis) != 0
         ahead, behind = [slice(None)] * 2, [slice(None)] * 2
@@ -234,7 +219,7 @@ class PointStore:
         return sum(int(count.sum()) for count in self.counts.values())
 
     def classified(self, scan: int, *, ground: bool) -> None:
-        """Say whether a scan's classes tell ground from the rest."""
+        """Set whether a scan's classes tell ground from the rest."""
         self._ground[scan] = ground
 
     def add(self, xyz: Floats, category: Any, block: Integers, scan: int) -> None:
@@ -256,7 +241,7 @@ class PointStore:
         order = np.argsort(block, kind="stable")
         numbers, begins = np.unique(block[order], return_index=True)
         for number, rows in zip(numbers.tolist(), np.split(order, begins[1:]), strict=True):
-            west, south = self.blocks.corner(number)
+            west, south = self.blocks.cells(number).corner
             records = np.empty(len(rows), RECORD)
             for name, column, origin in (("x", 0, west), ("y", 1, south), ("z", 2, 0.0)):
                 records[name] = np.rint((xyz[rows, column] - origin) * _MM)
@@ -291,21 +276,21 @@ class PointStore:
         ground : (n,) bool array
             Whether a point is road by its class, or by lack of any.
         """
-        west, south = self.blocks.corner(block)
+        west, south = self.blocks.cells(block).corner
         low, high = -margin_m * _MM, (BLOCK_M + margin_m) * _MM
         parts = []
         for number in self.blocks.neighbours(block).tolist() if margin_m else [block]:
             records = self._records(number)
-            for name, shift in zip("xy", self.blocks.corner(number), strict=True):
+            for name, shift in zip("xy", self.blocks.cells(number).corner, strict=True):
                 records[name] += np.int32((shift - (west if name == "x" else south)) * _MM)
             if number != block:
                 x, y = records["x"], records["y"]
                 records = records[(x >= low) & (x < high) & (y >= low) & (y < high)]
             parts.append(records)
         records = np.concatenate(parts)
-        records = records[~never_road(records["category"])]
+        records = records[~np.isin(records["category"], NEVER_CLASSES)]
         by_class = self._ground[records["scan"]]
-        return _each_once(records, ~by_class | is_road_class(records["category"]))
+        return _each_once(records, ~by_class | np.isin(records["category"], ROAD_CLASSES))
 
     def _records(self, block: int) -> Any:
         parts = list(self._kept.get(block, []))

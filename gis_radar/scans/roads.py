@@ -21,17 +21,12 @@ from scipy.spatial import cKDTree
 from gis_radar.arrays import Floats, Integers
 from gis_radar.crs import metric_crs, name_of, utm_zone
 from gis_radar.errors import CrsError, InputError
+from gis_radar.grid import Grid
 from gis_radar.lanelets import LaneletMap, read_map
 from gis_radar.lanelets.bounds import at_fractions, length
 from gis_radar.lanelets.tagging import ON_FOOT_OR_BICYCLE
 from gis_radar.progress import QUIET, Reporter
-
-SPACING_M = 2.0
-# Two lanelets this close belong to one surface unless the way from one to the other would be
-# steeper than any road.
-NEAR_M = 6.0
-STEP_M = 1.0
-STEEPEST = 0.3
+from gis_radar.scans.settings import DEFAULTS, RoadSettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,15 +38,18 @@ class RoadLevel:
     shapes : array of Polygon
         Their outlines, which may overlap.
     heights : (n, 3) array
-        Easting, northing and height of points on them; empty where the map knows no heights.
+        Easting, northing and height of points on them; empty where the map has no heights.
+    sample_m : float
+        Side of the squares that share a height, metres.
     """
 
     shapes: Any = field(repr=False)
     heights: Floats = field(default_factory=lambda: np.empty((0, 3)), repr=False)
+    sample_m: float = RoadSettings.sample_m
 
     @property
     def has_heights(self) -> bool:
-        """Whether the map knows how high these roads lie."""
+        """Whether the map has heights of these roads."""
         return len(self.heights) > 0
 
     @cached_property
@@ -60,26 +58,23 @@ class RoadLevel:
         return shapely.STRtree(self.shapes)
 
     def height_near(self, xy: Floats) -> Floats:
-        """Return the map's height of the road nearest to the 2 m square of each place, (n,)."""
-        squares = np.floor(xy / SPACING_M).astype(np.int64)
-        squares -= squares.min(axis=0) if len(squares) else 0
-        width = int(squares[:, 0].max(initial=0)) + 1
-        unique, which = np.unique(squares[:, 1] * width + squares[:, 0], return_inverse=True)
-        first = np.empty(len(unique), np.int64)
-        first[which] = np.arange(len(xy))
-        middle = (np.floor(xy[first] / SPACING_M) + 0.5) * SPACING_M
-        return np.asarray(self._heights_at(middle)[which])
-
-    def _heights_at(self, xy: Floats) -> Floats:
-        _, nearest = self._samples.query(xy)
-        return np.asarray(self.heights[nearest, 2])
+        """Return the map's height of the road nearest to the square of each place, (n,)."""
+        if len(xy) == 0:
+            return np.empty(0)
+        x, y = xy.T
+        grid = Grid.around(x, y, self.sample_m)
+        squares, which = np.unique(grid.keys(x, y), return_inverse=True)
+        _, nearest = self._samples.query(grid.centres(squares))
+        return np.asarray(self.heights[nearest, 2][which])
 
     @cached_property
     def _samples(self) -> cKDTree:
         return cKDTree(self.heights[:, :2])
 
 
-def levels_of(outlines: Any, lefts: Iterable[Any], rights: Iterable[Any]) -> tuple[RoadLevel, ...]:
+def levels_of(
+    outlines: Any, lefts: Iterable[Any], rights: Iterable[Any], settings: RoadSettings
+) -> tuple[RoadLevel, ...]:
     """Sort lanelets into levels.
 
     Parameters
@@ -87,35 +82,43 @@ def levels_of(outlines: Any, lefts: Iterable[Any], rights: Iterable[Any]) -> tup
     outlines : array of Polygon
         The lanelets in the plane.
     lefts, rights : iterables of LineString
-        Their bounds, with heights where the map knows them.
+        Their bounds, with heights where the map has them.
+    settings : RoadSettings
+        Spacing of the samples, and which lanelets are in conflict.
     """
     outlines = np.asarray(outlines)
-    samples = [_sampled(left, right) for left, right in zip(lefts, rights, strict=True)]
+    spacing_m = settings.sample_m
+    samples = [_sampled(left, right, spacing_m) for left, right in zip(lefts, rights, strict=True)]
     owner = np.repeat(np.arange(len(samples)), [len(sample) for sample in samples])
     points = np.concatenate(samples)
     known = np.isfinite(points[:, 2])
     if not known.any():
         return (RoadLevel(shapes=outlines),)
     points, owner = points[known], owner[known]
-    number = _numbered(points, owner, len(outlines))
+    number = _numbered(_conflicts(points, owner, settings), points, owner, len(outlines))
     return tuple(
-        RoadLevel(shapes=outlines[number == level], heights=points[number[owner] == level])
+        RoadLevel(
+            shapes=outlines[number == level], heights=points[number[owner] == level],
+            sample_m=spacing_m,
+        )
         for level in range(int(number.max()) + 1)
-    )
+    )  # fmt: skip
 
 
-def _sampled(left: shapely.LineString, right: shapely.LineString) -> Floats:
+def _sampled(left: shapely.LineString, right: shapely.LineString, spacing_m: float) -> Floats:
     """Return points on both bounds and between them, (n, 3)."""
     bounds = [shapely.get_coordinates(line, include_z=True) for line in (left, right)]
-    count = max(2, round(max(length(bound) for bound in bounds) / SPACING_M) + 1)
+    count = max(2, round(max(length(bound) for bound in bounds) / spacing_m) + 1)
     fractions = np.linspace(0.0, 1.0, count)
     on_left, on_right = (at_fractions(bound, fractions) for bound in bounds)
     return np.concatenate([on_left, (on_left + on_right) / 2.0, on_right])
 
 
-def _numbered(points: Floats, owner: Integers, count: int) -> Integers:
+def _numbered(
+    conflicts: tuple[Integers, Integers], points: Floats, owner: Integers, count: int
+) -> Integers:
     """Return the level of each lanelet: the lowest that none in conflict with it has taken."""
-    above, below = _conflicts(points, owner)
+    above, below = conflicts
     number = np.zeros(count, np.int64)
     mean = np.bincount(owner, points[:, 2], count) / np.maximum(np.bincount(owner, None, count), 1)
     rivals: dict[int, set[int]] = {}
@@ -130,46 +133,54 @@ def _numbered(points: Floats, owner: Integers, count: int) -> Integers:
     return number
 
 
-def _conflicts(points: Floats, owner: Integers) -> tuple[Integers, Integers]:
+def _conflicts(
+    points: Floats, owner: Integers, settings: RoadSettings
+) -> tuple[Integers, Integers]:
     """Return pairs of lanelets that cannot be one surface."""
-    if np.ptp(points[:, 2]) <= STEP_M:
+    if np.ptp(points[:, 2]) <= settings.step_m:
         return np.empty(0, np.int64), np.empty(0, np.int64)
-    pairs = cKDTree(points[:, :2]).query_pairs(NEAR_M, output_type="ndarray")
+    pairs = cKDTree(points[:, :2]).query_pairs(settings.near_m, output_type="ndarray")
     a, b = pairs[owner[pairs[:, 0]] != owner[pairs[:, 1]]].T
     step = np.abs(points[a, 2] - points[b, 2])
     near = np.hypot(*(points[a, :2] - points[b, :2]).T)
-    steep = step > STEP_M + STEEPEST * near
+    steep = step > settings.step_m + settings.steepest * near
     unique = np.unique(np.column_stack([owner[a[steep]], owner[b[steep]]]), axis=0)
     return unique[:, 0], unique[:, 1]
 
 
-SAME_AREA = 1e-3
 _POLYGONAL = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
 
 
 def read_polygons(
-    path: str | Path, *, crs: Any = None, layer: str | None = None, reporter: Reporter = QUIET
+    path: str | Path,
+    *,
+    crs: Any = None,
+    layer: str | None = None,
+    settings: RoadSettings = DEFAULTS.roads,
+    reporter: Reporter = QUIET,
 ) -> gpd.GeoDataFrame:
     """Read the polygons of a layer.
 
     A polygon that touches itself or repeats points is mended. One that crosses itself, so that
-    nobody can tell which part of it is meant, is refused.
+    it is ambiguous which part of it is meant, is refused.
 
     Parameters
     ----------
     path : str or Path
         Any format that GDAL reads, or CSV.
     crs : CRS, str or int, optional
-        The coordinate system, where the file does not say it.
+        The coordinate system, where the file has none.
     layer : str, optional
         Which layer, where there are several with polygons.
+    settings : RoadSettings
+        By how much mending may change an area.
     reporter : Reporter
-        Told what was mended.
+        Where the remark goes of what was mended.
 
     Raises
     ------
     InputError
-        If the file has no usable polygons; CrsError if it does not say its coordinate system.
+        If the file has no usable polygons; CrsError if it has no coordinate system.
     """
     path = Path(path)
     if not path.is_file():
@@ -180,7 +191,7 @@ def read_polygons(
     if not np.isin(shapely.get_type_id(shapes[kept]), _POLYGONAL).all() or not kept.any():
         kinds = ", ".join(sorted(set(table.geom_type[kept]))) or "nothing"
         raise InputError(f"{path}: holds {kinds}, polygons of the roads are needed")
-    mended = _mended(shapes[kept], path, reporter)
+    mended = _mended(shapes[kept], path, settings.same_area, reporter)
     return gpd.GeoDataFrame(geometry=mended, crs=_crs(table, crs, path))
 
 
@@ -223,7 +234,7 @@ def _only_layer(path: Path) -> str:
 
 
 def _read_csv(path: Path) -> gpd.GeoDataFrame:
-    """Read a table whose column of polygons is found by what stands in it."""
+    """Read a table; the column of polygons is found by its content."""
     try:
         table = pd.read_csv(path, dtype=str, sep=None, engine="python")
     except (ValueError, pd.errors.ParserError, UnicodeDecodeError, OSError) as error:
@@ -244,7 +255,7 @@ def _polygon(text: str) -> Any:
     return shapely.Polygon(json.loads(text)) if text.startswith("[") else shapely.from_wkt(text)
 
 
-def _mended(shapes: Any, path: Path, reporter: Reporter) -> Any:
+def _mended(shapes: Any, path: Path, same_area: float, reporter: Reporter) -> Any:
     """Mend polygons where that leaves their area as drawn."""
     if not np.isfinite(shapely.bounds(shapes)).all():
         raise InputError(f"{path}: polygon {_first(~np.isfinite(shapely.bounds(shapes)).all(1))} "
@@ -256,7 +267,7 @@ def _mended(shapes: Any, path: Path, reporter: Reporter) -> Any:
     mended[invalid] = shapely.make_valid(shapes[invalid])
     # The signed area of a ring that crosses itself is less than what it encloses.
     off = np.abs(shapely.area(mended) - shapely.area(shapes))
-    unclear = invalid & (off > SAME_AREA * shapely.area(mended) + 1e-9)
+    unclear = invalid & (off > same_area * shapely.area(mended) + 1e-9)
     unclear |= invalid & ~(shapely.area(mended) > 0.0)
     if unclear.any():
         reason = shapely.is_valid_reason(shapes[unclear][0]).replace("\n", " ")
@@ -272,9 +283,6 @@ def _first(flags: Any) -> int:
     return int(np.flatnonzero(flags)[0])
 
 
-MOST_EXTENT_M = 200_000.0  # wider is a node in the wrong place, not a site
-
-
 @dataclass(frozen=True, kw_only=True)
 class Roads:
     """The roads of a site.
@@ -286,19 +294,22 @@ class Roads:
     area : MultiPolygon
         All that is road, in one.
     levels : tuple of RoadLevel
-        The same by level: roads that pass over each other lie on different ones.
+        The same by level: roads that pass over each other are on different ones.
     source : str
         The file it came from.
+    settings : RoadSettings
+        With which they were read.
     """
 
     crs: CRS
     area: shapely.MultiPolygon = field(repr=False)
     levels: tuple[RoadLevel, ...] = field(repr=False)
     source: str
+    settings: RoadSettings = field(default=DEFAULTS.roads, repr=False)
 
     @property
     def has_heights(self) -> bool:
-        """Whether the map knows how high its roads lie."""
+        """Whether the map has heights of its roads."""
         return any(level.has_heights for level in self.levels)
 
     def __repr__(self) -> str:
@@ -312,6 +323,7 @@ def read_roads(
     map_crs: Any = None,
     origin: tuple[float, float] | None = None,
     layer: str | None = None,
+    settings: RoadSettings = DEFAULTS.roads,
     reporter: Reporter = QUIET,
 ) -> Roads:
     """Read the roads of a Lanelet2 map or of a polygon layer.
@@ -325,13 +337,15 @@ def read_roads(
         A projected system in metres for the result; without it that of the layer, or the site's
         UTM zone where the file is in degrees.
     map_crs : CRS, str or int, optional
-        The system of a polygon layer that does not say its own.
+        The system of a polygon layer without one.
     origin : (float, float), optional
         Of the map's local coordinates, see :func:`read_map`.
     layer : str, optional
         Which layer, where a file has several with polygons.
+    settings : RoadSettings
+        How the roads become levels.
     reporter : Reporter
-        Told the progress and the remarks.
+        Where progress and remarks go.
 
     Raises
     ------
@@ -339,14 +353,15 @@ def read_roads(
         If there are no usable polygons; CrsError if the coordinate system is missing.
     """
     if Path(path).suffix.lower() in {".osm", ".xml"}:
-        return roads_of_map(
-            read_map(path, crs=crs, origin=origin, reporter=reporter), source=str(path)
-        )
-    table = read_polygons(path, crs=map_crs, layer=layer, reporter=reporter)
-    return roads_of_polygons(_projected(table, crs, path), source=str(path))
+        roads = read_map(path, crs=crs, origin=origin, reporter=reporter)
+        return roads_of_map(roads, source=str(path), settings=settings)
+    table = read_polygons(path, crs=map_crs, layer=layer, settings=settings, reporter=reporter)
+    return roads_of_polygons(_projected(table, crs, path), source=str(path), settings=settings)
 
 
-def roads_of_map(roads: LaneletMap, *, source: str = "the map") -> Roads:
+def roads_of_map(
+    roads: LaneletMap, *, source: str = "the map", settings: RoadSettings = DEFAULTS.roads
+) -> Roads:
     """Return the roads that the lanelets for vehicles make, as `make_tiles` takes them."""
     lanelets = roads.lanelets[~roads.lanelets["subtype"].isin(ON_FOOT_OR_BICYCLE)]
     if lanelets.empty:
@@ -355,19 +370,22 @@ def roads_of_map(roads: LaneletMap, *, source: str = "the map") -> Roads:
     outlines = shapely.make_valid(lanelets.geometry.array)
     return Roads(
         crs=roads.crs,
-        area=_area(outlines, source),
-        levels=levels_of(outlines, lanelets["left"], lanelets["right"]),
+        area=_area(outlines, source, settings.max_extent_m),
+        levels=levels_of(outlines, lanelets["left"], lanelets["right"], settings),
         source=source,
+        settings=settings,
     )
 
 
-def roads_of_polygons(table: gpd.GeoDataFrame, *, source: str = "the road layer") -> Roads:
+def roads_of_polygons(
+    table: gpd.GeoDataFrame, *, source: str = "the road layer",
+    settings: RoadSettings = DEFAULTS.roads,
+) -> Roads:  # fmt: skip
     """Return the roads that valid polygons in a projected, metric system make."""
     crs = metric_crs(table.crs, what=source)
-    area = _area(table.geometry.array, source)
-    return Roads(
-        crs=crs, area=area, levels=(RoadLevel(shapes=shapely.get_parts(area)),), source=source
-    )
+    area = _area(table.geometry.array, source, settings.max_extent_m)
+    levels = (RoadLevel(shapes=shapely.get_parts(area)),)
+    return Roads(crs=crs, area=area, levels=levels, source=source, settings=settings)
 
 
 def _projected(table: gpd.GeoDataFrame, crs: Any, path: str | Path) -> gpd.GeoDataFrame:
@@ -382,14 +400,15 @@ def _projected(table: gpd.GeoDataFrame, crs: Any, path: str | Path) -> gpd.GeoDa
     return moved
 
 
-def _area(shapes: Any, source: str) -> shapely.MultiPolygon:
+def _area(shapes: Any, source: str, max_extent_m: float) -> shapely.MultiPolygon:
     parts = shapely.get_parts(shapely.union_all(shapes))
     parts = parts[shapely.area(parts) > 0.0]
     if len(parts) == 0:
         raise InputError(f"{source}: its polygons have no area")
     area = shapely.MultiPolygon(list(parts))
     west, south, east, north = area.bounds
-    if max(east - west, north - south) > MOST_EXTENT_M:
-        far_km = max(east - west, north - south) / 1000.0
+    extent_m = max(east - west, north - south)
+    if extent_m > max_extent_m:
+        far_km = extent_m / 1000.0
         raise InputError(f"{source}: spans {far_km:.0f} km, which is no site", hint="cut it out")
     return area

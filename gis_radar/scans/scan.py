@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import struct
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
@@ -16,9 +17,10 @@ from numpy.typing import NDArray
 from pyproj import CRS
 from pyproj.exceptions import CRSError as ProjError
 
-from gis_radar.arrays import Booleans, Floats
+from gis_radar.arrays import Floats
 from gis_radar.crs import Box, metric_crs, moved_box, name_of, require_same, same_plane, transformer
 from gis_radar.errors import CrsError, InputError
+from gis_radar.scans.settings import DEFAULTS, MaskSettings
 
 Days: TypeAlias = tuple[date, date]
 AT_ONCE = 1_000_000
@@ -27,8 +29,6 @@ ROAD_CLASSES = (2, 8, 11, 17)
 # Never a road: vegetation, noise, water, wires and pylons, high noise.
 NEVER_CLASSES = (3, 4, 5, 7, 9, 13, 14, 15, 16, 18)
 ROAD_SURFACE = 11
-# Any classification finds ground everywhere; fewer of it are strays in an unclassified scan.
-LEAST_GROUND_SHARE = 0.01
 _DAMAGED = (
     laspy.LaspyException, LazrsError, MemoryError, OSError, OverflowError, RuntimeError,
     ValueError,
@@ -69,23 +69,17 @@ class Scan:
         Its projected, metric, horizontal coordinate system.
     vertical : str
         Name of the system of its heights; empty where the file has none.
-    declared : bool
-        True where the user, not the file, gave the coordinate system.
     points : int
         How many points it holds.
     bounds : (float, float, float, float)
         West, south, east, north from its header; infinite where that is not credible.
-    written : date, optional
-        When the file was made.
     """
 
     path: Path
     crs: CRS
     vertical: str
-    declared: bool
     points: int
     bounds: Box = field(repr=False)
-    written: date | None = field(default=None, repr=False)
 
     def touches(self, box: Box, crs: CRS) -> bool:
         """Return whether the scan, as its header bounds it, may have points in a box of a CRS."""
@@ -152,10 +146,8 @@ def open_scan(path: str | Path, *, crs: Any = None) -> Scan:
         path=path,
         crs=metric_crs(stated, what="--scan-crs" if crs is not None else str(path)),
         vertical=_vertical(CRS.from_user_input(stated)),
-        declared=crs is not None,
         points=int(header.point_count),
         bounds=_bounds(header),
-        written=header.creation_date,
     )
 
 
@@ -215,7 +207,7 @@ def _not_in_file(header: laspy.LasHeader, size: int) -> str:
     return ""
 
 
-def write_road(points: Floats, path: Path, *, crs: CRS) -> None:
+def write_road(points: Floats, path: Path, *, crs: CRS, settings: MaskSettings = DEFAULTS) -> None:
     """Write the points of a road as LAZ 1.4 with its coordinate system, to the millimetre.
 
     Parameters
@@ -226,11 +218,15 @@ def write_road(points: Floats, path: Path, *, crs: CRS) -> None:
         The file.
     crs : CRS
         Of the points.
+    settings : MaskSettings
+        With which they were made: a record of the header, as JSON.
     """
     header = laspy.LasHeader(version="1.4", point_format=6)
     header.scales = np.full(3, 0.001)
     header.offsets = np.floor(points.min(axis=0))
     header.add_crs(crs)
+    record = json.dumps(asdict(settings)).encode()
+    header.vlrs.append(laspy.VLR("gis_radar", 1, "settings of the road mask", record))
     las = laspy.LasData(header)
     las.xyz = points
     las.classification = np.full(len(points), ROAD_SURFACE, np.uint8)
@@ -283,16 +279,6 @@ def ground_share(scan: Scan) -> float:
     return sum(piece.ground for piece in scan.pieces(nowhere, scan.crs)) / scan.points
 
 
-def is_road_class(category: NDArray[np.uint8]) -> Booleans:
-    """Return which classes are road for certain."""
-    return _ROAD[category]
-
-
-def never_road(category: NDArray[np.uint8]) -> Booleans:
-    """Return which classes are no road, whatever the place."""
-    return _NEVER[category]
-
-
 def days_of(times: Sequence[float]) -> Days | None:
     """Return the days of the earliest and the latest GPS time, where these give days.
 
@@ -308,20 +294,13 @@ def days_of(times: Sequence[float]) -> Days | None:
     return first, last
 
 
-def _table(classes: tuple[int, ...]) -> Booleans:
-    return np.isin(np.arange(256), classes)
-
-
-_ROAD, _NEVER = _table(ROAD_CLASSES), _table(NEVER_CLASSES)
-
-
 def _inside(record: Any, box: Box) -> Points:
     x, y = (
         np.asarray(record[axis], np.float64) * scale + offset
         for axis, scale, offset in zip("XY", record.scales, record.offsets, strict=False)
     )
     category = np.asarray(record["classification"]).astype(np.uint8)
-    ground = int(np.count_nonzero(is_road_class(category)))
+    ground = int(np.count_nonzero(np.isin(category, ROAD_CLASSES)))
     kept = np.asarray(record["withheld"]) == 0
     kept &= (x >= box[0]) & (y >= box[1]) & (x <= box[2]) & (y <= box[3])
     z = np.asarray(record["Z"][kept], np.float64) * record.scales[2] + record.offsets[2]
