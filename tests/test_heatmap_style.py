@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from gis_radar.heatmap import style
+from gis_radar.heatmap.layers import BEGIN, END
 
 
 def lightness(colour: str) -> float:
@@ -41,23 +42,36 @@ def test_not_observed_is_unlike_never_hit():
     assert lightness(style.NEVER_HIT) - lightness(style.NOT_OBSERVED) > 12.0
 
 
-@pytest.mark.parametrize("begin", ["", "begin"])
-def test_vector_qml(begin):
-    root = ET.fromstring(style.vector_qml(begin=begin, end="end" if begin else "", length_s=900.0))  # noqa: S314
+@pytest.mark.parametrize("interval_s", [None, 900.0])
+def test_vector_qml(interval_s):
+    root = ET.fromstring(style.vector_qml(interval_s=interval_s))  # noqa: S314
     renderer = root.find("renderer-v2")
     assert renderer.get("attr") == "occupancy"
     ranges = renderer.findall("ranges/range")
     assert [(float(r.get("lower")), float(r.get("upper"))) for r in ranges] == [
         (level.lower, level.upper) for level in style.colour_classes()
     ]
-    assert len(renderer.findall("symbols/symbol")) == len(ranges)
+    symbols = renderer.findall("symbols/symbol")
+    assert [symbol.get("name") for symbol in symbols] == [one.get("symbol") for one in ranges]
+    fills = [symbol.find(".//Option[@name='color']").get("value") for symbol in symbols]
+    assert fills == [rgba(each.colour) for each in style.colour_classes()]
     temporal = root.find("temporal")
-    if begin:
-        assert (temporal.get("startField"), temporal.get("endField")) == ("begin", "end")
+    if interval_s:
+        assert (temporal.get("startField"), temporal.get("endField")) == (BEGIN, END)
         assert (temporal.get("mode"), temporal.get("limitMode")) == ("1", "0")
         assert (temporal.get("fixedDuration"), temporal.get("durationUnit")) == ("899990", "ms")
     else:
         assert temporal is None
+
+
+def rgba(colour):
+    return ",".join(map(str, [*bytes.fromhex(colour[1:]), 255]))
+
+
+def test_the_ground_has_the_colour_of_what_is_not_observed():
+    options = ET.fromstring(style.ground_qml()).findall(".//Option[@name]")  # noqa: S314
+    fills = {one.get("value") for one in options if one.get("name").endswith("color")}
+    assert fills == {rgba(style.NOT_OBSERVED)}
 
 
 def test_a_pixel_on_a_break_has_the_class_of_its_tile():

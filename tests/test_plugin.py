@@ -274,6 +274,8 @@ def test_the_zip(tmp_path):
     assert not [name for name in names if re.search(r"__pycache__|\.pyc$|/\.|tests?/", name)]
     for name in ("metadata.txt", "LICENSE", "__init__.py", f"worker/{wheel.name}", "i18n/de.json"):
         assert f"gis_radar_plugin/{name}" in names
+    shared = {name.partition("/resources/")[2] for name in names if "/resources/" in name}
+    assert shared == documents_of_the_plugin()
     fields = dict(line.split("=", 1) for line in metadata.splitlines() if re.match(r"\w+=", line))
     assert fields["version"] == builder.project()["version"]
     assert fields["hasProcessingProvider"] == "yes"
@@ -281,6 +283,12 @@ def test_the_zip(tmp_path):
     assert fields["supportsQt6"] == "True"
     assert (FOLDER / fields["icon"]).is_file()
     assert all(fields[name] for name in builder.REQUIRED)
+
+
+def documents_of_the_plugin():
+    """Return the files of the package that the plugin's source asks for."""
+    text = "".join(path.read_text(encoding="utf-8") for path in FOLDER.rglob("*.py"))
+    return set(re.findall(r'shared_document\("([^"]+)"\)', text))
 
 
 def test_a_wheel_of_another_version_is_refused(tmp_path):

@@ -16,7 +16,7 @@ from maps import Listener
 
 import gis_radar as gr
 from gis_radar.poses.shapes import ellipse
-from gis_radar.qgis.sheet import MAP_MM, filling
+from gis_radar.qgis.document import fit_box
 
 SIGMA = {"easting": 0.1, "northing": 0.2, "height": 0.1, "yaw": 0.1, "pitch": 0.1, "roll": 0.1}
 
@@ -181,10 +181,10 @@ def test_the_print_layout_of_a_project(results, tmp_path):
 )  # fmt: skip
 def test_the_map_on_the_sheet_holds_all_in_its_shape(west, south, wide, high):
     box = (west, south, west + wide, south + high)
-    found = shapely.box(*filling(box, *MAP_MM))
+    found = shapely.box(*fit_box(box, 215.0, 162.0))
     assert found.buffer(1e-6).contains(shapely.box(*box))
     x0, y0, x1, y1 = found.bounds
-    assert (x1 - x0) / (y1 - y0) == pytest.approx(MAP_MM[0] / MAP_MM[1], rel=1e-6)
+    assert (x1 - x0) / (y1 - y0) == pytest.approx(215.0 / 162.0, rel=1e-6)
 
 
 def test_a_project_that_somebody_edited_stays(results, tmp_path):

@@ -21,6 +21,7 @@ ROOT = Path(__file__).parents[1]
 NAME = "gis_radar_plugin"
 SOURCE = ROOT / "qgis_plugin" / NAME
 KINDS = (".py", ".svg", ".json")
+SHARED = ("heatmap/ground.qml", "qgis/sheet.qpt")  # of the package, used by the plugin too
 REQUIRED = (
     "name", "qgisMinimumVersion", "description", "about", "version", "author", "email",
     "repository", "tracker",
@@ -83,6 +84,8 @@ def files(wheel: Path | None) -> dict[str, bytes]:
         for path in sorted(SOURCE.rglob("*"))
         if path.suffix in KINDS and "__pycache__" not in path.parts
     }
+    for name in SHARED:
+        found[f"resources/{name}"] = (ROOT / "gis_radar" / name).read_bytes()
     found["metadata.txt"] = metadata().encode()
     found["LICENSE"] = (ROOT / "LICENSE").read_bytes()
     if wheel is not None:

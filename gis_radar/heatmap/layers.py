@@ -202,7 +202,7 @@ def _length_s(tally: Tally) -> float:
 def _add_styles(database: sqlite3.Connection, length_s: float) -> None:
     styles = {
         WIDE: (style.vector_qml(), style.sld(WIDE)),
-        LONG: (style.vector_qml(begin=BEGIN, end=END, length_s=length_s), style.sld(LONG)),
+        LONG: (style.vector_qml(interval_s=length_s), style.sld(LONG)),
     }
     about = "fixed classes of occupancy, so that maps compare"
     add_styles(database, styles, name="occupancy", about=about)

@@ -1,7 +1,7 @@
 """The one look of all heat maps: colour ramp, class breaks, and QGIS and SLD styles of them.
 
-Everything here needs the standard library only, so that a Python without the geographic
-packages can load this file by itself.
+The QGIS styles are `occupancy.qml`, a pattern, and `ground.qml`. Everything here needs the
+standard library only, so that a Python without the geographic packages can load this file.
 
 The ramp runs from light yellow over red to near-black violet, in equal steps of lightness, so
 that it reads the same in grey and for colour-blind eyes; dark is high, as in the paper's
@@ -11,10 +11,12 @@ is mostly small (0.5 to 30 %), and never depend on the data, so that maps compar
 
 from __future__ import annotations
 
+import copy
 import struct
 from itertools import pairwise
+from pathlib import Path
 from typing import NamedTuple
-from xml.etree.ElementTree import Element, SubElement, indent, tostring
+from xml.etree.ElementTree import Element, SubElement, indent, parse, tostring
 
 BREAKS = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 RAMP = (
@@ -26,8 +28,7 @@ LEGEND_TITLE = "Share of the observed time"
 NOT_OBSERVED_LABEL = "not observed"
 
 _QGIS_DOCTYPE = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>"
-_BEGIN_AND_DURATION = "1"
-_INCLUDE_BEGIN_EXCLUDE_END = "0"
+_HERE = Path(__file__).parent
 
 
 class ColourClass(NamedTuple):
@@ -54,27 +55,33 @@ def _label(lower: float, upper: float) -> str:
     return f"{lower * 100:g} to {upper * 100:g} %"
 
 
-def vector_qml(*, begin: str = "", end: str = "", length_s: float = 0.0) -> str:
+def vector_qml(*, interval_s: float | None = None) -> str:
     """Return the QGIS style of a layer of tiles.
 
     Parameters
     ----------
-    begin, end : str
-        Fields with the begin and the end of each row, for the temporal controller; empty
-        where a layer holds the whole time.
-    length_s : float
-        Length of a row's interval, seconds.
+    interval_s : float, optional
+        Length of the interval of each row, seconds: the temporal controller shows a row for so
+        long from its `begin`. Without it, the layer holds the whole time.
 
     Returns
     -------
     str
         QML text. Where tiles overlap, the busiest is on top.
     """
-    root = Element("qgis", version="3.34", styleCategories="Symbology|Temporal")
-    if begin:
-        _add_temporal(root, begin, end, length_s)
-    _add_renderer(root)
-    SubElement(root, "layerGeometryType").text = "2"
+    root = _occupancy_style(without=("pipe",) if interval_s is not None else ("pipe", "temporal"))
+    if interval_s is not None:
+        _element(root, "temporal").set("fixedDuration", str(_shown_ms(interval_s)))
+    return _document(root, _QGIS_DOCTYPE)
+
+
+def sidecar_qml() -> str:
+    """Return the QGIS style of files that carry none: a GeoTIFF (first band) or a table.
+
+    QGIS loads it by itself where it has the name of the file and the ending `.qml`.
+    """
+    root = _occupancy_style(without=("temporal", "layerGeometryType"))
+    root.set("styleCategories", "Symbology")
     return _document(root, _QGIS_DOCTYPE)
 
 
@@ -83,91 +90,54 @@ def ground_qml() -> str:
 
     Where nothing lies above it, nothing was observed.
     """
-    root = Element("qgis", version="3.34", styleCategories="Symbology")
-    renderer = SubElement(root, "renderer-v2", type="singleSymbol", symbollevels="0")
-    _add_fill(SubElement(renderer, "symbols"), "0", NOT_OBSERVED, outline_mm=0.3)
-    SubElement(root, "layerGeometryType").text = "2"
-    return _document(root, _QGIS_DOCTYPE)
+    return (_HERE / "ground.qml").read_text(encoding="utf-8")
 
 
-def _add_temporal(root: Element, begin: str, end: str, length_s: float) -> None:
-    """Show a row from its begin for its length.
+def _occupancy_style(*, without: tuple[str, ...]) -> Element:
+    """Return `occupancy.qml` with an entry for each class, without the parts named."""
+    root = parse(_HERE / "occupancy.qml").getroot()  # noqa: S314 - our own file
+    for name in without:
+        root.remove(_element(root, name))
+    for parent in ("pipe//colorrampshader", "renderer-v2/ranges", "renderer-v2/symbols"):
+        if (entries := root.find(parent)) is not None:
+            _repeat_for_each_class(entries)
+    return root
 
-    QGIS compares the times of a GeoPackage as text, one with a Z and one without, and so takes
-    an interval that ends at a moment for one that holds it. A hundredth of a second less ends
-    that; it is more than QGIS loses in rounding, and less than a step.
+
+def _repeat_for_each_class(entries: Element) -> None:
+    """Replace the only entry by one for each colour class."""
+    (pattern,) = entries
+    entries.remove(pattern)
+    for number, each in enumerate(colour_classes()):
+        entry = copy.deepcopy(pattern)
+        entries.append(entry)
+        if entry.tag == "item":
+            value = f"{_single(each.upper):.17g}"
+            entry.attrib |= {"value": value, "color": each.colour, "label": each.label}
+        elif entry.tag == "range":
+            entry.attrib |= {"symbol": str(number), "label": each.label}
+            entry.attrib |= {"lower": f"{each.lower:.15f}", "upper": f"{each.upper:.15f}"}
+        else:
+            entry.set("name", str(number))
+            for name in ("color", "outline_color"):
+                _element(entry, f".//Option[@name='{name}']").set("value", _rgba(each.colour))
+
+
+def _element(root: Element, path: str) -> Element:
+    found = root.find(path)
+    if found is None:
+        raise LookupError(f"occupancy.qml: no {path}")
+    return found
+
+
+def _shown_ms(interval_s: float) -> int:
+    """Return how long a row is shown, a hundredth of a second less than its interval.
+
+    QGIS compares the times of a GeoPackage as text, one with a Z and one without, and so takes an
+    interval that ends at a moment for one that holds it. 10 ms are more than QGIS loses in
+    rounding, and less than a step.
     """
-    shown_ms = max(0, round(length_s * 1000) - 10)
-    SubElement(
-        root, "temporal", enabled="1", mode=_BEGIN_AND_DURATION,
-        limitMode=_INCLUDE_BEGIN_EXCLUDE_END, startField=begin, endField=end,
-        fixedDuration=str(shown_ms), durationUnit="ms", durationField="", accumulate="0",
-        startExpression="", endExpression="",
-    )  # fmt: skip
-
-
-def _add_renderer(root: Element) -> None:
-    renderer = SubElement(
-        root, "renderer-v2", type="graduatedSymbol", attr="occupancy", symbollevels="0",
-        graduatedMethod="GraduatedColor", forceraster="0", enableorderby="1",
-    )  # fmt: skip
-    ranges = SubElement(renderer, "ranges")
-    symbols = SubElement(renderer, "symbols")
-    for name, level in enumerate(colour_classes()):
-        SubElement(
-            ranges, "range", symbol=str(name), render="true", label=level.label,
-            lower=f"{level.lower:.15f}", upper=f"{level.upper:.15f}",
-        )  # fmt: skip
-        _add_fill(symbols, str(name), level.colour)
-    order = SubElement(renderer, "orderby")
-    SubElement(order, "orderByClause", asc="1", nullsFirst="1").text = '"occupancy"'
-
-
-def _add_fill(symbols: Element, name: str, colour: str, *, outline_mm: float = 0.1) -> None:
-    symbol = SubElement(
-        symbols, "symbol", type="fill", name=name, alpha="1", clip_to_extent="1",
-        force_rhr="0", is_animated="0", frame_rate="10",
-    )  # fmt: skip
-    layer = SubElement(symbol, "layer", {"class": "SimpleFill", "enabled": "1", "pass": "0"})
-    options = SubElement(layer, "Option", type="Map")
-    values = {
-        "color": _rgba(colour),
-        "style": "solid",
-        "outline_color": _rgba(colour),  # closes the hairlines between neighbours
-        "outline_style": "solid",
-        "outline_width": f"{outline_mm:g}",
-        "outline_width_unit": "MM",
-    }
-    for key, value in values.items():
-        SubElement(options, "Option", name=key, type="QString", value=value)
-
-
-def sidecar_qml() -> str:
-    """Return the QGIS style of files that carry none: a GeoTIFF (first band) or a table.
-
-    QGIS loads it by itself where it has the name of the file and the ending `.qml`.
-    """
-    root = Element("qgis", version="3.34", styleCategories="Symbology")
-    _add_raster_renderer(SubElement(root, "pipe"))
-    _add_renderer(root)
-    return _document(root, _QGIS_DOCTYPE)
-
-
-def _add_raster_renderer(pipe: Element) -> None:
-    renderer = SubElement(
-        pipe, "rasterrenderer", type="singlebandpseudocolor", band="1", opacity="1",
-        alphaBand="-1", classificationMin="0", classificationMax="1", nodataColor="",
-    )  # fmt: skip
-    shader = SubElement(
-        SubElement(renderer, "rastershader"), "colorrampshader",
-        colorRampType="DISCRETE", classificationMode="1", clip="0",
-        minimumValue="0", maximumValue="1", labelPrecision="3",
-    )  # fmt: skip
-    for level in colour_classes():
-        SubElement(
-            shader, "item", value=f"{_single(level.upper):.17g}", color=level.colour,
-            alpha="255", label=level.label,
-        )  # fmt: skip
+    return max(0, round(interval_s * 1000) - 10)
 
 
 def sld(layer: str) -> str:

@@ -1,4 +1,4 @@
-"""The three layers of a GeoPackage of sensors: points, views, uncertainties."""
+"""The three layers of a GeoPackage of sensors: points, views, uncertainties; `*.qml` style them."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 import sqlite3
 from collections.abc import Sequence
 from contextlib import closing
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,6 @@ from gis_radar.crs import require_same
 from gis_radar.errors import UsageError
 from gis_radar.files import whole_file
 from gis_radar.geopackage import add_styles
-from gis_radar.poses import style
 from gis_radar.poses.pose import ANGLES, POSITION, Pose, View
 from gis_radar.poses.shapes import ellipse
 
@@ -60,8 +60,13 @@ def write_sensors(poses: Sequence[Pose], path: str | Path) -> None:
                 append=part.exists(), dataset_options={"VERSION": VERSION},
             )  # fmt: skip
         with closing(sqlite3.connect(part)) as database, database:
-            styles = {name: (style.QML[name](), "") for name in layers}
+            styles = {name: (read_style(name), "") for name in layers}
             add_styles(database, styles, name="sensor", about="where a sensor stands and looks")
+
+
+def read_style(layer: str) -> str:
+    """Return the QGIS style of a layer of sensors as QML."""
+    return (files(__package__) / f"{layer}.qml").read_text(encoding="utf-8")
 
 
 def _points(poses: Sequence[Pose]) -> gpd.GeoDataFrame:

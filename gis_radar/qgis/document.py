@@ -1,33 +1,49 @@
-"""The XML of a QGIS project: layers in groups, their styles, the view and the time."""
+"""Fill in the templates of a QGIS project and of its print layout, `project.qgs` and `sheet.qpt`.
+
+The plugin makes its reports from the same `sheet.qpt`.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
-from xml.etree.ElementTree import Element, SubElement, indent, tostring
+from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostring
 
 from pyproj import CRS
 
-from gis_radar.crs import name_of
+from gis_radar.crs import Box, name_of
+from gis_radar.heatmap import style
 from gis_radar.heatmap.layers import LONG, WIDE
-from gis_radar.heatmap.style import LEGEND_TITLE
-from gis_radar.qgis.layers import Group, Layer
-from gis_radar.qgis.sheet import Sheet, layout_element
+from gis_radar.poses.layers import SENSORS, UNCERTAINTY, VIEWS, read_style
 
-VERSION = "3.34.0"
 _DOCTYPE = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>"
-_ANIMATED = "1"
-# The figures of the map's time are UTC, whatever QGIS takes them for.
-_LOCAL_TIME = (
-    "format_date(datetime_from_epoch(epoch(to_datetime("
-    "format_date({moment}, 'yyyy-MM-ddTHH:mm:ss') || 'Z'))), '{form}')"
-)
+_LIMITS = ("xmin", "ymin", "xmax", "ymax")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Span:
+class LayerSource:
+    """Where a layer of the template comes from, and how it looks.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    table : str
+        Its layer, empty for a raster.
+    qml : str
+        Its style.
+    """
+
+    path: Path
+    table: str = ""
+    qml: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class TimeRange:
     """The time that a project plays.
 
     Parameters
@@ -44,190 +60,196 @@ class Span:
 
 
 @dataclass(frozen=True, kw_only=True)
-class View:
-    """What the map shows at first.
-
-    Parameters
-    ----------
-    crs : CRS
-        Of the project.
-    box : tuple of float
-        West, south, east, north, metres.
-    """
-
-    crs: CRS
-    box: tuple[float, float, float, float]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Texts:
-    """What is written around the map.
+class ProjectContent:
+    """What a project shows.
 
     Parameters
     ----------
     title : str
         Of the project and its print layout.
     time, source : str
-        Of what the layout shows, and where it comes from.
+        Of what the layout shows, in the time of the place, and where the data come from.
+    crs : CRS
+        Of the project and all layers.
+    box : tuple of float
+        What the map shows at first, and the layout at least: west, south, east, north, metres.
+    layers : mapping of str to LayerSource
+        By their ids in the template; what is not here is left out.
+    played : TimeRange, optional
+        What the temporal controller plays.
     """
 
     title: str
-    time: str = ""
-    source: str = ""
+    time: str
+    source: str
+    crs: CRS
+    box: Box
+    layers: Mapping[str, LayerSource]
+    played: TimeRange | None
 
 
-def project_xml(
-    texts: Texts, groups: Sequence[Group], view: View, span: Span | None, home: Path
-) -> str:
+def sensor_layers(path: Path) -> dict[str, LayerSource]:
+    """Return the layers of a file of sensors."""
+    return {
+        f"gis_radar_{table}": LayerSource(path=path, table=table, qml=read_style(table))
+        for table in (SENSORS, UNCERTAINTY, VIEWS)
+    }
+
+
+def heatmap_layers(folder: Path, interval_s: float) -> dict[str, LayerSource]:
+    """Return the layers of a heat map.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the heat map.
+    interval_s : float
+        Length of its intervals, seconds.
+    """
+    package, raster = folder / "heatmap.gpkg", folder / "heatmap.tif"
+    by_interval = style.vector_qml(interval_s=interval_s)
+    layers = {
+        "heatmap_by_interval": LayerSource(path=package, table=LONG, qml=by_interval),
+        "heatmap": LayerSource(path=package, table=WIDE, qml=style.vector_qml()),
+        "ground": LayerSource(path=package, table=WIDE, qml=style.ground_qml()),
+    }
+    if raster.is_file():
+        layers["raster"] = LayerSource(path=raster, qml=style.sidecar_qml())
+    return {f"gis_radar_{name}": layer for name, layer in layers.items()}
+
+
+def project_xml(content: ProjectContent, home: Path) -> str:
     """Return a project as text.
 
     Parameters
     ----------
-    texts : Texts
-        Of the project.
-    groups : sequence of Group
-        Top to bottom.
-    view : View
-        Where the map begins.
-    span : Span, optional
-        What the temporal controller plays.
+    content : ProjectContent
+        What it shows.
     home : Path
         The project's folder: the files are named from there.
     """
-    root = Element("qgis", version=VERSION, projectname=texts.title)
-    SubElement(root, "homePath", path="")
-    SubElement(root, "title").text = texts.title
-    _add_crs(SubElement(root, "projectCrs"), view.crs)
-    tree = SubElement(root, "layer-tree-group")
-    drawn = SubElement(root, "projectlayers")
-    keys: dict[str, Layer] = {}
-    for number, group in enumerate(groups):
-        branch = SubElement(
-            tree, "layer-tree-group", name=group.name, checked="Qt::Checked", expanded="1"
-        )
-        for place, layer in enumerate(group.layers):
-            key = f"gis_radar_layer_{number}_{place}"  # QGIS drops ids of up to ten letters
-            keys[key] = layer
-            _add_leaf(branch, layer, key, home)
-            _add_layer(drawn, layer, key, view.crs, home)
-    _add_canvas(root, view)
-    _add_properties(root, span)
-    _add_view(root, view)
-    if span is not None:
-        _add_span(root, span)
-    _add_layout(root, texts, keys, view, home)
+    root = _template("project.qgs")
+    root.set("projectname", content.title)
+    _find(root, "title").text = content.title
+    _find(root, "layer-tree-group/layer-tree-group[@name='Heat map']").set(
+        "name", style.LEGEND_TITLE
+    )
+    _find(root, "Layouts").append(_sheet(content))
+    _fill_layers(root, content.layers, home)
+    _fill_time(root, content.played)
+    _fill_place(root, content.crs, content.box)
     indent(root)
     return f"{_DOCTYPE}\n{tostring(root, encoding='unicode')}\n"
 
 
-def _add_crs(parent: Element, crs: CRS) -> None:
-    system = SubElement(parent, "spatialrefsys", nativeFormat="Wkt")
-    SubElement(system, "wkt").text = crs.to_wkt()
-    name = name_of(crs)
-    SubElement(system, "authid").text = name if name.count(":") == 1 else ""
+def _sheet(content: ProjectContent) -> Element:
+    """Return the print layout; its layers are still to be filled in."""
+    layout = _template("sheet.qpt")
+    _item(layout, "title").set("labelText", content.title)
+    _item(layout, "time").set("labelText", content.time)
+    _item(layout, "legend").set("title", style.LEGEND_TITLE)
+    if content.source:
+        _item(layout, "source").set("labelText", f"Source: {content.source}")
+    else:
+        layout.remove(_item(layout, "source"))
+    chart = _item(layout, "map")
+    width, height, _ = chart.attrib["size"].split(",")
+    box = fit_box(content.box, float(width), float(height))
+    _find(chart, "Extent").attrib |= _limits(box)
+    return layout
 
 
-def _source(layer: Layer, home: Path) -> str:
+def fit_box(box: Box, width: float, height: float) -> Box:
+    """Return the smallest box around another, with the same middle, that has a given shape."""
+    west, south, east, north = box
+    scale = max((east - west) / width, (north - south) / height)
+    x, y = (west + east) / 2, (south + north) / 2
+    half, high = scale * width / 2, scale * height / 2
+    return x - half, y - high, x + half, y + high
+
+
+def _fill_layers(root: Element, layers: Mapping[str, LayerSource], home: Path) -> None:
+    for parent, element, key in list(_layer_elements(root)):
+        layer = layers.get(key)
+        if layer is None:
+            parent.remove(element)
+        elif element.tag == "maplayer":
+            _find(element, "datasource").text = _source(layer, home)
+            body = layer.qml[layer.qml.index("<qgis") :]
+            parts = fromstring(body)  # noqa: S314 - our own text
+            element.extend(part for part in parts if part.tag != "layerGeometryType")
+        else:
+            element.set("source", _source(layer, home))
+    tree = _find(root, "layer-tree-group")
+    for group in tree.findall("layer-tree-group"):
+        if len(group) == 0:
+            tree.remove(group)
+
+
+def _layer_elements(root: Element) -> Iterator[tuple[Element, Element, str]]:
+    """Yield what stands for a layer, with its parent and its id."""
+    for parent in root.iter():
+        for element in parent:
+            if element.tag == "maplayer":
+                yield parent, element, element.findtext("id", "")
+            elif element.tag == "layer-tree-layer":
+                yield parent, element, element.get("id", "")
+            elif element.tag == "Layer":
+                yield parent, element, element.text or ""
+
+
+def _source(layer: LayerSource, home: Path) -> str:
     """Return file and table as seen from the project's folder, with forward slashes."""
     path = Path(os.path.relpath(layer.path, home)).as_posix()
     named = path if path.startswith("..") else f"./{path}"
     return f"{named}|layername={layer.table}" if layer.table else named
 
 
-def _add_leaf(branch: Element, layer: Layer, key: str, home: Path) -> None:
-    SubElement(
-        branch, "layer-tree-layer", id=key, name=layer.name, source=_source(layer, home),
-        providerKey=layer.provider, expanded=str(int(layer.shown)),
-        checked="Qt::Checked" if layer.shown else "Qt::Unchecked",
-    )  # fmt: skip
-
-
-def _add_layer(drawn: Element, layer: Layer, key: str, crs: CRS, home: Path) -> None:
-    element = SubElement(drawn, "maplayer", styleCategories="AllStyleCategories")
-    if layer.table:
-        element.attrib |= {"type": "vector", "geometry": layer.geometry, "labelsEnabled": "1"}
-    else:
-        element.set("type", "raster")
-    SubElement(element, "id").text = key
-    SubElement(element, "datasource").text = _source(layer, home)
-    SubElement(element, "layername").text = layer.name
-    _add_crs(SubElement(element, "srs"), crs)
-    SubElement(element, "provider", encoding="UTF-8").text = layer.provider
-    element.extend(part for part in layer.style() if part.tag != "layerGeometryType")
-
-
-def _add_canvas(root: Element, view: View) -> None:
-    canvas = SubElement(root, "mapcanvas", name="theMapCanvas", annotationsVisible="1")
-    SubElement(canvas, "units").text = "meters"
-    extent = SubElement(canvas, "extent")
-    for name, value in zip(("xmin", "ymin", "xmax", "ymax"), view.box, strict=True):
-        SubElement(extent, name).text = f"{value:.3f}"
-    SubElement(canvas, "rotation").text = "0"
-    _add_crs(SubElement(canvas, "destinationsrs"), view.crs)
-
-
-def _add_properties(root: Element, span: Span | None) -> None:
-    properties = SubElement(root, "properties")
-    _add_value(SubElement(properties, "Paths"), "Absolute", "bool", "false")
-    _add_value(SubElement(properties, "SpatialRefSys"), "ProjectionsEnabled", "int", "1")
-    if span is None:
+def _fill_time(root: Element, played: TimeRange | None) -> None:
+    settings, properties = _find(root, "ProjectTimeSettings"), _find(root, "properties")
+    controller = _find(properties, "TemporalControllerWidget")
+    clock = _find(properties, "TitleLabel")
+    if played is None:
+        root.remove(settings)
+        properties.remove(controller)
+        properties.remove(clock)
         return
-    widget = SubElement(properties, "TemporalControllerWidget")
-    _add_value(widget, "NavigationMode", "int", _ANIMATED)
-    _add_value(widget, "StartDateTime", "QString", span.begin)
-    _add_value(widget, "EndDateTime", "QString", span.end)
-    clock = SubElement(properties, "TitleLabel")
-    _add_value(clock, "Enabled", "bool", "true")
-    _add_value(clock, "Label", "QString", _clock(span))
-    _add_value(clock, "Placement", "int", "2")
-    _add_value(clock, "BackgroundColor", "QString", "255,255,255,215")
-    _add_value(clock, "MarginH", "int", "1")
-    _add_value(clock, "MarginV", "int", "1")
+    for begin in (_find(settings, "TemporalRange/start"), _find(controller, "StartDateTime")):
+        begin.text = played.begin
+    for end in (_find(settings, "TemporalRange/end"), _find(controller, "EndDateTime")):
+        end.text = played.end
+    label = _find(clock, "Label")
+    minutes = played.step_s % 60 == 0
+    label.text = (label.text or "").replace("CLOCK", "HH:mm" if minutes else "HH:mm:ss")
+    step = played.step_s / 60 if minutes else played.step_s
+    settings.attrib |= {"timeStep": f"{step:g}", "timeStepUnit": "min" if minutes else "s"}
 
 
-def _clock(span: Span) -> str:
-    """Return the text on the map that says the local time of what is shown."""
-    short = "HH:mm" if span.step_s % 60 == 0 else "HH:mm:ss"
-    begin = _LOCAL_TIME.format(moment="@map_start_time", form=f"ddd yyyy-MM-dd {short}")
-    end = _LOCAL_TIME.format(moment="@map_end_time", form=short)
-    return f"[% coalesce({begin} || ' - ' || {end}, '') %]"
+def _fill_place(root: Element, crs: CRS, box: Box) -> None:
+    for name, value in _limits(box).items():
+        _find(root, f"mapcanvas/extent/{name}").text = value
+    _find(root, "ProjectViewSettings/DefaultViewExtent").attrib |= _limits(box)
+    name = name_of(crs)
+    for system in root.iter("spatialrefsys"):
+        SubElement(system, "wkt").text = crs.to_wkt()
+        SubElement(system, "authid").text = name if name.count(":") == 1 else ""
 
 
-def _add_value(parent: Element, name: str, kind: str, value: str) -> None:
-    SubElement(parent, name, type=kind).text = value
+def _limits(box: Box) -> dict[str, str]:
+    return {name: f"{value:.3f}" for name, value in zip(_LIMITS, box, strict=True)}
 
 
-def _add_view(root: Element, view: View) -> None:
-    settings = SubElement(root, "ProjectViewSettings", UseProjectScales="0")
-    names = ("xmin", "ymin", "xmax", "ymax")
-    box = {name: f"{value:.3f}" for name, value in zip(names, view.box, strict=True)}
-    _add_crs(SubElement(settings, "DefaultViewExtent", box), view.crs)
+def _template(name: str) -> Element:
+    text = (files(__package__) / name).read_text(encoding="utf-8")
+    return fromstring(text)  # noqa: S314 - our own file
 
 
-def _add_span(root: Element, span: Span) -> None:
-    minutes = span.step_s % 60 == 0
-    step = span.step_s / 60 if minutes else span.step_s
-    settings = SubElement(
-        root, "ProjectTimeSettings", timeStepUnit="min" if minutes else "s",
-        timeStep=f"{step:g}", frameRate="1", cumulativeTemporalRange="0",
-    )  # fmt: skip
-    limits = SubElement(settings, "TemporalRange")
-    SubElement(limits, "start").text = span.begin
-    SubElement(limits, "end").text = span.end
+def _item(layout: Element, name: str) -> Element:
+    return _find(layout, f"LayoutItem[@id='{name}']")
 
 
-def _add_layout(
-    root: Element, texts: Texts, keys: dict[str, Layer], view: View, home: Path
-) -> None:
-    """Add a sheet of the whole time: what is by interval or pixels does not go onto it."""
-    drawn = {
-        key: layer for key, layer in keys.items() if layer.table and layer.table != LONG
-    }  # fmt: skip
-    # Occupancy first, its ground next, then the sensors.
-    legend = sorted(drawn, key=lambda key: drawn[key].table != WIDE)
-    sheet = Sheet(
-        title=texts.title, time=texts.time, source=texts.source, box=view.box, drawn=drawn,
-        legend=legend, legend_title=LEGEND_TITLE,
-    )  # fmt: skip
-    sources = {key: _source(layer, home) for key, layer in drawn.items()}
-    SubElement(root, "Layouts").append(layout_element(sheet, sources))
+def _find(root: Element, path: str) -> Element:
+    found = root.find(path)
+    if found is None:
+        raise LookupError(f"the template has no {path}")
+    return found

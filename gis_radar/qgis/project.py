@@ -11,61 +11,28 @@ from datetime import datetime
 from pathlib import Path
 
 import pyogrio
+from pyproj import CRS
 
-from gis_radar.crs import metric_crs
+from gis_radar.crs import Box, metric_crs
 from gis_radar.errors import InputError, OutputError, UsageError
 from gis_radar.files import whole_file
 from gis_radar.heatmap.layers import LONG, WIDE
 from gis_radar.poses.files import read_track
 from gis_radar.poses.layers import write_sensors
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.qgis.document import Span, Texts, View, project_xml
-from gis_radar.qgis.layers import sensor_group, traffic_group
+from gis_radar.qgis.document import (
+    ProjectContent,
+    TimeRange,
+    heatmap_layers,
+    project_xml,
+    sensor_layers,
+)
 from gis_radar.steps import seconds_from_iso, zone_of
 
+MARGIN = 0.05
+"""Around what was observed, as a share of its size: the road goes on a little to each side."""
+
 _MARK = b"gis_radar "
-
-
-def write_project_file(path: Path, text: str) -> None:
-    """Write a project; the same text gives the same file.
-
-    Its mark is gone once QGIS, or anybody else, has saved the project.
-
-    Parameters
-    ----------
-    path : Path
-        Ends in `.qgz`; it appears whole or not at all.
-    text : str
-        XML of the project.
-    """
-    with whole_file(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr(zipfile.ZipInfo(f"{path.stem}.qgs"), text, zipfile.ZIP_DEFLATED)
-        archive.comment = _mark(text.encode())
-
-
-def was_edited(path: Path) -> bool:
-    """Tell whether a file is there and is not just as :func:`write_project_file` left it."""
-    if not path.exists():
-        return False
-    try:
-        with zipfile.ZipFile(path) as archive:
-            (name,) = archive.namelist()
-            return archive.comment != _mark(archive.read(name))
-    except (OSError, ValueError, zipfile.BadZipFile):
-        return True
-
-
-def unedited_name(path: Path) -> Path:
-    """Return the first of `site.qgz`, `site_2.qgz`, ... that nobody has edited."""
-    numbered = (path.with_stem(f"{path.stem}_{number}") for number in itertools.count(2))
-    return next(name for name in itertools.chain([path], numbered) if not was_edited(name))
-
-
-def _mark(content: bytes) -> bytes:
-    return _MARK + hashlib.blake2b(content, digest_size=16).hexdigest().encode()
-
-
-ROOM = 0.05  # around what was observed, as a share of its size
 _TIMES = f'SELECT min("begin"), min("end"), max("end") FROM "{LONG}"'  # noqa: S608 - our own name
 
 
@@ -109,18 +76,19 @@ def write_qgis_project(
     path = Path(path)
     if path.suffix.lower() != ".qgz":
         raise UsageError(f"{path}: a QGIS project ends in .qgz", hint="end the name in .qgz")
-    package = Path(heatmap) / "heatmap.gpkg"
     if was_edited(path):
         raise OutputError(f"{path}: somebody has edited this project", hint="name another output")
-    view, span = _view(package), _span(package)
-    length_s = span.step_s if span is not None else 0.0
-    groups = [traffic_group(Path(heatmap).resolve(), length_s)]
+    package = Path(heatmap) / "heatmap.gpkg"
+    crs, box = _observed_box(package)
+    played = _time_range(package)
+    layers = heatmap_layers(Path(heatmap).resolve(), played.step_s if played else 0.0)
     if sensors is not None:
-        groups.insert(0, sensor_group(Path(sensors).resolve()))
-    home = path.resolve().parent
-    time = "" if span is None else _local_time(span, time_zone)
-    texts = Texts(title=title or path.stem, time=time, source=source)
-    write_project_file(path, project_xml(texts, groups, view, span, home))
+        layers |= sensor_layers(Path(sensors).resolve())
+    content = ProjectContent(
+        title=title or path.stem, time=_local_time(played, time_zone) if played else "",
+        source=source, crs=crs, box=box, layers=layers, played=played,
+    )  # fmt: skip
+    write_project_file(path, project_xml(content, path.resolve().parent))
 
 
 def write_site_project(
@@ -178,8 +146,8 @@ def _poses(folder: Path) -> list[Path]:
     return [found[name] for name in sorted(found) if not shown or name in shown]
 
 
-def _view(package: Path) -> View:
-    """Return the box around the tiles that were observed, or all where none was."""
+def _observed_box(package: Path) -> tuple[CRS, Box]:
+    """Return the CRS, and the box around the tiles that were observed, or all where none was."""
     if not package.is_file():
         raise InputError(f"{package}: no such file", hint="make it with: gis-radar heatmap")
     try:
@@ -192,11 +160,11 @@ def _view(package: Path) -> View:
     if boxes.shape[1]:
         west, south = (float(value) for value in boxes[:2].min(axis=1))
         east, north = (float(value) for value in boxes[2:].max(axis=1))
-    room = ROOM * max(east - west, north - south)
-    return View(crs=crs, box=(west - room, south - room, east + room, north + room))
+    margin = MARGIN * max(east - west, north - south)
+    return crs, (west - margin, south - margin, east + margin, north + margin)
 
 
-def _span(package: Path) -> Span | None:
+def _time_range(package: Path) -> TimeRange | None:
     with closing(sqlite3.connect(f"{package.resolve().as_uri()}?mode=ro", uri=True)) as database:
         try:
             begin, first_end, end = database.execute(_TIMES).fetchone()
@@ -205,14 +173,55 @@ def _span(package: Path) -> Span | None:
     if begin is None:
         return None
     length_s = seconds_from_iso(first_end, what="end") - seconds_from_iso(begin, what="begin")
-    return Span(begin=begin, end=end, step_s=round(length_s, 3))
+    return TimeRange(begin=begin, end=end, step_s=round(length_s, 3))
 
 
-def _local_time(span: Span, time_zone: str) -> str:
+def _local_time(played: TimeRange, time_zone: str) -> str:
     """Return the time that a project covers as people there read it."""
     zone = zone_of(time_zone)
-    begin, end = (datetime.fromisoformat(text).astimezone(zone) for text in (span.begin, span.end))
+    begin, end = (
+        datetime.fromisoformat(text).astimezone(zone) for text in (played.begin, played.end)
+    )
     clock = "%H:%M:%S" if begin.second or end.second else "%H:%M"
     day = f"%Y-%m-%d {clock}"
     last = end.strftime(clock if begin.date() == end.date() else day)
     return f"{begin.strftime(day)} \u2013 {last} ({time_zone})"
+
+
+def write_project_file(path: Path, text: str) -> None:
+    """Write a project; the same text gives the same file.
+
+    Its mark is gone once QGIS, or anybody else, has saved the project.
+
+    Parameters
+    ----------
+    path : Path
+        Ends in `.qgz`; it appears whole or not at all.
+    text : str
+        XML of the project.
+    """
+    with whole_file(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(zipfile.ZipInfo(f"{path.stem}.qgs"), text, zipfile.ZIP_DEFLATED)
+        archive.comment = _mark(text.encode())
+
+
+def was_edited(path: Path) -> bool:
+    """Tell whether a file is there and is not just as :func:`write_project_file` left it."""
+    if not path.exists():
+        return False
+    try:
+        with zipfile.ZipFile(path) as archive:
+            (name,) = archive.namelist()
+            return archive.comment != _mark(archive.read(name))
+    except (OSError, ValueError, zipfile.BadZipFile):
+        return True
+
+
+def unedited_name(path: Path) -> Path:
+    """Return the first of `site.qgz`, `site_2.qgz`, ... that nobody has edited."""
+    numbered = (path.with_stem(f"{path.stem}_{number}") for number in itertools.count(2))
+    return next(name for name in itertools.chain([path], numbered) if not was_edited(name))
+
+
+def _mark(content: bytes) -> bytes:
+    return _MARK + hashlib.blake2b(content, digest_size=16).hexdigest().encode()

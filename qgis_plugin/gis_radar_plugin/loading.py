@@ -7,23 +7,21 @@ from typing import Any, ClassVar
 
 from qgis.core import (
     Qgis,
-    QgsFillSymbol,
     QgsGraduatedSymbolRenderer,
     QgsMapLayer,
     QgsProcessingContext,
     QgsProcessingLayerPostProcessorInterface,
     QgsProject,
     QgsRasterLayer,
-    QgsSingleSymbolRenderer,
     QgsVectorLayer,
 )
 
+from .resources import shared_document
 from .timeline import show_time, step_of
 from .words import speaks_german, tr
 
 SHAVED_MS = 10  # as in the style that gis_radar stores
 INTERVALS = "occupancy_by_interval"
-NOT_OBSERVED = "185,189,193,255"
 Finish = Callable[[QgsMapLayer], None]
 
 
@@ -119,8 +117,9 @@ def dress(layer: QgsMapLayer) -> None:
 
 def as_ground(layer: QgsVectorLayer) -> None:
     """Show all tiles in one grey, below a heat map: it remains where nothing was observed."""
-    look = {"color": NOT_OBSERVED, "outline_color": NOT_OBSERVED, "outline_width": "0.3"}
-    layer.setRenderer(QgsSingleSymbolRenderer(QgsFillSymbol.createSimple(look)))
+    # Not loadNamedStyle: that prefers the style in the layer's GeoPackage.
+    symbology = QgsMapLayer.StyleCategory.Symbology
+    layer.importNamedStyle(shared_document("heatmap/ground.qml"), symbology)
     layer.triggerRepaint()
 
 

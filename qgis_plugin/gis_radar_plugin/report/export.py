@@ -30,8 +30,8 @@ from .pages import Page, local_time
 
 PROJECT, PAGES, PDF = "report.qgz", "pages.gpkg", "report.pdf"
 _DRAWN = (QgsVectorLayer, QgsRasterLayer)
+# Top to bottom.
 SENSOR_TABLES = {"Sensors": "sensors", "Uncertainty (95 %)": "uncertainty", "Views": "views"}
-SENSOR_LAYERS = tuple(SENSOR_TABLES)  # top to bottom
 
 
 def heat_layer(package: Path, name: str) -> QgsVectorLayer:
@@ -79,16 +79,21 @@ def sensor_layers(package: Path | None) -> list[QgsMapLayer]:
     if package is None:
         return []
     layers = [
-        QgsVectorLayer(f"{package}|layername={SENSOR_TABLES[name]}", tr(name), "ogr")
-        for name in SENSOR_LAYERS
+        QgsVectorLayer(f"{package}|layername={table}", tr(name), "ogr")
+        for name, table in SENSOR_TABLES.items()
     ]
     return [layer for layer in layers if layer.isValid() and layer.featureCount() > 0]
 
 
-def explained(project: QgsProject) -> list[QgsMapLayer]:
-    """Return the layers that the legend explains: occupancy and its ground, then the sensors."""
-    names = (_title("heatmap"), tr("Road, not observed"), *map(tr, SENSOR_LAYERS))
-    return [layer for name in names for layer in project.mapLayersByName(name)]
+def explained(project: QgsProject) -> dict[str, QgsMapLayer]:
+    """Return the layers that the legend explains, by the ids of the template, top to bottom."""
+    names = {
+        "gis_radar_heatmap": _title("heatmap"),
+        "gis_radar_ground": tr("Road, not observed"),
+        **{f"gis_radar_{table}": tr(name) for name, table in SENSOR_TABLES.items()},
+    }
+    found = {key: project.mapLayersByName(name) for key, name in names.items()}
+    return {key: layers[0] for key, layers in found.items() if layers}
 
 
 def copied(layers: Sequence[QgsMapLayer]) -> list[QgsMapLayer]:

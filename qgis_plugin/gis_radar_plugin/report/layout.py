@@ -1,50 +1,28 @@
-"""The sheet: map, legend, scale bar, north arrow, title, source and time, as a print layout."""
+"""The print layout of a report: the sheet of gis_radar's projects, driven by an atlas of pages."""
 
 from __future__ import annotations
 
-import base64
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from qgis.core import (
-    QgsLayoutItem,
-    QgsLayoutItemLabel,
     QgsLayoutItemLegend,
     QgsLayoutItemMap,
-    QgsLayoutItemPicture,
-    QgsLayoutItemScaleBar,
-    QgsLayoutMeasurement,
     QgsLayoutObject,
-    QgsLayoutPoint,
-    QgsLayoutSize,
-    QgsLegendRenderer,
-    QgsLegendStyle,
-    QgsMapLayerLegendUtils,
-    QgsMarkerSymbol,
+    QgsMapLayer,
     QgsPrintLayout,
     QgsProject,
     QgsProperty,
-    QgsSimpleMarkerSymbolLayer,
-    QgsTextFormat,
-    QgsUnitTypes,
+    QgsReadWriteContext,
     QgsVectorLayer,
-    QgsWkbTypes,
 )
-from qgis.PyQt.QtCore import Qt
-from qgis.PyQt.QtGui import QColor, QFont
 
-from ..base import ICONS
+from ..resources import shared_document
 from ..words import tr
 
 NAME = "Report"
-MARGIN_MM, WIDTH_MM, HEIGHT_MM = 10.0, 297.0, 210.0
-SIDE_MM, HEAD_MM, FOOT_MM = 58.0, 20.0, 8.0
-INK, SOFT = "#111827", "#4b5563"
-# A segment of 1, 2 or 5 times a power of ten, at most 22 mm long.
-_ROUND_SEGMENT = """
-with_variable('most', map_get(item_variables('map'), 'map_scale') * 0.022,
-  with_variable('power', 10 ^ floor(log10(@most)),
-    @power * if(@most / @power >= 5, 5, if(@most / @power >= 2, 2, 1))))
-"""
+_TITLE_WIDTH = 26  # letters of the legend's title in a line: more would widen the legend
 
 
 @dataclass(frozen=True)
@@ -65,7 +43,7 @@ class Texts:
 
 
 def make_layout(
-    project: QgsProject, pages: QgsVectorLayer, legend: list[QgsVectorLayer], texts: Texts
+    project: QgsProject, pages: QgsVectorLayer, legend: Mapping[str, QgsMapLayer], texts: Texts
 ) -> QgsPrintLayout:
     """Make the layout with its atlas and put it into the project.
 
@@ -75,18 +53,17 @@ def make_layout(
         Holds all layers.
     pages : QgsVectorLayer
         A row a page; see :mod:`report.export`.
-    legend : list of QgsVectorLayer
-        What the legend explains, top to bottom.
+    legend : mapping of str to QgsMapLayer
+        What the legend explains, top to bottom, by the ids of the template.
     texts : Texts
         Title and source.
     """
     layout = QgsPrintLayout(project)
-    layout.initializeDefaults()  # one page, A4 landscape
+    layout.loadFromTemplate(shared_document("qgis/sheet.qpt"), QgsReadWriteContext())
     layout.setName(NAME)
-    chart = _add_map(layout, pages)
-    _add_head(layout, texts)
-    _add_side(layout, chart, legend)
-    _add_foot(layout, texts)
+    _drive_map(layout.itemById("map"), pages)
+    _fill_legend(layout.itemById("legend"), legend)
+    _fill_texts(layout, texts)
     atlas = layout.atlas()
     atlas.setCoverageLayer(pages)
     atlas.setEnabled(True)
@@ -97,17 +74,11 @@ def make_layout(
     return layout
 
 
-def _add_map(layout: QgsPrintLayout, pages: QgsVectorLayer) -> QgsLayoutItemMap:
-    chart = QgsLayoutItemMap(layout)
-    chart.setId("map")
-    width = WIDTH_MM - 2 * MARGIN_MM - SIDE_MM - 4
-    height = HEIGHT_MM - 2 * MARGIN_MM - HEAD_MM - FOOT_MM
-    _put(layout, chart, MARGIN_MM, MARGIN_MM + HEAD_MM, width, height)
-    chart.zoomToExtent(pages.extent())  # a map without an extent would change its shape
-    chart.setFrameEnabled(True)
-    chart.setFrameStrokeColor(QColor(SOFT))
-    chart.setFrameStrokeWidth(QgsLayoutMeasurement(0.2))
-    chart.setBackgroundColor(QColor("#ffffff"))
+def _drive_map(chart: QgsLayoutItemMap, pages: QgsVectorLayer) -> None:
+    """Let extent, time and layers of the map follow from the row of a page."""
+    chart.setKeepLayerSet(False)
+    chart.setLayers([])
+    chart.zoomToExtent(pages.extent())
     chart.setAtlasDriven(True)
     chart.setAtlasScalingMode(QgsLayoutItemMap.AtlasScalingMode.Auto)
     chart.setAtlasMargin(0.04)
@@ -118,126 +89,37 @@ def _add_map(layout: QgsPrintLayout, pages: QgsVectorLayer) -> QgsLayoutItemMap:
     given.setProperty(kinds.EndDateTime, QgsProperty.fromField("end"))
     given.setProperty(kinds.MapLayers, QgsProperty.fromField("layers"))
     chart.setDataDefinedProperties(given)
-    return chart
 
 
-def _add_head(layout: QgsPrintLayout, texts: Texts) -> None:
-    width = WIDTH_MM - 2 * MARGIN_MM
-    title = f'{texts.title}: [% "place" %]'
-    _put(layout, _label(layout, title, 18, bold=True), MARGIN_MM, MARGIN_MM - 1, width, 9)
-    time = _label(layout, '[% "time" %][% if("whole", \' · \' || "note", \'\') %]', 12)
-    _put(layout, time, MARGIN_MM, MARGIN_MM + 9, width, 7)
-
-
-def _add_side(
-    layout: QgsPrintLayout, chart: QgsLayoutItemMap, layers: list[QgsVectorLayer]
-) -> None:
-    left = WIDTH_MM - MARGIN_MM - SIDE_MM
-    top = MARGIN_MM + HEAD_MM
-    north = QgsLayoutItemPicture(layout)
-    drawing = base64.b64encode((ICONS / "north.svg").read_bytes()).decode()
-    north.setPicturePath(f"base64:{drawing}")
-    north.setLinkedMap(chart)
-    north.setNorthMode(QgsLayoutItemPicture.NorthMode.GridNorth)
-    _put(layout, north, left, top, 16, 16)
-    _put(layout, _scale_bar(layout, chart), left, top + 19, SIDE_MM, 12)
-    legend = QgsLayoutItemLegend(layout)
-    legend.setTitle(tr("Share of the observed time"))
-    legend.setWrapString("|")
+def _fill_legend(legend: QgsLayoutItemLegend, layers: Mapping[str, QgsMapLayer]) -> None:
+    """Put the layers in the place of the template's, with what it says of each."""
+    legend.setTitle(_wrapped(tr("Share of the observed time")))
     legend.setAutoUpdateModel(False)
     tree = legend.model().rootGroup()
+    patterns = {node.layerId(): node.clone() for node in tree.findLayers()}
     tree.clear()
-    for layer in layers:
+    for key, layer in layers.items():
         node = tree.addLayer(layer)
-        if layer is layers[0]:  # the title says it already
-            QgsLegendRenderer.setNodeLegendStyle(node, QgsLegendStyle.Style.Hidden)
-        if layer.geometryType() == QgsWkbTypes.GeometryType.PointGeometry:
-            QgsMapLayerLegendUtils.setLegendNodeCustomSymbol(node, 0, _lying_sensor())
-            legend.model().refreshLayerLegend(node)
-    for kind, size in (
-        (QgsLegendStyle.Style.Title, 10), (QgsLegendStyle.Style.Subgroup, 9),
-        (QgsLegendStyle.Style.SymbolLabel, 9),
-    ):  # fmt: skip
-        legend.rstyle(kind).setTextFormat(_format(size))
-    legend.setResizeToContents(True)
-    legend.setBackgroundEnabled(False)
-    legend.setTitle(_wrapped(legend.title()))
-    _put(layout, legend, left - 2, top + 34, SIDE_MM, 80)
+        for name in patterns[key].customProperties():
+            node.setCustomProperty(name, patterns[key].customProperty(name))
+        legend.model().refreshLayerLegend(node)
 
 
-def _lying_sensor() -> QgsMarkerSymbol:
-    """Return a sensor as a legend shows it: it looks along the line, which takes less room."""
-    arrow = {"name": "arrow", "size": "4.4", "angle": "90", "color": "29,78,216,255",
-             "outline_style": "no", "offset": "0,-1"}  # fmt: skip
-    dot = {"name": "circle", "size": "2.4", "color": INK, "outline_style": "no", "offset": "-2,0"}
-    symbol = QgsMarkerSymbol.createSimple(arrow)
-    symbol.appendSymbolLayer(QgsSimpleMarkerSymbolLayer.create(dot))
-    return symbol
+def _fill_texts(layout: QgsPrintLayout, texts: Texts) -> None:
+    label: Any = layout.itemById
+    label("title").setText(f'{texts.title}: [% "place" %]')
+    label("time").setText('[% "time" %][% if("whole", \' · \' || "note", \'\') %]')
+    label("source").setText(f"{tr('Source')}: {texts.source}")
+    number = "[% @atlas_featurenumber %] / [% @atlas_totalfeatures %]"
+    label("made").setText(f"{texts.made} · {number}")
 
 
-def _wrapped(text: str, width: int = 26) -> str:
+def _wrapped(text: str) -> str:
     """Break a text into lines at the legend's wrap character."""
     lines = [""]
     for word in text.split():
-        if lines[-1] and len(lines[-1]) + len(word) >= width:
+        if lines[-1] and len(lines[-1]) + len(word) >= _TITLE_WIDTH:
             lines.append(word)
         else:
             lines[-1] = f"{lines[-1]} {word}".strip()
     return "|".join(lines)
-
-
-def _scale_bar(layout: QgsPrintLayout, chart: QgsLayoutItemMap) -> QgsLayoutItemScaleBar:
-    bar = QgsLayoutItemScaleBar(layout)
-    bar.setStyle("Single Box")
-    bar.setLinkedMap(chart)
-    bar.setUnits(QgsUnitTypes.DistanceUnit.DistanceMeters)
-    bar.setUnitLabel("m")
-    bar.setNumberOfSegments(2)
-    bar.setNumberOfSegmentsLeft(0)
-    given = bar.dataDefinedProperties()
-    kind = QgsLayoutObject.DataDefinedProperty.ScalebarSegmentWidth
-    given.setProperty(kind, QgsProperty.fromExpression(_ROUND_SEGMENT))
-    bar.setDataDefinedProperties(given)
-    bar.setHeight(2.2)
-    bar.setTextFormat(_format(9))
-    return bar
-
-
-def _add_foot(layout: QgsPrintLayout, texts: Texts) -> None:
-    top = HEIGHT_MM - MARGIN_MM - FOOT_MM + 3
-    width = WIDTH_MM - 2 * MARGIN_MM
-    source = _label(layout, f"{tr('Source')}: {texts.source}", 8)
-    _put(layout, source, MARGIN_MM, top, width - 75, 8)
-    number = f"{texts.made} · [% @atlas_featurenumber %] / [% @atlas_totalfeatures %]"
-    right = _label(layout, number, 8)
-    right.setHAlign(Qt.AlignmentFlag.AlignRight)
-    _put(layout, right, MARGIN_MM + width - 75, top, 75, 8)
-
-
-def _label(
-    layout: QgsPrintLayout, text: str, size: int, *, bold: bool = False
-) -> QgsLayoutItemLabel:
-    label = QgsLayoutItemLabel(layout)
-    label.setText(text)
-    label.setTextFormat(_format(size, bold=bold))
-    return label
-
-
-def _format(size: int, *, bold: bool = False) -> QgsTextFormat:
-    font = QFont("Open Sans")
-    font.setStyleHint(QFont.StyleHint.SansSerif)
-    font.setBold(bold)
-    shape = QgsTextFormat()
-    shape.setFont(font)
-    shape.setSize(size)
-    shape.setColor(QColor(INK))
-    return shape
-
-
-def _put(
-    layout: QgsPrintLayout, item: QgsLayoutItem, x: float, y: float, width: float, height: float
-) -> None:
-    unit = QgsUnitTypes.LayoutUnit.LayoutMillimeters
-    item.attemptMove(QgsLayoutPoint(x, y, unit))
-    item.attemptResize(QgsLayoutSize(width, height, unit))
-    layout.addLayoutItem(item)

@@ -1,0 +1,68 @@
+<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>
+<qgis version="3.34" styleCategories="Symbology|Labeling" labelsEnabled="1">
+  <renderer-v2 type="singleSymbol" symbollevels="0">
+    <symbols>
+      <symbol type="marker" name="0" alpha="1" clip_to_extent="1" force_rhr="0">
+        <!-- An arrow along yaw: a marker turns clockwise from up, yaw counter-clockwise from east. -->
+        <layer class="SimpleMarker" enabled="1" pass="0">
+          <Option type="Map">
+            <Option name="name" type="QString" value="arrow" />
+            <Option name="size" type="QString" value="8" />
+            <Option name="color" type="QString" value="29,78,216,255" />
+            <Option name="outline_color" type="QString" value="255,255,255,255" />
+            <Option name="outline_width" type="QString" value="0.4" />
+            <Option name="vertical_anchor_point" type="QString" value="2" />
+          </Option>
+          <data_defined_properties>
+            <Option type="Map">
+              <Option name="properties" type="Map">
+                <Option name="angle" type="Map">
+                  <Option name="active" type="bool" value="true" />
+                  <Option name="expression" type="QString" value="90 - &quot;yaw&quot;" />
+                  <Option name="type" type="int" value="3" />
+                </Option>
+              </Option>
+              <Option name="type" type="QString" value="collection" />
+            </Option>
+          </data_defined_properties>
+        </layer>
+        <layer class="SimpleMarker" enabled="1" pass="0">
+          <Option type="Map">
+            <Option name="name" type="QString" value="circle" />
+            <Option name="size" type="QString" value="2.6" />
+            <Option name="color" type="QString" value="17,24,39,255" />
+            <Option name="outline_color" type="QString" value="255,255,255,255" />
+          </Option>
+        </layer>
+      </symbol>
+    </symbols>
+  </renderer-v2>
+  <labeling type="simple">
+    <settings>
+      <text-style fieldName="&quot;sensor&quot; || coalesce(' ± ' || format_number(sqrt(&quot;sigma_easting&quot;^2 + &quot;sigma_northing&quot;^2), 2) || ' m', '')" isExpression="1" fontSize="9" fontSizeUnit="Point" fontFamily="Open Sans" fontWeight="75" namedStyle="Bold" textColor="17,24,39,255" textOpacity="1">
+        <text-buffer bufferDraw="1" bufferSize="0.9" bufferSizeUnits="MM" bufferColor="255,255,255,255" bufferOpacity="0.9" bufferJoinStyle="128" />
+      </text-style>
+      <placement placement="1" offsetUnits="MM" xOffset="0" yOffset="0" quadOffset="4" priority="8" overlapHandling="AllowOverlapIfRequired" />
+      <rendering drawLabels="1" obstacle="0" scaleVisibility="0" />
+      <!-- The label stands behind its sensor, so that it leaves the arrow free: by eighths of a turn from east. -->
+      <dd_properties>
+        <Option type="Map">
+          <Option name="properties" type="Map">
+            <Option name="OffsetQuad" type="Map">
+              <Option name="active" type="bool" value="true" />
+              <Option name="expression" type="QString" value="array_get(array(5, 2, 1, 0, 3, 6, 7, 8), (round(((&quot;yaw&quot; + 900) % 360) / 45) % 8))" />
+              <Option name="type" type="int" value="3" />
+            </Option>
+            <Option name="OffsetXY" type="Map">
+              <Option name="active" type="bool" value="true" />
+              <Option name="expression" type="QString" value="array(-2.5 * cos(radians(&quot;yaw&quot;)), 2.5 * sin(radians(&quot;yaw&quot;)))" />
+              <Option name="type" type="int" value="3" />
+            </Option>
+          </Option>
+          <Option name="type" type="QString" value="collection" />
+        </Option>
+      </dd_properties>
+    </settings>
+  </labeling>
+  <layerGeometryType>0</layerGeometryType>
+</qgis>
