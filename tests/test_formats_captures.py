@@ -26,8 +26,8 @@ from radars import (
 
 import gis_radar as gr
 from gis_radar.errors import InputError
-from gis_radar.recordings.captures import Datagrams, Packet, read_packets
 from gis_radar.recordings.frames import DamagedError
+from gis_radar.recordings.readers.pcap import Datagrams, Packet, read_packets
 
 
 def convert(path, **options):

@@ -17,8 +17,14 @@ from gis_radar.errors import InputError, OutputError, UsageError
 from gis_radar.files import refuse_inputs, whole_files
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings import readers
-from gis_radar.recordings.frame_order import Doubles, FrameOrder, merged
-from gis_radar.recordings.frame_times import CLOCKS, Clock, FrameClock
+from gis_radar.recordings.frame_order import (
+    CLOCKS,
+    Clock,
+    Doubles,
+    FrameClock,
+    FrameOrder,
+    merged,
+)
 from gis_radar.recordings.frames import Format, Frame, ReaderContext, counted
 from gis_radar.recordings.writer import RecordingFile
 

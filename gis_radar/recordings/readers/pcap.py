@@ -1,13 +1,23 @@
-"""ARS548 detection lists in captures of network traffic (pcap, pcapng)."""
+"""ARS548 detection lists in captures of network traffic: pcap and pcapng, also gzipped.
+
+Read here and not by a library: dpkt takes the clock and the link of the first interface for all
+(its issue 681), python-pcapng reads no pcap, scapy is large and GPL. dpkt and python-pcapng write
+what the tests read.
+"""
 
 from __future__ import annotations
 
+import gzip
+import struct
+import zlib
 from collections import Counter
 from collections.abc import Generator, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
+from socket import inet_ntoa
+from typing import BinaryIO, NamedTuple
 
 from gis_radar.recordings.ars548 import METHOD, OTHER_METHODS, method_of, read_detections
-from gis_radar.recordings.captures import Datagram, Datagrams, is_capture, read_packets
 from gis_radar.recordings.frames import (
     BYTES_A_REPORT,
     DamagedError,
@@ -17,6 +27,364 @@ from gis_radar.recordings.frames import (
     ReaderContext,
     counted,
 )
+
+GZIP = b"\x1f\x8b"
+PCAPNG = b"\x0a\x0d\x0d\x0a"
+# Byte order and ticks a second by the magic number.
+PCAP = {
+    b"\xa1\xb2\xc3\xd4": (">", 1_000_000),
+    b"\xd4\xc3\xb2\xa1": ("<", 1_000_000),
+    b"\xa1\xb2\x3c\x4d": (">", 1_000_000_000),
+    b"\x4d\x3c\xb2\xa1": ("<", 1_000_000_000),
+}
+BUFFER_BYTES = 1 << 20
+LARGEST_BLOCK = 1 << 24
+
+_SECTION, _INTERFACE, _PACKET, _SIMPLE, _ENHANCED = 0x0A0D0D0A, 1, 2, 3, 6
+_RESOLUTION, _OFFSET = 9, 14
+_SECTION_MAGIC = 0x1A2B3C4D
+_BLOCK_FRAME = 12  # type and length, and the length again at the end
+
+
+class Packet(NamedTuple):
+    """One captured packet.
+
+    Parameters
+    ----------
+    time : float or None
+        UNIX seconds of the capturing computer; None where the file has no time for it.
+    link : int
+        Link type: how the bytes begin.
+    data : bytes
+        The packet from its link header on.
+    whole : bool
+        False where the capture kept only its beginning.
+    """
+
+    time: float | None
+    link: int
+    data: bytes
+    whole: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Interface:
+    link: int
+    snap: int
+    ticks: int
+    offset_s: int
+
+
+def is_capture(path: Path) -> bool:
+    """Return whether a file begins like a capture, also inside gzip."""
+    try:
+        with _opened(path) as stream:
+            magic = stream.read(4)
+    except (OSError, EOFError, zlib.error):
+        return False
+    return magic == PCAPNG or magic in PCAP
+
+
+def read_packets(path: Path) -> Iterator[tuple[Packet, int]]:
+    """Read the packets of a capture one after the other.
+
+    Parameters
+    ----------
+    path : Path
+        A pcap or pcapng file; either may be compressed by gzip.
+
+    Yields
+    ------
+    packet : Packet
+        The packet.
+    position : int
+        How many bytes of the (uncompressed) capture are read.
+
+    Raises
+    ------
+    DamagedError
+        After the last whole packet, where the file ends in the middle of one or goes on with
+        what cannot be.
+    """
+    with _opened(path) as stream:
+        magic = stream.read(4)
+        try:
+            if magic == PCAPNG:
+                yield from _read_pcapng(stream)
+            elif magic in PCAP:
+                yield from _read_pcap(stream, *PCAP[magic])
+            else:
+                raise DamagedError("no capture (pcap, pcapng)")
+        except EOFError as error:
+            raise DamagedError("cut off in the middle of a packet") from error
+        except zlib.error as error:
+            raise DamagedError(f"damaged gzip: {error}") from error
+
+
+def _opened(path: Path) -> BinaryIO:
+    with path.open("rb") as start:
+        packed = start.read(2) == GZIP
+    return gzip.open(path) if packed else path.open("rb", buffering=BUFFER_BYTES)  # type: ignore[return-value]
+
+
+def _read_pcap(stream: BinaryIO, order: str, ticks: int) -> Iterator[tuple[Packet, int]]:
+    head = _exactly(stream, 20)
+    (link,) = struct.unpack_from(order + "I", head, 16)
+    link &= 0xFFFF  # the upper half tells of checksums at the end
+    record = struct.Struct(order + "IIII")
+    position = 24
+    while start := stream.read(record.size):
+        if len(start) < record.size:
+            raise EOFError
+        seconds, fraction, kept, length = record.unpack(start)
+        if kept > LARGEST_BLOCK:
+            raise DamagedError(f"a packet of {kept:,} bytes at byte {position:,}")
+        data = _exactly(stream, kept)
+        position += record.size + kept
+        yield Packet(seconds + fraction / ticks, link, data, kept >= length), position
+
+
+def _read_pcapng(stream: BinaryIO) -> Iterator[tuple[Packet, int]]:
+    order, kind, position = "<", _SECTION, 0
+    interfaces: list[_Interface] = []
+    start = _exactly(stream, 4)
+    while True:
+        if kind == _SECTION:
+            order, body, size = _begin_section(stream, start)
+            interfaces = []
+        else:
+            size = struct.unpack(order + "I", start)[0]
+            body = _exactly(stream, _block_length(size, position) - 8)
+        position += size
+        if kind == _INTERFACE:
+            interfaces.append(_interface(body, order))
+        elif kind in (_ENHANCED, _PACKET, _SIMPLE):
+            yield _packet(kind, body, order, interfaces), position
+        head = stream.read(8)
+        if not head:
+            return
+        if len(head) < 8:
+            raise EOFError
+        kind, start = struct.unpack(order + "I", head[:4])[0], head[4:]
+
+
+def _begin_section(stream: BinaryIO, start: bytes) -> tuple[str, bytes, int]:
+    """Return byte order, content and length of a section header whose length field is `start`."""
+    magic = _exactly(stream, 4)
+    orders = [order for order in "<>" if struct.unpack(order + "I", magic)[0] == _SECTION_MAGIC]
+    if not orders:
+        raise DamagedError("a section without byte order")
+    size = _block_length(struct.unpack(orders[0] + "I", start)[0], 0)
+    return orders[0], _exactly(stream, size - _BLOCK_FRAME), size
+
+
+def _block_length(size: int, position: int) -> int:
+    if not _BLOCK_FRAME <= size <= LARGEST_BLOCK or size % 4:
+        raise DamagedError(f"a block of {size:,} bytes at byte {position:,}")
+    return size
+
+
+def _interface(body: bytes, order: str) -> _Interface:
+    link, snap = struct.unpack_from(order + "HxxI", body)
+    ticks, offset_s, at = 1_000_000, 0, 8
+    while at + 4 <= len(body) - 4:
+        code, length = struct.unpack_from(order + "HH", body, at)
+        value = body[at + 4 : at + 4 + length]
+        if code == 0:
+            break
+        if code == _RESOLUTION and value:
+            ticks = 2 ** (value[0] & 0x7F) if value[0] & 0x80 else 10 ** value[0]
+        elif code == _OFFSET and length == 8:
+            (offset_s,) = struct.unpack(order + "q", value)
+        at += 4 + length + -length % 4
+    return _Interface(link=link, snap=snap, ticks=ticks, offset_s=offset_s)
+
+
+def _packet(kind: int, body: bytes, order: str, interfaces: list[_Interface]) -> Packet:
+    if kind == _SIMPLE:
+        number, high, low, start = 0, 0, 0, 4
+        (length,) = struct.unpack_from(order + "I", body)
+        kept = min(length, len(body) - 8)
+    else:
+        layout = "IIIII" if kind == _ENHANCED else "HxxIIII"
+        number, high, low, kept, length = struct.unpack_from(order + layout, body)
+        start = 20
+    if number >= len(interfaces) or start + kept > len(body):
+        raise DamagedError("a packet of no interface" if not interfaces else "a packet too long")
+    interface = interfaces[number]
+    data = body[start : start + kept]
+    time = None
+    if kind != _SIMPLE:
+        time = interface.offset_s + ((high << 32) | low) / interface.ticks
+    return Packet(time, interface.link, data, kept >= length)
+
+
+def _exactly(stream: BinaryIO, size: int) -> bytes:
+    data = stream.read(size)
+    if len(data) < size:
+        raise EOFError
+    return data
+
+
+# Link types: (where the EtherType stands, where the content begins).
+_TYPED = {1: (12, 14), 113: (14, 16), 276: (0, 20)}  # Ethernet, Linux cooked v1 and v2
+_BARE = {0: 4, 108: 4, 12: 0, 14: 0, 101: 0, 228: 0}  # BSD loopback, raw IP
+_IPV4 = 0x0800
+_VLAN = (0x8100, 0x88A8, 0x9100)
+_UDP, _TCP = 17, 6
+_MORE, _FRAGMENT_OFFSET = 0x2000, 0x1FFF
+# A sender has few datagrams on the way at a time; what is older will not be completed.
+PENDING = 64
+# Identifications come round again; RFC 791 gives a datagram no longer to arrive.
+PATIENCE_S = 15.0
+LONGEST = 65_535
+
+
+class Datagram(NamedTuple):
+    """A UDP datagram.
+
+    Parameters
+    ----------
+    source : str
+        IPv4 address of the sender.
+    port : int
+        Where it went.
+    payload : bytes
+        What it carries.
+    """
+
+    source: str
+    port: int
+    payload: bytes
+
+
+@dataclass(slots=True)
+class _Parts:
+    """The fragments of one datagram that have come so far."""
+
+    begun: float
+    pieces: dict[int, bytes] = field(default_factory=dict)
+    held: int = 0
+    size: int = -1
+
+    def add(self, at: int, piece: bytes, *, last: bool) -> bytes | None:
+        """Take a fragment; return all of them in order once none is missing."""
+        if at not in self.pieces:
+            self.pieces[at] = piece
+            self.held += len(piece)
+        if last:
+            self.size = at + len(piece)
+        if not 0 <= self.size <= self.held:
+            return None
+        whole = bytearray(self.size)
+        reached = 0
+        for start in sorted(self.pieces):
+            if start > reached:
+                return None
+            whole[start : start + len(self.pieces[start])] = self.pieces[start]
+            reached = max(reached, start + len(self.pieces[start]))
+        return bytes(whole[: self.size])
+
+
+class Datagrams:
+    """Puts datagrams together from packets in order of capture, and counts all that passes.
+
+    Attributes
+    ----------
+    traffic : Counter
+        Packets by protocol and destination port, such as `UDP port 42102`.
+    cut : int
+        Packets of which the capture has only the beginning.
+    """
+
+    def __init__(self) -> None:
+        self.cut = 0
+        self._ports: Counter[tuple[int, int]] = Counter()
+        self._others: Counter[str] = Counter()
+        self._pending: dict[bytes, _Parts] = {}
+        self._lost = 0
+
+    @property
+    def incomplete(self) -> int:
+        """Datagrams of which fragments are missing."""
+        return self._lost + len(self._pending)
+
+    @property
+    def traffic(self) -> Counter[str]:
+        """Packets by protocol and destination port."""
+        names = {_UDP: "UDP", _TCP: "TCP"}
+        seen = Counter({f"{names[kind]} port {port}": n for (kind, port), n in self._ports.items()})
+        return seen + self._others
+
+    def take(self, packet: Packet) -> Datagram | None:
+        """Return the datagram that a packet completes, if it does."""
+        if not packet.whole:
+            self.cut += 1
+        data = packet.data
+        start = _network_layer(packet)
+        if start is None or len(data) < start + 20 or data[start] >> 4 != 4:
+            self._others["no IPv4"] += 1
+            return None
+        total, _, flags, kind = struct.unpack_from(">HHHxB", data, start + 2)
+        begin, end = start + (data[start] & 0x0F) * 4, start + total
+        if total == 0:
+            end = len(data)  # the network card did the segmentation
+        if kind not in (_UDP, _TCP):
+            self._others[f"IP protocol {kind}"] += 1
+            return None
+        if end > len(data):
+            return None
+        if flags & (_MORE | _FRAGMENT_OFFSET):
+            content = self._reassemble(packet, start, flags, data[begin:end])
+        else:
+            content = data[begin:end]
+        if content is None or len(content) < 8:
+            return None
+        port, length = struct.unpack_from(">HH", content, 2)
+        self._ports[kind, port] += 1
+        if kind != _UDP:
+            return None
+        source = inet_ntoa(data[start + 12 : start + 16])
+        return Datagram(source, port, content[8 : length or len(content)])
+
+    def _reassemble(self, packet: Packet, start: int, flags: int, piece: bytes) -> bytes | None:
+        at = (flags & _FRAGMENT_OFFSET) * 8
+        if at + len(piece) > LONGEST:
+            return None
+        # Who to whom, which protocol, which identification.
+        head = packet.data[start : start + 20]
+        key = head[12:20] + head[9:10] + head[4:6]
+        now = packet.time or 0.0
+        parts = self._pending.get(key)
+        if parts is None or abs(now - parts.begun) > PATIENCE_S:
+            self._forget(key)
+            parts = self._pending[key] = _Parts(now)
+        content = parts.add(at, piece, last=not flags & _MORE)
+        if content is not None:
+            del self._pending[key]
+        return content
+
+    def _forget(self, key: bytes) -> None:
+        """Give up an earlier datagram of the same key, or the oldest where there are too many."""
+        if key not in self._pending and len(self._pending) < PENDING:
+            return
+        del self._pending[key if key in self._pending else next(iter(self._pending))]
+        self._lost += 1
+
+
+def _network_layer(packet: Packet) -> int | None:
+    """Return where the IP header begins, or None where there is none."""
+    data, link = packet.data, packet.link
+    if link in _BARE:
+        return _BARE[link]
+    if link not in _TYPED:
+        return None
+    at, start = _TYPED[link]
+    kind = int.from_bytes(data[at : at + 2])
+    while kind in _VLAN:
+        kind = int.from_bytes(data[start + 2 : start + 4])
+        start += 4
+    return start if kind == _IPV4 else None
 
 
 def _knows(source: str) -> bool:
