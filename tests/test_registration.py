@@ -22,7 +22,7 @@ from gis_radar.localization.search import level
 from gis_radar.localization.settings import DEFAULTS, Schedule
 from gis_radar.localization.solver import solve
 from gis_radar.localization.state import SIZE, TURN, State, angles_from_turn
-from gis_radar.localization.traces import Moving, Samples, thin, track
+from gis_radar.localization.traces import Moving, Samples, link_tracks, thin
 from gis_radar.poses.pose import Pose
 
 
@@ -35,7 +35,7 @@ def scene():
         time=time, points=xyz, range_rate=rate, frames=600, detections=len(time),
         begin=time[0], end=time[-1],
     )  # fmt: skip
-    samples = thin(moving, track(moving), replace(DEFAULTS.traces, most=400))
+    samples = thin(moving, link_tracks(moving), replace(DEFAULTS.traces, most=400))
     place = np.array(street.middle)
     lanes = sample_lanes(street.roads().lanelets, street.road_points(), place=place, reach_m=150.0)
     state = State(

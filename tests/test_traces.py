@@ -12,7 +12,14 @@ from sites import START, recording, table
 
 from gis_radar.localization.clusters import cluster
 from gis_radar.localization.settings import DEFAULTS
-from gis_radar.localization.traces import Moving, RollingWindow, read_moving, thin, track, voxels
+from gis_radar.localization.traces import (
+    Moving,
+    RollingWindow,
+    link_tracks,
+    read_moving,
+    thin,
+    voxels,
+)
 from gis_radar.recordings.recording import Detections
 
 
@@ -122,7 +129,7 @@ def passing():
 
 def test_vehicles_become_tracks_and_clutter_does_not(passing):
     moving, owner = passing
-    tracks = track(moving)
+    tracks = link_tracks(moving)
     for vehicle in (0, 1):
         mine = tracks[owner == vehicle]
         assert np.mean(mine >= 0) > 0.9
@@ -133,7 +140,7 @@ def test_vehicles_become_tracks_and_clutter_does_not(passing):
 
 def test_thinning_keeps_tracks_and_a_limit(passing):
     moving, _ = passing
-    tracks = track(moving)
+    tracks = link_tracks(moving)
     samples = thin(moving, tracks, replace(DEFAULTS.traces, most=50))
     assert len(samples) == 50
     assert samples.tracks == tracks.max() + 1

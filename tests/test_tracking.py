@@ -24,7 +24,7 @@ from gis_radar.tracking.follower import Follower
 from gis_radar.tracking.moves import KNOCK as KNOCKED
 from gis_radar.tracking.start import BY_HAND, start_estimate
 from gis_radar.tracking.track import draw_track
-from gis_radar.tracking.windows import Ground
+from gis_radar.tracking.windows import WindowFitter
 
 STREET = Street()
 FRAMES, VEHICLES = 2000, 140  # 100 s
@@ -131,16 +131,16 @@ def test_what_a_window_tells_of_reflections_fixes_the_height(still, seen):
 
 def test_a_fit_that_came_to_no_rest_contradicts_nothing(seen, tmp_path, monkeypatch):
     path = record(tmp_path / "R1.parquet", seen, until=60.0)
-    register, count = Ground.register, []
+    fit, count = WindowFitter.fit, []
 
     def restless(self, traffic, centre, like, **options):
-        found = register(self, traffic, centre, like, **options)
+        found = fit(self, traffic, centre, like, **options)
         if found is not None and "near" in options:
             count.append(found)
             found = replace(found, fit=replace(found.fit, converged=False))
         return found
 
-    monkeypatch.setattr(Ground, "register", restless)
+    monkeypatch.setattr(WindowFitter, "fit", restless)
     assert times(follow(path, start(seen[3])), "rejected") == []
     assert count
 
@@ -427,7 +427,7 @@ def test_outputs_that_cannot_be_are_refused(files):
 class Lost:
     """Lanes on which the traffic never lies."""
 
-    def register(self, *_, **__):
+    def fit(self, *_, **__):
         turn = np.array([0.0, 0.0, 0.0, 1.0])
         told = Measurement(
             position=np.ones(3), quaternion=turn, covariance=np.eye(6), noise=0.3 * np.eye(6)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from gis_radar.arrays import Floats
 from gis_radar.errors import LOCALIZE, InputError, NoAnswerError
 from gis_radar.localization.clusters import cluster
-from gis_radar.localization.result import STAGE, Localization, Site, common
+from gis_radar.localization.result import STAGE, Localization, Problem, common
 from gis_radar.localization.settings import DEFAULTS, IcpSettings, LocalizationSettings
 from gis_radar.localization.state import State
 from gis_radar.localization.traces import Moving, voxels
@@ -130,30 +130,31 @@ def _open3d() -> Any:
 
 
 def by_icp(
-    site: Site, moving: Moving, reporter: Reporter, settings: LocalizationSettings = DEFAULTS
+    problem: Problem, moving: Moving, reporter: Reporter, settings: LocalizationSettings = DEFAULTS
 ) -> Localization:
     """Lay the traces on the road's surface, as the paper does."""
     reporter.progress(STAGE, 1, 3)
     guess_m, icp = settings.search.guess_m, settings.icp
     source = source_voxels(moving, icp)
-    local = site.road - [*site.guess[:2], 0.0]
+    local = problem.road - [*problem.guess[:2], 0.0]
     reach_m = float(np.hypot(source[:, 0], source[:, 1]).max()) + guess_m
     local = local[np.hypot(local[:, 0], local[:, 1]) < reach_m]
     if len(local) == 0:
-        raise NoAnswerError(f"{site.name}: no road within {reach_m:.0f} m of the guess")
+        raise NoAnswerError(f"{problem.name}: no road within {reach_m:.0f} m of the guess")
     reporter.progress(STAGE, 2, 3)
-    height = site.guess[2] if len(site.guess) == 3 else _mast_top(local, icp.mast_m)
-    starts = compass_starts(np.array([0.0, 0.0, height]), site.heading, icp.headings)
+    height = problem.guess[2] if len(problem.guess) == 3 else _mast_top(local, icp.mast_m)
+    starts = compass_starts(np.array([0.0, 0.0, height]), problem.heading, icp.headings)
     fit = register_icp(source, voxels(local, icp.voxel_m), starts, icp)
     away = float(np.hypot(*fit.state.position[:2]))
     if away > icp.farthest * guess_m:
         raise NoAnswerError(
-            f"{site.name}: the registration went {away:.0f} m from the guess", hint="guess closer"
+            f"{problem.name}: the registration went {away:.0f} m from the guess",
+            hint="guess closer",
         )
     reporter.progress(STAGE, 3, 3)
     evidence = {**common(moving, "icp"), "fitness": fit.fitness}
     return Localization(
-        pose=site.pose(fit.state, evidence),
+        pose=problem.pose(fit.state, evidence),
         fitness=fit.fitness,
         observable=True,
         samples=len(source),

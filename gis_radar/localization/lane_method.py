@@ -19,49 +19,49 @@ from gis_radar.localization.hypotheses import (
 )
 from gis_radar.localization.lanes import Lanes, sample_lanes
 from gis_radar.localization.matching import Scene
-from gis_radar.localization.result import STAGE, Localization, Site, common
+from gis_radar.localization.result import STAGE, Localization, Problem, common
 from gis_radar.localization.settings import (
     DEFAULTS,
     LocalizationSettings,
 )
-from gis_radar.localization.traces import Moving, Samples, thin, track
+from gis_radar.localization.traces import Moving, Samples, link_tracks, thin
 from gis_radar.poses.evidence import COMPONENTS
 from gis_radar.progress import Reporter
 
 
 def by_lanes(
-    site: Site, moving: Moving, reporter: Reporter, settings: LocalizationSettings = DEFAULTS
+    problem: Problem, moving: Moving, reporter: Reporter, settings: LocalizationSettings = DEFAULTS
 ) -> Localization:
     """Lay the tracks of vehicles on lanes that their Doppler allows, and on the scanned road."""
-    samples = thin(moving, track(moving, settings.traces), settings.traces)
+    samples = thin(moving, link_tracks(moving, settings.traces), settings.traces)
     least = settings.answer.least_tracks
     if samples.tracks < least:
         raise NoAnswerError(
-            f"{site.name}: {samples.tracks} moving vehicles in {moving.frames} frames, at least "
+            f"{problem.name}: {samples.tracks} moving vehicles in {moving.frames} frames, at least "
             f"{least} are needed",
             hint="record while traffic flows",
         )
     reporter.progress(STAGE, 1, 5)
-    lanes = lanes_around(site, samples, reporter, settings=settings)
+    lanes = lanes_around(problem, samples, reporter, settings=settings)
     scene = Scene(lanes=lanes, samples=samples, settings=settings)
     tolerance = settings.search.heading_tolerance
-    heading = None if site.heading is None else (site.heading, tolerance)
+    heading = None if problem.heading is None else (problem.heading, tolerance)
     tried = find_hypotheses(scene, heading=heading)
     reporter.progress(STAGE, 3, 5)
     _refuse_mirrored(scene, tried[0], heading)
     reporter.progress(STAGE, 4, 5)
-    answers = _within_reach(site, refine(scene, tried), scene)
-    _refuse_unfit(site, answers[0], settings)
+    answers = _within_reach(problem, refine(scene, tried), scene)
+    _refuse_unfit(problem, answers[0], settings)
     best = widen_by_profile(scene, answers[0])
     lead, rival = _lead(best, answers[1:], scene)
     reporter.progress(STAGE, 5, 5)
     if rival is not None and lead < settings.answer.clear:
-        raise _ambiguous(site, best, rival)
-    return _answer(site, moving, scene, best, tried, lead)
+        raise _ambiguous(problem, best, rival)
+    return _answer(problem, moving, scene, best, tried, lead)
 
 
 def lanes_around(
-    site: Site,
+    problem: Problem,
     samples: Samples,
     reporter: Reporter,
     *,
@@ -72,7 +72,7 @@ def lanes_around(
 
     Parameters
     ----------
-    site : Site
+    problem : Problem
         Map, road and guess.
     samples : Samples
         Traces.
@@ -93,9 +93,9 @@ def lanes_around(
     reach = np.hypot(samples.points[:, 0], samples.points[:, 1])
     reach_m = grow * float(np.percentile(reach, 99.5))
     lanes = sample_lanes(
-        site.roads.lanelets,
-        site.road,
-        place=site.guess[:2],
+        problem.roads.lanelets,
+        problem.road,
+        place=problem.guess[:2],
         reach_m=reach_m + settings.search.guess_m + settings.lanes.margin_m,
         settings=settings.lanes,
     )
@@ -147,7 +147,7 @@ def _lead(
     return lead, closest
 
 
-def _within_reach(site: Site, answers: list[Hypothesis], scene: Scene) -> list[Hypothesis]:
+def _within_reach(problem: Problem, answers: list[Hypothesis], scene: Scene) -> list[Hypothesis]:
     """Return the answers that lie near the guess; refuse where one beyond is clearly better."""
     settings, guess_m = scene.settings.answer, scene.settings.search.guess_m
     away = [float(np.hypot(*h.fit.state.position[:2])) for h in answers]
@@ -158,28 +158,28 @@ def _within_reach(site: Site, answers: list[Hypothesis], scene: Scene) -> list[H
         and advantage(answers[0].fit, inside[0].fit, scene.samples) > settings.clear
     ):
         raise NoAnswerError(
-            f"{site.name}: the fit went {away[0]:.0f} m from the guess, which is too far off",
+            f"{problem.name}: the fit went {away[0]:.0f} m from the guess, which is too far off",
             hint=f"guess within {guess_m:.0f} m",
         )
     return inside
 
 
-def _refuse_unfit(site: Site, answer: Hypothesis, settings: LocalizationSettings) -> None:
+def _refuse_unfit(problem: Problem, answer: Hypothesis, settings: LocalizationSettings) -> None:
     guess_m = settings.search.guess_m
     if answer.fit.fitness < settings.answer.least_fitness:
         raise NoAnswerError(
-            f"{site.name}: no pose within {guess_m:.0f} m of the guess puts the traffic on the "
+            f"{problem.name}: no pose within {guess_m:.0f} m of the guess puts the traffic on the "
             f"lanes; the best one {answer.fit.fitness:.0%} of it",
             hint="check the guess, the map, and that the recording's y axis points to the left",
         )
     if not answer.fit.converged:
-        raise NoAnswerError(f"{site.name}: the fit did not come to rest")
+        raise NoAnswerError(f"{problem.name}: the fit did not come to rest")
 
 
-def _ambiguous(site: Site, answer: Hypothesis, rival: Hypothesis) -> NoAnswerError:
+def _ambiguous(problem: Problem, answer: Hypothesis, rival: Hypothesis) -> NoAnswerError:
     gap = rival.fit.state.difference(answer.fit.state)
     return NoAnswerError(
-        f"{site.name}: ambiguous, two poses {float(np.hypot(*gap[:2])):.1f} m and "
+        f"{problem.name}: ambiguous, two poses {float(np.hypot(*gap[:2])):.1f} m and "
         f"{abs(math.degrees(gap[5])):.1f} deg apart put {answer.fit.fitness:.0%} and "
         f"{rival.fit.fitness:.0%} of the traffic on lanes",
         hint="record longer, or give a heading",
@@ -187,7 +187,7 @@ def _ambiguous(site: Site, answer: Hypothesis, rival: Hypothesis) -> NoAnswerErr
 
 
 def _answer(
-    site: Site,
+    problem: Problem,
     moving: Moving,
     scene: Scene,
     best: Hypothesis,
@@ -205,14 +205,14 @@ def _answer(
         "observable": known.observable,
     }
     return Localization(
-        pose=site.pose(best.fit.state, evidence),
+        pose=problem.pose(best.fit.state, evidence),
         fitness=best.fit.fitness,
         observable=known.observable,
         eigenvalues=tuple(known.eigenvalues.tolist()),
         hypotheses=tuple(
             (
-                float(h.fit.state.position[0] + site.guess[0]),
-                float(h.fit.state.position[1] + site.guess[1]),
+                float(h.fit.state.position[0] + problem.guess[0]),
+                float(h.fit.state.position[1] + problem.guess[1]),
                 float(np.degrees(h.fit.state.yaw_pitch_roll[0])),
                 h.loss,
             )

@@ -13,12 +13,12 @@ from gis_radar.errors import NoAnswerError, UsageError
 from gis_radar.lanelets import LaneletMap
 from gis_radar.localization.icp import by_icp
 from gis_radar.localization.lane_method import by_lanes
-from gis_radar.localization.result import Localization, Site
+from gis_radar.localization.result import Localization, Problem
 from gis_radar.localization.settings import DEFAULTS, LocalizationSettings
 from gis_radar.localization.traces import Moving, read_moving
 from gis_radar.progress import QUIET, Reporter
 
-METHODS: dict[str, Callable[[Site, Moving, Reporter, LocalizationSettings], Localization]] = {
+METHODS: dict[str, Callable[[Problem, Moving, Reporter, LocalizationSettings], Localization]] = {
     "lane": by_lanes,
     "icp": by_icp,
 }
@@ -78,11 +78,11 @@ def localize(
             f"{recording}: {moving.frames} frames, at least {traces.least_frames} are needed",
             hint="record longer: 100 s are a good length",
         )
-    site = Site(
+    problem = Problem(
         name=Path(recording).stem,
         roads=roads,
         road=np.asarray(road_points, dtype=np.float64),
         guess=np.asarray(guess, dtype=np.float64),
         heading=None if heading is None else math.radians(heading),
     )
-    return METHODS[method](site, moving, reporter, settings)
+    return METHODS[method](problem, moving, reporter, settings)

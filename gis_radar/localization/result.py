@@ -1,4 +1,4 @@
-"""Questions and answers: a sensor to be located at a site, and its pose with evidence."""
+"""Problem and result: a sensor to be located, and its pose with evidence."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ class Localization:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Site:
+class Problem:
     """Where a sensor is to be found.
 
     Parameters

@@ -236,7 +236,7 @@ class Samples:
         )
 
 
-def track(moving: Moving, settings: TraceSettings = DEFAULTS.traces) -> Integers:
+def link_tracks(moving: Moving, settings: TraceSettings = DEFAULTS.traces) -> Integers:
     """Link moving detections to tracks.
 
     Two detections belong together where the range changed as the Doppler says and bearing and
@@ -302,7 +302,7 @@ def thin(
     moving : Moving
         Of one window.
     tracks : (n,) array
-        As from :func:`track`.
+        As from :func:`link_tracks`.
     settings : TraceSettings
         Of voxels and limits.
     seed : int

@@ -11,7 +11,7 @@ import numpy as np
 from gis_radar.arrays import Floats
 from gis_radar.crs import require_same
 from gis_radar.lanelets import LaneletMap
-from gis_radar.localization.result import Site
+from gis_radar.localization.result import Problem
 from gis_radar.poses.files import PoseTrack, as_track
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
@@ -20,7 +20,7 @@ from gis_radar.tracking.follower import LEAST_CYCLE, Follower
 from gis_radar.tracking.moves import CYCLE_S
 from gis_radar.tracking.start import start_estimate
 from gis_radar.tracking.track import Track, answer
-from gis_radar.tracking.windows import Ground
+from gis_radar.tracking.windows import WindowFitter
 
 STAGE = "following the pose"
 
@@ -67,21 +67,21 @@ def track(
     first, ends = next(cycles)
     begin = float(first.time[0])
     start = known.poses[int(known.at(np.array([begin]))[0])]
-    site = Site(
+    problem = Problem(
         name=start.sensor,
         roads=roads,
         road=np.asarray(road_points, dtype=np.float64),
         guess=start.position[:2],
         heading=None,
     )
-    ground = Ground(site, reporter=reporter)
-    follower = Follower(ground, start_estimate(start, begin))
+    fitter = WindowFitter(problem, reporter=reporter)
+    follower = Follower(fitter, start_estimate(start, begin))
     for piece, end in chain([(first, ends)], cycles):
         follower.push(piece)
         if end is not None:
             follower.cycle(end)
     follower.finish(str(opened.path))
-    return answer(site, start, follower.rows)
+    return answer(problem, start, follower.rows)
 
 
 def _cycles(recording: Recording, reporter: Reporter) -> Iterator[tuple[Detections, float | None]]:

@@ -21,8 +21,8 @@ from gis_radar.tracking.filter import (
     predicted,
     widened,
 )
-from gis_radar.tracking.moves import GATE, KNOCK, Change, Doubt, doubt
-from gis_radar.tracking.windows import Ground, Sighting, Traffic
+from gis_radar.tracking.moves import GATE, KNOCK, Change, SuspectedMove, suspect_move
+from gis_radar.tracking.windows import WindowFit, WindowFitter, WindowTraffic
 
 MOVED, REJECTED, NOTHING = "moved", "rejected", ""
 LOST_S = 100.0
@@ -66,7 +66,7 @@ class Follower:
 
     Parameters
     ----------
-    ground : Ground
+    fitter : WindowFitter
         The lanes.
     start : Estimate
         The pose to begin with.
@@ -75,11 +75,11 @@ class Follower:
     """
 
     def __init__(
-        self, ground: Ground, start: Estimate, *, frames: int = DEFAULTS.traces.frames
+        self, fitter: WindowFitter, start: Estimate, *, frames: int = DEFAULTS.traces.frames
     ) -> None:
         self.rows = [Row(estimate=start)]
         self.confirmed = False
-        self._ground = ground
+        self._fitter = fitter
         self._window = RollingWindow(frames=frames)
         self._frames = frames
         self._past: deque[Estimate] = deque([start])
@@ -90,9 +90,9 @@ class Follower:
                 reflection=DEFAULTS.hypotheses.reflection_m,
             )
         )
-        self._seen: Sighting | None = None
+        self._seen: WindowFit | None = None
         self._vehicles = 0
-        self._doubt: Estimate | None = None
+        self._rejected_since: Estimate | None = None
 
     @property
     def now(self) -> Estimate:
@@ -117,30 +117,32 @@ class Follower:
         NoAnswerError
             If a whole window of traffic does not confirm the start pose.
         """
-        traffic = Traffic.of(self._window.moving())
-        doubted = self._doubted(traffic, time)
-        if doubted is not None and doubted.change is not None:
-            self._restart(doubted.change, time)
+        traffic = WindowTraffic.of(self._window.moving())
+        suspected = self._suspected_move(traffic, time)
+        if suspected is not None and suspected.change is not None:
+            self._restart(suspected.change, time)
         else:
-            row = self._corrected(traffic, time, doubted=doubted is not None and doubted.certain)
-            self._keep(row if doubted is None else _allowing(row, doubted.move))
+            row = self._corrected(
+                traffic, time, suspected=suspected is not None and suspected.certain
+            )
+            self._keep(row if suspected is None else _allowing(row, suspected.move))
         self._give_up_if_lost(time)
         self._vehicles = max(self._vehicles, traffic.tracks)
         if not self.confirmed and len(self._window) == self._frames and self._seen:
             self._refuse_start(self._seen)
 
-    def _doubted(self, traffic: Traffic, time: float) -> Doubt | None:
-        """Return what in the newest data casts doubt on the pose."""
+    def _suspected_move(self, traffic: WindowTraffic, time: float) -> SuspectedMove | None:
+        """Return the move that the newest data suggest, or none."""
         if not self.confirmed or traffic.tracks < DEFAULTS.answer.least_tracks:
             return None
-        return doubt(self._ground, traffic, time, self._before, self._like)
+        return suspect_move(self._fitter, traffic, time, self._before, self._like)
 
-    def _corrected(self, traffic: Traffic, time: float, *, doubted: bool) -> Row:
+    def _corrected(self, traffic: WindowTraffic, time: float, *, suspected: bool) -> Row:
         held = Row(estimate=predicted(self.now, time), vehicles=traffic.tracks)
-        if doubted:
+        if suspected:
             return replace(held, event=REJECTED)
         prior = predicted(self._before(traffic.moving.begin), time)
-        seen = self._ground.register(traffic, prior, self._like)
+        seen = self._fitter.fit(traffic, prior, self._like)
         if seen is None:
             return held
         self._seen = seen
@@ -153,10 +155,10 @@ class Follower:
         if not seen.trusted:
             return held  # came to no rest: it says nothing
         if len(self._window) < self._frames:
-            self._ground.refuse_other_lane(seen)
+            self._fitter.refuse_other_lane(seen)
         self.confirmed = True
         self._like = seen.fit.state
-        self._ground.adapt(seen)
+        self._fitter.adapt(seen)
         return replace(held, estimate=corrected(prior, seen.measurement), corrected=True)
 
     def _before(self, time: float) -> Estimate:
@@ -171,13 +173,13 @@ class Follower:
             self._past.popleft()
 
     def _restart(self, change: Change, time: float) -> None:
-        """Begin anew at a change; what was said of the time since then is taken back."""
+        """Restart at a change, and replace the poses since then."""
         before = predicted(self._before(change.time), change.time)
         start = replace(before, covariance=before.covariance + np.diag(KNOCK**2))
-        new = corrected(start, change.sighting.measurement)
+        new = corrected(start, change.found.measurement)
         self._window.forget(change.time)
-        self._like = change.sighting.fit.state
-        vehicles, fitness = change.sighting.samples.tracks, change.sighting.fit.fitness
+        self._like = change.found.fit.state
+        vehicles, fitness = change.found.samples.tracks, change.found.fit.fitness
         row = Row(
             estimate=new, vehicles=vehicles, fitness=fitness, chi2=change.chi2, corrected=True
         )
@@ -186,19 +188,21 @@ class Follower:
         self._past = deque([start, self.now])
 
     def _give_up_if_lost(self, time: float) -> None:
-        """Believe that the sensor moved, nobody knows where to, after a whole window of doubt."""
+        """Declare `moved` with unknown pose after 100 s of rejected fits."""
         row = self.rows[-1]
         if row.event != REJECTED:
-            self._doubt = None
+            self._rejected_since = None
             return
-        if self._doubt is None:
-            self._doubt = row.estimate
-        if not self.confirmed or time - self._doubt.time < LOST_S:
+        if self._rejected_since is None:
+            self._rejected_since = row.estimate
+        if not self.confirmed or time - self._rejected_since.time < LOST_S:
             return
-        lost = replace(self._doubt, covariance=self._doubt.covariance + np.diag(KNOCK**2))
+        lost = replace(
+            self._rejected_since, covariance=self._rejected_since.covariance + np.diag(KNOCK**2)
+        )
         self._window.forget(lost.time)
         self._replace_since(Row(estimate=lost, event=MOVED), REJECTED)
-        self._past, self._doubt = deque([lost]), None
+        self._past, self._rejected_since = deque([lost]), None
 
     def _replace_since(self, row: Row, event: str = NOTHING) -> None:
         """Put a row in, and what follows from it in the place of all later ones."""
@@ -238,7 +242,7 @@ class Follower:
             hint="record while traffic flows",
         )
 
-    def _refuse_start(self, seen: Sighting) -> None:
+    def _refuse_start(self, seen: WindowFit) -> None:
         if not seen.trusted:
             raise NoAnswerError(
                 f"at the start pose only {seen.fit.fitness:.0%} of the traffic lie on lanes",

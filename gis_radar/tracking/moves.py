@@ -19,7 +19,7 @@ from gis_radar.tracking.filter import (
     likeliest_move,
     predicted,
 )
-from gis_radar.tracking.windows import Ground, Sighting, Traffic
+from gis_radar.tracking.windows import WindowFit, WindowFitter, WindowTraffic
 
 CYCLE_S = 5.0  # the paper's
 # Newest parts that are held against the pose: a short one soon shows a blow, but holds few
@@ -49,19 +49,19 @@ class Change:
     ----------
     time : float
         UNIX seconds of the move.
-    sighting : Sighting
+    found : WindowFit
         The pose since then.
     chi2 : float
         By how much it contradicts the pose before.
     """
 
     time: float
-    sighting: Sighting
+    found: WindowFit
     chi2: float
 
 
 @dataclass(frozen=True, kw_only=True)
-class Doubt:
+class SuspectedMove:
     """The newest part of a window that casts doubt on the pose.
 
     Parameters
@@ -80,12 +80,12 @@ class Doubt:
     change: Change | None = None
 
 
-def newest(traffic: Traffic, now: float, length_s: float) -> Traffic:
+def newest(traffic: WindowTraffic, now: float, length_s: float) -> WindowTraffic:
     """Return the newest part of a traffic; a longer one where there is little traffic.
 
     Parameters
     ----------
-    traffic : Traffic
+    traffic : WindowTraffic
         Of the window.
     now : float
         UNIX seconds at which it ends.
@@ -99,13 +99,13 @@ def newest(traffic: Traffic, now: float, length_s: float) -> Traffic:
     return part
 
 
-def doubt(
-    ground: Ground,
-    traffic: Traffic,
+def suspect_move(
+    fitter: WindowFitter,
+    traffic: WindowTraffic,
     now: float,
     before: Callable[[float], Estimate],
     like: State,
-) -> Doubt | None:
+) -> SuspectedMove | None:
     """Return whether the newest data cast doubt on the pose, and the change that explains it.
 
     What all windows have in common is the same before and after: a move is held against the noise
@@ -113,9 +113,9 @@ def doubt(
 
     Parameters
     ----------
-    ground : Ground
+    fitter : WindowFitter
         The lanes.
-    traffic : Traffic
+    traffic : WindowTraffic
         The window.
     now : float
         UNIX seconds at which it ends.
@@ -130,60 +130,62 @@ def doubt(
         if part.moving.begin - traffic.moving.begin < MATURE_S:
             break  # what is known from so little data is corrected by the next windows anyway
         held = predicted(before(part.moving.begin), now)
-        seen = ground.register(part, held, like, near=KNOCK, schedule=FAR)
+        seen = fitter.fit(part, held, like, near=KNOCK, schedule=FAR)
         if seen is None:
             continue
         if not seen.trusted:
-            found = ground.find(part, held, like, near=KNOCK)
+            found = fitter.find(part, held, like, near=KNOCK)
             if found is None and seen.on_lanes:
                 continue  # a fit of few vehicles that came to no rest contradicts nothing
             if found is None:
-                return Doubt(certain=True, move=np.zeros(6))
+                return SuspectedMove(certain=True, move=np.zeros(6))
             seen = found
         gap = innovation(held, seen.measurement)
         if gap.chi2 < SUSPECT:
             continue
-        change = _change(ground, traffic, now, before, held, seen)
-        suspected = _told(gap, change)
+        change = _change(fitter, traffic, now, before, held, seen)
+        suspected = _suspicion(gap, change)
         if change is not None or suspected.certain:
             return suspected
     return suspected
 
 
-def _told(found: Innovation, change: Change | None) -> Doubt:
+def _suspicion(found: Innovation, change: Change | None) -> SuspectedMove:
     move = likeliest_move(found, KNOCK)
-    return Doubt(certain=found.chi2 >= GATE, move=move, change=change)
+    return SuspectedMove(certain=found.chi2 >= GATE, move=move, change=change)
 
 
 def _change(
-    ground: Ground,
-    traffic: Traffic,
+    fitter: WindowFitter,
+    traffic: WindowTraffic,
     now: float,
     before: Callable[[float], Estimate],
     held: Estimate,
-    seen: Sighting,
+    seen: WindowFit,
 ) -> Change | None:
     """Return the change that the newest data show, if it lasts and is certain."""
     since, old = now, held.state(seen.fit.state)
     for _ in range(ROUNDS):
         new, old = seen.fit.state, held.state(seen.fit.state)
-        since = change_time(ground, traffic, now, replace(old, reflection=new.reflection), new)
+        since = change_time(fitter, traffic, now, replace(old, reflection=new.reflection), new)
         part = traffic.between(since, np.inf)
         held = predicted(before(since), now)  # all data since then speak of the new pose
-        again = ground.register(part, held, new, near=KNOCK, start=new)
+        again = fitter.fit(part, held, new, near=KNOCK, start=new)
         if now - since < SETTLED_S or again is None or not again.trusted:
             return None
         seen = again
     latest = traffic.between(now - LATEST_S, np.inf).samples()
-    if len(latest) and ground.cost(latest, seen.fit.state) > ground.cost(latest, old):
+    if len(latest) and fitter.cost(latest, seen.fit.state) > fitter.cost(latest, old):
         return None
     contradiction = innovation(held, seen.measurement).chi2
     if contradiction < GATE:
         return None
-    return Change(time=since, sighting=seen, chi2=contradiction)
+    return Change(time=since, found=seen, chi2=contradiction)
 
 
-def change_time(ground: Ground, traffic: Traffic, now: float, old: State, new: State) -> float:
+def change_time(
+    fitter: WindowFitter, traffic: WindowTraffic, now: float, old: State, new: State
+) -> float:
     """Return since when the new pose explains the data better than the old one.
 
     The likeliest time of one change: the sum over all later slices of time of what the old pose
@@ -192,9 +194,9 @@ def change_time(ground: Ground, traffic: Traffic, now: float, old: State, new: S
 
     Parameters
     ----------
-    ground : Ground
+    fitter : WindowFitter
         The lanes.
-    traffic : Traffic
+    traffic : WindowTraffic
         The window.
     now : float
         UNIX seconds at which it ends.
@@ -207,6 +209,6 @@ def change_time(ground: Ground, traffic: Traffic, now: float, old: State, new: S
     for i, edge in enumerate(edges):
         samples = traffic.between(edge, edge + SLICE_S).samples()
         if len(samples):
-            gains[i] = ground.cost(samples, old) - ground.cost(samples, new)
+            gains[i] = fitter.cost(samples, old) - fitter.cost(samples, new)
     later = np.cumsum(gains[::-1])[::-1]
     return float(edges[len(later) - 1 - int(np.argmax(later[::-1]))])

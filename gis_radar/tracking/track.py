@@ -13,7 +13,7 @@ import numpy as np
 from gis_radar.arrays import Booleans, Floats
 from gis_radar.errors import UsageError
 from gis_radar.files import whole_file
-from gis_radar.localization.result import Site
+from gis_radar.localization.result import Problem
 from gis_radar.localization.state import State
 from gis_radar.notebooks import axes_or_new, card, label_times
 from gis_radar.poses.evidence import COMPONENTS
@@ -88,11 +88,11 @@ def _draw_events(ax: Any, time: np.ndarray, events: np.ndarray, idle: Booleans) 
     for which, colour, label in kinds:
         for count, i in enumerate(np.flatnonzero(which[1:]) + 1):
             end = time[min(int(i) + 1, len(time) - 1)]
-            said = label if count == 0 else None
-            ax.axvspan(time[i], end, color=colour, alpha=0.5, linewidth=0, label=said)
+            words = label if count == 0 else None
+            ax.axvspan(time[i], end, color=colour, alpha=0.5, linewidth=0, label=words)
     for count, i in enumerate(np.flatnonzero(events == MOVED)):
-        said = MOVED if count == 0 else None
-        ax.axvline(time[i], color=MOVE, linewidth=1.2, linestyle=(0, (4, 2)), label=said)
+        words = MOVED if count == 0 else None
+        ax.axvline(time[i], color=MOVE, linewidth=1.2, linestyle=(0, (4, 2)), label=words)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,35 +170,35 @@ class Track:
         ax = axes_or_new(ax, (8.0, 3.5))
         draw_component(ax, self.poses, component)
         label_times(ax)
-        ax.set_title(self.told(), fontsize="medium")
+        ax.set_title(self.describe(), fontsize="medium")
         ax.legend(loc="best", frameon=False, ncols=3)
         return ax
 
-    def told(self) -> str:
+    def describe(self) -> str:
         """Return the track in a line: how many poses, what moved, how well the end is known."""
         sigma = self.poses.poses[-1].evidence["sigma"]
         across = float(np.hypot(sigma["easting"], sigma["northing"]))
         moves = sum(event.kind == MOVED for event in self.events)
-        said = [
+        words = [
             f"{self.poses.sensor}: {len(self.poses.poses)} poses",
             "never moved" if not moves else f"moved {moves} time{'s' * (moves > 1)}",
             f"at the end \u00b1 {across:.2f} m, yaw \u00b1 {sigma['yaw']:.2f} deg",
         ]
-        return "; ".join(said)
+        return "; ".join(words)
 
     def __repr__(self) -> str:
-        return f"Track({self.told()})"
+        return f"Track({self.describe()})"
 
     def _repr_html_(self) -> str:
         return card(f"Track of {self.poses.sensor}", self.figures())
 
 
-def answer(site: Site, start: Pose, rows: list[Row]) -> Track:
+def answer(problem: Problem, start: Pose, rows: list[Row]) -> Track:
     """Return the rows of a follower as poses in the map.
 
     Parameters
     ----------
-    site : Site
+    problem : Problem
         The sensor; its guess is the local (0, 0).
     start : Pose
         Its view goes into every pose.
@@ -208,13 +208,13 @@ def answer(site: Site, start: Pose, rows: list[Row]) -> Track:
     steps = step_of(np.array([row.estimate.time for row in rows]))
     later = np.append(True, np.diff(steps) > 0)
     kept = [(int(s), row) for s, row, new in zip(steps, rows, later, strict=True) if new]
-    poses = [replace(_pose(site, row, step), view=start.view) for step, row in kept]
+    poses = [replace(_pose(problem, row, step), view=start.view) for step, row in kept]
     since = np.array([step * STEP_US / 1e6 for step, _ in kept])
     events = [Event(time=iso_from_step(step), kind=row.event) for step, row in kept if row.event]
     return Track(poses=PoseTrack(poses=tuple(poses), since=since), events=tuple(events))
 
 
-def _pose(site: Site, row: Row, step: int) -> Pose:
+def _pose(problem: Problem, row: Row, step: int) -> Pose:
     estimate = row.estimate
     covariance = estimate.angle_covariance
     sigma = np.sqrt(np.diag(covariance))
@@ -232,7 +232,7 @@ def _pose(site: Site, row: Row, step: int) -> Pose:
         "fitness": row.fitness,
         "corrected": row.corrected,
     }
-    return site.pose(state, evidence)
+    return problem.pose(state, evidence)
 
 
 DPI = 150
@@ -265,6 +265,6 @@ def draw_track(track: Track, path: str | Path) -> None:
             label_times(ax)
         handles, labels = axes[0, 0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False)
-        figure.suptitle(track.told(), fontsize=10)
+        figure.suptitle(track.describe(), fontsize=10)
         with whole_file(Path(path)) as part:
             figure.savefig(part, format="png")

@@ -16,11 +16,11 @@ from gis_radar.localization.lane_method import lanes_around
 from gis_radar.localization.lanes import Lanes
 from gis_radar.localization.matching import Scene
 from gis_radar.localization.model import MODEL
-from gis_radar.localization.result import Site
+from gis_radar.localization.result import Problem
 from gis_radar.localization.settings import DEFAULTS, Schedule
 from gis_radar.localization.solver import Fit, Prior, solve
 from gis_radar.localization.state import POSE, REFLECTION, SIZE, State
-from gis_radar.localization.traces import Moving, Samples, thin, track
+from gis_radar.localization.traces import Moving, Samples, link_tracks, thin
 from gis_radar.progress import Reporter
 from gis_radar.tracking.filter import Estimate, Measurement, covariance_from_angles
 
@@ -89,7 +89,7 @@ NOTHING = np.zeros((SIZE, SIZE))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Traffic:
+class WindowTraffic:
     """What moved within some time, by track.
 
     Parameters
@@ -104,11 +104,11 @@ class Traffic:
     number: Integers
 
     @classmethod
-    def of(cls, moving: Moving) -> Traffic:
+    def of(cls, moving: Moving) -> WindowTraffic:
         """Link the detections of a window to tracks."""
-        return cls(moving=moving, number=track(moving))
+        return cls(moving=moving, number=link_tracks(moving))
 
-    def between(self, begin: float, end: float) -> Traffic:
+    def between(self, begin: float, end: float) -> WindowTraffic:
         """Return the part of the traffic within a time, its end not included."""
         low, high = np.searchsorted(self.moving.time, [begin, end])
         part = slice(int(low), int(high))
@@ -123,7 +123,7 @@ class Traffic:
             begin=max(begin, self.moving.begin),
             end=min(end, self.moving.end),
         )
-        return Traffic(moving=moving, number=number[:-1] - 1)
+        return WindowTraffic(moving=moving, number=number[:-1] - 1)
 
     @property
     def tracks(self) -> int:
@@ -136,7 +136,7 @@ class Traffic:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sighting:
+class WindowFit:
     """A registration and what it measures.
 
     Parameters
@@ -164,19 +164,19 @@ class Sighting:
         return self.fit.fitness >= DEFAULTS.answer.least_fitness
 
 
-class Ground:
+class WindowFitter:
     """The lanes around a sensor, as far as its data reach.
 
     Parameters
     ----------
-    site : Site
+    problem : Problem
         Map, road and where the sensor stands.
     reporter : Reporter
         Told remarks.
     """
 
-    def __init__(self, site: Site, *, reporter: Reporter) -> None:
-        self._site = site
+    def __init__(self, problem: Problem, *, reporter: Reporter) -> None:
+        self._problem = problem
         self._reporter = reporter
         self._reach_m = 0.0
         self._lanes: Lanes | None = None
@@ -190,28 +190,28 @@ class Ground:
             self._reach_m = REACH_GROWS * reach_m
             first = self._lanes is None
             reporter = self._reporter if first else Reporter()
-            self._lanes = lanes_around(self._site, samples, reporter, grow=REACH_GROWS)
+            self._lanes = lanes_around(self._problem, samples, reporter, grow=REACH_GROWS)
         return self._lanes
 
     def scene(self, samples: Samples) -> Scene:
         """Return samples with the lanes within their reach."""
         return Scene(lanes=self.lanes(samples), samples=samples)
 
-    def register(
+    def fit(
         self,
-        traffic: Traffic,
+        traffic: WindowTraffic,
         centre: Estimate,
         like: State,
         *,
         near: Floats = NEAR,
         start: State | None = None,
         schedule: Schedule = WINDOW,
-    ) -> Sighting | None:
+    ) -> WindowFit | None:
         """Lay a traffic on the lanes near a pose; None where it holds too little traffic.
 
         Parameters
         ----------
-        traffic : Traffic
+        traffic : WindowTraffic
             What moved.
         centre : Estimate
             Where to look.
@@ -230,24 +230,24 @@ class Ground:
         prior = self._prior(centre.state(like), near)
         begin = prior.mean if start is None else start
         fit = solve(self.scene(samples), begin, prior, schedule=schedule, model=self._model)
-        return Sighting(measurement=data_alone(fit, prior), fit=fit, samples=samples)
+        return WindowFit(measurement=data_alone(fit, prior), fit=fit, samples=samples)
 
     def find(
-        self, traffic: Traffic, centre: Estimate, like: State, *, near: Floats
-    ) -> Sighting | None:
+        self, traffic: WindowTraffic, centre: Estimate, like: State, *, near: Floats
+    ) -> WindowFit | None:
         """Look farther around a pose at which the traffic lies on no lanes; None if in vain.
 
         Parameters
         ----------
         traffic, centre, like, near
-            As for :meth:`register`.
+            As for :meth:`fit`.
         """
         samples, state = traffic.samples(), centre.state(like)
         heading = float(state.yaw_pitch_roll[0]), DEFAULTS.search.heading_tolerance
         for tried in find_hypotheses(self.scene(samples), heading=heading):
             away = tried.fit.state.difference(state)[POSE] / near
             if np.abs(away).max() < FARTHEST:
-                found = self.register(traffic, centre, like, near=near, start=tried.fit.state)
+                found = self.fit(traffic, centre, like, near=near, start=tried.fit.state)
                 return found if found is not None and found.trusted else None
         return None
 
@@ -257,9 +257,9 @@ class Ground:
         scene = self.scene(samples)
         return solve(scene, state, indifferent, schedule=COST_ONLY, model=self._model).cost
 
-    def adapt(self, sighting: Sighting) -> None:
-        """Learn from a trusted sighting how this radar sees vehicles; each is asked anew."""
-        samples, fit = sighting.samples, sighting.fit
+    def adapt(self, found: WindowFit) -> None:
+        """Estimate from a trusted fit how this radar sees vehicles; each anew from the defaults."""
+        samples, fit = found.samples, found.fit
         before = Prior(mean=fit.state, information=NOTHING)
         told, self._model = adapted(self.scene(samples), fit, before, MODEL)
         if told is not before:
@@ -274,7 +274,7 @@ class Ground:
             centre = replace(centre, reflection=mean_m)
         return Prior(mean=centre, information=information)
 
-    def refuse_other_lane(self, sighting: Sighting) -> None:
+    def refuse_other_lane(self, found: WindowFit) -> None:
         """Refuse a pose where the same data lie clearly better on a neighbouring lane.
 
         Raises
@@ -282,10 +282,10 @@ class Ground:
         NoAnswerError
             If the vehicles prefer a pose that is a lane off.
         """
-        part, here = rough(self.scene(sighting.samples)), sighting.fit.state
+        part, here = rough(self.scene(found.samples)), found.fit.state
         fits = [
             solve(part, state, replace(prior_at(state), mean=state))
-            for state in (here, *shifted(part, sighting.fit))
+            for state in (here, *shifted(part, found.fit))
         ]
         for other in fits[1:]:
             away = other.state.difference(fits[0].state)[:2]
@@ -294,7 +294,7 @@ class Ground:
                 and np.hypot(*away) > 1.0
             ):
                 raise NoAnswerError(
-                    f"{self._site.name}: the traffic fits clearly better with the sensor "
+                    f"{self._problem.name}: the traffic fits clearly better with the sensor "
                     f"{np.hypot(*away):.1f} m from its start pose",
                     hint="find the pose with gis-radar localize",
                 )
