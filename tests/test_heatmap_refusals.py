@@ -11,7 +11,7 @@ from gis_radar.tiles.tiles import fingerprint
 
 
 def test_too_many_rows_are_refused(monkeypatch):
-    monkeypatch.setattr("gis_radar.heatmap.counting.MOST_ROWS", 1000)
+    monkeypatch.setattr("gis_radar.heatmap.intervals.MOST_ROWS", 1000)
     site = two_sensors(2000)
     with pytest.raises(UsageError, match="more than a heat map can hold") as caught:
         make_heatmap(site, site.tiles, interval="50ms")

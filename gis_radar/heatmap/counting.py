@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
-from zoneinfo import ZoneInfo
 
 import geopandas as gpd
 import numpy as np
@@ -22,29 +21,14 @@ from pyproj import CRS
 
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.crs import metric_crs
-from gis_radar.errors import InputError, UsageError
-from gis_radar.heatmap.intervals import (
-    Timeline,
-    aligned,
-    aligned_with,
-    follows_utc,
-    intervals_with,
-    local_intervals,
-    those_with,
-)
+from gis_radar.errors import InputError
+from gis_radar.heatmap.intervals import MOST_COLUMNS, Timeline
 from gis_radar.occupancy import Occupancy
 from gis_radar.occupancy.step_sets import Runs, runs_in, union
 from gis_radar.progress import Reporter
-from gis_radar.steps import (
-    STEPS_PER_SECOND,
-    interval_steps,
-    iso_from_step,
-    seconds_from_iso,
-    step_of,
-)
+from gis_radar.steps import STEPS_PER_SECOND, iso_from_step
 from gis_radar.tiles.tiles import COLUMNS, fingerprint
 
-MOST_COLUMNS = 500
 DEFINITIONS = {
     "occupied_s": (
         "seconds in which the tile was occupied: 0.05 s for each step of 50 ms in which at least "
@@ -122,13 +106,13 @@ class Tally:
             return range(0)
         return range(len(self.timeline))
 
-    def shares(self, interval: int | None = None) -> Shares:
+    def shares(self, interval: int | slice | None = None) -> Shares:
         """Return seconds and occupancy of all tiles.
 
         Parameters
         ----------
-        interval : int, optional
-            Which interval; without it, the whole time.
+        interval : int or slice, optional
+            Which interval, or which together; without it, the whole time.
         """
         occupied, observed = self.steps(interval)
         occupied_s = np.full(len(self.tiles), np.nan)
@@ -140,17 +124,23 @@ class Tally:
         share[self.seen[known]] = occupied[known] / observed[known]
         return Shares(occupied_s, observed_s, share)
 
-    def steps(self, interval: int | None = None) -> tuple[Integers, Integers]:
+    def steps(self, interval: int | slice | None = None) -> tuple[Integers, Integers]:
         """Return the steps in which each of the `seen` tiles was occupied and observed."""
-        if interval is None:
-            occupied = self.occupied.sum(axis=0, dtype=np.int64)
-            return occupied, self.observed.sum(axis=0)[self.group]
-        return self.occupied[interval].astype(np.int64), self.observed[interval][self.group]
+        part = slice(interval) if interval is None else interval
+        if isinstance(part, int):
+            return self.occupied[part].astype(np.int64), self.observed[part][self.group]
+        occupied = self.occupied[part].sum(axis=0, dtype=np.int64)
+        return occupied, self.observed[part].sum(axis=0)[self.group]
+
+    @property
+    def times(self) -> tuple[str, str]:
+        """Begin and end of the whole time, ISO 8601."""
+        return iso_from_step(int(self.whole.begin[0])), iso_from_step(int(self.whole.end[0]))
 
     @property
     def metadata(self) -> dict[str, Any]:
-        """What files of a heat map say of the whole, beside their tables."""
-        begin, end = (iso_from_step(int(step[0])) for step in (self.whole.begin, self.whole.end))
+        """What files of a heat map state beside their tables."""
+        begin, end = self.times
         return {
             "fingerprint": self.fingerprint,
             "sensors": list(self.sensors),
@@ -162,7 +152,7 @@ class Tally:
     def figures(self) -> dict[str, Any]:
         """Return a few figures worth a look: the time, and how much was observed and hit."""
         occupied, observed = self.steps()
-        begin, end = (iso_from_step(int(step[0])) for step in (self.whole.begin, self.whole.end))
+        begin, end = self.times
         figures: dict[str, Any] = {
             "begin": begin,
             "end": end,
@@ -324,7 +314,7 @@ def count_hits(
 
 
 class _Lookup:
-    """Tells whether a group was observed in a step: all runs of all groups in one sorted list."""
+    """Look-up of whether a group was observed in a step: all runs in one sorted list."""
 
     def __init__(self, observation: Observation) -> None:
         runs = observation.runs
@@ -382,9 +372,6 @@ def _group(position: Integers, code: Integers) -> tuple[Integers, Integers, list
     return seen, group, members
 
 
-MOST_ROWS = 100_000_000  # of the long layer: about 35 GB of GeoPackage
-
-
 def checked(tiles: gpd.GeoDataFrame, wanted: str) -> gpd.GeoDataFrame:
     """Return the tiles with their own columns only; refuse those of another fingerprint."""
     missing = [name for name in COLUMNS if name not in tiles]
@@ -400,55 +387,3 @@ def checked(tiles: gpd.GeoDataFrame, wanted: str) -> gpd.GeoDataFrame:
     attributes = tiles[list(COLUMNS)].reset_index(drop=True)
     shapes = tiles.geometry.reset_index(drop=True)
     return gpd.GeoDataFrame(attributes, geometry=shapes, crs=tiles.crs)
-
-
-def whole_of(runs: Runs, at: str | None) -> Timeline:
-    """Return the whole time, or the step that contains `at`, as one interval."""
-    first, last = int(runs.first[0]), int(runs.last[-1])
-    if at is not None:
-        moment = moment_of(at, "at")
-        first = last = int(step_of(np.array([moment]))[0])
-        nearest = runs.nearest(first)
-        if nearest != first:
-            raise InputError(
-                f"no sensor delivered a frame at {at}, in the step from {iso_from_step(first)}",
-                hint=f"the nearest step with a frame begins at {iso_from_step(nearest)}",
-            )
-    return Timeline(begin=np.array([first]), end=np.array([last + 1]))
-
-
-def moment_of(text: str, what: str) -> float:
-    """Return a time that a caller gave as UNIX seconds."""
-    try:
-        return seconds_from_iso(text, what=what)
-    except InputError as error:
-        raise UsageError(error.message, hint=error.hint) from error
-
-
-def intervals_of(
-    runs: Runs, interval: str, zone: ZoneInfo | None, tiles: int, reporter: Reporter
-) -> Timeline:
-    """Return the intervals; where there are very many, only those with a frame."""
-    steps = interval_steps(interval)
-    first, last = int(runs.first[0]), int(runs.last[-1])
-    local = None
-    if zone is not None and not follows_utc(steps):
-        local = local_intervals(first, last, steps, zone)
-    count = last // steps - first // steps + 1 if local is None else len(local)
-    if count <= MOST_COLUMNS:
-        return aligned(first, last, steps) if local is None else local
-    kept = None if local is None else those_with(local, runs)
-    filled = intervals_with(runs, steps) if kept is None else len(kept)
-    if filled * tiles > MOST_ROWS:
-        raise UsageError(
-            f"{filled} intervals of {interval} for {tiles} tiles are more than a heat map can hold",
-            hint="use a longer interval",
-        )
-    said = f"only the {filled} intervals in which a sensor delivered a frame are kept"
-    if filled > MOST_COLUMNS:
-        said += (
-            f"; more than {MOST_COLUMNS}, so they are rows of occupancy_by_interval, "
-            "not columns and bands"
-        )
-    reporter.log(said)
-    return aligned_with(runs, steps) if kept is None else kept

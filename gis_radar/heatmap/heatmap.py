@@ -2,28 +2,34 @@
 
 from __future__ import annotations
 
+import json
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import geopandas as gpd
 import numpy as np
-from pyogrio.errors import DataSourceError
+import pyogrio
+from pyogrio.errors import DataLayerError, DataSourceError
 from rasterio.errors import RasterioError
 
-from gis_radar.errors import OutputError, UsageError
+from gis_radar.arrays import Integers
+from gis_radar.errors import InputError, OutputError, UsageError
 from gis_radar.files import whole_folder
-from gis_radar.heatmap.counting import (
-    Tally,
-    checked,
-    count_hits,
-    frame_runs,
-    intervals_of,
-    observe,
-    whole_of,
-)
+from gis_radar.heatmap.counting import Counts, Tally, checked, count_hits, frame_runs, observe
 from gis_radar.heatmap.explore import explore
-from gis_radar.heatmap.layers import long_layer, wide_layer, write_geopackage, write_table
+from gis_radar.heatmap.intervals import Timeline, intervals_of, whole_of
+from gis_radar.heatmap.layers import (
+    BEGIN,
+    END,
+    LONG,
+    WIDE,
+    long_layer,
+    wide_layer,
+    write_package,
+    write_table,
+)
 from gis_radar.heatmap.picture import draw, write_picture
 from gis_radar.heatmap.raster import write_raster
 from gis_radar.heatmap.series import MOST_MIB, dataset
@@ -31,7 +37,8 @@ from gis_radar.heatmap.style import sidecar_qml
 from gis_radar.notebooks import card, small_picture
 from gis_radar.occupancy import Occupancy
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.steps import zone_of
+from gis_radar.steps import STEPS_PER_SECOND, seconds_from_iso, step_of, zone_of
+from gis_radar.tiles.tiles import COLUMNS, fingerprint
 
 PAGE, PAPER = "report.html", "report.pdf"
 LANES, LANES_BY_INTERVAL = "lanes.csv", "lanes_by_interval.csv"
@@ -157,7 +164,7 @@ class HeatMap(Tally):
         """
         folder = Path(folder)
         writers = {
-            "heatmap.gpkg": write_geopackage,
+            "heatmap.gpkg": write_package,
             "heatmap.tif": write_raster,
             "heatmap.parquet": write_table,
             "heatmap.png": write_picture,
@@ -256,3 +263,118 @@ def make_heatmap(
 
 def _write_style(_tally: Tally, path: Path, _reporter: Reporter) -> None:
     path.write_text(sidecar_qml(), encoding="utf-8")
+
+
+FILE = "heatmap.gpkg"
+_HINT = "make one with: gis-radar heatmap"
+# From one begin to the next by their index: a scan of all rows would take seconds.
+_TIMES = f"""
+    WITH RECURSIVE times(moment) AS (
+        SELECT min("{BEGIN}") FROM "{LONG}"
+        UNION ALL
+        SELECT (SELECT min("{BEGIN}") FROM "{LONG}" WHERE "{BEGIN}" > moment)
+        FROM times WHERE moment IS NOT NULL
+    )
+    SELECT moment, (SELECT "{END}" FROM "{LONG}" WHERE "{BEGIN}" = moment LIMIT 1)
+    FROM times WHERE moment IS NOT NULL
+"""  # noqa: S608 - our own names
+
+
+def read_heatmap(path: str | Path) -> HeatMap:
+    """Read a heat map back, with all that it counted.
+
+    The layer by interval is read in batches: memory is that of the result.
+
+    Parameters
+    ----------
+    path : str or Path
+        Its folder, or the GeoPackage in it.
+
+    Returns
+    -------
+    HeatMap
+        Equal in all figures to the one that was written.
+
+    Raises
+    ------
+    InputError
+        If there is none, it is damaged, or its tiles were changed since.
+    """
+    path = Path(path)
+    path = path / FILE if path.is_dir() else path
+    if not path.is_file():
+        raise InputError(f"{path}: there is no heat map", hint=_HINT)
+    try:
+        tiles = pyogrio.read_dataframe(path, layer=WIDE, columns=list(COLUMNS), use_arrow=True)
+        notes = pyogrio.read_info(path, layer=WIDE)["layer_metadata"] or {}
+        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
+            times = database.execute(_TIMES).fetchall()
+        whole = _checked_whole(tiles, notes, path)
+        timeline = Timeline(
+            begin=_steps_of([begin for begin, _ in times], path),
+            end=_steps_of([end for _, end in times], path),
+        )
+        occupied, observed = _read_counts(path, tiles["tile_id"].to_numpy(np.int64), len(timeline))
+    except (DataSourceError, DataLayerError, sqlite3.Error, OSError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(f"{path}: not a heat map: {reason}", hint=_HINT) from error
+    same = all(np.array_equal(a, b) for a, b in zip(_edges(timeline), _edges(whole), strict=True))
+    seen = np.flatnonzero(observed.any(axis=0))
+    # Tiles observed alike in all intervals share a column.
+    runs, group = np.unique(observed[:, seen], axis=1, return_inverse=True)
+    return HeatMap(
+        tiles=tiles[[*COLUMNS, "geometry"]],
+        fingerprint=notes["fingerprint"],
+        sensors=tuple(json.loads(notes["sensors"])),
+        whole=whole,
+        timeline=whole if same else timeline,
+        seen=seen,
+        group=group.ravel(),
+        occupied=occupied[:, seen],
+        observed=runs.astype(np.int64),
+    )
+
+
+def _checked_whole(tiles: gpd.GeoDataFrame, notes: dict[str, Any], path: Path) -> Timeline:
+    """Return the whole time; refuse a table that is not what was written."""
+    missing = [name for name in COLUMNS if name not in tiles]
+    missing += [name for name in ("fingerprint", "sensors", "begin", "end") if name not in notes]
+    if missing:
+        raise InputError(f"{path}: does not say {', '.join(missing)}", hint="make it again")
+    if fingerprint(tiles) != notes["fingerprint"]:
+        raise InputError(f"{path}: its tiles were changed since it was made", hint="make it again")
+    begin, end = (_steps_of([notes[name]], path) for name in ("begin", "end"))
+    return Timeline(begin=begin, end=end)
+
+
+def _steps_of(times: list[str], path: Path) -> Integers:
+    return step_of(np.array([seconds_from_iso(each, what=f"{path}: time") for each in times]))
+
+
+def _edges(timeline: Timeline) -> tuple[Integers, Integers]:
+    return timeline.begin, timeline.end
+
+
+def _read_counts(path: Path, tile_ids: Integers, intervals: int) -> tuple[Counts, Counts]:
+    """Read the steps in which tiles were occupied and observed, (intervals, tiles) each."""
+    rows = intervals * len(tile_ids)
+    names = ("occupied_s", "observed_s")
+    counts = np.zeros((len(names), rows), np.uint32)
+    done = 0
+    with pyogrio.open_arrow(
+        path, layer=LONG, use_pyarrow=True, read_geometry=False, columns=["tile_id", *names]
+    ) as (_, reader):
+        for batch in reader:
+            place = np.arange(done, done + len(batch))
+            done += len(batch)
+            expected = tile_ids[place % len(tile_ids)] if done <= rows else tile_ids[:0]
+            if not np.array_equal(batch["tile_id"].to_numpy(), expected):
+                done = -1
+                break
+            for steps, name in zip(counts, names, strict=True):
+                seconds = np.nan_to_num(batch[name].to_numpy(zero_copy_only=False))
+                steps[place] = np.rint(seconds * STEPS_PER_SECOND)
+    if done != rows or not rows:
+        raise InputError(f"{path}: {LONG} is damaged: not one row a tile and interval", hint=_HINT)
+    occupied, observed = counts.reshape(len(names), intervals, len(tile_ids))
+    return occupied, observed

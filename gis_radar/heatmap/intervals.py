@@ -10,9 +10,20 @@ from zoneinfo import ZoneInfo
 import numpy as np
 
 from gis_radar.arrays import Integers
-from gis_radar.errors import UsageError
+from gis_radar.errors import InputError, UsageError
 from gis_radar.occupancy.step_sets import Runs
-from gis_radar.steps import STEPS_PER_SECOND, step_begin
+from gis_radar.progress import Reporter
+from gis_radar.steps import (
+    STEPS_PER_SECOND,
+    interval_steps,
+    iso_from_step,
+    seconds_from_iso,
+    step_begin,
+    step_of,
+)
+
+MOST_COLUMNS = 500  # intervals as columns and bands: QGIS and GDAL open a table that wide at once
+MOST_ROWS = 100_000_000  # of the layer by interval: about 35 GB of GeoPackage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +41,10 @@ class Timeline:
 
     def __len__(self) -> int:
         return len(self.begin)
+
+    def span(self, interval: int = 0) -> tuple[datetime, datetime]:
+        """Return begin and end of an interval, UTC."""
+        return step_begin(int(self.begin[interval])), step_begin(int(self.end[interval]))
 
     def counts(self, runs: Runs) -> Integers:
         """Return how many steps of a set fall in each interval."""
@@ -140,3 +155,55 @@ def _edges(dates: list[date], steps: int, zone: ZoneInfo) -> Integers:
 def _step_of(day: date, at: time, zone: ZoneInfo) -> int:
     moment = datetime.combine(day, at, tzinfo=zone)
     return round((moment - _EPOCH).total_seconds() * STEPS_PER_SECOND)
+
+
+def whole_of(runs: Runs, at: str | None) -> Timeline:
+    """Return the whole time, or the step that contains `at`, as one interval."""
+    first, last = int(runs.first[0]), int(runs.last[-1])
+    if at is not None:
+        moment = moment_of(at, "at")
+        first = last = int(step_of(np.array([moment]))[0])
+        nearest = runs.nearest(first)
+        if nearest != first:
+            raise InputError(
+                f"no sensor delivered a frame at {at}, in the step from {iso_from_step(first)}",
+                hint=f"the nearest step with a frame begins at {iso_from_step(nearest)}",
+            )
+    return Timeline(begin=np.array([first]), end=np.array([last + 1]))
+
+
+def moment_of(text: str, what: str) -> float:
+    """Return a time that a caller gave as UNIX seconds."""
+    try:
+        return seconds_from_iso(text, what=what)
+    except InputError as error:
+        raise UsageError(error.message, hint=error.hint) from error
+
+
+def intervals_of(
+    runs: Runs, interval: str, zone: ZoneInfo | None, tiles: int, reporter: Reporter
+) -> Timeline:
+    """Return the intervals; where there are very many, only those with a frame."""
+    steps = interval_steps(interval)
+    first, last = int(runs.first[0]), int(runs.last[-1])
+    local = None
+    if zone is not None and not follows_utc(steps):
+        local = local_intervals(first, last, steps, zone)
+    count = last // steps - first // steps + 1 if local is None else len(local)
+    if count <= MOST_COLUMNS:
+        return aligned(first, last, steps) if local is None else local
+    kept = None if local is None else those_with(local, runs)
+    filled = intervals_with(runs, steps) if kept is None else len(kept)
+    if filled * tiles > MOST_ROWS:
+        raise UsageError(
+            f"{filled} intervals of {interval} for {tiles} tiles are more than a heat map can hold",
+            hint="use a longer interval",
+        )
+    said = f"only the {filled} intervals in which a sensor delivered a frame are kept"
+    if filled > MOST_COLUMNS:
+        said += (
+            f"; more than {MOST_COLUMNS}, so they are rows of occupancy_by_interval, "
+            "not columns and bands"
+        )
+    reporter.log(said)
+    return aligned_with(runs, steps) if kept is None else kept

@@ -151,7 +151,7 @@ def write_table(tally: Tally, path: Path, _reporter: Reporter) -> None:
 VERSION = "1.2"  # the GDAL of QGIS 3.40 warns of later ones
 
 
-def write_geopackage(tally: Tally, path: Path, reporter: Reporter) -> None:
+def write_package(tally: Tally, path: Path, reporter: Reporter) -> None:
     """Write both layers, their styles, and an index on the times.
 
     Parameters

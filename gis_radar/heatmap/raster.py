@@ -259,5 +259,4 @@ def _write_band(
 def _description(tally: Tally, interval: int | None) -> str:
     if interval is not None:
         return iso_from_step(int(tally.timeline.begin[interval]))
-    begin, end = (iso_from_step(int(step[0])) for step in (tally.whole.begin, tally.whole.end))
-    return f"whole time, {begin} to {end}"
+    return "whole time, {} to {}".format(*tally.times)

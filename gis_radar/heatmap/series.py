@@ -21,12 +21,10 @@ from gis_radar.heatmap.counting import (
     checked,
     count_hits,
     frame_runs,
-    intervals_of,
-    moment_of,
     observe,
     positions,
 )
-from gis_radar.heatmap.intervals import Timeline, intervals_with
+from gis_radar.heatmap.intervals import Timeline, intervals_of, intervals_with, moment_of
 from gis_radar.occupancy import Occupancy
 from gis_radar.occupancy.hits import Hits
 from gis_radar.progress import QUIET, Reporter
