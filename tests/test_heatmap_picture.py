@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gis_radar.heatmap.picture import busiest_window, free_corner, round_length
+from gis_radar.heatmap.figure import busiest_window, free_corner
+from gis_radar.heatmap.picture import round_length
 
 SITE = np.array([677_000.0, 5_403_000.0])
 EXTENT = (SITE, SITE + [400.0, 300.0])

@@ -18,7 +18,7 @@ from gis_radar.arrays import Integers
 from gis_radar.errors import InputError, OutputError, UsageError
 from gis_radar.files import whole_folder
 from gis_radar.heatmap.counting import Counts, Tally, checked, count_hits, frame_runs, observe
-from gis_radar.heatmap.explore import explore
+from gis_radar.heatmap.figure import SMALL_PIXELS, draw, explore, write_figure
 from gis_radar.heatmap.intervals import Timeline, intervals_of, whole_of
 from gis_radar.heatmap.layers import (
     BEGIN,
@@ -30,7 +30,6 @@ from gis_radar.heatmap.layers import (
     write_package,
     write_table,
 )
-from gis_radar.heatmap.picture import draw, write_picture
 from gis_radar.heatmap.raster import write_raster
 from gis_radar.heatmap.series import MOST_MIB, dataset
 from gis_radar.heatmap.style import sidecar_qml
@@ -135,7 +134,7 @@ class HeatMap(Tally):
 
     def _repr_html_(self) -> str:
         def small(ax: Any) -> None:
-            self.plot(ax, legend=False).set_axis_off()
+            draw(self, ax, legend=False, most_pixels=SMALL_PIXELS).set_axis_off()
 
         few = len(self.seen) <= MOST_DRAWN
         return card("Heat map", self.figures(), picture=small_picture(small) if few else b"")
@@ -167,7 +166,7 @@ class HeatMap(Tally):
             "heatmap.gpkg": write_package,
             "heatmap.tif": write_raster,
             "heatmap.parquet": write_table,
-            "heatmap.png": write_picture,
+            "heatmap.png": write_figure,
             "heatmap.qml": _write_style,
         }
         with whole_folder(folder, owned=OWNED) as fresh:

@@ -1,8 +1,9 @@
-"""A heat map as cloud-optimised GeoTIFF: occupancy on 0.5 m pixels, a band an interval.
+"""Heat maps on pixels: which tiles each pixel lies in, and the cloud-optimised GeoTIFF.
 
 The centre of a pixel decides in which tiles it lies; of overlapping tiles the highest
-occupancy counts, and those that were not observed do not. Pixels are aligned to multiples of
-0.5 m of the map's coordinates, and the raster covers the tiles that were ever observed.
+occupancy counts, and those that were not observed do not. The GeoTIFF has pixels of 0.5 m,
+aligned to multiples of 0.5 m of the map's coordinates, and a band an interval; it covers the
+tiles that were ever observed.
 """
 
 from __future__ import annotations
@@ -28,11 +29,11 @@ from gis_radar.steps import iso_from_step
 from gis_radar.tiles.lookup import TileGrid
 from gis_radar.tiles.tiles import quads
 
-PIXEL_M = 0.5
-AT_ONCE = 1_000_000
-TILES_AT_ONCE = 50_000
-MOST_BLOCK_BYTES = 16_000_000
-SMALLEST = 512
+PIXEL_M = 0.5  # of the GeoTIFF: the length of a tile
+POINTS_AT_ONCE = 1_000_000  # pixels looked up together: 50 MB
+MOST_MASK_PIXELS = 100_000_000  # a byte each; larger grids are sparse, and their pixels listed
+MOST_BLOCK_BYTES = 16_000_000  # of all bands of a block, which GDAL holds at once
+SMALLEST = 512  # pixels: the smallest overview fits in a few blocks
 CACHE_MB = 256  # GDAL would take a share of the machine's memory
 # The mean of the observed pixels: a thin lane stays in sight, and 0 to 1 keeps its meaning.
 OVERVIEW = Resampling.average
@@ -40,107 +41,109 @@ OVERVIEW = Resampling.average
 
 @dataclass(frozen=True, kw_only=True)
 class PixelGrid:
-    """Square pixels in blocks, the north-west corner at a multiple of the pixel size.
+    """Square pixels, north up, numbered along the rows.
 
     Parameters
     ----------
-    west, north : int
-        The corner, in pixels from the origin of the coordinate system.
+    west_m, north_m : float
+        North-west corner, metres of the map.
+    pixel_m : float
+        Side of a pixel, metres.
     width, height : int
         Pixels.
-    block : int
-        Side of a block, pixels.
     """
 
-    west: int
-    north: int
+    west_m: float
+    north_m: float
+    pixel_m: float
     width: int
     height: int
-    block: int
 
     @property
     def transform(self) -> Affine:
         """From (column, row) to (easting, northing) of a pixel's north-west corner."""
-        west_m, north_m = self.west * PIXEL_M, self.north * PIXEL_M
-        return Affine(PIXEL_M, 0.0, west_m, 0.0, -PIXEL_M, north_m)
+        return Affine(self.pixel_m, 0.0, self.west_m, 0.0, -self.pixel_m, self.north_m)
 
     @property
-    def overviews(self) -> list[int]:
-        """Factors by which overviews are smaller, until one fits in a few blocks."""
-        side = max(self.width, self.height)
-        return [2**i for i in range(1, 32) if side > SMALLEST * 2 ** (i - 1)]
+    def bounds(self) -> tuple[float, float, float, float]:
+        """West, east, south, north, metres."""
+        east_m = self.west_m + self.width * self.pixel_m
+        return self.west_m, east_m, self.north_m - self.height * self.pixel_m, self.north_m
 
     def centres(self, pixel: Integers) -> tuple[Floats, Floats]:
-        """Return easting and northing of the centres of pixels, numbered along the rows."""
+        """Return easting and northing of the centres of pixels."""
         row, column = np.divmod(pixel, self.width)
-        return (self.west + column + 0.5) * PIXEL_M, (self.north - row - 0.5) * PIXEL_M
-
-    def block_of(self, pixel: Integers) -> Integers:
-        """Return the block of each pixel, numbered along the rows of blocks."""
-        row, column = np.divmod(pixel, self.width)
-        across = -(-self.width // self.block)
-        return np.asarray(row // self.block * across + column // self.block)
-
-    def window(self, block: int) -> Window:
-        """Return the pixels of a block."""
-        row, column = divmod(block, -(-self.width // self.block))
-        top, left = row * self.block, column * self.block
-        return Window(
-            left, top, min(self.block, self.width - left), min(self.block, self.height - top)
+        return (
+            self.west_m + (column + 0.5) * self.pixel_m,
+            self.north_m - (row + 0.5) * self.pixel_m,
         )
+
+    def touched(self, corners: Floats) -> Integers:
+        """Return the pixels, ascending, that touch the bounding box of any of (n, 4, 2) tiles."""
+        west_north = np.array([self.west_m, self.north_m])
+        edges = [corners.min(axis=1), corners.max(axis=1)]
+        (west, south), (east, north) = (
+            np.floor((edge - west_north) / (self.pixel_m, -self.pixel_m)).astype(np.int64).T
+            for edge in edges
+        )
+        west, north = np.maximum(west, 0), np.maximum(north, 0)
+        wide = np.maximum(np.minimum(east, self.width - 1) - west + 1, 0)
+        tall = np.maximum(np.minimum(south, self.height - 1) - north + 1, 0)
+        size = wide * tall
+        pixels = self.width * self.height
+        mask = np.zeros(pixels if pixels <= MOST_MASK_PIXELS else 0, np.bool_)
+        some = [np.empty(0, np.int64)]
+        portion = np.cumsum(size) // POINTS_AT_ONCE
+        for part in np.split(np.arange(len(size)), np.flatnonzero(np.diff(portion)) + 1):
+            tile = np.repeat(part, size[part])
+            place = np.arange(len(tile)) - np.repeat(np.cumsum(size[part]) - size[part], size[part])
+            down, along = np.divmod(place, wide[tile])
+            found = (north[tile] + down) * self.width + west[tile] + along
+            if len(mask):
+                mask[found] = True
+            else:
+                some.append(np.unique(found))
+        return np.flatnonzero(mask) if len(mask) else np.unique(np.concatenate(some))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cover:
-    """Which observed tiles each pixel lies in.
+    """Which tiles each pixel of a grid lies in.
 
     Parameters
     ----------
     pixel : (p,) int64 array
-        The pixels that lie in a tile, block by block.
+        The pixels that lie in a tile, ascending.
     start : (p,) int64 array
         Where each pixel's tiles begin in `tile`.
     tile : (k,) int64 array
-        Positions in the `seen` of the tally.
+        Positions of tiles.
     """
 
     pixel: Integers
     start: Integers
     tile: Integers
 
-    def highest(self, values: Floats) -> NDArray[np.float32]:
+    def highest(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return for each pixel the highest value of its tiles, NaN where all are NaN."""
-        return np.asarray(np.fmax.reduceat(values[self.tile].astype(np.float32), self.start))
-
-
-def pixel_grid(corners: Floats, bands: int) -> PixelGrid:
-    """Return the grid that covers the corners of all tiles.
-
-    Parameters
-    ----------
-    corners : (n, 4, 2) array
-        Metres in the map.
-    bands : int
-        How many there will be; blocks hold all bands, so more bands make smaller blocks.
-    """
-    low = np.floor(corners.min(axis=(0, 1)) / PIXEL_M).astype(int)
-    high = np.ceil(corners.max(axis=(0, 1)) / PIXEL_M).astype(int)
-    width, height = (int(side) for side in np.maximum(high - low, 1))
-    sides = (side for side in (512, 256) if side * side * bands * 4 <= MOST_BLOCK_BYTES)
-    block = next(sides, 128)
-    return PixelGrid(
-        west=int(low[0]), north=int(low[1]) + height, width=width, height=height, block=block
-    )
+        return np.asarray(np.fmax.reduceat(values[self.tile], self.start))
 
 
 def cover(grid: PixelGrid, corners: Floats) -> Cover:
-    """Find the tiles that each pixel's centre lies in, by the rule of the assignment of points."""
+    """Find the tiles that each pixel's centre lies in, by the rule of the assignment of points.
+
+    Parameters
+    ----------
+    grid : PixelGrid
+        The pixels.
+    corners : (n, 4, 2) array
+        Of the tiles, metres in the map.
+    """
     engine = TileGrid(corners)
-    candidates = _candidates(grid, corners)
-    candidates = candidates[np.lexsort((candidates, grid.block_of(candidates)))]
+    candidates = grid.touched(corners)
     pixels, tiles = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
-    for done in range(0, len(candidates), AT_ONCE):
-        some = candidates[done : done + AT_ONCE]
+    for done in range(0, len(candidates), POINTS_AT_ONCE):
+        some = candidates[done : done + POINTS_AT_ONCE]
         point, tile = engine.assign(*grid.centres(some))
         pixels.append(some[point])
         tiles.append(tile)
@@ -149,22 +152,60 @@ def cover(grid: PixelGrid, corners: Floats) -> Cover:
     return Cover(pixel=pixel[start], start=start, tile=np.concatenate(tiles))
 
 
-def _candidates(grid: PixelGrid, corners: Floats) -> Integers:
-    """Return the pixels, ascending, that touch the bounding box of any tile."""
-    low = np.floor(corners.min(axis=1) / PIXEL_M).astype(np.int64)
-    high = np.floor(corners.max(axis=1) / PIXEL_M).astype(np.int64)
-    column, row = low[:, 0] - grid.west, grid.north - 1 - high[:, 1]
-    wide, tall = (high - low + 1).T
-    some = [np.empty(0, np.int64)]
-    for tiles in np.array_split(np.arange(len(corners)), -(-len(corners) // TILES_AT_ONCE)):
-        size = (wide * tall)[tiles]
-        tile = np.repeat(tiles, size)
-        place = np.arange(len(tile)) - np.repeat(np.cumsum(size) - size, size)
-        down, along = np.divmod(place, wide[tile])
-        x, y = column[tile] + along, row[tile] + down
-        inside = (x < grid.width) & (y >= 0)
-        some.append(np.unique(y[inside] * grid.width + x[inside]))
-    return np.unique(np.concatenate(some))
+def aligned_grid(corners: Floats) -> PixelGrid:
+    """Return the grid of the GeoTIFF, which covers the corners of all tiles."""
+    low = np.floor(corners.min(axis=(0, 1)) / PIXEL_M).astype(int)
+    high = np.ceil(corners.max(axis=(0, 1)) / PIXEL_M).astype(int)
+    width, height = (int(side) for side in np.maximum(high - low, 1))
+    return PixelGrid(
+        west_m=int(low[0]) * PIXEL_M, north_m=(int(low[1]) + height) * PIXEL_M, pixel_m=PIXEL_M,
+        width=width, height=height,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Blocks:
+    """The blocks of a GeoTIFF, numbered along their rows.
+
+    Parameters
+    ----------
+    grid : PixelGrid
+        The pixels.
+    side : int
+        Side of a block, pixels.
+    """
+
+    grid: PixelGrid
+    side: int
+
+    @property
+    def across(self) -> int:
+        """Blocks side by side."""
+        return -(-self.grid.width // self.side)
+
+    @property
+    def overviews(self) -> list[int]:
+        """Factors by which overviews are smaller, until one fits in a few blocks."""
+        side = max(self.grid.width, self.grid.height)
+        return [2**i for i in range(1, 32) if side > SMALLEST * 2 ** (i - 1)]
+
+    def of(self, pixel: Integers) -> Integers:
+        """Return the block of each pixel."""
+        row, column = np.divmod(pixel, self.grid.width)
+        return np.asarray(row // self.side * self.across + column // self.side)
+
+    def window(self, block: int) -> Window:
+        """Return the pixels of a block."""
+        row, column = divmod(block, self.across)
+        top, left = row * self.side, column * self.side
+        width, height = self.grid.width - left, self.grid.height - top
+        return Window(left, top, min(self.side, width), min(self.side, height))
+
+
+def blocks_of(grid: PixelGrid, bands: int) -> Blocks:
+    """Choose the blocks: they hold all bands, so more bands make smaller blocks."""
+    sides = (side for side in (512, 256) if side * side * bands * 4 <= MOST_BLOCK_BYTES)
+    return Blocks(grid=grid, side=next(sides, 128))
 
 
 def write_raster(tally: Tally, path: Path, reporter: Reporter) -> None:
@@ -181,14 +222,14 @@ def write_raster(tally: Tally, path: Path, reporter: Reporter) -> None:
     """
     corners = quads(tally.tiles)[tally.seen]
     intervals = [None, *tally.columns]
-    grid = pixel_grid(corners, len(intervals))
+    blocks = blocks_of(aligned_grid(corners), len(intervals))
     plain = path.with_suffix(".plain.tif")
     with rasterio.Env(GDAL_CACHEMAX=CACHE_MB, SPARSE_OK_OVERVIEW=True):
-        with rasterio.open(plain, "w", **_profile(tally, grid, len(intervals))) as raster:
-            _write_bands(raster, tally, grid, corners, intervals, reporter)
+        with rasterio.open(plain, "w", **_profile(tally, blocks, len(intervals))) as raster:
+            _write_bands(raster, tally, blocks, corners, intervals, reporter)
         with rasterio.open(plain, "r+") as raster:
-            raster.build_overviews(grid.overviews, OVERVIEW)
-        rasterio.shutil.copy(plain, path, driver="COG", **_cog_options(grid))
+            raster.build_overviews(blocks.overviews, OVERVIEW)
+        rasterio.shutil.copy(plain, path, driver="COG", **_cog_options(blocks))
     plain.unlink()
     _check_crs(path)
 
@@ -207,35 +248,35 @@ def _check_crs(path: Path) -> None:
 def _write_bands(
     raster: Any,
     tally: Tally,
-    grid: PixelGrid,
+    blocks: Blocks,
     corners: Floats,
     intervals: list[int | None],
     reporter: Reporter,
 ) -> None:
-    covered = cover(grid, corners)
+    covered = cover(blocks.grid, corners)
     for band, interval in enumerate(intervals, start=1):
-        values = covered.highest(tally.shares(interval).occupancy[tally.seen])
-        _write_band(raster, band, grid, covered.pixel, values)
+        share = tally.shares(interval).occupancy[tally.seen].astype(np.float32)
+        _write_band(raster, band, blocks, covered.pixel, covered.highest(share))
         raster.set_band_description(band, _description(tally, interval))
         reporter.progress("writing bands", band, len(intervals))
     raster.update_tags(fingerprint=tally.fingerprint, definitions=json.dumps(DEFINITIONS))
 
 
-def _profile(tally: Tally, grid: PixelGrid, bands: int) -> dict[str, Any]:
+def _profile(tally: Tally, blocks: Blocks, bands: int) -> dict[str, Any]:
     return {
         "driver": "GTiff", "dtype": "float32", "nodata": np.nan, "count": bands,
-        "crs": tally.crs.to_wkt(), "transform": grid.transform,
-        "width": grid.width, "height": grid.height,
-        "tiled": True, "blockxsize": grid.block, "blockysize": grid.block,
+        "crs": tally.crs.to_wkt(), "transform": blocks.grid.transform,
+        "width": blocks.grid.width, "height": blocks.grid.height,
+        "tiled": True, "blockxsize": blocks.side, "blockysize": blocks.side,
         "interleave": "band", "sparse_ok": True, "bigtiff": "if_safer", "compress": "zstd",
     }  # fmt: skip
 
 
-def _cog_options(grid: PixelGrid) -> dict[str, str]:
+def _cog_options(blocks: Blocks) -> dict[str, str]:
     return {
         "COMPRESS": "DEFLATE",
         "PREDICTOR": "YES",
-        "BLOCKSIZE": str(grid.block),
+        "BLOCKSIZE": str(blocks.side),
         "BIGTIFF": "IF_SAFER",
         "SPARSE_OK": "TRUE",
         "NUM_THREADS": "ALL_CPUS",
@@ -243,14 +284,16 @@ def _cog_options(grid: PixelGrid) -> dict[str, str]:
 
 
 def _write_band(
-    raster: Any, band: int, grid: PixelGrid, pixel: Integers, values: NDArray[np.float32]
+    raster: Any, band: int, blocks: Blocks, pixel: Integers, values: NDArray[np.float32]
 ) -> None:
     """Write a band block by block; blocks without a tile stay empty in the file."""
-    block = grid.block_of(pixel)
+    block = blocks.of(pixel)
+    order = np.argsort(block, kind="stable")
+    block, pixel, values = block[order], pixel[order], values[order]
     starts = np.flatnonzero(np.diff(block, prepend=-1))
     for start, stop in zip(starts, [*starts[1:], len(block)], strict=True):
-        window = grid.window(int(block[start]))
-        row, column = np.divmod(pixel[start:stop], grid.width)
+        window = blocks.window(int(block[start]))
+        row, column = np.divmod(pixel[start:stop], blocks.grid.width)
         part = np.full((window.height, window.width), np.nan, np.float32)
         part[row - window.row_off, column - window.col_off] = values[start:stop]
         raster.write(part, band, window=window)

@@ -25,6 +25,7 @@ RAMP = (
 NEVER_HIT = "#dce8f1"
 NOT_OBSERVED = "#b9bdc1"  # for pictures; layers leave such tiles transparent
 LEGEND_TITLE = "Share of the observed time"
+LEGEND_SUBTITLE = "in which a tile is hit"
 NOT_OBSERVED_LABEL = "not observed"
 
 _QGIS_DOCTYPE = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>"
@@ -47,6 +48,12 @@ def colour_classes() -> tuple[ColourClass, ...]:
         ColourClass(0.0, 0.0, NEVER_HIT, "0 %, never hit"),
         *(ColourClass(low, high, colour, _label(low, high)) for (low, high), colour in bounds),
     )
+
+
+def legend() -> tuple[tuple[str, str], ...]:
+    """Return colours with their labels, highest class first, not observed last."""
+    classes = [(each.colour, each.label) for each in reversed(colour_classes())]
+    return (*classes, (NOT_OBSERVED, NOT_OBSERVED_LABEL))
 
 
 def _label(lower: float, upper: float) -> str:

@@ -1,0 +1,374 @@
+"""Show a heat map: the figure for a report with legend and time, plots, a map in a browser."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from gis_radar.arrays import Floats
+from gis_radar.crs import name_of
+from gis_radar.errors import NOTEBOOKS, InputError
+from gis_radar.heatmap import style
+from gis_radar.heatmap.counting import Tally
+from gis_radar.heatmap.picture import (
+    INK,
+    SETTINGS,
+    SOFT,
+    STRIPE,
+    Extent,
+    add_scale_bar,
+    extent_of,
+    map_picture,
+)
+from gis_radar.notebooks import axes_or_new, label_map
+from gis_radar.progress import Reporter
+from gis_radar.steps import STEPS_PER_SECOND
+from gis_radar.tiles.tiles import quads
+
+DPI = 200
+FINER = 2  # pixels of the picture for each of the figure's, so that edges are smooth
+WIDTH_IN = 10.0
+MAP_WIDTH_IN = 7.15
+MAP_HEIGHT_IN = (5.1, 8.6)  # lowest, which the legend needs, and highest
+EDGE_IN = 0.3
+TITLE_IN = 0.85
+FOOT_IN = 0.42
+FRAME = "#9aa1a8"
+HATCH = "////"
+PLOT_PIXELS, SMALL_PIXELS = 2_200_000, 400_000  # of a plot, and of the one in a notebook's card
+
+
+def draw(
+    tally: Tally,
+    ax: Axes | None = None,
+    *,
+    interval: int | None = None,
+    legend: bool = True,
+    most_pixels: int = PLOT_PIXELS,
+) -> Axes:
+    """Draw the occupancy of the tiles, the busiest on top.
+
+    Parameters
+    ----------
+    tally : Tally
+        What to draw.
+    ax : Axes, optional
+        Where; without it, on a new figure of pyplot.
+    interval : int, optional
+        Which interval; without it, the whole time.
+    legend : bool
+        Whether the classes stand beside it.
+    most_pixels : int
+        As many the picture may have.
+
+    Returns
+    -------
+    Axes
+        In metres of the map, cropped to the tiles that were observed.
+    """
+    ax = axes_or_new(ax, (8.5, 6.0))
+    extent = _extent(tally, (0.0, np.inf))
+    picture = map_picture(quads(tally.tiles), extent, most_pixels)
+    picture.show(ax, tally.shares(interval).occupancy)
+    label_map(ax)
+    ax.set_title(time_span(tally, interval), fontsize="medium")
+    if legend:
+        _add_legend(ax)
+    return ax
+
+
+def _extent(tally: Tally, aspect: tuple[float, float]) -> Extent:
+    """Return the extent of what was observed in the whole time."""
+    return extent_of(quads(tally.tiles), tally.shares().observed_s > 0, aspect)
+
+
+def _add_legend(ax: Axes) -> None:
+    """Write the classes of occupancy beside axes."""
+    handles = [
+        Rectangle((0, 0), 1, 1, facecolor=colour, edgecolor=SOFT, linewidth=0.5, label=label)
+        for colour, label in style.legend()
+    ]
+    handles[-1].set(hatch=HATCH, edgecolor=STRIPE)
+    ax.legend(
+        handles=handles, title=style.LEGEND_TITLE, loc="upper left", bbox_to_anchor=(1.01, 1.0),
+        borderaxespad=0.0, frameon=False, fontsize="small", title_fontsize="small",
+        alignment="left",
+    )  # fmt: skip
+
+
+def write_figure(tally: Tally, path: Path, reporter: Reporter) -> None:
+    """Write the picture as PNG, 2000 pixels wide.
+
+    Parameters
+    ----------
+    tally : Tally
+        What to draw.
+    path : Path
+        The file.
+    reporter : Reporter
+        Where progress goes.
+    """
+    reporter.progress("drawing the picture", 0, 1)
+    with mpl.rc_context(SETTINGS):
+        figure = _figure(tally)
+        about = {"Title": "Occupancy heat map", "Description": time_span(tally)}
+        figure.savefig(path, dpi=DPI, metadata=about)
+    reporter.progress("drawing the picture", 1, 1)
+
+
+def _figure(tally: Tally) -> Figure:
+    lowest, highest = (tall / MAP_WIDTH_IN for tall in MAP_HEIGHT_IN)
+    extent = _extent(tally, (lowest, highest))
+    width_m, height_m = extent[1] - extent[0]
+    tall_in = MAP_WIDTH_IN * height_m / width_m
+    figure = Figure(figsize=(WIDTH_IN, tall_in + TITLE_IN + FOOT_IN), dpi=DPI, facecolor="white")
+    FigureCanvasAgg(figure)
+    ax = _axes(figure, EDGE_IN, FOOT_IN, MAP_WIDTH_IN, tall_in)
+    _add_map(ax, tally, extent, MAP_WIDTH_IN)
+    _add_detail(ax, tally, extent)
+    _frame(ax, FRAME)
+    beside = EDGE_IN + MAP_WIDTH_IN
+    over_in = float(figure.get_size_inches()[1]) - 0.72  # beside the title: it hides no tile
+    add_scale_bar(figure, (beside, over_in), MAP_WIDTH_IN / float(width_m))
+    _add_titles(figure, tally, EDGE_IN)
+    _add_side(_axes(figure, beside, FOOT_IN, WIDTH_IN - beside, tall_in), tally)
+    return figure
+
+
+def _axes(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
+    """Add axes at a place given in inches."""
+    across, up = figure.get_size_inches()
+    return figure.add_axes((left / across, bottom / up, width / across, height / up))
+
+
+def _add_map(ax: Axes, tally: Tally, extent: Extent, width_in: float) -> None:
+    """Draw the whole time on axes of a given width."""
+    width_m, height_m = extent[1] - extent[0]
+    most = (width_in * DPI * FINER) ** 2 * float(height_m / width_m)
+    picture = map_picture(quads(tally.tiles), extent, int(most))
+    picture.show(ax, tally.shares().occupancy)
+    ax.set(xlim=(extent[0][0], extent[1][0]), ylim=(extent[0][1], extent[1][1]))
+
+
+def _add_titles(figure: Figure, tally: Tally, left_in: float) -> None:
+    """Write the title and the time span over the map, and what is meant under it."""
+    width_in, height_in = figure.get_size_inches()
+    left = left_in / width_in
+    line: dict[str, Any] = {"ha": "left", "va": "baseline"}
+    figure.text(
+        left, 1 - 0.42 / height_in, "Occupancy heat map",
+        fontsize=17, fontweight="bold", color=INK, **line,
+    )  # fmt: skip
+    figure.text(left, 1 - 0.68 / height_in, time_span(tally), fontsize=10, color=SOFT, **line)
+    figure.text(left, 0.2 / height_in, _foot(tally), fontsize=6.5, color=SOFT, **line)
+
+
+def _foot(tally: Tally) -> str:
+    crs = tally.crs
+    return (
+        f"{crs.name} ({name_of(crs)[:20]}). A tile is occupied in a step of 50 ms when a radar "
+        "detection falls in it; overlapping views count once."
+    )
+
+
+def time_span(tally: Tally, interval: int | None = None) -> str:
+    """Return the time span, or that of an interval, in UTC, no longer than needed."""
+    times, row = (tally.whole, 0) if interval is None else (tally.timeline, interval)
+    first, after = int(times.begin[row]), int(times.end[row])
+    begin, end = times.span(row)
+    finest = "milliseconds" if (first % STEPS_PER_SECOND or after % STEPS_PER_SECOND) else "seconds"
+    date, time = begin.date().isoformat(), begin.time().isoformat(timespec=finest)
+    if after - first == 1:
+        return f"{date}  {time} UTC, one step of 50 ms"
+    until = end.time().isoformat(timespec=finest)
+    if begin.date() != end.date():
+        until = f"{end.date().isoformat()}  {until}"
+    return f"{date}  {time} to {until} UTC"
+
+
+def _add_side(ax: Axes, tally: Tally) -> None:
+    """Draw the legend and the figures of the map, in inches from the top left."""
+    box = ax.get_window_extent()
+    ax.set_xlim(0, box.width / DPI)
+    ax.set_ylim(box.height / DPI, 0)
+    ax.axis("off")
+    ax.text(0.25, 0.12, style.LEGEND_TITLE, fontsize=9.5, fontweight="bold", color=INK)
+    ax.text(0.25, 0.3, style.LEGEND_SUBTITLE, fontsize=8.5, color=SOFT)
+    y = 0.5
+    for colour, label in style.legend():
+        apart = 0.08 if colour in {style.NEVER_HIT, style.NOT_OBSERVED} else 0.0
+        swatch = Rectangle(
+            (0.25, y + apart), 0.34, 0.24, facecolor=colour, edgecolor=SOFT, linewidth=0.5
+        )
+        if colour == style.NOT_OBSERVED:
+            swatch.set(hatch=HATCH, edgecolor=STRIPE)
+        ax.add_patch(swatch)
+        ax.text(0.7, y + apart + 0.125, label, fontsize=8.5, color=INK, va="center")
+        y += 0.24 + apart
+    for number, (name, value) in enumerate(_facts(tally)):
+        ax.text(0.25, y + 0.46 + number * 0.4, name, fontsize=7, color=SOFT)
+        ax.text(0.25, y + 0.63 + number * 0.4, value, fontsize=8.5, color=INK, parse_math=False)
+
+
+def _facts(tally: Tally) -> list[tuple[str, str]]:
+    known, sensors = tally.figures(), tally.sensors
+    facts = [
+        ("Sensors", ", ".join(sensors) if len(", ".join(sensors)) < 24 else str(len(sensors))),
+        ("Tiles observed", f"{known['tiles_observed']:,}".replace(",", " ")),
+        ("Tiles hit", f"{known['tiles_hit']:,}".replace(",", " ")),
+    ]
+    if "busiest_tile" in known:
+        occupied_s, observed_s = known["busiest_occupied_s"], known["busiest_observed_s"]
+        share = f"{known['busiest_occupancy'] * 100:.1f} %"
+        facts.append(("Busiest tile", f"{occupied_s:.6g} of {observed_s:.6g} s, {share}"))
+    return facts
+
+
+INSETS = (0.42, 0.36, 0.3)  # sides of the inset to try, of the map's shorter side
+WINDOW = 0.12  # side of what it shows, of the map's shorter side
+SMALLEST_MAP_M = 150.0
+SMALLEST_WINDOW_M = 45.0
+GAP = 0.02
+CELLS = 4  # a window's side in cells of the search
+
+Box = tuple[float, float, float, float]
+
+
+def busiest_window(centres: Floats, share: Floats, extent: Extent) -> Extent | None:
+    """Return the square window with the highest sum of occupancy.
+
+    Parameters
+    ----------
+    centres : (n, 2) array
+        Centres of the tiles, metres.
+    share : (n,) array
+        Their occupancy, NaN where not observed.
+    extent : (south-west, north-east)
+        The map's.
+
+    Returns
+    -------
+    (south-west, north-east) or None
+        None where nothing was hit, or the map is small enough to be read without.
+    """
+    low, high = extent
+    shorter = float((high - low).min())
+    weight = np.nan_to_num(share)
+    if shorter < SMALLEST_MAP_M or not weight.any():
+        return None
+    side = max(SMALLEST_WINDOW_M, WINDOW * shorter)
+    x, y = (np.arange(low[i], high[i] + side, side / CELLS) for i in (0, 1))
+    cells, _, _ = np.histogram2d(centres[:, 0], centres[:, 1], bins=[x, y], weights=weight)
+    total = np.pad(cells.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+    far, near = slice(CELLS, None), slice(None, -CELLS)
+    sums = total[far, far] - total[near, far] - total[far, near] + total[near, near]
+    place = np.unravel_index(int(sums.argmax()), sums.shape)
+    corner = np.array([x[place[0]], y[place[1]]])
+    return corner, corner + side
+
+
+def free_corner(centres: Floats, extent: Extent) -> Box | None:
+    """Return the largest square in a corner of the map in which no tile lies.
+
+    Returns
+    -------
+    (left, bottom, width, height) or None
+        As shares of the map; None where each corner has tiles.
+    """
+    low, high = extent
+    unit = (high - low).min() / (high - low)  # the shorter side, as a share of both
+    place = (centres - low) / (high - low)
+    for size, east, north in product(INSETS, (1, 0), (1, 0)):
+        side, gap = size * unit, GAP * unit
+        corner = gap + np.array([east, north]) * (1 - side - 2 * gap)
+        inside = (place >= corner - gap) & (place <= corner + side + gap)
+        if not inside.all(axis=1).any():
+            return float(corner[0]), float(corner[1]), float(side[0]), float(side[1])
+    return None
+
+
+def _add_detail(ax: Axes, tally: Tally, extent: Extent) -> None:
+    """Draw the busiest place larger in a corner of the map, where one is free."""
+    centres = quads(tally.tiles).mean(axis=1)
+    window = busiest_window(centres, tally.shares().occupancy, extent)
+    corner = free_corner(centres, extent)
+    if window is None or corner is None:
+        return
+    inset = ax.inset_axes(corner, zorder=4)
+    _add_map(inset, tally, window, corner[2] * MAP_WIDTH_IN)
+    _frame(inset, INK)
+    low, high = window
+    ax.add_patch(
+        Rectangle(tuple(low), *(high - low), fill=False, edgecolor=INK, linewidth=0.8, zorder=4)
+    )
+    inset.text(
+        0.03, 0.96, f"busiest place, {(high - low)[0]:.0f} m across",
+        transform=inset.transAxes, fontsize=7, color=INK, va="top",
+        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.88, "pad": 1.5},
+    )  # fmt: skip
+
+
+def _frame(ax: Axes, colour: str) -> None:
+    ax.set_xticks([])
+    ax.set_yticks([])
+    for spine in ax.spines.values():
+        spine.set(color=colour, linewidth=0.8)
+
+
+CLASS = "share of the time"
+SHOWN = ("tile_id", "lanelet_id", "s_m", "occupied_s", "observed_s", "occupancy")
+
+
+def explore(tally: Tally, interval: int | None, options: Mapping[str, Any]) -> Any:
+    """Return the observed tiles as a folium map, in the classes and colours of all heat maps.
+
+    Parameters
+    ----------
+    tally : Tally
+        What to show.
+    interval : int or None
+        Which interval; None for the whole time.
+    options : mapping
+        For :meth:`geopandas.GeoDataFrame.explore`; they win.
+
+    Raises
+    ------
+    InputError
+        If folium is not installed.
+    """
+    tiles = tally.tiles.assign(**tally.shares(interval)._asdict()).dropna(subset="occupancy")
+    tiles = tiles.sort_values("occupancy", kind="stable")  # the busiest on top
+    levels = style.colour_classes()
+    place = np.searchsorted([level.upper for level in levels], tiles["occupancy"])
+    labels = [level.label for level in levels]
+    # what a browser reads has no 64-bit integers
+    tiles = tiles.assign(lanelet_id=tiles["lanelet_id"].astype(str))
+    tiles[CLASS] = np.array(labels, object)[place]
+    chosen: dict[str, Any] = {
+        "column": CLASS,
+        "categorical": True,
+        "categories": labels,
+        "cmap": [level.colour for level in levels],
+        "style_kwds": {"weight": 0.3, "fillOpacity": 0.9},
+        "tooltip": [CLASS],
+        "popup": list(SHOWN),
+        "tiles": "CartoDB positron",
+        "max_zoom": 21,
+        "legend_kwds": {"caption": time_span(tally, interval)},
+    }
+    try:
+        return tiles[[*SHOWN, CLASS, "geometry"]].round(4).explore(**chosen | dict(options))
+    except ImportError as error:
+        raise InputError(
+            f"explore needs folium and mapclassify: {error.name or 'one'} is missing",
+            hint=NOTEBOOKS,
+        ) from error
