@@ -8,7 +8,7 @@ from zoneinfo import ZoneInfo
 
 import pytest
 
-from gis_radar.report.words import Clock, direction, listed, number, percent
+from gis_radar.report.words import Clock, direction, figure_text, listed, percent
 
 
 def at(*fields):
@@ -30,7 +30,7 @@ def clock(first, last, zone="Europe/Berlin", **options):
     ],
 )
 def test_numbers(value, digits, text):
-    assert number(value, digits) == text
+    assert figure_text(value, digits) == text
 
 
 def test_a_little_is_not_nothing():

@@ -46,6 +46,10 @@ class Timeline:
         """Return begin and end of an interval, UTC."""
         return step_begin(int(self.begin[interval])), step_begin(int(self.end[interval]))
 
+    def spans(self) -> list[tuple[datetime, datetime]]:
+        """Return begin and end of all intervals, UTC."""
+        return [self.span(i) for i in range(len(self))]
+
     def counts(self, runs: Runs) -> Integers:
         """Return how many steps of a set fall in each interval."""
         return runs.before(self.end) - runs.before(self.begin)

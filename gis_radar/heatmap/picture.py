@@ -270,7 +270,7 @@ def _add_sensor(ax: Axes, pose: Pose) -> None:
     )
     ax.add_patch(Polygon(triangle, facecolor=SENSOR, edgecolor="white", linewidth=1.2, zorder=5))
     ax.annotate(
-        pose.sensor, place, xytext=(0, -11), textcoords="offset points", ha="center", va="top",
-        fontsize=9, fontweight="bold", color=SENSOR, path_effects=HALO, zorder=6,
-        annotation_clip=True, parse_math=False,
+        pose.sensor, (place[0], place[1]), xytext=(0, -11), textcoords="offset points",
+        ha="center", va="top", fontsize=9, fontweight="bold", color=SENSOR, zorder=6,
+        path_effects=HALO, annotation_clip=True, parse_math=False,
     )  # fmt: skip

@@ -1,12 +1,10 @@
-"""What a report says, before it becomes a page: text, tables, pictures."""
+"""Content of a report, before it becomes a page: text, tables, pictures."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
-
-from gis_radar.report.canvas import Picture
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,27 +52,8 @@ class Table:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Frame:
-    """The map at a time.
-
-    Parameters
-    ----------
-    label : str
-        When.
-    text : str
-        What it shows, in a sentence.
-    picture : Picture
-        Its pixels.
-    """
-
-    label: str
-    text: str
-    picture: Picture
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Figure:
-    """A picture beside the map.
+    """A picture.
 
     Parameters
     ----------
@@ -82,6 +61,8 @@ class Figure:
         The picture.
     width, height : int
         Pixels.
+    title : str
+        For a map, its time.
     caption : str
         Below it.
     alt : str
@@ -91,42 +72,39 @@ class Figure:
     png: bytes
     width: int
     height: int
+    title: str = ""
     caption: str
     alt: str
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class MapPart:
+class MapSeries:
     """The map, over the whole time and by interval.
 
     Parameters
     ----------
-    whole : Frame
+    whole : Figure
         The whole time.
-    frames : sequence of Frame
-        The intervals; none where the heat map has but one.
+    frames : sequence of Figure
+        The intervals, as large as `whole`; none where the heat map has but one.
     overlay : bytes
         PNG with scale, north and sensors, to lie over each of them.
-    width, height : int
-        Pixels of all.
     caption : str
         Below the map.
     note : str
-        Where not all intervals are shown singly: so it says.
+        That not all intervals are shown singly, where it is so.
     """
 
-    whole: Frame
-    frames: Sequence[Frame]
+    whole: Figure
+    frames: Sequence[Figure]
     overlay: bytes
-    width: int
-    height: int
     caption: str
     note: str
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Content:
-    """All that a report says.
+    """All of a report.
 
     Parameters
     ----------
@@ -136,11 +114,13 @@ class Content:
         In which time zone all times are.
     until : datetime
         End of the data.
+    intro : str
+        How to read the map.
     facts : sequence of (name, value)
         The figures worth a look.
     remarks : sequence of str
         What to know before reading on, in sentences.
-    map : MapPart
+    map : MapSeries
         The map.
     lane_figure : Figure
         Where the lanes are.
@@ -164,9 +144,10 @@ class Content:
     subtitle: str
     zone: str
     until: datetime
+    intro: str
     facts: Sequence[tuple[str, str]]
     remarks: Sequence[str]
-    map: MapPart
+    map: MapSeries
     lane_figure: Figure
     lanes: Table
     sensors: Table

@@ -2,180 +2,23 @@
 
 from __future__ import annotations
 
-import sqlite3
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing
-from dataclasses import dataclass, field
-from datetime import datetime
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-import pyogrio
-from pyproj import CRS
 from scipy.spatial import cKDTree
 
 from gis_radar.arrays import Floats, Integers
-from gis_radar.crs import metric_crs
-from gis_radar.errors import InputError
-from gis_radar.heatmap.layers import LONG, WIDE
+from gis_radar.heatmap import HeatMap
+from gis_radar.heatmap.counting import Shares
+from gis_radar.report.words import Clock, direction, utc, write_csv
 from gis_radar.tiles.tiles import quads
 
-PACKAGE = "heatmap.gpkg"
-COLUMNS = (
-    "tile_id", "lanelet_id", "index", "s_m", "length_m", "subtype",
-    "occupied_s", "observed_s", "occupancy",
-)  # fmt: skip
-# From one begin to the next by their index: a look at all rows would take seconds.
-_TIMES = f"""
-    WITH RECURSIVE times(moment) AS (
-        SELECT min("begin") FROM "{LONG}"
-        UNION ALL
-        SELECT (SELECT min("begin") FROM "{LONG}" WHERE "begin" > moment)
-        FROM times WHERE moment IS NOT NULL
-    )
-    SELECT moment, (SELECT "end" FROM "{LONG}" WHERE "begin" = moment LIMIT 1)
-    FROM times WHERE moment IS NOT NULL
-"""  # noqa: S608 - our own name
-_HINT = "make it again with: gis-radar heatmap"
-
-Span = tuple[datetime, datetime]
-
-
-class Seconds(NamedTuple):
-    """How long tiles were occupied and observed, in the order of the tiles.
-
-    Parameters
-    ----------
-    occupied, observed : (n,) float64 arrays
-        Seconds; both 0 where not observed.
-    """
-
-    occupied: Floats
-    observed: Floats
-
-    @property
-    def occupancy(self) -> Floats:
-        """The share, NaN where not observed."""
-        known = self.observed > 0
-        share = np.full(len(known), np.nan)
-        share[known] = self.occupied[known] / self.observed[known]
-        return share
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Traffic:
-    """A heat map as its files hold it.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the heat map.
-    tiles : GeoDataFrame
-        All tiles by ascending `tile_id`, with `COLUMNS` over the whole time.
-    crs : CRS
-        Theirs.
-    fingerprint : str
-        Of the tiles; empty where the file does not say.
-    whole : (datetime, datetime)
-        Begin and end of all data, UTC.
-    intervals : sequence of (datetime, datetime)
-        Of the heat map, ascending; one where none were asked for.
-    """
-
-    folder: Path
-    tiles: gpd.GeoDataFrame
-    crs: CRS
-    fingerprint: str
-    whole: Span
-    intervals: Sequence[Span]
-
-    @property
-    def overall(self) -> Seconds:
-        """The seconds of the whole time."""
-        observed = self.tiles["observed_s"].fillna(0.0).to_numpy(np.float64)
-        return Seconds(self.tiles["occupied_s"].fillna(0.0).to_numpy(np.float64), observed)
-
-    def by_interval(self) -> Iterator[Seconds]:
-        """Read the seconds of each interval, one after the other."""
-        ids = self.tiles["tile_id"].to_numpy(np.int64)
-        occupied, observed = np.zeros(len(ids)), np.zeros(len(ids))
-        filled = 0
-        with pyogrio.open_arrow(
-            self.folder / PACKAGE, layer=LONG, use_pyarrow=True, read_geometry=False,
-            columns=["tile_id", "occupied_s", "observed_s"],
-        ) as (_, reader):  # fmt: skip
-            for batch in reader:
-                rows = [
-                    np.nan_to_num(batch.column(name).to_numpy(zero_copy_only=False))
-                    for name in ("tile_id", "occupied_s", "observed_s")
-                ]
-                start = 0
-                while start < len(rows[0]):
-                    stop = min(start + len(ids) - filled, len(rows[0]))
-                    place = slice(filled, filled + stop - start)
-                    self._require(np.array_equal(rows[0][start:stop], ids[place]))
-                    occupied[place], observed[place] = (each[start:stop] for each in rows[1:])
-                    filled, start = filled + stop - start, stop
-                    if filled == len(ids):
-                        yield Seconds(occupied.copy(), observed.copy())
-                        filled = 0
-        self._require(filled == 0)
-
-    def _require(self, fits: bool) -> None:  # noqa: FBT001 - a test, not an option
-        if not fits:
-            raise InputError(
-                f"{self.folder / PACKAGE}: layer {LONG} does not hold each tile once an interval",
-                hint=_HINT,
-            )
-
-
-def read_traffic(folder: Path) -> Traffic:
-    """Read a heat map; its intervals are read later, one by one.
-
-    Raises
-    ------
-    InputError
-        If the folder holds no heat map, or a damaged one.
-    """
-    package = folder / PACKAGE
-    try:
-        tiles = pyogrio.read_dataframe(package, layer=WIDE, columns=list(COLUMNS), use_arrow=True)
-        notes = pyogrio.read_info(package, layer=WIDE)["layer_metadata"] or {}
-        with closing(sqlite3.connect(f"{package.resolve().as_uri()}?mode=ro", uri=True)) as base:
-            times = base.execute(_TIMES).fetchall()
-    except (
-        pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, sqlite3.Error, OSError,
-    ) as error:  # fmt: skip
-        reason = str(error).splitlines()[0]
-        raise InputError(f"{package}: not a heat map: {reason}", hint=_HINT) from error
-    missing = [name for name in COLUMNS if name not in tiles]
-    if missing or tiles.empty or not times:
-        lacks = f"the column {missing[0]}" if missing else "any row"
-        raise InputError(f"{package}: not a heat map: it lacks {lacks}", hint=_HINT)
-    crs = metric_crs(tiles.crs, what=str(package))
-    intervals = [(datetime.fromisoformat(a), datetime.fromisoformat(b)) for a, b in times]
-    return Traffic(
-        folder=folder,
-        tiles=tiles.sort_values("tile_id", ignore_index=True),
-        crs=crs,
-        fingerprint=str(notes.get("fingerprint", "")),
-        whole=_whole(notes) or (intervals[0][0], intervals[-1][1]),
-        intervals=intervals,
-    )
-
-
-def _whole(notes: Mapping[str, str]) -> Span | None:
-    """Return the time from the first to the last frame, as the layer says it."""
-    try:
-        return datetime.fromisoformat(notes["begin"]), datetime.fromisoformat(notes["end"])
-    except (KeyError, ValueError):
-        return None
-
-
-TOUCH_M = 0.05
+TOUCH_M = 0.05  # between the ends of lanelets that follow each other
 BUSY = 0.2  # a class break of all heat maps
 
 
@@ -247,9 +90,9 @@ def _chains(only: dict[int, int], total: int) -> list[list[int]]:
     return chains
 
 
-@dataclass(kw_only=True)
-class LaneTally:
-    """Sums of tiles by lane, over the whole time and by interval.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LaneSums:
+    """Sums of tiles by lane and interval.
 
     Parameters
     ----------
@@ -257,38 +100,42 @@ class LaneTally:
         Which.
     lane_of_tile : (tiles,) int64 array
         Position of each tile's lane in `lanes`.
-    occupied, observed : list of (lanes,) float64 arrays
-        Tile-seconds of each interval so far.
+    occupied_s, observed_s : (intervals, lanes) float64 arrays
+        Tile-seconds.
     """
 
     lanes: Sequence[Lane]
     lane_of_tile: Integers
-    occupied: list[Floats] = field(default_factory=list)
-    observed: list[Floats] = field(default_factory=list)
+    occupied_s: Floats
+    observed_s: Floats
 
-    def add(self, seconds: Seconds) -> None:
-        """Add an interval."""
-        occupied, observed = self.sums(seconds)
-        self.occupied.append(occupied)
-        self.observed.append(observed)
-
-    def sums(self, seconds: Seconds) -> tuple[Floats, Floats]:
-        """Return tile-seconds by lane, occupied and observed."""
-        size = len(self.lanes)
-        occupied, observed = (np.bincount(self.lane_of_tile, part, size) for part in seconds)
-        return np.asarray(occupied, np.float64), np.asarray(observed, np.float64)
+    def of(self, shares: Shares) -> tuple[Floats, Floats]:
+        """Return the tile-seconds of each lane, occupied and observed, at another time."""
+        return _by_lane(shares, self.lane_of_tile, len(self.lanes))
 
 
-def lane_tally(tiles: gpd.GeoDataFrame) -> LaneTally:
-    """Return the lanes of tiles, with nothing counted yet."""
-    lanes = lanes_of(tiles)
-    lane_of_tile = np.empty(len(tiles), np.int64)
+def sum_by_lane(heat: HeatMap) -> LaneSums:
+    """Sum the tiles of each lane, interval by interval."""
+    lanes = lanes_of(heat.tiles)
+    lane_of_tile = np.empty(len(heat.tiles), np.int64)
     for i, lane in enumerate(lanes):
         lane_of_tile[lane.rows] = i
-    return LaneTally(lanes=lanes, lane_of_tile=lane_of_tile)
+    sums = [_by_lane(heat.shares(i), lane_of_tile, len(lanes)) for i in range(len(heat.timeline))]
+    occupied_s, observed_s = np.stack(sums, axis=1)
+    return LaneSums(
+        lanes=lanes, lane_of_tile=lane_of_tile, occupied_s=occupied_s, observed_s=observed_s
+    )
 
 
-def lane_table(traffic: Traffic, tally: LaneTally) -> pd.DataFrame:
+def _by_lane(shares: Shares, lane_of_tile: Integers, size: int) -> tuple[Floats, Floats]:
+    occupied, observed = (
+        np.bincount(lane_of_tile, np.nan_to_num(seconds), size).astype(np.float64)
+        for seconds in (shares.occupied_s, shares.observed_s)
+    )
+    return occupied, observed
+
+
+def lane_table(heat: HeatMap, sums: LaneSums) -> pd.DataFrame:
     """Return one row a lane, busiest first, those that were not observed last.
 
     Returns
@@ -301,14 +148,13 @@ def lane_table(traffic: Traffic, tally: LaneTally) -> pd.DataFrame:
         an occupancy of 20 % or more; `busiest_begin`, `busiest_end`, `busiest_occupancy` of the
         busiest interval, of those with at least half as much observed as in the best observed.
     """
-    share = traffic.overall.occupancy
-    occupied, observed = tally.sums(traffic.overall)
-    tiles = traffic.tiles
+    whole, tiles = heat.shares(), heat.tiles
+    occupied, observed = sums.of(whole)
     length = tiles["length_m"].to_numpy(np.float64)
     centre = quads(tiles).mean(axis=1)
     rows = []
-    for i, lane in enumerate(tally.lanes):
-        mine, long = share[lane.rows], length[lane.rows]
+    for i, lane in enumerate(sums.lanes):
+        mine, long = whole.occupancy[lane.rows], length[lane.rows]
         seen = np.isfinite(mine)
         top = int(np.nanargmax(mine)) if seen.any() else -1
         east, north = centre[lane.rows[-1]] - centre[lane.rows[0]]
@@ -329,7 +175,7 @@ def lane_table(traffic: Traffic, tally: LaneTally) -> pd.DataFrame:
                 if seen.any()
                 else np.nan,
                 "busy_m": float(long[mine >= BUSY].sum()) if seen.any() else np.nan,
-                **_busiest(traffic, tally, i),
+                **_busiest(heat, sums, i),
             }
         )
     table = pd.DataFrame(rows)
@@ -338,18 +184,78 @@ def lane_table(traffic: Traffic, tally: LaneTally) -> pd.DataFrame:
     )
 
 
-def _busiest(traffic: Traffic, tally: LaneTally, lane: int) -> dict[str, object]:
+def _busiest(heat: HeatMap, sums: LaneSums, lane: int) -> dict[str, object]:
     """Return the busiest interval of a lane; nothing where there is but one, or no hit."""
-    occupied = np.array([each[lane] for each in tally.occupied])
-    observed = np.array([each[lane] for each in tally.observed])
+    occupied, observed = sums.occupied_s[:, lane], sums.observed_s[:, lane]
     fair = (observed > 0) & (observed >= 0.5 * observed.max(initial=0.0))
-    if len(traffic.intervals) < 2 or not occupied[fair].any():
+    if len(heat.timeline) < 2 or not occupied[fair].any():
         return {"busiest_begin": pd.NaT, "busiest_end": pd.NaT, "busiest_occupancy": np.nan}
     share = np.divide(occupied, observed, out=np.full(len(fair), -1.0), where=fair)
     best = int(share.argmax())
-    begin, end = traffic.intervals[best]
+    begin, end = heat.timeline.span(best)
     return {
         "busiest_begin": pd.Timestamp(begin),
         "busiest_end": pd.Timestamp(end),
         "busiest_occupancy": float(share[best]),
     }
+
+
+def write_lanes(path: Path, table: pd.DataFrame, clock: Clock) -> None:
+    """Write all lanes: one row each, shares from 0 to 1, empty where not observed."""
+    header = (
+        "lane", "lanelets", "subtype", "leads_to", "length_m", "observed_m", "occupied_tile_s",
+        "observed_tile_s", "occupancy", "busiest_spot", "busiest_spot_m", "over_20_percent_m",
+        "busiest_begin_utc", "busiest_begin_local", "busiest_end_utc", "busiest_occupancy",
+    )  # fmt: skip
+    write_csv(path, header, (_lane_row(row, clock) for _, row in table.iterrows()))
+
+
+def _lane_row(row: pd.Series, clock: Clock) -> Sequence[Any]:
+    begin, end = row["busiest_begin"], row["busiest_end"]
+    never = pd.isna(begin)
+    lanelets = row["lanelets"]
+    return (
+        int(row["lane"]),
+        lanelets[0] if len(lanelets) == 1 else " ".join(map(str, lanelets)),
+        row["subtype"],
+        direction(row["east_m"], row["north_m"]),
+        round(float(row["length_m"]), 2),
+        round(float(row["observed_m"]), 2),
+        round(float(row["occupied_s"]), 2),
+        round(float(row["observed_s"]), 2),
+        round(float(row["occupancy"]), 6),
+        round(float(row["busiest_spot"]), 6),
+        round(float(row["busiest_spot_m"]), 2),
+        round(float(row["busy_m"]), 2),
+        "" if never else utc(begin),
+        "" if never else clock.iso(begin),
+        "" if never else utc(end),
+        round(float(row["busiest_occupancy"]), 6),
+    )
+
+
+def write_lane_intervals(path: Path, heat: HeatMap, sums: LaneSums, clock: Clock) -> None:
+    """Write one row a lane and interval, also where nothing was hit or observed."""
+    header = (
+        "lane", "begin_utc", "end_utc", "begin_local",
+        "occupied_tile_s", "observed_tile_s", "occupancy",
+    )  # fmt: skip
+    rows = (
+        (lane.number, *times, *_cells(occupied[i], observed[i]))
+        for (begin, end), occupied, observed in zip(
+            heat.timeline.spans(), sums.occupied_s, sums.observed_s, strict=True
+        )
+        for times in [(utc(begin), utc(end), clock.iso(begin))]
+        for i, lane in enumerate(sums.lanes)
+    )
+    write_csv(path, header, rows)
+
+
+def _cells(occupied: float, observed: float) -> Sequence[Any]:
+    if observed == 0:
+        return "", 0.0, ""
+    return (
+        round(float(occupied), 2),
+        round(float(observed), 2),
+        round(float(occupied / observed), 6),
+    )

@@ -7,33 +7,28 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
 from gis_radar.errors import OutputError, UsageError
 from gis_radar.files import whole_files
+from gis_radar.heatmap import HeatMap
 from gis_radar.heatmap.heatmap import LANES, LANES_BY_INTERVAL, PAGE, PAPER, QUALITY, SENSORS
 from gis_radar.notebooks import card
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.quality import Quality, measure_quality
 from gis_radar.report.content import Content
-from gis_radar.report.findings import Findings, content_of, figures_of
-from gis_radar.report.folder import Results, credits_of, read_results
-from gis_radar.report.lanes import Traffic, lane_table, lane_tally
-from gis_radar.report.map_part import canvas_for, frames_of, lane_figure, map_part
-from gis_radar.report.page import page_of
-from gis_radar.report.paper import write_pdf
-from gis_radar.report.spreadsheets import (
-    utc,
-    write_lane_intervals,
-    write_lanes,
-    write_quality,
-    write_sensors_table,
-)
-from gis_radar.report.words import Clock
+from gis_radar.report.findings import Findings, content_of, totals_of, write_sensor_table
+from gis_radar.report.lanes import lane_table, sum_by_lane, write_lane_intervals, write_lanes
+from gis_radar.report.maps import draw_maps, draw_plan, lay_out
+from gis_radar.report.pages import page_of, write_pdf
+from gis_radar.report.results import Results, read_results
+from gis_radar.report.words import Clock, utc, write_csv
 from gis_radar.steps import zone_of
 
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """What a report was made of, and where it is.
+    """A written report: its files and figures.
 
     Parameters
     ----------
@@ -67,7 +62,7 @@ def write_report(
     """Write a report for people without QGIS: `report.html`, `report.pdf`, and tables as CSV.
 
     The page opens without a network and asks for nothing; it needs no script but for the slider.
-    What the folder does not tell is said to be unknown. The same results give the same files.
+    What the folder does not hold is named as not known. The same results give the same files.
 
     Parameters
     ----------
@@ -83,7 +78,7 @@ def write_report(
     occupancies : sequence of str or Path
         Folders that the heat map was made of, where they are not in `folder`.
     reporter : Reporter
-        Hears how far the work is.
+        Where progress goes.
 
     Returns
     -------
@@ -102,31 +97,33 @@ def write_report(
     if title is not None and not title.strip():
         raise UsageError("the title is empty", hint="leave it out, or say what the site is called")
     results = read_results(folder, [Path(each) for each in occupancies])
-    traffic = results.traffic
+    heat = results.heat
     zone = timezone or str(results.site.get("time_zone") or "UTC")
-    clock, lanes, canvas = _clock(traffic, zone), lane_tally(traffic.tiles), canvas_for(traffic)
-    # Intervals are read once: what is drawn is counted by lane on the way.
-    frames = frames_of(traffic, canvas, lanes, clock, reporter)
+    clock, sums, picture = _clock(heat, zone), sum_by_lane(heat), lay_out(heat)
+    table = lane_table(heat, sums)
     found = Findings(
         results=results,
         title=title or str(results.site.get("title") or "") or folder.resolve().name,
         clock=clock,
         quality=_quality(results, zone, reporter),
-        lanes=lanes,
-        table=lane_table(traffic, lanes),
+        lanes=sums,
+        table=table,
     )
-    parts = map_part(traffic, canvas, frames, lanes, results.poses, credits_of(results))
-    content = content_of(found, parts, lane_figure(traffic, canvas, lanes, found.table))
+    maps = draw_maps(heat, picture, sums, results.poses, results.credits, clock, reporter)
+    content = content_of(found, maps, draw_plan(heat.tiles, picture, sums.lanes, table))
     outputs = _write(folder if output is None else Path(output), found, content, reporter)
     return Report(outputs=outputs, summary=_summary(found, content))
 
 
-def _clock(traffic: Traffic, timezone: str) -> Clock:
-    """Return who writes the times: to the second where an interval does not begin at a minute."""
-    edges = [each for span in traffic.intervals for each in span]
+def _clock(heat: HeatMap, timezone: str) -> Clock:
+    """Return the site's clock: to the second where an interval does not begin at a minute."""
+    edges = [each for span in heat.timeline.spans() for each in span]
     fine = any(each.second or each.microsecond for each in edges)
-    first, last = min(edges[0], traffic.whole[0]), max(edges[-1], traffic.whole[1])
-    return Clock(zone=zone_of(timezone), first=first, last=last, to_seconds=fine)
+    begin, end = heat.whole.span()
+    return Clock(
+        zone=zone_of(timezone), first=min(edges[0], begin), last=max(edges[-1], end),
+        to_seconds=fine,
+    )  # fmt: skip
 
 
 def _quality(results: Results, timezone: str, reporter: Reporter) -> Quality | None:
@@ -149,18 +146,27 @@ def _write(place: Path, found: Findings, content: Content, reporter: Reporter) -
 
 
 def _writers(found: Findings, content: Content) -> dict[str, Callable[[Path], None]]:
-    """Return who writes each file."""
-    clock, spans, quality = found.clock, found.results.traffic.intervals, found.quality
+    """Return the writer of each file."""
+    clock, heat, quality = found.clock, found.results.heat, found.quality
     writers: dict[str, Callable[[Path], None]] = {
         PAGE: lambda path: _write_text(path, page_of(content)),
         PAPER: lambda path: write_pdf(content, path),
         LANES: lambda path: write_lanes(path, found.table, clock),
-        LANES_BY_INTERVAL: lambda path: write_lane_intervals(path, found.lanes, spans, clock),
-        SENSORS: lambda path: write_sensors_table(path, found.results),
+        LANES_BY_INTERVAL: lambda path: write_lane_intervals(path, heat, found.lanes, clock),
+        SENSORS: lambda path: write_sensor_table(path, found.results),
     }
     if quality is not None:
-        writers[QUALITY] = lambda path: write_quality(path, quality)
+        writers[QUALITY] = lambda path: _write_quality(path, quality)
     return writers
+
+
+def _write_quality(path: Path, quality: Quality) -> None:
+    """Write the table of :func:`gis_radar.measure_quality`, a row a sensor and hour."""
+    rows = (
+        tuple(utc(cell) if isinstance(cell, pd.Timestamp) else cell for cell in row)
+        for row in quality.table.itertuples(index=False, name=None)
+    )
+    write_csv(path, list(quality.table.columns), rows)
 
 
 def _make(place: Path) -> None:
@@ -178,10 +184,10 @@ def _write_text(path: Path, text: str) -> None:
 
 
 def _summary(found: Findings, content: Content) -> dict[str, Any]:
-    """Return the figures as numbers, None where not known; the page says them in words."""
-    told = figures_of(found)
-    begin, end = found.results.traffic.whole
-    busiest = told.busiest_occupancy
+    """Return the figures as numbers, None where not known; the page has them in words."""
+    total = totals_of(found)
+    begin, end = found.results.heat.whole.span()
+    busiest = total.busiest_occupancy
     return {
         "title": content.title,
         "begin": utc(begin),
@@ -189,12 +195,12 @@ def _summary(found: Findings, content: Content) -> dict[str, Any]:
         "timezone": str(found.clock.zone),
         "pictures": len(content.map.frames) + 1,
         "sensors": found.results.sensors,
-        "lanes": told.lanes,
-        "lanes_observed": told.lanes_observed,
-        "lane_length_observed_m": round(told.length_observed_m, 2),
-        "tiles_observed": told.tiles_observed,
-        "tiles_hit": told.tiles_hit,
-        "busiest_lane": told.busiest_lane,
+        "lanes": total.lanes,
+        "lanes_observed": total.lanes_observed,
+        "lane_length_observed_m": round(total.length_observed_m, 2),
+        "tiles_observed": total.tiles_observed,
+        "tiles_hit": total.tiles_hit,
+        "busiest_lane": total.busiest_lane,
         "busiest_lane_occupancy": None if busiest is None else round(busiest, 6),
         "remarks": list(content.remarks),
     }

@@ -1,20 +1,27 @@
-"""How a report writes numbers, times and directions: in words that a planner reads at once."""
+"""Write numbers, times and directions as a planner reads them, and cells of CSV tables."""
 
 from __future__ import annotations
 
+import csv
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from functools import cached_property
 from itertools import groupby
+from numbers import Number
+from pathlib import Path
+from typing import Any
 from zoneinfo import ZoneInfo
+
+import pandas as pd
 
 NOTHING, MINUS = "\u2013", "\u2212"  # a dash; a minus as wide as a plus
 THIN = "\u202f"  # narrow, and no line ends there
 _WINDS = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
 
 
-def number(value: float, digits: int = 0) -> str:
+def figure_text(value: float, digits: int = 0) -> str:
     """Return a number with thousands set apart; a dash where there is none."""
     if not math.isfinite(value):
         return NOTHING
@@ -26,17 +33,17 @@ def percent(share: float, digits: int = 1) -> str:
     """Return a share as percent; what is more than nothing never reads as nothing."""
     if math.isfinite(share) and 0.0 < share * 100 < 0.5 * 10.0**-digits:
         return f"under {10.0**-digits:g}{THIN}%"
-    return f"{number(share * 100, digits)}{THIN}%" if math.isfinite(share) else NOTHING
+    return f"{figure_text(share * 100, digits)}{THIN}%" if math.isfinite(share) else NOTHING
 
 
 def plus_minus(value: float, digits: int, unit: str = "") -> str:
     """Return one standard deviation; a dash where it is not known."""
-    return f"± {number(value, digits)}{unit}" if math.isfinite(value) else NOTHING
+    return f"± {figure_text(value, digits)}{unit}" if math.isfinite(value) else NOTHING
 
 
 def count(amount: int, noun: str) -> str:
     """Return an amount with its noun."""
-    return f"{number(amount)} {noun}{'' if amount == 1 else 's'}"
+    return f"{figure_text(amount)} {noun}{'' if amount == 1 else 's'}"
 
 
 def direction(east_m: float, north_m: float) -> str:
@@ -55,7 +62,7 @@ def listed(words: list[str]) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Clock:
-    """Writes times as the clocks of the site show them.
+    """The clocks of the site: local times as text.
 
     Parameters
     ----------
@@ -155,3 +162,31 @@ def _offset(local: datetime) -> str:
     minutes = round((local.utcoffset() or timedelta()).total_seconds() / 60)
     sign = MINUS if minutes < 0 else "+"
     return f"UTC{sign}{abs(minutes) // 60:02d}:{abs(minutes) % 60:02d}"
+
+
+# What makes a spreadsheet take a cell for a formula (OWASP), in ASCII and in full width.
+FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "\uff1d", "\uff0b", "\uff0d", "\uff20")
+
+
+def safe(cell: Any) -> Any:
+    """Return a cell as it is written: numbers stay, text never begins a formula."""
+    if cell is None or cell is pd.NaT:
+        return ""
+    if isinstance(cell, Number):
+        return "" if isinstance(cell, float) and math.isnan(cell) else cell
+    text = str(cell)
+    return f"'{text}" if text.lstrip(" ").startswith(FORMULA) else text
+
+
+def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    """Write a table as CSV in UTF-8, with commas and points."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\r\n")
+        writer.writerow([safe(name) for name in header])
+        writer.writerows([safe(cell) for cell in row] for row in rows)
+
+
+def utc(moment: datetime) -> str:
+    """Return a time as ISO 8601 with Z."""
+    text = pd.Timestamp(moment).tz_convert("UTC").isoformat(timespec="milliseconds")
+    return text.removesuffix("+00:00").removesuffix(".000") + "Z"

@@ -1,7 +1,11 @@
-"""The report as PDF: the same content, laid out for A4."""
+"""Write a report's content as one HTML file with all inside, and the same as PDF on A4."""
 
 from __future__ import annotations
 
+import base64
+import hashlib
+from functools import cache
+from importlib.resources import files
 from io import BytesIO
 from pathlib import Path
 
@@ -9,16 +13,83 @@ import matplotlib as mpl
 from fpdf import FPDF, ViewerPreferences
 from fpdf.enums import TableBordersLayout, TableCellFillMode, XPos, YPos
 from fpdf.fonts import FontFace
+from jinja2 import Environment, StrictUndefined, Template
+from markupsafe import Markup
 from PIL import Image
 
 from gis_radar.heatmap import style
-from gis_radar.report.canvas import HATCH, Picture, image_of
-from gis_radar.report.content import Content, Figure, Frame, Table
+from gis_radar.heatmap.picture import INK, SENSOR, SOFT, STRIPE
+from gis_radar.report.content import Content, Figure, MapSeries, Table
 
-INK, SOFT, LINE = (29, 33, 38), (89, 97, 106), (213, 218, 222)
-WASH = (243, 245, 247)
-MARGIN, TOP, FOOT = 16.0, 20.0, 18.0
+LINE, WASH, AMBER, AMBER_WASH = "#d5dade", "#f3f5f7", "#b26a00", "#fff6e0"
+MARGIN, TOP, FOOT = 16.0, 20.0, 18.0  # of a page, millimetres, as all lengths here
 FONT = "DejaVu"
+LEGEND, GAP = 44.0, 4.0
+TALLEST_MAP, TALLEST_PLAN, TALLEST_FIGURE = 165.0, 165.0, 120.0
+ACROSS, THUMB_PIXELS, MAP_PIXELS = 4, 420, 1500  # small maps side by side; widths of pictures
+
+Box = tuple[float, float, float, float]  # left, top, width, height, millimetres
+
+
+def page_of(content: Content) -> str:
+    """Return the page; all text of others is escaped, and the policy lets nothing else in."""
+    css, script = _part("page.css") + _legend_css() + _map_css(content.map), _part("page.js")
+    return _template().render(
+        report=content,
+        legend=style.legend(),
+        legend_title=style.LEGEND_TITLE,
+        legend_subtitle=style.LEGEND_SUBTITLE,
+        css=Markup(css),  # noqa: S704 - our own file
+        script=Markup(script),  # noqa: S704 - our own file
+        policy=_policy(css, script),
+        data_uri=_data_uri,
+    )
+
+
+def _policy(css: str, script: str) -> str:
+    """Return the Content-Security-Policy: pictures in the page, our style, our script."""
+    return (
+        "default-src 'none'; img-src data:; "
+        f"style-src '{_hash(css)}'; script-src '{_hash(script)}'; "
+        "base-uri 'none'; form-action 'none'"
+    )
+
+
+def _hash(text: str) -> str:
+    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+
+
+def _legend_css() -> str:
+    """Return the colours of the legend, which are those of the maps."""
+    colours = dict(enumerate(colour for colour, _ in style.legend()[:-1]))
+    return "".join(f".class-{i} {{ background: {each}; }}\n" for i, each in colours.items())
+
+
+def _map_css(part: MapSeries) -> str:
+    """Return how large the map may be: whole in the window, and beside its words on paper."""
+    shape = f"{part.whole.width} / {part.whole.height}"
+    return (
+        "@media screen and (min-width: 52rem) { .plate { grid-template-columns: "
+        f"minmax(0, calc(max(22rem, min(58rem, 88vh)) * {shape})) 18rem; }} }}\n"
+        f"@media print {{ .large .sheet {{ max-width: calc(116mm * {shape}); }} }}\n"
+    )
+
+
+def _data_uri(picture: bytes) -> str:
+    return "data:image/png;base64," + base64.b64encode(picture).decode()
+
+
+@cache
+def _template() -> Template:
+    text = _part("page.html")
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.from_string(text)
+
+
+def _part(name: str) -> str:
+    return files("gis_radar.report").joinpath(name).read_text(encoding="utf-8")
 
 
 class Paper(FPDF):
@@ -80,7 +151,7 @@ class Paper(FPDF):
         *,
         size: float = 9.0,
         bold: bool = False,
-        colour: tuple[int, int, int] = INK,
+        colour: str = INK,
         width: float = 0.0,
     ) -> None:
         """Write a paragraph below what is there."""
@@ -107,21 +178,20 @@ class Paper(FPDF):
         return float(self.h - FOOT - self.get_y())
 
 
-def add_figure(paper: Paper, figure: Figure, tallest: float) -> None:
+def _add_figure(paper: Paper, figure: Figure, tallest: float) -> None:
     """Draw a picture with its caption, on a new page where it does not fit."""
     height = min(paper.epw * figure.height / figure.width, tallest)
     width = height * figure.width / figure.height
     if paper.room < height + 14:
         paper.add_page()
     top = paper.get_y() + 2
-    paper.image(BytesIO(figure.png), MARGIN, top, width, height, alt_text=figure.alt)
-    add_frame(paper, MARGIN, top, width, height)
+    _add_picture(paper, BytesIO(figure.png), figure.alt, (MARGIN, top, width, height))
     paper.set_xy(MARGIN, top + height + 1.5)
     paper.say(figure.caption, size=8, colour=SOFT)
     paper.ln(2)
 
 
-def add_table(paper: Paper, content: Table) -> None:
+def _add_table(paper: Paper, content: Table) -> None:
     """Draw a table; its head comes again on each page."""
     if paper.room < 30:
         paper.add_page()
@@ -155,16 +225,11 @@ def _add_rows(paper: Paper, content: Table) -> None:
             table.row(list(cells))
 
 
-def add_frame(paper: Paper, left: float, top: float, width: float, height: float) -> None:
-    """Draw a thin line around a picture."""
+def _add_picture(paper: Paper, picture: Image.Image | BytesIO, alt: str, box: Box) -> None:
+    """Draw a picture with a thin line around it."""
+    paper.image(picture, *box, alt_text=alt)
     paper.set_draw_color(LINE)
-    paper.rect(left, top, width, height)
-
-
-ACCENT, AMBER, AMBER_WASH = (0, 81, 158), (178, 106, 0), (255, 246, 224)
-LEGEND, GAP = 44.0, 4.0
-TALLEST_MAP, TALLEST_PLAN, TALLEST_FIGURE = 165.0, 165.0, 120.0
-ACROSS, THUMB_PIXELS, MAP_PIXELS = 4, 420, 1500
+    paper.rect(*box)
 
 
 def write_pdf(content: Content, path: Path) -> None:
@@ -186,21 +251,21 @@ def write_pdf(content: Content, path: Path) -> None:
     _add_frames(paper, content)
     _add_lanes(paper, content)
     paper.chapter("Sensors", 60)
-    add_table(paper, content.sensors)
+    _add_table(paper, content.sensors)
     for figure in content.sensor_figures:
-        add_figure(paper, figure, TALLEST_FIGURE)
+        _add_figure(paper, figure, TALLEST_FIGURE)
     paper.chapter("What the numbers rest on")
-    add_table(paper, content.quality)
+    _add_table(paper, content.quality)
     paper.chapter("Settings and sources", 70)
-    add_table(paper, content.settings)
-    add_table(paper, content.sources)
+    _add_table(paper, content.settings)
+    _add_table(paper, content.sources)
     _add_words(paper, content)
     paper.output(str(path))
 
 
 def _add_title(paper: Paper, content: Content) -> None:
     paper.start_section("In short")
-    paper.say("TRAFFIC OCCUPANCY REPORT", size=8, bold=True, colour=ACCENT)
+    paper.say("TRAFFIC OCCUPANCY REPORT", size=8, bold=True, colour=SENSOR)
     paper.ln(0.5)
     paper.say(content.title, size=22, bold=True)
     paper.ln(1)
@@ -208,11 +273,7 @@ def _add_title(paper: Paper, content: Content) -> None:
     paper.say(f"All times: {content.zone}.", size=9, colour=SOFT)
     paper.ln(3)
     _add_facts(paper, content)
-    paper.say(
-        "The map shows in which share of the observed time radar hit each half metre of lane. "
-        "Compare one place over time; the figures count neither vehicles nor queues (see: What "
-        "the words mean)."
-    )
+    paper.say(f"{content.intro} (see: What the words mean).")
     if content.remarks:
         paper.ln(2)
         paper.say("Read this first", bold=True, size=9.5)
@@ -228,7 +289,7 @@ def _add_facts(paper: Paper, content: Content) -> None:
         left = MARGIN + i * (width + 2)
         paper.set_fill_color(WASH)
         paper.rect(left, top, width, 13.5, style="F")
-        paper.set_fill_color(ACCENT)
+        paper.set_fill_color(SENSOR)
         paper.rect(left, top, 0.9, 13.5, style="F")
         paper.set_xy(left + 2, top + 1.8)
         paper.set_font(FONT, size=6.8)
@@ -256,20 +317,18 @@ def _add_remark(paper: Paper, text: str) -> None:
 
 
 def _add_map(paper: Paper, content: Content) -> None:
-    part = content.map
+    part, figure = content.map, content.map.whole
     paper.chapter("Map, whole time", 150)
     note_room = 22.0
     width = paper.epw - LEGEND - GAP
-    height = min(width * part.height / part.width, TALLEST_MAP, paper.room - note_room)
-    width = height * part.width / part.height
+    shape = figure.height / figure.width
+    height = min(width * shape, TALLEST_MAP, paper.room - note_room)
     top = paper.get_y()
-    image = _composed(part.whole.picture, part.overlay, MAP_PIXELS)
-    alt = f"Map of occupancy, {part.whole.label}. {part.whole.text}"
-    paper.image(image, MARGIN, top, width, height, alt_text=alt)
-    add_frame(paper, MARGIN, top, width, height)
-    _add_legend(paper, MARGIN + width + GAP, top)
+    image = _composed(figure.png, part.overlay, MAP_PIXELS)
+    _add_picture(paper, image, figure.alt, (MARGIN, top, height / shape, height))
+    _add_legend(paper, MARGIN + height / shape + GAP, top)
     paper.set_xy(MARGIN, top + height + 2)
-    paper.say(part.whole.text, size=8.5)
+    paper.say(figure.caption, size=8.5)
     paper.say(part.caption, size=7.5, colour=SOFT)
 
 
@@ -282,16 +341,15 @@ def _add_legend(paper: Paper, left: float, top: float) -> None:
     paper.set_xy(left, top + 4)
     paper.set_font(FONT, size=7.5)
     paper.set_text_color(SOFT)
-    paper.cell(LEGEND, 4, "in which a tile is hit")
-    rows = [(level.colour, level.label) for level in reversed(style.colour_classes())]
+    paper.cell(LEGEND, 4, style.LEGEND_SUBTITLE)
     paper.set_text_color(INK)
-    for i, (colour, label) in enumerate([*rows, (style.NOT_OBSERVED, style.NOT_OBSERVED_LABEL)]):
+    for i, (colour, label) in enumerate(style.legend()):
         y = top + 10 + i * 6
         paper.set_draw_color(SOFT)
-        paper.set_fill_color(*bytes.fromhex(colour[1:]))
+        paper.set_fill_color(colour)
         paper.rect(left, y, 9, 4.6, style="DF")
-        if i == len(rows):
-            paper.set_draw_color(*bytes.fromhex(HATCH[1:]))
+        if colour == style.NOT_OBSERVED:
+            paper.set_draw_color(STRIPE)
             for k in range(1, 6):
                 paper.line(left + 1.8 * k - 1.2, y + 4.5, left + 1.8 * k, y + 0.1)
         paper.set_xy(left + 11, y)
@@ -304,7 +362,7 @@ def _add_frames(paper: Paper, content: Content) -> None:
     if not part.frames:
         return
     width = (paper.epw - GAP * (ACROSS - 1)) / ACROSS
-    height = width * part.height / part.width
+    height = width * part.whole.height / part.whole.width
     tall = height + 16.0
     paper.chapter("The map through time", tall + 25)
     if part.note:
@@ -319,25 +377,22 @@ def _add_frames(paper: Paper, content: Content) -> None:
         paper.set_xy(MARGIN, top + tall)
 
 
-def _add_frame(paper: Paper, frame: Frame, box: tuple[float, float, float, float]) -> None:
+def _add_frame(paper: Paper, frame: Figure, box: Box) -> None:
     left, top, width, height = box
-    alt = f"Map of occupancy, {frame.label}. {frame.text}"
-    image = _composed(frame.picture, None, THUMB_PIXELS)
-    paper.image(image, left, top, width, height, alt_text=alt)
-    add_frame(paper, left, top, width, height)
+    _add_picture(paper, _composed(frame.png, None, THUMB_PIXELS), frame.alt, box)
     paper.set_xy(left, top + height + 1)
     paper.set_font(FONT, "B", 6.8)
     paper.set_text_color(INK)
-    paper.multi_cell(width, 3.3, frame.label, align="L", new_x=XPos.LEFT, new_y=YPos.NEXT)
+    paper.multi_cell(width, 3.3, frame.title, align="L", new_x=XPos.LEFT, new_y=YPos.NEXT)
     paper.set_font(FONT, size=6)
     paper.set_text_color(SOFT)
-    paper.multi_cell(width, 2.9, frame.text, align="L", new_x=XPos.LEFT, new_y=YPos.NEXT)
+    paper.multi_cell(width, 2.9, frame.caption, align="L", new_x=XPos.LEFT, new_y=YPos.NEXT)
 
 
 def _add_lanes(paper: Paper, content: Content) -> None:
     paper.chapter("Lanes", 190)
-    add_figure(paper, content.lane_figure, TALLEST_PLAN)
-    add_table(paper, content.lanes)
+    _add_figure(paper, content.lane_figure, TALLEST_PLAN)
+    _add_table(paper, content.lanes)
 
 
 def _add_words(paper: Paper, content: Content) -> None:
@@ -350,9 +405,9 @@ def _add_words(paper: Paper, content: Content) -> None:
         paper.ln(1.8)
 
 
-def _composed(picture: Picture, overlay: bytes | None, width: int) -> Image.Image:
-    """Return a map as it is seen, with what lies over it, no wider than that."""
-    image = image_of(picture).convert("RGBA")
+def _composed(picture: bytes, overlay: bytes | None, width: int) -> Image.Image:
+    """Return a map with what lies over it, no wider than that."""
+    image = Image.open(BytesIO(picture)).convert("RGBA")
     if overlay is not None:
         image = Image.alpha_composite(image, Image.open(BytesIO(overlay)).convert("RGBA"))
     image.thumbnail((width, 4 * width), Image.Resampling.LANCZOS)

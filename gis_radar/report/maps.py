@@ -1,0 +1,254 @@
+"""Draw the pictures of a report: the map by interval, the lanes' numbers, how poses were found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import geopandas as gpd
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from PIL import Image
+
+from gis_radar.arrays import Floats
+from gis_radar.crs import name_of
+from gis_radar.heatmap import HeatMap
+from gis_radar.heatmap.counting import Shares
+from gis_radar.heatmap.picture import (
+    HALO,
+    INK,
+    PAPER,
+    SETTINGS,
+    SOFT,
+    MapPicture,
+    add_corner_scale,
+    extent_of,
+    image_of_figure,
+    image_of_pixels,
+    map_picture,
+    png,
+    rgb,
+)
+from gis_radar.poses.pose import Pose
+from gis_radar.progress import Reporter
+from gis_radar.report.content import Figure, MapSeries
+from gis_radar.report.lanes import Lane, LaneSums
+from gis_radar.report.words import Clock, count, percent
+from gis_radar.tiles.tiles import quads
+
+ASPECT = (0.55, 1.25)  # height by width: lowest, which the scale needs, and highest
+MOST_FRAMES = 96  # pictures in time: a day of quarter hours
+MOST_PIXELS = 2_200_000  # of a picture
+ALL_PIXELS = 70_000_000  # of all together: a browser holds four bytes of each
+STAGE = "drawing the maps"
+
+PLAN_IN = 6.0  # width of the figure of lanes: the narrower, the larger its words
+MOST_LABELS = 60
+TRIES = (0.5, 0.4, 0.6, 0.3, 0.7, 0.2, 0.8, 0.1, 0.9)  # where on a lane its number may stand
+LABEL_ROOM = 0.03  # from one number to the next, of the width
+# Four tints that neighbours can take in turn, told apart without colour by their numbers.
+TINTS = ("#cfe3f5", "#f7dfb2", "#d8ead0", "#ead6ea")
+
+
+def lay_out(heat: HeatMap) -> MapPicture:
+    """Lay the picture of all maps of a report: the more maps, the coarser."""
+    maps = len(_groups(heat)) + 1
+    corners = quads(heat.tiles)
+    extent = extent_of(corners, heat.shares().observed_s > 0, ASPECT)
+    return map_picture(corners, extent, min(MOST_PIXELS, ALL_PIXELS // maps))
+
+
+def draw_maps(
+    heat: HeatMap,
+    picture: MapPicture,
+    sums: LaneSums,
+    poses: Sequence[Pose],
+    sources: Sequence[str],
+    clock: Clock,
+    reporter: Reporter,
+) -> MapSeries:
+    """Draw the map over the whole time and by interval.
+
+    Parameters
+    ----------
+    heat : HeatMap
+        What to draw.
+    picture : MapPicture
+        Its pixels.
+    sums : LaneSums
+        Its sums by lane.
+    poses : sequence of Pose
+        Of the sensors that it shows.
+    sources : sequence of str
+        Whose data they are.
+    clock : Clock
+        For the labels.
+    reporter : Reporter
+        Where progress goes.
+    """
+    groups, frames = _groups(heat), []
+    for done, group in enumerate(groups, start=1):
+        begin, end = heat.timeline.span(group.start)[0], heat.timeline.span(group.stop - 1)[1]
+        if len(heat.timeline) > 1:
+            frames.append(_map(picture, heat.shares(group), sums, clock.span(begin, end)))
+        reporter.progress(STAGE, done, len(groups))
+    size, note = groups[0].stop, ""
+    if size > 1:
+        note = (
+            f"The heat map has {count(len(heat.timeline), 'interval')}; each picture shows "
+            f"{size} of them together. The tables hold each."
+        )
+    sensors = " Triangles: sensors; dashed: their range and opening angle." if poses else ""
+    given = f" Sources: {'; '.join(sources)}." if sources else ""
+    with mpl.rc_context(SETTINGS):
+        overlay = png(picture.overlay(poses))
+    return MapSeries(
+        whole=_map(picture, heat.shares(), sums, "Whole time"),
+        frames=frames,
+        overlay=overlay,
+        caption=(
+            f"North is up on the grid of {heat.crs.name} ({name_of(heat.crs)[:24]}).{sensors} "
+            f"Where tiles overlap, the busiest is on top.{given}"
+        ),
+        note=note,
+    )
+
+
+def _groups(heat: HeatMap) -> list[slice]:
+    """Return the intervals as pictures show them: singly, or several at a time where many."""
+    total = len(heat.timeline)
+    size = -(-total // MOST_FRAMES)
+    return [slice(first, min(first + size, total)) for first in range(0, total, size)]
+
+
+def _map(picture: MapPicture, shares: Shares, sums: LaneSums, label: str) -> Figure:
+    text = _sentence(shares, sums)
+    return Figure(
+        png=png(image_of_pixels(picture.paint(shares.occupancy))),
+        width=picture.grid.width,
+        height=picture.grid.height,
+        title=label,
+        caption=text,
+        alt=f"Map of occupancy, {label}. {text}",
+    )
+
+
+def _sentence(shares: Shares, sums: LaneSums) -> str:
+    """Say what a map shows: the busiest lane, and how much was observed and hit."""
+    seen, hit = int((shares.observed_s > 0).sum()), int((shares.occupied_s > 0).sum())
+    if not seen:
+        return "Nothing was observed."
+    if not hit:
+        return f"No tile was hit; {count(seen, 'tile')} observed."
+    occupied, observed = sums.of(shares)
+    of_lanes = np.divide(occupied, observed, out=np.zeros(len(observed)), where=observed > 0)
+    top = int(of_lanes.argmax())
+    busiest = f"Busiest is lane {sums.lanes[top].number}, occupied {percent(of_lanes[top])}"
+    facts = f"{percent(hit / seen, 0)} of {count(seen, 'observed tile')} hit."
+    return f"{busiest} of the observed time; {facts}"
+
+
+def draw_plan(
+    tiles: gpd.GeoDataFrame, picture: MapPicture, lanes: Sequence[Lane], table: pd.DataFrame
+) -> Figure:
+    """Draw the lanes with their numbers and where they lead.
+
+    Parameters
+    ----------
+    tiles : GeoDataFrame
+        All tiles.
+    picture : MapPicture
+        The piece of the map.
+    lanes : sequence of Lane
+        All lanes.
+    table : DataFrame
+        From :func:`gis_radar.report.lanes.lane_table`: observed lanes are named, the busiest
+        where they are too many.
+    """
+    west, east, south, north = picture.grid.bounds
+    corner, size = np.array([west, south]), np.array([east - west, north - south])
+    centres = quads(tiles).mean(axis=1)
+    place = (centres - corner) / size
+    inside = ((place > 0.0) & (place < 1.0)).all(axis=1)
+    shown = [lane for lane in lanes if inside[lane.rows].any()]
+    named = set(table.loc[table["occupancy"].notna(), "lane"].tolist()[:MOST_LABELS])
+    with mpl.rc_context(SETTINGS):
+        figure, ax = picture.blank(PLAN_IN)
+        ways = [centres[lane.rows] for lane in shown]
+        ax.add_collection(LineCollection(ways, colors=SOFT, linewidths=0.5))
+        taken = [corner + size * (1.0, 0.04)]  # where the scale bar stands
+        for lane, way in zip(shown, ways, strict=True):
+            if inside[lane.rows[-1]]:
+                _add_tip(ax, way)
+            in_sight = np.abs(place[lane.rows] - 0.5).max(axis=1) < 0.48
+            if lane.number in named and in_sight.any():
+                _add_number(ax, way, np.flatnonzero(in_sight), lane.number, taken)
+        add_corner_scale(figure, ax)
+        over = image_of_figure(figure).convert("RGBA")
+    whole = Image.alpha_composite(_tinted(picture, len(tiles), lanes), over)
+    return Figure(
+        png=png(whole.convert("RGB").quantize(128, dither=Image.Dither.NONE)),
+        width=picture.grid.width,
+        height=picture.grid.height,
+        caption="The lanes, and the numbers of those observed; arrows show where they lead.",
+        alt=(
+            f"Map of {count(len(lanes), 'lane')} with their numbers. The table says of "
+            "each where it leads and how long it is."
+        ),
+    )
+
+
+def _tinted(picture: MapPicture, tiles: int, lanes: Sequence[Lane]) -> Image.Image:
+    """Return the lanes in tints; where they overlap, the shortest is on top."""
+    longest_first = sorted(lanes, key=lambda each: -len(each.rows))
+    place = np.zeros(tiles, np.int64)
+    for i, lane in enumerate(longest_first):
+        place[lane.rows] = i
+    tint = np.array([lane.number % len(TINTS) for lane in longest_first])
+    pixels = picture.ground.copy()  # paper and outline, as on the map
+    pixels.ravel()[picture.cover.pixel] = 2 + tint[picture.cover.highest(place)]
+    return image_of_pixels(pixels, rgb(PAPER, SOFT, *TINTS)).convert("RGBA")
+
+
+def _add_tip(ax: Axes, way: Floats) -> None:
+    """Draw an arrow at a lane's end."""
+    if len(way) < 4:
+        return
+    look = {"arrowstyle": "-|>", "color": INK, "lw": 0.7, "mutation_scale": 7}
+    ax.annotate("", tuple(way[-1]), tuple(way[-4]), arrowprops=look)
+
+
+def _add_number(
+    ax: Axes, way: Floats, in_sight: np.ndarray, number: int, taken: list[Floats]
+) -> None:
+    """Write a lane's number along it, in sight and as far from the others as need be."""
+    west, east = ax.get_xlim()
+    tries = in_sight[(np.array(TRIES) * (len(in_sight) - 1)).astype(int)]
+    room = np.array([min(np.hypot(*(way[at] - each)) for each in taken) for at in tries])
+    enough = room > LABEL_ROOM * (east - west)
+    middle = int(tries[int(enough.argmax()) if enough.any() else int(room.argmax())])
+    taken.append(way[middle])
+    ahead = way[min(middle + 2, len(way) - 1)] - way[max(middle - 2, 0)]
+    turn = (np.degrees(np.arctan2(ahead[1], ahead[0])) + 90.0) % 180.0 - 90.0
+    ax.text(
+        way[middle, 0], way[middle, 1], str(number),
+        fontsize=7.5, fontweight="bold", color=INK,
+        ha="center", va="center", rotation=turn, path_effects=HALO, zorder=4,
+    )  # fmt: skip
+
+
+def flat_picture(path: Path, width: int) -> Image.Image | None:
+    """Return a picture file, no wider than that, on white; None where it is none."""
+    try:
+        with Image.open(path) as image:
+            image.load()
+            whole = image.convert("RGBA")
+    except (OSError, ValueError):
+        return None
+    white = Image.new("RGBA", whole.size, "white")
+    flat = Image.alpha_composite(white, whole).convert("RGB")
+    flat.thumbnail((width, width * 4))
+    return flat

@@ -1,0 +1,213 @@
+"""Read a folder of results: the heat map, and what else tells how it was made."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gis_radar.crs import name_of, same_plane
+from gis_radar.errors import InputError
+from gis_radar.heatmap import HeatMap, read_heatmap
+from gis_radar.heatmap.heatmap import FILE as PACKAGE
+from gis_radar.occupancy import Occupancy, merge_occupancies, read_occupancy
+from gis_radar.poses.files import read_track
+from gis_radar.poses.pose import Pose, pose_from_dict
+
+MANIFEST = "manifest.json"
+RUN = "run.json"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Results:
+    """The results that a report is made of.
+
+    Parameters
+    ----------
+    name : str
+        Of the heat map's folder.
+    heat : HeatMap
+        The heat map.
+    occupancy : Occupancy or None
+        What it was made of; None where it is not there.
+    poses : sequence of Pose
+        The last pose of each sensor that the heat map shows, by name, where it is in the map's
+        coordinate system.
+    figures : mapping
+        Picture of how a sensor's pose was found, by its name.
+    run : mapping
+        The `run.json` of `gis-radar run`; empty where the steps were made one by one.
+    missing : sequence of str
+        What is not there, in sentences.
+    """
+
+    name: str
+    heat: HeatMap
+    occupancy: Occupancy | None
+    poses: Sequence[Pose]
+    figures: Mapping[str, Path]
+    run: Mapping[str, Any]
+    missing: Sequence[str]
+
+    @property
+    def sensors(self) -> list[str]:
+        """The sensors that the heat map shows, as far as known."""
+        known = self.occupancy.sensors if self.occupancy else [each.sensor for each in self.poses]
+        return list(known)
+
+    @property
+    def site(self) -> Mapping[str, Any]:
+        """The site file's content, empty where there was none."""
+        return dict(self.run.get("site") or {})
+
+    @property
+    def stages(self) -> list[dict[str, Any]]:
+        """How the stages of the run ended."""
+        return list(self.run.get("stages") or [])
+
+    @property
+    def lost(self) -> dict[str, str]:
+        """The sensors of the site that the heat map does not show, and why."""
+        shown = self.run.get("sensors_in_heat_maps") or []
+        errors = {
+            str(stage["name"]).partition(" ")[2]: str(stage["error"])
+            for stage in reversed(self.stages)
+            if stage.get("error")
+        }
+        names = [str(each["name"]) for each in self.site.get("sensor") or []]
+        return {
+            name: errors.get(name, "see summary.md")
+            for name in names
+            if shown and name not in shown
+        }
+
+    @property
+    def warnings(self) -> list[str]:
+        """The warnings of the run, each once, after the stages that raised it."""
+        by_text: dict[str, list[str]] = {}
+        for stage in self.stages:
+            for text in dict.fromkeys(stage.get("warnings") or []):
+                by_text.setdefault(text, []).append(str(stage["name"]))
+        return [f"{', '.join(names)}: {text}" for text, names in by_text.items()]
+
+    @property
+    def credits(self) -> list[str]:
+        """The sources of map and scan, each once."""
+        parts = [self.site.get("map"), self.site.get("scan")]
+        named = [str(part["source"]) for part in parts if part and part.get("source")]
+        return list(dict.fromkeys([*named, *map(str, self.site.get("attribution") or [])]))
+
+
+def read_results(folder: Path, occupancies: Sequence[Path] = ()) -> Results:
+    """Read the results of `gis-radar run`, or of the steps one by one.
+
+    Parameters
+    ----------
+    folder : Path
+        Holds `heatmap.gpkg`, or a folder with it: `heatmap/`, or the only one that has one.
+    occupancies : sequence of Path
+        Folders of occupancies that lie elsewhere; without them `occupancy/` or all in it.
+
+    Raises
+    ------
+    InputError
+        If there is no heat map, or several, or something is damaged.
+    """
+    run, place = _run(folder), _heat_map(folder)
+    heat = read_heatmap(place)
+    occupancy, missing = _occupancy(folder, heat, occupancies)
+    if occupancy is None:
+        missing.append(
+            "The occupancy that the heat map was made of is not in the folder: what the sensors "
+            "delivered, their poses and the filters cannot be told (option --occupancy)."
+        )
+    if not run:
+        missing.append("The folder is not that of a run: settings are told only as far as known.")
+    poses = _poses(folder, occupancy)
+    missing += [
+        f"The pose of sensor {pose.sensor} is in {name_of(pose.crs)[:24]}, the map in "
+        f"{name_of(heat.crs)[:24]}: it is left out."
+        for pose in poses
+        if not same_plane(pose.crs, heat.crs)
+    ]
+    pictures = sorted((folder / "sensors").glob("*/localization.png"))
+    return Results(
+        name=place.name,
+        heat=heat,
+        occupancy=occupancy,
+        poses=[pose for pose in poses if same_plane(pose.crs, heat.crs)],
+        figures={path.parent.name: path for path in pictures},
+        run=run,
+        missing=missing,
+    )
+
+
+def _heat_map(folder: Path) -> Path:
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder", hint="name the folder of gis-radar run")
+    for place in (folder, folder / "heatmap"):
+        if (place / PACKAGE).is_file():
+            return place
+    found = sorted(path.parent for path in folder.glob(f"*/{PACKAGE}"))
+    if len(found) > 1:
+        names = ", ".join(path.name for path in found)
+        raise InputError(f"{folder}: holds several heat maps: {names}", hint="name one of them")
+    if not found:
+        raise InputError(
+            f"{folder}: holds no heat map", hint="make one with: gis-radar run, gis-radar heatmap"
+        )
+    return found[0]
+
+
+def _occupancy(
+    folder: Path, heat: HeatMap, given: Sequence[Path]
+) -> tuple[Occupancy | None, list[str]]:
+    """Return the occupancy of the heat map's tiles, and what to know of the others."""
+    whole = folder / "occupancy"
+    inside = [whole] if (whole / MANIFEST).is_file() else sorted(whole.glob("*/"))
+    places = list(given) or [place for place in inside if (place / MANIFEST).is_file()]
+    parts = {place: read_occupancy(place) for place in places}
+    fitting = [part for part in parts.values() if part.fingerprint == heat.fingerprint]
+    others = [place for place, part in parts.items() if part.fingerprint != heat.fingerprint]
+    if others and given:
+        raise InputError(
+            f"{folder}: the heat map was not made with the tiles of the occupancy {others[0]}",
+            hint="name the folders that the heat map was made of",
+        )
+    missing = ["An occupancy in the folder belongs to other tiles and is left out."]
+    return merge_occupancies(fitting) if fitting else None, missing if others else []
+
+
+def _poses(folder: Path, occupancy: Occupancy | None) -> list[Pose]:
+    """Return the pose that each sensor had last, by the occupancy, or by the files beside."""
+    found: dict[str, Pose] = {}
+    if occupancy is not None:
+        for source in occupancy.sources:
+            for record in source.get("poses", []):
+                pose = pose_from_dict(record, what=f"pose of {source['sensor']}")
+                before = found.get(pose.sensor)
+                if before is None or _since(before) <= _since(pose):
+                    found[pose.sensor] = pose
+    elif (folder / "sensors").is_dir():
+        for path in sorted((folder / "sensors").glob("*/pose.json")):
+            found[path.parent.name] = read_track(path).poses[-1]
+    return [found[name] for name in sorted(found)]
+
+
+def _since(pose: Pose) -> str:
+    return str(pose.evidence.get("time") or "")
+
+
+def _run(folder: Path) -> dict[str, Any]:
+    path = folder / RUN
+    if not path.is_file():
+        return {}
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: damaged: {error}", hint="run the site again") from error
+    if not isinstance(document, dict):
+        raise InputError(f"{path}: damaged: it is no table of settings", hint="run the site again")
+    return document
