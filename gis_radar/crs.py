@@ -131,7 +131,7 @@ def _scales(crs: CRS, longitude: Floats, latitude: Floats) -> Floats:
 
 
 def _in_area_of_use(crs: CRS, longitude: float, latitude: float) -> bool:
-    """Tell whether a place is in the area of use or near it; without a known area any place is."""
+    """Return whether a place is in or near the area of use; without a known area any place is."""
     if not (math.isfinite(longitude) and math.isfinite(latitude)):
         return False
     area = crs.area_of_use
@@ -203,7 +203,7 @@ def utm_zone(longitude_deg: float, latitude_deg: float) -> CRS:
 
 
 def _on_eurasian_plate(longitude_deg: float, latitude_deg: float) -> bool:
-    """Tell whether ETRS89 is the official datum here: Europe west of Russia, with its islands."""
+    """Return whether ETRS89 is the official datum here: Europe west of Russia, with its islands."""
     if not (-16.1 <= longitude_deg < 32.0 and 34.5 <= latitude_deg <= 84.8):
         return False
     north_africa = latitude_deg < 37.6 and -9.0 < longitude_deg < 11.6
@@ -234,7 +234,7 @@ def moved_position(position: tuple[float, ...], source: Any, target: CRS) -> tup
 
 
 def same_plane(crs: CRS, other: CRS) -> bool:
-    """Tell whether the coordinates of both systems are the same numbers."""
+    """Return whether the coordinates of both systems are the same numbers."""
     return crs == other or name_of(crs) == name_of(other)
 
 
@@ -256,7 +256,7 @@ def moved_box(box: Box, source: CRS, target: CRS) -> Box:
 
 
 def looks_like_degrees(easting: float, northing: float) -> bool:
-    """Tell whether a position may be longitude and latitude, in either order, not metres."""
+    """Return whether a position may be longitude and latitude, in either order, not metres."""
     low, high = sorted((abs(easting), abs(northing)))
     return low <= 90.0 and high <= 180.0
 

@@ -42,7 +42,7 @@ def run_demo(
         Where the results of :func:`gis_radar.run_site` go, among them the QGIS project `site.qgz`,
         and `pose_errors.csv`.
     reporter : Reporter
-        Hears how far the work is.
+        Receives progress and remarks.
 
     Returns
     -------

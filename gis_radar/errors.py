@@ -1,4 +1,4 @@
-"""What can go wrong, named: each error is one clear line and knows its exit code."""
+"""Errors: one class a kind, each with its exit code; a message is one line."""
 
 from __future__ import annotations
 
@@ -25,27 +25,32 @@ class GisRadarError(Exception):
 
 
 class UsageError(GisRadarError):
-    """The call itself makes no sense: options that do not fit each other."""
+    """Wrong usage: options that do not fit each other."""
 
     exit_code = 2
 
 
 class InputError(GisRadarError):
-    """A file or a table cannot be what it should be."""
+    """A bad input: a file or a table that is not what it should be."""
 
 
 class CrsError(InputError):
-    """A coordinate system is missing, geographic, or not the one of the other inputs."""
+    """A coordinate system that is missing, geographic, or not that of the other inputs."""
 
 
 class OutputError(GisRadarError):
-    """A result cannot be written where it should go."""
+    """A place where a result cannot be written."""
 
 
 class NoAnswerError(GisRadarError):
-    """The inputs are sound, but no trustworthy answer follows from them."""
+    """Sound inputs from which no trustworthy answer follows."""
 
     exit_code = 4
+
+
+def first_line(error: Exception) -> str:
+    """Return the first line of an error of a library, or its kind where it has no text."""
+    return str(error).partition("\n")[0] or type(error).__name__
 
 
 LOCALIZE = "pip install gis_radar[localize]"

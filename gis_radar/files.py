@@ -26,7 +26,7 @@ def refuse_inputs(output: str | Path, *inputs: str | Path) -> None:
     Parameters
     ----------
     output : str or Path
-        The file or folder that shall be written.
+        The file or folder to be written.
     *inputs : str or Path
         The files and folders that are read.
 
@@ -53,12 +53,12 @@ def require_folder(output: str | Path) -> None:
     Parameters
     ----------
     output : str or Path
-        The file that shall be written.
+        The file to be written.
 
     Raises
     ------
     OutputError
-        If it has no folder to lie in.
+        If the folder does not exist.
     """
     folder = Path(output).absolute().parent
     if not folder.is_dir():
@@ -88,7 +88,7 @@ def whole_file(path: Path) -> Iterator[Path]:
         raise OutputError(f"{path}: is a folder", hint="name a file for the output")
     with _beside(path) as private:
         yield private / path.name
-        with _named(path):
+        with output_errors(path):
             os.replace(private / path.name, path)  # noqa: PTH105 - atomic on every platform
 
 
@@ -120,7 +120,7 @@ def whole_files(path: Path) -> Iterator[tuple[Path, dict[Path, Path]]]:
             if place.is_dir():
                 raise OutputError(f"{place}: is a folder", hint="name a file for the output")
         for part, place in places.items():
-            with _named(place):
+            with output_errors(place):
                 os.replace(part, place)  # noqa: PTH105 - atomic on every platform
 
 
@@ -161,7 +161,7 @@ def whole_folder(path: Path, *, owned: tuple[str, ...]) -> Iterator[Path]:
 def _replace_folder(path: Path, fresh: Path, earlier: Path) -> None:
     """Move `fresh` to `path`; until it is there, the earlier result comes back."""
     try:
-        with _named(path):
+        with output_errors(path):
             if path.exists():
                 path.rename(earlier)
             fresh.rename(path)
@@ -173,7 +173,7 @@ def _replace_folder(path: Path, fresh: Path, earlier: Path) -> None:
 
 
 def _refuse_here(path: Path) -> None:
-    """Refuse the working folder: whoever is in it would stay in the one that is replaced."""
+    """Refuse the working folder: a shell in it would stay in the folder that is replaced."""
     here = Path.cwd()
     if path == here or path in here.parents:
         raise OutputError(
@@ -197,14 +197,14 @@ def _refuse_foreign(path: Path, owned: tuple[str, ...]) -> None:
 def _beside(path: Path) -> Iterator[Path]:
     """Yield a private folder on the same file system as `path`; it is gone afterwards."""
     private = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
-    # Known before it is there: an interruption may come at any moment, in the clearing up too.
+    # Entered before it exists: an interruption may come at any moment, in the clearing up too.
     _unfinished.add(private)
     try:
-        with _named(path):
+        with output_errors(path):
             private.mkdir(mode=0o700)
         yield private
     except OSError as error:
-        # Arrow says it in words alone.
+        # Arrow sets no errno, only the text.
         if error.errno in FULL or os.strerror(errno.ENOSPC) in str(error):
             raise OutputError(
                 f"{path}: cannot be written: the disk is full", hint="nothing was left behind"
@@ -224,20 +224,31 @@ def _clear_up() -> None:
 
 @contextmanager
 def _alone(path: Path) -> Iterator[None]:
-    """Hold the lock of an output; a place that cannot have one is said by its name."""
+    """Hold the lock of an output; name the output where it cannot be locked."""
     with ExitStack() as held:
-        with _named(path):
+        with output_errors(path):
             held.enter_context(only_writer(path))
         yield
 
 
 @contextmanager
-def _named(path: Path) -> Iterator[None]:
-    """Say which output it is that cannot be written."""
+def output_errors(path: Path) -> Iterator[None]:
+    """Turn what the system refuses into an error that names the output.
+
+    Parameters
+    ----------
+    path : Path
+        The output, for the message.
+
+    Raises
+    ------
+    OutputError
+        Where the block raises an `OSError`.
+    """
     try:
         yield
     except OSError as error:
-        reason = error.strerror or str(error)
+        reason = os.strerror(error.errno) if error.errno else str(error)
         raise OutputError(f"{path}: cannot be written: {reason}") from error
 
 

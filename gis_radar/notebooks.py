@@ -2,7 +2,7 @@
 
 Plain HTML in one piece: text is escaped, the picture is inside, nothing is loaded from elsewhere.
 
-Matplotlib is imported where it is used: whoever draws nothing does not wait for it.
+Matplotlib is imported where it is used, so that other work does not wait for it.
 """
 
 from __future__ import annotations
@@ -48,10 +48,10 @@ def table_card(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]
     rows : sequence of sequences
         A value a column.
     """
-    told = [[_text(value) for value in row] for row in rows[:MOST_ROWS]]
+    cells = [[_text(value) for value in row] for row in rows[:MOST_ROWS]]
     if len(rows) > MOST_ROWS:
-        told.append([f"... {len(rows) - MOST_ROWS} more"])
-    return _whole(title, _table(told, head=columns), b"")
+        cells.append([f"... {len(rows) - MOST_ROWS} more"])
+    return _whole(title, _table(cells, head=columns), b"")
 
 
 def _text(value: Any) -> str:

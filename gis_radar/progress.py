@@ -1,4 +1,4 @@
-"""How long work tells what it does: a reporter that doors replace by bars or JSON lines."""
+"""Progress callbacks: the command line replaces them by bars or JSON lines."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ _LOGGER = logging.getLogger("gis_radar")
 
 
 class Reporter:
-    """Where progress and remarks go; this one hands remarks to :mod:`logging`."""
+    """Receiver of progress and remarks; this one passes remarks to :mod:`logging`."""
 
     def progress(self, stage: str, done: int, total: int | None) -> None:
-        """Say how far a stage is.
+        """Report how far a stage is.
 
         Parameters
         ----------
@@ -25,7 +25,7 @@ class Reporter:
         """
 
     def log(self, message: str, level: Level = "info") -> None:
-        """Say one line that the user should be able to see."""
+        """Report one line to the user."""
         _LOGGER.log(logging.WARNING if level == "warning" else logging.INFO, message)
 
 

@@ -66,7 +66,7 @@ def step_of(time: Floats) -> Integers:
 
 
 def in_known_years(time: Floats) -> Booleans:
-    """Return which times (UNIX seconds) lie in the years that steps and time stamps cover."""
+    """Return which times (UNIX seconds) are in the years that steps and time stamps cover."""
     return (time >= _FIRST_S) & (time < _END_S)
 
 
@@ -100,7 +100,7 @@ def iso_from_step(step: int) -> str:
 
 
 def seconds_from_iso(text: str, *, what: str) -> float:
-    """Return UNIX seconds of an ISO 8601 time that says its offset from UTC.
+    """Return UNIX seconds of an ISO 8601 time with its offset from UTC.
 
     Raises
     ------

@@ -63,8 +63,8 @@ def drawn_direction(left: Floats, right: Floats) -> Drawn:
     """Find the driving direction: the one that has the left bound on the left.
 
     First the bounds are made parallel: of the two ways to pair them, the one with the shorter
-    rungs (mean over the length, so that loops with equal ends are told apart, too). Then the
-    signed area between them tells on which side the left bound is; if on the right, both are
+    rungs (mean over the length, so that loops with equal ends are distinguished, too). Then the
+    signed area between them shows on which side the left bound is; if on the right, both are
     turned.
 
     Parameters
@@ -218,7 +218,7 @@ def _snapped(bound: Floats, even: Floats, most_loss: float) -> Floats:
 
 
 def sound(left_points: Floats, right_points: Floats) -> Booleans:
-    """Tell which slices between rungs are simple, and have their left side on the left.
+    """Return which slices between rungs are simple, and have their left side on the left.
 
     A quadrilateral is simple and runs counter-clockwise exactly if one of its diagonals cuts it
     into two counter-clockwise triangles. Slices that all are, and share their rungs, tile the

@@ -79,9 +79,9 @@ def chain_of(osm: OsmMap, ways: tuple[int, ...], xyz: Floats, side: str) -> Chai
             else "it has not two distinct points"
         )
         raise CannotMendError(f"the {side} bound has no length: {why}")
-    said = f"{lost} of {len(nodes)} nodes of the {side} bound are missing or have no position"
+    lost_nodes = f"{lost} of {len(nodes)} nodes of the {side} bound are missing or have no position"
     kept = tuple(node for node, here in zip(nodes, usable, strict=True) if here)
-    return Chain(nodes=kept, points=points, repairs=(said,) if lost else ())
+    return Chain(nodes=kept, points=points, repairs=(lost_nodes,) if lost else ())
 
 
 def joined(ways: list[tuple[int, ...]]) -> tuple[int, ...] | None:

@@ -97,7 +97,7 @@ def outline(left: Floats, right: Floats) -> Polygon:
 
 
 def is_sound(left: Floats, right: Floats) -> bool:
-    """Tell whether a lanelet needs no mending."""
+    """Return whether a lanelet needs no mending."""
     ends = np.hypot(*(left[[0, -1], :2] - right[[0, -1], :2]).T)
     return bool(
         ends.min() >= NO_WIDTH_M * (1.0 - 1e-6)
@@ -174,12 +174,12 @@ def _heading(bound: Floats, i: int) -> Floats:
 
 
 def _plainly_forward(left: Floats, right: Floats) -> bool:
-    """Tell, by equal lengths only, that every stretch has the other bound on its proper side."""
+    """Return, by equal lengths only, that every stretch has the other bound on its proper side."""
     return bool(_faces(left, right) and _faces(right[::-1], left[::-1]))
 
 
 def _faces(bound: Floats, other: Floats) -> bool:
-    """Tell whether all of a bound has the other one on its right."""
+    """Return whether all of a bound has the other one on its right."""
     along = arc_lengths(bound)
     middle = (along[1:] + along[:-1]) / 2.0 / along[-1]
     opposite = at_fractions(other[:, :2], middle)
@@ -228,8 +228,8 @@ def _unfolded(
 ) -> Floats:
     """Return a left bound without the first stretch that runs backwards.
 
-    What lies behind the rung at the turning point is skipped until the bound is ahead of it
-    again; where it never is, what lies ahead of the last rung is skipped instead.
+    The part behind the rung at the turning point is skipped until the bound is ahead of it
+    again; where it never is, the part ahead of the last rung is skipped instead.
     """
     fractions = arc_lengths(bound) / length(bound)
     tip = at_fractions(bound, wrong[:1])

@@ -55,7 +55,7 @@ class Relation:
 
 @dataclass(frozen=True, kw_only=True)
 class OsmMap:
-    """What an OSM file says, before any meaning is given to it.
+    """The elements of an OSM file, before any meaning is given to them.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def read_osm(path: str | Path) -> OsmMap:
 
 
 def _not_xml(path: str | Path, error: Exception, line: int) -> str:
-    """Say why the parser gave up, for a person who may have sent the wrong file."""
+    """Explain why the parser gave up, for a person who may have sent the wrong file."""
     reason = str(error).split(":")[0]
     if Path(path).stat().st_size == 0:
         return f"{path}: the file is empty"
@@ -141,7 +141,7 @@ def _not_xml(path: str | Path, error: Exception, line: int) -> str:
 
 
 class _Collector:
-    """Gathers elements as the parser meets them; holds one open way or relation at a time."""
+    """Collector of elements as the parser meets them; one open way or relation at a time."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

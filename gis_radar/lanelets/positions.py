@@ -70,9 +70,9 @@ def place_nodes(
     Raises
     ------
     InputError
-        If no node has a position, or the map is local and nothing says where it lies.
+        If no node has a position, or the map is local and its place is not given.
     CrsError
-        If `crs` is no projected one in metres, or not true to scale where the map lies.
+        If `crs` is no projected one in metres, or not true to scale at the place of the map.
     UsageError
         If `origin` is given for a map without local metres, or is not finite.
     """
@@ -89,17 +89,17 @@ def place_nodes(
             hint="leave --origin out",
         )
     if not geographic.any():
-        plane, target, said = _without_geographic(osm, target, origin)
+        plane, target, remarks = _without_geographic(osm, target, origin)
     else:
         target = target or _zone(osm.geographic[geographic])
-        plane, said = _with_geographic(osm, geographic, local, target, origin)
+        plane, remarks = _with_geographic(osm, geographic, local, target, origin)
     if crs is not None:
-        said += _doubts(target, plane[used])
-    heights, also_said = _heights(osm, used)
-    return Positions(xyz=np.column_stack([plane, heights]), crs=target, remarks=said + also_said)
+        remarks += _scale_remarks(target, plane[used])
+    heights, more = _heights(osm, used)
+    return Positions(xyz=np.column_stack([plane, heights]), crs=target, remarks=remarks + more)
 
 
-def _doubts(target: CRS, plane: Floats) -> tuple[str, ...]:
+def _scale_remarks(target: CRS, plane: Floats) -> tuple[str, ...]:
     """Return why local metres do not fit the ground at their place; they are kept as they are."""
     try:
         _require_fit(target, plane)
@@ -120,7 +120,7 @@ def _has(coordinates: Floats) -> Booleans:
 
 
 def _spread(geographic: Floats) -> bool:
-    """Tell whether latitudes and longitudes say anything: all nodes at one place say nothing."""
+    """Return whether latitudes and longitudes hold positions: all nodes at one place do not."""
     known = geographic[_has(geographic)]
     return len(known) == 1 or (len(known) > 1 and bool(np.ptp(known, axis=0).any()))
 
@@ -201,8 +201,8 @@ def _local_wins(
     if origin is not None:
         return local + np.asarray(origin), (f"{by} and --origin",)
     shift = np.mean(shifts, axis=0)
-    said = f"{by}, moved by the best-fit shift ({shift[0]:.3f}, {shift[1]:.3f})"
-    return local + shift, (f"{said}; say where local (0, 0) truly lies with --origin E,N",)
+    shifted = f"{by}, moved by the best-fit shift ({shift[0]:.3f}, {shift[1]:.3f})"
+    return local + shift, (f"{shifted}; say where local (0, 0) truly lies with --origin E,N",)
 
 
 def _project(geographic: Floats, target: CRS) -> Floats:

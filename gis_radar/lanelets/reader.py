@@ -60,7 +60,7 @@ class LaneletMap:
     remarks: tuple[str, ...]
 
     def figures(self) -> dict[str, Any]:
-        """Return what is worth a look, by name."""
+        """Return key figures by name."""
         done = self.problems["action"].value_counts()
         return {
             "lanelets": len(self.lanelets),
@@ -71,10 +71,10 @@ class LaneletMap:
         }
 
     def __repr__(self) -> str:
-        told = self.figures()
+        shown = self.figures()
         return (
-            f"LaneletMap({told['lanelets']} lanelets, {told['length_km']} km, {told['crs']}; "
-            f"{told[REPAIRED]} {REPAIRED}, {told[LEFT_OUT]} {LEFT_OUT})"
+            f"LaneletMap({shown['lanelets']} lanelets, {shown['length_km']} km, {shown['crs']}; "
+            f"{shown[REPAIRED]} {REPAIRED}, {shown[LEFT_OUT]} {LEFT_OUT})"
         )
 
     def _repr_html_(self) -> str:
@@ -119,7 +119,7 @@ def read_map(
         Easting and northing of the local (0, 0), for maps whose latitudes and longitudes are
         empty or false.
     reporter : Reporter
-        Told the progress and the remarks.
+        Receives progress and remarks.
 
     Returns
     -------
@@ -129,7 +129,7 @@ def read_map(
     Raises
     ------
     InputError
-        If the file is no Lanelet2 map, says nowhere where it lies, or no lanelet can be read.
+        If the file is no Lanelet2 map, has no position, or no lanelet can be read.
     CrsError
         If `crs` is not a projected one in metres.
 
@@ -289,9 +289,9 @@ def _remarks(osm: OsmMap, problems: list[_Problem]) -> tuple[str, ...]:
         "areas skipped": areas,
         "elements skipped whose id had been used before": len(osm.doubled),
     }
-    said = [f"{what}: {count}" for what, count in skipped.items() if count]
+    remarks = [f"{what}: {count}" for what, count in skipped.items() if count]
     for action in (REPAIRED, LEFT_OUT):
         count = sum(problem.action == action for problem in problems)
         if count:
-            said.append(f"{count} lanelet{'s'[: count > 1]} {action}, see layer problems")
-    return tuple(said)
+            remarks.append(f"{count} lanelet{'s'[: count > 1]} {action}, see layer problems")
+    return tuple(remarks)

@@ -18,7 +18,7 @@ STAGE = "splitting lanelets"
 
 
 def cut(lanelets: gpd.GeoDataFrame, length_m: float, reporter: Reporter) -> list[Floats]:
-    """Return the rungs of each lanelet, between which its slices lie.
+    """Return the rungs of each lanelet, between which its slices are.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ def cut(lanelets: gpd.GeoDataFrame, length_m: float, reporter: Reporter) -> list
     length_m : float
         Length of a slice, metres. A lanelet whose slices would cross themselves gets shorter ones.
     reporter : Reporter
-        Told the progress, how many lanelets got shorter slices, and how much area long slices
+        Receives progress, how many lanelets got shorter slices, and how much area long slices
         of curves miss.
 
     Returns

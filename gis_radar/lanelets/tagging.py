@@ -69,7 +69,7 @@ def subtype_of(tags: dict[str, str]) -> str:
 
 
 def one_way_of(tags: dict[str, str]) -> bool:
-    """Tell whether a lanelet is used in one direction only.
+    """Return whether a lanelet is used in one direction only.
 
     Without a `one_way` tag it is, unless pedestrians alone use it; a tag for single participants
     (`one_way:bicycle=no`) leaves the rest in one direction.
@@ -81,7 +81,7 @@ def one_way_of(tags: dict[str, str]) -> bool:
 
 
 def truth(text: str) -> bool | None:
-    """Return what yes, no, true, false, 1 or 0 says, or None for anything else."""
+    """Return the truth of yes, no, true, false, 1 or 0, or None for anything else."""
     word = text.strip().lower()
     return True if word in _YES else False if word in _NO else None
 

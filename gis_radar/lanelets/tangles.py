@@ -96,7 +96,7 @@ def _cross(a: Floats, b: Floats) -> Floats:
 
 
 def part_at_crossings(left: Floats, right: Floats, repairs: list[str]) -> tuple[Floats, Floats]:
-    """Cut off what lies beyond a crossing of the two bounds right at an end.
+    """Cut off what is beyond a crossing of the two bounds right at an end.
 
     Raises
     ------
@@ -146,7 +146,7 @@ def _shared_runs(left: Floats, right: Floats) -> Floats:
 
 
 def _along(bound: Floats, point: Floats) -> float:
-    """Return how far along a bound a point on it lies, in metres."""
+    """Return how far along a bound a point on it is, in metres."""
     return float(LineString(bound[:, :2]).project(Point(point)))
 
 

@@ -61,7 +61,7 @@ class View:
             )
 
     def sees(self, points: Floats) -> Booleans:
-        """Tell which points lie within range, azimuth and elevation.
+        """Return which points are within range, azimuth and elevation.
 
         Parameters
         ----------
@@ -98,9 +98,9 @@ class Pose:
         Degrees, intrinsic Z-Y-X: `R_map_sensor = Rz(yaw) Ry(pitch) Rx(roll)`. Yaw counts
         counter-clockwise from grid east, pitch > 0 looks down.
     view : View, optional
-        What it sees; None where nobody said.
+        What it sees; None where not stated.
     evidence : dict
-        What else the pose file says (sigma, covariance, time, method, ...), kept as read.
+        What else the pose file holds (sigma, covariance, time, method, ...), kept as read.
     """
 
     sensor: str

@@ -73,7 +73,7 @@ def _fitting(name: str, ending: str, longest: int | None) -> str:
 
 
 def renamed(names: dict[str, str]) -> list[str]:
-    """Say which names changed, one text a name."""
+    """Return which names changed, one text a name."""
     return [f"{name!r} to {fresh!r}" for name, fresh in names.items() if name != fresh]
 
 
@@ -113,7 +113,7 @@ class PointStream:
     track : PoseTrack
         Where it stood and looked.
     reporter : Reporter
-        Hears how far the work is, and which columns got other names.
+        Receives progress, and which columns are renamed.
 
     Attributes
     ----------

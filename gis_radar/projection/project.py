@@ -42,7 +42,7 @@ def project(
     pose : Pose or PoseTrack
         Where it stood and looked.
     reporter : Reporter
-        Hears how far the work is, and which columns got other names.
+        Receives progress, and which columns are renamed.
 
     Returns
     -------
@@ -73,7 +73,7 @@ def write_projection(
         As for :func:`project`.
     path : str or Path
         GeoPackage (layer `hits`), LAZ or LAS, or GeoParquet, by its ending. What a format
-        cannot hold is left out, and `reporter` hears of it.
+        cannot hold is left out with a warning.
 
     Returns
     -------

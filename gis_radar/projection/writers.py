@@ -33,8 +33,8 @@ def write_points_geopackage(points: PointStream, path: Path) -> None:
         if not any(is_kind(field.type) for is_kind in NOT_IN_GEOPACKAGE)
     ]
     if left := [name for name in points.schema.names if name not in kept]:
-        said = f"{path.name}: a GeoPackage cannot hold {', '.join(left)}: left out"
-        points.reporter.log(said, "warning")
+        lost = f"{path.name}: a GeoPackage cannot hold {', '.join(left)}: left out"
+        points.reporter.log(lost, "warning")
     write_stream(
         (batch.select(kept) for batch in points),
         pa.schema([points.schema.field(name) for name in kept]),
@@ -129,11 +129,11 @@ def _dimensions(points: PointStream, path: Path, standard: list[str]) -> list[_D
     taken = [*standard, *OWN.names, *(ours.name for ours in _OURS), "xyz"]
     names = distinct_names([field.name for field in numeric], taken, longest=LONGEST_NAME)
     left = [field.name for field in further if field not in numeric]
-    said = [f"left out, no numbers: {', '.join(left)}"] * bool(left)
+    remarks = [f"left out, no numbers: {', '.join(left)}"] * bool(left)
     if changed := renamed(names):
-        said.append(f"renamed: {', '.join(changed)}")
-    if said:
-        points.reporter.log(f"{path.name}: columns {'; '.join(said)}", "warning")
+        remarks.append(f"renamed: {', '.join(changed)}")
+    if remarks:
+        points.reporter.log(f"{path.name}: columns {'; '.join(remarks)}", "warning")
     return [*_OURS, *(_dimension(field, names[field.name]) for field in numeric)]
 
 

@@ -1,4 +1,4 @@
-"""Formats that radar users have, behind one door: :func:`convert` makes recordings of them."""
+"""Recordings of radar detections, and their conversion from the formats of radars."""
 
 from gis_radar.recordings.conversion import Conversion, SensorRecording, convert
 

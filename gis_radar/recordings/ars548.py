@@ -54,7 +54,7 @@ KEPT = ("probability", "multi_target", "ambiguity", "classification", "object_id
 def method_of(payload: bytes) -> int | None:
     """Return the method of an ARS548 message, or None where the payload is none.
 
-    A message of this sensor says its own length, which the datagram has to have.
+    The header of a message states its length, which must be that of the datagram.
     """
     if len(payload) < _HEAD.size:
         return None

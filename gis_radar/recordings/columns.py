@@ -80,11 +80,11 @@ class Layout:
 
     @property
     def is_radar(self) -> bool:
-        """Whether there are positions and speeds: what tells radar from other clouds."""
+        """Whether there are positions and speeds: what distinguishes radar from other clouds."""
         return self.placed and "range_rate" in self.sources
 
     def points(self, values: Values) -> Column:
-        """Return the positions, (n, 3) float32; without height or elevation they lie flat."""
+        """Return the positions, (n, 3) float32; z is 0 without height or elevation."""
         if self._has(CARTESIAN[:2]):
             axes = [self._read(axis, values) for axis in CARTESIAN]
             return np.column_stack(axes).astype(np.float32, copy=False)
@@ -129,7 +129,7 @@ def find_layout(fields: Collection[str], columns: Mapping[str, str]) -> Layout:
     fields : collection of str
         Names as the file has them.
     columns : mapping of str to str
-        Our name to the field's name, as the user says; these win.
+        Our name to the field's name, as given by the user; these win.
 
     Raises
     ------
@@ -154,8 +154,8 @@ def find_layout(fields: Collection[str], columns: Mapping[str, str]) -> Layout:
     for target, names in NAMES.items():
         found = next((lower[_plain(name)] for name in names if _plain(name) in lower), None)
         # Radians that are found by name give way to degrees that the user names.
-        said = any(name.removesuffix("_deg") == target.removesuffix("_deg") for name in columns)
-        if found is not None and not said:
+        given = any(name.removesuffix("_deg") == target.removesuffix("_deg") for name in columns)
+        if found is not None and not given:
             sources[target] = found
     used = {field.removeprefix("-") for field in sources.values()}
     further = {_apart(field): field for field in fields if field not in used}
@@ -185,12 +185,12 @@ POINT_FIELDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8
 def message_rows(message: Any) -> Column:
     """Return the points of a `sensor_msgs/PointCloud2` as a structured array.
 
-    Fields may lie in any order, packed or with gaps, in either byte order.
+    Fields may be in any order, packed or with gaps, in either byte order.
 
     Raises
     ------
     DamagedError
-        If a field is of an unknown type or lies outside the point, or data are missing.
+        If a field is of an unknown type or is outside the point, or data are missing.
     """
     order = ">" if message.is_bigendian else "<"
     fields = [field for field in message.fields if field.count != 0]

@@ -31,7 +31,7 @@ from gis_radar.recordings.writer import RecordingFile
 
 @dataclass(frozen=True, kw_only=True)
 class SensorRecording:
-    """What became of one sensor's frames.
+    """Recording of one sensor, as written.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ class SensorRecording:
 
 @dataclass(frozen=True, kw_only=True)
 class Conversion:
-    """What became of the inputs.
+    """Result of a conversion.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class Conversion:
         return [recording.path for recording in self.recordings]
 
     def figures(self) -> dict[str, Any]:
-        """Return what is worth a look, by name."""
+        """Return key figures by name."""
         recordings = self.recordings
         return {
             "sensors": [recording.sensor for recording in recordings],
@@ -92,16 +92,16 @@ class Conversion:
         }
 
     def __repr__(self) -> str:
-        told = self.figures()
+        shown = self.figures()
         files = ", ".join(str(path) for path in self.outputs)
         return (
-            f"Conversion({files}: {told['frames']} frames, {told['detections']} detections, "
-            f"{told['begin']} to {told['end']})"
+            f"Conversion({files}: {shown['frames']} frames, {shown['detections']} detections, "
+            f"{shown['begin']} to {shown['end']})"
         )
 
 
 class _Track:
-    """One sensor's way from frames as they come to rows of its recording."""
+    """Steps of one sensor's frames from the reader to the rows of its recording."""
 
     def __init__(
         self, sensor: str, file: RecordingFile, clock: Clock, context: ReaderContext
@@ -131,7 +131,7 @@ class _Track:
 
 
 class Tracks:
-    """The sensors of a conversion, as they turn up.
+    """Sensors of a conversion, in order of their first frames.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ class Tracks:
     clock : str
         Whose times count.
     context : ReaderContext
-        What readers are told, and where they count.
+        Options and counts of the readers.
     """
 
     def __init__(self, folder: Path, place: Path, clock: Clock, context: ReaderContext) -> None:
@@ -183,8 +183,8 @@ class Tracks:
             track.finish()
             if track.file.left_out:
                 columns = ", ".join(sorted(track.file.left_out))
-                said = f"{sensor}: columns that came late are left out: {columns}"
-                self._context.reporter.log(said, "warning")
+                late = f"{sensor}: columns that came late are left out: {columns}"
+                self._context.reporter.log(late, "warning")
         counts = Counter(self._context.counts)
         for track in self._tracks.values():
             counts["duplicates"] += track.doubles.count
@@ -257,7 +257,7 @@ def convert(
     duration_s : float, optional
         How long to listen to an address; without it until Ctrl-C.
     reporter : Reporter
-        Told of progress and of what is odd.
+        Receives progress and remarks.
 
     Raises
     ------
@@ -304,7 +304,7 @@ def format_of(source: str) -> Format:
         If it does not exist or is of no known format.
     """
     for form in known_formats():
-        if form.knows(source):
+        if form.accepts(source):
             return form
     if "://" not in source and not Path(source).exists():
         raise InputError(f"{source}: no such file or folder")
@@ -338,7 +338,7 @@ def _refuse_options(
 
 
 def _read(form: Format, source: str, context: ReaderContext) -> Generator[Frame]:
-    """Read an input; what the system refuses is said with the input's name."""
+    """Read an input; name it where the system refuses it."""
     try:
         yield from form.frames(source, context)
     except OSError as error:

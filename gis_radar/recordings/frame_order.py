@@ -54,7 +54,7 @@ def _push(active: list[Active], number: int, frames: Iterator[Frame]) -> None:
 
 
 def _begins(inputs: Sequence[Input], context: ReaderContext) -> list[tuple[float, int]]:
-    """Return when each input begins, and say which have nothing."""
+    """Return when each input begins, and warn of those without frames."""
     looking = replace(context, reporter=QUIET, counts=Counter())
     begins: list[tuple[float, int]] = []
     empty: list[NothingHereError] = []
@@ -73,7 +73,7 @@ def _begins(inputs: Sequence[Input], context: ReaderContext) -> list[tuple[float
 
 
 class Doubles:
-    """Knows the frames of a sensor that came a while ago.
+    """Filter of frames that came before.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class Doubles:
 
 
 class FrameOrder:
-    """Puts the frames of one sensor in order of time, within a window.
+    """Sorter of one sensor's frames by time, within a window.
 
     Parameters
     ----------
@@ -164,12 +164,12 @@ AGREEING_S = 5.0
 FORWARD_S, BACK_S = 0.5, 0.1
 # So many frames ahead tell a clock that jumped from a frame that was late.
 FRAMES_AHEAD = 40
-# A PTP clock that was never told of leap seconds.
+# A PTP clock on TAI, without the leap seconds since 1972.
 TAI_AHEAD_S = 37.0
 
 
 class FrameClock:
-    """Gives the frames of one sensor their times, in order of arrival.
+    """Choice of the clock that gives one sensor's frames their times, in order of arrival.
 
     The first two seconds decide; where the sensor's clock goes wrong later, the recorder's counts
     from there on: two clocks that take turns would shuffle the frames. A sensor's clock is right
@@ -183,7 +183,7 @@ class FrameClock:
     clock : str
         `sensor` or `recorder` to have that one in any case.
     reporter : Reporter
-        Told why the sensor's clock is not taken.
+        Receives the reason where the sensor's clock is not used.
     """
 
     def __init__(self, sensor: str, clock: Clock, reporter: Reporter) -> None:
@@ -214,32 +214,32 @@ class FrameClock:
         if self._clock != "auto":
             self.used.append(self._clock)
             return
-        reasons = [reason for frame in self._waiting if (reason := self._doubt(frame))]
+        reasons = [reason for frame in self._waiting if (reason := self._fault(frame))]
         if reasons:
-            self._distrust(statistics.mode(reasons))
+            self._use_recorder(statistics.mode(reasons))
         else:
             self.used.append("sensor")
 
     def _time(self, frame: Frame) -> float:
         if self.used[-1] == "sensor" and self._clock == "auto":
-            reason = self._doubt(frame) or self._jump(frame)
+            reason = self._fault(frame) or self._jump(frame)
             if reason:
-                self._distrust(reason)
+                self._use_recorder(reason)
         time = frame.sensor_time if self.used[-1] == "sensor" else frame.recorder_time
         if time is None or not EARLIEST_S <= time < LATEST_S:
             raise InputError(
-                f"{self._sensor}: no usable time: the sensor says {_said(frame.sensor_time)}, "
-                f"the recorder {_said(frame.recorder_time)}",
+                f"{self._sensor}: no usable time: the sensor says {_time_text(frame.sensor_time)}, "
+                f"the recorder {_time_text(frame.recorder_time)}",
                 hint="expected are years from 2000 to 2100; see --clock, and --time-unit of tables",
             )
         return time
 
-    def _distrust(self, reason: str) -> None:
+    def _use_recorder(self, reason: str) -> None:
         since = " from there on" if self.used else ""
         self.used.append("recorder")
         self._reporter.log(f"{self._sensor}: {reason}; times are the recorder's{since}", "warning")
 
-    def _doubt(self, frame: Frame) -> str:
+    def _fault(self, frame: Frame) -> str:
         """Return what is wrong with the sensor's time of a frame, empty if nothing is."""
         if frame.sensor_time is None:
             return "the sensor gives no time"
@@ -282,7 +282,7 @@ def _offset_s(frame: Frame) -> float | None:
     return frame.sensor_time - frame.recorder_time
 
 
-def _said(time: float | None) -> str:
+def _time_text(time: float | None) -> str:
     return "nothing" if time is None else f"{time:,.3f} s since 1970"
 
 

@@ -1,4 +1,4 @@
-"""Frames as formats deliver them, and what a format is."""
+"""Frames as the readers of formats deliver them, and the record of a format."""
 
 from __future__ import annotations
 
@@ -16,13 +16,10 @@ from gis_radar.recordings.recording import FARTHEST_M
 
 Column = NDArray[Any]
 
-# Fewer bytes between two reports would cost more than they tell.
-BYTES_A_REPORT = 1 << 22
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Frame:
-    """The detections of one radar cycle, as a file or a socket delivers them.
+    """Detections of one radar cycle, as a file or a socket delivers them.
 
     Parameters
     ----------
@@ -38,9 +35,9 @@ class Frame:
     sensor_time, recorder_time : float or None
         UNIX seconds by the sensor's clock, and by that of the computer that recorded.
     synchronised : bool
-        False where the sensor itself says that its clock is not set.
+        False where the sensor marks its clock as not set.
     identity : object
-        Equal for two copies of a frame and for nothing else; None where that cannot be told.
+        Equal for two copies of a frame and for nothing else; None where not known.
     """
 
     sensor: str
@@ -58,7 +55,7 @@ class Frame:
 
     @property
     def arrival(self) -> float:
-        """When the frame came in, as far as anyone knows: what files are merged by."""
+        """UNIX seconds by which files are merged: by the recorder's clock, else the sensor's."""
         if self.recorder_time is not None:
             return self.recorder_time
         return 0.0 if self.sensor_time is None else self.sensor_time
@@ -67,7 +64,7 @@ class Frame:
         """Return the frame without detections that have no position, and count those."""
         placed = np.isfinite(self.points).all(axis=1)
         near = placed & (np.abs(self.points) <= FARTHEST_M).all(axis=1)
-        # An infinite speed or cross section is one that nobody knows.
+        # An infinite speed or cross section is not known.
         rate = np.where(np.isfinite(self.range_rate), self.range_rate, np.nan)
         rcs = np.where(np.isfinite(self.rcs), self.rcs, np.nan)
         if near.all():
@@ -90,7 +87,7 @@ class ReaderContext:
     Parameters
     ----------
     columns : mapping of str to str
-        Which of the file's fields is which of ours, as the user says.
+        The file's field of each of our columns, as given by the user.
     time_unit : str
         Unit of times in tables: `s`, `ms`, `us` or `ns`.
     sensor : str or None
@@ -98,7 +95,7 @@ class ReaderContext:
     duration_s : float or None
         When a reader that never ends by itself shall end.
     reporter : Reporter
-        Told of progress and of what is odd.
+        Receives progress and remarks.
     counts : Counter
         What was left out, by a name that the summary shows.
     """
@@ -116,7 +113,7 @@ class ReaderContext:
 
 
 class DamagedError(Exception):
-    """The bytes of a frame or a file cannot be what they say they are."""
+    """Bytes of a frame or a file that contradict their own header."""
 
 
 class NothingHereError(InputError):
@@ -133,18 +130,18 @@ class Format:
         As the documentation calls it.
     takes : str
         What its files look like, for the message on an unknown one.
-    knows : callable
+    accepts : callable
         Whether an input (a path or an address) is of this format.
     frames : callable
         Reads an input. Frames come in order of arrival. Raises NothingHereError where there is
-        none, and says what there is instead.
+        none, with what there is instead in the message.
     live : bool
         Whether it never ends by itself.
     """
 
     name: str
     takes: str
-    knows: Callable[[str], bool]
+    accepts: Callable[[str], bool]
     frames: Callable[[str, ReaderContext], Generator[Frame]]
     live: bool = False
 

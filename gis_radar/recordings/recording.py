@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from gis_radar.arrays import Booleans, Floats
-from gis_radar.errors import InputError
+from gis_radar.errors import InputError, first_line
 from gis_radar.recordings.csv_tables import open_csv_table
 from gis_radar.steps import FIRST_YEAR, LAST_YEAR, UNIX_SECONDS_HINT, in_known_years
 
@@ -51,7 +52,7 @@ class Detections:
 
     @property
     def present(self) -> Booleans:
-        """Which rows are detections; the others only say that there was a frame."""
+        """Which rows are detections; the others stand for frames without detections."""
         return ~np.isnan(self.points[:, 0])
 
     def take(self, keep: Booleans) -> Detections:
@@ -66,7 +67,7 @@ class Detections:
 
 
 class RangeCounts:
-    """How many detections lie at which slant range, counted piece by piece."""
+    """Histogram of slant ranges, counted piece by piece."""
 
     def __init__(self) -> None:
         self._counts = np.zeros(4096, np.int64)  # a metre each; beyond the reach of any radar
@@ -78,7 +79,7 @@ class RangeCounts:
         self._counts += np.bincount(bins, minlength=len(self._counts))
 
     def reached_m(self, share: float = 0.999) -> float:
-        """Return within how many whole metres a share of the detections lies; 0 without any."""
+        """Return within how many whole metres a share of the detections is; 0 without any."""
         total = int(self._counts.sum())
         inside = np.cumsum(self._counts) / max(total, 1)
         return float(np.searchsorted(inside, share) + 1) if total else 0.0
@@ -126,7 +127,7 @@ class Recording:
                     yield piece
         except UNREADABLE as error:
             raise InputError(
-                f"{self.path}: damaged after row {row}: {_first_line(error)}"
+                f"{self.path}: damaged after row {row}: {first_line(error)}"
             ) from error
         if row == 0:
             raise InputError(f"{self.path}: recording without rows")
@@ -164,7 +165,7 @@ def open_recording(path: str | Path) -> Recording:
     try:
         return FORMATS[path.suffix.lower()](path)
     except UNREADABLE as error:
-        raise InputError(f"{path}: cannot be read: {_first_line(error)}") from error
+        raise InputError(f"{path}: cannot be read: {first_line(error)}") from error
 
 
 def as_recording(source: str | Path | Recording) -> Recording:
@@ -177,14 +178,16 @@ def _open_parquet(path: Path) -> Recording:
         _require_columns(file.schema_arrow.names, path)
         rows = file.metadata.num_rows
 
-    def batches() -> Iterator[pa.RecordBatch]:
-        # A small buffer keeps a file of one huge row group from being read at once.
-        with pq.ParquetFile(
-            path, buffer_size=BYTES_AT_ONCE, pre_buffer=False, page_checksum_verification=True
-        ) as file:
-            yield from file.iter_batches(ROWS_AT_ONCE, use_threads=False)
+    return Recording(path=path, rows=rows, batches=partial(parquet_batches, path))
 
-    return Recording(path=path, rows=rows, batches=batches)
+
+def parquet_batches(path: Path) -> Iterator[pa.RecordBatch]:
+    """Read a Parquet file in batches of bounded size, its checksums verified."""
+    # A small buffer keeps a file of one huge row group from being read at once.
+    with pq.ParquetFile(
+        path, buffer_size=BYTES_AT_ONCE, pre_buffer=False, page_checksum_verification=True
+    ) as file:
+        yield from file.iter_batches(ROWS_AT_ONCE, use_threads=False)
 
 
 def _open_csv(path: Path) -> Recording:
@@ -215,7 +218,7 @@ def _require_columns(names: list[str], path: Path) -> None:
 
 
 def _checked(batch: pa.RecordBatch, *, path: Path, row: int, last: float) -> Detections:
-    """Turn a batch whose first row is the file's `row` into detections, or say what is wrong."""
+    """Turn a batch whose first row is the file's `row` into detections, or refuse it."""
     values = {name: _numbers(batch, name, path) for name in COLUMNS}
     time, points = values["time"], np.column_stack([values[axis] for axis in "xyz"])
     _refuse_times(time, path, row, last)
@@ -273,7 +276,3 @@ def _numbers(batch: pa.RecordBatch, name: str, path: Path) -> Floats:
 def _refuse_rows(bad: Booleans, message: str, row: int, *, hint: str = "") -> None:
     if bad.any():
         raise InputError(f"{message} in row {row + int(bad.argmax()) + 1}", hint=hint)
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).splitlines()[0] if str(error) else type(error).__name__

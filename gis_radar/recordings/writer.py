@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from gis_radar.errors import InputError, OutputError
+from gis_radar.errors import InputError
+from gis_radar.files import output_errors
 from gis_radar.recordings.frames import Column, Frame
 
 ROWS_IN_GROUP = 1 << 17
@@ -64,7 +63,7 @@ class RecordingFile:
             self._write()
         writer, self._writer = self._writer, None
         if writer is not None:
-            with _said(self._place):
+            with output_errors(self._place):
                 writer.close()
 
     def abandon(self) -> None:
@@ -76,7 +75,7 @@ class RecordingFile:
     def _write(self) -> None:
         table = self._table()
         self._waiting, self._rows = [], 0
-        with _said(self._place):
+        with output_errors(self._place):
             if self._writer is None:
                 self._writer = _open(self.path, table.schema)
             self._writer.write_table(table, row_group_size=ROWS_IN_GROUP)
@@ -140,7 +139,7 @@ def _kinds(frames: list[Frame]) -> dict[str, pa.DataType]:
 
 
 def _further(parts: list[Column | None], rows: list[int], kind: pa.DataType) -> pa.ChunkedArray:
-    """Return a further column; where a frame has none, NaN or what says the same."""
+    """Return a further column; where a frame has none, NaN or null."""
     if pa.types.is_floating(kind):
         dtype = kind.to_pandas_dtype()
         filled = [
@@ -154,13 +153,3 @@ def _further(parts: list[Column | None], rows: list[int], kind: pa.DataType) -> 
             for part, count in zip(parts, rows, strict=True)
         ]
     )
-
-
-@contextmanager
-def _said(place: Path) -> Iterator[None]:
-    """Say which output it is that the disk does not take."""
-    try:
-        yield
-    except OSError as error:
-        reason = os.strerror(error.errno) if error.errno else str(error)
-        raise OutputError(f"{place}: cannot be written: {reason}") from error

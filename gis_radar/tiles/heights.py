@@ -20,7 +20,7 @@ def with_road_heights(tiles: gpd.GeoDataFrame, road: Floats) -> gpd.GeoDataFrame
     """Return tiles whose `height_m` is that of the scanned road.
 
     A tile takes the median of the points in it; one without points the nearest point within
-    `NEAR_M` of its centre; else it keeps the height it had. Where the map knows a height, it
+    `NEAR_M` of its centre; else it keeps the height it had. Where the map has a height, it
     chooses the level: points more than `SAME_LEVEL_M` off it belong to another road.
 
     Parameters

@@ -83,7 +83,7 @@ def _visit(  # pragma: no cover - compiled
 
 @compiled
 def _apart(quad: Floats, x: float, y: float, half_m: float) -> bool:  # pragma: no cover - compiled
-    """Tell whether the normal of an edge separates a tile from the square around (x, y)."""
+    """Return whether the normal of an edge separates a tile from the square around (x, y)."""
     for k in range(4):
         normal_x = quad[(k + 1) % 4, 1] - quad[k, 1]
         normal_y = quad[k, 0] - quad[(k + 1) % 4, 0]
@@ -232,7 +232,7 @@ def _edges(quads: Floats) -> Floats:
 
 
 def _inside(edges: Floats, points: Floats) -> NDArray[np.bool_]:
-    """Tell for each row whether the point lies in the tile with these (n, 4, 4) edges."""
+    """Return for each row whether the point is in the tile with these (n, 4, 4) edges."""
     x, y = points[:, None, 0], points[:, None, 1]
     low, high, x_low, slope = np.moveaxis(edges, 1, 0)
     crossed = (low <= y) & (y < high) & (x >= x_low + (y - low) * slope)
@@ -260,7 +260,7 @@ def _assign(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - c
     (west, south), (width, height) = origin, span
     for i in range(done, len(x)):
         px, py = x[i] - west, y[i] - south
-        # Not a number compares false, and what lies outside must never become a cell.
+        # Not a number compares false, and a point outside must never become a cell.
         if not (0.0 <= px <= width and 0.0 <= py <= height):
             continue
         cell = int(py * per_m) * columns + int(px * per_m)

@@ -59,13 +59,13 @@ def make_tiles(
     subtypes : collection of str, optional
         Which lanelets; without it all but those for pedestrians and bicycles.
     reporter : Reporter
-        Hears how far the work is, which lanelets are not tiled, and what long tiles lose.
+        Receives progress, which lanelets are not tiled, and what long tiles lose.
 
     Returns
     -------
     GeoDataFrame
         A row a tile in the order of (lanelet_id, index), with the columns `COLUMNS` and the
-        map's CRS. `height_m` is NaN where the map knows no heights.
+        map's CRS. `height_m` is NaN where the map has no heights.
 
     Raises
     ------

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from gis_radar.errors import InputError, UsageError
+from gis_radar.errors import InputError, UsageError, first_line
 from gis_radar.recordings.ars548 import METHOD, method_of, read_detections
 from gis_radar.recordings.columns import Layout, find_layout, frame_of, message_rows
 from gis_radar.recordings.frames import DamagedError, Format, Frame, NothingHereError, ReaderContext
@@ -72,7 +72,7 @@ def typestore(connection: Any) -> Any:
     Returns
     -------
     rosbags.typesys.store.Typestore
-        Knows the topic's type and all in it.
+        Holds the topic's type and all types in it.
     """
     from rosbags.interfaces import MessageDefinitionFormat as Described  # noqa: PLC0415
     from rosbags.typesys import (  # noqa: PLC0415
@@ -108,7 +108,7 @@ DAMAGE = (
 Decode = Callable[[bytes], Any]
 
 
-def _knows(source: str) -> bool:
+def _accepts(source: str) -> bool:
     path = Path(source)
     if path.is_dir():
         return (path / "metadata.yaml").is_file()
@@ -137,7 +137,7 @@ def _listed(reader: Any) -> str:
 
 @contextmanager
 def _opened(source: str) -> Iterator[Any]:
-    """Open a bag of either kind; what it says against its damage becomes one line."""
+    """Open a bag of either kind; report damage in one line."""
     # Here and not above: the library takes a fifth of a second to load.
     from rosbags import rosbag1, rosbag2  # noqa: PLC0415
 
@@ -169,7 +169,7 @@ def _messages(
                 raise _damaged(source, error) from error
             context.counts["damaged_files"] += 1
             context.reporter.log(
-                f"{source}: after {number:,} whole messages: {_first_line(error)}", "warning"
+                f"{source}: after {number:,} whole messages: {first_line(error)}", "warning"
             )
             return
         if message is None:
@@ -192,13 +192,13 @@ def _unreadable() -> tuple[type[Exception], ...]:
 def _damaged(source: str, error: Exception) -> InputError:
     mended = MENDED_BY.get(Path(source).suffix.lower(), "ros2 bag reindex")
     return InputError(
-        f"{source}: cannot be read as a bag: {_first_line(error)}",
+        f"{source}: cannot be read as a bag: {first_line(error)}",
         hint=f"a bag that was cut off: {mended}",
     )
 
 
 class _Topic:
-    """One topic of a bag: from its messages to frames."""
+    """Reader of one topic of a bag: from its messages to frames."""
 
     def __init__(self, source: str, connection: Any, reader: Any, context: ReaderContext) -> None:
         self._name, self._kind = connection.topic, connection.msgtype
@@ -280,13 +280,9 @@ def _decoder(source: str, connection: Any, reader: Any) -> Decode:
         try:
             return read(raw, connection.msgtype)
         except (SerdeError, *DAMAGE) as error:
-            raise DamagedError(_first_line(error)) from error
+            raise DamagedError(first_line(error)) from error
 
     return decode
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).partition("\n")[0] or type(error).__name__
 
 
 def _rows(message: Any, kind: str) -> Any:
@@ -300,7 +296,7 @@ def _rows(message: Any, kind: str) -> Any:
 
 
 def _without_invalid(frame: Frame, rows: Any) -> Frame:
-    """Respect the marks of a detection list by which the sensor calls a value invalid."""
+    """Replace values that the sensor marks as invalid by NaN."""
     for name in ("invalid_distance", "invalid_azimuth", "invalid_elevation"):
         if name in rows.dtype.names:
             frame.points[rows[name] != 0] = np.nan
@@ -310,7 +306,7 @@ def _without_invalid(frame: Frame, rows: Any) -> Frame:
 
 
 def _packet_time(packet: Any, recorded: float) -> float:
-    """Return when a packet was received, as far as its message says."""
+    """Return when a packet was received, as far as its message states it."""
     stamped = packet if hasattr(packet, "stamp") else getattr(packet, "header", None)
     stamp = getattr(stamped, "stamp", None)
     return recorded if stamp is None else _seconds(stamp)
@@ -323,6 +319,6 @@ def _seconds(stamp: Any) -> float:
 FORMAT = Format(
     name="ROS bag",
     takes=".bag (ROS 1), a folder with metadata.yaml, .db3 or .mcap (ROS 2)",
-    knows=_knows,
+    accepts=_accepts,
     frames=_frames,
 )

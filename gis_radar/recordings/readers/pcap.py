@@ -19,7 +19,6 @@ from typing import BinaryIO, NamedTuple
 
 from gis_radar.recordings.ars548 import METHOD, OTHER_METHODS, method_of, read_detections
 from gis_radar.recordings.frames import (
-    BYTES_A_REPORT,
     DamagedError,
     Format,
     Frame,
@@ -38,7 +37,8 @@ PCAP = {
     b"\x4d\x3c\xb2\xa1": ("<", 1_000_000_000),
 }
 BUFFER_BYTES = 1 << 20
-LARGEST_BLOCK = 1 << 24
+LARGEST_BLOCK = 1 << 24  # bytes; more is damage
+BYTES_A_REPORT = 1 << 22  # between two reports of progress: some a second
 
 _SECTION, _INTERFACE, _PACKET, _SIMPLE, _ENHANCED = 0x0A0D0D0A, 1, 2, 3, 6
 _RESOLUTION, _OFFSET = 9, 14
@@ -130,7 +130,7 @@ def _opened(path: Path) -> BinaryIO:
 def _read_pcap(stream: BinaryIO, order: str, ticks: int) -> Iterator[tuple[Packet, int]]:
     head = _exactly(stream, 20)
     (link,) = struct.unpack_from(order + "I", head, 16)
-    link &= 0xFFFF  # the upper half tells of checksums at the end
+    link &= 0xFFFF  # the upper half is about checksums at the end
     record = struct.Struct(order + "IIII")
     position = 24
     while start := stream.read(record.size):
@@ -287,7 +287,7 @@ class _Parts:
 
 
 class Datagrams:
-    """Puts datagrams together from packets in order of capture, and counts all that passes.
+    """Reassembly of datagrams from packets in order of capture, with counts of all traffic.
 
     Attributes
     ----------
@@ -387,7 +387,7 @@ def _network_layer(packet: Packet) -> int | None:
     return start if kind == _IPV4 else None
 
 
-def _knows(source: str) -> bool:
+def _accepts(source: str) -> bool:
     return Path(source).is_file() and is_capture(Path(source))
 
 
@@ -414,7 +414,7 @@ def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
 def _datagrams(
     path: Path, datagrams: Datagrams, context: ReaderContext
 ) -> Iterator[tuple[Datagram, float | None]]:
-    """Yield the datagrams of a capture; where it is cut off or damaged, say so and end."""
+    """Yield the datagrams of a capture; where it is cut off or damaged, warn and end."""
     total = None if path.suffix.lower() == ".gz" else path.stat().st_size
     reported = packets = 0
     try:
@@ -460,6 +460,6 @@ def _nothing(
 FORMAT = Format(
     name="ARS548 in a capture",
     takes=".pcap, .pcapng (also .gz)",
-    knows=_knows,
+    accepts=_accepts,
     frames=_frames,
 )

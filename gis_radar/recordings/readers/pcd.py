@@ -33,7 +33,7 @@ _DATE = re.compile(
 )
 
 
-def _knows(source: str) -> bool:
+def _accepts(source: str) -> bool:
     path = Path(source)
     if path.is_dir():
         return any(_files(path))
@@ -74,7 +74,7 @@ def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
 
 
 def time_in_name(path: Path) -> float:
-    """Return the time that the name of a file tells, UNIX seconds.
+    """Return the time in the name of a file, UNIX seconds.
 
     Known are seconds (`1708578204.202`), seconds and nanoseconds (`1708578204_202447652`), whole
     milli-, micro- and nanoseconds, and dates in UTC (`2024-02-22T05-03-24.202Z`), anywhere in it.
@@ -187,7 +187,7 @@ def _from_bytes(body: bytes, header: _Header) -> Column:
 
 
 def _from_fields(body: bytes, header: _Header) -> Column:
-    """Return points that lie one field after the other, compressed."""
+    """Return points stored one field after the other, compressed."""
     need = header.points * header.dtype.itemsize
     if len(body) < 8:
         raise DamagedError("the compressed points are missing")
@@ -229,7 +229,7 @@ def decompress(packed: bytes, size: int) -> bytes:
             for place in range(start, start + length + 2):  # it may run into its own copy
                 plain.append(plain[place])
     except IndexError:
-        pass  # what is there is too short, which is said below
+        pass  # too short: refused below
     if len(plain) != size:
         raise DamagedError(f"{len(plain):,} bytes are packed, expected {size:,}")
     return bytes(plain)
@@ -238,6 +238,6 @@ def decompress(packed: bytes, size: int) -> bytes:
 FORMAT = Format(
     name="PCD",
     takes="a folder of .pcd files with the time in their names, or one",
-    knows=_knows,
+    accepts=_accepts,
     frames=_frames,
 )

@@ -17,14 +17,14 @@ from gis_radar.errors import InputError, UsageError
 from gis_radar.recordings.columns import NAMES, Layout, find_layout
 from gis_radar.recordings.csv_tables import open_csv_table
 from gis_radar.recordings.frames import Column, Format, Frame, NothingHereError, ReaderContext
-from gis_radar.recordings.recording import BYTES_AT_ONCE, ROWS_AT_ONCE
+from gis_radar.recordings.recording import parquet_batches
 
 UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 ENDINGS = (".csv", ".parquet")
 SENSOR = "table"  # several tables are one sensor's, hour by hour
 
 
-def _knows(source: str) -> bool:
+def _accepts(source: str) -> bool:
     return Path(source).is_file() and Path(source).suffix.lower() in ENDINGS
 
 
@@ -76,11 +76,8 @@ def _batches(path: Path, layout: Layout) -> Iterator[pa.RecordBatch]:
         fields = {target: field.removeprefix("-") for target, field in layout.sources.items()}
         numbers = tuple(field for target, field in fields.items() if target != "time")
         yield from open_csv_table(path, numbers=numbers).batches()
-        return
-    with pq.ParquetFile(
-        path, buffer_size=BYTES_AT_ONCE, pre_buffer=False, page_checksum_verification=True
-    ) as file:
-        yield from file.iter_batches(ROWS_AT_ONCE, use_threads=False)
+    else:
+        yield from parquet_batches(path)
 
 
 def _pieces(path: Path, layout: Layout, context: ReaderContext) -> Iterator[Frame]:
@@ -111,7 +108,7 @@ def _runs(
 
 
 def _part(whole: Frame, rows: slice, time: float) -> Frame:
-    # A row that says nothing at all says that there was a frame.
+    # A row of NaN alone stands for a frame without detections.
     blank = rows.stop - rows.start == 1 and np.isnan(whole.points[rows]).all()
     if blank and np.isnan(whole.range_rate[rows]).all():
         rows = slice(rows.start, rows.start)
@@ -167,6 +164,6 @@ def _numpy(column: pa.Array) -> Column:
 FORMAT = Format(
     name="table",
     takes=".csv or .parquet with columns of any name (--columns)",
-    knows=_knows,
+    accepts=_accepts,
     frames=_frames,
 )

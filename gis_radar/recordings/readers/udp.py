@@ -25,7 +25,7 @@ LOOK_UP_S = 0.2
 STOPPING = (signal.SIGINT, signal.SIGTERM)
 
 
-def _knows(source: str) -> bool:
+def _accepts(source: str) -> bool:
     return source.lower().startswith(SCHEME)
 
 
@@ -135,7 +135,7 @@ def _stopping() -> Iterator[Event]:
 FORMAT = Format(
     name="ARS548 from the network",
     takes=f"{SCHEME}{GROUP}:{PORT}",
-    knows=_knows,
+    accepts=_accepts,
     frames=_frames,
     live=True,
 )
