@@ -95,7 +95,7 @@ def sidecar_qml() -> str:
 def ground_qml() -> str:
     """Return the QGIS style of all tiles as the ground below a heat map, in one colour.
 
-    Where nothing lies above it, nothing was observed.
+    Where nothing is drawn above it, nothing was observed.
     """
     return (_HERE / "ground.qml").read_text(encoding="utf-8")
 

@@ -62,7 +62,7 @@ def write_qgis_project(
     time_zone : str
         Of the time on the layout, such as `Europe/Berlin`.
     source : str
-        Where the data come from, as the layout says it.
+        Where the data come from, for the layout.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def write_site_project(
     time_zone, source : str
         As :func:`write_qgis_project` takes them.
     reporter : Reporter
-        Hears where an edited project is in the way.
+        Receives a warning where an edited project is in the way.
 
     Returns
     -------
@@ -177,7 +177,7 @@ def _time_range(package: Path) -> TimeRange | None:
 
 
 def _local_time(played: TimeRange, time_zone: str) -> str:
-    """Return the time that a project covers as people there read it."""
+    """Return the time that a project covers in local form."""
     zone = zone_of(time_zone)
     begin, end = (
         datetime.fromisoformat(text).astimezone(zone) for text in (played.begin, played.end)

@@ -1,4 +1,4 @@
-"""What all algorithms share: the worker, its progress in QGIS, its errors as one sentence."""
+"""The base of all algorithms: the worker, its progress in QGIS, its errors as one sentence."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ def chosen_python() -> str:
     return find_python(str(QgsSettings().value(SETTING, "") or ""), profile_folder())
 
 
-class Heard(Listener):
-    """Passes on to a QGIS feedback what the worker tells."""
+class WorkerFeedback(Listener):
+    """The worker's progress and remarks as a QGIS feedback shows them."""
 
     def __init__(self, feedback: Any) -> None:
         self._feedback = feedback
-        self._shares: dict[str, float] = {}  # of the stages heard of, how much is done
-        self._ended, self._stages = 0.0, 0.0  # of a site's run, once it says so
+        self._shares: dict[str, float] = {}  # of the stages begun, how much is done
+        self._ended, self._stages = 0.0, 0.0  # of a site's run, once it reports them
         self._percent = 0.0
 
     def progress(self, stage: str, done: float, total: float | None) -> None:
@@ -53,7 +53,7 @@ class Heard(Listener):
         if stage == ALL_STAGES:
             self._ended, self._stages = done, total or 0.0
         else:
-            # Stages at work at once take turns in telling: each is named once.
+            # Stages at work at once report in turns: each is named once.
             if stage not in self._shares:
                 self._feedback.setProgressText(stage_words(stage))
             self._shares[stage] = min(1.0, done / total) if total else 0.0
@@ -71,7 +71,7 @@ class Heard(Listener):
         show(message)
 
     def cancelled(self) -> bool:
-        """Tell whether the user has pressed Cancel."""
+        """Return whether the user has pressed Cancel."""
         return bool(self._feedback.isCanceled())
 
 
@@ -87,7 +87,7 @@ def one_sentence() -> Iterator[None]:
 
 
 class Algorithm(QgsProcessingAlgorithm):  # type: ignore[misc]
-    """An algorithm of the toolbox; children say in class attributes what they are."""
+    """An algorithm of the toolbox; children are described by class attributes."""
 
     NAME: ClassVar[str] = ""
     TITLE: ClassVar[str] = ""
@@ -151,7 +151,7 @@ class WorkerAlgorithm(Algorithm):
     """An algorithm that the worker does."""
 
     def canExecute(self) -> tuple[bool, str]:  # noqa: N802
-        """Tell whether there is a worker, and if not, what to do."""
+        """Return whether there is a worker, and if not, what to do."""
         try:
             chosen_python()
         except WorkerError as error:
@@ -185,7 +185,7 @@ class WorkerAlgorithm(Algorithm):
         return python
 
     def work(self, words: Sequence[str], outputs: Sequence[str], feedback: Any) -> Answer:
-        """Let the worker do a command, and show its figures.
+        """Run a command in the worker, and show its figures.
 
         Parameters
         ----------
@@ -204,7 +204,7 @@ class WorkerAlgorithm(Algorithm):
         python = self._python()
         with one_sentence(), claimed(outputs):
             try:
-                answer = run_worker(python, words, Heard(feedback))
+                answer = run_worker(python, words, WorkerFeedback(feedback))
             except WorkerError as error:
                 if str(error).startswith(f"No such command '{words[0]}'"):
                     text = tr("This worker cannot do '{command}' yet:").format(command=words[0])

@@ -1,4 +1,4 @@
-"""Which outputs are being written: one run at a time for each place; no QGIS in here."""
+"""Claim the outputs that are being written: one run at a time for each place; needs no QGIS."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ class Clock:
         self._label.setVisible(bool(text))
 
     def text(self) -> str:
-        """Return what the clock says."""
+        """Return the text of the clock."""
         span = self._canvas.temporalRange()
         if not self._canvas.mapSettings().isTemporal() or span.begin().isNull():
             return ""

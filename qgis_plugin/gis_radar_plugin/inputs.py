@@ -88,7 +88,7 @@ def _refuse_wrong(
 
 
 def _is_part(value: Any, layer: QgsVectorLayer) -> bool:
-    """Tell whether a selection, a filter or unsaved edits make the file another thing."""
+    """Return whether a selection, a filter or unsaved edits make the file another thing."""
     chosen = isinstance(value, QgsProcessingFeatureSourceDefinition) and (
         value.selectedFeaturesOnly or bool(getattr(value, "filterExpression", ""))
     )

@@ -1,4 +1,4 @@
-"""Builds the worker: a Python environment of its own with gis_radar; knows nothing of QGIS."""
+"""Build the worker: a Python environment of its own with gis_radar; needs no QGIS."""
 
 from __future__ import annotations
 
@@ -37,17 +37,17 @@ class Tools:
     uv: str
 
 
-class Teller:
-    """Hears how far the set-up is; this one ignores it."""
+class SetUpListener:
+    """A receiver of how far the set-up is; this one ignores it."""
 
     def stage(self, text: str, percent: float) -> None:
-        """Hear what is done now, and how far all of it is."""
+        """Take what is done now, and how far all of it is, percent."""
 
     def line(self, text: str) -> None:
-        """Hear what a tool prints."""
+        """Take a line that a tool prints."""
 
     def cancelled(self) -> bool:
-        """Tell whether to stop."""
+        """Return whether to stop."""
         return False
 
 
@@ -115,7 +115,12 @@ def _is_new_enough(python: str) -> bool:
 
 
 def set_up(
-    folder: Path, package: str, tools: Tools, teller: Teller, *, options: Sequence[str] = ()
+    folder: Path,
+    package: str,
+    tools: Tools,
+    listener: SetUpListener,
+    *,
+    options: Sequence[str] = (),
 ) -> str:
     """Build the environment and put it in place of an earlier one.
 
@@ -127,7 +132,7 @@ def set_up(
         The wheel of gis_radar.
     tools : Tools
         With what.
-    teller : Teller
+    listener : SetUpListener
         Hears how far it is, and is asked whether to stop.
     options : sequence of str
         Further words for pip or uv, such as where packages come from.
@@ -142,19 +147,19 @@ def set_up(
     WorkerError
         If a step fails, in one sentence with the tool's last word.
     CancelledError
-        If the teller wanted to stop.
+        If the listener wanted to stop.
     """
     part = folder.with_name(f"{folder.name}.part")
     _remove(part)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        teller.stage("Making an environment", 2)
-        _make_environment(part, tools, teller)
-        teller.stage("Fetching gis_radar and what it needs", 8)
-        _install(part, package, tools, teller, options)
-        teller.stage("Trying it out", 94)
+        listener.stage("Making an environment", 2)
+        _make_environment(part, tools, listener)
+        listener.stage("Fetching gis_radar and what it needs", 8)
+        _install(part, package, tools, listener, options)
+        listener.stage("Trying it out", 94)
         version = worker_version(str(python_in(part)))
-        _run([str(python_in(part)), "-P", "-m", "gis_radar", "--version"], teller)
+        _run([str(python_in(part)), "-P", "-m", "gis_radar", "--version"], listener)
         _put_in_place(part, folder)
     except OSError as error:
         reason = error.strerror or str(error)
@@ -162,17 +167,17 @@ def set_up(
     finally:
         shutil.rmtree(part, ignore_errors=True)
         forget_versions()
-    teller.stage("Done", 100)
+    listener.stage("Done", 100)
     return version
 
 
-def _make_environment(part: Path, tools: Tools, teller: Teller) -> None:
+def _make_environment(part: Path, tools: Tools, listener: SetUpListener) -> None:
     if tools.uv:
         wanted = tools.python or ">=3.11"
-        _run([tools.uv, "venv", "--quiet", "--python", wanted, str(part)], teller)
+        _run([tools.uv, "venv", "--quiet", "--python", wanted, str(part)], listener)
         return
     try:
-        _run([tools.python, "-m", "venv", str(part)], teller)
+        _run([tools.python, "-m", "venv", str(part)], listener)
     except WorkerError as error:
         raise WorkerError(
             f"{error} (on Debian and Ubuntu the package python3-venv may be missing)"
@@ -180,7 +185,7 @@ def _make_environment(part: Path, tools: Tools, teller: Teller) -> None:
 
 
 def _install(
-    part: Path, package: str, tools: Tools, teller: Teller, options: Sequence[str]
+    part: Path, package: str, tools: Tools, listener: SetUpListener, options: Sequence[str]
 ) -> None:
     python = str(python_in(part))
     words = [python, "-m", "pip", "install", "--disable-pip-version-check", "--no-input",
@@ -190,26 +195,26 @@ def _install(
     pins = BUNDLED / "constraints.txt"
     if pins.is_file():
         words += ["--constraint", str(pins)]
-    _run([*words, "--only-binary", ":all:", *options, package], teller, counted=True)
+    _run([*words, "--only-binary", ":all:", *options, package], listener, counted=True)
 
 
-def _run(command: Sequence[str], teller: Teller, *, counted: bool = False) -> None:
+def _run(command: Sequence[str], listener: SetUpListener, *, counted: bool = False) -> None:
     """Run a step; count the packages that it names, so that the bar moves."""
     last: list[str] = []
     seen = 0
 
-    def hear(line: str) -> None:
+    def on_line(line: str) -> None:
         nonlocal seen
         text = line.strip()
         if not text:
             return
         last.append(text)
-        teller.line(text)
+        listener.line(text)
         if counted and text.startswith(("Collecting", "Downloading", "Processing", "Prepared")):
             seen += 1
-            teller.stage("", 8 + min(84.0, 84.0 * seen / (2 * _PACKAGES)))
+            listener.stage("", 8 + min(84.0, 84.0 * seen / (2 * _PACKAGES)))
 
-    code, _ = run_command(command, hear, teller.cancelled, grace_s=_GRACE_S, merged=True)
+    code, _ = run_command(command, on_line, listener.cancelled, grace_s=_GRACE_S, merged=True)
     if code != 0:
         raise WorkerError(_why(command[0], last, code))
 

@@ -1,4 +1,4 @@
-"""Live look: layers are read anew when their file has changed; nothing but files is needed."""
+"""Live look: reload layers whose file has changed; nothing but files is needed."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def file_of(layer: QgsMapLayer) -> Path | None:
 
 
 class LiveLook(QObject):  # type: ignore[misc]
-    """Looks every few seconds which files have changed, and reads their layers anew.
+    """A timer that checks every few seconds which files have changed, and reloads their layers.
 
     Parameters
     ----------
@@ -52,21 +52,21 @@ class LiveLook(QObject):  # type: ignore[misc]
         self._timer.timeout.connect(self.look)
 
     def start(self, every_s: float = EVERY_S) -> None:
-        """Begin to look; what is on disk now counts as read."""
+        """Start; what is on disk now counts as read."""
         self._stamps.clear()
         self.look()
         self._timer.start(int(every_s * 1000))
 
     def stop(self) -> None:
-        """Look no more."""
+        """Stop."""
         self._timer.stop()
 
     def is_on(self) -> bool:
-        """Tell whether it looks."""
+        """Return whether it is on."""
         return bool(self._timer.isActive())
 
     def look(self) -> list[str]:
-        """Read anew what has changed since the last look; return the layers' names.
+        """Reload what has changed since the last check; return the layers' names.
 
         A layer that is being edited stays as it is.
         """

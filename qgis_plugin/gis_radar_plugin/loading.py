@@ -1,4 +1,4 @@
-"""Results in the project: their style with a legend in words, their time, their group."""
+"""Load results into the project: their style with a legend in words, their time, their group."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Finish = Callable[[QgsMapLayer], None]
 
 
 class Finisher(QgsProcessingLayerPostProcessorInterface):  # type: ignore[misc]
-    """Finishes a layer once it is in the project."""
+    """A post-processor that finishes a layer once it is in the project."""
 
     # QGIS does not own post-processors: one without a reference is never called.
     kept: ClassVar[list[Finisher]] = []
@@ -74,7 +74,7 @@ def load(
     visible : bool
         Whether it is switched on.
     order : int
-        Layers of one run with a higher order lie above.
+        Layers of one run with a higher order are above.
     """
     project = context.project()
     if project is None:
@@ -90,7 +90,7 @@ def load(
 def finish_output(
     context: QgsProcessingContext, dest: str, finish: Finish | None = None, *, visible: bool = True
 ) -> bool:
-    """Finish a layer that QGIS loads by itself; tell whether it does."""
+    """Finish a layer that QGIS loads by itself; return whether it does."""
     if not context.willLoadLayerOnCompletion(dest):
         return False
     details = context.layerToLoadOnCompletionDetails(dest)
@@ -152,10 +152,10 @@ def legend_words(label: str) -> str:
 
 
 def switch_time_on(layer: QgsVectorLayer) -> bool:
-    """Let the temporal controller drive a layer with begin and end; tell whether it has them.
+    """Let the temporal controller drive a layer with begin and end; return whether it has them.
 
-    The style in the GeoPackage says the same, but QGIS brings its time up switched off. A row is
-    shown for a little less than its interval: QGIS compares the times of a GeoPackage as text,
+    The style in the GeoPackage has the same settings, but QGIS loads its time switched off. A row
+    is shown for a little less than its interval: QGIS compares the times of a GeoPackage as text,
     and would show the interval that ends at a moment, too.
     """
     fields = layer.fields()

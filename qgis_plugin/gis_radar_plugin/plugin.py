@@ -16,7 +16,7 @@ MENU = "gis_radar"
 
 
 class GisRadarPlugin:
-    """Brings the provider in, and in a QGIS with a window the clock and the live look.
+    """The plugin: the provider, and in a QGIS with a window the clock and the live look.
 
     Parameters
     ----------

@@ -23,7 +23,8 @@ from typing import IO, Any
 
 GRACE_S = 3.0
 NO_WINDOW: int = getattr(subprocess, "CREATE_NO_WINDOW", 0)  # on Windows a program opens one
-_LISTEN_S = 0.1
+_POLL_S = 0.1
+_LAST_LINES_S = 1.0
 _LAST_LINES = 20
 # What QGIS sets for itself and what would lead another Python's libraries astray.
 _FOREIGN = (
@@ -56,16 +57,16 @@ class Answer:
 
 
 class Listener:
-    """Hears what a worker tells; this one ignores it."""
+    """A receiver of what a worker reports; this one ignores it."""
 
     def progress(self, stage: str, done: float, total: float | None) -> None:
-        """Hear how far a stage is."""
+        """Take how far a stage is."""
 
     def log(self, message: str, level: str) -> None:
-        """Hear a remark; the level is `info` or `warning`."""
+        """Take a remark; the level is `info` or `warning`."""
 
     def cancelled(self) -> bool:
-        """Tell whether to stop."""
+        """Return whether to stop."""
         return False
 
 
@@ -91,7 +92,7 @@ def run_worker(
     words : sequence of str
         The command and its options.
     listener : Listener
-        Hears progress and remarks, and is asked whether to stop.
+        Takes progress and remarks, and is asked whether to stop.
     grace_s : float
         How long a cancelled worker may take to leave.
 
@@ -100,12 +101,12 @@ def run_worker(
     CancelledError
         If the listener wanted to stop.
     WorkerError
-        If the worker says why it failed, does not start, or dies.
+        If the worker reports why it failed, does not start, or dies.
     """
     command = [python, "-P", "-m", "gis_radar", *words, "--json"]
     end: list[Event] = []
 
-    def hear(line: str) -> None:
+    def on_line(line: str) -> None:
         event = _event(line)
         kind = event.get("event")
         if kind == "progress":
@@ -116,17 +117,17 @@ def run_worker(
         elif kind in ("result", "error"):
             end.append(event)
 
-    code, last_words = run_command(command, hear, listener.cancelled, grace_s=grace_s)
+    code, last_errors = run_command(command, on_line, listener.cancelled, grace_s=grace_s)
     if end and end[-1]["event"] == "error":
         raise WorkerError(_sentence(end[-1]))
     if code != 0 or not end:
-        raise WorkerError(_obituary(code, last_words))
+        raise WorkerError(_unexpected_end(code, last_errors))
     return Answer(list(end[-1].get("outputs", [])), dict(end[-1].get("summary", {})))
 
 
 def run_command(
     command: Sequence[str],
-    hear: Callable[[str], None],
+    on_line: Callable[[str], None],
     cancelled: Callable[[], bool],
     *,
     grace_s: float = GRACE_S,
@@ -138,49 +139,49 @@ def run_command(
     ----------
     command : sequence of str
         The program and its words.
-    hear : callable
+    on_line : callable
         Gets each line of its standard output, in the caller's thread.
     cancelled : callable
         Asked about ten times a second whether to stop.
     grace_s : float
         How long a cancelled program may take to leave.
     merged : bool
-        Whether its standard error is heard, too.
+        Whether its standard error is read, too.
 
     Returns
     -------
     code : int
         Its exit code; below 0 the signal that ended it.
-    last_words : list of str
+    last_errors : list of str
         The last lines of its standard error.
 
     Raises
     ------
     CancelledError
-        If `cancelled` said so; the program has ended then.
+        If `cancelled` returned true; the program has ended then.
     WorkerError
         If the program does not start.
     """
     process = _start(command, subprocess.STDOUT if merged else subprocess.PIPE)
     lines: queue.Queue[str | None] = queue.Queue()
-    last_words: deque[str | None] = deque(maxlen=_LAST_LINES)
+    last_errors: deque[str | None] = deque(maxlen=_LAST_LINES)
     readers = [
         threading.Thread(target=_read, args=(stream, put), daemon=True)
-        for stream, put in ((process.stdout, lines.put), (process.stderr, last_words.append))
+        for stream, put in ((process.stdout, lines.put), (process.stderr, last_errors.append))
         if stream is not None
     ]
     for reader in readers:
         reader.start()
     try:
-        _listen(process, lines, hear, cancelled)
+        _read_lines(process, lines, on_line, cancelled)
     except BaseException:
         _stop(process, grace_s)
         raise
     code = process.wait()
-    readers[-1].join(timeout=1.0)  # the last words may still be on their way
+    readers[-1].join(timeout=_LAST_LINES_S)
     if process.stdin is not None:
         process.stdin.close()
-    return code, [line.strip() for line in last_words if line and line.strip()]
+    return code, [line.strip() for line in last_errors if line and line.strip()]
 
 
 def _start(command: Sequence[str], errors: int) -> subprocess.Popen[str]:
@@ -212,34 +213,36 @@ def _read(stream: IO[str], put: Callable[[str | None], None]) -> None:
     put(None)
 
 
-def _listen(
+def _read_lines(
     process: subprocess.Popen[str],
     lines: queue.Queue[str | None],
-    hear: Callable[[str], None],
+    on_line: Callable[[str], None],
     cancelled: Callable[[], bool],
 ) -> None:
-    """Hear lines until there are no more; look now and then whether to stop."""
+    """Hand on lines until there are no more; ask now and then whether to stop."""
     asked = 0.0
     while True:
         # Lines may come without a pause, so the question does not wait for one.
-        if time.monotonic() - asked > _LISTEN_S:
+        if time.monotonic() - asked > _POLL_S:
             asked = time.monotonic()
             if cancelled():
                 raise CancelledError
+        # After its end its last lines may still be on their way, or never end: what the program
+        # has started may hold its output open.
+        ended = process.poll() is not None
         try:
-            line = lines.get(timeout=_LISTEN_S)
+            line = lines.get(timeout=_LAST_LINES_S if ended else _POLL_S)
         except queue.Empty:
-            # What the program has started may hold its output open after its own end.
-            if process.poll() is not None:
+            if ended:
                 return
             continue
         if line is None:
             return
-        hear(line)
+        on_line(line)
 
 
 def _stop(process: subprocess.Popen[str], grace_s: float) -> None:
-    """Let the program go; kill it and its children if it stays."""
+    """Ask the program to end; kill it and its children if it stays."""
     try:
         if process.stdin is not None:
             process.stdin.close()
@@ -284,16 +287,16 @@ def _sentence(error: Event) -> str:
     return f"{message} ({hint})" if hint else message
 
 
-def _obituary(code: int, last_words: Sequence[str]) -> str:
-    """Say how a worker ended that said nothing itself."""
+def _unexpected_end(code: int, last_errors: Sequence[str]) -> str:
+    """Describe how a worker ended that reported nothing itself."""
     if code < 0:
         how = f"it was ended by {_signal_name(-code)}"
     elif code == 0:
         how = "it ended without a result"
     else:
         how = f"it ended with code {code}"
-    said = f": {last_words[-1]}" if last_words else ""
-    return f"The worker stopped unexpectedly, {how}{said}"
+    reason = f": {last_errors[-1]}" if last_errors else ""
+    return f"The worker stopped unexpectedly, {how}{reason}"
 
 
 def _signal_name(number: int) -> str:

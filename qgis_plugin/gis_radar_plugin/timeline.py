@@ -16,7 +16,7 @@ from qgis.PyQt.QtCore import QDateTime, Qt
 
 
 def as_utc(moment: QDateTime) -> QDateTime:
-    """Return a time whose figures are UTC as a time that says so.
+    """Return a time whose figures are UTC as a time in UTC.
 
     GeoPackages hold UTC, but QGIS hands the limits of a layer out without saying that.
     """

@@ -20,7 +20,7 @@ def dictionary(language: str) -> dict[str, str]:
 
 
 def language() -> str:
-    """Return the language that QGIS speaks, as two letters."""
+    """Return the language of QGIS, as two letters."""
     from qgis.core import QgsApplication  # noqa: PLC0415 - the dictionary works without QGIS
 
     qgis = QgsApplication.instance()
@@ -29,10 +29,10 @@ def language() -> str:
 
 
 def speaks_german() -> bool:
-    """Tell whether dates and numbers are written the German way."""
+    """Return whether dates and numbers are written the German way."""
     return language() == "de"
 
 
 def tr(text: str) -> str:
-    """Return a text in the language that QGIS speaks."""
+    """Return a text in the language of QGIS."""
     return dictionary(language()).get(text, text)

@@ -1,4 +1,4 @@
-"""Which Python does the work, and whether it is fit for it; knows nothing of QGIS."""
+"""Find the Python that does the work, and check whether it is fit for it; needs no QGIS."""
 
 from __future__ import annotations
 
@@ -90,21 +90,21 @@ def _asked(python: str, _changed: float) -> str:
     except (OSError, subprocess.TimeoutExpired) as error:
         reason = getattr(error, "strerror", None) or "no answer"
         raise WorkerError(f"The worker's Python {python} does not start: {reason}") from error
-    said = done.stderr.strip().splitlines()[-1:] or [f"it ended with code {done.returncode}"]
+    reason = done.stderr.strip().splitlines()[-1:] or [f"it ended with code {done.returncode}"]
     if done.returncode == 0:
         return done.stdout.strip()
-    if said[0] == "none":
+    if reason[0] == "none":
         raise WorkerError(f"{python} has no gis_radar")
-    if said[0].startswith("old "):
-        raise WorkerError(f"{python} is Python {said[0][4:]}, needed is 3.11 or newer")
-    raise WorkerError(f"The worker's Python {python} does not run: {said[0]}")
+    if reason[0].startswith("old "):
+        raise WorkerError(f"{python} is Python {reason[0][4:]}, needed is 3.11 or newer")
+    raise WorkerError(f"The worker's Python {python} does not run: {reason[0]}")
 
 
 def forget_versions() -> None:
-    """Ask again next time: the worker was set up anew."""
+    """Forget the versions found: the worker was set up anew."""
     _asked.cache_clear()
 
 
 def same_series(worker: str, plugin: str) -> bool:
-    """Tell whether a worker of one version serves a plugin of another: the same x.y."""
+    """Return whether a worker of one version serves a plugin of another: the same x.y."""
     return not plugin or worker.split(".")[:2] == plugin.split(".")[:2]

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -14,6 +15,7 @@ ROOT = Path(__file__).parents[2]
 VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
 SAMPLE = ROOT / "sample_maps"
 SHARED = ROOT.parent / "shared" / "data"
+SITE = os.environ.get("GIS_RADAR_QGIS_SITE")  # made once by tools/test_qgis.sh for all processes
 WORKER = os.environ.get("GIS_RADAR_PYTHON", str(ROOT / ".venv" / "bin" / "python"))
 sys.path.insert(0, os.environ.get("GIS_RADAR_PLUGINS", str(ROOT / "qgis_plugin")))
 
@@ -29,19 +31,22 @@ def worker(*words):
 def site(tmp_path_factory):
     """Results of the sample junction in a folder with a space and umlauts."""
     folder = tmp_path_factory.mktemp("qgis") / "Straße mit Ümlaut"
-    worker("demo", "-o", folder)
+    if SITE:
+        shutil.copytree(SITE, folder)
+    else:
+        worker("demo", "-o", folder)
     return folder
 
 
-@pytest.fixture
-def project(site, tmp_path):
-    """A project as a run writes it, in a folder that was moved afterwards."""
-    folder = tmp_path / "moved"
-    subprocess.run(["cp", "-r", str(site), str(folder)], check=True)
+@pytest.fixture(scope="session")
+def project(site, tmp_path_factory):
+    """A project as a run writes it, in a folder that was moved afterwards; only to be read."""
+    place = tmp_path_factory.mktemp("project")
+    folder = shutil.copytree(site, place / "moved")
     worker("qgis", folder / "heatmap", "--sensors", folder / "sensors.gpkg",
            "--title", "Sample", "--timezone", "Europe/Berlin", "--source", "City",
            "-o", folder / "site.qgz")  # fmt: skip
-    there = tmp_path / "and moved again"
+    there = place / "and moved again"
     folder.rename(there)
     return there / "site.qgz"
 

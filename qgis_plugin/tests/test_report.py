@@ -3,8 +3,8 @@
 import shutil
 
 import pytest
-from conftest import SAMPLE
-from helpers import Feedback, leftovers, one_sentence
+from conftest import SAMPLE, WORKER
+from helpers import Feedback, leftovers, one_sentence, run_algorithm
 from qgis.core import (
     QgsCoordinateReferenceSystem,
     QgsFeature,
@@ -34,19 +34,31 @@ def junctions():
     return layer.id()
 
 
-@pytest.fixture
-def report(run, site, tmp_path):
-    results, heard = run(
-        "exportreport",
-        {
-            "HEATMAP": str(site / "heatmap"), "PLACES": junctions(), "DPI": 60,
-            "SENSORS": str(site / "sensors.gpkg"), "TIME_ZONE": "Europe/Berlin",
-            "TITLE": "Verkehr", "SOURCE": "Stadt", "OUTPUT": str(tmp_path / "report"),
-        },
-    )  # fmt: skip
+@pytest.fixture(scope="module")
+def report(provider, site, tmp_path_factory):
+    """A report, only to be read."""
+    out = tmp_path_factory.mktemp("reports") / "report"
+    QgsProject.instance().clear()
+    with pytest.MonkeyPatch.context() as around:
+        around.setenv("GIS_RADAR_PYTHON", WORKER)
+        results, heard = run_algorithm(
+            "exportreport",
+            {
+                "HEATMAP": str(site / "heatmap"), "PLACES": junctions(), "DPI": 60,
+                "SENSORS": str(site / "sensors.gpkg"), "TIME_ZONE": "Europe/Berlin",
+                "TITLE": "Verkehr", "SOURCE": "Stadt", "OUTPUT": str(out),
+            },
+        )  # fmt: skip
+    QgsProject.instance().clear()
     assert heard.errors == []
     assert heard.percents
-    return tmp_path / "report"
+    return out
+
+
+@pytest.fixture
+def earlier_report(report, tmp_path):
+    """A report of one's own."""
+    return shutil.copytree(report, tmp_path / "report")
 
 
 def test_a_page_for_each_place_and_time(report):
@@ -106,14 +118,20 @@ def test_the_layout_has_all_of_a_sheet(report, qgis_new_project):
     atlas.endRender()
 
 
-def test_a_report_replaces_an_earlier_one(run, report, site):
-    before = len(list(report.iterdir()))
+def test_a_report_replaces_an_earlier_one(run, earlier_report, site):
+    before = len(list(earlier_report.iterdir()))
     results, heard = run(
         "exportreport",
-        {"HEATMAP": str(site / "heatmap"), "WHAT": 1, "OVER": 2, "DPI": 60, "OUTPUT": str(report)},
+        {
+            "HEATMAP": str(site / "heatmap"),
+            "WHAT": 1,
+            "OVER": 2,
+            "DPI": 60,
+            "OUTPUT": str(earlier_report),
+        },
     )
     assert heard.errors == []
-    assert sorted(path.name for path in report.iterdir()) == [
+    assert sorted(path.name for path in earlier_report.iterdir()) == [
         "Overview_whole.png", "pages.gpkg", "report.pdf", "report.qgz",
     ]  # fmt: skip
     assert before > 4
@@ -251,14 +269,14 @@ def test_a_folder_of_others_is_left_alone(run, site, tmp_path, name):
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
-def test_a_picture_among_those_of_a_report_is_left_alone(run, report, site):
-    (report / "photo.png").touch()
-    before = sorted(report.iterdir())
-    call = {"HEATMAP": str(site / "heatmap"), "OUTPUT": str(report)}
+def test_a_picture_among_those_of_a_report_is_left_alone(run, earlier_report, site):
+    (earlier_report / "photo.png").touch()
+    before = sorted(earlier_report.iterdir())
+    call = {"HEATMAP": str(site / "heatmap"), "OUTPUT": str(earlier_report)}
     results, heard = run("exportreport", call)
     assert results is None
     assert "photo.png" in one_sentence(heard)
-    assert sorted(report.iterdir()) == before
+    assert sorted(earlier_report.iterdir()) == before
 
 
 def test_places_whose_files_would_be_one(qgis_app):

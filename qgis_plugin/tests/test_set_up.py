@@ -94,14 +94,14 @@ def test_cancel(run, profile, tmp_path):
 
 def test_cancel_of_a_tool_that_does_not_listen(run, profile, tmp_path):
     """Neither pip nor venv notices that its standard input ends: it is ended within a second."""
-    from gis_radar_plugin.installer import Teller, Tools, set_up
+    from gis_radar_plugin.installer import SetUpListener, Tools, set_up
     from gis_radar_plugin.runner import CancelledError
 
     python = tmp_path / "python"
     python.write_text("#!/usr/bin/python3\nimport time\ntime.sleep(60)\n")
     python.chmod(0o755)
 
-    class Stopped(Teller):
+    class Stopped(SetUpListener):
         def cancelled(self):
             return time.monotonic() - began > 0.5
 

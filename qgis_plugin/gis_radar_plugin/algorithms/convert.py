@@ -17,7 +17,7 @@ from ..words import tr
 
 
 class ConvertRecordings(WorkerAlgorithm):
-    """What a radar's driver wrote becomes a recording."""
+    """An algorithm that makes a recording of what a radar's driver wrote."""
 
     NAME = "convertrecordings"
     TITLE = "Convert recordings"

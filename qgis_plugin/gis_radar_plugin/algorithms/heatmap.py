@@ -30,7 +30,7 @@ INTERVAL = re.compile(r"\d+(\.\d+)?\s*(ms|s|min|h|d)")
 
 
 class MakeHeatMap(WorkerAlgorithm):
-    """Occupancy becomes layers that compare over places and times."""
+    """An algorithm that makes layers of occupancy which compare over places and times."""
 
     NAME = "heatmap"
     TITLE = "Heat map"
@@ -72,7 +72,7 @@ class MakeHeatMap(WorkerAlgorithm):
         )
         self.add(
             QgsProcessingParameterBoolean("LOAD", tr("Load the layers"), True),
-            about="Switch it off in a model that goes on with the files.",
+            about="Switch it off in a model that continues with the files.",
             advanced=True,
         )
         self.add(

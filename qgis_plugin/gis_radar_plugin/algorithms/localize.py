@@ -35,7 +35,7 @@ WEB_MERCATOR = "EPSG:3857"
 
 
 class LocalizeRadar(WorkerAlgorithm):
-    """A recording and a click become the sensor's pose."""
+    """An algorithm that finds a sensor's pose from a recording and a click."""
 
     NAME = "localizeradar"
     TITLE = "Localize a radar"
@@ -46,8 +46,8 @@ class LocalizeRadar(WorkerAlgorithm):
         "The result is a pose file and a layer: an arrow where the radar looks, its view, and the "
         "ellipse in which it stands with 95 % probability. The figure shows the traces of the "
         "vehicles over lanes and scan: they must lie on the lanes.\n"
-        "Where the scene fits two places, or holds too little traffic, there is no answer but the "
-        "reason."
+        "Where the scene fits two places, or holds too little traffic, the reason is given instead "
+        "of an answer."
     )
     KEYWORDS = ("pose", "calibration", "georeference")
 

@@ -24,7 +24,7 @@ from .tiles import CRS_HELP, ORIGIN_HELP, crs_words
 
 
 class MaskRoad(WorkerAlgorithm):
-    """An airborne scan and a map or road polygons become the road's surface."""
+    """An algorithm that cuts the road's surface out of an airborne scan."""
 
     NAME = "maskroad"
     TITLE = "Mask road from airborne scan"
@@ -32,8 +32,8 @@ class MaskRoad(WorkerAlgorithm):
     HELP = (
         "Keeps the road of an airborne laser scan (LAS, LAZ, COPC): one point each half metre, at "
         "the height of its surface.\n"
-        "What is road says a Lanelet2 map, or a layer of polygons, which may be filtered, "
-        "selected or in memory.\n"
+        "What is road is given by a Lanelet2 map, or by a layer of polygons, which may be "
+        "filtered, selected or in memory.\n"
         "The result is a LAZ file, which the other algorithms read."
     )
     KEYWORDS = ("lidar", "laz", "point cloud")
@@ -61,7 +61,7 @@ class MaskRoad(WorkerAlgorithm):
         )  # fmt: skip
         self.add(
             QgsProcessingParameterCrs("SCAN_CRS", tr("CRS of the scans"), optional=True),
-            about="Only for scans that do not say theirs.", advanced=True,
+            about="Only for scans without one.", advanced=True,
         )  # fmt: skip
         self.add(
             QgsProcessingParameterCrs("CRS", tr("Coordinate system"), optional=True),

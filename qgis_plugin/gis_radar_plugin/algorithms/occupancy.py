@@ -24,7 +24,7 @@ from ..words import tr
 
 
 class MeasureOccupancy(WorkerAlgorithm):
-    """Recordings and poses of several sensors become occupancy."""
+    """An algorithm that measures occupancy from recordings and poses of several sensors."""
 
     NAME = "occupancy"
     TITLE = "Occupancy from recordings"
@@ -33,7 +33,7 @@ class MeasureOccupancy(WorkerAlgorithm):
         "Finds which tile was hit in which step of 50 ms, by one or more radars; what several "
         "radars see at once counts once.\n"
         "Each recording belongs to a pose file: they are paired by name (R1.parquet and R1.json, "
-        "or the sensor's name in the pose), and where the names say nothing by their order.\n"
+        "or the sensor's name in the pose), and where no name fits by their order.\n"
         "The layer of tiles may be filtered or selected: then only these tiles count, and the heat "
         "map must be made with the same ones."
     )
@@ -117,7 +117,7 @@ def _number(name: str, title: str) -> QgsProcessingParameterNumber:
 
 
 def paired(recordings: list[str], poses: list[str]) -> list[str]:
-    """Return the pose of each recording: by name, or in order where names say nothing.
+    """Return the pose of each recording: by name, or in order where no name fits.
 
     Raises
     ------
@@ -150,6 +150,6 @@ def _names(pose: str) -> set[str]:
     try:
         record = json.loads(Path(pose).read_text(encoding="utf-8"))
     except (OSError, ValueError):
-        return names  # the worker says what is wrong with the file
+        return names  # the worker reports what is wrong with the file
     sensor = record.get("sensor") if isinstance(record, dict) else None
     return names | ({str(sensor)} if sensor else set())

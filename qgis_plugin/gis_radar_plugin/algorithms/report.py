@@ -54,7 +54,7 @@ JUNCTIONS, SENSORS = 0, 1  # what the pages go over
 
 
 class ExportReport(Algorithm):
-    """Sheets over places and intervals, as PDF and PNG."""
+    """An algorithm that prints sheets over places and intervals, as PDF and PNG."""
 
     NAME = "exportreport"
     TITLE = "Export report"
@@ -65,7 +65,7 @@ class ExportReport(Algorithm):
         "Junctions are found where lanes cross; the first pages show the whole map. In their place "
         "a layer of points or polygons with a name will do, such as places drawn by hand.\n"
         "The folder gets one PDF, a PNG a page, and a project with the print layout, to change it "
-        "by hand. It needs no window: qgis_process runs it every night."
+        "by hand. It needs no window, so that qgis_process can run it every night."
     )
     KEYWORDS = ("print", "layout", "atlas", "pdf", "png")
 

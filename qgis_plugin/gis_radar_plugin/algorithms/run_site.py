@@ -21,14 +21,14 @@ from .heatmap import layers_of, load_heatmap
 
 
 class RunSite(WorkerAlgorithm):
-    """A site file becomes all results."""
+    """An algorithm that makes all results of a site file."""
 
     NAME = "runsite"
     TITLE = "Run a site file"
     GROUP = TRAFFIC
     HELP = (
-        "Goes the whole way for all sensors of a site, as its site file (TOML) says: road, tiles, "
-        "poses, occupancy, heat map.\n"
+        "Goes the whole way for all sensors of a site, as its site file (TOML) sets out: road, "
+        "tiles, poses, occupancy, heat map.\n"
         "The folder also holds a QGIS project that is ready to present."
     )
     KEYWORDS = ("batch", "nightly", "project")
@@ -61,10 +61,10 @@ class RunSite(WorkerAlgorithm):
 
 
 def title_of(folder: Path) -> str:
-    """Return what the site of a run is called, empty where the run does not say it."""
+    """Return what the site of a run is called, empty where the run has no title."""
     try:
-        said = json.loads((folder / "run.json").read_text(encoding="utf-8"))
-        return str(said["site"]["title"])
+        record = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+        return str(record["site"]["title"])
     except (OSError, ValueError, TypeError, KeyError):
         return ""
 

@@ -15,7 +15,7 @@ from ..words import tr
 
 
 class SampleSite(WorkerAlgorithm):
-    """Copies the sample junction to a folder."""
+    """An algorithm that copies the sample junction to a folder."""
 
     NAME = "samplesite"
     TITLE = "Get the sample site"

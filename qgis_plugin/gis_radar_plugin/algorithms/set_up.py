@@ -15,7 +15,7 @@ from qgis.core import (
 
 from ..base import SET_UP, SETTING, Algorithm, one_sentence, profile_folder
 from ..claims import claimed
-from ..installer import Teller, bundled_package, find_tools, set_up
+from ..installer import SetUpListener, bundled_package, find_tools, set_up
 from ..words import tr
 from ..worker import plugin_version, python_in, same_series, worker_folder, worker_version
 
@@ -23,7 +23,7 @@ ANY_FILE = "* (*)"  # QGIS's own filter refuses names without a dot, as programs
 
 
 class SetUpWorker(Algorithm):
-    """Builds the Python environment in which the work is done."""
+    """An algorithm that builds the Python environment of the worker."""
 
     NAME = "setupworker"
     TITLE = "Set up the worker"
@@ -79,7 +79,7 @@ class SetUpWorker(Algorithm):
                 tools = find_tools(self.parameterAsFile(parameters, "PYTHON", context))
                 feedback.pushInfo(f"{package}\n{tools.uv or tools.python}")
                 with claimed([str(folder)]):
-                    version = set_up(folder, package, tools, _Told(feedback))
+                    version = set_up(folder, package, tools, _SetUpFeedback(feedback))
                 python = str(python_in(folder))
         if not same_series(version, plugin_version()):
             text = tr("The worker is gis_radar {worker}, the plugin {plugin}:").format(
@@ -91,8 +91,8 @@ class SetUpWorker(Algorithm):
         return {"WORKER": python, "VERSION": version}
 
 
-class _Told(Teller):
-    """Shows a set-up in QGIS."""
+class _SetUpFeedback(SetUpListener):
+    """The set-up as a QGIS feedback shows it."""
 
     def __init__(self, feedback: QgsProcessingFeedback) -> None:
         self._feedback = feedback

@@ -26,7 +26,7 @@ ORIGIN_HELP = (
 
 
 class SplitLanelets(WorkerAlgorithm):
-    """A Lanelet2 map becomes a layer of tiles, and one of its problems."""
+    """An algorithm that makes a layer of tiles, and one of problems, of a Lanelet2 map."""
 
     NAME = "splitlanelets"
     TITLE = "Split lanelets into tiles"
@@ -34,7 +34,7 @@ class SplitLanelets(WorkerAlgorithm):
     HELP = (
         "Splits the lanes of a Lanelet2 map into tiles of half a metre, the unit of statistics.\n"
         "The layer 'problems' of the same file lists what was mended or left out of the map.\n"
-        "With a scanned road (from 'Mask road from airborne scan') the tiles know their height."
+        "With a scanned road (from 'Mask road from airborne scan') the tiles have a height."
     )
     KEYWORDS = ("hd map", "osm", "lanes")
 

@@ -1,4 +1,4 @@
-"""From a heat map's folder to PDF and PNG: a project, its atlas, the files."""
+"""Export a heat map's folder to PDF and PNG: a project, its atlas, the files."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def _title(name: str) -> str:
 
 
 def refuse_no_sensors(package: Path) -> None:
-    """Refuse a file that is none of sensors, in one sentence."""
+    """Refuse a file without a layer of sensors, in one sentence."""
     if not QgsVectorLayer(f"{package}|layername=sensors", "", "ogr").isValid():
         raise QgsProcessingException(
             tr("{file} is no file of sensors: it has no layer 'sensors'.").format(file=package)

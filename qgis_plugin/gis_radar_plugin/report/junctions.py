@@ -1,4 +1,4 @@
-"""Junctions, found where the lanes of a heat map cross: a report needs no layer of places."""
+"""Find junctions where the lanes of a heat map cross: a report needs no layer of places."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from qgis.core import QgsFeatureRequest, QgsRectangle, QgsVectorLayer
 
-NEAR_M = 1.5  # middles of tiles that lie on each other
+NEAR_M = 1.5  # between the middles of overlapping tiles
 LEAST_TURN_DEG = 25.0  # lanes that merge, or run side by side, do not cross
 FLOOR_M = 3.0  # a bridge crosses nothing
 APART_M = 25.0  # crossings nearer to each other than this are one junction
@@ -72,7 +72,7 @@ def _tiles(layer: QgsVectorLayer) -> Iterator[Tile]:
 
 
 def _crossings(tiles: Iterator[Tile]) -> Iterator[tuple[float, float]]:
-    """Yield the tiles on which another lane's tile lies across."""
+    """Yield the middles of tiles that another lane's tile crosses."""
     cells: dict[Cell, list[Tile]] = defaultdict(list)
     for tile in tiles:
         for cell in _around(_cell(tile.x, tile.y, NEAR_M)):

@@ -92,7 +92,7 @@ def _drive_map(chart: QgsLayoutItemMap, pages: QgsVectorLayer) -> None:
 
 
 def _fill_legend(legend: QgsLayoutItemLegend, layers: Mapping[str, QgsMapLayer]) -> None:
-    """Put the layers in the place of the template's, with what it says of each."""
+    """Put the layers in the place of the template's, with the properties that it has for each."""
     legend.setTitle(_wrapped(tr("Share of the observed time")))
     legend.setAutoUpdateModel(False)
     tree = legend.model().rootGroup()

@@ -173,7 +173,7 @@ def time_zone(name: str) -> QTimeZone:
 
 
 def local_time(begin: QDateTime, end: QDateTime, zone: QTimeZone) -> str:
-    """Return a span of time as people there read it, with the zone and its offset."""
+    """Return a span of time in local form, with the zone and its offset."""
     first, last = begin.toTimeZone(zone), end.toTimeZone(zone)
     locale = QLocale("de" if speaks_german() else "en")
     clock = "HH:mm:ss" if first.time().second() or last.time().second() else "HH:mm"
