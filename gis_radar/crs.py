@@ -12,9 +12,9 @@ from pyproj.exceptions import CRSError as ProjError
 from gis_radar.arrays import Floats
 from gis_radar.errors import CrsError
 
-SCALE_TOLERANCE = 0.002
-_OUTSIDE_DEG = 10.0
-_SHORT_M = 100.0
+SCALE_TOLERANCE = 0.002  # UTM stays within 0.001 in its zone; web Mercator is off by 0.5 at 48 N
+_OUTSIDE_DEG = 10.0  # beyond the area of use: sites at its edge pass, other continents do not
+_SHORT_M = 100.0  # step that measures a scale: longer than rounding, shorter than its change
 _FITTING = "use the UTM zone or the national grid of the site"
 
 Box: TypeAlias = tuple[float, float, float, float]

@@ -14,7 +14,7 @@ from html import escape
 from io import BytesIO
 from typing import Any
 
-MOST_ROWS = 24
+MOST_ROWS = 24  # of a table: about a screen
 _CELL = "text-align:left;padding:1px 10px 1px 0"
 _SOFT = f"{_CELL};opacity:0.65;font-weight:normal"
 
@@ -90,7 +90,7 @@ def _whole(title: str, table: str, picture: bytes) -> str:
     )
 
 
-SMALL_IN, SMALL_DPI = (4.6, 3.6), 80
+SMALL_IN, SMALL_DPI = (4.6, 3.6), 80  # beside a card of figures
 
 
 def axes_or_new(ax: Any, size_in: tuple[float, float] = (7.0, 6.0)) -> Any:

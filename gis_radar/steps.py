@@ -11,7 +11,7 @@ import numpy as np
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.errors import InputError, UsageError
 
-STEP_US = 50_000
+STEP_US = 50_000  # the nominal cycle of the sensors, 20 Hz
 STEP_S = 0.05
 STEPS_PER_SECOND = 20
 

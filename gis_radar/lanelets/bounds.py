@@ -23,7 +23,7 @@ class CannotMendError(Exception):
 _BLENDS = (0.75, 0.5, 0.25, 0.1, 0.03)
 # What a bound may lose to cut corners before divisions move to corners; share of the outline.
 _LOSS = 0.001
-_LOSS_EACH = 0.1
+_LOSS_EACH = 0.1  # share of that loss from which a corner counts
 # A lanelet that is whole is cut soundly at this length, see :mod:`mending`.
 _SOUND_M = 0.5
 

@@ -24,14 +24,15 @@ from gis_radar.lanelets.bounds import (
 from gis_radar.lanelets.ribbons import NEVER_M, arc_lengths, matched, turn
 from gis_radar.lanelets.tangles import part_at_crossings, without_loops
 
-NO_WIDTH_M = 0.01
-NO_LENGTH_M = 0.01
-MOST_LENGTH_M = 100_000.0
-_PASSES = 8
+NO_WIDTH_M = 0.01  # maps are drawn to centimetres
+NO_LENGTH_M = 0.01  # as NO_WIDTH_M
+MOST_LENGTH_M = 100_000.0  # a longer bound has a node that is misplaced
+_PASSES = 8  # one stretch that runs backwards is taken out in each
+# How much longer a rung may get to avoid a wrongly turned triangle, the strictest first.
 _SLANTS_M = (NEVER_M, 100.0, 10.0, 3.0)
-_RESUME_M = 0.1
-_TINY = 1e-9
-_OPPOSITE = 1e-6
+_RESUME_M = 0.1  # behind the rung that a bound crosses, so that the slice there has an area
+_TINY = 1e-9  # rounding of fractions of a length
+_OPPOSITE = 1e-6  # length of the sum of two unit vectors that cancel
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,11 +18,11 @@ from gis_radar.crs import metric_crs, require_true_scale, transformer, utm_zone
 from gis_radar.errors import CrsError, InputError, UsageError
 from gis_radar.lanelets.osm import OsmMap
 
-SCALE_TOLERANCE = 0.001
+SCALE_TOLERANCE = 0.001  # 10 cm in 100 m; UTM is as far off at the edge of its zone
 # Fewer than this share of heights, all equal, come from a template, not from a survey.
 KNOWN_HEIGHTS = 0.25
-_MOST_HEIGHTS = 0.5
-_EQUAL_M = 0.05
+_MOST_HEIGHTS = 0.5  # share of nodes with a height from which the rest goes without a remark
+_EQUAL_M = 0.05  # range of heights that count as equal: survey noise is as large
 _WGS84 = CRS.from_epsg(4326)
 
 

@@ -13,9 +13,9 @@ import numpy as np
 
 from gis_radar.arrays import Booleans, Floats, Integers
 
-_SPACING_POINTS = 300
-_MOST_POINTS = 1200
-NEVER_M = 1e4
+_SPACING_POINTS = 300  # on both bounds together; the work grows with its square
+_MOST_POINTS = 1200  # on a bound, drawn ones included: bounds time and memory
+NEVER_M = 1e4  # a rung gets so much longer to avoid a wrongly turned triangle: any way round
 _FLAT_M2 = 1e-9  # sideways is not backwards
 
 

@@ -13,7 +13,7 @@ from gis_radar.lanelets.bounds import CannotMendError, slices, sound_rungs
 from gis_radar.lanelets.mending import outline
 from gis_radar.progress import Reporter
 
-AREA_TOLERANCE = 0.005
+AREA_TOLERANCE = 0.005  # of a lanelet, from which corners that tiles cut are reported
 STAGE = "splitting lanelets"
 
 

@@ -22,8 +22,8 @@ from gis_radar.poses.shapes import draw_sensor, ellipse, rim
 ANGLES = ("yaw", "pitch", "roll")
 POSITION = ("easting", "northing", "height")
 REQUIRED = ("sensor", "crs", *POSITION, *ANGLES)
-EVIDENCE = ("fitness", "observable", "method", "time", "frames")  # worth a look
-QUATERNION_TOLERANCE_DEG = 0.01
+EVIDENCE = ("fitness", "observable", "method", "time", "frames")  # shown on a card
+QUATERNION_TOLERANCE_DEG = 0.01  # of the contract: 5 cm at 300 m
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,7 @@ import shapely
 
 from gis_radar.arrays import Floats
 
-_ARC_DEG = 2.0
+_ARC_DEG = 2.0  # between points of a drawn arc: 5 cm off at 300 m
 _CHI2_95 = -2.0 * math.log(0.05)  # of two degrees of freedom
 INK = "#111827"
 

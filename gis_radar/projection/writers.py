@@ -59,10 +59,10 @@ def write_points_geoparquet(points: PointStream, path: Path) -> None:
             writer.write_batch(batch.replace_schema_metadata(schema.metadata))
 
 
-SCALE_M = 0.001
-POINT_FORMAT = 6
+SCALE_M = 0.001  # resolution of LAS coordinates; a radar resolves decimetres
+POINT_FORMAT = 6  # the plain one of LAS 1.4, with GPS time
 TIME_OFFSET_S = 1_000_000_000  # adjusted standard GPS time
-LONGEST_NAME = 32
+LONGEST_NAME = 32  # bytes of an extra dimension in LAS
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,11 +13,11 @@ import numpy as np
 from gis_radar.recordings.columns import cartesian
 from gis_radar.recordings.frames import Column, Frame
 
-PORT = 42102
+PORT = 42102  # of the sensor by default, as GROUP
 GROUP = "224.0.2.2"
-SLOTS = 800
-SIZE = 35_336
-METHOD = 336
+SLOTS = 800  # detections in a list
+SIZE = 35_336  # bytes of a datagram with a detection list
+METHOD = 336  # SOME/IP method of a detection list
 OTHER_METHODS = {329: "object list", 380: "sensor status", 396: "filter status"}
 
 _HEAD = struct.Struct(">HHI")

@@ -14,7 +14,7 @@ import pyarrow.csv as pa_csv
 
 from gis_radar.errors import InputError
 
-BYTES_AT_ONCE = 1 << 20
+BYTES_AT_ONCE = 1 << 20  # about 15,000 rows; the longest header
 NO_NUMBER = ["", "nan", "NaN", "NA"]
 DELIMITERS = {";": "semicolons", "\t": "tabs", "|": "bars"}
 

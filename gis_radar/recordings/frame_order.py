@@ -15,7 +15,7 @@ from gis_radar.recordings.frames import Frame, NothingHereError, ReaderContext
 
 # 12 s of a 20 Hz sensor: far more than a network or a bag writer ever reorders.
 WINDOW = 256
-REMEMBERED = 4 * WINDOW
+REMEMBERED = 4 * WINDOW  # frames whose doubles are found
 
 Input = Callable[[ReaderContext], Generator[Frame]]
 Active = tuple[float, int, Frame, Iterator[Frame]]
@@ -158,7 +158,7 @@ CLOCKS: tuple[Clock, ...] = ("auto", "sensor", "recorder")
 # Clocks that run at all are far after this; one that counts since boot is not.
 EARLIEST_S = 946_684_800.0  # 2000-01-01
 LATEST_S = 4_102_444_800.0  # 2100-01-01
-AGREEING_S = 5.0
+AGREEING_S = 5.0  # clocks set by NTP or PTP agree far better; TAI is 37 s off
 # How far a sensor's clock may move against the recorder's. A recorder that was kept busy stamps
 # late, so that of a clock that falls behind only the one that goes back is sure to be wrong.
 FORWARD_S, BACK_S = 0.5, 0.1

@@ -18,8 +18,8 @@ from gis_radar.recordings.csv_tables import open_csv_table
 from gis_radar.steps import FIRST_YEAR, LAST_YEAR, UNIX_SECONDS_HINT, in_known_years
 
 COLUMNS = ("time", "x", "y", "z", "range_rate", "rcs")
-ROWS_AT_ONCE = 65_536
-BYTES_AT_ONCE = 1 << 20
+ROWS_AT_ONCE = 65_536  # 3 MB of our columns as float64
+BYTES_AT_ONCE = 1 << 20  # read buffer of a column
 FARTHEST_M = 1e6  # no radar sees so far, and point cloud files hold no farther coordinates
 
 

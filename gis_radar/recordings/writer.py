@@ -13,7 +13,7 @@ from gis_radar.errors import InputError
 from gis_radar.files import output_errors
 from gis_radar.recordings.frames import Column, Frame
 
-ROWS_IN_GROUP = 1 << 17
+ROWS_IN_GROUP = 1 << 17  # held in memory until written: 4 MB of our columns
 CORE = ("x", "y", "z", "range_rate", "rcs")
 _NOWHERE = np.full((1, 3), np.nan, dtype=np.float32)
 _UNKNOWN = np.full(1, np.nan, dtype=np.float32)

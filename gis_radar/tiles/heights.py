@@ -12,8 +12,8 @@ from gis_radar.errors import InputError
 from gis_radar.tiles.lookup import TileGrid
 from gis_radar.tiles.tiles import quads
 
-SAME_LEVEL_M = 2.0
-NEAR_M = 1.5
+SAME_LEVEL_M = 2.0  # of the contract; bridges are over 4 m above
+NEAR_M = 1.5  # half a lane: the nearest point is still of the same road
 
 
 def with_road_heights(tiles: gpd.GeoDataFrame, road: Floats) -> gpd.GeoDataFrame:

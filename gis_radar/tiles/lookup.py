@@ -97,8 +97,8 @@ def _apart(quad: Floats, x: float, y: float, half_m: float) -> bool:  # pragma: 
     return False
 
 
-CELL_M = 0.5
-MOST_CELLS = 16_000_000
+CELL_M = 0.5  # side of a cell: as long as a tile
+MOST_CELLS = 16_000_000  # of a grid, 128 MB; wider cells where a map is larger
 Pairs = tuple[Integers, Integers]
 
 

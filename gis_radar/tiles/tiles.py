@@ -24,7 +24,7 @@ from gis_radar.lanelets.slicing import corners_between, cut
 from gis_radar.lanelets.tagging import ON_FOOT_OR_BICYCLE
 from gis_radar.progress import QUIET, Reporter
 
-LENGTH_M = 0.5
+LENGTH_M = 0.5  # of the contract and the paper
 LAYER = "tiles"
 PROBLEMS = "problems"
 _COUNT, _CONTENT = "gis_radar_tiles", "gis_radar_content"

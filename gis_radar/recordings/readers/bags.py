@@ -98,7 +98,7 @@ def typestore(connection: Any) -> Any:
 
 STORAGE = (".bag", ".db3", ".mcap")
 MENDED_BY = {".bag": "rosbag reindex", ".mcap": "mcap recover", ".db3": "sqlite3 FILE .recover"}
-MESSAGES_A_REPORT = 256
+MESSAGES_A_REPORT = 256  # between two reports of progress
 # What the library lets through when it meets bytes that cannot be.
 DAMAGE = (
     ValueError, LookupError, AssertionError, RuntimeError, EOFError, MemoryError, OverflowError,

@@ -237,7 +237,7 @@ _MORE, _FRAGMENT_OFFSET = 0x2000, 0x1FFF
 PENDING = 64
 # Identifications come round again; RFC 791 gives a datagram no longer to arrive.
 PATIENCE_S = 15.0
-LONGEST = 65_535
+LONGEST = 65_535  # bytes of an IPv4 packet
 
 
 class Datagram(NamedTuple):

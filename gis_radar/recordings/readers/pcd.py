@@ -25,7 +25,7 @@ from gis_radar.recordings.frames import (
 
 # Digits of a time as one whole number: seconds, milli-, micro-, nanoseconds since 1970.
 WHOLE = {10: 1.0, 13: 1e-3, 16: 1e-6, 19: 1e-9}
-LONGEST_HEADER = 1 << 14
+LONGEST_HEADER = 1 << 14  # bytes; usual are some hundred
 LARGEST_CLOUD = 1 << 26  # points; a radar has some hundred
 _KINDS = {"F": "f", "I": "i", "U": "u"}
 _DATE = re.compile(

@@ -21,7 +21,7 @@ from gis_radar.recordings.frames import Format, Frame, NothingHereError, ReaderC
 SCHEME = "udp://"
 # A second of frames, should the disk keep the writer waiting.
 RECEIVE_BUFFER_BYTES = 1 << 23
-LOOK_UP_S = 0.2
+LOOK_UP_S = 0.2  # between two looks at the clock and at Ctrl-C
 STOPPING = (signal.SIGINT, signal.SIGTERM)
 
 
