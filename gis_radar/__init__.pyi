@@ -13,7 +13,7 @@ from .errors import (
 from .heatmap import HeatMap, make_heatmap, read_heatmap, to_xarray
 from .lanelets import LaneletMap, read_map
 from .localization import Localization, localize, localize_files
-from .localization.picture import draw_localization
+from .localization.result import draw_localization
 from .occupancy import (
     Filters,
     Occupancy,

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 from gis_radar.poses.pose import Pose
 from gis_radar.tracking.filter import (
-    DRIFT,
     LEVER,
     Estimate,
     Innovation,
@@ -23,6 +22,7 @@ from gis_radar.tracking.filter import (
     same_sign,
     widened,
 )
+from gis_radar.tracking.settings import DEFAULTS
 
 HOUR_S = 3600.0
 LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
@@ -65,7 +65,7 @@ def test_without_a_common_error_it_is_the_textbook_filter():
         seen = measured(rng, now, covariance=positive(rng, sigma))
         z = np.array([*seen.position, *Rotation.from_quat(seen.quaternion).as_rotvec()])
         now = corrected(predicted(now, 5.0 * (k + 1)), seen)
-        p = p + np.diag(DRIFT**2 * 5.0 / HOUR_S)
+        p = p + np.diag(np.square(DEFAULTS.drift) * 5.0 / HOUR_S)
         information = np.linalg.inv(p) + np.linalg.inv(seen.covariance)
         x = np.linalg.solve(
             information, np.linalg.solve(p, x) + np.linalg.solve(seen.covariance, z)
@@ -144,7 +144,7 @@ def test_without_data_the_pose_stays_and_its_error_grows():
     later = predicted(now, 4 * HOUR_S)
     assert np.array_equal(later.position, now.position)
     assert np.array_equal(later.quaternion, now.quaternion)
-    assert np.allclose(np.diag(later.covariance - now.covariance), 4 * DRIFT**2)
+    assert np.allclose(np.diag(later.covariance - now.covariance), 4 * np.square(DEFAULTS.drift))
     stepped = now
     for k in range(48):
         stepped = predicted(stepped, (k + 1) * HOUR_S / 12)

@@ -10,7 +10,7 @@ from streets import CROSSING, STRAIGHT, Street, errors
 
 from gis_radar.errors import InputError, NoAnswerError, UsageError
 from gis_radar.localization import localize
-from gis_radar.localization.picture import draw_localization
+from gis_radar.localization.result import draw_localization
 from gis_radar.poses.files import read_pose, write_pose
 from gis_radar.progress import Reporter
 

@@ -20,9 +20,9 @@ from gis_radar.progress import Reporter
 from gis_radar.steps import seconds_from_iso
 from gis_radar.tracking import track
 from gis_radar.tracking.filter import Measurement
+from gis_radar.tracking.follow import start_estimate
 from gis_radar.tracking.follower import Follower
-from gis_radar.tracking.moves import KNOCK as KNOCKED
-from gis_radar.tracking.start import BY_HAND, start_estimate
+from gis_radar.tracking.settings import DEFAULTS
 from gis_radar.tracking.track import draw_track
 from gis_radar.tracking.windows import WindowFitter
 
@@ -340,7 +340,7 @@ def test_what_a_pose_file_knows_is_where_the_filter_starts(seen):
     given = start_estimate(start(pose), START)
     assert np.degrees(np.sqrt(given.angle_covariance[5, 5])) == pytest.approx(0.15, rel=0.01)
     by_hand = start_estimate(replace(pose, evidence={}), START)
-    assert np.sqrt(by_hand.covariance[0, 0]) == pytest.approx(BY_HAND[0], rel=0.01)
+    assert np.sqrt(by_hand.covariance[0, 0]) == pytest.approx(DEFAULTS.by_hand[0], rel=0.01)
     covariance = np.diag([0.04, 0.01, 0.01, 1e-5, 1e-5, 1e-5])
     covariance[0, 1] = covariance[1, 0] = 0.01
     found = {"covariance": covariance.tolist(), "method": "lane", "time": "2023-11-14T22:13:00Z"}
@@ -448,8 +448,8 @@ def test_who_is_lost_for_long_says_so(seen):
     assert set(events[2:]) == {"rejected"}
     sigma = [np.sqrt(np.diag(row.estimate.covariance)) for row in follower.rows]
     assert (sigma[0] < 0.3).all()
-    assert (sigma[1] >= KNOCKED).all()
-    assert (sigma[-1] >= KNOCKED).all()
+    assert (sigma[1] >= DEFAULTS.knock).all()
+    assert (sigma[-1] >= DEFAULTS.knock).all()
     assert np.allclose(np.diff([row.estimate.time for row in follower.rows]), 5.0)
     for row in follower.rows:
         assert np.array_equal(row.estimate.position, begin.position)

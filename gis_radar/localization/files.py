@@ -12,12 +12,12 @@ from gis_radar.crs import moved_position, yaw_from_compass
 from gis_radar.errors import NoAnswerError, UsageError
 from gis_radar.lanelets import read_map
 from gis_radar.localization.localize import localize
-from gis_radar.localization.result import Localization
+from gis_radar.localization.result import Localization, draw_localization
+from gis_radar.localization.settings import DEFAULTS, LocalizationSettings
 from gis_radar.poses.pose import View
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import open_recording
 from gis_radar.scans import read_road, road_crs
-from gis_radar.second_look import require_scans_near, second_look
 
 MOST_TRIES = 5  # recordings tried for a pose, the newest first: a quiet day or two in between
 
@@ -39,6 +39,7 @@ def localize_files(
     sensor: str | None = None,
     view: View | None = None,
     figure: str | Path | None = None,
+    settings: LocalizationSettings = DEFAULTS,
     reporter: Reporter = QUIET,
 ) -> Localization:
     """Find the pose of a sensor from its recordings, a map and a scanned road, all files.
@@ -80,6 +81,8 @@ def localize_files(
         What the sensor sees; goes into the pose.
     figure : str or Path, optional
         Draw the traces over lanes and scan into this PNG, as :func:`gis_radar.draw_localization`.
+    settings : LocalizationSettings
+        All constants of both methods.
     reporter : Reporter
         Told the progress and remarks.
 
@@ -101,12 +104,15 @@ def localize_files(
     if guess_crs is not None:
         place = moved_position(place, guess_crs, roads.crs)
     if scans:
+        # not at the top: whoever has no scan does not wait for scipy's image filters
+        from gis_radar.second_look import require_scans_near, second_look  # noqa: PLC0415
+
         require_scans_near(scans, roads.crs, place, scan_crs=scan_crs)
     if compass is not None:
         heading = yaw_from_compass(compass, roads.crs, place[0], place[1])
     ask = partial(
         localize, roads=roads, road_points=points,
-        guess=place, heading=heading, method=method, reporter=reporter,
+        guess=place, heading=heading, method=method, settings=settings, reporter=reporter,
     )  # fmt: skip
     recording, found = _first_answer(_newest_first(recordings), ask, reporter)
     pose = replace(found.pose, sensor=sensor or found.pose.sensor, view=view)
@@ -115,9 +121,6 @@ def localize_files(
         look = second_look(recording, pose, scans, scan_crs=scan_crs, reporter=reporter)
         found = found.with_second_look(look)
     if figure is not None:
-        # not at the top: whoever draws nothing does not wait for matplotlib
-        from gis_radar.localization.picture import draw_localization  # noqa: PLC0415
-
         draw_localization(found, roads, points, figure, look=look)
     return found
 

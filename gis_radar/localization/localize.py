@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -53,7 +54,7 @@ def localize(
     method : str
         `lane`, traces against lanes; or `icp`, the paper's, traces against the road's surface.
     settings : LocalizationSettings
-        All constants of both methods.
+        All constants of both methods; those that are not the defaults go into the evidence.
     reporter : Reporter
         Told the progress and remarks.
 
@@ -85,4 +86,9 @@ def localize(
         guess=np.asarray(guess, dtype=np.float64),
         heading=None if heading is None else math.radians(heading),
     )
-    return METHODS[method](problem, moving, reporter, settings)
+    found = METHODS[method](problem, moving, reporter, settings)
+    changes = settings.changes()
+    if not changes:
+        return found
+    evidence = {**found.pose.evidence, "settings": changes}
+    return replace(found, pose=replace(found.pose, evidence=evidence))

@@ -1,57 +1,64 @@
-"""A localization as a picture: traces over lanes and scanned road, the sensor and its error."""
+"""What a picture of a localization is drawn of: scanned road, lanes, traces."""
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
-
-import matplotlib as mpl
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 
 from gis_radar.arrays import Floats
-from gis_radar.files import whole_file
 from gis_radar.lanelets import LaneletMap
-from gis_radar.localization.result import Localization
-from gis_radar.second_look import SecondLook
-from gis_radar.second_look.picture import draw_surroundings
 
-DPI = 216
-SIZE_IN = (6.6, 6.6)
-SETTINGS: dict[Any, Any] = {"font.family": ["DejaVu Sans"], "text.usetex": False, "font.size": 8}
+MARGIN_M = 12.0
+ROAD_POINTS = 60_000
+ARROW_EVERY_M = 12.0
+ROAD, LANE, AWAY, NEAR, PLAIN = ("#c9c5bd", "#6f7780", "#c2410c", "#1d4ed8", "#7c3aed")
+
+Extent = tuple[Floats, Floats]  # south-west and north-east, metres
 
 
-def draw_localization(
-    found: Localization,
-    roads: LaneletMap,
-    road_points: Floats,
-    path: str | Path,
-    *,
-    look: SecondLook | None = None,
-) -> None:
-    """Draw the traces at the found pose over lanes and scanned road (PNG).
+def extent_of(traces: Floats, place: Floats) -> Extent:
+    """Return what a picture shows: nearly all traces and the sensor, with a margin."""
+    low = np.minimum(np.percentile(traces[:, :2], 0.5, axis=0), place) - MARGIN_M
+    high = np.maximum(np.percentile(traces[:, :2], 99.5, axis=0), place) + MARGIN_M
+    return low, high
 
-    Parameters
-    ----------
-    found : Localization
-        The answer.
-    roads : LaneletMap
-        The lanes, in the answer's CRS.
-    road_points : (n, 3) array
-        The scanned road.
-    path : str or Path
-        The picture; appears whole or not at all.
-    look : SecondLook, optional
-        Drawn beside it: what stands, over canopy, roofs and walls.
-    """
-    with mpl.rc_context(SETTINGS):
-        width, height = SIZE_IN
-        panels = 1 if look is None else 2
-        figure = Figure(figsize=(panels * width, height), dpi=DPI, layout="constrained")
-        FigureCanvasAgg(figure)
-        found.plot(roads, road_points, ax=figure.add_subplot(1, panels, 1))
-        if look is not None:
-            draw_surroundings(figure.add_subplot(1, panels, 2), look)
-        with whole_file(Path(path)) as part:
-            # axes true to scale outgrow a constrained layout: nothing is cut off
-            figure.savefig(part, format="png", bbox_inches="tight")
+
+def draw_road(ax: Axes, road: Floats, extent: Extent) -> None:
+    """Draw the points of the scanned road within an extent."""
+    low, high = extent
+    inside = road[((road[:, :2] > low) & (road[:, :2] < high)).all(axis=1)]
+    shown = inside[:: max(len(inside) // ROAD_POINTS, 1)]
+    ax.scatter(shown[:, 0], shown[:, 1], s=0.6, color=ROAD, linewidths=0, label="scanned road")
+
+
+def draw_lanes(ax: Axes, roads: LaneletMap, extent: Extent) -> None:
+    """Draw the bounds of the lanes within an extent, with arrows where they are one-way."""
+    low, high = extent
+    near = roads.lanelets.cx[low[0] : high[0], low[1] : high[1]]
+    bounds = [np.asarray(line.coords)[:, :2] for side in ("left", "right") for line in near[side]]
+    ax.add_collection(LineCollection(bounds, colors=LANE, linewidths=0.5))
+    centres = near.loc[near["one_way"].to_numpy(bool), "centre"]
+    for line in centres:
+        for at in np.arange(ARROW_EVERY_M / 2, line.length, ARROW_EVERY_M):
+            here, ahead = line.interpolate(at), line.interpolate(min(at + 2.0, line.length))
+            ax.annotate(
+                "",
+                (ahead.x, ahead.y),
+                (here.x, here.y),
+                arrowprops={"arrowstyle": "->", "color": LANE, "linewidth": 0.5},
+                annotation_clip=True,
+            )
+
+
+def draw_traces(ax: Axes, traces: Floats, rate: Floats) -> None:
+    """Draw traces by whether they recede."""
+    kinds = (
+        (rate > 0.0, AWAY, "recedes"),
+        (rate < 0.0, NEAR, "comes near"),
+        (np.isnan(rate), PLAIN, "moves"),
+    )
+    for which, colour, label in kinds:
+        if which.any():
+            x, y = traces[which, :2].T
+            ax.scatter(x, y, s=1.5, color=colour, linewidths=0, label=label)

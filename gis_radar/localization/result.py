@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gis_radar.arrays import Floats
+from gis_radar.files import whole_file
 from gis_radar.lanelets import LaneletMap
 from gis_radar.localization.state import State
 from gis_radar.localization.traces import Moving
@@ -27,7 +29,7 @@ STAGE = "finding the pose"
 
 @dataclass(frozen=True, kw_only=True)
 class Localization:
-    """A pose, and why to believe it.
+    """A pose with its evidence.
 
     Parameters
     ----------
@@ -112,39 +114,39 @@ class Localization:
         matplotlib Axes
         """
         # not at the top: whoever draws nothing does not wait for matplotlib
-        from gis_radar.localization import drawing  # noqa: PLC0415
+        from gis_radar.localization import picture  # noqa: PLC0415
 
         ax = axes_or_new(ax, (8.0, 8.0))
         traces, place = self.pose.to_map(self.traces), self.pose.position[:2]
-        low, high = extent = drawing.extent_of(traces, place)
+        low, high = extent = picture.extent_of(traces, place)
         if road_points is not None:
-            drawing.draw_road(ax, road_points, extent)
+            picture.draw_road(ax, road_points, extent)
         if roads is not None:
-            drawing.draw_lanes(ax, roads, extent)
-        drawing.draw_traces(ax, traces, self.range_rate)
+            picture.draw_lanes(ax, roads, extent)
+        picture.draw_traces(ax, traces, self.range_rate)
         covariance = self.pose.plane_covariance()
         ring = None if covariance is None else ellipse(place, covariance)
         ahead = self.pose.R_map_sensor[:2, 0] * float((high - low).max()) / 12.0
         draw_sensor(ax, place, ahead, ring, "sensor")
         label_map(ax)
-        ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), title=self._said())
+        ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), title=self._summary())
         for handle in ax.legend(loc="best", framealpha=0.9).legend_handles:
             if hasattr(handle, "set_sizes"):
                 handle.set_sizes([18.0])  # points too small to tell their colours
         return ax
 
-    def _said(self) -> str:
+    def _summary(self) -> str:
         sigma = self.pose.evidence.get("sigma")
-        said = [f"{self.pose.sensor}: {self.fitness:.0%} of the traces fit"]
+        parts = [f"{self.pose.sensor}: {self.fitness:.0%} of the traces fit"]
         if sigma:
             across = float(np.hypot(sigma["easting"], sigma["northing"]))
-            said.append(f"position \u00b1 {across:.2f} m, yaw \u00b1 {sigma['yaw']:.2f} deg")
+            parts.append(f"position \u00b1 {across:.2f} m, yaw \u00b1 {sigma['yaw']:.2f} deg")
         if not self.observable:
-            said.append("the scene does not fix all of the pose")
-        return "; ".join(said)
+            parts.append("the scene does not fix all of the pose")
+        return "; ".join(parts)
 
     def __repr__(self) -> str:
-        return f"Localization({self.pose!r}; {self._said()})"
+        return f"Localization({self.pose!r}; {self._summary()})"
 
     def _repr_html_(self) -> str:
         picture = small_picture(self._small) if len(self.traces) else b""
@@ -154,6 +156,54 @@ class Localization:
         self.plot(ax=ax).set_title("")
         ax.get_legend().remove()
         ax.tick_params(labelsize=6)
+
+
+DPI = 216
+SIZE_IN = (6.6, 6.6)
+SETTINGS: dict[Any, Any] = {"font.family": ["DejaVu Sans"], "text.usetex": False, "font.size": 8}
+
+
+def draw_localization(
+    found: Localization,
+    roads: LaneletMap,
+    road_points: Floats,
+    path: str | Path,
+    *,
+    look: SecondLook | None = None,
+) -> None:
+    """Draw the traces at the found pose over lanes and scanned road (PNG).
+
+    Parameters
+    ----------
+    found : Localization
+        The answer.
+    roads : LaneletMap
+        The lanes, in the answer's CRS.
+    road_points : (n, 3) array
+        The scanned road.
+    path : str or Path
+        The picture; appears whole or not at all.
+    look : SecondLook, optional
+        Drawn beside it: what stands, over canopy, roofs and walls.
+    """
+    # not at the top: whoever draws nothing does not wait for matplotlib
+    import matplotlib as mpl  # noqa: PLC0415
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    from gis_radar.second_look.picture import draw_surroundings  # noqa: PLC0415
+
+    with mpl.rc_context(SETTINGS):
+        width, height = SIZE_IN
+        panels = 1 if look is None else 2
+        figure = Figure(figsize=(panels * width, height), dpi=DPI, layout="constrained")
+        FigureCanvasAgg(figure)
+        found.plot(roads, road_points, ax=figure.add_subplot(1, panels, 1))
+        if look is not None:
+            draw_surroundings(figure.add_subplot(1, panels, 2), look)
+        with whole_file(Path(path)) as part:
+            # axes true to scale outgrow a constrained layout: nothing is cut off
+            figure.savefig(part, format="png", bbox_inches="tight")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,7 +248,7 @@ class Problem:
 
 
 def common(moving: Moving, method: str) -> dict[str, Any]:
-    """Return what the evidence of every method says."""
+    """Return the evidence that all methods give."""
     return {
         "time": iso_from_step(int(step_of(np.array(moving.end)))),
         "method": method,

@@ -463,17 +463,18 @@ class LocalizationSettings:
 
     def changes(self) -> dict[str, Any]:
         """Return the settings that differ from the defaults, by dotted name."""
-        return dict(_changes(self, DEFAULTS, ""))
+        return changed(self, DEFAULTS)
 
 
-def _changes(settings: Any, defaults: Any, path: str) -> list[tuple[str, Any]]:
-    found = []
+def changed(settings: Any, defaults: Any, path: str = "") -> dict[str, Any]:
+    """Return the fields of a settings record that differ from another's, by dotted name."""
+    found: dict[str, Any] = {}
     for part in fields(settings):
         value, default = getattr(settings, part.name), getattr(defaults, part.name)
         if is_dataclass(value):
-            found += _changes(value, default, f"{path}{part.name}.")
+            found |= changed(value, default, f"{path}{part.name}.")
         elif value != default:
-            found.append((f"{path}{part.name}", value))
+            found[f"{path}{part.name}"] = value
     return found
 
 

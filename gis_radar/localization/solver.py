@@ -22,7 +22,7 @@ from gis_radar.localization.residuals import (
     sums,
 )
 from gis_radar.localization.settings import Schedule
-from gis_radar.localization.state import State
+from gis_radar.localization.state import SIZE, State
 
 FAMILIES = (lateral, height)
 
@@ -147,6 +147,23 @@ def solve(
                 break
         point = here.point
     return _described(cost, here, converged=converged)
+
+
+def cost_at(scene: Scene, state: State, *, model: Model = MODEL) -> float:
+    """Return the cost of the traces at a state, without a prior: a negative log likelihood.
+
+    Parameters
+    ----------
+    scene : Scene
+        The map and the traces.
+    state : State
+        Where the sensor is, and how vehicles reflect.
+    model : Model
+        How vehicles drive and reflect.
+    """
+    flat = Prior(mean=state, information=np.zeros((SIZE, SIZE)))
+    point = _Point(state, np.zeros((len(FAMILIES), scene.samples.tracks)))
+    return _Cost(scene, flat, model, 0.0, None).at(point).total
 
 
 @dataclass(frozen=True)

@@ -8,18 +8,18 @@ not estimated (a Schmidt-Kalman filter). Without it the equations are the paper'
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gis_radar.arrays import Floats
+from gis_radar.localization.settings import LEVER_M
 from gis_radar.localization.state import State, angles_from_turn
+from gis_radar.tracking.settings import DEFAULTS, HOUR_S
 
-HOUR_S = 3600.0
-# Steel masts bend in the sun by centimetres and tenths of a degree within hours.
-DRIFT = np.array([0.02, 0.02, 0.01, *np.radians([0.1, 0.1, 0.1])])  # after an hour, 1 sigma
-LEVER = np.array([1.0, 1.0, 1.0, 50.0, 50.0, 50.0])  # metres that a turn moves what is seen
+LEVER = np.array([1.0, 1.0, 1.0, LEVER_M, LEVER_M, LEVER_M])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,8 +114,8 @@ def covariance_from_angles(quaternion: Floats, covariance: Floats) -> Floats:
     return np.asarray(to_turn @ covariance @ to_turn.T)
 
 
-def predicted(estimate: Estimate, time: float) -> Estimate:
-    """Return what is believed at a later time without new data: the pose stays (Eqs. 3, 4).
+def predicted(estimate: Estimate, time: float, drift: Sequence[float] = DEFAULTS.drift) -> Estimate:
+    """Predict an estimate to a later time: the pose stays, its covariance grows (Eqs. 3, 4).
 
     Parameters
     ----------
@@ -123,9 +123,13 @@ def predicted(estimate: Estimate, time: float) -> Estimate:
         The last one.
     time : float
         UNIX seconds.
+    drift : (6,) sequence
+        1 sigma after an hour, metres and radians.
     """
     hours = max(time - estimate.time, 0.0) / HOUR_S
-    return replace(estimate, time=time, covariance=estimate.covariance + np.diag(DRIFT**2 * hours))
+    return replace(
+        estimate, time=time, covariance=estimate.covariance + np.diag(np.square(drift) * hours)
+    )
 
 
 def innovation(estimate: Estimate, measurement: Measurement) -> Innovation:
@@ -140,17 +144,17 @@ def innovation(estimate: Estimate, measurement: Measurement) -> Innovation:
     )
 
 
-def likeliest_move(found: Innovation, spread: Floats) -> Floats:
+def likeliest_move(found: Innovation, spread: Sequence[float]) -> Floats:
     """Return the likeliest difference of pose behind a gap, (6,).
 
     Parameters
     ----------
     found : Innovation
         The gap.
-    spread : (6,) array
+    spread : (6,) sequence
         How far a pose may have moved, one standard deviation.
     """
-    may = np.diag(spread**2)
+    may = np.diag(np.square(spread))
     return np.asarray(may @ np.linalg.solve(may + found.covariance, found.gap))
 
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from gis_radar.arrays import Floats
 from gis_radar.errors import NoAnswerError
-from gis_radar.localization.settings import DEFAULTS
 from gis_radar.localization.state import State
 from gis_radar.localization.traces import RollingWindow
 from gis_radar.recordings.recording import Detections
@@ -21,13 +21,12 @@ from gis_radar.tracking.filter import (
     predicted,
     widened,
 )
-from gis_radar.tracking.moves import GATE, KNOCK, Change, SuspectedMove, suspect_move
+from gis_radar.tracking.moves import Change, SuspectedMove, suspect_move
+from gis_radar.tracking.settings import DEFAULTS, TrackingSettings
 from gis_radar.tracking.windows import WindowFit, WindowFitter, WindowTraffic
 
 MOVED, REJECTED, NOTHING = "moved", "rejected", ""
-LOST_S = 100.0
 HINT = "find the pose with gis-radar localize"
-LEAST_CYCLE = 0.5  # a last cycle shorter than that share is none
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,24 +69,25 @@ class Follower:
         The lanes.
     start : Estimate
         The pose to begin with.
-    frames : int
-        Length of the window.
+    settings : TrackingSettings
+        Of window, prediction and moves.
     """
 
     def __init__(
-        self, fitter: WindowFitter, start: Estimate, *, frames: int = DEFAULTS.traces.frames
+        self, fitter: WindowFitter, start: Estimate, settings: TrackingSettings = DEFAULTS
     ) -> None:
         self.rows = [Row(estimate=start)]
         self.confirmed = False
         self._fitter = fitter
-        self._window = RollingWindow(frames=frames)
-        self._frames = frames
+        self._settings = settings
+        traces = settings.localization.traces
+        self._window = RollingWindow(frames=traces.frames, min_speed=traces.min_speed_mps)
         self._past: deque[Estimate] = deque([start])
         self._like = start.state(
             State(
                 position=start.position,
                 R_map_sensor=np.eye(3),
-                reflection=DEFAULTS.hypotheses.reflection_m,
+                reflection=settings.localization.hypotheses.reflection_m,
             )
         )
         self._seen: WindowFit | None = None
@@ -117,7 +117,7 @@ class Follower:
         NoAnswerError
             If a whole window of traffic does not confirm the start pose.
         """
-        traffic = WindowTraffic.of(self._window.moving())
+        traffic = WindowTraffic.of(self._window.moving(), self._settings.localization.traces)
         suspected = self._suspected_move(traffic, time)
         if suspected is not None and suspected.change is not None:
             self._restart(suspected.change, time)
@@ -128,20 +128,21 @@ class Follower:
             self._keep(row if suspected is None else _allowing(row, suspected.move))
         self._give_up_if_lost(time)
         self._vehicles = max(self._vehicles, traffic.tracks)
-        if not self.confirmed and len(self._window) == self._frames and self._seen:
+        if not self.confirmed and self._full and self._seen:
             self._refuse_start(self._seen)
 
     def _suspected_move(self, traffic: WindowTraffic, time: float) -> SuspectedMove | None:
         """Return the move that the newest data suggest, or none."""
-        if not self.confirmed or traffic.tracks < DEFAULTS.answer.least_tracks:
+        if not self.confirmed or traffic.tracks < self._settings.localization.answer.least_tracks:
             return None
-        return suspect_move(self._fitter, traffic, time, self._before, self._like)
+        expected = partial(self._expected, time=time)
+        return suspect_move(self._fitter, traffic, time, expected, self._like)
 
     def _corrected(self, traffic: WindowTraffic, time: float, *, suspected: bool) -> Row:
-        held = Row(estimate=predicted(self.now, time), vehicles=traffic.tracks)
+        held = Row(estimate=self._later(self.now, time), vehicles=traffic.tracks)
         if suspected:
             return replace(held, event=REJECTED)
-        prior = predicted(self._before(traffic.moving.begin), time)
+        prior = self._expected(traffic.moving.begin, time)
         seen = self._fitter.fit(traffic, prior, self._like)
         if seen is None:
             return held
@@ -150,16 +151,35 @@ class Follower:
         held = replace(held, fitness=seen.fit.fitness, chi2=found.chi2)
         if not seen.on_lanes:
             return replace(held, event=REJECTED)
-        if seen.trusted and found.chi2 > GATE:
-            return _allowing(replace(held, event=REJECTED), likeliest_move(found, KNOCK))
+        if seen.trusted and found.chi2 > self._settings.gate:
+            return _allowing(
+                replace(held, event=REJECTED), likeliest_move(found, self._settings.knock)
+            )
         if not seen.trusted:
-            return held  # came to no rest: it says nothing
-        if len(self._window) < self._frames:
+            return held  # not converged: no measurement
+        if not self._full:
             self._fitter.refuse_other_lane(seen)
         self.confirmed = True
         self._like = seen.fit.state
         self._fitter.adapt(seen)
         return replace(held, estimate=corrected(prior, seen.measurement), corrected=True)
+
+    @property
+    def _full(self) -> bool:
+        """Whether the window has its whole length."""
+        return len(self._window) == self._settings.localization.traces.frames
+
+    def _later(self, estimate: Estimate, time: float) -> Estimate:
+        return predicted(estimate, time, self._settings.drift)
+
+    def _expected(self, seen: float, time: float) -> Estimate:
+        """Return the pose at a time, predicted from the data before another."""
+        return self._later(self._before(seen), time)
+
+    def _knocked(self, estimate: Estimate) -> Estimate:
+        """Return an estimate whose sensor may have moved."""
+        spread = np.diag(np.square(self._settings.knock))
+        return replace(estimate, covariance=estimate.covariance + spread)
 
     def _before(self, time: float) -> Estimate:
         """Return the latest estimate that has seen no data after a time, or else the first."""
@@ -174,8 +194,7 @@ class Follower:
 
     def _restart(self, change: Change, time: float) -> None:
         """Restart at a change, and replace the poses since then."""
-        before = predicted(self._before(change.time), change.time)
-        start = replace(before, covariance=before.covariance + np.diag(KNOCK**2))
+        start = self._knocked(self._expected(change.time, change.time))
         new = corrected(start, change.found.measurement)
         self._window.forget(change.time)
         self._like = change.found.fit.state
@@ -183,7 +202,7 @@ class Follower:
         row = Row(
             estimate=new, vehicles=vehicles, fitness=fitness, chi2=change.chi2, corrected=True
         )
-        self.rows.append(replace(row, estimate=predicted(new, time)))
+        self.rows.append(replace(row, estimate=self._later(new, time)))
         self._replace_since(replace(row, event=MOVED))
         self._past = deque([start, self.now])
 
@@ -195,11 +214,9 @@ class Follower:
             return
         if self._rejected_since is None:
             self._rejected_since = row.estimate
-        if not self.confirmed or time - self._rejected_since.time < LOST_S:
+        if not self.confirmed or time - self._rejected_since.time < self._settings.lost_s:
             return
-        lost = replace(
-            self._rejected_since, covariance=self._rejected_since.covariance + np.diag(KNOCK**2)
-        )
+        lost = self._knocked(self._rejected_since)
         self._window.forget(lost.time)
         self._replace_since(Row(estimate=lost, event=MOVED), REJECTED)
         self._past, self._rejected_since = deque([lost]), None
@@ -210,7 +227,7 @@ class Follower:
         late = [r.estimate.time for r in self.rows if r.estimate.time > begin]
         self.rows = [r for r in self.rows if r.estimate.time < begin] + [row]
         self.rows += [
-            replace(row, estimate=predicted(row.estimate, time), event=event) for time in late
+            replace(row, estimate=self._later(row.estimate, time), event=event) for time in late
         ]
 
     def finish(self, name: str) -> None:
@@ -228,17 +245,18 @@ class Follower:
         """
         if self.confirmed:
             return
-        if len(self._window) < DEFAULTS.traces.least_frames:
+        least = self._settings.localization.traces.least_frames
+        if len(self._window) < least:
             raise NoAnswerError(
-                f"{name}: {len(self._window)} frames, at least "
-                f"{DEFAULTS.traces.least_frames} are needed",
+                f"{name}: {len(self._window)} frames, at least {least} are needed",
                 hint="record longer: 100 s are a good length",
             )
         if self._seen:
             self._refuse_start(self._seen)
+        least = self._settings.localization.answer.least_tracks
         raise NoAnswerError(
-            f"{name}: {self._vehicles} moving vehicles within 100 s, at least "
-            f"{DEFAULTS.answer.least_tracks} are needed to confirm the start pose",
+            f"{name}: {self._vehicles} moving vehicles within 100 s, at least {least} are needed "
+            "to confirm the start pose",
             hint="record while traffic flows",
         )
 

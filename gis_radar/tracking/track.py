@@ -21,6 +21,7 @@ from gis_radar.poses.files import PoseTrack
 from gis_radar.poses.pose import Pose
 from gis_radar.steps import STEP_US, iso_from_step, step_of
 from gis_radar.tracking.follower import MOVED, REJECTED, Row
+from gis_radar.tracking.settings import DEFAULTS, TrackingSettings
 
 LINE, NEAR, FAR, MOVE, REJECT, QUIET = (
     "#1d4ed8", "#93b4f5", "#dbe6fd", "#c2410c", "#fcd9a0", "#e5e7eb",
@@ -123,15 +124,19 @@ class Track:
         `fitness` in its evidence.
     events : tuple of Event
         In the order of time.
+    settings : TrackingSettings
+        With which it was made; the summary names those that are not the defaults.
     """
 
     poses: PoseTrack
     events: tuple[Event, ...] = field(default=())
+    settings: TrackingSettings = field(default=DEFAULTS, repr=False)
 
     def figures(self) -> Mapping[str, Any]:
         """Return figures worth a look, by name."""
         first, last = self.poses.poses[0], self.poses.poses[-1]
         sigma = last.evidence["sigma"]
+        changes = self.settings.changes()
         measured = sum(pose.evidence["corrected"] for pose in self.poses.poses)
         return {
             "poses": len(self.poses.poses),
@@ -141,6 +146,7 @@ class Track:
             **{name: round(getattr(last, name), 3) for name in COMPONENTS},
             **{f"sigma_{name}": float(f"{value:.2g}") for name, value in sigma.items()},
             "shift_m": round(float(np.linalg.norm(last.position - first.position)), 3),
+            **({"settings": changes} if changes else {}),
         }
 
     def plot(self, component: str = "easting", ax: Any = None) -> Any:
@@ -193,7 +199,9 @@ class Track:
         return card(f"Track of {self.poses.sensor}", self.figures())
 
 
-def answer(problem: Problem, start: Pose, rows: list[Row]) -> Track:
+def track_of(
+    problem: Problem, start: Pose, rows: list[Row], settings: TrackingSettings = DEFAULTS
+) -> Track:
     """Return the rows of a follower as poses in the map.
 
     Parameters
@@ -204,6 +212,8 @@ def answer(problem: Problem, start: Pose, rows: list[Row]) -> Track:
         Its view goes into every pose.
     rows : list of Row
         In the order of time.
+    settings : TrackingSettings
+        With which they were made.
     """
     steps = step_of(np.array([row.estimate.time for row in rows]))
     later = np.append(True, np.diff(steps) > 0)
@@ -211,7 +221,8 @@ def answer(problem: Problem, start: Pose, rows: list[Row]) -> Track:
     poses = [replace(_pose(problem, row, step), view=start.view) for step, row in kept]
     since = np.array([step * STEP_US / 1e6 for step, _ in kept])
     events = [Event(time=iso_from_step(step), kind=row.event) for step, row in kept if row.event]
-    return Track(poses=PoseTrack(poses=tuple(poses), since=since), events=tuple(events))
+    track = PoseTrack(poses=tuple(poses), since=since)
+    return Track(poses=track, events=tuple(events), settings=settings)
 
 
 def _pose(problem: Problem, row: Row, step: int) -> Pose:

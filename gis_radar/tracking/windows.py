@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,19 +18,17 @@ from gis_radar.localization.lanes import Lanes
 from gis_radar.localization.matching import Scene
 from gis_radar.localization.model import MODEL
 from gis_radar.localization.result import Problem
-from gis_radar.localization.settings import DEFAULTS, Schedule
-from gis_radar.localization.solver import Fit, Prior, solve
+from gis_radar.localization.settings import Schedule, TraceSettings
+from gis_radar.localization.solver import Fit, Prior, cost_at, solve
 from gis_radar.localization.state import POSE, REFLECTION, SIZE, State
 from gis_radar.localization.traces import Moving, Samples, link_tracks, thin
-from gis_radar.progress import Reporter
+from gis_radar.progress import QUIET, Reporter
 from gis_radar.tracking.filter import Estimate, Measurement, covariance_from_angles
-
-LEAST_KNOWN = 0.05  # information less than that share of the prior's is none
-UNKNOWN = 1e-4  # and counts as that
+from gis_radar.tracking.settings import DEFAULTS, TrackingSettings
 
 
-def data_alone(fit: Fit, prior: Prior) -> Measurement:
-    """Take the prior out of a fit again, or every window would confirm what was believed.
+def data_alone(fit: Fit, prior: Prior, settings: TrackingSettings = DEFAULTS) -> Measurement:
+    """Take the prior out of a fit again, or every window would confirm the pose before it.
 
     In coordinates where the prior has variance one along each axis, `1 + m` is the information of
     the fit and `m` that of the data; the data's pose is farther off by `(1 + m) / m`.
@@ -39,9 +38,11 @@ def data_alone(fit: Fit, prior: Prior) -> Measurement:
     fit : Fit
         A registration.
     prior : Prior
-        What it began with.
+        Of the fit.
+    settings : TrackingSettings
+        From when on information of the data counts.
     """
-    known = certainty(fit)
+    known = certainty(fit, settings.localization.answer)
     quaternion = _quaternion(fit.state)
     unit = np.diag(prior.information[POSE, POSE]) ** -0.5
     whole, noise = (
@@ -50,14 +51,14 @@ def data_alone(fit: Fit, prior: Prior) -> Measurement:
     )
     values, vectors = np.linalg.eigh(np.linalg.inv(whole))
     data = values - 1.0
-    seen = data > LEAST_KNOWN
+    seen = data > settings.least_known
     away = fit.state.difference(prior.mean)[POSE] / unit
     farther = np.where(seen, values / np.where(seen, data, 1.0), 0.0)
     step = np.zeros(SIZE)
     step[POSE] = unit * (vectors @ (farther * (vectors.T @ away)))
     there = prior.mean.moved(step)
     # what is common to all windows grows not where this one sees nothing
-    noise_grows = np.sqrt(values / np.where(seen, data, UNKNOWN))
+    noise_grows = np.sqrt(values / np.where(seen, data, settings.unknown))
     common_grows = np.where(seen, noise_grows, 1.0)
     noise, common = (
         _stretched(part, vectors * grows @ vectors.T, unit)
@@ -80,14 +81,6 @@ def _quaternion(state: State) -> Floats:
     return np.asarray(Rotation.from_matrix(state.R_map_sensor).as_quat(canonical=True))
 
 
-NEAR = np.array([1.0, 1.0, 1.0, *np.radians([2.0, 2.0, 2.0])])  # where a solution is looked for
-WINDOW = Schedule(scales_m=(0.3, 0.1, 0.0), rounds=12)
-COST_ONLY = Schedule(scales_m=(0.0,), rounds=0)
-FARTHEST = 4.0  # sigmas
-REACH_GROWS = 1.2
-NOTHING = np.zeros((SIZE, SIZE))
-
-
 @dataclass(frozen=True, kw_only=True)
 class WindowTraffic:
     """What moved within some time, by track.
@@ -98,15 +91,18 @@ class WindowTraffic:
         The detections.
     number : (n,) array
         The track of each.
+    settings : TraceSettings
+        Of linking and thinning.
     """
 
     moving: Moving
     number: Integers
+    settings: TraceSettings
 
     @classmethod
-    def of(cls, moving: Moving) -> WindowTraffic:
+    def of(cls, moving: Moving, settings: TraceSettings) -> WindowTraffic:
         """Link the detections of a window to tracks."""
-        return cls(moving=moving, number=link_tracks(moving))
+        return cls(moving=moving, number=link_tracks(moving, settings), settings=settings)
 
     def between(self, begin: float, end: float) -> WindowTraffic:
         """Return the part of the traffic within a time, its end not included."""
@@ -123,7 +119,7 @@ class WindowTraffic:
             begin=max(begin, self.moving.begin),
             end=min(end, self.moving.end),
         )
-        return WindowTraffic(moving=moving, number=number[:-1] - 1)
+        return replace(self, moving=moving, number=number[:-1] - 1)
 
     @property
     def tracks(self) -> int:
@@ -132,7 +128,7 @@ class WindowTraffic:
 
     def samples(self) -> Samples:
         """Return the detections that a registration works on."""
-        return thin(self.moving, self.number)
+        return thin(self.moving, self.number, self.settings)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,35 +143,42 @@ class WindowFit:
         The registration.
     samples : Samples
         What was registered.
+    on_lanes : bool
+        Whether the traffic lies on the lanes.
     """
 
     measurement: Measurement
     fit: Fit
     samples: Samples
+    on_lanes: bool
 
     @property
     def trusted(self) -> bool:
         """Whether the traffic lies on the lanes, at a pose that is a fit's."""
         return self.fit.converged and self.on_lanes
 
-    @property
-    def on_lanes(self) -> bool:
-        """Whether the traffic lies on the lanes."""
-        return self.fit.fitness >= DEFAULTS.answer.least_fitness
-
 
 class WindowFitter:
-    """The lanes around a sensor, as far as its data reach.
+    """Fits windows of traffic to the lanes around a sensor.
 
     Parameters
     ----------
     problem : Problem
         Map, road and where the sensor stands.
+    settings : TrackingSettings
+        How windows are fitted.
     reporter : Reporter
         Told remarks.
     """
 
-    def __init__(self, problem: Problem, *, reporter: Reporter) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        settings: TrackingSettings = DEFAULTS,
+        *,
+        reporter: Reporter = QUIET,
+    ) -> None:
+        self.settings = settings
         self._problem = problem
         self._reporter = reporter
         self._reach_m = 0.0
@@ -187,15 +190,17 @@ class WindowFitter:
         """Return the lanes within reach of samples."""
         reach_m = float(np.percentile(np.hypot(*samples.points[:, :2].T), 99.5))
         if self._lanes is None or reach_m > self._reach_m:
-            self._reach_m = REACH_GROWS * reach_m
-            first = self._lanes is None
-            reporter = self._reporter if first else Reporter()
-            self._lanes = lanes_around(self._problem, samples, reporter, grow=REACH_GROWS)
+            grow, reporter = self.settings.reach_grows, self._reporter
+            self._reach_m, self._reporter = grow * reach_m, QUIET  # remarks only once
+            self._lanes = lanes_around(
+                self._problem, samples, reporter, grow=grow, settings=self.settings.localization
+            )
         return self._lanes
 
     def scene(self, samples: Samples) -> Scene:
         """Return samples with the lanes within their reach."""
-        return Scene(lanes=self.lanes(samples), samples=samples)
+        lanes = self.lanes(samples)
+        return Scene(lanes=lanes, samples=samples, settings=self.settings.localization)
 
     def fit(
         self,
@@ -203,9 +208,9 @@ class WindowFitter:
         centre: Estimate,
         like: State,
         *,
-        near: Floats = NEAR,
+        near: Sequence[float] | None = None,
         start: State | None = None,
-        schedule: Schedule = WINDOW,
+        schedule: Schedule | None = None,
     ) -> WindowFit | None:
         """Lay a traffic on the lanes near a pose; None where it holds too little traffic.
 
@@ -217,23 +222,30 @@ class WindowFitter:
             Where to look.
         like : State
             How vehicles reflected so far.
-        near : (6,) array
-            How far around, 1 sigma: metres, radians.
+        near : (6,) sequence, optional
+            How far around, 1 sigma: metres, radians; without it as the settings state.
         start : State, optional
             Where to begin, if not there.
-        schedule : Schedule
-            As for :func:`gis_radar.localization.solver.solve`.
+        schedule : Schedule, optional
+            As for :func:`gis_radar.localization.solver.solve`; without it that of a window.
         """
-        samples = traffic.samples()
-        if traffic.tracks < DEFAULTS.answer.least_tracks:
+        settings = self.settings
+        if traffic.tracks < settings.localization.answer.least_tracks:
             return None
-        prior = self._prior(centre.state(like), near)
+        samples = traffic.samples()
+        prior = self._prior(centre.state(like), np.array(near or settings.near))
         begin = prior.mean if start is None else start
+        schedule = schedule or settings.window
         fit = solve(self.scene(samples), begin, prior, schedule=schedule, model=self._model)
-        return WindowFit(measurement=data_alone(fit, prior), fit=fit, samples=samples)
+        return WindowFit(
+            measurement=data_alone(fit, prior, settings),
+            fit=fit,
+            samples=samples,
+            on_lanes=fit.fitness >= settings.localization.answer.least_fitness,
+        )
 
     def find(
-        self, traffic: WindowTraffic, centre: Estimate, like: State, *, near: Floats
+        self, traffic: WindowTraffic, centre: Estimate, like: State, *, near: Sequence[float]
     ) -> WindowFit | None:
         """Look farther around a pose at which the traffic lies on no lanes; None if in vain.
 
@@ -243,31 +255,30 @@ class WindowFitter:
             As for :meth:`fit`.
         """
         samples, state = traffic.samples(), centre.state(like)
-        heading = float(state.yaw_pitch_roll[0]), DEFAULTS.search.heading_tolerance
+        tolerance = self.settings.localization.search.heading_tolerance
+        heading = float(state.yaw_pitch_roll[0]), tolerance
         for tried in find_hypotheses(self.scene(samples), heading=heading):
-            away = tried.fit.state.difference(state)[POSE] / near
-            if np.abs(away).max() < FARTHEST:
+            away = tried.fit.state.difference(state)[POSE] / np.array(near)
+            if np.abs(away).max() < self.settings.farthest:
                 found = self.fit(traffic, centre, like, near=near, start=tried.fit.state)
                 return found if found is not None and found.trusted else None
         return None
 
     def cost(self, samples: Samples, state: State) -> float:
-        """Return what samples cost at a pose, a negative logarithm of likelihood."""
-        indifferent = Prior(mean=state, information=NOTHING)
-        scene = self.scene(samples)
-        return solve(scene, state, indifferent, schedule=COST_ONLY, model=self._model).cost
+        """Return the cost of samples at a pose, a negative logarithm of likelihood."""
+        return cost_at(self.scene(samples), state, model=self._model)
 
     def adapt(self, found: WindowFit) -> None:
         """Estimate from a trusted fit how this radar sees vehicles; each anew from the defaults."""
         samples, fit = found.samples, found.fit
-        before = Prior(mean=fit.state, information=NOTHING)
-        told, self._model = adapted(self.scene(samples), fit, before, MODEL)
-        if told is not before:
-            known = float(told.information[REFLECTION, REFLECTION])
-            self._reflections = told.mean.reflection, known
+        before = Prior(mean=fit.state, information=np.zeros((SIZE, SIZE)))
+        after, self._model = adapted(self.scene(samples), fit, before, MODEL)
+        if after is not before:
+            known = float(after.information[REFLECTION, REFLECTION])
+            self._reflections = after.mean.reflection, known
 
     def _prior(self, centre: State, near: Floats) -> Prior:
-        information = prior_at(centre).information.copy()
+        information = prior_at(centre, self.settings.localization).information.copy()
         information[POSE, POSE] = np.diag(near**-2.0)
         if self._reflections is not None:
             mean_m, information[REFLECTION, REFLECTION] = self._reflections
@@ -284,15 +295,13 @@ class WindowFitter:
         """
         part, here = rough(self.scene(found.samples)), found.fit.state
         fits = [
-            solve(part, state, replace(prior_at(state), mean=state))
+            solve(part, state, replace(prior_at(state, self.settings.localization), mean=state))
             for state in (here, *shifted(part, found.fit))
         ]
         for other in fits[1:]:
             away = other.state.difference(fits[0].state)[:2]
-            if (
-                advantage(other, fits[0], part.samples) > DEFAULTS.answer.clear + 1.0
-                and np.hypot(*away) > 1.0
-            ):
+            lead = advantage(other, fits[0], part.samples)
+            if lead > self.settings.other_lane and np.hypot(*away) > self.settings.other_lane_m:
                 raise NoAnswerError(
                     f"{self._problem.name}: the traffic fits clearly better with the sensor "
                     f"{np.hypot(*away):.1f} m from its start pose",
