@@ -40,7 +40,9 @@ from .scans import (
 )
 from .second_look import SecondLook, require_scans_near, second_look
 from .second_look.picture import draw_second_look
-from .site import Site, SiteRun, read_site, run_site, site_template
+from .site.run import SiteRun, run_site
+from .site.settings import Site, read_site
+from .site.template import site_template
 from .tiles import (
     TileGrid,
     TileTree,

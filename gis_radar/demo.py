@@ -51,7 +51,7 @@ def run_demo(
     figures : dict
         Figures worth a look, among them the errors of the poses.
     """
-    from gis_radar.site import run_site  # noqa: PLC0415 - a sample file is read without all of it
+    from gis_radar.site.run import run_site  # noqa: PLC0415 - a sample file is read without all of it
 
     sample, folder = sample_folder(), Path(folder)
     done = run_site(sample / "SITE.toml", folder, reporter=reporter)

@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import json
+import queue
 import sys
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
+
+import fake_work
 
 from gis_radar.files import only_writer
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.site.contents import Contents
 from gis_radar.site.execution import Execution
-from gis_radar.site.records import Records
-from gis_radar.site.stage import Stage
-from gis_radar.site.workers import Workers
+from gis_radar.site.plan import Stage
+from gis_radar.site.state import State
+from gis_radar.site.worker import Pool, process_pool
 
 
 def stage(root, name, inputs=(), *, work="join", parts=(), sensor="", **options):
     """A stage that makes root/name from files, or from the outputs of other stages."""
     return Stage(
         name=name,
-        work=work,
+        work=getattr(fake_work, work),
         inputs={"first": tuple(Path(root) / each for each in inputs)},
         parts={"second": tuple(Path(root) / each for each in parts)} if parts else {},
         options={"text": name, **options},
@@ -40,25 +44,28 @@ def diamond(root, source, **options):
     ]
 
 
-def execute(stages, root, *, most=1, reporter=QUIET):
+@contextmanager
+def threads(most, _scratch):
+    """The same as `process_pool` in this process: any executor does."""
+    events = queue.SimpleQueue()
+    with ThreadPoolExecutor(most) as executor:
+        yield Pool(executor=executor, send=events.put, events=events)
+
+
+def execute(stages, root, *, most=1, reporter=QUIET, pool=threads):
     """Execute stages in a folder; return how each ended, by name."""
-    state = Path(root) / ".gis-radar"
-    (state / "stages").mkdir(parents=True, exist_ok=True)
-    (state / "scratch").mkdir(exist_ok=True)
-    contents = Contents(state / "contents.json")
-    with only_writer(Path(root), lock=state / "lock", reporter=reporter):
-        outcomes = Execution(
-            stages=stages,
-            root=Path(root),
-            records=Records(state / "stages", Path(root)),
-            contents=contents,
-            workers=Workers(most, state / "scratch", works="fake_work"),
-            reporter=reporter,
-        ).run()
-    return {outcome.stage.name: outcome for outcome in outcomes}
+    folder = Path(root) / ".gis-radar"
+    (folder / "scratch").mkdir(parents=True, exist_ok=True)
+    state = State(folder / "state.json", Path(root))
+    with (
+        only_writer(Path(root), lock=folder / "lock", reporter=reporter),
+        pool(most, folder / "scratch") as workers,
+    ):
+        run = Execution(stages=stages, state=state, pool=workers, reporter=reporter)
+        return {outcome.stage.name: outcome for outcome in run.run()}
 
 
-class Teller(Reporter):
+class Printing(Reporter):
     """Prints progress, so that a test knows when to kill."""
 
     def progress(self, stage, done, total):
@@ -68,4 +75,4 @@ class Teller(Reporter):
 
 if __name__ == "__main__":
     made = diamond(sys.argv[1], Path(sys.argv[2]), wait_s=float(sys.argv[3]))
-    execute(made, sys.argv[1], most=2, reporter=Teller())
+    execute(made, sys.argv[1], most=2, reporter=Printing(), pool=process_pool)

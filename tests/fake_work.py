@@ -1,4 +1,4 @@
-"""Work that tests let workers do: it joins texts, and misbehaves where it is told to."""
+"""Work of fake stages: it joins texts, and misbehaves on purpose."""
 
 import os
 import signal
@@ -70,9 +70,3 @@ def touch_input(*, outputs, reporter, first, **_more):
     """Change an input while it is read."""
     Path(first[0]).write_text("changed meanwhile")
     return join(outputs=outputs, reporter=reporter, text="T", first=first)
-
-
-WORKS = {
-    work.__name__: work
-    for work in (join, warn, refuse, fail, cannot_write, break_down, die, chatter, touch_input)
-}

@@ -11,14 +11,15 @@ import time
 from pathlib import Path
 
 import pytest
-from fake_stages import diamond, execute, stage
+from fake_stages import diamond, execute, stage, threads
 from maps import Listener
 
 from gis_radar.errors import GisRadarError, InputError, NoAnswerError, OutputError
 from gis_radar.files import only_writer
-from gis_radar.site import execution
-from gis_radar.site.contents import Contents
-from gis_radar.site.workers import Workers, workers_here
+from gis_radar.site import state as state_of_run
+from gis_radar.site.run import workers_here
+from gis_radar.site.state import State
+from gis_radar.site.worker import process_pool
 
 HERE = Path(__file__).parent
 NAMES = ["road", "a1", "b1", "a2", "b2", "map"]
@@ -76,7 +77,7 @@ def soon_gone(pids, *, within_s=10.0):
 
 
 def test_stages_are_done_once_in_the_order_of_need(root, source):
-    first = execute(diamond(root, source), root, most=2)
+    first = execute(diamond(root, source), root, most=2, pool=process_pool)
     assert set(states(first).values()) == {"done"}
     assert (root / "map").read_text() == "Sroad" + "Sroada1a2" + "Sroadb1b2" + "map"
     assert calls(root) == sorted(NAMES)
@@ -104,19 +105,18 @@ def test_what_changes_is_done_again_and_no_more(root, source, monkeypatch):
     execute(changed, root)
     assert calls(root) == ["b2"]
     assert "tampered" not in (root / "map").read_text()
-    monkeypatch.setattr(execution, "software", lambda: {"gis_radar": "99"})
+    monkeypatch.setattr(state_of_run, "software", lambda: {"gis_radar": "99"})
     execute(changed, root)
     assert calls(root) == sorted(NAMES)
 
 
-@pytest.mark.parametrize("damage", ["", '{"name": "a1"}'])
-def test_a_damaged_record_is_none(root, source, damage):
+@pytest.mark.parametrize("damage", ["", "[]", '{"files": {}, "stages": {"a1": {"key": 1}}}'])
+def test_a_damaged_state_is_none(root, source, damage):
     execute(diamond(root, source), root)
     calls(root)
-    (root / ".gis-radar" / "stages" / "a1.json").write_text(damage)
-    (root / ".gis-radar" / "contents.json").write_text(damage)
+    (root / ".gis-radar" / "state.json").write_text(damage)
     execute(diamond(root, source), root)
-    assert calls(root) == ["a1"]
+    assert calls(root) == sorted(NAMES)
 
 
 def test_a_moved_run_goes_on(root, source):
@@ -178,7 +178,7 @@ def test_what_all_depends_on_stops_all(root, source, work, kind, words):
     stages = diamond(root, source)
     stages[0] = stage(root, "road", [source], work=work)
     with pytest.raises(kind, match=words):
-        execute(stages, root)
+        execute(stages, root, pool=process_pool if work == "die" else threads)
     assert not (root / "a1").exists()
 
 
@@ -196,7 +196,7 @@ def test_warnings_stand_when_a_stage_is_kept(root, source):
 
 
 def test_libraries_that_print_disturb_nothing(root, source, capfd):
-    found = execute([stage(root, "road", [source], work="chatter")], root)
+    found = execute([stage(root, "road", [source], work="chatter")], root, pool=process_pool)
     assert found["road"].state == "done"
     assert capfd.readouterr().out == ""
 
@@ -206,7 +206,7 @@ def test_an_input_that_changes_meanwhile_leaves_no_record(root, source):
     work = [stage(root, "road", [source], work="touch_input")]
     assert execute(work, root, reporter=heard)["road"].state == "done"
     assert any("has changed meanwhile" in text for _, text in heard.messages)
-    assert not (root / ".gis-radar" / "stages" / "road.json").exists()
+    assert not State(root / ".gis-radar" / "state.json", root).records
 
 
 def test_a_bar_a_stage_never_goes_back_and_ends_full(root, source):
@@ -235,7 +235,9 @@ class Interrupting(Listener):
 @pytest.mark.parametrize("after", [1, 5, 12])
 def test_an_interrupted_run_goes_on_to_the_same_end(root, source, tmp_path, after):
     with pytest.raises(KeyboardInterrupt):
-        execute(diamond(root, source), root, most=2, reporter=Interrupting(after))
+        execute(
+            diamond(root, source), root, most=2, reporter=Interrupting(after), pool=process_pool
+        )
     assert not (root / "workers").exists() or all_gone(root)
     done = calls(root)
     found = execute(diamond(root, source), root)
@@ -278,30 +280,30 @@ def test_two_runs_in_one_folder_are_refused(root, source):
     assert execute(diamond(root, source), root)["map"].state == "done"
 
 
-def test_contents_follow_the_bytes(tmp_path):
+def test_hashes_follow_the_bytes(tmp_path):
     memory = tmp_path / "memory.json"
     file = written(tmp_path / "file", "one")
-    first = Contents(memory)
-    before = first.of(file)
+    first = State(memory, tmp_path)
+    before = first.hash_of(file)
     first.save()
     read = []
-    second = Contents(memory)
-    assert second.of(file, read.append) == before
+    second = State(memory, tmp_path)
+    assert second.hash_of(file, read.append) == before
     assert read == []  # remembered
     file.write_text("two")
-    assert second.of(file, read.append) != before
+    assert second.hash_of(file, read.append) != before
     assert read == [3]
     written(file, "one")
-    assert second.of(file) == before
-    assert second.of(tmp_path / "gone") is None
+    assert second.hash_of(file) == before
+    assert second.hash_of(tmp_path / "gone") is None
 
 
 def test_a_file_that_is_still_young_is_read_each_time(tmp_path):
     file = tmp_path / "file"
     file.write_text("one")
-    contents, read = Contents(tmp_path / "memory.json"), []
+    state, read = State(tmp_path / "memory.json", tmp_path), []
     for _ in range(2):
-        contents.of(file, read.append)
+        state.hash_of(file, read.append)
     assert read == [3, 3]
 
 
@@ -309,19 +311,16 @@ def test_the_content_of_a_folder_is_that_of_its_files(tmp_path):
     folder = tmp_path / "folder"
     (folder / "inner").mkdir(parents=True)
     (folder / "inner" / "a").write_text("a")
-    contents = Contents(tmp_path / "memory.json")
-    before = contents.of(folder)
+    state = State(tmp_path / "memory.json", tmp_path)
+    before = state.hash_of(folder)
     (folder / "heatmap.tif.aux.xml").write_text("left by a viewer")
-    assert contents.of(folder) == before
+    assert state.hash_of(folder) == before
     (folder / "inner" / "a").rename(folder / "inner" / "b")
-    assert contents.of(folder) != before
+    assert state.hash_of(folder) != before
 
 
-def test_there_is_at_least_one_worker(monkeypatch, tmp_path):
-    monkeypatch.setattr("gis_radar.site.workers._free_memory", lambda: 1)
+def test_there_is_at_least_one_worker(monkeypatch):
+    monkeypatch.setattr("gis_radar.site.run._free_memory", lambda: 1)
     assert workers_here() == 1
-    monkeypatch.setattr("gis_radar.site.workers._free_memory", lambda: None)
+    monkeypatch.setattr("gis_radar.site.run._free_memory", lambda: None)
     assert workers_here() >= 1
-    idle = Workers(1, tmp_path)
-    assert not idle.busy
-    idle.stop()

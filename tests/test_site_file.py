@@ -12,9 +12,7 @@ from hypothesis import strategies as st
 
 import gis_radar as gr
 from gis_radar.errors import InputError
-from gis_radar.site.place import lines_of
-from gis_radar.site.schema import TableKind, keys_of
-from gis_radar.site.site import Site
+from gis_radar.site.settings import Site, lines_of, table_of
 from gis_radar.site.template import site_reference
 
 ROOT = Path(__file__).parents[1]
@@ -107,43 +105,48 @@ def test_the_least_that_will_do(read):
 @pytest.mark.parametrize(
     ("old", "new", "parts"),
     [
-        ("guess =", "gues =", ("line 18", "sensor R1", "'gues' is no key", "did you mean guess?")),
-        ("max_range_m", "max_range", ("line 20", "[view]", "did you mean max_range_m?")),
-        ("azimuth_deg = 90", "azimut = 90", ("line 27", "R2", "did you mean azimuth_deg?")),
-        ("[tiles]", "[tyles]", ("line 9", "'tyles'", "did you mean tiles?")),
-        ("title", "xyzzy", ("line 1", "'xyzzy' is no key", "known are title, time_zone")),
+        ("guess =", "gues =", (":18: sensor[0].gues: is no key", "did you mean guess?")),
+        ("max_range_m", "max_range", (":20: sensor[0].view.max_range:", "mean max_range_m?")),
+        ("azimuth_deg = 90", "azimut = 90", (":27: sensor[1].view.azimut:", "mean azimuth_deg?")),
+        ("[tiles]", "[tyles]", (":9: tyles: is no key", "did you mean tiles?")),
+        ("title", "xyzzy", (":1: xyzzy: is no key", "known are title, time_zone")),
         ('title = "Junction"\n', "", ("lacks title", "e.g. title = ")),
-        ('file = "junction.osm"', "", ("line 4", "[map]: lacks file")),
-        ("junction.osm", "junktion.osm", ("line 5", "junktion.osm: no such file", "relative to")),
-        ("scan_*", "scam_*", ("line 8", "no file matches", "scam_*.laz")),
-        ('name = "R2"', 'name = "r1"', ("line 23", "two sensors", "'R1' and 'r1'")),
-        ('pose = "R2.json"', "", ("line 22", "sensor R2: has neither guess nor pose")),
-        ('compass = "north-east"', 'pose = "R2.json"', ("R1", "both guess and pose")),
-        ('"north-east"', '"up"', ("line 19", "compass is 'up'", "north-east")),
-        ("compass", "heading = 3\ncompass", ("both heading and compass",)),
-        ("azimuth_deg = 90", "min_range_m = 400", ("line 26", "expected ascending")),
-        ("Europe/Berlin", "Europe/Ingolstadt", ("line 2", "time_zone", "IANA", "Europe/Berlin")),
-        ("Europe/Berlin", "../../etc/passwd", ("line 2", "time_zone", "IANA")),
-        ("[690356, 5336183, 520]", "[11.42, 48.76]", ("line 18", "not degrees", "easting")),
-        ("[690356, 5336183, 520]", "[48.76, 11.42]", ("line 18", "not degrees")),
-        ("[690356, 5336183, 520]", "[1, 2, 3, 4]", ("guess is [1, 2, 3, 4]", "[E, N]")),
-        ("[690356, 5336183, 520]", "[nan, 5e6]", ("line 18", "guess", "[E, N]")),
-        ("length = 1", 'length = "1"', ("line 10", "length is '1'", "0.05 to 100")),
-        ("length = 1", "length = true", ("length is true",)),
-        ("length = 1", "length = 0", ("length is 0", "0.05 to 100")),
-        ("[-0.5, 4.5]", "[4.5, -0.5]", ("line 12", "clearance", "ascending")),
-        ('"1H"', '"soon"', ("line 14", "'soon'", "no duration")),
+        ('file = "junction.osm"', "", (":4: map: lacks file", 'e.g. file = "junction.osm"')),
+        ("junction.osm", "junktion.osm", (":5: map.file:", "junktion.osm: no such file")),
+        ("scan_*", "scam_*", (":8: scan.files: no file matches", "scam_*.laz")),
+        ('name = "R2"', 'name = "r1"', (":23: sensor[1].name: two sensors", "'R1' and 'r1'")),
+        ('pose = "R2.json"', "", (":22: sensor[1]: has neither guess nor pose",)),
+        ('compass = "north-east"', 'pose = "R2.json"', ("sensor[0]: has both guess and pose",)),
+        ('"north-east"', '"up"', (":19: sensor[0].compass: is 'up'", "north-east")),
+        ("compass", "heading = 3\ncompass", ("has both heading and compass",)),
+        ('pose = "R2.json"', 'pose = "R2.json"\nheading = 3', ("has both pose and heading",)),
+        ("azimuth_deg = 90", "min_range_m = 400", (":26: sensor[1].view:", "expected ascending")),
+        ("Europe/Berlin", "Europe/Ingolstadt", (":2: time_zone:", "IANA", "Europe/Berlin")),
+        ("Europe/Berlin", "../../etc/passwd", (":2: time_zone:", "IANA")),
+        ("[690356, 5336183, 520]", "[11.42, 48.76]", (":18: sensor[0].guess:", "degrees", "east")),
+        ("[690356, 5336183, 520]", "[48.76, 11.42]", (":18: sensor[0].guess:", "not degrees")),
+        ("[690356, 5336183, 520]", "[1, 2, 3, 4]", ("guess: is [1, 2, 3, 4]", "[E, N]")),
+        ("[690356, 5336183, 520]", "[nan, 5e6]", (":18: sensor[0].guess:", "[E, N]")),
+        ("[690356, 5336183, 520]", "[true, 5e6]", (":18: sensor[0].guess:", "[E, N]")),
+        ("length = 1", 'length = "1"', (":10: tiles.length: is '1'", "0.05 to 100")),
+        ("length = 1", "length = true", ("tiles.length: is true",)),
+        ("length = 1", "length = 0", ("tiles.length: is 0", "0.05 to 100")),
+        ("length = 1", "length = nan", ("tiles.length: is nan", "0.05 to 100")),
+        ("[-0.5, 4.5]", "[4.5, -0.5]", (":12: occupancy.clearance:", "ascending")),
+        ('"1H"', '"soon"', (":14: heatmap.intervals:", "'soon'", "no duration")),
         ('"1H"', '"60min"', None),
         ('"1H"', '"900s"', ("intervals", "differ")),
-        ("[map]", '[map]\ncrs = "EPSG:4326"', ("line 5", "crs", "geographic")),
-        ("[map]", '[map]\ncrs = "EPSG:x"', ("line 5", "not a known coordinate system")),
-        ("[scan]", '[scan]\nengine = "qgis"', ("engine is 'qgis'", "auto, pdal, laspy")),
-        ("[scan]", '[scan]\nroad = "R2.json"', ("line 7", "both files and road")),
-        ('files = ["scan_*.laz"]', "", ("[scan]", "neither files nor road")),
+        ('["A", "B"]', '["A", 2]', (":3: attribution: is ['A', 2], expected a list of texts",)),
+        ('["A", "B"]', "[]", (":3: attribution: is [], expected a list of texts",)),
+        ("[map]", '[map]\ncrs = "EPSG:4326"', (":5: map.crs:", "geographic")),
+        ("[map]", '[map]\ncrs = "EPSG:x"', (":5: map.crs:", "not a known coordinate system")),
+        ("[scan]", '[scan]\nengine = "qgis"', ("scan.engine: is 'qgis'", "auto, pdal, laspy")),
+        ("[scan]", '[scan]\nroad = "R2.json"', (":7: scan: both files and road",)),
+        ('files = ["scan_*.laz"]', "", (":7: scan: neither files nor road",)),
         ('[scan]\nfiles = ["scan_*.laz"]\n', "", ("pose of R1 is to be found", "[scan]")),
-        ('name = "R1"', 'name = "../R1"', ("name is '../R1'", "folder")),
-        ('name = "R1"', 'name = ".R1"', ("name is '.R1'",)),
-        ('name = "R1"', "name = 1", ("line 16", "sensor number 1", "name is 1")),
+        ('name = "R1"', 'name = "../R1"', ("sensor[0].name: is '../R1'", "folder")),
+        ('name = "R1"', 'name = ".R1"', ("sensor[0].name: is '.R1'",)),
+        ('name = "R1"', "name = 1", (":16: sensor[0].name: is 1",)),
         ("[[sensor]]", "[sensor]", ("not TOML",)),
         ("[map]", "[map", ("not TOML", "--template")),
     ],
@@ -159,7 +162,8 @@ def test_what_is_wrong_is_told(read, refuse, old, new, parts):
 
 def test_one_table_is_not_a_list_of_tables(refuse):
     refuse(WHOLE[: WHOLE.index("[[sensor]]")] + "[sensor]\nname = 'R'\n", "[[sensor]]")
-    refuse("map = 3\n" + WHOLE.replace("[map]", "[tiles.x]"), "map is 3", "[map]")
+    lanes = WHOLE[WHOLE.index("[map]") : WHOLE.index("[scan]")]
+    refuse("map = 3\n" + WHOLE.replace(lanes, ""), ":1: map: is 3, expected a table")
 
 
 def test_a_site_file_that_cannot_be_read(tmp_path):
@@ -170,13 +174,12 @@ def test_a_site_file_that_cannot_be_read(tmp_path):
         gr.read_site(tmp_path / "SITE.toml")
 
 
-def keys(kind, path=()):
-    """All keys of the schema, those of tables below it too."""
-    for name, each in keys_of(kind).items():
+def keys(table, path=()):
+    """All keys of the models, those of tables below them too."""
+    for name, field in table.model_fields.items():
         yield (*path, name)
-        below = each.metadata["kind"]
-        if isinstance(below, TableKind):
-            yield from keys(below.table, (*path, name))
+        if (below := table_of(field)) is not None:
+            yield from keys(below, (*path, name))
 
 
 def found(raw, path=()):
@@ -208,7 +211,7 @@ def test_the_template_holds_every_key_and_its_values_fit(read, tmp_path):
     assert read(one_of_each).sensor[0].view.max_range_m == 300.0
 
 
-def test_the_document_is_that_of_the_schema():
+def test_the_document_is_that_of_the_models():
     document = (ROOT / "docs" / "site-file.md").read_text(encoding="utf-8")
     assert document.endswith(site_reference()), "docs/site-file.md: put site_reference() at its end"
 

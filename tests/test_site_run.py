@@ -36,10 +36,10 @@ from gis_radar.cli.main import group
 from gis_radar.demo import pose_errors
 from gis_radar.files import only_writer
 from gis_radar.site import run as product
-from gis_radar.site import work
+from gis_radar.site import stages as stage_functions
 from gis_radar.site.execution import discard
 from gis_radar.site.plan import stages_of
-from gis_radar.site.records import Records
+from gis_radar.site.state import State
 
 TIMES = {"last_change", "update_time", "timestamp"}
 
@@ -356,13 +356,24 @@ def test_what_is_changed_is_done_again_and_what_is_taken_out_is_gone(copied):
     assert set(gr.read_occupancy(out / "occupancy" / "R1").frames["sensor"]) == {"R1"}
     assert json.loads((out / "run.json").read_text())["sensors_in_heat_maps"] == ["R1"]
     assert any("no longer part of the site" in text for _, text in heard.messages)
-    records = Records(out / product.STATE / "stages", out)
-    assert "localize R1" in records.names()
-    product._forget(
-        records, [outcome.stage for outcome in done.outcomes], fresh=True, reporter=heard
-    )
-    assert records.names() == []
+    state = State(out / product.STATE / "state.json", out)
+    assert "localize R1" in state.records
+    product._forget(state, [outcome.stage for outcome in done.outcomes], fresh=True, reporter=heard)
+    assert state.records == {}
     assert (out / "sensors" / "R1" / "pose.json").exists()
+
+
+def test_a_changed_view_repeats_no_localization(copied):
+    """A stage depends on what it reads and on its own settings, on no others."""
+    path, out = copied
+    change(path, "max_range_m = 150.0", "max_range_m = 120.0")
+    change(path, "[-0.5, 4.5]", "[-0.5, 4.0]")
+    done = gr.run_site(path, out)
+    again = {name for name, state in states(done).items() if state == "done"}
+    assert again == {
+        "pose R1", "occupancy R1", "occupancy R2", "heat map", "QGIS project", "report",
+    }  # fmt: skip
+    assert gr.read_pose(out / "sensors" / "R1" / "pose.json").view.max_range_m == 120.0
 
 
 def test_a_given_pose_with_a_bad_covariance_stops_its_sensor_alone(copied):
@@ -463,16 +474,16 @@ def test_other_formats_are_converted_first(small, tmp_path, monkeypatch):
     for reader in ("localize R1", "occupancy R1"):
         assert stages[reader].inputs["recordings"] == stage.outputs
     recorder = Recorder()
-    monkeypatch.setattr(work, "convert_recordings", recorder.convert)
+    monkeypatch.setattr(stage_functions, "convert_recordings", recorder.convert)
     stage.outputs[0].parent.mkdir(parents=True)
-    words = {name: list(paths) for name, paths in stage.inputs.items()} | dict(stage.options)
-    assert work.convert(outputs=list(stage.outputs), reporter=Listener(), **words) == {"frames": 3}
+    words = {"outputs": stage.outputs, "reporter": Listener(), **stage.arguments}
+    assert stage.work(**words) == {"frames": 3}
     assert stage.outputs[0].read_bytes() == (folder / "R1.bag").read_bytes()
     assert recorder.heard["columns"] == {"x": "-X"}
     assert (recorder.heard["clock"], recorder.heard["sensor"]) == ("sensor", None)
-    monkeypatch.setattr(work, "convert_recordings", Recorder(("a", "b")).convert)
+    monkeypatch.setattr(stage_functions, "convert_recordings", Recorder(("a", "b")).convert)
     with pytest.raises(gr.InputError, match="has several sensors: a, b"):
-        work.convert(outputs=list(stage.outputs), reporter=Listener(), **words)
+        stage.work(**words)
 
 
 def test_the_options_of_the_command_reach_their_arguments(monkeypatch, tmp_path):

@@ -10,8 +10,8 @@ import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import FrameType, TracebackType
-from typing import Any, NoReturn, Protocol, Self
+from types import FrameType
+from typing import Any, NoReturn, Self
 
 import click
 import rich.console
@@ -47,38 +47,26 @@ class Result:
     failure: GisRadarError | None = None
 
 
-class Console(Protocol):
+class Console(Reporter):
     """Destination of a command's progress, result and errors."""
-
-    reporter: Reporter
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None: ...
-
-    def result(self, result: Result) -> None:
-        """Write what was done."""
-
-    def error(self, error: GisRadarError) -> None:
-        """Write what went wrong."""
-
-
-class JsonConsole(Reporter):
-    """One JSON object a line on standard output."""
-
-    def __init__(self) -> None:
-        self.reporter: Reporter = self
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         return None
+
+    def result(self, result: Result) -> None:
+        """Write what was done."""
+        raise NotImplementedError
+
+    def error(self, error: GisRadarError) -> None:
+        """Write what went wrong."""
+        raise NotImplementedError
+
+
+class JsonConsole(Console):
+    """One JSON object a line on standard output."""
 
     def progress(self, stage: str, done: int, total: int | None) -> None:
         """Write the progress of a stage."""
@@ -103,11 +91,10 @@ class JsonConsole(Reporter):
         sys.stdout.flush()
 
 
-class TerminalConsole(Reporter):
+class TerminalConsole(Console):
     """Bars and remarks on standard error, the result on standard output."""
 
     def __init__(self) -> None:
-        self.reporter: Reporter = self
         self._rich = rich.console.Console(stderr=True)
         self._bars = Progress(
             TextColumn("{task.description}"),
@@ -209,7 +196,7 @@ def command(*, example: str) -> Callable[[Verb], click.Command]:
         def run(*, json_lines: bool, **options: Any) -> None:
             with _console(json_lines=json_lines) as console:
                 try:
-                    result = verb(reporter=console.reporter, **options)
+                    result = verb(reporter=console, **options)
                 except BrokenPipeError as error:
                     # click takes every broken pipe for standard output's, and stays silent.
                     if not _output_is_open():

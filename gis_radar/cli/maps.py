@@ -66,8 +66,8 @@ def tiles(
     "--engine", type=click.Choice(MASK_ENGINES), default="auto", show_default=True,
     help="Who reads the scans; auto takes PDAL where there is one.",
 )  # fmt: skip
-@click.option("--scan-crs", help="CRS of scans that do not say theirs: EPSG:2154.")
-@click.option("--map-crs", help="CRS of a polygon layer that does not say its own.")
+@click.option("--scan-crs", help="CRS of scans that do not state theirs: EPSG:2154.")
+@click.option("--map-crs", help="CRS of a polygon layer that does not state its own.")
 @click.option("--crs", help="Projected, metric CRS of the result; by default the map's.")
 @click.option("--origin", type=Numbers("E,N"), help="Map-frame position of the map's local (0, 0).")
 @click.option("--layer", help="Which layer of polygons, where the file has several.")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -34,7 +35,7 @@ from gis_radar.progress import Reporter
     "--scan", "scans", metavar="SCAN.laz", type=FILE, multiple=True,
     help="Airborne scan for a second look: what stands against canopy and walls. May be repeated.",
 )  # fmt: skip
-@click.option("--scan-crs", help="CRS of scans that do not say theirs: EPSG:2154.")
+@click.option("--scan-crs", help="CRS of scans that do not state theirs: EPSG:2154.")
 @click.option("--figure", type=FILE, help="Draw the traces over lanes and scan (PNG).")
 @output
 def localize(
@@ -42,31 +43,19 @@ def localize(
     recording: Path,
     map_path: Path,
     road: Path,
-    guess: tuple[float, ...],
-    guess_crs: str | None,
-    heading: float | None,
-    compass: float | None,
-    origin: tuple[float, float] | None,
-    method: str,
     scans: tuple[Path, ...],
-    scan_crs: str | None,
     figure: Path | None,
     output: Path,
     reporter: Reporter,
+    **options: Any,
 ) -> Result:
     """Find a sensor's pose from its recording and a rough guess (JSON)."""
-    if heading is not None and compass is not None:
+    if options["heading"] is not None and options["compass"] is not None:
         raise UsageError("both --heading and --compass are given", hint="give one of them")
-    require_folder(output)
-    refuse_inputs(output, recording, map_path, road, *scans)
-    if figure is not None:
-        _check_figure(figure, output)
-        refuse_inputs(figure, recording, map_path, road, *scans)
+    _check_outputs(output, figure, recording, map_path, road, *scans)
     found = gr.localize_files(
-        recording, map_path, road, guess=guess, guess_crs=guess_crs, heading=heading,
-        compass=compass, origin=origin, method=method, scans=scans, scan_crs=scan_crs,
-        figure=figure, reporter=reporter,
-    )  # fmt: skip
+        recording, map_path, road, scans=scans, figure=figure, reporter=reporter, **options
+    )
     gr.write_pose(found.pose, output)
     outputs = [output] if figure is None else [output, figure]
     return Result(outputs=outputs, summary=found.figures())
@@ -99,12 +88,7 @@ def track(
     """Follow a sensor's pose through a recording: a corrected pose every 5 s (CSV)."""
     if output.suffix.lower() != ".csv":
         raise UsageError(f"{output}: a pose track is a CSV file", hint="name it track.csv")
-    inputs = (recording, map_path, road, pose)
-    require_folder(output)
-    refuse_inputs(output, *inputs)
-    if figure is not None:
-        _check_figure(figure, output)
-        refuse_inputs(figure, *inputs)
+    _check_outputs(output, figure, recording, map_path, road, pose)
     start = gr.read_track(pose)
     roads = gr.read_map(map_path, crs=gr.road_crs(road), origin=origin, reporter=reporter)
     points = gr.read_road(road, roads.crs)
@@ -129,9 +113,15 @@ def sensors(*, poses: tuple[Path, ...], output: Path, reporter: Reporter) -> Res
     return Result(outputs=[output], summary={"sensors": [pose.sensor for pose in found]})
 
 
-def _check_figure(figure: Path, output: Path) -> None:
+def _check_outputs(output: Path, figure: Path | None, *inputs: Path) -> None:
+    """Refuse outputs that cannot be written, before any work."""
+    require_folder(output)
+    refuse_inputs(output, *inputs)
+    if figure is None:
+        return
     if figure.suffix.lower() != ".png":
         raise UsageError(f"{figure}: a figure is a PNG file", hint="name it figure.png")
     require_folder(figure)
     if figure.resolve() == output.resolve():
         raise UsageError(f"{figure}: figure and output are the same file", hint="name two files")
+    refuse_inputs(figure, *inputs)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
@@ -35,29 +35,15 @@ AUTO = "auto"
     "--clock", type=click.Choice(["auto", "sensor", "recorder"]), default="auto", show_default=True,
     help="Whose times count; auto takes the sensor's where they are right.",
 )  # fmt: skip
-@click.option("--duration", type=Duration(), help="How long to listen to an address: 30s, 10min.")
-def convert(
-    *,
-    inputs: tuple[str, ...],
-    output: Path,
-    sensor: str | None,
-    columns: dict[str, str] | None,
-    time_unit: str,
-    clock: Literal["auto", "sensor", "recorder"],
-    duration: float | None,
-    reporter: Reporter,
-) -> Result:
+@click.option(
+    "--duration",
+    "duration_s",
+    type=Duration(),
+    help="How long to listen to an address: 30s, 10min.",
+)
+def convert(*, inputs: tuple[str, ...], output: Path, reporter: Reporter, **options: Any) -> Result:
     """Make recordings of captures, ROS bags, PCD folders, tables, or udp://224.0.2.2:42102."""
-    made = gr.convert(
-        inputs,
-        output,
-        sensor=sensor,
-        columns=columns,
-        time_unit=time_unit,
-        clock=clock,
-        duration_s=duration,
-        reporter=reporter,
-    )
+    made = gr.convert(inputs, output, reporter=reporter, **options)
     return Result(outputs=made.outputs, summary=made.figures())
 
 
@@ -142,7 +128,7 @@ def _clocks(
     tiles: gpd.GeoDataFrame,
     reporter: Reporter,
 ) -> dict[str, gr.SensorClock]:
-    """Return the clocks of a file, or compare them; say whose is not corrected."""
+    """Return the clocks of a file, or compare them; warn of those that are not corrected."""
     if source == AUTO:
         found = gr.measure_clocks(recordings, tracks, tiles, reporter=reporter)
         for sensor, text in found.lines().items():
@@ -215,7 +201,7 @@ def clocks(
 def quality(
     *, folders: tuple[Path, ...], timezone: str, output: Path | None, reporter: Reporter
 ) -> Result:
-    """Say what an occupancy rests on: frames, detections, clocks, poses, and a verdict."""
+    """Show what an occupancy rests on: frames, detections, clocks, poses, and a verdict."""
     if output is not None:
         inside = [file for folder in folders if folder.is_dir() for file in folder.iterdir()]
         refuse_inputs(output, *folders, *(file for file in inside if file.stem != "quality"))

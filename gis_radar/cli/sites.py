@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -31,13 +32,13 @@ def _print_template(context: click.Context, _option: click.Parameter, wanted: ob
     "--template", is_flag=True, is_eager=True, expose_value=False, callback=_print_template,
     help="Print a site file to fill in, and do nothing else.",
 )  # fmt: skip
-def run(*, site: Path, output: Path, jobs: int | None, fresh: bool, reporter: Reporter) -> Result:
+def run(*, site: Path, output: Path, reporter: Reporter, **options: Any) -> Result:
     """Go the whole way for all sensors of a site; go on where an earlier run ended.
 
-    Exit code 4 tells that a sensor has no trustworthy pose, 3 that its data are bad; the heat maps
-    show the others.
+    Exit code 4: a sensor has no trustworthy pose; 3: its data are bad; the heat maps show the
+    others.
     """
-    done = gr.run_site(site, output, jobs=jobs, fresh=fresh, reporter=reporter)
+    done = gr.run_site(site, output, reporter=reporter, **options)
     return Result(outputs=done.outputs, summary=done.figures(), failure=done.failure)
 
 
@@ -53,27 +54,12 @@ def run(*, site: Path, output: Path, jobs: int | None, fresh: bool, reporter: Re
     "--occupancy", "occupancies", type=FILE, multiple=True,
     help="What the heat map was made of, where it is not in DIR.",
 )  # fmt: skip
-def report(
-    *,
-    folder: Path,
-    output: Path | None,
-    title: str | None,
-    timezone: str | None,
-    occupancies: tuple[Path, ...],
-    reporter: Reporter,
-) -> Result:
+def report(*, folder: Path, reporter: Reporter, **options: Any) -> Result:
     """Write a report for people without QGIS: HTML, PDF, and tables (CSV).
 
     DIR holds the results of gis-radar run or demo, or a heat map.
     """
-    made = gr.write_report(
-        folder,
-        output=output,
-        title=title,
-        timezone=timezone,
-        occupancies=occupancies,
-        reporter=reporter,
-    )
+    made = gr.write_report(folder, reporter=reporter, **options)
     return Result(outputs=list(made.outputs), summary=made.summary)
 
 
@@ -81,24 +67,17 @@ def report(
 @click.argument("heatmap", metavar="HEATMAP", type=FILE)
 @click.option("--sensors", type=FILE, help="From gis-radar sensors.")
 @click.option("--title", default="", help="Of the project; by default the file's name.")
-@click.option("--timezone", default="UTC", show_default=True, help="Of the time on its layout.")
-@click.option("--source", default="", help="Where the data come from, as its layout says it.")
+@click.option(
+    "--timezone", "time_zone", default="UTC", show_default=True, help="Of the time on its layout."
+)
+@click.option("--source", default="", help="Where the data come from, as its layout shows it.")
 @output
 def qgis(
-    *,
-    heatmap: Path,
-    sensors: Path | None,
-    title: str,
-    timezone: str,
-    source: str,
-    output: Path,
-    reporter: Reporter,
+    *, heatmap: Path, sensors: Path | None, output: Path, reporter: Reporter, **options: Any
 ) -> Result:
     """Write a QGIS project that shows a heat map ready to present, with a print layout."""
     refuse_inputs(output, heatmap, *[path for path in (sensors,) if path])
-    gr.write_qgis_project(
-        output, heatmap=heatmap, sensors=sensors, title=title, time_zone=timezone, source=source
-    )
+    gr.write_qgis_project(output, heatmap=heatmap, sensors=sensors, **options)
     reporter.progress("writing the project", 1, 1)
     return Result(outputs=[output])
 

@@ -4,199 +4,185 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from dataclasses import dataclass, field
+from graphlib import TopologicalSorter
 from pathlib import Path
-from typing import Any
 
 from gis_radar.errors import GisRadarError, NoAnswerError, OutputError
 from gis_radar.progress import Reporter
 from gis_radar.qgis.project import was_edited
-from gis_radar.site.contents import Contents, Stamp, stamp_of
-from gis_radar.site.records import KINDS, Record, Records, key_of
-from gis_radar.site.software import software
-from gis_radar.site.stage import Outcome, Stage, State
-from gis_radar.site.workers import Event, Workers
+from gis_radar.site.plan import Ending, Outcome, Stage
+from gis_radar.site.state import Stamp, State, stamp_of
+from gis_radar.site.worker import Answer, Event, Pool, carry_out
 
 ALL = "all stages"
+_POLL_S = 0.1  # how late a bar may move
 
 
 @dataclass(kw_only=True)
 class _Begun:
     """A stage that is being done."""
 
+    stage: Stage
     key: str
     stamps: dict[Path, Stamp]
     since: float
     phases: list[str] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
 
 
 @dataclass(kw_only=True)
 class Execution:
-    """The stages of a run on their way.
+    """The execution of the stages of a run.
 
     Parameters
     ----------
     stages : sequence of Stage
-        Each after those that it needs.
-    root : Path
-        The folder of the run.
-    records : Records
+        What is to be done; the order follows from what each reads and makes.
+    state : State
         Of earlier runs; this one adds its own.
-    contents : Contents
-        What the files hold.
-    workers : Workers
-        Who does the work.
+    pool : Pool
+        Where the work is done.
     reporter : Reporter
-        Hears how it goes: a bar for each stage, and one for all.
+        Shows progress: a bar for each stage, and one for all.
     """
 
     stages: Sequence[Stage]
-    root: Path
-    records: Records
-    contents: Contents
-    workers: Workers
+    state: State
+    pool: Pool
     reporter: Reporter
     outcomes: dict[str, Outcome] = field(default_factory=dict)
-    _begun: dict[str, _Begun] = field(default_factory=dict)
-    _said: set[str] = field(default_factory=set)
+    _begun: dict[Future[Answer], _Begun] = field(default_factory=dict)
+    _logged: set[str] = field(default_factory=set)
 
     def run(self, before: Sequence[Outcome] = ()) -> list[Outcome]:
-        """Do all stages but those that have ended `before`; return how each ended, in their order.
+        """Do all stages but those that have ended `before`; return their outcomes in order.
 
         Raises
         ------
         GisRadarError
-            What went wrong with a stage that all depends on, or with writing.
+            What went wrong with a stage that all depends on, with writing, or with a worker.
         """
         self.outcomes.update({each.stage.name: each for each in before})
         self.reporter.progress(ALL, len(self.outcomes), len(self.stages))
+        order = self._order()
         try:
-            self._go_on()
-            for stage, event in self.workers.events():
-                if event["event"] in {"done", "error", "crash", "gone"}:
-                    self._settle(self._ended(stage, event))
-                    self._go_on()
-                else:
-                    self._relay(stage, event)
-        finally:
-            self.workers.stop()
+            while order.is_active():
+                ready = set(order.get_ready())
+                begun = [self._begin(stage) for stage in self.stages if stage.name in ready]
+                for outcome in [each for each in begun if each] or self._ended():
+                    self._settle(outcome)
+                    order.done(outcome.stage.name)
+        except BrokenExecutor as error:
+            raise self._crash() from error
         return [self.outcomes[stage.name] for stage in self.stages]
 
-    def _go_on(self) -> None:
-        """Settle what needs no work, and start what can start."""
-        moved = True
-        while moved:
-            moved = False
-            for stage in self.stages:
-                if stage.name in self.outcomes or stage.name in self._begun:
-                    continue
-                if not self._is_ready(stage):
-                    continue
-                outcome = self._without_work(stage)
-                if outcome is not None:
-                    self._settle(outcome)
-                    moved = True
-                elif self.workers.free:
-                    self._start(stage)
-        # While the first stage is at work, the others get up.
-        waiting = len(self.stages) - len(self.outcomes)
-        if self.workers.busy:
-            self.workers.warm_up(waiting)
-
-    def _is_ready(self, stage: Stage) -> bool:
-        return all(
-            other.name in self.outcomes
-            for other in self.stages
-            if set(other.outputs) & set(stage.reads)
+    def _order(self) -> TopologicalSorter[str]:
+        """Return the order of the stages that have not ended."""
+        left = [stage for stage in self.stages if stage.name not in self.outcomes]
+        order = TopologicalSorter(
+            {
+                stage.name: [other.name for other in left if set(other.outputs) & set(stage.reads)]
+                for stage in left
+            }
         )
+        order.prepare()
+        return order
 
-    def _without_work(self, stage: Stage) -> Outcome | None:
-        """Return the outcome of a stage that cannot be done, or need not be done again."""
+    def _begin(self, stage: Stage) -> Outcome | None:
+        """Begin a stage, or return its outcome if it cannot be done or need not be done again."""
         lacking = self._lacking(stage)
         if lacking is not None:
             return Outcome(stage=stage, state="skipped", error=lacking)
-        key = key_of(stage, software(), self.contents, self.root)
-        record = self.records.standing(stage, key, self.contents)
-        return None if record is None else record.outcome(stage)
+        key = self.state.key_of(stage)
+        if (kept := self.state.kept(stage, key)) is not None:
+            return kept
+        begun = _Begun(
+            stage=stage,
+            key=key,
+            stamps={path: stamp_of(path) for path in stage.reads if path.is_file()},
+            since=time.monotonic(),
+        )
+        future = self.pool.executor.submit(
+            carry_out, stage.name, stage.work, stage.arguments, stage.outputs, self.pool.send
+        )
+        self._begun[future] = begun
+        self.reporter.progress(stage.name, 0, 100)
+        return None
 
     def _lacking(self, stage: Stage) -> GisRadarError | None:
-        """Return why a stage cannot be done: what happened to a stage that it needs."""
+        """Return why a stage cannot be done: the error of a stage that it needs."""
         made = {path: each for each in self.outcomes.values() for path in each.stage.outputs}
-        for paths in stage.inputs.values():
-            for path in paths:
-                if path in made and not made[path].has_result:
-                    return made[path].error
+        for path in stage.needs:
+            if path in made and not made[path].has_result:
+                return made[path].error
         for paths in stage.parts.values():
             if not any(made[path].has_result for path in paths):
                 return made[paths[0]].error
         return None
 
-    def _start(self, stage: Stage) -> None:
-        stamps = {path: stamp_of(path) for path in stage.reads if path.is_file()}
-        key = key_of(stage, software(), self.contents, self.root)
-        self._begun[stage.name] = _Begun(key=key, stamps=stamps, since=time.monotonic())
-        self.workers.start(stage)
-        self.reporter.progress(stage.name, 0, 100)
+    def _ended(self) -> Iterator[Outcome]:
+        """Wait for a moment, pass events on, and yield the outcomes of stages that have ended."""
+        done, _ = wait(self._begun, timeout=_POLL_S, return_when=FIRST_COMPLETED)
+        while not self.pool.events.empty():
+            self._relay(self.pool.events.get())
+        for future in done:
+            answer = future.result()
+            yield self._outcome(self._begun.pop(future), answer)
 
-    def _relay(self, stage: Stage, event: Event) -> None:
-        """Pass on what a worker says."""
-        begun = self._begun[stage.name]
-        if event["event"] == "log":
-            if event["level"] == "warning":
-                begun.warnings.append(event["message"])
-            if event["message"] not in self._said:  # each stage that reads the map tells of it
-                self._said.add(event["message"])
-                self.reporter.log(f"{stage.name}: {event['message']}", event["level"])
-            return
-        if event["phase"] not in begun.phases:
-            begun.phases.append(event["phase"])
-        share = event["done"] / event["total"] if event["total"] else 0.0
-        past = begun.phases.index(event["phase"]) + min(share, 1.0)
-        self.reporter.progress(stage.name, min(int(100 * past / stage.phases), 99), 100)
+    def _crash(self) -> GisRadarError:
+        """Return the error of a worker that ended in the midst of its work."""
+        names = ", ".join(each.stage.name for each in self._begun.values())
+        return GisRadarError(
+            f"{names}: a worker process ended{self.pool.why_broken()}",
+            hint="if memory ran out, use fewer at once: --jobs 1",
+        )
 
-    def _ended(self, stage: Stage, event: Event) -> Outcome:
-        """Return how a stage ended, and keep a record of what need not be done again."""
-        begun = self._begun.pop(stage.name)
-        if event["event"] == "crash":
-            raise RuntimeError(f"{stage.name}: fault in gis_radar\n{event['trace']}")
-        error = None if event["event"] == "done" else _error(stage, event)
+    def _relay(self, event: Event) -> None:
+        """Pass on progress and remarks of a stage."""
+        begun = next((b for b in self._begun.values() if b.stage.name == event["stage"]), None)
+        if "message" in event:
+            if event["message"] not in self._logged:  # each stage that reads the map repeats it
+                self._logged.add(event["message"])
+                self.reporter.log(f"{event['stage']}: {event['message']}", event["level"])
+        elif begun is not None:
+            if event["phase"] not in begun.phases:
+                begun.phases.append(event["phase"])
+            share = event["done"] / event["total"] if event["total"] else 0.0
+            past = begun.phases.index(event["phase"]) + min(share, 1.0)
+            percent = min(int(100 * past / begun.stage.phases), 99)
+            self.reporter.progress(begun.stage.name, percent, 100)
+
+    def _outcome(self, begun: _Begun, answer: Answer) -> Outcome:
+        """Return how a stage ended, and record what need not be done again."""
+        stage, error = begun.stage, answer.error
+        if answer.fault:
+            raise RuntimeError(f"{stage.name}: fault in gis_radar\n{answer.fault}")
+        if isinstance(error, OutputError):
+            raise error  # no other stage could write either
+        failed: Ending = "refused" if isinstance(error, NoAnswerError) else "failed"
         outcome = Outcome(
             stage=stage,
-            state=_state(error),
-            figures=event.get("figures", {}),
-            warnings=tuple(begun.warnings),
+            state=failed if error else "done",
+            figures=answer.figures,
+            warnings=tuple(answer.warnings),
             error=error,
             seconds=round(time.monotonic() - begun.since, 2),
         )
-        if outcome.state in {"done", "refused"} and self._unchanged(stage, begun):
-            self._keep(outcome, begun.key)
+        if outcome.state != "failed" and self._unchanged(begun):
+            self.state.keep(outcome, begun.key)
         return outcome
 
-    def _unchanged(self, stage: Stage, begun: _Begun) -> bool:
-        """Tell whether the inputs are still those that the key speaks of."""
+    def _unchanged(self, begun: _Begun) -> bool:
+        """Return whether the inputs are still those of the key."""
         for path, stamp in begun.stamps.items():
             if not path.exists() or stamp_of(path) != stamp:
                 self.reporter.log(
-                    f"{stage.name}: {path} has changed meanwhile: run again", "warning"
+                    f"{begun.stage.name}: {path} has changed meanwhile: run again", "warning"
                 )
                 return False
         return True
-
-    def _keep(self, outcome: Outcome, key: str) -> None:
-        stage, error = outcome.stage, outcome.error
-        record = Record(
-            name=stage.name,
-            key=key,
-            outputs={} if error else self.records.held(stage, self.contents),
-            figures=outcome.figures,
-            warnings=outcome.warnings,
-            refusal={"message": error.message, "hint": error.hint} if error else None,
-            seconds=outcome.seconds,
-        )
-        self.records.write(record)
-        self.contents.save()
 
     def _settle(self, outcome: Outcome) -> None:
         stage = outcome.stage
@@ -227,23 +213,3 @@ def discard(paths: Sequence[Path]) -> None:
             path.unlink(missing_ok=True)
         if path.parent.is_dir() and not any(path.parent.iterdir()):
             path.parent.rmdir()
-
-
-def _state(error: GisRadarError | None) -> State:
-    if error is None:
-        return "done"
-    return "refused" if isinstance(error, NoAnswerError) else "failed"
-
-
-def _error(stage: Stage, event: dict[str, Any]) -> GisRadarError:
-    if event["event"] == "gone":
-        code = event["code"]
-        how = f"signal {-code}" if code < 0 else f"exit code {code}"
-        raise GisRadarError(
-            f"{stage.name}: its process ended with {how}",
-            hint="if memory ran out, use fewer at once: --jobs 1",
-        )
-    error = KINDS[event["kind"]](event["message"], hint=event["hint"])
-    if isinstance(error, OutputError):
-        raise error  # no other stage could write either
-    return error

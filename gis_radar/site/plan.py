@@ -1,21 +1,109 @@
-"""The stages of a site: from its file to all that a run makes."""
+"""The stages of a site as data: what each reads and makes, in what function."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import asdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+from gis_radar.errors import GisRadarError
 from gis_radar.heatmap.heatmap import REPORT_FILES
-from gis_radar.site.sensor import ConvertPart, Sensor
-from gis_radar.site.site import Site
-from gis_radar.site.stage import Stage
+from gis_radar.site import stages
+from gis_radar.site.settings import ConvertSettings, Sensor, Site
 
 OWNED = (
     "road.", "tiles.gpkg", "sensors", "occupancy", "heatmap", "site.qgz", "site_", "run.json",
     "summary.md", *REPORT_FILES,
 )  # fmt: skip
+
+
+Ending = Literal["done", "kept", "refused", "failed", "skipped"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stage:
+    """A step from files to files, as data.
+
+    Parameters
+    ----------
+    name : str
+        Shown to the user, and the name of its record.
+    work : callable
+        A function of :mod:`gis_radar.site.stages`.
+    inputs : mapping
+        Files and folders, one or a tuple, by the function's arguments; all are needed.
+    parts : mapping
+        The same, of which those are taken that are there: at least one a tuple.
+    options : mapping
+        The function's other arguments; what JSON can hold.
+    outputs : tuple of Path
+        What it makes, in the order in which the function takes them.
+    phases : int
+        How many bars its work would show by itself.
+    sensor : str
+        The sensor it works for: if it fails, other sensors go on. Empty where all depends on it.
+    """
+
+    name: str
+    work: Callable[..., Mapping[str, Any]]
+    inputs: Mapping[str, Path | tuple[Path, ...]]
+    outputs: tuple[Path, ...]
+    parts: Mapping[str, tuple[Path, ...]] = field(default_factory=dict)
+    options: Mapping[str, Any] = field(default_factory=dict)
+    phases: int = 1
+    sensor: str = ""
+
+    @property
+    def reads(self) -> tuple[Path, ...]:
+        """All that it may read."""
+        return (*self.needs, *(path for paths in self.parts.values() for path in paths))
+
+    @property
+    def needs(self) -> tuple[Path, ...]:
+        """All that must be there."""
+        given = self.inputs.values()
+        return tuple(p for each in given for p in ([each] if isinstance(each, Path) else each))
+
+    @property
+    def arguments(self) -> dict[str, Any]:
+        """The function's arguments but its outputs; of the parts those that are there."""
+        there = {name: [p for p in paths if p.exists()] for name, paths in self.parts.items()}
+        return {**self.inputs, **there, **self.options}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """End of a stage.
+
+    Parameters
+    ----------
+    stage : Stage
+        The stage.
+    state : str
+        `done` now, `kept` from an earlier run, `refused` for want of a trustworthy answer, `failed`
+        for bad data, `skipped` because what it needs is missing.
+    figures : mapping
+        What is worth a look.
+    warnings : sequence of str
+        The warnings of its work.
+    error : GisRadarError, optional
+        Why there is no result.
+    seconds : float
+        How long it took, now or then.
+    """
+
+    stage: Stage
+    state: Ending
+    figures: Mapping[str, Any] = field(default_factory=dict)
+    warnings: Sequence[str] = ()
+    error: GisRadarError | None = None
+    seconds: float = 0.0
+
+    @property
+    def has_result(self) -> bool:
+        """Whether its outputs are there."""
+        return self.state in {"done", "kept"}
 
 
 def stages_of(site: Site, folder: Path) -> list[Stage]:
@@ -28,12 +116,14 @@ def stages_of(site: Site, folder: Path) -> list[Stage]:
     folder : Path
         Where the results go.
     """
-    road = () if site.scan is None else (folder / "road.laz",)
-    poses = [_pose(site, sensor, folder, road) for sensor in site.sensor]
+    road = None if site.scan is None else folder / "road.laz"
+    poses = [_pose(sensor, folder) for sensor in site.sensor]
+    lost = [sensor for sensor in site.sensor if sensor.pose is None]
     return [
         *_road(site, folder),
         *(stage for sensor in site.sensor for stage in _conversion(sensor, folder)),
         # Poses take longest, so they come as early as they can.
+        *(_localization(site, sensor, folder, road) for sensor in lost if road),
         *poses,
         _tiles(site, folder, road),
         *(
@@ -56,27 +146,27 @@ def _road(site: Site, folder: Path) -> Iterator[Stage]:
     if scan.road is not None:
         yield Stage(
             name="road",
-            work="take_road",
-            inputs={"road": (scan.road,)},
+            work=stages.road_stage,
+            inputs={"road": scan.road},
             outputs=(folder / "road.laz",),
         )
         return
     yield Stage(
         name="mask",
-        work="mask",
-        inputs={"map_file": (site.map.file,), "scans": scan.files},
+        work=stages.mask_stage,
+        inputs={"map_file": site.map.file, "scans": scan.files},
         options={**_map_options(site), "scan_crs": scan.crs, "engine": scan.engine},
         outputs=tuple(folder / f"road.{end}" for end in ("laz", "pipeline.json", "roads.gpkg")),
         phases=3,
     )
 
 
-def _tiles(site: Site, folder: Path, road: tuple[Path, ...]) -> Stage:
+def _tiles(site: Site, folder: Path, road: Path | None) -> Stage:
     subtypes = site.map.subtypes
     return Stage(
         name="tiles",
-        work="tiles",
-        inputs={"map_file": (site.map.file,)} | ({"road": road} if road else {}),
+        work=stages.tiles_stage,
+        inputs={"map_file": site.map.file} | ({"road": road} if road else {}),
         options={**_map_options(site), "length": site.tiles.length, "subtypes": subtypes},
         outputs=(folder / "tiles.gpkg",),
         phases=2,
@@ -84,21 +174,22 @@ def _tiles(site: Site, folder: Path, road: tuple[Path, ...]) -> Stage:
 
 
 def _occupancy(site: Site, sensor: Sensor, pose: Stage, folder: Path) -> Stage:
-    filters = asdict(site.occupancy)
+    filters = site.occupancy.model_dump()
     clocks = filters.pop("clocks")
     filters["elevation_error_deg"] = filters.pop("elevation_error")
     return Stage(
         name=f"occupancy {sensor.name}",
-        work="occupancy",
+        work=stages.occupancy_stage,
         inputs={
             "recordings": _recordings(sensor, folder),
-            "pose": pose.outputs[:1],
-            "tile_file": (folder / "tiles.gpkg",),
-            **({"clocks": (clocks,)} if clocks else {}),
+            "pose": pose.outputs[0],
+            "tile_file": folder / "tiles.gpkg",
+            **({"clocks": clocks} if clocks else {}),
         },
         options={
             "sensor": sensor.name,
-            "view": _view(sensor),
+            # a pose has its view already, a track as it was given
+            "view": _view(sensor) if pose.outputs[0].suffix == ".csv" else None,
             "filters": filters,
             "cycle": sensor.cycle,
         },
@@ -122,9 +213,9 @@ def _conversion(sensor: Sensor, folder: Path) -> Iterator[Stage]:
     if sensor.foreign:
         yield Stage(
             name=f"convert {sensor.name}",
-            work="convert",
+            work=stages.convert_stage,
             inputs={"recordings": sensor.foreign},
-            options=asdict(sensor.convert or ConvertPart()),
+            options=(sensor.convert or ConvertSettings()).model_dump(),
             outputs=(_converted(sensor, folder),),
             phases=2,
             sensor=sensor.name,
@@ -132,20 +223,18 @@ def _conversion(sensor: Sensor, folder: Path) -> Iterator[Stage]:
 
 
 def _view(sensor: Sensor) -> dict[str, float] | None:
-    return None if sensor.view is None else asdict(sensor.view)
+    return None if sensor.view is None else sensor.view.model_dump()
 
 
-def _pose(site: Site, sensor: Sensor, folder: Path, road: tuple[Path, ...]) -> Stage:
-    if sensor.pose is not None:
-        return _given_pose(sensor, sensor.pose, folder)
+def _localization(site: Site, sensor: Sensor, folder: Path, road: Path) -> Stage:
     place = folder / "sensors" / sensor.name
     scans = site.scan.files if site.scan else ()
     return Stage(
         name=f"localize {sensor.name}",
-        work="find_pose",
+        work=stages.localize_stage,
         inputs={
             "recordings": _recordings(sensor, folder),
-            "map_file": (site.map.file,),
+            "map_file": site.map.file,
             "road": road,
             **({"scans": scans} if scans else {}),
         },
@@ -156,23 +245,24 @@ def _pose(site: Site, sensor: Sensor, folder: Path, road: tuple[Path, ...]) -> S
             "heading": sensor.heading,
             "compass": sensor.compass,
             "method": sensor.method,
-            "view": _view(sensor),
             "scan_crs": site.scan.crs if site.scan else None,
         },
-        outputs=(place / "pose.json", place / "localization.png"),
+        outputs=(place / "localization.json", place / "localization.png"),
         phases=5 if scans else 3,
         sensor=sensor.name,
     )
 
 
-def _given_pose(sensor: Sensor, pose: Path, folder: Path) -> Stage:
+def _pose(sensor: Sensor, folder: Path) -> Stage:
+    place = folder / "sensors" / sensor.name
+    pose = sensor.pose or place / "localization.json"
     is_track = pose.suffix.lower() == ".csv"
     return Stage(
         name=f"pose {sensor.name}",
-        work="take_pose",
-        inputs={"pose": (pose,)},
-        options={"sensor": sensor.name, "view": _view(sensor)},
-        outputs=(folder / "sensors" / sensor.name / ("track.csv" if is_track else "pose.json"),),
+        work=stages.pose_stage,
+        inputs={"pose": pose},
+        options={"sensor": sensor.name, "view": _view(sensor), "given": sensor.pose is not None},
+        outputs=(place / ("track.csv" if is_track else "pose.json"),),
         sensor=sensor.name,
     )
 
@@ -182,8 +272,8 @@ def _heat_maps(site: Site, folder: Path) -> Iterator[Stage]:
         end = f"_{interval}" if number else ""
         yield Stage(
             name=f"heat map{end.replace('_', ' ')}",
-            work="heat_map",
-            inputs={"tile_file": (folder / "tiles.gpkg",)},
+            work=stages.heatmap_stage,
+            inputs={"tile_file": folder / "tiles.gpkg"},
             parts={"occupancies": tuple(folder / "occupancy" / each.name for each in site.sensor)},
             options={"interval": interval},
             outputs=(folder / f"heatmap{end}",),
@@ -194,8 +284,8 @@ def _heat_maps(site: Site, folder: Path) -> Iterator[Stage]:
 def _project(site: Site, poses: list[Stage], folder: Path) -> Stage:
     return Stage(
         name="QGIS project",
-        work="qgis_project",
-        inputs={"heat": (folder / "heatmap",)},
+        work=stages.project_stage,
+        inputs={"heat": folder / "heatmap"},
         parts={
             "poses": tuple(pose.outputs[0] for pose in poses),
             "occupancies": tuple(folder / "occupancy" / each.name for each in site.sensor),
@@ -223,8 +313,8 @@ def report_of(site: Site, folder: Path) -> Stage:
     """
     return Stage(
         name="report",
-        work="report",
-        inputs={"heat": (folder / "heatmap",), "told": (folder / "run.json",)},
+        work=stages.report_stage,
+        inputs={"heat": folder / "heatmap", "run": folder / "run.json"},
         parts={"occupancies": tuple(folder / "occupancy" / each.name for each in site.sensor)},
         outputs=tuple(folder / name for name in REPORT_FILES),
         phases=3,

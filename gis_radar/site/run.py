@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,21 +14,20 @@ from gis_radar.errors import GisRadarError, InputError, NoAnswerError, OutputErr
 from gis_radar.files import only_writer, refuse_inputs
 from gis_radar.notebooks import card
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.site.contents import Contents
 from gis_radar.site.execution import Execution, discard
-from gis_radar.site.plan import OWNED, report_of, stages_of
-from gis_radar.site.records import Records
-from gis_radar.site.site import Site, read_site
-from gis_radar.site.stage import Outcome, Stage
-from gis_radar.site.summary import figures_of, write_summary
-from gis_radar.site.workers import Workers, workers_here
+from gis_radar.site.plan import OWNED, Outcome, Stage, report_of, stages_of
+from gis_radar.site.settings import Site, read_site
+from gis_radar.site.state import State
+from gis_radar.site.summary import run_figures, write_summary
+from gis_radar.site.worker import process_pool
 
 STATE = ".gis-radar"
+_MEMORY_EACH = 1 << 30  # bytes for one worker: what localizing a sensor takes, rounded up
 
 
 @dataclass(frozen=True, kw_only=True)
 class SiteRun:
-    """What a run made of a site.
+    """Results of a run of a site.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class SiteRun:
 
     def figures(self) -> Mapping[str, Any]:
         """Return figures worth a look, by name."""
-        return figures_of(self.outcomes, self.site)
+        return run_figures(self.outcomes, self.site)
 
     def __repr__(self) -> str:
         lost = [f"; no result for {name}: {why.message}" for name, why in self.missing.items()]
@@ -121,7 +121,7 @@ def run_site(
     fresh : bool
         Do all again, whatever is there.
     reporter : Reporter
-        Hears how far the work is.
+        Shows how far the work is.
 
     Returns
     -------
@@ -147,31 +147,22 @@ def run_site(
         stack.enter_context(only_writer(Path(folder), lock=state / "lock", reporter=reporter))
         scratch = _cleared(root, state)
         stack.callback(shutil.rmtree, scratch, ignore_errors=True)
-        contents = Contents(state / "contents.json")
-        records = Records(state / "stages", root)
-        _forget(records, [*stages, last], fresh=fresh, reporter=reporter)
-        _look_at(site, contents, reporter)
-        write_summary(site, root, (), contents)
-        executions = (
-            Execution(
-                stages=some,
-                root=root,
-                records=records,
-                contents=contents,
-                workers=Workers(jobs or workers_here(), scratch),
-                reporter=reporter,
-            )
-            for some in (stages, [*stages, last])
-        )
+        kept = State(state / "state.json", root)
+        _forget(kept, [*stages, last], fresh=fresh, reporter=reporter)
+        _hash_inputs(site, kept, reporter)
+        write_summary(site, root, (), kept)
+        pool = stack.enter_context(process_pool(jobs or workers_here(), scratch))
         try:
-            outcomes = next(executions).run()
-            write_summary(site, root, outcomes, contents)
-            # The report tells of the other stages, so it comes once they are all told of.
-            outcomes = next(executions).run(outcomes)
+            first = Execution(stages=stages, state=kept, pool=pool, reporter=reporter)
+            outcomes = first.run()
+            write_summary(site, root, outcomes, kept)
+            # The report describes the other stages, so it is made once they have ended.
+            second = Execution(stages=[*stages, last], state=kept, pool=pool, reporter=reporter)
+            outcomes = second.run(outcomes)
         except KeyboardInterrupt:
             reporter.log("stopped; what is done stays done: the same call goes on from there")
             raise
-        contents.save()
+        kept.save()
     return SiteRun(site=site, folder=Path(folder), outcomes=outcomes)
 
 
@@ -186,7 +177,7 @@ def _prepared(root: Path) -> Path:
                     f"{root}: holds {foreign[0]!r}, which is not part of a run",
                     hint="name a new or an empty folder",
                 )
-        (state / "stages").mkdir(parents=True, exist_ok=True)
+        state.mkdir(parents=True, exist_ok=True)
         (state / ".gitignore").write_text("*\n", encoding="utf-8")
     except OSError as error:
         raise OutputError(f"{root}: cannot be written: {error.strerror or error}") from error
@@ -204,19 +195,19 @@ def _cleared(root: Path, state: Path) -> Path:
     return scratch
 
 
-def _forget(records: Records, stages: Sequence[Stage], *, fresh: bool, reporter: Reporter) -> None:
+def _forget(state: State, stages: Sequence[Stage], *, fresh: bool, reporter: Reporter) -> None:
     """Forget stages that are no more, with their results; all of them where all is done again."""
-    kept = {path for stage in stages for path in stage.outputs}
-    for name in records.names():
-        gone = name not in {stage.name for stage in stages}
-        if gone or fresh:
-            outputs = [path for path in records.forget(name) if path not in kept]
+    names = {stage.name for stage in stages}
+    made = {path for stage in stages for path in stage.outputs}
+    for name in sorted(state.records):
+        if name not in names or fresh:
+            outputs = [path for path in state.forget(name) if path not in made]
             discard(outputs)
-            if gone and outputs:
+            if name not in names and outputs:
                 reporter.log(f"{name}: no longer part of the site, its results were removed")
 
 
-def _look_at(site: Site, contents: Contents, reporter: Reporter) -> None:
+def _hash_inputs(site: Site, state: State, reporter: Reporter) -> None:
     """Hash what the run reads; what was read before and has not changed takes no time."""
     files = list(dict.fromkeys(site.inputs))
     total, done = sum(path.stat().st_size for path in files), 0
@@ -227,5 +218,29 @@ def _look_at(site: Site, contents: Contents, reporter: Reporter) -> None:
         reporter.progress("looking at the inputs", done, total)
 
     for path in files:
-        contents.of(path, count)
+        state.hash_of(path, count)
     reporter.progress("looking at the inputs", total, total)
+
+
+def workers_here() -> int:
+    """Return how many workers this machine has cores and memory for."""
+    if hasattr(os, "sched_getaffinity"):
+        cores = len(os.sched_getaffinity(0))
+    else:
+        cores = os.cpu_count() or 1
+    memory = _free_memory()
+    return cores if memory is None else max(1, min(cores, memory // _MEMORY_EACH))
+
+
+def _free_memory() -> int | None:
+    """Return the bytes that new processes may use; None where the system does not state it."""
+    group = Path("/sys/fs/cgroup")
+    found = []
+    with suppress(OSError, ValueError):
+        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+        named = dict(line.split(":", 1) for line in lines)
+        found.append(int(named["MemAvailable"].split()[0]) * 1024)
+    with suppress(OSError, ValueError):
+        most = int((group / "memory.max").read_text(encoding="ascii"))
+        found.append(most - int((group / "memory.current").read_text(encoding="ascii")))
+    return min(found, default=None)

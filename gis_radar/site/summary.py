@@ -1,28 +1,27 @@
-"""What a run says of itself, beside its results: `run.json` for programs, `summary.md` to read."""
+"""The record of a run beside its results: `run.json` for programs, `summary.md` to read."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import fields, is_dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from gis_radar.files import whole_file
-from gis_radar.site.contents import Contents
-from gis_radar.site.site import Site
-from gis_radar.site.software import software
-from gis_radar.site.stage import Outcome
+from gis_radar.site import stages
+from gis_radar.site.plan import Outcome
+from gis_radar.site.settings import Site, Table
+from gis_radar.site.state import State, software
 from gis_radar.steps import zone_of
 
 _POSE = ("easting", "northing", "height", "yaw", "pitch", "roll")
 
 
-def write_summary(site: Site, root: Path, outcomes: Sequence[Outcome], contents: Contents) -> None:
+def write_summary(site: Site, root: Path, outcomes: Sequence[Outcome], state: State) -> None:
     """Write `run.json`, and `summary.md` of a run that has ended.
 
-    Nothing in them tells when or how long: a run that was resumed writes the same as one that was
+    They hold neither time nor duration: a run that was resumed writes the same as one that was
     not.
 
     Parameters
@@ -33,15 +32,15 @@ def write_summary(site: Site, root: Path, outcomes: Sequence[Outcome], contents:
         The folder of the run.
     outcomes : sequence of Outcome
         How each stage ended; empty where the run only begins.
-    contents : Contents
-        What the inputs hold.
+    state : State
+        Holds the hashes of the inputs.
     """
     base = site.path.parent.resolve()
     document = {
         "finished": bool(outcomes),
         "site": _plain(site, base),
         "sensors_in_heat_maps": sensors_in(outcomes),
-        "inputs": {_relative(path, base): contents.of(path) for path in (site.path, *site.inputs)},
+        "inputs": {_relative(p, base): state.hash_of(p) for p in (site.path, *site.inputs)},
         "software": software(),
         "stages": [_stage(each, base, root) for each in outcomes],
     }
@@ -58,15 +57,17 @@ def write_summary(site: Site, root: Path, outcomes: Sequence[Outcome], contents:
 
 def sensors_in(outcomes: Sequence[Outcome]) -> list[str]:
     """Return the sensors that the heat maps are made of."""
-    return sorted(
-        each.stage.sensor for each in outcomes if each.stage.work == "occupancy" and each.has_result
-    )
+    return sorted(each.stage.sensor for each in _made_by(stages.occupancy_stage, outcomes))
 
 
-def figures_of(outcomes: Sequence[Outcome], site: Site) -> dict[str, Any]:
+def _made_by(work: Callable[..., Any], outcomes: Sequence[Outcome]) -> list[Outcome]:
+    return [each for each in outcomes if each.stage.work is work and each.has_result]
+
+
+def run_figures(outcomes: Sequence[Outcome], site: Site) -> dict[str, Any]:
     """Return the figures of a run that are worth a look."""
     by_work = {each.stage.work: each for each in reversed(outcomes) if each.has_result}
-    heat, tiles = by_work.get("heat_map"), by_work.get("tiles")
+    heat, tiles = by_work.get(stages.heatmap_stage), by_work.get(stages.tiles_stage)
     kept = sum(each.state == "kept" for each in outcomes)
     return {
         "site": site.title,
@@ -74,7 +75,7 @@ def figures_of(outcomes: Sequence[Outcome], site: Site) -> dict[str, Any]:
         "heat_maps_show": sensors_in(outcomes) if heat else [],
         **({"tiles": tiles.figures["tiles"]} if tiles else {}),
         **({} if heat is None else _heat(heat.figures)),
-        "warnings": len(warnings_of(outcomes)),
+        "warnings": len(_warnings(outcomes)),
         "stages": len(outcomes),
         "stages_done_before": kept,
     }
@@ -85,7 +86,7 @@ def _heat(figures: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def sensors_of(outcomes: Sequence[Outcome], site: Site) -> dict[str, dict[str, Any]]:
-    """Return what became of each sensor: its pose, or why there is none."""
+    """Return the pose of each sensor, or why there is none."""
     found: dict[str, dict[str, Any]] = {sensor.name: {} for sensor in site.sensor}
     for each in outcomes:
         if not each.stage.sensor:
@@ -94,8 +95,9 @@ def sensors_of(outcomes: Sequence[Outcome], site: Site) -> dict[str, dict[str, A
         if each.error is not None:
             reason = each.error.message.removeprefix(f"{each.stage.sensor}: ")
             facts.setdefault("state", reason)
-        elif each.stage.work in {"find_pose", "take_pose"}:
-            facts.update(each.figures)
+        elif each.stage.work in {stages.localize_stage, stages.pose_stage}:
+            # how a pose was found comes first, and counts
+            found[each.stage.sensor] = {**each.figures, **facts}
     return {name: {"state": "ok"} | facts for name, facts in found.items()}
 
 
@@ -104,8 +106,8 @@ def _facts(facts: Mapping[str, Any]) -> dict[str, Any]:
     return {name: facts[name] for name in names if name in facts}
 
 
-def warnings_of(outcomes: Sequence[Outcome]) -> list[str]:
-    """Return what the stages warned of, each warning once, after the stages that did."""
+def _warnings(outcomes: Sequence[Outcome]) -> list[str]:
+    """Return the warnings of the stages, each once, after the names of its stages."""
     by_text: dict[str, list[str]] = {}
     for each in outcomes:
         for text in each.warnings:
@@ -129,8 +131,8 @@ def _stage(outcome: Outcome, base: Path, root: Path) -> dict[str, Any]:
 
 def _plain(value: Any, base: Path) -> Any:
     """Return a site as what JSON can hold, its paths relative to its file where they can be."""
-    if is_dataclass(value):
-        return {each.name: _plain(getattr(value, each.name), base) for each in fields(value)}
+    if isinstance(value, Table):
+        return {name: _plain(each, base) for name, each in value}
     if isinstance(value, Path):
         return _relative(value, base)
     if isinstance(value, Mapping):
@@ -149,7 +151,7 @@ def _relative(path: Path, *bases: Path) -> str:
 def _summary(site: Site, outcomes: Sequence[Outcome]) -> Iterator[str]:
     """Yield the lines of the summary."""
     yield from (f"# {site.title}", "")
-    heat = [each for each in outcomes if each.stage.work == "heat_map" and each.has_result]
+    heat = _made_by(stages.heatmap_stage, outcomes)
     if heat:
         begin, end = (_local(heat[0].figures[name], site) for name in ("begin", "end"))
         yield from (f"From {begin} to {end} ({site.time_zone}).", "")
@@ -162,7 +164,7 @@ def _summary(site: Site, outcomes: Sequence[Outcome]) -> Iterator[str]:
         numbers = [str(facts.get(each, "")) for each in (*_POSE, "fitness", "second_look")]
         yield f"| {name} | {' | '.join(numbers)} | {facts['state']} |"
     yield from ("", "Positions in metres of the map frame, angles in degrees.", "")
-    yield from _listed("Warnings", warnings_of(outcomes))
+    yield from _listed("Warnings", _warnings(outcomes))
     sources = (("map", site.map.source), ("scan", site.scan.source if site.scan else None))
     named = [f"{what}: {source}" for what, source in sources if source]
     yield from _listed("Sources", [*named, *site.attribution])

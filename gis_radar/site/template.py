@@ -1,14 +1,13 @@
-"""The schema of a site file as texts: a template to fill in, and the reference."""
+"""The template of a site file and the reference of its keys, from the fields of the models."""
 
 from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterator
-from dataclasses import Field
-from typing import Any
 
-from gis_radar.site.schema import TableKind, is_required, keys_of
-from gis_radar.site.site import Site
+from pydantic.fields import FieldInfo
+
+from gis_radar.site.settings import Site, Table, is_repeated, table_of, value_of
 
 _HEAD = """\
 # A site of gis_radar. Lines without # must be filled in; the others show what else there is.
@@ -24,38 +23,20 @@ def site_template() -> str:
     return "\n".join([_HEAD, *_template(Site, "")]).rstrip() + "\n"
 
 
-def _template(kind: Any, path: str) -> Iterator[str]:
+def _template(table: type[Table], path: str) -> Iterator[str]:
     """Yield the lines of a table: first its keys, then the tables below it."""
-    below = []
-    for name, each in keys_of(kind).items():
-        if isinstance(each.metadata["kind"], TableKind):
-            below.append((name, each))
-            continue
-        needed = is_required(each) or (path, name) in _GIVEN
-        yield from textwrap.wrap(_said(each), _WIDTH, initial_indent="# ", subsequent_indent="# ")
-        yield f"{'' if needed else '# '}{name} = {each.metadata['example']}"
+    keys, below = _parts(table)
+    for name, field in keys.items():
+        needed = field.is_required() or (path, name) in _GIVEN
+        text = f"{field.description} ({value_of(field)}; {_default(field)})"
+        yield from textwrap.wrap(text, _WIDTH, initial_indent="# ", subsequent_indent="# ")
+        yield f"{'' if needed else '# '}{name} = {(field.examples or [''])[0]}"
     yield ""
-    for name, each in below:
+    for name, (field, inner) in below.items():
         whole = f"{path}.{name}" if path else name
-        table: TableKind = each.metadata["kind"]
         off = "# " if whole.startswith("sensor.") else ""
-        yield f"{off}{_header(whole, table)}  # {each.metadata['meaning']}"
-        yield from _template(table.table, whole)
-
-
-def _header(path: str, kind: TableKind) -> str:
-    return f"[[{path}]]" if kind.repeated else f"[{path}]"
-
-
-def _said(each: Field[Any]) -> str:
-    return f"{each.metadata['meaning']} ({each.metadata['kind'].says}; {_default(each)})"
-
-
-def _default(each: Field[Any]) -> str:
-    if is_required(each):
-        return "required"
-    shown = each.metadata["shown"]
-    return f"default {each.default if shown is None else shown}"
+        yield f"{off}{_header(whole, field)}  # {field.description}"
+        yield from _template(inner, whole)
 
 
 def site_reference() -> str:
@@ -63,18 +44,35 @@ def site_reference() -> str:
     return "\n".join(_reference(Site, "", "At the top")).rstrip() + "\n"
 
 
-def _reference(kind: Any, path: str, title: str) -> Iterator[str]:
-    below = []
+def _reference(table: type[Table], path: str, title: str) -> Iterator[str]:
+    keys, below = _parts(table)
     yield from (f"### {title}", "", "| key | value | what it is |", "|---|---|---|")
-    for name, each in keys_of(kind).items():
-        if isinstance(each.metadata["kind"], TableKind):
-            below.append((name, each))
-            continue
-        says = each.metadata["kind"].says.replace("|", "\\|").replace("*", "\\*")
-        meaning = each.metadata["meaning"].replace("|", "\\|")
-        yield f"| `{name}` | {says}; {_default(each)} | {meaning} |"
+    for name, field in keys.items():
+        value = value_of(field).replace("|", "\\|").replace("*", "\\*")
+        meaning = (field.description or "").replace("|", "\\|")
+        yield f"| `{name}` | {value}; {_default(field)} | {meaning} |"
     yield ""
-    for name, each in below:
+    for name, (field, inner) in below.items():
         whole = f"{path}.{name}" if path else name
-        table: TableKind = each.metadata["kind"]
-        yield from _reference(table.table, whole, f"`{_header(whole, table)}`")
+        yield from _reference(inner, whole, f"`{_header(whole, field)}`")
+
+
+def _parts(
+    table: type[Table],
+) -> tuple[dict[str, FieldInfo], dict[str, tuple[FieldInfo, type[Table]]]]:
+    """Return the keys of a table, and the tables below it."""
+    fields = table.model_fields
+    below = {name: (field, inner) for name, field in fields.items() if (inner := table_of(field))}
+    return {name: field for name, field in fields.items() if name not in below}, below
+
+
+def _header(path: str, field: FieldInfo) -> str:
+    return f"[[{path}]]" if is_repeated(field) else f"[{path}]"
+
+
+def _default(field: FieldInfo) -> str:
+    if field.is_required():
+        return "required"
+    extra = field.json_schema_extra
+    shown = extra.get("shown") if isinstance(extra, dict) else None
+    return f"default {field.default if shown is None else shown}"

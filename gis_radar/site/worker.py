@@ -1,107 +1,247 @@
-"""A worker: a process that does stages one after another and tells how it goes.
-
-It reads tasks and writes events, a JSON object a line. It ends when its standard input does: with
-the run that started it, however that ends.
-"""
+"""Carry out a stage in a worker, and send its progress to the run."""
 
 from __future__ import annotations
 
-import importlib
-import json
 import os
-import queue
 import signal
 import sys
 import tempfile
-import threading
+import time
 import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from multiprocessing.context import SpawnContext, SpawnProcess
+from multiprocessing.queues import SimpleQueue
 from pathlib import Path
 from types import FrameType
-from typing import IO, Any
+from typing import Any, Protocol
 
+from gis_radar import errors
 from gis_radar.errors import GisRadarError, OutputError
+from gis_radar.processes import stop_workers, watch_parent
 from gis_radar.progress import Level, Reporter
 
+_REPORT_S = 0.05  # bars move 20 times a second at most: faster is not seen, and costs both ends
+_ENDED = 128 + signal.SIGTERM  # exit code of a worker that was asked to end
 
-class Voice(Reporter):
-    """Tells the run how a stage goes."""
+Event = dict[str, Any]
+Send = Callable[[Event], None]
 
-    def __init__(self, line: IO[str]) -> None:
-        self._line = line
+
+@dataclass(kw_only=True)
+class Answer:
+    """Result of a stage, as it comes back from a worker.
+
+    Parameters
+    ----------
+    figures : mapping
+        What is worth a look.
+    warnings : list of str
+        The warnings of its work.
+    error : GisRadarError, optional
+        Why there is no result.
+    fault : str
+        The traceback of an error that is ours; empty without one.
+    """
+
+    figures: Mapping[str, Any] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+    error: GisRadarError | None = None
+    fault: str = ""
+
+
+class _Sender(Reporter):
+    """Send progress and remarks of a stage to the run, and keep the warnings."""
+
+    def __init__(self, stage: str, send: Send) -> None:
+        self.warnings: list[str] = []
+        self._stage, self._send = stage, send
+        self._last: tuple[str, float] = ("", 0.0)
 
     def progress(self, stage: str, done: int, total: int | None) -> None:
-        """Say how far a part of the stage is."""
-        self.say(event="progress", phase=stage, done=done, total=total)
+        """Send how far a part of the stage is; the first and the last value always."""
+        now = time.monotonic()
+        phase, before = self._last
+        if phase != stage or done == total or now - before > _REPORT_S:
+            self._last = (stage, now)
+            self._send({"stage": self._stage, "phase": stage, "done": done, "total": total})
 
     def log(self, message: str, level: Level = "info") -> None:
-        """Say a remark."""
-        self.say(event="log", level=level, message=message)
-
-    def say(self, **event: Any) -> None:
-        """Write an event."""
-        self._line.write(json.dumps(event) + "\n")
-        self._line.flush()
+        """Send a remark."""
+        if level == "warning":
+            self.warnings.append(message)
+        self._send({"stage": self._stage, "message": message, "level": level})
 
 
-def main() -> None:
-    """Do what standard input asks for, until it ends."""
-    signal.signal(signal.SIGTERM, _interrupt)
-    tempfile.tempdir = sys.argv[1]
-    voice = Voice(_private_output())
-    tasks: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
-    threading.Thread(target=_listen, args=(tasks,), daemon=True).start()
-    try:
-        works = importlib.import_module(sys.argv[2]).WORKS  # takes seconds; meanwhile tasks wait
-        while True:
-            _do(works, tasks.get(), voice)
-    except (KeyboardInterrupt, BrokenPipeError):
-        os._exit(1)
+def carry_out(
+    name: str,
+    work: Callable[..., Mapping[str, Any]],
+    arguments: Mapping[str, Any],
+    outputs: Sequence[Path],
+    send: Send,
+) -> Answer:
+    """Carry out a stage; whatever goes wrong is part of the answer.
 
-
-def _private_output() -> IO[str]:
-    """Return standard output, which from now on is no place for what libraries print."""
-    line = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)
-    return line
-
-
-def _listen(tasks: queue.SimpleQueue[dict[str, Any]]) -> None:
-    for line in sys.stdin:
-        tasks.put(json.loads(line))
-    # Nobody waits for the work any more; what it started goes with it.
-    if hasattr(os, "killpg"):
-        os.killpg(os.getpgrp(), signal.SIGKILL)
-    os._exit(1)
-
-
-def _do(works: dict[str, Any], task: dict[str, Any], voice: Voice) -> None:
-    inputs = {name: [Path(path) for path in paths] for name, paths in task["inputs"].items()}
-    outputs = [Path(path) for path in task["outputs"]]
+    Parameters
+    ----------
+    name : str
+        The stage, as its events name it.
+    work : callable
+        A function of a module, so that every executor can send it.
+    arguments : mapping
+        What it takes beside `outputs` and `reporter`.
+    outputs : sequence of Path
+        What it makes; their folders are made here.
+    send : callable
+        Takes the events to the run: progress (`phase`, `done`, `total`) and remarks (`message`,
+        `level`), each with its `stage`.
+    """
+    reporter = _Sender(name, send)
+    answer = Answer(warnings=reporter.warnings)
     try:
         for output in outputs:
             output.parent.mkdir(parents=True, exist_ok=True)
-        figures = works[task["work"]](outputs=outputs, reporter=voice, **inputs, **task["options"])
-        voice.say(event="done", figures=figures)
+        answer.figures = work(outputs=list(outputs), reporter=reporter, **arguments)
     except GisRadarError as error:
-        _fail(voice, error)
-    except BrokenPipeError:
-        raise
+        named = next(kind for kind in type(error).__mro__ if kind.__module__ == errors.__name__)
+        answer.error = named(error.message, hint=error.hint)
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
-        _fail(voice, OutputError(f"{where}{error.strerror or error}"))
-    except Exception:  # noqa: BLE001 - told to the run, which raises it
-        voice.say(event="crash", trace=traceback.format_exc())
+        answer.error = OutputError(f"{where}{error.strerror or error}")
+    except SystemExit:  # by _end: what was half-written is gone
+        os._exit(_ENDED)
+    except Exception:  # noqa: BLE001 - the run raises it
+        answer.fault = traceback.format_exc()
+    return answer
 
 
-def _fail(voice: Voice, error: GisRadarError) -> None:
-    kind = type(error)
-    named = next(each.__name__ for each in kind.__mro__ if each.__module__ == "gis_radar.errors")
-    voice.say(event="error", kind=named, message=error.message, hint=error.hint)
+class Events(Protocol):
+    """Queue of the events that workers have sent."""
+
+    def empty(self) -> bool:
+        """Return whether there is none now."""
+
+    def get(self) -> Event:
+        """Take the next event."""
 
 
-def _interrupt(_signal: int, _frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
+@dataclass(frozen=True, kw_only=True)
+class Pool:
+    """An executor of stages, with the way of their events back to the run.
+
+    Parameters
+    ----------
+    executor : Executor
+        Any that can call a function of a module.
+    send : callable
+        Puts an event into `events`; the executor takes it to the workers.
+    events : queue
+        Events of all stages, read by the run.
+    why_broken : callable
+        Returns how a worker ended, for the message when one crashed.
+    """
+
+    executor: Executor
+    send: Send
+    events: Events
+    why_broken: Callable[[], str] = str
 
 
-if __name__ == "__main__":
-    main()
+@contextmanager
+def process_pool(jobs: int, scratch: Path) -> Iterator[Pool]:
+    """Provide processes for stages; when the block ends, they and what they started are gone.
+
+    Parameters
+    ----------
+    jobs : int
+        How many there may be.
+    scratch : Path
+        Where their temporary files go.
+    """
+    context = _WorkerContext()
+    events: SimpleQueue[Event] = context.SimpleQueue()
+    executor = ProcessPoolExecutor(
+        jobs, mp_context=context, initializer=_begin, initargs=(events, str(scratch))
+    )
+    try:
+        yield Pool(executor=executor, send=_send, events=events, why_broken=context.why_broken)
+    finally:
+        stop_workers(worker for worker in context.started if worker.pid is not None)
+        executor.shutdown(cancel_futures=True)
+        events.close()
+
+
+class _Worker(SpawnProcess):
+    """A process that does not run the caller's script again, and no terminal interrupts."""
+
+    def start(self) -> None:
+        """Start it with `__main__` hidden and interruptions blocked, which it inherits."""
+        main: dict[str, Any] = vars(sys.modules["__main__"])
+        shown = {"__spec__": main.get("__spec__"), "__file__": main.pop("__file__", None)}
+        main["__spec__"] = None
+        with _interruptions_blocked():
+            try:
+                super().start()
+            finally:
+                main.update({name: value for name, value in shown.items() if value is not None})
+
+
+@contextmanager
+def _interruptions_blocked() -> Iterator[None]:
+    if sys.platform == "win32":
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+class _WorkerContext(SpawnContext):
+    """The way a pool starts workers, which remembers them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.started: list[_Worker] = []
+
+    def Process(self, *args: Any, **options: Any) -> _Worker:  # type: ignore[override]  # noqa: N802
+        """Make a worker."""
+        self.started.append(_Worker(*args, **options))
+        return self.started[-1]
+
+    def why_broken(self) -> str:
+        """Return the signal or the exit code of the worker that ended before it was asked to."""
+        asked = {-signal.SIGTERM, _ENDED}
+        code, end = 0, time.monotonic() + 1.0  # the pool may know of an end before the system does
+        while not code and time.monotonic() < end:
+            time.sleep(0.01)
+            codes = (each.exitcode for each in self.started)
+            code = next((each for each in codes if each and each not in asked), 0)
+        return f" with signal {-code}" if code < 0 else f" with exit code {code}" if code else ""
+
+
+_events: SimpleQueue[Event] | None = None  # of this worker
+
+
+def _begin(events: SimpleQueue[Event], scratch: str) -> None:
+    """Begin a worker: it ends with the run, and keeps what libraries print off standard output."""
+    global _events  # noqa: PLW0603 - an initializer has no other way
+    watch_parent()
+    signal.signal(signal.SIGTERM, _end)
+    os.dup2(2, 1)
+    tempfile.tempdir = scratch
+    _events = events
+
+
+def _send(event: Event) -> None:
+    """Send an event to the run, from a worker of :func:`process_pool`."""
+    if _events is not None:
+        _events.put(event)
+
+
+def _end(_signal: int, _frame: FrameType | None) -> None:
+    """End the worker: files that are half-written go first."""
+    raise SystemExit(_ENDED)

@@ -1,10 +1,13 @@
-"""What the stages do: each a call or two of the library, from files to files."""
+"""The stages of a run as functions, each a call or two of the library, from files to files.
+
+Their arguments are lists of paths and small settings, which every executor can send to a worker.
+"""
 
 from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -18,7 +21,7 @@ from gis_radar.lanelets import read_map
 from gis_radar.localization import localize_files
 from gis_radar.occupancy import Filters, measure_occupancy, merge_occupancies, read_occupancy
 from gis_radar.poses.files import PoseTrack, read_track, write_pose
-from gis_radar.poses.pose import View
+from gis_radar.poses.pose import Pose, View
 from gis_radar.progress import Reporter
 from gis_radar.qgis import write_site_project
 from gis_radar.recordings import convert as convert_recordings
@@ -28,41 +31,39 @@ from gis_radar.tiles.heights import with_road_heights
 from gis_radar.tiles.tiles import fingerprint, make_tiles, read_tiles, write_tiles
 
 Figures = dict[str, Any]
-Paths = list[Path]
+Paths = Sequence[Path]
 
 
-def mask(
-    *, map_file: Paths, scans: Paths, outputs: Paths, reporter: Reporter,
+def mask_stage(
+    *, map_file: Path, scans: Paths, outputs: Paths, reporter: Reporter,
     crs: str | None, origin: tuple[float, float] | None, scan_crs: str | None, engine: str,
 ) -> Figures:  # fmt: skip
     """Mask the road out of the scans."""
-    roads = read_roads(map_file[0], crs=crs, origin=origin, reporter=reporter)
+    roads = read_roads(map_file, crs=crs, origin=origin, reporter=reporter)
     found = mask_road(scans, roads, engine=engine, scan_crs=scan_crs, reporter=reporter)
     found.write(outputs[0])
     return found.figures()
 
 
-def take_road(*, road: Paths, outputs: Paths, reporter: Reporter) -> Figures:  # noqa: ARG001
+def road_stage(*, road: Path, outputs: Paths, reporter: Reporter) -> Figures:  # noqa: ARG001
     """Take a road that was masked before."""
-    crs = road_crs(road[0])
-    points = read_road(road[0], crs)
+    crs = road_crs(road)
+    points = read_road(road, crs)
     with whole_file(outputs[0]) as part:
-        shutil.copyfile(road[0], part)
+        shutil.copyfile(road, part)
     return {"crs": name_of(crs), "cells": len(points)}
 
 
-def tiles(
-    *, map_file: Paths, outputs: Paths, reporter: Reporter, length: float,
-    crs: str | None, origin: tuple[float, float] | None, subtypes: list[str] | None,
-    road: Paths | tuple[()] = (),
+def tiles_stage(
+    *, map_file: Path, outputs: Paths, reporter: Reporter, length: float,
+    crs: str | None, origin: tuple[float, float] | None, subtypes: tuple[str, ...] | None,
+    road: Path | None = None,
 ) -> Figures:  # fmt: skip
     """Split the lanes into tiles, at the heights of the scanned road where there is one."""
-    roads = read_map(map_file[0], crs=crs, origin=origin, reporter=reporter)
-    table = make_tiles(
-        roads, length_m=length, subtypes=tuple(subtypes) if subtypes else None, reporter=reporter
-    )
-    if road:
-        table = with_road_heights(table, read_road(road[0], roads.crs))
+    roads = read_map(map_file, crs=crs, origin=origin, reporter=reporter)
+    table = make_tiles(roads, length_m=length, subtypes=subtypes, reporter=reporter)
+    if road is not None:
+        table = with_road_heights(table, read_road(road, roads.crs))
     write_tiles(table, outputs[0], problems=roads.problems)
     return {
         "crs": name_of(roads.crs),
@@ -73,7 +74,7 @@ def tiles(
     }
 
 
-def convert(
+def convert_stage(
     *, recordings: Paths, outputs: Paths, reporter: Reporter,
     sensor: str | None, columns: dict[str, str] | None, time_unit: str,
     clock: Literal["auto", "sensor", "recorder"],
@@ -88,48 +89,58 @@ def convert(
             names = ", ".join(str(each.sensor) for each in made.recordings)
             raise InputError(
                 f"{recordings[0]}: has several sensors: {names}",
-                hint="say which in [sensor.convert]: sensor = ...",
+                hint="name one in [sensor.convert]: sensor = ...",
             )
         with whole_file(outputs[0]) as part:
             shutil.move(made.outputs[0], part)
     return dict(made.figures())
 
 
-def find_pose(
-    *, recordings: Paths, map_file: Paths, road: Paths, outputs: Paths, reporter: Reporter,
-    sensor: str, crs: str | None, origin: tuple[float, float] | None, guess: list[float],
-    heading: float | None, compass: float | None, method: str, view: dict[str, float] | None,
-    scans: Paths | tuple[()] = (), scan_crs: str | None = None,
+def localize_stage(
+    *, recordings: Paths, map_file: Path, road: Path, outputs: Paths, reporter: Reporter,
+    sensor: str, crs: str | None, origin: tuple[float, float] | None, guess: tuple[float, ...],
+    heading: float | None, compass: float | None, method: str,
+    scans: Sequence[Path] = (), scan_crs: str | None = None,
 ) -> Figures:  # fmt: skip
     """Find a pose from the newest recording that gives one; whole scans give a second look."""
     found = localize_files(
-        recordings, map_file[0], road[0],
+        recordings, map_file, road,
         guess=guess, heading=heading, compass=compass, crs=crs, origin=origin, method=method,
         scans=scans, scan_crs=scan_crs, sensor=sensor,
-        view=None if view is None else View(**view), figure=outputs[1], reporter=reporter,
+        figure=outputs[1], reporter=reporter,
     )  # fmt: skip
     write_pose(found.pose, outputs[0])
     return {**found.figures(), "recording": found.recording}
 
 
-def take_pose(
-    *, pose: Paths, outputs: Paths, reporter: Reporter, sensor: str, view: dict[str, float] | None
-) -> Figures:
-    """Take a pose or a pose track that was given."""
-    track = read_track(pose[0])
-    track.poses[-1].plane_covariance()  # told here, a bad one stops this sensor alone
-    if track.sensor != sensor:
-        reporter.log(f"{pose[0]}: is the pose of {track.sensor}, taken for {sensor}")
-    if view is not None and any(each.view is not None for each in track.poses):
+def pose_stage(
+    *, pose: Path, outputs: Paths, reporter: Reporter, sensor: str, view: dict[str, float] | None,
+    given: bool,
+) -> Figures:  # fmt: skip
+    """Take a pose or a pose track that was given or found, with the view of the site file.
+
+    The view of a given pose counts; that of a found one is but the range that its recording shows.
+    """
+    track = read_track(pose)
+    track.poses[-1].plane_covariance()  # refused here, a bad one stops this sensor alone
+    if not given:
+        track = replace(track, poses=tuple(_overruled(each, view) for each in track.poses))
+    elif track.sensor != sensor:
+        reporter.log(f"{pose}: is the pose of {track.sensor}, taken for {sensor}")
+    if given and view is not None and any(each.view is not None for each in track.poses):
         reporter.log(f"the pose of {sensor} has a view, which counts", "warning")
     if outputs[0].suffix == ".csv":
         with whole_file(outputs[0]) as part:
-            shutil.copyfile(pose[0], part)
+            shutil.copyfile(pose, part)
         return {"poses": len(track.poses)}
-    only = replace(_seeing(track, sensor, view).poses[0])
+    only = _seeing(track, sensor, view).poses[0]
     write_pose(only, outputs[0])
     names = ("easting", "northing", "height", "roll", "pitch", "yaw")
     return {name: round(getattr(only, name), 3) for name in names}
+
+
+def _overruled(pose: Pose, view: dict[str, float] | None) -> Pose:
+    return pose if view is None else replace(pose, view=View(**view))
 
 
 def _seeing(track: PoseTrack, sensor: str, view: dict[str, float] | None) -> PoseTrack:
@@ -138,23 +149,22 @@ def _seeing(track: PoseTrack, sensor: str, view: dict[str, float] | None) -> Pos
     return named if view is None else named.with_view(View(**view))
 
 
-def occupancy(
-    *, recordings: Paths, pose: Paths, tile_file: Paths, outputs: Paths, reporter: Reporter,
+def occupancy_stage(
+    *, recordings: Paths, pose: Path, tile_file: Path, outputs: Paths, reporter: Reporter,
     sensor: str, view: dict[str, float] | None, filters: dict[str, Any],
-    cycle: float | Literal["auto"] | None, clocks: Paths | tuple[()] = (),
+    cycle: float | Literal["auto"] | None, clocks: Path | None = None,
 ) -> Figures:  # fmt: skip
     """Join a sensor's recordings to the tiles."""
-    known = read_clocks(clocks[0]) if clocks else {}
+    known = {} if clocks is None else read_clocks(clocks)
     if clocks and sensor not in known:
         reporter.log(f"the clock of {sensor} is not corrected: its offset is not known", "warning")
-    clearance = filters["clearance"]
-    track = _seeing(read_track(pose[0]), sensor, view)
+    track = _seeing(read_track(pose), sensor, view)
     result = measure_occupancy(
         recordings,
         [track] * len(recordings),
-        read_tiles(tile_file[0]),
+        read_tiles(tile_file),
         outputs[0],
-        filters=Filters(**{**filters, "clearance": clearance and tuple(clearance)}),
+        filters=Filters(**filters),
         cycles={sensor: cycle} if isinstance(cycle, float) else cycle,
         clocks=known,
         reporter=reporter,
@@ -162,48 +172,31 @@ def occupancy(
     return result.figures()
 
 
-def heat_map(
-    *, occupancies: Paths, tile_file: Paths, outputs: Paths, reporter: Reporter,
+def heatmap_stage(
+    *, occupancies: Paths, tile_file: Path, outputs: Paths, reporter: Reporter,
     interval: str | None,
 ) -> Figures:  # fmt: skip
     """Merge the occupancies and make the heat map."""
     merged = merge_occupancies([read_occupancy(folder) for folder in occupancies])
-    heat = make_heatmap(merged, read_tiles(tile_file[0]), interval=interval, reporter=reporter)
+    heat = make_heatmap(merged, read_tiles(tile_file), interval=interval, reporter=reporter)
     heat.write(outputs[0], reporter=reporter)
     return {**merged.figures(), **heat.figures()}
 
 
-def qgis_project(
-    *, heat: Paths, poses: Paths, occupancies: Paths, outputs: Paths,  # noqa: ARG001
+def project_stage(
+    *, heat: Path, poses: Paths, occupancies: Paths, outputs: Paths,  # noqa: ARG001
     reporter: Reporter, title: str, time_zone: str, source: str,
 ) -> Figures:  # fmt: skip
     """Write the sensors as layers, and the project that shows them on the heat map."""
     write_site_project(
-        heat[0].parent, title=title, time_zone=time_zone, source=source, reporter=reporter
+        heat.parent, title=title, time_zone=time_zone, source=source, reporter=reporter
     )
     return {}
 
 
-def report(
-    *, heat: Paths, told: Paths, occupancies: Paths, outputs: Paths, reporter: Reporter,  # noqa: ARG001
+def report_stage(
+    *, heat: Path, run: Path, occupancies: Paths, outputs: Paths, reporter: Reporter,  # noqa: ARG001
 ) -> Figures:  # fmt: skip
     """Write the report of all that was made."""
-    write_report(told[0].parent, reporter=reporter)
+    write_report(run.parent, reporter=reporter)
     return {}
-
-
-WORKS: dict[str, Callable[..., Figures]] = {
-    each.__name__: each
-    for each in (
-        mask,
-        take_road,
-        tiles,
-        convert,
-        find_pose,
-        take_pose,
-        occupancy,
-        heat_map,
-        qgis_project,
-        report,
-    )
-}

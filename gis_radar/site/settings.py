@@ -1,0 +1,479 @@
+"""The site file: maps, scans, sensors and settings of one site, in TOML.
+
+The models say it once: types check the values, their fields give template and reference.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+import tomllib
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, Literal, Self, Union, get_args, get_origin
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    ValidationError,
+    model_validator,
+)
+from pydantic.fields import FieldInfo
+from pydantic_core import ErrorDetails
+
+from gis_radar.errors import InputError
+from gis_radar.site.values import (
+    CompassBearing,
+    Crs,
+    Cycle,
+    File,
+    Files,
+    Intervals,
+    Meaning,
+    Name,
+    Pairs,
+    Point,
+    Position,
+    Recordings,
+    Span,
+    Steps,
+    Text,
+    Texts,
+    Unfit,
+    Zone,
+    within,
+)  # fmt: skip
+
+READ_AS_THEY_ARE = (".parquet", ".csv")
+
+_HINT = "begin with: gis-radar run --template > SITE.toml"
+
+
+def key(example: str, default: Any = ..., shown: str | None = None) -> Any:
+    """Declare a field of a table as a key of the site file; its docstring is what it is.
+
+    Parameters
+    ----------
+    example : str
+        A value as TOML, for the template.
+    default : object
+        What holds without it; a key without a default is required.
+    shown : str, optional
+        The default in words; by default the value itself.
+    """
+    return Field(default, examples=[example], json_schema_extra={"shown": shown})
+
+
+class Table(BaseModel):
+    """A table of the site file: unknown keys are refused, and nothing changes afterwards."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+
+class MapSettings(Table):
+    """The lanes of the site."""
+
+    file: File = key('"junction.osm"')
+    """Lanelet2 map."""
+    crs: Crs | None = key('"EPSG:25832"', None, "the site's UTM zone")
+    """Map frame of the site, in which all results lie."""
+    origin: Point | None = key("[690400.0, 5336200.0]", None, "none")
+    """Map-frame position of the map's local (0, 0), if lat and lon are empty or false."""
+    subtypes: Texts | None = key('["road", "highway"]', None, "those for vehicles")
+    """Lanelets to tile, by subtype."""
+    source: Text | None = key('"City of Example, CC BY 4.0"', None, "none")
+    """Where the map is from, and its licence."""
+
+
+class ScanSettings(Table):
+    """The road as seen from the air: airborne scans, or a road masked before."""
+
+    files: Files = key('["scan_*.laz"]', (), "none")
+    """LAS, LAZ or COPC files; those that do not touch the site are skipped."""
+    road: File | None = key('"road.laz"', None, "none")
+    """A road from `gis-radar mask`, instead of `files`."""
+    crs: Crs | None = key('"EPSG:25832"', None, "as the scans state")
+    """CRS of scans that do not state theirs."""
+    engine: Literal["auto", "pdal", "laspy"] = key('"auto"', "auto")
+    """Who reads the scans; auto takes PDAL where there is one."""
+    source: Text | None = key('"State survey, dl-de/by-2-0"', None, "none")
+    """Where the scans are from, and their licence."""
+
+    @model_validator(mode="after")
+    def _has_one_source(self) -> Self:
+        if bool(self.files) == (self.road is not None):
+            both = "both files and road are" if self.files else "neither files nor road is"
+            raise Unfit(
+                message=f"{both} given", hint="give the scans' files, or a road masked before"
+            )
+        return self
+
+
+class TilesSettings(Table):
+    """The unit of all statistics."""
+
+    length: Annotated[float, Meaning("metres, 0.05 to 100"), within(0.05, 100.0)] = key("0.5", 0.5)
+    """Length of a tile along its lanelet, m."""
+
+
+class OccupancySettings(Table):
+    """Which detections count, without a filter all; and whose times are corrected."""
+
+    clearance: Span | None = key("[-0.5, 4.5]", None, "all")
+    """Heights over the road that count, m."""
+    min_speed: Annotated[float, Meaning("m/s, 0 or more"), within(0.0)] | None = key(
+        "0.5", None, "all"
+    )
+    """Least absolute range rate, m/s; a queue stands still."""
+    min_rcs: Annotated[float, Meaning("dBm2"), within()] | None = key("-10.0", None, "all")
+    """Least radar cross section, dBm2."""
+    elevation_error: Annotated[float, Meaning("degrees, 0 to 45"), within(0.0, 44.999)] = key(
+        "0.5", 0.5
+    )
+    """Elevation error of the radars, deg (1 sigma): widens the clearance with range."""
+    clocks: File | None = key('"clocks.json"', None, "none")
+    """How far sensors' clocks are ahead, from `gis-radar clocks`: times are corrected."""
+
+
+class HeatmapSettings(Table):
+    """The heat maps."""
+
+    intervals: Intervals = key('["15min", "1h"]', (), "the whole time only")
+    """A heat map for each: the first in `heatmap/`, others in `heatmap_1h/`, ..."""
+
+
+class ViewSettings(Table):
+    """What a sensor sees: full opening angles about its x axis, and a range."""
+
+    azimuth_deg: Annotated[float, Meaning("degrees, 0 to 360"), within(1e-3, 360.0)] = key(
+        "120.0", 120.0
+    )
+    """Full azimuth."""
+    elevation_deg: Annotated[float, Meaning("degrees, 0 to 180"), within(1e-3, 180.0)] = key(
+        "30.0", 30.0
+    )
+    """Full elevation."""
+    min_range_m: Annotated[float, Meaning("metres, 0 or more"), within(0.0, 1e5)] = key("1.0", 1.0)
+    """Least slant range."""
+    max_range_m: Annotated[float, Meaning("metres, over 0"), within(1e-3, 1e5)] = key(
+        "300.0", 300.0
+    )
+    """Greatest slant range."""
+
+    @model_validator(mode="after")
+    def _ranges_ascend(self) -> Self:
+        if not self.min_range_m < self.max_range_m:
+            raise Unfit(
+                message=f"min_range_m is {self.min_range_m:g} and max_range_m "
+                f"{self.max_range_m:g}, expected ascending"
+            )
+        return self
+
+
+class ConvertSettings(Table):
+    """How recordings in other formats are read: as `gis-radar convert` takes it."""
+
+    sensor: Text | None = key('"10.13.1.113"', None, "the only one")
+    """Which sensor, where the files have several."""
+    columns: Pairs | None = key('{ x = "X", range_rate = "-doppler" }', None, "known by name")
+    """Our columns and the fields of a table or cloud; a minus turns the sign."""
+    time_unit: Literal["s", "ms", "us", "ns"] = key('"ms"', "s")
+    """Of the times in a table, since 1970."""
+    clock: Literal["auto", "sensor", "recorder"] = key('"auto"', "auto")
+    """Whose times count; auto takes the sensor's where they are right."""
+
+
+class Sensor(Table):
+    """A radar: what it recorded, and its pose or a rough guess of it."""
+
+    name: Name = key('"R1"')
+    """Its name, also that of its folders."""
+    recordings: Recordings = key('["R1_*.parquet"]')
+    """What it recorded, in one piece or many; other formats are converted."""
+    guess: Position | None = key("[690356.0, 5336183.0]", None, "none")
+    """Where it stands, within 15 m, in the map frame: its pose is found."""
+    heading: Annotated[float, Meaning("degrees"), within()] | None = key("20.0", None, "searched")
+    """Yaw within 25 deg: from grid east, anticlockwise."""
+    compass: CompassBearing | None = key('"north-east"', None, "searched")
+    """The same as a bearing, clockwise from true north."""
+    method: Literal["lane", "icp"] = key('"lane"', "lane")
+    """How the pose is found: lanes and Doppler, or the paper's ICP."""
+    pose: File | None = key('"R2.json"', None, "none")
+    """Its pose (JSON) or pose track (CSV), instead of a guess."""
+    cycle: Cycle | None = key('"57ms"', None, "a frame covers its step")
+    """Of a sensor under 20 Hz, the time from frame to frame: a frame covers it."""
+    view: ViewSettings | None = None
+    """What it sees, where its pose does not state it; without it 120 by 30 deg, 1 to 300 m."""
+    convert: ConvertSettings | None = None
+    """How recordings are converted; with it, Parquet and CSV files are, too."""
+
+    @property
+    def foreign(self) -> tuple[Path, ...]:
+        """The recordings that must be converted."""
+        return tuple(
+            path
+            for path in self.recordings
+            if self.convert is not None or path.suffix.lower() not in READ_AS_THEY_ARE
+        )
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        if self.guess is None and self.pose is None:
+            raise Unfit(
+                message="has neither guess nor pose",
+                hint="guess = [E, N] within 15 m, in the map frame, or pose = a pose file",
+            )
+        for one, other, hint in (
+            ("guess", "pose", "a pose needs no guess: keep one of them"),
+            ("heading", "compass", "keep one of them"),
+            ("pose", "heading", "a heading helps a guess only"),
+            ("pose", "compass", "a heading helps a guess only"),
+        ):
+            if getattr(self, one) is not None and getattr(self, other) is not None:
+                raise Unfit(message=f"has both {one} and {other}", hint=hint)
+        return self
+
+
+class Site(Table):
+    """A site, as its file states it; made by :func:`read_site`."""
+
+    title: Text = key('"Example junction"')
+    """What the site is called."""
+    time_zone: Zone = key('"Europe/Berlin"', "UTC")
+    """Zone of the times in the summary; files keep UTC."""
+    attribution: Texts = key('["Recordings: City of Example"]', (), "nobody")
+    """Whom to name beside the results."""
+    map: MapSettings
+    """The lanes."""
+    scan: ScanSettings | None = None
+    """The road from the air; needed where a pose is to be found."""
+    tiles: TilesSettings = TilesSettings()
+    """The unit of all statistics."""
+    occupancy: OccupancySettings = OccupancySettings()
+    """Which detections count."""
+    heatmap: HeatmapSettings = HeatmapSettings()
+    """The heat maps."""
+    sensor: Annotated[tuple[Sensor, ...], Field(min_length=1)]
+    """The radars, a table each."""
+    _path: Path = PrivateAttr(Path("SITE.toml"))
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        names: dict[str, str] = {}
+        for place, name in enumerate(each.name for each in self.sensor):
+            if (twin := names.get(name.casefold())) is not None:
+                same = f"{name!r}" if name == twin else f"{twin!r} and {name!r}"
+                raise Unfit(
+                    message=f"two sensors are called {same}",
+                    hint="folders carry their names",
+                    at=("sensor", place, "name"),
+                )
+            names[name.casefold()] = name
+        lost = [each.name for each in self.sensor if each.guess is not None]
+        if lost and self.scan is None:
+            raise Unfit(
+                message=f"the pose of {', '.join(lost)} is to be found, which needs a scan",
+                hint="add a table [scan] with files, or give poses",
+            )
+        return self
+
+    def __repr__(self) -> str:
+        names = ", ".join(each.name for each in self.sensor)
+        return f"Site({self.title or self.path}: {names})"
+
+    @property
+    def path(self) -> Path:
+        """The file it was read from."""
+        return self._path
+
+    @property
+    def inputs(self) -> tuple[Path, ...]:
+        """All files that a run reads."""
+        scan = self.scan
+        scanned = (*scan.files, *([scan.road] if scan.road else [])) if scan else ()
+        of_sensors = [
+            path
+            for each in self.sensor
+            for path in (*each.recordings, *([each.pose] if each.pose else []))
+        ]
+        clocks = [self.occupancy.clocks] if self.occupancy.clocks else []
+        return (self.map.file, *scanned, *clocks, *of_sensors)
+
+
+def read_site(path: str | Path) -> Site:
+    """Read a site file, and check all that can be checked without opening the data.
+
+    Parameters
+    ----------
+    path : str or Path
+        A TOML file, described in `docs/site-file.md`; the paths in it are relative to its folder.
+
+    Returns
+    -------
+    Site
+
+    Raises
+    ------
+    InputError
+        If it is no TOML, a key is unknown or missing, a value does not fit, or a file that it names
+        does not exist. The message names the line, the key and what was expected.
+
+    Examples
+    --------
+    >>> import gis_radar as gr
+    >>> site = gr.read_site(gr.sample_folder() / "SITE.toml")
+    >>> site.title, [sensor.name for sensor in site.sensor]
+    ('Sample junction', ['R1', 'R2'])
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "not UTF-8 text"
+        raise InputError(f"{path}: cannot be read: {reason}", hint=_HINT) from error
+    try:
+        raw: dict[str, Any] = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: not TOML: {error}", hint=_HINT) from error
+    try:
+        site = Site.model_validate(raw, context={"folder": path.parent})
+    except ValidationError as error:
+        raise _first_error(path, text, raw, error) from None
+    site._path = path  # noqa: SLF001 - not a key of the file
+    return site
+
+
+def table_of(field: FieldInfo) -> type[Table] | None:
+    """Return the table that a key stands for; None where its value is none."""
+    kinds = _kinds(field.annotation)
+    return next(
+        (each for each in kinds if isinstance(each, type) and issubclass(each, Table)), None
+    )
+
+
+def is_repeated(field: FieldInfo) -> bool:
+    """Return whether a table may be there several times: `[[name]]`."""
+    return get_origin(field.annotation) is tuple
+
+
+def value_of(field: FieldInfo) -> str:
+    """Return what a value of a key is, in a few words."""
+    inner = table_of(field)
+    if inner is not None:
+        return "one or more tables: [[sensor]]" if is_repeated(field) else "a table"
+    kinds = _kinds(field.annotation)
+    notes = (
+        *field.metadata,
+        *(note for each in kinds for note in getattr(each, "__metadata__", ())),
+    )
+    told = next((note.text for note in notes if isinstance(note, Meaning)), "")
+    return told or f"one of {', '.join(get_args(field.annotation))}"
+
+
+def _kinds(annotation: Any) -> tuple[Any, ...]:
+    """Return the types of a union or a tuple, else the type itself."""
+    inside = get_origin(annotation) in {Union, UnionType, tuple}
+    return get_args(annotation) if inside else (annotation,)
+
+
+# What is wrong, in one line with file, line and key.
+
+
+def _first_error(path: Path, text: str, raw: Any, error: ValidationError) -> InputError:
+    """Return the first error by line; an unknown key comes first, as others may follow from it."""
+    lines = lines_of(text)
+    found = [_described(each, raw) for each in error.errors(include_url=False)]
+
+    def line_of(steps: Steps) -> int:
+        return next((lines[steps[:n]] for n in range(len(steps), 0, -1) if steps[:n] in lines), 0)
+
+    steps, _, message, hint = min(found, key=lambda each: (each[1], line_of(each[0])))
+    line = f":{number}" if (number := line_of(steps)) else ""
+    where = "".join(f"[{each}]" if isinstance(each, int) else f".{each}" for each in steps)
+    return InputError(f"{path}{line}: {where[1:] or 'the site file'}: {message}", hint=hint)
+
+
+def _described(error: ErrorDetails, raw: Any) -> tuple[Steps, bool, str, str]:
+    """Return the place of an error, whether it is a known key's, its message and its hint."""
+    table, field, steps = _found(error["loc"])
+    if error["type"] == "extra_forbidden":
+        name, known = str(steps[-1]), list(table.model_fields)
+        near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.6)
+        hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
+        return steps, False, "is no key of a site file", hint
+    if error["type"] == "missing":
+        hint = f"e.g. {steps[-1]} = {field.examples[0]}" if field and field.examples else ""
+        return steps[:-1], True, f"lacks {steps[-1]}", hint
+    unfit = error.get("ctx", {}).get("error")
+    if not isinstance(unfit, Unfit):
+        unfit = Unfit()
+    if unfit.message:
+        return unfit.at or steps, True, unfit.message, unfit.hint
+    value = raw
+    for step in steps:
+        value = value[step]
+    expected = unfit.expected or (value_of(field) if field else "a table")
+    return steps, True, f"is {_shown(value)}, expected {expected}", unfit.hint
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, dict):
+        return "a table"
+    return "true" if value is True else "false" if value is False else repr(value)
+
+
+def _found(loc: Steps) -> tuple[type[Table], FieldInfo | None, Steps]:
+    """Return the innermost table and key of a place, and the way to that key."""
+    table: type[Table] = Site
+    field: FieldInfo | None = None
+    for depth, step in enumerate(loc):
+        if isinstance(step, int):
+            if field is None or table_of(field) is None:
+                return table, field, loc[:depth]
+            continue
+        if field is not None:
+            inner = table_of(field)
+            if inner is None:
+                return table, field, loc[:depth]
+            table = inner
+        field = table.model_fields.get(step)
+    return table, field, loc
+
+
+_HEADER = re.compile(r"\s*(\[\[?)\s*([^\]#]+?)\s*\]\]?\s*(?:#.*)?$")
+_KEY = re.compile(r"\s*[\"']?([A-Za-z0-9_.-]+)[\"']?\s*=")
+
+
+def lines_of(text: str) -> dict[Steps, int]:
+    """Return the line, from 1, of each table and key of a TOML text.
+
+    Found by the look of a line, for messages only: inside a text of several lines it may err.
+    """
+    lines: dict[Steps, int] = {}
+    counts: dict[str, int] = {}
+    table: Steps = ()
+    for number, line in enumerate(text.splitlines(), start=1):
+        if header := _HEADER.match(line):
+            table = _steps_to(header[2], counts, repeated=header[1] == "[[")
+            lines.setdefault(table, number)
+        elif found := _KEY.match(line):
+            steps = (*table, *found[1].split("."))
+            for length in range(len(table) + 1, len(steps) + 1):
+                lines.setdefault(steps[:length], number)
+    return lines
+
+
+def _steps_to(name: str, counts: dict[str, int], *, repeated: bool) -> Steps:
+    """Return the way to a table; below a repeated one, to its latest."""
+    if repeated:
+        counts[name] = counts.get(name, -1) + 1
+    steps: list[str | int] = []
+    words = [word.strip().strip("\"'") for word in name.split(".")]
+    for depth, word in enumerate(words, start=1):
+        steps.append(word)
+        latest = counts.get(".".join(words[:depth]))
+        if latest is not None:
+            steps.append(latest)
+    return tuple(steps)
