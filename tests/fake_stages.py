@@ -15,7 +15,7 @@ from gis_radar.files import only_writer
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.site.execution import Execution
 from gis_radar.site.plan import Stage
-from gis_radar.site.state import State
+from gis_radar.site.state import RunState
 from gis_radar.site.worker import Pool, process_pool
 
 
@@ -56,7 +56,7 @@ def execute(stages, root, *, most=1, reporter=QUIET, pool=threads):
     """Execute stages in a folder; return how each ended, by name."""
     folder = Path(root) / ".gis-radar"
     (folder / "scratch").mkdir(parents=True, exist_ok=True)
-    state = State(folder / "state.json", Path(root))
+    state = RunState(folder / "state.json", Path(root))
     with (
         only_writer(Path(root), lock=folder / "lock", reporter=reporter),
         pool(most, folder / "scratch") as workers,

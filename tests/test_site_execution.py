@@ -18,7 +18,7 @@ from gis_radar.errors import GisRadarError, InputError, NoAnswerError, OutputErr
 from gis_radar.files import only_writer
 from gis_radar.site import state as state_of_run
 from gis_radar.site.run import workers_here
-from gis_radar.site.state import State
+from gis_radar.site.state import RunState
 from gis_radar.site.worker import process_pool
 
 HERE = Path(__file__).parent
@@ -206,7 +206,7 @@ def test_an_input_that_changes_meanwhile_leaves_no_record(root, source):
     work = [stage(root, "road", [source], work="touch_input")]
     assert execute(work, root, reporter=heard)["road"].state == "done"
     assert any("has changed meanwhile" in text for _, text in heard.messages)
-    assert not State(root / ".gis-radar" / "state.json", root).records
+    assert not RunState(root / ".gis-radar" / "state.json", root).records
 
 
 def test_a_bar_a_stage_never_goes_back_and_ends_full(root, source):
@@ -283,11 +283,11 @@ def test_two_runs_in_one_folder_are_refused(root, source):
 def test_hashes_follow_the_bytes(tmp_path):
     memory = tmp_path / "memory.json"
     file = written(tmp_path / "file", "one")
-    first = State(memory, tmp_path)
+    first = RunState(memory, tmp_path)
     before = first.hash_of(file)
     first.save()
     read = []
-    second = State(memory, tmp_path)
+    second = RunState(memory, tmp_path)
     assert second.hash_of(file, read.append) == before
     assert read == []  # remembered
     file.write_text("two")
@@ -301,7 +301,7 @@ def test_hashes_follow_the_bytes(tmp_path):
 def test_a_file_that_is_still_young_is_read_each_time(tmp_path):
     file = tmp_path / "file"
     file.write_text("one")
-    state, read = State(tmp_path / "memory.json", tmp_path), []
+    state, read = RunState(tmp_path / "memory.json", tmp_path), []
     for _ in range(2):
         state.hash_of(file, read.append)
     assert read == [3, 3]
@@ -311,7 +311,7 @@ def test_the_content_of_a_folder_is_that_of_its_files(tmp_path):
     folder = tmp_path / "folder"
     (folder / "inner").mkdir(parents=True)
     (folder / "inner" / "a").write_text("a")
-    state = State(tmp_path / "memory.json", tmp_path)
+    state = RunState(tmp_path / "memory.json", tmp_path)
     before = state.hash_of(folder)
     (folder / "heatmap.tif.aux.xml").write_text("left by a viewer")
     assert state.hash_of(folder) == before

@@ -1,4 +1,4 @@
-"""The site file: what it may say, and how it is told what is wrong."""
+"""The site file: what it may hold, and how its errors read."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ def test_the_least_that_will_do(read):
         ("[map]", "[map", ("not TOML", "--template")),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_told(read, refuse, old, new, parts):
+def test_an_error_names_line_and_key(read, refuse, old, new, parts):
     assert old in WHOLE
     text = WHOLE.replace(old, new, 1)
     if parts is None:

@@ -39,7 +39,7 @@ from gis_radar.site import run as product
 from gis_radar.site import stages as stage_functions
 from gis_radar.site.execution import discard
 from gis_radar.site.plan import stages_of
-from gis_radar.site.state import State
+from gis_radar.site.state import RunState
 
 TIMES = {"last_change", "update_time", "timestamp"}
 
@@ -356,7 +356,7 @@ def test_what_is_changed_is_done_again_and_what_is_taken_out_is_gone(copied):
     assert set(gr.read_occupancy(out / "occupancy" / "R1").frames["sensor"]) == {"R1"}
     assert json.loads((out / "run.json").read_text())["sensors_in_heat_maps"] == ["R1"]
     assert any("no longer part of the site" in text for _, text in heard.messages)
-    state = State(out / product.STATE / "state.json", out)
+    state = RunState(out / product.STATE / "state.json", out)
     assert "localize R1" in state.records
     product._forget(state, [outcome.stage for outcome in done.outcomes], fresh=True, reporter=heard)
     assert state.records == {}
@@ -447,7 +447,7 @@ def test_a_folder_that_cannot_be_written(small, tmp_path):
 
 
 class Recorder:
-    """Stands for `gis_radar.convert`: converts by copying, and splits sensors where told to."""
+    """Stands for `gis_radar.convert`: converts by copying, and splits sensors where asked to."""
 
     def __init__(self, sensors=("a",)):
         self.sensors, self.heard = sensors, {}

@@ -14,7 +14,7 @@ from gis_radar.errors import GisRadarError, NoAnswerError, OutputError
 from gis_radar.progress import Reporter
 from gis_radar.qgis.project import was_edited
 from gis_radar.site.plan import Ending, Outcome, Stage
-from gis_radar.site.state import Stamp, State, stamp_of
+from gis_radar.site.state import RunState, Stamp, stamp_of
 from gis_radar.site.worker import Answer, Event, Pool, carry_out
 
 ALL = "all stages"
@@ -40,7 +40,7 @@ class Execution:
     ----------
     stages : sequence of Stage
         What is to be done; the order follows from what each reads and makes.
-    state : State
+    state : RunState
         Of earlier runs; this one adds its own.
     pool : Pool
         Where the work is done.
@@ -49,7 +49,7 @@ class Execution:
     """
 
     stages: Sequence[Stage]
-    state: State
+    state: RunState
     pool: Pool
     reporter: Reporter
     outcomes: dict[str, Outcome] = field(default_factory=dict)

@@ -10,7 +10,7 @@ from typing import Any, Literal
 from gis_radar.errors import GisRadarError
 from gis_radar.heatmap.heatmap import REPORT_FILES
 from gis_radar.site import stages
-from gis_radar.site.settings import ConvertSettings, Sensor, Site
+from gis_radar.site.settings import ConvertTable, Sensor, Site
 
 OWNED = (
     "road.", "tiles.gpkg", "sensors", "occupancy", "heatmap", "site.qgz", "site_", "run.json",
@@ -215,7 +215,7 @@ def _conversion(sensor: Sensor, folder: Path) -> Iterator[Stage]:
             name=f"convert {sensor.name}",
             work=stages.convert_stage,
             inputs={"recordings": sensor.foreign},
-            options=(sensor.convert or ConvertSettings()).model_dump(),
+            options=(sensor.convert or ConvertTable()).model_dump(),
             outputs=(_converted(sensor, folder),),
             phases=2,
             sensor=sensor.name,
@@ -302,7 +302,7 @@ def _sources(site: Site) -> str:
 
 
 def report_of(site: Site, folder: Path) -> Stage:
-    """Return the last stage: the report, which reads what the run says of the others.
+    """Return the last stage: the report, which reads the record of the others.
 
     Parameters
     ----------

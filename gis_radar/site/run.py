@@ -17,7 +17,7 @@ from gis_radar.progress import QUIET, Reporter
 from gis_radar.site.execution import Execution, discard
 from gis_radar.site.plan import OWNED, Outcome, Stage, report_of, stages_of
 from gis_radar.site.settings import Site, read_site
-from gis_radar.site.state import State
+from gis_radar.site.state import RunState
 from gis_radar.site.summary import run_figures, write_summary
 from gis_radar.site.worker import process_pool
 
@@ -126,7 +126,7 @@ def run_site(
     Returns
     -------
     SiteRun
-        Its `failure` says whether any sensor has no result.
+        Its `failure` is set where a sensor has no result.
 
     Raises
     ------
@@ -147,7 +147,7 @@ def run_site(
         stack.enter_context(only_writer(Path(folder), lock=state / "lock", reporter=reporter))
         scratch = _cleared(root, state)
         stack.callback(shutil.rmtree, scratch, ignore_errors=True)
-        kept = State(state / "state.json", root)
+        kept = RunState(state / "state.json", root)
         _forget(kept, [*stages, last], fresh=fresh, reporter=reporter)
         _hash_inputs(site, kept, reporter)
         write_summary(site, root, (), kept)
@@ -195,7 +195,7 @@ def _cleared(root: Path, state: Path) -> Path:
     return scratch
 
 
-def _forget(state: State, stages: Sequence[Stage], *, fresh: bool, reporter: Reporter) -> None:
+def _forget(state: RunState, stages: Sequence[Stage], *, fresh: bool, reporter: Reporter) -> None:
     """Forget stages that are no more, with their results; all of them where all is done again."""
     names = {stage.name for stage in stages}
     made = {path for stage in stages for path in stage.outputs}
@@ -207,7 +207,7 @@ def _forget(state: State, stages: Sequence[Stage], *, fresh: bool, reporter: Rep
                 reporter.log(f"{name}: no longer part of the site, its results were removed")
 
 
-def _hash_inputs(site: Site, state: State, reporter: Reporter) -> None:
+def _hash_inputs(site: Site, state: RunState, reporter: Reporter) -> None:
     """Hash what the run reads; what was read before and has not changed takes no time."""
     files = list(dict.fromkeys(site.inputs))
     total, done = sum(path.stat().st_size for path in files), 0

@@ -66,13 +66,13 @@ def key(example: str, default: Any = ..., shown: str | None = None) -> Any:
     return Field(default, examples=[example], json_schema_extra={"shown": shown})
 
 
-class Table(BaseModel):
+class TomlTable(BaseModel):
     """A table of the site file: unknown keys are refused, and nothing changes afterwards."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
 
-class MapSettings(Table):
+class MapTable(TomlTable):
     """The lanes of the site."""
 
     file: File = key('"junction.osm"')
@@ -87,7 +87,7 @@ class MapSettings(Table):
     """Where the map is from, and its licence."""
 
 
-class ScanSettings(Table):
+class ScanTable(TomlTable):
     """The road as seen from the air: airborne scans, or a road masked before."""
 
     files: Files = key('["scan_*.laz"]', (), "none")
@@ -111,14 +111,14 @@ class ScanSettings(Table):
         return self
 
 
-class TilesSettings(Table):
+class TilesTable(TomlTable):
     """The unit of all statistics."""
 
     length: Annotated[float, Meaning("metres, 0.05 to 100"), within(0.05, 100.0)] = key("0.5", 0.5)
     """Length of a tile along its lanelet, m."""
 
 
-class OccupancySettings(Table):
+class OccupancyTable(TomlTable):
     """Which detections count, without a filter all; and whose times are corrected."""
 
     clearance: Span | None = key("[-0.5, 4.5]", None, "all")
@@ -137,14 +137,14 @@ class OccupancySettings(Table):
     """How far sensors' clocks are ahead, from `gis-radar clocks`: times are corrected."""
 
 
-class HeatmapSettings(Table):
+class HeatmapTable(TomlTable):
     """The heat maps."""
 
     intervals: Intervals = key('["15min", "1h"]', (), "the whole time only")
     """A heat map for each: the first in `heatmap/`, others in `heatmap_1h/`, ..."""
 
 
-class ViewSettings(Table):
+class ViewTable(TomlTable):
     """What a sensor sees: full opening angles about its x axis, and a range."""
 
     azimuth_deg: Annotated[float, Meaning("degrees, 0 to 360"), within(1e-3, 360.0)] = key(
@@ -172,7 +172,7 @@ class ViewSettings(Table):
         return self
 
 
-class ConvertSettings(Table):
+class ConvertTable(TomlTable):
     """How recordings in other formats are read: as `gis-radar convert` takes it."""
 
     sensor: Text | None = key('"10.13.1.113"', None, "the only one")
@@ -185,7 +185,7 @@ class ConvertSettings(Table):
     """Whose times count; auto takes the sensor's where they are right."""
 
 
-class Sensor(Table):
+class Sensor(TomlTable):
     """A radar: what it recorded, and its pose or a rough guess of it."""
 
     name: Name = key('"R1"')
@@ -204,9 +204,9 @@ class Sensor(Table):
     """Its pose (JSON) or pose track (CSV), instead of a guess."""
     cycle: Cycle | None = key('"57ms"', None, "a frame covers its step")
     """Of a sensor under 20 Hz, the time from frame to frame: a frame covers it."""
-    view: ViewSettings | None = None
+    view: ViewTable | None = None
     """What it sees, where its pose does not state it; without it 120 by 30 deg, 1 to 300 m."""
-    convert: ConvertSettings | None = None
+    convert: ConvertTable | None = None
     """How recordings are converted; with it, Parquet and CSV files are, too."""
 
     @property
@@ -236,7 +236,7 @@ class Sensor(Table):
         return self
 
 
-class Site(Table):
+class Site(TomlTable):
     """A site, as its file states it; made by :func:`read_site`."""
 
     title: Text = key('"Example junction"')
@@ -245,15 +245,15 @@ class Site(Table):
     """Zone of the times in the summary; files keep UTC."""
     attribution: Texts = key('["Recordings: City of Example"]', (), "nobody")
     """Whom to name beside the results."""
-    map: MapSettings
+    map: MapTable
     """The lanes."""
-    scan: ScanSettings | None = None
+    scan: ScanTable | None = None
     """The road from the air; needed where a pose is to be found."""
-    tiles: TilesSettings = TilesSettings()
+    tiles: TilesTable = TilesTable()
     """The unit of all statistics."""
-    occupancy: OccupancySettings = OccupancySettings()
+    occupancy: OccupancyTable = OccupancyTable()
     """Which detections count."""
-    heatmap: HeatmapSettings = HeatmapSettings()
+    heatmap: HeatmapTable = HeatmapTable()
     """The heat maps."""
     sensor: Annotated[tuple[Sensor, ...], Field(min_length=1)]
     """The radars, a table each."""
@@ -345,11 +345,11 @@ def read_site(path: str | Path) -> Site:
     return site
 
 
-def table_of(field: FieldInfo) -> type[Table] | None:
+def table_of(field: FieldInfo) -> type[TomlTable] | None:
     """Return the table that a key stands for; None where its value is none."""
     kinds = _kinds(field.annotation)
     return next(
-        (each for each in kinds if isinstance(each, type) and issubclass(each, Table)), None
+        (each for each in kinds if isinstance(each, type) and issubclass(each, TomlTable)), None
     )
 
 
@@ -368,8 +368,8 @@ def value_of(field: FieldInfo) -> str:
         *field.metadata,
         *(note for each in kinds for note in getattr(each, "__metadata__", ())),
     )
-    told = next((note.text for note in notes if isinstance(note, Meaning)), "")
-    return told or f"one of {', '.join(get_args(field.annotation))}"
+    meaning = next((note.text for note in notes if isinstance(note, Meaning)), "")
+    return meaning or f"one of {', '.join(get_args(field.annotation))}"
 
 
 def _kinds(annotation: Any) -> tuple[Any, ...]:
@@ -424,9 +424,9 @@ def _shown(value: Any) -> str:
     return "true" if value is True else "false" if value is False else repr(value)
 
 
-def _found(loc: Steps) -> tuple[type[Table], FieldInfo | None, Steps]:
+def _found(loc: Steps) -> tuple[type[TomlTable], FieldInfo | None, Steps]:
     """Return the innermost table and key of a place, and the way to that key."""
-    table: type[Table] = Site
+    table: type[TomlTable] = Site
     field: FieldInfo | None = None
     for depth, step in enumerate(loc):
         if isinstance(step, int):

@@ -69,7 +69,7 @@ class Record:
         )
 
 
-class State:
+class RunState:
     """Hashes of files, remembered by size and times, and records of stages.
 
     Parameters

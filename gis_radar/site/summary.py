@@ -11,14 +11,14 @@ from typing import Any
 from gis_radar.files import whole_file
 from gis_radar.site import stages
 from gis_radar.site.plan import Outcome
-from gis_radar.site.settings import Site, Table
-from gis_radar.site.state import State, software
+from gis_radar.site.settings import Site, TomlTable
+from gis_radar.site.state import RunState, software
 from gis_radar.steps import zone_of
 
 _POSE = ("easting", "northing", "height", "yaw", "pitch", "roll")
 
 
-def write_summary(site: Site, root: Path, outcomes: Sequence[Outcome], state: State) -> None:
+def write_summary(site: Site, root: Path, outcomes: Sequence[Outcome], state: RunState) -> None:
     """Write `run.json`, and `summary.md` of a run that has ended.
 
     They hold neither time nor duration: a run that was resumed writes the same as one that was
@@ -32,7 +32,7 @@ def write_summary(site: Site, root: Path, outcomes: Sequence[Outcome], state: St
         The folder of the run.
     outcomes : sequence of Outcome
         How each stage ended; empty where the run only begins.
-    state : State
+    state : RunState
         Holds the hashes of the inputs.
     """
     base = site.path.parent.resolve()
@@ -131,7 +131,7 @@ def _stage(outcome: Outcome, base: Path, root: Path) -> dict[str, Any]:
 
 def _plain(value: Any, base: Path) -> Any:
     """Return a site as what JSON can hold, its paths relative to its file where they can be."""
-    if isinstance(value, Table):
+    if isinstance(value, TomlTable):
         return {name: _plain(each, base) for name, each in value}
     if isinstance(value, Path):
         return _relative(value, base)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from pydantic.fields import FieldInfo
 
-from gis_radar.site.settings import Site, Table, is_repeated, table_of, value_of
+from gis_radar.site.settings import Site, TomlTable, is_repeated, table_of, value_of
 
 _HEAD = """\
 # A site of gis_radar. Lines without # must be filled in; the others show what else there is.
@@ -23,7 +23,7 @@ def site_template() -> str:
     return "\n".join([_HEAD, *_template(Site, "")]).rstrip() + "\n"
 
 
-def _template(table: type[Table], path: str) -> Iterator[str]:
+def _template(table: type[TomlTable], path: str) -> Iterator[str]:
     """Yield the lines of a table: first its keys, then the tables below it."""
     keys, below = _parts(table)
     for name, field in keys.items():
@@ -44,7 +44,7 @@ def site_reference() -> str:
     return "\n".join(_reference(Site, "", "At the top")).rstrip() + "\n"
 
 
-def _reference(table: type[Table], path: str, title: str) -> Iterator[str]:
+def _reference(table: type[TomlTable], path: str, title: str) -> Iterator[str]:
     keys, below = _parts(table)
     yield from (f"### {title}", "", "| key | value | what it is |", "|---|---|---|")
     for name, field in keys.items():
@@ -58,8 +58,8 @@ def _reference(table: type[Table], path: str, title: str) -> Iterator[str]:
 
 
 def _parts(
-    table: type[Table],
-) -> tuple[dict[str, FieldInfo], dict[str, tuple[FieldInfo, type[Table]]]]:
+    table: type[TomlTable],
+) -> tuple[dict[str, FieldInfo], dict[str, tuple[FieldInfo, type[TomlTable]]]]:
     """Return the keys of a table, and the tables below it."""
     fields = table.model_fields
     below = {name: (field, inner) for name, field in fields.items() if (inner := table_of(field))}
