@@ -67,8 +67,8 @@ def test_a_worker_is_made(run, profile, tmp_path, tools):
 
 
 def test_an_earlier_worker_survives_a_failure(run, profile, tmp_path):
-    run("setupworker", {"PACKAGE": str(wheel(tmp_path))})
     mark = profile / "gis_radar" / "worker" / "mark"
+    mark.parent.mkdir(parents=True)
     mark.touch()
     bad = wheel(tmp_path, needs="Requires-Python: >=9\n")
     results, heard = run("setupworker", {"PACKAGE": str(bad)})
