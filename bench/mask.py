@@ -3,6 +3,10 @@
 Time: `mask_road` with the built-in engine against `laspy` with lazrs reading the same file. Memory:
 tiles of two million points side by side, masked in a process of its own; the figure is the largest
 memory that Linux saw it hold since it began. Exit code 1 over a target.
+
+With `--sensitivity SITE`, a folder with `map.osm`, `als.laz`, `truth.json` and recordings: every
+number of the settings halved and doubled; the mask against the map's heights, and the second look
+at the true pose of the first sensor and 3.5 m beside it.
 """
 
 from __future__ import annotations
@@ -14,7 +18,9 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import laspy
 import numpy as np
@@ -22,9 +28,12 @@ import shapely
 from pyproj import CRS
 
 import gis_radar as gr
+from gis_radar.errors import GisRadarError
 from gis_radar.scans.engines import write_layer
 from gis_radar.scans.pdal import find_pdal
 from gis_radar.scans.roads import RoadLevel, Roads, roads_of_map
+from gis_radar.scans.settings import MaskSettings, RoadSettings
+from gis_radar.second_look.settings import SecondLookSettings
 
 ROOT = Path(__file__).parent.parent
 TARGET_READS = 5.0
@@ -50,8 +59,12 @@ def main() -> None:
     parser.add_argument("--map", type=Path, default=gr.sample_folder() / "junction.osm")
     parser.add_argument("--scan", type=Path, help="by default a made one of two million points")
     parser.add_argument("--tiles", type=int, default=10, help="of two million points each")
+    parser.add_argument("--sensitivity", type=Path, metavar="SITE")
     parser.add_argument("--json", type=Path, default=ROOT / "out" / "bench-mask.json")
     arguments = parser.parse_args()
+    if arguments.sensitivity:
+        _sensitivity(arguments.sensitivity)
+        return
     with tempfile.TemporaryDirectory() as name:
         report = {"time": _time(arguments.scan, arguments.map, Path(name))}
         report["memory"] = _memory(arguments.tiles, Path(name))
@@ -96,6 +109,52 @@ def _memory(count: int, folder: Path) -> dict[str, float]:
     report["points"] = count * TILE_POINTS
     report["growth"] = report["all_tiles_mib"] / report["one_tile_mib"]
     return report
+
+
+def _sensitivity(site: Path) -> None:
+    """Print the figures of mask and second look with each setting halved and doubled."""
+    roads = RoadSettings()
+    cases: tuple[tuple[Callable[[Path, Any], str], Any, Callable[[Any], Any]], ...] = (
+        (_measure_mask, roads, lambda changed: MaskSettings(roads=changed)),
+        (_measure_mask, MaskSettings(), lambda changed: changed),
+        (_measure_look, SecondLookSettings(), lambda changed: changed),
+    )
+    for measure, settings, read in cases:
+        print(f"as set: {measure(site, read(settings))}", flush=True)
+        for name, value in vars(settings).items():
+            for factor in (0.5, 2.0) if value != roads else ():
+                scaled = np.multiply(value, factor).tolist()
+                change = max(1, int(scaled)) if isinstance(value, int) else scaled
+                try:
+                    figures = measure(site, read(replace(settings, **{name: change})))
+                except (GisRadarError, ValueError, IndexError) as error:
+                    figures = f"{type(error).__name__}: {error}"
+                print(f"{name} {change}: {figures}", flush=True)
+
+
+def _measure_mask(site: Path, settings: MaskSettings) -> str:
+    """Return the share of cells, and their distance to the map's heights: median, 99 %, largest."""
+    roads = roads_of_map(gr.read_map(site / "map.osm"), settings=settings.roads)
+    mask = gr.mask_road([site / "als.laz"], roads, engine="laspy", settings=settings)
+    heights = [level.height_near(mask.points[:, :2]) for level in roads.levels if level.has_heights]
+    off_m = np.min([np.abs(mask.points[:, 2] - height) for height in heights], axis=0)
+    figures = (mask.covered, *np.percentile(off_m, (50, 99, 100)))
+    return " ".join(f"{figure:.4f}" for figure in figures)
+
+
+def _measure_look(site: Path, settings: SecondLookSettings) -> str:
+    """Return score and verdict at the true pose of a sensor, and a lane beside it."""
+    sensor, truth = next(iter(json.loads((site / "truth.json").read_text()).items()))
+    names = ("easting", "northing", "height", "yaw", "pitch", "roll")
+    pose = gr.Pose(sensor=sensor, crs=CRS_OF_TILES, **{name: truth[name] for name in names})
+    left_m = 3.5 * pose.R_map_sensor[:2, 1]
+    beside = replace(pose, easting=pose.easting + left_m[0], northing=pose.northing + left_m[1])
+    found = []
+    for one in (pose, beside):
+        scans = [site / "als.laz"]
+        look = gr.second_look(site / f"{sensor}.parquet", one, scans, settings=settings)
+        found.append(f"{look.verdict} {look.score:.2f} {look.lead:.1f}")
+    return ", ".join(found)
 
 
 def _best(call: Callable[[], object]) -> float:

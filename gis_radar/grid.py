@@ -10,6 +10,9 @@ from affine import Affine
 
 from gis_radar.arrays import Booleans, Floats, Integers
 
+CELL_M = 0.5
+"""Side of the cells of a road, of what stands, and of the pixels of a heat map (the contract)."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Grid:

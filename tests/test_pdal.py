@@ -113,7 +113,7 @@ def test_the_order(no_pdal, tmp_path, monkeypatch):
     ("text", "remark"),
     [
         ("echo 'error while loading libgdal.so' >&2; exit 127", "loading libgdal.so"),
-        ("echo hello", "does not tell a version"),
+        ("echo hello", "does not print a version"),
         ("echo 'pdal 1.9.1 (x)'", "it is PDAL 1.9.1, needed is 2.2"),
     ],
 )

@@ -18,11 +18,13 @@ from sites import recording
 
 import gis_radar as gr
 from gis_radar.cli.main import group
+from gis_radar.grid import CELL_M
 from gis_radar.localization import Localization
 from gis_radar.localization import files as files_to_pose
 from gis_radar.scans import scan as scan_files
-from gis_radar.second_look.alignment import CLOSE_M, Alignment, align
-from gis_radar.second_look.standing import CELL_M, FRAMES, LevelFrame, read_slow
+from gis_radar.second_look.alignment import Alignment, align
+from gis_radar.second_look.settings import DEFAULTS, SecondLookSettings
+from gis_radar.second_look.standing import LevelFrame, read_slow
 from gis_radar.second_look.structure import read_structure
 
 SAMPLE = gr.sample_folder()
@@ -156,7 +158,7 @@ def test_closeness_is_that_of_the_next_structure(look):
     alignment = alignment_of(look)
     cells = np.argwhere(look.structure.visible) + 0.5 - len(look.structure.top) // 2
     away, _ = KDTree(cells * CELL_M).query(look.standing.points[:, :2])
-    expected = np.exp(-0.5 * (away / CLOSE_M) ** 2)
+    expected = np.exp(-0.5 * (away / DEFAULTS.close_m) ** 2)
     # the field is sampled at the centres of cells and distances count between centres
     assert np.abs(alignment.at((0.0, 0.0, 0.0)) - expected).mean() < 0.05
     assert look.closeness.mean() == pytest.approx(look.score)
@@ -266,12 +268,21 @@ def test_pieces_and_their_order_do_not_matter(tmp_path, monkeypatch):
 
 def test_the_last_frames_count():
     table = pq.read_table(R2)
-    slow = read_slow(R2, frames=200)
+    slow = read_slow(R2, settings=SecondLookSettings(frames=200))
     late = table.filter(pc.field("time") >= np.unique(table["time"].to_numpy())[-200])
     assert slow.frames == 200
     assert len(slow.points) == int((np.abs(late["range_rate"].to_numpy()) <= 1.0).sum())
     assert np.bincount(slow.span).min() > 0.5 * np.bincount(slow.span).max()
-    assert read_slow(R2).frames <= FRAMES
+    assert read_slow(R2).frames <= DEFAULTS.frames
+
+
+def test_settings_reach_the_comparison():
+    """With no slack an echo fits only where the scan has its wall."""
+    strict = gr.second_look(R2, POSE, [SCAN], settings=SecondLookSettings(close_m=0.1))
+    assert strict.score < 0.9
+    assert strict.figures()["settings"]["close_m"] == 0.1
+    few = gr.second_look(R2, POSE, [SCAN], settings=SecondLookSettings(least_cells=10**6))
+    assert few.reason.startswith("little stands in view")
 
 
 def test_votes_turn_with_the_question(look):
@@ -307,6 +318,7 @@ def test_the_command_tells_the_verdict(tmp_path, monkeypatch, left):
     assert said["level"] == ("warning" if left else "info")
     evidence = gr.read_pose(tmp_path / "pose.json").evidence["second_look"]
     assert evidence["verdict"] == verdict
+    assert evidence["settings"]["close_m"] == DEFAULTS.close_m
     assert {"score", "chance", "best_score", "best_east_m", "best_turn_deg"} <= set(evidence)
     view = gr.read_pose(tmp_path / "pose.json").view
     assert view == gr.View(max_range_m=reached_m(R2))

@@ -15,9 +15,9 @@ import numpy as np
 from scipy import ndimage
 
 from gis_radar.arrays import Booleans, Floats, Integers, compiled
-from gis_radar.grid import Grid
+from gis_radar.grid import CELL_M, Grid
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.scans.point_store import BLOCK_CELLS, BLOCK_M, CELL_M, PointStore
+from gis_radar.scans.point_store import BLOCK_CELLS, BLOCK_M, PointStore
 from gis_radar.scans.roads import RoadLevel
 from gis_radar.scans.settings import DEFAULTS, MaskSettings
 from gis_radar.scans.surface import fit_ground

@@ -117,7 +117,7 @@ class Pipeline:
 
     def _read(self, number: int, scan: Scan, area: Box) -> list[dict[str, Any]]:
         box = moved_box(area, self.roads.crs, scan.crs)
-        # The file's own system may be compound; heights shall stay as they are.
+        # The file's own system may be compound; heights must stay as they are.
         stages: list[dict[str, Any]] = [
             {
                 "type": "readers.las", "filename": str(scan.path.resolve()),
@@ -226,15 +226,15 @@ class ReadStatistics:
 
     Parameters
     ----------
-    classified : tuple of bool
-        For each scan, whether its classes distinguish ground.
+    pipeline : Pipeline
+        How the points are selected, as stages of PDAL.
     on_road : int
         Points on the roads, in classified scans without those whose class is no road's.
     flown : (date, date), optional
         Days of the first and the last point on the roads, where their times give days.
     """
 
-    classified: tuple[bool, ...]
+    pipeline: Pipeline
     on_road: int
     flown: Days | None
 
@@ -294,7 +294,11 @@ def _fill_by_laspy(
         store.classified(number, ground=classified[-1])
         counts = store.counts[number]
         on_road += int(counts[passing].sum() if classified[-1] else counts.sum())
-    return ReadStatistics(classified=tuple(classified), on_road=on_road, flown=days_of(times))
+    pipeline = Pipeline(
+        scans=tuple(scans), classified=tuple(classified), roads=roads,
+        margin_m=settings.filter_margin_m,
+    )  # fmt: skip
+    return ReadStatistics(pipeline=pipeline, on_road=on_road, flown=days_of(times))
 
 
 _BUILT_IN = Engine(name=f"built-in (laspy {laspy.__version__})", fill=_fill_by_laspy)
@@ -327,7 +331,7 @@ def _fill_by_pdal(
                     times += _keep(store, 0, piece)
             points.unlink(missing_ok=True)
             reporter.progress("running the pipeline", done + 1, len(parts))
-    return ReadStatistics(classified=classified, on_road=store.total, flown=days_of(times))
+    return ReadStatistics(pipeline=pipeline, on_road=store.total, flown=days_of(times))
 
 
 def _parts(pipeline: Pipeline) -> list[Box | None]:

@@ -16,12 +16,13 @@ from gis_radar.arrays import Floats
 from gis_radar.crs import moved_box, name_of
 from gis_radar.errors import InputError, NoAnswerError, UsageError
 from gis_radar.files import whole_file
+from gis_radar.grid import CELL_M
 from gis_radar.lanelets import LaneletMap
 from gis_radar.notebooks import card
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.scans.cells import RoadCells, make_cells
 from gis_radar.scans.engines import Pipeline, engine_of, write_layer
-from gis_radar.scans.point_store import CELL_M, PointStore, blocks_of
+from gis_radar.scans.point_store import PointStore, blocks_of
 from gis_radar.scans.roads import Roads, roads_of_map
 from gis_radar.scans.scan import Days, Scan, open_scan, write_road
 from gis_radar.scans.settings import DEFAULTS, MaskSettings
@@ -206,10 +207,7 @@ def mask_road(
         points=cells.points, roads=roads, engine=runner.name,
         outside=_outside(cells, touching, roads, settings),
         vertical=tuple(sorted({scan.vertical for scan in touching} - {""})), flown=statistics.flown,
-        pipeline=Pipeline(
-            scans=tuple(touching), classified=statistics.classified, roads=roads,
-            margin_m=settings.filter_margin_m,
-        ),
+        pipeline=statistics.pipeline,
         points_in=sum(scan.points for scan in touching), points_on_road=statistics.on_road,
         cells=cells, settings=settings,
     )  # fmt: skip

@@ -100,12 +100,12 @@ class PdalRunner:
             the writer has begun stays when the run fails: let it write into a private folder
             (:mod:`gis_radar.files`).
         reporter : Reporter
-            Is told the seconds so far, and PDAL's warnings.
+            Where the seconds so far go, and PDAL's warnings.
 
         Raises
         ------
         InputError
-            If PDAL refuses the pipeline or what it reads, with what PDAL said, or could not
+            If PDAL refuses the pipeline or what it reads, with PDAL's message, or could not
             reproject points, which PDAL itself passes over.
         OutputError
             If PDAL cannot write.
@@ -143,12 +143,12 @@ def find_pdal(*, reporter: Reporter = QUIET) -> PdalRunner | None:
     Parameters
     ----------
     reporter : Reporter
-        Is told what was passed over, and why.
+        Where it goes what was passed over, and why.
 
     Returns
     -------
     PdalRunner or None
-        None where there is none; :data:`INSTALL_HINT` says how to get one.
+        None where there is none; :data:`INSTALL_HINT` is how to get one.
     """
     for candidate in candidates():
         answer = _ask(candidate.ask, tuple(sorted(candidate.environment.items())))
@@ -235,11 +235,11 @@ def _ask(
     except OSError as error:
         return f"it does not start: {error.strerror or error}"
     if done.returncode != 0:
-        said = done.stderr.decode(errors="replace").strip().splitlines()
-        return ": ".join(["it does not start", *said[-1:]])
+        text = done.stderr.decode(errors="replace").strip().splitlines()
+        return ": ".join(["it does not start", *text[-1:]])
     found = re.search(rb"\bpdal (\d+)\.(\d+)(?:\.(\d+))?", done.stdout)
     if found is None:
-        return "it does not tell a version of PDAL"
+        return "it does not print a version of PDAL"
     version = tuple(int(part or 0) for part in found.groups())
     if version < OLDEST:
         return f"it is PDAL {'.'.join(map(str, version))}, needed is 2.2 or newer"
@@ -247,12 +247,12 @@ def _ask(
 
 
 def _strip(line: str) -> str:
-    """Take from a line of PDAL's log what tells the user nothing."""
+    """Remove from a line of PDAL's log what is of no use to a user."""
     return re.sub(r"^(\(.*? \w+\)|PDAL:) *(STDIN: )?(GDAL failure \(\d+\) )?", "", line)
 
 
 def _error(lines: list[str], code: int, pipeline: Mapping[str, Any]) -> GisRadarError:
-    """Choose the line that says most, and the error that fits it."""
+    """Return the error of the most informative line."""
     final = [line for line in lines if line.startswith("PDAL: ")]
     lost = [line for line in lines if _LOSES_POINTS.search(line)]
     chosen = (final or lost or lines or [f"it ended with exit code {code}"])[0]

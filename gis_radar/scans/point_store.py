@@ -15,11 +15,10 @@ from rasterio.features import rasterize
 
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.crs import Box
-from gis_radar.grid import Grid
+from gis_radar.grid import CELL_M, Grid
 from gis_radar.scans.roads import RoadLevel, Roads
 from gis_radar.scans.scan import NEVER_CLASSES, ROAD_CLASSES
 
-CELL_M = 0.5
 BLOCK_CELLS = 512
 BLOCK_M = CELL_M * BLOCK_CELLS
 OUTSIDE, INSIDE, EDGE = 0, 1, 2
@@ -219,11 +218,11 @@ class PointStore:
         return sum(int(count.sum()) for count in self.counts.values())
 
     def classified(self, scan: int, *, ground: bool) -> None:
-        """Set whether a scan's classes tell ground from the rest."""
+        """Set whether a scan's classes distinguish ground."""
         self._ground[scan] = ground
 
     def add(self, xyz: Floats, category: Any, block: Integers, scan: int) -> None:
-        """Add points that lie in blocks.
+        """Add points of blocks.
 
         Parameters
         ----------

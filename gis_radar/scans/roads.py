@@ -151,38 +151,14 @@ def _conflicts(
 _POLYGONAL = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
 
 
-def read_polygons(
-    path: str | Path,
-    *,
-    crs: Any = None,
-    layer: str | None = None,
-    settings: RoadSettings = DEFAULTS.roads,
-    reporter: Reporter = QUIET,
+def _read_polygons(
+    path: Path, crs: Any, layer: str | None, settings: RoadSettings, reporter: Reporter
 ) -> gpd.GeoDataFrame:
-    """Read the polygons of a layer.
+    """Read the polygons of a layer, in any format that GDAL reads, or CSV.
 
     A polygon that touches itself or repeats points is mended. One that crosses itself, so that
     it is ambiguous which part of it is meant, is refused.
-
-    Parameters
-    ----------
-    path : str or Path
-        Any format that GDAL reads, or CSV.
-    crs : CRS, str or int, optional
-        The coordinate system, where the file has none.
-    layer : str, optional
-        Which layer, where there are several with polygons.
-    settings : RoadSettings
-        By how much mending may change an area.
-    reporter : Reporter
-        Where the remark goes of what was mended.
-
-    Raises
-    ------
-    InputError
-        If the file has no usable polygons; CrsError if it has no coordinate system.
     """
-    path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     table = _read_csv(path) if path.suffix.lower() in {".csv", ".txt"} else _read_layer(path, layer)
@@ -355,7 +331,7 @@ def read_roads(
     if Path(path).suffix.lower() in {".osm", ".xml"}:
         roads = read_map(path, crs=crs, origin=origin, reporter=reporter)
         return roads_of_map(roads, source=str(path), settings=settings)
-    table = read_polygons(path, crs=map_crs, layer=layer, settings=settings, reporter=reporter)
+    table = _read_polygons(Path(path), map_crs, layer, settings, reporter)
     return roads_of_polygons(_projected(table, crs, path), source=str(path), settings=settings)
 
 

@@ -1,5 +1,6 @@
-"""Surroundings: what stands around a sensor, against an airborne scan; a second look at a pose."""
+"""Compare what stands around a sensor with an airborne scan: a second look at a pose."""
 
 from gis_radar.second_look.second_look import SecondLook, require_scans_near, second_look
+from gis_radar.second_look.settings import SecondLookSettings
 
-__all__ = ["SecondLook", "require_scans_near", "second_look"]
+__all__ = ["SecondLook", "SecondLookSettings", "require_scans_near", "second_look"]

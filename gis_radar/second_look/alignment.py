@@ -1,4 +1,4 @@
-"""How well what stands in a recording lies on a scan, here and at poses moved and turned."""
+"""Score how well what stands in a recording fits a scan, here and at poses moved and turned."""
 
 from __future__ import annotations
 
@@ -9,17 +9,10 @@ import numpy as np
 from scipy import fft, ndimage
 
 from gis_radar.arrays import Booleans, Floats
-from gis_radar.second_look.standing import CELL_M, Standing
+from gis_radar.grid import CELL_M
+from gis_radar.second_look.settings import DEFAULTS, SecondLookSettings
+from gis_radar.second_look.standing import Standing
 from gis_radar.second_look.structure import Structure
-
-CLOSE_M = 0.75  # how far a radar's echo of a wall may lie from where a scan sees its roof end
-COARSE = 2  # the search over all headings takes cells twice as wide, and twice the slack
-TURN_DEG = 1.0
-SHIFT_M = 10.0
-LANE_M = 3.0  # from here on, and from `ASKEW_DEG`, a pose is another one
-ASKEW_DEG = 3.0
-CANDIDATES = 8
-STEPS = ((1.0, 1.0), (0.5, 0.5), (0.25, 0.25), (0.1, 0.1))  # metres, degrees
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,11 +45,11 @@ class PoseOffset:
         return float(np.hypot(self.ahead_m, self.left_m))
 
     def words(self) -> str:
-        """Say it in words."""
+        """Return shift and turn as text."""
         return f"{self.shift_m:.1f} m and {abs(self.turn_deg):.1f} deg away"
 
     def beyond(self, shift_m: float, turn_deg: float) -> bool:
-        """Tell whether it is moved or turned so far."""
+        """Return whether it is moved or turned so far."""
         return self.shift_m >= shift_m or abs(self.turn_deg) >= turn_deg
 
 
@@ -65,10 +58,10 @@ HERE = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, kw_only=True)
 class Alignment:
-    """What stands, laid on a scan.
+    """What stands, compared with a scan.
 
-    The score of a pose is the mean over the standing cells of `exp(-d^2 / 2 CLOSE_M^2)`, `d` their
-    distance to the next structure of the scan: the share that lies where it should.
+    The score of a pose is the mean over the standing cells of `exp(-d^2 / 2 close_m^2)`, `d` their
+    distance to the next structure of the scan: the share that is where it should be.
 
     Parameters
     ----------
@@ -76,10 +69,13 @@ class Alignment:
         The cells, in the level frame of the answer.
     closeness : (n, n) array
         That value for each cell of the frame.
+    settings : SecondLookSettings
+        Reach and steps of the search.
     """
 
     standing: Standing = field(repr=False)
     closeness: Floats = field(repr=False)
+    settings: SecondLookSettings = field(default=DEFAULTS, repr=False)
 
     def at(self, offset: Sequence[float]) -> Floats:
         """Return the closeness of each standing cell at (ahead, left, turn in degrees)."""
@@ -126,15 +122,17 @@ class Alignment:
         return float(votes.sum()) / spread if spread > 0.0 else 0.0
 
     def climbed(self, place: Sequence[float], *, apart: bool = False) -> PoseOffset:
-        """Walk from an offset to the top nearby; with `apart`, stay away from the answer."""
+        """Climb from an offset to the top nearby; with `apart`, stay away from the answer."""
         best = self.offset(place)
-        for shift_m, turn_deg in STEPS:
+        lane_m, askew_deg = self.settings.lane_m, self.settings.askew_deg
+        farthest_m = self.settings.shift_m * np.sqrt(2.0)
+        for shift_m, turn_deg in self.settings.steps:
             step = np.array([shift_m, shift_m, turn_deg])
             for _ in range(30):
                 around = [self.offset(best.place + move * step) for move in _MOVES]
-                around = [o for o in around if o.shift_m <= _FARTHEST_M]
+                around = [o for o in around if o.shift_m <= farthest_m]
                 if apart:
-                    around = [o for o in around if o.beyond(LANE_M, ASKEW_DEG)]
+                    around = [o for o in around if o.beyond(lane_m, askew_deg)]
                 top = max(around, key=lambda o: o.score, default=best)
                 if top.score <= best.score + 1e-9:
                     break
@@ -142,21 +140,21 @@ class Alignment:
         return best
 
     def surface(self) -> Floats:
-        """Return the scores at the answer's heading, (ahead, left) every cell up to `SHIFT_M`."""
+        """Return the scores at the answer's heading, (ahead, left) every cell up to `shift_m`."""
         return _shifted(_Search(self, 1), 0.0)
 
     def explored(self) -> tuple[list[PoseOffset], float]:
         """Return the best offsets far from each other in all headings, and the mean of all."""
-        search = _Search(self, COARSE)
-        turns = np.arange(-180.0, 180.0, TURN_DEG)
+        search = _Search(self, self.settings.coarse)
+        turns = np.arange(-180.0, 180.0, self.settings.turn_deg)
         scores = np.stack([_shifted(search, turn) for turn in turns])
         size = (7, 5, 5)
         peak = ndimage.maximum_filter(scores, size, mode=("wrap", "nearest", "nearest")) == scores
-        order = np.argsort(-np.where(peak, scores, -1.0), axis=None)[:CANDIDATES]
+        order = np.argsort(-np.where(peak, scores, -1.0), axis=None)[: self.settings.candidates]
         tops = np.column_stack(np.unravel_index(order, scores.shape))
         middle = scores.shape[1] // 2
         places = [
-            ((i - middle) * CELL_M * COARSE, (j - middle) * CELL_M * COARSE, turns[k])
+            ((i - middle) * search.cell_m, (j - middle) * search.cell_m, turns[k])
             for k, i, j in tops.tolist()
         ]
         return [self.offset(place) for place in places], float(scores.mean())
@@ -165,12 +163,14 @@ class Alignment:
 _MOVES = np.array(
     [(a, b, c) for a in (-1, 0, 1) for b in (-1, 0, 1) for c in (-1, 0, 1) if a or b or c], float
 )
-_FARTHEST_M = SHIFT_M * np.sqrt(2.0)
 
 
-def align(standing: Standing, structure: Structure) -> Alignment:
-    """Lay what stands on a scan."""
-    return Alignment(standing=standing, closeness=_closeness(structure.visible, CLOSE_M))
+def align(
+    standing: Standing, structure: Structure, settings: SecondLookSettings = DEFAULTS
+) -> Alignment:
+    """Compare what stands with a scan."""
+    closeness = _closeness(structure.visible, settings.close_m)
+    return Alignment(standing=standing, closeness=closeness, settings=settings)
 
 
 def _closeness(cells: Booleans, slack_m: float) -> Floats:
@@ -186,14 +186,16 @@ class _Search:
     def __init__(self, alignment: Alignment, coarse: int) -> None:
         field = alignment.closeness
         if coarse > 1:
-            field = ndimage.gaussian_filter(field, coarse * CLOSE_M / CELL_M / 2.0)
+            field = ndimage.gaussian_filter(
+                field, coarse * alignment.settings.close_m / CELL_M / 2.0
+            )
         size = len(field) // coarse
         field = field[: size * coarse, : size * coarse]
         field = field.reshape(size, coarse, size, coarse).mean(axis=(1, 3))
         self.size = int(fft.next_fast_len(size, real=True))
         self.middle = size / 2.0
         self.cell_m = CELL_M * coarse
-        self.most = round(SHIFT_M / self.cell_m)
+        self.most = round(alignment.settings.shift_m / self.cell_m)
         self.points = alignment.standing.points[:, :2]
         self.spectrum = fft.rfft2(field.astype(np.float32), (self.size, self.size))
 

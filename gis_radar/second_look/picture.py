@@ -1,4 +1,4 @@
-"""The second look as a picture: what stands, over canopy, roofs and walls."""
+"""Draw the second look: what stands, over canopy, roofs and walls."""
 
 from __future__ import annotations
 
@@ -18,10 +18,9 @@ from matplotlib.transforms import Affine2D
 
 from gis_radar.arrays import Booleans, Floats
 from gis_radar.files import whole_file
-from gis_radar.second_look.alignment import SHIFT_M
+from gis_radar.grid import CELL_M
 from gis_radar.second_look.second_look import SecondLook
-from gis_radar.second_look.standing import CELL_M
-from gis_radar.second_look.structure import TALL_M, Structure
+from gis_radar.second_look.structure import Structure
 
 DPI = 216
 SIZE_IN = (6.6, 6.6)
@@ -62,8 +61,9 @@ def draw_surroundings(ax: Axes, look: SecondLook) -> None:
     place = look.pose.position[:2]
     into_map = Affine2D().rotate_deg(look.pose.yaw).translate(*place)
     ax.imshow(
-        _colours(look.structure).transpose(1, 0, 2), extent=(-half, half, -half, half),
-        origin="lower", interpolation="nearest", transform=into_map + ax.transData,
+        _colours(look.structure, look.settings.tall_m).transpose(1, 0, 2), origin="lower",
+        extent=(-half, half, -half, half), interpolation="nearest",
+        transform=into_map + ax.transData,
     )  # fmt: skip
     handles = [*_draw_standing(ax, look), *_kinds(look.structure)]
     ahead = look.pose.R_map_sensor[:2, 0]
@@ -86,9 +86,9 @@ def _title(look: SecondLook) -> str:
     return f"{look.pose.sensor}, second look: {look.verdict}\n{reason}"
 
 
-def _colours(structure: Structure) -> Floats:
+def _colours(structure: Structure, tall_m: float) -> Floats:
     """Return the colour of each cell, (n, n, 3)."""
-    over = np.nan_to_num((structure.top - structure.ground - TALL_M) / TALLEST_M, nan=-1.0)
+    over = np.nan_to_num((structure.top - structure.ground - tall_m) / TALLEST_M, nan=-1.0)
     shade = np.clip(over, 0.0, 1.0)[..., None]
     image = np.where(np.isnan(structure.top)[..., None], to_rgb(UNSEEN), to_rgb(BARE))
     kinds: tuple[tuple[Booleans, tuple[str, str]], ...] = ((over > 0.0, TALL),)
@@ -161,14 +161,15 @@ def _corner(look: SecondLook, low: Floats, high: Floats) -> tuple[float, float, 
 
 
 def _draw_surface(ax: Axes, look: SecondLook) -> None:
-    """Draw the score over offsets, as the map lies, with the answer in the middle."""
-    half = SHIFT_M + CELL_M / 2.0
+    """Draw the score over offsets, north up, with the answer in the middle."""
+    shift_m = look.settings.shift_m
+    half = shift_m + CELL_M / 2.0
     ax.imshow(
         look.surface.T, extent=(-half, half, -half, half), origin="lower", cmap="magma", vmin=0.0,
         vmax=1.0, transform=Affine2D().rotate_deg(look.pose.yaw) + ax.transData,
     )  # fmt: skip
     ax.plot(0.0, 0.0, marker="+", color="white", markersize=10, markeredgewidth=1.2)
-    span = (-SHIFT_M, SHIFT_M)
+    span = (-shift_m, shift_m)
     ax.set(xlim=span, ylim=span, aspect="equal", xticks=(span[0], 0, span[1]), yticks=())
     ax.set_facecolor("black")
     ax.tick_params(labelsize=6, length=2, pad=1)

@@ -1,9 +1,9 @@
-"""The second look: whether what stands around a sensor agrees with a pose, lanes apart."""
+"""Check a pose by what stands around the sensor, independently of lanes and traffic."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,27 +16,20 @@ from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Recording
 from gis_radar.scans.scan import open_scan
-from gis_radar.second_look.alignment import ASKEW_DEG, LANE_M, Alignment, PoseOffset, align
+from gis_radar.second_look.alignment import Alignment, PoseOffset, align
+from gis_radar.second_look.settings import DEFAULTS, SecondLookSettings
 from gis_radar.second_look.standing import LevelFrame, Slow, Standing, read_slow, standing
 from gis_radar.second_look.structure import Structure, box_around, read_structure
 
 CONFIRMS, DOUBTS, NOTHING = "confirms", "doubts", "nothing to compare"
-LEAST_CELLS = 60
-LEAST_PATCHES = 12
-LEAST_COVERED = 0.5
-SAME_M, SAME_DEG = 1.75, 1.5  # nearer to this lane than to the next
-BETTER = 3.0  # standard deviations by which another offset must be better
-CLEAR = 2.0  # and by which the answer must be better than all others
-LEAST_REACH_M, MOST_REACH_M = 60.0, 300.0
-MARGIN_M = 20.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class SecondLook:
-    """What stands around a sensor, laid on an airborne scan at a pose, and what it says.
+    """What stands around a sensor, compared with an airborne scan at a pose, and the verdict.
 
-    The score is the share of what stands (cells of half a metre) that lies on canopy and walls of
-    the scan. It says nothing about height, roll and pitch.
+    The score is the share of what stands (cells of half a metre) that is on canopy and walls of
+    the scan. It does not measure height, roll and pitch.
 
     Parameters
     ----------
@@ -60,7 +53,7 @@ class SecondLook:
     standing : Standing
         What stands, in the level frame of the pose.
     closeness : (n,) array
-        How close each of its cells lies to a structure, 0 to 1; the score is the mean.
+        How close each of its cells is to a structure, 0 to 1; the score is the mean.
     covered : float
         Share of those cells over which the scan has points.
     structure : Structure
@@ -68,7 +61,9 @@ class SecondLook:
     surface : (k, k) array
         Scores at the pose's heading, (ahead, left) every 0.5 m from -10 to 10 m.
     range_m : float
-        Within which slant range 99.9 % of the recording's detections lie, metres; 0 without any.
+        Slant range of 99.9 % of the recording's detections, metres; 0 without any.
+    settings : SecondLookSettings
+        What was in effect.
     """
 
     pose: Pose
@@ -84,18 +79,19 @@ class SecondLook:
     covered: float = float("nan")
     structure: Structure = field(repr=False)
     surface: Floats = field(repr=False, default_factory=lambda: np.empty((0, 0)))
+    settings: SecondLookSettings = field(repr=False, default=DEFAULTS)
     range_m: float = 0.0
 
     @property
     def level(self) -> LevelFrame:
-        """The frame in which cells and structure lie."""
+        """The frame of the cells and the structure."""
         return LevelFrame(pose=self.pose)
 
     def __repr__(self) -> str:
         return f"SecondLook({self.pose.sensor}: {self.verdict}: {self.reason})"
 
     def figures(self) -> Mapping[str, Any]:
-        """Return figures worth a look, by name, ready for JSON.
+        """Return the figures and the settings in effect, ready for JSON.
 
         `best_east_m`, `best_north_m` and `best_turn_deg` lead from the pose to where the score is
         highest.
@@ -119,7 +115,7 @@ class SecondLook:
             }
         if self.rival is not None:
             found |= {"rival_score": round(self.rival.score, 3), "lead": round(self.lead, 2)}
-        return found
+        return found | {"settings": asdict(self.settings)}
 
     def _east_north(self, offset: PoseOffset) -> tuple[float, float]:
         place = np.array([[offset.ahead_m, offset.left_m]])
@@ -128,30 +124,35 @@ class SecondLook:
 
 
 def require_scans_near(
-    scans: Sequence[str | Path], crs: CRS, place: Sequence[float], *, scan_crs: Any = None
+    scans: Sequence[str | Path],
+    crs: CRS,
+    place: Sequence[float],
+    *,
+    scan_crs: Any = None,
+    settings: SecondLookSettings = DEFAULTS,
 ) -> None:
     """Refuse scans that cannot serve a second look at a sensor; reads their headers only.
 
     Parameters
     ----------
-    scans, scan_crs
+    scans, scan_crs, settings
         As for :func:`second_look`.
     crs : CRS
         The map frame.
     place : (easting, northing, ...)
-        About where the sensor stands, metres.
+        About where the sensor is, metres.
 
     Raises
     ------
     InputError
-        If none of them reaches within 300 m, or one is damaged; CrsError if one says no projected,
+        If none of them reaches within 300 m, or one is damaged; CrsError if one has no projected,
         metric coordinate system.
     """
-    box = box_around(place[0], place[1], MOST_REACH_M)
-    # each is opened, so that a bad one is told at once
+    box = box_around(place[0], place[1], settings.most_reach_m)
+    # each is opened, so that a bad one is refused at once
     near = [open_scan(scan, crs=scan_crs).touches(box, crs) for scan in scans]
     if not any(near):
-        raise _elsewhere(scans, MOST_REACH_M, "the sensor", place, crs)
+        raise _elsewhere(scans, settings.most_reach_m, "the sensor", place, crs)
 
 
 def _elsewhere(
@@ -171,13 +172,14 @@ def second_look(
     scans: Sequence[str | Path],
     *,
     scan_crs: Any = None,
+    settings: SecondLookSettings = DEFAULTS,
     reporter: Reporter = QUIET,
 ) -> SecondLook:
-    """Look whether what stands around a sensor agrees with a pose (the paper's Fig. 2).
+    """Check whether what stands around a sensor agrees with a pose (the paper's Fig. 2).
 
-    Facades, crowns with their rustling leaves, and poles are seen again and again at one place.
-    At the right pose they lie on the canopy and at the walls of an airborne scan, and at no other
-    nearby. Lanes and traffic play no part.
+    Facades, crowns with their rustling leaves, and poles are detected repeatedly at one place. At
+    the right pose they are on the canopy and at the walls of an airborne scan, and at no other
+    pose nearby. Lanes and traffic are not used.
 
     Parameters
     ----------
@@ -188,9 +190,11 @@ def second_look(
     scans : sequence of paths
         Airborne scans (LAS, LAZ, COPC), whole and not masked; classified or not.
     scan_crs : CRS, str or int, optional
-        The scans' coordinate system, for files that do not say it.
+        The scans' coordinate system, for files without one.
+    settings : SecondLookSettings
+        Choices of the algorithm.
     reporter : Reporter
-        Told the progress.
+        Where progress and the verdict go.
 
     Returns
     -------
@@ -199,71 +203,75 @@ def second_look(
     Raises
     ------
     InputError
-        If a file cannot be read, or no scan has a point near the pose; CrsError if a scan says no
+        If a file cannot be read, or no scan has a point near the pose; CrsError if a scan has no
         projected, metric coordinate system.
     """
-    slow = read_slow(recording, reporter=reporter)
+    slow = read_slow(recording, settings=settings, reporter=reporter)
     level = LevelFrame(pose=pose)
-    reach_m = float(np.clip(slow.reach_m, LEAST_REACH_M, MOST_REACH_M))
+    reach_m = float(np.clip(slow.reach_m, settings.least_reach_m, settings.most_reach_m))
     structure = read_structure(
-        scans, level, reach_m=reach_m + MARGIN_M, scan_crs=scan_crs, reporter=reporter
-    )
+        scans, level, reach_m=reach_m + settings.margin_m, scan_crs=scan_crs, settings=settings,
+        reporter=reporter,
+    )  # fmt: skip
     if structure is None:
         raise _elsewhere(scans, reach_m, pose.sensor, pose.position.tolist(), pose.crs)
-    found = standing(slow, level, structure.ground, reach_m=reach_m)
-    look = _look(pose, found, structure, _too_little(slow, found, structure))
-    look = replace(look, range_m=slow.range_m)
-    said = f"second look: {look.verdict}: {look.reason}"
-    reporter.log(said, "warning" if look.verdict == DOUBTS else "info")
+    found = standing(slow, level, structure.ground, reach_m=reach_m, settings=settings)
+    look = SecondLook(
+        pose=pose, verdict=NOTHING, reason=_too_little(slow, found, structure, settings),
+        standing=found, structure=structure, range_m=slow.range_m, settings=settings,
+    )  # fmt: skip
+    look = look if look.reason else _compare(look)
+    text = f"second look: {look.verdict}: {look.reason}"
+    reporter.log(text, "warning" if look.verdict == DOUBTS else "info")
     return look
 
 
-def _too_little(slow: Slow, found: Standing, structure: Structure) -> str:
-    """Say why there is nothing to compare, or nothing."""
+def _too_little(
+    slow: Slow, found: Standing, structure: Structure, settings: SecondLookSettings
+) -> str:
+    """Return why there is nothing to compare, or nothing."""
     if len(slow.points) == 0:
         return "the recording has no still detections"
-    if len(found) < LEAST_CELLS or found.patches < LEAST_PATCHES:
+    if len(found) < settings.least_cells or found.patches < settings.least_patches:
         return f"little stands in view: {len(found)} cells in {found.patches} places"
     if not structure.visible.any():
         return "the scan shows neither canopy nor walls here"
     return ""
 
 
-def _look(pose: Pose, found: Standing, structure: Structure, too_little: str) -> SecondLook:
-    if too_little:
-        return SecondLook(
-            pose=pose, verdict=NOTHING, reason=too_little, standing=found, structure=structure
-        )
-    alignment = align(found, structure)
+def _compare(look: SecondLook) -> SecondLook:
+    """Return the look with scores, and with the verdict that follows from them."""
+    found, structure, settings = look.standing, look.structure, look.settings
+    alignment = align(found, structure, settings)
     here = alignment.here
     peaks, chance = alignment.explored()
     tops = [alignment.climbed(peak.place) for peak in (here, *peaks)]
     best = max(tops, key=lambda top: top.score)
-    others = [peak for peak in (*peaks, *tops) if peak.beyond(LANE_M, ASKEW_DEG)]
+    others = [o for o in (*peaks, *tops) if o.beyond(settings.lane_m, settings.askew_deg)]
     rivals = [alignment.climbed(other.place, apart=True) for other in others]
     rival = max(rivals, key=lambda top: top.score, default=None)
     rows, columns = LevelFrame.cells(found.points, len(structure.top))
-    look = SecondLook(
-        pose=pose, verdict=NOTHING, reason="", score=here.score, chance=chance, best=best,
-        rival=rival, lead=alignment.lead(here, rival) if rival else float("inf"),
-        standing=found, closeness=alignment.at(here.place), structure=structure,
+    look = replace(
+        look, score=here.score, chance=chance, best=best, rival=rival,
+        lead=alignment.lead(here, rival) if rival else float("inf"),
+        closeness=alignment.at(here.place), surface=alignment.surface(),
         covered=float(np.isfinite(structure.top[rows, columns]).mean()),
-        surface=alignment.surface(),
     )  # fmt: skip
     verdict, reason = _verdict(look, alignment, best)
     return replace(look, verdict=verdict, reason=reason)
 
 
 def _verdict(look: SecondLook, alignment: Alignment, best: PoseOffset) -> tuple[str, str]:
+    limits = look.settings
     fits = f"{look.score:.0%} of what stands lies on the scan's canopy and walls"
-    elsewhere = best.beyond(SAME_M, SAME_DEG)
+    elsewhere = best.beyond(limits.same_m, limits.same_deg)
     other = best if elsewhere else look.rival
-    if elsewhere and alignment.lead(best, alignment.here) >= BETTER:
+    if elsewhere and alignment.lead(best, alignment.here) >= limits.better_sigmas:
         return DOUBTS, f"{fits}, but {best.score:.0%} {best.words()}"
-    if look.covered < LEAST_COVERED:
+    if look.covered < limits.least_covered:
         return NOTHING, f"the scan covers {look.covered:.0%} of what stands in view"
-    if alignment.over(look.chance) < BETTER:
+    if alignment.over(look.chance) < limits.better_sigmas:
         return DOUBTS, f"{fits}, hardly more than by chance ({look.chance:.0%})"
-    if other is not None and (elsewhere or alignment.lead(best, other) < CLEAR):
+    if other is not None and (elsewhere or alignment.lead(best, other) < limits.clear_sigmas):
         return NOTHING, f"{fits}, and {other.score:.0%} {other.words()}: both may be right"
     return CONFIRMS, f"{fits}, by chance {look.chance:.0%}; most of all {best.words()}"

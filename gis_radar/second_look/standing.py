@@ -1,4 +1,4 @@
-"""Find what stands in a recording: facades, crowns and poles, hit again and again at one place."""
+"""Find what stands in a recording: facades, crowns and poles, hit repeatedly at one place."""
 
 from __future__ import annotations
 
@@ -10,18 +10,20 @@ from typing import Any
 import numpy as np
 
 from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.grid import CELL_M, Grid
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import RangeCounts, Recording, as_recording
+from gis_radar.second_look.settings import DEFAULTS, SecondLookSettings
 
-CELL_M = 0.5
+STAGE = "reading what stands"
 
 
 @dataclass(frozen=True, kw_only=True)
 class LevelFrame:
-    """A frame that stands under a sensor, looks where it looks, and has the map's heights.
+    """A level frame at a sensor, turned by its yaw, with the map's heights.
 
-    In it, nothing depends on where on earth a site lies and how it is turned.
+    In it, nothing depends on where on earth a site is and how it is turned.
 
     Parameters
     ----------
@@ -53,21 +55,11 @@ class LevelFrame:
     def cells(points: Floats, size: int) -> tuple[Integers, Integers]:
         """Return row and column, ahead and left, of points in a grid of `size` cells a side.
 
-        The sensor stands in the grid's middle; points beyond its edge count to the outermost.
+        The sensor is in the grid's middle; points beyond its edge count to the outermost.
         """
-        place = np.floor(points[:, :2] / CELL_M).astype(np.int64) + size // 2
-        rows, columns = np.clip(place, 0, size - 1).T
-        return rows, columns
-
-
-FRAMES = 2000  # the paper's window, as for the traces: 100 s at 20 Hz
-SLOW_MPS = 1.0  # leaves rustle up to here; what travels so slowly does not stay
-STILL_MPS = 0.15  # the paper's Doppler threshold
-SPANS = 20
-LEAST_SPANS = 8
-OVERHEAD_M = 2.0  # over parked cars, people and what grows beside the kerb
-PATCH_M = 8.0  # a tree, or a piece of wall
-STAGE = "reading what stands"
+        half = size // 2
+        grid = Grid(cell_m=CELL_M, west=-half, south=-half, columns=size, rows=size)
+        return grid.nearest(points[:, 0], points[:, 1])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,11 +73,11 @@ class Slow:
     rustles : (n,) bool array
         Whether they move like leaves rather than not at all.
     span : (n,) array
-        In which of `SPANS` equal parts of the window they lie.
+        In which of the equal parts of the window they are.
     frames : int
         Length of the window.
     range_m : float
-        Within which slant range 99.9 % of all detections of the recording lie, metres.
+        Slant range of 99.9 % of all detections of the recording, metres.
     """
 
     points: Floats = field(repr=False)
@@ -96,7 +88,7 @@ class Slow:
 
     @property
     def reach_m(self) -> float:
-        """Within which distance nearly all of them lie, metres."""
+        """Distance of the 99th percentile, metres."""
         if len(self.points) == 0:
             return 0.0
         return float(np.percentile(np.linalg.norm(self.points, axis=1), 99.0))
@@ -112,18 +104,21 @@ class Standing:
         Mean place of the detections over each cell: ahead, left, height; metres.
     rustles : (n,) array
         Share of them that move like leaves.
+    patch_m : float
+        Side of the squares that vote as one, metres.
     """
 
     points: Floats
     rustles: Floats
+    patch_m: float = DEFAULTS.patch_m
 
     def __len__(self) -> int:
         return len(self.points)
 
     @property
     def patch(self) -> Integers:
-        """Number of the square of `PATCH_M` in which each cell lies."""
-        squares = np.floor(self.points[:, :2] / PATCH_M).astype(np.int64)
+        """Number of the square in which each cell is."""
+        squares = np.floor(self.points[:, :2] / self.patch_m).astype(np.int64)
         return np.asarray(np.unique(squares, axis=0, return_inverse=True)[1])
 
     @property
@@ -133,7 +128,10 @@ class Standing:
 
 
 def read_slow(
-    recording: str | Path | Recording, *, frames: int = FRAMES, reporter: Reporter = QUIET
+    recording: str | Path | Recording,
+    *,
+    settings: SecondLookSettings = DEFAULTS,
+    reporter: Reporter = QUIET,
 ) -> Slow:
     """Read what hardly moves in the last frames of a recording, in bounded memory.
 
@@ -143,7 +141,7 @@ def read_slow(
         If the recording cannot be read.
     """
     source = as_recording(recording)
-    times: deque[float] = deque(maxlen=frames)
+    times: deque[float] = deque(maxlen=settings.frames)
     pieces: deque[tuple[Any, Any, Any]] = deque()
     ranges = RangeCounts()
     done = 0
@@ -151,7 +149,7 @@ def read_slow(
         ranges.add(piece)
         stamps = np.unique(piece.time)
         times.extend(stamps[1:] if times and times[-1] == stamps[0] else stamps)
-        keep = piece.present & (np.abs(piece.range_rate) <= SLOW_MPS)
+        keep = piece.present & (np.abs(piece.range_rate) <= settings.slow_mps)
         rates = piece.range_rate[keep].astype(np.float32)
         pieces.append((piece.time[keep], piece.points[keep].astype(np.float32), rates))
         while pieces and (len(pieces[0][0]) == 0 or pieces[0][0][-1] < times[0]):
@@ -164,14 +162,21 @@ def read_slow(
     frame = np.searchsorted(np.asarray(times), time[inside])
     return Slow(
         points=points[inside],
-        rustles=np.abs(rate[inside]) > STILL_MPS,
-        span=frame * SPANS // len(times),
+        rustles=np.abs(rate[inside]) > settings.still_mps,
+        span=frame * settings.spans // len(times),
         frames=len(times),
         range_m=ranges.reached_m(),
     )
 
 
-def standing(slow: Slow, level: LevelFrame, ground: Floats, *, reach_m: float) -> Standing:
+def standing(
+    slow: Slow,
+    level: LevelFrame,
+    ground: Floats,
+    *,
+    reach_m: float,
+    settings: SecondLookSettings = DEFAULTS,
+) -> Standing:
     """Find the cells over which something stands through most of the window.
 
     Parameters
@@ -184,22 +189,25 @@ def standing(slow: Slow, level: LevelFrame, ground: Floats, *, reach_m: float) -
         Height of the ground under the cells of that frame, NaN where unknown.
     reach_m : float
         Farther away nothing counts.
+    settings : SecondLookSettings
+        How high over the ground, and how often.
     """
     points = level.from_sensor(slow.points)
     near = np.hypot(points[:, 0], points[:, 1]) < reach_m
     rows, columns = level.cells(points[near], len(ground))
     over = points[near, 2] - ground[rows, columns]
-    # under the ground by much: it lies in a house whose roof was taken for the ground
-    tall = ~(np.abs(over) < OVERHEAD_M)
+    # far under the ground: in a house whose roof was taken for the ground
+    tall = ~(np.abs(over) < settings.overhead_m)
     points, span, rustles = points[near][tall], slow.span[near][tall], slow.rustles[near][tall]
     cell = rows[tall] * len(ground) + columns[tall]
     cells, place = np.unique(cell, return_inverse=True)
-    hit = np.zeros((len(cells), SPANS), bool)
+    hit = np.zeros((len(cells), settings.spans), bool)
     hit[place, span] = True
-    kept = hit.sum(axis=1) >= LEAST_SPANS
+    kept = hit.sum(axis=1) >= settings.least_spans
     counts = np.bincount(place, minlength=len(cells))[kept]
     means = [
         np.bincount(place, values, minlength=len(cells))[kept] / counts
         for values in (*points.T, rustles)
     ]
-    return Standing(points=np.column_stack(means[:3]), rustles=means[3])
+    points = np.column_stack(means[:3])
+    return Standing(points=points, rustles=means[3], patch_m=settings.patch_m)

@@ -1,4 +1,4 @@
-"""What an airborne scan shows a radar: crowns of trees, and where walls rise."""
+"""Read from an airborne scan what a radar sees: crowns of trees, and where walls rise."""
 
 from __future__ import annotations
 
@@ -12,18 +12,15 @@ from scipy import ndimage
 
 from gis_radar.arrays import Booleans, Floats
 from gis_radar.crs import Box
+from gis_radar.grid import CELL_M
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.scans import open_scan
-from gis_radar.second_look.standing import CELL_M, LevelFrame
+from gis_radar.scans.scan import ROAD_CLASSES
+from gis_radar.second_look.settings import DEFAULTS, SecondLookSettings
+from gis_radar.second_look.standing import LevelFrame
 
-GROUND, PLANTS, BUILDING = (2, 8, 11, 17), (3, 4, 5), (6,)
+PLANTS, BUILDING = (3, 4, 5), (6,)  # ASPRS LAS 1.4, table 17
 UNFIT = (7, 9, 13, 14, 15, 16, 18)  # noise, water, wires and pylons
-LEAST_GROUND_SHARE = 0.01
-TALL_M = 2.5
-JUMP_CELLS = 3
-GAP_CELLS = 3
-GROUND_CELLS = 4  # cells of the ground are so many times wider
-WIDEST_ROOF_M = 40.0
 STAGE = "reading the scan"
 
 
@@ -38,11 +35,11 @@ class Structure:
     ground : (n, n) array
         Height of the ground, also under roofs and crowns; NaN far from any point.
     canopy, roof : (n, n) bool array
-        Plants of more than `TALL_M` and buildings, by their classes; nowhere without these.
+        Plants of more than `tall_m` and buildings, by their classes; nowhere without these.
     edge : (n, n) bool array
-        Where something rises by more than `TALL_M`: walls, rims of crowns.
+        Where something rises by more than `tall_m`: walls, rims of crowns.
     classified : bool
-        Whether every scan tells plants or buildings from the rest.
+        Whether the classes distinguish plants or buildings.
     """
 
     top: Floats = field(repr=False)
@@ -76,7 +73,7 @@ class _Tops:
         for grid, which in ((self.plants, PLANTS), (self.building, BUILDING)):
             of = np.isin(category, which)
             np.maximum.at(grid, (rows[of], columns[of]), xyz[of, 2])
-        of = np.isin(category, GROUND)
+        of = np.isin(category, ROAD_CLASSES)
         np.minimum.at(self.ground, (rows[of], columns[of]), xyz[of, 2])
         np.minimum.at(self.low, (rows, columns), xyz[:, 2])
         np.maximum.at(self.any, (rows, columns), xyz[:, 2])
@@ -88,6 +85,7 @@ def read_structure(
     *,
     reach_m: float,
     scan_crs: Any = None,
+    settings: SecondLookSettings = DEFAULTS,
     reporter: Reporter = QUIET,
 ) -> Structure | None:
     """Read what stands around a sensor from airborne scans, piece by piece.
@@ -101,9 +99,11 @@ def read_structure(
     reach_m : float
         Up to how far from the sensor.
     scan_crs : CRS, str or int, optional
-        The scans' coordinate system, for files that do not say it.
+        The scans' coordinate system, for files without one.
+    settings : SecondLookSettings
+        What is tall, and how gaps are filled.
     reporter : Reporter
-        Told the progress.
+        Where progress goes.
 
     Returns
     -------
@@ -112,7 +112,7 @@ def read_structure(
     Raises
     ------
     InputError
-        If a scan is damaged; CrsError if it says no projected, metric coordinate system.
+        If a scan is damaged; CrsError if it has no projected, metric coordinate system.
     """
     opened = [open_scan(scan, crs=scan_crs) for scan in scans]
     tops = _Tops(2 * int(np.ceil(reach_m / CELL_M)))
@@ -130,7 +130,8 @@ def read_structure(
             reporter.progress(STAGE, done, total)
     if tops.points == 0:
         return None
-    return _structure(tops, classified=grounds >= LEAST_GROUND_SHARE * max(seen, 1))
+    classified = grounds >= settings.least_ground * max(seen, 1)
+    return _structure(tops, settings, classified=classified)
 
 
 def box_around(east: float, north: float, reach_m: float) -> Box:
@@ -138,15 +139,16 @@ def box_around(east: float, north: float, reach_m: float) -> Box:
     return east - reach_m, north - reach_m, east + reach_m, north + reach_m
 
 
-def _structure(tops: _Tops, *, classified: bool) -> Structure:
-    top, plants, building = _without_gaps(tops)
-    ground = _ground(tops.ground if classified else tops.low, classified=classified)
-    below = ndimage.maximum_filter(np.where(np.isnan(top), -np.inf, top), JUMP_CELLS)
-    low = ndimage.minimum_filter(np.where(np.isnan(top), np.inf, top), JUMP_CELLS)
-    high = _solid(np.nan_to_num(top - low, nan=0.0) > TALL_M)
+def _structure(tops: _Tops, settings: SecondLookSettings, *, classified: bool) -> Structure:
+    tall_m, jump = settings.tall_m, settings.jump_cells
+    top, plants, building = _without_gaps(tops, settings.gap_cells)
+    ground = _ground(tops.ground if classified else tops.low, settings, classified=classified)
+    below = ndimage.maximum_filter(np.where(np.isnan(top), -np.inf, top), jump)
+    low = ndimage.minimum_filter(np.where(np.isnan(top), np.inf, top), jump)
+    high = _solid(np.nan_to_num(top - low, nan=0.0) > tall_m)
     # the wall itself runs between the last high cell and the first low one
-    edge = high | (ndimage.binary_dilation(high) & (np.nan_to_num(below - top, nan=0.0) > TALL_M))
-    canopy = _solid(np.nan_to_num(plants - ground, nan=-1.0) > TALL_M)
+    edge = high | (ndimage.binary_dilation(high) & (np.nan_to_num(below - top, nan=0.0) > tall_m))
+    canopy = _solid(np.nan_to_num(plants - ground, nan=-1.0) > tall_m)
     roof = _solid(np.isfinite(building))
     # a tree over a roof's edge is seen, one over the middle of a roof is taken for a roof
     return Structure(
@@ -161,12 +163,12 @@ def _solid(cells: Booleans) -> Booleans:
     return np.asarray(cells & (around >= 3))
 
 
-def _without_gaps(tops: _Tops) -> tuple[Floats, Floats, Floats]:
+def _without_gaps(tops: _Tops, gap_cells: int) -> tuple[Floats, Floats, Floats]:
     """Return highest points of any kind, of plants and of buildings; small gaps are filled."""
     empty = np.isinf(tops.any)
     away, index = ndimage.distance_transform_edt(empty, return_indices=True)
     top, plants, building = (
-        np.where(away <= GAP_CELLS, grid[tuple(index)], np.nan)
+        np.where(away <= gap_cells, grid[tuple(index)], np.nan)
         for grid in (tops.any, tops.plants, tops.building)
     )
     return top, plants, building
@@ -180,9 +182,9 @@ def _filled(grid: Floats) -> Floats:
     return np.asarray(grid[tuple(index)])
 
 
-def _ground(low: Floats, *, classified: bool) -> Floats:
+def _ground(low: Floats, settings: SecondLookSettings, *, classified: bool) -> Floats:
     """Return the ground from lowest points: of its class, or under what an opening removes."""
-    size, wide = len(low), GROUND_CELLS
+    size, wide = len(low), settings.ground_cells
     pad = -size % wide
     coarse = np.pad(low, (0, pad), constant_values=np.inf)
     coarse = coarse.reshape(len(coarse) // wide, wide, -1, wide).min(axis=(1, 3))
@@ -192,8 +194,8 @@ def _ground(low: Floats, *, classified: bool) -> Floats:
     coarse = _filled(np.where(known, coarse, np.nan))
     coarse = ndimage.median_filter(coarse, 3)
     if not classified:
-        window = int(WIDEST_ROOF_M / CELL_M / wide)
+        window = int(settings.widest_roof_m / CELL_M / wide)
         coarse = ndimage.grey_opening(coarse, (window, window))
-    near = ndimage.distance_transform_edt(~known) * wide * CELL_M < WIDEST_ROOF_M
+    near = ndimage.distance_transform_edt(~known) * wide * CELL_M < settings.widest_roof_m
     fine = np.where(near, coarse, np.nan).repeat(wide, axis=0).repeat(wide, axis=1)
     return np.asarray(fine[:size, :size])
