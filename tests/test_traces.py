@@ -14,7 +14,7 @@ from gis_radar.localization.clusters import cluster
 from gis_radar.localization.settings import DEFAULTS
 from gis_radar.localization.traces import (
     Moving,
-    RollingWindow,
+    MovingWindow,
     link_tracks,
     read_moving,
     thin,
@@ -75,7 +75,7 @@ def piece(time, rate):
 
 
 def test_a_window_keeps_the_last_frames_across_pieces():
-    window = RollingWindow(frames=3)
+    window = MovingWindow(frames=3)
     window.push(piece([0, 0, 1, 1], [1, 0, 1, 1]))
     window.push(piece([1, 2, 3], [1, 0.1, -2]))
     window.push(piece([4], [5]))
@@ -87,7 +87,7 @@ def test_a_window_keeps_the_last_frames_across_pieces():
 
 
 def test_a_window_forgets_what_is_old():
-    window = RollingWindow(frames=5)
+    window = MovingWindow(frames=5)
     for frame in range(1000):
         window.push(piece([frame] * 10, [3.0] * 10))
         assert sum(len(kept[0]) for kept in window._pieces) <= 60

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +12,8 @@ import pandas as pd
 from gis_radar.arrays import Booleans, Floats, Integers, compiled
 from gis_radar.localization.settings import DEFAULTS, TraceSettings
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.recordings.recording import Detections, open_recording
+from gis_radar.recordings.recording import open_recording
+from gis_radar.recordings.window import RollingWindow
 
 STAGE = "reading traces"
 
@@ -49,8 +48,8 @@ class Moving:
         return len(self.time)
 
 
-class RollingWindow:
-    """The last frames of a stream of detections, of which only the moving ones are kept.
+class MovingWindow(RollingWindow):
+    """The last frames of a stream of detections, of which the moving ones are kept.
 
     Parameters
     ----------
@@ -66,57 +65,19 @@ class RollingWindow:
         frames: int = DEFAULTS.traces.frames,
         min_speed: float = DEFAULTS.traces.min_speed_mps,
     ) -> None:
-        self._frames = frames
-        self._min_speed = min_speed
-        self._times: deque[float] = deque(maxlen=frames)
-        self._counts: deque[int] = deque(maxlen=frames)
-        self._pieces: deque[tuple[Floats, Floats, Floats]] = deque()
-
-    def push(self, piece: Detections) -> None:
-        """Take the next detections; a frame may have begun in the piece before."""
-        stamps, first = np.unique(piece.time, return_index=True)
-        counts = np.add.reduceat(piece.present.astype(np.int64), first)
-        if self._times and self._times[-1] == stamps[0]:
-            self._counts[-1] += int(counts[0])
-            stamps, counts = stamps[1:], counts[1:]
-        self._times.extend(stamps.tolist())
-        self._counts.extend(counts.tolist())
-        keep = piece.present & (np.abs(piece.range_rate) > self._min_speed)
-        self._pieces.append((piece.time[keep], piece.points[keep], piece.range_rate[keep]))
-        while self._pieces[0][0].size == 0 or self._pieces[0][0][-1] < self._times[0]:
-            self._pieces.popleft()
-            if not self._pieces:
-                break
-
-    def forget(self, before: float) -> None:
-        """Drop the frames before a time (UNIX seconds)."""
-        while self._times and self._times[0] < before:
-            self._times.popleft()
-            self._counts.popleft()
-
-    @property
-    def begin(self) -> float:
-        """UNIX seconds of the first frame; NaN where there is none."""
-        return self._times[0] if self._times else float("nan")
-
-    def __len__(self) -> int:
-        return len(self._times)
+        super().__init__(frames=frames, keep=lambda piece: np.abs(piece.range_rate) > min_speed)
 
     def moving(self) -> Moving:
         """Return what moved in the window."""
-        none = (np.empty(0), np.empty((0, 3)), np.empty(0))
-        time, points, rate = (
-            np.concatenate(parts) for parts in zip(none, *self._pieces, strict=True)
-        )
-        inside = time >= self._times[0] if self._times else np.zeros(0, dtype=bool)
+        found = self.content()
         return Moving(
-            time=time[inside],
-            points=points[inside],
-            range_rate=rate[inside],
-            frames=len(self._times),
-            detections=sum(self._counts),
+            time=found.time,
+            points=found.points,
+            range_rate=found.range_rate,
+            frames=len(self),
+            detections=found.detections,
             begin=self.begin,
-            end=self._times[-1] if self._times else float("nan"),
+            end=float(found.frame_times[-1]) if len(self) else float("nan"),
         )
 
 
@@ -145,19 +106,13 @@ def read_moving(
     InputError
         If the recording cannot be read.
     """
-    window = RollingWindow(frames=frames, min_speed=min_speed)
-    for piece in _reported(path, reporter):
-        window.push(piece)
-    return window.moving()
-
-
-def _reported(path: str | Path, reporter: Reporter) -> Iterator[Detections]:
-    recording = open_recording(path)
-    done = 0
+    recording, done = open_recording(path), 0
+    window = MovingWindow(frames=frames, min_speed=min_speed)
     for piece in recording.read():
-        yield piece
+        window.push(piece)
         done += len(piece)
         reporter.progress(STAGE, done, recording.rows)
+    return window.moving()
 
 
 def voxels(points: Floats, size_m: float) -> Floats:
@@ -239,7 +194,7 @@ class Samples:
 def link_tracks(moving: Moving, settings: TraceSettings = DEFAULTS.traces) -> Integers:
     """Link moving detections to tracks.
 
-    Two detections belong together where the range changed as the Doppler says and bearing and
+    Two detections belong together where the range changed as the Doppler states and bearing and
     Doppler are alike. What has few points is a false alarm; what is slow and goes nowhere are
     leaves.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from gis_radar.grid import CELL_M, Grid
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import RangeCounts, Recording, as_recording
+from gis_radar.recordings.window import RollingWindow
 from gis_radar.second_look.settings import DEFAULTS, SecondLookSettings
 
 STAGE = "reading what stands"
@@ -141,30 +141,24 @@ def read_slow(
         If the recording cannot be read.
     """
     source = as_recording(recording)
-    times: deque[float] = deque(maxlen=settings.frames)
-    pieces: deque[tuple[Any, Any, Any]] = deque()
-    ranges = RangeCounts()
-    done = 0
+    slow_mps = settings.slow_mps
+    window = RollingWindow(
+        frames=settings.frames, keep=lambda piece: np.abs(piece.range_rate) <= slow_mps
+    )
+    ranges, done = RangeCounts(), 0
     for piece in source.read():
         ranges.add(piece)
-        stamps = np.unique(piece.time)
-        times.extend(stamps[1:] if times and times[-1] == stamps[0] else stamps)
-        keep = piece.present & (np.abs(piece.range_rate) <= settings.slow_mps)
-        rates = piece.range_rate[keep].astype(np.float32)
-        pieces.append((piece.time[keep], piece.points[keep].astype(np.float32), rates))
-        while pieces and (len(pieces[0][0]) == 0 or pieces[0][0][-1] < times[0]):
-            pieces.popleft()
+        window.push(piece)
         done += len(piece)
         reporter.progress(STAGE, done, source.rows)
-    none = (np.empty(0), np.empty((0, 3), np.float32), np.empty(0, np.float32))
-    time, points, rate = (np.concatenate(parts) for parts in zip(none, *pieces, strict=True))
-    inside = time >= times[0]
-    frame = np.searchsorted(np.asarray(times), time[inside])
+    slow = window.content()
+    points: Any = slow.points.astype(np.float32)  # as recorded; there are many
+    frame = np.searchsorted(slow.frame_times, slow.time)
     return Slow(
-        points=points[inside],
-        rustles=np.abs(rate[inside]) > settings.still_mps,
-        span=frame * settings.spans // len(times),
-        frames=len(times),
+        points=points,
+        rustles=np.abs(slow.range_rate.astype(np.float32)) > settings.still_mps,
+        span=frame * settings.spans // len(window),
+        frames=len(window),
         range_m=ranges.reached_m(),
     )
 

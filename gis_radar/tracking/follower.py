@@ -11,7 +11,7 @@ import numpy as np
 from gis_radar.arrays import Floats
 from gis_radar.errors import NoAnswerError
 from gis_radar.localization.state import State
-from gis_radar.localization.traces import RollingWindow
+from gis_radar.localization.traces import MovingWindow
 from gis_radar.recordings.recording import Detections
 from gis_radar.tracking.filter import (
     Estimate,
@@ -81,7 +81,7 @@ class Follower:
         self._fitter = fitter
         self._settings = settings
         traces = settings.localization.traces
-        self._window = RollingWindow(frames=traces.frames, min_speed=traces.min_speed_mps)
+        self._window = MovingWindow(frames=traces.frames, min_speed=traces.min_speed_mps)
         self._past: deque[Estimate] = deque([start])
         self._like = start.state(
             State(
