@@ -36,6 +36,11 @@ class RoadSettings:
 class MaskSettings:
     """How points on roads become cells of the road's surface.
 
+    Sensitivity (`bench/mask.py --sensitivity`, a simulated town whose classes were removed): with
+    any of the fields from `block_margin_m` to `least_cells` halved or doubled, heights move by
+    under 1 mm at the median, and the share of cells by under 0.1 %; only a stricter core removes
+    cells: `core_cells` 10 takes 1.4 %, `core_radius` 1 takes 5 %.
+
     Parameters
     ----------
     roads : RoadSettings

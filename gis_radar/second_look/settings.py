@@ -9,6 +9,11 @@ from dataclasses import dataclass
 class SecondLookSettings:
     """How still detections are compared with an airborne scan.
 
+    Sensitivity (`bench/mask.py --sensitivity`, a sensor of a simulated town, at its true pose and
+    3.5 m beside it): with `close_m`, `tall_m`, `overhead_m` or `least_spans` halved or doubled the
+    verdicts stay `confirms` and `doubts`; the score moves by up to 0.09 at the true pose, and
+    beside it by up to 0.10, with `close_m` doubled by 0.24.
+
     Parameters
     ----------
     frames : int
