@@ -13,7 +13,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[1]
-FILE_LINES = 300
+FILE_LINES = 501
 BODY_LINES = 50
 SAMPLE_BYTES = 20_000_000
 
