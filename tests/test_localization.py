@@ -10,7 +10,12 @@ from streets import CROSSING, STRAIGHT, Street, errors
 
 from gis_radar.errors import InputError, NoAnswerError, UsageError
 from gis_radar.localization import localize
+from gis_radar.localization.certainty import eigenvalues, is_fixed, pose_covariance
+from gis_radar.localization.icp import pose_information
 from gis_radar.localization.result import draw_localization
+from gis_radar.localization.settings import DEFAULTS
+from gis_radar.localization.state import State
+from gis_radar.localization.traces import read_moving, voxels
 from gis_radar.poses.files import read_pose, write_pose
 from gis_radar.progress import Reporter
 
@@ -227,3 +232,15 @@ def test_icp_comes_near(scene):
     found = find(street, path, near(pose, 1.5, -1.0), heading=pose.yaw + 3.0, method="icp")
     assert np.hypot(*errors(found.pose, pose)[:2]) < 3.0
     assert found.pose.evidence["method"] == "icp"
+    assert len(found.eigenvalues) == 6
+
+
+def test_a_junction_fixes_all_of_an_icp_pose(tmp_path):
+    street = Street(lanes=CROSSING)
+    pose = street.pose()
+    source = voxels(read_moving(street.record(tmp_path / "R1.parquet", pose)).points, 0.5)
+    origin = [*street.middle, 0.0]
+    state = State(position=pose.position - origin, R_map_sensor=pose.R_map_sensor, reflection=0.0)
+    information = pose_information(source, voxels(street.road_points() - origin, 0.5), state)
+    assert eigenvalues(information, DEFAULTS.answer)[0] > 1.0
+    assert is_fixed(pose_covariance(information, state), DEFAULTS.answer)

@@ -7,6 +7,9 @@ import pytest
 from pyproj import CRS
 
 import gis_radar as gr
+from gis_radar.localization.icp import pose_information
+from gis_radar.localization.state import State
+from gis_radar.localization.traces import read_moving, voxels
 from simulation.lanelet_writer import write_lanelets
 from simulation.network import Lane, RoadNetwork
 from simulation.radar import RadarModel, place_radar
@@ -109,3 +112,24 @@ def test_the_place_along_a_straight_road_is_not_claimed(street, ahead_m, heading
     off = found.pose.position[:2] - pose.position[:2]
     assert abs(off @ ACROSS) < 0.6
     assert abs(off @ ALONG) < 3.0 * np.sqrt(ALONG @ covariance @ ALONG)
+
+
+def test_icp_does_not_claim_the_place_along_a_straight_road(street):
+    pytest.importorskip("open3d", reason="needs the extra localize", exc_type=ImportError)
+    roads, road, pose, recording = street
+    guess = (*(pose.position[:2] + 3.0 * ALONG), pose.height)
+    found = gr.localize(recording, roads, road, guess=guess, heading=pose.yaw + 4.0, method="icp")
+    assert not found.observable
+    assert found.pose.evidence["observable"] is False
+    assert found.eigenvalues[0] < found.eigenvalues[-1] / 100.0
+
+
+def test_the_road_fixes_traces_across_it_but_not_along_it(street):
+    _, road, pose, recording = street
+    source = voxels(read_moving(recording).points, 0.5)
+    local = voxels(road - [*MIDDLE, 0.0], 0.5)
+    state = State(
+        position=pose.position - [*MIDDLE, 0.0], R_map_sensor=pose.R_map_sensor, reflection=0.0
+    )
+    information = pose_information(source, local, state)[:2, :2]
+    assert ALONG @ information @ ALONG < 1.0 < ACROSS @ information @ ACROSS

@@ -6,8 +6,9 @@
 
 Parts: speed, straight (a road that fixes no place along it), table (sets DY and DO of a town, as in
 Table I), sites (the sample and what lies beside the project), calibration, curves (start, length,
-traffic). Results in out/bench-localization: report.md, a JSON file a part, pictures. What is
-simulated is kept there and made again when the simulator changes. Needs Eclipse SUMO and Open3D.
+traffic), ablation (each stage of our method turned off). Results in out/bench-localization:
+report.md, a JSON file a part, pictures. What is simulated is kept there and made again when the
+simulator changes. Needs Eclipse SUMO and Open3D.
 Exit code 1 where one of our answers in table, sites or straight is wrong and does not say so.
 """
 
@@ -22,6 +23,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import ablation
 import calibration
 import curves
 import figures
@@ -145,6 +147,17 @@ def make_speed(effort: Effort) -> Part:
     return Part(title="Speed and memory", text=speed.markdown(costs), figures=told)
 
 
+def make_ablation(effort: Effort) -> Part:
+    """Turn each stage of our method off."""
+    results = ablation.measure(ablation.plan(quick=effort.quick))
+    made = ablation.report(results)
+    return Part(
+        title="Ablation: our method with one stage less",
+        text=ablation.markdown(made),
+        figures={"variants": made, "trials": ablation.plain(results)},
+    )
+
+
 PARTS: dict[str, Callable[[Effort], Part]] = {
     "speed": make_speed,
     "straight": make_straight,
@@ -152,6 +165,7 @@ PARTS: dict[str, Callable[[Effort], Part]] = {
     "sites": make_sites,
     "calibration": make_calibration,
     "curves": make_curves,
+    "ablation": make_ablation,
 }
 
 

@@ -22,7 +22,7 @@ def plan(*, quick: bool) -> list[Trial]:
     """Return trials at each sensor of each site; the road comes from the site's own scan."""
     trials = []
     for site in sites():
-        folder = _folder(site)
+        folder = site_folder(site)
         names = sorted(path.stem for path in folder.glob("R*.parquet"))
         trials += spread(
             folder, names, f"site {site.name}", method="lane", seed=17, heading_deg=None,
@@ -31,7 +31,7 @@ def plan(*, quick: bool) -> list[Trial]:
     return trials
 
 
-def _folder(site: Path) -> Path:
+def site_folder(site: Path) -> Path:
     """Return a folder with a site's map, road, recordings and true poses as trials want them."""
     folder = OUT / "sites" / site.name
     folder.mkdir(parents=True, exist_ok=True)

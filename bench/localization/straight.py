@@ -65,7 +65,7 @@ class Attempt:
 
 def measure(*, quick: bool) -> list[Attempt]:
     """Try to localize from several starts, without a heading and with one."""
-    folder = _folder()
+    folder = straight_folder()
     true, ground = gr.read_pose(folder / "R1.json"), read_ground(folder)
     count = 2 if quick else STARTS
     attempts = []
@@ -103,7 +103,7 @@ def _judged(found: gr.Localization, true: gr.Pose) -> Attempt:
     )
 
 
-def _folder() -> Path:
+def straight_folder() -> Path:
     """Return the folder of the straight road; made where missing."""
     folder = OUT / "straight"
     if (folder / "road.npy").exists():

@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -17,6 +18,7 @@ from workers import workers
 import gis_radar as gr
 from gis_radar.arrays import Floats
 from gis_radar.files import whole_file
+from gis_radar.localization.settings import DEFAULTS
 
 METHODS = ("lane", "icp")
 RIGHT_M, RIGHT_DEG = 1.0, 1.0
@@ -43,6 +45,8 @@ class Trial:
         Of the heading from the true yaw, degrees; None where none is given.
     frames : int
         How many frames at the end of the recording count.
+    changes : tuple of (str, value)
+        Settings of the localization other than the defaults, by dotted name.
     """
 
     group: str
@@ -52,6 +56,7 @@ class Trial:
     offset: tuple[float, float]
     heading_off: float | None
     frames: int = 2000
+    changes: tuple[tuple[str, Any], ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,6 +72,8 @@ class Result:
         answer was refused.
     observable : bool
         What the answer says of itself.
+    sigma : tuple of float
+        One standard deviation of each component; empty where none is given.
     seconds : float
         Of the processor, all threads; a clock on the wall would tell of the neighbours.
     said : str
@@ -76,6 +83,7 @@ class Result:
     trial: Trial
     error: tuple[float, ...] = ()
     observable: bool = True
+    sigma: tuple[float, ...] = ()
     seconds: float = field(default=0.0, compare=False)
     said: str = ""
 
@@ -109,14 +117,16 @@ def run(trial: Trial) -> Result:
     begin = time.process_time()
     try:
         found = gr.localize(
-            recording, ground.roads, ground.road, guess=guess, heading=heading, method=trial.method
-        )
+            recording, ground.roads, ground.road, guess=guess, heading=heading,
+            method=trial.method, settings=DEFAULTS.changed(dict(trial.changes)),
+        )  # fmt: skip
     except gr.NoAnswerError as refusal:
         return Result(trial=trial, said=str(refusal), seconds=time.process_time() - begin)
     return Result(
         trial=trial,
         error=tuple(errors(found.pose, true).tolist()),
         observable=found.observable,
+        sigma=tuple(found.pose.evidence.get("sigma", {}).values()),
         seconds=time.process_time() - begin,
     )
 

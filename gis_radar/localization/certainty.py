@@ -11,7 +11,7 @@ from gis_radar.localization.matching import Scene
 from gis_radar.localization.model import Model
 from gis_radar.localization.settings import DEFAULTS, AnswerSettings
 from gis_radar.localization.solver import Fit, Prior, solve
-from gis_radar.localization.state import POSE, SIZE, angles_from_turn
+from gis_radar.localization.state import POSE, SIZE, State, angles_from_turn
 from gis_radar.localization.traces import Samples
 
 PLANE = [0, 1, 5]  # of the state: easting, northing, turn about the vertical
@@ -63,22 +63,44 @@ def certainty(fit: Fit, settings: AnswerSettings = DEFAULTS.answer) -> Certainty
     streets = [sigma_m * pull for pull, sigma_m in pulls]
     effects = np.vstack([fit.considered(), *streets]) @ inverse
     covariance = noise + effects.T @ effects
-    yaw, pitch, _ = fit.state.yaw_pitch_roll
+    to_angles = _to_angles(fit.state)
+    pose = to_angles @ covariance[POSE, POSE] @ to_angles.T
+    drawn = to_angles @ noise[POSE, POSE] @ to_angles.T
+    return Certainty(
+        covariance=pose,
+        noise=drawn,
+        sigma=np.sqrt(np.diag(pose)),
+        eigenvalues=eigenvalues(fit.data_information[POSE, POSE], settings),
+        observable=is_fixed(pose, settings),
+    )
+
+
+def _to_angles(state: State) -> Floats:
+    """Return the (6, 6) matrix from a step of the pose to one in roll, pitch and yaw."""
+    yaw, pitch, _ = state.yaw_pitch_roll
     to_angles = np.eye(6)
     to_angles[3:, 3:] = angles_from_turn(float(yaw), float(pitch))
-    pose = to_angles @ covariance[POSE, POSE] @ to_angles.T
-    sigma = np.sqrt(np.diag(pose))
-    drawn = to_angles @ noise[POSE, POSE] @ to_angles.T
+    return to_angles
+
+
+def pose_covariance(information: Floats, state: State) -> Floats:
+    """Return the covariance of easting, northing, height, roll, pitch, yaw from an information."""
+    to_angles = _to_angles(state)
+    return np.asarray(to_angles @ np.linalg.inv(information) @ to_angles.T)
+
+
+def eigenvalues(information: Floats, settings: AnswerSettings) -> Floats:
+    """Return the eigenvalues of a (6, 6) information about the pose, ascending, 1/m^2."""
     lever = np.diag([1.0] * 3 + [1.0 / settings.lever_m] * 3)
-    eigenvalues: Floats = np.asarray(
-        np.linalg.eigvalsh(lever @ fit.data_information[POSE, POSE] @ lever), dtype=np.float64
-    )
-    longest = np.sqrt(np.linalg.eigvalsh(pose[:2, :2])[-1])
+    return np.asarray(np.linalg.eigvalsh(lever @ information @ lever), dtype=np.float64)
+
+
+def is_fixed(covariance: Floats, settings: AnswerSettings) -> bool:
+    """Return whether a covariance (easting to yaw, radians) fixes all six components."""
+    sigma = np.sqrt(np.diag(covariance))
+    longest = np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1])
     unfixed = [*settings.unfixed_m, *settings.unfixed_rad]
-    observable = bool((sigma < unfixed).all() and longest < unfixed[0])
-    return Certainty(
-        covariance=pose, noise=drawn, sigma=sigma, eigenvalues=eigenvalues, observable=observable
-    )
+    return bool((sigma < unfixed).all() and longest < unfixed[0])
 
 
 def _widened(inverse: Floats, fit: Fit) -> Floats:

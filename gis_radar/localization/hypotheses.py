@@ -224,7 +224,11 @@ def shifted(scene: Scene, fit: Fit) -> list[State]:
     width = width if low < width < high else settings.lane_m
     sides = main + np.arange(4) * np.pi / 2.0
     moves = width * np.column_stack([np.cos(sides), np.sin(sides), np.zeros(4)])
-    return [replace(fit.state, position=fit.state.position + move) for move in moves]
+    return [
+        replace(fit.state, position=fit.state.position + lanes_off * move)
+        for lanes_off in settings.shifts
+        for move in moves
+    ]
 
 
 def _ranked(hypotheses: Sequence[Hypothesis], settings: LocalizationSettings) -> list[Hypothesis]:

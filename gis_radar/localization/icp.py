@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from gis_radar.arrays import Floats
 from gis_radar.errors import LOCALIZE, InputError, NoAnswerError
-from gis_radar.localization.clusters import cluster
+from gis_radar.localization.certainty import eigenvalues, is_fixed, pose_covariance
+from gis_radar.localization.residuals import at_least
 from gis_radar.localization.result import STAGE, Localization, Problem, common
 from gis_radar.localization.settings import DEFAULTS, IcpSettings, LocalizationSettings
 from gis_radar.localization.state import State
@@ -38,7 +41,9 @@ class IcpFit:
 
 
 def source_voxels(moving: Moving, settings: IcpSettings = DEFAULTS.icp) -> Floats:
-    """Return the traces as the paper makes them: the largest cluster, in voxels.
+    """Return the traces as the paper makes them: the voxels of the largest cluster.
+
+    The paper clusters first; of voxels DBSCAN stores bounded lists of neighbours.
 
     Parameters
     ----------
@@ -51,12 +56,15 @@ def source_voxels(moving: Moving, settings: IcpSettings = DEFAULTS.icp) -> Float
     ------
     NoAnswerError
         If nothing that moved is dense enough for a cluster.
+    InputError
+        If Open3D is not installed.
     """
-    labels = cluster(moving.points, eps_m=settings.eps_m, min_points=settings.min_points)
-    largest = moving.points[labels == 0]
-    if len(largest) == 0:
+    o3d = _open3d()
+    centres = voxels(moving.points, settings.voxel_m)
+    labels = np.asarray(_cloud(o3d, centres).cluster_dbscan(settings.eps_m, settings.min_points))
+    if (labels < 0).all():
         raise NoAnswerError("nothing moved on the same place often enough", hint="record longer")
-    return voxels(largest, settings.voxel_m)
+    return np.asarray(centres[labels == np.argmax(np.bincount(labels[labels >= 0]))])
 
 
 def register_icp(
@@ -81,12 +89,8 @@ def register_icp(
         If Open3D is not installed.
     """
     o3d = _open3d()
-    clouds = []
-    for points in (source, road):
-        cloud = o3d.geometry.PointCloud()
-        cloud.points = o3d.utility.Vector3dVector(points)
-        clouds.append(cloud)
-    fits = [_register(o3d, clouds[0], clouds[1], start, settings) for start in starts]
+    traces, target = _cloud(o3d, source), _cloud(o3d, road)
+    fits = [_register(o3d, traces, target, start, settings) for start in starts]
     return max(fits, key=lambda fit: (fit.fitness, -fit.rmse_m))
 
 
@@ -121,6 +125,56 @@ def _register(o3d: Any, source: Any, target: Any, start: State, settings: IcpSet
     return IcpFit(state=state, fitness=float(result.fitness), rmse_m=float(result.inlier_rmse))
 
 
+def pose_information(
+    source: Floats, road: Floats, state: State, settings: LocalizationSettings = DEFAULTS
+) -> Floats:
+    """Return the (6, 6) information of a registration about its pose, order as a state's step.
+
+    Point-to-point correspondences hold a trace even along a road on which it slides. The curvature
+    is therefore measured over steps of `profile_m` (or a voxel up and down) with the nearest road
+    sought anew at each: what the traces cost off the road, in errors of a voxel. Traces within
+    `crowd_m` of each other count as one.
+
+    Parameters
+    ----------
+    source : (n, 3) array
+        Traces, sensor frame, metres.
+    road : (m, 3) array
+        Cells of the road, local map coordinates, metres.
+    state : State
+        The pose.
+    settings : LocalizationSettings
+        Of steps, voxels and crowds.
+    """
+    icp, tree = settings.icp, cKDTree(road)
+    cells = np.floor(source[:, :2] / settings.traces.crowd_m).astype(np.int64)
+    _, number, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+    weight = 0.5 / (count[number.ravel()] * icp.voxel_m**2)
+
+    def cost(step: Floats) -> float:
+        points = state.moved(np.append(step, 0.0)).to_map(source)
+        gap = tree.query(points, distance_upper_bound=icp.profile_m)[0]
+        return float(weight @ np.minimum(gap, icp.profile_m) ** 2)
+
+    size = np.array([icp.profile_m, icp.profile_m] + [icp.voxel_m] * 3 + [icp.profile_m])
+    size /= [1.0, 1.0, 1.0, *[settings.answer.lever_m] * 3]
+    steps = np.diag(size)
+    rise = np.diag([cost(step) + cost(-step) for step in steps]) - 2.0 * cost(np.zeros(6)) * np.eye(
+        6
+    )
+    for i, j in combinations(range(6), 2):
+        a, b = steps[i] / np.sqrt(2.0), steps[j] / np.sqrt(2.0)
+        rise[i, j] = rise[j, i] = 0.5 * (cost(a + b) - cost(a - b) - cost(b - a) + cost(-a - b))
+    curvature = rise / np.outer(size, size)
+    return at_least(curvature, settings.solver.floor * np.eye(6))
+
+
+def _cloud(o3d: Any, points: Floats) -> Any:
+    cloud = o3d.geometry.PointCloud()
+    cloud.points = o3d.utility.Vector3dVector(points)
+    return cloud
+
+
 def _open3d() -> Any:
     try:
         import open3d  # noqa: PLC0415 - large, and only this method needs it
@@ -152,11 +206,14 @@ def by_icp(
             hint="guess closer",
         )
     reporter.progress(STAGE, 3, 3)
-    evidence = {**common(moving, "icp"), "fitness": fit.fitness}
+    information = pose_information(source, local, fit.state, settings)
+    observable = is_fixed(pose_covariance(information, fit.state), settings.answer)
+    evidence = {**common(moving, "icp"), "fitness": fit.fitness, "observable": observable}
     return Localization(
         pose=problem.pose(fit.state, evidence),
         fitness=fit.fitness,
-        observable=True,
+        observable=observable,
+        eigenvalues=tuple(eigenvalues(information, settings.answer).tolist()),
         samples=len(source),
         traces=source,
         range_rate=np.full(len(source), np.nan),

@@ -114,7 +114,8 @@ def lanes_around(
 def _refuse_mirrored(scene: Scene, best: Hypothesis, heading: tuple[float, float] | None) -> None:
     """Refuse a recording that fits far better with its y axis turned round."""
     turned, settings = scene.of(mirrored(scene.samples)), scene.settings.answer
-    if search_score(turned, heading=heading) < search_score(scene, heading=heading):
+    least = settings.mirror_share * search_score(scene, heading=heading)
+    if search_score(turned, heading=heading) < least:
         return
     other, part = find_hypotheses(turned, heading=heading)[0], rough(scene).samples
     lead = advantage(other.fit, best.fit, part)

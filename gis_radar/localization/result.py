@@ -43,7 +43,7 @@ class Localization:
     recording : str
         File name of the recording that gave the pose, where several were tried.
     eigenvalues : tuple of float
-        Of the data's information about the pose, ascending, 1/m^2; empty for `icp`.
+        Of the data's information about the pose, ascending, 1/m^2.
     hypotheses : tuple of (easting, northing, yaw_deg, loss)
         What was tried, the best first.
     vehicles, samples : int

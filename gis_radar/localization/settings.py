@@ -6,7 +6,8 @@ constants carry an uncertainty that enters an answer's covariance.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, is_dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from math import log, radians
 from typing import Any
 
@@ -279,6 +280,8 @@ class HypothesisSettings:
         Closer fits are one: easting, northing, height; turns about the axes.
     lane_m, lane_widths_m : float, (2,) tuple
         A lane's width where the map's is not within the range.
+    shifts : tuple of float
+        Lane widths by which the best fit is moved to every side, as further starts.
     climbs, hop_m, hop_gain : int, float, float
         Most rounds of hill climbing, length of a hop (half a vehicle's width), and what it must
         gain (half a sigma squared is 0.5).
@@ -299,6 +302,7 @@ class HypothesisSettings:
     twin_rad: tuple[float, float, float] = (radians(0.5), radians(0.5), radians(0.3))
     lane_m: float = 3.5
     lane_widths_m: tuple[float, float] = (2.0, 5.0)
+    shifts: tuple[float, ...] = (1.0,)
     climbs: int = 5
     hop_m: float = 0.7
     hop_gain: float = 1.0
@@ -383,6 +387,9 @@ class AnswerSettings:
     clear : float
         Standard deviations by which the vehicles must prefer an answer to every other
         (99.4 %, one-sided).
+    mirror_share : float
+        A mirrored recording is fitted where its search score is at least this share of the
+        recording's own; infinite turns the check off.
     same_chi2 : float
         Squared standard deviations within which two answers are one (99.9 %, 3 components).
     least_scanned : float
@@ -403,6 +410,7 @@ class AnswerSettings:
     least_tracks: int = 5
     least_fitness: float = 0.6
     clear: float = 2.5
+    mirror_share: float = 1.0
     same_chi2: float = 16.0
     least_scanned: float = 0.3
     slack_m: float = 5.0
@@ -417,7 +425,10 @@ class IcpSettings:
     voxel_m : float
         Edge of the voxels of traces and road (the paper).
     eps_m, min_points : float, int
-        DBSCAN of the traces: gaps between the lanes of a street stay closed.
+        DBSCAN of the traces' voxels: gaps between the lanes of a street stay closed.
+    profile_m : float
+        How far the pose is moved to measure how well the road fixes it: farther than the slack
+        between traces and kerb, in which the cost is flat.
     distances_m : tuple of float
         Correspondence distances: large, then two voxels and one (the paper).
     iterations : int
@@ -433,6 +444,7 @@ class IcpSettings:
     voxel_m: float = 0.5
     eps_m: float = 2.0
     min_points: int = 10
+    profile_m: float = 2.0
     distances_m: tuple[float, ...] = (10.0, 1.0, 0.5)
     iterations: int = 60
     mast_m: float = 5.0
@@ -460,6 +472,15 @@ class LocalizationSettings:
     adaptation: AdaptationSettings = field(default_factory=AdaptationSettings)
     answer: AnswerSettings = field(default_factory=AnswerSettings)
     icp: IcpSettings = field(default_factory=IcpSettings)
+
+    def changed(self, changes: Mapping[str, Any]) -> LocalizationSettings:
+        """Return the settings with other values, by dotted name: `{"hypotheses.climbs": 0}`."""
+        settings = self
+        for name, value in changes.items():
+            group, _, constant = name.partition(".")
+            part = replace(getattr(settings, group), **{constant: value})
+            settings = replace(settings, **{group: part})
+        return settings
 
     def changes(self) -> dict[str, Any]:
         """Return the settings that differ from the defaults, by dotted name."""
