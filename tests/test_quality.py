@@ -12,9 +12,8 @@ from sites import START, crossing, pose, recording
 
 from gis_radar.errors import InputError, OutputError, UsageError
 from gis_radar.occupancy import measure_occupancy, merge_occupancies
-from gis_radar.quality import measure_quality
+from gis_radar.quality import QualitySettings, measure_quality
 from gis_radar.quality.counting import hour_begins
-from gis_radar.quality.settings import QualitySettings
 
 BERLIN = ZoneInfo("Europe/Berlin")
 ON_TILE = np.array([12.25, 0.0, -5.0])

@@ -122,11 +122,9 @@ class FrameTimes:
 
 
 def cycles_us(
-    cycles: Cycles | None,
-    recordings: list[Recording],
-    sensors: list[str],
+    cycles: Cycles | None, recordings: list[Recording], sensors: list[str],
     frames: int = DEFAULTS.cycle_frames,
-) -> dict[str, int]:
+) -> dict[str, int]:  # fmt: skip
     """Return the cycle of each sensor in microseconds; 50 ms where none is stated.
 
     Parameters

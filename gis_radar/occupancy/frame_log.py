@@ -15,13 +15,7 @@ import pyarrow as pa
 
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.errors import InputError
-from gis_radar.occupancy.hits import (
-    Rows,
-    SortedTableWriter,
-    fresh,
-    merge_ascending,
-    read_ascending,
-)
+from gis_radar.occupancy.hits import Rows, SortedTableWriter, fresh, merge_ascending, read_ascending
 from gis_radar.occupancy.settings import OccupancySettings
 from gis_radar.recordings.recording import Detections
 
@@ -33,7 +27,7 @@ COLUMNS = (
 SCHEMA = pa.schema([(name, pa.string() if name == "sensor" else pa.int64()) for name in COLUMNS])
 ROWS_AT_ONCE = 1 << 16
 MOST_ROWS_OF_A_FRAME = 1 << 21  # 100 MiB
-NO_FURTHER = pa.RecordBatch.from_pydict({})
+OWN_COLUMNS, NO_FURTHER = ("time", "points", "range_rate", "rcs"), pa.RecordBatch.from_pydict({})
 
 
 def whole_frames(pieces: Iterator[Detections]) -> Iterator[Detections]:
@@ -55,24 +49,14 @@ def whole_frames(pieces: Iterator[Detections]) -> Iterator[Detections]:
 
 
 def _joined(one: Detections, other: Detections) -> Detections:
-    return Detections(
-        time=np.concatenate([one.time, other.time]),
-        points=np.concatenate([one.points, other.points]),
-        range_rate=np.concatenate([one.range_rate, other.range_rate]),
-        rcs=np.concatenate([one.rcs, other.rcs]),
-        further=NO_FURTHER,
-    )
+    columns = {n: np.concatenate([getattr(one, n), getattr(other, n)]) for n in OWN_COLUMNS}
+    return Detections(**columns, further=NO_FURTHER)
 
 
 def rows_of(rows: Detections, part: slice | Booleans) -> Detections:
     """Return some of the rows, without further columns."""
-    return Detections(
-        time=rows.time[part],
-        points=rows.points[part],
-        range_rate=rows.range_rate[part],
-        rcs=rows.rcs[part],
-        further=NO_FURTHER,
-    )
+    columns = {name: getattr(rows, name)[part] for name in OWN_COLUMNS}
+    return Detections(**columns, further=NO_FURTHER)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,40 +94,32 @@ class FrameIndex:
         return np.add.reduceat(flags.astype(np.int64), self.begins)
 
 
-def rows_of_log(
-    piece: Detections,
-    frames: FrameIndex,
-    *,
-    tiles_hit: Integers,
-    tiles_seen: int,
-    shift_us: Integers,
-    settings: OccupancySettings,
-) -> Rows:
+def frame_rows(
+    piece: Detections, frames: FrameIndex, tiles_hit: Integers, tiles_seen: Integers,
+    shift_us: Integers, settings: OccupancySettings,
+) -> Rows:  # fmt: skip
     """Return the rows of the log for the frames of a piece, in the order of `COLUMNS`.
 
     Parameters
     ----------
     piece, frames : Detections, FrameIndex
         Whole frames of one sensor, and where each begins.
-    tiles_hit : (f,) int64 array
-        Tiles hit by each frame.
-    tiles_seen : int
-        Tiles that the view sees.
+    tiles_hit, tiles_seen : (f,) int64 arrays
+        Tiles hit by each frame, and tiles that its view sees.
     shift_us : (n,) int64 array
         Microseconds added to the time of each row by the correction of the clock.
     settings : OccupancySettings
         From which speeds on a detection moves, or cannot be a vehicle.
     """
     speed = np.abs(piece.range_rate)
-    count = len(frames.time)
     return (
         frames.time_us,
-        np.zeros(count, np.int64),
+        np.zeros(len(frames.time), np.int64),
         frames.count(piece.present),
         frames.count(speed >= settings.moving_mps),
         frames.count(speed > settings.wild_mps),
         tiles_hit,
-        np.full(count, tiles_seen),
+        tiles_seen,
         position_sums(piece.points, frames.begins),
         shift_us[frames.begins],
     )

@@ -95,14 +95,9 @@ class SortedTableWriter:
     """
 
     def __init__(
-        self,
-        path: Path,
-        schema: pa.Schema,
-        *,
-        fingerprint: str,
-        rows_in_group: int,
+        self, path: Path, schema: pa.Schema, *, fingerprint: str, rows_in_group: int,
         names: Sequence[str] = (),
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._schema, self._rows_in_group = schema, rows_in_group
         self._waiting: list[pa.RecordBatch] = []
         self._writer = pq.ParquetWriter(

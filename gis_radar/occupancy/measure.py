@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 import shapely
 
-from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.arrays import Floats, Integers
 from gis_radar.clocks.sensor_clock import SensorClock
 from gis_radar.crs import metric_crs, require_same
 from gis_radar.errors import InputError, NoAnswerError, UsageError
@@ -25,10 +25,10 @@ from gis_radar.occupancy.folder import OWNED, Occupancy, read_occupancy, write_t
 from gis_radar.occupancy.frame_log import (
     FrameIndex,
     FrameLogWriter,
+    frame_rows,
     merge_frame_logs,
     read_frame_log,
     rows_of,
-    rows_of_log,
     whole_frames,
 )
 from gis_radar.occupancy.hits import Hits, distinct, merge_hits, write_hits
@@ -139,7 +139,8 @@ def measure_occupancy(
         )
         for each in passes:
             each.log.path.unlink()
-    _warn(passes, settings, reporter)
+    for line in _warnings(passes, settings):
+        reporter.log(line, "warning")
     return read_occupancy(folder)
 
 
@@ -178,13 +179,8 @@ class Source:
     cycle_us: int
     clock: SensorClock | None
 
-    @property
-    def sensor(self) -> str:
-        """The sensor's name."""
-        return self.track.sensor
 
-
-@dataclass(frozen=True, kw_only=True)
+@dataclass(kw_only=True)
 class RecordingPass:
     """What one pass over a recording gives beside its hits.
 
@@ -202,8 +198,8 @@ class RecordingPass:
         First and last frame, and the gaps between frames.
     ranges : RangeCounts
         Ranges of all detections.
-    rows : list of int
-        Rows of each piece.
+    rows : int
+        Rows read.
     """
 
     source: Source
@@ -212,7 +208,7 @@ class RecordingPass:
     poses: set[int] = field(default_factory=set)
     times: FrameTimes = field(default_factory=FrameTimes)
     ranges: RangeCounts = field(default_factory=RangeCounts)
-    rows: list[int] = field(default_factory=list)
+    rows: int = 0
 
     def frames(self) -> pd.DataFrame:
         """Return the runs of steps with a frame, by view."""
@@ -220,18 +216,18 @@ class RecordingPass:
             pd.DataFrame({"view": view, "first_step": joined.first, "last_step": joined.last})
             for view, joined in ((view, union(runs)) for view, runs in self.runs.items())
         ]
-        return pd.concat(pieces).assign(sensor=self.source.sensor)
+        return pd.concat(pieces).assign(sensor=self.source.track.sensor)
 
     def record(self, target: Target) -> dict[str, Any]:
         """Return the entry of the manifest for this recording, with the poses that it met."""
-        source = self.source
+        source, met = self.source, slice(min(self.poses), max(self.poses) + 1)
         return {
             "recording": source.recording.path.name,
-            "rows": sum(self.rows),
-            "sensor": source.sensor,
+            "rows": self.rows,
+            "sensor": source.track.sensor,
             "filters": asdict(target.filters),
             "settings": asdict(target.settings),
-            "poses": [source.track.poses[index].as_dict() for index in sorted(self.poses)],
+            "poses": [pose.as_dict() for pose in source.track.poses[met]],
             **({} if source.cycle_us == STEP_US else {"cycle_s": source.cycle_us / 1e6}),
             **({} if source.clock is None else {"clock": source.clock.as_dict()}),
         }
@@ -241,73 +237,55 @@ def _read_all(
     sources: list[Source], target: Target, folder: Path, reporter: Reporter
 ) -> list[RecordingPass]:
     """Read all recordings side by side; write their merged hits, return all else."""
-    counter = RowCounter(reporter, [source.recording.rows for source in sources])
+    known = [source.recording.rows for source in sources]
+    total = None if None in known else sum(rows for rows in known if rows is not None)
     with ExitStack() as logs:
         passes = [
             RecordingPass(
                 source=source,
                 log=logs.enter_context(
-                    FrameLogWriter(folder / f"{number}.part", [source.sensor], target.fingerprint)
+                    FrameLogWriter(
+                        folder / f"{number}.part", [source.track.sensor], target.fingerprint
+                    )
                 ),
             )
             for number, source in enumerate(sources)
         ]
-        hits = merge_hits([_hits(each, target, counter) for each in passes])
+
+        def count_rows() -> None:
+            reporter.progress(STAGE, sum(each.rows for each in passes), total)
+
+        hits = merge_hits([_hits(each, target, count_rows) for each in passes])
         write_hits(hits, folder / "hits.parquet", fingerprint=target.fingerprint)
     return passes
 
 
-class RowCounter:
-    """Counts rows over all recordings and reports them as progress.
-
-    Parameters
-    ----------
-    reporter : Reporter
-        Receives the progress.
-    rows : sequence of int or None
-        Rows of each recording; None where not known beforehand.
-    """
-
-    def __init__(self, reporter: Reporter, rows: Sequence[int | None]) -> None:
-        self._reporter, self._done = reporter, 0
-        known = [each for each in rows if each is not None]
-        self._total = sum(known) if len(known) == len(rows) else None
-
-    def add(self, rows: int) -> None:
-        """Add rows that were read."""
-        self._done += rows
-        self._reporter.progress(STAGE, self._done, self._total)
-
-
-def _hits(found: RecordingPass, target: Target, counter: RowCounter) -> Iterator[Hits]:
+def _hits(found: RecordingPass, target: Target, count_rows: Callable[[], None]) -> Iterator[Hits]:
     """Yield the hits of a recording, step by step; add all else to `found` on the way."""
     source, held = found.source, HeldHits()
     for read in whole_frames(source.recording.read()):
         piece, shift_us = _corrected(read, source.clock)
-        for index, now in _poses_in_force(piece, source.track):
+        pose_of_row = source.track.at(piece.time)
+        for index in np.unique(pose_of_row).tolist():
+            now = pose_of_row == index
             part = piece if now.all() else rows_of(piece, now)
             frames = FrameIndex.of(part.time)
             frame, tile = _tiles_hit(part, frames, source.track.poses[index], target)
             first = step_of(frames.time)
             last = last_step_covered(frames.time, source.cycle_us)
             view = source.views[index]
+            tiles_hit = np.bincount(frame, minlength=len(first))
+            tiles_seen = np.full(len(first), len(target.views.tiles[view]))
             found.log.add_rows(
-                rows_of_log(
-                    part,
-                    frames,
-                    tiles_hit=np.bincount(frame, minlength=len(first)),
-                    tiles_seen=len(target.views.tiles[view]),
-                    shift_us=shift_us[now],
-                    settings=target.settings,
-                )
+                frame_rows(part, frames, tiles_hit, tiles_seen, shift_us[now], target.settings)
             )
             found.runs.setdefault(view, []).append(union([Runs(first=first, last=last)]))
             found.poses.add(index)
             found.times.add(frames.time_us)
             yield held.spread(first[frame], last[frame], target.tile_id[tile], int(first[-1]))
         found.ranges.add(piece)
-        found.rows.append(len(piece))
-        counter.add(len(piece))
+        found.rows += len(piece)
+        count_rows()
     yield held.rest()
 
 
@@ -318,13 +296,6 @@ def _corrected(piece: Detections, clock: SensorClock | None) -> tuple[Detections
     time = clock.corrected(piece.time)
     shift_us = np.rint((time - piece.time) * 1e6).astype(np.int64)
     return replace(piece, time=time), shift_us
-
-
-def _poses_in_force(piece: Detections, track: PoseTrack) -> Iterator[tuple[int, Booleans]]:
-    """Yield each pose (its index) that holds in a piece, and in which rows."""
-    held = track.at(piece.time)
-    for index in np.unique(held).tolist():
-        yield index, held == index
 
 
 def _tiles_hit(
@@ -343,12 +314,9 @@ def _tiles_hit(
 
 
 def _target(
-    tiles: gpd.GeoDataFrame,
-    tracks: list[PoseTrack],
-    filters: Filters,
-    engine: Callable[[Floats], TileEngine],
-    settings: OccupancySettings,
-) -> Target:
+    tiles: gpd.GeoDataFrame, tracks: list[PoseTrack], filters: Filters,
+    engine: Callable[[Floats], TileEngine], settings: OccupancySettings,
+) -> Target:  # fmt: skip
     crs = metric_crs(tiles.crs, what="tiles")
     for track in tracks:
         what = f"the pose of {track.sensor}"
@@ -392,56 +360,38 @@ def _views(target: Target, tracks: list[PoseTrack], reporter: Reporter) -> list[
     return [views[id(track)] for track in tracks]
 
 
-def _warn(passes: list[RecordingPass], settings: OccupancySettings, reporter: Reporter) -> None:
-    """Warn of views, cycles and clocks that do not fit what was recorded."""
-    for each in passes:
-        name, sensor = each.source.recording.path.name, each.source.sensor
-        for line in (*_range_warnings(each, settings), *_cycle_warnings(each, settings)):
-            reporter.log(f"{name}: {line}", "warning")
-        if each.times.first_us < settings.clock_set_s * 1e6:
-            begin = iso_from_step(each.times.first_us // STEP_US)
-            reporter.log(
-                f"{name}: times begin at {begin}: the clock of {sensor} may count since it was "
-                "switched on; gis-radar clocks finds its offset",
-                "warning",
-            )
-    for line in _apart_warnings(passes):
-        reporter.log(line, "warning")
-
-
-def _range_warnings(found: RecordingPass, settings: OccupancySettings) -> Iterator[str]:
-    reached_m = found.ranges.reached_m(settings.range_share)
-    view = found.source.track.poses[0].view or View()
-    if 0 < reached_m < settings.reach_share * view.max_range_m:
-        yield (
-            f"{100 * settings.range_share:g} % of the detections lie within {reached_m:.0f} m, "
-            f"but the view of {found.source.sensor} reaches {view.max_range_m:g} m: what lies "
-            "beyond reads as observed and empty; set the view's max_range_m or --max-range"
-        )
-
-
-def _cycle_warnings(found: RecordingPass, settings: OccupancySettings) -> Iterator[str]:
-    cycle_us, sensor = found.times.cycle_us, found.source.sensor
-    if found.source.cycle_us == STEP_US and settings.slow_cycle * STEP_US < cycle_us < np.inf:
-        cycle_ms, empty = round(cycle_us / 1000), 100.0 * (1.0 - STEP_US / cycle_us)
-        yield (
-            f"{sensor} delivers every {cycle_ms} ms: {empty:.0f} % of the 50 ms steps are without "
-            f"a frame, and read as not observed by it; --cycle {sensor}={cycle_ms}ms lets a frame "
-            "cover its whole cycle"
-        )
-
-
-def _apart_warnings(passes: list[RecordingPass]) -> Iterator[str]:
+def _warnings(passes: list[RecordingPass], settings: OccupancySettings) -> Iterator[str]:
+    """Yield what does not fit in views, cycles and clocks, given what was recorded."""
     spans: dict[str, tuple[int, int]] = {}
     for each in passes:
-        first, last = spans.get(each.source.sensor, (each.times.first_us, each.times.last_us))
-        span = min(first, each.times.first_us), max(last, each.times.last_us)
-        spans[each.source.sensor] = span
-    for (one, (begin, end)), (other, (first, last)) in combinations(spans.items(), 2):
-        if end < first or last < begin:
-            apart_s = max(first - end, begin - last) / 1e6
+        file, sensor = each.source.recording.path.name, each.source.track.sensor
+        reached_m, cycle_us = each.ranges.reached_m(settings.range_share), each.times.cycle_us
+        view = each.source.track.poses[0].view or View()
+        if 0 < reached_m < settings.reach_share * view.max_range_m:
             yield (
-                f"{one} and {other} have no time in common: {apart_s:,.0f} s lie between them; "
-                "if they were recorded together, a clock is off: gis-radar clocks finds by how "
-                "much"
+                f"{file}: {100 * settings.range_share:g} % of the detections lie within "
+                f"{reached_m:.0f} m, but the view of {sensor} reaches {view.max_range_m:g} m: what "
+                "lies beyond reads as observed and empty; set the view's max_range_m or --max-range"
+            )
+        if each.source.cycle_us == STEP_US and settings.slow_cycle * STEP_US < cycle_us < np.inf:
+            cycle_ms, empty = round(cycle_us / 1000), 100.0 * (1.0 - STEP_US / cycle_us)
+            yield (
+                f"{file}: {sensor} delivers every {cycle_ms} ms: {empty:.0f} % of the 50 ms steps "
+                "are without a frame, and read as not observed by it; "
+                f"--cycle {sensor}={cycle_ms}ms lets a frame cover its whole cycle"
+            )
+        if each.times.first_us < settings.clock_set_s * 1e6:
+            begin = iso_from_step(each.times.first_us // STEP_US)
+            yield (
+                f"{file}: times begin at {begin}: the clock of {sensor} may count since it was "
+                "switched on; gis-radar clocks finds its offset"
+            )
+        first, last = spans.get(sensor, (each.times.first_us, each.times.last_us))
+        spans[sensor] = min(first, each.times.first_us), max(last, each.times.last_us)
+    for (one, (begin_us, end_us)), (other, (first, last)) in combinations(spans.items(), 2):
+        if (apart_us := max(first - end_us, begin_us - last)) > 0:
+            yield (
+                f"{one} and {other} have no time in common: {apart_us / 1e6:,.0f} s lie between "
+                "them; if they were recorded together, a clock is off: gis-radar clocks finds by "
+                "how much"
             )

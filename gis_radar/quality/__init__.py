@@ -1,5 +1,5 @@
-"""Quality: what the numbers of an occupancy rest on, by sensor and hour."""
+"""Data quality of an occupancy, by sensor and hour."""
 
-from gis_radar.quality.quality import Quality, measure_quality
+from gis_radar.quality.quality import Quality, QualitySettings, measure_quality
 
-__all__ = ["Quality", "measure_quality"]
+__all__ = ["Quality", "QualitySettings", "measure_quality"]
