@@ -11,6 +11,10 @@ CLOCK_SET_S = 631_152_000.0  # 1990-01-01: an earlier time is counted since the 
 class ClockSettings:
     """Constants by which clocks are compared; those in effect are written to the file of clocks.
 
+    Sensitivity, on the sample's two sensors (sigma 10 ms): half or twice any constant of the rough
+    search does not change the offset; half or twice a limit of speed or height, or a constant of
+    the pairing up to `place_m`, changes it by under 10 ms; twice `min_cosine` leaves no traffic.
+
     Parameters
     ----------
     min_speed_mps, max_speed_mps : float
