@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from gis_radar.poses.pose import Pose
 from gis_radar.tracking.filter import (
@@ -224,3 +225,18 @@ def test_the_likeliest_move_leaves_out_what_is_not_seen():
 def test_the_sign_is_that_of_the_quaternion_before():
     assert np.array_equal(same_sign(-2.0 * LEVEL, LEVEL), LEVEL)
     assert np.array_equal(same_sign(LEVEL, -LEVEL), -LEVEL)
+
+
+def test_gates_are_quantiles_of_chi2():
+    tests = 3600.0 / DEFAULTS.cycle_s * len(DEFAULTS.lengths_s)
+    assert DEFAULTS.gate == pytest.approx(chi2.ppf(1.0 - DEFAULTS.false_alarms / tests, 6))
+    assert DEFAULTS.suspect_chi2 == pytest.approx(12.59, abs=0.01)  # of any table
+
+
+def test_settings_that_are_not_the_defaults_are_named():
+    assert DEFAULTS.changes() == {}
+    traces = replace(DEFAULTS.localization.traces, frames=1000)
+    other = replace(
+        DEFAULTS, cycle_s=2.0, localization=replace(DEFAULTS.localization, traces=traces)
+    )
+    assert other.changes() == {"cycle_s": 2.0, "localization.traces.frames": 1000}

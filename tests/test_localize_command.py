@@ -1,6 +1,8 @@
 """The command `localize`: options reach their arguments, and a pose file comes out."""
 
 import json
+from dataclasses import replace
+from functools import partial
 
 import laspy
 import numpy as np
@@ -14,6 +16,8 @@ import gis_radar as gr
 from gis_radar.cli.main import group
 from gis_radar.crs import yaw_from_compass
 from gis_radar.localization import files as files_to_pose
+from gis_radar.localization.localize import METHODS
+from gis_radar.localization.settings import DEFAULTS
 from gis_radar.poses.files import read_pose
 
 
@@ -152,3 +156,15 @@ def test_grid_north_is_not_true_north():
 def test_the_crs_of_a_scan_is_read(files):
     _, folder = files
     assert gr.road_crs(folder / "road.laz") == UTM
+
+
+def test_settings_that_are_not_the_defaults_go_into_the_pose(files, monkeypatch):
+    street, folder = files
+    answer = gr.Localization(pose=street.pose(), fitness=1.0, observable=True)
+    monkeypatch.setitem(METHODS, "lane", lambda *_: answer)
+    ask = partial(
+        gr.localize, folder / "R1.parquet", street.roads(), np.empty((0, 3)), guess=(0.0, 0.0)
+    )
+    assert "settings" not in ask().pose.evidence
+    other = replace(DEFAULTS, answer=replace(DEFAULTS.answer, clear=3.0))
+    assert ask(settings=other).pose.evidence["settings"] == {"answer.clear": 3.0}

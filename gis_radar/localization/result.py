@@ -36,7 +36,7 @@ class Localization:
     pose : Pose
         The answer; its evidence goes into the pose file.
     fitness : float
-        Share of traces that lie where they should: on lanes of fitting direction (`lane`), or
+        Share of traces that are where they should be: on lanes of fitting direction (`lane`), or
         within a voxel of the road (`icp`).
     observable : bool
         Whether the scene fixes all six components.

@@ -161,7 +161,7 @@ class Samples:
 
     @cached_property
     def crowd(self) -> Integers:
-        """How many samples of its own object lie within the same `crowd_m`, itself included."""
+        """How many samples of its own object are within the same `crowd_m`, itself included."""
         cells = np.floor(self.points[:, :2] / self.crowd_m).astype(np.int64)
         keys = np.column_stack([self.track, cells])
         _, number, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)

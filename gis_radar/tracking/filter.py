@@ -70,7 +70,7 @@ class Measurement:
     covariance : (6, 6) array
         R, in the estimate's coordinates.
     noise : (6, 6) array
-        The part of R that another window draws anew; the rest is in all of them.
+        The part of R that is independent in each window; the rest is in all of them.
     """
 
     position: Floats
@@ -89,7 +89,7 @@ class Measurement:
 
 @dataclass(frozen=True, kw_only=True)
 class Innovation:
-    """How far a measurement lies from an estimate.
+    """Difference of a measurement and an estimate.
 
     Parameters
     ----------

@@ -49,7 +49,7 @@ class TrackingSettings:
         Lanes are sampled so many times as far as the traces reach, so that it is done rarely.
     other_lane, other_lane_m : float
         A pose a lane off refutes the start where the vehicles prefer it by so many standard
-        deviations (one more than tells two answers of a localization apart), and it is so far off.
+        deviations (one more than separates two answers of a localization), and it is so far off.
     lengths_s : tuple of float
         Newest parts of the window that are tested for a move: a short one soon shows a blow, but
         holds few vehicles; a long one shows a shift of some decimetres.

@@ -83,7 +83,7 @@ def _quaternion(state: State) -> Floats:
 
 @dataclass(frozen=True, kw_only=True)
 class WindowTraffic:
-    """What moved within some time, by track.
+    """Moving detections of some time, by track.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ class WindowTraffic:
 
 @dataclass(frozen=True, kw_only=True)
 class WindowFit:
-    """A registration and what it measures.
+    """The fit of a window, and the pose that it measures.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ class WindowFit:
     samples : Samples
         What was registered.
     on_lanes : bool
-        Whether the traffic lies on the lanes.
+        Whether the traffic is on the lanes.
     """
 
     measurement: Measurement
@@ -154,7 +154,7 @@ class WindowFit:
 
     @property
     def trusted(self) -> bool:
-        """Whether the traffic lies on the lanes, at a pose that is a fit's."""
+        """Whether the fit converged, with the traffic on the lanes."""
         return self.fit.converged and self.on_lanes
 
 
@@ -212,7 +212,7 @@ class WindowFitter:
         start: State | None = None,
         schedule: Schedule | None = None,
     ) -> WindowFit | None:
-        """Lay a traffic on the lanes near a pose; None where it holds too little traffic.
+        """Fit a window of traffic to the lanes near a pose; None where it holds too few vehicles.
 
         Parameters
         ----------
@@ -247,7 +247,7 @@ class WindowFitter:
     def find(
         self, traffic: WindowTraffic, centre: Estimate, like: State, *, near: Sequence[float]
     ) -> WindowFit | None:
-        """Look farther around a pose at which the traffic lies on no lanes; None if in vain.
+        """Search farther around a pose at which the traffic is on no lanes; None if in vain.
 
         Parameters
         ----------
@@ -286,7 +286,7 @@ class WindowFitter:
         return Prior(mean=centre, information=information)
 
     def refuse_other_lane(self, found: WindowFit) -> None:
-        """Refuse a pose where the same data lie clearly better on a neighbouring lane.
+        """Refuse a pose where the same data fit clearly better on a neighbouring lane.
 
         Raises
         ------
