@@ -17,7 +17,7 @@ ROAD, LANE, AWAY, NEAR, PLAIN = ("#c9c5bd", "#6f7780", "#c2410c", "#1d4ed8", "#7
 Extent = tuple[Floats, Floats]  # south-west and north-east, metres
 
 
-def extent_of(traces: Floats, place: Floats) -> Extent:
+def trace_extent(traces: Floats, place: Floats) -> Extent:
     """Return what a picture shows: nearly all traces and the sensor, with a margin."""
     low = np.minimum(np.percentile(traces[:, :2], 0.5, axis=0), place) - MARGIN_M
     high = np.maximum(np.percentile(traces[:, :2], 99.5, axis=0), place) + MARGIN_M

@@ -118,7 +118,7 @@ class Localization:
 
         ax = axes_or_new(ax, (8.0, 8.0))
         traces, place = self.pose.to_map(self.traces), self.pose.position[:2]
-        low, high = extent = picture.extent_of(traces, place)
+        low, high = extent = picture.trace_extent(traces, place)
         if road_points is not None:
             picture.draw_road(ax, road_points, extent)
         if roads is not None:
