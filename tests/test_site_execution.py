@@ -271,6 +271,21 @@ def test_kill_9_leaves_no_worker_no_lock_and_no_half_answer(root, source, after)
     assert (root / "map").read_text() == "SroadSroada1a2Sroadb1b2map"
 
 
+def test_workers_do_not_run_the_script_of_the_caller_again(root, source, tmp_path):
+    """A script needs no guard: stages are functions of modules, and workers get no other."""
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import sys\n"
+        "from fake_stages import diamond, execute, process_pool\n"
+        "execute(diamond(sys.argv[1], sys.argv[2]), sys.argv[1], pool=process_pool)\n"
+        "print('once', __file__ == sys.argv[0], __spec__)\n"
+    )
+    paths = os.environ | {"PYTHONPATH": os.pathsep.join([str(HERE), *sys.path])}
+    words = [sys.executable, str(script), str(root), str(source)]
+    done = subprocess.run(words, capture_output=True, text=True, env=paths, check=False)
+    assert (done.returncode, done.stdout) == (0, "once True None\n"), done.stderr
+
+
 def test_two_runs_in_one_folder_are_refused(root, source):
     with (
         only_writer(root, lock=root / ".gis-radar" / "lock"),

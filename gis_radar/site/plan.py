@@ -241,10 +241,7 @@ def _localization(site: Site, sensor: Sensor, folder: Path, road: Path) -> Stage
         options={
             **_map_options(site),
             "sensor": sensor.name,
-            "guess": sensor.guess,
-            "heading": sensor.heading,
-            "compass": sensor.compass,
-            "method": sensor.method,
+            **sensor.model_dump(include={"guess", "heading", "compass", "method"}),
             "scan_crs": site.scan.crs if site.scan else None,
         },
         outputs=(place / "localization.json", place / "localization.png"),
