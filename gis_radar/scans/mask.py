@@ -22,7 +22,7 @@ from gis_radar.notebooks import card
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.scans.cells import RoadCells, make_cells
 from gis_radar.scans.engines import Pipeline, engine_of, write_layer
-from gis_radar.scans.point_store import PointStore, blocks_near_roads
+from gis_radar.scans.point_store import PointStore, cut_into_blocks
 from gis_radar.scans.roads import Roads, roads_of_map
 from gis_radar.scans.scan import Days, Scan, open_scan, write_road
 from gis_radar.scans.settings import DEFAULTS, MaskSettings
@@ -192,7 +192,7 @@ def mask_road(
     touching = [scan for scan in opened if scan.touches(roads.area.bounds, roads.crs)]
     if not touching:
         raise _no_overlap(opened, roads)
-    blocks = blocks_near_roads(roads)
+    blocks = cut_into_blocks(roads)
     with tempfile.TemporaryDirectory(prefix="gis_radar_") as folder:
         store = PointStore(blocks, Path(folder))
         statistics = runner.fill(store, touching, settings, reporter)

@@ -126,7 +126,7 @@ class RoadBlocks:
         return found[found >= 0].astype(np.int64)
 
 
-def blocks_near_roads(roads: Roads) -> RoadBlocks:
+def cut_into_blocks(roads: Roads) -> RoadBlocks:
     """Cut the roads into blocks."""
     parts = np.asarray(shapely.get_parts(roads.area))
     tree = shapely.STRtree(parts)
