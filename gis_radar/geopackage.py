@@ -10,6 +10,9 @@ from typing import Any
 import pyarrow as pa
 import pyogrio
 
+GPKG_VERSION = "1.2"
+"""The version of the GeoPackages that we write: the GDAL of QGIS 3.40 warns of later ones."""
+
 # As QGIS itself makes it; GDAL and QGIS look for it by this name.
 _TABLE = """
 CREATE TABLE layer_styles (

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from gis_radar.processes import VARIABLE, watch_parent
+from gis_radar.processes import WATCHDOG_VARIABLE, watch_parent
 
 ROOT = Path(__file__).parents[1]
 posix = pytest.mark.skipif(os.name == "nt", reason="process groups")
@@ -18,7 +18,7 @@ WORK = [sys.executable, "-m", "gis_radar", "demo", "--json", "-o"]
 
 
 def watching(out, **options):
-    around = os.environ | {VARIABLE: "stdin", "PYTHONPATH": str(ROOT)}
+    around = os.environ | {WATCHDOG_VARIABLE: "stdin", "PYTHONPATH": str(ROOT)}
     return subprocess.Popen(
         [*WORK, str(out)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=around,
         **options,
@@ -62,7 +62,7 @@ def test_a_worker_that_was_told_to_ignore_ctrl_c_stops_too(tmp_path):
 
 def test_without_a_watchdog_the_input_does_not_matter(tmp_path):
     words = [sys.executable, "-m", "gis_radar", "sample", "--json", "-o", str(tmp_path / "s")]
-    around = {name: value for name, value in os.environ.items() if name != VARIABLE}
+    around = {name: value for name, value in os.environ.items() if name != WATCHDOG_VARIABLE}
     done = subprocess.run(
         words, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=True,
         env=around | {"PYTHONPATH": str(ROOT)},

@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyogrio
 
 from gis_radar.arrays import Integers
-from gis_radar.geopackage import add_styles, write_stream
+from gis_radar.geopackage import GPKG_VERSION, add_styles, write_stream
 from gis_radar.heatmap import style
 from gis_radar.heatmap.counting import Tally
 from gis_radar.progress import Reporter
@@ -148,9 +148,6 @@ def write_table(tally: Tally, path: Path, _reporter: Reporter) -> None:
     )
 
 
-VERSION = "1.2"  # the GDAL of QGIS 3.40 warns of later ones
-
-
 def write_package(tally: Tally, path: Path, reporter: Reporter) -> None:
     """Write both layers, their styles, and an index on the times.
 
@@ -169,7 +166,7 @@ def write_package(tally: Tally, path: Path, reporter: Reporter) -> None:
     }
     pyogrio.write_dataframe(
         wide_layer(tally), path, layer=WIDE, driver="GPKG", use_arrow=True,
-        geometry_type="Polygon", layer_metadata=metadata, VERSION=VERSION,
+        geometry_type="Polygon", layer_metadata=metadata, VERSION=GPKG_VERSION,
     )  # fmt: skip
     _write_long(tally, path, metadata, reporter)
     with closing(sqlite3.connect(path)) as database, database:

@@ -17,12 +17,11 @@ import shapely
 from gis_radar.crs import require_same
 from gis_radar.errors import UsageError
 from gis_radar.files import whole_file
-from gis_radar.geopackage import add_styles
+from gis_radar.geopackage import GPKG_VERSION, add_styles
 from gis_radar.poses.pose import ANGLES, POSITION, Pose, View
 from gis_radar.poses.shapes import ellipse
 
 SENSORS, VIEWS, UNCERTAINTY = "sensors", "views", "uncertainty"
-VERSION = "1.2"  # the GDAL of QGIS 3.40 warns of later ones
 _SIGMA = (*POSITION, *ANGLES)
 _EVIDENCE = ("fitness", "converged", "observable", "method", "time", "frames")
 
@@ -57,7 +56,7 @@ def write_sensors(poses: Sequence[Pose], path: str | Path) -> None:
         for name, table in layers.items():
             pyogrio.write_dataframe(
                 table, part, layer=name, driver="GPKG", geometry_type=kinds[name],
-                append=part.exists(), dataset_options={"VERSION": VERSION},
+                append=part.exists(), dataset_options={"VERSION": GPKG_VERSION},
             )  # fmt: skip
         with closing(sqlite3.connect(part)) as database, database:
             styles = {name: (read_style(name), "") for name in layers}

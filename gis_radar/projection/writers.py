@@ -16,12 +16,11 @@ import shapely
 
 from gis_radar.arrays import Floats
 from gis_radar.crs import name_of
-from gis_radar.geopackage import write_stream
+from gis_radar.geopackage import GPKG_VERSION, write_stream
 from gis_radar.projection.points import GEOMETRY, OWN, PointStream, distinct_names, renamed
 from gis_radar.steps import gps_seconds
 
 LAYER = "hits"
-VERSION = "1.2"  # the GDAL of QGIS 3.40 warns of later ones
 NOT_IN_GEOPACKAGE = (pa.types.is_duration, pa.types.is_interval, pa.types.is_decimal256)
 
 
@@ -44,7 +43,7 @@ def write_points_geopackage(points: PointStream, path: Path) -> None:
         geometry_name=GEOMETRY,
         geometry_type="Point Z",
         crs=name_of(points.pose.crs),
-        dataset_options={"VERSION": VERSION},
+        dataset_options={"VERSION": GPKG_VERSION},
     )
 
 

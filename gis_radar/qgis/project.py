@@ -29,7 +29,7 @@ from gis_radar.qgis.document import (
 )
 from gis_radar.steps import seconds_from_iso, zone_of
 
-MARGIN = 0.05
+MAP_MARGIN = 0.05
 """Around what was observed, as a share of its size: the road goes on a little to each side."""
 
 _MARK = b"gis_radar "
@@ -160,7 +160,7 @@ def _observed_box(package: Path) -> tuple[CRS, Box]:
     if boxes.shape[1]:
         west, south = (float(value) for value in boxes[:2].min(axis=1))
         east, north = (float(value) for value in boxes[2:].max(axis=1))
-    margin = MARGIN * max(east - west, north - south)
+    margin = MAP_MARGIN * max(east - west, north - south)
     return crs, (west - margin, south - margin, east + margin, north + margin)
 
 

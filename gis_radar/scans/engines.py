@@ -21,6 +21,7 @@ import shapely
 
 from gis_radar.crs import Box, moved_box, name_of, same_plane
 from gis_radar.errors import GisRadarError, UsageError
+from gis_radar.geopackage import GPKG_VERSION
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.scans.pdal import INSTALL_HINT, PdalRunner, find_pdal
 from gis_radar.scans.point_store import PointStore
@@ -210,7 +211,7 @@ def write_layer(roads: Roads, path: Path, *, outside: Any = None) -> None:
     for name, table in layers.items():
         pyogrio.write_dataframe(
             table, path, layer=name, driver="GPKG", geometry_type="Polygon",
-            append=path.exists(), dataset_options={"VERSION": "1.2"},
+            append=path.exists(), dataset_options={"VERSION": GPKG_VERSION},
         )  # fmt: skip
 
 

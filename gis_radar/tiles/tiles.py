@@ -19,6 +19,7 @@ from gis_radar.arrays import Floats
 from gis_radar.crs import metric_crs, name_of
 from gis_radar.errors import InputError, UsageError
 from gis_radar.files import whole_file
+from gis_radar.geopackage import GPKG_VERSION
 from gis_radar.lanelets import LaneletMap
 from gis_radar.lanelets.slicing import corners_between, cut
 from gis_radar.lanelets.tagging import ON_FOOT_OR_BICYCLE
@@ -179,7 +180,7 @@ def write_tiles(tiles: gpd.GeoDataFrame, path: str | Path, *, problems: gpd.GeoD
         for layer, table, kind in ((LAYER, tiles, "Polygon"), (PROBLEMS, problems, "Unknown")):
             pyogrio.write_dataframe(
                 table, part, layer=layer, driver="GPKG", geometry_type=kind, use_arrow=True,
-                append=part.exists(), dataset_options={"VERSION": "1.2"},
+                append=part.exists(), dataset_options={"VERSION": GPKG_VERSION},
                 layer_metadata=seal if layer == LAYER else None,
             )  # fmt: skip
 
