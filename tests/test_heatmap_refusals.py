@@ -7,11 +7,13 @@ from test_heatmap import T0, lane_tiles, make_site, two_sensors
 
 from gis_radar.errors import CrsError, InputError, UsageError
 from gis_radar.heatmap import make_heatmap
+from gis_radar.heatmap.intervals import HeatMapSettings
 from gis_radar.tiles.tiles import fingerprint
 
 
 def test_too_many_rows_are_refused(monkeypatch):
-    monkeypatch.setattr("gis_radar.heatmap.intervals.MOST_ROWS", 1000)
+    few = HeatMapSettings(most_rows=1000)
+    monkeypatch.setattr("gis_radar.heatmap.intervals.SETTINGS", few)
     site = two_sensors(2000)
     with pytest.raises(UsageError, match="more than a heat map can hold") as caught:
         make_heatmap(site, site.tiles, interval="50ms")

@@ -22,7 +22,7 @@ from pyproj import CRS
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.crs import metric_crs
 from gis_radar.errors import InputError
-from gis_radar.heatmap.intervals import MOST_COLUMNS, Timeline
+from gis_radar.heatmap.intervals import SETTINGS, Timeline
 from gis_radar.occupancy import Occupancy
 from gis_radar.occupancy.step_sets import Runs, runs_in, union
 from gis_radar.progress import Reporter
@@ -102,7 +102,7 @@ class Tally:
     @property
     def columns(self) -> range:
         """The intervals that become columns and bands: none where there are too many."""
-        if self.timeline is self.whole or len(self.timeline) > MOST_COLUMNS:
+        if self.timeline is self.whole or len(self.timeline) > SETTINGS.most_columns:
             return range(0)
         return range(len(self.timeline))
 

@@ -277,7 +277,7 @@ def busiest_window(centres: Floats, share: Floats, extent: Extent) -> Extent | N
 
 
 def free_corner(centres: Floats, extent: Extent) -> Box | None:
-    """Return the largest square in a corner of the map in which no tile lies.
+    """Return the largest square in a corner of the map without a tile.
 
     Returns
     -------

@@ -317,20 +317,18 @@ def read_heatmap(path: str | Path) -> HeatMap:
     except (DataSourceError, DataLayerError, sqlite3.Error, OSError) as error:
         reason = str(error).splitlines()[0]
         raise InputError(f"{path}: not a heat map: {reason}", hint=_HINT) from error
-    same = all(np.array_equal(a, b) for a, b in zip(_edges(timeline), _edges(whole), strict=True))
     seen = np.flatnonzero(observed.any(axis=0))
-    # Tiles observed alike in all intervals share a column.
-    runs, group = np.unique(observed[:, seen], axis=1, return_inverse=True)
+    first, group = _alike(observed[:, seen])
     return HeatMap(
         tiles=tiles[[*COLUMNS, "geometry"]],
         fingerprint=notes["fingerprint"],
         sensors=tuple(json.loads(notes["sensors"])),
         whole=whole,
-        timeline=whole if same else timeline,
+        timeline=whole if timeline.spans() == whole.spans() else timeline,
         seen=seen,
-        group=group.ravel(),
+        group=group,
         occupied=occupied[:, seen],
-        observed=runs.astype(np.int64),
+        observed=observed[:, seen[first]].astype(np.int64),
     )
 
 
@@ -339,7 +337,7 @@ def _checked_whole(tiles: gpd.GeoDataFrame, notes: dict[str, Any], path: Path) -
     missing = [name for name in COLUMNS if name not in tiles]
     missing += [name for name in ("fingerprint", "sensors", "begin", "end") if name not in notes]
     if missing:
-        raise InputError(f"{path}: does not say {', '.join(missing)}", hint="make it again")
+        raise InputError(f"{path}: lacks {', '.join(missing)}", hint="make it again")
     if fingerprint(tiles) != notes["fingerprint"]:
         raise InputError(f"{path}: its tiles were changed since it was made", hint="make it again")
     begin, end = (_steps_of([notes[name]], path) for name in ("begin", "end"))
@@ -348,10 +346,6 @@ def _checked_whole(tiles: gpd.GeoDataFrame, notes: dict[str, Any], path: Path) -
 
 def _steps_of(times: list[str], path: Path) -> Integers:
     return step_of(np.array([seconds_from_iso(each, what=f"{path}: time") for each in times]))
-
-
-def _edges(timeline: Timeline) -> tuple[Integers, Integers]:
-    return timeline.begin, timeline.end
 
 
 def _read_counts(path: Path, tile_ids: Integers, intervals: int) -> tuple[Counts, Counts]:
@@ -377,3 +371,11 @@ def _read_counts(path: Path, tile_ids: Integers, intervals: int) -> tuple[Counts
         raise InputError(f"{path}: {LONG} is damaged: not one row a tile and interval", hint=_HINT)
     occupied, observed = counts.reshape(len(names), intervals, len(tile_ids))
     return occupied, observed
+
+
+def _alike(observed: Counts) -> tuple[Integers, Integers]:
+    """Group tiles observed alike in all intervals: the first tile of each group, and the groups."""
+    rows = np.ascontiguousarray(observed.T)
+    whole = rows.view(np.dtype((np.void, rows.strides[0]))).ravel()
+    _, first, group = np.unique(whole, return_index=True, return_inverse=True)
+    return first, group

@@ -22,8 +22,27 @@ from gis_radar.steps import (
     step_of,
 )
 
-MOST_COLUMNS = 500  # intervals as columns and bands: QGIS and GDAL open a table that wide at once
-MOST_ROWS = 100_000_000  # of the layer by interval: about 35 GB of GeoPackage
+
+@dataclass(frozen=True, kw_only=True)
+class HeatMapSettings:
+    """Constants of all heat maps; the class breaks and the ramp are in `style`.
+
+    Parameters
+    ----------
+    pixel_m : float
+        Side of a pixel of the GeoTIFF, metres: the length of a tile, so that none is skipped.
+    most_columns : int
+        Intervals that become columns and bands (the files' contract); more are rows only.
+    most_rows : int
+        Rows of the layer by interval: as many are about 35 GB of GeoPackage.
+    """
+
+    pixel_m: float = 0.5
+    most_columns: int = 500
+    most_rows: int = 100_000_000
+
+
+SETTINGS = HeatMapSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +74,7 @@ class Timeline:
         return runs.before(self.end) - runs.before(self.begin)
 
     def find(self, step: Integers) -> Integers:
-        """Return the interval of each step, -1 where it lies in none."""
+        """Return the interval of each step, -1 where it is in none."""
         interval = np.searchsorted(self.begin, step, side="right") - 1
         inside = (interval >= 0) & (step < self.end[interval])
         return np.where(inside, interval, -1)
@@ -194,20 +213,20 @@ def intervals_of(
     if zone is not None and not follows_utc(steps):
         local = local_intervals(first, last, steps, zone)
     count = last // steps - first // steps + 1 if local is None else len(local)
-    if count <= MOST_COLUMNS:
+    if count <= SETTINGS.most_columns:
         return aligned(first, last, steps) if local is None else local
     kept = None if local is None else those_with(local, runs)
     filled = intervals_with(runs, steps) if kept is None else len(kept)
-    if filled * tiles > MOST_ROWS:
+    if filled * tiles > SETTINGS.most_rows:
         raise UsageError(
             f"{filled} intervals of {interval} for {tiles} tiles are more than a heat map can hold",
             hint="use a longer interval",
         )
-    said = f"only the {filled} intervals in which a sensor delivered a frame are kept"
-    if filled > MOST_COLUMNS:
-        said += (
-            f"; more than {MOST_COLUMNS}, so they are rows of occupancy_by_interval, "
+    note = f"only the {filled} intervals in which a sensor delivered a frame are kept"
+    if filled > SETTINGS.most_columns:
+        note += (
+            f"; more than {SETTINGS.most_columns}, so they are rows of occupancy_by_interval, "
             "not columns and bands"
         )
-    reporter.log(said)
+    reporter.log(note)
     return aligned_with(runs, steps) if kept is None else kept

@@ -7,7 +7,6 @@ import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
-from typing import Any
 
 import geopandas as gpd
 import numpy as np
@@ -15,7 +14,6 @@ import pandas as pd
 import pyarrow as pa
 import pyogrio
 
-from gis_radar.arrays import Integers
 from gis_radar.geopackage import GPKG_VERSION, add_styles, write_stream
 from gis_radar.heatmap import style
 from gis_radar.heatmap.counting import Tally
@@ -82,21 +80,9 @@ def long_layer(tally: Tally) -> gpd.GeoDataFrame:
         `observed_s`, `occupancy`, geometry, ordered by interval, then by tile. Where a
         tile was not observed, `observed_s` is 0 and the other two are NaN.
     """
-    intervals, tiles = len(tally.timeline), len(tally.tiles)
-    shares = [tally.shares(i) for i in range(intervals)]
-    columns: dict[str, Any] = {
-        name: np.tile(tally.tiles[name].to_numpy(), intervals) for name in ("tile_id", "lanelet_id")
-    }
-    columns[BEGIN] = _utc(tally.timeline.begin).repeat(tiles)
-    columns[END] = _utc(tally.timeline.end).repeat(tiles)
-    for name in ("occupied_s", "observed_s", "occupancy"):
-        columns[name] = np.concatenate([getattr(share, name) for share in shares])
-    geometry = np.tile(tally.tiles.geometry.to_numpy(), intervals)
-    return gpd.GeoDataFrame(columns, geometry=geometry, crs=tally.crs)
-
-
-def _utc(step: Integers) -> pd.DatetimeIndex:
-    return pd.DatetimeIndex((step * _STEP_MS).astype("datetime64[ms]"), tz="UTC")
+    rows = pa.Table.from_batches(long_batches(tally), schema=LONG_SCHEMA).drop(["geometry"])
+    geometry = np.tile(tally.tiles.geometry.to_numpy(), len(tally.timeline))
+    return gpd.GeoDataFrame(rows.to_pandas(), geometry=geometry, crs=tally.crs)
 
 
 LONG_SCHEMA = pa.schema(

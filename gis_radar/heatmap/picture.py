@@ -1,7 +1,7 @@
 """Draw the map: tiles as pixels in the colours of all heat maps, scale bar, north arrow, sensors.
 
 The figure of a heat map, plots in notebooks, and the report's pages all show these pictures.
-Which tiles each pixel lies in is found once, for all pictures of an extent.
+The tiles of each pixel are found once, for all pictures of an extent.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class MapPicture:
     grid : PixelGrid
         Its pixels.
     cover : Cover
-        The tiles that each pixel lies in.
+        The tiles of each pixel.
     ground : (height, width) uint8 array
         The picture without any tile, as places in the palette: paper, and the road's outline.
     """
@@ -103,7 +103,7 @@ class MapPicture:
         return figure, ax
 
     def overlay(self, poses: Sequence[Pose]) -> Image.Image:
-        """Draw scale bar, north arrow and sensors on nothing, to lie over a painted picture.
+        """Draw scale bar, north arrow and sensors on nothing, to go over a painted picture.
 
         Parameters
         ----------

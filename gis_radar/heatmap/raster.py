@@ -1,6 +1,6 @@
-"""Heat maps on pixels: which tiles each pixel lies in, and the cloud-optimised GeoTIFF.
+"""Heat maps on pixels: the tiles of each pixel, and the cloud-optimised GeoTIFF.
 
-The centre of a pixel decides in which tiles it lies; of overlapping tiles the highest
+The centre of a pixel decides in which tiles it is; of overlapping tiles the highest
 occupancy counts, and those that were not observed do not. The GeoTIFF has pixels of 0.5 m,
 aligned to multiples of 0.5 m of the map's coordinates, and a band an interval; it covers the
 tiles that were ever observed.
@@ -24,12 +24,12 @@ from rasterio.windows import Window
 from gis_radar.arrays import Floats, Integers
 from gis_radar.errors import OutputError
 from gis_radar.heatmap.counting import DEFINITIONS, Tally
+from gis_radar.heatmap.intervals import SETTINGS
 from gis_radar.progress import Reporter
 from gis_radar.steps import iso_from_step
 from gis_radar.tiles.lookup import TileGrid
 from gis_radar.tiles.tiles import quads
 
-PIXEL_M = 0.5  # of the GeoTIFF: the length of a tile
 POINTS_AT_ONCE = 1_000_000  # pixels looked up together: 50 MB
 MOST_MASK_PIXELS = 100_000_000  # a byte each; larger grids are sparse, and their pixels listed
 MOST_BLOCK_BYTES = 16_000_000  # of all bands of a block, which GDAL holds at once
@@ -108,12 +108,12 @@ class PixelGrid:
 
 @dataclass(frozen=True, kw_only=True)
 class Cover:
-    """Which tiles each pixel of a grid lies in.
+    """The tiles of each pixel of a grid.
 
     Parameters
     ----------
     pixel : (p,) int64 array
-        The pixels that lie in a tile, ascending.
+        The pixels in a tile, ascending.
     start : (p,) int64 array
         Where each pixel's tiles begin in `tile`.
     tile : (k,) int64 array
@@ -130,7 +130,7 @@ class Cover:
 
 
 def cover(grid: PixelGrid, corners: Floats) -> Cover:
-    """Find the tiles that each pixel's centre lies in, by the rule of the assignment of points.
+    """Find the tiles that hold each pixel's centre, by the rule of the assignment of points.
 
     Parameters
     ----------
@@ -154,11 +154,12 @@ def cover(grid: PixelGrid, corners: Floats) -> Cover:
 
 def aligned_grid(corners: Floats) -> PixelGrid:
     """Return the grid of the GeoTIFF, which covers the corners of all tiles."""
-    low = np.floor(corners.min(axis=(0, 1)) / PIXEL_M).astype(int)
-    high = np.ceil(corners.max(axis=(0, 1)) / PIXEL_M).astype(int)
+    pixel_m = SETTINGS.pixel_m
+    low = np.floor(corners.min(axis=(0, 1)) / pixel_m).astype(int)
+    high = np.ceil(corners.max(axis=(0, 1)) / pixel_m).astype(int)
     width, height = (int(side) for side in np.maximum(high - low, 1))
     return PixelGrid(
-        west_m=int(low[0]) * PIXEL_M, north_m=(int(low[1]) + height) * PIXEL_M, pixel_m=PIXEL_M,
+        west_m=int(low[0]) * pixel_m, north_m=(int(low[1]) + height) * pixel_m, pixel_m=pixel_m,
         width=width, height=height,
     )  # fmt: skip
 

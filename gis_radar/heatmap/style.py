@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement, indent, parse, tostring
 
-BREAKS = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+BREAKS = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)  # occupancy, shares of 1
 RAMP = (
     "#f8eca1", "#f3be56", "#ef891a", "#df5028", "#ba1c4d", "#830460", "#480d58", "#18083b",
 )  # fmt: skip

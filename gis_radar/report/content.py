@@ -88,7 +88,7 @@ class MapSeries:
     frames : sequence of Figure
         The intervals, as large as `whole`; none where the heat map has but one.
     overlay : bytes
-        PNG with scale, north and sensors, to lie over each of them.
+        PNG with scale, north and sensors, to go over each of them.
     caption : str
         Below the map.
     note : str

@@ -1,21 +1,18 @@
-"""Put what was found into words and tables: the facts, the lanes, the sensors, the settings."""
+"""Put findings into words and tables: the facts, the lanes, the sensors, the quality by hour."""
 
 from __future__ import annotations
 
-import json
 import math
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from gis_radar.crs import name_of
 from gis_radar.heatmap.picture import png
 from gis_radar.poses.pose import ANGLES, POSITION, Pose, View
 from gis_radar.quality import Quality
@@ -23,7 +20,7 @@ from gis_radar.quality.quality import GOOD
 from gis_radar.report.content import Column, Content, Figure, MapSeries, Table
 from gis_radar.report.lanes import LaneSums
 from gis_radar.report.maps import flat_picture
-from gis_radar.report.results import Results
+from gis_radar.report.results import NOT_KNOWN, Results, made_by, settings_of, sources_of
 from gis_radar.report.words import (
     NOTHING,
     THIN,
@@ -31,7 +28,6 @@ from gis_radar.report.words import (
     count,
     direction,
     figure_text,
-    listed,
     percent,
     plus_minus,
     write_csv,
@@ -40,7 +36,6 @@ from gis_radar.report.words import (
 FIGURE_PIXELS, FINE_FIGURES = 1600, 6  # width of a picture; more than that many are coarser
 COARSE_PIXELS, MOST_FIGURES = 1000, 20
 MOST_LANES, MOST_HOURS = 150, 168  # rows of tables as read; the CSV files hold all
-NOT_KNOWN = "not known here"
 HOW_FOUND = {"lane": "found from traffic on the lanes", "icp": "found by ICP"}
 INTRO = (
     "The map shows in which share of the observed time radar hit each half metre of lane. "
@@ -59,7 +54,7 @@ class Findings:
     title : str
         Of the report.
     clock : Clock
-        Writes its times.
+        For its times.
     quality : Quality or None
         What sensors delivered; None where that is not known.
     lanes : LaneSums
@@ -74,19 +69,6 @@ class Findings:
     quality: Quality | None
     lanes: LaneSums
     table: pd.DataFrame
-
-
-class Totals(NamedTuple):
-    """Totals of the whole time; the busiest lane is None where none was hit."""
-
-    lanes: int
-    lanes_observed: int
-    length_m: float
-    length_observed_m: float
-    tiles_observed: int
-    tiles_hit: int
-    busiest_lane: int | None
-    busiest_occupancy: float | None
 
 
 def content_of(found: Findings, maps: MapSeries, plan: Figure) -> Content:
@@ -118,10 +100,10 @@ def content_of(found: Findings, maps: MapSeries, plan: Figure) -> Content:
         sensors=_sensors(results, figures=len(figures)),
         sensor_figures=figures,
         quality=_quality(found.quality, clock),
-        settings=_settings(results),
-        sources=_sources(results),
+        settings=settings_of(results),
+        sources=sources_of(results),
         definitions=tuple(_definitions().items()),
-        made_by=_made_by(),
+        made_by=made_by(),
     )
 
 
@@ -130,39 +112,40 @@ def _definitions() -> dict[str, str]:
     return tomllib.loads(text)
 
 
-def totals_of(found: Findings) -> Totals:
-    """Count the totals of the whole time."""
+def totals_of(found: Findings) -> dict[str, Any]:
+    """Count the totals of the whole time; the busiest lane is None where none was hit."""
     heat, table = found.results.heat, found.table
     shares = heat.shares()
     seen = shares.observed_s > 0
     length_m = heat.tiles["length_m"].to_numpy(np.float64)
     hit = not table.empty and table["occupancy"].iloc[0] > 0  # the busiest stands first
-    return Totals(
-        lanes=len(table),
-        lanes_observed=int(table["occupancy"].notna().sum()),
-        length_m=float(length_m.sum()),
-        length_observed_m=float(length_m[seen].sum()),
-        tiles_observed=int(seen.sum()),
-        tiles_hit=int(np.count_nonzero(shares.occupied_s[seen])),
-        busiest_lane=int(table["lane"].iloc[0]) if hit else None,
-        busiest_occupancy=float(table["occupancy"].iloc[0]) if hit else None,
-    )
+    return {
+        "lanes": len(table),
+        "lanes_observed": int(table["occupancy"].notna().sum()),
+        "lane_length_m": round(float(length_m.sum()), 2),
+        "lane_length_observed_m": round(float(length_m[seen].sum()), 2),
+        "tiles_observed": int(seen.sum()),
+        "tiles_hit": int(np.count_nonzero(shares.occupied_s[seen])),
+        "busiest_lane": int(table["lane"].iloc[0]) if hit else None,
+        "busiest_lane_occupancy": round(float(table["occupancy"].iloc[0]), 6) if hit else None,
+    }
 
 
 def _facts(found: Findings) -> list[tuple[str, str]]:
     """Return the figures at the top."""
     total, sensors = totals_of(found), found.results.sensors
+    shown = {name: figure_text(value) for name, value in total.items() if value is not None}
     busiest = "none was hit"
-    if total.busiest_occupancy is not None:
-        busiest = f"No. {total.busiest_lane}: {percent(total.busiest_occupancy)}"
+    if total["busiest_lane"] is not None:
+        busiest = f"No. {total['busiest_lane']}: {percent(total['busiest_lane_occupancy'])}"
     return [
-        ("Sensors", str(len(sensors)) if sensors else "not known here"),
-        ("Lanes observed", f"{total.lanes_observed} of {total.lanes}"),
+        ("Sensors", str(len(sensors)) if sensors else NOT_KNOWN),
+        ("Lanes observed", f"{total['lanes_observed']} of {total['lanes']}"),
         (
             "Lane length observed",
-            f"{figure_text(total.length_observed_m)} of {figure_text(total.length_m)}{THIN}m",
+            f"{shown['lane_length_observed_m']} of {shown['lane_length_m']}{THIN}m",
         ),
-        ("Tiles hit", f"{figure_text(total.tiles_hit)} of {figure_text(total.tiles_observed)}"),
+        ("Tiles hit", f"{shown['tiles_hit']} of {shown['tiles_observed']}"),
         ("Busiest lane", busiest),
     ]
 
@@ -305,7 +288,7 @@ def _sensor_row(pose: Pose) -> list[str]:
 
 
 def how_found(pose: Pose) -> str:
-    """Say how a pose was found, and on what evidence."""
+    """Return how a pose was found, and on what evidence, in words."""
     evidence = pose.evidence
     words = [HOW_FOUND.get(str(evidence.get("method")), "given, not found by gis_radar")]
     fitness = evidence.get("fitness")
@@ -351,7 +334,7 @@ def _quality(quality: Quality | None, clock: Clock) -> Table:
 
 
 def _hours_in_words(table: pd.DataFrame) -> dict[str, str]:
-    """Say by sensor in how many hours it was well."""
+    """Return by sensor in how many hours no test found fault, in words."""
     words = {}
     for sensor, rows in table.groupby("sensor"):
         good = int(rows["verdict"].eq(GOOD).sum())
@@ -386,118 +369,6 @@ def _sigma(pose: Pose) -> dict[str, float]:
         for name, value in (sigma if isinstance(sigma, dict) else {}).items()
         if isinstance(value, int | float) and math.isfinite(value)
     }
-
-
-def _settings(results: Results) -> Table:
-    """Return the settings in effect, as far as the folder holds them."""
-    rows = [
-        ["Coordinates", f"{results.heat.crs.name}, {name_of(results.heat.crs)[:24]}"],
-        ["Intervals", _interval(results)],
-        ["Tiles", _tiles(results)],
-        *([name, text] for name, text in _filters(results)),
-        ["Fingerprint of the tiles", results.heat.fingerprint],
-        ["Software", _software(results)],
-    ]
-    return Table(caption="Settings", columns=_named("Setting"), rows=rows)
-
-
-def _sources(results: Results) -> Table:
-    """Return the data that the heat map was made of."""
-    rows = [
-        [name, text]
-        for name, part in (("Map", results.site.get("map")), ("Scan", results.site.get("scan")))
-        if part and (text := _file(part))
-    ]
-    rows += [
-        [
-            f"Recording of {source.get('sensor')}",
-            f"{source.get('recording')}, {count(int(source.get('rows') or 0), 'detection')}",
-        ]
-        for source in (results.occupancy.sources if results.occupancy else ())
-    ]
-    rows += [["Attribution", str(text)] for text in results.site.get("attribution") or []]
-    if not rows:
-        rows = [["Heat map", f"{results.name}; what it was made of is {NOT_KNOWN}"]]
-    return Table(caption="Data sources", columns=_named("Data"), rows=rows)
-
-
-def _named(title: str) -> tuple[Column, Column]:
-    return (
-        Column(title="What", is_number=False, width=1.0),
-        Column(title=title, is_number=False, width=2.6),
-    )
-
-
-def _made_by() -> str:
-    """Return the software that makes the report."""
-    return f"gis_radar {version('gis_radar')}"
-
-
-def _file(part: Mapping[str, Any]) -> str:
-    files = part.get("files") or [part.get("road")] if "files" in part else [part.get("file")]
-    named = listed([str(each) for each in files if each])
-    return f"{named} ({part['source']})" if part.get("source") else named
-
-
-def _interval(results: Results) -> str:
-    timeline = results.heat.timeline
-    if len(timeline) < 2:
-        return "none: the whole time only"
-    begin, end = timeline.span()
-    interval_s = (end - begin).total_seconds()
-    text = f"{figure_text(interval_s)} s"
-    for unit, length_s in (("d", 86400), ("h", 3600), ("min", 60)):
-        if interval_s % length_s == 0:
-            text = f"{figure_text(interval_s / length_s)} {unit}"
-            break
-    return f"{count(len(timeline), 'interval')} of {text}"
-
-
-def _tiles(results: Results) -> str:
-    tiles = results.heat.tiles
-    length = float(tiles["length_m"].median())
-    return f"{count(len(tiles), 'tile')}, most {figure_text(length, 2)} m long"
-
-
-def _filters(results: Results) -> Iterator[tuple[str, str]]:
-    """Yield what was kept of the detections, a line a filter, by sensor where they differ."""
-    if results.occupancy is None:
-        yield "Detections that count", NOT_KNOWN
-        return
-    by_text: dict[str, list[str]] = {}
-    for source in results.occupancy.sources:
-        text = _filters_in_words(source.get("filters") or {})
-        by_text.setdefault(text, []).append(str(source.get("sensor")))
-    for text, sensors in by_text.items():
-        whose = "" if len(by_text) == 1 else f" ({listed(sorted(set(sensors)))})"
-        yield f"Detections that count{whose}", text
-    for source in results.occupancy.sources:
-        if "cycle_s" in source:
-            cycle = f"{figure_text(1000 * float(source['cycle_s']))} ms: a frame covers that long"
-            yield f"Cycle of {source['sensor']}", cycle
-        if "clock" in source:
-            clock = json.dumps(source["clock"], sort_keys=True)
-            yield f"Clock of {source['sensor']} corrected", clock.strip("{}").replace('"', "")
-
-
-def _filters_in_words(filters: Mapping[str, Any]) -> str:
-    words = []
-    if filters.get("clearance"):
-        low, high = (figure_text(float(each), 1) for each in filters["clearance"])
-        error = figure_text(float(filters.get("elevation_error_deg") or 0.0), 1)
-        words.append(f"{low} to {high} m over the road (elevation error {error}°)")
-    if filters.get("min_speed") is not None:
-        words.append(f"faster than {figure_text(float(filters['min_speed']), 1)}{THIN}m/s")
-    if filters.get("min_rcs") is not None:
-        words.append(f"cross section over {figure_text(float(filters['min_rcs']), 1)}{THIN}dBm²")
-    return "; ".join(words) or "all, standing and moving"
-
-
-def _software(results: Results) -> str:
-    known = results.run.get("software") or {}
-    if known.get("gis_radar"):
-        return f"gis_radar {known['gis_radar']} (code {known.get('code', NOT_KNOWN)})"
-    return f"report by {_made_by()}"
 
 
 def write_sensor_table(path: Path, results: Results) -> None:

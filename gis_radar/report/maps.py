@@ -195,8 +195,8 @@ def draw_plan(
         height=picture.grid.height,
         caption="The lanes, and the numbers of those observed; arrows show where they lead.",
         alt=(
-            f"Map of {count(len(lanes), 'lane')} with their numbers. The table says of "
-            "each where it leads and how long it is."
+            f"Map of {count(len(lanes), 'lane')} with their numbers. The table has "
+            "the direction and length of each."
         ),
     )
 

@@ -123,7 +123,7 @@ class Paper(FPDF):
         if self.page_no() == 1:
             return
         self.set_y(10.0)
-        self.say(self._fitting(self._running, self.epw), size=7.5, colour=SOFT)
+        self.write_paragraph(self._fitting(self._running, self.epw), size=7.5, colour=SOFT)
         self.set_draw_color(LINE)
         self.line(MARGIN, 15.0, self.w - MARGIN, 15.0)
         self.set_y(TOP)
@@ -145,7 +145,7 @@ class Paper(FPDF):
             text = text[:-1]
         return f"{text}…"
 
-    def say(
+    def write_paragraph(
         self,
         text: str,
         *,
@@ -165,7 +165,7 @@ class Paper(FPDF):
             self.add_page()
         self.ln(5)
         self.start_section(title)
-        self.say(title, size=14, bold=True)
+        self.write_paragraph(title, size=14, bold=True)
         self.set_draw_color(INK)
         self.set_line_width(0.4)
         self.line(MARGIN, self.get_y() + 1, self.w - MARGIN, self.get_y() + 1)
@@ -187,7 +187,7 @@ def _add_figure(paper: Paper, figure: Figure, tallest: float) -> None:
     top = paper.get_y() + 2
     _add_picture(paper, BytesIO(figure.png), figure.alt, (MARGIN, top, width, height))
     paper.set_xy(MARGIN, top + height + 1.5)
-    paper.say(figure.caption, size=8, colour=SOFT)
+    paper.write_paragraph(figure.caption, size=8, colour=SOFT)
     paper.ln(2)
 
 
@@ -196,13 +196,13 @@ def _add_table(paper: Paper, content: Table) -> None:
     if paper.room < 30:
         paper.add_page()
     paper.ln(1)
-    paper.say(content.caption, size=9.5, bold=True)
+    paper.write_paragraph(content.caption, size=9.5, bold=True)
     paper.ln(1)
     if content.rows:
         _add_rows(paper, content)
     if content.note:
         paper.ln(1.5)
-        paper.say(content.note, size=7.5, colour=SOFT)
+        paper.write_paragraph(content.note, size=7.5, colour=SOFT)
     paper.ln(2)
 
 
@@ -238,7 +238,7 @@ def write_pdf(content: Content, path: Path) -> None:
     Parameters
     ----------
     content : Content
-        What it says.
+        What to write.
     path : Path
         The file. The same content gives the same bytes.
     """
@@ -265,18 +265,18 @@ def write_pdf(content: Content, path: Path) -> None:
 
 def _add_title(paper: Paper, content: Content) -> None:
     paper.start_section("In short")
-    paper.say("TRAFFIC OCCUPANCY REPORT", size=8, bold=True, colour=SENSOR)
+    paper.write_paragraph("TRAFFIC OCCUPANCY REPORT", size=8, bold=True, colour=SENSOR)
     paper.ln(0.5)
-    paper.say(content.title, size=22, bold=True)
+    paper.write_paragraph(content.title, size=22, bold=True)
     paper.ln(1)
-    paper.say(content.subtitle, size=11)
-    paper.say(f"All times: {content.zone}.", size=9, colour=SOFT)
+    paper.write_paragraph(content.subtitle, size=11)
+    paper.write_paragraph(f"All times: {content.zone}.", size=9, colour=SOFT)
     paper.ln(3)
     _add_facts(paper, content)
-    paper.say(f"{content.intro} (see: What the words mean).")
+    paper.write_paragraph(f"{content.intro} (see: What the words mean).")
     if content.remarks:
         paper.ln(2)
-        paper.say("Read this first", bold=True, size=9.5)
+        paper.write_paragraph("Read this first", bold=True, size=9.5)
         paper.ln(1)
         for remark in content.remarks:
             _add_remark(paper, remark)
@@ -328,8 +328,8 @@ def _add_map(paper: Paper, content: Content) -> None:
     _add_picture(paper, image, figure.alt, (MARGIN, top, height / shape, height))
     _add_legend(paper, MARGIN + height / shape + GAP, top)
     paper.set_xy(MARGIN, top + height + 2)
-    paper.say(figure.caption, size=8.5)
-    paper.say(part.caption, size=7.5, colour=SOFT)
+    paper.write_paragraph(figure.caption, size=8.5)
+    paper.write_paragraph(part.caption, size=7.5, colour=SOFT)
 
 
 def _add_legend(paper: Paper, left: float, top: float) -> None:
@@ -366,7 +366,7 @@ def _add_frames(paper: Paper, content: Content) -> None:
     tall = height + 16.0
     paper.chapter("The map through time", tall + 25)
     if part.note:
-        paper.say(part.note, size=8, colour=SOFT)
+        paper.write_paragraph(part.note, size=8, colour=SOFT)
         paper.ln(2)
     for first in range(0, len(part.frames), ACROSS):
         if paper.room < tall:
@@ -400,13 +400,13 @@ def _add_words(paper: Paper, content: Content) -> None:
     for term, meaning in content.definitions:
         if paper.room < 22:
             paper.add_page()
-        paper.say(term, size=8.5, bold=True)
-        paper.say(meaning, size=8.5)
+        paper.write_paragraph(term, size=8.5, bold=True)
+        paper.write_paragraph(meaning, size=8.5)
         paper.ln(1.8)
 
 
 def _composed(picture: bytes, overlay: bytes | None, width: int) -> Image.Image:
-    """Return a map with what lies over it, no wider than that."""
+    """Return a map with its overlay, no wider than that."""
     image = Image.open(BytesIO(picture)).convert("RGBA")
     if overlay is not None:
         image = Image.alpha_composite(image, Image.open(BytesIO(overlay)).convert("RGBA"))

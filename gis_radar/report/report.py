@@ -95,7 +95,7 @@ def write_report(
     """
     folder = Path(folder)
     if title is not None and not title.strip():
-        raise UsageError("the title is empty", hint="leave it out, or say what the site is called")
+        raise UsageError("the title is empty", hint="leave it out, or give the name of the site")
     results = read_results(folder, [Path(each) for each in occupancies])
     heat = results.heat
     zone = timezone or str(results.site.get("time_zone") or "UTC")
@@ -185,9 +185,7 @@ def _write_text(path: Path, text: str) -> None:
 
 def _summary(found: Findings, content: Content) -> dict[str, Any]:
     """Return the figures as numbers, None where not known; the page has them in words."""
-    total = totals_of(found)
     begin, end = found.results.heat.whole.span()
-    busiest = total.busiest_occupancy
     return {
         "title": content.title,
         "begin": utc(begin),
@@ -195,12 +193,6 @@ def _summary(found: Findings, content: Content) -> dict[str, Any]:
         "timezone": str(found.clock.zone),
         "pictures": len(content.map.frames) + 1,
         "sensors": found.results.sensors,
-        "lanes": total.lanes,
-        "lanes_observed": total.lanes_observed,
-        "lane_length_observed_m": round(total.length_observed_m, 2),
-        "tiles_observed": total.tiles_observed,
-        "tiles_hit": total.tiles_hit,
-        "busiest_lane": total.busiest_lane,
-        "busiest_lane_occupancy": None if busiest is None else round(busiest, 6),
+        **totals_of(found),
         "remarks": list(content.remarks),
     }

@@ -1,10 +1,11 @@
-"""Read a folder of results: the heat map, and what else tells how it was made."""
+"""Read a folder of results: the heat map, its occupancy, poses, settings and sources."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,12 @@ from gis_radar.heatmap.heatmap import FILE as PACKAGE
 from gis_radar.occupancy import Occupancy, merge_occupancies, read_occupancy
 from gis_radar.poses.files import read_track
 from gis_radar.poses.pose import Pose, pose_from_dict
+from gis_radar.report.content import Column, Table
+from gis_radar.report.words import THIN, count, figure_text, listed
 
 MANIFEST = "manifest.json"
 RUN = "run.json"
+NOT_KNOWN = "not known here"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,7 +112,7 @@ def read_results(folder: Path, occupancies: Sequence[Path] = ()) -> Results:
     folder : Path
         Holds `heatmap.gpkg`, or a folder with it: `heatmap/`, or the only one that has one.
     occupancies : sequence of Path
-        Folders of occupancies that lie elsewhere; without them `occupancy/` or all in it.
+        Folders of occupancies that are elsewhere; without them `occupancy/` or all in it.
 
     Raises
     ------
@@ -121,10 +125,10 @@ def read_results(folder: Path, occupancies: Sequence[Path] = ()) -> Results:
     if occupancy is None:
         missing.append(
             "The occupancy that the heat map was made of is not in the folder: what the sensors "
-            "delivered, their poses and the filters cannot be told (option --occupancy)."
+            "delivered, their poses and the filters are not known (option --occupancy)."
         )
     if not run:
-        missing.append("The folder is not that of a run: settings are told only as far as known.")
+        missing.append("The folder is not that of a run: settings are listed only as far as known.")
     poses = _poses(folder, occupancy)
     missing += [
         f"The pose of sensor {pose.sensor} is in {name_of(pose.crs)[:24]}, the map in "
@@ -211,3 +215,115 @@ def _run(folder: Path) -> dict[str, Any]:
     if not isinstance(document, dict):
         raise InputError(f"{path}: damaged: it is no table of settings", hint="run the site again")
     return document
+
+
+def settings_of(results: Results) -> Table:
+    """Return the settings in effect, as far as the folder holds them."""
+    rows = [
+        ["Coordinates", f"{results.heat.crs.name}, {name_of(results.heat.crs)[:24]}"],
+        ["Intervals", _interval(results)],
+        ["Tiles", _tiles(results)],
+        *([name, text] for name, text in _filters(results)),
+        ["Fingerprint of the tiles", results.heat.fingerprint],
+        ["Software", _software(results)],
+    ]
+    return Table(caption="Settings", columns=_named("Setting"), rows=rows)
+
+
+def sources_of(results: Results) -> Table:
+    """Return the data that the heat map was made of."""
+    rows = [
+        [name, text]
+        for name, part in (("Map", results.site.get("map")), ("Scan", results.site.get("scan")))
+        if part and (text := _file(part))
+    ]
+    rows += [
+        [
+            f"Recording of {source.get('sensor')}",
+            f"{source.get('recording')}, {count(int(source.get('rows') or 0), 'detection')}",
+        ]
+        for source in (results.occupancy.sources if results.occupancy else ())
+    ]
+    rows += [["Attribution", str(text)] for text in results.site.get("attribution") or []]
+    if not rows:
+        rows = [["Heat map", f"{results.name}; what it was made of is {NOT_KNOWN}"]]
+    return Table(caption="Data sources", columns=_named("Data"), rows=rows)
+
+
+def _named(title: str) -> tuple[Column, Column]:
+    return (
+        Column(title="What", is_number=False, width=1.0),
+        Column(title=title, is_number=False, width=2.6),
+    )
+
+
+def made_by() -> str:
+    """Return the software that makes the report."""
+    return f"gis_radar {version('gis_radar')}"
+
+
+def _file(part: Mapping[str, Any]) -> str:
+    files = part.get("files") or [part.get("road")] if "files" in part else [part.get("file")]
+    named = listed([str(each) for each in files if each])
+    return f"{named} ({part['source']})" if part.get("source") else named
+
+
+def _interval(results: Results) -> str:
+    timeline = results.heat.timeline
+    if len(timeline) < 2:
+        return "none: the whole time only"
+    begin, end = timeline.span()
+    interval_s = (end - begin).total_seconds()
+    text = f"{figure_text(interval_s)} s"
+    for unit, length_s in (("d", 86400), ("h", 3600), ("min", 60)):
+        if interval_s % length_s == 0:
+            text = f"{figure_text(interval_s / length_s)} {unit}"
+            break
+    return f"{count(len(timeline), 'interval')} of {text}"
+
+
+def _tiles(results: Results) -> str:
+    tiles = results.heat.tiles
+    length = float(tiles["length_m"].median())
+    return f"{count(len(tiles), 'tile')}, most {figure_text(length, 2)} m long"
+
+
+def _filters(results: Results) -> Iterator[tuple[str, str]]:
+    """Yield what was kept of the detections, a line a filter, by sensor where they differ."""
+    if results.occupancy is None:
+        yield "Detections that count", NOT_KNOWN
+        return
+    by_text: dict[str, list[str]] = {}
+    for source in results.occupancy.sources:
+        text = _filters_in_words(source.get("filters") or {})
+        by_text.setdefault(text, []).append(str(source.get("sensor")))
+    for text, sensors in by_text.items():
+        whose = "" if len(by_text) == 1 else f" ({listed(sorted(set(sensors)))})"
+        yield f"Detections that count{whose}", text
+    for source in results.occupancy.sources:
+        if "cycle_s" in source:
+            cycle = f"{figure_text(1000 * float(source['cycle_s']))} ms: a frame covers that long"
+            yield f"Cycle of {source['sensor']}", cycle
+        if "clock" in source:
+            clock = json.dumps(source["clock"], sort_keys=True)
+            yield f"Clock of {source['sensor']} corrected", clock.strip("{}").replace('"', "")
+
+
+def _filters_in_words(filters: Mapping[str, Any]) -> str:
+    words = []
+    if filters.get("clearance"):
+        low, high = (figure_text(float(each), 1) for each in filters["clearance"])
+        error = figure_text(float(filters.get("elevation_error_deg") or 0.0), 1)
+        words.append(f"{low} to {high} m over the road (elevation error {error}°)")
+    if filters.get("min_speed") is not None:
+        words.append(f"faster than {figure_text(float(filters['min_speed']), 1)}{THIN}m/s")
+    if filters.get("min_rcs") is not None:
+        words.append(f"cross section over {figure_text(float(filters['min_rcs']), 1)}{THIN}dBm²")
+    return "; ".join(words) or "all, standing and moving"
+
+
+def _software(results: Results) -> str:
+    known = results.run.get("software") or {}
+    if known.get("gis_radar"):
+        return f"gis_radar {known['gis_radar']} (code {known.get('code', NOT_KNOWN)})"
+    return f"report by {made_by()}"

@@ -69,7 +69,7 @@ class Clock:
     zone : ZoneInfo
         The site's.
     first, last : datetime
-        All times that are written lie between these; days and offsets are named only where they
+        All times written are between these; days and offsets are named only where they
         differ.
     to_seconds : bool
         Whether times name their seconds.
@@ -139,7 +139,7 @@ class Clock:
         return self._day_of(self.first, self.last)
 
     def _day_of(self, begin: datetime, end: datetime) -> bool:
-        """Tell whether a span lies in one day, which it may fill."""
+        """Tell whether a span is in one day, which it may fill."""
         last = end - timedelta(microseconds=1)
         return self._local(begin).date() == self._local(last).date()
 
