@@ -139,7 +139,7 @@ class Tally:
 
     @property
     def metadata(self) -> dict[str, Any]:
-        """What files of a heat map state beside their tables."""
+        """Sensors, times and definitions that the files of a heat map carry beside their tables."""
         begin, end = self.times
         return {
             "fingerprint": self.fingerprint,

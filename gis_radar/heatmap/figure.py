@@ -20,8 +20,8 @@ from gis_radar.errors import NOTEBOOKS, InputError
 from gis_radar.heatmap import style
 from gis_radar.heatmap.counting import Tally
 from gis_radar.heatmap.picture import (
+    FONTS,
     INK,
-    SETTINGS,
     SOFT,
     STRIPE,
     Extent,
@@ -118,7 +118,7 @@ def write_figure(tally: Tally, path: Path, reporter: Reporter) -> None:
         Where progress goes.
     """
     reporter.progress("drawing the picture", 0, 1)
-    with mpl.rc_context(SETTINGS):
+    with mpl.rc_context(FONTS):
         figure = _figure(tally)
         about = {"Title": "Occupancy heat map", "Description": time_span(tally)}
         figure.savefig(path, dpi=DPI, metadata=about)

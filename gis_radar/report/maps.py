@@ -18,10 +18,10 @@ from gis_radar.crs import name_of
 from gis_radar.heatmap import HeatMap
 from gis_radar.heatmap.counting import Shares
 from gis_radar.heatmap.picture import (
+    FONTS,
     HALO,
     INK,
     PAPER,
-    SETTINGS,
     SOFT,
     MapPicture,
     add_corner_scale,
@@ -103,7 +103,7 @@ def draw_maps(
         )
     sensors = " Triangles: sensors; dashed: their range and opening angle." if poses else ""
     given = f" Sources: {'; '.join(sources)}." if sources else ""
-    with mpl.rc_context(SETTINGS):
+    with mpl.rc_context(FONTS):
         overlay = png(picture.overlay(poses))
     return MapSeries(
         whole=_map(picture, heat.shares(), sums, "Whole time"),
@@ -137,7 +137,7 @@ def _map(picture: MapPicture, shares: Shares, sums: LaneSums, label: str) -> Fig
 
 
 def _sentence(shares: Shares, sums: LaneSums) -> str:
-    """Say what a map shows: the busiest lane, and how much was observed and hit."""
+    """Describe a map: the busiest lane, and how much was observed and hit."""
     seen, hit = int((shares.observed_s > 0).sum()), int((shares.occupied_s > 0).sum())
     if not seen:
         return "Nothing was observed."
@@ -175,7 +175,7 @@ def draw_plan(
     inside = ((place > 0.0) & (place < 1.0)).all(axis=1)
     shown = [lane for lane in lanes if inside[lane.rows].any()]
     named = set(table.loc[table["occupancy"].notna(), "lane"].tolist()[:MOST_LABELS])
-    with mpl.rc_context(SETTINGS):
+    with mpl.rc_context(FONTS):
         figure, ax = picture.blank(PLAN_IN)
         ways = [centres[lane.rows] for lane in shown]
         ax.add_collection(LineCollection(ways, colors=SOFT, linewidths=0.5))
