@@ -26,7 +26,7 @@ from gis_radar.heatmap.picture import (
     STRIPE,
     Extent,
     add_scale_bar,
-    extent_of,
+    map_extent,
     map_picture,
 )
 from gis_radar.notebooks import axes_or_new, label_map
@@ -88,7 +88,7 @@ def draw(
 
 def _extent(tally: Tally, aspect: tuple[float, float]) -> Extent:
     """Return the extent of what was observed in the whole time."""
-    return extent_of(quads(tally.tiles), tally.shares().observed_s > 0, aspect)
+    return map_extent(quads(tally.tiles), tally.shares().observed_s > 0, aspect)
 
 
 def _add_legend(ax: Axes) -> None:

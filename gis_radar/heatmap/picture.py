@@ -117,7 +117,7 @@ class MapPicture:
         return image_of_figure(figure)
 
 
-def extent_of(corners: Floats, shown: Booleans, aspect: tuple[float, float]) -> Extent:
+def map_extent(corners: Floats, shown: Booleans, aspect: tuple[float, float]) -> Extent:
     """Return the extent of a map of the tiles to show, with a margin.
 
     Parameters

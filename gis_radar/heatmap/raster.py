@@ -203,7 +203,7 @@ class Blocks:
         return Window(left, top, min(self.side, width), min(self.side, height))
 
 
-def blocks_of(grid: PixelGrid, bands: int) -> Blocks:
+def choose_blocks(grid: PixelGrid, bands: int) -> Blocks:
     """Choose the blocks: they hold all bands, so more bands make smaller blocks."""
     sides = (side for side in (512, 256) if side * side * bands * 4 <= MOST_BLOCK_BYTES)
     return Blocks(grid=grid, side=next(sides, 128))
@@ -223,7 +223,7 @@ def write_raster(tally: Tally, path: Path, reporter: Reporter) -> None:
     """
     corners = quads(tally.tiles)[tally.seen]
     intervals = [None, *tally.columns]
-    blocks = blocks_of(aligned_grid(corners), len(intervals))
+    blocks = choose_blocks(aligned_grid(corners), len(intervals))
     plain = path.with_suffix(".plain.tif")
     with rasterio.Env(GDAL_CACHEMAX=CACHE_MB, SPARSE_OK_OVERVIEW=True):
         with rasterio.open(plain, "w", **_profile(tally, blocks, len(intervals))) as raster:

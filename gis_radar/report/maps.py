@@ -25,9 +25,9 @@ from gis_radar.heatmap.picture import (
     SOFT,
     MapPicture,
     add_corner_scale,
-    extent_of,
     image_of_figure,
     image_of_pixels,
+    map_extent,
     map_picture,
     png,
     rgb,
@@ -57,7 +57,7 @@ def lay_out(heat: HeatMap) -> MapPicture:
     """Lay the picture of all maps of a report: the more maps, the coarser."""
     maps = len(_groups(heat)) + 1
     corners = quads(heat.tiles)
-    extent = extent_of(corners, heat.shares().observed_s > 0, ASPECT)
+    extent = map_extent(corners, heat.shares().observed_s > 0, ASPECT)
     return map_picture(corners, extent, min(MOST_PIXELS, ALL_PIXELS // maps))
 
 
