@@ -280,13 +280,14 @@ def test_a_run_that_was_stopped_and_killed_ends_with_the_same_files(small, tmp_p
     (out / ".heatmap.x1.part" / "heatmap").mkdir(parents=True)
     (out / ".heatmap.x1.part" / "heatmap" / "heatmap.gpkg").write_text("half")
     (out / "sensors" / ".R1.x2.before").mkdir(parents=True, exist_ok=True)
+    (out / product.STATE / "stages").mkdir()  # of version 0.1
     done = gr.run_site(path, out)
     assert {name for name, ended in states(done).items() if ended == "kept"} >= {
         "mask", "localize R1",
     }  # fmt: skip
     same(out, unbroken)
     assert not [each for each in out.rglob(".*") if each.suffix in {".part", ".before"}]
-    assert not (out / ".gis-radar" / "scratch").exists()
+    assert {path.name for path in (out / product.STATE).iterdir()} == {".gitignore", "state.json"}
 
 
 def environment():
