@@ -68,7 +68,7 @@ def at(compared, state):
 def test_derivatives_are_those_of_the_loss(scene, family, column):
     compared, state, own = matched(scene, 0.5)
     rows = family(compared, own)
-    gradient = rows.jacobian[:, column] * rows.weight * rows.value
+    gradient = rows.jacobian[:, column] * rows.precision * rows.value
     step = np.zeros(SIZE)
     step[column] = 1e-6
     plus, minus = (family(at(compared, state.moved(s * step)), own).loss for s in (1, -1))
@@ -84,7 +84,7 @@ def test_curvatures_are_second_derivatives_of_the_loss(scene, family):
     plus, minus = (family(compared, own + d).loss for d in (1e-3, -1e-3))
     numeric = (plus - 2.0 * rows.loss + minus) / 1e-6
     assert np.allclose(rows.curvature, numeric, atol=0.05)
-    assert (rows.curvature <= rows.weight + 1e-9).all()
+    assert (rows.curvature <= rows.precision + 1e-9).all()
 
 
 def test_a_start_beside_the_truth_comes_back(scene):
@@ -234,12 +234,12 @@ def test_few_vehicles_that_agree_suffice(scene):
     assert advantage(fit, there, few.samples) > 2.5
 
 
-def test_samples_of_a_vehicle_side_by_side_share_what_they_say(scene):
+def test_samples_of_a_vehicle_side_by_side_share_their_weight(scene):
     samples, (compared, _, own) = scene[0].samples, matched(scene, 0.0)
     scene, state, _ = scene
-    say = lateral(compared, own).say
-    assert (say <= 1.0).all()
-    assert say[samples.crowd == 1].min() > say[samples.crowd > 4].max()
+    weight = lateral(compared, own).weight
+    assert (weight <= 1.0).all()
+    assert weight[samples.crowd == 1].min() > weight[samples.crowd > 4].max()
     twice = replace(
         samples,
         points=np.tile(samples.points, (2, 1)),

@@ -48,7 +48,6 @@ VARIANTS: Mapping[str, Mapping[str, Any]] = {
     "no bias of streets": {"answer.street_sigma_m": (0.0, 0.0)},
     "no smoothing of heights": {"lanes.smooth_m": 0.0},
     "no Doppler gate in the matching": {"lanes.slack_mps": math.inf},
-    "one lever of 50 m": {"solver.lever_m": (50.0, 50.0, 50.0), "hypotheses.lever_m": 50.0},
 }  # fmt: skip
 STARTS = 1
 FIXED, NO_ANSWER = "fixed", "no answer"

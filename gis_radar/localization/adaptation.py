@@ -1,4 +1,4 @@
-"""Adaptation: what a recording tells about its own radar and vehicles, near a fit."""
+"""Adaptation: estimates of a recording's radar and vehicles, near a fit."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Heights:
 
 
 def adapted(scene: Scene, fit: Fit, prior: Prior, model: Model) -> tuple[Prior, Model]:
-    """Return prior and model with what samples tell about the radar and the vehicles.
+    """Adapt prior and model to the radar and the vehicles of a recording.
 
     Parameters
     ----------
@@ -44,17 +44,17 @@ def adapted(scene: Scene, fit: Fit, prior: Prior, model: Model) -> tuple[Prior, 
     fit : Fit
         Near the answer.
     prior, model : Prior, Model
-        What was believed of reflections before.
+        Before.
     """
     model = replace(model, side_strength=side_strength(scene, fit, model))
-    told = heights(scene, fit)
-    if told is None:
+    found = heights(scene, fit)
+    if found is None:
         return prior, model
     information = prior.information.copy()
-    information[REFLECTION, REFLECTION] = told.sigma_m**-2
-    mean = replace(prior.mean, reflection=told.mean_m)
+    information[REFLECTION, REFLECTION] = found.sigma_m**-2
+    mean = replace(prior.mean, reflection=found.mean_m)
     prior = Prior(mean=mean, information=information)
-    return prior, replace(model, elevation=told.elevation)
+    return prior, replace(model, elevation=found.elevation)
 
 
 def side_strength(scene: Scene, fit: Fit, model: Model) -> float:
@@ -67,7 +67,7 @@ def side_strength(scene: Scene, fit: Fit, model: Model) -> float:
     fit : Fit
         Near the answer.
     model : Model
-        Its strength is believed within a factor of two.
+        Its strength is the prior's mean, within a factor of two.
     """
     placed, settings = place(scene.samples, fit.state), scene.settings.adaptation
 
@@ -81,9 +81,9 @@ def side_strength(scene: Scene, fit: Fit, model: Model) -> float:
             scale_m=0.0,
             settings=scene.settings.solver,
         )
-        belief = (np.log(factor) / settings.believed) ** 2
-        rows = lateral(compared, fit.own[0])
-        return float(rows.say @ rows.loss + 0.5 * belief)
+        prior = (np.log(factor) / settings.factor_sigma) ** 2
+        rows = lateral(compared, fit.effects[0])
+        return float(rows.weight @ rows.loss + 0.5 * prior)
 
     factors = np.geomspace(1.0 / settings.most_factor, settings.most_factor, settings.factors)
     return float(model.side_strength * min(factors, key=cost))
@@ -108,7 +108,7 @@ def heights(scene: Scene, fit: Fit) -> Heights | None:
     Returns
     -------
     Heights or None
-        None where too few samples are near enough to tell.
+        None where too few samples are near enough.
     """
     samples, settings = scene.samples, scene.settings.adaptation
     view_edge, reach = scene.settings.solver.view_edge, samples.reach

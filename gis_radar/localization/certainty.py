@@ -46,7 +46,7 @@ class Certainty:
 def certainty(fit: Fit, settings: AnswerSettings = DEFAULTS.answer) -> Certainty:
     """Return how certain a fit is.
 
-    The inverse information, widened where the vehicles disagree more than the model says (a
+    The inverse information, widened where the vehicles disagree more than in the model (a
     cluster-robust covariance with the vehicles as clusters), and by what is not estimated: the
     constants of the model, and the accuracy of map and scan from street to street.
 
@@ -104,12 +104,12 @@ def is_fixed(covariance: Floats, settings: AnswerSettings) -> bool:
 
 
 def _widened(inverse: Floats, fit: Fit) -> Floats:
-    """Return the covariance that the vehicles' disagreement asks for, never below the model's."""
+    """Return the cluster-robust covariance, never below the model's."""
     root = np.linalg.cholesky((inverse + inverse.T) / 2.0)
-    voices = fit.scores[np.abs(fit.scores).sum(axis=1) > 0.0]
-    few = len(voices) / max(len(voices) - inverse.shape[0], 1)
+    clusters = fit.scores[np.abs(fit.scores).sum(axis=1) > 0.0]
+    few = len(clusters) / max(len(clusters) - inverse.shape[0], 1)
     prior = fit.information - fit.data_information
-    spread = root.T @ (few * voices.T @ voices + prior) @ root
+    spread = root.T @ (few * clusters.T @ clusters + prior) @ root
     values, vectors = np.linalg.eigh((spread + spread.T) / 2.0)
     wide = root @ vectors
     return np.asarray((wide * np.maximum(values, 1.0)) @ wide.T)
@@ -118,8 +118,8 @@ def _widened(inverse: Floats, fit: Fit) -> Floats:
 def advantage(fit: Fit, other: Fit, samples: Samples) -> float:
     """Return by how many standard deviations the vehicles prefer one fit to another.
 
-    Each vehicle has one voice, the difference of its losses; how the voices scatter about their
-    mean tells what the mean is worth (Vuong 1989).
+    The vehicles are clusters, each with the difference of its losses as score; the mean score is
+    compared with its standard error (Vuong 1989).
 
     Parameters
     ----------
@@ -128,21 +128,21 @@ def advantage(fit: Fit, other: Fit, samples: Samples) -> float:
     samples : Samples
         Those.
     """
-    voices = np.bincount(samples.track, weights=other.loss - fit.loss, minlength=samples.tracks)
-    voices = voices[np.unique(samples.track)]
-    mean, spread = float(voices.mean()), float(voices.std(ddof=1)) if len(voices) > 1 else 0.0
+    clusters = np.bincount(samples.track, weights=other.loss - fit.loss, minlength=samples.tracks)
+    clusters = clusters[np.unique(samples.track)]
+    mean, spread = float(clusters.mean()), float(clusters.std(ddof=1)) if len(clusters) > 1 else 0.0
     if spread <= 0.0:
         return float(np.inf * np.sign(mean)) if mean else 0.0
-    return mean * float(np.sqrt(len(voices))) / spread
+    return mean * float(np.sqrt(len(clusters))) / spread
 
 
 def along_valley(scene: Scene, fit: Fit, prior: Prior, model: Model) -> Fit:
-    """Lower a fit's information along its weakest way in the plane to what lies far off tells.
+    """Widen sigma along the least-known direction in the plane by profile likelihood.
 
     Along a bend of constant curvature, or a straight road, a recording slides with hardly a
     change of cost, over small dimples that each look like an answer. Several metres away along
     the valley, all else fitted anew, the cost must have risen as the curvature says (profile
-    likelihood); where it has not, the deviation is as large as the least rise tells.
+    likelihood); where it has not, sigma follows from the least rise.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ def along_valley(scene: Scene, fit: Fit, prior: Prior, model: Model) -> Fit:
 
 
 def _weakest(fit: Fit, settings: AnswerSettings) -> tuple[Floats, Floats]:
-    """Return the measure, metres, that a fit knows least, and its covariance with the state."""
+    """Return the least-known combination, metres, and its covariance with the state."""
     covariance: Floats = np.asarray(np.linalg.inv(fit.information), dtype=np.float64)
     lever_m = np.array([1.0, 1.0, settings.lever_m])
     _, vectors = np.linalg.eigh(lever_m[:, None] * covariance[np.ix_(PLANE, PLANE)] * lever_m)
@@ -181,7 +181,7 @@ def _weakest(fit: Fit, settings: AnswerSettings) -> tuple[Floats, Floats]:
 def _deviation(
     scene: Scene, fit: Fit, way: Floats, hold: Floats, prior: Prior, model: Model
 ) -> float:
-    """Return the largest standard deviation, metres, that the cost along a valley tells."""
+    """Return the largest standard deviation, metres, by the rise of the cost along a valley."""
     sigma_m, here, at_m, settings = 0.0, fit, 0.0, scene.settings.answer
     for step_m in settings.valley_steps_m:
         start = here.state.moved((step_m - at_m) * way)

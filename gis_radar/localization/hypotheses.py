@@ -88,7 +88,7 @@ def _searched(
 
 
 def rough(scene: Scene) -> Scene:
-    """Return the scene with an even part of the samples, enough to tell hypotheses apart."""
+    """Return the scene with an even part of the samples, enough to rank hypotheses."""
     samples, most = scene.samples, scene.settings.hypotheses.rough_samples
     chosen = np.random.default_rng(1).permutation(len(samples))[:most]
     return scene.of(samples.where(np.isin(np.arange(len(samples)), chosen)))
@@ -100,7 +100,7 @@ def hill_climb(scene: Scene, best: Hypothesis) -> Hypothesis:
     Which face of which vehicle a trace shows makes the cost bumpy in the small.
     """
     settings = scene.settings.hypotheses
-    lever = np.diag([1.0, 1.0, settings.lever_m])
+    lever = np.diag([1.0, 1.0, scene.settings.answer.lever_m])
     for _ in range(settings.climbs):
         covariance = np.linalg.inv(best.fit.information[POSE, POSE])[np.ix_(PLANE, PLANE)]
         _, vectors = np.linalg.eigh(lever @ covariance @ lever)
@@ -151,7 +151,7 @@ def _fine(scene: Scene, hypothesis: Hypothesis) -> Hypothesis:
 
 
 def _adapted(scene: Scene, fine: Hypothesis) -> Hypothesis:
-    """Fit to all samples, with what these tell about the radar and the vehicles."""
+    """Fit to all samples, with prior and model adapted to them."""
     prior, model = adapted(scene, fine.fit, fine.prior, fine.model)
     return _fine(scene, replace(fine, model=model, prior=prior))
 

@@ -25,7 +25,7 @@ class Lanes:
         Map position of the local (0, 0), metres; all else is local in easting and northing.
     points : (m, 3) array
         Samples of centre lines, about a metre apart; heights of the scanned road, NaN where
-        neither scan nor map knows it.
+        neither scan nor map has one.
     along : (m, 2) array
         Unit vectors of travel.
     slope : (m,) array
@@ -150,7 +150,7 @@ def _sampled(line: shapely.LineString, step_m: float) -> tuple[Floats, Floats]:
 
 
 def _heights(local: Floats, road: Floats, settings: LaneSettings) -> tuple[Floats, Booleans]:
-    """Return heights at samples, and whether the scan gives them; the map's tells levels apart."""
+    """Return heights at samples, and whether the scan gives them; the map separates levels."""
     known = local[:, 2]
     if len(road) == 0:
         return known, np.zeros(len(known), dtype=bool)

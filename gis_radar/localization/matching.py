@@ -93,7 +93,7 @@ def place(samples: Samples, state: State) -> Placed:
 
 @dataclass(frozen=True, kw_only=True)
 class Matches:
-    """Which lane sample each trace sample lies on.
+    """The lane sample of each trace sample.
 
     Parameters
     ----------

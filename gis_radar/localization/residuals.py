@@ -2,8 +2,8 @@
 
 A sample may lie on one of several faces of a vehicle, or on none: its residual is the mean over
 these, by their chances, which makes the cost a negative logarithm of likelihood (expectation
-maximisation). Every family is a table of rows `r = r(state) - b_k`, where `b_k` is what one vehicle
-adds to all its rows: the driver's own place in the lane, the height at which this vehicle reflects.
+maximisation). Every family is a table of rows `r = r(state) - b_k`, where `b_k` is the random
+effect of a vehicle on all its rows: its place in the lane, the height at which it reflects.
 """
 
 from __future__ import annotations
@@ -34,34 +34,34 @@ class Residuals:
         By the state, in the order of `gis_radar.localization.state.NAMES`.
     shared : float
         Standard deviation of what a vehicle adds to all its rows, metres.
-    weight : (n,) array
+    precision : (n,) array
         Inverse variances, as if the faces were known.
     curvature : (n,) array
         Second derivatives of the loss, which not knowing the faces makes smaller (Louis 1982).
     loss : (n,) array
-        What each row costs, a negative logarithm of likelihood.
-    say : (n,) array
-        What each row counts, where rows share more than `b_k`.
+        Cost of each row, a negative logarithm of likelihood.
+    weight : (n,) array
+        Of each row, below one where rows share more than `b_k`.
     """
 
     name: str
     value: Floats
     jacobian: Floats
     shared: float
-    weight: Floats
+    precision: Floats
     curvature: Floats
     loss: Floats
-    say: Floats
+    weight: Floats
 
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """What residuals compare: samples matched to lanes, seen through a model.
+    """Samples matched to lanes, and the model that compares them.
 
     Parameters
     ----------
     lanes, placed, matches
-        The map, the traces in it, and who lies where.
+        The map, the traces in it, and the lane of each.
     model : Model
         How vehicles drive and reflect.
     scale_m : float
@@ -78,7 +78,7 @@ class Comparison:
     settings: SolverSettings
 
 
-def lateral(compared: Comparison, own: Floats) -> Residuals:
+def lateral(compared: Comparison, effect: Floats) -> Residuals:
     """Compare samples with the centre line of their lane, across it.
 
     A radar sees the faces of a vehicle that are turned to it: its side, sharp and `half_width`
@@ -90,14 +90,14 @@ def lateral(compared: Comparison, own: Floats) -> Residuals:
     ----------
     compared : Comparison
         What to compare.
-    own : (tracks,) array
-        How far each vehicle drives to the left of where drivers do, metres.
+    effect : (tracks,) array
+        Random effect: how far each vehicle drives to the left of where drivers do, metres.
     """
     lanes, placed, matches = compared.lanes, compared.placed, compared.matches
     samples, model, settings = placed.samples, compared.model, compared.settings
     east, north = lanes.along[matches.lane].T
     away = placed.points[:, :2] - lanes.points[matches.lane, :2]
-    off = away[:, 1] * east - away[:, 0] * north - own[samples.track] - model.habit
+    off = away[:, 1] * east - away[:, 0] * north - effect[samples.track] - model.habit
     x, y = placed.sight.T
     left, ahead = x * north - y * east, np.abs(x * east + y * north)
     faces = np.vstack([np.sign(left), *(np.full(len(off), at) for at in settings.front)])
@@ -116,8 +116,8 @@ def lateral(compared: Comparison, own: Floats) -> Residuals:
     rows = _mixed("lateral", value, sigma, density, stray, jacobian, model.driver)
     # many samples of a vehicle on a few metres share its swaying there: v / (v + n wander^2)
     own_m = model.half_width / 2.0
-    say: Floats = np.asarray(1.0 / (1.0 + samples.crowd * (model.wander / own_m) ** 2))
-    return replace(rows, say=say)
+    weight: Floats = np.asarray(1.0 / (1.0 + samples.crowd * (model.wander / own_m) ** 2))
+    return replace(rows, weight=weight)
 
 
 def _mixed(
@@ -133,26 +133,26 @@ def _mixed(
     whole = density.sum(axis=0) + stray
     chance = density / whole
     pull = value / sigma**2
-    weight = (chance / sigma**2).sum(axis=0)
+    precision = (chance / sigma**2).sum(axis=0)
     mean = (chance * pull).sum(axis=0)
     spread = (chance * pull**2).sum(axis=0) - mean**2
     return Residuals(
         name=name,
-        value=np.divide(mean, weight, out=np.zeros_like(mean), where=weight > 0.0),
+        value=np.divide(mean, precision, out=np.zeros_like(mean), where=precision > 0.0),
         jacobian=jacobian,
         shared=shared,
-        weight=weight,
-        curvature=weight - spread,
+        precision=precision,
+        curvature=precision - spread,
         loss=-np.log(whole),
-        say=np.ones_like(whole),
+        weight=np.ones_like(whole),
     )
 
 
 def _side_share(compared: Comparison, bell: Floats, left: Floats, ahead: Floats) -> Floats:
     """Return the share of side faces at each sample.
 
-    In a queue the fronts and rears are hidden by the next vehicle: each vehicle shows its ends
-    well or badly, which its own samples tell (expectation over both).
+    In a queue the fronts and rears are hidden by the next vehicle: whether a vehicle's ends are
+    visible is estimated from its samples (expectation over both).
     """
     model, samples = compared.model, compared.placed.samples
     track = samples.track
@@ -166,20 +166,20 @@ def _side_share(compared: Comparison, bell: Floats, left: Floats, ahead: Floats)
     return np.asarray(share[0] + hidden * (share[1] - share[0]))
 
 
-def height(compared: Comparison, own: Floats) -> Residuals:
+def height(compared: Comparison, effect: Floats) -> Residuals:
     """Compare samples with the scanned road below them plus the height of reflections.
 
     Parameters
     ----------
     compared : Comparison
         What to compare.
-    own : (tracks,) array
-        How much higher than others each vehicle reflects, metres.
+    effect : (tracks,) array
+        Random effect: how much higher than others each vehicle reflects, metres.
     """
     lanes, placed, matches = compared.lanes, compared.placed, compared.matches
     samples, model, settings = placed.samples, compared.model, compared.settings
     over = height_over_road(lanes, placed, matches, settings.view_edge)
-    value = over - placed.state.reflection - own[samples.track]
+    value = over - placed.state.reflection - effect[samples.track]
     jacobian = np.zeros((len(samples), SIZE))
     jacobian[:, :2] = -lanes.slope[matches.lane, None] * lanes.along[matches.lane]
     jacobian[:, 2] = 1.0
@@ -199,8 +199,8 @@ def height(compared: Comparison, own: Floats) -> Residuals:
 def height_over_road(lanes: Lanes, placed: Placed, matches: Matches, view_edge: float) -> Floats:
     """Return the height of samples over the scanned road below them, metres.
 
-    NaN where no lane lies below, where its height is unknown, and where the road itself is out of
-    view: there only the tall are seen.
+    NaN where there is no lane below, where its height is unknown, and where the road itself is
+    out of view: there only the tall are seen.
     """
     off = placed.points - lanes.points[matches.lane]
     ahead = np.einsum("ij,ij->i", off[:, :2], lanes.along[matches.lane])
@@ -209,7 +209,7 @@ def height_over_road(lanes: Lanes, placed: Placed, matches: Matches, view_edge: 
 
 
 def _in_view(placed: Placed, over_m: Floats, view_edge: float) -> Booleans:
-    """Tell where the road itself would be in view: below it only the tall are seen."""
+    """Return where the road itself would be in view; beyond, only tall vehicles are seen."""
     up, flat, upward = placed.arms[:, 2], placed.flat, placed.samples.upward
     lower = np.arctan2(up - np.nan_to_num(over_m), flat) - np.arctan2(up, flat)
     angle = np.abs(upward + np.sign(upward) * np.abs(lower))
@@ -224,7 +224,7 @@ def _turning(arms: Floats, pull: Floats) -> Floats:
 
 @dataclass(frozen=True, kw_only=True)
 class Normal:
-    """Normal equations with the vehicles' own terms eliminated (Schur complement).
+    """Normal equations with the random effects of the vehicles eliminated (Schur complement).
 
     Parameters
     ----------
@@ -235,7 +235,7 @@ class Normal:
     scores : (tracks, 7) array
         Each vehicle's part of the gradient.
     shared : list of (gradient, coupling, variance)
-        For each family what gives the vehicles' own terms back.
+        For each family, to recover the random effects.
     """
 
     information: Floats
@@ -245,19 +245,19 @@ class Normal:
 
 
 def assemble(
-    families: list[Residuals], own: Floats, track: Integers, *, curved: bool = False
+    families: list[Residuals], effects: Floats, track: Integers, *, curved: bool = False
 ) -> Normal:
-    """Sum up the families of residuals; `curved` by what the loss truly tells, not by the weights.
+    """Sum up the families of residuals; `curved` by curvatures, not by precisions.
 
     For rows with weights p and a term b_k ~ N(0, tau^2) of vehicle k the information is
     `sum p J J' - sum_k g_k g_k' / (1 / tau^2 + sum_k p)` with `g_k = -sum_k p J`.
     """
-    tracks = own.shape[1]
+    tracks = effects.shape[1]
     information, scores = np.zeros((SIZE, SIZE)), np.zeros((tracks, SIZE))
     shared = []
-    for family, b in zip(families, own, strict=True):
-        p = family.say * (_curvature(family, track, tracks) if curved else family.weight)
-        pj, force = p[:, None] * family.jacobian, family.say * family.weight * family.value
+    for family, b in zip(families, effects, strict=True):
+        p = family.weight * (_curvature(family, track, tracks) if curved else family.precision)
+        pj, force = p[:, None] * family.jacobian, family.weight * family.precision * family.value
         columns = sums(track, np.column_stack([pj, p, force]), tracks)
         g, mass, pull = -columns[:, :SIZE], columns[:, SIZE], columns[:, SIZE + 1]
         variance = 1.0 / (family.shared**-2 + mass)
@@ -272,8 +272,8 @@ def assemble(
 
 
 def _curvature(family: Residuals, track: Integers, tracks: int) -> Floats:
-    """Return the curvatures of a family; a vehicle that tells nothing in all counts nothing."""
-    mass = np.bincount(track, weights=family.say * family.curvature, minlength=tracks)
+    """Return the curvatures of a family; drop vehicles of non-positive total curvature."""
+    mass = np.bincount(track, weights=family.weight * family.curvature, minlength=tracks)
     return np.where(mass[track] > 0.0, family.curvature, 0.0)
 
 

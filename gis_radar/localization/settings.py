@@ -219,8 +219,6 @@ class SolverSettings:
         are seen.
     far : Schedule
         From a lane off.
-    lever_m : (3,) tuple
-        Metres that a turn about each axis counts as.
     settled_m, settled_sigmas : float
         A step shorter than either ends a stage: far below the noise.
     at_rest_m, at_rest_sigmas : float
@@ -239,7 +237,6 @@ class SolverSettings:
     front: tuple[float, ...] = (-2.0 / 3.0, 0.0, 2.0 / 3.0)
     view_edge: float = radians(1.0)
     far: Schedule = Schedule(scales_m=(1.5, 0.75, 0.3, 0.0), rounds=6)
-    lever_m: tuple[float, float, float] = (20.0, 20.0, 50.0)
     settled_m: float = 5e-3
     settled_sigmas: float = 0.02
     at_rest_m: float = 0.1
@@ -257,14 +254,14 @@ class SolverSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class HypothesisSettings:
-    """How starts are fitted and told apart.
+    """How starts are fitted and ranked.
 
     Parameters
     ----------
     reflection_m, reflection_sigma_m : float
         Prior of the mean height of reflections: between wheel hubs and belt lines.
     rough_samples : int
-        Enough to tell hypotheses apart; cost in proportion.
+        Enough to rank hypotheses; cost in proportion.
     rough : Schedule
         First fit of every candidate.
     settle : Schedule
@@ -285,8 +282,6 @@ class HypothesisSettings:
     climbs, hop_m, hop_gain : int, float, float
         Most rounds of hill climbing, length of a hop (half a vehicle's width), and what it must
         gain (half a sigma squared is 0.5).
-    lever_m : float
-        Metres that a turn counts as in a hop.
     """
 
     reflection_m: float = 0.6
@@ -306,7 +301,6 @@ class HypothesisSettings:
     climbs: int = 5
     hop_m: float = 0.7
     hop_gain: float = 1.0
-    lever_m: float = 60.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -324,7 +318,7 @@ class AdaptationSettings:
     stray_share, stray_m : float
         Share of strays, and over which height.
     near_m : float
-        Farther samples tell little of heights: 0.6 degrees are 0.8 m.
+        Farther samples fix no heights: 0.6 degrees are 0.8 m.
     least, most : int
         Samples: fewer are too few, more cost time only.
     noise_m : float
@@ -333,8 +327,8 @@ class AdaptationSettings:
         Edge (m), scale (m) and elevation noise (radians): start of the fit and its bounds.
     most_factor, factors : float, int
         Largest factor on the side strength that is tried, up and down, and how many.
-    believed : float
-        1 sigma of the logarithm of that factor.
+    factor_sigma : float
+        1 sigma of the logarithm of that factor in the prior.
     step : float
         Of numerical derivatives.
     """
@@ -355,7 +349,7 @@ class AdaptationSettings:
     high: tuple[float, float, float] = (2.0, 0.6, radians(2.0))
     most_factor: float = 4.0
     factors: int = 17
-    believed: float = log(2.0)
+    factor_sigma: float = log(2.0)
     step: float = 1e-4
 
 
@@ -373,7 +367,7 @@ class AnswerSettings:
         Sigmas from which on a scene does not fix easting, northing, height; roll, pitch, yaw.
         One metre is the paper's accuracy; with 2 degrees a far trace is a lane off.
     lever_m : float
-        Metres that a turn counts as in eigenvalues and along a valley.
+        Metres that a turn counts as in steps, hops, eigenvalues and along a valley.
     valley : Schedule
         Fit at each step along the least-known direction.
     valley_steps_m : tuple of float

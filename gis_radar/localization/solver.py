@@ -1,4 +1,4 @@
-"""The solver: robust least squares over all residuals, the vehicles' own shares taken out."""
+"""The solver: robust least squares over all residuals, with a random effect a vehicle."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ FAMILIES = (lateral, height)
 
 @dataclass(frozen=True, kw_only=True)
 class Prior:
-    """What is believed beforehand.
+    """A Gaussian prior of the state.
 
     Parameters
     ----------
@@ -54,24 +54,24 @@ class Fit:
     information : (7, 7) array
         Of the state, priors included.
     data_information : (7, 7) array
-        What the samples alone say.
+        Of the samples alone, without the prior.
     scores : (tracks, 7) array
-        Gradient of each vehicle's rows, for a covariance that asks the vehicles.
+        Gradient of each vehicle's rows, for the cluster-robust covariance.
     streets : list of (streets, 7) arrays
-        For each family of residuals the pull of a bias of one metre, common to a stretch of
-        street in one direction, on the state.
+        For each family of residuals the gradient of the cost by a 1 m map bias of a street
+        section in one direction.
     cost : float
         Negative logarithm of the likelihood of everything, up to a constant.
     loss : (n,) array
-        Lateral loss of each sample, a negative logarithm of likelihood, by what it counts.
+        Lateral loss of each sample, a negative logarithm of likelihood, weighted.
     on_lane : (n,) bool array
         Samples more likely on a vehicle in a lane than not.
     matches : Matches
-        Who lies where.
+        The lane of each sample.
     converged : bool
         Whether the last steps were small.
-    own : (2, tracks) array
-        What each vehicle adds to the residuals of each family, metres.
+    effects : (2, tracks) array
+        Random effect of each vehicle on the residuals of each family, metres.
     considered : callable
         Returns a (constants, 7) array: for each constant of the model how much its standard
         deviation changes the gradient.
@@ -87,7 +87,7 @@ class Fit:
     on_lane: Booleans
     matches: Matches
     converged: bool
-    own: Floats
+    effects: Floats
     considered: Callable[[], Floats]
 
     @property
@@ -117,7 +117,7 @@ def solve(
     start : State
         Where to begin.
     prior : Prior
-        What is believed beforehand.
+        Of the state.
     schedule : Schedule, optional
         By how much all spreads are widened, stage by stage; without it from a lane off.
     model : Model
@@ -127,17 +127,19 @@ def solve(
     """
     schedule, settings = schedule or scene.settings.solver.far, scene.settings.solver
     point = _Point(start, np.zeros((len(FAMILIES), scene.samples.tracks)))
-    converged = False
+    converged, lever_m = False, np.repeat([1.0, scene.settings.answer.lever_m], 3)
     for scale_m in schedule.scales_m:
         cost = _Cost(scene, prior, model, scale_m, hold)
         here = cost.at(point)
         for _ in range(schedule.rounds):
-            step, own, sigmas = cost.step(here)
+            step, effects, sigmas = cost.step(here)
             there, share = None, 1.0
             while share > settings.least_share and (there is None or there.total > here.total):
-                moved = _Point(here.point.state.moved(share * step), here.point.own + share * own)
+                moved = _Point(
+                    here.point.state.moved(share * step), here.point.effects + share * effects
+                )
                 there, share = cost.at(moved), share / settings.shrink
-            length_m = float(np.abs(step[:6] * [1.0, 1.0, 1.0, *settings.lever_m]).max())
+            length_m = float(np.abs(step[:6] * lever_m).max())
             if there is None or there.total > here.total:
                 converged = length_m < settings.at_rest_m or sigmas < settings.at_rest_sigmas
                 break
@@ -169,7 +171,7 @@ def cost_at(scene: Scene, state: State, *, model: Model = MODEL) -> float:
 @dataclass(frozen=True)
 class _Point:
     state: State
-    own: Floats
+    effects: Floats
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,11 +197,11 @@ class _Cost:
         """Return residuals and cost at a point."""
         placed = place(self.scene.samples, point.state)
         matches = match(self.scene.lanes, placed)
-        families = self.families(placed, matches, point.own)
+        families = self.families(placed, matches, point.effects)
         away = point.state.difference(self.prior.mean)
         total = sum(
-            float(f.say @ f.loss + 0.5 * np.sum((own / f.shared) ** 2))
-            for f, own in zip(families, point.own, strict=True)
+            float(f.weight @ f.loss + 0.5 * np.sum((effect / f.shared) ** 2))
+            for f, effect in zip(families, point.effects, strict=True)
         )
         return _Here(
             point=point,
@@ -209,7 +211,7 @@ class _Cost:
             total=total + 0.5 * float(away @ self.prior.information @ away),
         )
 
-    def families(self, placed: Placed, matches: Matches, own: Floats) -> list[Residuals]:
+    def families(self, placed: Placed, matches: Matches, effects: Floats) -> list[Residuals]:
         """Return all residuals of samples that lie on their lanes."""
         compared = Comparison(
             lanes=self.scene.lanes,
@@ -219,11 +221,11 @@ class _Cost:
             scale_m=self.scale_m,
             settings=self.scene.settings.solver,
         )
-        return [family(compared, mine) for family, mine in zip(FAMILIES, own, strict=True)]
+        return [family(compared, effect) for family, effect in zip(FAMILIES, effects, strict=True)]
 
     def step(self, here: _Here) -> tuple[Floats, Floats, float]:
-        """Return the steps of the state and of what the vehicles add, and the first in sigmas."""
-        normal = assemble(here.families, here.point.own, self.scene.samples.track)
+        """Return the steps of the state and the random effects, and the first in sigmas."""
+        normal = assemble(here.families, here.point.effects, self.scene.samples.track)
         information = normal.information + self.prior.information
         away = here.point.state.difference(self.prior.mean)
         gradient = normal.gradient + self.prior.information @ away
@@ -231,39 +233,39 @@ class _Cost:
         if self.hold is not None:
             way = np.linalg.solve(information, self.hold)
             step -= way * (self.hold @ step) / (self.hold @ way)
-        own = np.array([-(r + g @ step) * a for r, g, a in normal.shared])
-        return step, own, float(np.sqrt(step @ information @ step))
+        effects = np.array([-(r + g @ step) * a for r, g, a in normal.shared])
+        return step, effects, float(np.sqrt(step @ information @ step))
 
 
 def _described(cost: _Cost, here: _Here, *, converged: bool) -> Fit:
     """Return the evidence at a point."""
     across, settings = here.families[0], cost.scene.settings.solver
-    track, own = cost.scene.samples.track, here.point.own
-    normal = assemble(here.families, own, track, curved=True)
-    # where the curvature is no minimum's, a small part of what known faces would tell counts
-    known = assemble(here.families, own, track).information + cost.prior.information
-    told = at_least(
+    track, effects = cost.scene.samples.track, here.point.effects
+    normal = assemble(here.families, effects, track, curved=True)
+    # where the curvature is no minimum's, a small part of the information of known faces counts
+    known = assemble(here.families, effects, track).information + cost.prior.information
+    information = at_least(
         normal.information + cost.prior.information,
         settings.least_curvature * known + settings.floor * np.eye(len(known)),
     )
     street, count = _streets(cost.scene, here.matches)
     pulls = []
     for family, (_, g, variance) in zip(here.families, normal.shared, strict=True):
-        # what a vehicle may add by itself takes most of its bias up
+        # the random effect of a vehicle takes up most of its bias
         felt = g * (variance * family.shared**-2)[:, None]
         pulls.append(sums(street, felt, count))
     return Fit(
         state=here.point.state,
-        information=told,
-        data_information=told - cost.prior.information,
+        information=information,
+        data_information=information - cost.prior.information,
         scores=normal.scores,
         streets=pulls,
         cost=here.total,
-        loss=across.say * across.loss,
+        loss=across.weight * across.loss,
         on_lane=across.loss < settings.no_vehicle - np.log(2.0),
         matches=here.matches,
         converged=converged,
-        own=here.point.own,
+        effects=here.point.effects,
         considered=partial(_considered, cost, here),
     )
 
@@ -272,8 +274,12 @@ def _considered(cost: _Cost, here: _Here) -> Floats:
     """Return how the gradient changes by a standard deviation of each constant of the model."""
 
     def gradient(model: Model) -> Floats:
-        families = replace(cost, model=model).families(here.placed, here.matches, here.point.own)
-        return assemble(families, here.point.own, cost.scene.samples.track, curved=True).gradient
+        families = replace(cost, model=model).families(
+            here.placed, here.matches, here.point.effects
+        )
+        return assemble(
+            families, here.point.effects, cost.scene.samples.track, curved=True
+        ).gradient
 
     return np.array(
         [(gradient(more) - gradient(less)) / 2.0 for less, more in cost.model.variations()]
@@ -281,7 +287,7 @@ def _considered(cost: _Cost, here: _Here) -> Floats:
 
 
 def _streets(scene: Scene, matches: Matches) -> tuple[Integers, int]:
-    """Return for each track the number of the stretch of street that it drives on most."""
+    """Return for each track the number of the street section that it drives on most."""
     lanes, samples = scene.lanes, scene.samples
     lane = matches.lane[matches.found]
     way = direction_bin(lanes.along[lane], lanes.settings.bins) // 2
