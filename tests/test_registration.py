@@ -213,6 +213,15 @@ def test_turns_are_those_of_scipy(axis, angle):
     assert np.allclose(there.difference(state)[TURN], turn, atol=1e-7)
 
 
+def test_changed_settings_are_recorded():
+    settle = Schedule(scales_m=(0.1,), rounds=4)
+    other = DEFAULTS.changed({"hypotheses.climbs": 0, "hypotheses.settle": settle})
+    assert other.changes() == {"hypotheses.settle.scales_m": (0.1,), "hypotheses.climbs": 0}
+    assert DEFAULTS.changes() == {}
+    with pytest.raises(TypeError):
+        DEFAULTS.changed({"hypotheses.unknown": 1})
+
+
 def test_vehicles_vote(scene):
     scene, state, _ = scene
     fit = solve(scene, state, prior_at(state))
