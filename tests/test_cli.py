@@ -15,8 +15,8 @@ from click.testing import CliRunner
 from sites import EAST, NORTH, START, crossing, lane_quads, pose, recording, tiles_of
 
 import gis_radar as gr
+from gis_radar.cli import group
 from gis_radar.cli.console import Result, TerminalConsole, run_group
-from gis_radar.cli.main import group
 
 COMMANDS = sorted(group.commands)
 

@@ -21,7 +21,7 @@ from click.testing import CliRunner
 from doc_pages import DOCS, PAGES, ROOT, blocks, commands, sayings
 
 import gis_radar as gr
-from gis_radar.cli.main import group
+from gis_radar.cli import group
 from gis_radar.occupancy.folder import FILES, NEEDED
 from gis_radar.occupancy.frame_log import COLUMNS as DELIVERIES
 from gis_radar.poses.files import TRACK_FIELDS

@@ -17,7 +17,7 @@ from click.testing import CliRunner
 from radars import Notes, detection, detection_list, frames_of, times, write_pcap
 
 import gis_radar as gr
-from gis_radar.cli.main import group
+from gis_radar.cli import group
 from gis_radar.errors import InputError, UsageError
 
 GISRADAR = [sys.executable, "-m", "gis_radar"]

@@ -13,7 +13,7 @@ from sites import UTM
 from streets import Street, errors
 
 import gis_radar as gr
-from gis_radar.cli.main import group
+from gis_radar.cli import group
 from gis_radar.crs import yaw_from_compass
 from gis_radar.localization import files as files_to_pose
 from gis_radar.localization.localize import METHODS

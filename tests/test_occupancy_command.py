@@ -6,7 +6,7 @@ from click.testing import CliRunner
 from sites import START, crossing, pose, recording
 
 import gis_radar as gr
-from gis_radar.cli.main import group
+from gis_radar.cli import group
 
 ON_TILE = [12.25, 0.0, -5.0]
 

@@ -26,7 +26,7 @@ from report_site import (
 from sites import pose
 
 import gis_radar as gr
-from gis_radar.cli.main import group
+from gis_radar.cli import group
 from gis_radar.heatmap import make_heatmap
 from gis_radar.report.words import safe
 

@@ -17,7 +17,7 @@ from scipy.spatial import KDTree
 from sites import recording
 
 import gis_radar as gr
-from gis_radar.cli.main import group
+from gis_radar.cli import group
 from gis_radar.grid import CELL_M
 from gis_radar.localization import Localization
 from gis_radar.localization import files as files_to_pose

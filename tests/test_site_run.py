@@ -33,7 +33,7 @@ from streets import errors
 from test_site_execution import soon_gone
 
 import gis_radar as gr
-from gis_radar.cli.main import group
+from gis_radar.cli import group
 from gis_radar.demo import pose_errors
 from gis_radar.files import only_writer
 from gis_radar.site import run as product

@@ -13,7 +13,7 @@ from sites import START, UTM, lane_quads, recording, tiles_of
 from streets import STRAIGHT, Street, errors
 
 import gis_radar as gr
-from gis_radar.cli.main import group
+from gis_radar.cli import group
 from gis_radar.errors import CrsError, InputError, NoAnswerError
 from gis_radar.poses.files import read_track, write_track
 from gis_radar.progress import Reporter

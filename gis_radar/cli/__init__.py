@@ -1,5 +1,30 @@
-"""The command line: it only translates between words and the library."""
+"""The command line: a group of verbs; each parses, calls the library once, and prints."""
 
-from gis_radar.cli.main import main
+from __future__ import annotations
 
-__all__ = ["main"]
+from typing import NoReturn
+
+import click
+
+from gis_radar.cli import maps, poses, recordings, sites
+from gis_radar.cli.console import run_group
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="gis_radar")
+def group() -> None:
+    """Turn roadside 4D radar into traffic maps."""
+
+
+for verb in (
+    *(maps.tiles, maps.mask, maps.heatmap, maps.project),
+    *(recordings.convert, recordings.occupancy, recordings.clocks, recordings.quality),
+    *(poses.localize, poses.track, poses.sensors),
+    *(sites.run, sites.report, sites.qgis, sites.sample, sites.demo),
+):
+    group.add_command(verb)
+
+
+def main() -> NoReturn:
+    """Run the command line."""
+    run_group(group)

@@ -1,32 +1,34 @@
-"""Write the QGIS project of a folder of results."""
+"""Write the QGIS project of a folder of results: fill in `project.qgs` and `sheet.qpt`.
+
+The plugin makes its reports from the same `sheet.qpt`.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import itertools
+import os
 import sqlite3
 import zipfile
+from collections.abc import Iterator, Mapping
 from contextlib import closing
 from datetime import datetime
+from importlib.resources import files
 from pathlib import Path
+from typing import NamedTuple
+from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostring
 
 import pyogrio
 from pyproj import CRS
 
-from gis_radar.crs import Box, metric_crs
+from gis_radar.crs import Box, metric_crs, name_of
 from gis_radar.errors import InputError, OutputError, UsageError
 from gis_radar.files import whole_file
+from gis_radar.heatmap import style
 from gis_radar.heatmap.layers import LONG, WIDE
 from gis_radar.poses.files import read_track
-from gis_radar.poses.layers import write_sensors
+from gis_radar.poses.layers import SENSORS, UNCERTAINTY, VIEWS, read_style, write_sensors
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.qgis.document import (
-    ProjectContent,
-    TimeRange,
-    heatmap_layers,
-    project_xml,
-    sensor_layers,
-)
 from gis_radar.steps import seconds_from_iso, zone_of
 
 MAP_MARGIN = 0.05
@@ -81,14 +83,14 @@ def write_qgis_project(
     package = Path(heatmap) / "heatmap.gpkg"
     crs, box = _observed_box(package)
     played = _time_range(package)
-    layers = heatmap_layers(Path(heatmap).resolve(), played.step_s if played else 0.0)
+    layers = _heatmap_layers(Path(heatmap).resolve(), played.step_s if played else 0.0)
     if sensors is not None:
-        layers |= sensor_layers(Path(sensors).resolve())
-    content = ProjectContent(
+        layers |= _sensor_layers(Path(sensors).resolve())
+    content = _ProjectContent(
         title=title or path.stem, time=_local_time(played, time_zone) if played else "",
         source=source, crs=crs, box=box, layers=layers, played=played,
     )  # fmt: skip
-    write_project_file(path, project_xml(content, path.resolve().parent))
+    _write_project_file(path, _project_xml(content, path.resolve().parent))
 
 
 def write_site_project(
@@ -126,7 +128,9 @@ def write_site_project(
     sensors = folder / "sensors.gpkg" if poses else None
     if sensors is not None:
         write_sensors([read_track(path).poses[-1] for path in poses], sensors)
-    project = unedited_name(folder / "site.qgz")
+    numbered = (folder / f"site_{number}.qgz" for number in itertools.count(2))
+    names = itertools.chain([folder / "site.qgz"], numbered)
+    project = next(name for name in names if not was_edited(name))
     if project.name != "site.qgz":
         reporter.log(
             f"site.qgz was edited and stays as it is; the new project is {project.name}", "warning"
@@ -164,7 +168,7 @@ def _observed_box(package: Path) -> tuple[CRS, Box]:
     return crs, (west - margin, south - margin, east + margin, north + margin)
 
 
-def _time_range(package: Path) -> TimeRange | None:
+def _time_range(package: Path) -> _TimeRange | None:
     with closing(sqlite3.connect(f"{package.resolve().as_uri()}?mode=ro", uri=True)) as database:
         try:
             begin, first_end, end = database.execute(_TIMES).fetchone()
@@ -173,10 +177,10 @@ def _time_range(package: Path) -> TimeRange | None:
     if begin is None:
         return None
     length_s = seconds_from_iso(first_end, what="end") - seconds_from_iso(begin, what="begin")
-    return TimeRange(begin=begin, end=end, step_s=round(length_s, 3))
+    return _TimeRange(begin, end, round(length_s, 3))
 
 
-def _local_time(played: TimeRange, time_zone: str) -> str:
+def _local_time(played: _TimeRange, time_zone: str) -> str:
     """Return the time that a project covers in local form."""
     zone = zone_of(time_zone)
     begin, end = (
@@ -188,17 +192,10 @@ def _local_time(played: TimeRange, time_zone: str) -> str:
     return f"{begin.strftime(day)} \u2013 {last} ({time_zone})"
 
 
-def write_project_file(path: Path, text: str) -> None:
+def _write_project_file(path: Path, text: str) -> None:
     """Write a project; the same text gives the same file.
 
     Its mark is gone once QGIS, or anybody else, has saved the project.
-
-    Parameters
-    ----------
-    path : Path
-        Ends in `.qgz`; it appears whole or not at all.
-    text : str
-        XML of the project.
     """
     with whole_file(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr(zipfile.ZipInfo(f"{path.stem}.qgs"), text, zipfile.ZIP_DEFLATED)
@@ -206,7 +203,7 @@ def write_project_file(path: Path, text: str) -> None:
 
 
 def was_edited(path: Path) -> bool:
-    """Tell whether a file is there and is not just as :func:`write_project_file` left it."""
+    """Return whether a file is there and not as :func:`write_qgis_project` left it."""
     if not path.exists():
         return False
     try:
@@ -217,11 +214,190 @@ def was_edited(path: Path) -> bool:
         return True
 
 
-def unedited_name(path: Path) -> Path:
-    """Return the first of `site.qgz`, `site_2.qgz`, ... that nobody has edited."""
-    numbered = (path.with_stem(f"{path.stem}_{number}") for number in itertools.count(2))
-    return next(name for name in itertools.chain([path], numbered) if not was_edited(name))
-
-
 def _mark(content: bytes) -> bytes:
     return _MARK + hashlib.blake2b(content, digest_size=16).hexdigest().encode()
+
+
+# The project as XML.
+
+_DOCTYPE = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>"
+_LIMITS = ("xmin", "ymin", "xmax", "ymax")
+
+
+class _LayerSource(NamedTuple):
+    """Where a layer of the template comes from, and how it looks; a raster has no table."""
+
+    path: Path
+    qml: str
+    table: str = ""
+
+
+class _TimeRange(NamedTuple):
+    """The time that a project plays: ISO 8601 in UTC, and the length of an interval, seconds."""
+
+    begin: str
+    end: str
+    step_s: float
+
+
+class _ProjectContent(NamedTuple):
+    """What a project shows; its layers are named by their ids in the template."""
+
+    title: str
+    time: str
+    source: str
+    crs: CRS
+    box: Box
+    layers: Mapping[str, _LayerSource]
+    played: _TimeRange | None
+
+
+def _sensor_layers(path: Path) -> dict[str, _LayerSource]:
+    """Return the layers of a file of sensors."""
+    return {
+        f"gis_radar_{table}": _LayerSource(path, read_style(table), table)
+        for table in (SENSORS, UNCERTAINTY, VIEWS)
+    }
+
+
+def _heatmap_layers(folder: Path, interval_s: float) -> dict[str, _LayerSource]:
+    """Return the layers of a heat map."""
+    package, raster = folder / "heatmap.gpkg", folder / "heatmap.tif"
+    by_interval = style.vector_qml(interval_s=interval_s)
+    layers = {
+        "heatmap_by_interval": _LayerSource(package, by_interval, LONG),
+        "heatmap": _LayerSource(package, style.vector_qml(), WIDE),
+        "ground": _LayerSource(package, style.ground_qml(), WIDE),
+    }
+    if raster.is_file():
+        layers["raster"] = _LayerSource(raster, style.sidecar_qml())
+    return {f"gis_radar_{name}": layer for name, layer in layers.items()}
+
+
+def _project_xml(content: _ProjectContent, home: Path) -> str:
+    """Return a project as text; its files are named from its folder."""
+    root = _template("project.qgs")
+    root.set("projectname", content.title)
+    _find(root, "title").text = content.title
+    _find(root, "layer-tree-group/layer-tree-group[@name='Heat map']").set(
+        "name", style.LEGEND_TITLE
+    )
+    _find(root, "Layouts").append(_sheet(content))
+    _fill_layers(root, content.layers, home)
+    _fill_time(root, content.played)
+    _fill_place(root, content.crs, content.box)
+    indent(root)
+    return f"{_DOCTYPE}\n{tostring(root, encoding='unicode')}\n"
+
+
+def _sheet(content: _ProjectContent) -> Element:
+    """Return the print layout; its layers are still to be filled in."""
+    layout = _template("sheet.qpt")
+    _item(layout, "title").set("labelText", content.title)
+    _item(layout, "time").set("labelText", content.time)
+    _item(layout, "legend").set("title", style.LEGEND_TITLE)
+    if content.source:
+        _item(layout, "source").set("labelText", f"Source: {content.source}")
+    else:
+        layout.remove(_item(layout, "source"))
+    chart = _item(layout, "map")
+    width, height, _ = chart.attrib["size"].split(",")
+    box = fit_box(content.box, float(width), float(height))
+    _find(chart, "Extent").attrib |= _limits(box)
+    return layout
+
+
+def fit_box(box: Box, width: float, height: float) -> Box:
+    """Return the smallest box around another, with the same middle, that has a given shape."""
+    west, south, east, north = box
+    scale = max((east - west) / width, (north - south) / height)
+    x, y = (west + east) / 2, (south + north) / 2
+    half, high = scale * width / 2, scale * height / 2
+    return x - half, y - high, x + half, y + high
+
+
+def _fill_layers(root: Element, layers: Mapping[str, _LayerSource], home: Path) -> None:
+    for parent, element, key in list(_layer_elements(root)):
+        layer = layers.get(key)
+        if layer is None:
+            parent.remove(element)
+        elif element.tag == "maplayer":
+            _find(element, "datasource").text = _source(layer, home)
+            body = layer.qml[layer.qml.index("<qgis") :]
+            parts = fromstring(body)  # noqa: S314 - our own text
+            element.extend(part for part in parts if part.tag != "layerGeometryType")
+        else:
+            element.set("source", _source(layer, home))
+    tree = _find(root, "layer-tree-group")
+    for group in tree.findall("layer-tree-group"):
+        if len(group) == 0:
+            tree.remove(group)
+
+
+def _layer_elements(root: Element) -> Iterator[tuple[Element, Element, str]]:
+    """Yield what stands for a layer, with its parent and its id."""
+    for parent in root.iter():
+        for element in parent:
+            if element.tag == "maplayer":
+                yield parent, element, element.findtext("id", "")
+            elif element.tag == "layer-tree-layer":
+                yield parent, element, element.get("id", "")
+            elif element.tag == "Layer":
+                yield parent, element, element.text or ""
+
+
+def _source(layer: _LayerSource, home: Path) -> str:
+    """Return file and table as seen from the project's folder, with forward slashes."""
+    path = Path(os.path.relpath(layer.path, home)).as_posix()
+    named = path if path.startswith("..") else f"./{path}"
+    return f"{named}|layername={layer.table}" if layer.table else named
+
+
+def _fill_time(root: Element, played: _TimeRange | None) -> None:
+    settings, properties = _find(root, "ProjectTimeSettings"), _find(root, "properties")
+    controller = _find(properties, "TemporalControllerWidget")
+    clock = _find(properties, "TitleLabel")
+    if played is None:
+        root.remove(settings)
+        properties.remove(controller)
+        properties.remove(clock)
+        return
+    for begin in (_find(settings, "TemporalRange/start"), _find(controller, "StartDateTime")):
+        begin.text = played.begin
+    for end in (_find(settings, "TemporalRange/end"), _find(controller, "EndDateTime")):
+        end.text = played.end
+    label = _find(clock, "Label")
+    minutes = played.step_s % 60 == 0
+    label.text = (label.text or "").replace("CLOCK", "HH:mm" if minutes else "HH:mm:ss")
+    step = played.step_s / 60 if minutes else played.step_s
+    settings.attrib |= {"timeStep": f"{step:g}", "timeStepUnit": "min" if minutes else "s"}
+
+
+def _fill_place(root: Element, crs: CRS, box: Box) -> None:
+    for name, value in _limits(box).items():
+        _find(root, f"mapcanvas/extent/{name}").text = value
+    _find(root, "ProjectViewSettings/DefaultViewExtent").attrib |= _limits(box)
+    name = name_of(crs)
+    for system in root.iter("spatialrefsys"):
+        SubElement(system, "wkt").text = crs.to_wkt()
+        SubElement(system, "authid").text = name if name.count(":") == 1 else ""
+
+
+def _limits(box: Box) -> dict[str, str]:
+    return {name: f"{value:.3f}" for name, value in zip(_LIMITS, box, strict=True)}
+
+
+def _template(name: str) -> Element:
+    text = (files(__package__) / name).read_text(encoding="utf-8")
+    return fromstring(text)  # noqa: S314 - our own file
+
+
+def _item(layout: Element, name: str) -> Element:
+    return _find(layout, f"LayoutItem[@id='{name}']")
+
+
+def _find(root: Element, path: str) -> Element:
+    found = root.find(path)
+    if found is None:
+        raise LookupError(f"the template has no {path}")
+    return found
