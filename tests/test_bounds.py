@@ -12,14 +12,13 @@ from gis_radar.lanelets.bounds import (
     at_fractions,
     drawn_direction,
     length,
+    matched,
     rungs,
     slices,
     sound,
     sound_rungs,
 )
-from gis_radar.lanelets.mending import is_sound, mend, outline
-from gis_radar.lanelets.ribbons import matched
-from gis_radar.lanelets.tangles import _first_loop_cut, without_loops
+from gis_radar.lanelets.mending import _first_loop_cut, is_sound, mend, outline, without_loops
 
 SHIFT = np.array([678_123.25, 5_403_456.5])
 

@@ -8,7 +8,7 @@ import pytest
 from radars import SENSOR, START, Notes, detection, detection_list, ethernet, ip_packets, write_pcap
 
 import gis_radar as gr
-from gis_radar.recordings.ars548 import method_of, read_detections
+from gis_radar.recordings.readers.udp import method_of, read_detections
 
 SHARED = Path(__file__).parents[2] / "shared" / "data" / "radar" / "nebula_ars548"
 BAG, PUBLISHED = SHARED / "1708578204", SHARED / "1708578204_202447652_detection.yaml"

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from maps import Listener
 
 import gis_radar as gr
-from gis_radar.poses.shapes import ellipse
+from gis_radar.poses.pose import ellipse
 from gis_radar.qgis.project import fit_box
 
 SIGMA = {"easting": 0.1, "northing": 0.2, "height": 0.1, "yaw": 0.1, "pitch": 0.1, "roll": 0.1}

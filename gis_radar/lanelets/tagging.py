@@ -1,10 +1,21 @@
-"""What the tags of a lanelet mean, after Lanelet2's tagging rules."""
+"""Tags and regulatory elements: who uses a lanelet, how fast, stop lines, lights, right of way."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+from pyproj import CRS
+from shapely import LineString, Point
+from shapely.geometry.base import BaseGeometry
+
+from gis_radar.arrays import Floats
+from gis_radar.lanelets.osm import OsmMap, Relation
 
 VEHICLE, BICYCLE, PEDESTRIAN = "vehicle", "bicycle", "pedestrian"
 
@@ -100,3 +111,104 @@ def kmh_of_signs(signs: Iterable[str]) -> float:
     speeds = [kmh(sign) for sign in signs]
     speeds += [float(match[1]) for sign in signs if (match := _SIGN.search(sign))]
     return min((speed for speed in speeds if not math.isnan(speed)), default=math.nan)
+
+
+ELEMENT = "regulatory_element"
+COLUMNS = (
+    "element_id",
+    "subtype",
+    "role",
+    "lanelet_ids",
+    "member_id",
+    "member_type",
+    "member_sign",
+)
+
+
+def lanelets_of_elements(osm: OsmMap) -> dict[int, tuple[int, ...]]:
+    """Return which lanelets name each regulatory element, sorted."""
+    users: dict[int, set[int]] = defaultdict(set)
+    for lanelet_id, lanelet in osm.relations_of("lanelet"):
+        for element in lanelet.refs("relation", ELEMENT):
+            users[element].add(lanelet_id)
+    return {element: tuple(sorted(lanelets)) for element, lanelets in users.items()}
+
+
+def regulated_kmh(osm: OsmMap, lanelet: Relation) -> float:
+    """Return the lowest speed limit that regulatory elements set for a lanelet, km/h, else NaN."""
+    signs: list[str] = []
+    for ref in lanelet.refs("relation", ELEMENT):
+        element = osm.relations.get(ref)
+        if element is None or element.tags.get("subtype") != "speed_limit":
+            continue
+        signs.append(element.tags.get("sign_type", ""))
+        ways = (osm.ways.get(way) for way in element.refs("way", "refers"))
+        signs.extend(way.tags.get("subtype", "") for way in ways if way is not None)
+    return kmh_of_signs(signs) if signs else math.nan
+
+
+def regulatory_table(osm: OsmMap, xyz: Floats, crs: CRS) -> gpd.GeoDataFrame:
+    """Return all regulatory elements, a row for each of their members.
+
+    Parameters
+    ----------
+    osm : OsmMap
+        The map as read.
+    xyz : (n, 3) array
+        Positions of the nodes in `crs`.
+    crs : CRS
+        The system of the positions.
+
+    Returns
+    -------
+    GeoDataFrame
+        `element_id`, `subtype` of the element, `role` of the member, `lanelet_ids` (tuple: the
+        lanelets that name the element; for a member that is a lanelet, that lanelet),
+        `member_id`, `member_type` (`stop_line`, `traffic_light`, ...), `member_sign` (its
+        subtype, such as `de205`), and the member's geometry, if it has one. Stop lines that no
+        element names are rows of their own, with the way's id as `element_id`.
+    """
+    rows = [*_members(osm, xyz), *_lone_stop_lines(osm, xyz)]
+    columns: dict[str, Any] = {name: [row[i] for row in rows] for i, name in enumerate(COLUMNS)}
+    for name in ("element_id", "member_id"):
+        columns[name] = np.array(columns[name], dtype=np.int64)
+    return gpd.GeoDataFrame(columns, geometry=[row[-1] for row in rows], crs=crs)
+
+
+def _members(osm: OsmMap, xyz: Floats) -> Iterator[tuple[Any, ...]]:
+    users = lanelets_of_elements(osm)
+    for element_id, element in sorted(osm.relations_of(ELEMENT)):
+        for member in element.members:
+            tags: dict[str, str] = {}
+            lanelets = users.get(element_id, ())
+            if member.kind == "relation":
+                lanelets = (member.ref,)
+            elif member.kind == "way" and member.ref in osm.ways:
+                tags = osm.ways[member.ref].tags
+            shape = _shape(osm, xyz, member.kind, member.ref)
+            kind, sign = tags.get("type", member.kind), tags.get("subtype", "")
+            subtype = element.tags.get("subtype", "")
+            yield element_id, subtype, member.role, lanelets, member.ref, kind, sign, shape
+
+
+def _lone_stop_lines(osm: OsmMap, xyz: Floats) -> Iterator[tuple[Any, ...]]:
+    elements = (element for _, element in osm.relations_of(ELEMENT))
+    named = {m.ref for element in elements for m in element.members if m.kind == "way"}
+    for ref, way in sorted(osm.ways.items()):
+        if way.tags.get("type") == "stop_line" and ref not in named:
+            shape = _shape(osm, xyz, "way", ref)
+            sign = way.tags.get("subtype", "")
+            yield ref, "stop_line", "ref_line", (), ref, "stop_line", sign, shape
+
+
+def _shape(osm: OsmMap, xyz: Floats, kind: str, ref: int) -> BaseGeometry | None:
+    """Return a line for a way of two points or more, a point for a single one."""
+    nodes = osm.ways[ref].nodes if kind == "way" and ref in osm.ways else (ref,)
+    known = [osm.node_index[node] for node in nodes if node in osm.node_index]
+    points = xyz[known] if kind in {"way", "node"} else xyz[:0]
+    points = points[np.isfinite(points[:, :2]).all(axis=1)]
+    if not np.isfinite(points).all():
+        points = points[:, :2]
+    if len(points) == 0:
+        return None
+    return Point(points[0]) if len(points) == 1 else LineString(points)

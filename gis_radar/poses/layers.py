@@ -18,8 +18,7 @@ from gis_radar.crs import require_same
 from gis_radar.errors import UsageError
 from gis_radar.files import whole_file
 from gis_radar.geopackage import GPKG_VERSION, add_styles
-from gis_radar.poses.pose import ANGLES, POSITION, Pose, View
-from gis_radar.poses.shapes import ellipse
+from gis_radar.poses.pose import ANGLES, POSITION, Pose, View, ellipse
 
 SENSORS, VIEWS, UNCERTAINTY = "sensors", "views", "uncertainty"
 _SIGMA = (*POSITION, *ANGLES)

@@ -1,18 +1,28 @@
-"""Points of a recording in the map, batch by batch, all of one schema."""
+"""Points of a recording in the map, batch by batch, and their GeoPackage, GeoParquet, LAS, LAZ."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
+import laspy
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+import pyarrow.parquet as pq
 import shapely
 
+from gis_radar.arrays import Floats
+from gis_radar.crs import name_of
+from gis_radar.geopackage import GPKG_VERSION, write_stream
 from gis_radar.poses.files import PoseTrack
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import Reporter
 from gis_radar.recordings.recording import Detections, Recording
+from gis_radar.steps import gps_seconds
 
 SUFFIX = "_recorded"
 GEOMETRY = "geometry"
@@ -182,3 +192,153 @@ def _floats(values: np.ndarray) -> pa.Array:
     # A value too large for float32 becomes infinite, which readers of the file see.
     with np.errstate(over="ignore"):
         return pa.array(values.astype(np.float32))
+
+
+LAYER = "hits"
+NOT_IN_GEOPACKAGE = (pa.types.is_duration, pa.types.is_interval, pa.types.is_decimal256)
+
+
+def write_points_geopackage(points: PointStream, path: Path) -> None:
+    """Write the layer `hits` of a GeoPackage."""
+    kept = [
+        field.name
+        for field in points.schema
+        if not any(is_kind(field.type) for is_kind in NOT_IN_GEOPACKAGE)
+    ]
+    if left := [name for name in points.schema.names if name not in kept]:
+        lost = f"{path.name}: a GeoPackage cannot hold {', '.join(left)}: left out"
+        points.reporter.log(lost, "warning")
+    write_stream(
+        (batch.select(kept) for batch in points),
+        pa.schema([points.schema.field(name) for name in kept]),
+        path,
+        layer=LAYER,
+        driver="GPKG",
+        geometry_name=GEOMETRY,
+        geometry_type="Point Z",
+        crs=name_of(points.pose.crs),
+        dataset_options={"VERSION": GPKG_VERSION},
+    )
+
+
+def write_points_geoparquet(points: PointStream, path: Path) -> None:
+    """Write a GeoParquet file."""
+    crs = points.pose.crs.to_json_dict()
+    column = {"encoding": "WKB", "geometry_types": ["Point Z"], "crs": crs}
+    geo = {"version": "1.1.0", "primary_column": GEOMETRY, "columns": {GEOMETRY: column}}
+    schema = points.schema.with_metadata({"geo": json.dumps(geo)})
+    with pq.ParquetWriter(path, schema, compression="zstd", write_page_checksum=True) as writer:
+        for batch in points:
+            writer.write_batch(batch.replace_schema_metadata(schema.metadata))
+
+
+SCALE_M = 0.001  # resolution of LAS coordinates; a radar resolves decimetres
+POINT_FORMAT = 6  # the plain one of LAS 1.4, with GPS time
+TIME_OFFSET_S = 1_000_000_000  # adjusted standard GPS time
+LONGEST_NAME = 32  # bytes of an extra dimension in LAS
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Dimension:
+    """A column of the points as an extra dimension; `missing` stands for null in integers."""
+
+    column: str
+    name: str
+    kind: type[np.generic]
+    about: str = ""
+    missing: int | None = None
+
+    def params(self) -> laspy.ExtraBytesParams:
+        about = self.about if self.missing is None else f"missing: {self.missing}"
+        return laspy.ExtraBytesParams(self.name, self.kind, about)
+
+    def values(self, batch: pa.RecordBatch) -> np.ndarray:
+        column = batch[self.column]
+        if self.missing is not None:
+            column = pc.fill_null(pc.cast(column, pa.from_numpy_dtype(self.kind)), self.missing)
+        elif not pa.types.is_floating(column.type):
+            column = pc.cast(column, pa.float64())
+        return np.asarray(column.to_numpy(zero_copy_only=False), dtype=self.kind)
+
+
+_OURS = (
+    _Dimension(column="time", name="time", kind=np.float64, about="UNIX seconds, UTC"),
+    _Dimension(column="range_rate", name="range_rate", kind=np.float32, about="m/s, receding > 0"),
+    _Dimension(column="rcs", name="rcs", kind=np.float32, about="dBm2"),
+    _Dimension(column="x", name="sensor_x", kind=np.float32, about="m forward of the sensor"),
+    _Dimension(column="y", name="sensor_y", kind=np.float32, about="m left of the sensor"),
+    _Dimension(column="z", name="sensor_z", kind=np.float32, about="m up from the sensor"),
+)
+# Smaller integers are widened: all their values are in use, and none is left for null.
+_INTEGERS: dict[pa.DataType, type[np.signedinteger[Any]]] = {
+    pa.bool_(): np.int8,
+    pa.int8(): np.int16,
+    pa.uint8(): np.int16,
+    pa.int16(): np.int32,
+    pa.uint16(): np.int32,
+    pa.int32(): np.int32,
+    pa.uint32(): np.int64,
+    pa.int64(): np.int64,
+}
+
+
+def write_points_las(points: PointStream, path: Path) -> None:
+    """Write LAS 1.4 or LAZ, by the ending of `path`; columns without numbers are left out."""
+    header = laspy.LasHeader(version="1.4", point_format=POINT_FORMAT)
+    header.offsets = np.floor(points.pose.position)
+    header.scales = np.full(3, SCALE_M)
+    header.global_encoding.gps_time_type = laspy.header.GpsTimeType.STANDARD
+    header.add_crs(points.pose.crs)
+    dimensions = _dimensions(points, path, list(header.point_format.dimension_names))
+    header.add_extra_dims([dimension.params() for dimension in dimensions])
+    with laspy.open(path, mode="w", header=header) as writer:
+        for batch in points:
+            writer.write_points(_scan_points(batch, header, dimensions))
+
+
+def _dimensions(points: PointStream, path: Path, standard: list[str]) -> list[_Dimension]:
+    further = [f for f in points.schema if f.name not in {*OWN.names, GEOMETRY}]
+    numeric = [field for field in further if _is_numeric(field.type)]
+    taken = [*standard, *OWN.names, *(ours.name for ours in _OURS), "xyz"]
+    names = distinct_names([field.name for field in numeric], taken, longest=LONGEST_NAME)
+    left = [field.name for field in further if field not in numeric]
+    remarks = [f"left out, no numbers: {', '.join(left)}"] * bool(left)
+    if changed := renamed(names):
+        remarks.append(f"renamed: {', '.join(changed)}")
+    if remarks:
+        points.reporter.log(f"{path.name}: columns {'; '.join(remarks)}", "warning")
+    return [*_OURS, *(_dimension(field, names[field.name]) for field in numeric)]
+
+
+def _is_numeric(kind: pa.DataType) -> bool:
+    types = pa.types
+    return any(
+        is_kind(kind)
+        for is_kind in (types.is_integer, types.is_floating, types.is_decimal, types.is_boolean)
+    )
+
+
+def _dimension(field: pa.Field, name: str) -> _Dimension:
+    if integer := _INTEGERS.get(field.type):
+        lowest = int(np.iinfo(integer).min)
+        return _Dimension(column=field.name, name=name, kind=integer, missing=lowest)
+    if pa.types.is_uint64(field.type):
+        highest = int(np.iinfo(np.uint64).max)
+        return _Dimension(column=field.name, name=name, kind=np.uint64, missing=highest)
+    short = pa.types.is_floating(field.type) and field.type.bit_width <= 32
+    return _Dimension(column=field.name, name=name, kind=np.float32 if short else np.float64)
+
+
+def _scan_points(
+    batch: pa.RecordBatch, header: laspy.LasHeader, dimensions: list[_Dimension]
+) -> laspy.ScaleAwarePointRecord:
+    scan = laspy.ScaleAwarePointRecord.zeros(len(batch), header=header)
+    places: Floats = shapely.get_coordinates(
+        shapely.from_wkb(batch[GEOMETRY].to_numpy(zero_copy_only=False)), include_z=True
+    )
+    scan.x, scan.y, scan.z = places.T
+    for dimension in dimensions:
+        scan[dimension.name] = dimension.values(batch)
+    scan.gps_time = gps_seconds(scan["time"]) - TIME_OFFSET_S
+    scan.return_number[:] = scan.number_of_returns[:] = 1
+    return scan

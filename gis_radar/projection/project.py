@@ -14,8 +14,9 @@ from gis_radar.files import refuse_inputs, whole_file
 from gis_radar.poses.files import PoseTrack, as_track
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.projection.points import GEOMETRY, PointStream
-from gis_radar.projection.writers import (
+from gis_radar.projection.points import (
+    GEOMETRY,
+    PointStream,
     write_points_geopackage,
     write_points_geoparquet,
     write_points_las,

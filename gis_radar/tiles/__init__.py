@@ -1,7 +1,6 @@
 """Tiles: slices of lanelets, half a metre along the lane and as wide as it."""
 
-from gis_radar.tiles.heights import with_road_heights
-from gis_radar.tiles.lookup import TileEngine, TileGrid, TileTree
+from gis_radar.tiles.lookup import TileEngine, TileGrid, TileTree, with_road_heights
 from gis_radar.tiles.tiles import fingerprint, make_tiles, quads, read_tiles, write_tiles
 
 __all__ = [

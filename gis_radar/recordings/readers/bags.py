@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from gis_radar.errors import InputError, UsageError, first_line
-from gis_radar.recordings.ars548 import METHOD, method_of, read_detections
 from gis_radar.recordings.columns import Layout, find_layout, frame_of, message_rows
 from gis_radar.recordings.frames import DamagedError, Format, Frame, NothingHereError, ReaderContext
+from gis_radar.recordings.readers.udp import METHOD, method_of, read_detections
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 # Messages that list their detections one by one: where, and of which type.

@@ -17,7 +17,6 @@ from pathlib import Path
 from socket import inet_ntoa
 from typing import BinaryIO, NamedTuple
 
-from gis_radar.recordings.ars548 import METHOD, OTHER_METHODS, method_of, read_detections
 from gis_radar.recordings.frames import (
     DamagedError,
     Format,
@@ -26,6 +25,7 @@ from gis_radar.recordings.frames import (
     ReaderContext,
     counted,
 )
+from gis_radar.recordings.readers.udp import METHOD, OTHER_METHODS, method_of, read_detections
 
 GZIP = b"\x1f\x8b"
 PCAPNG = b"\x0a\x0d\x0d\x0a"
