@@ -452,9 +452,9 @@ class LocalizationSettings:
 
     Parameters
     ----------
-    traces, lanes, search, solver, hypotheses, adaptation, answer
+    traces, lanes, search, solver, hypotheses, adaptation, answer : settings records
         Of the method `lane`, step by step.
-    icp
+    icp : IcpSettings
         Of the method `icp`.
     """
 
