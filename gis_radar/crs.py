@@ -111,14 +111,9 @@ def require_true_scale(crs: CRS, easting: float, northing: float, *, what: str) 
 
 
 def _scales(crs: CRS, longitude: Floats, latitude: Floats) -> Floats:
-    """Return the greatest and the least scale at a place: Tissot's indicatrix, on the ellipsoid.
+    """Return the greatest and the least scale (Tissot) of a place and steps to grid east and north.
 
-    Measured rather than asked from the projection, as web Mercator thinks the earth a sphere.
-
-    Parameters
-    ----------
-    longitude, latitude : (3,) array
-        The place, and a short step to grid east and to grid north of it.
+    Measured rather than asked from the projection, as web Mercator takes the earth for a sphere.
     """
     azimuth, _, distance = (crs.get_geod() or Geod(ellps="WGS84")).inv(
         longitude[[0, 0]], latitude[[0, 0]], longitude[1:], latitude[1:]

@@ -86,10 +86,9 @@ def whole_file(path: Path) -> Iterator[Path]:
     """
     if path.is_dir():
         raise OutputError(f"{path}: is a folder", hint="name a file for the output")
-    with _beside(path) as private:
+    with whole_files(path) as (private, places):
+        places[private / path.name] = path
         yield private / path.name
-        with output_errors(path):
-            os.replace(private / path.name, path)  # noqa: PTH105 - atomic on every platform
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import gis_radar as gr
 from gis_radar.errors import InputError, UsageError
-from gis_radar.recordings.columns import find_layout, frame_of, message_rows
+from gis_radar.recordings.columns import find_layout, message_rows, values_of
 from gis_radar.recordings.readers.bags import DEFINITIONS
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
@@ -164,7 +164,7 @@ def test_clouds_of_any_layout_read_back(data):
         rows[name] = rng.integers(0, 100, len(rows))
     padding = data.draw(st.integers(0, 9)) if height > 1 else 0
     made = cloud(store_of("ros2"), START, rows, height=height, padding=padding)
-    frame = frame_of(message_rows(made), find_layout(names, {}), sensor="")
+    frame = find_layout(names, {}).frame(values_of(message_rows(made)), sensor="")
     for number, axis in enumerate("xyz"):
         np.testing.assert_array_equal(frame.points[:, number], rows[axis].astype(np.float32))
     np.testing.assert_array_equal(frame.range_rate, rows["Doppler"].astype(np.float32))

@@ -186,21 +186,9 @@ def _pairings(left: Floats, right: Floats, even: Floats) -> Iterator[tuple[Float
 
 
 def _snapped(bound: Floats, even: Floats, most_loss: float) -> Floats:
-    """Put divisions on corners where cutting these off would lose too much area.
+    """Put divisions on corners where cutting these off would lose more than `most_loss` m2.
 
-    Parameters
-    ----------
-    bound : (k, 2 or 3) array
-        The bound.
-    even : (n + 1,) array
-        Equal fractions of its length.
-    most_loss : float
-        Area in m2 that may be lost to cut corners.
-
-    Returns
-    -------
-    (n + 1,) array
-        Ascending fractions, evenly spread between corners; `even` itself where none had to move.
+    Returns ascending fractions, evenly spread between corners, or `even` where none had to move.
     """
     if len(even) < 3 or len(bound) < 3:
         return even

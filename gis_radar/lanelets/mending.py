@@ -251,12 +251,7 @@ def _unfolded(
 def _resumed(bound: Floats, behind: Floats) -> Floats:
     """Return a bound from a little after the rung that its first segment crosses.
 
-    Parameters
-    ----------
-    bound : (n, 2 or 3) array
-        The first point is behind the rung, the second one ahead of it.
-    behind : (n,) array
-        Proportional to how far each point is behind the rung.
+    `behind` is proportional to how far each point is behind the rung: the first is, the second not.
     """
     step = float(np.hypot(*(bound[1] - bound[0])[:2]))
     across = behind[0] - behind[1]

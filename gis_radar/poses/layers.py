@@ -74,17 +74,14 @@ def _points(poses: Sequence[Pose]) -> gpd.GeoDataFrame:
 
 def _row(pose: Pose) -> dict[str, Any]:
     sigma = pose.parsed_evidence().sigma
+    evidence = {name: pose.evidence.get(name) for name in _EVIDENCE}
     return {
         "sensor": pose.sensor,
         **{name: getattr(pose, name) for name in _SIGMA},
         **{f"sigma_{name}": sigma.get(name, math.nan) for name in _SIGMA},
-        **{name: _text(pose.evidence.get(name)) for name in _EVIDENCE},
+        **{name: None if found is None else str(found) for name, found in evidence.items()},
         **vars(pose.view or View()),
     }
-
-
-def _text(value: Any) -> str | None:
-    return None if value is None else str(value)
 
 
 def _views(poses: Sequence[Pose]) -> gpd.GeoDataFrame:

@@ -175,8 +175,23 @@ class Pose:
         return record if self.view is None else record | {"view": vars(self.view)}
 
     def outline(self) -> shapely.Polygon:
-        """Return what its azimuth and range reach in the map; without a view, the usual one."""
-        return rim(self.position, self.R_map_sensor, self.view or View())
+        """Return what its azimuth and range reach in the map, seen from above.
+
+        The rim is the view's azimuths at elevation 0 in the sensor frame, turned by the whole pose:
+        a sensor that hangs upside down or looks down is drawn where it looks. Without a view, the
+        usual one counts.
+        """
+        view = self.view or View()
+        half = math.radians(view.azimuth_deg) / 2
+        steps = max(2, math.ceil(view.azimuth_deg / _ARC_DEG) + 1)
+        angle = np.linspace(-half, half, steps)
+        rays = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(steps)])
+        flat = (rays @ self.R_map_sensor.T)[:, :2]
+        place, reaches = self.position[:2], (view.max_range_m, view.min_range_m)
+        outer, inner = (place + flat * reach for reach in reaches)
+        if view.azimuth_deg >= 360.0:
+            return shapely.Polygon(outer, [inner])
+        return shapely.Polygon(np.concatenate([outer, inner[::-1]]))
 
     def parsed_evidence(self) -> Evidence:
         """Return its evidence parsed and checked; an `InputError` where it is malformed."""
@@ -303,32 +318,6 @@ def _check_quaternion(pose: Pose, quaternion: Any, what: str) -> None:
 _ARC_DEG = 2.0  # between points of a drawn arc: 5 cm off at 300 m
 _CHI2_95 = -2.0 * math.log(0.05)  # of two degrees of freedom
 INK = "#111827"
-
-
-def rim(position: Floats, R_map_sensor: Floats, view: View) -> shapely.Polygon:  # noqa: N803
-    """Return what a sensor's azimuth and range reach in the map, seen from above.
-
-    The rim is the view's azimuths at elevation 0 in the sensor frame, turned by the whole pose:
-    a sensor that hangs upside down or looks down is drawn where it looks.
-
-    Parameters
-    ----------
-    position : (3,) array
-        In the map, metres.
-    R_map_sensor : (3, 3) array
-        Where it looks.
-    view : View
-        What it sees.
-    """
-    half = math.radians(view.azimuth_deg) / 2
-    steps = max(2, math.ceil(view.azimuth_deg / _ARC_DEG) + 1)
-    angle = np.linspace(-half, half, steps)
-    rays = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(steps)])
-    flat = (rays @ R_map_sensor.T)[:, :2]
-    outer, inner = (position[:2] + flat * reach for reach in (view.max_range_m, view.min_range_m))
-    if view.azimuth_deg >= 360.0:
-        return shapely.Polygon(outer, [inner])
-    return shapely.Polygon(np.concatenate([outer, inner[::-1]]))
 
 
 def ellipse(centre: Floats, covariance: Floats) -> shapely.Polygon:

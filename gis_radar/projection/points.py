@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -151,14 +152,12 @@ class PointStream:
 
     def __iter__(self) -> Iterator[pa.RecordBatch]:
         done = 0
-        piece: Detections | None = self._first
-        while piece is not None:
+        for piece in chain([self._first], self._pieces):
             batch = self._batch(piece.take(piece.present))
             self.rows += len(batch)
             yield batch
             done += len(piece)
             self.reporter.progress(STAGE, done, self._recording.rows)
-            piece = next(self._pieces, None)
 
     def _batch(self, detections: Detections) -> pa.RecordBatch:
         micros = np.rint(detections.time * 1e6).astype(np.int64)
@@ -195,6 +194,7 @@ def _floats(values: np.ndarray) -> pa.Array:
 
 
 LAYER = "hits"
+NUMERIC = (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal, pa.types.is_boolean)
 NOT_IN_GEOPACKAGE = (pa.types.is_duration, pa.types.is_interval, pa.types.is_decimal256)
 
 
@@ -298,7 +298,7 @@ def write_points_las(points: PointStream, path: Path) -> None:
 
 def _dimensions(points: PointStream, path: Path, standard: list[str]) -> list[_Dimension]:
     further = [f for f in points.schema if f.name not in {*OWN.names, GEOMETRY}]
-    numeric = [field for field in further if _is_numeric(field.type)]
+    numeric = [f for f in further if any(is_kind(f.type) for is_kind in NUMERIC)]
     taken = [*standard, *OWN.names, *(ours.name for ours in _OURS), "xyz"]
     names = distinct_names([field.name for field in numeric], taken, longest=LONGEST_NAME)
     left = [field.name for field in further if field not in numeric]
@@ -308,14 +308,6 @@ def _dimensions(points: PointStream, path: Path, standard: list[str]) -> list[_D
     if remarks:
         points.reporter.log(f"{path.name}: columns {'; '.join(remarks)}", "warning")
     return [*_OURS, *(_dimension(field, names[field.name]) for field in numeric)]
-
-
-def _is_numeric(kind: pa.DataType) -> bool:
-    types = pa.types
-    return any(
-        is_kind(kind)
-        for is_kind in (types.is_integer, types.is_floating, types.is_decimal, types.is_boolean)
-    )
 
 
 def _dimension(field: pa.Field, name: str) -> _Dimension:

@@ -158,13 +158,10 @@ def find_layout(fields: Collection[str], columns: Mapping[str, str]) -> Layout:
         if found is not None and not given:
             sources[target] = found
     used = {field.removeprefix("-") for field in sources.values()}
-    further = {_apart(field): field for field in fields if field not in used}
+    further = {
+        f"{field}_" if field in COLUMNS else field: field for field in fields if field not in used
+    }
     return Layout(sources=sources, further=further)
-
-
-def _apart(field: str) -> str:
-    """Return a name for a further column that is none of a recording's own."""
-    return f"{field}_" if field in COLUMNS else field
 
 
 def _plain(name: str) -> str:
@@ -211,7 +208,8 @@ def message_rows(message: Any) -> Column:
     if line < width * message.point_step or len(data) < height * line:
         raise DamagedError(f"{len(data):,} bytes for {height} x {width} points")
     lines = data[: height * line].reshape(height, line)[:, : width * message.point_step]
-    return np.ascontiguousarray(lines).reshape(-1).view(layout) if lines.size else _empty(layout)
+    packed = np.ascontiguousarray(lines).reshape(-1)
+    return packed.view(layout) if lines.size else np.empty(0, dtype=layout)
 
 
 def values_of(rows: Column) -> Values:
@@ -225,15 +223,6 @@ def values_of(rows: Column) -> Values:
     return read
 
 
-def frame_of(rows: Column, layout: Layout, **known: Any) -> Frame:
-    """Return a frame of structured rows; see :meth:`Layout.frame`."""
-    return layout.frame(values_of(rows), **known)
-
-
 def _kind(field: Any, order: str) -> Any:
     kind = order + POINT_FIELDS[field.datatype]
     return kind if field.count == 1 else (kind, (field.count,))
-
-
-def _empty(layout: np.dtype[Any]) -> Column:
-    return np.empty(0, dtype=layout)

@@ -60,6 +60,16 @@ class Frame:
             return self.recorder_time
         return 0.0 if self.sensor_time is None else self.sensor_time
 
+    def rows(self, kept: Any) -> Frame:
+        """Return some of the detections, by a mask or a slice."""
+        return replace(
+            self,
+            points=self.points[kept],
+            range_rate=self.range_rate[kept],
+            rcs=self.rcs[kept],
+            further={name: values[kept] for name, values in self.further.items()},
+        )
+
     def sound(self, counts: Counter[str]) -> Frame:
         """Return the frame without detections that have no position, and count those."""
         placed = np.isfinite(self.points).all(axis=1)
@@ -67,17 +77,12 @@ class Frame:
         # An infinite speed or cross section is not known.
         rate = np.where(np.isfinite(self.range_rate), self.range_rate, np.nan)
         rcs = np.where(np.isfinite(self.rcs), self.rcs, np.nan)
+        known = replace(self, range_rate=rate, rcs=rcs)
         if near.all():
-            return replace(self, range_rate=rate, rcs=rcs)
+            return known
         counts["invalid_detections"] += int((~placed).sum())
         counts["absurd_detections"] += int((placed & ~near).sum())
-        return replace(
-            self,
-            points=self.points[near],
-            range_rate=rate[near],
-            rcs=rcs[near],
-            further={name: values[near] for name, values in self.further.items()},
-        )
+        return known.rows(near)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from gis_radar.errors import InputError, UsageError, first_line
-from gis_radar.recordings.columns import Layout, find_layout, frame_of, message_rows
+from gis_radar.recordings.columns import Layout, find_layout, message_rows, values_of
 from gis_radar.recordings.frames import DamagedError, Format, Frame, NothingHereError, ReaderContext
 from gis_radar.recordings.readers.udp import METHOD, method_of, read_detections
 
@@ -125,14 +125,11 @@ def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
                 found = True
                 yield frame
         if not found:
+            listed = ", ".join(f"{c.topic} ({c.msgtype})" for c in reader.connections) or "none"
             raise NothingHereError(
                 f"{source}: no radar topic{' of that name' if context.sensor else ''} in it",
-                hint=f"topics: {_listed(reader)}; known types: {', '.join(KNOWN)}",
+                hint=f"topics: {listed}; known types: {', '.join(KNOWN)}",
             )
-
-
-def _listed(reader: Any) -> str:
-    return ", ".join(f"{c.topic} ({c.msgtype})" for c in reader.connections) or "none"
 
 
 @contextmanager
@@ -227,9 +224,8 @@ class _Topic:
         if not (layout.is_radar or (layout.placed and self._context.sensor)):
             return
         stamp = _seconds(message.header.stamp)
-        frame = frame_of(
-            rows,
-            layout,
+        frame = layout.frame(
+            values_of(rows),
             sensor=self._name,
             sensor_time=stamp,
             recorder_time=recorded,

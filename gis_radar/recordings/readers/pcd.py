@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import re
 import struct
 from collections.abc import Generator
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.lib.recfunctions import unstructured_to_structured
 
 from gis_radar.errors import InputError
-from gis_radar.recordings.columns import find_layout, frame_of
+from gis_radar.recordings.columns import find_layout, values_of
 from gis_radar.recordings.frames import (
     Column,
     DamagedError,
@@ -34,21 +35,18 @@ _DATE = re.compile(
 
 
 def _accepts(source: str) -> bool:
-    path = Path(source)
-    if path.is_dir():
-        return any(_files(path))
-    return path.is_file() and path.suffix.lower() == ".pcd"
+    return any(path.is_file() for path in _files(Path(source)))
 
 
-def _files(folder: Path) -> list[Path]:
-    return [path for path in folder.iterdir() if path.suffix.lower() == ".pcd"]
+def _files(place: Path) -> list[Path]:
+    paths = place.iterdir() if place.is_dir() else [place]
+    return [path for path in paths if path.suffix.lower() == ".pcd"]
 
 
 def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
     place = Path(source)
     sensor = place.resolve().name if place.is_dir() else place.resolve().parent.name
-    files = _files(place) if place.is_dir() else [place]
-    timed = sorted((time_in_name(path), path) for path in files)
+    timed = sorted((time_in_name(path), path) for path in _files(place))
     if not context.wants(sensor):
         raise NothingHereError(f"{source}: holds the sensor {sensor}", hint="name it, or none")
     found = False
@@ -68,7 +66,7 @@ def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
                 hint="say which they are: --columns x=...,y=...,z=...",
             )
         found = True
-        yield frame_of(rows, layout, sensor=sensor, sensor_time=time)
+        yield layout.frame(values_of(rows), sensor=sensor, sensor_time=time)
     if not found:
         raise NothingHereError(f"{source}: no PCD file that can be read", hint="see the warnings")
 
@@ -105,8 +103,7 @@ def time_in_name(path: Path) -> float:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Header:
+class _Header(NamedTuple):
     dtype: np.dtype[Any]
     points: int
     data: str
@@ -126,7 +123,10 @@ def read_pcd(path: Path) -> Column:
     if header.data == "ascii":
         return _from_text(body, header)
     if header.data == "binary":
-        return _from_bytes(body, header)
+        need = header.points * header.dtype.itemsize
+        if len(body) < need:
+            raise DamagedError(f"{len(body):,} bytes for {header.points:,} points ({need:,})")
+        return np.frombuffer(body, dtype=header.dtype, count=header.points)
     if header.data == "binary_compressed":
         return _from_fields(body, header)
     raise DamagedError(f"DATA {header.data}: expected ascii, binary or binary_compressed")
@@ -160,8 +160,7 @@ def _header(file: Any) -> _Header:
 
 
 def _from_text(body: bytes, header: _Header) -> Column:
-    kinds = [header.dtype[name] for name in header.dtype.names or ()]
-    width = sum(kind.shape[0] if kind.shape else 1 for kind in kinds)
+    width = sum(math.prod(header.dtype[name].shape) for name in header.dtype.names or ())
     values = body.split()
     if len(values) < header.points * width:
         raise DamagedError(f"{len(values):,} values for {header.points:,} points of {width}")
@@ -169,21 +168,7 @@ def _from_text(body: bytes, header: _Header) -> Column:
         table = np.array(values[: header.points * width], dtype=np.float64)
     except ValueError as error:
         raise DamagedError(f"a value is no number: {error}") from error
-    table = table.reshape(header.points, width)
-    rows, column = np.empty(header.points, dtype=header.dtype), 0
-    for name, kind in zip(header.dtype.names or (), kinds, strict=True):
-        wide = kind.shape[0] if kind.shape else 1
-        part = table[:, column : column + wide]
-        rows[name] = part if kind.shape else part[:, 0]
-        column += wide
-    return rows
-
-
-def _from_bytes(body: bytes, header: _Header) -> Column:
-    need = header.points * header.dtype.itemsize
-    if len(body) < need:
-        raise DamagedError(f"{len(body):,} bytes for {header.points:,} points ({need:,})")
-    return np.frombuffer(body, dtype=header.dtype, count=header.points)
+    return unstructured_to_structured(table.reshape(header.points, width), header.dtype)
 
 
 def _from_fields(body: bytes, header: _Header) -> Column:

@@ -111,15 +111,8 @@ def _part(whole: Frame, rows: slice, time: float) -> Frame:
     blank = rows.stop - rows.start == 1 and np.isnan(whole.points[rows]).all()
     if blank and np.isnan(whole.range_rate[rows]).all():
         rows = slice(rows.start, rows.start)
-    return replace(
-        whole,
-        points=whole.points[rows],
-        range_rate=whole.range_rate[rows],
-        rcs=whole.rcs[rows],
-        further={name: values[rows] for name, values in whole.further.items()},
-        sensor_time=time,
-        identity=(time, hash(whole.points[rows].tobytes())),
-    )
+    identity = time, hash(whole.points[rows].tobytes())
+    return replace(whole.rows(rows), sensor_time=time, identity=identity)
 
 
 def _joined(one: Frame, other: Frame) -> Frame:
