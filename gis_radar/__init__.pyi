@@ -1,5 +1,4 @@
-from .clocks import Clocks, measure_clocks
-from .clocks.sensor_clock import SensorClock, read_clocks
+from .clocks import Clocks, SensorClock, measure_clocks, read_clocks
 from .crs import moved_position, name_of, yaw_from_compass
 from .demo import run_demo, sample_folder
 from .errors import (

@@ -12,7 +12,7 @@ from maps import SHARED
 from sites import EAST, NORTH, START, crossing, pose, recording
 from test_occupancy import Notes, pairs_of, pieces_of, steps_of, traffic
 
-from gis_radar.clocks.sensor_clock import SensorClock
+from gis_radar.clocks import SensorClock
 from gis_radar.errors import UsageError
 from gis_radar.heatmap import make_heatmap
 from gis_radar.lanelets import read_map

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -14,15 +17,63 @@ import numpy as np
 from gis_radar.arrays import Floats
 from gis_radar.clocks.lane_detections import LaneDetections, LaneMatcher, read_lane_detections
 from gis_radar.clocks.offsets import ClockOffset, fine_offset, rough_offset, validate_offset
-from gis_radar.clocks.sensor_clock import SensorClock, write_clocks
 from gis_radar.clocks.settings import DEFAULTS, ClockSettings
 from gis_radar.crs import metric_crs, require_same
-from gis_radar.errors import NoAnswerError, UsageError
+from gis_radar.errors import InputError, NoAnswerError, UsageError
+from gis_radar.files import whole_file
 from gis_radar.notebooks import card
 from gis_radar.poses.files import PoseTrack, as_track
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Recording, as_recording
+from gis_radar.steps import seconds_from_iso
+
+MOST_DRIFT_PPM = 10_000.0  # a hundred times that of a bad quartz: a unit is mistaken
+NUMBERS = ("offset_s", "sigma_s", "drift_ppm", "drift_sigma_ppm")  # of a clock, in its file
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorClock:
+    """How far the clock of a sensor is ahead of the reference.
+
+    Parameters
+    ----------
+    offset_s : float
+        Seconds by which it is ahead at the time `at`; its time stamps are later by that much.
+    drift_ppm : float
+        By how much it runs fast, microseconds a second.
+    at : float
+        UNIX seconds on its own clock at which the offset holds.
+    sigma_s, drift_sigma_ppm : float
+        One standard deviation of both; NaN where not known.
+    """
+
+    offset_s: float
+    drift_ppm: float = 0.0
+    at: float = 0.0
+    sigma_s: float = math.nan
+    drift_sigma_ppm: float = math.nan
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.offset_s) and math.isfinite(self.at)):
+            raise InputError(f"clock offset is {self.offset_s} s, expected a number")
+        if not abs(self.drift_ppm) <= MOST_DRIFT_PPM:
+            raise InputError(
+                f"clock drift is {self.drift_ppm} ppm, expected at most {MOST_DRIFT_PPM:g}"
+            )
+
+    def corrected(self, time: Floats) -> Floats:
+        """Return times (UNIX seconds) of this clock as the reference would have stamped them."""
+        ahead = self.offset_s + self.drift_ppm * 1e-6 * (np.asarray(time) - self.at)
+        return np.asarray(time - ahead, dtype=np.float64)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return its entry in a file of clocks; unknown values are left out."""
+        moment = datetime.fromtimestamp(self.at, UTC).isoformat(timespec="milliseconds")
+        numbers = {name: getattr(self, name) for name in NUMBERS}
+        known = {name: value for name, value in numbers.items() if math.isfinite(value)}
+        return known | {"at": moment.replace("+00:00", "Z")}
+
 
 Edges = dict[tuple[str, str], ClockOffset]  # by (one, other): how far the other one is ahead
 
@@ -81,7 +132,9 @@ class Clocks:
             "pairs": pairs,
             "settings": asdict(self.settings),
         }
-        write_clocks(record, path)
+        with whole_file(Path(path)) as part:
+            text = json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False)
+            part.write_text(text + "\n", encoding="utf-8")
         return Path(path)
 
     def _repr_html_(self) -> str:
@@ -89,6 +142,43 @@ class Clocks:
 
     def __repr__(self) -> str:
         return f"Clocks({'; '.join(f'{name}: {text}' for name, text in self.lines().items())})"
+
+
+def read_clocks(path: str | Path) -> dict[str, SensorClock]:
+    """Read a file of clocks: JSON with `clocks`, by sensor `offset_s`, `drift_ppm`, `at`.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or a clock in it has impossible values.
+    """
+    try:
+        record = json.loads(Path(path).read_text(encoding="utf-8-sig"))
+        clocks = dict(record["clocks"])
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"{path}: not a file of clocks", hint="make one with: gis-radar clocks"
+        ) from error
+    return {str(sensor): _clock_of(entry, f"{path}: {sensor}") for sensor, entry in clocks.items()}
+
+
+def _clock_of(entry: Any, what: str) -> SensorClock:
+    if not isinstance(entry, dict) or "offset_s" not in entry:
+        raise InputError(f"{what}: lacks offset_s")
+    numbers = {name: entry[name] for name in NUMBERS if name in entry}
+    for name, value in numbers.items():
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise InputError(f"{what}: {name} is {value!r}, expected a number")
+    drifts = numbers.get("drift_ppm", 0.0) != 0.0
+    if drifts and "at" not in entry:
+        raise InputError(f"{what}: has a drift but not the time `at` which its offset holds")
+    at = seconds_from_iso(str(entry["at"]), what=f"{what}: at") if "at" in entry else 0.0
+    try:
+        return SensorClock(at=at, **numbers)
+    except InputError as error:
+        raise InputError(f"{what}: {error.message}") from error
 
 
 def measure_clocks(
@@ -196,16 +286,14 @@ def _compare(
     pairs = list(combinations(seen, 2))
     for done, (one, other) in enumerate(pairs):
         reporter.progress("comparing clocks", done, len(pairs))
-        rough_s, why = rough_offset(seen[one], seen[other], settings)
-        found = None
-        if not why:
-            found, why = fine_offset(seen[one], seen[other], rough_s, settings)
-        if found is not None:
-            why = validate_offset(seen[one], seen[other], found.offset_s, settings)
-        if found is not None and not why:
-            edges[one, other] = found
+        seen_by = seen[one], seen[other]
+        try:
+            found = fine_offset(*seen_by, rough_offset(*seen_by, settings), settings)
+            validate_offset(*seen_by, found.offset_s, settings)
+        except NoAnswerError as error:
+            reasons[one, other] = error.message
         else:
-            reasons[one, other] = why
+            edges[one, other] = found
     reporter.progress("comparing clocks", len(pairs), len(pairs))
     return edges, reasons
 
@@ -254,8 +342,9 @@ def adjust_network(
     )
     drift = np.where(np.abs(drift) > drift_sigmas * drift_sigma, drift, 0.0)
     offset = np.array([f.offset_s for f in found]) - design @ drift * (at - middle)
-    sigma = np.array([f.sigma_s for f in found])
-    offset, offset_sigma, misfit = _least_squares(design, offset, sigma)
+    offset, offset_sigma, misfit = _least_squares(
+        design, offset, np.array([f.sigma_s for f in found])
+    )
     clocks = {
         name: SensorClock(
             offset_s=float(offset[i]),

@@ -70,12 +70,8 @@ class LaneDetections:
     @classmethod
     def joined(cls, parts: list[LaneDetections]) -> LaneDetections:
         """Return parts one after the other."""
-        return cls(
-            **{
-                name: np.concatenate([getattr(part, name) for part in parts])
-                for name in cls.__dataclass_fields__
-            }
-        )
+        names = cls.__dataclass_fields__
+        return cls(**{n: np.concatenate([getattr(part, n) for part in parts]) for n in names})
 
 
 class LaneMatcher:
@@ -105,12 +101,8 @@ class LaneMatcher:
         least_mps = self.settings.min_speed_mps * self.settings.min_cosine
         rows = rows.take(rows.present & (np.abs(rows.range_rate) >= least_mps))
         held = track.at(rows.time)
-        parts = [self._of(rows, held == i, track, i) for i in np.unique(held)]
-        nothing = np.empty(0)
-        empty = LaneDetections(
-            time=nothing, lanelet=np.empty(0, np.int64), s_m=nothing, speed=nothing, side=nothing
-        )
-        return LaneDetections.joined([empty, *parts])
+        met = np.unique(held).tolist() or [0]
+        return LaneDetections.joined([self._of(rows, held == i, track, i) for i in met])
 
     def _of(self, rows: Detections, now: Booleans, track: PoseTrack, index: int) -> LaneDetections:
         pose, limits = track.poses[index], self.settings

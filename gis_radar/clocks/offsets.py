@@ -23,14 +23,15 @@ from scipy.spatial import cKDTree
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.clocks.lane_detections import LaneDetections
 from gis_radar.clocks.settings import DEFAULTS, ClockSettings
+from gis_radar.errors import NoAnswerError
 
 VALUES_AT_ONCE = 1 << 22  # 16 MiB
 
 
 def rough_offset(
     one: LaneDetections, other: LaneDetections, settings: ClockSettings = DEFAULTS
-) -> tuple[float, str]:
-    """Return by how much the clock of `other` is ahead of that of `one`, or why it is not known.
+) -> float:
+    """Return by how much the clock of `other` is ahead of that of `one`, to about half a second.
 
     Counts in which cells of the lanes both saw a vehicle of the same speed, lag by lag, and
     compares the best lag with all others.
@@ -42,17 +43,15 @@ def rough_offset(
     settings : ClockSettings
         Cells, and what a trustworthy lag needs.
 
-    Returns
-    -------
-    offset_s : float
-        To about half a second; NaN where there is no trustworthy one.
-    reason : str
-        Why there is none, else empty.
+    Raises
+    ------
+    NoAnswerError
+        If there is no trustworthy one.
     """
     key_one, key_other = _cells(one, settings), _cells(other, settings)
     common = np.intersect1d(key_one, key_other)
     if len(common) < settings.rough_pairs:
-        return np.nan, "they see no common traffic"
+        raise NoAnswerError("they see no common traffic")
     apart_s = float(other.time[0] - one.time[0])
     bins_one, bins_other = (
         ((each.time - each.time[0]) / settings.bin_s).astype(np.int64) for each in (one, other)
@@ -66,24 +65,24 @@ def rough_offset(
 
 def _best_lag(
     agreement: Floats, shift_s: Floats, allowed: Booleans, settings: ClockSettings
-) -> tuple[float, str]:
+) -> float:
     width, apart = settings.peak_bins, settings.apart_bins
     smooth = uniform_filter1d(agreement, width, mode="constant") * width
     around = uniform_filter1d(smooth, settings.around_bins, mode="constant")
     score = (smooth - around) / np.sqrt(around + 1.0)
     filled = allowed & (around > 0.0)
     if smooth[allowed].max(initial=0.0) < settings.rough_pairs or filled.sum() < apart:
-        return np.nan, "they see too little common traffic"
+        raise NoAnswerError("they see too little common traffic")
     spread = 1.4826 * np.median(np.abs(score[filled] - np.median(score[filled])))
     score = np.where(allowed, score / max(spread, 0.5), -np.inf)
     best = int(score.argmax())
     elsewhere = np.abs(np.arange(len(score)) - best) > apart
     second = float(score[elsewhere & allowed].max(initial=0.0))
     if score[best] < max(settings.rough_score, settings.rough_lead * second):
-        return np.nan, "no lag stands out in their common traffic"
+        raise NoAnswerError("no lag stands out in their common traffic")
     near = slice(max(best - width // 2, 0), best + width // 2 + 1)
     weight = np.maximum(agreement[near] - around[best] / width, 1e-9)
-    return float(np.average(shift_s[near], weights=weight)), ""
+    return float(np.average(shift_s[near], weights=weight))
 
 
 def _cells(seen: LaneDetections, settings: ClockSettings) -> Integers:
@@ -148,7 +147,7 @@ class ClockOffset:
 
 def fine_offset(
     one: LaneDetections, other: LaneDetections, rough_s: float, settings: ClockSettings = DEFAULTS
-) -> tuple[ClockOffset | None, str]:
+) -> ClockOffset:
     """Refine the offset of two clocks.
 
     Parameters
@@ -160,12 +159,10 @@ def fine_offset(
     settings : ClockSettings
         Pairing, priors, and what a trustworthy offset needs.
 
-    Returns
-    -------
-    ClockOffset or None
-        None where there is no trustworthy one.
-    reason : str
-        Why there is none, else empty.
+    Raises
+    ------
+    NoAnswerError
+        If there is no trustworthy one.
     """
     one, at = _common(one, other, rough_s, settings.most_fitted)
     values = np.array([rough_s, 0.0])
@@ -175,20 +172,19 @@ def fine_offset(
     for turn in range(settings.rounds):
         pairs = _pairs(one, other, values, at, gaps_m[min(turn, len(gaps_m) - 1)], settings)
         if len(pairs.gap_m) < settings.least_pairs or pairs.vehicles < settings.least_vehicles:
-            return None, f"only {pairs.vehicles} vehicles are seen by both"
+            raise NoAnswerError(f"only {pairs.vehicles} vehicles are seen by both")
         change, sigma = _solve(pairs, values[1], settings)
         values, vehicles = values + change, pairs.vehicles
         if turn >= len(gaps_m) and abs(change[0]) < settings.converged_s:
             break
     if not sigma[0] <= settings.max_sigma_s:
-        return None, f"their common traffic gives the offset only to {sigma[0]:.2g} s"
+        raise NoAnswerError(f"their common traffic gives the offset only to {sigma[0]:.2g} s")
     if abs(values[0] - rough_s) > settings.max_change_s:
-        return None, "their common traffic fits no single offset"
-    found = ClockOffset(
+        raise NoAnswerError("their common traffic fits no single offset")
+    return ClockOffset(
         offset_s=float(values[0]), sigma_s=float(sigma[0]), drift=float(values[1]),
         drift_sigma=float(sigma[1]), at=at, vehicles=vehicles,
     )  # fmt: skip
-    return found, ""
 
 
 def _common(
@@ -215,7 +211,7 @@ class _Pairs:
 
     @property
     def vehicles(self) -> int:
-        return int(self.vehicle.max()) + 1 if len(self.vehicle) else 0
+        return int(self.vehicle.max(initial=-1)) + 1
 
 
 def _pairs(
@@ -242,22 +238,19 @@ def _pairs(
     fits = np.abs(gap) <= apart_m
     first, second = first[fits], second[fits]
     block = (one.time[first] // settings.vehicle_s).astype(np.int64)
-    vehicle = np.unique(
-        np.column_stack([one.lanelet[first], block]), axis=0, return_inverse=True
-    )[1]  # fmt: skip
-    place = np.column_stack([one.lanelet[first], _place(one.s_m[first], settings)])
     return _Pairs(
         gap_m=gap[fits],
         speed=speed[fits],
         late_s=other.time[second] - at,
         sides=(one.side[first] - other.side[second]) / 2,
-        place=np.unique(place, axis=0, return_inverse=True)[1],
-        vehicle=vehicle,
+        place=np.unique(_places(one, settings)[first], return_inverse=True)[1],
+        vehicle=np.unique(one.lanelet[first] * 10**12 + block, return_inverse=True)[1],
     )
 
 
-def _place(s_m: Floats, settings: ClockSettings) -> Integers:
-    return (s_m // settings.place_m).astype(np.int64)
+def _places(seen: LaneDetections, settings: ClockSettings) -> Integers:
+    """Return the place of each detection: lanelet and length of lane that shares a bias."""
+    return seen.lanelet * 100_000 + (seen.s_m // settings.place_m).astype(np.int64)
 
 
 def _solve(pairs: _Pairs, drift: float, settings: ClockSettings) -> tuple[Floats, Floats]:
@@ -305,12 +298,9 @@ def _normal(
 
 
 def validate_offset(
-    one: LaneDetections,
-    other: LaneDetections,
-    offset_s: float,
-    settings: ClockSettings = DEFAULTS,
-) -> str:
-    """Return why an offset is not trustworthy; nothing where it is.
+    one: LaneDetections, other: LaneDetections, offset_s: float, settings: ClockSettings = DEFAULTS
+) -> None:
+    """Refuse an offset that is not trustworthy.
 
     Where both look at the same road, most of what one sees the other sees at the same time, and
     far less of it a moment before or after. Traffic that follows a signal is alike from
@@ -324,20 +314,22 @@ def validate_offset(
         By how much the clock of `other` is ahead.
     settings : ClockSettings
         What counts as seen by both, and how large its share must be.
+
+    Raises
+    ------
+    NoAnswerError
+        If too small a share is seen by both, or as much at other lags.
     """
-    share, *decoys = (
-        (
-            _share_seen(one, other, offset_s + lag_s, settings)
-            + _share_seen(other, one, -offset_s - lag_s, settings)
-        )
-        / 2
-        for lag_s in (0.0, *settings.decoys_s)
+    lags_s = offset_s + np.array([0.0, *settings.decoys_s])
+    there, back = (
+        np.array([_share_seen(*pair, sign * lag_s, settings) for lag_s in lags_s])
+        for pair, sign in (((one, other), 1.0), ((other, one), -1.0))
     )
+    share, *decoys = (there + back) / 2
     if not share >= settings.least_share:
-        return "at no lag do they see the same vehicles"
+        raise NoAnswerError("at no lag do they see the same vehicles")
     if not share >= settings.least_lead * np.nanmax([0.0, *decoys]):
-        return "their common traffic looks alike at other lags too"
-    return ""
+        raise NoAnswerError("their common traffic looks alike at other lags too")
 
 
 def _share_seen(
@@ -346,8 +338,8 @@ def _share_seen(
     """Return the share of what `one` sees, where and while `other` sees too, that both see."""
     time = other.time - offset_s
     within = (one.time > time[0] + settings.near_s) & (one.time < time[-1] - settings.near_s)
-    here, there = (each.lanelet * 100_000 + _place(each.s_m, settings) for each in (one, other))
-    mine = one.take(np.flatnonzero(within & np.isin(here, there)))
+    common = np.isin(_places(one, settings), _places(other, settings))
+    mine = one.take(np.flatnonzero(within & common))
     if len(mine) < settings.least_checked:
         return np.nan
     mine = mine.take(np.arange(0, len(mine), -(-len(mine) // settings.most_checked)))

@@ -15,7 +15,7 @@ import pandas as pd
 import shapely
 
 from gis_radar.arrays import Floats, Integers
-from gis_radar.clocks.sensor_clock import SensorClock
+from gis_radar.clocks import SensorClock
 from gis_radar.crs import metric_crs, require_same
 from gis_radar.errors import InputError, NoAnswerError, UsageError
 from gis_radar.files import whole_folder

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
-from gis_radar.clocks.sensor_clock import read_clocks
+from gis_radar.clocks import read_clocks
 from gis_radar.crs import name_of
 from gis_radar.errors import InputError
 from gis_radar.files import whole_file
