@@ -17,8 +17,8 @@ from gis_radar.errors import UsageError
 from gis_radar.heatmap import make_heatmap
 from gis_radar.lanelets import read_map
 from gis_radar.occupancy import measure_occupancy, merge_occupancies
-from gis_radar.occupancy.cycles import last_step_covered
 from gis_radar.occupancy.frame_log import COLUMNS
+from gis_radar.occupancy.frame_steps import last_step_covered
 from gis_radar.poses.pose import View
 from gis_radar.steps import STEP_US
 from gis_radar.tiles.tiles import make_tiles

@@ -24,7 +24,7 @@ from gis_radar.crs import metric_crs
 from gis_radar.errors import InputError
 from gis_radar.heatmap.intervals import SETTINGS, Timeline
 from gis_radar.occupancy import Occupancy
-from gis_radar.occupancy.step_sets import Runs, runs_in, union
+from gis_radar.occupancy.frame_steps import Runs, steps_in, union
 from gis_radar.progress import Reporter
 from gis_radar.steps import STEPS_PER_SECOND, iso_from_step
 from gis_radar.tiles.tiles import COLUMNS, fingerprint
@@ -219,7 +219,7 @@ def frame_runs(occupancy: Occupancy) -> Runs:
     frames = occupancy.frames
     if frames.empty:
         raise InputError("the occupancy holds no frame", hint="was the recording empty?")
-    return union([runs_in(frames)])
+    return steps_in(frames)
 
 
 def observe(occupancy: Occupancy, tile_ids: Integers) -> Observation:
@@ -247,9 +247,7 @@ def observe(occupancy: Occupancy, tile_ids: Integers) -> Observation:
     codes, tiles = _view_codes(frames, views)
     position = positions(tile_ids, views["tile_id"].to_numpy(np.int64))
     seen, group, members = _group(position, tiles)
-    of_view: dict[Any, Runs] = {
-        code: union([runs_in(rows)]) for code, rows in frames.groupby(codes)
-    }
+    of_view: dict[Any, Runs] = {code: steps_in(rows) for code, rows in frames.groupby(codes)}
     runs = tuple(union([of_view.get(code, _NO_RUNS) for code in each]) for each in members)
     return Observation(seen=seen, group=group, runs=runs)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from gis_radar.arrays import Integers
 from gis_radar.errors import InputError, UsageError
-from gis_radar.occupancy.step_sets import Runs
+from gis_radar.occupancy.frame_steps import Runs
 from gis_radar.progress import Reporter
 from gis_radar.steps import (
     STEPS_PER_SECOND,

@@ -14,23 +14,33 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from gis_radar.arrays import Integers
 from gis_radar.errors import InputError
 from gis_radar.files import whole_folder
 from gis_radar.notebooks import card
-from gis_radar.occupancy import frame_log as log
-from gis_radar.occupancy.hits import Hits, Rows, merge_hits, read_hits, write_hits
-from gis_radar.occupancy.step_sets import frames_table
-from gis_radar.occupancy.views import NOTHING, name_of_view, views_table
+from gis_radar.occupancy.frame_log import COLUMNS, FILE, FRAME_LOG, merge_frame_logs
+from gis_radar.occupancy.frame_steps import Runs, steps_in
+from gis_radar.occupancy.hits import (
+    CHECKED,
+    HITS,
+    Hits,
+    Rows,
+    damaged_as_input_error,
+    merge_hits,
+    read_hits,
+)
+from gis_radar.occupancy.views import name_of_view
 from gis_radar.steps import STEP_S, iso_from_step
 
 FILES = ("hits.parquet", "frames.parquet", "views.parquet", "manifest.json")
-OWNED = (*FILES, log.FILE, "quality.")  # a table made of it may stand there
+OWNED = (*FILES, FILE, "quality.")  # a table made of it may stand there
 NEEDED = {
     "hits": ("step", "tile_id"),
     "frames": ("sensor", "first_step", "last_step"),
     "views": ("sensor", "tile_id"),
-    "deliveries": log.COLUMNS,
+    "deliveries": COLUMNS,
 }
+NOTHING: Integers = np.empty(0, np.int64)
 FrameLog = Callable[[Sequence[str]], Iterator[Rows]]
 
 
@@ -102,46 +112,69 @@ class Occupancy:
         """Write the folder, whole or not at all; equal content gives equal files."""
         folder = Path(folder)
         with whole_folder(folder, owned=OWNED) as part:
-            write_hits(self.hits(), part / "hits.parquet", fingerprint=self.fingerprint)
-            write_tables(
-                part,
-                fingerprint=self.fingerprint,
-                frames=self.frames,
-                views=self.views,
-                sources=self.sources,
-                frame_log=self.frame_log,
-            )
+            HITS.write(self.hits(), part / "hits.parquet", self.fingerprint)
+            self.write_beside_hits(part)
         return folder
 
+    def write_beside_hits(self, folder: Path) -> None:
+        """Write everything but the hits into an open folder."""
+        for name, table in (("frames", self.frames), ("views", self.views)):
+            pq.write_table(
+                pa.Table.from_pandas(table, preserve_index=False).replace_schema_metadata(
+                    {"fingerprint": self.fingerprint}
+                ),
+                folder / f"{name}.parquet",
+                compression="zstd",
+                write_page_checksum=True,
+            )
+        rows = self.frame_log(self.sensors)
+        FRAME_LOG.write(rows, folder / FILE, self.fingerprint, self.sensors)
+        manifest = {
+            "fingerprint": self.fingerprint,
+            "software": {"name": "gis_radar", "version": version("gis_radar")},
+            "sources": _ordered(self.sources),
+        }
+        text = json.dumps(manifest, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
+        (folder / "manifest.json").write_text(text, encoding="utf-8")
 
-def write_tables(
-    folder: Path,
-    *,
-    fingerprint: str,
-    frames: pd.DataFrame,
-    views: pd.DataFrame,
-    sources: list[dict[str, Any]],
-    frame_log: FrameLog,
-) -> None:
-    """Write everything but the hits into an open folder; arguments as of :class:`Occupancy`."""
-    for name, table in (("frames", frames), ("views", views)):
-        pq.write_table(
-            pa.Table.from_pandas(table, preserve_index=False).replace_schema_metadata(
-                {"fingerprint": fingerprint}
-            ),
-            folder / f"{name}.parquet",
-            compression="zstd",
-            write_page_checksum=True,
-        )
-    sensors = sorted(map(str, frames["sensor"].unique()))
-    log.write_frame_log(frame_log(sensors), folder / log.FILE, sensors, fingerprint)
-    manifest = {
-        "fingerprint": fingerprint,
-        "software": {"name": "gis_radar", "version": version("gis_radar")},
-        "sources": _ordered(sources),
-    }
-    text = json.dumps(manifest, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
-    (folder / "manifest.json").write_text(text, encoding="utf-8")
+
+def frames_of(sensor: object, view: object, steps: Runs) -> pd.DataFrame:
+    """Return the rows of the table of frames for one sensor and view."""
+    return pd.DataFrame(
+        {"sensor": sensor, "view": view, "first_step": steps.first, "last_step": steps.last}
+    )
+
+
+def frames_table(frames: pd.DataFrame) -> pd.DataFrame:
+    """Return a table of frames in its one form: fewest runs, ordered by sensor, view and step."""
+    empty = frames_of("", "", steps_in(frames[:0]))
+    groups = frames.groupby(["sensor", "view"], sort=True)
+    pieces = [frames_of(sensor, view, steps_in(rows)) for (sensor, view), rows in groups]
+    return _typed(pd.concat(pieces, ignore_index=True) if pieces else empty)
+
+
+def views_table(frames: pd.DataFrame, tiles: dict[str, Integers]) -> pd.DataFrame:
+    """Return the table of views: each tile that a view sees, and the steps it held.
+
+    Parameters
+    ----------
+    frames : DataFrame
+        The table of frames: which sensor had which view in which steps.
+    tiles : dict
+        Ids of the tiles of each view; a view that is not there sees none.
+    """
+    held = frames.groupby(["sensor", "view"], sort=True, as_index=False).agg(
+        first_step=("first_step", "min"), last_step=("last_step", "max")
+    )
+    seen = [np.sort(tiles.get(view, NOTHING)) for view in held["view"]]
+    row = np.repeat(np.arange(len(seen)), np.array([len(ids) for ids in seen], np.int64))
+    table = held.iloc[row].reset_index(drop=True)
+    table.insert(1, "tile_id", np.concatenate([NOTHING, *seen]))
+    return _typed(table)
+
+
+def _typed(table: pd.DataFrame) -> pd.DataFrame:
+    return table.astype({n: str if n in ("sensor", "view") else np.int64 for n in table.columns})
 
 
 def read_occupancy(folder: str | Path) -> Occupancy:
@@ -166,7 +199,7 @@ def read_occupancy(folder: str | Path) -> Occupancy:
         raise InputError(f"{folder / 'manifest.json'}: damaged: {error!r}") from error
     frames, views = (_read_table(folder, name, fingerprint) for name in ("frames", "views"))
     _check_table(folder, "hits", fingerprint)
-    if (folder / log.FILE).exists():
+    if (folder / FILE).exists():
         _check_table(folder, "deliveries", fingerprint)
     frames, views = _with_view_names(frames, views)
     return Occupancy(
@@ -175,26 +208,27 @@ def read_occupancy(folder: str | Path) -> Occupancy:
         views=views,
         hits=lambda: read_hits(folder / "hits.parquet"),
         sources=sources,
-        frame_log=lambda sensors: log.read_frame_log(folder / log.FILE, sensors),
+        frame_log=lambda sensors: _read_log(folder / FILE, sensors),
     )
+
+
+def _read_log(path: Path, sensors: Sequence[str]) -> Iterator[Rows]:
+    """Read a frame log; nothing where there is no such file."""
+    return FRAME_LOG.read(path, sensors) if path.is_file() else iter(())
 
 
 def _read_table(folder: Path, name: str, fingerprint: str) -> pd.DataFrame:
     _check_table(folder, name, fingerprint)
     path = folder / f"{name}.parquet"
-    try:
-        return pd.DataFrame(pq.read_table(path, page_checksum_verification=True).to_pandas())
-    except (pa.ArrowException, OSError) as error:
-        raise InputError(f"{path}: damaged: {str(error).splitlines()[0]}") from error
+    with damaged_as_input_error(path):
+        return pd.DataFrame(pq.read_table(path, **CHECKED).to_pandas())
 
 
 def _check_table(folder: Path, name: str, fingerprint: str) -> None:
     """Refuse a table that lacks columns or was made from other tiles."""
     path = folder / f"{name}.parquet"
-    try:
+    with damaged_as_input_error(path):
         schema = pq.read_schema(path)
-    except (pa.ArrowException, OSError) as error:
-        raise InputError(f"{path}: damaged: {str(error).splitlines()[0]}") from error
     missing = [column for column in NEEDED[name] if column not in schema.names]
     if missing:
         raise InputError(f"{path}: lacks the column {missing[0]}")
@@ -240,7 +274,7 @@ def merge_occupancies(parts: Sequence[Occupancy]) -> Occupancy:
         views=views_table(frames, tiles),
         hits=lambda: merge_hits([part.hits() for part in parts]),
         sources=_ordered([source for part in parts for source in part.sources]),
-        frame_log=lambda sensors: log.merge_frame_logs([part.frame_log(sensors) for part in parts]),
+        frame_log=lambda sensors: merge_frame_logs([part.frame_log(sensors) for part in parts]),
     )
 
 

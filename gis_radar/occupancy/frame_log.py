@@ -8,14 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 
 from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.errors import InputError
-from gis_radar.occupancy.hits import Rows, SortedTableWriter, fresh, merge_ascending, read_ascending
+from gis_radar.occupancy.hits import Rows, SortedTable, fresh, merge_ascending
 from gis_radar.occupancy.settings import OccupancySettings
 from gis_radar.recordings.recording import Detections
 
@@ -24,8 +22,11 @@ COLUMNS = (
     "time_us", "sensor", "detections", "moving", "wild", "tiles_hit", "tiles_seen", "checksum",
     "shift_us",
 )  # fmt: skip
-SCHEMA = pa.schema([(name, pa.string() if name == "sensor" else pa.int64()) for name in COLUMNS])
-ROWS_AT_ONCE = 1 << 16
+FRAME_LOG = SortedTable(
+    schema=pa.schema([(n, pa.string() if n == "sensor" else pa.int64()) for n in COLUMNS]),
+    rows_at_once=1 << 16,
+    rows_in_group=1 << 16,
+)
 MOST_ROWS_OF_A_FRAME = 1 << 21  # 100 MiB
 OWN_COLUMNS, NO_FURTHER = ("time", "points", "range_rate", "rcs"), pa.RecordBatch.from_pydict({})
 
@@ -157,75 +158,3 @@ def merge_frame_logs(streams: Sequence[Iterator[Rows]]) -> Iterator[Rows]:
         last = np.ones(len(order), np.bool_)
         last[:-1] = (np.diff(time) != 0) | (np.diff(sensor) != 0)
         yield tuple(column[order[last]] for column in rows)
-
-
-class FrameLogWriter(SortedTableWriter):
-    """Writes a frame log as rows come; equal rows give equal files.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    sensors : sequence of str
-        The names behind the numbers of the column `sensor`.
-    fingerprint : str
-        Of the tiles.
-    """
-
-    def __init__(self, path: Path, sensors: Sequence[str], fingerprint: str) -> None:
-        super().__init__(
-            path, SCHEMA, fingerprint=fingerprint, rows_in_group=ROWS_AT_ONCE, names=["sensor"]
-        )
-        self.path = path
-        self._names = np.array(sensors, dtype=object)
-
-    def add_rows(self, rows: Rows) -> None:
-        """Add rows: arrays in the order of `COLUMNS`, the sensor as a number."""
-        arrays = [pa.array(column, pa.int64()) for column in rows]
-        arrays[1] = pa.array(self._names[rows[1]], pa.string())
-        self.add(pa.record_batch(arrays, schema=SCHEMA))
-
-
-def write_frame_log(
-    rows: Iterator[Rows], path: Path, sensors: Sequence[str], fingerprint: str
-) -> None:
-    """Write a frame log from a stream of rows."""
-    with FrameLogWriter(path, sensors, fingerprint) as writer:
-        for piece in rows:
-            writer.add_rows(piece)
-
-
-def read_frame_log(path: Path, sensors: Sequence[str]) -> Iterator[Rows]:
-    """Read a frame log piece by piece; nothing where there is no such file.
-
-    Parameters
-    ----------
-    path : Path
-        The table.
-    sensors : sequence of str
-        All sensors, which give the numbers.
-
-    Raises
-    ------
-    InputError
-        If the file is damaged, lacks a column, or its times do not ascend.
-    """
-    if not path.is_file():
-        return
-    numbers = {name: number for number, name in enumerate(sensors)}
-    for batch in read_ascending(path, COLUMNS, ROWS_AT_ONCE):
-        yield _numbered(batch, numbers, path)
-
-
-def _numbered(batch: pa.RecordBatch, numbers: dict[str, int], path: Path) -> Rows:
-    coded = batch.column("sensor").dictionary_encode()
-    names = coded.dictionary.to_pylist()
-    if unknown := [name for name in names if name not in numbers]:
-        raise InputError(f"{path}: names the sensor {unknown[0]}, which has no frames")
-    code = np.array([numbers[name] for name in names], np.int64)
-    rows = [
-        np.asarray(batch.column(name).to_numpy(zero_copy_only=False), np.int64)
-        for name in COLUMNS
-        if name != "sensor"
-    ]
-    return rows[0], code[coded.indices.to_numpy()], *rows[1:]

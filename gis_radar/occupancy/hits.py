@@ -6,6 +6,8 @@ Hits are pairs (step, tile), each once, ascending.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
@@ -17,6 +19,16 @@ from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.errors import InputError
 
 Rows = tuple[Integers, ...]
+CHECKED = {"page_checksum_verification": True}
+
+
+@contextmanager
+def damaged_as_input_error(path: Path) -> Iterator[None]:
+    """Raise what cannot be read of a Parquet file as an InputError."""
+    try:
+        yield
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(f"{path}: damaged: {str(error).splitlines()[0]}") from error
 
 
 def merge_ascending(streams: Sequence[Iterator[Rows]], columns: int) -> Iterator[Rows]:
@@ -77,94 +89,134 @@ class _Head:
         return taken
 
 
-class SortedTableWriter:
-    """A Parquet file that is written as rows come; equal rows give equal files.
+@dataclass(frozen=True, kw_only=True)
+class SortedTable:
+    """A kind of Parquet file that is read and written piece by piece; equal rows, equal files.
 
     Parameters
     ----------
+    schema : pyarrow.Schema
+        Its columns, the one that it is sorted by first: integers, and names of sensors.
+    rows_at_once : int
+        Rows of a piece that is read.
+    rows_in_group : int
+        Rows of a row group, whatever the pieces written: the file does not depend on them.
+    """
+
+    schema: pa.Schema
+    rows_at_once: int
+    rows_in_group: int
+
+    def write(
+        self, rows: Iterator[Rows], path: Path, fingerprint: str, sensors: Sequence[str] = ()
+    ) -> None:
+        """Write a stream of rows; arguments as of :class:`SortedTableWriter`."""
+        with SortedTableWriter(self, path, fingerprint, sensors) as writer:
+            for piece in rows:
+                writer.add(piece)
+
+    def read(self, path: Path, sensors: Sequence[str] = ()) -> Iterator[Rows]:
+        """Read a file piece by piece.
+
+        Parameters
+        ----------
+        path : Path
+            The file.
+        sensors : sequence of str
+            All sensors, which give the numbers that stand for their names.
+
+        Raises
+        ------
+        InputError
+            If the file is damaged, its first column does not ascend, or it names another sensor.
+        """
+        last, names = -np.inf, self.schema.names
+        with damaged_as_input_error(path), pq.ParquetFile(path, **CHECKED) as file:
+            for batch in file.iter_batches(self.rows_at_once, columns=names, use_threads=False):
+                rows = tuple(
+                    _numbers_of(batch.column(field.name), sensors, path)
+                    if pa.types.is_string(field.type)
+                    else np.asarray(batch.column(field.name).to_numpy(zero_copy_only=False))
+                    for field in self.schema
+                )
+                if np.any(np.diff(rows[0], prepend=last) < 0):
+                    raise InputError(f"{path}: rows do not ascend by {names[0]}")
+                last = rows[0][-1] if len(rows[0]) else last
+                yield rows
+
+
+def _numbers_of(column: pa.Array, sensors: Sequence[str], path: Path) -> Integers:
+    coded = column.dictionary_encode()
+    numbers = {name: number for number, name in enumerate(sensors)}
+    names = coded.dictionary.to_pylist()
+    if unknown := [name for name in names if name not in numbers]:
+        raise InputError(f"{path}: names the sensor {unknown[0]}, which has no frames")
+    of_name = np.array([numbers[name] for name in names], np.int64)
+    return np.asarray(of_name[coded.indices.to_numpy()])
+
+
+class SortedTableWriter:
+    """A sorted table that is written as rows come.
+
+    Parameters
+    ----------
+    table : SortedTable
+        Its kind.
     path : Path
         The file.
-    schema : pyarrow.Schema
-        Its columns; integers are stored as differences.
     fingerprint : str
         Of the tiles, for the file's metadata.
-    rows_in_group : int
-        Rows of a row group, whatever the pieces: the file does not depend on them.
-    names : sequence of str
-        Columns of few different texts.
+    sensors : sequence of str
+        The names behind the numbers of a column of names.
     """
 
     def __init__(
-        self, path: Path, schema: pa.Schema, *, fingerprint: str, rows_in_group: int,
-        names: Sequence[str] = (),
-    ) -> None:  # fmt: skip
-        self._schema, self._rows_in_group = schema, rows_in_group
+        self, table: SortedTable, path: Path, fingerprint: str, sensors: Sequence[str] = ()
+    ) -> None:
+        self.path = path
+        self._table, self._names = table, np.array(sensors, dtype=object)
         self._waiting: list[pa.RecordBatch] = []
+        texts = [field.name for field in table.schema if pa.types.is_string(field.type)]
         self._writer = pq.ParquetWriter(
             path,
-            schema.with_metadata({"fingerprint": fingerprint}),
+            table.schema.with_metadata({"fingerprint": fingerprint}),
             compression="zstd",
-            use_dictionary=list(names) or False,
-            column_encoding={n: "DELTA_BINARY_PACKED" for n in schema.names if n not in names},
+            use_dictionary=texts or False,
+            column_encoding={
+                name: "DELTA_BINARY_PACKED" for name in table.schema.names if name not in texts
+            },
             write_page_checksum=True,
         )
 
     def __enter__(self) -> Self:
         return self
 
-    def add(self, rows: pa.RecordBatch) -> None:
-        """Add rows that follow those so far."""
-        self._waiting.append(rows)
-        while sum(map(len, self._waiting)) >= self._rows_in_group:
-            table = pa.Table.from_batches(self._waiting)
-            self._write(table.slice(0, self._rows_in_group))
-            self._waiting = table.slice(self._rows_in_group).to_batches()
-
-    def _write(self, table: pa.Table) -> None:
-        self._writer.write_table(table, row_group_size=self._rows_in_group)
+    def add(self, rows: Rows) -> None:
+        """Add rows that follow those so far: an array a column, names as their numbers."""
+        arrays = [
+            pa.array(self._names[values] if pa.types.is_string(field.type) else values, field.type)
+            for values, field in zip(rows, self._table.schema, strict=True)
+        ]
+        self._waiting.append(pa.record_batch(arrays, schema=self._table.schema))
+        size = self._table.rows_in_group
+        while sum(map(len, self._waiting)) >= size:
+            waiting = pa.Table.from_batches(self._waiting)
+            self._writer.write_table(waiting.slice(0, size), row_group_size=size)
+            self._waiting = waiting.slice(size).to_batches()
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None:
-            self._write(pa.Table.from_batches(self._waiting, self._schema))
+            rest = pa.Table.from_batches(self._waiting, self._table.schema)
+            self._writer.write_table(rest, row_group_size=self._table.rows_in_group)
         self._writer.close()
 
 
-def read_ascending(path: Path, columns: Sequence[str], rows: int) -> Iterator[pa.RecordBatch]:
-    """Read a sorted table piece by piece.
-
-    Parameters
-    ----------
-    path : Path
-        The table.
-    columns : sequence of str
-        Which columns, the one that it is sorted by first.
-    rows : int
-        Rows of a piece.
-
-    Raises
-    ------
-    InputError
-        If the file is damaged, lacks a column, or its first column does not ascend.
-    """
-    last = -np.inf
-    try:
-        with pq.ParquetFile(path, page_checksum_verification=True) as file:
-            if lacking := [name for name in columns if name not in file.schema_arrow.names]:
-                raise InputError(f"{path}: lacks the column {lacking[0]}")
-            for batch in file.iter_batches(rows, columns=list(columns), use_threads=False):
-                first = batch.column(columns[0]).to_numpy(zero_copy_only=False)
-                if np.any(np.diff(first, prepend=last) < 0):
-                    raise InputError(f"{path}: rows do not ascend by {columns[0]}")
-                last = first[-1] if len(first) else last
-                yield batch
-    except (pa.ArrowException, OSError) as error:
-        raise InputError(f"{path}: damaged: {str(error).splitlines()[0]}") from error
-
-
-ROWS_AT_ONCE = 1 << 18  # 4 MiB
-ROWS_IN_GROUP = 1 << 20
+HITS = SortedTable(
+    schema=pa.schema([("step", pa.int64()), ("tile_id", pa.int64())]),
+    rows_at_once=1 << 18,  # 4 MiB
+    rows_in_group=1 << 20,
+)
 MOST_KEYS = 1 << 62  # a pair as one int64
-SCHEMA = pa.schema([("step", pa.int64()), ("tile_id", pa.int64())])
 
 Hits = tuple[Integers, Integers]
 
@@ -192,6 +244,11 @@ def fresh(values: Integers | Floats) -> Booleans:
     return differs
 
 
+def read_hits(path: Path) -> Iterator[Hits]:
+    """Read the table `hits.parquet` piece by piece; errors as of :meth:`SortedTable.read`."""
+    return ((step, tile) for step, tile in HITS.read(path))
+
+
 def merge_hits(streams: Sequence[Iterator[Hits]]) -> Iterator[Hits]:
     """Merge streams into one that holds each of their pairs once.
 
@@ -207,25 +264,3 @@ def merge_hits(streams: Sequence[Iterator[Hits]]) -> Iterator[Hits]:
     """
     for step, tile in merge_ascending(streams, 2):
         yield distinct(step, tile)
-
-
-def read_hits(path: Path) -> Iterator[Hits]:
-    """Read the table `hits.parquet` piece by piece.
-
-    Raises
-    ------
-    InputError
-        If the file is damaged, lacks a column, or its steps do not ascend.
-    """
-    for batch in read_ascending(path, SCHEMA.names, ROWS_AT_ONCE):
-        step, tile = (batch.column(n).to_numpy(zero_copy_only=False) for n in SCHEMA.names)
-        yield step, tile
-
-
-def write_hits(hits: Iterator[Hits], path: Path, *, fingerprint: str) -> None:
-    """Write the table `hits.parquet`, with the tiles' fingerprint; equal hits give equal files."""
-    with SortedTableWriter(
-        path, SCHEMA, fingerprint=fingerprint, rows_in_group=ROWS_IN_GROUP
-    ) as writer:
-        for step, tile in hits:
-            writer.add(pa.record_batch([step, tile], schema=SCHEMA))

@@ -19,22 +19,34 @@ from gis_radar.clocks import SensorClock
 from gis_radar.crs import metric_crs, require_same
 from gis_radar.errors import InputError, NoAnswerError, UsageError
 from gis_radar.files import whole_folder
-from gis_radar.occupancy.cycles import Cycles, FrameTimes, HeldHits, cycles_us, last_step_covered
-from gis_radar.occupancy.filters import Filters
-from gis_radar.occupancy.folder import OWNED, Occupancy, read_occupancy, write_tables
+from gis_radar.occupancy.folder import (
+    OWNED,
+    Occupancy,
+    frames_of,
+    frames_table,
+    read_occupancy,
+    views_table,
+)
 from gis_radar.occupancy.frame_log import (
+    FRAME_LOG,
     FrameIndex,
-    FrameLogWriter,
     frame_rows,
     merge_frame_logs,
-    read_frame_log,
     rows_of,
     whole_frames,
 )
-from gis_radar.occupancy.hits import Hits, distinct, merge_hits, write_hits
-from gis_radar.occupancy.settings import DEFAULTS, OccupancySettings
-from gis_radar.occupancy.step_sets import Runs, frames_table, union
-from gis_radar.occupancy.views import ViewBook, views_table
+from gis_radar.occupancy.frame_steps import (
+    Cycles,
+    FrameTimes,
+    Runs,
+    cycles_us,
+    last_step_covered,
+    spread_hits,
+    union,
+)
+from gis_radar.occupancy.hits import HITS, SortedTableWriter, distinct, merge_hits, read_hits
+from gis_radar.occupancy.settings import DEFAULTS, Filters, OccupancySettings
+from gis_radar.occupancy.views import ViewBook
 from gis_radar.poses.files import PoseTrack, as_track
 from gis_radar.poses.pose import Pose, View
 from gis_radar.progress import QUIET, Reporter
@@ -127,16 +139,16 @@ def measure_occupancy(
     with whole_folder(Path(folder), owned=OWNED) as part:
         passes = _read_all(sources, target, part, reporter)
         frames = frames_table(pd.concat([each.frames() for each in passes]))
-        write_tables(
-            part,
+        Occupancy(
             fingerprint=target.fingerprint,
             frames=frames,
             views=views_table(frames, target.views.tiles),
+            hits=lambda: read_hits(part / "hits.parquet"),
             sources=[each.record(target) for each in passes],
             frame_log=lambda names: merge_frame_logs(
-                [read_frame_log(each.log.path, names) for each in passes]
+                [FRAME_LOG.read(each.log.path, names) for each in passes]
             ),
-        )
+        ).write_beside_hits(part)
         for each in passes:
             each.log.path.unlink()
     for line in _warnings(passes, settings):
@@ -188,7 +200,7 @@ class RecordingPass:
     ----------
     source : Source
         What was read.
-    log : FrameLogWriter
+    log : SortedTableWriter
         One row a frame, on disk.
     runs : dict
         Steps with a frame, by view.
@@ -203,7 +215,7 @@ class RecordingPass:
     """
 
     source: Source
-    log: FrameLogWriter
+    log: SortedTableWriter
     runs: dict[str, list[Runs]] = field(default_factory=dict)
     poses: set[int] = field(default_factory=set)
     times: FrameTimes = field(default_factory=FrameTimes)
@@ -212,11 +224,8 @@ class RecordingPass:
 
     def frames(self) -> pd.DataFrame:
         """Return the runs of steps with a frame, by view."""
-        pieces = [
-            pd.DataFrame({"view": view, "first_step": joined.first, "last_step": joined.last})
-            for view, joined in ((view, union(runs)) for view, runs in self.runs.items())
-        ]
-        return pd.concat(pieces).assign(sensor=self.source.track.sensor)
+        sensor = self.source.track.sensor
+        return pd.concat([frames_of(sensor, view, union(runs)) for view, runs in self.runs.items()])
 
     def record(self, target: Target) -> dict[str, Any]:
         """Return the entry of the manifest for this recording, with the poses that it met."""
@@ -240,31 +249,29 @@ def _read_all(
     known = [source.recording.rows for source in sources]
     total = None if None in known else sum(rows for rows in known if rows is not None)
     with ExitStack() as logs:
-        passes = [
-            RecordingPass(
-                source=source,
-                log=logs.enter_context(
-                    FrameLogWriter(
-                        folder / f"{number}.part", [source.track.sensor], target.fingerprint
-                    )
-                ),
-            )
-            for number, source in enumerate(sources)
-        ]
+        passes = []
+        for number, source in enumerate(sources):
+            path, sensor = folder / f"{number}.part", source.track.sensor
+            log = SortedTableWriter(FRAME_LOG, path, target.fingerprint, [sensor])
+            passes.append(RecordingPass(source=source, log=logs.enter_context(log)))
 
         def count_rows() -> None:
             reporter.progress(STAGE, sum(each.rows for each in passes), total)
 
-        hits = merge_hits([_hits(each, target, count_rows) for each in passes])
-        write_hits(hits, folder / "hits.parquet", fingerprint=target.fingerprint)
+        hits = merge_hits([spread_hits(_hits(each, target, count_rows)) for each in passes])
+        HITS.write(hits, folder / "hits.parquet", target.fingerprint)
     return passes
 
 
-def _hits(found: RecordingPass, target: Target, count_rows: Callable[[], None]) -> Iterator[Hits]:
-    """Yield the hits of a recording, step by step; add all else to `found` on the way."""
-    source, held = found.source, HeldHits()
+def _hits(
+    found: RecordingPass, target: Target, count_rows: Callable[[], None]
+) -> Iterator[tuple[Integers, Integers, Integers, int]]:
+    """Yield the hits of frames, as for `spread_hits`; add all else to `found` on the way."""
+    source = found.source
+    clock = source.clock or SensorClock(offset_s=0.0)
     for read in whole_frames(source.recording.read()):
-        piece, shift_us = _corrected(read, source.clock)
+        piece = replace(read, time=clock.corrected(read.time))
+        shift_us = np.rint((piece.time - read.time) * 1e6).astype(np.int64)
         pose_of_row = source.track.at(piece.time)
         for index in np.unique(pose_of_row).tolist():
             now = pose_of_row == index
@@ -276,26 +283,16 @@ def _hits(found: RecordingPass, target: Target, count_rows: Callable[[], None]) 
             view = source.views[index]
             tiles_hit = np.bincount(frame, minlength=len(first))
             tiles_seen = np.full(len(first), len(target.views.tiles[view]))
-            found.log.add_rows(
+            found.log.add(
                 frame_rows(part, frames, tiles_hit, tiles_seen, shift_us[now], target.settings)
             )
             found.runs.setdefault(view, []).append(union([Runs(first=first, last=last)]))
             found.poses.add(index)
             found.times.add(frames.time_us)
-            yield held.spread(first[frame], last[frame], target.tile_id[tile], int(first[-1]))
+            yield first[frame], last[frame], target.tile_id[tile], int(first[-1])
         found.ranges.add(piece)
         found.rows += len(piece)
         count_rows()
-    yield held.rest()
-
-
-def _corrected(piece: Detections, clock: SensorClock | None) -> tuple[Detections, Integers]:
-    """Return a piece in the time of all sensors, and by how much that is later, microseconds."""
-    if clock is None:
-        return piece, np.zeros(len(piece), np.int64)
-    time = clock.corrected(piece.time)
-    shift_us = np.rint((time - piece.time) * 1e6).astype(np.int64)
-    return replace(piece, time=time), shift_us
 
 
 def _tiles_hit(

@@ -1,10 +1,16 @@
-"""Settings of the occupancy: the constants of its algorithm, with unit and reason."""
+"""Settings of the occupancy: its constants, with unit and reason, and which detections count."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
+import numpy as np
+
+from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.clocks.settings import CLOCK_SET_S
+from gis_radar.errors import UsageError
+from gis_radar.recordings.recording import Detections
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,3 +57,89 @@ class OccupancySettings:
 
 
 DEFAULTS = OccupancySettings()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Filters:
+    """Which detections count; by default all.
+
+    A stopped vehicle has no Doppler, and a queue is what planners look for: so the default
+    keeps what stands still. (The paper, "Local Sensor Data Processing", names these three.)
+
+    Parameters
+    ----------
+    min_speed : float, optional
+        Least absolute range rate, m/s.
+    min_rcs : float, optional
+        Least radar cross section, dBm2.
+    clearance : (float, float), optional
+        Lowest and highest height over the tile's road, metres: the clearance profile.
+    elevation_error_deg : float
+        One standard deviation of the radar's elevation; the clearance profile widens with range
+        by `sigmas` of them.
+    sigmas : float
+        2: of the detections within the profile 95 % stay.
+    levels_apart_m : float
+        Tiles nearer in height belong to one level, metres: over a crossfall or a kerb, under the
+        least clearance of a bridge (4.5 m).
+    """
+
+    min_speed: float | None = None
+    min_rcs: float | None = None
+    clearance: tuple[float, float] | None = None
+    elevation_error_deg: float = 0.5
+    sigmas: float = 2.0
+    levels_apart_m: float = 2.5
+
+    def __post_init__(self) -> None:
+        if self.min_speed is not None and not self.min_speed >= 0.0:
+            raise UsageError(f"least speed is {self.min_speed} m/s, expected 0 or more")
+        if self.min_rcs is not None and not math.isfinite(self.min_rcs):
+            raise UsageError(f"least cross section is {self.min_rcs} dBm2, expected a number")
+        if self.clearance is not None and not self.clearance[0] < self.clearance[1]:
+            low, high = self.clearance
+            raise UsageError(f"clearance is {low} to {high} m, expected lowest before highest")
+        if not 0.0 <= self.elevation_error_deg < 45.0:
+            raise UsageError(f"elevation error is {self.elevation_error_deg} deg, expected 0 to 45")
+
+    def keep_detections(self, detections: Detections) -> Booleans:
+        """Return which detections count, wherever they are; an unknown value does not pass."""
+        keep = detections.present
+        if self.min_speed is not None:
+            keep = keep & (np.abs(detections.range_rate) >= self.min_speed)
+        if self.min_rcs is not None:
+            keep = keep & (detections.rcs >= self.min_rcs)
+        return keep
+
+    def keep_pairs(
+        self, point: Integers, height: Floats, range_m: Floats, road_height: Floats
+    ) -> Booleans:
+        """Return which pairs of a detection and a tile fit in height.
+
+        Where tiles are above each other (a bridge), the detection counts on the level that it fits
+        best; tiles within `levels_apart_m` of that one are the same level.
+
+        Parameters
+        ----------
+        point : (k,) int64 array
+            The detection of each pair, ascending.
+        height, range_m, road_height : (k,) arrays
+            Height of the detection and of the tile's road in the map, and the detection's
+            slant range, metres. A tile of unknown height takes no detection.
+        """
+        if self.clearance is None or len(point) == 0:
+            return np.ones(len(point), dtype=np.bool_)
+        low, high = self.clearance
+        over_road = height - road_height
+        outside = np.maximum(np.maximum(low - over_road, over_road - high), 0.0)
+        widened = range_m * math.tan(math.radians(self.sigmas * self.elevation_error_deg))
+        fits = outside <= widened
+        # Of levels that fit alike, the one nearer to the profile's middle.
+        misfit = np.where(fits, outside + 1e-3 * np.abs(over_road - (low + high) / 2), np.inf)
+        begins = np.flatnonzero(np.diff(point, prepend=-1))
+        least = np.repeat(np.minimum.reduceat(misfit, begins), np.diff([*begins, len(point)]))
+        best = np.flatnonzero(fits & (misfit == least))
+        level = np.full(int(point.max()) + 1, np.nan)
+        level[point[best]] = road_height[best]
+        same_level = np.abs(road_height - level[point]) < self.levels_apart_m
+        return np.asarray(fits & same_level)

@@ -13,16 +13,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from gis_radar.arrays import Floats, Integers
 from gis_radar.occupancy.settings import DEFAULTS, OccupancySettings
 from gis_radar.poses.files import PoseTrack
 from gis_radar.poses.pose import Pose, View
-
-NOTHING: Integers = np.empty(0, np.int64)
-COLUMNS = ("sensor", "tile_id", "view", "first_step", "last_step")
 
 
 def seen_tiles(pose: Pose, view: View, tile_id: Integers, centres: Floats) -> Integers:
@@ -114,30 +110,3 @@ def standing_for(poses: Sequence[Pose], settings: OccupancySettings = DEFAULTS) 
         heads = [*(each for each in heads if each != head), head][-settings.views_compared :]
         found[index] = head
     return found
-
-
-def views_table(frames: pd.DataFrame, tiles: dict[str, Integers]) -> pd.DataFrame:
-    """Return the table of views: each tile that a view sees, and the steps it held.
-
-    Parameters
-    ----------
-    frames : DataFrame
-        The table of frames: which sensor had which view in which steps.
-    tiles : dict
-        Ids of the tiles of each view; a view that is not there sees none.
-    """
-    held = frames.groupby(["sensor", "view"], sort=True, as_index=False).agg(
-        first_step=("first_step", "min"), last_step=("last_step", "max")
-    )
-    pieces = [
-        held.iloc[[row]].merge(
-            pd.DataFrame({"view": view, "tile_id": np.sort(tiles.get(view, NOTHING))}), on="view"
-        )
-        for row, view in enumerate(held["view"])
-    ]
-    empty = pd.DataFrame({name: [] for name in COLUMNS})
-    kinds = {"sensor": str, "view": str} | dict.fromkeys(
-        ("tile_id", "first_step", "last_step"), np.int64
-    )
-    table = pd.concat(pieces, ignore_index=True) if pieces else empty
-    return table.astype(kinds)[list(COLUMNS)]

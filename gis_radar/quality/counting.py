@@ -12,8 +12,8 @@ import numpy as np
 
 from gis_radar.arrays import Integers
 from gis_radar.occupancy import Occupancy
-from gis_radar.occupancy.cycles import LONGEST_CYCLE_S, FrameTimes
 from gis_radar.occupancy.frame_log import COLUMNS
+from gis_radar.occupancy.frame_steps import LONGEST_CYCLE_S, FrameTimes
 from gis_radar.progress import Reporter
 
 HOUR_S = 3600

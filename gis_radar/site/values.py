@@ -12,7 +12,7 @@ from pydantic import AfterValidator, Field, PlainValidator, ValidationInfo
 
 from gis_radar.crs import bearing_of, looks_like_degrees, metric_crs
 from gis_radar.errors import GisRadarError
-from gis_radar.occupancy.cycles import AUTO, LONGEST_CYCLE_S, SHORTEST_CYCLE_S
+from gis_radar.occupancy.frame_steps import AUTO, LONGEST_CYCLE_S, SHORTEST_CYCLE_S
 from gis_radar.steps import duration_s, interval_steps, zone_of
 
 _WILD = frozenset("*?[")

@@ -1,4 +1,4 @@
-"""Cycles: how many steps one frame covers, for sensors slower than 20 Hz.
+"""Steps that frames cover: how many one frame covers, and sets of steps, kept as runs.
 
 A frame covers the step of its time stamp. With a stated cycle it also covers each later step that
 ends within one cycle of its time stamp: it holds for [time, time + cycle), and what holds at the
@@ -9,11 +9,12 @@ steps empty: a cycle is a property of the sensor, and no frame depends on the ne
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
+import pandas as pd
 
 from gis_radar.arrays import Floats, Integers
 from gis_radar.errors import UsageError
@@ -43,41 +44,35 @@ def last_step_covered(time: Floats, cycle_us: int) -> Integers:
     return np.maximum(step_of(time), reached)
 
 
-@dataclass(kw_only=True)
-class HeldHits:
-    """Hits of frames, repeated in each step that the frames cover, in order.
+def spread_hits(frames: Iterator[tuple[Integers, Integers, Integers, int]]) -> Iterator[Hits]:
+    """Repeat the hits of frames in each step that the frames cover, in order.
 
-    Steps beyond those read so far wait, so that what comes out ascends.
+    Parameters
+    ----------
+    frames : iterator of (first, last, tile, until)
+        (k,) int64 arrays: first and last step that the frame of each hit covers, and its tile; and
+        the last step of the frames read so far. Hits in later steps wait, so that what comes out
+        ascends.
+
+    Yields
+    ------
+    step, tile : (k,) int64 arrays
     """
-
-    waiting: Hits = field(default_factory=lambda: (np.empty(0, np.int64), np.empty(0, np.int64)))
-
-    def spread(self, step: Integers, last: Integers, tile: Integers, until: int) -> Hits:
-        """Return the hits of all steps up to `until`, ascending by step.
-
-        Parameters
-        ----------
-        step, last, tile : (k,) int64 arrays
-            First and last step that the frame of each hit covers, and its tile.
-        until : int
-            The last step of the frames read so far.
-        """
-        if len(self.waiting[0]) == 0 and np.array_equal(step, last):
-            return step, tile
-        length = last - step + 1
+    steps = tiles = np.empty(0, np.int64)
+    for first, last, tile, until in frames:
+        if len(steps) == 0 and np.array_equal(first, last):
+            yield first, tile
+            continue
+        length = last - first + 1
         offset = np.arange(length.sum()) - np.repeat(np.cumsum(length) - length, length)
-        steps = np.concatenate([self.waiting[0], np.repeat(step, length) + offset])
-        tiles = np.concatenate([self.waiting[1], np.repeat(tile, length)])
+        steps = np.concatenate([steps, np.repeat(first, length) + offset])
+        tiles = np.concatenate([tiles, np.repeat(tile, length)])
         order = np.argsort(steps, kind="stable")
         steps, tiles = steps[order], tiles[order]
         cut = int(np.searchsorted(steps, until, side="right"))
-        self.waiting = steps[cut:], tiles[cut:]
-        return steps[:cut], tiles[:cut]
-
-    def rest(self) -> Hits:
-        """Return what still waits at the end of the recording."""
-        rest, self.waiting = self.waiting, (np.empty(0, np.int64), np.empty(0, np.int64))
-        return rest
+        yield steps[:cut], tiles[:cut]
+        steps, tiles = steps[cut:], tiles[cut:]
+    yield steps, tiles
 
 
 @dataclass(kw_only=True)
@@ -190,3 +185,64 @@ def _gaps_s(recording: Recording, frames: int) -> Iterator[Floats]:
         last, done = float(detections.time[-1]), done + len(gaps)
         if done >= frames:
             return
+
+
+@dataclass(frozen=True, kw_only=True)
+class Runs:
+    """A set of steps: runs that ascend and do not touch.
+
+    Parameters
+    ----------
+    first, last : (n,) int64 arrays
+        First and last step of each run, inclusive.
+    """
+
+    first: Integers
+    last: Integers
+
+    def __len__(self) -> int:
+        return len(self.first)
+
+    @property
+    def steps(self) -> int:
+        """Number of steps in the set."""
+        return int((self.last - self.first + 1).sum())
+
+    def before(self, step: Integers) -> Integers:
+        """Return how many steps of the set come before each of the given steps."""
+        length = self.last - self.first + 1
+        done = np.concatenate([[0], np.cumsum(length)])
+        run = np.searchsorted(self.first, step) - 1
+        begun = run >= 0
+        inside = np.minimum(step - self.first[run], length[run]) if len(self) else 0
+        return np.where(begun, done[np.maximum(run, 0)] + inside, 0)
+
+    def within(self, first: int, last: int) -> Runs:
+        """Return the part of the set from step `first` to step `last`, inclusive."""
+        kept = (self.last >= first) & (self.first <= last)
+        return Runs(
+            first=np.maximum(self.first[kept], first), last=np.minimum(self.last[kept], last)
+        )
+
+    def nearest(self, step: int) -> int:
+        """Return the step of the set nearest to `step`."""
+        inside = np.clip(step, self.first, self.last)
+        return int(inside[np.argmin(np.abs(inside - step))])
+
+
+def union(parts: Sequence[Runs]) -> Runs:
+    """Return the steps that are in any of the sets, each of them once."""
+    first = np.concatenate([part.first for part in parts])
+    order = np.argsort(first, kind="stable")
+    first = first[order]
+    reached = np.maximum.accumulate(np.concatenate([part.last for part in parts])[order])
+    apart = first[1:] > reached[:-1] + 1
+    begins, ends = np.ones(len(first), np.bool_), np.ones(len(first), np.bool_)
+    begins[1:] = ends[:-1] = apart
+    return Runs(first=first[begins], last=reached[ends])
+
+
+def steps_in(frames: pd.DataFrame) -> Runs:
+    """Return the steps in any row of a table of frames."""
+    first, last = (frames[name].to_numpy(np.int64) for name in ("first_step", "last_step"))
+    return union([Runs(first=first, last=last)])
