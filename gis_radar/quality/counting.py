@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
-from functools import cache
 from zoneinfo import ZoneInfo
 
 import numpy as np
+import pandas as pd
 
 from gis_radar.arrays import Integers
 from gis_radar.occupancy import Occupancy
@@ -18,7 +17,6 @@ from gis_radar.progress import Reporter
 
 HOUR_S = 3600
 QUARTER_S = 900  # zones differ from UTC by whole quarters of an hour
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def hour_begins(time_us: Integers, zone: ZoneInfo) -> Integers:
@@ -32,20 +30,9 @@ def hour_begins(time_us: Integers, zone: ZoneInfo) -> Integers:
         Whose hours. Where clocks are set back, the hour that comes twice is two hours.
     """
     quarter, place = np.unique(time_us // (QUARTER_S * 1_000_000), return_inverse=True)
-    begin = [_hour_begin(int(number), zone) for number in quarter]
-    return np.asarray(np.array(begin, np.int64)[place])
-
-
-@cache
-def _hour_begin(quarter: int, zone: ZoneInfo) -> int:
-    second = quarter * QUARTER_S
-    local = moment(second).astimezone(zone)
-    return second - local.minute * 60 - local.second
-
-
-def moment(second: int) -> datetime:
-    """Return a UNIX second as a UTC time."""
-    return _EPOCH + timedelta(seconds=second)
+    local = pd.to_datetime(quarter * QUARTER_S, unit="s", utc=True).tz_convert(zone)
+    into_hour = local.minute.to_numpy(np.int64) * 60 + local.second.to_numpy(np.int64)
+    return np.asarray((quarter * QUARTER_S - into_hour)[place])
 
 
 STAGE = "data quality"
@@ -91,7 +78,7 @@ class Count:
     def add(self, rows: Columns, high: float) -> None:
         """Add frames; over a share `high` of the seen tiles hit, a frame is high."""
         self.frames += len(rows["time_us"])
-        for name in ("detections", "moving", "wild", "shift_us"):
+        for name in ("detections", "moving", "wild", "shift_us", "doubled", "repeated"):
             setattr(self, name, getattr(self, name) + int(rows[name].sum()))
         hit, seen = rows["tiles_hit"], rows["tiles_seen"]
         share = hit / np.maximum(seen, 1)
@@ -100,8 +87,6 @@ class Count:
         self.share += float(share.sum())
         self.high += int((share > high).sum())
         self.seen = max(self.seen, int(seen.max()))
-        self.doubled += int(rows["doubled"].sum())
-        self.repeated += int(rows["repeated"].sum())
 
 
 def frame_times(occupancy: Occupancy) -> dict[int, FrameTimes]:

@@ -15,7 +15,6 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.patches import Patch
 
@@ -25,7 +24,7 @@ from gis_radar.files import whole_file
 from gis_radar.notebooks import axes_or_new, table_card
 from gis_radar.occupancy import Occupancy
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.quality.counting import HOUR_S, Count, count_frames, frame_times, moment
+from gis_radar.quality.counting import HOUR_S, Count, count_frames, frame_times
 from gis_radar.steps import seconds_from_iso, zone_of
 
 GOOD = "good"
@@ -125,47 +124,6 @@ MOST_NUMBERS = 24  # hours; beyond that numbers would overlap
 KINDS = {"good": "#a8c8e8", "at fault": "#d9641a", "no data": "#e5e7eb"}
 
 
-def draw_hours(ax: Axes, table: pd.DataFrame, timezone: str) -> None:
-    """Draw a row a sensor and a column an hour, coloured by the verdict.
-
-    Parameters
-    ----------
-    ax : Axes
-        Where.
-    table : DataFrame
-        As of :class:`gis_radar.Quality`.
-    timezone : str
-        Of its local hours.
-    """
-    sensors, hours = table["sensor"].unique(), np.sort(table["begin"].unique())
-    row = pd.Index(sensors).get_indexer(table["sensor"])
-    column = pd.Index(hours).get_indexer(table["begin"])
-    kind = np.full((len(sensors), len(hours)), 2)
-    bad = (table["verdict"] != GOOD).to_numpy(int)
-    kind[row, column] = np.where(table["verdict"] == NO_DATA, 2, bad)
-    ax.pcolormesh(kind, cmap=ListedColormap(list(KINDS.values())), vmin=0, vmax=2,
-                  edgecolors="white", linewidth=1.0)  # fmt: skip
-    if len(hours) <= MOST_NUMBERS:
-        expected = table["frames_expected"].clip(lower=1)
-        share = (100.0 * (table["frames"] - table["doubled"]) / expected).round()
-        for x, y, text in zip(column, row, share, strict=True):
-            ax.text(x + 0.5, y + 0.5, f"{text:.0f} %", ha="center", va="center", fontsize=8)
-    local = pd.DatetimeIndex(hours).tz_convert(timezone)
-    every = max(1, len(hours) // 12)
-    labels = [f"{t:%H:%M}" + (f"\n{t:%Y-%m-%d}" if i == 0 or t.hour == 0 else "")
-              for i, t in enumerate(local)]  # fmt: skip
-    ax.set_xticks(np.arange(0, len(hours), every) + 0.5, labels[::every])
-    ax.set_yticks(np.arange(len(sensors)) + 0.5, sensors)
-    ax.invert_yaxis()
-    ax.tick_params(length=0)
-    ax.set(xlabel=f"hour ({timezone})", title="Data quality; share of the frames expected")
-    ax.legend(handles=[Patch(color=c, label=n) for n, c in KINDS.items()], frameon=False,
-              loc="upper left", bbox_to_anchor=(1.0, 1.0))  # fmt: skip
-
-
-WRITERS = {".csv": "to_csv", ".parquet": "to_parquet"}
-
-
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Quality:
     """Data quality of an occupancy, by sensor and hour.
@@ -220,10 +178,10 @@ class Quality:
             If the ending is another, or the place cannot be written.
         """
         path = Path(path)
-        if path.suffix.lower() not in WRITERS:
+        if (ending := path.suffix.lower()) not in (".csv", ".parquet"):
             raise OutputError(f"{path}: not a known table format", hint="use .csv or .parquet")
         with whole_file(path) as part:
-            if path.suffix.lower() == ".csv":
+            if ending == ".csv":
                 self.table.to_csv(part, index=False, date_format="%Y-%m-%dT%H:%M:%SZ")
             else:
                 self.table.to_parquet(part, index=False)
@@ -241,9 +199,32 @@ class Quality:
         -------
         matplotlib Axes
         """
-        sensors = self.table["sensor"].nunique()
-        ax = axes_or_new(ax, (8.0, 1.4 + 0.5 * sensors))
-        draw_hours(ax, self.table, self.timezone)
+        table, timezone = self.table, self.timezone
+        sensors, hours = table["sensor"].unique(), np.sort(table["begin"].unique())
+        ax = axes_or_new(ax, (8.0, 1.4 + 0.5 * len(sensors)))
+        row = pd.Index(sensors).get_indexer(table["sensor"])
+        column = pd.Index(hours).get_indexer(table["begin"])
+        kind = np.full((len(sensors), len(hours)), 2)
+        bad = (table["verdict"] != GOOD).to_numpy(int)
+        kind[row, column] = np.where(table["verdict"] == NO_DATA, 2, bad)
+        ax.pcolormesh(kind, cmap=ListedColormap(list(KINDS.values())), vmin=0, vmax=2,
+                      edgecolors="white", linewidth=1.0)  # fmt: skip
+        if len(hours) <= MOST_NUMBERS:
+            expected = table["frames_expected"].clip(lower=1)
+            share = (100.0 * (table["frames"] - table["doubled"]) / expected).round()
+            for x, y, text in zip(column, row, share, strict=True):
+                ax.text(x + 0.5, y + 0.5, f"{text:.0f} %", ha="center", va="center", fontsize=8)
+        local = pd.DatetimeIndex(hours).tz_convert(timezone)
+        every = max(1, len(hours) // 12)
+        labels = [f"{t:%H:%M}" + (f"\n{t:%Y-%m-%d}" if i == 0 or t.hour == 0 else "")
+                  for i, t in enumerate(local)]  # fmt: skip
+        ax.set_xticks(np.arange(0, len(hours), every) + 0.5, labels[::every])
+        ax.set_yticks(np.arange(len(sensors)) + 0.5, sensors)
+        ax.invert_yaxis()
+        ax.tick_params(length=0)
+        ax.set(xlabel=f"hour ({timezone})", title="Data quality; share of the frames expected")
+        ax.legend(handles=[Patch(color=c, label=n) for n, c in KINDS.items()], frameon=False,
+                  loc="upper left", bbox_to_anchor=(1.0, 1.0))  # fmt: skip
         return ax
 
     def _repr_html_(self) -> str:
@@ -304,9 +285,7 @@ def measure_quality(
     poses = _poses(occupancy.sources)
     hours = sorted({hour for _, hour in counts})
     rows = [
-        _row(
-            sensor, hour, counts.get((number, hour), Count()), poses.get(sensor, []), zone, settings
-        )
+        _row(sensor, hour, counts.get((number, hour)), poses.get(sensor, []), zone, settings)
         for number, sensor in enumerate(occupancy.sensors)
         if number in times
         for hour in hours
@@ -328,11 +307,10 @@ def _poses(sources: list[dict[str, Any]]) -> dict[str, Poses]:
             )
             angles = " ".join(f"{name} {pose[name]:.2f}" for name in ("yaw", "pitch", "roll"))
             found.setdefault(source["sensor"], set()).add((_time_of(pose), f"{text}, {angles}"))
-    return {sensor: sorted(poses, key=_known_first) for sensor, poses in found.items()}
-
-
-def _known_first(pose: tuple[float, str]) -> tuple[bool, float, str]:
-    return bool(np.isnan(pose[0])), 0.0 if np.isnan(pose[0]) else pose[0], pose[1]
+    return {  # those of known times first; two NaN do not compare
+        sensor: sorted(poses, key=lambda pose: (np.isnan(pose[0]), np.nan_to_num(pose[0]), pose[1]))
+        for sensor, poses in found.items()
+    }
 
 
 def _time_of(pose: dict[str, Any]) -> float:
@@ -352,16 +330,18 @@ def _pose_at(poses: Poses, second: int) -> tuple[str, float]:
 
 
 def _row(
-    sensor: str, hour: int, count: Count, poses: Poses, zone: ZoneInfo,
+    sensor: str, hour: int, count: Count | None, poses: Poses, zone: ZoneInfo,
     settings: QualitySettings = DEFAULTS,
 ) -> dict[str, Any]:  # fmt: skip
-    local = moment(hour).astimezone(zone)
+    count = count or Count()
+    begin = pd.Timestamp(hour, unit="s", tz=UTC)
+    local = begin.tz_convert(zone)
     pose, age_h = _pose_at(poses, hour)
     frames, detections = max(count.frames, 1), max(count.detections, 1)
     nothing = count.frames == 0
     return {
         "sensor": sensor,
-        "begin": pd.Timestamp(hour, unit="s", tz=UTC),
+        "begin": begin,
         "end": pd.Timestamp(hour + HOUR_S, unit="s", tz=UTC),
         "date": f"{local:%Y-%m-%d}",
         "hour": local.hour,
