@@ -25,7 +25,7 @@ from gis_radar.localization.settings import (
     LocalizationSettings,
 )
 from gis_radar.localization.traces import Moving, Samples, link_tracks, thin
-from gis_radar.poses.evidence import COMPONENTS
+from gis_radar.poses.pose import COMPONENTS
 from gis_radar.progress import Reporter
 
 

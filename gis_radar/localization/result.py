@@ -16,8 +16,7 @@ from gis_radar.lanelets import LaneletMap
 from gis_radar.localization.state import State
 from gis_radar.localization.traces import Moving
 from gis_radar.notebooks import axes_or_new, card, label_map, small_picture
-from gis_radar.poses.evidence import COMPONENTS
-from gis_radar.poses.pose import Pose, View, draw_sensor, ellipse
+from gis_radar.poses.pose import COMPONENTS, Pose, View, draw_sensor, ellipse
 from gis_radar.steps import iso_from_step, step_of
 
 if TYPE_CHECKING:  # what it takes to make one is loaded by those who do

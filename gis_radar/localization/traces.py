@@ -12,8 +12,7 @@ import pandas as pd
 from gis_radar.arrays import Booleans, Floats, Integers, compiled
 from gis_radar.localization.settings import DEFAULTS, TraceSettings
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.recordings.recording import open_recording
-from gis_radar.recordings.window import RollingWindow
+from gis_radar.recordings.recording import RollingWindow, open_recording
 
 STAGE = "reading traces"
 

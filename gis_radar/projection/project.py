@@ -1,34 +1,32 @@
-"""Points of a recording, as a table or as a file."""
+"""Points of a recording in the map, as a table, or as GeoPackage, GeoParquet, LAS or LAZ."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Collection, Iterable, Iterator
+from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import geopandas as gpd
+import laspy
+import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 import shapely
 
+from gis_radar.arrays import Floats
+from gis_radar.crs import name_of
 from gis_radar.errors import UsageError
 from gis_radar.files import refuse_inputs, whole_file
+from gis_radar.geopackage import GPKG_VERSION, write_stream
 from gis_radar.poses.files import PoseTrack, as_track
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.projection.points import (
-    GEOMETRY,
-    PointStream,
-    write_points_geopackage,
-    write_points_geoparquet,
-    write_points_las,
-)
-from gis_radar.recordings.recording import Recording, as_recording
-
-WRITERS: dict[str, Callable[[PointStream, Path], None]] = {
-    ".gpkg": write_points_geopackage,
-    ".laz": write_points_las,
-    ".las": write_points_las,
-    ".parquet": write_points_geoparquet,
-}
+from gis_radar.recordings.recording import Detections, Recording, as_recording
+from gis_radar.steps import gps_seconds
 
 
 def project(
@@ -101,3 +99,322 @@ def write_projection(
     with whole_file(path) as part:
         WRITERS[path.suffix.lower()](points, part)
     return points.rows
+
+
+SUFFIX = "_recorded"
+GEOMETRY = "geometry"
+OWN = pa.schema(
+    [
+        ("sensor", pa.string()),
+        ("time", pa.float64()),
+        ("utc", pa.timestamp("us", tz="UTC")),
+        ("x", pa.float32()),
+        ("y", pa.float32()),
+        ("z", pa.float32()),
+        ("range_rate", pa.float32()),
+        ("rcs", pa.float32()),
+    ]
+)
+# GeoPackages have columns of these names themselves, and know no upper and lower case.
+TAKEN = (*OWN.names, GEOMETRY, "geom", "fid")
+
+
+def distinct_names(
+    names: Iterable[str], taken: Collection[str], *, longest: int | None = None
+) -> dict[str, str]:
+    """Give each name one that differs from all others by more than upper and lower case.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Names to keep where possible.
+    taken : collection of str
+        Names that others have already.
+    longest : int, optional
+        The most bytes a name may have in UTF-8.
+
+    Returns
+    -------
+    dict
+        From each name to its new one, in the same order.
+    """
+    used = {name.lower() for name in taken}
+    given: dict[str, str] = {}
+    for name in names:
+        endings = ("", SUFFIX, *(f"{SUFFIX}_{number}" for number in range(2, len(used) + 3)))
+        fresh = next(
+            fitting
+            for ending in endings
+            if (fitting := _fitting(name or "unnamed", ending, longest)).lower() not in used
+        )
+        used.add(fresh.lower())
+        given[name] = fresh
+    return given
+
+
+def _fitting(name: str, ending: str, longest: int | None) -> str:
+    if longest is None:
+        return name + ending
+    room = longest - len(ending.encode())
+    return name.encode()[:room].decode(errors="ignore") + ending
+
+
+def renamed(names: dict[str, str]) -> list[str]:
+    """Return which names changed, one text a name."""
+    return [f"{name!r} to {fresh!r}" for name, fresh in names.items() if name != fresh]
+
+
+def points_schema(further: pa.Schema, names: dict[str, str]) -> pa.Schema:
+    """Return the schema of all batches of points.
+
+    Parameters
+    ----------
+    further : pyarrow.Schema
+        The recording's further columns.
+    names : dict
+        What they are called here.
+    """
+    kept = [pa.field(names[field.name], _plain(field.type)) for field in further]
+    return pa.schema([*OWN, *kept, pa.field(GEOMETRY, pa.binary())])
+
+
+def _plain(kind: pa.DataType) -> pa.DataType:
+    """Return the type of a column's values, without how they are stored."""
+    if pa.types.is_dictionary(kind):
+        return _plain(kind.value_type)
+    if pa.types.is_null(kind):
+        return pa.string()
+    return kind
+
+
+STAGE = "projecting"
+
+
+class PointStream:
+    """A recording's detections as points in the map, computed while they are read, once.
+
+    Parameters
+    ----------
+    recording : Recording
+        What the sensor recorded.
+    track : PoseTrack
+        Where it stood and looked.
+    reporter : Reporter
+        Receives progress, and which columns are renamed.
+
+    Attributes
+    ----------
+    schema : pyarrow.Schema
+        The columns of every batch, the geometry as WKB.
+    pose : Pose
+        The first pose: it names the coordinate system and a place near the points.
+    rows : int
+        How many points there were so far.
+    reporter : Reporter
+        Where remarks go.
+    """
+
+    def __init__(self, recording: Recording, track: PoseTrack, reporter: Reporter) -> None:
+        self._recording, self._track = recording, track
+        self._pieces = recording.read()
+        self._first = next(self._pieces)
+        self.names = distinct_names(self._first.further.schema.names, TAKEN)
+        self.schema: pa.Schema = points_schema(self._first.further.schema, self.names)
+        self.pose: Pose = track.poses[0]
+        self.rows = 0
+        self.reporter = reporter
+        if changed := renamed(self.names):
+            reporter.log(f"{recording.path.name}: columns renamed: {', '.join(changed)}", "warning")
+
+    def __iter__(self) -> Iterator[pa.RecordBatch]:
+        done = 0
+        for piece in chain([self._first], self._pieces):
+            batch = self._batch(piece.take(piece.present))
+            self.rows += len(batch)
+            yield batch
+            done += len(piece)
+            self.reporter.progress(STAGE, done, self._recording.rows)
+
+    def _batch(self, detections: Detections) -> pa.RecordBatch:
+        micros = np.rint(detections.time * 1e6).astype(np.int64)
+        own = [
+            pa.array([self._track.sensor] * len(detections), pa.string()),
+            pa.array(detections.time),
+            pa.array(micros).cast(pa.timestamp("us", tz="UTC")),
+            *(_floats(detections.points[:, axis]) for axis in range(3)),
+            _floats(detections.range_rate),
+            _floats(detections.rcs),
+        ]
+        further = [
+            pc.cast(column, self.schema.field(self.names[name]).type)
+            for name, column in zip(
+                detections.further.schema.names, detections.further.columns, strict=True
+            )
+        ]
+        geometry = pa.array(shapely.to_wkb(self._in_map(detections)), pa.binary())
+        return pa.RecordBatch.from_arrays([*own, *further, geometry], schema=self.schema)
+
+    def _in_map(self, detections: Detections) -> np.ndarray:
+        places = np.empty_like(detections.points)
+        held = self._track.at(detections.time)
+        for pose_index in np.unique(held):
+            now = held == pose_index
+            places[now] = self._track.poses[pose_index].to_map(detections.points[now])
+        return np.asarray(shapely.points(places))
+
+
+def _floats(values: np.ndarray) -> pa.Array:
+    # A value too large for float32 becomes infinite, which readers of the file see.
+    with np.errstate(over="ignore"):
+        return pa.array(values.astype(np.float32))
+
+
+LAYER = "hits"
+NUMERIC = (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal, pa.types.is_boolean)
+NOT_IN_GEOPACKAGE = (pa.types.is_duration, pa.types.is_interval, pa.types.is_decimal256)
+
+
+def write_points_geopackage(points: PointStream, path: Path) -> None:
+    """Write the layer `hits` of a GeoPackage."""
+    kept = [
+        field.name
+        for field in points.schema
+        if not any(is_kind(field.type) for is_kind in NOT_IN_GEOPACKAGE)
+    ]
+    if left := [name for name in points.schema.names if name not in kept]:
+        lost = f"{path.name}: a GeoPackage cannot hold {', '.join(left)}: left out"
+        points.reporter.log(lost, "warning")
+    write_stream(
+        (batch.select(kept) for batch in points),
+        pa.schema([points.schema.field(name) for name in kept]),
+        path,
+        layer=LAYER,
+        driver="GPKG",
+        geometry_name=GEOMETRY,
+        geometry_type="Point Z",
+        crs=name_of(points.pose.crs),
+        dataset_options={"VERSION": GPKG_VERSION},
+    )
+
+
+def write_points_geoparquet(points: PointStream, path: Path) -> None:
+    """Write a GeoParquet file."""
+    crs = points.pose.crs.to_json_dict()
+    column = {"encoding": "WKB", "geometry_types": ["Point Z"], "crs": crs}
+    geo = {"version": "1.1.0", "primary_column": GEOMETRY, "columns": {GEOMETRY: column}}
+    schema = points.schema.with_metadata({"geo": json.dumps(geo)})
+    with pq.ParquetWriter(path, schema, compression="zstd", write_page_checksum=True) as writer:
+        for batch in points:
+            writer.write_batch(batch.replace_schema_metadata(schema.metadata))
+
+
+SCALE_M = 0.001  # resolution of LAS coordinates; a radar resolves decimetres
+POINT_FORMAT = 6  # the plain one of LAS 1.4, with GPS time
+TIME_OFFSET_S = 1_000_000_000  # adjusted standard GPS time
+LONGEST_NAME = 32  # bytes of an extra dimension in LAS
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Dimension:
+    """A column of the points as an extra dimension; `missing` stands for null in integers."""
+
+    column: str
+    name: str
+    kind: type[np.generic]
+    about: str = ""
+    missing: int | None = None
+
+    def params(self) -> laspy.ExtraBytesParams:
+        about = self.about if self.missing is None else f"missing: {self.missing}"
+        return laspy.ExtraBytesParams(self.name, self.kind, about)
+
+    def values(self, batch: pa.RecordBatch) -> np.ndarray:
+        column = batch[self.column]
+        if self.missing is not None:
+            column = pc.fill_null(pc.cast(column, pa.from_numpy_dtype(self.kind)), self.missing)
+        elif not pa.types.is_floating(column.type):
+            column = pc.cast(column, pa.float64())
+        return np.asarray(column.to_numpy(zero_copy_only=False), dtype=self.kind)
+
+
+_OURS = (
+    _Dimension(column="time", name="time", kind=np.float64, about="UNIX seconds, UTC"),
+    _Dimension(column="range_rate", name="range_rate", kind=np.float32, about="m/s, receding > 0"),
+    _Dimension(column="rcs", name="rcs", kind=np.float32, about="dBm2"),
+    _Dimension(column="x", name="sensor_x", kind=np.float32, about="m forward of the sensor"),
+    _Dimension(column="y", name="sensor_y", kind=np.float32, about="m left of the sensor"),
+    _Dimension(column="z", name="sensor_z", kind=np.float32, about="m up from the sensor"),
+)
+# Smaller integers are widened: all their values are in use, and none is left for null.
+_INTEGERS: dict[pa.DataType, type[np.signedinteger[Any]]] = {
+    pa.bool_(): np.int8,
+    pa.int8(): np.int16,
+    pa.uint8(): np.int16,
+    pa.int16(): np.int32,
+    pa.uint16(): np.int32,
+    pa.int32(): np.int32,
+    pa.uint32(): np.int64,
+    pa.int64(): np.int64,
+}
+
+
+def write_points_las(points: PointStream, path: Path) -> None:
+    """Write LAS 1.4 or LAZ, by the ending of `path`; columns without numbers are left out."""
+    header = laspy.LasHeader(version="1.4", point_format=POINT_FORMAT)
+    header.offsets = np.floor(points.pose.position)
+    header.scales = np.full(3, SCALE_M)
+    header.global_encoding.gps_time_type = laspy.header.GpsTimeType.STANDARD
+    header.add_crs(points.pose.crs)
+    dimensions = _dimensions(points, path, list(header.point_format.dimension_names))
+    header.add_extra_dims([dimension.params() for dimension in dimensions])
+    with laspy.open(path, mode="w", header=header) as writer:
+        for batch in points:
+            writer.write_points(_scan_points(batch, header, dimensions))
+
+
+def _dimensions(points: PointStream, path: Path, standard: list[str]) -> list[_Dimension]:
+    further = [f for f in points.schema if f.name not in {*OWN.names, GEOMETRY}]
+    numeric = [f for f in further if any(is_kind(f.type) for is_kind in NUMERIC)]
+    taken = [*standard, *OWN.names, *(ours.name for ours in _OURS), "xyz"]
+    names = distinct_names([field.name for field in numeric], taken, longest=LONGEST_NAME)
+    left = [field.name for field in further if field not in numeric]
+    remarks = [f"left out, no numbers: {', '.join(left)}"] * bool(left)
+    if changed := renamed(names):
+        remarks.append(f"renamed: {', '.join(changed)}")
+    if remarks:
+        points.reporter.log(f"{path.name}: columns {'; '.join(remarks)}", "warning")
+    return [*_OURS, *(_dimension(field, names[field.name]) for field in numeric)]
+
+
+def _dimension(field: pa.Field, name: str) -> _Dimension:
+    if integer := _INTEGERS.get(field.type):
+        lowest = int(np.iinfo(integer).min)
+        return _Dimension(column=field.name, name=name, kind=integer, missing=lowest)
+    if pa.types.is_uint64(field.type):
+        highest = int(np.iinfo(np.uint64).max)
+        return _Dimension(column=field.name, name=name, kind=np.uint64, missing=highest)
+    short = pa.types.is_floating(field.type) and field.type.bit_width <= 32
+    return _Dimension(column=field.name, name=name, kind=np.float32 if short else np.float64)
+
+
+def _scan_points(
+    batch: pa.RecordBatch, header: laspy.LasHeader, dimensions: list[_Dimension]
+) -> laspy.ScaleAwarePointRecord:
+    scan = laspy.ScaleAwarePointRecord.zeros(len(batch), header=header)
+    places: Floats = shapely.get_coordinates(
+        shapely.from_wkb(batch[GEOMETRY].to_numpy(zero_copy_only=False)), include_z=True
+    )
+    scan.x, scan.y, scan.z = places.T
+    for dimension in dimensions:
+        scan[dimension.name] = dimension.values(batch)
+    scan.gps_time = gps_seconds(scan["time"]) - TIME_OFFSET_S
+    scan.return_number[:] = scan.number_of_returns[:] = 1
+    return scan
+
+
+WRITERS: dict[str, Callable[[PointStream, Path], None]] = {
+    ".gpkg": write_points_geopackage,
+    ".laz": write_points_las,
+    ".las": write_points_las,
+    ".parquet": write_points_geoparquet,
+}

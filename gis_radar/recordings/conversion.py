@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import pkgutil
 import re
-from collections import Counter
+from collections import Counter, OrderedDict
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -22,14 +22,7 @@ from gis_radar.errors import InputError, OutputError, UsageError
 from gis_radar.files import output_errors, refuse_inputs, whole_files
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings import readers
-from gis_radar.recordings.frame_order import (
-    CLOCKS,
-    Clock,
-    Doubles,
-    FrameClock,
-    FrameOrder,
-    merged,
-)
+from gis_radar.recordings.frame_order import CLOCKS, WINDOW, Clock, FrameClock, FrameOrder, merged
 from gis_radar.recordings.frames import Column, Format, Frame, ReaderContext, counted
 
 
@@ -104,6 +97,9 @@ class Conversion:
         )
 
 
+REMEMBERED = 4 * WINDOW  # frames whose doubles are found
+
+
 class _Track:
     """Steps of one sensor's frames from the reader to the rows of its recording."""
 
@@ -112,26 +108,31 @@ class _Track:
     ) -> None:
         self.file = file
         self.clock = FrameClock(sensor, clock, context.reporter)
-        self.doubles = Doubles()
+        self.doubles = 0
+        self._known: OrderedDict[object, None] = OrderedDict()
         self.order = FrameOrder(sensor)
         self._counts = context.counts
 
     def put(self, frame: Frame) -> None:
-        if self.doubles.is_new(frame):
-            self._put_in_order(self.clock.feed(frame.sound(self._counts)))
+        if frame.identity is not None:
+            if frame.identity in self._known:
+                self.doubles += 1
+                return
+            self._known[frame.identity] = None
+            if len(self._known) > REMEMBERED:
+                self._known.popitem(last=False)
+        self._put_in_order(self.clock.feed(frame.sound(self._counts)))
 
     def finish(self) -> None:
         self._put_in_order(self.clock.finish())
-        self._write(self.order.finish())
+        for ready in self.order.finish():
+            self.file.add(*ready)
         self.file.close()
 
     def _put_in_order(self, timed: Iterator[tuple[float, Frame]]) -> None:
         for time, frame in timed:
-            self._write(self.order.put(time, frame))
-
-    def _write(self, timed: Iterator[tuple[float, Frame]]) -> None:
-        for time, frame in timed:
-            self.file.add(time, frame)
+            for ready in self.order.put(time, frame):
+                self.file.add(*ready)
 
 
 class Tracks:
@@ -191,8 +192,9 @@ class Tracks:
                 self._context.reporter.log(late, "warning")
         counts = Counter(self._context.counts)
         for track in self._tracks.values():
-            counts["duplicates"] += track.doubles.count
+            counts["duplicates"] += track.doubles
             counts["reordered_frames"] += track.order.late
+        places = _places(self._place, list(self._tracks))
         recordings = tuple(
             SensorRecording(
                 path=path,
@@ -204,9 +206,7 @@ class Tracks:
                 end=track.file.end,
                 clock=", then ".join(track.clock.used),
             )
-            for path, (sensor, track) in zip(
-                _places(self._place, list(self._tracks)), self._tracks.items(), strict=True
-            )
+            for path, (sensor, track) in zip(places, self._tracks.items(), strict=True)
         )
         return Conversion(recordings=recordings, left_out=dict(sorted((+counts).items())))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 import statistics
-from collections import Counter, OrderedDict, deque
+from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import replace
 from typing import Literal
@@ -15,7 +15,6 @@ from gis_radar.recordings.frames import Frame, NothingHereError, ReaderContext
 
 # 12 s of a 20 Hz sensor: far more than a network or a bag writer ever reorders.
 WINDOW = 256
-REMEMBERED = 4 * WINDOW  # frames whose doubles are found
 
 Input = Callable[[ReaderContext], Generator[Frame]]
 Active = tuple[float, int, Frame, Iterator[Frame]]
@@ -70,32 +69,6 @@ def _begins(inputs: Sequence[Input], context: ReaderContext) -> list[tuple[float
     for nothing in empty:
         context.reporter.log(f"{nothing.message} ({nothing.hint})", "warning")
     return begins
-
-
-class Doubles:
-    """Filter of frames that came before.
-
-    Attributes
-    ----------
-    count : int
-        How many came again.
-    """
-
-    def __init__(self) -> None:
-        self.count = 0
-        self._known: OrderedDict[object, None] = OrderedDict()
-
-    def is_new(self, frame: Frame) -> bool:
-        """Return whether a frame did not come before, and remember it."""
-        if frame.identity is None:
-            return True
-        if frame.identity in self._known:
-            self.count += 1
-            return False
-        self._known[frame.identity] = None
-        if len(self._known) > REMEMBERED:
-            self._known.popitem(last=False)
-        return True
 
 
 class FrameOrder:

@@ -13,9 +13,8 @@ from gis_radar.arrays import Floats
 from gis_radar.crs import require_same
 from gis_radar.lanelets import LaneletMap
 from gis_radar.localization.result import Problem
-from gis_radar.poses.evidence import COMPONENTS, Evidence
 from gis_radar.poses.files import PoseTrack, as_track
-from gis_radar.poses.pose import Pose
+from gis_radar.poses.pose import COMPONENTS, Evidence, Pose
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Detections, Recording, as_recording
 from gis_radar.steps import STEP_S, seconds_from_iso

@@ -16,9 +16,8 @@ from gis_radar.files import whole_file
 from gis_radar.localization.result import Problem
 from gis_radar.localization.state import State
 from gis_radar.notebooks import axes_or_new, card, label_times
-from gis_radar.poses.evidence import COMPONENTS
 from gis_radar.poses.files import PoseTrack
-from gis_radar.poses.pose import Pose
+from gis_radar.poses.pose import COMPONENTS, Pose
 from gis_radar.steps import STEP_US, iso_from_step, step_of
 from gis_radar.tracking.follower import MOVED, REJECTED, Row
 from gis_radar.tracking.settings import DEFAULTS, TrackingSettings
