@@ -37,14 +37,8 @@ USERS: dict[str, tuple[str, ...]] = {
 _YES, _NO = {"yes", "true", "1"}, {"no", "false", "0"}
 ON_FOOT_OR_BICYCLE = ("bicycle_lane", "crosswalk", "shared_walkway", "stairs", "walkway")
 _KMH_PER_UNIT = {
-    "": 1.0,
-    "km/h": 1.0,
-    "kmh": 1.0,
-    "kph": 1.0,
-    "kmph": 1.0,
-    "m/s": 3.6,
-    "mps": 3.6,
-    "ms": 3.6,
+    **dict.fromkeys(("", "km/h", "kmh", "kph", "kmph"), 1.0),
+    **dict.fromkeys(("m/s", "mps", "ms"), 3.6),
     "mph": 1.609344,
 }
 _SPEED = re.compile(r"\s*(\d+(?:[.,]\d+)?)\s*([a-z/]*)\s*", re.IGNORECASE)

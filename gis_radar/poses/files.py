@@ -80,14 +80,11 @@ class PoseTrack:
         return table_card(f"Poses of {self._title()}", ["since", *units, "event"], rows)
 
 
-def still(pose: Pose) -> PoseTrack:
-    """Return a track of one pose that always holds."""
-    return PoseTrack(poses=(pose,), since=np.array([-math.inf]))
-
-
 def as_track(pose: Pose | PoseTrack) -> PoseTrack:
-    """Return a pose as a track; a track as it is."""
-    return still(pose) if isinstance(pose, Pose) else pose
+    """Return a pose as a track of one pose that always holds; a track as it is."""
+    if isinstance(pose, PoseTrack):
+        return pose
+    return PoseTrack(poses=(pose,), since=np.array([-math.inf]))
 
 
 def write_pose(pose: Pose, path: str | Path) -> None:
@@ -179,7 +176,7 @@ def read_track(path: str | Path) -> PoseTrack:
         If the file is neither, holds several sensors, or its times do not ascend.
     """
     if Path(path).suffix.lower() != ".csv":
-        return still(read_pose(path))
+        return as_track(read_pose(path))
     rows = list(csv.DictReader(_text(Path(path)).splitlines()))
     if not rows:
         raise InputError(f"{path}: pose track without rows")

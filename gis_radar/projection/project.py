@@ -108,11 +108,7 @@ OWN = pa.schema(
         ("sensor", pa.string()),
         ("time", pa.float64()),
         ("utc", pa.timestamp("us", tz="UTC")),
-        ("x", pa.float32()),
-        ("y", pa.float32()),
-        ("z", pa.float32()),
-        ("range_rate", pa.float32()),
-        ("rcs", pa.float32()),
+        *((name, pa.float32()) for name in ("x", "y", "z", "range_rate", "rcs")),
     ]
 )
 # GeoPackages have columns of these names themselves, and know no upper and lower case.

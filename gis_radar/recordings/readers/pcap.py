@@ -67,8 +67,7 @@ class Packet(NamedTuple):
     whole: bool
 
 
-@dataclass(frozen=True, slots=True)
-class _Interface:
+class _Interface(NamedTuple):
     link: int
     snap: int
     ticks: int
@@ -387,10 +386,6 @@ def _network_layer(packet: Packet) -> int | None:
     return start if kind == _IPV4 else None
 
 
-def _accepts(source: str) -> bool:
-    return Path(source).is_file() and is_capture(Path(source))
-
-
 def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
     datagrams, messages, sensors = Datagrams(), Counter[str](), Counter[str]()
     for datagram, time in _datagrams(Path(source), datagrams, context):
@@ -460,6 +455,6 @@ def _nothing(
 FORMAT = Format(
     name="ARS548 in a capture",
     takes=".pcap, .pcapng (also .gz)",
-    accepts=_accepts,
+    accepts=lambda source: Path(source).is_file() and is_capture(Path(source)),
     frames=_frames,
 )

@@ -34,10 +34,6 @@ _DATE = re.compile(
 )
 
 
-def _accepts(source: str) -> bool:
-    return any(path.is_file() for path in _files(Path(source)))
-
-
 def _files(place: Path) -> list[Path]:
     paths = place.iterdir() if place.is_dir() else [place]
     return [path for path in paths if path.suffix.lower() == ".pcd"]
@@ -223,6 +219,6 @@ def decompress(packed: bytes, size: int) -> bytes:
 FORMAT = Format(
     name="PCD",
     takes="a folder of .pcd files with the time in their names, or one",
-    accepts=_accepts,
+    accepts=lambda source: any(path.is_file() for path in _files(Path(source))),
     frames=_frames,
 )

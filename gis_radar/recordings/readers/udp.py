@@ -137,10 +137,6 @@ LOOK_UP_S = 0.2  # between two looks at the clock and at Ctrl-C
 STOPPING = (signal.SIGINT, signal.SIGTERM)
 
 
-def _accepts(source: str) -> bool:
-    return source.lower().startswith(SCHEME)
-
-
 def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
     seen = Counter[str]()
     for payload, sensor, now in _received(source, context):
@@ -247,7 +243,7 @@ def _stopping() -> Iterator[Event]:
 FORMAT = Format(
     name="ARS548 from the network",
     takes=f"{SCHEME}{GROUP}:{PORT}",
-    accepts=_accepts,
+    accepts=lambda source: source.lower().startswith(SCHEME),
     frames=_frames,
     live=True,
 )
