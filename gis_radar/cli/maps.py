@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
 import gis_radar as gr
 from gis_radar.cli.console import Result, command
-from gis_radar.cli.options import FILE, Numbers, Words, output
+from gis_radar.cli.options import FILE, WORDS, occupancies, origin, output, scan_crs, tile_file
 from gis_radar.files import refuse_inputs
 from gis_radar.progress import Reporter
 
@@ -20,9 +21,9 @@ MASK_ENGINES = ("auto", "pdal", "laspy")
 @output
 @click.option("--crs", help="Projected, metric CRS; without it the site's UTM zone.")
 @click.option("--length", "length_m", default=0.5, show_default=True, help="Tile length, m.")
-@click.option("--origin", type=Numbers("E,N"), help="Map-frame position of the map's local (0, 0).")
+@origin
 @click.option("--road", type=FILE, help="Scanned road (LAZ) that gives the tiles' heights.")
-@click.option("--subtype", "subtypes", type=Words(), help="Lanelets to tile, by subtype.")
+@click.option("--subtype", "subtypes", type=WORDS, help="Lanelets to tile, by subtype.")
 def tiles(
     *,
     map_path: Path,
@@ -66,10 +67,10 @@ def tiles(
     "--engine", type=click.Choice(MASK_ENGINES), default="auto", show_default=True,
     help="Who reads the scans; auto takes PDAL where there is one.",
 )  # fmt: skip
-@click.option("--scan-crs", help="CRS of scans that do not state theirs: EPSG:2154.")
+@scan_crs
 @click.option("--map-crs", help="CRS of a polygon layer that does not state its own.")
 @click.option("--crs", help="Projected, metric CRS of the result; by default the map's.")
-@click.option("--origin", type=Numbers("E,N"), help="Map-frame position of the map's local (0, 0).")
+@origin
 @click.option("--layer", help="Which layer of polygons, where the file has several.")
 def mask(
     *,
@@ -78,50 +79,31 @@ def mask(
     output: Path,
     engine: str,
     scan_crs: str | None,
-    map_crs: str | None,
-    crs: str | None,
-    origin: tuple[float, float] | None,
-    layer: str | None,
     reporter: Reporter,
+    **options: Any,
 ) -> Result:
     """Mask the road out of airborne laser scans: one point each 0.5 m (LAZ)."""
     refuse_inputs(output, *scans, map_path)
     gr.require_road_name(output)
-    roads = gr.read_roads(
-        map_path, crs=crs, map_crs=map_crs, origin=origin, layer=layer, reporter=reporter
-    )
+    roads = gr.read_roads(map_path, reporter=reporter, **options)
     road = gr.mask_road(scans, roads, engine=engine, scan_crs=scan_crs, reporter=reporter)
     return Result(outputs=road.write(output), summary=road.figures())
 
 
 @command(example="gis-radar heatmap occupancy/ --tiles tiles.gpkg --interval 15min -o map/")
-@click.argument("folders", metavar="OCCUPANCY...", type=FILE, nargs=-1, required=True)
-@click.option("--tiles", "tiles_path", type=FILE, required=True, help="From gis-radar tiles.")
+@occupancies
+@tile_file
 @output
 @click.option("--interval", help="Length of the intervals: 20s, 15min, 1h, ...")
 @click.option("--timezone", help="Whose hours and days the intervals follow: Europe/Berlin.")
 @click.option("--at", help="Map of the one 50 ms step at this time (ISO 8601 with Z).")
 def heatmap(
-    *,
-    folders: tuple[Path, ...],
-    tiles_path: Path,
-    output: Path,
-    interval: str | None,
-    timezone: str | None,
-    at: str | None,
-    reporter: Reporter,
+    *, folders: tuple[Path, ...], tiles_path: Path, output: Path, reporter: Reporter, **options: Any
 ) -> Result:
     """Make heat maps of occupancy: GeoPackage, GeoTIFF, GeoParquet and a picture."""
     refuse_inputs(output, *folders, tiles_path)
     merged = gr.merge_occupancies([gr.read_occupancy(folder) for folder in folders])
-    heat = gr.make_heatmap(
-        merged,
-        gr.read_tiles(tiles_path),
-        interval=interval,
-        at=at,
-        timezone=timezone,
-        reporter=reporter,
-    )
+    heat = gr.make_heatmap(merged, gr.read_tiles(tiles_path), reporter=reporter, **options)
     outputs = heat.write(output, reporter=reporter)
     return Result(outputs=outputs, summary=heat.figures())
 

@@ -6,6 +6,8 @@ The modules that parse them are imported when there is a value: `--help` needs n
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,152 +17,132 @@ from gis_radar.errors import UsageError
 
 FILE = click.Path(path_type=Path)
 
-output = click.option("-o", "--output", type=FILE, required=True, help="Where the result goes.")
 
-
-class Numbers(click.ParamType):  # type: ignore[type-arg]
-    """Two or three numbers with commas between them, such as `677885.9,5403673`.
+class Parsed(click.ParamType):  # type: ignore[type-arg]
+    """A value that a function reads from a text.
 
     Parameters
     ----------
-    names : str
-        What they are, as shown in the help: `E,N`.
+    name : str
+        What the text looks like, as shown in the help: `E,N`.
+    parse : callable
+        Returns the value; where it raises a ValueError or a UsageError, the usage is wrong.
     """
 
-    def __init__(self, names: str) -> None:
-        self.name = names
-        self._count = names.count(",") + 1
+    def __init__(self, name: str, parse: Callable[[str], Any]) -> None:
+        self.name, self._parse = name, parse
 
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[float, ...]:
-        """Return the numbers, or fail as wrong usage."""
-        if isinstance(value, tuple):
-            return value
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the value, or fail as wrong usage."""
+        if not isinstance(value, str):
+            return value  # converted already
         try:
-            numbers = tuple(float(part) for part in str(value).split(","))
-        except ValueError:
-            numbers = ()
-        if len(numbers) != self._count or not all(map(math.isfinite, numbers)):
-            self.fail(
-                f"{value!r} is not {self.name}: {self._count} numbers with commas", param, ctx
-            )
-        return numbers
-
-
-class Position(Numbers):
-    """Easting and northing, and a height if one likes, of a projected system."""
-
-    def __init__(self) -> None:
-        super().__init__("E,N[,H]")
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[float, ...]:
-        """Return two or three numbers, or fail as wrong usage; degrees are refused."""
-        from gis_radar.crs import looks_like_degrees  # noqa: PLC0415 - NumPy
-
-        kind = Numbers("E,N,H" if str(value).count(",") == 2 else "E,N")
-        numbers = kind.convert(value, param, ctx)
-        if looks_like_degrees(*numbers[:2]):
-            self.fail(f"{value!r} looks like degrees: metres of the map are needed", param, ctx)
-        return numbers
-
-
-class Bearing(click.ParamType):  # type: ignore[type-arg]
-    """A bearing clockwise from true north: degrees, or a word such as `north-east`."""
-
-    name = "BEARING"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> float:
-        """Return degrees, or fail as wrong usage."""
-        from gis_radar.crs import WINDS, bearing_of  # noqa: PLC0415 - NumPy
-
-        try:
-            return bearing_of(value)
-        except ValueError:
-            self.fail(f"{value!r} is neither degrees nor one of {', '.join(WINDS)}", param, ctx)
-
-
-class Words(click.ParamType):  # type: ignore[type-arg]
-    """Words with commas between them, such as `road,highway`."""
-
-    name = "a,b,..."
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[str, ...]:
-        """Return the words, or fail as wrong usage."""
-        if isinstance(value, tuple):
-            return value
-        words = tuple(word.strip() for word in str(value).split(",") if word.strip())
-        if not words:
-            self.fail("expected one or more words with commas between them", param, ctx)
-        return words
-
-
-class Pairs(click.ParamType):  # type: ignore[type-arg]
-    """Names and what they stand for, such as `x=X,range_rate=-doppler`."""
-
-    name = "a=A,b=B,..."
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> dict[str, str]:
-        """Return the pairs, or fail as wrong usage."""
-        if isinstance(value, dict):
-            return value
-        pairs = [part.partition("=") for part in str(value).split(",") if part.strip()]
-        if not pairs or any(not (name.strip() and stands.strip()) for name, _, stands in pairs):
-            self.fail(f"{value!r} is not {self.name}", param, ctx)
-        return {name.strip(): stands.strip() for name, _, stands in pairs}
-
-
-class Duration(click.ParamType):  # type: ignore[type-arg]
-    """A time span such as `30s` or `10min`; a bare number is seconds."""
-
-    name = "DURATION"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> float:
-        """Return seconds, or fail as wrong usage."""
-        from gis_radar.steps import duration_s  # noqa: PLC0415 - NumPy
-
-        try:
-            return float(value)
-        except ValueError:
-            pass
-        try:
-            return duration_s(str(value))
+            return self._parse(value)
         except UsageError as error:
             self.fail(error.message, param, ctx)
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
 
 
-class Cycles(click.ParamType):  # type: ignore[type-arg]
-    """Times from frame to frame by sensor, such as `R3=57ms,R4=100ms`, or `auto`."""
+def _numbers(names: str, text: str) -> tuple[float, ...]:
+    count = names.count(",") + 1
+    try:
+        numbers = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        numbers = ()
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        raise ValueError(f"{text!r} is not {names}: {count} numbers with commas")
+    return numbers
 
-    name = "auto|SENSOR=TIME,..."
 
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> Literal["auto"] | dict[str, float]:
-        """Return seconds by sensor or `auto`, or fail as wrong usage."""
-        from gis_radar.steps import duration_s  # noqa: PLC0415 - NumPy
+def _position(text: str) -> tuple[float, ...]:
+    from gis_radar.crs import looks_like_degrees  # noqa: PLC0415 - NumPy
 
-        if value == "auto":
-            return "auto"
-        if isinstance(value, dict):
-            return dict(value)
-        cycles: dict[str, float] = {}
-        for part in str(value).split(","):
-            sensor, _, time = part.rpartition("=")
-            try:
-                cycles[sensor.strip()] = duration_s(time)
-            except UsageError as error:
-                self.fail(f"{part!r}: {error.message}", param, ctx)
-            if not sensor.strip():
-                self.fail(f"{part!r} names no sensor, expected such as R3=57ms", param, ctx)
-        return cycles
+    numbers = _numbers("E,N,H" if text.count(",") == 2 else "E,N", text)
+    if looks_like_degrees(*numbers[:2]):
+        raise ValueError(f"{text!r} looks like degrees: metres of the map are needed")
+    return numbers
+
+
+def _bearing(text: str) -> float:
+    from gis_radar.crs import WINDS, bearing_of  # noqa: PLC0415 - NumPy
+
+    try:
+        return bearing_of(text)
+    except ValueError:
+        expected = f"neither degrees nor one of {', '.join(WINDS)}"
+        raise ValueError(f"{text!r} is {expected}") from None
+
+
+def _words(text: str) -> tuple[str, ...]:
+    words = tuple(word.strip() for word in text.split(",") if word.strip())
+    if not words:
+        raise ValueError("expected one or more words with commas between them")
+    return words
+
+
+def _pairs(text: str) -> dict[str, str]:
+    pairs = [part.partition("=") for part in text.split(",") if part.strip()]
+    if not pairs or any(not (name.strip() and stands.strip()) for name, _, stands in pairs):
+        raise ValueError(f"{text!r} is not {PAIRS.name}")
+    return {name.strip(): stands.strip() for name, _, stands in pairs}
+
+
+def _duration(text: str) -> float:
+    from gis_radar.steps import duration_s  # noqa: PLC0415 - NumPy
+
+    try:
+        return float(text)
+    except ValueError:
+        return duration_s(text)
+
+
+def _cycles(text: str) -> Literal["auto"] | dict[str, float]:
+    from gis_radar.steps import duration_s  # noqa: PLC0415 - NumPy
+
+    if text == "auto":
+        return "auto"
+    cycles: dict[str, float] = {}
+    for part in text.split(","):
+        sensor, _, time = part.rpartition("=")
+        try:
+            cycles[sensor.strip()] = duration_s(time)
+        except UsageError as error:
+            raise ValueError(f"{part!r}: {error.message}") from error
+        if not sensor.strip():
+            raise ValueError(f"{part!r} names no sensor, expected such as R3=57ms")
+    return cycles
+
+
+POSITION = Parsed("E,N[,H]", _position)  # easting and northing, and a height if one likes
+BEARING = Parsed("BEARING", _bearing)  # clockwise from true north: degrees, or a word
+WORDS = Parsed("a,b,...", _words)
+PAIRS = Parsed("a=A,b=B,...", _pairs)  # names and what they stand for
+DURATION = Parsed("DURATION", _duration)  # in seconds; a bare number is seconds
+CYCLES = Parsed("auto|SENSOR=TIME,...", _cycles)  # times from frame to frame by sensor
+
+
+def numbers(names: str) -> Parsed:
+    """Return the type of numbers with commas between them, such as `677885.9,5403673`."""
+    return Parsed(names, partial(_numbers, names))
+
+
+output = click.option("-o", "--output", type=FILE, required=True, help="Where the result goes.")
+origin = click.option(
+    "--origin", type=numbers("E,N"), help="Map-frame position of the map's local (0, 0)."
+)
+scan_crs = click.option("--scan-crs", help="CRS of scans that do not state theirs: EPSG:2154.")
+lanes = click.option(
+    "--map", "map_path", metavar="MAP.osm", type=FILE, required=True, help="The lanes."
+)
+road = click.option("--road", type=FILE, required=True, help="The scanned road (LAZ).")
+tile_file = click.option(
+    "--tiles", "tiles_path", type=FILE, required=True, help="From gis-radar tiles."
+)
+recordings = click.argument(
+    "recordings", metavar="RECORDING...", type=FILE, nargs=-1, required=True
+)
+poses = click.option(
+    "--pose", "poses", type=FILE, multiple=True, required=True, help="One a recording."
+)
+occupancies = click.argument("folders", metavar="OCCUPANCY...", type=FILE, nargs=-1, required=True)

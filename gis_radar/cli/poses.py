@@ -9,7 +9,7 @@ import click
 
 import gis_radar as gr
 from gis_radar.cli.console import Result, command
-from gis_radar.cli.options import FILE, Bearing, Numbers, Position, output
+from gis_radar.cli.options import BEARING, FILE, POSITION, lanes, origin, output, road, scan_crs
 from gis_radar.errors import UsageError
 from gis_radar.files import refuse_inputs, require_folder
 from gis_radar.progress import Reporter
@@ -20,13 +20,13 @@ from gis_radar.progress import Reporter
     "--guess 690356,5336183 -o R1.json",
 )
 @click.argument("recording", metavar="RECORDING", type=FILE)
-@click.option("--map", "map_path", metavar="MAP.osm", type=FILE, required=True, help="The lanes.")
-@click.option("--road", type=FILE, required=True, help="The scanned road (LAZ).")
-@click.option("--guess", type=Position(), required=True, help="Within 15 m, in the road's CRS.")
+@lanes
+@road
+@click.option("--guess", type=POSITION, required=True, help="Within 15 m, in the road's CRS.")
 @click.option("--guess-crs", help="CRS of the guess, where it is not the road's: EPSG:3857.")
 @click.option("--heading", type=float, help="Yaw within 25 deg: from grid east, anticlockwise.")
-@click.option("--compass", type=Bearing(), help="The same as a bearing: 210, north-east, ...")
-@click.option("--origin", type=Numbers("E,N"), help="Map-frame position of the map's local (0, 0).")
+@click.option("--compass", type=BEARING, help="The same as a bearing: 210, north-east, ...")
+@origin
 @click.option(
     "--method", type=click.Choice(["lane", "icp"]), default="lane", show_default=True,
     help="Lanes and Doppler, or the paper's ICP.",
@@ -35,7 +35,7 @@ from gis_radar.progress import Reporter
     "--scan", "scans", metavar="SCAN.laz", type=FILE, multiple=True,
     help="Airborne scan for a second look: what stands against canopy and walls. May be repeated.",
 )  # fmt: skip
-@click.option("--scan-crs", help="CRS of scans that do not state theirs: EPSG:2154.")
+@scan_crs
 @click.option("--figure", type=FILE, help="Draw the traces over lanes and scan (PNG).")
 @output
 def localize(
@@ -66,12 +66,12 @@ def localize(
     "-o track.csv",
 )
 @click.argument("recording", metavar="RECORDING", type=FILE)
-@click.option("--map", "map_path", metavar="MAP.osm", type=FILE, required=True, help="The lanes.")
-@click.option("--road", type=FILE, required=True, help="The scanned road (LAZ).")
+@lanes
+@road
 @click.option(
     "--pose", type=FILE, required=True, help="Where it stands at the beginning: JSON, or a track."
 )
-@click.option("--origin", type=Numbers("E,N"), help="Map-frame position of the map's local (0, 0).")
+@origin
 @click.option("--figure", type=FILE, help="Draw the pose over time, with its error (PNG).")
 @output
 def track(

@@ -9,7 +9,18 @@ import click
 
 import gis_radar as gr
 from gis_radar.cli.console import Result, command
-from gis_radar.cli.options import FILE, Cycles, Duration, Numbers, Pairs, output
+from gis_radar.cli.options import (
+    CYCLES,
+    DURATION,
+    FILE,
+    PAIRS,
+    numbers,
+    occupancies,
+    output,
+    poses,
+    recordings,
+    tile_file,
+)  # fmt: skip
 from gis_radar.files import refuse_inputs
 from gis_radar.progress import Reporter
 
@@ -24,9 +35,7 @@ AUTO = "auto"
 @click.argument("inputs", metavar="IN...", nargs=-1, required=True)
 @output
 @click.option("--sensor", help="Only this one, where there are several: 10.13.1.113, /radar/front.")
-@click.option(
-    "--columns", type=Pairs(), help="Fields of a table or cloud: x=X,range_rate=-doppler."
-)
+@click.option("--columns", type=PAIRS, help="Fields of a table or cloud: x=X,range_rate=-doppler.")
 @click.option(
     "--time-unit", type=click.Choice(["s", "ms", "us", "ns"]), default="s", show_default=True,
     help="Of the times in a table, since 1970.",
@@ -36,10 +45,7 @@ AUTO = "auto"
     help="Whose times count; auto takes the sensor's where they are right.",
 )  # fmt: skip
 @click.option(
-    "--duration",
-    "duration_s",
-    type=Duration(),
-    help="How long to listen to an address: 30s, 10min.",
+    "--duration", "duration_s", type=DURATION, help="How long to listen to an address: 30s, 10min."
 )
 def convert(*, inputs: tuple[str, ...], output: Path, reporter: Reporter, **options: Any) -> Result:
     """Make recordings of captures, ROS bags, PCD folders, tables, or udp://224.0.2.2:42102."""
@@ -51,22 +57,22 @@ def convert(*, inputs: tuple[str, ...], output: Path, reporter: Reporter, **opti
     example="gis-radar occupancy R1.parquet R2.parquet --pose R1.json --pose R2.json "
     "--tiles tiles.gpkg -o occupancy/",
 )
-@click.argument("recordings", metavar="RECORDING...", type=FILE, nargs=-1, required=True)
-@click.option("--pose", "poses", type=FILE, multiple=True, required=True, help="One a recording.")
-@click.option("--tiles", "tiles_path", type=FILE, required=True, help="From gis-radar tiles.")
+@recordings
+@poses
+@tile_file
 @output
 @click.option("--max-range", "max_range_m", type=float, help="Range of poses without a view, m.")
 @click.option("--azimuth", "azimuth_deg", type=float, help="Full azimuth of such poses, deg.")
 @click.option("--elevation", "elevation_deg", type=float, help="Full elevation of such poses, deg.")
 @click.option("--min-speed", type=float, help="Least absolute range rate, m/s; off by default.")
 @click.option("--min-rcs", type=float, help="Least radar cross section, dBm2; off by default.")
-@click.option("--clearance", type=Numbers("LOW,HIGH"), help="Heights over the road that count, m.")
+@click.option("--clearance", type=numbers("LOW,HIGH"), help="Heights over the road that count, m.")
 @click.option(
-    "--elevation-error", type=float, default=0.5, show_default=True,
+    "--elevation-error", "elevation_error_deg", type=float, default=0.5, show_default=True,
     help="The radar's elevation error, deg (1 sigma): widens the clearance with range.",
 )  # fmt: skip
 @click.option(
-    "--cycle", "cycles", type=Cycles(),
+    "--cycle", "cycles", type=CYCLES,
     help="Of sensors slower than 20 Hz, the time from frame to frame: a frame covers it.",
 )  # fmt: skip
 @click.option(
@@ -80,29 +86,18 @@ def occupancy(
     poses: tuple[Path, ...],
     tiles_path: Path,
     output: Path,
-    max_range_m: float | None,
-    azimuth_deg: float | None,
-    elevation_deg: float | None,
-    min_speed: float | None,
-    min_rcs: float | None,
-    clearance: tuple[float, float] | None,
-    elevation_error: float,
     cycles: dict[str, float] | Literal["auto"] | None,
     clocks: str | None,
     engine: str,
     reporter: Reporter,
+    **options: Any,
 ) -> Result:
     """Join recordings to tiles: which tile was hit in which 50 ms step."""
     refuse_inputs(output, *recordings, *poses, tiles_path)
     if clocks not in {None, AUTO}:
         refuse_inputs(output, str(clocks))
-    filters = gr.Filters(
-        min_speed=min_speed,
-        min_rcs=min_rcs,
-        clearance=clearance,
-        elevation_error_deg=elevation_error,
-    )
-    view = {"azimuth_deg": azimuth_deg, "elevation_deg": elevation_deg, "max_range_m": max_range_m}
+    view = {name: options.pop(name) for name in ("azimuth_deg", "elevation_deg", "max_range_m")}
+    filters = gr.Filters(**options)
     tracks = [_seeing(gr.read_track(pose), view, reporter) for pose in poses]
     table = gr.read_tiles(tiles_path)
     result = gr.measure_occupancy(
@@ -132,11 +127,9 @@ def _clocks(
     if source == AUTO:
         found = gr.measure_clocks(recordings, tracks, tiles, reporter=reporter)
         for sensor, text in found.lines().items():
-            reporter.log(
-                f"clock of {sensor}: {text}"
-                if sensor != "reference"
-                else f"clocks are corrected to that of {text}"
-            )
+            reference = sensor == "reference"
+            what = "clocks are corrected to that of" if reference else f"clock of {sensor}:"
+            reporter.log(f"{what} {text}")
         clocks = found.clocks
     else:
         clocks = gr.read_clocks(source)
@@ -164,9 +157,9 @@ def _seeing(
     example="gis-radar clocks R1.parquet R2.parquet --pose R1.json --pose R2.json "
     "--tiles tiles.gpkg -o clocks.json",
 )
-@click.argument("recordings", metavar="RECORDING...", type=FILE, nargs=-1, required=True)
-@click.option("--pose", "poses", type=FILE, multiple=True, required=True, help="One a recording.")
-@click.option("--tiles", "tiles_path", type=FILE, required=True, help="From gis-radar tiles.")
+@recordings
+@poses
+@tile_file
 @click.option("-o", "--output", type=FILE, help="A file for gis-radar occupancy --clocks (JSON).")
 @click.option("--reference", help="The sensor whose clock counts as right.")
 def clocks(
@@ -193,7 +186,7 @@ def clocks(
 
 
 @command(example="gis-radar quality occupancy/ --timezone Europe/Berlin -o quality.csv")
-@click.argument("folders", metavar="OCCUPANCY...", type=FILE, nargs=-1, required=True)
+@occupancies
 @click.option("--timezone", default="UTC", show_default=True, help="Whose hours: Europe/Berlin.")
 @click.option(
     "-o", "--output", type=FILE, help="The table, a row a sensor and hour (CSV, Parquet)."
