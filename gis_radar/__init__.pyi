@@ -40,8 +40,7 @@ from .scans import (
 from .second_look import SecondLook, require_scans_near, second_look
 from .second_look.picture import draw_second_look
 from .site.run import SiteRun, run_site
-from .site.settings import Site, read_site
-from .site.template import site_template
+from .site.settings import Site, read_site, site_template
 from .tiles import (
     TileGrid,
     TileTree,

@@ -16,9 +16,9 @@ from maps import Listener
 
 from gis_radar.errors import GisRadarError, InputError, NoAnswerError, OutputError
 from gis_radar.files import only_writer
-from gis_radar.site import state as state_of_run
+from gis_radar.site import execution
+from gis_radar.site.execution import RunState
 from gis_radar.site.run import workers_here
-from gis_radar.site.state import RunState
 from gis_radar.site.worker import process_pool
 
 HERE = Path(__file__).parent
@@ -105,7 +105,7 @@ def test_what_changes_is_done_again_and_no_more(root, source, monkeypatch):
     execute(changed, root)
     assert calls(root) == ["b2"]
     assert "tampered" not in (root / "map").read_text()
-    monkeypatch.setattr(state_of_run, "software", lambda: {"gis_radar": "99"})
+    monkeypatch.setattr(execution, "software", lambda: {"gis_radar": "99"})
     execute(changed, root)
     assert calls(root) == sorted(NAMES)
 

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 import gis_radar as gr
 from gis_radar.errors import InputError
-from gis_radar.site.settings import Site, lines_of, table_of
-from gis_radar.site.template import site_reference
+from gis_radar.site.settings import Site, site_reference
+from gis_radar.site.values import lines_of, table_of
 
 ROOT = Path(__file__).parents[1]
 FILES = ("junction.osm", "scan_1.laz", "scan_2.laz", "R1_1.parquet", "R1_2.parquet", "R2.json")

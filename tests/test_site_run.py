@@ -38,9 +38,8 @@ from gis_radar.demo import pose_errors
 from gis_radar.files import only_writer
 from gis_radar.site import run as product
 from gis_radar.site import stages as stage_functions
-from gis_radar.site.execution import discard
+from gis_radar.site.execution import RunState, discard
 from gis_radar.site.plan import stages_of
-from gis_radar.site.state import RunState
 
 TIMES = {"last_change", "update_time", "timestamp"}
 

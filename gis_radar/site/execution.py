@@ -2,23 +2,39 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+import platform
 import shutil
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from functools import cache
 from graphlib import TopologicalSorter
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
-from gis_radar.errors import GisRadarError, NoAnswerError, OutputError
+from gis_radar.errors import GisRadarError, InputError, NoAnswerError, OutputError
+from gis_radar.files import whole_file
 from gis_radar.progress import Reporter
 from gis_radar.qgis.project import was_edited
 from gis_radar.site.plan import Ending, Outcome, Stage
-from gis_radar.site.state import RunState, Stamp, stamp_of
 from gis_radar.site.worker import Answer, Event, Pool, carry_out
 
 ALL = "all stages"
+LIBRARIES = (
+    "numpy", "scipy", "pandas", "geopandas", "shapely", "pyogrio", "pyproj", "pyarrow",
+    "rasterio", "laspy", "lazrs", "numba", "matplotlib", "open3d",
+)  # fmt: skip
+
 _POLL_S = 0.1  # how late a bar may move
+_CHUNK = 1 << 20
+_SETTLED_S = 2.0  # file systems tell times no finer: a younger file may yet change unnoticed
+_LEFT_BY_VIEWERS = ("-wal", "-shm", "-journal", ".aux.xml", ".qmd")
+
+Stamp = list[int]
 
 
 @dataclass(kw_only=True)
@@ -81,11 +97,9 @@ class Execution:
     def _order(self) -> TopologicalSorter[str]:
         """Return the order of the stages that have not ended."""
         left = [stage for stage in self.stages if stage.name not in self.outcomes]
+        makers = {path: stage.name for stage in left for path in stage.outputs}
         order = TopologicalSorter(
-            {
-                stage.name: [other.name for other in left if set(other.outputs) & set(stage.reads)]
-                for stage in left
-            }
+            {stage.name: [makers[p] for p in stage.reads if p in makers] for stage in left}
         )
         order.prepare()
         return order
@@ -213,3 +227,184 @@ def discard(paths: Sequence[Path]) -> None:
             path.unlink(missing_ok=True)
         if path.parent.is_dir() and not any(path.parent.iterdir()):
             path.parent.rmdir()
+
+
+# What earlier runs have left: hashes of files, and records of stages.
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Record:
+    """A stage that ended, with a result or with a refusal, as the file holds it."""
+
+    key: str  # hash of all that its result depends on
+    outputs: Mapping[str, str | None]  # what it made, and the hash of each; empty for a refusal
+    figures: Mapping[str, Any]
+    warnings: Sequence[str]
+    refusal: Mapping[str, str] | None  # message and hint, where there was no trustworthy answer
+    seconds: float
+
+
+class RunState:
+    """Hashes of files, remembered by size and times, and records of stages.
+
+    Parameters
+    ----------
+    path : Path
+        The file (JSON); a damaged or missing one only costs time.
+    root : Path
+        The folder of the run: it may be moved.
+    """
+
+    def __init__(self, path: Path, root: Path) -> None:
+        self._path, self._root = path, root
+        self._hashes: dict[str, tuple[Stamp, str]] = {}
+        self.records: dict[str, _Record] = {}
+        try:
+            found = json.loads(path.read_text(encoding="utf-8"))
+            files = found["files"].items()
+            self._hashes = {name: (list(stamp), str(each)) for name, (stamp, each) in files}
+            self.records = {name: _Record(**each) for name, each in found["stages"].items()}
+        except (OSError, ValueError, TypeError, KeyError, AttributeError):
+            self._hashes, self.records = {}, {}
+
+    def save(self) -> None:
+        """Write the file, whole or not at all."""
+        stages = {name: asdict(each) for name, each in self.records.items()}
+        with whole_file(self._path) as part:
+            text = json.dumps({"files": self._hashes, "stages": stages}, ensure_ascii=False)
+            part.write_text(text, encoding="utf-8")
+
+    def hash_of(self, path: Path, progress: Callable[[int], None] = lambda _: None) -> str | None:
+        """Return the hash of a file or a folder, 32 characters; None where it is not there.
+
+        Parameters
+        ----------
+        path : Path
+            A file, or a folder of which all files count but those that viewers leave beside.
+        progress : callable
+            Called with the bytes of each piece that was read.
+        """
+        if path.is_dir():
+            files = (each for each in path.rglob("*") if each.is_file())
+            parts = [
+                (each.relative_to(path).as_posix(), each)
+                for each in files
+                if not each.name.endswith(_LEFT_BY_VIEWERS)
+            ]
+            return _digest([(name, self.hash_of(part, progress)) for name, part in sorted(parts)])
+        try:
+            stamp = stamp_of(path)
+        except OSError:
+            return None
+        name = str(path.resolve())
+        known = self._hashes.get(name)
+        if known is not None and known[0] == stamp:
+            return known[1]
+        found = _hash(path, progress)
+        if time.time() - stamp[1] / 1e9 > _SETTLED_S:
+            self._hashes[name] = (stamp, found)
+        else:
+            self._hashes.pop(name, None)
+        return found
+
+    def key_of(self, stage: Stage) -> str:
+        """Return the hash of all that a stage's result depends on; its inputs must be there."""
+        return _digest(
+            {
+                "work": stage.work.__name__,
+                "options": dict(stage.options),
+                "software": software(),
+                "inputs": [(self._name(p), held) for p in stage.reads if (held := self.hash_of(p))],
+                "outputs": [self._name(path) for path in stage.outputs],
+            }
+        )
+
+    def kept(self, stage: Stage, key: str) -> Outcome | None:
+        """Return the outcome of a stage that need not be done again; None where it must be."""
+        record = self.records.get(stage.name)
+        if record is None or record.key != key:
+            return None
+        if record.refusal is None and record.outputs != self._held(stage):
+            return None
+        error = NoAnswerError(**record.refusal) if record.refusal else None
+        return Outcome(
+            stage=stage,
+            state="refused" if error else "kept",
+            figures=record.figures,
+            warnings=record.warnings,
+            error=error,
+            seconds=record.seconds,
+        )
+
+    def keep(self, outcome: Outcome, key: str) -> None:
+        """Record a stage that has ended with a result or a refusal."""
+        stage, error = outcome.stage, outcome.error
+        self.records[stage.name] = _Record(
+            key=key,
+            outputs={} if error else self._held(stage),
+            figures=outcome.figures,
+            warnings=tuple(outcome.warnings),
+            refusal={"message": error.message, "hint": error.hint} if error else None,
+            seconds=outcome.seconds,
+        )
+        self.save()
+
+    def forget(self, name: str) -> list[Path]:
+        """Drop a record; return its outputs in the folder of the run."""
+        paths = [self._root / each for each in self.records.pop(name).outputs]
+        return [path for path in paths if path.resolve().is_relative_to(self._root.resolve())]
+
+    def _held(self, stage: Stage) -> dict[str, str | None]:
+        return {self._name(path): self.hash_of(path) for path in stage.outputs}
+
+    def _name(self, path: Path) -> str:
+        inside = path.is_relative_to(self._root)
+        return path.relative_to(self._root).as_posix() if inside else path.name
+
+
+def stamp_of(path: Path) -> Stamp:
+    """Return size and times of a file; while they stay, so do its bytes."""
+    status = path.stat()
+    return [status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino]
+
+
+def _hash(path: Path, progress: Callable[[int], None]) -> str:
+    digest = hashlib.blake2b(digest_size=16)
+    try:
+        with path.open("rb") as file:
+            while piece := file.read(_CHUNK):
+                digest.update(piece)
+                progress(len(piece))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    return digest.hexdigest()
+
+
+def _digest(content: Any) -> str:
+    text = json.dumps(content, sort_keys=True, ensure_ascii=False)
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+@cache
+def software() -> dict[str, str]:
+    """Return the versions of all that has a part in the results.
+
+    The entry `code` is the hash of our own modules: a checkout changes without a new version.
+    """
+    code = hashlib.blake2b(digest_size=8)
+    package = Path(__file__).parents[1]
+    for path in sorted(package.rglob("*.py")):
+        code.update(path.relative_to(package).as_posix().encode() + b"\0" + path.read_bytes())
+    return {
+        "gis_radar": version("gis_radar"),
+        "code": code.hexdigest(),
+        "python": platform.python_version(),
+        **{name: found for name in LIBRARIES if (found := _version(name))},
+    }
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return ""

@@ -109,6 +109,8 @@ class Outcome:
 def stages_of(site: Site, folder: Path) -> list[Stage]:
     """Return the stages of a run, each after those that it needs.
 
+    The last is the report: it reads the record of the others, so it is made once they have ended.
+
     Parameters
     ----------
     site : Site
@@ -116,22 +118,16 @@ def stages_of(site: Site, folder: Path) -> list[Stage]:
     folder : Path
         Where the results go.
     """
-    road = None if site.scan is None else folder / "road.laz"
-    poses = [_pose(sensor, folder) for sensor in site.sensor]
-    lost = [sensor for sensor in site.sensor if sensor.pose is None]
+    sensors = site.sensor
     return [
         *_road(site, folder),
-        *(stage for sensor in site.sensor for stage in _conversion(sensor, folder)),
+        *(_conversion(each, folder) for each in sensors if each.foreign),
         # Poses take longest, so they come as early as they can.
-        *(_localization(site, sensor, folder, road) for sensor in lost if road),
-        *poses,
-        _tiles(site, folder, road),
-        *(
-            _occupancy(site, sensor, pose, folder)
-            for sensor, pose in zip(site.sensor, poses, strict=True)
-        ),
-        *_heat_maps(site, folder),
-        _project(site, poses, folder),
+        *(_localization(site, each, folder) for each in sensors if each.pose is None),
+        *(_pose(each, folder) for each in sensors),
+        _tiles(site, folder),
+        *(_occupancy(site, each, folder) for each in sensors),
+        *_products(site, folder),
     ]
 
 
@@ -141,59 +137,29 @@ def _map_options(site: Site) -> dict[str, Any]:
 
 def _road(site: Site, folder: Path) -> Iterator[Stage]:
     scan = site.scan
-    if scan is None:
-        return
-    if scan.road is not None:
+    if scan is not None and scan.road is not None:
+        outputs = (folder / "road.laz",)
+        inputs = {"road": scan.road}
+        yield Stage(name="road", work=stages.road_stage, inputs=inputs, outputs=outputs)
+    elif scan is not None:
         yield Stage(
-            name="road",
-            work=stages.road_stage,
-            inputs={"road": scan.road},
-            outputs=(folder / "road.laz",),
+            name="mask",
+            work=stages.mask_stage,
+            inputs={"map_file": site.map.file, "scans": scan.files},
+            options={**_map_options(site), "scan_crs": scan.crs, "engine": scan.engine},
+            outputs=tuple(folder / f"road.{end}" for end in ("laz", "pipeline.json", "roads.gpkg")),
+            phases=3,
         )
-        return
-    yield Stage(
-        name="mask",
-        work=stages.mask_stage,
-        inputs={"map_file": site.map.file, "scans": scan.files},
-        options={**_map_options(site), "scan_crs": scan.crs, "engine": scan.engine},
-        outputs=tuple(folder / f"road.{end}" for end in ("laz", "pipeline.json", "roads.gpkg")),
-        phases=3,
-    )
 
 
-def _tiles(site: Site, folder: Path, road: Path | None) -> Stage:
-    subtypes = site.map.subtypes
+def _conversion(sensor: Sensor, folder: Path) -> Stage:
     return Stage(
-        name="tiles",
-        work=stages.tiles_stage,
-        inputs={"map_file": site.map.file} | ({"road": road} if road else {}),
-        options={**_map_options(site), "length": site.tiles.length, "subtypes": subtypes},
-        outputs=(folder / "tiles.gpkg",),
+        name=f"convert {sensor.name}",
+        work=stages.convert_stage,
+        inputs={"recordings": sensor.foreign},
+        options=(sensor.convert or ConvertTable()).model_dump(),
+        outputs=(folder / "sensors" / sensor.name / "recording.parquet",),
         phases=2,
-    )
-
-
-def _occupancy(site: Site, sensor: Sensor, pose: Stage, folder: Path) -> Stage:
-    filters = site.occupancy.model_dump()
-    clocks = filters.pop("clocks")
-    filters["elevation_error_deg"] = filters.pop("elevation_error")
-    return Stage(
-        name=f"occupancy {sensor.name}",
-        work=stages.occupancy_stage,
-        inputs={
-            "recordings": _recordings(sensor, folder),
-            "pose": pose.outputs[0],
-            "tile_file": folder / "tiles.gpkg",
-            **({"clocks": clocks} if clocks else {}),
-        },
-        options={
-            "sensor": sensor.name,
-            # a pose has its view already, a track as it was given
-            "view": _view(sensor) if pose.outputs[0].suffix == ".csv" else None,
-            "filters": filters,
-            "cycle": sensor.cycle,
-        },
-        outputs=(folder / "occupancy" / sensor.name,),
         sensor=sensor.name,
     )
 
@@ -201,32 +167,11 @@ def _occupancy(site: Site, sensor: Sensor, pose: Stage, folder: Path) -> Stage:
 def _recordings(sensor: Sensor, folder: Path) -> tuple[Path, ...]:
     """Return a sensor's recordings as the stages read them, once what is foreign is converted."""
     foreign = set(sensor.foreign)
-    ours = tuple(path for path in sensor.recordings if path not in foreign)
-    return (*ours, *((_converted(sensor, folder),) if foreign else ()))
+    ours = (path for path in sensor.recordings if path not in foreign)
+    return (*ours, *(_conversion(sensor, folder).outputs if foreign else ()))
 
 
-def _converted(sensor: Sensor, folder: Path) -> Path:
-    return folder / "sensors" / sensor.name / "recording.parquet"
-
-
-def _conversion(sensor: Sensor, folder: Path) -> Iterator[Stage]:
-    if sensor.foreign:
-        yield Stage(
-            name=f"convert {sensor.name}",
-            work=stages.convert_stage,
-            inputs={"recordings": sensor.foreign},
-            options=(sensor.convert or ConvertTable()).model_dump(),
-            outputs=(_converted(sensor, folder),),
-            phases=2,
-            sensor=sensor.name,
-        )
-
-
-def _view(sensor: Sensor) -> dict[str, float] | None:
-    return None if sensor.view is None else sensor.view.model_dump()
-
-
-def _localization(site: Site, sensor: Sensor, folder: Path, road: Path) -> Stage:
+def _localization(site: Site, sensor: Sensor, folder: Path) -> Stage:
     place = folder / "sensors" / sensor.name
     scans = site.scan.files if site.scan else ()
     return Stage(
@@ -235,7 +180,7 @@ def _localization(site: Site, sensor: Sensor, folder: Path, road: Path) -> Stage
         inputs={
             "recordings": _recordings(sensor, folder),
             "map_file": site.map.file,
-            "road": road,
+            "road": folder / "road.laz",
             **({"scans": scans} if scans else {}),
         },
         options={
@@ -248,6 +193,10 @@ def _localization(site: Site, sensor: Sensor, folder: Path, road: Path) -> Stage
         phases=5 if scans else 3,
         sensor=sensor.name,
     )
+
+
+def _view(sensor: Sensor) -> dict[str, float] | None:
+    return None if sensor.view is None else sensor.view.model_dump()
 
 
 def _pose(sensor: Sensor, folder: Path) -> Stage:
@@ -264,55 +213,74 @@ def _pose(sensor: Sensor, folder: Path) -> Stage:
     )
 
 
-def _heat_maps(site: Site, folder: Path) -> Iterator[Stage]:
+def _tiles(site: Site, folder: Path) -> Stage:
+    subtypes = site.map.subtypes
+    return Stage(
+        name="tiles",
+        work=stages.tiles_stage,
+        inputs={"map_file": site.map.file} | ({"road": folder / "road.laz"} if site.scan else {}),
+        options={**_map_options(site), "length": site.tiles.length, "subtypes": subtypes},
+        outputs=(folder / "tiles.gpkg",),
+        phases=2,
+    )
+
+
+def _occupancy(site: Site, sensor: Sensor, folder: Path) -> Stage:
+    (pose,) = _pose(sensor, folder).outputs
+    filters = site.occupancy.model_dump()
+    clocks = filters.pop("clocks")
+    filters["elevation_error_deg"] = filters.pop("elevation_error")
+    return Stage(
+        name=f"occupancy {sensor.name}",
+        work=stages.occupancy_stage,
+        inputs={
+            "recordings": _recordings(sensor, folder),
+            "pose": pose,
+            "tile_file": folder / "tiles.gpkg",
+            **({"clocks": clocks} if clocks else {}),
+        },
+        options={
+            "sensor": sensor.name,
+            # a pose has its view already, a track as it was given
+            "view": _view(sensor) if pose.suffix == ".csv" else None,
+            "filters": filters,
+            "cycle": sensor.cycle,
+        },
+        outputs=(folder / "occupancy" / sensor.name,),
+        sensor=sensor.name,
+    )
+
+
+def _products(site: Site, folder: Path) -> Iterator[Stage]:
+    """Yield the stages of all sensors together: heat maps, project, report."""
+    occupancies = tuple(folder / "occupancy" / each.name for each in site.sensor)
     for number, interval in enumerate(site.heatmap.intervals or (None,)):
         end = f"_{interval}" if number else ""
         yield Stage(
             name=f"heat map{end.replace('_', ' ')}",
             work=stages.heatmap_stage,
             inputs={"tile_file": folder / "tiles.gpkg"},
-            parts={"occupancies": tuple(folder / "occupancy" / each.name for each in site.sensor)},
+            parts={"occupancies": occupancies},
             options={"interval": interval},
             outputs=(folder / f"heatmap{end}",),
             phases=4,
         )
-
-
-def _project(site: Site, poses: list[Stage], folder: Path) -> Stage:
-    return Stage(
+    poses = tuple(path for each in site.sensor for path in _pose(each, folder).outputs)
+    named = (site.map.source, site.scan.source if site.scan else None, *site.attribution)
+    source = "; ".join(dict.fromkeys(each for each in named if each))
+    yield Stage(
         name="QGIS project",
         work=stages.project_stage,
         inputs={"heat": folder / "heatmap"},
-        parts={
-            "poses": tuple(pose.outputs[0] for pose in poses),
-            "occupancies": tuple(folder / "occupancy" / each.name for each in site.sensor),
-        },
-        options={"title": site.title, "time_zone": site.time_zone, "source": _sources(site)},
+        parts={"poses": poses, "occupancies": occupancies},
+        options={"title": site.title, "time_zone": site.time_zone, "source": source},
         outputs=(folder / "sensors.gpkg", folder / "site.qgz"),
     )
-
-
-def _sources(site: Site) -> str:
-    """Return where the data come from, in one line, each source once."""
-    named = (site.map.source, site.scan.source if site.scan else None, *site.attribution)
-    return "; ".join(dict.fromkeys(each for each in named if each))
-
-
-def report_of(site: Site, folder: Path) -> Stage:
-    """Return the last stage: the report, which reads the record of the others.
-
-    Parameters
-    ----------
-    site : Site
-        From :func:`gis_radar.site.read_site`.
-    folder : Path
-        Where the results go.
-    """
-    return Stage(
+    yield Stage(
         name="report",
         work=stages.report_stage,
         inputs={"heat": folder / "heatmap", "run": folder / "run.json"},
-        parts={"occupancies": tuple(folder / "occupancy" / each.name for each in site.sensor)},
+        parts={"occupancies": occupancies},
         outputs=tuple(folder / name for name in REPORT_FILES),
         phases=3,
     )

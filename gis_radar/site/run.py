@@ -1,27 +1,34 @@
-"""A run of a site: the whole way from its raw data to heat maps, taken up where one ended."""
+"""A run of a site: the whole way from its raw data to heat maps, taken up where one ended.
+
+Its record stands beside the results: `run.json` for programs, `summary.md` to read.
+"""
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from gis_radar.errors import GisRadarError, InputError, NoAnswerError, OutputError, UsageError
-from gis_radar.files import only_writer, refuse_inputs
+from gis_radar.files import only_writer, refuse_inputs, whole_file
 from gis_radar.notebooks import card
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.site.execution import Execution, discard
-from gis_radar.site.plan import OWNED, Outcome, Stage, report_of, stages_of
+from gis_radar.site import stages as work
+from gis_radar.site.execution import Execution, RunState, discard, software
+from gis_radar.site.plan import OWNED, Outcome, Stage, stages_of
 from gis_radar.site.settings import Site, read_site
-from gis_radar.site.state import RunState
-from gis_radar.site.summary import run_figures, write_summary
+from gis_radar.site.values import TomlTable
 from gis_radar.site.worker import process_pool
+from gis_radar.steps import zone_of
 
 STATE = ".gis-radar"
+_POSE = ("easting", "northing", "height", "yaw", "pitch", "roll")
 _MEMORY_EACH = 1 << 30  # bytes for one worker: what localizing a sensor takes, rounded up
 
 
@@ -86,7 +93,20 @@ class SiteRun:
 
     def figures(self) -> Mapping[str, Any]:
         """Return figures worth a look, by name."""
-        return run_figures(self.outcomes, self.site)
+        by_work = {e.stage.work: e.figures for e in reversed(self.outcomes) if e.has_result}
+        heat, tiles = by_work.get(work.heatmap_stage), by_work.get(work.tiles_stage)
+        names = (*_POSE, "fitness", "second_look", "state")
+        sensors = _sensors_of(self.outcomes, self.site).items()
+        return {
+            "site": self.site.title,
+            "sensors": {k: {n: facts[n] for n in names if n in facts} for k, facts in sensors},
+            "heat_maps_show": _sensors_in(self.outcomes) if heat else [],
+            **({"tiles": tiles["tiles"]} if tiles else {}),
+            **{k: value for k, value in (heat or {}).items() if k not in {"sensors", "tiles"}},
+            "warnings": len(_warnings(self.outcomes)),
+            "stages": len(self.outcomes),
+            "stages_done_before": sum(each.state == "kept" for each in self.outcomes),
+        }
 
     def __repr__(self) -> str:
         lost = [f"; no result for {name}: {why.message}" for name, why in self.missing.items()]
@@ -141,24 +161,24 @@ def run_site(
         raise UsageError(f"jobs is {jobs}, expected 1 or more")
     site, root = read_site(path), Path(folder).absolute()
     refuse_inputs(root, site.path, *site.inputs)
-    stages, last = stages_of(site, root), report_of(site, root)
+    stages = stages_of(site, root)
     state = _prepared(root)
     with ExitStack() as stack:
         stack.enter_context(only_writer(Path(folder), lock=state / "lock", reporter=reporter))
         scratch = _cleared(root, state)
         stack.callback(shutil.rmtree, scratch, ignore_errors=True)
         kept = RunState(state / "state.json", root)
-        _forget(kept, [*stages, last], fresh=fresh, reporter=reporter)
+        _forget(kept, stages, fresh=fresh, reporter=reporter)
         _hash_inputs(site, kept, reporter)
-        write_summary(site, root, (), kept)
+        _write_summary(site, root, (), kept)
         pool = stack.enter_context(process_pool(jobs or workers_here(), scratch))
         try:
-            first = Execution(stages=stages, state=kept, pool=pool, reporter=reporter)
-            outcomes = first.run()
-            write_summary(site, root, outcomes, kept)
-            # The report describes the other stages, so it is made once they have ended.
-            second = Execution(stages=[*stages, last], state=kept, pool=pool, reporter=reporter)
-            outcomes = second.run(outcomes)
+            outcomes: list[Outcome] = []
+            for part in (stages[:-1], stages):  # the report reads the record of the others
+                if outcomes:
+                    _write_summary(site, root, outcomes, kept)
+                execution = Execution(stages=part, state=kept, pool=pool, reporter=reporter)
+                outcomes = execution.run(outcomes)
         except KeyboardInterrupt:
             reporter.log("stopped; what is done stays done: the same call goes on from there")
             raise
@@ -245,3 +265,129 @@ def _free_memory() -> int | None:
         most = int((group / "memory.max").read_text(encoding="ascii"))
         found.append(most - int((group / "memory.current").read_text(encoding="ascii")))
     return min(found, default=None)
+
+
+# The record of a run beside its results.
+
+
+def _write_summary(site: Site, root: Path, outcomes: Sequence[Outcome], state: RunState) -> None:
+    """Write `run.json`, and `summary.md` of a run that has ended, of which there are outcomes.
+
+    They hold neither time nor duration: a run that was resumed writes the same as one that was
+    not.
+    """
+    base = site.path.parent.resolve()
+    document = {
+        "finished": bool(outcomes),
+        "site": _plain(site, base),
+        "sensors_in_heat_maps": _sensors_in(outcomes),
+        "inputs": {_relative(p, base): state.hash_of(p) for p in (site.path, *site.inputs)},
+        "software": software(),
+        "stages": [_stage(each, base, root) for each in outcomes],
+    }
+    with whole_file(root / "run.json") as part:
+        text = json.dumps(document, indent=1, ensure_ascii=False)
+        part.write_text(text + "\n", encoding="utf-8")
+    summary = root / "summary.md"
+    if not outcomes:
+        summary.unlink(missing_ok=True)
+        return
+    with whole_file(summary) as part:
+        part.write_text("\n".join(_summary(site, outcomes)) + "\n", encoding="utf-8")
+
+
+def _sensors_in(outcomes: Sequence[Outcome]) -> list[str]:
+    """Return the sensors that the heat maps are made of."""
+    made = (each.stage for each in outcomes if each.has_result)
+    return sorted(stage.sensor for stage in made if stage.work is work.occupancy_stage)
+
+
+def _sensors_of(outcomes: Sequence[Outcome], site: Site) -> dict[str, dict[str, Any]]:
+    """Return the pose of each sensor, or why there is none."""
+    found: dict[str, dict[str, Any]] = {sensor.name: {} for sensor in site.sensor}
+    for each in outcomes:
+        if not each.stage.sensor:
+            continue
+        facts = found[each.stage.sensor]
+        if each.error is not None:
+            reason = each.error.message.removeprefix(f"{each.stage.sensor}: ")
+            facts.setdefault("state", reason)
+        elif each.stage.work in {work.localize_stage, work.pose_stage}:
+            # how a pose was found comes first, and counts
+            found[each.stage.sensor] = {**each.figures, **facts}
+    return {name: {"state": "ok"} | facts for name, facts in found.items()}
+
+
+def _warnings(outcomes: Sequence[Outcome]) -> list[str]:
+    """Return the warnings of the stages, each once, after the names of its stages."""
+    by_text: dict[str, list[str]] = {}
+    for each in outcomes:
+        for text in each.warnings:
+            by_text.setdefault(text, []).append(each.stage.name)
+    return [f"{', '.join(names)}: {text}" for text, names in by_text.items()]
+
+
+def _stage(outcome: Outcome, base: Path, root: Path) -> dict[str, Any]:
+    stage, error = outcome.stage, outcome.error
+    return {
+        "name": stage.name,
+        "state": "done" if outcome.has_result else outcome.state,
+        "inputs": [_relative(path, root, base) for path in stage.reads],
+        "outputs": [_relative(path, root) for path in stage.outputs if outcome.has_result],
+        "options": dict(stage.options),
+        "figures": dict(outcome.figures),
+        "warnings": list(outcome.warnings),
+        **({"error": error.message, "hint": error.hint} if error else {}),
+    }
+
+
+def _plain(value: Any, base: Path) -> Any:
+    """Return a site as what JSON can hold, its paths relative to its file where they can be."""
+    if isinstance(value, TomlTable):
+        return {name: _plain(each, base) for name, each in value}
+    if isinstance(value, Path):
+        return _relative(value, base)
+    if isinstance(value, Mapping):
+        return dict(value)
+    return [_plain(each, base) for each in value] if isinstance(value, tuple) else value
+
+
+def _relative(path: Path, *bases: Path) -> str:
+    whole = path.resolve()
+    for base in bases:
+        if whole.is_relative_to(base.resolve()):
+            return whole.relative_to(base.resolve()).as_posix()
+    return str(whole)
+
+
+def _summary(site: Site, outcomes: Sequence[Outcome]) -> Iterator[str]:
+    """Yield the lines of the summary."""
+    yield from (f"# {site.title}", "")
+    made = (each for each in outcomes if each.has_result)
+    heat = next((each.figures for each in made if each.stage.work is work.heatmap_stage), None)
+    if heat is not None:
+        begin, end = (
+            datetime.fromisoformat(heat[name]).astimezone(zone_of(site.time_zone))
+            .isoformat(sep=" ", timespec="seconds") for name in ("begin", "end")
+        )  # fmt: skip
+        yield from (f"From {begin} to {end} ({site.time_zone}).", "")
+        yield from (f"The heat maps show {', '.join(_sensors_in(outcomes))}.", "")
+    else:
+        yield from ("There is no heat map: no sensor has a result.", "")
+    columns = ("sensor", *_POSE, "fitness", "second look", "state")
+    yield from ("## Sensors", "", f"| {' | '.join(columns)} |", "|---" * len(columns) + "|")
+    for name, facts in _sensors_of(outcomes, site).items():
+        numbers = [str(facts.get(each, "")) for each in (*_POSE, "fitness", "second_look")]
+        yield f"| {name} | {' | '.join(numbers)} | {facts['state']} |"
+    yield from ("", "Positions in metres of the map frame, angles in degrees.", "")
+    yield from _listed("Warnings", _warnings(outcomes))
+    sources = (("map", site.map.source), ("scan", site.scan.source if site.scan else None))
+    named = [f"{what}: {source}" for what, source in sources if source]
+    yield from _listed("Sources", [*named, *site.attribution])
+    made_by = software()
+    yield f"Made by gis_radar {made_by['gis_radar']}; all settings are in `run.json`."
+
+
+def _listed(title: str, lines: Sequence[str]) -> Iterator[str]:
+    if lines:
+        yield from (f"## {title}", "", *(f"- {line}" for line in lines), "")

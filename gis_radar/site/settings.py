@@ -6,20 +6,13 @@ The models say it once: types check the values, their fields give template and r
 from __future__ import annotations
 
 import difflib
-import re
+import textwrap
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
-from types import UnionType
-from typing import Annotated, Any, Literal, Self, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    PrivateAttr,
-    ValidationError,
-    model_validator,
-)
+from pydantic import Field, PrivateAttr, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
@@ -41,35 +34,20 @@ from gis_radar.site.values import (
     Steps,
     Text,
     Texts,
+    TomlTable,
     Unfit,
     Zone,
+    is_repeated,
+    key,
+    lines_of,
+    table_of,
+    value_of,
     within,
 )  # fmt: skip
 
 READ_AS_THEY_ARE = (".parquet", ".csv")
 
 _HINT = "begin with: gis-radar run --template > SITE.toml"
-
-
-def key(example: str, default: Any = ..., shown: str | None = None) -> Any:
-    """Declare a field of a table as a key of the site file; its docstring is what it is.
-
-    Parameters
-    ----------
-    example : str
-        A value as TOML, for the template.
-    default : object
-        What holds without it; a key without a default is required.
-    shown : str, optional
-        The default in words; by default the value itself.
-    """
-    return Field(default, examples=[example], json_schema_extra={"shown": shown})
-
-
-class TomlTable(BaseModel):
-    """A table of the site file: unknown keys are refused, and nothing changes afterwards."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
 
 class MapTable(TomlTable):
@@ -345,39 +323,6 @@ def read_site(path: str | Path) -> Site:
     return site
 
 
-def table_of(field: FieldInfo) -> type[TomlTable] | None:
-    """Return the table that a key stands for; None where its value is none."""
-    kinds = _kinds(field.annotation)
-    return next(
-        (each for each in kinds if isinstance(each, type) and issubclass(each, TomlTable)), None
-    )
-
-
-def is_repeated(field: FieldInfo) -> bool:
-    """Return whether a table may be there several times: `[[name]]`."""
-    return get_origin(field.annotation) is tuple
-
-
-def value_of(field: FieldInfo) -> str:
-    """Return what a value of a key is, in a few words."""
-    inner = table_of(field)
-    if inner is not None:
-        return "one or more tables: [[sensor]]" if is_repeated(field) else "a table"
-    kinds = _kinds(field.annotation)
-    notes = (
-        *field.metadata,
-        *(note for each in kinds for note in getattr(each, "__metadata__", ())),
-    )
-    meaning = next((note.text for note in notes if isinstance(note, Meaning)), "")
-    return meaning or f"one of {', '.join(get_args(field.annotation))}"
-
-
-def _kinds(annotation: Any) -> tuple[Any, ...]:
-    """Return the types of a union or a tuple, else the type itself."""
-    inside = get_origin(annotation) in {Union, UnionType, tuple}
-    return get_args(annotation) if inside else (annotation,)
-
-
 # What is wrong, in one line with file, line and key.
 
 
@@ -442,38 +387,72 @@ def _found(loc: Steps) -> tuple[type[TomlTable], FieldInfo | None, Steps]:
     return table, field, loc
 
 
-_HEADER = re.compile(r"\s*(\[\[?)\s*([^\]#]+?)\s*\]\]?\s*(?:#.*)?$")
-_KEY = re.compile(r"\s*[\"']?([A-Za-z0-9_.-]+)[\"']?\s*=")
+# The template of a site file and the reference of its keys, from the fields of the models.
+
+_HEAD = """\
+# A site of gis_radar. Lines without # must be filled in; the others show what else there is.
+# Paths are relative to the folder of this file. Positions are metres of the map frame.
+# Then: gis-radar run SITE.toml -o results
+"""
+_WIDTH = 96
+_GIVEN = {("scan", "files"), ("sensor", "guess")}  # one of several keys that will do
 
 
-def lines_of(text: str) -> dict[Steps, int]:
-    """Return the line, from 1, of each table and key of a TOML text.
-
-    Found by the look of a line, for messages only: inside a text of several lines it may err.
-    """
-    lines: dict[Steps, int] = {}
-    counts: dict[str, int] = {}
-    table: Steps = ()
-    for number, line in enumerate(text.splitlines(), start=1):
-        if header := _HEADER.match(line):
-            table = _steps_to(header[2], counts, repeated=header[1] == "[[")
-            lines.setdefault(table, number)
-        elif found := _KEY.match(line):
-            steps = (*table, *found[1].split("."))
-            for length in range(len(table) + 1, len(steps) + 1):
-                lines.setdefault(steps[:length], number)
-    return lines
+def site_template() -> str:
+    """Return a commented site file to fill in."""
+    return "\n".join([_HEAD, *_template(Site, "")]).rstrip() + "\n"
 
 
-def _steps_to(name: str, counts: dict[str, int], *, repeated: bool) -> Steps:
-    """Return the way to a table; below a repeated one, to its latest."""
-    if repeated:
-        counts[name] = counts.get(name, -1) + 1
-    steps: list[str | int] = []
-    words = [word.strip().strip("\"'") for word in name.split(".")]
-    for depth, word in enumerate(words, start=1):
-        steps.append(word)
-        latest = counts.get(".".join(words[:depth]))
-        if latest is not None:
-            steps.append(latest)
-    return tuple(steps)
+def _template(table: type[TomlTable], path: str) -> Iterator[str]:
+    """Yield the lines of a table: first its keys, then the tables below it."""
+    keys, below = _parts(table)
+    for name, field in keys.items():
+        needed = field.is_required() or (path, name) in _GIVEN
+        text = f"{field.description} ({value_of(field)}; {_default(field)})"
+        yield from textwrap.wrap(text, _WIDTH, initial_indent="# ", subsequent_indent="# ")
+        yield f"{'' if needed else '# '}{name} = {(field.examples or [''])[0]}"
+    yield ""
+    for name, (field, inner) in below.items():
+        whole = f"{path}.{name}" if path else name
+        off = "# " if whole.startswith("sensor.") else ""
+        yield f"{off}{_header(whole, field)}  # {field.description}"
+        yield from _template(inner, whole)
+
+
+def site_reference() -> str:
+    """Return the reference of all keys as Markdown: a table of keys for each table of the file."""
+    return "\n".join(_reference(Site, "", "At the top")).rstrip() + "\n"
+
+
+def _reference(table: type[TomlTable], path: str, title: str) -> Iterator[str]:
+    keys, below = _parts(table)
+    yield from (f"### {title}", "", "| key | value | what it is |", "|---|---|---|")
+    for name, field in keys.items():
+        value = value_of(field).replace("|", "\\|").replace("*", "\\*")
+        meaning = (field.description or "").replace("|", "\\|")
+        yield f"| `{name}` | {value}; {_default(field)} | {meaning} |"
+    yield ""
+    for name, (field, inner) in below.items():
+        whole = f"{path}.{name}" if path else name
+        yield from _reference(inner, whole, f"`{_header(whole, field)}`")
+
+
+def _parts(
+    table: type[TomlTable],
+) -> tuple[dict[str, FieldInfo], dict[str, tuple[FieldInfo, type[TomlTable]]]]:
+    """Return the keys of a table, and the tables below it."""
+    fields = table.model_fields
+    below = {name: (field, inner) for name, field in fields.items() if (inner := table_of(field))}
+    return {name: field for name, field in fields.items() if name not in below}, below
+
+
+def _header(path: str, field: FieldInfo) -> str:
+    return f"[[{path}]]" if is_repeated(field) else f"[{path}]"
+
+
+def _default(field: FieldInfo) -> str:
+    if field.is_required():
+        return "required"
+    extra = field.json_schema_extra
+    shown = extra.get("shown") if isinstance(extra, dict) else None
+    return f"default {field.default if shown is None else shown}"

@@ -21,7 +21,7 @@ from gis_radar.lanelets import read_map
 from gis_radar.localization import localize_files
 from gis_radar.occupancy import Filters, measure_occupancy, merge_occupancies, read_occupancy
 from gis_radar.poses.files import PoseTrack, read_track, write_pose
-from gis_radar.poses.pose import Pose, View
+from gis_radar.poses.pose import View
 from gis_radar.progress import Reporter
 from gis_radar.qgis import write_site_project
 from gis_radar.recordings import convert as convert_recordings
@@ -123,9 +123,10 @@ def pose_stage(
     """
     track = read_track(pose)
     track.poses[-1].plane_covariance()  # refused here, a bad one stops this sensor alone
-    if not given:
-        track = replace(track, poses=tuple(_overruled(each, view) for each in track.poses))
-    elif track.sensor != sensor:
+    if not given and view is not None:
+        seeing = tuple(replace(each, view=View(**view)) for each in track.poses)
+        track = replace(track, poses=seeing)
+    elif given and track.sensor != sensor:
         reporter.log(f"{pose}: is the pose of {track.sensor}, taken for {sensor}")
     if given and view is not None and any(each.view is not None for each in track.poses):
         reporter.log(f"the pose of {sensor} has a view, which counts", "warning")
@@ -137,10 +138,6 @@ def pose_stage(
     write_pose(only, outputs[0])
     names = ("easting", "northing", "height", "roll", "pitch", "yaw")
     return {name: round(getattr(only, name), 3) for name in names}
-
-
-def _overruled(pose: Pose, view: dict[str, float] | None) -> Pose:
-    return pose if view is None else replace(pose, view=View(**view))
 
 
 def _seeing(track: PoseTrack, sensor: str, view: dict[str, float] | None) -> PoseTrack:

@@ -1,14 +1,24 @@
-"""Types of values in a site file: what each looks like, and how it is checked."""
+"""Types of values and tables in a site file: what each looks like, and how it is checked."""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from types import UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
-from pydantic import AfterValidator, Field, PlainValidator, ValidationInfo
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    ValidationInfo,
+)  # fmt: skip
+from pydantic.fields import FieldInfo
 
 from gis_radar.crs import bearing_of, looks_like_degrees, metric_crs
 from gis_radar.errors import GisRadarError
@@ -49,18 +59,6 @@ def _name(value: Any) -> str:
     if text.startswith(".") or text != text.strip() or text[-1] == "." or _NOT_IN_NAMES & {*text}:
         raise Unfit('a name that a folder can have: without / \\ : * ? " < > | and no leading dot')
     return text
-
-
-def _numbers(*counts: int) -> PlainValidator:
-    def check(value: Any) -> tuple[float, ...]:
-        fits = isinstance(value, list) and len(value) in counts
-        if not fits or not all(
-            type(each) in {int, float} and math.isfinite(each) for each in value
-        ):
-            raise Unfit
-        return tuple(map(float, value))
-
-    return PlainValidator(check)
 
 
 def _position(numbers: tuple[float, ...]) -> tuple[float, ...]:
@@ -122,12 +120,6 @@ def _cycle(value: Any) -> float | str:
     return duration_s(text)
 
 
-def _pairs(value: Any) -> dict[str, str]:
-    if not isinstance(value, dict) or not value:
-        raise Unfit
-    return {name: _text(each) for name, each in value.items()}
-
-
 def _folder(info: ValidationInfo) -> Path:
     return Path((info.context or {}).get("folder", ""))
 
@@ -149,11 +141,10 @@ def _files(value: Any, info: ValidationInfo, *, folders: bool = False) -> tuple[
         raise Unfit
     found: dict[Path, None] = {}
     for pattern in map(_text, patterns):
-        wild = _WILD & {*pattern}
-        matches = _matches(pattern, _folder(info), folders=folders) if wild else [
-            _file(pattern, info, folders=folders)
-        ]  # fmt: skip
-        found.update(dict.fromkeys(matches))
+        if _WILD & {*pattern}:
+            found |= dict.fromkeys(_matches(pattern, _folder(info), folders=folders))
+        else:
+            found[_file(pattern, info, folders=folders)] = None
     return tuple(found)
 
 
@@ -173,10 +164,6 @@ def _matches(pattern: str, folder: Path, *, folders: bool) -> list[Path]:
     return matches
 
 
-def _recordings(value: Any, info: ValidationInfo) -> tuple[Path, ...]:
-    return _files(value, info, folders=True)
-
-
 def within(low: float = -math.inf, high: float = math.inf) -> Any:
     """Return the constraint of numbers from `low` to `high`."""
     return Field(strict=True, ge=low, le=high, allow_inf_nan=False)
@@ -185,15 +172,17 @@ def within(low: float = -math.inf, high: float = math.inf) -> Any:
 Text = Annotated[str, Meaning("text"), PlainValidator(_text)]
 Texts = Annotated[tuple[Text, ...], Meaning("a list of texts"), Field(min_length=1)]
 Name = Annotated[str, Meaning("a name"), PlainValidator(_name)]
-Point = Annotated[tuple[float, float], Meaning("[E, N], metres"), _numbers(2)]
+Number = Annotated[float, within()]
+Point = Annotated[tuple[Number, Number], Meaning("[E, N], metres")]
 Position = Annotated[
-    tuple[float, ...], Meaning("[E, N] or [E, N, H], metres"), _numbers(2, 3),
+    tuple[Number, ...],
+    Meaning("[E, N] or [E, N, H], metres"),
+    Field(min_length=2, max_length=3),
     AfterValidator(_position),
-]  # fmt: skip
+]
 Span = Annotated[
-    tuple[float, float], Meaning("[LOW, HIGH], metres, ascending"), _numbers(2),
-    AfterValidator(_ascending),
-]  # fmt: skip
+    tuple[Number, Number], Meaning("[LOW, HIGH], metres, ascending"), AfterValidator(_ascending)
+]
 Crs = Annotated[str, Meaning("a projected, metric CRS such as EPSG:25832"), PlainValidator(_crs)]
 CompassBearing = Annotated[
     float, Meaning("degrees or a word such as north-east"), PlainValidator(bearing_of)
@@ -206,9 +195,7 @@ Intervals = Annotated[
 Cycle = Annotated[
     float | Literal["auto"], Meaning('a duration such as "57ms", or "auto"'), PlainValidator(_cycle)
 ]
-Zone = Annotated[
-    str, Meaning("an IANA time zone such as Europe/Berlin"), PlainValidator(_zone)
-]  # fmt: skip
+Zone = Annotated[str, Meaning("an IANA time zone such as Europe/Berlin"), PlainValidator(_zone)]
 File = Annotated[Path, Meaning("the name of a file"), PlainValidator(_file)]
 Files = Annotated[
     tuple[Path, ...],
@@ -218,6 +205,100 @@ Files = Annotated[
 Recordings = Annotated[
     tuple[Path, ...],
     Meaning('a name, or a list of names and patterns such as ["R1_*.parquet"]'),
-    PlainValidator(_recordings),
+    PlainValidator(lambda value, info: _files(value, info, folders=True)),
 ]
-Pairs = Annotated[dict[str, str], Meaning('a table such as { x = "X" }'), PlainValidator(_pairs)]
+Pairs = Annotated[dict[str, Text], Meaning('a table such as { x = "X" }'), Field(min_length=1)]
+
+
+# Tables of the file, their keys, and where these stand.
+
+
+def key(example: str, default: Any = ..., shown: str | None = None) -> Any:
+    """Declare a field of a table as a key of the site file; its docstring is what it is.
+
+    Parameters
+    ----------
+    example : str
+        A value as TOML, for the template.
+    default : object
+        What holds without it; a key without a default is required.
+    shown : str, optional
+        The default in words; by default the value itself.
+    """
+    return Field(default, examples=[example], json_schema_extra={"shown": shown})
+
+
+class TomlTable(BaseModel):
+    """A table of the site file: unknown keys are refused, and nothing changes afterwards."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+
+def table_of(field: FieldInfo) -> type[TomlTable] | None:
+    """Return the table that a key stands for; None where its value is none."""
+    kinds = _kinds(field.annotation)
+    return next(
+        (each for each in kinds if isinstance(each, type) and issubclass(each, TomlTable)), None
+    )
+
+
+def is_repeated(field: FieldInfo) -> bool:
+    """Return whether a table may be there several times: `[[name]]`."""
+    return get_origin(field.annotation) is tuple
+
+
+def value_of(field: FieldInfo) -> str:
+    """Return what a value of a key is, in a few words."""
+    inner = table_of(field)
+    if inner is not None:
+        return "one or more tables: [[sensor]]" if is_repeated(field) else "a table"
+    kinds = _kinds(field.annotation)
+    notes = (
+        *field.metadata,
+        *(note for each in kinds for note in getattr(each, "__metadata__", ())),
+    )
+    meaning = next((note.text for note in notes if isinstance(note, Meaning)), "")
+    return meaning or f"one of {', '.join(get_args(field.annotation))}"
+
+
+def _kinds(annotation: Any) -> tuple[Any, ...]:
+    """Return the types of a union or a tuple, else the type itself."""
+    inside = get_origin(annotation) in {Union, UnionType, tuple}
+    return get_args(annotation) if inside else (annotation,)
+
+
+_HEADER = re.compile(r"\s*(\[\[?)\s*([^\]#]+?)\s*\]\]?\s*(?:#.*)?$")
+_KEY = re.compile(r"\s*[\"']?([A-Za-z0-9_.-]+)[\"']?\s*=")
+
+
+def lines_of(text: str) -> dict[Steps, int]:
+    """Return the line, from 1, of each table and key of a TOML text.
+
+    Found by the look of a line, for messages only: inside a text of several lines it may err.
+    """
+    lines: dict[Steps, int] = {}
+    counts: dict[str, int] = {}
+    table: Steps = ()
+    for number, line in enumerate(text.splitlines(), start=1):
+        if header := _HEADER.match(line):
+            table = _steps_to(header[2], counts, repeated=header[1] == "[[")
+            lines.setdefault(table, number)
+        elif found := _KEY.match(line):
+            steps = (*table, *found[1].split("."))
+            for length in range(len(table) + 1, len(steps) + 1):
+                lines.setdefault(steps[:length], number)
+    return lines
+
+
+def _steps_to(name: str, counts: dict[str, int], *, repeated: bool) -> Steps:
+    """Return the way to a table; below a repeated one, to its latest."""
+    if repeated:
+        counts[name] = counts.get(name, -1) + 1
+    steps: list[str | int] = []
+    words = [word.strip().strip("\"'") for word in name.split(".")]
+    for depth, word in enumerate(words, start=1):
+        steps.append(word)
+        latest = counts.get(".".join(words[:depth]))
+        if latest is not None:
+            steps.append(latest)
+    return tuple(steps)

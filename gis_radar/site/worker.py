@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import queue
 import signal
 import sys
 import tempfile
@@ -16,7 +17,7 @@ from multiprocessing.context import SpawnContext, SpawnProcess
 from multiprocessing.queues import SimpleQueue
 from pathlib import Path
 from types import FrameType
-from typing import Any, Protocol
+from typing import Any
 
 from gis_radar import errors
 from gis_radar.errors import GisRadarError, OutputError
@@ -117,16 +118,6 @@ def carry_out(
     return answer
 
 
-class Events(Protocol):
-    """Queue of the events that workers have sent."""
-
-    def empty(self) -> bool:
-        """Return whether there is none now."""
-
-    def get(self) -> Event:
-        """Take the next event."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Pool:
     """An executor of stages, with the way of their events back to the run.
@@ -145,7 +136,7 @@ class Pool:
 
     executor: Executor
     send: Send
-    events: Events
+    events: SimpleQueue[Event] | queue.SimpleQueue[Event]
     why_broken: Callable[[], str] = str
 
 
@@ -181,23 +172,14 @@ class _Worker(SpawnProcess):
         main: dict[str, Any] = vars(sys.modules["__main__"])
         shown = {"__spec__": main.get("__spec__"), "__file__": main.pop("__file__", None)}
         main["__spec__"] = None
-        with _interruptions_blocked():
-            try:
-                super().start()
-            finally:
-                main.update({name: value for name, value in shown.items() if value is not None})
-
-
-@contextmanager
-def _interruptions_blocked() -> Iterator[None]:
-    if sys.platform == "win32":
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if sys.platform != "win32":
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            super().start()
+        finally:
+            main.update({name: value for name, value in shown.items() if value is not None})
+            if sys.platform != "win32":
+                signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 class _WorkerContext(SpawnContext):
