@@ -14,7 +14,7 @@ import pytest
 from test_heatmap import T0, lane_tiles, two_sensors
 
 import gis_radar as gr
-from gis_radar.heatmap.series import require_room
+from gis_radar.heatmap.heatmap import require_room
 
 xr = pytest.importorskip("xarray")
 

@@ -10,8 +10,9 @@ never exceeds observed.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import geopandas as gpd
 import numpy as np
@@ -19,13 +20,14 @@ import pandas as pd
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.arrays import Floats, Integers
 from gis_radar.crs import metric_crs
 from gis_radar.errors import InputError
 from gis_radar.heatmap.intervals import SETTINGS, Timeline
 from gis_radar.occupancy import Occupancy
 from gis_radar.occupancy.frame_steps import Runs, steps_in, union
-from gis_radar.progress import Reporter
+from gis_radar.occupancy.hits import Hits
+from gis_radar.progress import QUIET, Reporter
 from gis_radar.steps import STEPS_PER_SECOND, iso_from_step
 from gis_radar.tiles.tiles import COLUMNS, fingerprint
 
@@ -40,6 +42,8 @@ DEFINITIONS = {
     ),
     "occupancy": "occupied_s / observed_s, 0 to 1; no data where not observed",
 }
+
+Counts = NDArray[np.uint32]
 
 
 class Shares(NamedTuple):
@@ -91,7 +95,7 @@ class Tally:
     timeline: Timeline
     seen: Integers
     group: Integers
-    occupied: NDArray[np.uint32]
+    occupied: Counts
     observed: Integers
 
     @property
@@ -105,6 +109,66 @@ class Tally:
         if self.timeline is self.whole or len(self.timeline) > SETTINGS.most_columns:
             return range(0)
         return range(len(self.timeline))
+
+    @classmethod
+    def count(
+        cls,
+        occupancy: Occupancy,
+        tiles: gpd.GeoDataFrame,
+        whole: Timeline,
+        timeline: Timeline,
+        *,
+        chosen: Integers | None = None,
+        reporter: Reporter = QUIET,
+    ) -> Self:
+        """Count the steps in which tiles were observed, and occupied while they were.
+
+        Parameters
+        ----------
+        occupancy : Occupancy
+            Its hits are read once, chunk by chunk.
+        tiles : GeoDataFrame
+            All of its tiles, from :func:`checked`.
+        whole, timeline : Timeline
+            The whole time, and the intervals.
+        chosen : (k,) int64 array, optional
+            Positions of the tiles to count, ascending; without it, all.
+        reporter : Reporter
+            Where progress goes.
+
+        Raises
+        ------
+        InputError
+            If no view sees any tile, or a view or a hit names a tile that is not there.
+        """
+        tile_ids = tiles["tile_id"].to_numpy(np.int64)
+        seen, group, runs = _observe(occupancy, tile_ids)
+        if chosen is not None:
+            wanted = np.isin(seen, chosen)
+            seen, group = seen[wanted], group[wanted]
+        column = np.full(len(tile_ids), -1)
+        column[seen] = np.arange(len(seen))
+        observed, shift = _runs_of_groups(runs, timeline)
+        occupied = np.zeros((len(timeline), len(seen)), np.uint32)
+        done = 0
+        for step, tile_id in _hits_within(occupancy.hits(), timeline):
+            place, row = column[positions(tile_ids, tile_id)], timeline.find(step)
+            kept = np.flatnonzero((place >= 0) & (row >= 0))
+            kept = kept[observed.find(step[kept] + shift[group[place[kept]]]) >= 0]
+            np.add.at(occupied.reshape(-1), row[kept] * len(seen) + place[kept], 1)
+            done += len(step)
+            reporter.progress("counting hits", done, None)
+        return cls(
+            tiles=tiles if chosen is None else tiles.iloc[chosen].reset_index(drop=True),
+            fingerprint=occupancy.fingerprint,
+            sensors=tuple(occupancy.sensors),
+            whole=whole,
+            timeline=timeline,
+            seen=seen if chosen is None else np.searchsorted(chosen, seen),
+            group=group,
+            occupied=occupied,
+            observed=np.stack([timeline.counts(each) for each in runs], axis=1),
+        )
 
     def shares(self, interval: int | slice | None = None) -> Shares:
         """Return seconds and occupancy of all tiles.
@@ -186,28 +250,6 @@ class Tally:
         )
 
 
-Counts = NDArray[np.uint32]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Observation:
-    """Which tiles were observed in which steps.
-
-    Parameters
-    ----------
-    seen : (k,) int64 array
-        Positions of the tiles that some view sees, ascending.
-    group : (k,) int64 array
-        For each of them, the group of tiles that the same views see.
-    runs : tuple of Runs
-        For each group, the steps in which it was observed.
-    """
-
-    seen: Integers
-    group: Integers
-    runs: tuple[Runs, ...]
-
-
 def frame_runs(occupancy: Occupancy) -> Runs:
     """Return the steps in which any sensor delivered a frame.
 
@@ -222,23 +264,10 @@ def frame_runs(occupancy: Occupancy) -> Runs:
     return steps_in(frames)
 
 
-def observe(occupancy: Occupancy, tile_ids: Integers) -> Observation:
-    """Find the steps in which each tile was observed.
-
-    Tiles that the same views see are observed in the same steps and are treated as one.
-
-    Parameters
-    ----------
-    occupancy : Occupancy
-        Its frames and views.
-    tile_ids : (n,) int64 array
-        The tiles, ascending.
-
-    Raises
-    ------
-    InputError
-        If no view sees any tile, or a view names a tile that is not there.
-    """
+def _observe(
+    occupancy: Occupancy, tile_ids: Integers
+) -> tuple[Integers, Integers, tuple[Runs, ...]]:
+    """Return the positions of the tiles in view, the group of each, and each group's steps."""
     frames, views = occupancy.frames, occupancy.views
     if views.empty:
         raise InputError(
@@ -249,7 +278,7 @@ def observe(occupancy: Occupancy, tile_ids: Integers) -> Observation:
     seen, group, members = _group(position, tiles)
     of_view: dict[Any, Runs] = {code: steps_in(rows) for code, rows in frames.groupby(codes)}
     runs = tuple(union([of_view.get(code, _NO_RUNS) for code in each]) for each in members)
-    return Observation(seen=seen, group=group, runs=runs)
+    return seen, group, runs
 
 
 def positions(tile_ids: Integers, wanted: Integers) -> Integers:
@@ -268,69 +297,28 @@ def positions(tile_ids: Integers, wanted: Integers) -> Integers:
     return position
 
 
-def count_hits(
-    occupancy: Occupancy,
-    observation: Observation,
-    timeline: Timeline,
-    tile_ids: Integers,
-    reporter: Reporter,
-) -> Counts:
-    """Count the steps in which each tile was occupied while it was observed.
-
-    Parameters
-    ----------
-    occupancy : Occupancy
-        Its hits; read once, chunk by chunk.
-    observation : Observation
-        Which tiles were observed when.
-    timeline : Timeline
-        The intervals.
-    tile_ids : (n,) int64 array
-        The tiles, ascending.
-    reporter : Reporter
-        Where progress goes.
-
-    Returns
-    -------
-    (intervals, k) uint32 array
-        One column for each of `observation.seen`.
-    """
-    tiles = len(observation.seen)
-    column = np.full(len(tile_ids), -1)
-    column[observation.seen] = np.arange(tiles)
-    lookup = _Lookup(observation)
-    counts = np.zeros((len(timeline), tiles), np.uint32)
-    done = 0
-    for step, tile_id in occupancy.hits():
-        place, row = column[positions(tile_ids, tile_id)], timeline.find(step)
-        kept = np.flatnonzero((place >= 0) & (row >= 0))
-        kept = kept[lookup.observed(observation.group[place[kept]], step[kept])]
-        np.add.at(counts.reshape(-1), row[kept] * tiles + place[kept], 1)
-        done += len(step)
-        reporter.progress("counting hits", done, None)
-    return counts
+def _hits_within(hits: Iterator[Hits], timeline: Timeline) -> Iterator[Hits]:
+    """Yield the hits in a span of time; what comes later is not read."""
+    first, after = int(timeline.begin[0]), int(timeline.end[-1])
+    for step, tile in hits:
+        if len(step) == 0 or step[-1] < first:
+            continue
+        low, high = np.searchsorted(step, [first, after])
+        yield step[low:high], tile[low:high]
+        if high < len(step):
+            return
 
 
-class _Lookup:
-    """Look-up of whether a group was observed in a step: all runs in one sorted list."""
-
-    def __init__(self, observation: Observation) -> None:
-        runs = observation.runs
-        first = np.concatenate([one.first for one in runs])
-        last = np.concatenate([one.last for one in runs])
-        self._low = int(first.min()) if len(first) else 0
-        self._high = int(last.max()) if len(last) else -1
-        self._span = self._high - self._low + 1
-        shift = np.repeat(np.arange(len(runs)), [len(one) for one in runs]) * self._span - self._low
-        self._first, self._last = first + shift, last + shift
-
-    def observed(self, group: Integers, step: Integers) -> Booleans:
-        within = (step >= self._low) & (step <= self._high)
-        key = group * self._span + (step - self._low)
-        run = np.searchsorted(self._first, key, side="right") - 1
-        within &= run >= 0
-        within[within] = key[within] <= self._last[run[within]]
-        return np.asarray(within)
+def _runs_of_groups(runs: Sequence[Runs], timeline: Timeline) -> tuple[Timeline, Integers]:
+    """Return the runs of all groups in one ascending list, and what each group's are shifted by."""
+    first, after = int(timeline.begin[0]), int(timeline.end[-1])
+    parts = [each.within(first, after - 1) for each in runs]
+    shift = np.arange(len(parts)) * (after - first) - first
+    shifts = np.repeat(shift, [len(each) for each in parts])
+    begin = np.concatenate([each.first for each in parts]) + shifts
+    return Timeline(
+        begin=begin, end=np.concatenate([each.last for each in parts]) + 1 + shifts
+    ), shift
 
 
 _NO_RUNS = Runs(first=np.empty(0, np.int64), last=np.empty(0, np.int64))

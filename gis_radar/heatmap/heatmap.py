@@ -1,50 +1,64 @@
-"""From occupancy to heat map: the table of tiles, and the files that other programs open."""
+"""From occupancy to heat map: its figures, plots and files, and a labelled cube for xarray."""
 
 from __future__ import annotations
 
-import json
 import sqlite3
-from contextlib import closing
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import geopandas as gpd
 import numpy as np
-import pyogrio
-from pyogrio.errors import DataLayerError, DataSourceError
+import shapely
+from numpy.typing import ArrayLike
+from pyogrio.errors import DataSourceError
 from rasterio.errors import RasterioError
 
 from gis_radar.arrays import Integers
-from gis_radar.errors import InputError, OutputError, UsageError
+from gis_radar.crs import name_of
+from gis_radar.errors import NOTEBOOKS, InputError, OutputError, UsageError
 from gis_radar.files import whole_folder
-from gis_radar.heatmap.counting import Counts, Tally, checked, count_hits, frame_runs, observe
+from gis_radar.heatmap.counting import (
+    DEFINITIONS,
+    Shares,
+    Tally,
+    checked,
+    frame_runs,
+    positions,
+)
 from gis_radar.heatmap.figure import SMALL_PIXELS, draw, explore, write_figure
-from gis_radar.heatmap.intervals import Timeline, intervals_of, whole_of
+from gis_radar.heatmap.intervals import (
+    Timeline,
+    intervals_of,
+    intervals_with,
+    moment_of,
+    whole_of,
+)
 from gis_radar.heatmap.layers import (
-    BEGIN,
-    END,
-    LONG,
-    WIDE,
     long_layer,
+    read_package,
     wide_layer,
     write_package,
     write_table,
 )
 from gis_radar.heatmap.raster import write_raster
-from gis_radar.heatmap.series import MOST_MIB, dataset
 from gis_radar.heatmap.style import sidecar_qml
 from gis_radar.notebooks import card, small_picture
 from gis_radar.occupancy import Occupancy
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.steps import STEPS_PER_SECOND, seconds_from_iso, step_of, zone_of
-from gis_radar.tiles.tiles import COLUMNS, fingerprint
+from gis_radar.steps import STEP_US, interval_steps, step_of, zone_of
+
+if TYPE_CHECKING:
+    import xarray
 
 PAGE, PAPER = "report.html", "report.pdf"
 LANES, LANES_BY_INTERVAL = "lanes.csv", "lanes_by_interval.csv"
 SENSORS, QUALITY = "sensors.csv", "quality.csv"
 REPORT_FILES = (PAGE, PAPER, LANES, LANES_BY_INTERVAL, SENSORS, QUALITY)
 
-
+MOST_MIB = 1024.0  # of a cube
+LANELET, START = "lanelet of the tile", "start of the tile along its lanelet"
+CELL_BYTES = 3 * 4 + 4  # of a tile and interval: three numbers, and the count they come from
 MOST_DRAWN = 60_000  # tiles in the small picture of a notebook
 # A report of it may stand there; it goes when the heat map does.
 OWNED = ("heatmap.", *REPORT_FILES)
@@ -162,12 +176,12 @@ class HeatMap(Tally):
             If the folder cannot be written or holds other files.
         """
         folder = Path(folder)
-        writers = {
+        writers: dict[str, Callable[[Tally, Path, Reporter], object]] = {
             "heatmap.gpkg": write_package,
             "heatmap.tif": write_raster,
             "heatmap.parquet": write_table,
             "heatmap.png": write_figure,
-            "heatmap.qml": _write_style,
+            "heatmap.qml": lambda _, path, __: path.write_text(sidecar_qml(), encoding="utf-8"),
         }
         with whole_folder(folder, owned=OWNED) as fresh:
             for name, write in writers.items():
@@ -239,44 +253,11 @@ def make_heatmap(
         raise UsageError("a timezone needs an interval", hint="such as 1h or 1d")
     zone = None if timezone is None else zone_of(timezone)
     tiles = checked(tiles, occupancy.fingerprint)
-    tile_ids = tiles["tile_id"].to_numpy(np.int64)
     runs = frame_runs(occupancy)
-    whole = whole_of(runs, at)
-    observation = observe(occupancy, tile_ids)
-    timeline = whole
+    whole = timeline = whole_of(runs, at)
     if interval is not None:
         timeline = intervals_of(runs, interval, zone, len(tiles), reporter)
-    occupied = count_hits(occupancy, observation, timeline, tile_ids, reporter)
-    return HeatMap(
-        tiles=tiles,
-        fingerprint=occupancy.fingerprint,
-        sensors=tuple(sorted(map(str, occupancy.frames["sensor"].unique()))),
-        whole=whole,
-        timeline=timeline,
-        seen=observation.seen,
-        group=observation.group,
-        occupied=occupied,
-        observed=np.stack([timeline.counts(each) for each in observation.runs], axis=1),
-    )
-
-
-def _write_style(_tally: Tally, path: Path, _reporter: Reporter) -> None:
-    path.write_text(sidecar_qml(), encoding="utf-8")
-
-
-FILE = "heatmap.gpkg"
-_HINT = "make one with: gis-radar heatmap"
-# From one begin to the next by their index: a scan of all rows would take seconds.
-_TIMES = f"""
-    WITH RECURSIVE times(moment) AS (
-        SELECT min("{BEGIN}") FROM "{LONG}"
-        UNION ALL
-        SELECT (SELECT min("{BEGIN}") FROM "{LONG}" WHERE "{BEGIN}" > moment)
-        FROM times WHERE moment IS NOT NULL
-    )
-    SELECT moment, (SELECT "{END}" FROM "{LONG}" WHERE "{BEGIN}" = moment LIMIT 1)
-    FROM times WHERE moment IS NOT NULL
-"""  # noqa: S608 - our own names
+    return HeatMap.count(occupancy, tiles, whole, timeline, reporter=reporter)
 
 
 def read_heatmap(path: str | Path) -> HeatMap:
@@ -299,83 +280,188 @@ def read_heatmap(path: str | Path) -> HeatMap:
     InputError
         If there is none, it is damaged, or its tiles were changed since.
     """
-    path = Path(path)
-    path = path / FILE if path.is_dir() else path
-    if not path.is_file():
-        raise InputError(f"{path}: there is no heat map", hint=_HINT)
+    return read_package(Path(path), HeatMap)
+
+
+def require_xarray() -> Any:
+    """Return the module xarray.
+
+    Raises
+    ------
+    InputError
+        If it is not installed.
+    """
     try:
-        tiles = pyogrio.read_dataframe(path, layer=WIDE, columns=list(COLUMNS), use_arrow=True)
-        notes = pyogrio.read_info(path, layer=WIDE)["layer_metadata"] or {}
-        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
-            times = database.execute(_TIMES).fetchall()
-        whole = _checked_whole(tiles, notes, path)
-        timeline = Timeline(
-            begin=_steps_of([begin for begin, _ in times], path),
-            end=_steps_of([end for _, end in times], path),
+        import xarray  # noqa: PLC0415 - an extra
+    except ImportError as error:
+        raise InputError("a Dataset needs xarray, which is missing", hint=NOTEBOOKS) from error
+    return xarray
+
+
+def require_room(tiles: int, intervals: int, most_mib: float) -> None:
+    """Refuse a cube that would take more memory than it may, before it is made.
+
+    Raises
+    ------
+    UsageError
+        If it would.
+    """
+    mib = tiles * intervals * CELL_BYTES / 2**20
+    if mib > most_mib:
+        raise UsageError(
+            f"{tiles} tiles in {intervals} intervals take {mib:.0f} MiB, over {most_mib:g} MiB",
+            hint="take a longer interval, fewer tiles (tile_ids), a part of the time (within), "
+            "or raise most_mib",
         )
-        occupied, observed = _read_counts(path, tiles["tile_id"].to_numpy(np.int64), len(timeline))
-    except (DataSourceError, DataLayerError, sqlite3.Error, OSError) as error:
-        reason = str(error).splitlines()[0]
-        raise InputError(f"{path}: not a heat map: {reason}", hint=_HINT) from error
-    seen = np.flatnonzero(observed.any(axis=0))
-    first, group = _alike(observed[:, seen])
-    return HeatMap(
-        tiles=tiles[[*COLUMNS, "geometry"]],
-        fingerprint=notes["fingerprint"],
-        sensors=tuple(json.loads(notes["sensors"])),
-        whole=whole,
-        timeline=whole if timeline.spans() == whole.spans() else timeline,
-        seen=seen,
-        group=group,
-        occupied=occupied[:, seen],
-        observed=observed[:, seen[first]].astype(np.int64),
+
+
+def dataset(tally: Tally, *, most_mib: float = MOST_MIB) -> xarray.Dataset:
+    """Return a heat map as a Dataset over (tile, time).
+
+    `occupied_s`, `observed_s` and `occupancy` are float32; where a tile was not observed,
+    `observed_s` is 0 and the others are NaN. Coordinates of a tile: `tile_id` (an index, so that
+    `sel(tile_id=7)` works), `lanelet_id`, `s_m`, `easting`, `northing` (of its centre, m); of a
+    time: `time` and `begin`, `end` (exclusive), datetime64 in UTC.
+
+    Parameters
+    ----------
+    tally : Tally
+        What to show.
+    most_mib : float
+        The memory that it may take, MiB.
+
+    Raises
+    ------
+    UsageError
+        If it would take more.
+    InputError
+        If xarray is not installed.
+    """
+    xr = require_xarray()
+    require_room(len(tally.tiles), len(tally.timeline), most_mib)
+    shape = (len(tally.tiles), len(tally.timeline))
+    arrays = {name: np.full(shape, np.nan, np.float32) for name in Shares._fields}
+    for column in range(shape[1]):
+        for name, value in tally.shares(column)._asdict().items():
+            arrays[name][:, column] = value
+    values = {
+        name: (("tile", "time"), array, {"long_name": DEFINITIONS[name], "units": unit})
+        for (name, array), unit in zip(arrays.items(), ("s", "s", "1"), strict=True)
+    }
+    attributes = {
+        "title": "Occupancy of lane tiles",
+        "crs": name_of(tally.crs),
+        "fingerprint": tally.fingerprint,
+        "sensors": ", ".join(tally.sensors),
+    }
+    cube: xarray.Dataset = xr.Dataset(values, coords=_coordinates(tally), attrs=attributes)
+    return cube.set_xindex("tile_id")
+
+
+def _coordinates(tally: Tally) -> dict[str, Any]:
+    tiles = tally.tiles
+    middle = shapely.get_coordinates(shapely.centroid(tiles.geometry.array))
+    metres = {"units": "m"}
+    begin, end = (
+        (steps * (STEP_US // 1000)).astype("datetime64[ms]").astype("datetime64[ns]")
+        for steps in (tally.timeline.begin, tally.timeline.end)
     )
+    begins = ("time", begin, {"long_name": "begin of the interval, UTC"})
+    return {
+        "tile_id": ("tile", tiles["tile_id"].to_numpy(np.int64)),
+        "lanelet_id": ("tile", tiles["lanelet_id"].to_numpy(), {"long_name": LANELET}),
+        "s_m": ("tile", tiles["s_m"].to_numpy(), {"long_name": START} | metres),
+        "easting": ("tile", middle[:, 0], {"long_name": "easting"} | metres),
+        "northing": ("tile", middle[:, 1], {"long_name": "northing"} | metres),
+        "time": begins,
+        "begin": begins,
+        "end": ("time", end, {"long_name": "end of the interval, exclusive, UTC"}),
+    }
 
 
-def _checked_whole(tiles: gpd.GeoDataFrame, notes: dict[str, Any], path: Path) -> Timeline:
-    """Return the whole time; refuse a table that is not what was written."""
-    missing = [name for name in COLUMNS if name not in tiles]
-    missing += [name for name in ("fingerprint", "sensors", "begin", "end") if name not in notes]
-    if missing:
-        raise InputError(f"{path}: lacks {', '.join(missing)}", hint="make it again")
-    if fingerprint(tiles) != notes["fingerprint"]:
-        raise InputError(f"{path}: its tiles were changed since it was made", hint="make it again")
-    begin, end = (_steps_of([notes[name]], path) for name in ("begin", "end"))
-    return Timeline(begin=begin, end=end)
+def to_xarray(
+    occupancy: Occupancy,
+    tiles: gpd.GeoDataFrame,
+    *,
+    interval: str,
+    within: tuple[str, str] | None = None,
+    tile_ids: ArrayLike | None = None,
+    timezone: str | None = None,
+    most_mib: float = MOST_MIB,
+    reporter: Reporter = QUIET,
+) -> xarray.Dataset:
+    """Return occupancy over (tile, time) as an xarray Dataset.
+
+    The hits are read once, piece by piece: memory is that of the result and of one piece, however
+    long the occupancy is. For more than fits, go through the time part by part with `within`.
+
+    Parameters
+    ----------
+    occupancy : Occupancy
+        Hits, frames and views.
+    tiles : GeoDataFrame
+        All tiles that the occupancy was made with.
+    interval : str
+        Length of the intervals such as `1min`; `50ms` gives every step.
+    within : (begin, end), optional
+        ISO 8601 times with their zone; the end is exclusive. Intervals are cut at both.
+    tile_ids : array of int, optional
+        Which tiles; without it, all.
+    timezone : str, optional
+        Whose hours and days intervals follow, as for :func:`gis_radar.make_heatmap`.
+    most_mib : float
+        The memory that the result may take, MiB.
+    reporter : Reporter
+        Where progress goes.
+
+    Returns
+    -------
+    xarray.Dataset
+        As :meth:`gis_radar.HeatMap.to_xarray` gives.
+
+    Raises
+    ------
+    UsageError
+        If it would take more memory than it may; if `interval`, `within` or `timezone` is none.
+    InputError
+        If there is no frame in that time, the tiles are not those of the occupancy, a tile is
+        not there, or xarray is not installed.
+    """
+    require_xarray()
+    tiles = checked(tiles, occupancy.fingerprint)
+    chosen = _chosen(tiles["tile_id"].to_numpy(np.int64), tile_ids)
+    runs = frame_runs(occupancy)
+    if within is not None:
+        first, after = _steps(within)
+        runs = runs.within(first, after - 1)
+        if len(runs) == 0:
+            raise InputError(f"no sensor delivered a frame from {within[0]} to {within[1]}")
+    require_room(len(chosen), intervals_with(runs, interval_steps(interval)), most_mib)
+    zone = None if timezone is None else zone_of(timezone)
+    timeline = intervals_of(runs, interval, zone, len(chosen), QUIET)
+    if within is not None:
+        begin, end = np.maximum(timeline.begin, first), np.minimum(timeline.end, after)
+        timeline = Timeline(begin=begin, end=end)
+    require_room(len(chosen), len(timeline), most_mib)
+    tally = Tally.count(occupancy, tiles, timeline, timeline, chosen=chosen, reporter=reporter)
+    return dataset(tally, most_mib=most_mib)
 
 
-def _steps_of(times: list[str], path: Path) -> Integers:
-    return step_of(np.array([seconds_from_iso(each, what=f"{path}: time") for each in times]))
+def _chosen(all_ids: Integers, tile_ids: ArrayLike | None) -> Integers:
+    """Return the positions of the chosen tiles, ascending."""
+    if tile_ids is None:
+        return np.arange(len(all_ids))
+    wanted = np.unique(np.asarray(tile_ids, dtype=np.int64))
+    if len(wanted) == 0:
+        raise UsageError("tile_ids names no tile")
+    if unknown := np.setdiff1d(wanted, all_ids).tolist():
+        raise InputError(f"tile_ids names tile {unknown[0]}, which the tiles lack")
+    return positions(all_ids, wanted)
 
 
-def _read_counts(path: Path, tile_ids: Integers, intervals: int) -> tuple[Counts, Counts]:
-    """Read the steps in which tiles were occupied and observed, (intervals, tiles) each."""
-    rows = intervals * len(tile_ids)
-    names = ("occupied_s", "observed_s")
-    counts = np.zeros((len(names), rows), np.uint32)
-    done = 0
-    with pyogrio.open_arrow(
-        path, layer=LONG, use_pyarrow=True, read_geometry=False, columns=["tile_id", *names]
-    ) as (_, reader):
-        for batch in reader:
-            place = np.arange(done, done + len(batch))
-            done += len(batch)
-            expected = tile_ids[place % len(tile_ids)] if done <= rows else tile_ids[:0]
-            if not np.array_equal(batch["tile_id"].to_numpy(), expected):
-                done = -1
-                break
-            for steps, name in zip(counts, names, strict=True):
-                seconds = np.nan_to_num(batch[name].to_numpy(zero_copy_only=False))
-                steps[place] = np.rint(seconds * STEPS_PER_SECOND)
-    if done != rows or not rows:
-        raise InputError(f"{path}: {LONG} is damaged: not one row a tile and interval", hint=_HINT)
-    occupied, observed = counts.reshape(len(names), intervals, len(tile_ids))
-    return occupied, observed
-
-
-def _alike(observed: Counts) -> tuple[Integers, Integers]:
-    """Group tiles observed alike in all intervals: the first tile of each group, and the groups."""
-    rows = np.ascontiguousarray(observed.T)
-    whole = rows.view(np.dtype((np.void, rows.strides[0]))).ravel()
-    _, first, group = np.unique(whole, return_index=True, return_inverse=True)
-    return first, group
+def _steps(within: tuple[str, str]) -> tuple[int, int]:
+    begin, end = (moment_of(str(time), "within") for time in within)
+    if not begin < end:
+        raise UsageError(f"within goes from {within[0]} to {within[1]}, expected ascending times")
+    first, last = step_of(np.array([begin, end - 1e-6])).tolist()
+    return first, last + 1

@@ -75,6 +75,8 @@ class Timeline:
 
     def find(self, step: Integers) -> Integers:
         """Return the interval of each step, -1 where it is in none."""
+        if not len(self):
+            return np.full(len(step), -1)
         interval = np.searchsorted(self.begin, step, side="right") - 1
         inside = (interval >= 0) & (step < self.end[interval])
         return np.where(inside, interval, -1)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,6 @@ import rasterio.shutil
 from numpy.typing import NDArray
 from rasterio.enums import Resampling
 from rasterio.transform import Affine
-from rasterio.windows import Window
 
 from gis_radar.arrays import Floats, Integers
 from gis_radar.errors import OutputError
@@ -164,51 +164,6 @@ def aligned_grid(corners: Floats) -> PixelGrid:
     )  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
-class Blocks:
-    """The blocks of a GeoTIFF, numbered along their rows.
-
-    Parameters
-    ----------
-    grid : PixelGrid
-        The pixels.
-    side : int
-        Side of a block, pixels.
-    """
-
-    grid: PixelGrid
-    side: int
-
-    @property
-    def across(self) -> int:
-        """Blocks side by side."""
-        return -(-self.grid.width // self.side)
-
-    @property
-    def overviews(self) -> list[int]:
-        """Factors by which overviews are smaller, until one fits in a few blocks."""
-        side = max(self.grid.width, self.grid.height)
-        return [2**i for i in range(1, 32) if side > SMALLEST * 2 ** (i - 1)]
-
-    def of(self, pixel: Integers) -> Integers:
-        """Return the block of each pixel."""
-        row, column = np.divmod(pixel, self.grid.width)
-        return np.asarray(row // self.side * self.across + column // self.side)
-
-    def window(self, block: int) -> Window:
-        """Return the pixels of a block."""
-        row, column = divmod(block, self.across)
-        top, left = row * self.side, column * self.side
-        width, height = self.grid.width - left, self.grid.height - top
-        return Window(left, top, min(self.side, width), min(self.side, height))
-
-
-def choose_blocks(grid: PixelGrid, bands: int) -> Blocks:
-    """Choose the blocks: they hold all bands, so more bands make smaller blocks."""
-    sides = (side for side in (512, 256) if side * side * bands * 4 <= MOST_BLOCK_BYTES)
-    return Blocks(grid=grid, side=next(sides, 128))
-
-
 def write_raster(tally: Tally, path: Path, reporter: Reporter) -> None:
     """Write the cloud-optimised GeoTIFF: float32 occupancy, NaN where not observed.
 
@@ -223,14 +178,29 @@ def write_raster(tally: Tally, path: Path, reporter: Reporter) -> None:
     """
     corners = quads(tally.tiles)[tally.seen]
     intervals = [None, *tally.columns]
-    blocks = choose_blocks(aligned_grid(corners), len(intervals))
+    grid = aligned_grid(corners)
+    # A block holds all bands, so more bands make smaller blocks.
+    fitting = (side for side in (512, 256) if side**2 * len(intervals) * 4 <= MOST_BLOCK_BYTES)
+    side = next(fitting, 128)
+    plain_profile = {
+        "driver": "GTiff", "dtype": "float32", "nodata": np.nan, "count": len(intervals),
+        "crs": tally.crs.to_wkt(), "transform": grid.transform,
+        "width": grid.width, "height": grid.height,
+        "tiled": True, "blockxsize": side, "blockysize": side,
+        "interleave": "band", "sparse_ok": True, "bigtiff": "if_safer", "compress": "zstd",
+    }  # fmt: skip
+    longer = max(grid.width, grid.height)
+    overviews = [2**i for i in range(1, 32) if longer > SMALLEST * 2 ** (i - 1)]
     plain = path.with_suffix(".plain.tif")
     with rasterio.Env(GDAL_CACHEMAX=CACHE_MB, SPARSE_OK_OVERVIEW=True):
-        with rasterio.open(plain, "w", **_profile(tally, blocks, len(intervals))) as raster:
-            _write_bands(raster, tally, blocks, corners, intervals, reporter)
+        with rasterio.open(plain, "w", **plain_profile) as raster:
+            _write_bands(raster, tally, cover(grid, corners), reporter)
         with rasterio.open(plain, "r+") as raster:
-            raster.build_overviews(blocks.overviews, OVERVIEW)
-        rasterio.shutil.copy(plain, path, driver="COG", **_cog_options(blocks))
+            raster.build_overviews(overviews, OVERVIEW)
+        rasterio.shutil.copy(
+            plain, path, driver="COG", COMPRESS="DEFLATE", PREDICTOR="YES", BLOCKSIZE=str(side),
+            BIGTIFF="IF_SAFER", SPARSE_OK="TRUE", NUM_THREADS="ALL_CPUS",
+        )  # fmt: skip
     plain.unlink()
     _check_crs(path)
 
@@ -246,61 +216,27 @@ def _check_crs(path: Path) -> None:
             )
 
 
-def _write_bands(
-    raster: Any,
-    tally: Tally,
-    blocks: Blocks,
-    corners: Floats,
-    intervals: list[int | None],
-    reporter: Reporter,
-) -> None:
-    covered = cover(blocks.grid, corners)
+def _write_bands(raster: Any, tally: Tally, covered: Cover, reporter: Reporter) -> None:
+    """Write the whole time and each interval, block by block; empty blocks stay out of the file."""
+    row, column = np.divmod(covered.pixel, raster.width)
+    down, across = row // raster.profile["blockysize"], column // raster.profile["blockxsize"]
+    order = np.lexsort((across, down))
+    row, column, down, across = (each[order] for each in (row, column, down, across))
+    starts = np.flatnonzero(np.diff(down, prepend=-1) | np.diff(across, prepend=-1))
+    intervals = [None, *tally.columns]
     for band, interval in enumerate(intervals, start=1):
         share = tally.shares(interval).occupancy[tally.seen].astype(np.float32)
-        _write_band(raster, band, blocks, covered.pixel, covered.highest(share))
-        raster.set_band_description(band, _description(tally, interval))
+        values = covered.highest(share)[order]
+        for start, stop in pairwise([*starts.tolist(), len(order)]):
+            window = raster.block_window(band, down[start], across[start])
+            part = np.full((window.height, window.width), np.nan, np.float32)
+            place = row[start:stop] - window.row_off, column[start:stop] - window.col_off
+            part[place] = values[start:stop]
+            raster.write(part, band, window=window)
+        if interval is None:
+            about = "whole time, {} to {}".format(*tally.times)
+        else:
+            about = iso_from_step(int(tally.timeline.begin[interval]))
+        raster.set_band_description(band, about)
         reporter.progress("writing bands", band, len(intervals))
     raster.update_tags(fingerprint=tally.fingerprint, definitions=json.dumps(DEFINITIONS))
-
-
-def _profile(tally: Tally, blocks: Blocks, bands: int) -> dict[str, Any]:
-    return {
-        "driver": "GTiff", "dtype": "float32", "nodata": np.nan, "count": bands,
-        "crs": tally.crs.to_wkt(), "transform": blocks.grid.transform,
-        "width": blocks.grid.width, "height": blocks.grid.height,
-        "tiled": True, "blockxsize": blocks.side, "blockysize": blocks.side,
-        "interleave": "band", "sparse_ok": True, "bigtiff": "if_safer", "compress": "zstd",
-    }  # fmt: skip
-
-
-def _cog_options(blocks: Blocks) -> dict[str, str]:
-    return {
-        "COMPRESS": "DEFLATE",
-        "PREDICTOR": "YES",
-        "BLOCKSIZE": str(blocks.side),
-        "BIGTIFF": "IF_SAFER",
-        "SPARSE_OK": "TRUE",
-        "NUM_THREADS": "ALL_CPUS",
-    }
-
-
-def _write_band(
-    raster: Any, band: int, blocks: Blocks, pixel: Integers, values: NDArray[np.float32]
-) -> None:
-    """Write a band block by block; blocks without a tile stay empty in the file."""
-    block = blocks.of(pixel)
-    order = np.argsort(block, kind="stable")
-    block, pixel, values = block[order], pixel[order], values[order]
-    starts = np.flatnonzero(np.diff(block, prepend=-1))
-    for start, stop in zip(starts, [*starts[1:], len(block)], strict=True):
-        window = blocks.window(int(block[start]))
-        row, column = np.divmod(pixel[start:stop], blocks.grid.width)
-        part = np.full((window.height, window.width), np.nan, np.float32)
-        part[row - window.row_off, column - window.col_off] = values[start:stop]
-        raster.write(part, band, window=window)
-
-
-def _description(tally: Tally, interval: int | None) -> str:
-    if interval is not None:
-        return iso_from_step(int(tally.timeline.begin[interval]))
-    return "whole time, {} to {}".format(*tally.times)

@@ -12,7 +12,7 @@ from typing import Any
 from gis_radar.crs import name_of, same_plane
 from gis_radar.errors import InputError
 from gis_radar.heatmap import HeatMap, read_heatmap
-from gis_radar.heatmap.heatmap import FILE as PACKAGE
+from gis_radar.heatmap.layers import FILE as PACKAGE
 from gis_radar.occupancy import Occupancy, merge_occupancies, read_occupancy
 from gis_radar.poses.files import read_track
 from gis_radar.poses.pose import Pose, pose_from_dict
