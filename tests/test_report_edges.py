@@ -28,7 +28,7 @@ from sites import pose
 import gis_radar as gr
 from gis_radar.cli import group
 from gis_radar.heatmap import make_heatmap
-from gis_radar.report.words import safe
+from gis_radar.report.content import safe
 
 
 @pytest.fixture(scope="module")

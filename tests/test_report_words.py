@@ -8,7 +8,7 @@ from zoneinfo import ZoneInfo
 
 import pytest
 
-from gis_radar.report.words import Clock, direction, figure_text, listed, percent
+from gis_radar.report.content import Clock, direction, figure_text, listed, percent
 
 
 def at(*fields):

@@ -161,7 +161,7 @@ class Tally:
         return cls(
             tiles=tiles if chosen is None else tiles.iloc[chosen].reset_index(drop=True),
             fingerprint=occupancy.fingerprint,
-            sensors=tuple(occupancy.sensors),
+            sensors=tuple(sorted(map(str, occupancy.frames["sensor"].unique()))),
             whole=whole,
             timeline=timeline,
             seen=seen if chosen is None else np.searchsorted(chosen, seen),

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from gis_radar.arrays import Floats, Integers
 from gis_radar.heatmap import HeatMap
 from gis_radar.heatmap.counting import Shares
-from gis_radar.report.words import Clock, direction, utc, write_csv
+from gis_radar.report.content import Clock, direction, utc, write_csv
 from gis_radar.tiles.tiles import quads
 
 TOUCH_M = 0.05  # between the ends of lanelets that follow each other

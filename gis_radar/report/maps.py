@@ -34,9 +34,8 @@ from gis_radar.heatmap.picture import (
 )
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import Reporter
-from gis_radar.report.content import Figure, MapSeries
+from gis_radar.report.content import Clock, Figure, MapSeries, count, percent
 from gis_radar.report.lanes import Lane, LaneSums
-from gis_radar.report.words import Clock, count, percent
 from gis_radar.tiles.tiles import quads
 
 ASPECT = (0.55, 1.25)  # height by width: lowest, which the scale needs, and highest

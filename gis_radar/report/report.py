@@ -1,12 +1,15 @@
-"""From a folder of results to a report of them."""
+"""From a folder of results to a report of them: facts, lanes and quality in words and tables."""
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
 import pandas as pd
 
 from gis_radar.errors import OutputError, UsageError
@@ -16,14 +19,61 @@ from gis_radar.heatmap.heatmap import LANES, LANES_BY_INTERVAL, PAGE, PAPER, QUA
 from gis_radar.notebooks import card
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.quality import Quality, measure_quality
-from gis_radar.report.content import Content
-from gis_radar.report.findings import Findings, content_of, totals_of, write_sensor_table
-from gis_radar.report.lanes import lane_table, sum_by_lane, write_lane_intervals, write_lanes
+from gis_radar.quality.quality import GOOD
+from gis_radar.report.content import (
+    NOTHING,
+    THIN,
+    Clock,
+    Column,
+    Content,
+    Figure,
+    MapSeries,
+    Table,
+    count,
+    direction,
+    figure_text,
+    percent,
+    utc,
+    write_csv,
+)
+from gis_radar.report.lanes import (
+    LaneSums,
+    lane_table,
+    sum_by_lane,
+    write_lane_intervals,
+    write_lanes,
+)
 from gis_radar.report.maps import draw_maps, draw_plan, lay_out
 from gis_radar.report.pages import page_of, write_pdf
-from gis_radar.report.results import Results, read_results
-from gis_radar.report.words import Clock, utc, write_csv
+from gis_radar.report.results import (
+    NOT_KNOWN,
+    Results,
+    made_by,
+    pose_figures,
+    read_results,
+    sensor_table,
+    settings_of,
+    sources_of,
+    write_sensor_table,
+)
 from gis_radar.steps import zone_of
+
+MOST_LANES, MOST_HOURS = 150, 168  # rows of tables as read; the CSV files hold all
+INTRO = (
+    "The map shows in which share of the observed time radar hit each half metre of lane. "
+    "Compare one place over time; the figures count neither vehicles nor queues"
+)
+
+
+class _Findings(NamedTuple):
+    """What page, paper and tables are made of."""
+
+    results: Results
+    title: str
+    clock: Clock
+    quality: Quality | None  # what sensors delivered; None where that is not known
+    lanes: LaneSums
+    table: pd.DataFrame  # the lanes over the whole time, from `lane_table`
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,7 +151,7 @@ def write_report(
     zone = timezone or str(results.site.get("time_zone") or "UTC")
     clock, sums, picture = _clock(heat, zone), sum_by_lane(heat), lay_out(heat)
     table = lane_table(heat, sums)
-    found = Findings(
+    found = _Findings(
         results=results,
         title=title or str(results.site.get("title") or "") or folder.resolve().name,
         clock=clock,
@@ -110,7 +160,7 @@ def write_report(
         table=table,
     )
     maps = draw_maps(heat, picture, sums, results.poses, results.credits, clock, reporter)
-    content = content_of(found, maps, draw_plan(heat.tiles, picture, sums.lanes, table))
+    content = _content(found, maps, draw_plan(heat.tiles, picture, sums.lanes, table))
     outputs = _write(folder if output is None else Path(output), found, content, reporter)
     return Report(outputs=outputs, summary=_summary(found, content))
 
@@ -133,9 +183,15 @@ def _quality(results: Results, timezone: str, reporter: Reporter) -> Quality | N
     return measure_quality(occupancy, timezone=timezone, reporter=reporter)
 
 
-def _write(place: Path, found: Findings, content: Content, reporter: Reporter) -> list[Path]:
+def _write(place: Path, found: _Findings, content: Content, reporter: Reporter) -> list[Path]:
     """Write all files, which appear together or not at all."""
-    _make(place)
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = error.strerror or error
+        raise OutputError(
+            f"{place}: cannot be written: {reason}", hint="name a folder for the report"
+        ) from error
     writers = _writers(found, content)
     with whole_files(place / PAGE) as (private, places):
         for done, (name, write) in enumerate(writers.items(), start=1):
@@ -145,11 +201,11 @@ def _write(place: Path, found: Findings, content: Content, reporter: Reporter) -
     return [place / name for name in writers]
 
 
-def _writers(found: Findings, content: Content) -> dict[str, Callable[[Path], None]]:
+def _writers(found: _Findings, content: Content) -> dict[str, Callable[[Path], object]]:
     """Return the writer of each file."""
     clock, heat, quality = found.clock, found.results.heat, found.quality
-    writers: dict[str, Callable[[Path], None]] = {
-        PAGE: lambda path: _write_text(path, page_of(content)),
+    writers: dict[str, Callable[[Path], object]] = {
+        PAGE: lambda path: path.write_text(page_of(content), encoding="utf-8", newline="\n"),
         PAPER: lambda path: write_pdf(content, path),
         LANES: lambda path: write_lanes(path, found.table, clock),
         LANES_BY_INTERVAL: lambda path: write_lane_intervals(path, heat, found.lanes, clock),
@@ -169,21 +225,7 @@ def _write_quality(path: Path, quality: Quality) -> None:
     write_csv(path, list(quality.table.columns), rows)
 
 
-def _make(place: Path) -> None:
-    try:
-        place.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        reason = error.strerror or error
-        raise OutputError(
-            f"{place}: cannot be written: {reason}", hint="name a folder for the report"
-        ) from error
-
-
-def _write_text(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8", newline="\n")
-
-
-def _summary(found: Findings, content: Content) -> dict[str, Any]:
+def _summary(found: _Findings, content: Content) -> dict[str, Any]:
     """Return the figures as numbers, None where not known; the page has them in words."""
     begin, end = found.results.heat.whole.span()
     return {
@@ -193,6 +235,185 @@ def _summary(found: Findings, content: Content) -> dict[str, Any]:
         "timezone": str(found.clock.zone),
         "pictures": len(content.map.frames) + 1,
         "sensors": found.results.sensors,
-        **totals_of(found),
+        **_totals(found),
         "remarks": list(content.remarks),
     }
+
+
+def _content(found: _Findings, maps: MapSeries, plan: Figure) -> Content:
+    """Put the findings into words."""
+    results, clock = found.results, found.clock
+    begin, end = results.heat.whole.span()
+    terms = files("gis_radar.report").joinpath("definitions.toml").read_text(encoding="utf-8")
+    figures = pose_figures(results)
+    return Content(
+        title=found.title,
+        subtitle=clock.whole(begin, end),
+        zone=clock.name,
+        until=end,
+        intro=INTRO,
+        facts=_facts(found),
+        remarks=_remarks(results, found.quality),
+        map=maps,
+        lane_figure=plan,
+        lanes=_lanes(found.table, clock, intervals=bool(maps.frames)),
+        sensors=sensor_table(results, figures=len(figures)),
+        sensor_figures=figures,
+        quality=_quality_table(found.quality, clock),
+        settings=settings_of(results),
+        sources=sources_of(results),
+        definitions=tuple(tomllib.loads(terms).items()),
+        made_by=made_by(),
+    )
+
+
+def _totals(found: _Findings) -> dict[str, Any]:
+    """Count the totals of the whole time; the busiest lane is None where none was hit."""
+    heat, table = found.results.heat, found.table
+    shares = heat.shares()
+    seen = shares.observed_s > 0
+    length_m = heat.tiles["length_m"].to_numpy(np.float64)
+    hit = not table.empty and table["occupancy"].iloc[0] > 0  # the busiest stands first
+    return {
+        "lanes": len(table),
+        "lanes_observed": int(table["occupancy"].notna().sum()),
+        "lane_length_m": round(float(length_m.sum()), 2),
+        "lane_length_observed_m": round(float(length_m[seen].sum()), 2),
+        "tiles_observed": int(seen.sum()),
+        "tiles_hit": int(np.count_nonzero(shares.occupied_s[seen])),
+        "busiest_lane": int(table["lane"].iloc[0]) if hit else None,
+        "busiest_lane_occupancy": round(float(table["occupancy"].iloc[0]), 6) if hit else None,
+    }
+
+
+def _facts(found: _Findings) -> list[tuple[str, str]]:
+    """Return the figures at the top."""
+    total, sensors = _totals(found), found.results.sensors
+    shown = {name: figure_text(value) for name, value in total.items() if value is not None}
+    busiest = "none was hit"
+    if total["busiest_lane"] is not None:
+        busiest = f"No. {total['busiest_lane']}: {percent(total['busiest_lane_occupancy'])}"
+    return [
+        ("Sensors", str(len(sensors)) if sensors else NOT_KNOWN),
+        ("Lanes observed", f"{total['lanes_observed']} of {total['lanes']}"),
+        (
+            "Lane length observed",
+            f"{shown['lane_length_observed_m']} of {shown['lane_length_m']}{THIN}m",
+        ),
+        ("Tiles hit", f"{shown['tiles_hit']} of {shown['tiles_observed']}"),
+        ("Busiest lane", busiest),
+    ]
+
+
+def _remarks(results: Results, quality: Quality | None) -> list[str]:
+    """Return what to know before reading on."""
+    remarks = [f"No result for sensor {name}: {why}" for name, why in results.lost.items()]
+    if quality is not None:
+        remarks += [f"Sensor {line}" for line in quality.warnings()]
+    return [*remarks, *results.warnings, *results.missing]
+
+
+def _lanes(table: pd.DataFrame, clock: Clock, *, intervals: bool) -> Table:
+    """Return the observed lanes as they are read, from what `lane_table` returns."""
+    columns = [
+        Column(title="Lane", width=0.8),
+        Column(title="Leads to", is_number=False, width=1.4),
+        Column(title="Length", unit="m", width=0.9),
+        Column(title="Observed", unit="of its length", width=1.5),
+        Column(title="Occupancy", unit="of observed time", width=1.5),
+        Column(title="Busiest spot", unit="occupancy, at m", width=1.6),
+        Column(title="Over 20 %", unit="m of its length", width=1.3),
+    ]
+    if intervals:
+        columns.append(Column(title="Busiest interval", is_number=False, width=2.4))
+        columns.append(Column(title="Occupancy", unit="then", width=1.4))
+    seen = table[table["occupancy"].notna()]
+    shown = seen.head(MOST_LANES)
+    rows = [_lane_row(row, clock, intervals=intervals) for _, row in shown.iterrows()]
+    note = "Where lanes cross, their tiles overlap, and a vehicle there counts on each."
+    unseen = len(table) - len(seen)
+    if len(seen) > len(shown):
+        note = f"The busiest {len(shown)} of {count(len(seen), 'observed lane')}. {note}"
+    if unseen:
+        were = "was" if unseen == 1 else "were"
+        note = f"{count(unseen, 'lane')} of the map {were} not observed. {note}"
+    if len(table) > len(shown):
+        note = f"{note} All lanes are in lanes.csv."
+    return Table(caption="Lanes, busiest first", columns=columns, rows=rows, note=note)
+
+
+def _lane_row(row: pd.Series, clock: Clock, *, intervals: bool) -> list[str]:
+    cells = [
+        str(row["lane"]),
+        direction(row["east_m"], row["north_m"]),
+        figure_text(row["length_m"]),
+        percent(row["observed_m"] / row["length_m"], 0),
+        percent(row["occupancy"]),
+        f"{percent(row['busiest_spot'], 0)}, {figure_text(row['busiest_spot_m'])}",
+        figure_text(row["busy_m"], 1),
+    ]
+    if not intervals:
+        return cells
+    if pd.isna(row["busiest_begin"]):
+        return [*cells, NOTHING, NOTHING]
+    span = clock.span(row["busiest_begin"].to_pydatetime(), row["busiest_end"].to_pydatetime())
+    return [*cells, span, percent(row["busiest_occupancy"])]
+
+
+def _quality_table(quality: Quality | None, clock: Clock) -> Table:
+    """Return what sensors delivered by hour, those with a fault first where there are many."""
+    columns = [
+        Column(title="Sensor", is_number=False, width=1.1),
+        Column(title="Hour from", is_number=False, width=1.8),
+        Column(title="Frames", unit="received", width=1.1),
+        Column(title="Frames", unit="expected", width=1.1),
+        Column(title="Detections", unit="a frame", width=1.2),
+        Column(title="Moving", unit="of them", width=1.0),
+        Column(title="Clock", unit="corrected by s", width=1.3),
+        Column(title="Pose age", unit="h", width=1.0),
+        Column(title="Verdict", is_number=False, width=2.4),
+    ]
+    caption = "Measurements by sensor and hour"
+    if quality is None:
+        return Table(
+            caption=caption, columns=columns, rows=(), note="What sensors delivered is not known."
+        )
+    table = quality.table
+    lines = [f"{sensor}: {text}." for sensor, text in _hours_in_words(table).items()]
+    if len(table) > MOST_HOURS:
+        faulty = table["verdict"].ne(GOOD).sort_values(ascending=False, kind="stable").index
+        table = table.loc[faulty].head(MOST_HOURS)
+        lines.append(
+            f"Here {MOST_HOURS} of {figure_text(len(quality.table))} rows, those with a fault "
+            "first; all are in quality.csv."
+        )
+    rows = [_hour_row(row, clock) for _, row in table.iterrows()]
+    return Table(caption=caption, columns=columns, rows=rows, note=" ".join(lines))
+
+
+def _hours_in_words(table: pd.DataFrame) -> dict[str, str]:
+    """Return by sensor in how many hours no test found fault, in words."""
+    words = {}
+    for sensor, rows in table.groupby("sensor"):
+        good = int(rows["verdict"].eq(GOOD).sum())
+        hours = count(len(rows), "hour")
+        words[str(sensor)] = (
+            f"good in all of {hours}"
+            if good == len(rows)
+            else (f"good in {figure_text(good)} of {hours}")
+        )
+    return words
+
+
+def _hour_row(row: pd.Series, clock: Clock) -> list[str]:
+    return [
+        str(row["sensor"]),
+        clock.stamp(row["begin"].to_pydatetime()),
+        figure_text(row["frames"]),
+        figure_text(row["frames_expected"]),
+        figure_text(row["detections_per_frame"], 1),
+        percent(row["moving_share"], 0),
+        figure_text(row["clock_offset_s"], 3),
+        figure_text(row["pose_age_h"], 1) if row["pose_age_h"] >= 0 else NOTHING,
+        str(row["verdict"]),
+    ]

@@ -1,8 +1,9 @@
-"""Read a folder of results: the heat map, its occupancy, poses, settings and sources."""
+"""Read a folder of results: the heat map, its sensors, settings and sources, also as tables."""
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -13,15 +14,32 @@ from gis_radar.crs import name_of, same_plane
 from gis_radar.errors import InputError
 from gis_radar.heatmap import HeatMap, read_heatmap
 from gis_radar.heatmap.layers import FILE as PACKAGE
+from gis_radar.heatmap.picture import png
 from gis_radar.occupancy import Occupancy, merge_occupancies, read_occupancy
 from gis_radar.poses.files import read_track
-from gis_radar.poses.pose import Pose, pose_from_dict
-from gis_radar.report.content import Column, Table
-from gis_radar.report.words import THIN, count, figure_text, listed
+from gis_radar.poses.pose import ANGLES, POSITION, Pose, View, pose_from_dict
+from gis_radar.report.content import (
+    NOTHING,
+    THIN,
+    Column,
+    Figure,
+    Table,
+    count,
+    direction,
+    figure_text,
+    listed,
+    percent,
+    plus_minus,
+    write_csv,
+)
+from gis_radar.report.maps import flat_picture
 
 MANIFEST = "manifest.json"
 RUN = "run.json"
 NOT_KNOWN = "not known here"
+FIGURE_PIXELS, FINE_FIGURES = 1600, 6  # width of a picture; more than that many are coarser
+COARSE_PIXELS, MOST_FIGURES = 1000, 20
+HOW_FOUND = {"lane": "found from traffic on the lanes", "icp": "found by ICP"}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -327,3 +345,136 @@ def _software(results: Results) -> str:
     if known.get("gis_radar"):
         return f"gis_radar {known['gis_radar']} (code {known.get('code', NOT_KNOWN)})"
     return f"report by {made_by()}"
+
+
+def pose_figures(results: Results) -> list[Figure]:
+    """Return the pictures of how poses were found, of the sensors that are shown."""
+    found: list[Figure] = []
+    poses = [pose for pose in results.poses if pose.sensor in results.figures]
+    width = FIGURE_PIXELS if len(poses) <= FINE_FIGURES else COARSE_PIXELS
+    for pose in poses[:MOST_FIGURES]:
+        image = flat_picture(results.figures[pose.sensor], width)
+        if image is None:
+            continue
+        found.append(
+            Figure(
+                png=png(image),
+                width=image.width,
+                height=image.height,
+                caption=f"Sensor {pose.sensor}: {how_found(pose)}.",
+                alt=(
+                    f"How the pose of {pose.sensor} was found: traces of vehicles on the map's "
+                    f"lanes; {how_found(pose)}."
+                ),
+            )
+        )
+    return found
+
+
+def sensor_table(results: Results, *, figures: int) -> Table:
+    """Return where sensors stand, how well that is known, and how it was found.
+
+    Parameters
+    ----------
+    results : Results
+        Whose sensors.
+    figures : int
+        How many pictures follow; the note says where there are more.
+    """
+    columns = [
+        Column(title="Sensor", is_number=False, width=1.1),
+        Column(title="Easting", unit="m", width=1.9),
+        Column(title="Northing", unit="m", width=2.1),
+        Column(title="Height", unit="m", width=1.6),
+        Column(title="Looks to", unit="from grid north", width=2.0),
+        Column(title="Pitch, roll", unit="degrees", width=1.8),
+        Column(title="Sees", unit="range, width", width=1.1),
+        Column(title="How its pose was found", is_number=False, width=2.6),
+    ]
+    rows = [_sensor_row(pose) for pose in results.poses]
+    rows += [
+        [name, *[NOTHING] * 6, f"no result: {reason}"] for name, reason in results.lost.items()
+    ]
+    note = (
+        "± is one standard deviation. Bearings count clockwise; pitch over 0 looks down. "
+        "Width is the opening angle."
+    )
+    if figures < len(results.figures):
+        note += f" Pictures follow of {figures}; there are {len(results.figures)} in sensors/."
+    if not rows:
+        note = "No pose is known here."
+    return Table(caption="Sensors, and where they stand", columns=columns, rows=rows, note=note)
+
+
+def _sensor_row(pose: Pose) -> list[str]:
+    sigma = _sigma(pose)
+
+    def with_sigma(name: str, digits: int, value: float | None = None, unit: str = "") -> str:
+        shown = figure_text(getattr(pose, name) if value is None else value, digits) + unit
+        known = sigma.get(name)
+        return shown if known is None else f"{shown} {plus_minus(known, 2, unit)}"
+
+    view = pose.view or View()
+    ahead = pose.R_map_sensor[:2, 0]
+    bearing = math.degrees(math.atan2(ahead[0], ahead[1])) % 360.0
+    return [
+        pose.sensor,
+        with_sigma("easting", 2),
+        with_sigma("northing", 2),
+        with_sigma("height", 2),
+        f"{direction(*ahead)}, {with_sigma('yaw', 1, bearing, '°')}",
+        f"{with_sigma('pitch', 1)}, {with_sigma('roll', 1)}",
+        f"{figure_text(view.max_range_m)} m, {figure_text(view.azimuth_deg)}°",
+        how_found(pose),
+    ]
+
+
+def how_found(pose: Pose) -> str:
+    """Return how a pose was found, and on what evidence, in words."""
+    evidence = pose.evidence
+    words = [HOW_FOUND.get(str(evidence.get("method")), "given, not found by gis_radar")]
+    fitness = evidence.get("fitness")
+    if isinstance(fitness, int | float) and not isinstance(fitness, bool):
+        words.append(f"{percent(float(fitness), 0)} of the traces fit")
+    if evidence.get("observable") is False:
+        words.append("the scene does not fix all of it")
+    look = evidence.get("second_look")
+    if isinstance(look, dict) and look.get("verdict"):
+        words.append(f"second look {look['verdict']}")
+    return "; ".join(words)
+
+
+def _sigma(pose: Pose) -> dict[str, float]:
+    """Return the standard deviations of a pose that are known."""
+    sigma = pose.evidence.get("sigma")
+    return {
+        name: float(value)
+        for name, value in (sigma if isinstance(sigma, dict) else {}).items()
+        if isinstance(value, int | float) and math.isfinite(value)
+    }
+
+
+def write_sensor_table(path: Path, results: Results) -> None:
+    """Write the poses with their standard deviations, and who has none."""
+    names = (*POSITION, *ANGLES)
+    header = (
+        "sensor", "crs", *names, *(f"sigma_{name}" for name in names),
+        "azimuth_deg", "elevation_deg", "min_range_m", "max_range_m", "how_found",
+    )  # fmt: skip
+    rows: list[Sequence[Any]] = []
+    for pose in results.poses:
+        sigma = _sigma(pose)
+        view = pose.view or View()
+        rows.append(
+            (
+                pose.sensor,
+                pose.as_dict()["crs"],
+                *(round(getattr(pose, name), 4) for name in names),
+                *(round(sigma[name], 4) if name in sigma else "" for name in names),
+                *(view.azimuth_deg, view.elevation_deg, view.min_range_m, view.max_range_m),
+                how_found(pose),
+            )
+        )
+    blank = [""] * (len(header) - 2)
+    rows += [(name, *blank, f"no result: {why}") for name, why in results.lost.items()]
+    write_csv(path, header, rows)
