@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import geopandas as gpd
 import numpy as np
@@ -207,31 +206,26 @@ def write_lanes(path: Path, table: pd.DataFrame, clock: Clock) -> None:
         "observed_tile_s", "occupancy", "busiest_spot", "busiest_spot_m", "over_20_percent_m",
         "busiest_begin_utc", "busiest_begin_local", "busiest_end_utc", "busiest_occupancy",
     )  # fmt: skip
-    write_csv(path, header, (_lane_row(row, clock) for _, row in table.iterrows()))
-
-
-def _lane_row(row: pd.Series, clock: Clock) -> Sequence[Any]:
-    begin, end = row["busiest_begin"], row["busiest_end"]
-    never = pd.isna(begin)
-    lanelets = row["lanelets"]
-    return (
-        int(row["lane"]),
-        lanelets[0] if len(lanelets) == 1 else " ".join(map(str, lanelets)),
-        row["subtype"],
-        direction(row["east_m"], row["north_m"]),
-        round(float(row["length_m"]), 2),
-        round(float(row["observed_m"]), 2),
-        round(float(row["occupied_s"]), 2),
-        round(float(row["observed_s"]), 2),
-        round(float(row["occupancy"]), 6),
-        round(float(row["busiest_spot"]), 6),
-        round(float(row["busiest_spot_m"]), 2),
-        round(float(row["busy_m"]), 2),
-        "" if never else utc(begin),
-        "" if never else clock.iso(begin),
-        "" if never else utc(end),
-        round(float(row["busiest_occupancy"]), 6),
-    )
+    digits = {
+        "length_m": 2, "observed_m": 2, "occupied_s": 2, "observed_s": 2,
+        "occupancy": 6, "busiest_spot": 6, "busiest_spot_m": 2, "busy_m": 2,
+    }  # fmt: skip
+    rows = []
+    for _, row in table.iterrows():
+        begin, end, lanelets = row["busiest_begin"], row["busiest_end"], row["lanelets"]
+        times = ("", "", "") if pd.isna(begin) else (utc(begin), clock.iso(begin), utc(end))
+        rows.append(
+            (
+                int(row["lane"]),
+                lanelets[0] if len(lanelets) == 1 else " ".join(map(str, lanelets)),
+                row["subtype"],
+                direction(row["east_m"], row["north_m"]),
+                *(round(float(row[name]), number) for name, number in digits.items()),
+                *times,
+                round(float(row["busiest_occupancy"]), 6),
+            )
+        )
+    write_csv(path, header, rows)
 
 
 def write_lane_intervals(path: Path, heat: HeatMap, sums: LaneSums, clock: Clock) -> None:
@@ -241,21 +235,14 @@ def write_lane_intervals(path: Path, heat: HeatMap, sums: LaneSums, clock: Clock
         "occupied_tile_s", "observed_tile_s", "occupancy",
     )  # fmt: skip
     rows = (
-        (lane.number, *times, *_cells(occupied[i], observed[i]))
+        (lane.number, *times, *cells)
         for (begin, end), occupied, observed in zip(
             heat.timeline.spans(), sums.occupied_s, sums.observed_s, strict=True
         )
         for times in [(utc(begin), utc(end), clock.iso(begin))]
-        for i, lane in enumerate(sums.lanes)
+        for lane, hit, seen in zip(sums.lanes, occupied.tolist(), observed.tolist(), strict=True)
+        for cells in [
+            (round(hit, 2), round(seen, 2), round(hit / seen, 6)) if seen else ("", 0.0, "")
+        ]
     )
     write_csv(path, header, rows)
-
-
-def _cells(occupied: float, observed: float) -> Sequence[Any]:
-    if observed == 0:
-        return "", 0.0, ""
-    return (
-        round(float(occupied), 2),
-        round(float(observed), 2),
-        round(float(occupied / observed), 6),
-    )

@@ -33,7 +33,9 @@ Box = tuple[float, float, float, float]  # left, top, width, height, millimetres
 
 def page_of(content: Content) -> str:
     """Return the page; all text of others is escaped, and the policy lets nothing else in."""
-    css, script = _part("page.css") + _legend_css() + _map_css(content.map), _part("page.js")
+    colours = [colour for colour, _ in style.legend()[:-1]]
+    classes = "".join(f".class-{i} {{ background: {each}; }}\n" for i, each in enumerate(colours))
+    css, script = _part("page.css") + classes + _map_css(content.map), _part("page.js")
     return _template().render(
         report=content,
         legend=style.legend(),
@@ -57,12 +59,6 @@ def _policy(css: str, script: str) -> str:
 
 def _hash(text: str) -> str:
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
-
-
-def _legend_css() -> str:
-    """Return the colours of the legend, which are those of the maps."""
-    colours = dict(enumerate(colour for colour, _ in style.legend()[:-1]))
-    return "".join(f".class-{i} {{ background: {each}; }}\n" for i, each in colours.items())
 
 
 def _map_css(part: MapSeries) -> str:
@@ -249,7 +245,9 @@ def write_pdf(content: Content, path: Path) -> None:
     _add_title(paper, content)
     _add_map(paper, content)
     _add_frames(paper, content)
-    _add_lanes(paper, content)
+    paper.chapter("Lanes", 190)
+    _add_figure(paper, content.lane_figure, TALLEST_PLAN)
+    _add_table(paper, content.lanes)
     paper.chapter("Sensors", 60)
     _add_table(paper, content.sensors)
     for figure in content.sensor_figures:
@@ -259,7 +257,13 @@ def write_pdf(content: Content, path: Path) -> None:
     paper.chapter("Settings and sources", 70)
     _add_table(paper, content.settings)
     _add_table(paper, content.sources)
-    _add_words(paper, content)
+    paper.chapter("What the words mean")
+    for term, meaning in content.definitions:
+        if paper.room < 22:
+            paper.add_page()
+        paper.write_paragraph(term, size=8.5, bold=True)
+        paper.write_paragraph(meaning, size=8.5)
+        paper.ln(1.8)
     paper.output(str(path))
 
 
@@ -387,22 +391,6 @@ def _add_frame(paper: Paper, frame: Figure, box: Box) -> None:
     paper.set_font(FONT, size=6)
     paper.set_text_color(SOFT)
     paper.multi_cell(width, 2.9, frame.caption, align="L", new_x=XPos.LEFT, new_y=YPos.NEXT)
-
-
-def _add_lanes(paper: Paper, content: Content) -> None:
-    paper.chapter("Lanes", 190)
-    _add_figure(paper, content.lane_figure, TALLEST_PLAN)
-    _add_table(paper, content.lanes)
-
-
-def _add_words(paper: Paper, content: Content) -> None:
-    paper.chapter("What the words mean")
-    for term, meaning in content.definitions:
-        if paper.room < 22:
-            paper.add_page()
-        paper.write_paragraph(term, size=8.5, bold=True)
-        paper.write_paragraph(meaning, size=8.5)
-        paper.ln(1.8)
 
 
 def _composed(picture: bytes, overlay: bytes | None, width: int) -> Image.Image:
