@@ -93,6 +93,12 @@ def test_cycles_that_make_no_sense(tmp_path, cycles):
         measure_occupancy([path], [pose()], crossing(), tmp_path / "a", cycles=cycles)
 
 
+def test_a_single_frame_has_no_cycle_to_measure(tmp_path):
+    path = recording(tmp_path / "r.parquet", [START], [ON_TILE_4])
+    full = measure_occupancy([path], [pose()], crossing(), tmp_path / "a", cycles="auto")
+    assert len(pairs_of(full)) == 1
+
+
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 999), cuts=st.sets(st.integers(1, 39), max_size=3), data=st.data())
 def test_merging_is_exact_with_cycles_and_clocks(tmp_path_factory, seed, cuts, data):

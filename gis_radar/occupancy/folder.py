@@ -199,7 +199,7 @@ def read_occupancy(folder: str | Path) -> Occupancy:
         raise InputError(f"{folder / 'manifest.json'}: damaged: {error!r}") from error
     frames, views = (_read_table(folder, name, fingerprint) for name in ("frames", "views"))
     _check_table(folder, "hits", fingerprint)
-    if (folder / FILE).exists():
+    if (log := folder / FILE).exists():
         _check_table(folder, "deliveries", fingerprint)
     frames, views = _with_view_names(frames, views)
     return Occupancy(
@@ -208,13 +208,8 @@ def read_occupancy(folder: str | Path) -> Occupancy:
         views=views,
         hits=lambda: read_hits(folder / "hits.parquet"),
         sources=sources,
-        frame_log=lambda sensors: _read_log(folder / FILE, sensors),
+        frame_log=lambda sensors: FRAME_LOG.read(log, sensors) if log.is_file() else iter(()),
     )
-
-
-def _read_log(path: Path, sensors: Sequence[str]) -> Iterator[Rows]:
-    """Read a frame log; nothing where there is no such file."""
-    return FRAME_LOG.read(path, sensors) if path.is_file() else iter(())
 
 
 def _read_table(folder: Path, name: str, fingerprint: str) -> pd.DataFrame:

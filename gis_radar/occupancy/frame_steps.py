@@ -144,9 +144,8 @@ def cycles_us(
         return {sensor: _measured_us(recordings, sensors, sensor, frames) for sensor in found}
     for sensor, cycle_s in cycles.items():
         if sensor not in found:
-            raise UsageError(
-                f"a cycle is given for {sensor}, but the poses are of {', '.join(found)}"
-            )
+            others = ", ".join(found)
+            raise UsageError(f"a cycle is given for {sensor}, but the poses are of {others}")
         if not SHORTEST_CYCLE_S <= cycle_s <= LONGEST_CYCLE_S:
             raise UsageError(
                 f"the cycle of {sensor} is {cycle_s} s, "
@@ -164,7 +163,7 @@ def _measured_us(recordings: list[Recording], sensors: list[str], sensor: str, f
         if owner == sensor
         for gaps in _gaps_s(recording, frames)
     ]
-    if not apart:
+    if sum(map(len, apart)) == 0:  # a single frame
         return STEP_US
     cycle_s = float(np.median(np.concatenate(apart)))
     if cycle_s > LONGEST_CYCLE_S:

@@ -91,7 +91,7 @@ def measure_occupancy(
         Which detections count; without it, all.
     cycles : mapping or "auto", optional
         Seconds from frame to frame, by sensor, or "auto" to measure them: a frame then covers
-        each step that ends within its cycle (:mod:`gis_radar.occupancy.cycles`). Without
+        each step that ends within its cycle (:mod:`gis_radar.occupancy.frame_steps`). Without
         it, a frame covers its own step and no other.
     clocks : mapping, optional
         How far the clocks of sensors are ahead, by sensor; times are corrected by it.
