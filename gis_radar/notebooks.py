@@ -1,4 +1,4 @@
-"""Show results in notebooks: cards of figures, axes of plots.
+"""Show results: cards of figures in notebooks, axes of plots, pictures in files.
 
 Plain HTML in one piece: text is escaped, the picture is inside, nothing is loaded from elsewhere.
 
@@ -8,11 +8,15 @@ Matplotlib is imported where it is used, so that other work does not wait for it
 from __future__ import annotations
 
 from base64 import b64encode
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from datetime import UTC
 from html import escape
 from io import BytesIO
+from pathlib import Path
 from typing import Any
+
+from gis_radar.files import whole_file
 
 MOST_ROWS = 24  # of a table: about a screen
 _CELL = "text-align:left;padding:1px 10px 1px 0"
@@ -118,6 +122,36 @@ def label_times(ax: Any) -> None:
     ax.xaxis.set_major_locator(locator)
     ax.xaxis.set_major_formatter(dates.ConciseDateFormatter(locator, tz=UTC))  # type: ignore[no-untyped-call]
     ax.set_xlabel("time, UTC")
+
+
+@contextmanager
+def picture_file(
+    path: str | Path, size_in: tuple[float, float], dpi: int, *, tight: bool = False
+) -> Iterator[Any]:
+    """Yield a new figure in the package's font and write it as PNG, without pyplot.
+
+    Parameters
+    ----------
+    path : str or Path
+        The picture; appears whole or not at all.
+    size_in : (float, float)
+        Width and height, inches.
+    dpi : int
+        Pixels an inch.
+    tight : bool
+        Fit the picture to what is drawn: axes true to scale outgrow a constrained layout.
+    """
+    import matplotlib as mpl  # noqa: PLC0415
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    settings: dict[Any, Any] = {
+        "font.family": ["DejaVu Sans"], "text.usetex": False, "font.size": 8,
+    }  # fmt: skip
+    with mpl.rc_context(settings):
+        figure = Figure(figsize=size_in, dpi=dpi, layout="constrained")
+        yield figure
+        with whole_file(Path(path)) as part:
+            figure.savefig(part, format="png", bbox_inches="tight" if tight else None)
 
 
 def small_picture(draw: Callable[[Any], Any]) -> bytes:

@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gis_radar.arrays import Floats
-from gis_radar.files import whole_file
 from gis_radar.lanelets import LaneletMap
 from gis_radar.localization.state import State
 from gis_radar.localization.traces import Moving
-from gis_radar.notebooks import axes_or_new, card, label_map, small_picture
+from gis_radar.notebooks import axes_or_new, card, label_map, picture_file, small_picture
 from gis_radar.poses.pose import COMPONENTS, Pose, View, draw_sensor, ellipse
 from gis_radar.steps import iso_from_step, step_of
 
@@ -158,7 +157,6 @@ class Localization:
 
 DPI = 216
 SIZE_IN = (6.6, 6.6)
-SETTINGS: dict[Any, Any] = {"font.family": ["DejaVu Sans"], "text.usetex": False, "font.size": 8}
 
 
 def draw_localization(
@@ -185,23 +183,14 @@ def draw_localization(
         Drawn beside it: what stands, over canopy, roofs and walls.
     """
     # not at the top: whoever draws nothing does not wait for matplotlib
-    import matplotlib as mpl  # noqa: PLC0415
-    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415
-    from matplotlib.figure import Figure  # noqa: PLC0415
-
     from gis_radar.second_look.picture import draw_surroundings  # noqa: PLC0415
 
-    with mpl.rc_context(SETTINGS):
-        width, height = SIZE_IN
-        panels = 1 if look is None else 2
-        figure = Figure(figsize=(panels * width, height), dpi=DPI, layout="constrained")
-        FigureCanvasAgg(figure)
+    width, height = SIZE_IN
+    panels = 1 if look is None else 2
+    with picture_file(path, (panels * width, height), DPI, tight=True) as figure:
         found.plot(roads, road_points, ax=figure.add_subplot(1, panels, 1))
         if look is not None:
             draw_surroundings(figure.add_subplot(1, panels, 2), look)
-        with whole_file(Path(path)) as part:
-            # axes true to scale outgrow a constrained layout: nothing is cut off
-            figure.savefig(part, format="png", bbox_inches="tight")
 
 
 @dataclass(frozen=True, kw_only=True)

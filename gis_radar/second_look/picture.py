@@ -4,21 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 from textwrap import fill
-from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.transforms import Affine2D
 
 from gis_radar.arrays import Booleans, Floats
-from gis_radar.files import whole_file
 from gis_radar.grid import CELL_M
+from gis_radar.notebooks import picture_file
 from gis_radar.second_look.second_look import SecondLook
 from gis_radar.second_look.structure import Structure
 
@@ -33,7 +29,6 @@ WALL = "#6b5c4f"
 RUSTLING = 0.15  # share of a cell's detections
 FITS = 0.3
 LINE = 78  # letters of the title beside each other
-SETTINGS: dict[Any, Any] = {"font.family": ["DejaVu Sans"], "text.usetex": False, "font.size": 8}
 
 
 def draw_second_look(look: SecondLook, path: str | Path) -> None:
@@ -46,13 +41,8 @@ def draw_second_look(look: SecondLook, path: str | Path) -> None:
     path : str or Path
         The picture; appears whole or not at all.
     """
-    with mpl.rc_context(SETTINGS):
-        figure = Figure(figsize=SIZE_IN, dpi=DPI, layout="constrained")
-        FigureCanvasAgg(figure)
+    with picture_file(path, SIZE_IN, DPI, tight=True) as figure:
         draw_surroundings(figure.add_subplot(), look)
-        with whole_file(Path(path)) as part:
-            # axes true to scale outgrow a constrained layout: nothing is cut off
-            figure.savefig(part, format="png", bbox_inches="tight")
 
 
 def draw_surroundings(ax: Axes, look: SecondLook) -> None:

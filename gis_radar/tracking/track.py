@@ -12,10 +12,9 @@ import numpy as np
 
 from gis_radar.arrays import Booleans, Floats
 from gis_radar.errors import UsageError
-from gis_radar.files import whole_file
 from gis_radar.localization.result import Problem
 from gis_radar.localization.state import State
-from gis_radar.notebooks import axes_or_new, card, label_times
+from gis_radar.notebooks import axes_or_new, card, label_times, picture_file
 from gis_radar.poses.files import PoseTrack
 from gis_radar.poses.pose import COMPONENTS, Pose
 from gis_radar.steps import STEP_US, iso_from_step, step_of
@@ -247,7 +246,6 @@ def _pose(problem: Problem, row: Row, step: int) -> Pose:
 
 DPI = 150
 SIZE_IN = (11.0, 8.0)
-SETTINGS: dict[Any, Any] = {"font.family": ["DejaVu Sans"], "text.usetex": False, "font.size": 8}
 
 
 def draw_track(track: Track, path: str | Path) -> None:
@@ -260,14 +258,7 @@ def draw_track(track: Track, path: str | Path) -> None:
     path : str or Path
         The picture; appears whole or not at all.
     """
-    # not at the top: whoever draws nothing does not wait for matplotlib
-    import matplotlib as mpl  # noqa: PLC0415
-    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415
-    from matplotlib.figure import Figure  # noqa: PLC0415
-
-    with mpl.rc_context(SETTINGS):
-        figure = Figure(figsize=SIZE_IN, dpi=DPI, layout="constrained")
-        FigureCanvasAgg(figure)
+    with picture_file(path, SIZE_IN, DPI) as figure:
         axes = figure.subplots(3, 2, sharex=True)
         for i, name in enumerate(COMPONENTS):
             draw_component(axes[i % 3, i // 3], track.poses, name)
@@ -276,5 +267,3 @@ def draw_track(track: Track, path: str | Path) -> None:
         handles, labels = axes[0, 0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False)
         figure.suptitle(track.describe(), fontsize=10)
-        with whole_file(Path(path)) as part:
-            figure.savefig(part, format="png")
