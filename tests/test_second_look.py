@@ -22,10 +22,9 @@ from gis_radar.grid import CELL_M
 from gis_radar.localization import Localization
 from gis_radar.localization import files as files_to_pose
 from gis_radar.scans import scan as scan_files
-from gis_radar.second_look.alignment import Alignment, align
+from gis_radar.second_look.second_look import Alignment, align
 from gis_radar.second_look.settings import DEFAULTS, SecondLookSettings
-from gis_radar.second_look.standing import LevelFrame, read_slow
-from gis_radar.second_look.structure import read_structure
+from gis_radar.second_look.surroundings import LevelFrame, read_slow, read_structure
 
 SAMPLE = gr.sample_folder()
 SCAN = SAMPLE / "scan.laz"

@@ -35,6 +35,7 @@ from gis_radar.scans.scan import (
     days_of,
     ground_share,
     open_scan,
+    widened,
 )
 from gis_radar.scans.settings import DEFAULTS, MaskSettings
 
@@ -76,8 +77,8 @@ class Pipeline:
             A part of the site, in the roads' system, without those scans that do not touch it;
             around it a margin is read for the ground filter and left out again.
         """
-        site = _widened(self.roads.area.bounds, self.margin_m)
-        area = site if within is None else _common(site, _widened(within, self.margin_m))
+        site = widened(self.roads.area.bounds, self.margin_m)
+        area = site if within is None else _common(site, widened(within, self.margin_m))
         groups = [self._group(area, classified=status) for status in (True, False)]
         stages = [stage for group in groups for stage in group]
         if all(groups):
@@ -164,11 +165,6 @@ def passing_classes(roads: Roads) -> list[int]:
 def _text(box: Box) -> str:
     west, south, east, north = (repr(round(side, 3)) for side in box)
     return f"([{west},{east}],[{south},{north}])"
-
-
-def _widened(box: Box, margin_m: float) -> Box:
-    west, south, east, north = box
-    return west - margin_m, south - margin_m, east + margin_m, north + margin_m
 
 
 def _common(a: Box, b: Box) -> Box:

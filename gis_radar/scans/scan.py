@@ -294,6 +294,12 @@ def days_of(times: Sequence[float]) -> Days | None:
     return first, last
 
 
+def widened(box: Box, margin_m: float) -> Box:
+    """Return a box with a margin on each side, metres."""
+    west, south, east, north = box
+    return west - margin_m, south - margin_m, east + margin_m, north + margin_m
+
+
 def _inside(record: Any, box: Box) -> Points:
     x, y = (
         np.asarray(record[axis], np.float64) * scale + offset

@@ -16,7 +16,7 @@ from gis_radar.arrays import Booleans, Floats
 from gis_radar.grid import CELL_M
 from gis_radar.notebooks import picture_file
 from gis_radar.second_look.second_look import SecondLook
-from gis_radar.second_look.structure import Structure
+from gis_radar.second_look.surroundings import Structure
 
 DPI = 216
 SIZE_IN = (6.6, 6.6)
