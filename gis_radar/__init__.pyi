@@ -28,15 +28,9 @@ from .quality import Quality, measure_quality
 from .recordings import Conversion, convert
 from .recordings.recording import open_recording
 from .report import Report, write_report
-from .scans import (
-    RoadMask,
-    Roads,
-    mask_road,
-    read_road,
-    read_roads,
-    require_road_name,
-    road_crs,
-)
+from .scans.mask import RoadMask, mask_road, require_road_name
+from .scans.roads import Roads, read_roads
+from .scans.scan import read_road, road_crs
 from .second_look import SecondLook, require_scans_near, second_look
 from .second_look.picture import draw_second_look
 from .site.run import SiteRun, run_site

@@ -20,7 +20,7 @@ from scans import (
 
 import gis_radar as gr
 from gis_radar.errors import InputError, NoAnswerError
-from gis_radar.scans import MaskSettings
+from gis_radar.scans.settings import MaskSettings
 
 ROAD = (0.0, 0.0, 120.0, 8.0)
 AROUND = (-20.0, -20.0, 140.0, 28.0)

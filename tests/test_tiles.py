@@ -11,7 +11,7 @@ from sites import EAST, NORTH, UTM, crossing, lane_quads, tiles_of
 
 from gis_radar.errors import CrsError, InputError, OutputError, UsageError
 from gis_radar.lanelets import LaneletMap
-from gis_radar.scans import read_road
+from gis_radar.scans.scan import read_road
 from gis_radar.tiles.lookup import with_road_heights
 from gis_radar.tiles.tiles import (
     COLUMNS,

@@ -17,7 +17,7 @@ from gis_radar.localization.settings import DEFAULTS, LocalizationSettings
 from gis_radar.poses.pose import View
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import open_recording
-from gis_radar.scans import read_road, road_crs
+from gis_radar.scans.scan import read_road, road_crs
 
 MOST_TRIES = 5  # recordings tried for a pose, the newest first: a quiet day or two in between
 

@@ -1,5 +1,14 @@
 """Reduce points on the road surface to half-metre cells: their centres and heights.
 
+The surface is the lowest smooth one under the points: stiff, so that things on the road do not lift
+it. It is bilinear between nodes and resists bending: it minimises the squares of its distances from
+the lowest point of each square metre, and of the differences between neighbouring slopes (a
+discrete thin-plate spline, Duchon 1977). What is clearly over it - a roof, a crown, a car, a bridge
+that the map does not have - gets no weight in the next round, and the surface sinks to what is
+left; points below it pull with bounded force, so that a stray reflection under the ground does not
+pull it down. A slope costs nothing, whatever its grade, and a road bends over tens of metres, a
+car's outline over one.
+
 DBSCAN runs here on the cells of the cropped road, never on the raw cloud. On a regular grid its
 neighbourhoods are sums over a disc, and its clusters the connected patches of core cells.
 
@@ -8,11 +17,12 @@ This step is the same whoever read, cropped and classified the points.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeAlias
 
 import numpy as np
-from scipy import ndimage
+from scipy import ndimage, sparse
+from scipy.sparse.linalg import splu
 
 from gis_radar.arrays import Booleans, Floats, Integers, compiled
 from gis_radar.grid import CELL_M, Grid
@@ -20,10 +30,158 @@ from gis_radar.progress import QUIET, Reporter
 from gis_radar.scans.point_store import BLOCK_CELLS, BLOCK_M, PointStore
 from gis_radar.scans.roads import RoadLevel
 from gis_radar.scans.settings import DEFAULTS, MaskSettings
-from gis_radar.scans.surface import fit_ground
 
+_TINY = 1e-6
 # Cells of a block, from its south-west corner.
 BLOCK = Grid(cell_m=CELL_M, west=0, south=0, columns=BLOCK_CELLS, rows=BLOCK_CELLS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GroundSurface:
+    """A surface over the plane.
+
+    Parameters
+    ----------
+    corner : (float, float)
+        Place of the first node, metres.
+    nodes : (columns, rows) array
+        Heights, metres; NaN where nothing supports it.
+    node_m : float
+        Distance of the nodes, metres.
+    """
+
+    corner: tuple[float, float]
+    nodes: Floats = field(repr=False)
+    node_m: float
+
+    def height(self, x: Floats, y: Floats) -> Floats:
+        """Return the height at places, NaN beyond the support."""
+        base, weight = self.weights(x, y)
+        return np.asarray((self.nodes.ravel()[base] * weight).sum(axis=1))
+
+    def weights(self, x: Floats, y: Floats) -> tuple[Integers, Floats]:
+        """Return the four nodes around each place, and their bilinear weights: (n, 4) each."""
+        shape = self.nodes.shape
+        u, v = (x - self.corner[0]) / self.node_m, (y - self.corner[1]) / self.node_m
+        column = np.clip(np.floor(u).astype(np.int64), 0, shape[0] - 2)
+        row = np.clip(np.floor(v).astype(np.int64), 0, shape[1] - 2)
+        u, v = u - column, v - row
+        base = column * shape[1] + row
+        nodes = np.stack([base, base + 1, base + shape[1], base + shape[1] + 1], axis=1)
+        weights = np.stack([(1 - u) * (1 - v), (1 - u) * v, u * (1 - v), u * v], axis=1)
+        return nodes, weights
+
+
+def fit_ground(points: Floats, settings: MaskSettings = DEFAULTS) -> GroundSurface:
+    """Fit a surface under points.
+
+    Parameters
+    ----------
+    points : (n, 3) array
+        Metres; at least one.
+    settings : MaskSettings
+        Nodes, stiffness, and what pulls how much.
+    """
+    node_m = settings.node_m
+    corner = (float(points[:, 0].min()) - node_m, float(points[:, 1].min()) - node_m)
+    corner = (node_m * np.floor(corner[0] / node_m), node_m * np.floor(corner[1] / node_m))
+    span = points[:, :2].max(axis=0) - corner
+    nodes = np.full((int(span[0] / node_m) + 3, int(span[1] / node_m) + 3), np.nan)
+    surface = GroundSurface(corner=corner, nodes=nodes, node_m=node_m)
+    low = _lowest(points, settings.low_m)
+    middle = float(np.median(low[:, 2]))
+    used = np.unique(surface.weights(low[:, 0], low[:, 1])[0])
+    bend = _bending(used, nodes.shape)
+    look = _nodes_to_points(surface, low, used)
+    nodes.ravel()[used] = _settled(look, bend, low[:, 2] - middle, settings) + middle
+    return _centred(surface, points, bend, used, middle, settings)
+
+
+def _nodes_to_points(surface: GroundSurface, points: Floats, used: Integers) -> sparse.csr_array:
+    """Return the matrix from the heights of the used nodes to those of the surface at points."""
+    base, weight = surface.weights(points[:, 0], points[:, 1])
+    place = (np.repeat(np.arange(len(points)), 4), np.searchsorted(used, base.ravel()))
+    return sparse.csr_array((weight.ravel(), place), shape=(len(points), len(used)))
+
+
+def _settled(
+    look: sparse.csr_array, bend: sparse.csr_array, z: Floats, settings: MaskSettings
+) -> Floats:
+    """Solve in rounds: what is over it loses its weight, what is below pulls with bounded force."""
+    pull = np.ones(len(z))
+    heights = np.zeros(look.shape[1])
+    for stiffness in settings.stiffness:
+        heights = _solved(look, bend, z, pull, stiffness)
+        over = z - look @ heights
+        bounded = np.minimum(1.0, settings.pull_m / np.maximum(-over, _TINY))
+        pull = np.where(over > settings.object_m, 0.0, bounded)
+    return heights
+
+
+def _solved(
+    look: sparse.csr_array, bend: sparse.csr_array, z: Floats, pull: Floats, stiffness: float
+) -> Floats:
+    weighted = look.multiply(pull[:, None]).tocsr()
+    normal = look.T @ weighted + stiffness * bend
+    # A shred without enough points to hold a plane is level at the middle height.
+    normal = normal + _TINY * sparse.eye_array(normal.shape[0])
+    return np.asarray(splu(normal.tocsc(), permc_spec="MMD_AT_PLUS_A",
+                           options={"SymmetricMode": True}).solve(weighted.T @ z))  # fmt: skip
+
+
+def _centred(
+    surface: GroundSurface, points: Floats, bend: sparse.csr_array, used: Integers, middle: float,
+    settings: MaskSettings,
+) -> GroundSurface:  # fmt: skip
+    """Lift a surface from the lowest points to the middle of all that are on it."""
+    over = points[:, 2] - surface.height(points[:, 0], points[:, 1])
+    kept = points[np.abs(over) <= settings.object_m]
+    if len(kept) == 0:
+        return surface
+    look = _nodes_to_points(surface, kept, used)
+    # As many points pull as there are low squares, whatever the density of the scan.
+    squares = len(used) * settings.node_m**2 / settings.low_m**2
+    pull = np.full(len(kept), min(1.0, squares / len(kept)))
+    nodes = surface.nodes.copy()
+    solved = _solved(look, bend, kept[:, 2] - middle, pull, settings.stiffness[-1])
+    nodes.ravel()[used] = solved + middle
+    return replace(surface, nodes=nodes)
+
+
+def _lowest(points: Floats, side_m: float) -> Floats:
+    """Return the lowest point of each square."""
+    cell = np.floor(points[:, :2] / side_m).astype(np.int64)
+    order = np.lexsort((points[:, 2], cell[:, 0], cell[:, 1]))
+    cell = cell[order]
+    new = np.ones(len(cell), bool)
+    new[1:] = (np.diff(cell, axis=0) != 0).any(axis=1)
+    return points[order[new]]
+
+
+_ROOT = float(np.sqrt(2.0))
+# Second differences across, up and of the twist: nodes by their offsets, and their factors.
+_SECOND = (
+    (((-1, 0), (0, 0), (1, 0)), (1.0, -2.0, 1.0)),
+    (((0, -1), (0, 0), (0, 1)), (1.0, -2.0, 1.0)),
+    (((0, 0), (1, 0), (0, 1), (1, 1)), (_ROOT, -_ROOT, -_ROOT, _ROOT)),
+)
+
+
+def _bending(used: Integers, shape: tuple[int, ...]) -> sparse.csr_array:
+    """Return the matrix whose form is the sum of squared second differences of the heights."""
+    wide, tall = shape
+    place = np.full(wide * tall, -1, np.int64)
+    place[used] = np.arange(len(used))
+    grid = np.pad(place.reshape(shape), 1, constant_values=-1)
+    total = sparse.csr_array((len(used), len(used)))
+    for offsets, factors in _SECOND:
+        nodes = np.stack([grid[1 + i : 1 + i + wide, 1 + j : 1 + j + tall] for i, j in offsets])
+        where = nodes[:, (nodes >= 0).all(axis=0)]
+        count = where.shape[1]
+        entries, rows = np.repeat(factors, count), np.tile(np.arange(count), len(factors))
+        second = sparse.csr_array((entries, (rows, where.ravel())), shape=(count, len(used)))
+        total = total + second.T @ second
+    return total
 
 
 def large_clusters(filled: Booleans, settings: MaskSettings = DEFAULTS) -> Booleans:
@@ -157,15 +315,8 @@ class RoadCells:
     offset_m: float
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Part:
-    """Cells of one level in one block, as in :class:`RoadCells`."""
-
-    points: Floats
-    used: int
-    area_cells: int
-    missing: Floats
-    removed: int
+# Of one level in one block, as in RoadCells: points, used, area_cells, missing and removed.
+_Part: TypeAlias = tuple[Floats, int, int, Floats, int]
 
 
 def make_cells(
@@ -198,16 +349,13 @@ def make_cells(
             )  # fmt: skip
             parts.append(maker.make(xyz, ground))
         reporter.progress("making cells", block + 1, len(blocks.shapes))
-    found = np.concatenate([part.points for part in parts])
+    points, used, area_cells, missing, removed = zip(*parts, strict=True)
+    found = np.concatenate(points)
     return RoadCells(
-        points=found[np.lexsort((found[:, 2], found[:, 0], found[:, 1]))],
-        used=sum(part.used for part in parts),
-        area_cells=sum(part.area_cells for part in parts),
-        missing=np.concatenate([part.missing for part in parts]),
-        seen=np.concatenate(seen),
-        removed=sum(part.removed for part in parts),
-        offset_m=offset_m,
-    )
+        points=found[np.lexsort((found[:, 2], found[:, 0], found[:, 1]))], used=sum(used),
+        area_cells=sum(area_cells), missing=np.concatenate(missing), seen=np.concatenate(seen),
+        removed=sum(removed), offset_m=offset_m,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -236,10 +384,7 @@ class _CellMaker:
         kept = self._candidates(xyz, ground, cell)
         xyz, cell = xyz[kept], cell[kept]
         if len(xyz) == 0 or len(inner) == 0:
-            missing = BLOCK.centres(inner) + self.corner
-            return _Part(
-                points=np.empty((0, 3)), used=0, area_cells=len(inner), missing=missing, removed=0
-            )
+            return np.empty((0, 3)), 0, len(inner), BLOCK.centres(inner) + self.corner, 0
         surface = fit_ground(xyz, self.settings)
         over = xyz[:, 2] - surface.height(xyz[:, 0], xyz[:, 1])
         kept = np.abs(over) <= self.settings.surface_m
@@ -256,13 +401,12 @@ class _CellMaker:
         centre = BLOCK.centres(found)
         up = surface.height(centre[:, 0], centre[:, 1]) + self._block(height).ravel()[found]
         bare = inner[~np.isin(inner, found, assume_unique=True)]
-        return _Part(
-            points=np.column_stack([centre + self.corner, up]),
-            used=int(np.count_nonzero(inside.ravel()[cell])),
-            area_cells=len(inner),
-            missing=BLOCK.centres(bare) + self.corner,
-            removed=int((self._block(filled) & ~self._block(large)).sum()),
-        )
+        return (
+            np.column_stack([centre + self.corner, up]),
+            int(np.count_nonzero(inside.ravel()[cell])), len(inner),
+            BLOCK.centres(bare) + self.corner,
+            int((self._block(filled) & ~self._block(large)).sum()),
+        )  # fmt: skip
 
     def _candidates(self, xyz: Floats, ground: Booleans, cell: Integers) -> Booleans:
         """Choose the points that may be this level's road.

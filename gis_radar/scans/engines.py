@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import geopandas as gpd
 import laspy
@@ -113,9 +113,15 @@ class Pipeline:
         if not stages:
             return []
         stages.append({"type": "filters.merge", "inputs": ends, "tag": f"all_{kind}"})
-        stages += self._ground(classified=classified)
-        stages[-1]["tag"] = kind
-        return stages
+        if not classified:
+            stages += [
+                {"type": "filters.assign", "assignment": "Classification[:]=1"},
+                {"type": "filters.elm"},
+                {"type": "filters.smrf", "ignore": "Classification[7:7]"},
+            ]
+        passing = runs(passing_classes(self.roads))
+        limits = ",".join(f"Classification[{first}:{last}]" for first, last in passing)
+        return [*stages, {"type": "filters.range", "limits": limits, "tag": kind}]
 
     def _read(self, number: int, scan: Scan, area: Box) -> list[dict[str, Any]]:
         box = moved_box(area, self.roads.crs, scan.crs)
@@ -136,20 +142,6 @@ class Pipeline:
         for stage, before in zip(stages[1:], stages, strict=False):
             stage["inputs"] = [before["tag"]]
         return stages
-
-    def _ground(self, *, classified: bool) -> list[dict[str, Any]]:
-        if classified:
-            return [{"type": "filters.range", "limits": self._limits()}]
-        return [
-            {"type": "filters.assign", "assignment": "Classification[:]=1"},
-            {"type": "filters.elm"},
-            {"type": "filters.smrf", "ignore": "Classification[7:7]"},
-            {"type": "filters.range", "limits": self._limits()},
-        ]
-
-    def _limits(self) -> str:
-        classes = passing_classes(self.roads)
-        return ",".join(f"Classification[{a}:{b}]" for a, b in runs(classes))
 
 
 def passing_classes(roads: Roads) -> list[int]:
@@ -173,16 +165,8 @@ def _common(a: Box, b: Box) -> Box:
 
 def runs(numbers: Sequence[int]) -> list[tuple[int, int]]:
     """Return ascending numbers as runs without gaps."""
-    runs: list[tuple[int, int]] = []
-    for number in numbers:
-        if runs and runs[-1][1] == number - 1:
-            runs[-1] = (runs[-1][0], number)
-        else:
-            runs.append((number, number))
-    return runs
-
-
-OUTSIDE = "outside"
+    parts = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)
+    return [(int(part[0]), int(part[-1])) for part in parts]
 
 
 def write_layer(roads: Roads, path: Path, *, outside: Any = None) -> None:
@@ -201,7 +185,7 @@ def write_layer(roads: Roads, path: Path, *, outside: Any = None) -> None:
     layers = {LAYER: gpd.GeoDataFrame({COLUMN: [1] * len(parts)}, geometry=parts, crs=roads.crs)}
     if outside is not None:
         shapes = list(shapely.get_parts(outside))
-        layers[OUTSIDE] = gpd.GeoDataFrame(
+        layers["outside"] = gpd.GeoDataFrame(
             {"area_m2": shapely.area(shapes)}, geometry=shapes, crs=roads.crs
         )
     for name, table in layers.items():
@@ -236,24 +220,14 @@ class ReadStatistics:
     flown: Days | None
 
 
-@dataclass(frozen=True, kw_only=True)
-class Engine:
-    """Puts those points of scans that are on the roads into a store.
-
-    Parameters
-    ----------
-    name : str
-        What it is, with its version.
-    fill : callable
-        Takes store, scans, settings and reporter.
-    """
-
-    name: str
-    fill: Callable[[PointStore, Sequence[Scan], MaskSettings, Reporter], ReadStatistics]
+Engine: TypeAlias = Callable[[PointStore, Sequence[Scan], MaskSettings, Reporter], ReadStatistics]
+"""Puts those points of scans that are on the roads into a store."""
 
 
-def engine_of(name: str, *, reporter: Reporter = QUIET) -> Engine:
+def engine_of(name: str, *, reporter: Reporter = QUIET) -> tuple[str, Engine]:
     """Return the engine of a name: `pdal`, `laspy`, or `auto` for the first of them that is there.
+
+    With it comes what it is, with its version.
 
     Raises
     ------
@@ -262,14 +236,12 @@ def engine_of(name: str, *, reporter: Reporter = QUIET) -> Engine:
     """
     if name not in NAMES:
         raise UsageError(f"engine {name!r} is not known", hint=f"one of {', '.join(NAMES)}")
-    if name == "laspy":
-        return _BUILT_IN
-    runner = find_pdal(reporter=reporter)
+    runner = None if name == "laspy" else find_pdal(reporter=reporter)
     if runner is not None:
-        return Engine(name=runner.name, fill=partial(_fill_by_pdal, runner))
+        return runner.name, partial(_fill_by_pdal, runner)
     if name == "pdal":
         raise GisRadarError("PDAL was not found on this machine", hint=INSTALL_HINT)
-    return _BUILT_IN
+    return f"built-in (laspy {laspy.__version__})", _fill_by_laspy
 
 
 def _fill_by_laspy(
@@ -298,16 +270,10 @@ def _fill_by_laspy(
     return ReadStatistics(pipeline=pipeline, on_road=on_road, flown=days_of(times))
 
 
-_BUILT_IN = Engine(name=f"built-in (laspy {laspy.__version__})", fill=_fill_by_laspy)
-
-
 def _fill_by_pdal(
-    runner: PdalRunner,
-    store: PointStore,
-    scans: Sequence[Scan],
-    settings: MaskSettings,
+    runner: PdalRunner, store: PointStore, scans: Sequence[Scan], settings: MaskSettings,
     reporter: Reporter,
-) -> ReadStatistics:
+) -> ReadStatistics:  # fmt: skip
     classified = tuple(ground_share(scan) >= settings.least_ground for scan in scans)
     roads = store.blocks.roads
     pipeline = Pipeline(
@@ -322,30 +288,24 @@ def _fill_by_pdal(
         for done, within in enumerate(parts):
             document = pipeline.document(roads=layer, points=points, within=within)
             runner.run(document, reporter=reporter)
-            if _holds_points(points):
+            with laspy.open(points) as reader:
+                empty = reader.header.point_count == 0
+            if not empty:
                 result = open_scan(points, crs=roads.crs)
                 for piece in result.pieces(roads.area.bounds, roads.crs):
                     times += _keep(store, 0, piece)
-            points.unlink(missing_ok=True)
+            points.unlink()
             reporter.progress("running the pipeline", done + 1, len(parts))
     return ReadStatistics(pipeline=pipeline, on_road=store.total, flown=days_of(times))
 
 
 def _parts(pipeline: Pipeline) -> list[Box | None]:
     """Return the parts of the site to run one after the other; one None is the whole site."""
-    waiting = sum(
-        scan.points
-        for scan, classified in zip(pipeline.scans, pipeline.classified, strict=True)
-        if not classified
-    )
+    scans = zip(pipeline.scans, pipeline.classified, strict=True)
+    waiting = sum(scan.points for scan, classified in scans if not classified)
     if waiting <= MOST_AT_ONCE or len(pipeline.scans) == 1:
         return [None]
     return [moved_box(scan.bounds, scan.crs, pipeline.roads.crs) for scan in pipeline.scans]
-
-
-def _holds_points(path: Path) -> bool:
-    with laspy.open(path) as reader:
-        return bool(reader.header.point_count)
 
 
 def _keep(store: PointStore, number: int, piece: Points) -> list[float]:

@@ -187,7 +187,7 @@ def mask_road(
     if isinstance(roads, LaneletMap):
         roads = roads_of_map(roads, settings=settings.roads)
     settings = replace(settings, roads=roads.settings)
-    runner = engine_of(engine, reporter=reporter)
+    name, fill = engine_of(engine, reporter=reporter)
     opened = [open_scan(scan, crs=scan_crs) for scan in scans]
     touching = [scan for scan in opened if scan.touches(roads.area.bounds, roads.crs)]
     if not touching:
@@ -195,7 +195,7 @@ def mask_road(
     blocks = cut_into_blocks(roads)
     with tempfile.TemporaryDirectory(prefix="gis_radar_") as folder:
         store = PointStore(blocks, Path(folder))
-        statistics = runner.fill(store, touching, settings, reporter)
+        statistics = fill(store, touching, settings, reporter)
         if store.total == 0:
             raise _no_overlap(touching, roads)
         cells = make_cells(store, settings=settings, reporter=reporter)
@@ -204,7 +204,7 @@ def mask_road(
             f"{roads.source}: {store.total} points on its roads, but none on a road's surface"
         )
     mask = RoadMask(
-        points=cells.points, roads=roads, engine=runner.name,
+        points=cells.points, roads=roads, engine=name,
         outside=_outside(cells, touching, roads, settings),
         vertical=tuple(sorted({scan.vertical for scan in touching} - {""})), flown=statistics.flown,
         pipeline=statistics.pipeline,
@@ -217,15 +217,12 @@ def mask_road(
 
 def _no_overlap(scans: Sequence[Scan], roads: Roads) -> InputError:
     names = ", ".join(str(scan.path) for scan in scans[:3]) + (" ..." if len(scans) > 3 else "")
+    west, south, east, north = roads.area.bounds
     return InputError(
         f"{names}: no point lies on the roads of {roads.source}: scan and map do not overlap",
-        hint=f"the roads lie at {_place(roads)}; is the coordinate system right?",
+        hint=f"the roads lie at {(west + east) / 2:.0f} {(south + north) / 2:.0f} in "
+        f"{roads.crs.name}; is the coordinate system right?",
     )
-
-
-def _place(roads: Roads) -> str:
-    west, south, east, north = roads.area.bounds
-    return f"{(west + east) / 2:.0f} {(south + north) / 2:.0f} in {roads.crs.name}"
 
 
 def _outside(

@@ -15,11 +15,11 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from gis_radar.errors import GisRadarError, InputError, OutputError
 from gis_radar.processes import run_child
@@ -43,15 +43,9 @@ VARIABLE = "GIS_RADAR_PDAL"
 
 # What other installations leave in the environment and a self-contained program stumbles over.
 _FOREIGN = {
-    "GDAL_DATA",
-    "GDAL_DRIVER_PATH",
-    "LD_LIBRARY_PATH",
-    "PDAL_DRIVER_PATH",
-    "PROJ_DATA",
-    "PROJ_LIB",
-    "PYTHONHOME",
-    "PYTHONPATH",
-}
+    "GDAL_DATA", "GDAL_DRIVER_PATH", "LD_LIBRARY_PATH", "PDAL_DRIVER_PATH", "PROJ_DATA", "PROJ_LIB",
+    "PYTHONHOME", "PYTHONPATH",
+}  # fmt: skip
 _BINDING = (sys.executable, "-P", "-c")
 _ASK_BINDING = "import pdal; print('pdal', pdal.info.version)"
 _RUN_BINDING = """
@@ -157,42 +151,34 @@ def find_pdal(*, reporter: Reporter = QUIET) -> PdalRunner | None:
             continue
         number = ".".join(map(str, answer))
         return PdalRunner(
-            name=f"{candidate.kind} {number}",
-            version=answer,
-            command=candidate.command,
+            name=f"{candidate.kind} {number}", version=answer, command=candidate.command,
             environment=candidate.environment,
-        )
+        )  # fmt: skip
     return None
 
 
-@dataclass(frozen=True, kw_only=True)
-class Installation:
+class Installation(NamedTuple):
     """What may be a working PDAL: what is started for its version, and for a pipeline."""
 
     kind: str
     place: str
     ask: tuple[str, ...]
     command: tuple[str, ...]
-    environment: Mapping[str, str] = field(repr=False)
+    environment: Mapping[str, str]
 
 
 def candidates() -> Iterator[Installation]:
     """Yield what is there, in the order of preference, without starting it."""
     if _binding_is_installed():
-        yield Installation(
-            kind="pdal binding",
-            place="the Python package pdal",
-            ask=(*_BINDING, _ASK_BINDING),
-            command=(*_BINDING, _RUN_BINDING),
-            environment=dict(os.environ),
-        )
+        ask, run = (*_BINDING, _ASK_BINDING), (*_BINDING, _RUN_BINDING)
+        yield Installation("pdal binding", "the Python package pdal", ask, run, dict(os.environ))
     if named := os.environ.get(VARIABLE):
-        yield _program(named, place=f"{VARIABLE}={named}")
+        yield _program(named, f"{VARIABLE}={named}", os.environ)
     if found := shutil.which("pdal"):
-        yield _program(found, place=found)
+        yield _program(found, found, os.environ)
     if PRIVATE.is_file():
         clean = {name: value for name, value in os.environ.items() if name not in _FOREIGN}
-        yield _program(str(PRIVATE), place=str(PRIVATE), environment=clean)
+        yield _program(str(PRIVATE), str(PRIVATE), clean)
 
 
 def _binding_is_installed() -> bool:
@@ -204,32 +190,19 @@ def _binding_is_installed() -> bool:
     return spec is not None and spec.origin is not None
 
 
-def _program(
-    path: str, *, place: str, environment: Mapping[str, str] | None = None
-) -> Installation:
-    return Installation(
-        kind="pdal program",
-        place=place,
-        ask=(path, "--version"),
-        command=(path, "pipeline", "--stdin"),
-        environment=dict(os.environ) if environment is None else environment,
-    )
+def _program(path: str, place: str, environment: Mapping[str, str]) -> Installation:
+    ask, run = (path, "--version"), (path, "pipeline", "--stdin")
+    return Installation("pdal program", place, ask, run, dict(environment))
 
 
 @cache
-def _ask(
-    command: tuple[str, ...], environment: tuple[tuple[str, str], ...]
-) -> str | tuple[int, ...]:
+def _ask(command: Sequence[str], environment: Iterable[tuple[str, str]]) -> str | tuple[int, ...]:
     """Start a PDAL for its version; return that, or why it is of no use."""
     try:
         done = subprocess.run(  # noqa: S603 - asks what `candidates` found
-            command,
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            timeout=_START_S,
-            env=dict(environment),
-            check=False,
-        )
+            command, stdin=subprocess.DEVNULL, capture_output=True, timeout=_START_S,
+            env=dict(environment), check=False,
+        )  # fmt: skip
     except subprocess.TimeoutExpired:
         return f"it does not answer within {_START_S:.0f} s"
     except OSError as error:

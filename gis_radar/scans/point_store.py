@@ -12,6 +12,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 from rasterio.features import rasterize
+from scipy import ndimage
 
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.crs import Box
@@ -115,9 +116,8 @@ class RoadBlocks:
 
     def _block_of(self, column: Integers, row: Integers) -> NDArray[np.int32]:
         known = self.grid.holds(column, row)
-        return np.where(
-            known, self._lookup[np.where(known, column, 0), np.where(known, row, 0)], -1
-        )
+        found = self._lookup[np.where(known, column, 0), np.where(known, row, 0)]
+        return np.where(known, found, -1)
 
     def neighbours(self, block: int) -> Integers:
         """Return a block and those around it, as far as they hold roads."""
@@ -171,12 +171,8 @@ def _states(shape: Any, cells: Grid) -> NDArray[np.uint8]:
     )  # fmt: skip
     edge = np.asarray(touched).astype(bool)
     # A cell whose neighbour is on the other side is on the edge, however the line was rounded.
-    for axis in (0, 1):
-        change = np.diff(inside.astype(np.int8), axis=axis) != 0
-        ahead, behind = [slice(None)] * 2, [slice(None)] * 2
-        ahead[axis], behind[axis] = slice(1, None), slice(None, -1)
-        edge[tuple(ahead)] |= change
-        edge[tuple(behind)] |= change
+    cross = ndimage.generate_binary_structure(2, 1)
+    edge |= ndimage.morphological_gradient(inside.astype(np.uint8), footprint=cross) > 0
     return np.where(edge, EDGE, np.where(inside, INSIDE, OUTSIDE)).astype(np.uint8)
 
 

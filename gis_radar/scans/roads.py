@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -114,17 +115,14 @@ def _sampled(left: shapely.LineString, right: shapely.LineString, spacing_m: flo
     return np.concatenate([on_left, (on_left + on_right) / 2.0, on_right])
 
 
-def _numbered(
-    conflicts: tuple[Integers, Integers], points: Floats, owner: Integers, count: int
-) -> Integers:
+def _numbered(conflicts: Integers, points: Floats, owner: Integers, count: int) -> Integers:
     """Return the level of each lanelet: the lowest that none in conflict with it has taken."""
-    above, below = conflicts
     number = np.zeros(count, np.int64)
     mean = np.bincount(owner, points[:, 2], count) / np.maximum(np.bincount(owner, None, count), 1)
-    rivals: dict[int, set[int]] = {}
-    for a, b in zip(above.tolist(), below.tolist(), strict=True):
-        rivals.setdefault(a, set()).add(b)
-        rivals.setdefault(b, set()).add(a)
+    rivals: defaultdict[int, set[int]] = defaultdict(set)
+    for a, b in conflicts.tolist():
+        rivals[a].add(b)
+        rivals[b].add(a)
     settled: set[int] = set()
     for lanelet in sorted(rivals, key=lambda one: (mean[one], one)):
         taken = {int(number[other]) for other in rivals[lanelet] & settled}
@@ -133,19 +131,16 @@ def _numbered(
     return number
 
 
-def _conflicts(
-    points: Floats, owner: Integers, settings: RoadSettings
-) -> tuple[Integers, Integers]:
-    """Return pairs of lanelets that cannot be one surface."""
+def _conflicts(points: Floats, owner: Integers, settings: RoadSettings) -> Integers:
+    """Return pairs of lanelets that cannot be one surface, (n, 2)."""
     if np.ptp(points[:, 2]) <= settings.step_m:
-        return np.empty(0, np.int64), np.empty(0, np.int64)
+        return np.empty((0, 2), np.int64)
     pairs = cKDTree(points[:, :2]).query_pairs(settings.near_m, output_type="ndarray")
     a, b = pairs[owner[pairs[:, 0]] != owner[pairs[:, 1]]].T
     step = np.abs(points[a, 2] - points[b, 2])
     near = np.hypot(*(points[a, :2] - points[b, :2]).T)
     steep = step > settings.step_m + settings.steepest * near
-    unique = np.unique(np.column_stack([owner[a[steep]], owner[b[steep]]]), axis=0)
-    return unique[:, 0], unique[:, 1]
+    return np.unique(np.column_stack([owner[a[steep]], owner[b[steep]]]), axis=0)
 
 
 _POLYGONAL = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
@@ -168,12 +163,11 @@ def _read_polygons(
         kinds = ", ".join(sorted(set(table.geom_type[kept]))) or "nothing"
         raise InputError(f"{path}: holds {kinds}, polygons of the roads are needed")
     mended = _mended(shapes[kept], path, settings.same_area, reporter)
-    return gpd.GeoDataFrame(geometry=mended, crs=_crs(table, crs, path))
+    known = _given_crs(crs, path) if table.crs is None else table.crs
+    return gpd.GeoDataFrame(geometry=mended, crs=known)
 
 
-def _crs(table: gpd.GeoDataFrame, crs: Any, path: Path) -> CRS:
-    if table.crs is not None:
-        return CRS.from_user_input(table.crs)
+def _given_crs(crs: Any, path: Path) -> CRS:
     if crs is None:
         raise CrsError(f"{path}: has no coordinate system", hint="say which: --map-crs EPSG:25832")
     try:
@@ -233,9 +227,9 @@ def _polygon(text: str) -> Any:
 
 def _mended(shapes: Any, path: Path, same_area: float, reporter: Reporter) -> Any:
     """Mend polygons where that leaves their area as drawn."""
-    if not np.isfinite(shapely.bounds(shapes)).all():
-        raise InputError(f"{path}: polygon {_first(~np.isfinite(shapely.bounds(shapes)).all(1))} "
-                         "has coordinates that are no numbers")  # fmt: skip
+    bounded = np.isfinite(shapely.bounds(shapes)).all(axis=1)
+    if not bounded.all():
+        raise InputError(f"{path}: polygon {_first(~bounded)} has coordinates that are no numbers")
     invalid = ~shapely.is_valid(shapes)
     if not invalid.any():
         return shapes

@@ -26,7 +26,9 @@ from gis_radar.progress import Reporter
 from gis_radar.qgis import write_site_project
 from gis_radar.recordings import convert as convert_recordings
 from gis_radar.report import write_report
-from gis_radar.scans import mask_road, read_road, read_roads, road_crs
+from gis_radar.scans.mask import mask_road
+from gis_radar.scans.roads import read_roads
+from gis_radar.scans.scan import read_road, road_crs
 from gis_radar.tiles.lookup import with_road_heights
 from gis_radar.tiles.tiles import fingerprint, make_tiles, read_tiles, write_tiles
 
