@@ -32,10 +32,10 @@ from gis_radar.scans.scan import (
     Days,
     Points,
     Scan,
+    box_with_margin,
     days_of,
     ground_share,
     open_scan,
-    widened,
 )
 from gis_radar.scans.settings import DEFAULTS, MaskSettings
 
@@ -77,8 +77,8 @@ class Pipeline:
             A part of the site, in the roads' system, without those scans that do not touch it;
             around it a margin is read for the ground filter and left out again.
         """
-        site = widened(self.roads.area.bounds, self.margin_m)
-        area = site if within is None else _common(site, widened(within, self.margin_m))
+        site = box_with_margin(self.roads.area.bounds, self.margin_m)
+        area = site if within is None else _common(site, box_with_margin(within, self.margin_m))
         groups = [self._group(area, classified=status) for status in (True, False)]
         stages = [stage for group in groups for stage in group]
         if all(groups):

@@ -294,7 +294,7 @@ def days_of(times: Sequence[float]) -> Days | None:
     return first, last
 
 
-def widened(box: Box, margin_m: float) -> Box:
+def box_with_margin(box: Box, margin_m: float) -> Box:
     """Return a box with a margin on each side, metres."""
     west, south, east, north = box
     return west - margin_m, south - margin_m, east + margin_m, north + margin_m

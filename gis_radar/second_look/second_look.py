@@ -22,7 +22,7 @@ from gis_radar.grid import CELL_M
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Recording
-from gis_radar.scans.scan import open_scan, widened
+from gis_radar.scans.scan import box_with_margin, open_scan
 from gis_radar.second_look.settings import DEFAULTS, SecondLookSettings
 from gis_radar.second_look.surroundings import (
     LevelFrame,
@@ -347,7 +347,7 @@ def require_scans_near(
         If none of them reaches within 300 m, or one is damaged; CrsError if one has no projected,
         metric coordinate system.
     """
-    box = widened((place[0], place[1], place[0], place[1]), settings.most_reach_m)
+    box = box_with_margin((place[0], place[1], place[0], place[1]), settings.most_reach_m)
     # each is opened, so that a bad one is refused at once
     near = [open_scan(scan, crs=scan_crs).touches(box, crs) for scan in scans]
     if not any(near):

@@ -19,7 +19,7 @@ from gis_radar.grid import CELL_M, Grid
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import RangeCounts, Recording, RollingWindow, as_recording
-from gis_radar.scans.scan import ROAD_CLASSES, open_scan, widened
+from gis_radar.scans.scan import ROAD_CLASSES, box_with_margin, open_scan
 from gis_radar.second_look.settings import DEFAULTS, SecondLookSettings
 
 PLANTS, BUILDING = (3, 4, 5), (6,)  # ASPRS LAS 1.4, table 17
@@ -306,7 +306,7 @@ def read_structure(
     opened = [open_scan(scan, crs=scan_crs) for scan in scans]
     tops = _Tops(2 * int(np.ceil(reach_m / CELL_M)))
     east, north, _ = level.pose.position
-    box = widened((east, north, east, north), reach_m * np.sqrt(2.0))
+    box = box_with_margin((east, north, east, north), reach_m * np.sqrt(2.0))
     total, done, grounds = sum(scan.points for scan in opened), 0, 0
     for scan in opened:
         if not scan.touches(box, level.pose.crs):
