@@ -181,10 +181,10 @@ def write_layer(roads: Roads, path: Path, *, outside: Any = None) -> None:
     outside : MultiPolygon, optional
         What is outside the scans.
     """
-    parts = list(shapely.get_parts(roads.area))
+    parts = shapely.get_parts(roads.area)
     layers = {LAYER: gpd.GeoDataFrame({COLUMN: [1] * len(parts)}, geometry=parts, crs=roads.crs)}
     if outside is not None:
-        shapes = list(shapely.get_parts(outside))
+        shapes = shapely.get_parts(outside)
         layers["outside"] = gpd.GeoDataFrame(
             {"area_m2": shapely.area(shapes)}, geometry=shapes, crs=roads.crs
         )

@@ -17,7 +17,7 @@ from scipy import ndimage
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.crs import Box
 from gis_radar.grid import CELL_M, Grid
-from gis_radar.scans.roads import RoadLevel, Roads
+from gis_radar.scans.roads import Roads
 from gis_radar.scans.scan import NEVER_CLASSES, ROAD_CLASSES
 
 BLOCK_CELLS = 512
@@ -68,7 +68,7 @@ class RoadBlocks:
         if len(self.roads.levels) == 1:
             return [self.shapes]
         boxes = [self.cells(block).bounds for block in range(len(self.shapes))]
-        return [[_near(level, box) for box in boxes] for level in self.roads.levels]
+        return [_pieces(np.asarray(level.shapes), boxes) for level in self.roads.levels]
 
     def area(self, level: int, block: int, margin: int) -> Booleans:
         """Return which cells of a block and of a margin have their centre on a level's roads."""
@@ -157,10 +157,12 @@ def centres_in(shapes: Any, cells: Grid) -> Booleans:
     return np.asarray(rasterize(some, size, transform=cells.transform, dtype="uint8")).astype(bool)
 
 
-def _near(level: RoadLevel, box: Box) -> Any:
-    """Return the part of a level in a box."""
-    shapes = np.asarray(level.shapes)[level.tree.query(shapely.box(*box))]
-    return shapely.union_all(shapely.clip_by_rect(shapes, *box))
+def _pieces(shapes: Any, boxes: list[Box]) -> list[Any]:
+    """Return the part of shapes in each box."""
+    tree = shapely.STRtree(shapes)
+    near = [shapes[tree.query(shapely.box(*box))] for box in boxes]
+    pairs = zip(near, boxes, strict=True)
+    return [shapely.union_all(shapely.clip_by_rect(some, *box)) for some, box in pairs]
 
 
 def _states(shape: Any, cells: Grid) -> NDArray[np.uint8]:

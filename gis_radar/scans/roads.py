@@ -53,11 +53,6 @@ class RoadLevel:
         """Whether the map has heights of these roads."""
         return len(self.heights) > 0
 
-    @cached_property
-    def tree(self) -> shapely.STRtree:
-        """Finds the shapes at a place."""
-        return shapely.STRtree(self.shapes)
-
     def height_near(self, xy: Floats) -> Floats:
         """Return the map's height of the road nearest to the square of each place, (n,)."""
         if len(xy) == 0:
@@ -325,8 +320,11 @@ def read_roads(
     if Path(path).suffix.lower() in {".osm", ".xml"}:
         roads = read_map(path, crs=crs, origin=origin, reporter=reporter)
         return roads_of_map(roads, source=str(path), settings=settings)
-    table = _read_polygons(Path(path), map_crs, layer, settings, reporter)
-    return roads_of_polygons(_projected(table, crs, path), source=str(path), settings=settings)
+    table = _projected(_read_polygons(Path(path), map_crs, layer, settings, reporter), crs, path)
+    area = _area(table.geometry.array, str(path), settings.max_extent_m)
+    levels = (RoadLevel(shapes=shapely.get_parts(area)),)
+    metric = metric_crs(table.crs, what=str(path))
+    return Roads(crs=metric, area=area, levels=levels, source=str(path), settings=settings)
 
 
 def roads_of_map(
@@ -338,24 +336,9 @@ def roads_of_map(
         raise InputError(f"{source}: has no lanelet for vehicles")
     # The outline of a mended lanelet may still touch itself.
     outlines = shapely.make_valid(lanelets.geometry.array)
-    return Roads(
-        crs=roads.crs,
-        area=_area(outlines, source, settings.max_extent_m),
-        levels=levels_of(outlines, lanelets["left"], lanelets["right"], settings),
-        source=source,
-        settings=settings,
-    )
-
-
-def roads_of_polygons(
-    table: gpd.GeoDataFrame, *, source: str = "the road layer",
-    settings: RoadSettings = DEFAULTS.roads,
-) -> Roads:  # fmt: skip
-    """Return the roads that valid polygons in a projected, metric system make."""
-    crs = metric_crs(table.crs, what=source)
-    area = _area(table.geometry.array, source, settings.max_extent_m)
-    levels = (RoadLevel(shapes=shapely.get_parts(area)),)
-    return Roads(crs=crs, area=area, levels=levels, source=source, settings=settings)
+    area = _area(outlines, source, settings.max_extent_m)
+    levels = levels_of(outlines, lanelets["left"], lanelets["right"], settings)
+    return Roads(crs=roads.crs, area=area, levels=levels, source=source, settings=settings)
 
 
 def _projected(table: gpd.GeoDataFrame, crs: Any, path: str | Path) -> gpd.GeoDataFrame:

@@ -108,10 +108,9 @@ def _draw_standing(ax: Axes, look: SecondLook) -> list[Line2D]:
     off = look.closeness < FITS if len(look.closeness) else np.zeros(len(found), bool)
     leaves = ~off & (found.rustles > RUSTLING)
     kinds: tuple[tuple[Booleans, str, str], ...] = (
-        (~off & ~leaves, ON, "stands"),
-        (leaves, LEAVES, "rustles"),
+        (~off & ~leaves, ON, "stands"), (leaves, LEAVES, "rustles"),
         (off, OFF, "stands where the scan shows nothing"),
-    )
+    )  # fmt: skip
     handles = []
     for which, colour, label in kinds:
         if which.any():
@@ -142,11 +141,8 @@ def _corner(look: SecondLook, low: Floats, high: Floats) -> tuple[float, float, 
     corners = [(1.0 - size - gap, 1.0 - size - 2 * gap), (gap, 1.0 - size - 2 * gap),
                (1.0 - size - gap, 2 * gap)]  # fmt: skip
     spots = np.vstack([look.level.to_map(look.standing.points[:, :2]), look.pose.position[:2]])
-    share = (spots - low) / (high - low)
-    counts = [
-        int(((share > corner) & (share < np.add(corner, size))).all(axis=1).sum())
-        for corner in corners
-    ]
+    share = ((spots - low) / (high - low))[:, None]
+    counts = ((share > corners) & (share < np.add(corners, size))).all(axis=2).sum(axis=0)
     return (*corners[int(np.argmin(counts))], size, size)
 
 

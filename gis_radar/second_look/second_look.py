@@ -142,16 +142,15 @@ class Alignment:
 
     def climbed(self, place: Sequence[float], *, apart: bool = False) -> PoseOffset:
         """Climb from an offset to the top nearby; with `apart`, stay away from the answer."""
-        best = self.offset(place)
-        lane_m, askew_deg = self.settings.lane_m, self.settings.askew_deg
-        farthest_m = self.settings.shift_m * np.sqrt(2.0)
-        for shift_m, turn_deg in self.settings.steps:
+        best, limits = self.offset(place), self.settings
+        farthest_m = limits.shift_m * np.sqrt(2.0)
+        for shift_m, turn_deg in limits.steps:
             step = np.array([shift_m, shift_m, turn_deg])
             for _ in range(30):
                 around = [self.offset(best.place + move * step) for move in _MOVES]
                 around = [o for o in around if o.shift_m <= farthest_m]
                 if apart:
-                    around = [o for o in around if o.beyond(lane_m, askew_deg)]
+                    around = [o for o in around if o.beyond(limits.lane_m, limits.askew_deg)]
                 top = max(around, key=lambda o: o.score, default=best)
                 if top.score <= best.score + 1e-9:
                     break
@@ -160,22 +159,18 @@ class Alignment:
 
     def surface(self) -> Floats:
         """Return the scores at the answer's heading, (ahead, left) every cell up to `shift_m`."""
-        return _Search(self, 1).scores(0.0)
+        return np.asarray(_scores(self, [0.0])[0])
 
     def explored(self) -> tuple[list[PoseOffset], float]:
         """Return the best offsets far from each other in all headings, and the mean of all."""
-        search = _Search(self, self.settings.coarse)
         turns = np.arange(-180.0, 180.0, self.settings.turn_deg)
-        scores = np.stack([search.scores(turn) for turn in turns])
+        scores = _scores(self, turns.tolist(), self.settings.coarse)
         size = (7, 5, 5)
         peak = ndimage.maximum_filter(scores, size, mode=("wrap", "nearest", "nearest")) == scores
         order = np.argsort(-np.where(peak, scores, -1.0), axis=None)[: self.settings.candidates]
-        tops = np.column_stack(np.unravel_index(order, scores.shape))
-        middle = scores.shape[1] // 2
-        places = [
-            ((i - middle) * search.cell_m, (j - middle) * search.cell_m, turns[k])
-            for k, i, j in tops.tolist()
-        ]
+        turn, ahead, left = np.unravel_index(order, scores.shape)
+        middle, cell_m = scores.shape[1] // 2, CELL_M * self.settings.coarse
+        places = np.column_stack([(ahead - middle) * cell_m, (left - middle) * cell_m, turns[turn]])
         return [self.offset(place) for place in places], float(scores.mean())
 
 
@@ -191,36 +186,27 @@ def align(
     return Alignment(standing=standing, closeness=closeness, settings=settings)
 
 
-class _Search:
-    """Scores of all shifts at once, by convolution."""
-
-    def __init__(self, alignment: Alignment, coarse: int) -> None:
-        field = alignment.closeness
-        if coarse > 1:
-            field = ndimage.gaussian_filter(
-                field, coarse * alignment.settings.close_m / CELL_M / 2.0
-            )
-        size = len(field) // coarse
-        field = field[: size * coarse, : size * coarse]
-        field = field.reshape(size, coarse, size, coarse).mean(axis=(1, 3))
-        self.size = int(fft.next_fast_len(size, real=True))
-        self.middle = size / 2.0
-        self.cell_m = CELL_M * coarse
-        self.most = round(alignment.settings.shift_m / self.cell_m)
-        self.points = alignment.standing.points[:, :2]
-        self.spectrum = fft.rfft2(field.astype(np.float32), (self.size, self.size))
-
-    def scores(self, turn_deg: float) -> Floats:
-        """Return the scores at a heading, by shift ahead and left."""
-        angle = np.radians(turn_deg)
+def _scores(alignment: Alignment, turns_deg: Sequence[float], coarse: int = 1) -> Floats:
+    """Return the scores of all shifts at once, by convolution: (headings, ahead, left)."""
+    field, points = alignment.closeness, alignment.standing.points[:, :2]
+    if coarse > 1:
+        field = ndimage.gaussian_filter(field, coarse * alignment.settings.close_m / CELL_M / 2.0)
+    size, cell_m = len(field) // coarse, CELL_M * coarse
+    field = field[: size * coarse, : size * coarse]
+    field = field.reshape(size, coarse, size, coarse).mean(axis=(1, 3))
+    side = int(fft.next_fast_len(size, real=True))
+    spectrum = fft.rfft2(field.astype(np.float32), (side, side))
+    most = round(alignment.settings.shift_m / cell_m)
+    reach = np.arange(-most, most + 1)
+    scores = []
+    for angle in np.radians(turns_deg):
         turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-        place = np.floor(self.points @ turn / self.cell_m + self.middle).astype(np.int64)
-        cell = place[:, 0] * self.size + place[:, 1]
-        count = np.bincount(cell, minlength=self.size**2).astype(np.float32)
-        image = fft.rfft2(count.reshape(self.size, self.size))
-        scores = fft.irfft2(self.spectrum * np.conj(image), (self.size, self.size))
-        reach = np.arange(-self.most, self.most + 1)
-        return np.asarray(scores[np.ix_(reach, reach)], np.float64) / len(self.points)
+        place = np.floor(points @ turn / cell_m + size / 2.0).astype(np.int64)
+        count = np.bincount(place[:, 0] * side + place[:, 1], minlength=side**2)
+        image = fft.rfft2(count.astype(np.float32).reshape(side, side))
+        found = fft.irfft2(spectrum * np.conj(image), (side, side))
+        scores.append(np.asarray(found[np.ix_(reach, reach)], np.float64) / len(points))
+    return np.stack(scores)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -302,7 +288,8 @@ class SecondLook:
             "scan_classified": self.structure.classified,
         }
         if self.best is not None:
-            east, north = self._east_north(self.best)
+            beside = np.array([[self.best.ahead_m, self.best.left_m]])
+            east, north = (self.level.to_map(beside)[0] - self.pose.position[:2]).tolist()
             found |= {
                 "covered": round(self.covered, 3),
                 "score": round(self.score, 3),
@@ -315,11 +302,6 @@ class SecondLook:
         if self.rival is not None:
             found |= {"rival_score": round(self.rival.score, 3), "lead": round(self.lead, 2)}
         return found | {"settings": asdict(self.settings)}
-
-    def _east_north(self, offset: PoseOffset) -> tuple[float, float]:
-        place = np.array([[offset.ahead_m, offset.left_m]])
-        east, north = self.level.to_map(place)[0] - self.pose.position[:2]
-        return float(east), float(north)
 
 
 def require_scans_near(

@@ -199,8 +199,7 @@ def standing(
     # far under the ground: in a house whose roof was taken for the ground
     tall = ~(np.abs(over) < settings.overhead_m)
     points, span, rustles = points[near][tall], slow.span[near][tall], slow.rustles[near][tall]
-    cell = rows[tall] * len(ground) + columns[tall]
-    cells, place = np.unique(cell, return_inverse=True)
+    cells, place = np.unique(rows[tall] * len(ground) + columns[tall], return_inverse=True)
     hit = np.zeros((len(cells), settings.spans), bool)
     hit[place, span] = True
     kept = hit.sum(axis=1) >= settings.least_spans
@@ -209,8 +208,7 @@ def standing(
         np.bincount(place, values, minlength=len(cells))[kept] / counts
         for values in (*points.T, rustles)
     ]
-    points = np.column_stack(means[:3])
-    return Standing(points=points, rustles=means[3], patch_m=settings.patch_m)
+    return Standing(points=np.column_stack(means[:3]), rustles=means[3], patch_m=settings.patch_m)
 
 
 @dataclass(frozen=True, kw_only=True)
