@@ -17,7 +17,14 @@ from gis_radar.localization.hypotheses import prior_at
 from gis_radar.localization.lanes import Lanes, sample_lanes
 from gis_radar.localization.matching import Scene, match, place
 from gis_radar.localization.model import MODEL
-from gis_radar.localization.residuals import Comparison, at_least, height, lateral
+from gis_radar.localization.residuals import (
+    Comparison,
+    assemble,
+    at_least,
+    height,
+    height_over_road,
+    lateral,
+)
 from gis_radar.localization.search import level
 from gis_radar.localization.settings import DEFAULTS, Schedule
 from gis_radar.localization.solver import solve
@@ -85,6 +92,48 @@ def test_curvatures_are_second_derivatives_of_the_loss(scene, family):
     numeric = (plus - 2.0 * rows.loss + minus) / 1e-6
     assert np.allclose(rows.curvature, numeric, atol=0.05)
     assert (rows.curvature <= rows.precision + 1e-9).all()
+
+
+def test_heights_are_a_mixture_of_two_bells_and_strays(scene):
+    compared, state, own = matched(scene, 0.1)
+    model, settings, samples = compared.model, compared.settings, compared.placed.samples
+    rows = height(compared, own)
+    over = height_over_road(compared.lanes, compared.placed, compared.matches, settings.view_edge)
+    noise = np.hypot(model.elevation * samples.reach, compared.scale_m)
+    away = over - state.reflection - own[samples.track]
+    tall = model.body_share
+    bells = [
+        share * np.exp(-0.5 * (value / sigma) ** 2) / sigma
+        for share, value, sigma in (
+            (1.0 - tall, away, np.hypot(model.low, noise)),
+            (tall, away - model.body_over, np.hypot(model.body, noise)),
+        )
+    ]
+    stray = settings.stray_share * np.sqrt(2.0 * np.pi) / settings.stray_height_m
+    loss = -np.log((1.0 - settings.stray_share) * sum(bells) + stray)
+    assert np.allclose(rows.loss, np.where(np.isfinite(over), loss, 0.0), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("curved", [False, True])
+def test_the_random_effects_are_eliminated_from_the_normal_equations(scene, curved):
+    compared, _, own = matched(scene, 0.3)
+    track, effect = compared.placed.samples.track, own + 0.1
+    rows = lateral(compared, effect)
+    normal = assemble([rows], effect[None], track, curved=curved)
+    of_track = -(track[:, None] == np.arange(len(own))).astype(float)
+    whole = np.hstack([rows.jacobian, of_track])
+    p = rows.curvature if curved else rows.precision
+    mass = -of_track.T @ (rows.weight * p)
+    p = rows.weight * np.where(mass[track] > 0.0, p, 0.0)
+    dense = whole.T @ (p[:, None] * whole)
+    dense[SIZE:, SIZE:] += np.eye(len(own)) * rows.shared**-2
+    pull = whole.T @ (rows.weight * rows.precision * rows.value)
+    pull[SIZE:] += effect * rows.shared**-2
+    out = dense[:SIZE, SIZE:] @ np.linalg.inv(dense[SIZE:, SIZE:])
+    expected = dense[:SIZE, :SIZE] - out @ dense[SIZE:, :SIZE]
+    assert np.allclose(normal.information, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+    gradient = pull[:SIZE] - out @ pull[SIZE:]
+    assert np.allclose(normal.gradient, gradient, rtol=1e-9, atol=1e-9 * np.abs(gradient).max())
 
 
 def test_a_start_beside_the_truth_comes_back(scene):

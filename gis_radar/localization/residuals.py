@@ -8,7 +8,7 @@ effect of a vehicle on all its rows: its place in the lane, the height at which 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from gis_radar.localization.lanes import Lanes
 from gis_radar.localization.matching import Matches, Placed
 from gis_radar.localization.model import Model
 from gis_radar.localization.settings import SolverSettings
-from gis_radar.localization.state import REFLECTION, SIZE, TURN
+from gis_radar.localization.state import SIZE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,75 +95,120 @@ def lateral(compared: Comparison, effect: Floats) -> Residuals:
     """
     lanes, placed, matches = compared.lanes, compared.placed, compared.matches
     samples, model, settings = placed.samples, compared.model, compared.settings
-    east, north = lanes.along[matches.lane].T
-    away = placed.points[:, :2] - lanes.points[matches.lane, :2]
-    off = away[:, 1] * east - away[:, 0] * north - effect[samples.track] - model.habit
-    x, y = placed.sight.T
-    left, ahead = x * north - y * east, np.abs(x * east + y * north)
-    faces = np.vstack([np.sign(left), *(np.full(len(off), at) for at in settings.front)])
-    noise = np.hypot(model.bearing * placed.flat * ahead, compared.scale_m)
-    value = off - faces * model.half_width
-    sigma = np.broadcast_to(np.hypot(model.face, noise), value.shape)
-    bell = (
-        (1.0 - settings.stray_share) * matches.found * np.exp(-0.5 * (value / sigma) ** 2) / sigma
+    constants = (
+        model.habit, model.half_width, model.face, model.bearing, compared.scale_m,
+        model.side_strength, model.hidden_strength, model.hidden_share,
+        settings.stray_share, settings.no_vehicle,
+    )  # fmt: skip
+    rows, jacobian = _lateral(
+        np.array(constants),
+        np.array(settings.front),
+        matches.lane,
+        matches.found,
+        lanes.points,
+        lanes.along,
+        placed.points,
+        placed.arms,
+        placed.flat,
+        placed.sight,
+        samples.track,
+        effect,
     )
-    side = _side_share(compared, bell, np.abs(left), ahead)
-    density = bell * np.stack([side, *([(1.0 - side) / len(settings.front)] * len(settings.front))])
-    jacobian = np.zeros((len(off), SIZE))
-    jacobian[:, 0], jacobian[:, 1] = -north, east
-    jacobian[:, TURN] = _turning(placed.arms, jacobian[:, :3])
-    stray = np.exp(-settings.no_vehicle)
-    rows = _mixed("lateral", value, sigma, density, stray, jacobian, model.driver)
     # many samples of a vehicle on a few metres share its swaying there: v / (v + n wander^2)
     own_m = model.half_width / 2.0
     weight: Floats = np.asarray(1.0 / (1.0 + samples.crowd * (model.wander / own_m) ** 2))
-    return replace(rows, weight=weight)
+    return _residuals("lateral", rows, jacobian, model.driver, weight)
 
 
-def _mixed(
-    name: str,
-    value: Floats,
-    sigma: Floats,
-    density: Floats,
-    stray: float,
-    jacobian: Floats,
-    shared: float,
+def _residuals(
+    name: str, rows: Floats, jacobian: Floats, shared: float, weight: Floats
 ) -> Residuals:
-    """Sum (alternatives, n) values up to a row a sample; `stray` is the density of none of them."""
-    whole = density.sum(axis=0) + stray
-    chance = density / whole
-    pull = value / sigma**2
-    precision = (chance / sigma**2).sum(axis=0)
-    mean = (chance * pull).sum(axis=0)
-    spread = (chance * pull**2).sum(axis=0) - mean**2
+    value, precision, curvature, loss = rows
     return Residuals(
         name=name,
-        value=np.divide(mean, precision, out=np.zeros_like(mean), where=precision > 0.0),
+        value=value,
         jacobian=jacobian,
         shared=shared,
         precision=precision,
-        curvature=precision - spread,
-        loss=-np.log(whole),
-        weight=np.ones_like(whole),
+        curvature=curvature,
+        loss=loss,
+        weight=weight,
     )
 
 
-def _side_share(compared: Comparison, bell: Floats, left: Floats, ahead: Floats) -> Floats:
-    """Return the share of side faces at each sample.
+@compiled
+def _lateral(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - compiled
+    constants: Floats,
+    front: Floats,
+    lane: Integers,
+    found: Booleans,
+    lane_points: Floats,
+    along: Floats,
+    points: Floats,
+    arms: Floats,
+    flat: Floats,
+    sight: Floats,
+    track: Integers,
+    effect: Floats,
+) -> tuple[Floats, Floats]:
+    """Return value, precision, curvature and loss of each sample, (4, n), and the jacobian."""
+    habit, half_width, face, bearing, scale_m = constants[:5]
+    shown, queued, queues, stray_share, no_vehicle = constants[5:]
+    stray, count = np.exp(-no_vehicle), len(lane)
+    value, bell = np.zeros((count, len(front) + 1)), np.zeros((count, len(front) + 1))
+    square, side, odds = np.zeros(count), np.zeros((count, 2)), np.zeros(len(effect))
+    jacobian = np.zeros((count, SIZE))
+    for i in range(count):
+        east, north = along[lane[i], 0], along[lane[i], 1]
+        x, y = points[i, 0] - lane_points[lane[i], 0], points[i, 1] - lane_points[lane[i], 1]
+        off = y * east - x * north - effect[track[i]] - habit
+        left = sight[i, 0] * north - sight[i, 1] * east
+        ahead = abs(sight[i, 0] * east + sight[i, 1] * north)
+        square[i] = face**2 + (bearing * flat[i] * ahead) ** 2 + scale_m**2
+        peak, ends = found[i] * (1.0 - stray_share) / np.sqrt(square[i]), 0.0
+        for j in range(len(front) + 1):
+            value[i, j] = off - half_width * (np.sign(left) if j == 0 else front[j - 1])
+            bell[i, j] = peak * np.exp(-0.5 / square[i] * value[i, j] ** 2)
+            ends += bell[i, j] / len(front) if j else 0.0
+        # in a queue the next vehicle hides fronts and rears: their odds, by all samples of a track
+        side[i, 0] = shown * abs(left) / (shown * abs(left) + ahead)
+        side[i, 1] = queued * abs(left) / (queued * abs(left) + ahead)
+        visible = side[i, 0] * bell[i, 0] + (1.0 - side[i, 0]) * ends + stray
+        hidden = side[i, 1] * bell[i, 0] + (1.0 - side[i, 1]) * ends + stray
+        odds[track[i]] += np.log(hidden / visible)
+        jacobian[i, 0], jacobian[i, 1] = -north, east
+        jacobian[i, 3], jacobian[i, 4] = -arms[i, 2] * east, -arms[i, 2] * north
+        jacobian[i, 5] = arms[i, 0] * east + arms[i, 1] * north
+    odds += np.log(queues / (1.0 - queues))
+    rows, squares = np.zeros((4, count)), np.zeros(len(front) + 1)
+    for i in range(count):
+        hides = 1.0 / (1.0 + np.exp(-min(max(odds[track[i]], -50.0), 50.0)))
+        share = side[i, 0] + hides * (side[i, 1] - side[i, 0])
+        for j in range(len(front) + 1):
+            bell[i, j] *= (1.0 - share) / len(front) if j else share
+            squares[j] = square[i]
+        rows[0, i], rows[1, i], rows[2, i], rows[3, i] = _mixed(value[i], bell[i], squares, stray)
+    return rows, jacobian
 
-    In a queue the fronts and rears are hidden by the next vehicle: whether a vehicle's ends are
-    visible is estimated from its samples (expectation over both).
+
+@compiled
+def _mixed(  # pragma: no cover - compiled
+    value: Floats, density: Floats, square: Floats, stray: float
+) -> tuple[float, float, float, float]:
+    """Sum the alternatives of a sample up to value, precision, curvature and loss.
+
+    `square` are their variances, `stray` is the density of none of them.
     """
-    model, samples = compared.model, compared.placed.samples
-    track = samples.track
-    strengths = np.array([model.side_strength, model.hidden_strength])[:, None] * left
-    share = strengths / (strengths + ahead)
-    whole = share * bell[0] + (1.0 - share) * bell[1:].mean(axis=0)
-    whole += np.exp(-compared.settings.no_vehicle)
-    odds = np.bincount(track, weights=np.log(whole[1] / whole[0]), minlength=samples.tracks)
-    odds += np.log(model.hidden_share / (1.0 - model.hidden_share))
-    hidden = 1.0 / (1.0 + np.exp(-np.clip(odds, -50.0, 50.0)))[track]
-    return np.asarray(share[0] + hidden * (share[1] - share[0]))
+    whole, precision, mean, spread = stray, 0.0, 0.0, 0.0
+    for j in range(len(value)):
+        whole += density[j]
+    for j in range(len(value)):
+        chance, pull = density[j] / whole, value[j] / square[j]
+        precision += chance / square[j]
+        mean += chance * pull
+        spread += chance * pull**2
+    centre = mean / precision if precision > 0.0 else 0.0
+    return centre, precision, precision - (spread - mean**2), -np.log(whole)
 
 
 def height(compared: Comparison, effect: Floats) -> Residuals:
@@ -178,22 +223,50 @@ def height(compared: Comparison, effect: Floats) -> Residuals:
     """
     lanes, placed, matches = compared.lanes, compared.placed, compared.matches
     samples, model, settings = placed.samples, compared.model, compared.settings
-    over = height_over_road(lanes, placed, matches, settings.view_edge)
-    value = over - placed.state.reflection - effect[samples.track]
-    jacobian = np.zeros((len(samples), SIZE))
-    jacobian[:, :2] = -lanes.slope[matches.lane, None] * lanes.along[matches.lane]
-    jacobian[:, 2] = 1.0
-    jacobian[:, TURN] = _turning(placed.arms, jacobian[:, :3])
-    jacobian[:, REFLECTION] = -1.0
-    valid = np.isfinite(over)
-    value = np.nan_to_num(value) - np.array([[0.0], [model.body_over]])
-    noise = np.hypot(model.elevation * samples.reach, compared.scale_m)
-    sigma = np.hypot([[model.low], [model.body]], noise)
-    share = np.array([[1.0 - model.body_share], [model.body_share]]) * (1.0 - settings.stray_share)
-    density = valid * share * np.exp(-0.5 * (value / sigma) ** 2) / sigma
-    stray = settings.stray_share * np.sqrt(2.0 * np.pi) / settings.stray_height_m
-    rows = _mixed("height", value, sigma, density, stray, jacobian, model.vehicle)
-    return replace(rows, loss=np.where(valid, rows.loss, 0.0))
+    constants = (
+        model.elevation, compared.scale_m, model.low, model.body, model.body_share, model.body_over,
+        settings.stray_share, settings.stray_share * np.sqrt(2.0 * np.pi) / settings.stray_height_m,
+    )  # fmt: skip
+    rows, jacobian = _height(
+        np.array(constants),
+        height_over_road(lanes, placed, matches, settings.view_edge),
+        placed.state.reflection + effect[samples.track],
+        lanes.slope[matches.lane, None] * lanes.along[matches.lane],
+        placed.arms,
+        samples.reach,
+    )
+    return _residuals("height", rows, jacobian, model.vehicle, np.ones(len(samples)))
+
+
+@compiled
+def _height(
+    constants: Floats,
+    over: Floats,
+    expected: Floats,
+    slope: Floats,
+    arms: Floats,
+    reach: Floats,
+) -> tuple[Floats, Floats]:
+    """Return value, precision, curvature and loss of each sample, (4, n), and the jacobian."""
+    elevation, scale_m, low, body, body_share, body_over, stray_share, stray = constants
+    rows, jacobian = np.zeros((4, len(over))), np.zeros((len(over), SIZE))
+    value, density, square = np.zeros(2), np.zeros(2), np.zeros(2)
+    for i in range(len(over)):
+        u, v = -slope[i, 0], -slope[i, 1]
+        x, y, z = arms[i]
+        jacobian[i, 0], jacobian[i, 1], jacobian[i, 2], jacobian[i, 6] = u, v, 1.0, -1.0
+        jacobian[i, 3], jacobian[i, 4], jacobian[i, 5] = y - z * v, z * u - x, x * v - y * u
+        if not np.isfinite(over[i]):
+            continue
+        noise = (elevation * reach[i]) ** 2 + scale_m**2
+        square[0], square[1] = low**2 + noise, body**2 + noise
+        value[0] = over[i] - expected[i]
+        value[1] = value[0] - body_over
+        for j in range(2):
+            share = (body_share if j else 1.0 - body_share) * (1.0 - stray_share)
+            density[j] = share * np.exp(-0.5 * value[j] ** 2 / square[j]) / np.sqrt(square[j])
+        rows[0, i], rows[1, i], rows[2, i], rows[3, i] = _mixed(value, density, square, stray)
+    return rows, jacobian
 
 
 def height_over_road(lanes: Lanes, placed: Placed, matches: Matches, view_edge: float) -> Floats:
@@ -203,7 +276,8 @@ def height_over_road(lanes: Lanes, placed: Placed, matches: Matches, view_edge: 
     out of view: there only the tall are seen.
     """
     off = placed.points - lanes.points[matches.lane]
-    ahead = np.einsum("ij,ij->i", off[:, :2], lanes.along[matches.lane])
+    along = lanes.along[matches.lane]
+    ahead = off[:, 0] * along[:, 0] + off[:, 1] * along[:, 1]
     over = off[:, 2] - lanes.slope[matches.lane] * ahead
     return np.where(matches.found & _in_view(placed, off[:, 2], view_edge), over, np.nan)
 
@@ -214,12 +288,6 @@ def _in_view(placed: Placed, over_m: Floats, view_edge: float) -> Booleans:
     lower = np.arctan2(up - np.nan_to_num(over_m), flat) - np.arctan2(up, flat)
     angle = np.abs(upward + np.sign(upward) * np.abs(lower))
     return np.asarray(angle < placed.samples.elevation - view_edge)
-
-
-def _turning(arms: Floats, pull: Floats) -> Floats:
-    """Return how a turn about each axis of the map moves samples along a pull: arms x pull."""
-    (x, y, z), (u, v, w) = arms.T, pull.T
-    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -257,14 +325,12 @@ def assemble(
     shared = []
     for family, b in zip(families, effects, strict=True):
         p = family.weight * (_curvature(family, track, tracks) if curved else family.precision)
-        pj, force = p[:, None] * family.jacobian, family.weight * family.precision * family.value
-        columns = sums(track, np.column_stack([pj, p, force]), tracks)
-        g, mass, pull = -columns[:, :SIZE], columns[:, SIZE], columns[:, SIZE + 1]
-        variance = 1.0 / (family.shared**-2 + mass)
+        force = family.weight * family.precision * family.value
+        squares, coupled, mass, pull, pulls = _summed(p, force, family.jacobian, track, tracks)
+        g, variance = -coupled, 1.0 / (family.shared**-2 + mass)
         gradient = b * family.shared**-2 - pull
-        information += family.jacobian.T @ pj - g.T @ (variance[:, None] * g)
-        scores += sums(track, force[:, None] * family.jacobian, tracks)
-        scores -= g * (variance * gradient)[:, None]
+        information += squares - g.T @ (variance[:, None] * g)
+        scores += pulls - g * (variance * gradient)[:, None]
         shared.append((gradient, g, variance))
     return Normal(
         information=information, gradient=scores.sum(axis=0), scores=scores, shared=shared
@@ -275,6 +341,29 @@ def _curvature(family: Residuals, track: Integers, tracks: int) -> Floats:
     """Return the curvatures of a family; drop vehicles of non-positive total curvature."""
     mass = np.bincount(track, weights=family.weight * family.curvature, minlength=tracks)
     return np.where(mass[track] > 0.0, family.curvature, 0.0)
+
+
+@compiled
+def _summed(  # pragma: no cover - compiled
+    p: Floats, force: Floats, jacobian: Floats, track: Integers, tracks: int
+) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Return `sum p J J'`; and by track the sums of `p J`, `p`, `force` and `force J`."""
+    squares, mass, pull = np.zeros((SIZE, SIZE)), np.zeros(tracks), np.zeros(tracks)
+    coupled, pulls = np.zeros((tracks, SIZE)), np.zeros((tracks, SIZE))
+    for i in range(len(p)):
+        k = track[i]
+        mass[k] += p[i]
+        pull[k] += force[i]
+        for a in range(SIZE):
+            pj = p[i] * jacobian[i, a]
+            coupled[k, a] += pj
+            pulls[k, a] += force[i] * jacobian[i, a]
+            for b in range(a + 1):
+                squares[a, b] += pj * jacobian[i, b]
+    for a in range(SIZE):
+        for b in range(a):
+            squares[b, a] = squares[a, b]
+    return squares, coupled, mass, pull, pulls
 
 
 def sums(track: Integers, rows: Floats, tracks: int) -> Floats:
