@@ -20,8 +20,7 @@ from gis_radar.progress import Reporter
 from gis_radar.steps import seconds_from_iso
 from gis_radar.tracking import track
 from gis_radar.tracking.filter import Measurement
-from gis_radar.tracking.follow import start_estimate
-from gis_radar.tracking.follower import Follower
+from gis_radar.tracking.follow import Follower, start_estimate
 from gis_radar.tracking.settings import DEFAULTS
 from gis_radar.tracking.track import draw_track
 from gis_radar.tracking.windows import WindowFitter

@@ -1,7 +1,6 @@
 """Localization: the pose of a radar from what it saw, with its evidence."""
 
-from gis_radar.localization.files import localize_files
-from gis_radar.localization.localize import localize
+from gis_radar.localization.localize import localize, localize_files
 from gis_radar.localization.result import Localization
 
 __all__ = ["Localization", "localize", "localize_files"]

@@ -1,24 +1,31 @@
-"""Localize: from a recording, the lanes and a rough guess to a pose."""
+"""Localize: from a recording, the lanes and a rough guess to a pose; from arrays or from files."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from gis_radar.arrays import Floats
+from gis_radar.crs import moved_position, yaw_from_compass
 from gis_radar.errors import NoAnswerError, UsageError
-from gis_radar.lanelets import LaneletMap
+from gis_radar.lanelets import LaneletMap, read_map
 from gis_radar.localization.icp import by_icp
 from gis_radar.localization.lane_method import by_lanes
-from gis_radar.localization.result import Localization, Problem
+from gis_radar.localization.result import Localization, Problem, draw_localization
 from gis_radar.localization.settings import DEFAULTS, LocalizationSettings
 from gis_radar.localization.traces import Moving, read_moving
+from gis_radar.poses.pose import View
 from gis_radar.progress import QUIET, Reporter
+from gis_radar.recordings.recording import open_recording
+from gis_radar.scans.scan import read_road, road_crs
 
+MOST_TRIES = 5  # recordings tried for a pose, the newest first: a quiet day or two in between
 METHODS: dict[str, Callable[[Problem, Moving, Reporter, LocalizationSettings], Localization]] = {
     "lane": by_lanes,
     "icp": by_icp,
@@ -92,3 +99,133 @@ def localize(
         return found
     evidence = {**found.pose.evidence, "settings": changes}
     return replace(found, pose=replace(found.pose, evidence=evidence))
+
+
+def localize_files(
+    recordings: str | Path | Sequence[str | Path],
+    map_path: str | Path,
+    road: str | Path,
+    *,
+    guess: Sequence[float],
+    guess_crs: Any = None,
+    heading: float | None = None,
+    compass: float | None = None,
+    crs: Any = None,
+    origin: tuple[float, float] | None = None,
+    method: str = "lane",
+    scans: Sequence[str | Path] = (),
+    scan_crs: Any = None,
+    sensor: str | None = None,
+    view: View | None = None,
+    figure: str | Path | None = None,
+    settings: LocalizationSettings = DEFAULTS,
+    reporter: Reporter = QUIET,
+) -> Localization:
+    """Find the pose of a sensor from its recordings, a map and a scanned road, all files.
+
+    Read map and road, take guess and compass to the map's CRS, localize by the newest recording
+    that gives a pose, take a second look where there are scans, and draw the figure.
+
+    Parameters
+    ----------
+    recordings : path or sequence of paths
+        Of one sensor at one place; of several the five newest are tried, the newest first.
+    map_path : str or Path
+        A Lanelet2 map.
+    road : str or Path
+        The scanned road, as :func:`gis_radar.mask_road` makes it.
+    guess : (easting, northing) or (easting, northing, height)
+        Within 15 m of the truth; the height only helps `icp`.
+    guess_crs : CRS, str or int, optional
+        The guess's coordinate system, where it is not the map's.
+    heading : float, optional
+        Yaw in degrees, counter-clockwise from grid east, within 25 degrees of the truth; without
+        it the heading is searched.
+    compass : float, optional
+        The same as a bearing: degrees clockwise from true north.
+    crs : CRS, str or int, optional
+        The map frame; that of the road where it is not given.
+    origin : (easting, northing), optional
+        Map-frame position of the map's local (0, 0), for maps without latitudes and longitudes.
+    method : str
+        `lane` or `icp`, as for :func:`gis_radar.localize`.
+    scans : sequence of paths
+        Airborne scans for a :func:`gis_radar.second_look`; with them the range that the recording
+        reaches (99.9th percentile) becomes the view's `max_range_m`, unless a view is given.
+    scan_crs : CRS, str or int, optional
+        The scans' coordinate system, for files that do not state it.
+    sensor : str, optional
+        Its name; the recording's file name where it is not given.
+    view : View, optional
+        What the sensor sees; goes into the pose.
+    figure : str or Path, optional
+        Draw the traces over lanes and scan into this PNG, as :func:`gis_radar.draw_localization`.
+    settings : LocalizationSettings
+        All constants of both methods.
+    reporter : Reporter
+        Told the progress and remarks.
+
+    Raises
+    ------
+    UsageError
+        If both heading and compass are given, or the method is unknown.
+    InputError
+        If a file cannot be read, or scans, map and guess do not overlap.
+    NoAnswerError
+        If none of the recordings gives a trustworthy pose; the newest one's reason.
+    """
+    if heading is not None and compass is not None:
+        raise UsageError("both heading and compass are given", hint="give one of them")
+    frame = road_crs(road) if crs is None else crs
+    roads = read_map(map_path, crs=frame, origin=origin, reporter=reporter)
+    points = read_road(road, roads.crs)
+    place = tuple(guess)
+    if guess_crs is not None:
+        place = moved_position(place, guess_crs, roads.crs)
+    if scans:
+        # not at the top: whoever has no scan does not wait for scipy's image filters
+        from gis_radar.second_look import require_scans_near, second_look  # noqa: PLC0415
+
+        require_scans_near(scans, roads.crs, place, scan_crs=scan_crs)
+    if compass is not None:
+        heading = yaw_from_compass(compass, roads.crs, place[0], place[1])
+    ask = partial(
+        localize, roads=roads, road_points=points,
+        guess=place, heading=heading, method=method, settings=settings, reporter=reporter,
+    )  # fmt: skip
+    recording, found = _first_answer(_newest_first(recordings), ask, reporter)
+    pose = replace(found.pose, sensor=sensor or found.pose.sensor, view=view)
+    found, look = replace(found, pose=pose, recording=recording.name), None
+    if scans:
+        look = second_look(recording, pose, scans, scan_crs=scan_crs, reporter=reporter)
+        found = found.with_second_look(look)
+    if figure is not None:
+        draw_localization(found, roads, points, figure, look=look)
+    return found
+
+
+def _first_answer(
+    recordings: Sequence[Path], ask: Callable[[Path], Localization], reporter: Reporter
+) -> tuple[Path, Localization]:
+    """Return the first recording that gives a pose, with it; refuse where none does."""
+    refusals = []
+    for recording in recordings[:MOST_TRIES]:
+        try:
+            return recording, ask(recording)
+        except NoAnswerError as error:
+            refusals.append(error)
+            if len(recordings) > 1:
+                reporter.log(f"{recording.name} gives no pose: {error.message}")
+    raise refusals[0]
+
+
+def _newest_first(recordings: str | Path | Sequence[str | Path]) -> list[Path]:
+    """Return recordings by the time of their first frame, the newest first."""
+    several = [recordings] if isinstance(recordings, str | Path) else recordings
+    paths = [Path(path) for path in several]
+    if not paths:
+        raise UsageError("no recording is given")
+    if len(paths) == 1:
+        return paths
+    begins = {path: float(next(open_recording(path).read()).time[0]) for path in paths}
+    return sorted(paths, key=lambda path: (-begins[path], path.name))

@@ -23,6 +23,15 @@ if TYPE_CHECKING:  # what it takes to make one is loaded by those who do
 
 STAGE = "finding the pose"
 
+DPI = 216
+SIZE_IN = (6.6, 6.6)
+MARGIN_M = 12.0
+ROAD_POINTS = 60_000
+ARROW_EVERY_M = 12.0
+ROAD, LANE, AWAY, NEAR, PLAIN = ("#c9c5bd", "#6f7780", "#c2410c", "#1d4ed8", "#7c3aed")
+
+Extent = tuple[Floats, Floats]  # south-west and north-east, metres
+
 
 @dataclass(frozen=True, kw_only=True)
 class Localization:
@@ -110,17 +119,14 @@ class Localization:
         -------
         matplotlib Axes
         """
-        # not at the top: whoever draws nothing does not wait for matplotlib
-        from gis_radar.localization import picture  # noqa: PLC0415
-
         ax = axes_or_new(ax, (8.0, 8.0))
         traces, place = self.pose.to_map(self.traces), self.pose.position[:2]
-        low, high = extent = picture.trace_extent(traces, place)
+        low, high = extent = _trace_extent(traces, place)
         if road_points is not None:
-            picture.draw_road(ax, road_points, extent)
+            _draw_road(ax, road_points, extent)
         if roads is not None:
-            picture.draw_lanes(ax, roads, extent)
-        picture.draw_traces(ax, traces, self.range_rate)
+            _draw_lanes(ax, roads, extent)
+        _draw_traces(ax, traces, self.range_rate)
         covariance = self.pose.plane_covariance()
         ring = None if covariance is None else ellipse(place, covariance)
         ahead = self.pose.R_map_sensor[:2, 0] * float((high - low).max()) / 12.0
@@ -155,10 +161,6 @@ class Localization:
         ax.tick_params(labelsize=6)
 
 
-DPI = 216
-SIZE_IN = (6.6, 6.6)
-
-
 def draw_localization(
     found: Localization,
     roads: LaneletMap,
@@ -191,6 +193,55 @@ def draw_localization(
         found.plot(roads, road_points, ax=figure.add_subplot(1, panels, 1))
         if look is not None:
             draw_surroundings(figure.add_subplot(1, panels, 2), look)
+
+
+def _trace_extent(traces: Floats, place: Floats) -> Extent:
+    """Return what a picture shows: nearly all traces and the sensor, with a margin."""
+    low = np.minimum(np.percentile(traces[:, :2], 0.5, axis=0), place) - MARGIN_M
+    high = np.maximum(np.percentile(traces[:, :2], 99.5, axis=0), place) + MARGIN_M
+    return low, high
+
+
+def _draw_road(ax: Any, road: Floats, extent: Extent) -> None:
+    """Draw the points of the scanned road within an extent."""
+    low, high = extent
+    inside = road[((road[:, :2] > low) & (road[:, :2] < high)).all(axis=1)]
+    shown = inside[:: max(len(inside) // ROAD_POINTS, 1)]
+    ax.scatter(shown[:, 0], shown[:, 1], s=0.6, color=ROAD, linewidths=0, label="scanned road")
+
+
+def _draw_lanes(ax: Any, roads: LaneletMap, extent: Extent) -> None:
+    """Draw the bounds of the lanes within an extent, with arrows where they are one-way."""
+    from matplotlib.collections import LineCollection  # noqa: PLC0415 - only who draws waits for it
+
+    low, high = extent
+    near = roads.lanelets.cx[low[0] : high[0], low[1] : high[1]]
+    bounds = [np.asarray(line.coords)[:, :2] for side in ("left", "right") for line in near[side]]
+    ax.add_collection(LineCollection(bounds, colors=LANE, linewidths=0.5))
+    centres = near.loc[near["one_way"].to_numpy(bool), "centre"]
+    for line in centres:
+        for at in np.arange(ARROW_EVERY_M / 2, line.length, ARROW_EVERY_M):
+            here, ahead = line.interpolate(at), line.interpolate(min(at + 2.0, line.length))
+            ax.annotate(
+                "",
+                (ahead.x, ahead.y),
+                (here.x, here.y),
+                arrowprops={"arrowstyle": "->", "color": LANE, "linewidth": 0.5},
+                annotation_clip=True,
+            )
+
+
+def _draw_traces(ax: Any, traces: Floats, rate: Floats) -> None:
+    """Draw traces by whether they recede."""
+    kinds = (
+        (rate > 0.0, AWAY, "recedes"),
+        (rate < 0.0, NEAR, "comes near"),
+        (np.isnan(rate), PLAIN, "moves"),
+    )
+    for which, colour, label in kinds:
+        if which.any():
+            x, y = traces[which, :2].T
+            ax.scatter(x, y, s=1.5, color=colour, linewidths=0, label=label)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,13 +9,7 @@ import numpy as np
 
 from gis_radar.arrays import Floats
 from gis_radar.localization.state import State
-from gis_radar.tracking.filter import (
-    Estimate,
-    Innovation,
-    innovation,
-    likeliest_move,
-)
-from gis_radar.tracking.settings import TrackingSettings
+from gis_radar.tracking.filter import Estimate, innovation, likeliest_move
 from gis_radar.tracking.windows import WindowFit, WindowFitter, WindowTraffic
 
 
@@ -58,35 +52,9 @@ class SuspectedMove:
     change: Change | None = None
 
 
-def newest(traffic: WindowTraffic, now: float, length_s: float, least_tracks: int) -> WindowTraffic:
-    """Return the newest part of a traffic; a longer one where there is little traffic.
-
-    Parameters
-    ----------
-    traffic : WindowTraffic
-        Of the window.
-    now : float
-        UNIX seconds at which it ends.
-    length_s : float
-        How much.
-    least_tracks : int
-        Vehicles that it must hold.
-    """
-    part = traffic.between(now - length_s, np.inf)
-    while part.tracks < least_tracks and now - length_s > traffic.moving.begin:
-        length_s *= 1.5
-        part = traffic.between(now - length_s, np.inf)
-    return part
-
-
-def suspect_move(
-    fitter: WindowFitter,
-    traffic: WindowTraffic,
-    now: float,
-    expected: Callable[[float], Estimate],
-    like: State,
-) -> SuspectedMove | None:
-    """Test whether the newest data contradict the pose, and estimate the change behind it.
+@dataclass(frozen=True, kw_only=True)
+class MoveTest:
+    """A window of traffic, tested for a move of its sensor.
 
     What all windows have in common is the same before and after: a move is held against the noise
     of the vehicles alone (:func:`gis_radar.tracking.filter.innovation`).
@@ -101,97 +69,104 @@ def suspect_move(
         UNIX seconds at which it ends.
     expected : callable
         Returns the pose now, predicted from data before a time.
-    like : State
-        How vehicles reflected so far.
     """
-    suspected, settings = None, fitter.settings
-    for length_s in settings.lengths_s:
-        part = newest(traffic, now, length_s, settings.newest_tracks)
-        if part.moving.begin - traffic.moving.begin < settings.mature_s:
-            break  # what is known from so little data is corrected by the next windows anyway
-        held = expected(part.moving.begin)
-        seen = fitter.fit(part, held, like, near=settings.knock, schedule=settings.far)
-        if seen is None:
-            continue
-        if not seen.trusted:
-            found = fitter.find(part, held, like, near=settings.knock)
-            if found is None and seen.on_lanes:
-                continue  # a fit of few vehicles that came to no rest contradicts nothing
-            if found is None:
-                return SuspectedMove(certain=True, move=np.zeros(6))
-            seen = found
-        gap = innovation(held, seen.measurement)
-        if gap.chi2 < settings.suspect_chi2:
-            continue
-        change = _change(fitter, traffic, now, expected, held, seen)
-        suspected = _suspicion(gap, change, settings)
-        if change is not None or suspected.certain:
-            return suspected
-    return suspected
 
+    fitter: WindowFitter
+    traffic: WindowTraffic
+    now: float
+    expected: Callable[[float], Estimate]
 
-def _suspicion(
-    found: Innovation, change: Change | None, settings: TrackingSettings
-) -> SuspectedMove:
-    move = likeliest_move(found, settings.knock)
-    return SuspectedMove(certain=found.chi2 >= settings.gate, move=move, change=change)
+    def suspected(self, like: State) -> SuspectedMove | None:
+        """Test whether the newest data contradict the pose, and estimate the change behind it.
 
+        Parameters
+        ----------
+        like : State
+            How vehicles reflected so far.
+        """
+        suspected, settings = None, self.fitter.settings
+        for length_s in settings.lengths_s:
+            part = self.newest(length_s)
+            if part.moving.begin - self.traffic.moving.begin < settings.mature_s:
+                break  # what is known from so little data is corrected by the next windows anyway
+            held = self.expected(part.moving.begin)
+            seen = self.fitter.fit(part, held, like, near=settings.knock, schedule=settings.far)
+            if seen is None:
+                continue
+            if not seen.trusted:
+                found = self.fitter.find(part, held, like, near=settings.knock)
+                if found is None and seen.on_lanes:
+                    continue  # a fit of few vehicles that came to no rest contradicts nothing
+                if found is None:
+                    return SuspectedMove(certain=True, move=np.zeros(6))
+                seen = found
+            gap = innovation(held, seen.measurement)
+            if gap.chi2 < settings.suspect_chi2:
+                continue
+            suspected = SuspectedMove(
+                certain=gap.chi2 >= settings.gate,
+                move=likeliest_move(gap, settings.knock),
+                change=self._change(held, seen),
+            )
+            if suspected.change is not None or suspected.certain:
+                return suspected
+        return suspected
 
-def _change(
-    fitter: WindowFitter,
-    traffic: WindowTraffic,
-    now: float,
-    expected: Callable[[float], Estimate],
-    held: Estimate,
-    seen: WindowFit,
-) -> Change | None:
-    """Return the change that the newest data show, if it lasts and is certain."""
-    since, old, settings = now, held.state(seen.fit.state), fitter.settings
-    for _ in range(settings.change_rounds):
-        new, old = seen.fit.state, held.state(seen.fit.state)
-        since = change_time(fitter, traffic, now, replace(old, reflection=new.reflection), new)
-        part = traffic.between(since, np.inf)
-        held = expected(since)  # all data since then are of the new pose
-        again = fitter.fit(part, held, new, near=settings.knock, start=new)
-        if now - since < settings.settled_s or again is None or not again.trusted:
+    def newest(self, length_s: float) -> WindowTraffic:
+        """Return the newest part of the traffic; a longer one where there is little traffic.
+
+        Parameters
+        ----------
+        length_s : float
+            How much, seconds; more until it holds the least number of vehicles.
+        """
+        part = self.traffic.between(self.now - length_s, np.inf)
+        least = self.fitter.settings.newest_tracks
+        while part.tracks < least and self.now - length_s > self.traffic.moving.begin:
+            length_s *= 1.5
+            part = self.traffic.between(self.now - length_s, np.inf)
+        return part
+
+    def _change(self, held: Estimate, seen: WindowFit) -> Change | None:
+        """Return the change that the newest data show, if it lasts and is certain."""
+        fitter, traffic, settings = self.fitter, self.traffic, self.fitter.settings
+        since, old = self.now, held.state(seen.fit.state)
+        for _ in range(settings.change_rounds):
+            new, old = seen.fit.state, held.state(seen.fit.state)
+            since = self.change_time(replace(old, reflection=new.reflection), new)
+            part = traffic.between(since, np.inf)
+            held = self.expected(since)  # all data since then are of the new pose
+            again = fitter.fit(part, held, new, near=settings.knock, start=new)
+            if self.now - since < settings.settled_s or again is None or not again.trusted:
+                return None
+            seen = again
+        latest = traffic.between(self.now - settings.latest_s, np.inf).samples()
+        if len(latest) and fitter.cost(latest, seen.fit.state) > fitter.cost(latest, old):
             return None
-        seen = again
-    latest = traffic.between(now - settings.latest_s, np.inf).samples()
-    if len(latest) and fitter.cost(latest, seen.fit.state) > fitter.cost(latest, old):
-        return None
-    contradiction = innovation(held, seen.measurement).chi2
-    if contradiction < settings.gate:
-        return None
-    return Change(time=since, found=seen, chi2=contradiction)
+        contradiction = innovation(held, seen.measurement).chi2
+        if contradiction < settings.gate:
+            return None
+        return Change(time=since, found=seen, chi2=contradiction)
 
+    def change_time(self, old: State, new: State) -> float:
+        """Estimate since when the new pose explains the data better than the old one.
 
-def change_time(
-    fitter: WindowFitter, traffic: WindowTraffic, now: float, old: State, new: State
-) -> float:
-    """Estimate since when the new pose explains the data better than the old one.
+        The likeliest time of one change: the sum over all later slices of time of what the old
+        pose costs more than the new one is greatest there. Between vehicles it is the latest such
+        time.
 
-    The likeliest time of one change: the sum over all later slices of time of what the old pose
-    costs more than the new one is greatest there. Between vehicles it is the latest such
-    time.
-
-    Parameters
-    ----------
-    fitter : WindowFitter
-        The lanes.
-    traffic : WindowTraffic
-        The window.
-    now : float
-        UNIX seconds at which it ends.
-    old, new : State
-        The two poses.
-    """
-    slice_s = fitter.settings.slice_s
-    begin = max(now - fitter.settings.back_s, traffic.moving.begin)
-    edges = begin + slice_s * np.arange(max(int(np.ceil((now - begin) / slice_s)), 1))
-    gains = np.zeros(len(edges))
-    for i, edge in enumerate(edges):
-        samples = traffic.between(edge, edge + slice_s).samples()
-        if len(samples):
-            gains[i] = fitter.cost(samples, old) - fitter.cost(samples, new)
-    later = np.cumsum(gains[::-1])[::-1]
-    return float(edges[len(later) - 1 - int(np.argmax(later[::-1]))])
+        Parameters
+        ----------
+        old, new : State
+            The two poses.
+        """
+        slice_s, fitter = self.fitter.settings.slice_s, self.fitter
+        begin = max(self.now - fitter.settings.back_s, self.traffic.moving.begin)
+        edges = begin + slice_s * np.arange(max(int(np.ceil((self.now - begin) / slice_s)), 1))
+        gains = np.zeros(len(edges))
+        for i, edge in enumerate(edges):
+            samples = self.traffic.between(edge, edge + slice_s).samples()
+            if len(samples):
+                gains[i] = fitter.cost(samples, old) - fitter.cost(samples, new)
+        later = np.cumsum(gains[::-1])[::-1]
+        return float(edges[len(later) - 1 - int(np.argmax(later[::-1]))])

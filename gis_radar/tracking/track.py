@@ -18,40 +18,14 @@ from gis_radar.notebooks import axes_or_new, card, label_times, picture_file
 from gis_radar.poses.files import PoseTrack
 from gis_radar.poses.pose import COMPONENTS, Pose
 from gis_radar.steps import STEP_US, iso_from_step, step_of
-from gis_radar.tracking.follower import MOVED, REJECTED, Row
+from gis_radar.tracking.filter import Estimate
 from gis_radar.tracking.settings import DEFAULTS, TrackingSettings
 
 LINE, NEAR, FAR, MOVE, REJECT, QUIET = (
     "#1d4ed8", "#93b4f5", "#dbe6fd", "#c2410c", "#fcd9a0", "#e5e7eb",
 )  # fmt: skip
+MOVED, REJECTED, NOTHING = "moved", "rejected", ""
 LEAST_SPAN = (0.1, 0.05)  # of an axis, metres and degrees: noise shall not fill it
-
-
-def draw_component(ax: Any, track: PoseTrack, name: str) -> None:
-    """Draw a component of the pose over time with bands of one and two sigma, and events.
-
-    Parameters
-    ----------
-    ax : Axes
-        Where; its x are times.
-    track : PoseTrack
-        The poses, with the evidence of a followed track.
-    name : str
-        One of `COMPONENTS`.
-    """
-    poses, angle = track.poses, COMPONENTS.index(name) > 2
-    time = np.array([datetime.fromtimestamp(s, tz=UTC) for s in track.since])
-    events = np.array([pose.evidence["event"] for pose in poses])
-    idle = np.array([not pose.evidence["corrected"] for pose in poses])
-    value = np.array([getattr(pose, name) for pose in poses])
-    value = np.degrees(np.unwrap(np.radians(value))) if angle else value
-    sigma = np.array([pose.evidence["sigma"][name] for pose in poses])
-    _draw_events(ax, time, events, idle)
-    _draw_bands(ax, time, value, sigma, events == MOVED, LEAST_SPAN[angle])
-    ax.set_ylabel(f"{name}, {'deg' if angle else 'm'}")
-    ax.grid(axis="y", color="#eeeeee", linewidth=0.6)
-    ax.set_axisbelow(True)
-    ax.spines[["top", "right"]].set_visible(False)
 
 
 def _draw_bands(
@@ -92,6 +66,34 @@ def _draw_events(ax: Any, time: np.ndarray, events: np.ndarray, idle: Booleans) 
     for count, i in enumerate(np.flatnonzero(events == MOVED)):
         words = MOVED if count == 0 else None
         ax.axvline(time[i], color=MOVE, linewidth=1.2, linestyle=(0, (4, 2)), label=words)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One pose of the track.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        The pose, from its time on.
+    event : str
+        `moved`, `rejected`, or nothing.
+    vehicles : int
+        Moving objects in the window.
+    fitness : float
+        Share of the window's traces on lanes; NaN where it was not registered.
+    chi2 : float
+        How far the window's pose lay from the expected one; NaN where it was not registered.
+    corrected : bool
+        Whether the window corrected the pose.
+    """
+
+    estimate: Estimate
+    event: str = NOTHING
+    vehicles: int = 0
+    fitness: float = float("nan")
+    chi2: float = float("nan")
+    corrected: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,14 +171,27 @@ class Track:
         """
         if component not in COMPONENTS:
             raise UsageError(f"component is {component!r}, expected one of {', '.join(COMPONENTS)}")
-        # not at the top: whoever draws nothing does not wait for matplotlib
-
         ax = axes_or_new(ax, (8.0, 3.5))
-        draw_component(ax, self.poses, component)
+        self._draw(component, ax)
         label_times(ax)
         ax.set_title(self.describe(), fontsize="medium")
         ax.legend(loc="best", frameon=False, ncols=3)
         return ax
+
+    def _draw(self, component: str, ax: Any) -> None:
+        poses, angle = self.poses.poses, COMPONENTS.index(component) > 2
+        time = np.array([datetime.fromtimestamp(s, tz=UTC) for s in self.poses.since])
+        events = np.array([pose.evidence["event"] for pose in poses])
+        idle = np.array([not pose.evidence["corrected"] for pose in poses])
+        value = np.array([getattr(pose, component) for pose in poses])
+        value = np.degrees(np.unwrap(np.radians(value))) if angle else value
+        sigma = np.array([pose.evidence["sigma"][component] for pose in poses])
+        _draw_events(ax, time, events, idle)
+        _draw_bands(ax, time, value, sigma, events == MOVED, LEAST_SPAN[angle])
+        ax.set_ylabel(f"{component}, {'deg' if angle else 'm'}")
+        ax.grid(axis="y", color="#eeeeee", linewidth=0.6)
+        ax.set_axisbelow(True)
+        ax.spines[["top", "right"]].set_visible(False)
 
     def describe(self) -> str:
         """Return the track in a line: how many poses, what moved, how well the end is known."""
@@ -261,7 +276,7 @@ def draw_track(track: Track, path: str | Path) -> None:
     with picture_file(path, SIZE_IN, DPI) as figure:
         axes = figure.subplots(3, 2, sharex=True)
         for i, name in enumerate(COMPONENTS):
-            draw_component(axes[i % 3, i // 3], track.poses, name)
+            track._draw(name, axes[i % 3, i // 3])  # noqa: SLF001
         for ax in axes[2]:
             label_times(ax)
         handles, labels = axes[0, 0].get_legend_handles_labels()
