@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from functools import partial
+from importlib import import_module
 
 import laspy
 import numpy as np
@@ -15,10 +16,11 @@ from streets import Street, errors
 import gis_radar as gr
 from gis_radar.cli import group
 from gis_radar.crs import yaw_from_compass
-from gis_radar.localization import files as files_to_pose
 from gis_radar.localization.localize import METHODS
 from gis_radar.localization.settings import DEFAULTS
 from gis_radar.poses.files import read_pose
+
+localizing = import_module("gis_radar.localization.localize")  # its function has its name
 
 
 @pytest.fixture
@@ -45,7 +47,7 @@ def words(folder, *more):
 
 def test_a_pose_file_comes_out(files, monkeypatch):
     street, folder = files
-    monkeypatch.setattr(files_to_pose, "read_map", lambda *_, **__: street.roads())
+    monkeypatch.setattr(localizing, "read_map", lambda *_, **__: street.roads())
     true = street.pose()
     guess = f"{true.easting + 4:.1f},{true.northing - 3:.1f}"
     picture = folder / "figure.png"
@@ -84,8 +86,8 @@ def test_options_reach_their_arguments(files, monkeypatch, option, name, value):
         heard.update(options)
         raise gr.NoAnswerError("heard")
 
-    monkeypatch.setattr(files_to_pose, "read_map", lambda *_, **__: street.roads())
-    monkeypatch.setattr(files_to_pose, "localize", listen)
+    monkeypatch.setattr(localizing, "read_map", lambda *_, **__: street.roads())
+    monkeypatch.setattr(localizing, "localize", listen)
     guess = () if option[0] == "--guess" else ("--guess", "690000,5336000")
     with pytest.raises(gr.NoAnswerError, match="heard"):
         CliRunner().invoke(
@@ -102,8 +104,8 @@ def test_a_compass_becomes_a_heading(files, monkeypatch):
         heard["heading"] = heading
         raise gr.NoAnswerError("heard")
 
-    monkeypatch.setattr(files_to_pose, "read_map", lambda *_, **__: street.roads())
-    monkeypatch.setattr(files_to_pose, "localize", listen)
+    monkeypatch.setattr(localizing, "read_map", lambda *_, **__: street.roads())
+    monkeypatch.setattr(localizing, "localize", listen)
     call = words(folder, "--guess", "690000,5336000", "--compass", "north-east")
     with pytest.raises(gr.NoAnswerError, match="heard"):
         CliRunner().invoke(group, call, catch_exceptions=False, standalone_mode=False)
@@ -118,8 +120,8 @@ def test_a_guess_in_another_system_is_moved(files, monkeypatch):
         heard["guess"] = guess
         raise gr.NoAnswerError("heard")
 
-    monkeypatch.setattr(files_to_pose, "read_map", lambda *_, **__: street.roads())
-    monkeypatch.setattr(files_to_pose, "localize", listen)
+    monkeypatch.setattr(localizing, "read_map", lambda *_, **__: street.roads())
+    monkeypatch.setattr(localizing, "localize", listen)
     there = Transformer.from_crs(UTM, 3857, always_xy=True).transform(690_000.0, 5_336_000.0)
     guess = ",".join(f"{value:.3f}" for value in there)
     call = words(folder, "--guess", guess, "--guess-crs", "EPSG:3857")

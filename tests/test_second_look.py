@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from importlib import import_module
 
 import laspy
 import numpy as np
@@ -20,11 +21,12 @@ import gis_radar as gr
 from gis_radar.cli import group
 from gis_radar.grid import CELL_M
 from gis_radar.localization import Localization
-from gis_radar.localization import files as files_to_pose
 from gis_radar.scans import scan as scan_files
 from gis_radar.second_look.second_look import Alignment, align
 from gis_radar.second_look.settings import DEFAULTS, SecondLookSettings
 from gis_radar.second_look.surroundings import LevelFrame, read_slow, read_structure
+
+localizing = import_module("gis_radar.localization.localize")  # its function has its name
 
 SAMPLE = gr.sample_folder()
 SCAN = SAMPLE / "scan.laz"
@@ -305,7 +307,7 @@ def test_the_command_tells_the_verdict(tmp_path, monkeypatch, left):
         pose=moved(POSE, 0.0, left), fitness=1.0, observable=True,
         traces=np.array([[20.0, 0.0, -5.0], [40.0, 9.0, -5.0]]), range_rate=np.array([1.0, -1.0]),
     )  # fmt: skip
-    monkeypatch.setattr(files_to_pose, "localize", lambda *_, **__: answer)
+    monkeypatch.setattr(localizing, "localize", lambda *_, **__: answer)
     picture = tmp_path / "figure.png"
     call = command(tmp_path, "--scan", str(SCAN), "--figure", str(picture), "--json")
     done = CliRunner().invoke(group, call, catch_exceptions=False)
@@ -333,7 +335,7 @@ def reached_m(path):
 def test_a_view_that_is_known_is_not_measured(tmp_path, monkeypatch):
     known = gr.View(azimuth_deg=90.0, max_range_m=150.0)
     answer = Localization(pose=POSE, fitness=1.0, observable=True)
-    monkeypatch.setattr(files_to_pose, "localize", lambda *_, **__: answer)
+    monkeypatch.setattr(localizing, "localize", lambda *_, **__: answer)
     found = gr.localize_files(
         R2, SAMPLE / "junction.osm", SCAN, guess=(690379, 5336233), scans=[SCAN], view=known
     )
@@ -345,12 +347,12 @@ def test_a_scan_of_another_place_is_told_before_the_search(tmp_path, monkeypatch
     def never(*_, **__):
         raise AssertionError
 
-    monkeypatch.setattr(files_to_pose, "localize", never)
+    monkeypatch.setattr(localizing, "localize", never)
     monkeypatch.setattr(scan_files.Scan, "pieces", never)  # nor is a scan read
     far = rewritten(tmp_path / "far.laz", lambda xyz, c: (xyz[::50] + [900.0, 0.0, 0.0], c[::50]))
     words = command(tmp_path, "--scan", str(far), "--json")
     words[words.index("--road") + 1] = str(SAMPLE / "scan.laz")
-    monkeypatch.setattr(files_to_pose, "read_road", lambda *_: np.empty((0, 3)))
+    monkeypatch.setattr(localizing, "read_road", lambda *_: np.empty((0, 3)))
     done = CliRunner().invoke(group, words)
     assert isinstance(done.exception, gr.InputError)
     assert "far.laz: no point within 300 m of the sensor" in str(done.exception)
