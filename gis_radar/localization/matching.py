@@ -167,19 +167,20 @@ def _match(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - co
                 x = points[i, 0] - lane_points[k, 0]
                 y = points[i, 1] - lane_points[k, 1]
                 z = points[i, 2] - lane_points[k, 2]
-                ahead = abs(x * along[k, 0] + y * along[k, 1])
                 across = y * along[k, 0] - x * along[k, 1]
-                # past the end of a lane counts as off it; samples lie a step apart
-                gap = np.hypot(across, max(ahead - 1.5 * step_m, 0.0))
                 # Doppler sign and size: the speed along the lane that explains the range rate
                 # is neither negative nor above the lane's top speed
                 cosine = along[k, 0] * sight[i, 0] + along[k, 1] * sight[i, 1]
                 forward = range_rate[i] if cosine >= 0.0 else -range_rate[i]
                 allowed = -slack_mps <= forward <= abs(cosine) * top_speed[k] + slack_mps
-                if allowed and gap < best and abs(z) <= level_m + level_share * reach[i]:
-                    best = gap
-                    lane[i] = k
-                    found[i] = True
+                if allowed and abs(z) <= level_m + level_share * reach[i]:
+                    # past the end of a lane counts as off it; samples are a step apart
+                    ahead = abs(x * along[k, 0] + y * along[k, 1])
+                    gap = np.hypot(across, max(ahead - 1.5 * step_m, 0.0))
+                    if gap < best:
+                        best = gap
+                        lane[i] = k
+                        found[i] = True
                 if abs(across) < border_m:
                     break
                 east -= np.copysign(cell_m, across) * along[k, 1]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
@@ -266,7 +266,7 @@ def _described(cost: _Cost, here: _Here, *, converged: bool) -> Fit:
         matches=here.matches,
         converged=converged,
         effects=here.point.effects,
-        considered=partial(_considered, cost, here),
+        considered=cache(partial(_considered, cost, here)),
     )
 
 
