@@ -244,3 +244,12 @@ def test_a_junction_fixes_all_of_an_icp_pose(tmp_path):
     information = pose_information(source, voxels(street.road_points() - origin, 0.5), state)
     assert eigenvalues(information, DEFAULTS.answer)[0] > 1.0
     assert is_fixed(pose_covariance(information, state), DEFAULTS.answer)
+
+
+@pytest.mark.parametrize(
+    "guess", [(11.55, 48.14), (48.14, 11.55), (690_000.0,), (1.0, 2.0, 3.0, 4.0)]
+)
+def test_a_guess_that_is_no_position_in_metres_is_refused(scene, guess):
+    street, _, path = scene
+    with pytest.raises(UsageError, match=r"degrees|expected easting, northing"):
+        find(street, path, guess)

@@ -19,7 +19,7 @@ from scans import (
 )
 
 import gis_radar as gr
-from gis_radar.errors import InputError, NoAnswerError
+from gis_radar.errors import InputError, NoAnswerError, OutputError
 from gis_radar.scans.settings import MaskSettings
 
 ROAD = (0.0, 0.0, 120.0, 8.0)
@@ -261,3 +261,11 @@ def test_the_settings_are_written_beside_the_road(tmp_path):
     with laspy.open(mask.write(tmp_path / "road.laz")[0]) as road:
         (record,) = (one for one in road.header.vlrs if one.user_id == "gis_radar")
     assert json.loads(record.record_data_bytes()) == json.loads(json.dumps(asdict(settings)))
+
+
+def test_files_of_a_mask_appear_together_or_not_at_all(tmp_path):
+    mask, _ = masked(tmp_path / "scan.laz", ground(AROUND, level))
+    (tmp_path / "road.pipeline.json").mkdir()
+    with pytest.raises(OutputError, match="is a folder"):
+        mask.write(tmp_path / "road.laz")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["road.pipeline.json", "scan.laz"]

@@ -1,6 +1,7 @@
 """Tracking: sensors that stand, are knocked, shake or see nothing, with the truth known."""
 
 import csv
+import itertools
 import json
 from dataclasses import replace
 from types import SimpleNamespace
@@ -17,10 +18,11 @@ from gis_radar.cli import group
 from gis_radar.errors import CrsError, InputError, NoAnswerError
 from gis_radar.poses.files import read_track, write_track
 from gis_radar.progress import Reporter
+from gis_radar.recordings.recording import open_recording
 from gis_radar.steps import seconds_from_iso
 from gis_radar.tracking import track
 from gis_radar.tracking.filter import Measurement
-from gis_radar.tracking.follow import Follower, start_estimate
+from gis_radar.tracking.follow import Follower, _cycles, start_estimate
 from gis_radar.tracking.settings import DEFAULTS
 from gis_radar.tracking.track import draw_track
 from gis_radar.tracking.windows import WindowFitter
@@ -452,3 +454,19 @@ def test_who_is_lost_for_long_says_so(seen):
     assert np.allclose(np.diff([row.estimate.time for row in follower.rows]), 5.0)
     for row in follower.rows:
         assert np.array_equal(row.estimate.position, begin.position)
+
+
+@pytest.mark.parametrize("cycle_s", [5.0, 5.3, 3.3, 0.7])
+def test_cycles_of_any_length_end(tmp_path, cycle_s):
+    """Twenty times a second, for a minute: a cycle ends at the first frame after it."""
+    time = np.repeat(START + np.arange(1200) * 0.05, 2)
+    path = recording(tmp_path / "R1.parquet", time, np.ones((len(time), 3)))
+    settings = replace(DEFAULTS, cycle_s=cycle_s)
+    parts = _cycles(open_recording(path), settings, Reporter())
+    ends, rows = [], 0
+    for piece, end in itertools.islice(parts, 1000):
+        rows += len(piece)
+        ends += [] if end is None else [end]
+    assert rows == len(time)
+    assert np.all(np.diff(ends) > 0.0)
+    assert len(ends) in {int(60.0 / cycle_s), int(60.0 / cycle_s) + 1}

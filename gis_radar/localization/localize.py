@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from gis_radar.arrays import Floats
-from gis_radar.crs import moved_position, yaw_from_compass
+from gis_radar.crs import looks_like_degrees, moved_position, yaw_from_compass
 from gis_radar.errors import NoAnswerError, UsageError
 from gis_radar.lanelets import LaneletMap, read_map
 from gis_radar.localization.icp import by_icp
@@ -67,6 +67,8 @@ def localize(
 
     Raises
     ------
+    UsageError
+        If there is no such method, or the guess is no position in metres.
     InputError
         If the recording cannot be read, or scan and map do not overlap.
     NoAnswerError
@@ -75,8 +77,17 @@ def localize(
     """
     if method not in METHODS:
         raise UsageError(f"method is {method!r}, expected one of {', '.join(METHODS)}")
-    if not all(math.isfinite(number) for number in (*guess, heading or 0.0)):
+    if len(guess) not in {2, 3}:
+        raise UsageError(f"guess has {len(guess)} numbers, expected easting, northing[, height]")
+    if not all(math.isfinite(number) for number in guess) or (
+        heading is not None and not math.isfinite(heading)
+    ):
         raise UsageError("guess and heading must be finite numbers")
+    if looks_like_degrees(*guess[:2]):
+        raise UsageError(
+            f"guess {guess[0]:g}, {guess[1]:g} looks like degrees",
+            hint="give metres in the CRS of the map; --guess-crs takes another metric one",
+        )
     traces = settings.traces
     moving = read_moving(
         recording, frames=traces.frames, min_speed=traces.min_speed_mps, reporter=reporter

@@ -15,7 +15,7 @@ import shapely
 from gis_radar.arrays import Floats
 from gis_radar.crs import moved_box, name_of
 from gis_radar.errors import InputError, NoAnswerError, UsageError
-from gis_radar.files import whole_file
+from gis_radar.files import whole_files
 from gis_radar.grid import CELL_M
 from gis_radar.lanelets import LaneletMap
 from gis_radar.notebooks import card
@@ -123,16 +123,18 @@ class RoadMask:
         path = Path(path)
         require_road_name(path)
         layer, document = (path.with_name(path.stem + end) for end in BESIDE)
-        with whole_file(layer) as part:
-            write_layer(self.roads, part, outside=self.outside)
+        outputs = [path, document, layer]
         stages = self.pipeline.document(
             roads=layer.resolve(), points=path.resolve().with_name(f"{path.stem}.points.laz")
         )
-        with whole_file(document) as part:
-            part.write_text(json.dumps(stages, indent=2) + "\n", encoding="utf-8")
-        with whole_file(path) as part:
-            write_road(self.points, part, crs=self.roads.crs, settings=self.settings)
-        return [path, document, layer]
+        with whole_files(path) as (private, places):
+            parts = {output: private / output.name for output in outputs}
+            write_layer(self.roads, parts[layer], outside=self.outside)
+            text = json.dumps(stages, indent=2) + "\n"
+            parts[document].write_text(text, encoding="utf-8")
+            write_road(self.points, parts[path], crs=self.roads.crs, settings=self.settings)
+            places.update({part: output for output, part in parts.items()})
+        return outputs
 
     def __repr__(self) -> str:
         return (

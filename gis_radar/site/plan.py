@@ -14,7 +14,7 @@ from gis_radar.site.settings import ConvertTable, Sensor, Site
 
 OWNED = (
     "road.", "tiles.gpkg", "sensors", "occupancy", "heatmap", "site.qgz", "site_", "run.json",
-    "summary.md", *REPORT_FILES,
+    "summary.md", "pose_errors.csv", *REPORT_FILES,
 )  # fmt: skip
 
 
@@ -114,7 +114,7 @@ def stages_of(site: Site, folder: Path) -> list[Stage]:
     Parameters
     ----------
     site : Site
-        From :func:`gis_radar.site.read_site`.
+        From :func:`gis_radar.read_site`.
     folder : Path
         Where the results go.
     """

@@ -123,7 +123,10 @@ def _cycles(
             yield piece.take(early), due
             piece = piece.take(~early)
             # no pose where there are no frames
-            due = begin + cycle_s * (np.floor((piece.time[0] - begin) / cycle_s) + 1.0)
+            count = np.floor((piece.time[0] - begin) / cycle_s) + 1.0
+            due = begin + cycle_s * count
+            if due <= piece.time[0]:  # rounded down to the very frame that it is to come after
+                due = begin + cycle_s * (count + 1.0)
         yield piece, None
         reporter.progress(STAGE, done, recording.rows)
     if due - last < (1.0 - settings.least_cycle) * cycle_s:
@@ -148,7 +151,7 @@ def start_estimate(pose: Pose, time: float, settings: TrackingSettings = DEFAULT
     Raises
     ------
     InputError
-        If covariance or sigma are none.
+        If covariance or sigma are invalid.
     """
     evidence = pose.parsed_evidence()
     found_here = evidence.method in SAME_MAP
