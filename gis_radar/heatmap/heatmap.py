@@ -422,7 +422,7 @@ def to_xarray(
     Raises
     ------
     UsageError
-        If it would take more memory than it may; if `interval`, `within` or `timezone` is none.
+        If it would take more memory than it may; if `interval`, `within` or `timezone` is invalid.
     InputError
         If there is no frame in that time, the tiles are not those of the occupancy, a tile is
         not there, or xarray is not installed.

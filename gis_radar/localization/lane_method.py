@@ -77,7 +77,7 @@ def lanes_around(
     samples : Samples
         Traces.
     reporter : Reporter
-        Told where the lanes have no direction.
+        Receives a warning where the lanes have no direction.
     grow : float
         How many times as far.
     settings : LocalizationSettings

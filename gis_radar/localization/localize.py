@@ -63,7 +63,7 @@ def localize(
     settings : LocalizationSettings
         All constants of both methods; those that are not the defaults go into the evidence.
     reporter : Reporter
-        Told the progress and remarks.
+        Receives progress and remarks.
 
     Raises
     ------
@@ -174,7 +174,7 @@ def localize_files(
     settings : LocalizationSettings
         All constants of both methods.
     reporter : Reporter
-        Told the progress and remarks.
+        Receives progress and remarks.
 
     Raises
     ------

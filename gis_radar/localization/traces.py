@@ -98,7 +98,7 @@ def read_moving(
     min_speed : float
         Least absolute range rate, m/s.
     reporter : Reporter
-        Told the progress.
+        Receives progress.
 
     Raises
     ------

@@ -322,7 +322,7 @@ def _target(
     height = tiles["height_m"].to_numpy(np.float64)
     if filters.clearance is not None and np.isnan(height).all():
         raise InputError(
-            "the tiles know no road heights, which the clearance filter needs",
+            "the tiles have no road heights, which the clearance filter needs",
             hint="make the tiles with --road, or from a map with ele",
         )
     middle = shapely.get_coordinates(shapely.centroid(tiles.geometry.array))

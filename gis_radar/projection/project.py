@@ -111,7 +111,7 @@ OWN = pa.schema(
         *((name, pa.float32()) for name in ("x", "y", "z", "range_rate", "rcs")),
     ]
 )
-# GeoPackages have columns of these names themselves, and know no upper and lower case.
+# GeoPackages have columns of these names themselves, and do not distinguish upper and lower case.
 TAKEN = (*OWN.names, GEOMETRY, "geom", "fid")
 
 

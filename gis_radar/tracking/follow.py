@@ -72,7 +72,7 @@ def track(
     settings : TrackingSettings
         All constants of the tracking.
     reporter : Reporter
-        Told the progress and remarks.
+        Receives progress and remarks.
 
     Raises
     ------

@@ -168,7 +168,7 @@ class WindowFitter:
     settings : TrackingSettings
         How windows are fitted.
     reporter : Reporter
-        Told remarks.
+        Receives remarks.
     """
 
     def __init__(

@@ -151,7 +151,7 @@ def _header(file: Any) -> _Header:
     except (KeyError, ValueError, IndexError, TypeError) as error:
         raise DamagedError(f"the PCD header makes no sense: {error}") from error
     if not 0 <= points <= LARGEST_CLOUD:
-        raise DamagedError(f"the PCD header speaks of {points:,} points")
+        raise DamagedError(f"the PCD header claims {points:,} points")
     return _Header(dtype=dtype, points=points, data=(words["DATA"] or [""])[0].lower())
 
 
