@@ -165,7 +165,7 @@ def test_settings_that_are_not_the_defaults_go_into_the_pose(files, monkeypatch)
     answer = gr.Localization(pose=street.pose(), fitness=1.0, observable=True)
     monkeypatch.setitem(METHODS, "lane", lambda *_: answer)
     ask = partial(
-        gr.localize, folder / "R1.parquet", street.roads(), np.empty((0, 3)), guess=(0.0, 0.0)
+        gr.localize, folder / "R1.parquet", street.roads(), np.empty((0, 3)), guess=(6.9e5, 5.3e6)
     )
     assert "settings" not in ask().pose.evidence
     other = replace(DEFAULTS, answer=replace(DEFAULTS.answer, clear=3.0))
