@@ -41,7 +41,7 @@ class Grid:
     def around(cls, x: Any, y: Any, cell_m: float) -> Grid:
         """Return the smallest grid that holds some points, of cells of a side in metres."""
         (west, east), (south, north) = (
-            (int(np.floor(np.min(side) / cell_m)), int(np.floor(np.max(side) / cell_m)))
+            (int(np.floor_divide(np.min(side), cell_m)), int(np.floor_divide(np.max(side), cell_m)))
             for side in (x, y)
         )
         return cls(
@@ -67,7 +67,8 @@ class Grid:
 
     def cells(self, x: Floats, y: Floats) -> tuple[Integers, Integers]:
         """Return column and row of the cell of each point; those of points outside are, too."""
-        column, row = (np.floor(side / self.cell_m).astype(np.int64) for side in (x, y))
+        # a quotient may round up to an edge, or underflow to it; floor_divide does neither
+        column, row = (np.floor_divide(side, self.cell_m).astype(np.int64) for side in (x, y))
         return column - self.west, row - self.south
 
     def holds(self, column: Integers, row: Integers) -> Booleans:
