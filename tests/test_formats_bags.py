@@ -119,7 +119,7 @@ def test_the_drivers_packed_cloud_out_of_every_bag(tmp_path, kind):
     path = write_bag(tmp_path / "bag", clouds(ars548_rows), kind)
     result, table, _ = convert(path)
     assert result.recordings[0].sensor == "/radar"
-    assert result.recordings[0].clock == "sensor"
+    assert result.recordings[0].clock == "header stamp"
     np.testing.assert_allclose(table["time"].unique(), times(3), atol=1e-6)
     expected = np.concatenate([ars548_rows(i) for i in range(3)])
     for name, field in {
@@ -181,7 +181,7 @@ def test_clouds_without_a_stamp_are_by_the_recorder_and_not_doubles(tmp_path):
     result, table, text = convert(write_bag(tmp_path / "bag", store_time))
     np.testing.assert_allclose(table["time"], np.array(times(3)) + 0.01, atol=1e-6)
     assert result.left_out == {}
-    assert "the sensor's clock stands at 0 s since 1970" in text
+    assert "the header stamp stands at 0 s since 1970" in text
 
 
 def test_a_cloud_without_points_is_an_empty_frame(tmp_path):
@@ -207,6 +207,47 @@ def test_polar_clouds_become_cartesian(tmp_path):
     rows["range"], rows["azimuth"], rows["elevation"] = 10, [np.pi / 2, 0], [0, np.pi / 2]
     table = convert(write_bag(tmp_path / "bag", clouds(lambda _: rows, 1)))[1]
     np.testing.assert_allclose(table[["x", "y", "z"]], [[0, 10, 0], [0, 0, 10]], atol=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["i1", "i2", "i4"])
+def test_a_signed_intensity_beside_a_speed_is_the_cross_section(tmp_path, kind):
+    fields = [(n, "f4") for n in ("x", "y", "z", "doppler")]
+    rows = np.ones(3, dtype=[*fields, ("intensity", kind)])
+    rows["intensity"] = [-20, -7, 14]
+    result, table, text = convert(write_bag(tmp_path / "bag", clouds(lambda _: rows, 2)))
+    assert table["rcs"].tolist() == [-20, -7, 14] * 2
+    assert "intensity" not in table.columns
+    said = "/radar: rcs is the field intensity: whole numbers with a sign, beside the range rate"
+    assert text.count(said) == 1
+    assert result.figures()["remarks"][0].startswith(said)
+
+
+@pytest.mark.parametrize(
+    ("fields", "options"),
+    [
+        ([("doppler", "f4"), ("intensity", "f4")], {}),  # an amplitude
+        ([("doppler", "f4"), ("intensity", "u1")], {}),  # no cross section is always positive
+        ([("doppler", "f4"), ("intensity", "i1"), ("rcs", "f4")], {}),
+        ([("intensity", "i1")], {"sensor": "/radar"}),  # a lidar's
+    ],
+)
+def test_other_intensities_are_no_cross_section(tmp_path, fields, options):
+    rows = np.ones(3, dtype=[*((axis, "f4") for axis in "xyz"), *fields])
+    rows["intensity"] = 7
+    path = write_bag(tmp_path / "bag", clouds(lambda _: rows, 1))
+    result, table, _ = convert(path, **options)
+    assert table["intensity"].tolist() == [7, 7, 7]
+    assert not table["rcs"].eq(7).any()
+    assert "remarks" not in result.figures()
+
+
+def test_the_user_names_the_intensity(tmp_path):
+    fields = [*((axis, "f4") for axis in "xyz"), ("doppler", "f4"), ("intensity", "i1")]
+    rows = np.ones(1, dtype=fields)
+    path = write_bag(tmp_path / "bag", clouds(lambda _: rows, 1))
+    result, table, _ = convert(path, columns={"rcs": "-intensity"})
+    assert table["rcs"].tolist() == [-1.0]
+    assert "remarks" not in result.figures()
 
 
 def test_the_user_names_fields_and_turns_signs(tmp_path):

@@ -246,7 +246,7 @@ def test_the_recording_has_the_columns_of_the_contract(tmp_path):
 
 
 def test_a_long_recording_has_several_row_groups(tmp_path, monkeypatch):
-    monkeypatch.setattr("gis_radar.recordings.conversion.ROWS_IN_GROUP", 4)
+    monkeypatch.setattr("gis_radar.recordings.recording_file.ROWS_IN_GROUP", 4)
     result, _ = convert(whole(tmp_path / "r.pcap"))
     file = pq.ParquetFile(result.outputs[0])
     assert file.num_row_groups == 3

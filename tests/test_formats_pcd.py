@@ -103,6 +103,17 @@ def test_a_folder_becomes_a_recording(tmp_path, data):
         np.testing.assert_array_equal(table[column], expected[field].astype(np.float32), column)
 
 
+def test_a_signed_intensity_beside_a_speed_is_the_cross_section(tmp_path):
+    rows = np.zeros(2, dtype=[(n, "f4") for n in ("x", "y", "z", "v")] + [("intensity", "i1")])
+    rows["x"], rows["intensity"] = 5.0, [-20, 3]
+    notes = Notes()
+    path = write_pcd(tmp_path / f"{START:.3f}.pcd", rows)
+    result = gr.convert(path, tmp_path / "r.parquet", reporter=notes)
+    assert pq.read_table(tmp_path / "r.parquet")["rcs"].to_pylist() == [-20.0, 3.0]
+    assert "rcs is the field intensity" in notes.text
+    assert result.recordings[0].clock == "file name"
+
+
 @settings(max_examples=40, deadline=None)
 @given(data=st.data())
 def test_any_cloud_reads_back(tmp_path_factory, data):

@@ -99,7 +99,7 @@ def test_tables_are_merged_by_time(tmp_path):
 
 @pytest.mark.parametrize("rows_in_group", [1, 100])
 def test_further_columns_that_differ_between_tables(tmp_path, monkeypatch, rows_in_group):
-    monkeypatch.setattr("gis_radar.recordings.conversion.ROWS_IN_GROUP", rows_in_group)
+    monkeypatch.setattr("gis_radar.recordings.recording_file.ROWS_IN_GROUP", rows_in_group)
     one = write(tmp_path / "1.csv", f"time,x,y,id\n{START},1,2,7\n")
     two = write(tmp_path / "2.csv", f"time,x,y,name\n{START + 1},1,2,car\n")
     bad = write(tmp_path / "3.csv", f"time,x,y,id\n{START + 2},1,2,seven\n")

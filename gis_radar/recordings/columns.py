@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from gis_radar.errors import UsageError
-from gis_radar.recordings.frames import Column, DamagedError, Frame
+from gis_radar.recordings.frames import Column, DamagedError, Frame, ReaderContext
 from gis_radar.recordings.recording import COLUMNS
 
 # Names that radar drivers and data sets use, however they are written; the first one counts.
@@ -29,6 +29,8 @@ NAMES: dict[str, tuple[str, ...]] = {
     ),
     "rcs": ("rcs", "radar_cross_section", "rcs_dbsm", "rcs_dbm2"),
 }  # fmt: skip
+# Clouds of drivers for RViz keep the cross section in whole dBm2 here; an amplitude has no sign.
+SIGNED_RCS = "intensity"
 CARTESIAN, POLAR = ("x", "y", "z"), ("range", "azimuth", "elevation")
 TARGETS = tuple(NAMES)
 
@@ -68,10 +70,13 @@ class Layout:
         Our name to the field's name; a leading minus turns the sign.
     further : mapping of str to str
         A further column's name to the field's name.
+    rcs_from_intensity : bool
+        Whether `rcs` is a field that is called an intensity.
     """
 
     sources: Mapping[str, str]
     further: Mapping[str, str]
+    rcs_from_intensity: bool = False
 
     @property
     def placed(self) -> bool:
@@ -95,6 +100,14 @@ class Layout:
         if name in self.sources:
             return np.asarray(self._read(name, values), dtype=np.float32)
         return np.full(len(self._read(self._anchor, values)), np.nan, dtype=np.float32)
+
+    def explain(self, sensor: str, context: ReaderContext) -> None:
+        """Remark what is not plain from the fields' names."""
+        if self.rcs_from_intensity:
+            context.remark(
+                f"{sensor}: rcs is the field {self.sources['rcs']}: whole numbers with a sign, "
+                f"beside the range rate {self.sources['range_rate'].removeprefix('-')}"
+            )
 
     def frame(self, values: Values, **known: Any) -> Frame:
         """Return a frame of the fields' values; `known` is what else is known of it."""
@@ -121,7 +134,9 @@ class Layout:
         return np.zeros(len(self._read(self._anchor, values)), dtype=np.float32)
 
 
-def find_layout(fields: Collection[str], columns: Mapping[str, str]) -> Layout:
+def find_layout(
+    fields: Collection[str], columns: Mapping[str, str], *, kind: np.dtype[Any] | None = None
+) -> Layout:
     """Find the columns of a recording among the fields of a file.
 
     Parameters
@@ -130,6 +145,9 @@ def find_layout(fields: Collection[str], columns: Mapping[str, str]) -> Layout:
         Names as the file has them.
     columns : mapping of str to str
         Our name to the field's name, as given by the user; these win.
+    kind : dtype, optional
+        Types of a cloud's fields. With them a field `intensity` of signed whole numbers beside
+        a range rate is the cross section: so recorded ARS548 and ARS430 clouds keep it.
 
     Raises
     ------
@@ -157,11 +175,20 @@ def find_layout(fields: Collection[str], columns: Mapping[str, str]) -> Layout:
         given = any(name.removesuffix("_deg") == target.removesuffix("_deg") for name in columns)
         if found is not None and not given:
             sources[target] = found
+    signed = _signed_rcs(lower, kind) if "range_rate" in sources else None
+    if from_intensity := "rcs" not in sources and signed is not None:
+        sources["rcs"] = str(signed)
     used = {field.removeprefix("-") for field in sources.values()}
     further = {
         f"{field}_" if field in COLUMNS else field: field for field in fields if field not in used
     }
-    return Layout(sources=sources, further=further)
+    return Layout(sources=sources, further=further, rcs_from_intensity=from_intensity)
+
+
+def _signed_rcs(fields: Mapping[str, str], kind: np.dtype[Any] | None) -> str | None:
+    """Return the field `intensity` where it holds signed whole numbers."""
+    field = fields.get(SIGNED_RCS)
+    return field if field and kind is not None and kind[field].base.kind == "i" else None
 
 
 def _plain(name: str) -> str:

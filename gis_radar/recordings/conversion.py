@@ -7,23 +7,19 @@ import pkgutil
 import re
 from collections import Counter, OrderedDict
 from collections.abc import Generator, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, Self
 
-import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
-
 from gis_radar.errors import InputError, OutputError, UsageError
-from gis_radar.files import output_errors, refuse_inputs, whole_files
+from gis_radar.files import refuse_inputs, whole_files
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings import readers
 from gis_radar.recordings.frame_order import CLOCKS, WINDOW, Clock, FrameClock, FrameOrder, merged
-from gis_radar.recordings.frames import Column, Format, Frame, ReaderContext, counted
+from gis_radar.recordings.frames import Format, Frame, ReaderContext, counted
+from gis_radar.recordings.recording_file import RecordingFile
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +37,9 @@ class SensorRecording:
     begin, end : float
         UNIX seconds of the first and the last frame.
     clock : str
-        Whose times they are: `sensor`, `recorder`, or `sensor, then recorder`.
+        Whose times they are: `sensor` (its own clock), `header stamp` (which may be the sensor's,
+        or that of the computer at arrival), `file name`, `time column`, `recorder`; where they
+        changed, one after the other: `sensor, then recorder`.
     """
 
     path: Path
@@ -64,10 +62,13 @@ class Conversion:
         One a sensor.
     left_out : mapping of str to int
         What was dropped or mended, by kind.
+    remarks : tuple of str
+        What was taken for what, and what is not known.
     """
 
     recordings: tuple[SensorRecording, ...]
     left_out: Mapping[str, int]
+    remarks: tuple[str, ...] = ()
 
     @property
     def outputs(self) -> list[Path]:
@@ -86,6 +87,7 @@ class Conversion:
             "empty_frames": sum(recording.empty_frames for recording in recordings),
             "detections": sum(recording.detections for recording in recordings),
             **self.left_out,
+            **({"remarks": list(self.remarks)} if self.remarks else {}),
         }
 
     def __repr__(self) -> str:
@@ -208,7 +210,11 @@ class Tracks:
             )
             for path, (sensor, track) in zip(places, self._tracks.items(), strict=True)
         )
-        return Conversion(recordings=recordings, left_out=dict(sorted((+counts).items())))
+        return Conversion(
+            recordings=recordings,
+            left_out=dict(sorted((+counts).items())),
+            remarks=tuple(self._context.remarks),
+        )
 
 
 def _places(place: Path, sensors: list[str]) -> list[Path]:
@@ -360,141 +366,3 @@ def _tell(result: Conversion, reporter: Reporter) -> None:
         )
     if result.left_out:
         reporter.log(f"left out or mended: {counted(result.left_out)}")
-
-
-ROWS_IN_GROUP = 1 << 17  # held in memory until written: 4 MB of our columns
-CORE = ("x", "y", "z", "range_rate", "rcs")
-_NOWHERE = np.full((1, 3), np.nan, dtype=np.float32)
-_UNKNOWN = np.full(1, np.nan, dtype=np.float32)
-
-
-class RecordingFile:
-    """A recording that grows frame by frame; its columns are those of the first row group.
-
-    Parameters
-    ----------
-    path : Path
-        The file, as it grows.
-    place : Path
-        Where it shall be in the end, as messages name it.
-
-    Attributes
-    ----------
-    left_out : set of str
-        Further columns that came only after the first row group.
-    """
-
-    def __init__(self, path: Path, place: Path) -> None:
-        self.path = path
-        self._place = place
-        self.frames = self.empty_frames = self.detections = 0
-        self.begin = self.end = float("nan")
-        self.left_out: set[str] = set()
-        self._waiting: list[tuple[float, Frame]] = []
-        self._rows = 0
-        self._writer: pq.ParquetWriter | None = None
-
-    def add(self, time: float, frame: Frame) -> None:
-        """Append a frame; its time is not before the last one's."""
-        self.begin = time if self.frames == 0 else self.begin
-        self.end = time
-        self.frames += 1
-        self.empty_frames += len(frame) == 0
-        self.detections += len(frame)
-        self._waiting.append((time, frame))
-        self._rows += max(len(frame), 1)
-        if self._rows >= ROWS_IN_GROUP:
-            self._write()
-
-    def close(self) -> None:
-        """Write what is left and finish the file."""
-        if self._waiting:
-            self._write()
-        writer, self._writer = self._writer, None
-        if writer is not None:
-            with output_errors(self._place):
-                writer.close()
-
-    def abandon(self) -> None:
-        """Let go of a file that is not finished; of one that is, do nothing."""
-        if self._writer is not None:
-            with suppress(OSError):
-                self._writer.close()
-
-    def _write(self) -> None:
-        table = self._table()
-        self._waiting, self._rows = [], 0
-        with output_errors(self._place):
-            if self._writer is None:
-                # Coordinates hardly repeat, times and the sensor's marks do.
-                self._writer = pq.ParquetWriter(
-                    self.path,
-                    table.schema,
-                    compression="zstd",
-                    compression_level=1,
-                    use_dictionary=[name for name in table.schema.names if name not in CORE],
-                    column_encoding=dict.fromkeys(CORE, "BYTE_STREAM_SPLIT"),
-                    write_page_checksum=True,
-                )
-            self._writer.write_table(table, row_group_size=ROWS_IN_GROUP)
-
-    def _table(self) -> pa.Table:
-        schema = None
-        if self._writer is not None:
-            schema = self._writer.schema
-            for _, frame in self._waiting:
-                self.left_out |= frame.further.keys() - set(schema.names)
-        try:
-            return _table(self._waiting, schema)
-        except pa.ArrowException as error:
-            raise InputError(
-                f"{self._place}: a further column changes its type on the way: {error}",
-                hint="convert the inputs one by one",
-            ) from error
-
-
-def _table(timed: list[tuple[float, Frame]], schema: pa.Schema | None) -> pa.Table:
-    """Return frames as rows; one without detections is a row of NaN."""
-    frames = [frame for _, frame in timed]
-    rows = [max(len(frame), 1) for frame in frames]
-    points = np.concatenate([frame.points if len(frame) else _NOWHERE for frame in frames])
-    columns: dict[str, pa.Array] = {
-        "time": pa.array(np.repeat([time for time, _ in timed], rows)),
-        **{axis: pa.array(points[:, number]) for number, axis in enumerate("xyz")},
-    }
-    for name in CORE[3:]:
-        parts = [getattr(frame, name) if len(frame) else _UNKNOWN for frame in frames]
-        columns[name] = pa.array(np.concatenate(parts).astype(np.float32, copy=False))
-    kinds = _kinds(frames) if schema is None else {f.name: f.type for f in schema}
-    for name, kind in kinds.items():
-        if name not in columns:
-            parts = [frame.further.get(name) if len(frame) else None for frame in frames]
-            columns[name] = _further(parts, rows, kind)
-    return pa.table(columns)
-
-
-def _kinds(frames: list[Frame]) -> dict[str, pa.DataType]:
-    """Return the type of each further column, from the first frame that has it."""
-    kinds: dict[str, pa.DataType] = {}
-    for frame in frames:
-        for name, values in frame.further.items():
-            if name not in kinds:
-                kinds[name] = pa.string() if values.dtype == object else pa.array(values[:0]).type
-    return kinds
-
-
-def _further(parts: list[Column | None], rows: list[int], kind: pa.DataType) -> pa.ChunkedArray:
-    """Return a further column; where a frame has none, NaN or null."""
-    if pa.types.is_floating(kind):
-        dtype = kind.to_pandas_dtype()
-        filled = [
-            np.full(count, np.nan, dtype) if part is None else part.astype(dtype, copy=False)
-            for part, count in zip(parts, rows, strict=True)
-        ]
-        return pa.chunked_array([pa.array(np.concatenate(filled))])
-    return pa.chunked_array(
-        [
-            pa.nulls(count, kind) if part is None else pa.array(part).cast(kind)
-            for part, count in zip(parts, rows, strict=True)
-        ]
-    )

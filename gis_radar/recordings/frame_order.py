@@ -54,7 +54,7 @@ def _push(active: list[Active], number: int, frames: Iterator[Frame]) -> None:
 
 def _begins(inputs: Sequence[Input], context: ReaderContext) -> list[tuple[float, int]]:
     """Return when each input begins, and warn of those without frames."""
-    looking = replace(context, reporter=QUIET, counts=Counter())
+    looking = replace(context, reporter=QUIET, counts=Counter(), remarks=[])
     begins: list[tuple[float, int]] = []
     empty: list[NothingHereError] = []
     for number, begin in enumerate(inputs):
@@ -165,9 +165,16 @@ class FrameClock:
         self._waiting: deque[Frame] = deque()
         self._offsets_s: deque[float] = deque(maxlen=FRAMES_AHEAD)
         self._latest = -float("inf")
+        self._stamp = "sensor"
+
+    @property
+    def _name(self) -> str:
+        """What messages call the clock of the sensor's times: a stamp may be of any clock."""
+        return "the sensor's clock" if self._stamp == "sensor" else f"the {self._stamp}"
 
     def feed(self, frame: Frame) -> Iterator[tuple[float, Frame]]:
         """Take a frame; yield the one whose time is known by now, if there is one."""
+        self._stamp = frame.stamp
         self._waiting.append(frame)
         if len(self._waiting) > FRAMES_AHEAD:
             yield self._next()
@@ -185,24 +192,26 @@ class FrameClock:
 
     def _decide(self) -> None:
         if self._clock != "auto":
-            self.used.append(self._clock)
+            self.used.append(self._stamp if self._clock == "sensor" else self._clock)
             return
         reasons = [reason for frame in self._waiting if (reason := self._fault(frame))]
         if reasons:
             self._use_recorder(statistics.mode(reasons))
         else:
-            self.used.append("sensor")
+            self.used.append(self._stamp)
 
     def _time(self, frame: Frame) -> float:
-        if self.used[-1] == "sensor" and self._clock == "auto":
+        recorder = self.used[-1] == "recorder"
+        if not recorder and self._clock == "auto":
             reason = self._fault(frame) or self._jump(frame)
             if reason:
                 self._use_recorder(reason)
-        time = frame.sensor_time if self.used[-1] == "sensor" else frame.recorder_time
+                recorder = True
+        time = frame.recorder_time if recorder else frame.sensor_time
         if time is None or not EARLIEST_S <= time < LATEST_S:
             raise InputError(
-                f"{self._sensor}: no usable time: the sensor says {_time_text(frame.sensor_time)}, "
-                f"the recorder {_time_text(frame.recorder_time)}",
+                f"{self._sensor}: no usable time: the {self._stamp} says "
+                f"{_time_text(frame.sensor_time)}, the recorder {_time_text(frame.recorder_time)}",
                 hint="expected are years from 2000 to 2100; see --clock, and --time-unit of tables",
             )
         return time
@@ -217,13 +226,13 @@ class FrameClock:
         if frame.sensor_time is None:
             return "the sensor gives no time"
         if not frame.synchronised:
-            return "the sensor's clock is not synchronised"
+            return f"{self._name} is not synchronised"
         if not EARLIEST_S <= frame.sensor_time < LATEST_S:
-            return f"the sensor's clock stands at {frame.sensor_time:,.0f} s since 1970"
+            return f"{self._name} stands at {frame.sensor_time:,.0f} s since 1970"
         offset_s = _offset_s(frame)
         if offset_s is None or abs(offset_s) <= AGREEING_S:
             return ""
-        return f"the sensor's clock is {_readable(offset_s)} the recorder's"
+        return f"{self._name} is {_readable(offset_s)} the recorder's"
 
     def _jump(self, frame: Frame) -> str:
         """Return how the sensor's clock jumped at a frame, empty if it did not."""
@@ -235,7 +244,7 @@ class FrameClock:
         back = jump_s < -BACK_S and frame.sensor_time < self._latest - BACK_S
         self._latest = max(self._latest, frame.sensor_time)
         if (back or jump_s > FORWARD_S) and self._lasts(usual_s, jump_s):
-            return f"the sensor's clock jumped by {jump_s:+.3f} s"
+            return f"{self._name} jumped by {jump_s:+.3f} s"
         if abs(jump_s) <= FORWARD_S:
             self._offsets_s.append(offset_s)
         return ""

@@ -34,6 +34,9 @@ class Frame:
         Other columns of the recording.
     sensor_time, recorder_time : float or None
         UNIX seconds by the sensor's clock, and by that of the computer that recorded.
+    stamp : str
+        What `sensor_time` is: that of the sensor's clock (`sensor`), or `header stamp`, `file
+        name`, `time column`, whose clock is not known.
     synchronised : bool
         False where the sensor marks its clock as not set.
     identity : object
@@ -47,6 +50,7 @@ class Frame:
     further: Mapping[str, Column] = field(default_factory=dict)
     sensor_time: float | None = None
     recorder_time: float | None = None
+    stamp: str = "sensor"
     synchronised: bool = True
     identity: object = None
 
@@ -103,6 +107,8 @@ class ReaderContext:
         Receives progress and remarks.
     counts : Counter
         What was left out, by a name that the summary shows.
+    remarks : list of str
+        What was taken for what; shown in the log and in the summary.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -111,6 +117,13 @@ class ReaderContext:
     duration_s: float | None = None
     reporter: Reporter = QUIET
     counts: Counter[str] = field(default_factory=Counter)
+    remarks: list[str] = field(default_factory=list)
+
+    def remark(self, text: str) -> None:
+        """Log a remark and keep it for the summary, once."""
+        if text not in self.remarks:
+            self.remarks.append(text)
+            self.reporter.log(text)
 
     def wants(self, sensor: str) -> bool:
         """Return whether the frames of a sensor are asked for."""

@@ -219,7 +219,7 @@ class _Topic:
             self._context.counts["damaged_frames"] += 1
 
     def _from_rows(self, rows: Any, message: Any, recorded: float) -> Iterator[Frame]:
-        layout = self._layout(rows.dtype.names)
+        layout = self._layout(rows.dtype)
         # A cloud without speeds is a lidar's, unless the user asks for it by name.
         if not (layout.is_radar or (layout.placed and self._context.sensor)):
             return
@@ -229,21 +229,24 @@ class _Topic:
             sensor=self._name,
             sensor_time=stamp,
             recorder_time=recorded,
+            stamp="header stamp",
             # Without a stamp, empty clouds are all alike.
             identity=(stamp, hash(rows.tobytes())) if stamp else None,
         )
         yield _without_invalid(frame, rows)
 
-    def _layout(self, names: tuple[str, ...]) -> Layout:
+    def _layout(self, kind: np.dtype[Any]) -> Layout:
+        names = kind.names or ()
         if names not in self._layouts:
             try:
-                layout = find_layout(names, self._context.columns)
+                layout = find_layout(names, self._context.columns, kind=kind)
             except UsageError as error:
                 hint = f"{error.hint}; --sensor takes one topic of several"
                 raise UsageError(f"{self._name}: {error.message}", hint=hint) from error
             if layout.placed and not layout.is_radar:
                 fields = ", ".join(names)
                 self._context.reporter.log(f"{self._name}: no speeds among the fields {fields}")
+            layout.explain(self._name, self._context)
             self._layouts[names] = layout
         return self._layouts[names]
 

@@ -42,9 +42,22 @@ def _files(place: Path) -> list[Path]:
 def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
     place = Path(source)
     sensor = place.resolve().name if place.is_dir() else place.resolve().parent.name
-    timed = sorted((time_in_name(path), path) for path in _files(place))
     if not context.wants(sensor):
         raise NothingHereError(f"{source}: holds the sensor {sensor}", hint="name it, or none")
+    yield from read_folder(place, sensor, context)
+
+
+def read_folder(place: Path, sensor: str, context: ReaderContext) -> Generator[Frame]:
+    """Read the PCD files of a folder, or one, in order of the times in their names.
+
+    Raises
+    ------
+    InputError
+        If a name has no time, or a file no positions.
+    NothingHereError
+        If none of the files can be read.
+    """
+    timed = sorted((time_in_name(path), path) for path in _files(place))
     found = False
     for number, (time, path) in enumerate(timed):
         if number % 64 == 0:
@@ -55,16 +68,17 @@ def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
             context.counts["damaged_frames"] += 1
             context.reporter.log(f"{path}: {error}", "warning")
             continue
-        layout = find_layout(rows.dtype.names or (), context.columns)
+        layout = find_layout(rows.dtype.names or (), context.columns, kind=rows.dtype)
         if not layout.placed:
             raise InputError(
                 f"{path}: no positions among the fields {', '.join(rows.dtype.names or ())}",
                 hint="say which they are: --columns x=...,y=...,z=...",
             )
         found = True
-        yield layout.frame(values_of(rows), sensor=sensor, sensor_time=time)
+        layout.explain(sensor, context)
+        yield layout.frame(values_of(rows), sensor=sensor, sensor_time=time, stamp="file name")
     if not found:
-        raise NothingHereError(f"{source}: no PCD file that can be read", hint="see the warnings")
+        raise NothingHereError(f"{place}: no PCD file that can be read", hint="see the warnings")
 
 
 def time_in_name(path: Path) -> float:

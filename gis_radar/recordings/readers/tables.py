@@ -100,7 +100,7 @@ def _runs(
     for target, field in layout.sources.items():
         if target != "time" and columns[field.removeprefix("-")].dtype == object:
             raise InputError(f"{path}: column {field} is text, expected numbers for {target}")
-    whole = layout.frame(columns.__getitem__, sensor=SENSOR)
+    whole = layout.frame(columns.__getitem__, sensor=SENSOR, stamp="time column")
     starts = np.flatnonzero(np.diff(time, prepend=np.nan) != 0)
     for begin, end in zip(starts, [*starts[1:], len(time)], strict=True):
         yield _part(whole, slice(begin, end), float(time[begin]))
