@@ -25,6 +25,7 @@ from .poses.layers import write_sensors
 from .projection import project, write_projection
 from .qgis import write_qgis_project, write_site_project
 from .quality import Quality, measure_quality
+from .quality.quality import require_table_name
 from .recordings import Conversion, convert
 from .recordings.recording import open_recording
 from .report import Report, write_report
@@ -107,6 +108,7 @@ __all__ = [
     "read_track",
     "require_road_name",
     "require_scans_near",
+    "require_table_name",
     "road_crs",
     "run_demo",
     "run_site",

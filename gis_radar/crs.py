@@ -46,7 +46,7 @@ def metric_crs(crs: Any, *, what: str) -> CRS:
         north; in which order they are listed does not matter.
     """
     if crs is None or crs == "":
-        raise CrsError(f"{what}: has no coordinate system", hint="say which, e.g. EPSG:25832")
+        raise CrsError(f"{what}: has no coordinate system", hint="state it, e.g. EPSG:25832")
     try:
         parsed = CRS.from_user_input(crs)
     except ProjError as error:

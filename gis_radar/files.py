@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import atexit
 import errno
+import json
+import math
 import os
 import secrets
 import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from gis_radar.errors import OutputError
-from gis_radar.progress import Reporter
+from gis_radar.progress import QUIET, Reporter
 
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
@@ -124,7 +127,9 @@ def whole_files(path: Path) -> Iterator[tuple[Path, dict[Path, Path]]]:
 
 
 @contextmanager
-def whole_folder(path: Path, *, owned: tuple[str, ...]) -> Iterator[Path]:
+def whole_folder(
+    path: Path, *, owned: tuple[str, ...], reporter: Reporter = QUIET
+) -> Iterator[Path]:
     """Write a folder that appears only when the block ends well.
 
     Parameters
@@ -134,6 +139,8 @@ def whole_folder(path: Path, *, owned: tuple[str, ...]) -> Iterator[Path]:
     owned : tuple of str
         How the names of our own files begin. A folder that holds anything else is not ours
         to replace.
+    reporter : Reporter
+        Receives a warning where the file system has no locks; the folder is then written without.
 
     Yields
     ------
@@ -150,7 +157,7 @@ def whole_folder(path: Path, *, owned: tuple[str, ...]) -> Iterator[Path]:
     if path.exists():
         _refuse_here(path)
         _refuse_foreign(path, owned)
-    with _alone(path), _beside(path) as private:
+    with _alone(path, reporter), _beside(path) as private:
         fresh = private / path.name
         fresh.mkdir()
         yield fresh
@@ -222,11 +229,11 @@ def _clear_up() -> None:
 
 
 @contextmanager
-def _alone(path: Path) -> Iterator[None]:
+def _alone(path: Path, reporter: Reporter) -> Iterator[None]:
     """Hold the lock of an output; name the output where it cannot be locked."""
     with ExitStack() as held:
         with output_errors(path):
-            held.enter_context(only_writer(path))
+            held.enter_context(only_writer(path, reporter=reporter))
         yield
 
 
@@ -253,7 +260,7 @@ def output_errors(path: Path) -> Iterator[None]:
 
 @contextmanager
 def only_writer(
-    path: Path, *, lock: Path | None = None, reporter: Reporter | None = None
+    path: Path, *, lock: Path | None = None, reporter: Reporter = QUIET
 ) -> Iterator[None]:
     """Keep other runs from writing the same result while the block runs.
 
@@ -267,7 +274,7 @@ def only_writer(
     lock : Path, optional
         The file that is locked, removed afterwards; by default a hidden one beside the result. It
         holds the process id of the holder.
-    reporter : Reporter, optional
+    reporter : Reporter
         Receives a warning where the file system has no locks; the block then runs without one.
 
     Raises
@@ -292,7 +299,7 @@ def only_writer(
                 lock.unlink()
 
 
-def _taken(lock: Path, path: Path, reporter: Reporter | None) -> int:
+def _taken(lock: Path, path: Path, reporter: Reporter) -> int:
     """Open and lock the file; a file that was removed meanwhile is no lock."""
     from filelock import lock_descriptor  # noqa: PLC0415 - 70 ms
 
@@ -301,8 +308,7 @@ def _taken(lock: Path, path: Path, reporter: Reporter | None) -> int:
         try:
             free = lock_descriptor(handle, blocking=False)
         except OSError as error:
-            if reporter is not None:
-                reporter.log(f"{path}: cannot be locked: {error.strerror}", "warning")
+            reporter.log(f"{path}: cannot be locked: {error.strerror}", "warning")
             return handle
         if not free:
             os.lseek(handle, 1, os.SEEK_SET)
@@ -317,3 +323,24 @@ def _taken(lock: Path, path: Path, reporter: Reporter | None) -> int:
             if os.path.samestat(lock.stat(), os.fstat(handle)):
                 return handle
         os.close(handle)
+
+
+def json_text(document: Any, *, indent: int | None = None) -> str:
+    """Return a document as JSON for other programs: what is no finite number is null.
+
+    Parameters
+    ----------
+    document : object
+        Of what JSON can hold, and numbers that it cannot.
+    indent : int, optional
+        By how many blanks; by default one line.
+    """
+    return json.dumps(_finite(document), indent=indent, ensure_ascii=False, allow_nan=False)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {name: _finite(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

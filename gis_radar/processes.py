@@ -24,7 +24,6 @@ from gis_radar.errors import GisRadarError
 WATCHDOG_VARIABLE = "GIS_RADAR_PARENT_WATCHDOG"
 """The environment variable that starts the watchdog of a command; its only value is `stdin`."""
 
-_FORMER_VARIABLE = "GIS_RADAR_LEASH"  # of version 0.1
 _POLL_S = 0.2  # an interruption reaches Python only between two waits; 5 Hz is not felt
 STOP_PATIENCE_S = 0.7
 """How long a stopped worker may clear up, seconds: it has files to remove, not work to end."""
@@ -92,7 +91,7 @@ def watch_input() -> None:
     worker's standard input open; closing it, on purpose or by dying, works on every system and
     needs nobody alive to send a signal.
     """
-    if os.environ.get(WATCHDOG_VARIABLE, os.environ.get(_FORMER_VARIABLE)) == "stdin":
+    if os.environ.get(WATCHDOG_VARIABLE) == "stdin":
         # A worker started in the background would ignore the interruption.
         signal.signal(signal.SIGINT, signal.default_int_handler)
         _start_watchdog(_wait_for_end_of_input, _interrupt_main_thread)

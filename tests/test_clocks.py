@@ -10,9 +10,15 @@ from sites import EAST, NORTH, START, lane_quads, pose, recording, tiles_of
 
 from gis_radar import read_clocks
 from gis_radar.clocks import measure_clocks
-from gis_radar.clocks.clocks import SensorClock, adjust_network, best_linked
+from gis_radar.clocks.clocks import SensorClock, _reason, adjust_network, best_linked
 from gis_radar.clocks.lane_detections import LaneDetections
-from gis_radar.clocks.offsets import ClockOffset, fine_offset, rough_offset, validate_offset
+from gis_radar.clocks.offsets import (
+    ClockOffset,
+    NoCommonTrafficError,
+    fine_offset,
+    rough_offset,
+    validate_offset,
+)
 from gis_radar.clocks.settings import ClockSettings
 from gis_radar.errors import InputError, NoAnswerError, UsageError
 from gis_radar.occupancy import measure_occupancy
@@ -115,6 +121,13 @@ def test_sensors_that_see_different_roads_give_no_offset(drive):
     turned = [looks()[0], pose(sensor="R2", easting=EAST + 5000.0, yaw=180.0)]
     with pytest.raises(NoAnswerError, match="no common traffic"):
         measure_clocks(drive("a"), turned, street())
+
+
+def test_the_reason_given_is_that_of_a_pair_with_common_traffic():
+    nothing = NoCommonTrafficError("in whatever words")
+    reasons = {("R1", "R3"): nothing, ("R2", "R3"): NoAnswerError("too few"), ("R1", "R2"): nothing}
+    assert _reason("R3", reasons) == "with R2: too few"
+    assert _reason("R1", reasons) == "with R3: in whatever words"
 
 
 def test_what_is_asked_wrongly(drive):

@@ -2,6 +2,7 @@
 
 import json
 import subprocess
+from pathlib import Path
 
 import laspy
 import numpy as np
@@ -14,6 +15,7 @@ import gis_radar as gr
 from gis_radar.crs import transformer
 from gis_radar.errors import InputError
 from gis_radar.scans import engines as pipeline
+from gis_radar.scans.mask import _relative
 from gis_radar.scans.scan import NEVER_CLASSES, ROAD_CLASSES
 
 ROAD = (0.0, 0.0, 60.0, 8.0)
@@ -111,7 +113,8 @@ def test_the_document_runs_on_its_own(tmp_path, pdal):
     mask = gr.mask_road([path], box_roads(ROAD), engine="laspy")
     mask.write(tmp_path / "road.laz")
     text = (tmp_path / "road.pipeline.json").read_bytes()
-    subprocess.run(pdal.command, input=text, env=dict(pdal.environment), check=True)
+    words = {"input": text, "env": dict(pdal.environment), "cwd": tmp_path}
+    subprocess.run(pdal.command, **words, check=True)
     written = laspy.read(tmp_path / "road.points.laz")
     inside = np.asarray(written.xyz)[:, :2] - [EAST, NORTH]
     assert (inside >= 0.0).all()
@@ -162,6 +165,22 @@ def test_the_stages_of_the_document(tmp_path):
         "filters.overlay", "filters.range", "writers.las",
     ]  # fmt: skip
     assert stages[0]["override_srs"] == "EPSG:25832"
+    assert [stage["filename"] for stage in (stages[0], stages[-1])] == [
+        "scan.laz", "road.points.laz",
+    ]  # fmt: skip
+    assert stages[5]["datasource"] == "road.roads.gpkg"
+
+
+def test_names_in_the_document_are_relative_where_they_can_be(tmp_path):
+    (tmp_path / "scans").mkdir()
+    (tmp_path / "out").mkdir()
+    path = write_points(tmp_path / "scans" / "scan.laz", scene()[0], category=2)
+    gr.mask_road([path], box_roads(ROAD), engine="laspy").write(tmp_path / "out" / "road.laz")
+    text = (tmp_path / "out" / "road.pipeline.json").read_text()
+    assert str(tmp_path) not in text
+    assert json.loads(text)["pipeline"][0]["filename"] == "../scans/scan.laz"
+    elsewhere = Path(tmp_path.anchor) / "elsewhere" / "scan.laz"
+    assert _relative(str(elsewhere), tmp_path) == str(elsewhere)  # nothing but the root in common
 
 
 def test_classes_that_pass():

@@ -87,6 +87,8 @@ def test_clocks_are_found_or_refused(site, monkeypatch):
 def test_quality_is_said_and_written(site):
     answer = run("occupancy", *BOTH, "-o", "occ")
     assert "warning: R1: frozen: 99 % of the frames repeat the last" in answer.output
+    answer = run("quality", "nowhere", "-o", "q.xlsx")
+    assert isinstance(answer.exception, gr.UsageError)  # before the folder is looked for
     answer = run("quality", "occ", "--timezone", "Europe/Berlin", "-o", "q.csv")
     assert answer.exit_code == 0
     assert "0 of 1 hours good; frozen" in answer.output

@@ -1,12 +1,16 @@
 import errno
+import json
+import math
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from gis_radar.errors import OutputError
-from gis_radar.files import only_writer, refuse_inputs, whole_file, whole_folder
+from gis_radar.files import json_text, only_writer, refuse_inputs, whole_file, whole_folder
 from gis_radar.progress import Reporter
 
 
@@ -251,4 +255,27 @@ def test_a_file_system_without_locks_is_said(tmp_path, monkeypatch):
     monkeypatch.setattr("filelock.lock_descriptor", refuse)
     with only_writer(tmp_path / "o", reporter=Listener()):
         pass
-    assert said == [("warning", f"{tmp_path / 'o'}: cannot be locked: Operation not supported")]
+    with whole_folder(tmp_path / "p", owned=(), reporter=Listener()):
+        pass
+    assert said == [
+        ("warning", f"{tmp_path / name}: cannot be locked: Operation not supported")
+        for name in ("o", "p")
+    ]
+
+
+@given(st.recursive(st.none() | st.integers() | st.floats() | st.text(), lambda each: (
+    st.lists(each) | st.dictionaries(st.text(), each) | st.tuples(each, each)
+), max_leaves=10))  # fmt: skip
+def test_json_holds_finite_numbers_and_null_only(document):
+    def refuse(constant):
+        raise AssertionError(constant)
+
+    def numbers(value):
+        if isinstance(value, dict | list | tuple):
+            inner = value.values() if isinstance(value, dict) else value
+            return [each for part in inner for each in numbers(part)]
+        finite = not isinstance(value, float) or math.isfinite(value)
+        return [value if finite else None]
+
+    found = json.loads(json_text(document), parse_constant=refuse)
+    assert numbers(found) == numbers(document)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sites import START, crossing, pose, recording
 
-from gis_radar.errors import InputError, OutputError, UsageError
+from gis_radar.errors import InputError, UsageError
 from gis_radar.occupancy import measure_occupancy, merge_occupancies
 from gis_radar.quality import QualitySettings, measure_quality
 from gis_radar.quality.counting import hour_begins
@@ -178,7 +178,7 @@ def test_written_tables_are_in_utc(tmp_path):
     assert "2023-11-14T22:00:00Z,2023-11-14T23:00:00Z,2023-11-14,23,Tuesday" in text[1]
     quality.write(tmp_path / "q.parquet")
     pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "q.parquet"), quality.table)
-    with pytest.raises(OutputError, match="known table format"):
+    with pytest.raises(UsageError, match="known table format"):
         quality.write(tmp_path / "q.xlsx")
 
 

@@ -28,7 +28,9 @@ from sites import pose
 import gis_radar as gr
 from gis_radar.cli import group
 from gis_radar.heatmap import make_heatmap
+from gis_radar.heatmap.heatmap import OWNED
 from gis_radar.report.content import safe
+from gis_radar.report.report import REPORT_FILES
 
 
 @pytest.fixture(scope="module")
@@ -201,6 +203,26 @@ def test_a_folder_without_a_heat_map_is_bad_input(tmp_path):
     done = CliRunner().invoke(group, ["report", str(tmp_path)])
     assert isinstance(done.exception, gr.InputError)
     assert str(done.exception).startswith(f"{tmp_path}: holds no heat map")
+
+
+def test_a_heat_map_takes_the_place_of_a_report_in_its_folder():
+    assert all(name.startswith(OWNED) for name in REPORT_FILES)
+
+
+def test_a_table_of_an_earlier_report_does_not_stay(results, tmp_path):
+    shutil.copytree(results, tmp_path / "run")
+    gr.write_report(tmp_path / "run")
+    assert (tmp_path / "run" / "quality.csv").is_file()
+    shutil.rmtree(tmp_path / "run" / "occupancy")
+    gr.write_report(tmp_path / "run")
+    assert sorted(path.name for path in (tmp_path / "run").glob("*.csv")) == [
+        "lanes.csv", "lanes_by_interval.csv", "sensors.csv",
+    ]  # fmt: skip
+    # a file that no report has written stays
+    shutil.copytree(results / "heatmap", tmp_path / "map")
+    (tmp_path / "map" / "quality.csv").write_text("mine")
+    gr.write_report(tmp_path / "map")
+    assert (tmp_path / "map" / "quality.csv").read_text() == "mine"
 
 
 def test_a_chosen_output_that_is_a_file(results, tmp_path):

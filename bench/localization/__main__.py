@@ -9,7 +9,7 @@ Table I), sites (the sample and what lies beside the project), calibration, curv
 traffic), ablation (each stage of our method turned off). Results in out/bench-localization:
 report.md, a JSON file a part, pictures. What is simulated is kept there and made again when the
 simulator changes. Needs Eclipse SUMO and Open3D.
-Exit code 1 where one of our answers in table, sites or straight is wrong and does not say so.
+Exit code 1 where one of our answers in table, sites or straight is wrong and is not marked as such.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class Part:
     figures : dict or list
         The same for programs.
     wrong : int
-        How many of our answers are wrong and do not say so.
+        How many of our answers are wrong and are not marked as such.
     """
 
     title: str
@@ -118,13 +118,13 @@ def make_sites(effort: Effort) -> Part:
 def make_calibration(effort: Effort) -> Part:
     """Measure errors against their covariance."""
     outcomes = calibration.run(range(QUICK_COMBINATIONS if effort.quick else calibration.COUNT))
-    told = calibration.summary(outcomes)
+    summary = calibration.summary(outcomes)
     figures.draw_calibration((o.nees for o in outcomes if o.outcome == "right"),
                              OUT / "calibration.png")  # fmt: skip
     return Part(
         title="Calibration",
-        text=f"{calibration.table(told)}\n\n![NEES](calibration.png)",
-        figures={"summary": told, "outcomes": [dataclasses.asdict(o) for o in outcomes]},
+        text=f"{calibration.table(summary)}\n\n![NEES](calibration.png)",
+        figures={"summary": summary, "outcomes": [dataclasses.asdict(o) for o in outcomes]},
     )
 
 
@@ -143,8 +143,8 @@ def make_speed(effort: Effort) -> Part:
     """Time the command."""
     del effort
     costs = speed.measure()
-    told = {way: dataclasses.asdict(cost) for way, cost in costs.items()}
-    return Part(title="Speed and memory", text=speed.markdown(costs), figures=told)
+    summary = {way: dataclasses.asdict(cost) for way, cost in costs.items()}
+    return Part(title="Speed and memory", text=speed.markdown(costs), figures=summary)
 
 
 def make_ablation(effort: Effort) -> Part:
@@ -198,8 +198,8 @@ def main() -> None:
         if part.wrong:
             wrong[name] = part.wrong
     if wrong:
-        told = ", ".join(f"{count} in {name}" for name, count in wrong.items())
-        sys.exit(f"answers that are wrong and do not say so: {told}")
+        counts = ", ".join(f"{count} in {name}" for name, count in wrong.items())
+        sys.exit(f"answers that are wrong and are not marked as such: {counts}")
 
 
 def _keep(name: str, part: Part, effort: Effort, seconds: float) -> None:

@@ -47,7 +47,7 @@ class Outcome:
     about : dict
         What was drawn.
     outcome : str
-        `right`, `wrong` (over 1 m or 1 degree off), `unfixed` (says it is not observable) or
+        `right`, `wrong` (over 1 m or 1 degree off), `unfixed` (reported as not observable) or
         `refused`.
     error, sigma : list of float
         Found minus true and one standard deviation, in the order of `COMPONENTS`, m and degrees.
@@ -124,7 +124,7 @@ def summary(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     sigma = np.array([o.sigma for o in answered]).reshape(-1, 6)
     nees = np.array([o.nees for o in answered])
     ratio = error / sigma
-    told = [o for o in outcomes if o.outcome == "unfixed"]
+    unfixed = [o for o in outcomes if o.outcome == "unfixed"]
     return {
         "combinations": len(outcomes),
         **{k: sum(o.outcome == k for o in outcomes) for k in _OUTCOMES},
@@ -142,7 +142,7 @@ def summary(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "nees_mean": float(nees.mean()),
         "nees_median": float(np.median(nees)),
         "nees_within_95": float((nees < chi2.ppf(0.95, 6)).mean()),
-        "unfixed_nees_median": float(np.median([o.nees for o in told])) if told else None,
+        "unfixed_nees_median": float(np.median([o.nees for o in unfixed])) if unfixed else None,
         "far_beyond_sigma": [o.number for o in answered if o.nees > FAR_NEES],
     }
 

@@ -137,11 +137,11 @@ def draw_curves(made: dict[str, Any], path: Path) -> None:
         top, below = axes[:, column]
         for way, by_value in ways.items():
             x = [float(value) for value in by_value]
-            told = list(by_value.values())
+            results = list(by_value.values())
             line = {"color": WAY_COLOURS[way], "marker": "o", "ms": 3.5}
-            top.plot(x, [100.0 * f["right"] for f in told], lw=1.8, label=way, **line)
-            top.plot(x, [100.0 * f["wrong"] for f in told], lw=1.0, ls=":", **line | {"ms": 0})
-            below.plot(x, [f["flat_median"] for f in told], lw=1.8, **line)
+            top.plot(x, [100.0 * f["right"] for f in results], lw=1.8, label=way, **line)
+            top.plot(x, [100.0 * f["wrong"] for f in results], lw=1.0, ls=":", **line | {"ms": 0})
+            below.plot(x, [f["flat_median"] for f in results], lw=1.8, **line)
         below.axhline(PAPER["real site"].flat_mean, color=SOFT, lw=0.8, ls="--")
         top.set(ylim=(-3, 103), ylabel="% of starts" if column == 0 else "")
         below.set(yscale="log", xlabel=CURVES[curve][0], ylim=(0.03, 40.0))

@@ -29,10 +29,10 @@ TARGET_MIB = 1.5e9 / 2**20
 CHILD = """
 import atexit, re, sys, time
 from pathlib import Path
-def told():
+def print_peak():
     high = re.search(r"VmHWM:\\s+(\\d+) kB", Path("/proc/self/status").read_text())[1]
     print(high, time.process_time(), file=sys.stderr)
-atexit.register(told)
+atexit.register(print_peak)
 from gis_radar.cli import main
 main()
 """

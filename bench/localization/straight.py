@@ -1,7 +1,7 @@
 """The straight road: a sensor that looks along it cannot know where along it stands.
 
-Right is an answer that says so (`observable` false, a large sigma along the road, a small one
-across) or none at all. A confident answer is the one failure.
+Right is an answer that is marked as such (`observable` false, a large sigma along the road, a small
+one across) or none at all. A confident answer is the one failure.
 """
 
 from __future__ import annotations
@@ -46,13 +46,13 @@ class Attempt:
     Parameters
     ----------
     said : str
-        `refused` and why, or what the answer says of itself.
+        `refused` and why, or what the answer states of itself.
     confident : bool
         Whether it claims to know the place along the road, or to know it across and is far off.
     along_m, across_m : float
         Error along the road and across it; NaN where refused.
     sigma_along_m, sigma_across_m : float
-        What the answer says of them.
+        What the answer states of them.
     """
 
     said: str

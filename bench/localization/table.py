@@ -132,8 +132,8 @@ def markdown(groups: dict[str, Any]) -> str:
         f"| set | starts | method | {' | '.join(HEADS)} |",
         "|---" * (3 + len(HEADS)) + "|",
     ]
-    for set_name, told in PAPER.items():
-        cells = [told.flat_mean, told.flat_median, told.height, told.roll, told.pitch, told.yaw]
+    for set_name, own in PAPER.items():
+        cells = [own.flat_mean, own.flat_median, own.height, own.roll, own.pitch, own.yaw]
         theirs = " | ".join([*(_number(cell) for cell in cells), "", "", "", ""])
         lines.append(f"| {set_name} | its own | the paper | {theirs} |")
         for kind in KINDS if set_name in SETS else ():
@@ -161,8 +161,8 @@ def _by_sensor(groups: dict[str, Any]) -> list[str]:
         "|---" * (2 + len(SENSORS)) + "|",
     ]
     for set_name in SETS:
-        told = " | ".join(f"{PAPER_FLAT[set_name][sensor]:.2f}" for sensor in SENSORS)
-        lines.append(f"| {set_name} | the paper | {told} |")
+        theirs = " | ".join(f"{PAPER_FLAT[set_name][sensor]:.2f}" for sensor in SENSORS)
+        lines.append(f"| {set_name} | the paper | {theirs} |")
         for method in METHODS:
             by_sensor = groups[f"near {set_name} {method}"]["sensors"]
             cells = [

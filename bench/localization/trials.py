@@ -71,11 +71,11 @@ class Result:
         East, north, height (m) and roll, pitch, yaw (degrees), found minus true; empty where the
         answer was refused.
     observable : bool
-        What the answer says of itself.
+        What the answer states of itself.
     sigma : tuple of float
         One standard deviation of each component; empty where none is given.
     seconds : float
-        Of the processor, all threads; a clock on the wall would tell of the neighbours.
+        Of the processor, all threads; a clock on the wall would count the neighbours too.
     said : str
         Why it was refused.
     """

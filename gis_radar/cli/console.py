@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import json
 import os
 import signal
 import sys
@@ -20,6 +19,7 @@ from rich.table import Table
 from rich.text import Text
 
 from gis_radar.errors import GisRadarError, OutputError, UsageError
+from gis_radar.files import json_text
 from gis_radar.processes import watch_input
 from gis_radar.progress import Level, Reporter
 
@@ -87,7 +87,7 @@ class JsonConsole(Console):
 
     @staticmethod
     def _write(**record: Any) -> None:
-        sys.stdout.write(json.dumps(record, ensure_ascii=False) + "\n")
+        sys.stdout.write(json_text(record) + "\n")
         sys.stdout.flush()
 
 

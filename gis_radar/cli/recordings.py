@@ -196,6 +196,7 @@ def quality(
 ) -> Result:
     """Show what an occupancy rests on: frames, detections, clocks, poses, and a verdict."""
     if output is not None:
+        gr.require_table_name(output)
         inside = [file for folder in folders if folder.is_dir() for file in folder.iterdir()]
         refuse_inputs(output, *folders, *(file for file in inside if file.stem != "quality"))
     merged = gr.merge_occupancies([gr.read_occupancy(folder) for folder in folders])

@@ -89,7 +89,8 @@ def sample(*, output: Path, reporter: Reporter) -> Result:
     source = gr.sample_folder()
     files = sorted(path for path in source.iterdir() if path.suffix in SAMPLE_KINDS)
     refuse_inputs(output, *files)
-    with whole_folder(output, owned=tuple(path.name for path in files)) as fresh:
+    owned = tuple(path.name for path in files)
+    with whole_folder(output, owned=owned, reporter=reporter) as fresh:
         for done, path in enumerate(files, start=1):
             shutil.copyfile(path, fresh / path.name)
             reporter.progress("copying the sample", done, len(files))

@@ -16,7 +16,13 @@ import numpy as np
 
 from gis_radar.arrays import Floats
 from gis_radar.clocks.lane_detections import LaneDetections, LaneMatcher, read_lane_detections
-from gis_radar.clocks.offsets import ClockOffset, fine_offset, rough_offset, validate_offset
+from gis_radar.clocks.offsets import (
+    ClockOffset,
+    NoCommonTrafficError,
+    fine_offset,
+    rough_offset,
+    validate_offset,
+)
 from gis_radar.clocks.settings import DEFAULTS, ClockSettings
 from gis_radar.crs import metric_crs, require_same
 from gis_radar.errors import InputError, NoAnswerError, UsageError
@@ -76,6 +82,7 @@ class SensorClock:
 
 
 Edges = dict[tuple[str, str], ClockOffset]  # by (one, other): how far the other one is ahead
+Reasons = dict[tuple[str, str], NoAnswerError]  # of the pairs that have no offset
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -248,7 +255,7 @@ def measure_clocks(
     clocks, misfit = adjust_network(edges, reference, settings.drift_sigmas)
     refused = {sensor: _reason(sensor, reasons) for sensor in sensors if sensor not in clocks}
     if len(clocks) < 2:
-        why = "; ".join(f"{one} and {other}: {text}" for (one, other), text in reasons.items())
+        why = "; ".join(f"{a} and {b}: {error.message}" for (a, b), error in reasons.items())
         raise NoAnswerError(
             f"no clock can be compared with that of {reference}: {why}",
             hint="sensors must see the same moving traffic; longer recordings help",
@@ -280,9 +287,10 @@ def _read_all(
 
 def _compare(
     seen: dict[str, LaneDetections], settings: ClockSettings, reporter: Reporter
-) -> tuple[Edges, dict[tuple[str, str], str]]:
+) -> tuple[Edges, Reasons]:
     """Compare all pairs of sensors; return the offsets, and the reasons where there is none."""
-    edges, reasons = {}, {}
+    edges: Edges = {}
+    reasons: Reasons = {}
     pairs = list(combinations(seen, 2))
     for done, (one, other) in enumerate(pairs):
         reporter.progress("comparing clocks", done, len(pairs))
@@ -291,19 +299,19 @@ def _compare(
             found = fine_offset(*seen_by, rough_offset(*seen_by, settings), settings)
             validate_offset(*seen_by, found.offset_s, settings)
         except NoAnswerError as error:
-            reasons[one, other] = error.message
+            reasons[one, other] = error
         else:
             edges[one, other] = found
     reporter.progress("comparing clocks", len(pairs), len(pairs))
     return edges, reasons
 
 
-def _reason(sensor: str, reasons: dict[tuple[str, str], str]) -> str:
+def _reason(sensor: str, reasons: Reasons) -> str:
     """Return why a sensor could not be compared, with the other one that it shares most with."""
     mine = {pair: why for pair, why in reasons.items() if sensor in pair}
-    pair = max(mine, key=lambda each: mine[each] != "they see no common traffic")
+    pair = max(mine, key=lambda each: not isinstance(mine[each], NoCommonTrafficError))
     other = pair[1] if pair[0] == sensor else pair[0]
-    return f"with {other}: {mine[pair]}"
+    return f"with {other}: {mine[pair].message}"
 
 
 def adjust_network(

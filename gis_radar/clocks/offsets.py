@@ -28,6 +28,10 @@ from gis_radar.errors import NoAnswerError
 VALUES_AT_ONCE = 1 << 22  # 16 MiB
 
 
+class NoCommonTrafficError(NoAnswerError):
+    """Two sensors that share no traffic: nothing can be measured between them."""
+
+
 def rough_offset(
     one: LaneDetections, other: LaneDetections, settings: ClockSettings = DEFAULTS
 ) -> float:
@@ -51,7 +55,7 @@ def rough_offset(
     key_one, key_other = _cells(one, settings), _cells(other, settings)
     common = np.intersect1d(key_one, key_other)
     if len(common) < settings.rough_pairs:
-        raise NoAnswerError("they see no common traffic")
+        raise NoCommonTrafficError("they see no common traffic")
     apart_s = float(other.time[0] - one.time[0])
     bins_one, bins_other = (
         ((each.time - each.time[0]) / settings.bin_s).astype(np.int64) for each in (one, other)

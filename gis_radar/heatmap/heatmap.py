@@ -51,17 +51,12 @@ from gis_radar.steps import STEP_US, interval_steps, step_of, zone_of
 if TYPE_CHECKING:
     import xarray
 
-PAGE, PAPER = "report.html", "report.pdf"
-LANES, LANES_BY_INTERVAL = "lanes.csv", "lanes_by_interval.csv"
-SENSORS, QUALITY = "sensors.csv", "quality.csv"
-REPORT_FILES = (PAGE, PAPER, LANES, LANES_BY_INTERVAL, SENSORS, QUALITY)
-
 MOST_MIB = 1024.0  # of a cube
 LANELET, START = "lanelet of the tile", "start of the tile along its lanelet"
 CELL_BYTES = 3 * 4 + 4  # of a tile and interval: three numbers, and the count they come from
 MOST_DRAWN = 60_000  # tiles in the small picture of a notebook
 # A report of it may stand there; it goes when the heat map does.
-OWNED = ("heatmap.", *REPORT_FILES)
+OWNED = ("heatmap.", "report.", "lanes.csv", "lanes_by_interval.csv", "sensors.csv", "quality.csv")
 
 
 class HeatMap(Tally):
@@ -183,7 +178,7 @@ class HeatMap(Tally):
             "heatmap.png": write_figure,
             "heatmap.qml": lambda _, path, __: path.write_text(sidecar_qml(), encoding="utf-8"),
         }
-        with whole_folder(folder, owned=OWNED) as fresh:
+        with whole_folder(folder, owned=OWNED, reporter=reporter) as fresh:
             for name, write in writers.items():
                 try:
                     write(self, fresh / name, reporter)

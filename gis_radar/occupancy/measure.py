@@ -136,7 +136,7 @@ def measure_occupancy(
         Source(recording, track, seen, cycle_us[track.sensor], (clocks or {}).get(track.sensor))
         for recording, track, seen in zip(opened, tracks, views, strict=True)
     ]
-    with whole_folder(Path(folder), owned=OWNED) as part:
+    with whole_folder(Path(folder), owned=OWNED, reporter=reporter) as part:
         passes = _read_all(sources, target, part, reporter)
         frames = frames_table(pd.concat([each.frames() for each in passes]))
         Occupancy(

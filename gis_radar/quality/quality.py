@@ -19,7 +19,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.patches import Patch
 
 from gis_radar.clocks.settings import CLOCK_SET_S
-from gis_radar.errors import InputError, OutputError
+from gis_radar.errors import InputError, UsageError
 from gis_radar.files import whole_file
 from gis_radar.notebooks import axes_or_new, table_card
 from gis_radar.occupancy import Occupancy
@@ -174,14 +174,15 @@ class Quality:
 
         Raises
         ------
+        UsageError
+            If the ending is another.
         OutputError
-            If the ending is another, or the place cannot be written.
+            If the place cannot be written.
         """
         path = Path(path)
-        if (ending := path.suffix.lower()) not in (".csv", ".parquet"):
-            raise OutputError(f"{path}: not a known table format", hint="use .csv or .parquet")
+        require_table_name(path)
         with whole_file(path) as part:
-            if ending == ".csv":
+            if path.suffix.lower() == ".csv":
                 self.table.to_csv(part, index=False, date_format="%Y-%m-%dT%H:%M:%SZ")
             else:
                 self.table.to_parquet(part, index=False)
@@ -235,6 +236,12 @@ class Quality:
     def __repr__(self) -> str:
         lines = "; ".join(f"{sensor}: {text}" for sensor, text in self.lines().items())
         return f"Quality({lines})"
+
+
+def require_table_name(path: str | Path) -> None:
+    """Refuse a name that ends neither in CSV nor in Parquet, before the work and not after it."""
+    if Path(path).suffix.lower() not in {".csv", ".parquet"}:
+        raise UsageError(f"{path}: not a known table format", hint="use .csv or .parquet")
 
 
 def measure_quality(

@@ -15,7 +15,6 @@ import pandas as pd
 from gis_radar.errors import OutputError, UsageError
 from gis_radar.files import whole_files
 from gis_radar.heatmap import HeatMap
-from gis_radar.heatmap.heatmap import LANES, LANES_BY_INTERVAL, PAGE, PAPER, QUALITY, SENSORS
 from gis_radar.notebooks import card
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.quality import Quality, measure_quality
@@ -57,6 +56,11 @@ from gis_radar.report.results import (
     write_sensor_table,
 )
 from gis_radar.steps import zone_of
+
+PAGE, PAPER = "report.html", "report.pdf"
+LANES, LANES_BY_INTERVAL = "lanes.csv", "lanes_by_interval.csv"
+SENSORS, QUALITY = "sensors.csv", "quality.csv"
+REPORT_FILES = (PAGE, PAPER, LANES, LANES_BY_INTERVAL, SENSORS, QUALITY)
 
 MOST_LANES, MOST_HOURS = 150, 168  # rows of tables as read; the CSV files hold all
 INTRO = (
@@ -193,11 +197,15 @@ def _write(place: Path, found: _Findings, content: Content, reporter: Reporter) 
             f"{place}: cannot be written: {reason}", hint="name a folder for the report"
         ) from error
     writers = _writers(found, content)
+    before = [place / name for name in REPORT_FILES] if (place / PAGE).is_file() else []
     with whole_files(place / PAGE) as (private, places):
         for done, (name, write) in enumerate(writers.items(), start=1):
             write(private / name)
             places[private / name] = place / name
             reporter.progress("writing the report", done, len(writers))
+    for path in before:  # what the last report had and this one has not
+        if path.name not in writers:
+            path.unlink(missing_ok=True)
     return [place / name for name in writers]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -113,7 +114,8 @@ class RoadMask:
         Parameters
         ----------
         path : str or Path
-            The LAZ (or LAS) file; `<stem>.pipeline.json` and `<stem>.roads.gpkg` go beside it.
+            The LAZ (or LAS) file; `<stem>.pipeline.json` and `<stem>.roads.gpkg` go beside it. PDAL
+            runs the pipeline in that folder: its names are relative to it where they can be.
 
         Returns
         -------
@@ -127,6 +129,9 @@ class RoadMask:
         stages = self.pipeline.document(
             roads=layer.resolve(), points=path.resolve().with_name(f"{path.stem}.points.laz")
         )
+        for stage in stages["pipeline"]:
+            names = {key: stage[key] for key in ("filename", "datasource") if key in stage}
+            stage |= {key: _relative(name, path.resolve().parent) for key, name in names.items()}
         with whole_files(path) as (private, places):
             parts = {output: private / output.name for output in outputs}
             write_layer(self.roads, parts[layer], outside=self.outside)
@@ -146,6 +151,15 @@ class RoadMask:
         figures = self.figures()
         del figures["settings"]
         return card("Road mask", figures)
+
+
+def _relative(name: str, folder: Path) -> str:
+    """Return a name relative to a folder; as it is where they share no more than a root."""
+    try:
+        shared = os.path.commonpath([name, folder])
+    except ValueError:  # drives of Windows
+        return name
+    return name if shared == folder.anchor else Path(os.path.relpath(name, folder)).as_posix()
 
 
 def require_road_name(path: str | Path) -> None:

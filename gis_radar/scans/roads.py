@@ -164,7 +164,7 @@ def _read_polygons(
 
 def _given_crs(crs: Any, path: Path) -> CRS:
     if crs is None:
-        raise CrsError(f"{path}: has no coordinate system", hint="say which: --map-crs EPSG:25832")
+        raise CrsError(f"{path}: has no coordinate system", hint="state it: --map-crs EPSG:25832")
     try:
         return CRS.from_user_input(crs)
     except ProjError as error:

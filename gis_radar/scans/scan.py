@@ -37,7 +37,7 @@ _VLR_BYTES, _EVLR_BYTES = 54, 60
 _CHUNK_POINTS = 50_000  # of compressed points, one of which is stored in full
 _SMALLEST_SCALE = 1e-12
 _GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)
-_SAY = "say which: --scan-crs EPSG:25832"
+_SAY = "state it: --scan-crs EPSG:25832"
 _WEEK_S = 604_800.0
 _ADJUSTED_S = 1e9
 

@@ -5,7 +5,6 @@ Its record stands beside the results: `run.json` for programs, `summary.md` to r
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from gis_radar.errors import GisRadarError, InputError, NoAnswerError, OutputError, UsageError
-from gis_radar.files import only_writer, refuse_inputs, whole_file
+from gis_radar.files import json_text, only_writer, refuse_inputs, whole_file
 from gis_radar.notebooks import card
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.site import stages as work
@@ -286,7 +285,7 @@ def _write_summary(site: Site, root: Path, outcomes: Sequence[Outcome], state: R
         "stages": [_stage(each, base, root) for each in outcomes],
     }
     with whole_file(root / "run.json") as part:
-        text = json.dumps(document, indent=1, ensure_ascii=False)
+        text = json_text(document, indent=1)
         part.write_text(text + "\n", encoding="utf-8")
     summary = root / "summary.md"
     if not outcomes:

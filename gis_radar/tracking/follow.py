@@ -53,10 +53,10 @@ def track(
     settings: TrackingSettings = DEFAULTS,
     reporter: Reporter = QUIET,
 ) -> Track:
-    """Follow the pose of a sensor through a recording, one corrected pose every 5 s.
+    """Follow the pose of a sensor through a recording, one corrected pose each cycle.
 
-    The recording is read once, piece by piece; memory is that of the last 2000 frames and of the
-    poses.
+    The recording is read once, piece by piece; memory is that of the frames in the window and
+    of the poses.
 
     Parameters
     ----------
@@ -353,7 +353,7 @@ class Follower:
         self._past = deque([start, self.now])
 
     def _give_up_if_lost(self, time: float) -> None:
-        """Declare `moved` with unknown pose after 100 s of rejected fits."""
+        """Declare `moved` with unknown pose after a whole window of rejected fits (`lost_s`)."""
         row = self.rows[-1]
         if row.event != REJECTED:
             self._rejected_since = None
@@ -391,17 +391,18 @@ class Follower:
         """
         if self.confirmed:
             return
-        least = self._settings.localization.traces.least_frames
+        traces = self._settings.localization.traces
+        least = traces.least_frames
         if len(self._window) < least:
             raise NoAnswerError(
                 f"{name}: {len(self._window)} frames, at least {least} are needed",
-                hint="record longer: 100 s are a good length",
+                hint=f"record longer: {traces.frames} frames are a good length",
             )
         if self._seen:
             self._refuse_start(self._seen)
         least = self._settings.localization.answer.least_tracks
         raise NoAnswerError(
-            f"{name}: {self._vehicles} moving vehicles within 100 s, at least {least} are needed "
+            f"{name}: {self._vehicles} moving vehicles in the window, at least {least} are needed "
             "to confirm the start pose",
             hint="record while traffic flows",
         )

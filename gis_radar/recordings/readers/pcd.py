@@ -72,7 +72,7 @@ def read_folder(place: Path, sensor: str, context: ReaderContext) -> Generator[F
         if not layout.placed:
             raise InputError(
                 f"{path}: no positions among the fields {', '.join(rows.dtype.names or ())}",
-                hint="say which they are: --columns x=...,y=...,z=...",
+                hint="name them: --columns x=...,y=...,z=...",
             )
         found = True
         layout.explain(sensor, context)
