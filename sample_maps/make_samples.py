@@ -20,6 +20,7 @@ from gis_radar.poses.pose import Pose, View
 from simulation.curves import arc_length, points_at
 from simulation.demand import KINDS, Flow
 from simulation.lanelet_writer import Crosswalk, write_lanelets
+from simulation.movement import Traffic
 from simulation.network import RoadNetwork, build_network, read_network
 from simulation.radar import place_radar
 from simulation.recording import frame_times, simulate_recording, write_packed, write_recording
@@ -27,7 +28,7 @@ from simulation.roadside import furnish
 from simulation.scan import fly, write_scan
 from simulation.scene import ParkedCar, Rail, Scene
 from simulation.terrain import Terrain
-from simulation.traffic import Traffic, simulate_traffic
+from simulation.traffic import simulate_traffic
 
 HERE = Path(__file__).parent
 CRS_OF_SITE = CRS.from_epsg(25832)
@@ -197,7 +198,7 @@ def write_recordings(site: Site, folder: Path, duration_s: float) -> None:
             START + mast.begins_s,
             duration_s - mast.begins_s,
             rng=times,
-            period_s=mast.period_s,
+            cycle_s=(mast.period_s,),
             jitter_s=mast.jitter_s,
             dropped=mast.dropped,
             doubled=mast.doubled,

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from gis_radar.arrays import Booleans, Floats
+from gis_radar.arrays import Booleans, Floats, Integers
 from simulation.curves import arc_length, points_at
 from simulation.echoes import Echoes, vehicle_echoes
+from simulation.movement import Vehicles
 from simulation.scene import Scene, Tree
 from simulation.sight import building_walls, parked_boxes
-from simulation.traffic import Vehicles
 
 _LEAF_MOTION_MPS = 0.02
 _KERB_REACH_M = 110.0
@@ -42,8 +42,8 @@ class Clutter:
     rcs: Floats
     wobble: Floats
 
-    def where(self, keep: Booleans) -> Clutter:
-        """Return the points for which `keep` is true."""
+    def where(self, keep: Booleans | Integers) -> Clutter:
+        """Return the points for which `keep` is true, or of these rows."""
         return Clutter(point=self.point[keep], rcs=self.rcs[keep], wobble=self.wobble[keep])
 
 
@@ -159,7 +159,9 @@ def _parked(scene: Scene, eye: Floats, rng: np.random.Generator) -> Clutter:
     boxes = parked_boxes(scene)
     count = len(boxes.heading)
     standing = Vehicles(
+        time=0.0,
         number=np.arange(count),
+        kind=np.full(count, "car"),
         centre=boxes.centre[:, :2],
         heading=boxes.heading,
         speed=np.zeros(count),

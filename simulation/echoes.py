@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from gis_radar.arrays import Booleans, Floats, Integers
+from simulation.movement import Vehicles
 from simulation.scene import Scene
 from simulation.sight import Walls
-from simulation.traffic import Vehicles
 
 _TALL_M = 2.4
 _WHEEL_SHARE = 0.16
 _INSIDE_M = 0.08
+# cross sections of the scatter points of one vehicle differ by so much (standard deviation)
+SPOT_DB = 5.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,12 +32,15 @@ class Echoes:
         Radar cross section, dBm2.
     owner : Integers
         Row of the vehicle it belongs to; -1 where it belongs to none.
+    target : Integers
+        Which target it is of those that last; -1 where it is of none.
     """
 
     point: Floats
     velocity: Floats
     rcs: Floats
     owner: Integers
+    target: Integers
 
     def where(self, keep: Booleans) -> Echoes:
         """Return the echoes for which `keep` is true."""
@@ -44,7 +49,12 @@ class Echoes:
             velocity=self.velocity[keep],
             rcs=self.rcs[keep],
             owner=self.owner[keep],
+            target=self.target[keep],
         )
+
+    def of(self, target: Integers) -> Echoes:
+        """Return the same echoes as those of lasting targets."""
+        return replace(self, target=target)
 
     def range_rate(self, eye: Floats) -> Floats:
         """Return how fast each point recedes from `eye`, m/s."""
@@ -60,6 +70,7 @@ def join_echoes(parts: list[Echoes]) -> Echoes:
         velocity=np.vstack([p.velocity for p in parts]),
         rcs=np.concatenate([p.rcs for p in parts]),
         owner=np.concatenate([p.owner for p in parts]),
+        target=np.concatenate([p.target for p in parts]),
     )
 
 
@@ -81,24 +92,26 @@ def vehicle_echoes(
     rng : Generator
         Decides how many points and where.
     """
-    owner, side, outward = _draw_faces(vehicles, eye, density, rng)
-    across = _draw_across(side, rng)
-    wheel = side & (rng.random(len(side)) < _WHEEL_SHARE)
-    across[wheel] = np.sign(across[wheel]) * rng.normal(0.62, 0.04, int(wheel.sum()))
-    half = vehicles.size[owner, :2] / 2.0
-    depth = 1.0 - np.minimum(rng.exponential(_INSIDE_M, len(side)) / half.min(axis=1), 1.0)
-    lengthwise = np.where(side, across, outward * depth) * half[:, 0]
-    sidewise = np.where(side, outward * depth, across) * half[:, 1]
-    over = np.where(wheel, 0.35, _draw_heights(vehicles.size[owner, 2], rng))
-    return _placed(
-        vehicles, scene, owner, np.column_stack([lengthwise, sidewise, over]), wheel, rng
-    )
+    rates, signs = face_rates(vehicles, eye, density)
+    face = np.repeat(np.arange(rates.size), rng.poisson(rates.ravel()))
+    owner, side = face % rates.shape[1], face >= rates.shape[1]
+    spots = draw_spots(side, rng)
+    spin = rng.uniform(0.0, 2.0 * np.pi, len(owner))
+    rcs = rng.normal(0.0, SPOT_DB, len(owner))
+    outward = signs[side.astype(int), owner]
+    return place_spots(vehicles, scene, owner, outward, spots, spin=spin, rcs=rcs)
 
 
-def _draw_faces(
-    vehicles: Vehicles, eye: Floats, density: float, rng: np.random.Generator
-) -> tuple[Integers, Booleans, Floats]:
-    """Draw how many points each face gets: owner, whether it is a long side, and its sign."""
+def face_rates(vehicles: Vehicles, eye: Floats, density: float) -> tuple[Floats, Floats]:
+    """Return how many scatter points an end and a side of each vehicle show, and which one.
+
+    Returns
+    -------
+    rates : (2, n) array
+        Mean number on the end and on the side that are turned to `eye`.
+    signs : (2, n) array
+        1 for front and left side, -1 for rear and right side.
+    """
     to_eye = eye[:2] - vehicles.centre
     cos, sin = np.cos(vehicles.heading), np.sin(vehicles.heading)
     length, width, height = vehicles.size.T
@@ -110,12 +123,57 @@ def _draw_faces(
     tall = np.sqrt(height / 1.5)
     ends = density * (width / 1.8) * tall * aspect[0] ** 0.7
     sides = density * (length / 4.5) ** 0.8 * tall * aspect[1] ** 0.8
-    counts = rng.poisson(np.concatenate([ends, sides]))
-    number = len(length)
-    face = np.repeat(np.arange(2 * number), counts)
-    owner, side = face % number, face >= number
-    outward = np.sign(local)[side.astype(int), owner]
-    return owner, side, outward
+    return np.stack([ends, sides]), np.sign(local)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spots:
+    """Where on a face scatter points are, one row each.
+
+    Parameters
+    ----------
+    side : Booleans
+        Whether the face is a long side.
+    wheel : Booleans
+        Whether it is on a wheel.
+    across : Floats
+        Place along the face, -1 to 1.
+    inside_m : Floats
+        How far behind the face.
+    low_m, high : Floats
+        Height over the road of bumpers and sills, and share of the vehicle's height.
+    pick : Floats
+        Evenly 0 to 1; small ones are `high`.
+    """
+
+    side: Booleans
+    wheel: Booleans
+    across: Floats
+    inside_m: Floats
+    low_m: Floats
+    high: Floats
+    pick: Floats
+
+    def where(self, rows: Integers) -> Spots:
+        """Return some rows."""
+        return Spots(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+
+
+def draw_spots(side: Booleans, rng: np.random.Generator) -> Spots:
+    """Draw scatter points on long sides and on ends: bumpers and sills, and up to the roof."""
+    count = len(side)
+    across = _draw_across(side, rng)
+    wheel = side & (rng.random(count) < _WHEEL_SHARE)
+    across[wheel] = np.sign(across[wheel]) * rng.normal(0.62, 0.04, int(wheel.sum()))
+    return Spots(
+        side=side,
+        wheel=wheel,
+        across=across,
+        inside_m=rng.exponential(_INSIDE_M, count),
+        low_m=rng.uniform(0.3, 0.9, count),
+        high=rng.uniform(0.3, 0.95, count),
+        pick=rng.random(count),
+    )
 
 
 def _draw_across(side: Booleans, rng: np.random.Generator) -> Floats:
@@ -130,38 +188,52 @@ def _draw_across(side: Booleans, rng: np.random.Generator) -> Floats:
     return np.asarray(np.where(pick < 0.55, special, plain))
 
 
-def _draw_heights(height: Floats, rng: np.random.Generator) -> Floats:
-    """Draw heights over the road: bumpers and sills, now and then anywhere up to the roof."""
-    low = rng.uniform(0.3, 0.9, len(height))
-    high = rng.uniform(0.3, 0.95, len(height)) * height
-    return np.where(rng.random(len(height)) < np.where(height > _TALL_M, 0.5, 0.25), high, low)
+def place_spots(
+    vehicles: Vehicles, scene: Scene, owner: Integers, outward: Floats, spots: Spots, *,
+    spin: Floats, rcs: Floats,
+) -> Echoes:  # fmt: skip
+    """Return the echoes of scatter points on vehicles.
 
-
-def _placed(
-    vehicles: Vehicles,
-    scene: Scene,
-    owner: Integers,
-    local: Floats,
-    wheel: Booleans,
-    rng: np.random.Generator,
-) -> Echoes:
-    """Return echoes at places given in the vehicles' axes."""
+    Parameters
+    ----------
+    vehicles : Vehicles
+        Where they are.
+    scene : Scene
+        Gives the road's height.
+    owner : (n,) int array
+        Row of the vehicle that each point is on.
+    outward : (n,) array
+        1 on front and left side, -1 on rear and right side.
+    spots : Spots
+        Where on the faces.
+    spin : (n,) array
+        Where on its wheel a point of a wheel is, rad.
+    rcs : (n,) array
+        Cross section against that of the vehicle, dB.
+    """
+    side, wheel, size = spots.side, spots.wheel, vehicles.size[owner]
+    half, height = size[:, :2] / 2.0, size[:, 2]
+    depth = 1.0 - np.minimum(spots.inside_m / half.min(axis=1), 1.0)
+    lengthwise = np.where(side, spots.across, outward * depth) * half[:, 0]
+    sidewise = np.where(side, outward * depth, spots.across) * half[:, 1]
+    tall = spots.pick < np.where(height > _TALL_M, 0.5, 0.25)
+    over = np.where(wheel, 0.35, np.where(tall, spots.high * height, spots.low_m))
     heading, speed = vehicles.heading[owner], vehicles.speed[owner]
     ahead = np.column_stack([np.cos(heading), np.sin(heading)])
     left = np.column_stack([-ahead[:, 1], ahead[:, 0]])
-    arm = local[:, :1] * ahead + local[:, 1:2] * left
+    arm = lengthwise[:, None] * ahead + sidewise[:, None] * left
     plane = vehicles.centre[owner] + arm
     # the upper part of a rolling wheel moves at twice the vehicle's speed, its foot stands
-    spin = np.where(wheel, 1.0 + np.cos(rng.uniform(0.0, 2.0 * np.pi, len(owner))), 1.0)
+    roll = np.where(wheel, 1.0 + np.cos(spin), 1.0)
     turning = vehicles.yaw_rate[owner][:, None] * np.column_stack([-arm[:, 1], arm[:, 0]])
-    flat = (speed * spin)[:, None] * ahead + turning
-    size = vehicles.size[owner]
+    flat = (speed * roll)[:, None] * ahead + turning
     base = 8.0 * np.log10(size[:, 0] * size[:, 2] / 6.5)
     return Echoes(
-        point=np.column_stack([plane, scene.terrain.height(plane) + local[:, 2]]),
+        point=np.column_stack([plane, scene.terrain.height(plane) + over]),
         velocity=np.column_stack([flat, np.zeros(len(owner))]),
-        rcs=base + np.where(wheel, -8.0, 1.0) + rng.normal(0.0, 5.5, len(owner)),
+        rcs=base + np.where(wheel, -8.0, 1.0) + rcs,
         owner=owner,
+        target=np.full(len(owner), -1),
     )
 
 
@@ -198,7 +270,8 @@ def ghosts(
             point[row], velocity[row] = image
     loss = rng.uniform(4.0, 12.0, len(reach))
     none = np.full(len(reach), -1)
-    return Echoes(point=point, velocity=velocity, rcs=chosen.rcs - loss, owner=none)
+    rcs = chosen.rcs - loss
+    return Echoes(point=point, velocity=velocity, rcs=rcs, owner=none, target=none)
 
 
 def _image(

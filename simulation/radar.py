@@ -7,13 +7,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import expit
 
-from gis_radar.arrays import Booleans, Floats
+from gis_radar.arrays import Floats
 from gis_radar.poses.pose import Pose, View
-from simulation.clutter import Clutter, draw_clutter
-from simulation.echoes import Echoes, ghosts, join_echoes, vehicle_echoes
+from simulation.clutter import draw_clutter
+from simulation.echoes import Echoes, ghosts, join_echoes
+from simulation.movement import Vehicles
 from simulation.scene import Scene
 from simulation.sight import Boxes, Walls, both, building_walls, parked_boxes, vehicle_boxes
-from simulation.traffic import Vehicles
+from simulation.targets import Fleeting, Lasting, Targets
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,12 +34,27 @@ class RadarModel:
         range rate that is wrong.
     leak : float
         Share of hidden vehicle points that are seen all the same, for waves run under cars.
+    false_moving : float
+        Share of the false alarms that have a range rate of their own.
+    false_mps, false_tail : float
+        Wrong range rates lie evenly between this and its negative, but for a share of them that
+        reaches four times as far.
+    false_from_m : float
+        No false alarm is nearer.
     range_m, azimuth_deg, elevation_deg, range_rate_mps, rcs_db : float
-        Standard deviations of the measurement.
+        Standard deviations of the measurement, anew in every frame.
+    rcs_scale_db, rcs_floor_db : float
+        How far the reported RCS lies over the true one; what is weaker is reported as the floor.
+    quantum : tuple of float
+        Steps of x, y, z (m), range rate (m/s) and RCS (dB) as recorded.
     cell_m, cell_deg, cell_mps : float
         Returns in one cell of range, azimuth and range rate melt into one.
     most : int
         Returns a frame at most; the strongest stay.
+    cycle_s, jitter_s : tuple of float, float
+        Times between frames, in turn, and the standard deviation of each frame's time.
+    targets : Fleeting or Lasting
+        Whether a target is the same from frame to frame.
     """
 
     reach_m: float = 92.0
@@ -57,10 +73,27 @@ class RadarModel:
     cell_deg: float = 1.2
     cell_mps: float = 0.25
     most: int = 800
+    false_moving: float = 0.4
+    false_mps: float = 14.0
+    false_tail: float = 0.0
+    false_from_m: float = 0.0
+    rcs_scale_db: float = 0.0
+    rcs_floor_db: float = -100.0
+    # powers of two leave the low bits of a float32 empty, which packs well
+    quantum: tuple[float, ...] = (2.0**-6, 2.0**-6, 2.0**-6, 2.0**-5, 0.5)
+    cycle_s: tuple[float, ...] = (0.05,)
+    jitter_s: float = 0.001
+    targets: Fleeting | Lasting = field(default_factory=Fleeting)
+
+    def wrong_rates(self, count: int, rng: np.random.Generator) -> Floats:
+        """Draw range rates of nothing, m/s."""
+        rate = rng.uniform(-self.false_mps, self.false_mps, count)
+        beyond = np.abs(rate) / self.false_mps - (1.0 - self.false_tail)
+        far = 1.0 + _TAIL * np.maximum(beyond, 0.0) / max(self.false_tail, 1e-9)
+        return np.asarray(rate * far)
 
 
-_FALSE_MPS = 14.0
-_FADE_DB = 3.0
+_TAIL = 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,10 +110,8 @@ class Radar:
         How well it measures.
     scene : Scene
         What is around it.
-    clutter : Clutter
-        The fixed points it sees.
-    chance : Floats
-        Chance of each fixed point to be in a frame.
+    targets : Targets
+        The fixed points it sees, and what lasts of vehicles.
     walls, parked : Walls, Boxes
         What always hides.
     """
@@ -89,8 +120,7 @@ class Radar:
     view: View
     model: RadarModel
     scene: Scene = field(repr=False)
-    clutter: Clutter = field(repr=False)
-    chance: Floats = field(repr=False)
+    targets: Targets = field(repr=False)
     walls: Walls = field(repr=False)
     parked: Boxes = field(repr=False)
 
@@ -112,7 +142,7 @@ class Radar:
         near = np.hypot(*(vehicles.centre - self.pose.position[:2]).T) < (
             self.view.max_range_m + 20.0
         )
-        vehicles = _only(vehicles, near)
+        vehicles = vehicles.where(near)
         boxes = both(vehicle_boxes(vehicles, self.scene), self.parked)
         moving = self._vehicle_returns(vehicles, boxes, rng)
         fixed, wobble = self._fixed_returns(boxes, rng)
@@ -130,6 +160,7 @@ class Radar:
                 seen.rcs,
             ]
         )
+        polar[:, :3] += self.targets.bias(seen.target, vehicles.time)
         return self._measured(np.vstack([polar, self._false_alarms(rng)]), rng)
 
     def _vehicle_returns(
@@ -137,7 +168,9 @@ class Radar:
     ) -> Echoes:
         """Return the points of vehicles that are strong enough and not hidden, and ghosts."""
         eye = self.pose.position
-        echoes = vehicle_echoes(vehicles, self.scene, eye, density=self.model.density, rng=rng)
+        echoes = self.targets.vehicle_echoes(
+            vehicles, self.scene, eye, density=self.model.density, rng=rng
+        )
         strong = rng.random(len(echoes.rcs)) < self._detection(echoes.point, echoes.rcs)
         echoes = echoes.where(strong)
         hidden = boxes.hide(eye, echoes.point, echoes.owner)
@@ -149,17 +182,19 @@ class Radar:
 
     def _fixed_returns(self, boxes: Boxes, rng: np.random.Generator) -> tuple[Echoes, Floats]:
         """Return the fixed points of this frame, and the range rate of their own stir."""
-        now = self.clutter.where(rng.random(len(self.chance)) < self.chance)
-        count = len(now.rcs)
+        chance = self.targets.chance
+        lit = np.flatnonzero(rng.random(len(chance)) < chance)
+        now, count = self.targets.clutter.where(lit), len(lit)
         echoes = Echoes(
             point=now.point,
             velocity=np.zeros((count, 3)),
-            rcs=now.rcs + rng.normal(0.0, _FADE_DB, count),
+            rcs=now.rcs + self.targets.fade(count, rng),
             owner=np.full(count, -1),
+            target=lit,
         )
         wobble = rng.normal(0.0, 1.0, count) * now.wobble
         wrong = rng.random(count) < self.model.false_doppler_share
-        wobble[wrong] = rng.uniform(-_FALSE_MPS, _FALSE_MPS, int(wrong.sum()))
+        wobble[wrong] = self.model.wrong_rates(int(wrong.sum()), rng)
         moving = len(boxes.heading) - len(self.parked.heading)
         traffic = Boxes(
             centre=boxes.centre[:moving], heading=boxes.heading[:moving], size=boxes.size[:moving]
@@ -169,19 +204,20 @@ class Radar:
 
     def _detection(self, point: Floats, rcs: Floats) -> Floats:
         """Return the chance of detection by the radar equation: loss with the fourth power."""
-        return _chance(point, rcs, self.pose.position, self.model.reach_m)
+        return np.asarray(expit(_strength(point, rcs, self.pose.position, self.model.reach_m) / 2))
 
     def _false_alarms(self, rng: np.random.Generator) -> Floats:
         """Return noise peaks anywhere in view, some with a range rate of their own."""
         count = int(rng.poisson(self.model.false_alarms))
         half = np.radians([self.view.azimuth_deg, self.view.elevation_deg]) / 2.0
-        rate = rng.uniform(-_FALSE_MPS, _FALSE_MPS, count)
+        rate = self.model.wrong_rates(count, rng)
+        nearest = max(self.view.min_range_m, self.model.false_from_m)
         return np.column_stack(
             [
-                rng.uniform(self.view.min_range_m, self.view.max_range_m, count),
+                rng.uniform(nearest, max(nearest, self.view.max_range_m), count),
                 rng.uniform(-half[0], half[0], count),
                 rng.uniform(-half[1], half[1], count),
-                np.where(rng.random(count) < 0.4, rate, 0.0),
+                np.where(rng.random(count) < self.model.false_moving, rate, 0.0),
                 rng.normal(-6.0, 4.0, count),
             ]
         )
@@ -203,6 +239,7 @@ class Radar:
         _, first = np.unique(np.floor(polar[:, [0, 1, 3]] / cell), axis=0, return_index=True)
         polar = polar[np.sort(first)][: model.most]
         polar = polar + rng.normal(size=polar.shape) * errors
+        polar[:, 4] = np.maximum(polar[:, 4] + model.rcs_scale_db, model.rcs_floor_db)
         reach, azimuth, elevation = polar[:, :3].T
         xyz = reach[:, None] * np.column_stack(
             [
@@ -236,40 +273,19 @@ def place_radar(
     scene = scene.near(pose.position, view.max_range_m)
     drawn = draw_clutter(scene, pose.position, rng)
     drawn = drawn.where(view.sees(pose.to_sensor(drawn.point)))
-    chance = _chance(drawn.point, drawn.rcs, pose.position, model.reach_m)
+    strength_db = _strength(drawn.point, drawn.rcs, pose.position, model.reach_m)
     return Radar(
         pose=replace(pose, view=view),
         view=view,
         model=model,
         scene=scene,
-        clutter=drawn,
-        chance=_scaled(chance, model.static_per_frame),
+        targets=model.targets.draw(drawn, strength_db, model.static_per_frame, rng),
         walls=building_walls(scene),
         parked=parked_boxes(scene),
     )
 
 
-def _chance(point: Floats, rcs: Floats, eye: Floats, reach_m: float) -> Floats:
+def _strength(point: Floats, rcs: Floats, eye: Floats, reach_m: float) -> Floats:
+    """Return by how many dB echoes pass what is seen every second time."""
     loss = 40.0 * np.log10(np.maximum(np.linalg.norm(point - eye, axis=1), 1.0) / reach_m)
-    return np.asarray(expit((rcs - loss) / 2.0))
-
-
-def _scaled(chance: Floats, total: float) -> Floats:
-    """Return chances with the wanted sum, as far as none may pass 0.95."""
-    low, high = 0.0, 100.0
-    for _ in range(40):
-        middle = (low + high) / 2.0
-        enough = float(np.minimum(chance * middle, 0.95).sum()) > total
-        low, high = (low, middle) if enough else (middle, high)
-    return np.minimum(chance * low, 0.95)
-
-
-def _only(vehicles: Vehicles, keep: Booleans) -> Vehicles:
-    return Vehicles(
-        number=vehicles.number[keep],
-        centre=vehicles.centre[keep],
-        heading=vehicles.heading[keep],
-        speed=vehicles.speed[keep],
-        yaw_rate=vehicles.yaw_rate[keep],
-        size=vehicles.size[keep],
-    )
+    return np.asarray(rcs - loss)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +12,10 @@ import pyarrow.parquet as pq
 
 from gis_radar.arrays import Floats
 from gis_radar.files import whole_file
+from simulation.movement import Traffic
 from simulation.radar import Radar
-from simulation.traffic import Traffic
 
 COLUMNS = ("x", "y", "z", "range_rate", "rcs")
-
-# powers of two leave the low bits of a float32 empty, which packs well
-QUANTUM = np.array([2.0**-6, 2.0**-6, 2.0**-6, 2.0**-5, 0.5])
 
 
 def frame_times(
@@ -25,7 +23,7 @@ def frame_times(
     duration_s: float,
     *,
     rng: np.random.Generator,
-    period_s: float = 0.05,
+    cycle_s: Sequence[float] = (0.05,),
     jitter_s: float = 0.001,
     dropped: float = 0.0,
     doubled: float = 0.0,
@@ -35,20 +33,26 @@ def frame_times(
     Parameters
     ----------
     start : float
-        UNIX seconds of the first frame.
+        UNIX seconds of the first frame, or before it where the cycle has several times.
     duration_s : float
         Frames begin within this time.
     rng : Generator
         Decides jitter, gaps and doubles.
-    period_s, jitter_s : float
-        Between frames, and the standard deviation of each time.
+    cycle_s : sequence of float
+        Times between frames, in turn; a cycle of several is entered at any moment of it.
+    jitter_s : float
+        Standard deviation of each time.
     dropped, doubled : float
         Shares of frames that are missing, and that another follows after 5-15 ms.
     """
-    count = int(np.ceil(duration_s / period_s))
+    whole_s, turns = float(np.sum(cycle_s)), len(cycle_s)
+    entered_s = rng.uniform(0.0, whole_s) if turns > 1 else 0.0
+    count = int(np.ceil((duration_s + entered_s) / whole_s)) * turns
     jitter = np.clip(rng.normal(0.0, jitter_s, count), -3 * jitter_s, 3 * jitter_s)
     jitter[0] = 0.0
-    offset = np.arange(count) * period_s + jitter
+    within = np.concatenate([[0.0], np.cumsum(cycle_s)[:-1]])
+    round_, turn = np.divmod(np.arange(count), turns)
+    offset = round_ * whole_s + within[turn] - entered_s + jitter
     kept = offset[(rng.random(count) >= dropped) | (np.arange(count) == 0)]
     again = kept[rng.random(len(kept)) < doubled]
     times = np.sort(np.concatenate([kept, again + rng.uniform(0.005, 0.015, len(again))]))
@@ -86,11 +90,11 @@ def simulate_recording(
         float32. A frame without detections is one row of NaN.
     """
     blank = set(rng.choice(len(times), blank_frames, replace=False).tolist())
-    nothing = np.full((1, len(COLUMNS)), np.nan)
+    nothing, quantum = np.full((1, len(COLUMNS)), np.nan), np.array(radar.model.quantum)
     frames = []
     for number, time in enumerate(times):
         frame = radar.frame(traffic.at(float(time)), rng)
-        frame = np.rint(frame / QUANTUM) * QUANTUM
+        frame = np.rint(frame / quantum) * quantum
         empty = number in blank or len(frame) == 0
         frames.append(nothing if empty else frame[np.lexsort(frame[:, ::-1].T)])
     values = np.vstack(frames).astype(np.float32)

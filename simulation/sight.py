@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gis_radar.arrays import Booleans, Floats, Integers
+from simulation.movement import Vehicles
 from simulation.scene import Scene
-from simulation.traffic import Vehicles
 
 # points this near to a face that looks at the sensor count as being on it
 _SKIN_M = 0.4

@@ -1,134 +1,27 @@
-"""Traffic: where every vehicle is and how it moves, at every 50 ms and in between."""
+"""Traffic: vehicles that SUMO drives, laid on the smooth lanes of a network."""
 
 from __future__ import annotations
 
 import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from gis_radar.arrays import Floats, Integers
 from gis_radar.steps import STEP_S
 from simulation.curves import arc_length
 from simulation.demand import Flow, VehicleKind, run_demand
 from simulation.driving import DrivenRoads, LaneKeeping, eased
+from simulation.movement import Traffic
 from simulation.network import RoadNetwork
-from simulation.terrain import Terrain
 
 _LANE_CHANGE_M = 22.0
 _LANE_JUMP_M = 0.5
 _WANDER_LENGTH_M = 14.0
 _RUN_UP_S = 40.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Vehicles:
-    """The vehicles at one moment, one row each.
-
-    Parameters
-    ----------
-    number : Integers
-        Which vehicle, ``(n,)``.
-    centre : Floats
-        Middle of the vehicle in the map, ``(n, 2)``, metres.
-    heading : Floats
-        Radians, counter-clockwise from grid east.
-    speed : Floats
-        m/s.
-    yaw_rate : Floats
-        rad/s.
-    size : Floats
-        Length, width and height, ``(n, 3)``, metres.
-    """
-
-    number: Integers
-    centre: Floats
-    heading: Floats
-    speed: Floats
-    yaw_rate: Floats
-    size: Floats
-
-
-@dataclass(frozen=True, kw_only=True)
-class Traffic:
-    """The movement of all vehicles on a time grid of 50 ms.
-
-    Parameters
-    ----------
-    start : float
-        UNIX seconds of the first row.
-    centre : Floats
-        ``(times, vehicles, 2)`` in the map, metres; NaN where the vehicle is not there.
-    heading, speed, yaw_rate : Floats
-        ``(times, vehicles)`` in rad (continuous), m/s, rad/s.
-    size : Floats
-        Length, width and height, ``(vehicles, 3)``, metres.
-    kind : tuple of str
-        Kind of every vehicle.
-    """
-
-    start: float
-    centre: Floats = field(repr=False)
-    heading: Floats = field(repr=False)
-    speed: Floats = field(repr=False)
-    yaw_rate: Floats = field(repr=False)
-    size: Floats = field(repr=False)
-    kind: tuple[str, ...] = field(repr=False)
-
-    def at(self, time: float) -> Vehicles:
-        """Return the vehicles at a time (UNIX seconds), between the grid's rows too."""
-        place = np.clip((time - self.start) / STEP_S, 0.0, len(self.speed) - 1.0)
-        low = min(int(place), len(self.speed) - 2)
-        share = place - low
-
-        def between(values: Floats) -> Floats:
-            return np.asarray(values[low] * (1.0 - share) + values[low + 1] * share)
-
-        centre = between(self.centre)
-        there = np.flatnonzero(np.isfinite(centre[:, 0]))
-        return Vehicles(
-            number=there,
-            centre=centre[there],
-            heading=between(self.heading)[there],
-            speed=between(self.speed)[there],
-            yaw_rate=between(self.yaw_rate)[there],
-            size=self.size[there],
-        )
-
-    def table(self, terrain: Terrain) -> pd.DataFrame:
-        """Return the true traffic as a table, sorted by time and vehicle.
-
-        Returns
-        -------
-        DataFrame
-            ``t`` UNIX seconds; ``id``; ``easting northing height`` of the middle of the vehicle
-            at road height, metres; ``heading`` degrees counter-clockwise from grid east;
-            ``speed`` m/s; ``length width vehicle_height`` metres.
-        """
-        row, column = np.nonzero(np.isfinite(self.speed))
-        centre = self.centre[row, column]
-        turned = np.degrees(self.heading[row, column])
-        length, width, height = self.size[column].T
-        # 1/1024 m is fine enough, and such numbers pack well
-        place = np.rint(np.column_stack([centre, terrain.height(centre)]) * 1024.0) / 1024.0
-        return pd.DataFrame(
-            {
-                "t": np.round(self.start + row * STEP_S, 3),
-                "id": column.astype(np.int32),
-                "easting": place[:, 0],
-                "northing": place[:, 1],
-                "height": place[:, 2],
-                "heading": (np.rint(turned * 64.0) / 64.0 + 180.0) % 360.0 - 180.0,
-                "speed": np.rint(self.speed[row, column] * 256.0) / 256.0,
-                "length": length,
-                "width": width,
-                "vehicle_height": height,
-            }
-        )
 
 
 def simulate_traffic(

@@ -23,6 +23,7 @@ from simulation.curves import arc_length, offset, points_at, tangents, turn
 from simulation.demand import KINDS, random_flows
 from simulation.echoes import ghosts, vehicle_echoes
 from simulation.lanelet_writer import Crosswalk, write_lanelets
+from simulation.movement import Traffic, Vehicles
 from simulation.network import Lane, RoadNetwork, Turn, read_network
 from simulation.radar import Radar, RadarModel, place_radar
 from simulation.recording import COLUMNS, frame_times, simulate_recording, write_recording
@@ -31,7 +32,7 @@ from simulation.scan import BUILDING, GROUND, HIGH, Scan, fly, write_scan
 from simulation.scene import Building, ParkedCar, Post, Scene, Tree
 from simulation.sight import Boxes, Walls, building_walls, parked_boxes
 from simulation.terrain import Terrain
-from simulation.traffic import Traffic, Vehicles, simulate_traffic
+from simulation.traffic import simulate_traffic
 
 UTM = CRS.from_epsg(25832)
 ORIGIN = np.array([600_000.0, 5_400_000.0])
@@ -50,7 +51,9 @@ def vehicles(*rows: tuple[float, float, float, float], size=(4.5, 1.8, 1.5)) -> 
     """Vehicles as rows of (east, north, heading in degrees, speed) about the origin."""
     table = np.array(rows, dtype=np.float64)
     return Vehicles(
+        time=0.0,
         number=np.arange(len(table)),
+        kind=np.full(len(table), "car"),
         centre=table[:, :2] + ORIGIN,
         heading=np.radians(table[:, 2]),
         speed=table[:, 3],
@@ -326,7 +329,7 @@ def test_traffic_between_two_steps_is_interpolated(traffic):
 
 def test_times_ascend_jitter_drop_and_double():
     times = frame_times(
-        1e9, 100.0, rng=rng(), period_s=0.057, jitter_s=0.001, dropped=0.02, doubled=0.02
+        1e9, 100.0, rng=rng(), cycle_s=(0.057,), jitter_s=0.001, dropped=0.02, doubled=0.02
     )
     gaps = np.diff(times)
     assert (gaps > 0).all()

@@ -19,6 +19,7 @@ from gis_radar.arrays import Floats
 from simulation.demand import KINDS, VehicleKind, random_flows
 from simulation.driving import LaneKeeping
 from simulation.lanelet_writer import write_lanelets
+from simulation.movement import Traffic
 from simulation.network import RoadNetwork, build_network, read_network
 from simulation.radar import RadarModel, place_radar
 from simulation.recording import frame_times, simulate_recording
@@ -26,7 +27,7 @@ from simulation.roadside import Roadside, furnish
 from simulation.scan import fly, write_scan
 from simulation.scene import Scene
 from simulation.terrain import Terrain
-from simulation.traffic import Traffic, simulate_traffic
+from simulation.traffic import simulate_traffic
 
 ROOT = Path(__file__).parents[2]
 OUT = ROOT / "out" / "bench-localization"

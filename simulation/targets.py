@@ -1,0 +1,229 @@
+"""Targets over time: drawn anew in every frame, or the same ones with errors of their own.
+
+A textbook's radar draws every return and every error anew, so that an average over frames gets as
+good as one likes. A recorded one sees the same scatter points again and again, each with its own
+cross section, and what neighbours and the ground add to its angles changes over seconds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.special import expit
+
+from gis_radar.arrays import Floats, Integers
+from simulation.clutter import Clutter
+from simulation.echoes import (
+    SPOT_DB,
+    Echoes,
+    Spots,
+    draw_spots,
+    face_rates,
+    place_spots,
+    vehicle_echoes,
+)
+from simulation.movement import Vehicles
+from simulation.scene import Scene
+
+# Scatter points of vehicles are drawn once for so many vehicles; with more, numbers share them.
+_VEHICLES = 1024
+# A car's end has two lamps, two corners, bumper and plate.
+_SPOTS_PER_FACE = 6
+# Waves that add up to a wander: enough for a bell curve (8: kurtosis 2.8 instead of 3).
+_WAVES = 8
+_MOST_CERTAIN = 0.98
+# A threshold of constant false alarms (CFAR) averages some cells of range and azimuth.
+_AROUND_M = 4.0
+# Frames of tubes fill less of their outline than a car's body: cross sections of motorcycles and
+# bicycles are 5-10 dB below a car's (Patole et al. 2017: 10, 5 and 2 dBm2), 3 of it by their size.
+OPEN_FRAME_DB = {"motorcycle": 4.0, "cyclist": 6.0}
+
+
+class Targets(Protocol):
+    """What stands for the targets around one radar over its whole recording."""
+
+    @property
+    def clutter(self) -> Clutter:
+        """Fixed points."""
+
+    @property
+    def chance(self) -> Floats:
+        """Chance of each fixed point to be in a frame."""
+
+    def fade(self, count: int, rng: np.random.Generator) -> Floats:
+        """Return how the cross sections of `count` fixed points differ from their mean, dB."""
+
+    def vehicle_echoes(
+        self, vehicles: Vehicles, scene: Scene, eye: Floats, *, density: float,
+        rng: np.random.Generator,
+    ) -> Echoes:  # fmt: skip
+        """Return the scatter points of vehicles in this frame."""
+
+    def bias(self, target: Integers, time: float) -> Floats:
+        """Return what is added to range (m), azimuth and elevation (rad) of targets, (n, 3)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fleeting:
+    """Targets of a textbook's radar: every frame draws them anew.
+
+    Parameters
+    ----------
+    fade_db : float
+        Standard deviation of a fixed point's cross section from frame to frame.
+    """
+
+    fade_db: float = 3.0
+
+    def draw(
+        self, clutter: Clutter, strength_db: Floats, per_frame: float, rng: np.random.Generator
+    ) -> Targets:
+        """Return the targets of a recording; weak fixed points are seen now and then."""
+        del rng
+        chance = _scaled(expit(strength_db / 2.0), per_frame)
+        return _FleetingTargets(clutter=clutter, chance=chance, fade_db=self.fade_db)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _FleetingTargets:
+    """The targets of `Fleeting` around one radar."""
+
+    clutter: Clutter
+    chance: Floats
+    fade_db: float
+
+    def fade(self, count: int, rng: np.random.Generator) -> Floats:
+        """Return a new draw."""
+        return rng.normal(0.0, self.fade_db, count)
+
+    def vehicle_echoes(
+        self, vehicles: Vehicles, scene: Scene, eye: Floats, *, density: float,
+        rng: np.random.Generator,
+    ) -> Echoes:  # fmt: skip
+        """Return new scatter points."""
+        return vehicle_echoes(vehicles, scene, eye, density=density, rng=rng)
+
+    def bias(self, target: Integers, time: float) -> Floats:
+        """Return zeros: all errors are white."""
+        del time
+        return np.zeros((len(target), 3))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lasting:
+    """Targets as they are recorded: the same in every frame.
+
+    Parameters
+    ----------
+    range_m, azimuth_deg, elevation_deg : float
+        Standard deviations of each target's own bias.
+    seconds : float
+        Time over which a bias becomes another (correlation ``exp(-dt^2 / (2 seconds^2))``).
+    softness_db : float
+        How gradually the chance of a fixed point rises where its strength passes the threshold.
+    """
+
+    range_m: float
+    azimuth_deg: float
+    elevation_deg: float
+    seconds: float
+    softness_db: float
+
+    def draw(
+        self, clutter: Clutter, strength_db: Floats, per_frame: float, rng: np.random.Generator
+    ) -> Targets:
+        """Return the targets of a recording; what stands out of its surroundings is seen always.
+
+        Many small reflectors in a cell add up by chance, to a power that is exponentially
+        distributed and, where nothing moves, stays.
+        """
+        speckle = 10.0 * np.log10(rng.exponential(1.0, len(clutter.rcs)))
+        clutter = Clutter(point=clutter.point, rcs=clutter.rcs + speckle, wobble=clutter.wobble)
+        contrast_db = _contrast(clutter.point, strength_db + speckle)
+        size = np.array([self.range_m, *np.radians([self.azimuth_deg, self.elevation_deg])])
+        shape = (len(speckle) + _VEHICLES, 3, _WAVES)
+        side = np.repeat([False, True], 2 * _SPOTS_PER_FACE)
+        return _LastingTargets(
+            clutter=clutter,
+            chance=_thresholded(contrast_db / self.softness_db, per_frame),
+            spots=draw_spots(np.tile(side, _VEHICLES), rng),
+            spot_rcs=rng.normal(0.0, SPOT_DB, len(side) * _VEHICLES),
+            pace=rng.normal(0.0, 1.0 / self.seconds, shape),
+            phase=rng.uniform(0.0, 2.0 * np.pi, shape),
+            size=size * np.sqrt(2.0 / _WAVES),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _LastingTargets:
+    """The targets of `Lasting` around one radar: fixed points, then vehicles by number."""
+
+    clutter: Clutter
+    chance: Floats
+    spots: Spots = field(repr=False)
+    spot_rcs: Floats = field(repr=False)
+    pace: Floats = field(repr=False)
+    phase: Floats = field(repr=False)
+    size: Floats = field(repr=False)
+
+    def fade(self, count: int, rng: np.random.Generator) -> Floats:
+        """Return zeros: what little changes is the radar's own noise."""
+        del rng
+        return np.zeros(count)
+
+    def vehicle_echoes(
+        self, vehicles: Vehicles, scene: Scene, eye: Floats, *, density: float,
+        rng: np.random.Generator,
+    ) -> Echoes:  # fmt: skip
+        """Return those of each vehicle's scatter points that this frame has."""
+        rates, signs = face_rates(vehicles, eye, density)
+        outward = np.tile(np.repeat([1.0, -1.0], _SPOTS_PER_FACE), 2)
+        lit = np.repeat(signs.T, 2 * _SPOTS_PER_FACE, axis=1) == outward
+        chance = np.repeat(rates.T, 2 * _SPOTS_PER_FACE, axis=1) / _SPOTS_PER_FACE
+        owner, slot = np.nonzero(lit & (rng.random(lit.shape) < chance))
+        number = vehicles.number[owner] % _VEHICLES
+        row = number * lit.shape[1] + slot
+        less = np.array([OPEN_FRAME_DB.get(kind, 0.0) for kind in vehicles.kind])
+        echoes = place_spots(
+            vehicles, scene, owner, outward[slot], self.spots.where(row),
+            spin=rng.uniform(0.0, 2.0 * np.pi, len(row)), rcs=self.spot_rcs[row] - less[owner],
+        )  # fmt: skip
+        return echoes.of(len(self.clutter.rcs) + number)
+
+    def bias(self, target: Integers, time: float) -> Floats:
+        """Return the biases of this moment."""
+        swing = np.cos(self.pace[target] * time + self.phase[target]).sum(axis=-1)
+        return np.where(target[:, None] >= 0, swing * self.size, 0.0)
+
+
+def _scaled(chance: Floats, total: float) -> Floats:
+    """Return chances with the wanted sum, as far as none may pass 0.95."""
+    low, high = 0.0, 100.0
+    for _ in range(40):
+        middle = (low + high) / 2.0
+        enough = float(np.minimum(chance * middle, 0.95).sum()) > total
+        low, high = (low, middle) if enough else (middle, high)
+    return np.minimum(chance * low, 0.95)
+
+
+def _contrast(point: Floats, strength_db: Floats) -> Floats:
+    """Return by how many dB points pass noise and the mean of what is around them (CFAR)."""
+    if not len(point):
+        return strength_db
+    power = 10.0 ** (strength_db / 10.0)
+    around = cKDTree(point).query_ball_point(point, _AROUND_M)
+    mean = np.array([power[rows].mean() for rows in around])
+    return np.asarray(strength_db - 10.0 * np.log10(1.0 + mean))
+
+
+def _thresholded(strength: Floats, total: float) -> Floats:
+    """Return chances that rise where the strength passes a threshold; it gives the wanted sum."""
+    low, high = -100.0, 100.0
+    for _ in range(40):
+        middle = (low + high) / 2.0
+        enough = float(expit(strength - middle).sum()) * _MOST_CERTAIN > total
+        low, high = (middle, high) if enough else (low, middle)
+    return np.asarray(_MOST_CERTAIN * expit(strength - low))
