@@ -57,7 +57,7 @@ def test_iso_times_and_degrees(tmp_path):
 def test_what_the_user_says_wins_over_names(tmp_path):
     path = write(tmp_path / "r.csv", f"time,range,azimuth,az2,v\n{START},10,1.0,90,1\n")
     table = convert(path, columns={"azimuth_deg": "az2"})[1]
-    np.testing.assert_allclose(table[["x", "y", "z"]], [[0, 10, 0]], atol=1e-5)
+    np.testing.assert_allclose(table[["x", "y", "z"]], [[0, 10, np.nan]], atol=1e-5)
     assert table["azimuth"].tolist() == [1.0]
 
 

@@ -112,7 +112,8 @@ class LaneMatcher:
         cosine = np.einsum("ij,ij->i", sight[:, :2], self._ahead[tile])
         cosine /= np.linalg.norm(sight, axis=1)
         speed = rows.range_rate[now][point] / np.where(cosine == 0.0, np.nan, cosine)
-        over_road = np.nan_to_num(np.abs(place[point, 2] - self._height_m[tile]))
+        over_road = np.abs(place[point, 2] - self._height_m[tile])
+        over_road[np.isnan(rows.points[now][point, 2]) | np.isnan(over_road)] = 0.0
         keep = (np.abs(cosine) >= limits.min_cosine) & (over_road <= limits.max_over_road_m)
         keep &= (speed >= limits.min_speed_mps) & (speed <= limits.max_speed_mps)
         point, tile = point[keep], tile[keep]

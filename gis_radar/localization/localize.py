@@ -88,6 +88,7 @@ def localize(
             f"guess {guess[0]:g}, {guess[1]:g} looks like degrees",
             hint="give metres in the CRS of the map; --guess-crs takes another metric one",
         )
+    open_recording(recording).require_elevation("its height, pitch and roll cannot be found")
     traces = settings.traces
     moving = read_moving(
         recording, frames=traces.frames, min_speed=traces.min_speed_mps, reporter=reporter

@@ -130,6 +130,7 @@ def measure_occupancy(
     target = _target(tiles, tracks, filters or Filters(), engine, settings)
     views = _views(target, tracks, reporter)
     opened = [as_recording(recording) for recording in recordings]
+    _refuse_clearance(opened, target.filters)
     sensors = [track.sensor for track in tracks]
     cycle_us = cycles_us(cycles, opened, sensors, settings.cycle_frames)
     sources = [
@@ -151,7 +152,7 @@ def measure_occupancy(
         ).write_beside_hits(part)
         for each in passes:
             each.log.path.unlink()
-    for line in _warnings(passes, settings):
+    for line in _warnings(passes, target.views, settings):
         reporter.log(line, "warning")
     return read_occupancy(folder)
 
@@ -212,6 +213,8 @@ class RecordingPass:
         Ranges of all detections.
     rows : int
         Rows read.
+    level : bool
+        Whether the sensor measures no elevation.
     """
 
     source: Source
@@ -221,6 +224,7 @@ class RecordingPass:
     times: FrameTimes = field(default_factory=FrameTimes)
     ranges: RangeCounts = field(default_factory=RangeCounts)
     rows: int = 0
+    level: bool = False
 
     def frames(self) -> pd.DataFrame:
         """Return the runs of steps with a frame, by view."""
@@ -239,6 +243,7 @@ class RecordingPass:
             "poses": [pose.as_dict() for pose in source.track.poses[met]],
             **({} if source.cycle_us == STEP_US else {"cycle_s": source.cycle_us / 1e6}),
             **({} if source.clock is None else {"clock": source.clock.as_dict()}),
+            **({"elevation": False} if self.level else {}),
         }
 
 
@@ -277,10 +282,10 @@ def _hits(
             now = pose_of_row == index
             part = piece if now.all() else rows_of(piece, now)
             frames = FrameIndex.of(part.time)
-            frame, tile = _tiles_hit(part, frames, source.track.poses[index], target)
+            pose, view = source.track.poses[index], source.views[index]
+            frame, tile = _tiles_hit(part, frames, pose, target, target.views.road_m[view])
             first = step_of(frames.time)
             last = last_step_covered(frames.time, source.cycle_us)
-            view = source.views[index]
             tiles_hit = np.bincount(frame, minlength=len(first))
             tiles_seen = np.full(len(first), len(target.views.tiles[view]))
             found.log.add(
@@ -291,23 +296,37 @@ def _hits(
             found.times.add(frames.time_us)
             yield first[frame], last[frame], target.tile_id[tile], int(first[-1])
         found.ranges.add(piece)
+        found.level |= bool(np.isnan(piece.points[piece.present, 2]).any())
         found.rows += len(piece)
         count_rows()
 
 
 def _tiles_hit(
-    piece: Detections, frames: FrameIndex, pose: Pose, target: Target
+    piece: Detections, frames: FrameIndex, pose: Pose, target: Target, road_m: float
 ) -> tuple[Integers, Integers]:
     """Return the pairs of a frame and a tile (positions) that it hit, each once."""
     keep = target.filters.keep_detections(piece)
+    level = np.isnan(piece.points[:, 2])
+    if level.any():  # nearer than the road: not on it
+        keep &= ~(level & (piece.range_m <= np.nan_to_num(pose.height - road_m)))
     points, frame = piece.points[keep], frames.of_row[keep]
-    place = pose.to_map(points)
+    place = pose.to_map(points, road_m=road_m)
     point, tile = target.engine.assign(place[:, 0], place[:, 1])
     if target.filters.clearance is not None:
         range_m = np.linalg.norm(points, axis=1)[point]
         fits = target.filters.keep_pairs(point, place[point, 2], range_m, target.road_height[tile])
         point, tile = point[fits], tile[fits]
     return distinct(frame[point], tile)
+
+
+def _refuse_clearance(recordings: Sequence[Recording], filters: Filters) -> None:
+    for recording in recordings if filters.clearance is not None else ():
+        if not recording.measures_elevation():
+            raise InputError(
+                f"{recording.path}: the sensor measures no elevation (z is empty): a clearance "
+                "means nothing for it",
+                hint="leave the clearance away",
+            )
 
 
 def _target(
@@ -357,7 +376,9 @@ def _views(target: Target, tracks: list[PoseTrack], reporter: Reporter) -> list[
     return [views[id(track)] for track in tracks]
 
 
-def _warnings(passes: list[RecordingPass], settings: OccupancySettings) -> Iterator[str]:
+def _warnings(
+    passes: list[RecordingPass], book: ViewBook, settings: OccupancySettings
+) -> Iterator[str]:
     """Yield what does not fit in views, cycles and clocks, given what was recorded."""
     spans: dict[str, tuple[int, int]] = {}
     for each in passes:
@@ -376,6 +397,13 @@ def _warnings(passes: list[RecordingPass], settings: OccupancySettings) -> Itera
                 f"{file}: {sensor} delivers every {cycle_ms} ms: {empty:.0f} % of the 50 ms steps "
                 "are without a frame, and read as not observed by it; "
                 f"--cycle {sensor}={cycle_ms}ms lets a frame cover its whole cycle"
+            )
+        if each.level:
+            roads = {each.source.views[index] for index in each.poses}
+            heights = sorted({f"{book.road_m[name]:.1f}" for name in roads})
+            yield (
+                f"{file}: {sensor} measures no elevation: its detections are placed at the height "
+                f"of the road near it ({', '.join(heights)} m)"
             )
         if each.times.first_us < settings.clock_set_s * 1e6:
             begin = iso_from_step(each.times.first_us // STEP_US)

@@ -59,12 +59,17 @@ class ViewBook:
         Ids and centres of all tiles, as for :func:`seen_tiles`.
     settings : OccupancySettings
         Which poses share a view.
+    tiles : dict
+        By view, the ids of its tiles.
+    road_m : dict
+        By view, the height of the road near the sensor, metres; NaN where it is not known.
     """
 
     tile_id: Integers
     centres: Floats
     settings: OccupancySettings = DEFAULTS
     tiles: dict[str, Integers] = field(default_factory=dict)
+    road_m: dict[str, float] = field(default_factory=dict)
 
     def enter(self, track: PoseTrack) -> tuple[str, ...]:
         """Return the name of what each pose of a track sees, and remember the tiles."""
@@ -76,7 +81,15 @@ class ViewBook:
         seen = seen_tiles(pose, pose.view or View(), self.tile_id, self.centres)
         name = name_of_view(seen)
         self.tiles[name] = seen
+        self.road_m[name] = self._road_m(pose, seen)
         return name
+
+    def _road_m(self, pose: Pose, seen: Integers) -> float:
+        centres = self.centres[np.isin(self.tile_id, seen) & np.isfinite(self.centres[:, 2])]
+        if len(centres) == 0:
+            return float("nan")
+        near = np.argsort(np.hypot(*(centres[:, :2] - pose.position[:2]).T), kind="stable")
+        return float(np.median(centres[near[: self.settings.road_tiles], 2]))
 
 
 def standing_for(poses: Sequence[Pose], settings: OccupancySettings = DEFAULTS) -> Integers:

@@ -137,22 +137,40 @@ class Pose:
     def _rotation(self) -> Rotation:
         return Rotation.from_euler("ZYX", [self.yaw, self.pitch, self.roll], degrees=True)
 
-    def to_map(self, points: Floats) -> Floats:
+    def to_map(self, points: Floats, *, road_m: float = math.nan) -> Floats:
         """Move points from the sensor frame to the map.
 
         Parameters
         ----------
         points : (n, 3) array
-            x forward, y left, z up, metres.
+            x forward, y left, z up, metres. Where z is NaN, the sensor measures no elevation, and
+            x and y are at the slant range.
+        road_m : float
+            Height of the road in the map, metres, on which points without elevation are placed;
+            where it is NaN, they are placed at the sensor's height.
 
         Returns
         -------
         (n, 3) float64 array
-            Easting, northing, height.
+            Easting, northing, height. A point nearer than the road is placed under the sensor.
         """
         # Not a matrix product: its last digits would depend on how the points are cut into pieces.
-        turned = np.einsum("nj,ij->ni", np.asarray(points, np.float64), self.R_map_sensor)
+        points = np.asarray(points, np.float64)
+        turned = np.einsum("nj,ij->ni", points, self.R_map_sensor)
+        level = np.isnan(points[:, 2]) & ~np.isnan(points[:, 0])
+        if level.any():
+            drop_m = 0.0 if math.isnan(road_m) else self.height - road_m
+            turned[level] = self._on_plane(points[level], drop_m)
         return np.asarray(turned + self.position)
+
+    def _on_plane(self, points: Floats, drop_m: float) -> Floats:
+        """Return points at slant ranges on a level plane under the sensor, from the sensor."""
+        ahead = np.einsum("nj,ij->ni", points[:, :2], self.R_map_sensor[:2, :2])
+        range_m = np.hypot(points[:, 0], points[:, 1])
+        flat_m = np.sqrt(np.maximum(range_m**2 - drop_m**2, 0.0))
+        length = np.hypot(ahead[:, 0], ahead[:, 1])
+        ahead *= np.divide(flat_m, length, out=np.zeros_like(flat_m), where=length > 0.0)[:, None]
+        return np.column_stack([ahead, np.full(len(points), -drop_m)])
 
     def to_sensor(self, points: Floats) -> Floats:
         """Move (n, 3) points from the map (easting, northing, height) to the sensor frame."""

@@ -219,6 +219,9 @@ class PointStream:
         self.pose: Pose = track.poses[0]
         self.rows = 0
         self.reporter = reporter
+        if not recording.measures_elevation():
+            level = "measures no elevation: its detections are placed at the height of the sensor"
+            reporter.log(f"{recording.path.name}: {track.sensor} {level}", "warning")
         if changed := renamed(self.names):
             reporter.log(f"{recording.path.name}: columns renamed: {', '.join(changed)}", "warning")
 

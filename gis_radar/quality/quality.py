@@ -140,11 +140,14 @@ class Quality:
         Of the local hours.
     settings : QualitySettings
         Thresholds in effect.
+    without_elevation : frozenset of str
+        Sensors that measure no elevation.
     """
 
     table: pd.DataFrame
     timezone: str
     settings: QualitySettings = DEFAULTS
+    without_elevation: frozenset[str] = frozenset()
 
     def figures(self) -> dict[str, Any]:
         """Return a line a sensor, and the thresholds in effect."""
@@ -157,7 +160,8 @@ class Quality:
             good = int((rows["verdict"] == GOOD).sum())
             bad = rows.loc[rows["verdict"] != GOOD, "verdict"].value_counts()
             wrong = [f"{text} ({hours} h)" for text, hours in bad.items()]
-            lines[str(sensor)] = "; ".join([f"{good} of {len(rows)} hours good", *wrong])
+            level = ["measures no elevation"] if sensor in self.without_elevation else []
+            lines[str(sensor)] = "; ".join([f"{good} of {len(rows)} hours good", *level, *wrong])
         return lines
 
     def warnings(self) -> list[str]:
@@ -297,7 +301,11 @@ def measure_quality(
         if number in times
         for hour in hours
     ]
-    return Quality(table=pd.DataFrame(rows), timezone=timezone, settings=settings)
+    level = {each["sensor"] for each in occupancy.sources if each.get("elevation") is False}
+    return Quality(
+        table=pd.DataFrame(rows), timezone=timezone, settings=settings,
+        without_elevation=frozenset(level),
+    )  # fmt: skip
 
 
 Poses = list[tuple[float, str]]

@@ -45,14 +45,15 @@ def cartesian(distance: Column, azimuth: Column, elevation: Column) -> Column:
     distance : (n,) array
         Metres.
     azimuth, elevation : (n,) array
-        Radians: azimuth from x towards y (to the left), elevation from the x-y plane upwards.
+        Radians: azimuth from x towards y (to the left), elevation from the x-y plane upwards, NaN
+        where it is not measured.
 
     Returns
     -------
     (n, 3) float32 array
-        x forward, y left, z up, metres.
+        x forward, y left, z up, metres; without an elevation z is NaN and x, y are at the distance.
     """
-    flat = distance * np.cos(elevation)
+    flat = distance * np.where(np.isnan(elevation), 1.0, np.cos(elevation))
     points = np.empty((len(distance), 3), dtype=np.float32)
     points[:, 0] = flat * np.cos(azimuth)
     points[:, 1] = flat * np.sin(azimuth)
@@ -89,7 +90,7 @@ class Layout:
         return self.placed and "range_rate" in self.sources
 
     def points(self, values: Values) -> Column:
-        """Return the positions, (n, 3) float32; z is 0 without height or elevation."""
+        """Return the positions, (n, 3) float32; z is NaN without height or elevation."""
         if self._has(CARTESIAN[:2]):
             axes = [self._read(axis, values) for axis in CARTESIAN]
             return np.column_stack(axes).astype(np.float32, copy=False)
@@ -131,7 +132,7 @@ class Layout:
             return _signed(self.sources[name], values)
         if f"{name}_deg" in self.sources:
             return np.asarray(np.radians(_signed(self.sources[f"{name}_deg"], values)))
-        return np.zeros(len(self._read(self._anchor, values)), dtype=np.float32)
+        return np.full(len(self._read(self._anchor, values)), np.nan, dtype=np.float32)
 
 
 def find_layout(

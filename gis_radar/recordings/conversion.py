@@ -40,6 +40,8 @@ class SensorRecording:
         Whose times they are: `sensor` (its own clock), `header stamp` (which may be the sensor's,
         or that of the computer at arrival), `file name`, `time column`, `recorder`; where they
         changed, one after the other: `sensor, then recorder`.
+    elevation : bool
+        Whether the sensor measures elevation; if not, z is NaN throughout.
     """
 
     path: Path
@@ -50,6 +52,7 @@ class SensorRecording:
     begin: float
     end: float
     clock: str
+    elevation: bool = True
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,6 +84,11 @@ class Conversion:
         return {
             "sensors": [recording.sensor for recording in recordings],
             "clock": [recording.clock for recording in recordings],
+            **(
+                {}
+                if all(recording.elevation for recording in recordings)
+                else {"elevation": [recording.elevation for recording in recordings]}
+            ),
             "begin": _iso(min(recording.begin for recording in recordings)),
             "end": _iso(max(recording.end for recording in recordings)),
             "frames": sum(recording.frames for recording in recordings),
@@ -99,6 +107,10 @@ class Conversion:
         )
 
 
+NO_ELEVATION = (
+    "measures no elevation (z is missing or 0 throughout): x and y are at the slant range; height, "
+    "pitch, roll and clearance cannot be had from it"
+)
 REMEMBERED = 4 * WINDOW  # frames whose doubles are found
 
 
@@ -174,7 +186,7 @@ class Tracks:
         track = self._tracks.get(frame.sensor)
         if track is None:
             part = self._folder / f"{len(self._tracks)}.parquet"
-            file = RecordingFile(part, self._place)
+            file = RecordingFile(part, self._place, self._context.counts)
             track = _Track(frame.sensor, file, self._clock, self._context)
             self._tracks[frame.sensor] = track
         track.put(frame)
@@ -192,6 +204,8 @@ class Tracks:
                 columns = ", ".join(sorted(track.file.left_out))
                 late = f"{sensor}: columns that came late are left out: {columns}"
                 self._context.reporter.log(late, "warning")
+            if track.file.elevation is False:
+                self._context.remark(f"{sensor}: {NO_ELEVATION}")
         counts = Counter(self._context.counts)
         for track in self._tracks.values():
             counts["duplicates"] += track.doubles
@@ -207,6 +221,7 @@ class Tracks:
                 begin=track.file.begin,
                 end=track.file.end,
                 clock=", then ".join(track.clock.used),
+                elevation=track.file.elevation is not False,
             )
             for path, (sensor, track) in zip(places, self._tracks.items(), strict=True)
         )

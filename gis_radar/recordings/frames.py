@@ -26,8 +26,8 @@ class Frame:
     sensor : str
         Which sensor: a source address, a topic, or a name given to the only one.
     points : (n, 3) float32 array
-        Sensor frame: x forward, y left, z up, metres. NaN where the
-        sensor calls a position invalid.
+        Sensor frame: x forward, y left, z up, metres. NaN where the sensor calls a position
+        invalid; z alone is NaN where it measures no elevation.
     range_rate, rcs : (n,) float32 array
         m/s, positive when receding, and dBm2; NaN where unknown.
     further : mapping of str to (n,) array
@@ -76,8 +76,8 @@ class Frame:
 
     def sound(self, counts: Counter[str]) -> Frame:
         """Return the frame without detections that have no position, and count those."""
-        placed = np.isfinite(self.points).all(axis=1)
-        near = placed & (np.abs(self.points) <= FARTHEST_M).all(axis=1)
+        placed = np.isfinite(self.points[:, :2]).all(axis=1) & ~np.isinf(self.points[:, 2])
+        near = placed & ~(np.abs(self.points) > FARTHEST_M).any(axis=1)
         # An infinite speed or cross section is not known.
         rate = np.where(np.isfinite(self.range_rate), self.range_rate, np.nan)
         rcs = np.where(np.isfinite(self.rcs), self.rcs, np.nan)

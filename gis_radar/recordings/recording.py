@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import codecs
-import csv
-import re
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -14,16 +11,16 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
 from gis_radar.arrays import Booleans, Floats
-from gis_radar.errors import InputError, first_line
+from gis_radar.errors import InputError, NoAnswerError, first_line
+from gis_radar.recordings.csv_table import open_csv_table
 from gis_radar.steps import FIRST_YEAR, LAST_YEAR, UNIX_SECONDS_HINT, in_known_years
 
 COLUMNS = ("time", "x", "y", "z", "range_rate", "rcs")
 ROWS_AT_ONCE = 65_536  # 3 MB of our columns as float64
-BYTES_AT_ONCE = 1 << 20  # read buffer of a column; of CSV about 15,000 rows, the longest header
+BYTES_AT_ONCE = 1 << 20  # read buffer of a column
 FARTHEST_M = 1e6  # no radar sees so far, and point cloud files hold no farther coordinates
 
 
@@ -36,7 +33,8 @@ class Detections:
     time : (n,) array
         UNIX seconds, UTC, ascending.
     points : (n, 3) array
-        Sensor frame: x forward, y left, z up, metres. NaN in a frame without detections.
+        Sensor frame: x forward, y left, z up, metres. NaN in a frame without detections; z alone
+        is NaN where the sensor measures no elevation: x and y are then at the slant range.
     range_rate : (n,) array
         m/s, positive when receding; NaN where unknown.
     rcs : (n,) array
@@ -59,6 +57,12 @@ class Detections:
         """Which rows are detections; the others stand for frames without detections."""
         return ~np.isnan(self.points[:, 0])
 
+    @property
+    def range_m(self) -> Floats:
+        """Slant range of each row, metres; NaN in a frame without detections."""
+        x, y, z = self.points.T
+        return np.asarray(np.sqrt(x * x + y * y + np.where(np.isnan(z), 0.0, z * z)))
+
     def take(self, keep: Booleans) -> Detections:
         """Return the rows for which `keep` is true."""
         return Detections(
@@ -78,7 +82,7 @@ class RangeCounts:
 
     def add(self, piece: Detections) -> None:
         """Count the detections of a piece."""
-        metres = np.sqrt(np.einsum("ij,ij->i", piece.points, piece.points)[piece.present])
+        metres = piece.range_m[piece.present]
         bins = np.minimum(metres, len(self._counts) - 1).astype(np.int64)
         self._counts += np.bincount(bins, minlength=len(self._counts))
 
@@ -119,13 +123,14 @@ class Recording:
         ------
         InputError
             If the file is damaged, a column is missing or no number, times do not ascend, a
-            coordinate is infinite, absurd or half missing, or there is no row at all. Rows are
-            counted from 1, without a header.
+            coordinate is infinite, absurd or half missing, some detections have a height and
+            others none, or there is no row at all. Rows are counted from 1, without a header.
         """
-        row, last = 0, -np.inf
+        row, last, flat = 0, -np.inf, None
         try:
             for batch in self.batches():
                 piece = _checked(batch, path=self.path, row=row, last=last)
+                flat = _refuse_mixed(piece, self.path, row, flat=flat)
                 if len(piece):
                     row, last = row + len(piece), float(piece.time[-1])
                     yield piece
@@ -135,6 +140,32 @@ class Recording:
             ) from error
         if row == 0:
             raise InputError(f"{self.path}: recording without rows")
+
+    def measures_elevation(self) -> bool:
+        """Return whether the sensor measures elevation: whether the first detection has a z."""
+        for piece in self.read():
+            if piece.present.any():
+                return bool(np.isfinite(piece.points[piece.present, 2][0]))
+        return True
+
+    def require_elevation(self, what: str) -> None:
+        """Refuse a recording without elevation.
+
+        Parameters
+        ----------
+        what : str
+            What cannot be found from it, for the message.
+
+        Raises
+        ------
+        NoAnswerError
+            If the sensor measures no elevation.
+        """
+        if not self.measures_elevation():
+            raise NoAnswerError(
+                f"{self.path}: the sensor measures no elevation (z is empty), so {what}",
+                hint="survey the sensor and give its pose; occupancy and project take it",
+            )
 
 
 def open_recording(path: str | Path) -> Recording:
@@ -261,11 +292,28 @@ def _refuse_positions(points: Floats, path: Path, row: int) -> None:
     if np.all(np.abs(points) <= FARTHEST_M):
         return
     gaps = np.isnan(points)
-    odd = np.isinf(points).any(axis=1) | (gaps.any(axis=1) & ~gaps.all(axis=1))
+    level = ~gaps[:, 0] & ~gaps[:, 1] & gaps[:, 2]
+    odd = np.isinf(points).any(axis=1) | (gaps.any(axis=1) & ~gaps.all(axis=1) & ~level)
     _refuse_rows(np.asarray(odd), f"{path}: position is not finite", row)
     far = np.asarray((np.abs(points) > FARTHEST_M).any(axis=1))
     reason = f"{path}: position is over {FARTHEST_M / 1000:.0f} km from the sensor"
     _refuse_rows(far, reason, row, hint="x, y and z are metres")
+
+
+def _refuse_mixed(piece: Detections, path: Path, row: int, *, flat: bool | None) -> bool | None:
+    """Return whether detections have no height; refuse where some have one and others do not."""
+    if not piece.present.any():
+        return flat
+    level = np.isnan(piece.points[:, 2])
+    first = bool(level[piece.present][0]) if flat is None else flat
+    reason = f"{path}: z is {'there' if first else 'missing'}, unlike before,"
+    _refuse_rows(
+        np.asarray(piece.present & (level != first)),
+        reason,
+        row,
+        hint="a sensor measures elevation in all detections or in none: leave out such rows",
+    )
+    return first
 
 
 def _numbers(batch: pa.RecordBatch, name: str, path: Path) -> Floats:
@@ -280,103 +328,6 @@ def _numbers(batch: pa.RecordBatch, name: str, path: Path) -> Floats:
 def _refuse_rows(bad: Booleans, message: str, row: int, *, hint: str = "") -> None:
     if bad.any():
         raise InputError(f"{message} in row {row + int(bad.argmax()) + 1}", hint=hint)
-
-
-NO_NUMBER = ["", "nan", "NaN", "NA"]
-DELIMITERS = {";": "semicolons", "\t": "tabs", "|": "bars"}
-
-
-@dataclass(frozen=True, kw_only=True)
-class CsvTable:
-    """A CSV file whose header is read and whose rows are not yet.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    names : tuple of str
-        Its columns, without the spaces around them.
-    header_lines : int
-        Lines from the top of the file to the end of the header.
-    numbers : tuple of str
-        The columns that hold numbers; the others are what they look like.
-    """
-
-    path: Path
-    names: tuple[str, ...]
-    header_lines: int
-    numbers: tuple[str, ...]
-
-    def batches(self) -> Iterator[pa.RecordBatch]:
-        """Read the rows from the first one on.
-
-        Raises
-        ------
-        InputError
-            If a row has more or fewer values than the header, or no number where one belongs.
-        """
-        reading = pa_csv.ReadOptions(
-            block_size=BYTES_AT_ONCE,
-            use_threads=False,
-            column_names=self.names,
-            skip_rows=self.header_lines,
-        )
-        converting = pa_csv.ConvertOptions(
-            column_types=dict.fromkeys(self.numbers, pa.float64()), null_values=NO_NUMBER
-        )
-        try:
-            with pa_csv.open_csv(
-                self.path, read_options=reading, convert_options=converting
-            ) as reader:
-                yield from reader
-        except pa.ArrowInvalid as error:
-            # Arrow counts rows from the top of the file.
-            place = re.compile(r"Row #(\d+)")
-            reason = place.sub(lambda n: f"row {int(n[1]) - self.header_lines}", first_line(error))
-            raise InputError(f"{self.path}: damaged: {reason}") from error
-
-
-def open_csv_table(path: Path, *, numbers: tuple[str, ...]) -> CsvTable:
-    """Read the header of a CSV file.
-
-    Parameters
-    ----------
-    path : Path
-        Values separated by commas, UTF-8.
-    numbers : tuple of str
-        The columns that hold numbers.
-
-    Raises
-    ------
-    InputError
-        If the file is empty or not UTF-8, or its values are separated by something else.
-    """
-    with path.open("rb") as file:
-        top = file.read(BYTES_AT_ONCE).removeprefix(codecs.BOM_UTF8)
-    lines = top.splitlines()
-    filled = next((i for i, line in enumerate(lines) if line.strip()), None)
-    if filled is None:
-        raise InputError(f"{path}: cannot be read: empty file")
-    try:
-        header = lines[filled].decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise InputError(
-            f"{path}: cannot be read: the header is not UTF-8 text",
-            hint="save the table as CSV in UTF-8",
-        ) from error
-    _refuse_delimiters(header, numbers, path)
-    names = tuple(name.strip() for name in next(csv.reader([header], skipinitialspace=True)))
-    return CsvTable(path=path, names=names, header_lines=filled + 1, numbers=numbers)
-
-
-def _refuse_delimiters(header: str, expected: tuple[str, ...], path: Path) -> None:
-    for mark, called in DELIMITERS.items():
-        found = {name.strip(' "') for name in header.split(mark)}
-        if len(found.intersection(expected)) > 1:
-            raise InputError(
-                f"{path}: the columns are separated by {called}, expected commas",
-                hint="save the table with commas between values and points in numbers",
-            )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +17,7 @@ from gis_radar.recordings.frames import Column, Frame
 
 ROWS_IN_GROUP = 1 << 17  # held in memory until written: 4 MB of our columns
 CORE = ("x", "y", "z", "range_rate", "rcs")
+LEAST_LEVEL = 100  # so many heights of exactly 0 m, and no other, are no measurement
 _NOWHERE = np.full((1, 3), np.nan, dtype=np.float32)
 _UNKNOWN = np.full(1, np.nan, dtype=np.float32)
 
@@ -28,16 +31,22 @@ class RecordingFile:
         The file, as it grows.
     place : Path
         Where it shall be in the end, as messages name it.
+    counts : Counter
+        What was left out, by kind.
 
     Attributes
     ----------
+    elevation : bool or None
+        Whether the sensor measures elevation, by the first row group: some z is a number other than
+        0. None without detections.
     left_out : set of str
         Further columns that came only after the first row group.
     """
 
-    def __init__(self, path: Path, place: Path) -> None:
+    def __init__(self, path: Path, place: Path, counts: Counter[str]) -> None:
         self.path = path
-        self._place = place
+        self.elevation: bool | None = None
+        self._place, self._counts = place, counts
         self.frames = self.empty_frames = self.detections = 0
         self.begin = self.end = float("nan")
         self.left_out: set[str] = set()
@@ -50,8 +59,6 @@ class RecordingFile:
         self.begin = time if self.frames == 0 else self.begin
         self.end = time
         self.frames += 1
-        self.empty_frames += len(frame) == 0
-        self.detections += len(frame)
         self._waiting.append((time, frame))
         self._rows += max(len(frame), 1)
         if self._rows >= ROWS_IN_GROUP:
@@ -73,6 +80,11 @@ class RecordingFile:
                 self._writer.close()
 
     def _write(self) -> None:
+        if self.elevation is None:
+            self.elevation = _measures_elevation([frame for _, frame in self._waiting])
+        self._waiting = [(time, self._level(frame)) for time, frame in self._waiting]
+        self.empty_frames += sum(len(frame) == 0 for _, frame in self._waiting)
+        self.detections += sum(len(frame) for _, frame in self._waiting)
         table = self._table()
         self._waiting, self._rows = [], 0
         with output_errors(self._place):
@@ -89,6 +101,18 @@ class RecordingFile:
                 )
             self._writer.write_table(table, row_group_size=ROWS_IN_GROUP)
 
+    def _level(self, frame: Frame) -> Frame:
+        """Return a frame whose detections all have a height, or none has, as in the others."""
+        given = np.isfinite(frame.points[:, 2])
+        if self.elevation and not given.all():
+            self._counts["invalid_detections"] += int((~given).sum())
+            return frame.rows(given)
+        if self.elevation is False and given.any():
+            points = frame.points.copy()
+            points[:, 2] = np.nan
+            return replace(frame, points=points)
+        return frame
+
     def _table(self) -> pa.Table:
         schema = None
         if self._writer is not None:
@@ -102,6 +126,15 @@ class RecordingFile:
                 f"{self._place}: a further column changes its type on the way: {error}",
                 hint="convert the inputs one by one",
             ) from error
+
+
+def _measures_elevation(frames: list[Frame]) -> bool | None:
+    """Return whether detections have heights; None without detections."""
+    heights = np.concatenate([frame.points[:, 2] for frame in frames])
+    given = heights[np.isfinite(heights)]
+    if len(given) == 0:
+        return None if len(heights) == 0 else False
+    return bool(given.any()) or len(given) < LEAST_LEVEL
 
 
 def _table(timed: list[tuple[float, Frame]], schema: pa.Schema | None) -> pa.Table:

@@ -412,7 +412,7 @@ def _too_little(
 ) -> str:
     """Return why there is nothing to compare, or nothing."""
     if len(slow.points) == 0:
-        return "the recording has no still detections"
+        return "the recording has no still detections with an elevation"
     if len(found) < settings.least_cells or found.patches < settings.least_patches:
         return f"little stands in view: {len(found)} cells in {found.patches} places"
     if not structure.visible.any():

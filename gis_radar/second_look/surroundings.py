@@ -149,7 +149,10 @@ def read_slow(
     """
     source = as_recording(recording)
     window = RollingWindow(
-        frames=settings.frames, keep=lambda piece: np.abs(piece.range_rate) <= settings.slow_mps
+        frames=settings.frames,
+        keep=lambda piece: (
+            (np.abs(piece.range_rate) <= settings.slow_mps) & np.isfinite(piece.points[:, 2])
+        ),
     )
     ranges, done = RangeCounts(), 0
     for piece in source.read():

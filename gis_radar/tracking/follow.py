@@ -84,6 +84,7 @@ def track(
         If the data do not confirm the start pose: no traffic, too few frames, a pose too far off.
     """
     opened, known = as_recording(recording), as_track(pose)
+    opened.require_elevation("its pose cannot be followed")
     require_same(known.poses[0].crs, roads.crs, what="the pose", other_what="the map")
     cycles = _cycles(opened, settings, reporter)
     first, ends = next(cycles)

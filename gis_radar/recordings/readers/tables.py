@@ -15,8 +15,9 @@ import pyarrow.parquet as pq
 from gis_radar.arrays import Floats
 from gis_radar.errors import InputError, UsageError
 from gis_radar.recordings.columns import NAMES, Layout, find_layout
+from gis_radar.recordings.csv_table import open_csv_table
 from gis_radar.recordings.frames import Column, Format, Frame, NothingHereError, ReaderContext
-from gis_radar.recordings.recording import open_csv_table, parquet_batches
+from gis_radar.recordings.recording import parquet_batches
 
 UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 ENDINGS = (".csv", ".parquet")

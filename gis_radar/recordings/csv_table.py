@@ -1,0 +1,112 @@
+"""CSV tables: their header, and their rows batch by batch."""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.csv as pa_csv
+
+from gis_radar.errors import InputError, first_line
+
+BYTES_AT_ONCE = 1 << 20  # about 15,000 rows; the longest header
+NO_NUMBER = ["", "nan", "NaN", "NA"]
+DELIMITERS = {";": "semicolons", "\t": "tabs", "|": "bars"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class CsvTable:
+    """A CSV file whose header is read and whose rows are not yet.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    names : tuple of str
+        Its columns, without the spaces around them.
+    header_lines : int
+        Lines from the top of the file to the end of the header.
+    numbers : tuple of str
+        The columns that hold numbers; the others are what they look like.
+    """
+
+    path: Path
+    names: tuple[str, ...]
+    header_lines: int
+    numbers: tuple[str, ...]
+
+    def batches(self) -> Iterator[pa.RecordBatch]:
+        """Read the rows from the first one on.
+
+        Raises
+        ------
+        InputError
+            If a row has more or fewer values than the header, or no number where one belongs.
+        """
+        reading = pa_csv.ReadOptions(
+            block_size=BYTES_AT_ONCE,
+            use_threads=False,
+            column_names=self.names,
+            skip_rows=self.header_lines,
+        )
+        converting = pa_csv.ConvertOptions(
+            column_types=dict.fromkeys(self.numbers, pa.float64()), null_values=NO_NUMBER
+        )
+        try:
+            with pa_csv.open_csv(
+                self.path, read_options=reading, convert_options=converting
+            ) as reader:
+                yield from reader
+        except pa.ArrowInvalid as error:
+            # Arrow counts rows from the top of the file.
+            place = re.compile(r"Row #(\d+)")
+            reason = place.sub(lambda n: f"row {int(n[1]) - self.header_lines}", first_line(error))
+            raise InputError(f"{self.path}: damaged: {reason}") from error
+
+
+def open_csv_table(path: Path, *, numbers: tuple[str, ...]) -> CsvTable:
+    """Read the header of a CSV file.
+
+    Parameters
+    ----------
+    path : Path
+        Values separated by commas, UTF-8.
+    numbers : tuple of str
+        The columns that hold numbers.
+
+    Raises
+    ------
+    InputError
+        If the file is empty or not UTF-8, or its values are separated by something else.
+    """
+    with path.open("rb") as file:
+        top = file.read(BYTES_AT_ONCE).removeprefix(codecs.BOM_UTF8)
+    lines = top.splitlines()
+    filled = next((i for i, line in enumerate(lines) if line.strip()), None)
+    if filled is None:
+        raise InputError(f"{path}: cannot be read: empty file")
+    try:
+        header = lines[filled].decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"{path}: cannot be read: the header is not UTF-8 text",
+            hint="save the table as CSV in UTF-8",
+        ) from error
+    _refuse_delimiters(header, numbers, path)
+    names = tuple(name.strip() for name in next(csv.reader([header], skipinitialspace=True)))
+    return CsvTable(path=path, names=names, header_lines=filled + 1, numbers=numbers)
+
+
+def _refuse_delimiters(header: str, expected: tuple[str, ...], path: Path) -> None:
+    for mark, called in DELIMITERS.items():
+        found = {name.strip(' "') for name in header.split(mark)}
+        if len(found.intersection(expected)) > 1:
+            raise InputError(
+                f"{path}: the columns are separated by {called}, expected commas",
+                hint="save the table with commas between values and points in numbers",
+            )
