@@ -2,10 +2,13 @@
 
 import importlib.util
 import signal
+import sys
 from pathlib import Path
 
 import pytest
 
+from gis_radar.cli import group
+from gis_radar.cli.console import run_group
 from gis_radar.scans.pdal import PRIVATE, VARIABLE, candidates, find_pdal
 
 REASON = Path(__file__).parents[1] / ".pdal" / "not-there"
@@ -79,6 +82,24 @@ def pytest_terminal_summary(terminalreporter):
     else:
         text = f"PDAL: not tested, only the built-in engine: {why_no_pdal()}"
     terminalreporter.write_line(text)
+
+
+@pytest.fixture
+def run(capfd, monkeypatch):
+    """Run a command in this process; return exit code, standard output and standard error."""
+
+    def call(*words):
+        monkeypatch.setattr(sys, "argv", ["gis-radar", *map(str, words)])
+        before = signal.getsignal(signal.SIGTERM)
+        try:
+            with pytest.raises(SystemExit) as leave:
+                run_group(group)
+        finally:
+            signal.signal(signal.SIGTERM, before)
+        out, err = capfd.readouterr()
+        return leave.value.code, out, err
+
+    return call
 
 
 @pytest.fixture

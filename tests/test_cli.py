@@ -16,27 +16,9 @@ from sites import EAST, NORTH, START, crossing, lane_quads, pose, recording, til
 
 import gis_radar as gr
 from gis_radar.cli import group
-from gis_radar.cli.console import Result, TerminalConsole, run_group
+from gis_radar.cli.console import Result, TerminalConsole
 
 COMMANDS = sorted(group.commands)
-
-
-@pytest.fixture
-def run(capfd, monkeypatch):
-    """Run a command in this process; return exit code, standard output and standard error."""
-
-    def call(*words):
-        monkeypatch.setattr(sys, "argv", ["gis-radar", *map(str, words)])
-        before = signal.getsignal(signal.SIGTERM)
-        try:
-            with pytest.raises(SystemExit) as leave:
-                run_group(group)
-        finally:
-            signal.signal(signal.SIGTERM, before)
-        out, err = capfd.readouterr()
-        return leave.value.code, out, err
-
-    return call
 
 
 @pytest.fixture

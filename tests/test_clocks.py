@@ -1,6 +1,7 @@
 """Clocks of two sensors, compared by traffic that a test drives past them."""
 
 import json
+from functools import cache
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from gis_radar.errors import InputError, NoAnswerError, UsageError
 from gis_radar.occupancy import measure_occupancy
 
 LENGTH_M = 4.4
+SECONDS = 60
 
 
 def street(count=240):
@@ -41,10 +43,10 @@ def looks():
     return [pose(), pose(sensor="R2", easting=EAST + 140.0, yaw=180.0)]
 
 
-def vehicles(rng, seconds):
+def vehicles(rng):
     """When each vehicle enters its lane, on which lane, its speed there, its acceleration."""
-    count = int(seconds * 0.5)
-    enters = np.sort(rng.uniform(-20.0, seconds, count))
+    count = SECONDS // 2
+    enters = np.sort(rng.uniform(-20.0, SECONDS, count))
     return np.column_stack(
         [
             enters,
@@ -55,9 +57,10 @@ def vehicles(rng, seconds):
     )
 
 
-def seen_by(sensor, traffic, rng, time):
+def seen_by(sensor, traffic, rng):
     """Detections of the face that each vehicle turns to a sensor: time, points, range rate."""
     rows = []
+    time = np.arange(0, SECONDS, 0.05) + rng.uniform(0, 0.05)
     eastern = sensor.easting > EAST + 50
     for at in time:
         age = at - traffic[:, 0]
@@ -76,12 +79,17 @@ def seen_by(sensor, traffic, rng, time):
     return np.array(rows)
 
 
-def recorded(folder, name, sensor, traffic, rng, *, seconds=60, ahead_s=0.0, drift=0.0):
-    rows = seen_by(sensor, traffic, rng, np.arange(0, seconds, 0.05) + rng.uniform(0, 0.05))
-    time = START + rows[:, 0] + ahead_s + drift * (rows[:, 0] - seconds / 2)
-    return recording(
-        folder / f"{name}.parquet", time, rows[:, 1:4], range_rate=np.float32(rows[:, 4])
-    )
+@cache
+def driven():
+    """What both sensors see of one minute, at the true times."""
+    rng = np.random.default_rng(7)
+    traffic = vehicles(rng)
+    return [seen_by(sensor, traffic, rng) for sensor in looks()]
+
+
+def recorded(path, rows, ahead_s=0.0):
+    time = START + rows[:, 0] + ahead_s
+    return recording(path, time, rows[:, 1:4], range_rate=np.float32(rows[:, 4]))
 
 
 @pytest.fixture(scope="module")
@@ -89,12 +97,12 @@ def drive(tmp_path_factory):
     """Give a function that records a minute of the same street by both sensors."""
     folder = tmp_path_factory.mktemp("drive")
 
-    def record(name, ahead_s=0.0, **options):
-        rng = np.random.default_rng(7)
-        traffic = vehicles(rng, options.get("seconds", 60))
-        one = recorded(folder, f"{name}-1", looks()[0], traffic, rng, **options)
-        other = recorded(folder, f"{name}-2", looks()[1], traffic, rng, ahead_s=ahead_s, **options)
-        return [one, other]
+    def record(name, ahead_s=0.0):
+        one, other = driven()
+        return [
+            recorded(folder / f"{name}-1.parquet", one),
+            recorded(folder / f"{name}-2.parquet", other, ahead_s),
+        ]
 
     return record
 
@@ -112,7 +120,7 @@ def test_offsets_from_milliseconds_to_time_since_boot(drive, ahead_s):
 def test_traffic_that_they_do_not_share_gives_no_offset(drive, tmp_path):
     one, _ = drive("a")
     rng = np.random.default_rng(8)
-    other = recorded(tmp_path, "b", looks()[1], vehicles(rng, 60), rng)
+    other = recorded(tmp_path / "b.parquet", seen_by(looks()[1], vehicles(rng), rng))
     with pytest.raises(NoAnswerError, match="R1 and R2: "):
         measure_clocks([one, other], looks(), street())
 

@@ -1,8 +1,6 @@
 """`gis-radar mask` as scripts use it."""
 
 import json
-import subprocess
-import sys
 
 import geopandas as gpd
 import laspy
@@ -22,8 +20,9 @@ def level(x, y):
 
 
 @pytest.fixture
-def site(tmp_path):
-    """A folder with a scan, a map and a layer of polygons."""
+def site(tmp_path, monkeypatch):
+    """A folder with a scan, a map and a layer of polygons; commands run in it."""
+    monkeypatch.chdir(tmp_path)
     write_points(tmp_path / "scan.laz", ground((-5, -5, 25, 9), level, density=20.0), category=2)
     write_road(tmp_path / "map.osm")
     box = shapely.box(EAST, NORTH, EAST + 20, NORTH + 3)
@@ -31,18 +30,10 @@ def site(tmp_path):
     return tmp_path
 
 
-def run(folder, *words):
-    done = subprocess.run(
-        [sys.executable, "-m", "gis_radar", *words], cwd=folder, capture_output=True, text=True,
-        check=False,
-    )  # fmt: skip
-    return done.returncode, done.stdout, done.stderr
-
-
 @pytest.mark.parametrize("name", ["map.osm", "roads.gpkg"])
-def test_scan_to_tiles(site, name):
+def test_scan_to_tiles(site, run, name):
     words = ("mask", "scan.laz", "--map", name, "-o", "road.laz", "--engine", "laspy", "--json")
-    code, out, err = run(site, *words)
+    code, out, err = run(*words)
     assert (code, err) == (0, "")
     result = json.loads(out.splitlines()[-1])
     assert result["outputs"] == ["road.laz", "road.pipeline.json", "road.roads.gpkg"]
@@ -54,7 +45,7 @@ def test_scan_to_tiles(site, name):
         assert road.header.parse_crs() == UTM
         assert str(road.header.version) == "1.4"
         assert road.header.point_count == summary["cells"]
-    code, _, _ = run(site, "tiles", "map.osm", "--road", "road.laz", "-o", "tiles.gpkg")
+    code, _, _ = run("tiles", "map.osm", "--road", "road.laz", "-o", "tiles.gpkg")
     assert code == 0
     assert gr.read_tiles(site / "tiles.gpkg")["height_m"].to_numpy() == pytest.approx(100, abs=0.05)
 
@@ -74,7 +65,7 @@ def test_scan_to_tiles(site, name):
         (["scan.laz", "--map", "gone.osm"], 3, "gone.osm"),
     ],
 )
-def test_refusals(site, words, code, part):
+def test_refusals(site, run, words, code, part):
     content = (site / "scan.laz").read_bytes()
     (site / "cut.laz").write_bytes(content[: len(content) // 2])
     (site / "empty.laz").write_bytes(b"")
@@ -86,7 +77,7 @@ def test_refusals(site, words, code, part):
     words = [*words, *(["--map", "map.osm"] if "--map" not in words else [])]
     words += ["--engine", "laspy"] if "--engine" not in words else []
     words += ["-o", "road.laz"] if "-o" not in words else []
-    answer = run(site, "mask", *words)
+    answer = run("mask", *words)
     assert answer[0] == code
     lines = answer[2].splitlines()
     assert len(lines) == 1

@@ -1,5 +1,7 @@
 """The road mask on the shared real and simulated scans."""
 
+from functools import cache
+
 import geopandas as gpd
 import laspy
 import numpy as np
@@ -44,6 +46,12 @@ def ign_roads(tmp_path_factory):
     return gr.read_roads(path)
 
 
+@pytest.fixture(scope="module")
+def ign_mask(ign_roads):
+    """The road mask of the city, by the built-in engine; only to be read."""
+    return gr.mask_road(IGN, ign_roads, engine="laspy")
+
+
 def _ground(path):
     scan = laspy.read(path)
     return scan.xyz[np.asarray(scan.classification) == 2, :2]
@@ -70,8 +78,8 @@ def compared(mask, other):
 
 
 @needs_ign
-def test_six_tiles_of_a_city(ign_roads):
-    mask = gr.mask_road(IGN, ign_roads, engine="laspy")
+def test_six_tiles_of_a_city(ign_mask):
+    mask = ign_mask
     figures = mask.figures()
     assert figures["scans"] == 6
     assert figures["crs"] == "EPSG:2154"
@@ -88,19 +96,18 @@ def test_six_tiles_of_a_city(ign_roads):
 
 
 @needs_ign
-def test_a_city_without_classes(ign_roads, tmp_path):
+def test_a_city_without_classes(ign_roads, ign_mask, tmp_path):
     """Trees, cars and edges of roofs go without classes: as few remain as differ in kind."""
-    known = gr.mask_road(IGN, ign_roads, engine="laspy")
     bare = gr.mask_road([without_classes(p, tmp_path) for p in IGN], ign_roads, engine="laspy")
     assert bare.pipeline.classified == (False,) * 6
-    differing, off = compared(bare, known)
+    differing, off = compared(bare, ign_mask)
     assert differing < 0.03
     assert np.percentile(off, 99) < 0.05
 
 
 @needs_ign
-def test_engines_agree_on_a_city(ign_roads, pdal):
-    agree(*(gr.mask_road(IGN, ign_roads, engine=name) for name in ("laspy", "pdal")))
+def test_engines_agree_on_a_city(ign_roads, ign_mask, pdal):
+    agree(ign_mask, gr.mask_road(IGN, ign_roads, engine="pdal"))
 
 
 @needs_amsterdam
@@ -129,13 +136,19 @@ def test_engines_agree_on_amsterdam(pdal):
     agree(own, other)
 
 
+@cache
+def masked(town):
+    """The road mask of a town, by the built-in engine; only to be read."""
+    roads = gr.read_roads(SHARED / town / "map.osm")
+    return gr.mask_road([SHARED / town / "als.laz"], roads, engine="laspy")
+
+
 @pytest.mark.parametrize(
     "town", [pytest.param(name, marks=needs_town(name)) for name in ("town02", "town04")]
 )
 def test_towns(town):
-    roads = gr.read_roads(SHARED / town / "map.osm")
-    mask = gr.mask_road([SHARED / town / "als.laz"], roads, engine="laspy")
-    by_level = [level.height_near(mask.points[:, :2]) for level in roads.levels]
+    mask = masked(town)
+    by_level = [level.height_near(mask.points[:, :2]) for level in mask.roads.levels]
     off = np.min([np.abs(mask.points[:, 2] - height) for height in by_level], axis=0)
     assert np.median(off) < 0.02
     assert mask.figures()["outside_share"] < 0.001
@@ -147,16 +160,15 @@ def test_towns(town):
 def test_engines_agree_on_a_town(pdal):
     roads = gr.read_roads(SHARED / "town02" / "map.osm")
     scan = SHARED / "town02" / "als.laz"
-    agree(*(gr.mask_road([scan], roads, engine=name) for name in ("laspy", "pdal")))
+    agree(masked("town02"), gr.mask_road([scan], roads, engine="pdal"))
 
 
 @needs_town("town04")
 def test_the_bridge_of_a_town():
     """The deck of a bridge that hides the road below belongs to the upper road."""
-    roads = gr.read_roads(SHARED / "town04" / "map.osm")
-    assert len(roads.levels) == 2
-    mask = gr.mask_road([SHARED / "town04" / "als.laz"], roads, engine="laspy")
-    deck = shapely.union_all(roads.levels[1].shapes)
+    mask = masked("town04")
+    assert len(mask.roads.levels) == 2
+    deck = shapely.union_all(mask.roads.levels[1].shapes)
     on_deck = shapely.contains_xy(deck, mask.points[:, 0], mask.points[:, 1])
     assert on_deck.sum() > 1000
     assert (mask.points[on_deck, 2] > 380.0).mean() > 0.99

@@ -14,8 +14,7 @@ import tomllib
 ROOT = Path(__file__).parents[2]
 VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
 SAMPLE = ROOT / "sample_maps"
-SHARED = ROOT.parent / "shared" / "data"
-SITE = os.environ.get("GIS_RADAR_QGIS_SITE")  # made once by tools/test_qgis.sh for all processes
+SITE = os.environ.get("GIS_RADAR_QGIS_SITE")  # made once for all processes
 WORKER = os.environ.get("GIS_RADAR_PYTHON", str(ROOT / ".venv" / "bin" / "python"))
 sys.path.insert(0, os.environ.get("GIS_RADAR_PLUGINS", str(ROOT / "qgis_plugin")))
 

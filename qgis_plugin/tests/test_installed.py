@@ -4,12 +4,10 @@ import json
 import sys
 from pathlib import Path
 
-import pytest
-from conftest import ROOT, SAMPLE, SHARED, call
+from conftest import ROOT, SAMPLE, call
 from helpers import is_whole, leftovers
 
-TOWN = SHARED / "town02"
-needs_town = pytest.mark.skipif(not TOWN.is_dir(), reason="shared data absent: town02")
+POSE = ("sensor", "crs", "easting", "northing", "height", "yaw", "pitch", "roll")
 
 
 def run(profiles, name, **inputs):
@@ -53,9 +51,14 @@ def test_a_night_on_the_sample(profiles, tmp_path):
     pose = json.loads(found.read_text())
     assert abs(pose["easting"] - 690360.113) < 0.5
     assert (out / "R1.png").stat().st_size > 10_000
-    run(profiles, "occupancy", RECORDINGS=[SAMPLE / "R1.parquet"], POSES=[found],
-        TILES=f"{tiles}|layername=tiles", CLEARANCE="-0.5,4.5", OUTPUT=out / "occ")  # fmt: skip
+    surveyed = out / "surveyed.json"  # as one by hand, without a view
+    surveyed.write_text(json.dumps({name: pose[name] for name in POSE}))
+    run(profiles, "occupancy", RECORDINGS=[SAMPLE / "R1.parquet"], POSES=[surveyed],
+        TILES=f"{tiles}|layername=tiles", CLEARANCE="-0.5,4.5", MAX_RANGE=120,
+        OUTPUT=out / "occ")  # fmt: skip
     assert (out / "occ" / "hits.parquet").is_file()
+    manifest = json.loads((out / "occ" / "manifest.json").read_text())
+    assert [pose["view"]["max_range_m"] for pose in manifest["sources"][0]["poses"]] == [120.0]
     run(profiles, "heatmap", OCCUPANCY=out / "occ", TILES=f"{tiles}|layername=tiles",
         INTERVAL="50s", OUTPUT=out / "map")  # fmt: skip
     assert is_whole(out / "map" / "heatmap.gpkg")
@@ -64,28 +67,6 @@ def test_a_night_on_the_sample(profiles, tmp_path):
     assert (out / "report" / "report.pdf").read_bytes().startswith(b"%PDF")
     assert len(list((out / "report").glob("R1_*.png"))) == 3
     assert leftovers(out) == []
-
-
-@needs_town
-def test_town02(profiles, tmp_path):
-    road, tiles = tmp_path / "road.laz", tmp_path / "tiles.gpkg"
-    run(profiles, "maskroad", SCANS=[TOWN / "als.laz"], MAP=TOWN / "map.osm", OUTPUT=road)
-    assert road.stat().st_size > 10_000
-    run(profiles, "splitlanelets", MAP=TOWN / "map.osm", ROAD=road, OUTPUT=tiles)
-    assert is_whole(tiles)
-    truth = json.loads((TOWN / "truth.json").read_text())["R1"]
-    pose = tmp_path / "R1.json"
-    fields = ("easting", "northing", "height", "yaw", "pitch", "roll")
-    pose.write_text(
-        json.dumps({"sensor": "R1", "crs": "EPSG:25832", **{name: truth[name] for name in fields}})
-    )
-    run(profiles, "occupancy", RECORDINGS=[TOWN / "R1.parquet"], POSES=[pose], MAX_RANGE=200,
-        TILES=f"{tiles}|layername=tiles", CLEARANCE="-0.5,4.5",
-        OUTPUT=tmp_path / "occ")  # fmt: skip
-    run(profiles, "heatmap", OCCUPANCY=tmp_path / "occ", TILES=f"{tiles}|layername=tiles",
-        INTERVAL="1min", OUTPUT=tmp_path / "map")  # fmt: skip
-    assert is_whole(tmp_path / "map" / "heatmap.gpkg")
-    assert (tmp_path / "map" / "heatmap.tif").stat().st_size > 10_000
 
 
 def test_a_failure_leaves_no_file_and_says_why(profiles, tmp_path):
