@@ -21,12 +21,13 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 import shapely
+from plain_grid import TileGridNumpy
 from simulated import ROOT, true_pose
 
 import gis_radar as gr
 from gis_radar.arrays import Floats
 from gis_radar.recordings.recording import ROWS_AT_ONCE
-from gis_radar.tiles.lookup import TileEngine, TileGridNumpy
+from gis_radar.tiles.lookup import TileEngine
 
 TARGETS = {"sjoin from coordinates": 25.0, "sjoin with points built": 5.0}
 ROUNDS = 3

@@ -15,6 +15,11 @@ Integers: TypeAlias = NDArray[np.int64]
 Booleans: TypeAlias = NDArray[np.bool_]
 
 
+def ranges(first: Integers, count: Integers) -> Integers:
+    """Return so many whole numbers from each of `first` on, one range after the other."""
+    return np.arange(count.sum()) + np.repeat(first + count - np.cumsum(count), count)
+
+
 Given = ParamSpec("Given")
 Answer = TypeVar("Answer")
 

@@ -95,6 +95,7 @@ def _whole(title: str, table: str, picture: bytes) -> str:
 
 
 SMALL_IN, SMALL_DPI = (4.6, 3.6), 80  # beside a card of figures
+FONTS: dict[Any, Any] = {"font.family": ["DejaVu Sans"], "text.usetex": False, "font.size": 8}
 
 
 def axes_or_new(ax: Any, size_in: tuple[float, float] = (7.0, 6.0)) -> Any:
@@ -144,10 +145,7 @@ def picture_file(
     import matplotlib as mpl  # noqa: PLC0415
     from matplotlib.figure import Figure  # noqa: PLC0415
 
-    settings: dict[Any, Any] = {
-        "font.family": ["DejaVu Sans"], "text.usetex": False, "font.size": 8,
-    }  # fmt: skip
-    with mpl.rc_context(settings):
+    with mpl.rc_context(FONTS):
         figure = Figure(figsize=size_in, dpi=dpi, layout="constrained")
         yield figure
         with whole_file(Path(path)) as part:

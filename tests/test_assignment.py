@@ -5,7 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sites import EAST, NORTH, lane_quads
 
-from gis_radar.tiles.lookup import TileGrid, TileGridNumpy, TileTree
+from bench.plain_grid import TileGridNumpy
+from gis_radar.tiles.lookup import TileGrid, TileTree
 from gis_radar.tiles.tiles import polygons
 
 ENGINES = [TileGrid, TileGridNumpy, TileTree]

@@ -22,7 +22,7 @@ from pyproj import CRS
 
 from gis_radar.arrays import Floats, Integers
 from gis_radar.crs import metric_crs
-from gis_radar.errors import InputError
+from gis_radar.errors import InputError, UsageError
 from gis_radar.heatmap.intervals import SETTINGS, Timeline
 from gis_radar.occupancy import Occupancy
 from gis_radar.occupancy.frame_steps import Runs, steps_in, union
@@ -176,7 +176,13 @@ class Tally:
         Parameters
         ----------
         interval : int or slice, optional
-            Which interval, or which together; without it, the whole time.
+            Which interval, from 0, negative from the end, or which together; without it, the whole
+            time.
+
+        Raises
+        ------
+        UsageError
+            If there is no such interval.
         """
         occupied, observed = self.steps(interval)
         occupied_s = np.full(len(self.tiles), np.nan)
@@ -192,6 +198,9 @@ class Tally:
         """Return the steps in which each of the `seen` tiles was occupied and observed."""
         part = slice(interval) if interval is None else interval
         if isinstance(part, int):
+            count = len(self.timeline)
+            if not -count <= part < count:
+                raise UsageError(f"interval {part} of {count}", hint=f"from 0 to {count - 1}")
             return self.occupied[part].astype(np.int64), self.observed[part][self.group]
         occupied = self.occupied[part].sum(axis=0, dtype=np.int64)
         return occupied, self.observed[part].sum(axis=0)[self.group]
@@ -248,20 +257,6 @@ class Tally:
             f"{text}; busiest tile {known['busiest_tile']}: {known['busiest_occupied_s']:g} of "
             f"{known['busiest_observed_s']:g} s, {known['busiest_occupancy']:.1%})"
         )
-
-
-def frame_runs(occupancy: Occupancy) -> Runs:
-    """Return the steps in which any sensor delivered a frame.
-
-    Raises
-    ------
-    InputError
-        If there is none.
-    """
-    frames = occupancy.frames
-    if frames.empty:
-        raise InputError("the occupancy holds no frame", hint="was the recording empty?")
-    return steps_in(frames)
 
 
 def _observe(
@@ -358,18 +353,28 @@ def _group(position: Integers, code: Integers) -> tuple[Integers, Integers, list
     return seen, group, members
 
 
-def checked(tiles: gpd.GeoDataFrame, wanted: str) -> gpd.GeoDataFrame:
-    """Return the tiles with their own columns only; refuse those of another fingerprint."""
+def checked(occupancy: Occupancy, tiles: gpd.GeoDataFrame) -> tuple[gpd.GeoDataFrame, Runs]:
+    """Return the tiles with their own columns only, and the steps with a frame of any sensor.
+
+    Raises
+    ------
+    InputError
+        If there is no frame, or the tiles are not those of the occupancy.
+    """
+    if occupancy.frames.empty:
+        raise InputError("the occupancy holds no frame", hint="was the recording empty?")
     missing = [name for name in COLUMNS if name not in tiles]
     if missing:
         raise InputError(f"the tiles lack the column(s) {', '.join(missing)}")
     metric_crs(tiles.crs, what="tiles")
     got = fingerprint(tiles)
-    if got != wanted:
+    if got != occupancy.fingerprint:
         raise InputError(
-            f"the tiles have the fingerprint {got}, the occupancy was made with {wanted}",
+            f"the tiles have the fingerprint {got}, the occupancy was made with "
+            f"{occupancy.fingerprint}",
             hint="use the tiles that the occupancy was made with",
         )
     attributes = tiles[list(COLUMNS)].reset_index(drop=True)
     shapes = tiles.geometry.reset_index(drop=True)
-    return gpd.GeoDataFrame(attributes, geometry=shapes, crs=tiles.crs)
+    own = gpd.GeoDataFrame(attributes, geometry=shapes, crs=tiles.crs)
+    return own, steps_in(occupancy.frames)

@@ -20,7 +20,6 @@ from gis_radar.errors import NOTEBOOKS, InputError
 from gis_radar.heatmap import style
 from gis_radar.heatmap.counting import Tally
 from gis_radar.heatmap.picture import (
-    FONTS,
     INK,
     SOFT,
     STRIPE,
@@ -29,7 +28,7 @@ from gis_radar.heatmap.picture import (
     map_extent,
     map_picture,
 )
-from gis_radar.notebooks import axes_or_new, label_map
+from gis_radar.notebooks import FONTS, axes_or_new, label_map
 from gis_radar.progress import Reporter
 from gis_radar.steps import STEPS_PER_SECOND
 from gis_radar.tiles.tiles import quads
@@ -75,10 +74,10 @@ def draw(
     Axes
         In metres of the map, cropped to the tiles that were observed.
     """
+    share = tally.shares(interval).occupancy
     ax = axes_or_new(ax, (8.5, 6.0))
     extent = _extent(tally, (0.0, np.inf))
-    picture = map_picture(quads(tally.tiles), extent, most_pixels)
-    picture.show(ax, tally.shares(interval).occupancy)
+    map_picture(quads(tally.tiles), extent, most_pixels).show(ax, share)
     label_map(ax)
     ax.set_title(time_span(tally, interval), fontsize="medium")
     if legend:
@@ -91,15 +90,20 @@ def _extent(tally: Tally, aspect: tuple[float, float]) -> Extent:
     return map_extent(quads(tally.tiles), tally.shares().observed_s > 0, aspect)
 
 
+def _swatch(corner: tuple[float, float], size: tuple[float, float], colour: str) -> Rectangle:
+    """Return a field of a colour of the legend, hatched where it means not observed."""
+    field = Rectangle(corner, *size, facecolor=colour, edgecolor=SOFT, linewidth=0.5)
+    if colour == style.NOT_OBSERVED:
+        field.set(hatch=HATCH, edgecolor=STRIPE)
+    return field
+
+
 def _add_legend(ax: Axes) -> None:
     """Write the classes of occupancy beside axes."""
-    handles = [
-        Rectangle((0, 0), 1, 1, facecolor=colour, edgecolor=SOFT, linewidth=0.5, label=label)
-        for colour, label in style.legend()
-    ]
-    handles[-1].set(hatch=HATCH, edgecolor=STRIPE)
+    colours, labels = zip(*style.legend(), strict=True)
+    handles = [_swatch((0, 0), (1, 1), colour) for colour in colours]
     ax.legend(
-        handles=handles, title=style.LEGEND_TITLE, loc="upper left", bbox_to_anchor=(1.01, 1.0),
+        handles, labels, title=style.LEGEND_TITLE, loc="upper left", bbox_to_anchor=(1.01, 1.0),
         borderaxespad=0.0, frameon=False, fontsize="small", title_fontsize="small",
         alignment="left",
     )  # fmt: skip
@@ -206,12 +210,7 @@ def _add_side(ax: Axes, tally: Tally) -> None:
     y = 0.5
     for colour, label in style.legend():
         apart = 0.08 if colour in {style.NEVER_HIT, style.NOT_OBSERVED} else 0.0
-        swatch = Rectangle(
-            (0.25, y + apart), 0.34, 0.24, facecolor=colour, edgecolor=SOFT, linewidth=0.5
-        )
-        if colour == style.NOT_OBSERVED:
-            swatch.set(hatch=HATCH, edgecolor=STRIPE)
-        ax.add_patch(swatch)
+        ax.add_patch(_swatch((0.25, y + apart), (0.34, 0.24), colour))
         ax.text(0.7, y + apart + 0.125, label, fontsize=8.5, color=INK, va="center")
         y += 0.24 + apart
     for number, (name, value) in enumerate(_facts(tally)):

@@ -23,7 +23,6 @@ from gis_radar.heatmap.counting import (
     Shares,
     Tally,
     checked,
-    frame_runs,
     positions,
 )
 from gis_radar.heatmap.figure import SMALL_PIXELS, draw, explore, write_figure
@@ -94,8 +93,6 @@ class HeatMap(Tally):
         UsageError
             If there is no such interval.
         """
-        if interval is not None:
-            interval = self._known(interval)
         return draw(self, ax, interval=interval, legend=legend)
 
     def explore(self, *, interval: int | None = None, **options: Any) -> Any:
@@ -120,7 +117,7 @@ class HeatMap(Tally):
         InputError
             If folium is not installed.
         """
-        return explore(self, None if interval is None else self._known(interval), options)
+        return explore(self, interval, options)
 
     def to_xarray(self, *, most_mib: float = MOST_MIB) -> Any:
         """Return the occupancy over (tile, time) as an xarray Dataset; see :func:`dataset`.
@@ -134,12 +131,6 @@ class HeatMap(Tally):
             If xarray is not installed.
         """
         return dataset(self, most_mib=most_mib)
-
-    def _known(self, interval: int) -> int:
-        count = len(self.timeline)
-        if not -count <= interval < count:
-            raise UsageError(f"interval {interval} of {count}", hint=f"from 0 to {count - 1}")
-        return interval % count
 
     def _repr_html_(self) -> str:
         def small(ax: Any) -> None:
@@ -247,8 +238,7 @@ def make_heatmap(
     if timezone is not None and interval is None:
         raise UsageError("a timezone needs an interval", hint="such as 1h or 1d")
     zone = None if timezone is None else zone_of(timezone)
-    tiles = checked(tiles, occupancy.fingerprint)
-    runs = frame_runs(occupancy)
+    tiles, runs = checked(occupancy, tiles)
     whole = timeline = whole_of(runs, at)
     if interval is not None:
         timeline = intervals_of(runs, interval, zone, len(tiles), reporter)
@@ -275,7 +265,7 @@ def read_heatmap(path: str | Path) -> HeatMap:
     InputError
         If there is none, it is damaged, or its tiles were changed since.
     """
-    return read_package(Path(path), HeatMap)
+    return HeatMap(**read_package(Path(path)))
 
 
 def require_xarray() -> Any:
@@ -423,9 +413,8 @@ def to_xarray(
         not there, or xarray is not installed.
     """
     require_xarray()
-    tiles = checked(tiles, occupancy.fingerprint)
+    tiles, runs = checked(occupancy, tiles)
     chosen = _chosen(tiles["tile_id"].to_numpy(np.int64), tile_ids)
-    runs = frame_runs(occupancy)
     if within is not None:
         first, after = _steps(within)
         runs = runs.within(first, after - 1)

@@ -9,9 +9,10 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 
-from gis_radar.arrays import Integers
+from gis_radar.arrays import Integers, ranges
 from gis_radar.errors import InputError, UsageError
-from gis_radar.occupancy.frame_steps import Runs
+from gis_radar.grid import CELL_M
+from gis_radar.occupancy.frame_steps import Runs, union
 from gis_radar.progress import Reporter
 from gis_radar.steps import (
     STEPS_PER_SECOND,
@@ -37,7 +38,7 @@ class HeatMapSettings:
         Rows of the layer by interval: as many are about 35 GB of GeoPackage.
     """
 
-    pixel_m: float = 0.5
+    pixel_m: float = CELL_M
     most_columns: int = 500
     most_rows: int = 100_000_000
 
@@ -96,19 +97,20 @@ def aligned(first: int, last: int, steps: int) -> Timeline:
     return Timeline(begin=begin, end=begin + steps)
 
 
+def _numbers_with(runs: Runs, steps: int) -> Runs:
+    """Return the numbers of the aligned intervals that hold a step of the set, as runs."""
+    return union([Runs(first=runs.first // steps, last=runs.last // steps)])
+
+
 def intervals_with(runs: Runs, steps: int) -> int:
     """Return how many aligned intervals hold a step of the set, without listing them."""
-    low, high = runs.first // steps, runs.last // steps
-    return int((high - low + 1).sum() - np.count_nonzero(low[1:] == high[:-1]))
+    return _numbers_with(runs, steps).steps
 
 
 def aligned_with(runs: Runs, steps: int) -> Timeline:
     """Return only those aligned intervals that hold a step of the set."""
-    low, high = runs.first // steps, runs.last // steps
-    low[1:] += low[1:] == high[:-1]  # counted with the run before
-    length = high - low + 1
-    offset = np.arange(length.sum()) - np.repeat(np.cumsum(length) - length, length)
-    begin = (np.repeat(low, length) + offset) * steps
+    numbers = _numbers_with(runs, steps)
+    begin = ranges(numbers.first, numbers.last - numbers.first + 1) * steps
     return Timeline(begin=begin, end=begin + steps)
 
 

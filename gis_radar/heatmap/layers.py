@@ -7,7 +7,7 @@ import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import geopandas as gpd
 import numpy as np
@@ -22,7 +22,7 @@ from gis_radar.geopackage import GPKG_VERSION, add_styles, write_stream
 from gis_radar.heatmap import style
 from gis_radar.heatmap.counting import Counts, Tally
 from gis_radar.heatmap.intervals import Timeline
-from gis_radar.progress import Reporter
+from gis_radar.progress import QUIET, Reporter
 from gis_radar.steps import STEPS_PER_SECOND, seconds_from_iso, step_begin, step_of
 from gis_radar.tiles.tiles import COLUMNS, fingerprint
 
@@ -32,23 +32,12 @@ LONG = "occupancy_by_interval"
 BEGIN, END = "begin", "end"
 ROWS_AT_ONCE = 65_536
 
-AnyTally = TypeVar("AnyTally", bound=Tally)
-
 _STEP_MS = 50
 _TIME = pa.timestamp("ms", tz="UTC")
 
 
-def interval_column(begin_step: int, length_steps: int) -> str:
-    """Return the name of an interval's column: `occ_` and its begin, UTC.
-
-    Parameters
-    ----------
-    begin_step : int
-        First step of the interval.
-    length_steps : int
-        Length of the intervals; under a minute the name has seconds, under a second
-        milliseconds too.
-    """
+def _interval_column(begin_step: int, length_steps: int) -> str:
+    """Return `occ_` and an interval's begin in UTC, as fine as intervals of that length need."""
     begin = step_begin(begin_step)
     name = f"occ_{begin:%Y%m%dT%H%M}"
     if length_steps < 60 * STEPS_PER_SECOND:
@@ -71,7 +60,7 @@ def wide_layer(tally: Tally) -> gpd.GeoDataFrame:
     columns = tally.shares()._asdict()
     for i in tally.columns:
         begin, end = int(timeline.begin[i]), int(timeline.end[i])
-        columns[interval_column(begin, end - begin)] = tally.shares(i).occupied_s
+        columns[_interval_column(begin, end - begin)] = tally.shares(i).occupied_s
     shares = pd.DataFrame(columns, index=tally.tiles.index)
     attributes = tally.tiles.drop(columns="geometry")
     return gpd.GeoDataFrame(
@@ -108,8 +97,9 @@ LONG_SCHEMA = pa.schema(
 )
 
 
-def long_batches(tally: Tally) -> Iterator[pa.RecordBatch]:
+def long_batches(tally: Tally, reporter: Reporter = QUIET) -> Iterator[pa.RecordBatch]:
     """Yield the rows of :func:`long_layer` as Arrow batches, a few at a time."""
+    done, total = 0, len(tally.timeline) * len(tally.tiles)
     ids = [pa.array(tally.tiles[name].to_numpy()) for name in ("tile_id", "lanelet_id")]
     shapes = pa.array(tally.tiles.geometry.to_wkb().to_numpy(), pa.binary())
     for i in range(len(tally.timeline)):
@@ -118,7 +108,10 @@ def long_batches(tally: Tally) -> Iterator[pa.RecordBatch]:
         shares = [pa.array(share, from_pandas=True) for share in tally.shares(i)]
         rows = pa.RecordBatch.from_arrays([*ids, *moments, *shares, shapes], schema=LONG_SCHEMA)
         for start in range(0, len(shapes), ROWS_AT_ONCE):
-            yield rows.slice(start, ROWS_AT_ONCE)
+            batch = rows.slice(start, ROWS_AT_ONCE)
+            yield batch
+            done += len(batch)
+            reporter.progress("writing occupancy by interval", done, total)
 
 
 def write_table(tally: Tally, path: Path, _reporter: Reporter) -> None:
@@ -164,7 +157,7 @@ def write_package(tally: Tally, path: Path, reporter: Reporter) -> None:
         geometry_type="Polygon", layer_metadata=metadata, VERSION=GPKG_VERSION,
     )  # fmt: skip
     write_stream(
-        _reported(tally, reporter), LONG_SCHEMA, path,
+        long_batches(tally, reporter), LONG_SCHEMA, path,
         layer=LONG, driver="GPKG", crs=tally.crs.to_wkt(),
         geometry_name="geometry", geometry_type="Polygon", layer_metadata=metadata,
     )  # fmt: skip
@@ -178,14 +171,6 @@ def write_package(tally: Tally, path: Path, reporter: Reporter) -> None:
         for field in (BEGIN, END):
             database.execute(f'CREATE INDEX "{LONG}_{field}" ON "{LONG}" ("{field}")')
         add_styles(database, styles, name="occupancy", about=about)
-
-
-def _reported(tally: Tally, reporter: Reporter) -> Iterator[pa.RecordBatch]:
-    done, total = 0, len(tally.timeline) * len(tally.tiles)
-    for batch in long_batches(tally):
-        yield batch
-        done += len(batch)
-        reporter.progress("writing occupancy by interval", done, total)
 
 
 _HINT = "make one with: gis-radar heatmap"
@@ -202,15 +187,13 @@ _TIMES = f"""
 """  # noqa: S608 - our own names
 
 
-def read_package(path: Path, kind: type[AnyTally]) -> AnyTally:
-    """Read both layers back, the one by interval in batches.
+def read_package(path: Path) -> dict[str, Any]:
+    """Read both layers back as the fields of a tally, the one by interval in batches.
 
     Parameters
     ----------
     path : Path
         The GeoPackage, or its folder.
-    kind : type
-        Kind of tally to make of it.
 
     Raises
     ------
@@ -236,17 +219,17 @@ def read_package(path: Path, kind: type[AnyTally]) -> AnyTally:
         raise InputError(f"{path}: not a heat map: {reason}", hint=_HINT) from error
     seen = np.flatnonzero(observed.any(axis=0))
     first, group = _alike(observed[:, seen])
-    return kind(
-        tiles=tiles[[*COLUMNS, "geometry"]],
-        fingerprint=notes["fingerprint"],
-        sensors=tuple(json.loads(notes["sensors"])),
-        whole=whole,
-        timeline=whole if timeline.spans() == whole.spans() else timeline,
-        seen=seen,
-        group=group,
-        occupied=occupied[:, seen],
-        observed=observed[:, seen[first]].astype(np.int64),
-    )
+    return {
+        "tiles": tiles[[*COLUMNS, "geometry"]],
+        "fingerprint": notes["fingerprint"],
+        "sensors": tuple(json.loads(notes["sensors"])),
+        "whole": whole,
+        "timeline": whole if timeline.spans() == whole.spans() else timeline,
+        "seen": seen,
+        "group": group,
+        "occupied": occupied[:, seen],
+        "observed": observed[:, seen[first]].astype(np.int64),
+    }
 
 
 def _checked_whole(tiles: gpd.GeoDataFrame, notes: dict[str, Any], path: Path) -> Timeline:

@@ -29,7 +29,6 @@ from gis_radar.poses.pose import Pose
 
 INK, SOFT, SENSOR = "#1d2126", "#59616a", "#00519e"
 PAPER, STRIPE = "#ffffff", "#84898e"
-FONTS: dict[Any, Any] = {"font.family": ["DejaVu Sans"], "text.usetex": False, "font.size": 8}
 HALO = [withStroke(linewidth=2.6, foreground="white")]
 
 LEAST_MARGIN_M = 12.0  # around what was observed: sensors stand beside the road

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from rasterio.enums import Resampling
 from rasterio.transform import Affine
 
-from gis_radar.arrays import Floats, Integers
+from gis_radar.arrays import Floats, Integers, ranges
 from gis_radar.errors import OutputError
 from gis_radar.heatmap.counting import DEFINITIONS, Tally
 from gis_radar.heatmap.intervals import SETTINGS
@@ -96,8 +96,7 @@ class PixelGrid:
         portion = np.cumsum(size) // POINTS_AT_ONCE
         for part in np.split(np.arange(len(size)), np.flatnonzero(np.diff(portion)) + 1):
             tile = np.repeat(part, size[part])
-            place = np.arange(len(tile)) - np.repeat(np.cumsum(size[part]) - size[part], size[part])
-            down, along = np.divmod(place, wide[tile])
+            down, along = np.divmod(ranges(np.zeros_like(part), size[part]), wide[tile])
             found = (north[tile] + down) * self.width + west[tile] + along
             if len(mask):
                 mask[found] = True

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from gis_radar.arrays import Floats, Integers
+from gis_radar.arrays import Floats, Integers, ranges
 from gis_radar.errors import UsageError
 from gis_radar.occupancy.hits import Hits
 from gis_radar.occupancy.settings import DEFAULTS
@@ -64,8 +64,7 @@ def spread_hits(frames: Iterator[tuple[Integers, Integers, Integers, int]]) -> I
             yield first, tile
             continue
         length = last - first + 1
-        offset = np.arange(length.sum()) - np.repeat(np.cumsum(length) - length, length)
-        steps = np.concatenate([steps, np.repeat(first, length) + offset])
+        steps = np.concatenate([steps, ranges(first, length)])
         tiles = np.concatenate([tiles, np.repeat(tile, length)])
         order = np.argsort(steps, kind="stable")
         steps, tiles = steps[order], tiles[order]

@@ -18,7 +18,6 @@ from gis_radar.crs import name_of
 from gis_radar.heatmap import HeatMap
 from gis_radar.heatmap.counting import Shares
 from gis_radar.heatmap.picture import (
-    FONTS,
     HALO,
     INK,
     PAPER,
@@ -32,6 +31,7 @@ from gis_radar.heatmap.picture import (
     png,
     rgb,
 )
+from gis_radar.notebooks import FONTS
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import Reporter
 from gis_radar.report.content import Clock, Figure, MapSeries, count, percent

@@ -18,7 +18,7 @@ This step is the same whoever read, cropped and classified the points.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage, sparse
@@ -32,8 +32,6 @@ from gis_radar.scans.roads import RoadLevel
 from gis_radar.scans.settings import DEFAULTS, MaskSettings
 
 _TINY = 1e-6
-# Cells of a block, from its south-west corner.
-BLOCK = Grid(cell_m=CELL_M, west=0, south=0, columns=BLOCK_CELLS, rows=BLOCK_CELLS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +40,7 @@ class GroundSurface:
 
     Parameters
     ----------
-    corner : (float, float)
+    corner : (2,) array
         Place of the first node, metres.
     nodes : (columns, rows) array
         Heights, metres; NaN where nothing supports it.
@@ -50,7 +48,7 @@ class GroundSurface:
         Distance of the nodes, metres.
     """
 
-    corner: tuple[float, float]
+    corner: Floats
     nodes: Floats = field(repr=False)
     node_m: float
 
@@ -83,8 +81,7 @@ def fit_ground(points: Floats, settings: MaskSettings = DEFAULTS) -> GroundSurfa
         Nodes, stiffness, and what pulls how much.
     """
     node_m = settings.node_m
-    corner = (float(points[:, 0].min()) - node_m, float(points[:, 1].min()) - node_m)
-    corner = (node_m * np.floor(corner[0] / node_m), node_m * np.floor(corner[1] / node_m))
+    corner = node_m * np.floor((points[:, :2].min(axis=0) - node_m) / node_m)
     span = points[:, :2].max(axis=0) - corner
     nodes = np.full((int(span[0] / node_m) + 3, int(span[1] / node_m) + 3), np.nan)
     surface = GroundSurface(corner=corner, nodes=nodes, node_m=node_m)
@@ -315,8 +312,14 @@ class RoadCells:
     offset_m: float
 
 
-# Of one level in one block, as in RoadCells: points, used, area_cells, missing and removed.
-_Part: TypeAlias = tuple[Floats, int, int, Floats, int]
+class _Part(NamedTuple):
+    """Cells of one level in one block; see :class:`RoadCells`."""
+
+    points: Floats
+    used: int
+    area_cells: int
+    missing: Floats
+    removed: int
 
 
 def make_cells(
@@ -343,11 +346,8 @@ def make_cells(
         corner = np.array(blocks.cells(block).corner)
         seen.append(_squares(xyz, settings.square_m) + corner)
         for number, level in enumerate(blocks.roads.levels):
-            maker = _CellMaker(
-                level=level, area=blocks.area(number, block, margin), corner=corner,
-                margin=margin, offset_m=offset_m, settings=settings,
-            )  # fmt: skip
-            parts.append(maker.make(xyz, ground))
+            area = blocks.area(number, block, margin)
+            parts.append(_cells_of_level(xyz, ground, level, area, corner, offset_m, settings))
         reporter.progress("making cells", block + 1, len(blocks.shapes))
     points, used, area_cells, missing, removed = zip(*parts, strict=True)
     found = np.concatenate(points)
@@ -358,78 +358,62 @@ def make_cells(
     )  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
-class _CellMaker:
-    """Makes the cells of one level in one block from points of it and of a margin around it.
+def _cells_of_level(
+    xyz: Floats, ground: Booleans, level: RoadLevel, area: Booleans, corner: Floats,
+    offset_m: float, settings: MaskSettings,
+) -> _Part:  # fmt: skip
+    """Make a level's cells in a block from points of it and of a margin, as `area` has it."""
+    margin = (len(area) - BLOCK_CELLS) // 2
+    grid = Grid(cell_m=CELL_M, west=-margin, south=-margin, columns=len(area), rows=len(area))
+    block = np.zeros_like(area)
+    block[margin : margin + BLOCK_CELLS, margin : margin + BLOCK_CELLS] = True
+    road = area & block
+    cell = grid.keys(xyz[:, 0], xyz[:, 1])
+    kept = grown(area).ravel()[cell]
+    xyz, ground, cell = xyz[kept], ground[kept], cell[kept]
+    if level.has_heights and not np.isnan(offset_m):
+        off = np.abs(xyz[:, 2] - level.height_near(xyz[:, :2] + corner) - offset_m)
+        ground = _at_height(off, ground, cell, settings)
+    xyz, cell = xyz[ground], cell[ground]
+    if len(xyz) == 0 or not road.any():
+        bare = grid.centres(np.flatnonzero(road)) + corner
+        return _Part(np.empty((0, 3)), 0, len(bare), bare, 0)
+    surface = fit_ground(xyz, settings)
+    over = xyz[:, 2] - surface.height(xyz[:, 0], xyz[:, 1])
+    kept = np.abs(over) <= settings.surface_m
+    over, cell = over[kept], cell[kept]
+    order = np.argsort(cell, kind="stable")
+    cells, median = medians(cell[order], over[order], grid.columns)
+    filled, height = np.zeros_like(area), np.zeros(area.shape)
+    filled.ravel()[cells] = area.ravel()[cells]
+    height.ravel()[cells] = median
+    large = large_clusters(filled, settings) & block
+    found = np.flatnonzero(large)
+    centres = grid.centres(found)
+    up = surface.height(centres[:, 0], centres[:, 1]) + height.ravel()[found]
+    return _Part(
+        points=np.column_stack([centres + corner, up]),
+        used=int(np.count_nonzero(large.ravel()[cell])),
+        area_cells=int(np.count_nonzero(road)),
+        missing=grid.centres(np.flatnonzero(road & ~large)) + corner,
+        removed=int(np.count_nonzero(filled & block & ~large)),
+    )
 
-    `area` are the level's cells with `margin` cells around the block; `corner` is the block's.
+
+def _at_height(off: Floats, ground: Booleans, cell: Integers, settings: MaskSettings) -> Booleans:
+    """Choose the points that may be a level's road, by how far off the map's height they are.
+
+    Points at another height belong to another level. In a cell without ground at the right height
+    (a bridge that was classified as a building, a ramp that the map draws too straight) the next
+    best points are candidates.
     """
-
-    level: RoadLevel
-    area: Booleans
-    corner: Floats
-    margin: int
-    offset_m: float
-    settings: MaskSettings
-
-    def make(self, xyz: Floats, ground: Booleans) -> _Part:
-        wide = Grid(
-            cell_m=CELL_M, west=-self.margin, south=-self.margin,
-            columns=self.area.shape[1], rows=self.area.shape[0],
-        )  # fmt: skip
-        inner = np.flatnonzero(self._block(self.area))
-        cell = wide.keys(xyz[:, 0], xyz[:, 1])
-        kept = grown(self.area).ravel()[cell]
-        xyz, ground, cell = xyz[kept], ground[kept], cell[kept]
-        kept = self._candidates(xyz, ground, cell)
-        xyz, cell = xyz[kept], cell[kept]
-        if len(xyz) == 0 or len(inner) == 0:
-            return np.empty((0, 3)), 0, len(inner), BLOCK.centres(inner) + self.corner, 0
-        surface = fit_ground(xyz, self.settings)
-        over = xyz[:, 2] - surface.height(xyz[:, 0], xyz[:, 1])
-        kept = np.abs(over) <= self.settings.surface_m
-        over, cell = over[kept], cell[kept]
-        order = np.argsort(cell, kind="stable")
-        cells, median = medians(cell[order], over[order], wide.columns)
-        filled, height = np.zeros(self.area.shape, bool), np.zeros(self.area.shape)
-        filled.ravel()[cells] = self.area.ravel()[cells]
-        height.ravel()[cells] = median
-        large = large_clusters(filled, self.settings)
-        inside = np.zeros_like(large)
-        self._block(inside)[:] = self._block(large)
-        found = np.flatnonzero(self._block(large))
-        centre = BLOCK.centres(found)
-        up = surface.height(centre[:, 0], centre[:, 1]) + self._block(height).ravel()[found]
-        bare = inner[~np.isin(inner, found, assume_unique=True)]
-        return (
-            np.column_stack([centre + self.corner, up]),
-            int(np.count_nonzero(inside.ravel()[cell])), len(inner),
-            BLOCK.centres(bare) + self.corner,
-            int((self._block(filled) & ~self._block(large)).sum()),
-        )  # fmt: skip
-
-    def _candidates(self, xyz: Floats, ground: Booleans, cell: Integers) -> Booleans:
-        """Choose the points that may be this level's road.
-
-        Where the map has heights, points at another height belong to another level. In a cell
-        without ground at the right height (a bridge that was classified as a building, a ramp that
-        the map draws too straight) the next best points are candidates.
-        """
-        if not self.level.has_heights or np.isnan(self.offset_m):
-            return ground
-        level_m, clearance_m = self.settings.same_level_m, self.settings.clearance_m
-        off = np.abs(xyz[:, 2] - self.level.height_near(xyz[:, :2] + self.corner) - self.offset_m)
-        chosen = np.zeros(len(xyz), bool)
-        open_cells = np.ones(self.area.size, bool)
-        for offers in (ground & (off <= level_m), off <= level_m, off <= clearance_m):
-            chosen |= offers & open_cells[cell]
-            open_cells[cell[chosen]] = False
-        return chosen
-
-    def _block(self, grid: Any) -> Any:
-        """Return the block's cells of a grid with margin, as a view."""
-        inner = slice(self.margin, self.margin + BLOCK_CELLS)
-        return grid[inner, inner]
+    near, clear = off <= settings.same_level_m, off <= settings.clearance_m
+    chosen = np.zeros(len(off), bool)
+    open_cells = np.ones(cell.max(initial=0) + 1, bool)
+    for offers in (ground & near, near, clear):
+        chosen |= offers & open_cells[cell]
+        open_cells[cell[chosen]] = False
+    return chosen
 
 
 def _squares(xyz: Floats, side_m: float) -> Floats:

@@ -7,7 +7,7 @@ turned.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -209,7 +209,7 @@ def _scores(alignment: Alignment, turns_deg: Sequence[float], coarse: int = 1) -
     return np.stack(scores)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class SecondLook:
     """What stands around a sensor, compared with an airborne scan at a pose, and the verdict.
 
@@ -259,13 +259,13 @@ class SecondLook:
     best: PoseOffset | None = None
     rival: PoseOffset | None = None
     lead: float = float("nan")
-    standing: Standing = field(repr=False)
-    closeness: Floats = field(repr=False, default_factory=lambda: np.empty(0))
+    standing: Standing
+    closeness: Floats = field(default_factory=lambda: np.empty(0))
     covered: float = float("nan")
-    structure: Structure = field(repr=False)
-    surface: Floats = field(repr=False, default_factory=lambda: np.empty((0, 0)))
-    settings: SecondLookSettings = field(repr=False, default=DEFAULTS)
-    range_m: float = 0.0
+    structure: Structure
+    surface: Floats = field(default_factory=lambda: np.empty((0, 0)))
+    settings: SecondLookSettings
+    range_m: float
 
     @property
     def level(self) -> LevelFrame:
@@ -310,13 +310,12 @@ def require_scans_near(
     place: Sequence[float],
     *,
     scan_crs: Any = None,
-    settings: SecondLookSettings = DEFAULTS,
 ) -> None:
     """Refuse scans that cannot serve a second look at a sensor; reads their headers only.
 
     Parameters
     ----------
-    scans, scan_crs, settings
+    scans, scan_crs
         As for :func:`second_look`.
     crs : CRS
         The map frame.
@@ -329,11 +328,12 @@ def require_scans_near(
         If none of them reaches within 300 m, or one is damaged; CrsError if one has no projected,
         metric coordinate system.
     """
-    box = box_with_margin((place[0], place[1], place[0], place[1]), settings.most_reach_m)
+    reach_m = DEFAULTS.most_reach_m
+    box = box_with_margin((place[0], place[1], place[0], place[1]), reach_m)
     # each is opened, so that a bad one is refused at once
     near = [open_scan(scan, crs=scan_crs).touches(box, crs) for scan in scans]
     if not any(near):
-        raise _elsewhere(scans, settings.most_reach_m, "the sensor", place, crs)
+        raise _elsewhere(scans, reach_m, "the sensor", place, crs)
 
 
 def _elsewhere(
@@ -397,11 +397,14 @@ def second_look(
     if structure is None:
         raise _elsewhere(scans, reach_m, pose.sensor, pose.position.tolist(), pose.crs)
     found = standing(slow, level, structure.ground, reach_m=reach_m, settings=settings)
+    reason = _too_little(slow, found, structure, settings)
+    compared = (
+        {"verdict": NOTHING, "reason": reason} if reason else _compared(found, structure, settings)
+    )
     look = SecondLook(
-        pose=pose, verdict=NOTHING, reason=_too_little(slow, found, structure, settings),
-        standing=found, structure=structure, range_m=slow.range_m, settings=settings,
+        pose=pose, standing=found, structure=structure, range_m=slow.range_m, settings=settings,
+        **compared,
     )  # fmt: skip
-    look = look if look.reason else _compare(look)
     text = f"second look: {look.verdict}: {look.reason}"
     reporter.log(text, "warning" if look.verdict == DOUBTS else "info")
     return look
@@ -420,9 +423,10 @@ def _too_little(
     return ""
 
 
-def _compare(look: SecondLook) -> SecondLook:
-    """Return the look with scores, and with the verdict that follows from them."""
-    found, structure, settings = look.standing, look.structure, look.settings
+def _compared(
+    found: Standing, structure: Structure, settings: SecondLookSettings
+) -> dict[str, Any]:
+    """Return the fields of a second look that come from comparing, verdict and reason included."""
     alignment = align(found, structure, settings)
     here = alignment.here
     peaks, chance = alignment.explored()
@@ -432,27 +436,28 @@ def _compare(look: SecondLook) -> SecondLook:
     rivals = [alignment.climbed(other.place, apart=True) for other in others]
     rival = max(rivals, key=lambda top: top.score, default=None)
     rows, columns = LevelFrame.cells(found.points, len(structure.top))
-    look = replace(
-        look, score=here.score, chance=chance, best=best, rival=rival,
-        lead=alignment.lead(here, rival) if rival else float("inf"),
-        closeness=alignment.at(here.place), surface=alignment.surface(),
-        covered=float(np.isfinite(structure.top[rows, columns]).mean()),
-    )  # fmt: skip
-    verdict, reason = _verdict(look, alignment, best)
-    return replace(look, verdict=verdict, reason=reason)
+    covered = float(np.isfinite(structure.top[rows, columns]).mean())
+    verdict, reason = _verdict(alignment, best, rival, chance, covered)
+    return {
+        "verdict": verdict, "reason": reason, "score": here.score, "chance": chance, "best": best,
+        "rival": rival, "lead": alignment.lead(here, rival) if rival else float("inf"),
+        "closeness": alignment.at(here.place), "covered": covered, "surface": alignment.surface(),
+    }  # fmt: skip
 
 
-def _verdict(look: SecondLook, alignment: Alignment, best: PoseOffset) -> tuple[str, str]:
-    limits = look.settings
-    fits = f"{look.score:.0%} of what stands lies on the scan's canopy and walls"
+def _verdict(
+    alignment: Alignment, best: PoseOffset, rival: PoseOffset | None, chance: float, covered: float
+) -> tuple[str, str]:
+    here, limits = alignment.here, alignment.settings
+    fits = f"{here.score:.0%} of what stands lies on the scan's canopy and walls"
     elsewhere = best.beyond(limits.same_m, limits.same_deg)
-    other = best if elsewhere else look.rival
-    if elsewhere and alignment.lead(best, alignment.here) >= limits.better_sigmas:
+    other = best if elsewhere else rival
+    if elsewhere and alignment.lead(best, here) >= limits.better_sigmas:
         return DOUBTS, f"{fits}, but {best.score:.0%} {best.words()}"
-    if look.covered < limits.least_covered:
-        return NOTHING, f"the scan covers {look.covered:.0%} of what stands in view"
-    if alignment.over(look.chance) < limits.better_sigmas:
-        return DOUBTS, f"{fits}, hardly more than by chance ({look.chance:.0%})"
+    if covered < limits.least_covered:
+        return NOTHING, f"the scan covers {covered:.0%} of what stands in view"
+    if alignment.over(chance) < limits.better_sigmas:
+        return DOUBTS, f"{fits}, hardly more than by chance ({chance:.0%})"
     if other is not None and (elsewhere or alignment.lead(best, other) < limits.clear_sigmas):
         return NOTHING, f"{fits}, and {other.score:.0%} {other.words()}: both may be right"
-    return CONFIRMS, f"{fits}, by chance {look.chance:.0%}; most of all {best.words()}"
+    return CONFIRMS, f"{fits}, by chance {chance:.0%}; most of all {best.words()}"

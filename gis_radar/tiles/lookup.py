@@ -5,8 +5,8 @@ stored once in one direction, whichever tile it bounds, so that a point on an ed
 tiles of a lanelet falls in exactly one of them: the test for that edge is the same arithmetic.
 
 :class:`TileGrid` is the default. Its inner loop is compiled by numba, which is worth its 190 MB:
-the same look-up in NumPy alone (:class:`TileGridNumpy`, kept as oracle and as yardstick) is ten
-times slower (`make bench-assignment`) and barely three times faster than a spatial join. A
+the same look-up in NumPy alone (in `bench/plain_grid.py`, an oracle of the tests, too) is ten times
+slower (`make bench-assignment`) and barely three times faster than a spatial join. A
 compiled extension of our own would need a compiler on each user's machine. :class:`TileTree` is
 the paper's R-tree ("Local Sensor Data Processing").
 """
@@ -14,7 +14,7 @@ the paper's R-tree ("Local Sensor Data Processing").
 from __future__ import annotations
 
 import math
-from typing import Protocol
+from typing import TypeAlias
 
 import geopandas as gpd
 import numpy as np
@@ -30,27 +30,10 @@ from gis_radar.tiles.tiles import quads
 SLACK_M = 1e-6  # a point may be rounded into the cell beside its own
 
 
-def fill_cells(
+def _fill_cells(
     quads: Floats, columns: int, rows: int, cell_m: float
 ) -> tuple[Integers, NDArray[np.int32]]:
-    """Sort tiles into the cells of a grid that begins at (0, 0).
-
-    Parameters
-    ----------
-    quads : (n, 4, 2) array
-        Vertices of the tiles relative to the grid's corner, metres, none negative.
-    columns, rows : int
-        Size of the grid.
-    cell_m : float
-        Side of a cell.
-
-    Returns
-    -------
-    first : (columns * rows + 1,) int64 array
-        Where each cell's tiles begin in `tiles`; cells run along the rows.
-    tiles : (k,) int32 array
-        Positions of the tiles that touch each cell, ascending within a cell.
-    """
+    """Return where the tiles of each cell of a grid from (0, 0) begin, and the tiles by cell."""
     counts = np.zeros(columns * rows + 1, np.int64)
     nothing = np.empty(0, np.int32)
     _visit(quads, columns, rows, cell_m, counts, nothing)
@@ -107,25 +90,6 @@ MOST_CELLS = 16_000_000  # of a grid, 128 MB; wider cells where a map is larger
 Pairs = tuple[Integers, Integers]
 
 
-class TileEngine(Protocol):
-    """Finds the tiles that points fall in."""
-
-    def assign(self, easting: Floats, northing: Floats) -> Pairs:
-        """Return the pairs (point, tile) of points inside tiles.
-
-        Parameters
-        ----------
-        easting, northing : (n,) arrays
-            Map frame, metres. NaN falls in no tile.
-
-        Returns
-        -------
-        point, tile : (k,) int64 arrays
-            Positions in the inputs and in the quads, ascending by point, then by tile.
-        """
-        ...
-
-
 class TileGrid:
     """Cells of half a metre, each with the tiles that touch it; exact test in compiled code.
 
@@ -151,10 +115,21 @@ class TileGrid:
         self._span = span
         self._cell_m = max(CELL_M, math.sqrt(float(span.prod()) / MOST_CELLS))
         self._columns, rows = (int(side / self._cell_m) + 1 for side in span)
-        self._first, self._tiles = fill_cells(local, self._columns, rows, self._cell_m)
+        self._first, self._tiles = _fill_cells(local, self._columns, rows, self._cell_m)
 
     def assign(self, easting: Floats, northing: Floats) -> Pairs:
-        """Return the pairs (point, tile); see :class:`TileEngine`."""
+        """Return the pairs (point, tile) of points inside tiles.
+
+        Parameters
+        ----------
+        easting, northing : (n,) arrays
+            Map frame, metres. NaN falls in no tile.
+
+        Returns
+        -------
+        point, tile : (k,) int64 arrays
+            Positions in the inputs and in the quads, ascending by point, then by tile.
+        """
         x, y = np.asarray(easting, np.float64), np.asarray(northing, np.float64)
         room = len(x) + len(x) // 4 + 1024
         point, tile = np.empty(room, np.int64), np.empty(room, np.int64)
@@ -167,24 +142,6 @@ class TileGrid:
             if done == len(x):
                 return point[:found], tile[:found]
             point, tile = (np.concatenate([kept, np.empty_like(kept)]) for kept in (point, tile))
-
-
-class TileGridNumpy(TileGrid):
-    """The same cells and the same test without compiled code: all candidates at once."""
-
-    def assign(self, easting: Floats, northing: Floats) -> Pairs:
-        """Return the pairs (point, tile); see :class:`TileEngine`."""
-        points = np.column_stack([easting, northing]) - self._origin
-        within = np.flatnonzero(((points >= 0.0) & (points <= self._span)).all(axis=1))
-        column, row = (points[within] * (1.0 / self._cell_m)).astype(np.int64).T
-        cell = row * self._columns + column
-        counts = self._first[cell + 1] - self._first[cell]
-        begins = np.cumsum(counts) - counts
-        point = np.repeat(within, counts)
-        nth = np.arange(len(point)) - np.repeat(begins, counts)
-        tile = self._tiles[np.repeat(self._first[cell], counts) + nth].astype(np.int64)
-        inside = _inside(self._edges[tile], points[point])
-        return point[inside], tile[inside]
 
 
 class TileTree:
@@ -205,7 +162,7 @@ class TileTree:
         self._tree = rtree_index.Index(entries) if len(boxes) else rtree_index.Index()
 
     def assign(self, easting: Floats, northing: Floats) -> Pairs:
-        """Return the pairs (point, tile); see :class:`TileEngine`."""
+        """Return the pairs (point, tile); see :meth:`TileGrid.assign`."""
         points = np.column_stack([easting, northing]) - self._origin
         finite = np.flatnonzero(np.isfinite(points).all(axis=1))
         tiles, counts = self._tree.intersection_v(  # type: ignore[no-untyped-call]
@@ -213,9 +170,13 @@ class TileTree:
         )
         point = np.repeat(finite, counts.astype(np.int64))
         tile = np.asarray(tiles, dtype=np.int64)
-        inside = _inside(self._edges[tile], points[point])
+        inside = inside_quads(self._edges[tile], points[point])
         order = np.lexsort((tile[inside], point[inside]))
         return point[inside][order], tile[inside][order]
+
+
+TileEngine: TypeAlias = TileGrid | TileTree
+"""What finds the tiles that points fall in."""
 
 
 def _origin(quads: Floats) -> Floats:
@@ -236,7 +197,7 @@ def _edges(quads: Floats) -> Floats:
     return np.stack([low[..., 1], high[..., 1], low[..., 0], slope], axis=1)
 
 
-def _inside(edges: Floats, points: Floats) -> NDArray[np.bool_]:
+def inside_quads(edges: Floats, points: Floats) -> NDArray[np.bool_]:
     """Return for each row whether the point is in the tile with these (n, 4, 4) edges."""
     x, y = points[:, None, 0], points[:, None, 1]
     low, high, x_low, slope = np.moveaxis(edges, 1, 0)

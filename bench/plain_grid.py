@@ -1,0 +1,26 @@
+"""Points to tiles in NumPy alone: an oracle of the tests, and a yardstick for compiled code."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gis_radar.arrays import Floats, Integers
+from gis_radar.tiles.lookup import TileGrid, inside_quads
+
+
+class TileGridNumpy(TileGrid):
+    """The same cells and the same test without compiled code: all candidates at once."""
+
+    def assign(self, easting: Floats, northing: Floats) -> tuple[Integers, Integers]:
+        """Return the pairs (point, tile)."""
+        points = np.column_stack([easting, northing]) - self._origin
+        within = np.flatnonzero(((points >= 0.0) & (points <= self._span)).all(axis=1))
+        column, row = (points[within] * (1.0 / self._cell_m)).astype(np.int64).T
+        cell = row * self._columns + column
+        counts = self._first[cell + 1] - self._first[cell]
+        begins = np.cumsum(counts) - counts
+        point = np.repeat(within, counts)
+        nth = np.arange(len(point)) - np.repeat(begins, counts)
+        tile = self._tiles[np.repeat(self._first[cell], counts) + nth].astype(np.int64)
+        inside = inside_quads(self._edges[tile], points[point])
+        return point[inside], tile[inside]
