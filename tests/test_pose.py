@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from sites import EAST, NORTH, UTM, pose
 
 from gis_radar.errors import CrsError, InputError
 from gis_radar.poses.files import PoseTrack, read_pose, read_track, write_pose, write_track
-from gis_radar.poses.pose import View, parse_evidence, pose_from_dict
+from gis_radar.poses.pose import View, pose_from_dict
 
 ANGLE = st.floats(-179.0, 179.0)
 RECORD = {
@@ -85,19 +86,22 @@ def test_contradictions_are_refused(change, reason):
         pose_from_dict(RECORD | change, what="pose.json")
 
 
+def evidence_of(record):
+    return replace(pose(), evidence=record).parsed_evidence()
+
+
 def test_evidence_is_parsed_once_for_all():
     covariance = np.diag([0.04, 0.01, 0.01, 1e-5, 1e-5, 1e-5])
     covariance[0, 1] = covariance[1, 0] = 0.01
-    known = parse_evidence(
-        {"sigma": {"yaw": 1, "roll": None}, "covariance": covariance.tolist(), "method": "lane"},
-        what="R1",
+    known = evidence_of(
+        {"sigma": {"yaw": 1, "roll": None}, "covariance": covariance.tolist(), "method": "lane"}
     )
     assert known.sigma == {"yaw": 1.0}
     assert known.method == "lane"
     np.testing.assert_array_equal(known.plane_covariance(), covariance[:2, :2])
-    by_sigma = parse_evidence({"sigma": {"easting": 0.5, "northing": 0.1}}, what="R1")
+    by_sigma = evidence_of({"sigma": {"easting": 0.5, "northing": 0.1}})
     np.testing.assert_allclose(by_sigma.plane_covariance(), np.diag([0.25, 0.01]))
-    assert parse_evidence({"sigma": {"easting": 0.5}}, what="R1").plane_covariance() is None
+    assert evidence_of({"sigma": {"easting": 0.5}}).plane_covariance() is None
     assert pose().plane_covariance() is None
 
 
@@ -116,7 +120,7 @@ def test_evidence_is_parsed_once_for_all():
 )
 def test_malformed_evidence_is_refused(record, reason):
     with pytest.raises(InputError, match=reason):
-        parse_evidence(record, what="R1")
+        evidence_of(record)
 
 
 @pytest.mark.parametrize("crs", [None, "EPSG:4326"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -54,7 +53,7 @@ def draw(
     legend: bool = True,
     most_pixels: int = PLOT_PIXELS,
 ) -> Axes:
-    """Draw the occupancy of the tiles, the busiest on top.
+    """Draw the occupancy of the tiles in the classes of all heat maps, the busiest on top.
 
     Parameters
     ----------
@@ -63,7 +62,7 @@ def draw(
     ax : Axes, optional
         Where; without it, on a new figure of pyplot.
     interval : int, optional
-        Which interval; without it, the whole time.
+        Which interval, from 0, negative from the end; without it, the whole time.
     legend : bool
         Whether the classes stand beside it.
     most_pixels : int
@@ -73,6 +72,11 @@ def draw(
     -------
     Axes
         In metres of the map, cropped to the tiles that were observed.
+
+    Raises
+    ------
+    UsageError
+        If there is no such interval.
     """
     share = tally.shares(interval).occupancy
     ax = axes_or_new(ax, (8.5, 6.0))
@@ -327,20 +331,27 @@ CLASS = "share of the time"
 SHOWN = ("tile_id", "lanelet_id", "s_m", "occupied_s", "observed_s", "occupancy")
 
 
-def explore(tally: Tally, interval: int | None, options: Mapping[str, Any]) -> Any:
-    """Return the observed tiles as a folium map, in the classes and colours of all heat maps.
+def show_in_browser(tally: Tally, *, interval: int | None = None, **options: Any) -> Any:
+    """Show the observed tiles on a map to move about in (folium, extra `notebooks`).
 
     Parameters
     ----------
     tally : Tally
         What to show.
-    interval : int or None
-        Which interval; None for the whole time.
-    options : mapping
-        For :meth:`geopandas.GeoDataFrame.explore`; they win.
+    interval : int, optional
+        Which interval, from 0, negative from the end; without it, the whole time.
+    **options
+        For :meth:`geopandas.GeoDataFrame.explore`; with `tiles=None` nothing is loaded from a map
+        server.
+
+    Returns
+    -------
+    folium.Map
 
     Raises
     ------
+    UsageError
+        If there is no such interval.
     InputError
         If folium is not installed.
     """
@@ -365,7 +376,7 @@ def explore(tally: Tally, interval: int | None, options: Mapping[str, Any]) -> A
         "legend_kwds": {"caption": time_span(tally, interval)},
     }
     try:
-        return tiles[[*SHOWN, CLASS, "geometry"]].round(4).explore(**chosen | dict(options))
+        return tiles[[*SHOWN, CLASS, "geometry"]].round(4).explore(**chosen | options)
     except ImportError as error:
         raise InputError(
             f"explore needs folium and mapclassify: {error.name or 'one'} is missing",

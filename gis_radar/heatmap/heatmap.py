@@ -25,7 +25,7 @@ from gis_radar.heatmap.counting import (
     checked,
     positions,
 )
-from gis_radar.heatmap.figure import SMALL_PIXELS, draw, explore, write_figure
+from gis_radar.heatmap.figure import SMALL_PIXELS, draw, show_in_browser, write_figure
 from gis_radar.heatmap.intervals import (
     Timeline,
     intervals_of,
@@ -64,77 +64,55 @@ class HeatMap(Tally):
     Made by :func:`make_heatmap`; what it holds is described at :class:`Tally`.
     """
 
-    def wide(self) -> gpd.GeoDataFrame:
-        """Return one row a tile; see :func:`wide_layer`."""
-        return wide_layer(self)
+    wide = wide_layer
+    long = long_layer
+    plot = draw
+    explore = show_in_browser
 
-    def long(self) -> gpd.GeoDataFrame:
-        """Return one row a tile and interval; see :func:`long_layer`."""
-        return long_layer(self)
+    def to_xarray(self, *, most_mib: float = MOST_MIB) -> xarray.Dataset:
+        """Return the heat map as an xarray Dataset over (tile, time).
 
-    def plot(self, ax: Any = None, *, interval: int | None = None, legend: bool = True) -> Any:
-        """Draw the occupancy of the tiles in the classes and colours of all heat maps.
-
-        Parameters
-        ----------
-        ax : matplotlib Axes, optional
-            Where to draw; without it, on a new figure.
-        interval : int, optional
-            Which interval, from 0, negative from the end; without it, the whole time.
-        legend : bool
-            Whether the classes stand beside it.
-
-        Returns
-        -------
-        matplotlib Axes
-
-        Raises
-        ------
-        UsageError
-            If there is no such interval.
-        """
-        return draw(self, ax, interval=interval, legend=legend)
-
-    def explore(self, *, interval: int | None = None, **options: Any) -> Any:
-        """Show the observed tiles on a map to move about in (folium, extra `notebooks`).
+        `occupied_s`, `observed_s` and `occupancy` are float32; where a tile was not observed,
+        `observed_s` is 0 and the others are NaN. Coordinates of a tile: `tile_id` (an index, so
+        that `sel(tile_id=7)` works), `lanelet_id`, `s_m`, `easting`, `northing` (of its centre, m);
+        of a time: `time` and `begin`, `end` (exclusive), datetime64 in UTC.
 
         Parameters
         ----------
-        interval : int, optional
-            Which interval, as for :meth:`plot`; without it, the whole time.
-        **options
-            For :meth:`geopandas.GeoDataFrame.explore`; with `tiles=None` nothing is loaded from
-            a map server.
-
-        Returns
-        -------
-        folium.Map
+        most_mib : float
+            The memory that it may take, MiB.
 
         Raises
         ------
         UsageError
-            If there is no such interval.
-        InputError
-            If folium is not installed.
-        """
-        return explore(self, interval, options)
-
-    def to_xarray(self, *, most_mib: float = MOST_MIB) -> Any:
-        """Return the occupancy over (tile, time) as an xarray Dataset; see :func:`dataset`.
-
-        Raises
-        ------
-        UsageError
-            If it would take more than `most_mib` of memory; :func:`gis_radar.to_xarray` cuts out
-            times and tiles before it counts.
+            If it would take more; :func:`gis_radar.to_xarray` cuts out times and tiles before it
+            counts.
         InputError
             If xarray is not installed.
         """
-        return dataset(self, most_mib=most_mib)
+        xr = require_xarray()
+        require_room(len(self.tiles), len(self.timeline), most_mib)
+        shape = (len(self.tiles), len(self.timeline))
+        arrays = {name: np.full(shape, np.nan, np.float32) for name in Shares._fields}
+        for column in range(shape[1]):
+            for name, value in self.shares(column)._asdict().items():
+                arrays[name][:, column] = value
+        values = {
+            name: (("tile", "time"), array, {"long_name": DEFINITIONS[name], "units": unit})
+            for (name, array), unit in zip(arrays.items(), ("s", "s", "1"), strict=True)
+        }
+        attributes = {
+            "title": "Occupancy of lane tiles",
+            "crs": name_of(self.crs),
+            "fingerprint": self.fingerprint,
+            "sensors": ", ".join(self.sensors),
+        }
+        cube: xarray.Dataset = xr.Dataset(values, coords=_coordinates(self), attrs=attributes)
+        return cube.set_xindex("tile_id")
 
     def _repr_html_(self) -> str:
         def small(ax: Any) -> None:
-            draw(self, ax, legend=False, most_pixels=SMALL_PIXELS).set_axis_off()
+            self.plot(ax, legend=False, most_pixels=SMALL_PIXELS).set_axis_off()
 
         few = len(self.seen) <= MOST_DRAWN
         return card("Heat map", self.figures(), picture=small_picture(small) if few else b"")
@@ -300,49 +278,6 @@ def require_room(tiles: int, intervals: int, most_mib: float) -> None:
         )
 
 
-def dataset(tally: Tally, *, most_mib: float = MOST_MIB) -> xarray.Dataset:
-    """Return a heat map as a Dataset over (tile, time).
-
-    `occupied_s`, `observed_s` and `occupancy` are float32; where a tile was not observed,
-    `observed_s` is 0 and the others are NaN. Coordinates of a tile: `tile_id` (an index, so that
-    `sel(tile_id=7)` works), `lanelet_id`, `s_m`, `easting`, `northing` (of its centre, m); of a
-    time: `time` and `begin`, `end` (exclusive), datetime64 in UTC.
-
-    Parameters
-    ----------
-    tally : Tally
-        What to show.
-    most_mib : float
-        The memory that it may take, MiB.
-
-    Raises
-    ------
-    UsageError
-        If it would take more.
-    InputError
-        If xarray is not installed.
-    """
-    xr = require_xarray()
-    require_room(len(tally.tiles), len(tally.timeline), most_mib)
-    shape = (len(tally.tiles), len(tally.timeline))
-    arrays = {name: np.full(shape, np.nan, np.float32) for name in Shares._fields}
-    for column in range(shape[1]):
-        for name, value in tally.shares(column)._asdict().items():
-            arrays[name][:, column] = value
-    values = {
-        name: (("tile", "time"), array, {"long_name": DEFINITIONS[name], "units": unit})
-        for (name, array), unit in zip(arrays.items(), ("s", "s", "1"), strict=True)
-    }
-    attributes = {
-        "title": "Occupancy of lane tiles",
-        "crs": name_of(tally.crs),
-        "fingerprint": tally.fingerprint,
-        "sensors": ", ".join(tally.sensors),
-    }
-    cube: xarray.Dataset = xr.Dataset(values, coords=_coordinates(tally), attrs=attributes)
-    return cube.set_xindex("tile_id")
-
-
 def _coordinates(tally: Tally) -> dict[str, Any]:
     tiles = tally.tiles
     middle = shapely.get_coordinates(shapely.centroid(tiles.geometry.array))
@@ -427,8 +362,8 @@ def to_xarray(
         begin, end = np.maximum(timeline.begin, first), np.minimum(timeline.end, after)
         timeline = Timeline(begin=begin, end=end)
     require_room(len(chosen), len(timeline), most_mib)
-    tally = Tally.count(occupancy, tiles, timeline, timeline, chosen=chosen, reporter=reporter)
-    return dataset(tally, most_mib=most_mib)
+    heat = HeatMap.count(occupancy, tiles, timeline, timeline, chosen=chosen, reporter=reporter)
+    return heat.to_xarray(most_mib=most_mib)
 
 
 def _chosen(all_ids: Integers, tile_ids: ArrayLike | None) -> Integers:

@@ -211,8 +211,21 @@ class Pose:
         return shapely.Polygon(np.concatenate([outer, inner[::-1]]))
 
     def parsed_evidence(self) -> Evidence:
-        """Return its evidence parsed and checked; an `InputError` where it is malformed."""
-        return parse_evidence(self.evidence, what=f"pose of {self.sensor}")
+        """Return its evidence parsed and checked.
+
+        Raises
+        ------
+        InputError
+            If the covariance is not 6 x 6 finite numbers, symmetric and positive, or a sigma is not
+            a number from 0.
+        """
+        what, stated = f"pose of {self.sensor}", self.evidence
+        return Evidence(
+            sigma=_parse_sigma(stated.get("sigma"), what),
+            covariance=_parse_covariance(stated.get("covariance"), what),
+            method=str(stated.get("method") or ""),
+            time=str(stated.get("time") or ""),
+        )
 
     def plane_covariance(self) -> Floats | None:
         """Return the covariance of easting and northing, (2, 2) m^2, or None where not known."""
@@ -416,30 +429,6 @@ class Evidence:
         if not {"easting", "northing"} <= self.sigma.keys():
             return None
         return np.diag([self.sigma["easting"] ** 2, self.sigma["northing"] ** 2])
-
-
-def parse_evidence(record: Mapping[str, Any], *, what: str) -> Evidence:
-    """Parse and check the evidence in a pose file.
-
-    Parameters
-    ----------
-    record : mapping
-        The contract's fields.
-    what : str
-        Where the record comes from; begins error messages.
-
-    Raises
-    ------
-    InputError
-        If the covariance is not 6 x 6 finite numbers, symmetric and positive, or a sigma is not a
-        number from 0.
-    """
-    return Evidence(
-        sigma=_parse_sigma(record.get("sigma"), what),
-        covariance=_parse_covariance(record.get("covariance"), what),
-        method=str(record.get("method") or ""),
-        time=str(record.get("time") or ""),
-    )
 
 
 def _parse_sigma(stated: Any, what: str) -> dict[str, float]:

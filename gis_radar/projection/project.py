@@ -160,20 +160,6 @@ def renamed(names: dict[str, str]) -> list[str]:
     return [f"{name!r} to {fresh!r}" for name, fresh in names.items() if name != fresh]
 
 
-def points_schema(further: pa.Schema, names: dict[str, str]) -> pa.Schema:
-    """Return the schema of all batches of points.
-
-    Parameters
-    ----------
-    further : pyarrow.Schema
-        The recording's further columns.
-    names : dict
-        What they are called here.
-    """
-    kept = [pa.field(names[field.name], _plain(field.type)) for field in further]
-    return pa.schema([*OWN, *kept, pa.field(GEOMETRY, pa.binary())])
-
-
 def _plain(kind: pa.DataType) -> pa.DataType:
     """Return the type of a column's values, without how they are stored."""
     if pa.types.is_dictionary(kind):
@@ -214,8 +200,10 @@ class PointStream:
         self._recording, self._track = recording, track
         self._pieces = recording.read()
         self._first = next(self._pieces)
-        self.names = distinct_names(self._first.further.schema.names, TAKEN)
-        self.schema: pa.Schema = points_schema(self._first.further.schema, self.names)
+        further = self._first.further.schema
+        self.names = distinct_names(further.names, TAKEN)
+        kept = [pa.field(self.names[field.name], _plain(field.type)) for field in further]
+        self.schema: pa.Schema = pa.schema([*OWN, *kept, pa.field(GEOMETRY, pa.binary())])
         self.pose: Pose = track.poses[0]
         self.rows = 0
         self.reporter = reporter

@@ -91,11 +91,13 @@ class RoadBlocks:
         point, block : (k,) int64 arrays
             Positions in the inputs, ascending, and the number of the block.
         """
-        column, row = self._all_cells.cells(x, y)
-        block = self._block_of(column // BLOCK_CELLS, row // BLOCK_CELLS)
+        block = self._block_of(*self.grid.cells(x, y))
         point = np.flatnonzero(block >= 0)
         block = block[point]
-        state = self.states[block, row[point] % BLOCK_CELLS, column[point] % BLOCK_CELLS]
+        column, row = (
+            np.floor_divide(side[point], CELL_M).astype(np.int64) % BLOCK_CELLS for side in (x, y)
+        )
+        state = self.states[block, row, column]
         kept = state != OUTSIDE
         point, block, state = point[kept], block[kept], state[kept]
         inside = state == INSIDE
@@ -105,14 +107,6 @@ class RoadBlocks:
             there = point[some]
             inside[some] = shapely.intersects_xy(self.shapes[number], x[there], y[there])
         return point[inside], block[inside].astype(np.int64)
-
-    @property
-    def _all_cells(self) -> Grid:
-        west, south, columns, rows = (
-            number * BLOCK_CELLS
-            for number in (self.grid.west, self.grid.south, self.grid.columns, self.grid.rows)
-        )
-        return Grid(cell_m=CELL_M, west=west, south=south, columns=columns, rows=rows)
 
     def _block_of(self, column: Integers, row: Integers) -> NDArray[np.int32]:
         known = self.grid.holds(column, row)

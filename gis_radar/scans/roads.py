@@ -68,20 +68,10 @@ class RoadLevel:
         return cKDTree(self.heights[:, :2])
 
 
-def levels_of(
+def _levels_of(
     outlines: Any, lefts: Iterable[Any], rights: Iterable[Any], settings: RoadSettings
 ) -> tuple[RoadLevel, ...]:
-    """Sort lanelets into levels.
-
-    Parameters
-    ----------
-    outlines : array of Polygon
-        The lanelets in the plane.
-    lefts, rights : iterables of LineString
-        Their bounds, with heights where the map has them.
-    settings : RoadSettings
-        Spacing of the samples, and which lanelets are in conflict.
-    """
+    """Sort lanelets into levels by the heights of their bounds, where the map has them."""
     outlines = np.asarray(outlines)
     spacing_m = settings.sample_m
     samples = [_sampled(left, right, spacing_m) for left, right in zip(lefts, rights, strict=True)]
@@ -337,7 +327,7 @@ def roads_of_map(
     # The outline of a mended lanelet may still touch itself.
     outlines = shapely.make_valid(lanelets.geometry.array)
     area = _area(outlines, source, settings.max_extent_m)
-    levels = levels_of(outlines, lanelets["left"], lanelets["right"], settings)
+    levels = _levels_of(outlines, lanelets["left"], lanelets["right"], settings)
     return Roads(crs=roads.crs, area=area, levels=levels, source=source, settings=settings)
 
 

@@ -88,7 +88,7 @@ def make_tiles(
         raise UsageError(f"tile length is {length_m} m, expected more than 0")
     lanelets = _chosen(roads.lanelets, subtypes)
     _say_left_out(roads.lanelets, lanelets, reporter)
-    return _table(lanelets, cut(lanelets, length_m, reporter), roads.crs)
+    return _table(lanelets, _rungs(lanelets, length_m, reporter), roads.crs)
 
 
 def _chosen(lanelets: gpd.GeoDataFrame, subtypes: Collection[str] | None) -> gpd.GeoDataFrame:
@@ -264,28 +264,10 @@ AREA_TOLERANCE = 0.005  # of a lanelet, from which corners that tiles cut are re
 STAGE = "splitting lanelets"
 
 
-def cut(lanelets: gpd.GeoDataFrame, length_m: float, reporter: Reporter) -> list[Floats]:
-    """Return the rungs of each lanelet, between which its slices are.
+def _rungs(lanelets: gpd.GeoDataFrame, length_m: float, reporter: Reporter) -> list[Floats]:
+    """Return the rungs between which each lanelet's slices are, (n + 1, left and right, xyz).
 
-    Parameters
-    ----------
-    lanelets : GeoDataFrame
-        As in :class:`gis_radar.lanelets.LaneletMap`.
-    length_m : float
-        Length of a slice, metres. A lanelet whose slices would cross themselves gets shorter ones.
-    reporter : Reporter
-        Receives progress, how many lanelets got shorter slices, and how much area long slices
-        of curves miss.
-
-    Returns
-    -------
-    list of (n + 1, 2, 3) array
-        The ends of the rungs, left and right.
-
-    Raises
-    ------
-    InputError
-        If no number of slices suits a lanelet.
+    A lanelet whose slices would cross themselves gets shorter ones.
     """
     pieces = []
     finer = 0
