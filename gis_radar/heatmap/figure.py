@@ -114,17 +114,7 @@ def _add_legend(ax: Axes) -> None:
 
 
 def write_figure(tally: Tally, path: Path, reporter: Reporter) -> None:
-    """Write the picture as PNG, 2000 pixels wide.
-
-    Parameters
-    ----------
-    tally : Tally
-        What to draw.
-    path : Path
-        The file.
-    reporter : Reporter
-        Where progress goes.
-    """
+    """Write the picture as PNG, 2000 pixels wide."""
     reporter.progress("drawing the picture", 0, 1)
     with mpl.rc_context(FONTS):
         figure = _figure(tally)

@@ -18,21 +18,9 @@ from gis_radar.arrays import Integers
 from gis_radar.crs import name_of
 from gis_radar.errors import NOTEBOOKS, InputError, OutputError, UsageError
 from gis_radar.files import whole_folder
-from gis_radar.heatmap.counting import (
-    DEFINITIONS,
-    Shares,
-    Tally,
-    checked,
-    positions,
-)
+from gis_radar.heatmap.counting import DEFINITIONS, Shares, Tally, checked, positions
 from gis_radar.heatmap.figure import SMALL_PIXELS, draw, show_in_browser, write_figure
-from gis_radar.heatmap.intervals import (
-    Timeline,
-    intervals_of,
-    intervals_with,
-    moment_of,
-    whole_of,
-)
+from gis_radar.heatmap.intervals import Timeline, intervals_of, intervals_with, moment_of, whole_of
 from gis_radar.heatmap.layers import (
     long_layer,
     read_package,

@@ -213,14 +213,16 @@ def intervals_of(
     """Return the intervals; where there are very many, only those with a frame."""
     steps = interval_steps(interval)
     first, last = int(runs.first[0]), int(runs.last[-1])
-    local = None
-    if zone is not None and not follows_utc(steps):
+    if zone is None or follows_utc(steps):
+        if last // steps - first // steps < SETTINGS.most_columns:
+            return aligned(first, last, steps)
+        filled = intervals_with(runs, steps)
+    else:
         local = local_intervals(first, last, steps, zone)
-    count = last // steps - first // steps + 1 if local is None else len(local)
-    if count <= SETTINGS.most_columns:
-        return aligned(first, last, steps) if local is None else local
-    kept = None if local is None else those_with(local, runs)
-    filled = intervals_with(runs, steps) if kept is None else len(kept)
+        if len(local) <= SETTINGS.most_columns:
+            return local
+        local = those_with(local, runs)
+        filled = len(local)
     if filled * tiles > SETTINGS.most_rows:
         raise UsageError(
             f"{filled} intervals of {interval} for {tiles} tiles are more than a heat map can hold",
@@ -233,4 +235,4 @@ def intervals_of(
             "not columns and bands"
         )
     reporter.log(note)
-    return aligned_with(runs, steps) if kept is None else kept
+    return aligned_with(runs, steps) if zone is None or follows_utc(steps) else local

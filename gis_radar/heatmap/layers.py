@@ -115,15 +115,7 @@ def long_batches(tally: Tally, reporter: Reporter = QUIET) -> Iterator[pa.Record
 
 
 def write_table(tally: Tally, path: Path, _reporter: Reporter) -> None:
-    """Write the layer `heatmap` as GeoParquet 1.1 with a box for each row.
-
-    Parameters
-    ----------
-    tally : Tally
-        What to write.
-    path : Path
-        The file.
-    """
+    """Write the layer `heatmap` as GeoParquet 1.1 with a box for each row."""
     frame = wide_layer(tally)
     frame.attrs = tally.metadata
     frame.to_parquet(
@@ -137,17 +129,7 @@ def write_table(tally: Tally, path: Path, _reporter: Reporter) -> None:
 
 
 def write_package(tally: Tally, path: Path, reporter: Reporter) -> None:
-    """Write both layers, their styles, and an index on the times.
-
-    Parameters
-    ----------
-    tally : Tally
-        What to write.
-    path : Path
-        A file that does not exist yet.
-    reporter : Reporter
-        Where progress goes; the long layer is streamed in batches.
-    """
+    """Write both layers, the long one in batches, their styles, and an index on the times."""
     metadata = {
         name: value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
         for name, value in tally.metadata.items()

@@ -166,14 +166,7 @@ def aligned_grid(corners: Floats) -> PixelGrid:
 def write_raster(tally: Tally, path: Path, reporter: Reporter) -> None:
     """Write the cloud-optimised GeoTIFF: float32 occupancy, NaN where not observed.
 
-    Parameters
-    ----------
-    tally : Tally
-        What to write.
-    path : Path
-        The file; a plain GeoTIFF stands beside it while it is built, band by band.
-    reporter : Reporter
-        Where progress goes.
+    A plain GeoTIFF stands beside it while it is built, band by band.
     """
     corners = quads(tally.tiles)[tally.seen]
     intervals = [None, *tally.columns]

@@ -50,7 +50,7 @@ def project(
         `utc`, the time as a time stamp. A further column of the recording whose name is taken
         ends in `_recorded`.
     """
-    batches = PointStream(as_recording(recording), as_track(pose), reporter)
+    batches = _PointStream(as_recording(recording), as_track(pose), reporter)
     table = pa.Table.from_batches(batches, schema=batches.schema)
     frame = table.drop_columns([GEOMETRY]).to_pandas()
     points = shapely.from_wkb(table[GEOMETRY].to_numpy())
@@ -95,7 +95,7 @@ def write_projection(
         )
     source = as_recording(recording)
     refuse_inputs(path, source.path)
-    points = PointStream(source, as_track(pose), reporter)
+    points = _PointStream(source, as_track(pose), reporter)
     with whole_file(path) as part:
         WRITERS[path.suffix.lower()](points, part)
     return points.rows
@@ -115,24 +115,12 @@ OWN = pa.schema(
 TAKEN = (*OWN.names, GEOMETRY, "geom", "fid")
 
 
-def distinct_names(
+def _distinct_names(
     names: Iterable[str], taken: Collection[str], *, longest: int | None = None
 ) -> dict[str, str]:
     """Give each name one that differs from all others by more than upper and lower case.
 
-    Parameters
-    ----------
-    names : iterable of str
-        Names to keep where possible.
-    taken : collection of str
-        Names that others have already.
-    longest : int, optional
-        The most bytes a name may have in UTF-8.
-
-    Returns
-    -------
-    dict
-        From each name to its new one, in the same order.
+    `longest` is the most bytes that a name may have in UTF-8.
     """
     used = {name.lower() for name in taken}
     given: dict[str, str] = {}
@@ -155,7 +143,7 @@ def _fitting(name: str, ending: str, longest: int | None) -> str:
     return name.encode()[:room].decode(errors="ignore") + ending
 
 
-def renamed(names: dict[str, str]) -> list[str]:
+def _renamed(names: dict[str, str]) -> list[str]:
     """Return which names changed, one text a name."""
     return [f"{name!r} to {fresh!r}" for name, fresh in names.items() if name != fresh]
 
@@ -172,28 +160,11 @@ def _plain(kind: pa.DataType) -> pa.DataType:
 STAGE = "projecting"
 
 
-class PointStream:
+class _PointStream:
     """A recording's detections as points in the map, computed while they are read, once.
 
-    Parameters
-    ----------
-    recording : Recording
-        What the sensor recorded.
-    track : PoseTrack
-        Where it stood and looked.
-    reporter : Reporter
-        Receives progress, and which columns are renamed.
-
-    Attributes
-    ----------
-    schema : pyarrow.Schema
-        The columns of every batch, the geometry as WKB.
-    pose : Pose
-        The first pose: it names the coordinate system and a place near the points.
-    rows : int
-        How many points there were so far.
-    reporter : Reporter
-        Where remarks go.
+    All batches are of `schema`, with the geometry as WKB. `pose` is the first one: it names the
+    coordinate system and a place near the points. `rows` counts the points so far.
     """
 
     def __init__(self, recording: Recording, track: PoseTrack, reporter: Reporter) -> None:
@@ -201,7 +172,7 @@ class PointStream:
         self._pieces = recording.read()
         self._first = next(self._pieces)
         further = self._first.further.schema
-        self.names = distinct_names(further.names, TAKEN)
+        self.names = _distinct_names(further.names, TAKEN)
         kept = [pa.field(self.names[field.name], _plain(field.type)) for field in further]
         self.schema: pa.Schema = pa.schema([*OWN, *kept, pa.field(GEOMETRY, pa.binary())])
         self.pose: Pose = track.poses[0]
@@ -210,7 +181,7 @@ class PointStream:
         if not recording.measures_elevation():
             level = "measures no elevation: its detections are placed at the height of the sensor"
             reporter.log(f"{recording.path.name}: {track.sensor} {level}", "warning")
-        if changed := renamed(self.names):
+        if changed := _renamed(self.names):
             reporter.log(f"{recording.path.name}: columns renamed: {', '.join(changed)}", "warning")
 
     def __iter__(self) -> Iterator[pa.RecordBatch]:
@@ -261,7 +232,7 @@ NUMERIC = (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal, pa.ty
 NOT_IN_GEOPACKAGE = (pa.types.is_duration, pa.types.is_interval, pa.types.is_decimal256)
 
 
-def write_points_geopackage(points: PointStream, path: Path) -> None:
+def write_points_geopackage(points: _PointStream, path: Path) -> None:
     """Write the layer `hits` of a GeoPackage."""
     kept = [
         field.name
@@ -284,7 +255,7 @@ def write_points_geopackage(points: PointStream, path: Path) -> None:
     )
 
 
-def write_points_geoparquet(points: PointStream, path: Path) -> None:
+def write_points_geoparquet(points: _PointStream, path: Path) -> None:
     """Write a GeoParquet file."""
     crs = points.pose.crs.to_json_dict()
     column = {"encoding": "WKB", "geometry_types": ["Point Z"], "crs": crs}
@@ -345,7 +316,7 @@ _INTEGERS: dict[pa.DataType, type[np.signedinteger[Any]]] = {
 }
 
 
-def write_points_las(points: PointStream, path: Path) -> None:
+def write_points_las(points: _PointStream, path: Path) -> None:
     """Write LAS 1.4 or LAZ, by the ending of `path`; columns without numbers are left out."""
     header = laspy.LasHeader(version="1.4", point_format=POINT_FORMAT)
     header.offsets = np.floor(points.pose.position)
@@ -359,14 +330,14 @@ def write_points_las(points: PointStream, path: Path) -> None:
             writer.write_points(_scan_points(batch, header, dimensions))
 
 
-def _dimensions(points: PointStream, path: Path, standard: list[str]) -> list[_Dimension]:
+def _dimensions(points: _PointStream, path: Path, standard: list[str]) -> list[_Dimension]:
     further = [f for f in points.schema if f.name not in {*OWN.names, GEOMETRY}]
     numeric = [f for f in further if any(is_kind(f.type) for is_kind in NUMERIC)]
     taken = [*standard, *OWN.names, *(ours.name for ours in _OURS), "xyz"]
-    names = distinct_names([field.name for field in numeric], taken, longest=LONGEST_NAME)
+    names = _distinct_names([field.name for field in numeric], taken, longest=LONGEST_NAME)
     left = [field.name for field in further if field not in numeric]
     remarks = [f"left out, no numbers: {', '.join(left)}"] * bool(left)
-    if changed := renamed(names):
+    if changed := _renamed(names):
         remarks.append(f"renamed: {', '.join(changed)}")
     if remarks:
         points.reporter.log(f"{path.name}: columns {'; '.join(remarks)}", "warning")
@@ -399,7 +370,7 @@ def _scan_points(
     return scan
 
 
-WRITERS: dict[str, Callable[[PointStream, Path], None]] = {
+WRITERS: dict[str, Callable[[_PointStream, Path], None]] = {
     ".gpkg": write_points_geopackage,
     ".laz": write_points_las,
     ".las": write_points_las,

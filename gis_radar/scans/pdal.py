@@ -16,10 +16,10 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from gis_radar.errors import GisRadarError, InputError, OutputError
 from gis_radar.processes import run_child
@@ -65,24 +65,33 @@ _START_S = 60.0
 
 @dataclass(frozen=True, kw_only=True)
 class PdalRunner:
-    """A PDAL that starts on this machine.
+    """A PDAL on this machine.
 
     Parameters
     ----------
-    name : str
-        What it is, with its version: ``pdal program 2.2.0``.
-    version : tuple of int
-        Major, minor, patch of the library.
-    command : tuple of str
-        What is started; it reads a pipeline from standard input.
+    kind : str
+        What it is: ``pdal program`` or ``pdal binding``.
+    place : str
+        Where it was found, as remarks name it.
+    ask, command : tuple of str
+        What is started for its version, and what reads a pipeline from standard input.
     environment : mapping of str to str
         The environment it is started in.
+    version : tuple of int
+        Major, minor, patch of the library; empty where it was not started yet.
     """
 
-    name: str
-    version: tuple[int, ...]
+    kind: str
+    place: str
+    ask: tuple[str, ...]
     command: tuple[str, ...]
     environment: Mapping[str, str] = field(repr=False)
+    version: tuple[int, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """What it is, with its version: ``pdal program 2.2.0``."""
+        return f"{self.kind} {'.'.join(map(str, self.version))}"
 
     def run(self, pipeline: Mapping[str, Any], *, reporter: Reporter = QUIET) -> None:
         """Run a pipeline to its end.
@@ -149,29 +158,17 @@ def find_pdal(*, reporter: Reporter = QUIET) -> PdalRunner | None:
         if isinstance(answer, str):
             reporter.log(f"{candidate.place} is passed over: {answer}", "warning")
             continue
-        number = ".".join(map(str, answer))
-        return PdalRunner(
-            name=f"{candidate.kind} {number}", version=answer, command=candidate.command,
-            environment=candidate.environment,
-        )  # fmt: skip
+        return replace(candidate, version=answer)
     return None
 
 
-class Installation(NamedTuple):
-    """What may be a working PDAL: what is started for its version, and for a pipeline."""
-
-    kind: str
-    place: str
-    ask: tuple[str, ...]
-    command: tuple[str, ...]
-    environment: Mapping[str, str]
-
-
-def candidates() -> Iterator[Installation]:
+def candidates() -> Iterator[PdalRunner]:
     """Yield what is there, in the order of preference, without starting it."""
     if _binding_is_installed():
-        ask, run = (*_BINDING, _ASK_BINDING), (*_BINDING, _RUN_BINDING)
-        yield Installation("pdal binding", "the Python package pdal", ask, run, dict(os.environ))
+        yield PdalRunner(
+            kind="pdal binding", place="the Python package pdal", ask=(*_BINDING, _ASK_BINDING),
+            command=(*_BINDING, _RUN_BINDING), environment=dict(os.environ),
+        )  # fmt: skip
     if named := os.environ.get(VARIABLE):
         yield _program(named, f"{VARIABLE}={named}", os.environ)
     if found := shutil.which("pdal"):
@@ -190,9 +187,11 @@ def _binding_is_installed() -> bool:
     return spec is not None and spec.origin is not None
 
 
-def _program(path: str, place: str, environment: Mapping[str, str]) -> Installation:
-    ask, run = (path, "--version"), (path, "pipeline", "--stdin")
-    return Installation("pdal program", place, ask, run, dict(environment))
+def _program(path: str, place: str, environment: Mapping[str, str]) -> PdalRunner:
+    return PdalRunner(
+        kind="pdal program", place=place, ask=(path, "--version"),
+        command=(path, "pipeline", "--stdin"), environment=dict(environment),
+    )  # fmt: skip
 
 
 @cache

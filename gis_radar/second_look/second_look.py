@@ -34,7 +34,7 @@ from gis_radar.second_look.surroundings import (
     standing,
 )
 
-CONFIRMS, DOUBTS, NOTHING = "confirms", "doubts", "nothing to compare"
+CONFIRMS, DOUBTS, UNCLEAR = "confirms", "doubts", "nothing to compare"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -399,7 +399,7 @@ def second_look(
     found = standing(slow, level, structure.ground, reach_m=reach_m, settings=settings)
     reason = _too_little(slow, found, structure, settings)
     compared = (
-        {"verdict": NOTHING, "reason": reason} if reason else _compared(found, structure, settings)
+        {"verdict": UNCLEAR, "reason": reason} if reason else _compared(found, structure, settings)
     )
     look = SecondLook(
         pose=pose, standing=found, structure=structure, range_m=slow.range_m, settings=settings,
@@ -455,9 +455,9 @@ def _verdict(
     if elsewhere and alignment.lead(best, here) >= limits.better_sigmas:
         return DOUBTS, f"{fits}, but {best.score:.0%} {best.words()}"
     if covered < limits.least_covered:
-        return NOTHING, f"the scan covers {covered:.0%} of what stands in view"
+        return UNCLEAR, f"the scan covers {covered:.0%} of what stands in view"
     if alignment.over(chance) < limits.better_sigmas:
         return DOUBTS, f"{fits}, hardly more than by chance ({chance:.0%})"
     if other is not None and (elsewhere or alignment.lead(best, other) < limits.clear_sigmas):
-        return NOTHING, f"{fits}, and {other.score:.0%} {other.words()}: both may be right"
+        return UNCLEAR, f"{fits}, and {other.score:.0%} {other.words()}: both may be right"
     return CONFIRMS, f"{fits}, by chance {chance:.0%}; most of all {best.words()}"
