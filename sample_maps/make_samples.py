@@ -223,7 +223,9 @@ def make_samples(folder: Path, duration_s: float = DURATION_S) -> None:
     scan = fly(scanned_scene(site), rng=np.random.default_rng([SEED, 99]))
     write_scan(scan, folder / "scan.laz", crs=CRS_OF_SITE, flown=date(2024, 3, 14))
     write_recordings(site, folder, duration_s)
-    write_packed(site.traffic.table(TERRAIN), folder / "vehicles.parquet", repeated=("t", "id"))
+    write_packed(
+        site.traffic.table(TERRAIN), folder / "vehicles.parquet", repeated=("t", "id", "kind")
+    )
 
 
 def main() -> None:

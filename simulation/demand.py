@@ -26,6 +26,9 @@ class VehicleKind:
         The box around it.
     share : float
         Share of the traffic; shares need not add up to one.
+    parts_m : tuple of (float, float)
+        Of a vehicle that bends: of its bodies, how far behind the front bumper each begins, and its
+        length. Empty for a vehicle of one body.
     """
 
     name: str
@@ -34,6 +37,12 @@ class VehicleKind:
     width_m: float
     height_m: float
     share: float
+    parts_m: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def bodies_m(self) -> tuple[tuple[float, float], ...]:
+        """The bodies as in `parts_m`, also of a vehicle of one body."""
+        return self.parts_m or ((0.0, self.length_m),)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,9 +85,27 @@ KINDS = (
         name="bus", sumo_class="bus", length_m=12.0, width_m=2.55, height_m=3.1, share=0.04
     ),
     VehicleKind(
-        name="bike", sumo_class="motorcycle", length_m=2.2, width_m=0.8, height_m=1.4, share=0.03
+        name="motorcycle",
+        sumo_class="motorcycle",
+        length_m=2.2,
+        width_m=0.8,
+        height_m=1.4,
+        share=0.03,
     ),
 )
+
+# the longest that may drive everywhere in Europe (directive 96/53/EC): 16.5 m and 18.75 m
+LONG_KINDS = (
+    VehicleKind(
+        name="articulated", sumo_class="truck", length_m=16.5, width_m=2.55, height_m=3.9,
+        share=0.03, parts_m=((0.0, 6.0), (2.9, 13.6)),
+    ),
+    VehicleKind(
+        name="road_train", sumo_class="truck", length_m=18.0, width_m=2.55, height_m=3.9,
+        share=0.015, parts_m=((0.0, 9.3), (10.5, 7.5)),
+    ),
+)  # fmt: skip
+ALL_KINDS = (*KINDS, *LONG_KINDS)
 
 
 def random_flows(

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from gis_radar.arrays import Floats
-from simulation.network import Lane, RoadNetwork, Turn
+from simulation.network import Band, Lane, RoadNetwork, Turn
 
 EASED_M = 12.0
+# going round a parked car takes 30 m from lane to lane and back
+ROUND_M = 30.0
+_ROUND_LEFT = 0.75  # most of what is in the way stands at the right edge
+_ROUND_RADIUS_M = 30.0  # in tighter bends nothing is parked
+_MOST_ROUND = 12
+_CUT_M = 6.0
+_WANDER_LENGTH_M = 14.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,23 +31,70 @@ class LaneKeeping:
     street_m : float
         Standard deviation, from street to street, of what all drivers do there: parked cars, kerbs
         and medians push them to one side.
+    lane_m, turn_m : float
+        The same from lane to lane, and from one turning way to another.
     driver_m : float
         Standard deviation from driver to driver; none is more than two off.
     wander_m : float
         Amplitude of a driver's own slow wander.
+    cut_m2, cut_most_m : float
+        How far to the inside a bend of curvature 1/m is driven, and no farther than that.
+    round_m, round_every_m : float
+        How far drivers go round what stands or cycles at the edge or waits to turn, and the mean
+        way between two such places.
+    straddling : float
+        Share of drivers who drive on the line between two lanes of their way, where there are two.
     """
 
     mean_m: float = 0.0
     street_m: float = 0.0
+    lane_m: float = 0.0
+    turn_m: float = 0.0
     driver_m: float = 0.15
     wander_m: float = 0.08
+    cut_m2: float = 0.0
+    cut_most_m: float = 0.9
+    round_m: float = 0.0
+    round_every_m: float = 250.0
+    straddling: float = 0.0
 
     def on(self, network: RoadNetwork, *, seed: int) -> DrivenRoads:
         """Return a network with what all drivers do on each of its streets."""
         edges = sorted({lane.edge for lane in network.lanes.values()})
         rng = np.random.default_rng([seed, 1])
         drawn = self.mean_m + self.street_m * rng.normal(size=len(edges))
-        return DrivenRoads(network=network, by_edge=dict(zip(edges, drawn.tolist(), strict=True)))
+        of_ways = np.random.default_rng([seed, 6])
+        return DrivenRoads(
+            network=network,
+            by_edge=dict(zip(edges, drawn.tolist(), strict=True)),
+            by_way={
+                name: float(of_ways.normal()) * (self.turn_m if _bends(band) else self.lane_m)
+                for name, band in sorted(network.bands.items())
+            },
+        )
+
+    def driver(self, rng: np.random.Generator, manner: np.random.Generator) -> Driver:
+        """Draw a driver: his place in the lane from `rng`, his manner from `manner`."""
+        habit = float(
+            np.clip(rng.normal(0.0, self.driver_m), -2 * self.driver_m, 2 * self.driver_m)
+        )
+        phase = float(rng.uniform(0.0, 2.0 * np.pi))
+        gaps = manner.exponential(self.round_every_m, _MOST_ROUND)
+        sign = np.where(manner.random(_MOST_ROUND) < _ROUND_LEFT, 1.0, -1.0)
+        by = sign * self.round_m * manner.normal(1.0, 0.2, _MOST_ROUND)
+        return Driver(
+            habit=habit,
+            wander=self.wander_m,
+            phase=phase,
+            cut=(self.cut_m2, self.cut_most_m),
+            round_at=np.cumsum(gaps + 2.0 * ROUND_M),
+            round_by=by,
+            straddles=bool(manner.random() < self.straddling),
+        )
+
+
+def _bends(band: Band) -> bool:
+    return isinstance(band, Turn) and band.direction != "s"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,16 +107,90 @@ class DrivenRoads:
         The lanes.
     by_edge : dict[str, float]
         How far to the left of the middle the lanes of an edge are driven, metres.
+    by_way : dict[str, float]
+        How far, more than that, a lane or a turn is.
     """
 
     network: RoadNetwork
     by_edge: dict[str, float]
+    by_way: dict[str, float]
 
     def aside(self, lane: str) -> float:
         """Return how far to the left one of SUMO's lanes is driven; a turn as where it leads."""
-        band = self.network.bands[self.network.spans[lane][0]]
-        into = self.network.lanes[band.target] if isinstance(band, Turn) else band
-        return self.by_edge[into.edge] if isinstance(into, Lane) else 0.0
+        return self.by_edge[self._into(lane).edge] + self.by_way[self._way(lane)]
+
+    def line(self, lane: str) -> float:
+        """Return how far to the left the line to a lane beside is; 0 where none is."""
+        if _bends(self.network.bands[self._way(lane)]):
+            return 0.0
+        into = self._into(lane)
+        index = {other.index for other in self.network.lanes.values() if other.edge == into.edge}
+        half = float(np.hypot(*(into.left[0] - into.right[0]))) / 2.0
+        return half if into.index + 1 in index else -half if into.index - 1 in index else 0.0
+
+    def _way(self, lane: str) -> str:
+        return self.network.spans[lane][0]
+
+    def _into(self, lane: str) -> Lane:
+        """Return the lane itself, or the one that a turn leads to."""
+        band = self.network.bands[self._way(lane)]
+        return self.network.lanes[band.target if isinstance(band, Turn) else band.id]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Driver:
+    """Where one driver keeps in the lanes he drives; positive is left, metres.
+
+    Parameters
+    ----------
+    habit, wander, phase : float
+        His own place, and the amplitude and phase of his slow wander.
+    cut : tuple of float
+        As `cut_m2` and `cut_most_m` of `LaneKeeping`.
+    round_at, round_by : Floats
+        Where on his way he goes round something, and how far.
+    straddles : bool
+        Whether he drives on the line between two lanes.
+    """
+
+    habit: float
+    wander: float
+    phase: float
+    cut: tuple[float, float]
+    round_at: Floats
+    round_by: Floats
+    straddles: bool
+
+    def aside(
+        self, lanes: Sequence[str], heading: Floats, driven_m: Floats, roads: DrivenRoads
+    ) -> Floats:
+        """Return how far to the left of the middle he is at each step.
+
+        Parameters
+        ----------
+        lanes : sequence of str
+            SUMO's lane at each step.
+        heading : (n,) array
+            Of the lane's middle there, rad, continuous.
+        driven_m : (n,) array
+            How far he has come, ascending, metres.
+        roads : DrivenRoads
+            What all drivers do.
+        """
+        names = np.array(lanes)
+        street = np.empty(len(names))
+        for lane in dict.fromkeys(lanes):
+            beside = roads.line(lane) if self.straddles else 0.0
+            street[names == lane] = roads.aside(lane) + beside
+        own = self.habit + self.wander * np.sin(driven_m / _WANDER_LENGTH_M + self.phase)
+        gain, most = self.cut
+        ahead, behind = (np.interp(driven_m + d, driven_m, heading) for d in (_CUT_M, -_CUT_M))
+        curvature = (ahead - behind) / (2.0 * _CUT_M)
+        inside = np.clip(gain * curvature, -most, most)
+        near = np.clip(np.abs(driven_m - self.round_at[:, None]) / ROUND_M, 0.0, 1.0)
+        bumps = self.round_by @ np.cos(0.5 * np.pi * near) ** 2
+        free = np.clip(1.0 - _ROUND_RADIUS_M * np.abs(curvature), 0.0, 1.0)
+        return np.asarray(own + eased(street, driven_m) + inside + free * bumps)
 
 
 def eased(value: Floats, driven_m: Floats) -> Floats:

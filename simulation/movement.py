@@ -56,8 +56,24 @@ class Vehicles:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Coupling:
+    """What makes a body a trailer.
+
+    Parameters
+    ----------
+    drawn_by : int
+        The body that draws it.
+    whole_m : float
+        Length of the whole vehicle when it stands in line, metres.
+    """
+
+    drawn_by: int
+    whole_m: float
+
+
+@dataclass(frozen=True, kw_only=True)
 class Traffic:
-    """The movement of all vehicles on a time grid of 50 ms.
+    """The movement of all vehicles on a time grid of 50 ms; a trailer is a body of its own.
 
     Parameters
     ----------
@@ -71,6 +87,8 @@ class Traffic:
         Length, width and height, ``(vehicles, 3)``, metres.
     kind : tuple of str
         Kind of every vehicle.
+    couplings : dict[int, Coupling]
+        Which bodies are trailers.
     """
 
     start: float
@@ -80,6 +98,7 @@ class Traffic:
     yaw_rate: Floats = field(repr=False)
     size: Floats = field(repr=False)
     kind: tuple[str, ...] = field(repr=False)
+    couplings: dict[int, Coupling] = field(default_factory=dict, repr=False)
 
     def at(self, time: float) -> Vehicles:
         """Return the vehicles at a time (UNIX seconds), between the grid's rows too."""
@@ -111,18 +130,24 @@ class Traffic:
         DataFrame
             ``t`` UNIX seconds; ``id``; ``easting northing height`` of the middle of the vehicle
             at road height, metres; ``heading`` degrees counter-clockwise from grid east;
-            ``speed`` m/s; ``length width vehicle_height`` metres.
+            ``speed`` m/s; ``length width vehicle_height`` metres; ``kind``. A vehicle with a
+            trailer has two rows of one ``id``: ``part`` 0 draws, 1 is the trailer; in
+            ``whole_length`` both have the length of the vehicle.
         """
         row, column = np.nonzero(np.isfinite(self.speed))
         centre = self.centre[row, column]
         turned = np.degrees(self.heading[row, column])
         length, width, height = self.size[column].T
+        drawn_by, whole = np.arange(len(self.kind)), self.size[:, 0].copy()
+        for body, coupling in self.couplings.items():
+            drawn_by[body] = coupling.drawn_by
+            whole[[body, coupling.drawn_by]] = coupling.whole_m
         # 1/1024 m is fine enough, and such numbers pack well
         place = np.rint(np.column_stack([centre, terrain.height(centre)]) * 1024.0) / 1024.0
         return pd.DataFrame(
             {
                 "t": np.round(self.start + row * STEP_S, 3),
-                "id": column.astype(np.int32),
+                "id": drawn_by[column].astype(np.int32),
                 "easting": place[:, 0],
                 "northing": place[:, 1],
                 "height": place[:, 2],
@@ -131,5 +156,8 @@ class Traffic:
                 "length": length,
                 "width": width,
                 "vehicle_height": height,
+                "kind": np.array(self.kind, dtype=np.str_)[column],
+                "part": (drawn_by != np.arange(len(drawn_by)))[column].astype(np.int8),
+                "whole_length": whole[column],
             }
         )

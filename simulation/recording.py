@@ -113,7 +113,7 @@ def write_packed(table: pd.DataFrame, path: Path, *, repeated: tuple[str, ...]) 
     Parameters
     ----------
     table : DataFrame
-        Numbers only.
+        Numbers; texts only where repeated.
     path : Path
         The file.
     repeated : tuple of str

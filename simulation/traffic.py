@@ -14,13 +14,12 @@ from gis_radar.arrays import Floats, Integers
 from gis_radar.steps import STEP_S
 from simulation.curves import arc_length
 from simulation.demand import Flow, VehicleKind, run_demand
-from simulation.driving import DrivenRoads, LaneKeeping, eased
-from simulation.movement import Traffic
+from simulation.driving import DrivenRoads, Driver, LaneKeeping
+from simulation.movement import Coupling, Traffic
 from simulation.network import RoadNetwork
 
 _LANE_CHANGE_M = 22.0
 _LANE_JUMP_M = 0.5
-_WANDER_LENGTH_M = 14.0
 _RUN_UP_S = 40.0
 
 
@@ -67,7 +66,7 @@ def simulate_traffic(
             end_s=warm_up_s + duration_s + 2 * STEP_S,
             seed=seed,
         )
-        runs = _read_trace(trace, np.random.default_rng(seed), keeping)
+        runs = _read_trace(trace, seed, keeping)
     steps = round(duration_s / STEP_S) + 1
     roads = keeping.on(network, seed=seed)
     return _lay(runs, roads, {k.name: k for k in kinds}, start, steps, round(warm_up_s / STEP_S))
@@ -77,8 +76,7 @@ def simulate_traffic(
 class _Run:
     """One vehicle's way in the output of SUMO: the front bumper's lane and position at each step.
 
-    SUMO drives on the middle of the lane to the millimetre; `habit` (metres to the left),
-    `wander` and `phase` make each driver keep a line of his own.
+    SUMO drives on the middle of the lane to the millimetre; each driver keeps a line of his own.
     """
 
     kind: str
@@ -86,12 +84,10 @@ class _Run:
     lane: tuple[str, ...]
     position: Floats
     speed: Floats
-    habit: float
-    wander: float
-    phase: float
+    driver: Driver
 
 
-def _read_trace(path: Path, rng: np.random.Generator, keeping: LaneKeeping) -> list[_Run]:
+def _read_trace(path: Path, seed: int, keeping: LaneKeeping) -> list[_Run]:
     """Return the runs of a floating-car file, in the order of first appearance."""
     rows: dict[str, list[tuple[int, str, float, float]]] = {}
     kinds: dict[str, str] = {}
@@ -106,7 +102,7 @@ def _read_trace(path: Path, rng: np.random.Generator, keeping: LaneKeeping) -> l
             kinds[entry["id"]] = entry["type"]
         elif event == "end":
             element.clear()
-    runs, spread = [], keeping.driver_m
+    runs, place, manner = [], np.random.default_rng(seed), np.random.default_rng([seed, 5])
     for name, steps in rows.items():
         when, lane, position, speed = zip(*steps, strict=True)
         runs.append(
@@ -116,9 +112,7 @@ def _read_trace(path: Path, rng: np.random.Generator, keeping: LaneKeeping) -> l
                 lane=lane,
                 position=np.array(position),
                 speed=np.array(speed),
-                habit=float(np.clip(rng.normal(0.0, spread), -2 * spread, 2 * spread)),
-                wander=keeping.wander_m,
-                phase=float(rng.uniform(0.0, 2.0 * np.pi)),
+                driver=keeping.driver(place, manner),
             )
         )
     return runs
@@ -134,14 +128,19 @@ def _lay(
 ) -> Traffic:
     """Return the traffic of the runs that overlap the recorded time."""
     runs = [r for r in runs if r.step[-1] >= first_step and len(r.step) > 2]
-    sizes = [(k.length_m, k.width_m, k.height_m) for k in (kinds[r.kind] for r in runs)]
-    poses = np.full((4, steps, len(runs)), np.nan)
-    speed = np.full((steps, len(runs)), np.nan)
-    for column, run in enumerate(runs):
+    bodies = [(run, part) for run in runs for part in kinds[run.kind].bodies_m]
+    sizes = [(length, kinds[r.kind].width_m, kinds[r.kind].height_m) for r, (_, length) in bodies]
+    poses = np.full((4, steps, len(bodies)), np.nan)
+    speed = np.full((steps, len(bodies)), np.nan)
+    couplings: dict[int, Coupling] = {}
+    for column, (run, (behind_m, length_m)) in enumerate(bodies):
         inside = (run.step >= first_step) & (run.step < first_step + steps)
         rows = run.step[inside] - first_step
-        poses[:, rows, column] = _drive(run, roads, sizes[column][0])[:, inside]
+        poses[:, rows, column] = _drive(run, roads, behind_m, length_m)[:, inside]
         speed[rows, column] = run.speed[inside]
+        if behind_m > 0.0:
+            whole = kinds[run.kind].length_m
+            couplings[column] = Coupling(drawn_by=column - 1, whole_m=whole)
     return Traffic(
         start=start,
         centre=np.moveaxis(poses[:2], 0, -1),
@@ -149,40 +148,46 @@ def _lay(
         speed=speed,
         yaw_rate=poses[3],
         size=np.array(sizes).reshape(-1, 3),
-        kind=tuple(r.kind for r in runs),
+        kind=tuple(r.kind for r, _ in bodies),
+        couplings=couplings,
     )
 
 
-def _drive(run: _Run, roads: DrivenRoads, length_m: float) -> Floats:
-    """Return easting, northing, heading and yaw rate at each step of a run.
+def _drive(run: _Run, roads: DrivenRoads, behind_m: float, length_m: float) -> Floats:
+    """Return easting, northing, heading and yaw rate of a body at each step of a run.
 
-    The rear bumper follows the way of the front one, the vehicle's length behind it.
+    Its ends follow the way of the vehicle's front bumper: `behind_m` and its length more.
     """
     front = _front(run, roads)
     s = arc_length(front)
     first = front[min(int(np.searchsorted(s, 0.5)), len(s) - 1)] - front[0]
     ahead = first / np.hypot(*first) if np.hypot(*first) > 0 else np.array([1.0, 0.0])
-    path = np.vstack([front[0] - (length_m + 1.0) * ahead, front])
-    along = np.concatenate([[-length_m - 1.0], s])
-    rear = np.column_stack([np.interp(s - length_m, along, path[:, k]) for k in (0, 1)])
+    most_m = behind_m + length_m + 1.0
+    path = np.vstack([front[0] - most_m * ahead, front])
+    along = np.concatenate([[-most_m], s])
+    if behind_m > 0.0:
+        front = _at(s - behind_m, along, path)
+    rear = _at(s - behind_m - length_m, along, path)
     heading = np.unwrap(np.arctan2(*(front - rear).T[::-1]))
     return np.vstack([((front + rear) / 2.0).T, heading, np.gradient(heading, STEP_S)])
+
+
+def _at(s_m: Floats, along: Floats, path: Floats) -> Floats:
+    return np.column_stack([np.interp(s_m, along, path[:, k]) for k in (0, 1)])
 
 
 def _front(run: _Run, roads: DrivenRoads) -> Floats:
     """Return the front bumper's way, with SUMO's sudden lane changes drawn out."""
     names = np.array(run.lane)
     point, ahead = np.empty((len(names), 2)), np.empty((len(names), 2))
-    street = np.empty(len(names))
     for lane in dict.fromkeys(run.lane):
         on = names == lane
         point[on], ahead[on] = roads.network.locate(lane, run.position[on])
-        street[on] = roads.aside(lane)
     left = np.column_stack([-ahead[:, 1], ahead[:, 0]])
     driven = np.concatenate([[0.0], np.cumsum(run.speed[1:] * STEP_S)])
     jump = np.sum((point[:-1] - point[1:]) * left[1:], axis=1)
-    aside = run.habit + run.wander * np.sin(driven / _WANDER_LENGTH_M + run.phase)
-    aside += eased(street, driven)
+    heading = np.unwrap(np.arctan2(*ahead.T[::-1]))
+    aside = run.driver.aside(run.lane, heading, driven, roads)
     for k in np.flatnonzero(np.abs(jump) > _LANE_JUMP_M):
         share = np.clip((driven[k + 1 :] - driven[k + 1]) / _LANE_CHANGE_M, 0.0, 1.0)
         aside[k + 1 :] += jump[k] * (1.0 - share**2 * (3.0 - 2.0 * share))

@@ -193,6 +193,7 @@ def mixed(kinds: Sequence[VehicleKind], rng: np.random.Generator) -> tuple[Vehic
                 width_m=round(kind.width_m * float(width), 2),
                 height_m=round(kind.height_m * float(height), 2),
                 share=round(kind.share * float(np.exp(rng.normal(0.0, 0.5))), 4),
+                parts_m=tuple((a * float(length), b * float(length)) for a, b in kind.parts_m),
             )
         )
     return tuple(made)
