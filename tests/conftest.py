@@ -1,11 +1,14 @@
 """What this machine has for the tests: PDAL, with a word on it at the end, and SUMO."""
 
 import importlib.util
+import os
+import pickle
 import signal
 import sys
 from pathlib import Path
 
 import pytest
+from filelock import FileLock
 
 from gis_radar.cli import group
 from gis_radar.cli.console import run_group
@@ -28,6 +31,26 @@ def pdal():
         assert not broken, f"PDAL is there and does not start: {', '.join(broken)}"
         pytest.skip(f"no PDAL here: {why_no_pdal()}")
     return runner
+
+
+@pytest.fixture(scope="session")
+def once(tmp_path_factory):
+    """Give a function that makes what is dear once for all processes of a run of the tests.
+
+    It calls ``work(folder)``, whose answer the others read: it is only to be looked at.
+    """
+    root = tmp_path_factory.getbasetemp()
+    root = root.parent if "PYTEST_XDIST_WORKER" in os.environ else root
+
+    def make(name, work):
+        made = root / f"{name}.pickle"
+        with FileLock(root / f"{name}.lock"):
+            if not made.exists():
+                folder = tmp_path_factory.mktemp(name)
+                made.write_bytes(pickle.dumps(work(folder)))
+        return pickle.loads(made.read_bytes())  # noqa: S301 - our own
+
+    return make
 
 
 @pytest.fixture(scope="session")

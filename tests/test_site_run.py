@@ -45,14 +45,17 @@ TIMES = {"last_change", "update_time", "timestamp"}
 
 
 @pytest.fixture(scope="module")
-def small(tmp_path_factory):
+def small(once):
     """A small site, the folder of an unbroken run of it, and the true poses."""
-    folder = tmp_path_factory.mktemp("small")
-    path, poses = write_site(folder)
-    out = tmp_path_factory.mktemp("unbroken") / "out"
-    done = gr.run_site(path, out)
-    assert done.failure is None
-    return path, out, poses
+
+    def unbroken(folder):
+        (folder / "site").mkdir()
+        path, poses = write_site(folder / "site")
+        done = gr.run_site(path, folder / "out")
+        assert done.failure is None
+        return path, folder / "out", poses
+
+    return once("small", unbroken)
 
 
 @pytest.fixture

@@ -85,11 +85,14 @@ def times(found, kind):
 
 
 @pytest.fixture(scope="module")
-def still(seen, tmp_path_factory):
-    path = record(tmp_path_factory.mktemp("still") / "R1.parquet", seen)
-    heard = Listener()
-    begin = start(seen[3], easting=0.12, northing=-0.1, yaw=0.15, pitch=-0.2)
-    return follow(path, begin, reporter=heard), heard, begin, path
+def still(seen, once):
+    def standing(folder):
+        path = record(folder / "R1.parquet", seen)
+        heard = Listener()
+        begin = start(seen[3], easting=0.12, northing=-0.1, yaw=0.15, pitch=-0.2)
+        return follow(path, begin, reporter=heard), heard, begin, path
+
+    return once("still", standing)
 
 
 class Listener(Reporter):
@@ -178,11 +181,13 @@ def test_the_sign_of_the_quaternion_does_not_jump(still, tmp_path):
 
 
 @pytest.fixture(scope="module")
-def moved(seen, tmp_path_factory):
-    after = knocked(seen[3])
-    folder = tmp_path_factory.mktemp("moved")
-    path = record(folder / "R1.parquet", seen, [(62.0, np.inf, after)])
-    return follow(path, start(seen[3])), after, path
+def moved(seen, once):
+    def knocked_at_62_s(folder):
+        after = knocked(seen[3])
+        path = record(folder / "R1.parquet", seen, [(62.0, np.inf, after)])
+        return follow(path, start(seen[3])), after, path
+
+    return once("moved", knocked_at_62_s)
 
 
 def test_a_knock_is_told_with_its_time(moved, seen):
