@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from gis_radar.errors import InputError, UsageError, first_line
+from gis_radar.recordings import ars430
 from gis_radar.recordings.columns import Layout, find_layout, message_rows, values_of
 from gis_radar.recordings.frames import DamagedError, Format, Frame, NothingHereError, ReaderContext
 from gis_radar.recordings.readers.udp import METHOD, method_of, read_detections
@@ -34,7 +35,7 @@ PACKETS = (
     "ethernet_msgs/msg/Packet",
     "std_msgs/msg/UInt8MultiArray",
 )
-KNOWN = (CLOUD, *LISTS, *PACKETS)
+KNOWN = (CLOUD, *LISTS, ars430.PACKET, *PACKETS)
 # ROS 2 bags up to Humble do not say what their messages hold.
 DEFINITIONS = {
     "radar_msgs/msg/RadarReturn": "float32 range\nfloat32 azimuth\nfloat32 elevation\n"
@@ -58,6 +59,7 @@ DEFINITIONS = {
     "float32 ambiguity_free_velocity_min\nfloat32 ambiguity_free_velocity_max\n"
     "float32 alignment_azimuth_correction\nfloat32 alignment_elevation_correction\n"
     "uint8 alignment_status\ncontinental_msgs/ContinentalArs548Detection[] detections",
+    **ars430.DEFINITIONS,
 }
 
 
@@ -122,6 +124,10 @@ def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
         found = False
         for topic, stamp, raw in _messages(source, reader, wanted, context):
             for frame in topics[topic.id].frames(raw, stamp * 1e-9):
+                found = True
+                yield frame
+        for each in topics.values():
+            for frame in each.finish():
                 found = True
                 yield frame
         if not found:
@@ -202,6 +208,11 @@ class _Topic:
         self._context = context
         self._decode = _decoder(source, connection, reader)
         self._layouts: dict[tuple[str, ...], Layout] = {}
+        self._group = ars430.PacketGroup(sensor=connection.topic)
+
+    def finish(self) -> Iterator[Frame]:
+        """Yield the frame whose packets wait for more of it."""
+        yield from self._group.finish()
 
     def frames(self, raw: bytes, recorded: float) -> Iterator[Frame]:
         """Yield the frames of a message; one that is damaged is counted."""
@@ -209,6 +220,9 @@ class _Topic:
             message = self._decode(raw)
             if self._kind in PACKETS:
                 yield from self._from_packets(message, recorded)
+            elif self._kind == ars430.PACKET:
+                stamp = _seconds(message.header.stamp)
+                yield from self._group.put(message, stamp=stamp, recorded=recorded)
             else:
                 rows = message_rows(message) if self._kind == CLOUD else _rows(message, self._kind)
                 yield from self._from_rows(rows, message, recorded)

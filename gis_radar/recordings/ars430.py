@@ -1,0 +1,116 @@
+"""Packets of the ARS430 in bags of `ars430_ros_publisher`: several of one cycle are a frame.
+
+The package has two makes. The one for ROS 1 has names such as `AzAng` and keeps the slant range in
+`posX` (its `posY` is `-posX tan(AzAng)`: no Cartesian position); the port to ROS 2 has names such
+as `az_ang` and a field `range`. Azimuth counts to the right in both. The maker tells users to
+ignore the elevation angle, and the package writes 0 or that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from gis_radar.recordings.columns import cartesian
+from gis_radar.recordings.frames import Column, DamagedError, Frame
+
+PACKET = "ars430_ros_publisher/msg/RadarPacket"
+DETECTION = "ars430_ros_publisher/msg/RadarDetection"
+# ROS 2 bags up to Humble do not hold these; those of ROS 1 do.
+DEFINITIONS = {
+    DETECTION: "float32 pos_x\nfloat32 pos_y\nfloat32 pos_z\nfloat32 vrel_rad\nfloat32 az_ang\n"
+    "float32 el_ang\nfloat32 rcs\nfloat32 range\nfloat32 range_var\nfloat32 az_ang_var\n"
+    "float32 el_ang_var\nfloat32 snr\nuint8 flags",
+    PACKET: "std_msgs/Header header\nuint8 event_id\nuint32 time_stamp\n"
+    "uint32 measurement_counter\nfloat32 vambig\nars430_ros_publisher/RadarDetection[] detections",
+}
+# Ours to the names of both makes.
+LIST, COUNTER, SCAN = (
+    ("Detections", "detections"),
+    ("TimeStamp", "time_stamp"),
+    ("EventID", "event_id"),
+)
+FIELDS = {
+    "range": ("range", "posX"),
+    "azimuth": ("AzAng", "az_ang"),
+    "range_rate": ("VrelRad", "vrel_rad"),
+    "rcs": ("RCS", "rcs"),
+    "snr": ("SNR", "snr"),
+}
+
+
+def _of(record: Any, names: tuple[str, ...]) -> Any:
+    for name in names:
+        if hasattr(record, name):
+            return getattr(record, name)
+    raise DamagedError(f"a packet has none of the fields {', '.join(names)}")
+
+
+@dataclass(kw_only=True)
+class PacketGroup:
+    """Packets with one time stamp of the sensor, which become a frame.
+
+    Parameters
+    ----------
+    sensor : str
+        The topic.
+    """
+
+    sensor: str
+    _counter: int | None = None
+    _stamp: float = 0.0
+    _recorded: float = 0.0
+    _parts: list[dict[str, Column]] = field(default_factory=list)
+
+    def put(self, message: Any, *, stamp: float, recorded: float) -> Iterator[Frame]:
+        """Take a packet; yield the frame of those before it, where the sensor's time changes.
+
+        Parameters
+        ----------
+        message : RadarPacket
+            The packet.
+        stamp, recorded : float
+            UNIX seconds of its header, 0 where it has none, and of its recording.
+        """
+        counter, part = int(_of(message, COUNTER)), _columns(message)
+        if counter != self._counter:
+            yield from self.finish()
+            self._counter = counter
+            self._stamp, self._recorded = stamp, recorded
+        self._parts.append(part)
+
+    def finish(self) -> Iterator[Frame]:
+        """Yield the frame of the packets that wait, if there are any."""
+        parts, self._parts = self._parts, []
+        if not parts:
+            return
+        rows = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        count = len(rows["range"])
+        unknown = np.full(count, np.nan, dtype=np.float32)
+        yield Frame(
+            sensor=self.sensor,
+            points=cartesian(rows["range"], -rows["azimuth"], unknown),
+            range_rate=rows["range_rate"],
+            rcs=rows["rcs"],
+            further={
+                "snr": rows["snr"],
+                "scan": rows["scan"],
+                "counter": np.full(count, self._counter, dtype=np.uint32),
+            },
+            sensor_time=self._stamp,
+            recorder_time=self._recorded,
+            stamp="header stamp",
+            identity=(self._counter, hash(rows["range"].tobytes())) if count else None,
+        )
+
+
+def _columns(message: Any) -> dict[str, Column]:
+    listed = _of(message, LIST)
+    columns: dict[str, Column] = {
+        name: np.array([_of(each, names) for each in listed], dtype=np.float32)
+        for name, names in FIELDS.items()
+    }
+    return {**columns, "scan": np.full(len(listed), _of(message, SCAN), dtype=np.uint8)}
