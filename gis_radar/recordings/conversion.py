@@ -17,7 +17,8 @@ from gis_radar.errors import InputError, OutputError, UsageError
 from gis_radar.files import refuse_inputs, whole_files
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings import readers
-from gis_radar.recordings.frame_order import CLOCKS, WINDOW, Clock, FrameClock, FrameOrder, merged
+from gis_radar.recordings.frame_clock import CLOCKS, Clock, FrameClock
+from gis_radar.recordings.frame_order import WINDOW, FrameOrder, merged
 from gis_radar.recordings.frames import Format, Frame, ReaderContext, counted
 from gis_radar.recordings.recording_file import RecordingFile
 
@@ -38,8 +39,9 @@ class SensorRecording:
         UNIX seconds of the first and the last frame.
     clock : str
         Whose times they are: `sensor` (its own clock), `header stamp` (which may be the sensor's,
-        or that of the computer at arrival), `file name`, `time column`, `recorder`; where they
-        changed, one after the other: `sensor, then recorder`.
+        or that of the computer at arrival), `file name`, `time column`, `recorder`; `sensor at the
+        recorder's rate` where its clock ran slow or fast; where they changed, one after the other:
+        `sensor, then recorder`.
     elevation : bool
         Whether the sensor measures elevation; if not, z is NaN throughout.
     """

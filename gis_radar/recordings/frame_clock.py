@@ -1,0 +1,267 @@
+"""Which clock gives frames their times: the sensor's, at the recorder's rate, or the recorder's."""
+
+from __future__ import annotations
+
+import statistics
+from collections import deque
+from collections.abc import Iterator
+from itertools import islice
+from typing import Literal
+
+import numpy as np
+
+from gis_radar.arrays import Floats
+from gis_radar.errors import InputError
+from gis_radar.progress import Reporter
+from gis_radar.recordings.frames import Frame
+
+Clock = Literal["auto", "sensor", "recorder"]
+CLOCKS: tuple[Clock, ...] = ("auto", "sensor", "recorder")
+
+# Clocks that run at all are far after this; one that counts since boot is not.
+EARLIEST_S = 946_684_800.0  # 2000-01-01
+LATEST_S = 4_102_444_800.0  # 2100-01-01
+AGREEING_S = 5.0  # clocks set by NTP or PTP agree far better; TAI is 37 s off
+# How far a sensor's clock may move against the recorder's. A recorder that was kept busy stamps
+# late, so that of a clock that falls behind only the one that goes back is sure to be wrong.
+FORWARD_S, BACK_S = 0.5, 0.1
+# So many frames ahead tell a clock that jumped from a frame that was late.
+FRAMES_AHEAD = 40
+# Frames from which a rate is fitted: 10 s at 20 Hz, in which arrivals that jitter by 9 ms give it
+# to 0.012 %; half of them at least.
+RATE_FRAMES = 200
+# Quartz clocks differ by 0.01 %, a recorder that NTP corrects by 0.05 %; an ARS430 was 0.8 % slow.
+# Beyond the other limit one of the two is no clock, as where a bag was replayed faster.
+LEAST_RATE, MOST_RATE = 0.003, 0.02
+REFIT_FRAMES = 20  # a second of frames between two fits of a rate
+# A PTP clock on TAI, without the leap seconds since 1972.
+TAI_AHEAD_S = 37.0
+
+
+class FrameClock:
+    """Choice of the clock that gives one sensor's frames their times, in order of arrival.
+
+    The first frames decide; where the sensor's clock goes wrong later, the recorder's counts
+    from there on: two clocks that take turns would shuffle the frames. A sensor's clock is right
+    where the sensor calls it synchronised, it agrees with the recorder's to `AGREEING_S`, and does
+    not jump. One that runs slow or fast by `LEAST_RATE` or more, evenly over the first ten seconds,
+    is corrected by a robust line through its offsets from the recorder's clock: its times are the
+    recorder's without their jitter, and jumps count from that line.
+
+    Parameters
+    ----------
+    sensor : str
+        As messages name it.
+    clock : str
+        `sensor` or `recorder` to have that one in any case.
+    reporter : Reporter
+        Receives the reason where the sensor's clock is not used.
+    """
+
+    def __init__(self, sensor: str, clock: Clock, reporter: Reporter) -> None:
+        self.used: list[str] = []
+        self._sensor, self._clock, self._reporter = sensor, clock, reporter
+        self._waiting: deque[Frame] = deque()
+        self._offsets_s: deque[float] = deque(maxlen=FRAMES_AHEAD)
+        self._line: OffsetLine | None = None
+        self._latest = -float("inf")
+        self._stamp = "sensor"
+
+    @property
+    def _name(self) -> str:
+        """What messages call the clock of the sensor's times: a stamp may be of any clock."""
+        return "the sensor's clock" if self._stamp == "sensor" else f"the {self._stamp}"
+
+    def feed(self, frame: Frame) -> Iterator[tuple[float, Frame]]:
+        """Take a frame; yield the one whose time is known by now, if there is one."""
+        self._stamp = frame.stamp
+        self._waiting.append(frame)
+        if len(self._waiting) > RATE_FRAMES:
+            yield self._next()
+
+    def finish(self) -> Iterator[tuple[float, Frame]]:
+        """Yield the frames that are still waiting: no more are coming."""
+        while self._waiting:
+            yield self._next()
+
+    def _next(self) -> tuple[float, Frame]:
+        if not self.used:
+            self._decide()
+        frame = self._waiting.popleft()
+        return self._time(frame), frame
+
+    def _decide(self) -> None:
+        if self._clock != "auto":
+            self.used.append(self._stamp if self._clock == "sensor" else self._clock)
+            return
+        first = islice(self._waiting, FRAMES_AHEAD + 1)
+        reasons = [reason for frame in first if (reason := self._fault(frame))]
+        if reasons:
+            self._use_recorder(statistics.mode(reasons))
+            return
+        self._line = self._fit_rate()
+        if self._line is None:
+            self.used.append(self._stamp)
+            return
+        rate = self._line.rate
+        self.used.append(f"{self._stamp} at the recorder's rate")
+        self._reporter.log(
+            f"{self._sensor}: {self._name} runs {abs(rate):.2%} {'fast' if rate > 0 else 'slow'} "
+            "against the recorder's: it is corrected by that rate",
+            "warning",
+        )
+
+    def _fit_rate(self) -> OffsetLine | None:
+        """Return the line of a clock whose rate is wrong; None where it is right or not known."""
+        pairs = [
+            (frame.sensor_time, offset)
+            for frame in self._waiting
+            if frame.sensor_time is not None and (offset := _offset_s(frame)) is not None
+        ]
+        if len(pairs) < RATE_FRAMES // 2:
+            return None
+        line, half = OffsetLine(pairs), len(pairs) // 2
+        parts = [OffsetLine(pairs[:half]).rate, OffsetLine(pairs[half:]).rate]
+        # A jump, or a recorder that was busy, is not in both halves.
+        even = all(0.5 <= part / line.rate <= 1.5 for part in parts) if line.rate else False
+        if abs(line.rate) < LEAST_RATE or not even:
+            return None
+        if abs(line.rate) > MOST_RATE:
+            raise InputError(
+                f"{self._sensor}: {self._name} runs {abs(line.rate):.1%} "
+                f"{'fast' if line.rate > 0 else 'slow'} against the recorder's: one of them is "
+                "no clock",
+                hint="a replay? say which counts: --clock sensor or --clock recorder",
+            )
+        return line
+
+    def _time(self, frame: Frame) -> float:
+        recorder = self.used[-1] == "recorder"
+        if not recorder and self._clock == "auto":
+            reason = self._fault(frame) or self._jump(frame)
+            if reason:
+                self._use_recorder(reason)
+                recorder = True
+        time = frame.recorder_time if recorder else self._corrected(frame)
+        if time is None or not EARLIEST_S <= time < LATEST_S:
+            raise InputError(
+                f"{self._sensor}: no usable time: the {self._stamp} says "
+                f"{_time_text(frame.sensor_time)}, the recorder {_time_text(frame.recorder_time)}",
+                hint="expected are years from 2000 to 2100; see --clock, and --time-unit of tables",
+            )
+        return time
+
+    def _corrected(self, frame: Frame) -> float | None:
+        """Return the sensor's time, by the recorder's rate where its own is wrong."""
+        if self._line is None or frame.sensor_time is None:
+            return frame.sensor_time
+        return frame.sensor_time - self._line.at(frame.sensor_time)
+
+    def _use_recorder(self, reason: str) -> None:
+        since = " from there on" if self.used else ""
+        self.used.append("recorder")
+        self._reporter.log(f"{self._sensor}: {reason}; times are the recorder's{since}", "warning")
+
+    def _fault(self, frame: Frame) -> str:
+        """Return what is wrong with the sensor's time of a frame, empty if nothing is."""
+        if frame.sensor_time is None:
+            return "the sensor gives no time"
+        if not frame.synchronised:
+            return f"{self._name} is not synchronised"
+        if not EARLIEST_S <= frame.sensor_time < LATEST_S:
+            return f"{self._name} stands at {frame.sensor_time:,.0f} s since 1970"
+        offset_s = _offset_s(frame)
+        if offset_s is None or abs(offset_s) <= AGREEING_S or self._line is not None:
+            return ""
+        return f"{self._name} is {_readable(offset_s)} the recorder's"
+
+    def _jump(self, frame: Frame) -> str:
+        """Return how the sensor's clock jumped at a frame, empty if it did not."""
+        offset_s = _offset_s(frame)
+        if offset_s is None or frame.sensor_time is None:
+            return ""
+        usual_s = statistics.median(self._offsets_s) if self._offsets_s else offset_s
+        if self._line is not None:
+            usual_s = self._line.at(frame.sensor_time)
+        jump_s = offset_s - usual_s
+        back = jump_s < -BACK_S and frame.sensor_time < self._latest - BACK_S
+        self._latest = max(self._latest, frame.sensor_time)
+        if (back or jump_s > FORWARD_S) and self._lasts(usual_s, jump_s):
+            return f"{self._name} jumped by {jump_s:+.3f} s"
+        if abs(jump_s) <= FORWARD_S:
+            self._offsets_s.append(offset_s)
+            if self._line is not None:
+                self._line.add(frame.sensor_time, offset_s)
+        return ""
+
+    def _lasts(self, usual_s: float, jump_s: float) -> bool:
+        """Return whether the frames to come have jumped as well: one that was late is alone."""
+        ahead = islice(self._waiting, FRAMES_AHEAD)
+        coming = [offset for frame in ahead if (offset := _offset_s(frame)) is not None]
+        return bool(coming) and all((offset - usual_s) / jump_s > 0.5 for offset in coming)
+
+
+class OffsetLine:
+    """A robust line through the offsets of the sensor's clock over its last frames.
+
+    Parameters
+    ----------
+    pairs : list of (float, float)
+        The sensor's times, UNIX seconds, and by how much they are ahead, seconds.
+
+    Attributes
+    ----------
+    rate : float
+        By which share the clock runs fast.
+    """
+
+    def __init__(self, pairs: list[tuple[float, float]]) -> None:
+        self._pairs = deque(pairs, maxlen=RATE_FRAMES)
+        self._known = max(time for time, _ in pairs)
+        self._new = 0
+        self._fit()
+
+    def at(self, time: float) -> float:
+        """Return how far the clock is ahead at a time of its own."""
+        return self._offset_s + self.rate * (time - self._begin)
+
+    def add(self, time: float, offset_s: float) -> None:
+        """Take the offset of a frame that is not among those the line began with."""
+        if time <= self._known:
+            return
+        self._pairs.append((time, offset_s))
+        self._new += 1
+        if self._new == REFIT_FRAMES:
+            self._fit()
+
+    def _fit(self) -> None:
+        """Fit by the medians of slopes and of residuals (Theil 1950, Sen 1968)."""
+        pairs: Floats = np.array(self._pairs)
+        self._begin, self._new = float(pairs[0, 0]), 0
+        time, offset_s = pairs[:, 0] - self._begin, pairs[:, 1]
+        one, other = np.triu_indices(len(pairs), k=max(len(pairs) // 4, 1))
+        apart = time[other] - time[one]
+        slopes = (offset_s[other] - offset_s[one])[apart != 0.0] / apart[apart != 0.0]
+        self.rate = float(np.median(slopes)) if len(slopes) else 0.0
+        self._offset_s = float(np.median(offset_s - self.rate * time))
+
+
+def _offset_s(frame: Frame) -> float | None:
+    """Return how far the sensor's clock is ahead; None where there are not two to compare."""
+    if frame.sensor_time is None or frame.recorder_time is None:
+        return None
+    if not EARLIEST_S <= frame.recorder_time < LATEST_S:
+        return None
+    return frame.sensor_time - frame.recorder_time
+
+
+def _time_text(time: float | None) -> str:
+    return "nothing" if time is None else f"{time:,.3f} s since 1970"
+
+
+def _readable(offset_s: float) -> str:
+    side = "ahead of" if offset_s > 0 else "behind"
+    why = " (TAI instead of UTC?)" if abs(offset_s - TAI_AHEAD_S) < 0.5 else ""
+    size = abs(offset_s)
+    text = f"{size:.0f} s" if size < 600 else f"{size / 3600:.1f} h"
+    return f"{text}{why} {side}" if size < 172_800 else f"{size / 86400:.0f} days {side}"
