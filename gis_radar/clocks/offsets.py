@@ -169,18 +169,18 @@ def fine_offset(
         If there is no trustworthy one.
     """
     one, at = _common(one, other, rough_s, settings.most_fitted)
-    values = np.array([rough_s, 0.0])
-    sigma = np.full(2, np.inf)
-    vehicles = 0
-    gaps_m = settings.pair_m
-    for turn in range(settings.rounds):
-        pairs = _pairs(one, other, values, at, gaps_m[min(turn, len(gaps_m) - 1)], settings)
-        if len(pairs.gap_m) < settings.least_pairs or pairs.vehicles < settings.least_vehicles:
-            raise NoAnswerError(f"only {pairs.vehicles} vehicles are seen by both")
-        change, sigma = _solve(pairs, values[1], settings)
-        values, vehicles = values + change, pairs.vehicles
-        if turn >= len(gaps_m) and abs(change[0]) < settings.converged_s:
-            break
+    values, sigma, pairs = _fit(
+        one, other, np.array([rough_s, 0.0]), at, settings.drift_sigma, settings
+    )
+    # A clock that runs slow by a percent is no quartz that keeps the prior.
+    change, wide_sigma = _solve(pairs, values[1], settings.odd_drift_sigma, settings)
+    drift = abs(values[1] + change[1])
+    if drift > max(settings.odd_drift, settings.odd_drift_sigmas * wide_sigma[1]):
+        start = values + change
+        values, sigma, pairs = _fit(one, other, start, at, settings.odd_drift_sigma, settings)
+        if abs(values[1]) > settings.most_drift:
+            raise NoAnswerError(f"their clocks run apart by {abs(values[1]):.1%}")
+    vehicles = pairs.vehicles
     if not sigma[0] <= settings.max_sigma_s:
         raise NoAnswerError(f"their common traffic gives the offset only to {sigma[0]:.2g} s")
     if abs(values[0] - rough_s) > settings.max_change_s:
@@ -189,6 +189,23 @@ def fine_offset(
         offset_s=float(values[0]), sigma_s=float(sigma[0]), drift=float(values[1]),
         drift_sigma=float(sigma[1]), at=at, vehicles=vehicles,
     )  # fmt: skip
+
+
+def _fit(
+    one: LaneDetections, other: LaneDetections, values: Floats, at: float, drift_sigma: float,
+    settings: ClockSettings,
+) -> tuple[Floats, Floats, _Pairs]:  # fmt: skip
+    """Pair and solve in turn; return offset and drift, their sigmas, and the last pairs."""
+    gaps_m = settings.pair_m
+    for turn in range(settings.rounds):
+        pairs = _pairs(one, other, values, at, gaps_m[min(turn, len(gaps_m) - 1)], settings)
+        if len(pairs.gap_m) < settings.least_pairs or pairs.vehicles < settings.least_vehicles:
+            raise NoAnswerError(f"only {pairs.vehicles} vehicles are seen by both")
+        change, sigma = _solve(pairs, values[1], drift_sigma, settings)
+        values = values + change
+        if turn >= len(gaps_m) and abs(change[0]) < settings.converged_s:
+            break
+    return values, sigma, pairs
 
 
 def _common(
@@ -257,7 +274,9 @@ def _places(seen: LaneDetections, settings: ClockSettings) -> Integers:
     return seen.lanelet * 100_000 + (seen.s_m // settings.place_m).astype(np.int64)
 
 
-def _solve(pairs: _Pairs, drift: float, settings: ClockSettings) -> tuple[Floats, Floats]:
+def _solve(
+    pairs: _Pairs, drift: float, drift_sigma: float, settings: ClockSettings
+) -> tuple[Floats, Floats]:
     """Return the changes of offset and drift, and their standard deviations.
 
     The unknowns: offset, drift, a displacement of opposite sides, and a bias a place; each vehicle
@@ -267,7 +286,7 @@ def _solve(pairs: _Pairs, drift: float, settings: ClockSettings) -> tuple[Floats
     share = 1.0 / np.bincount(pairs.vehicle)[pairs.vehicle]
     size = 3 + places
     prior = np.full(size, settings.place_sigma_m**-2)
-    prior[:3] = 0.0, settings.drift_sigma**-2, settings.face_sigma_m**-2
+    prior[:3] = 0.0, drift_sigma**-2, settings.face_sigma_m**-2
     mean = np.zeros(size)
     mean[1:3] = -drift, 2 * settings.face_m  # the drift itself is small, not its change
     columns = np.column_stack([-pairs.speed, -pairs.speed * pairs.late_s, pairs.sides])

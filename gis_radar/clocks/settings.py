@@ -57,6 +57,10 @@ class ClockSettings:
         the spread of reflections.
     drift_sigma : float
         Prior sigma of a drift: quartz clocks of radars keep within 100 ppm.
+    odd_drift, odd_drift_sigmas, odd_drift_sigma, most_drift : float
+        Of a clock that is no quartz: a drift over `odd_drift`, and over so many of its sigmas under
+        the wide prior `odd_drift_sigma`, is fitted with that prior. An ARS430 was 0.8 % slow; over
+        `most_drift` a unit is mistaken.
     huber : float
         Residuals over so many standard deviations weigh less (Huber 1964).
     rounds, weight_rounds : int
@@ -110,6 +114,10 @@ class ClockSettings:
     place_sigma_m: float = 0.7
     vehicle_sigma_m: float = 0.5
     drift_sigma: float = 100e-6
+    odd_drift: float = 1e-3
+    odd_drift_sigmas: float = 5.0
+    odd_drift_sigma: float = 0.01
+    most_drift: float = 0.01
     huber: float = 1.5
     rounds: int = 12
     weight_rounds: int = 8
