@@ -115,7 +115,7 @@ def test_what_cards_say(made):
     assert "rejected" in text("pose track")
     assert "no answer: no common traffic" in text("clocks")
     assert "observable no" in text("localization")
-    assert "frames R1: 73.9 s" in text("occupancy")
+    assert "covered by frames R1: 100.0 s" in text("occupancy")
     assert "does not fix" in repr(made["localization"])
     assert "moved 0" not in repr(made["track"])
 

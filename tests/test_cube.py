@@ -21,8 +21,9 @@ xr = pytest.importorskip("xarray")
 
 def as_occupancy(site):
     return gr.Occupancy(
-        fingerprint=site.fingerprint, frames=site.frames, views=site.views, hits=site.hits,
-        sources=[],
+        fingerprint=site.fingerprint, frames=site.frames, views=site.views,
+        hits_by_sensor=lambda _: ((*rows, np.zeros_like(rows[0])) for rows in site.held_hits()),
+        sources=[], hold_s={"R1": 0.0, "R2": 0.0},
     )  # fmt: skip
 
 
@@ -111,14 +112,16 @@ def test_memory_is_that_of_the_result():
                            "last_step": [T0 + steps - 1]})  # fmt: skip
     views = pd.DataFrame({"sensor": "R1", "view": "a", "tile_id": tile_ids})
 
-    def hits():
+    def hits(_):
         for begin in range(T0, T0 + steps, 100):
-            yield (np.repeat(np.arange(begin, begin + 100), 400), np.tile(tile_ids, 100))
+            step = np.repeat(np.arange(begin, begin + 100), 400)
+            yield step, np.tile(tile_ids, 100), np.zeros_like(step)
 
     fingerprint = gr.fingerprint(tiles)
     occupancy = gr.Occupancy(
-        fingerprint=fingerprint, frames=frames, views=views, hits=hits, sources=[]
-    )
+        fingerprint=fingerprint, frames=frames, views=views, hits_by_sensor=hits, sources=[],
+        hold_s={"R1": 0.1},
+    )  # fmt: skip
     tracemalloc.start()
     cube = gr.to_xarray(occupancy, tiles, interval="1min")
     peak = tracemalloc.get_traced_memory()[1]
@@ -128,10 +131,10 @@ def test_memory_is_that_of_the_result():
 
 
 def test_too_large_a_cube_is_refused_before_it_is_counted(site):
-    def never():
+    def never(_):
         raise AssertionError("the hits were read")
 
-    occupancy = gr.Occupancy(**{**vars(as_occupancy(site)), "hits": never})
+    occupancy = gr.Occupancy(**{**vars(as_occupancy(site)), "hits_by_sensor": never})
     with pytest.raises(gr.UsageError, match=r"16 tiles in .* over 0.01 MiB") as error:
         gr.to_xarray(occupancy, site.tiles, interval="50ms", most_mib=0.01)
     for way in ("longer interval", "tile_ids", "within"):

@@ -22,7 +22,7 @@ from doc_pages import DOCS, PAGES, ROOT, blocks, commands, sayings
 
 import gis_radar as gr
 from gis_radar.cli import group
-from gis_radar.occupancy.folder import FILES, NEEDED
+from gis_radar.occupancy.folder import MANIFEST, NEEDED
 from gis_radar.occupancy.frame_log import COLUMNS as DELIVERIES
 from gis_radar.poses.files import TRACK_FIELDS
 from gis_radar.quality.counting import Count
@@ -224,7 +224,7 @@ def test_every_measure_of_a_file_is_defined():
     tables = {column for columns in NEEDED.values() for column in columns} | {*DELIVERIES, *TILES}
     track = {name.removeprefix("sigma_").partition("_")[0] for name in TRACK_FIELDS}
     layers = {"occupied_s", "observed_s", "occupancy", "begin", "end"}
-    assert (row | tables | track | layers | {*FILES}) - defined == set()
+    assert (row | tables | track | layers | {*NEEDED, MANIFEST}) - defined == set()
 
 
 def test_the_verdicts_on_quality_are_listed():

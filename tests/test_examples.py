@@ -30,7 +30,7 @@ def test_the_python_of_the_readme(elsewhere, capsys):
     printed = capsys.readouterr().out
     assert "HeatMap" in printed
     assert "occupancy" in printed
-    assert (elsewhere / "occupancy" / "hits.parquet").is_file()
+    assert (elsewhere / "occupancy" / "hits_by_sensor.parquet").is_file()
 
 
 def test_the_commands_of_the_readme_exist():

@@ -1,4 +1,4 @@
-"""Several sensors on one grid of steps: cycles, overlaps, frame log, exact merging."""
+"""Several sensors on one grid of steps: overlaps, frame log, exact merging."""
 
 import json
 
@@ -10,93 +10,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from maps import SHARED
 from sites import EAST, NORTH, START, crossing, pose, recording
+from test_holding import covers
 from test_occupancy import Notes, pairs_of, pieces_of, steps_of, traffic
 
 from gis_radar.clocks import SensorClock
-from gis_radar.errors import UsageError
 from gis_radar.heatmap import make_heatmap
 from gis_radar.lanelets import read_map
 from gis_radar.occupancy import measure_occupancy, merge_occupancies
 from gis_radar.occupancy.frame_log import COLUMNS
-from gis_radar.occupancy.frame_steps import last_step_covered
 from gis_radar.poses.pose import View
-from gis_radar.steps import STEP_US
 from gis_radar.tiles.tiles import make_tiles
 
 FIRST_STEP = int(START * 20)
-FILES = ("hits.parquet", "frames.parquet", "views.parquet", "deliveries.parquet")
+FILES = ("hits_by_sensor.parquet", "frames.parquet", "views.parquet", "deliveries.parquet")
 ON_TILE_4 = [12.25, 0.0, -5.0]
-times_us = st.integers(0, 3_000_000_000_000_000)
-
-
-def covered(time_us, cycle_us):
-    """Give the steps that a frame covers, straight from the words of the rule."""
-    own = time_us // STEP_US
-    later = range(own + 1, own + 2 + cycle_us // STEP_US)
-    return [own, *(step for step in later if (step + 1) * STEP_US <= time_us + cycle_us)]
-
-
-@given(time_us=times_us, cycle_us=st.integers(1000, 2_000_000))
-def test_a_frame_covers_the_steps_that_end_in_its_cycle(time_us, cycle_us):
-    last = int(last_step_covered(np.array([time_us / 1e6]), cycle_us)[0])
-    time_us = round(time_us / 1e6 * 1e6)
-    assert list(range(time_us // STEP_US, last + 1)) == covered(time_us, cycle_us)
-
-
-@given(time_us=times_us, cycle_us=st.integers(1, STEP_US))
-def test_a_frame_of_a_sensor_as_fast_as_the_steps_covers_one(time_us, cycle_us):
-    time = np.array([time_us / 1e6])
-    assert last_step_covered(time, cycle_us)[0] == round(time[0] * 1e6) // STEP_US
-
-
-@given(begin_us=st.integers(0, 10**15), cycle_us=st.integers(STEP_US, 400_000))
-def test_frames_at_their_cycle_cover_each_step_once(begin_us, cycle_us):
-    """No gap, and no step twice."""
-    time_us = begin_us + np.arange(60) * cycle_us
-    last = last_step_covered(time_us / 1e6, cycle_us)
-    assert ((time_us // STEP_US)[1:] == last[:-1] + 1).all()
-
-
-def test_a_slow_sensor_does_not_halve_a_queue(tmp_path):
-    """10 Hz for 4 s on a standing vehicle: literally half of the steps, with its cycle all."""
-    time = START + 0.02 + np.arange(40) * 0.1
-    path = recording(tmp_path / "r.parquet", time, [ON_TILE_4] * 40)
-    notes = Notes()
-    literal = measure_occupancy([path], [pose()], crossing(), tmp_path / "a", reporter=notes)
-    assert [step for step, _ in pairs_of(literal)] == [FIRST_STEP + 2 * k for k in range(40)]
-    assert any("R1=100ms" in line for _, line in notes.lines)
-    notes = Notes()
-    for name, cycles in (("b", {"R1": 0.1}), ("c", "auto")):
-        full = measure_occupancy(
-            [path], [pose()], crossing(), tmp_path / name, cycles=cycles, reporter=notes
-        )
-        assert [step for step, _ in pairs_of(full)] == [FIRST_STEP + k for k in range(80)]
-        heat = make_heatmap(full, crossing()).wide().iloc[4]
-        assert (heat["occupied_s"], heat["observed_s"]) == (4.0, 4.0)
-    assert not any("delivers every" in line for _, line in notes.lines)
-
-
-def test_a_missing_frame_stays_missing(tmp_path):
-    """Whatever the cycle: a frame never covers the time of a lost one."""
-    frames = np.setdiff1d(np.arange(40), [10, 11, 12])
-    path = recording(tmp_path / "r.parquet", START + frames * 0.1, [ON_TILE_4] * len(frames))
-    full = measure_occupancy([path], [pose()], crossing(), tmp_path / "a", cycles="auto")
-    lost = {FIRST_STEP + k for k in range(20, 26)}
-    assert {step for _, step in steps_of(full.frames)} == {FIRST_STEP + k for k in range(80)} - lost
-    assert not lost & {step for step, _ in pairs_of(full)}
-
-
-@pytest.mark.parametrize("cycles", [{"R9": 0.1}, {"R1": 0.0}, {"R1": 3.0}, {"R1": np.nan}])
-def test_cycles_that_make_no_sense(tmp_path, cycles):
-    path = recording(tmp_path / "r.parquet", [START], [ON_TILE_4])
-    with pytest.raises(UsageError, match="cycle"):
-        measure_occupancy([path], [pose()], crossing(), tmp_path / "a", cycles=cycles)
-
-
-def test_a_single_frame_has_no_cycle_to_measure(tmp_path):
-    path = recording(tmp_path / "r.parquet", [START], [ON_TILE_4])
-    full = measure_occupancy([path], [pose()], crossing(), tmp_path / "a", cycles="auto")
-    assert len(pairs_of(full)) == 1
 
 
 @settings(max_examples=15, deadline=None)
@@ -133,7 +60,7 @@ def test_merging_is_exact_with_cycles_and_clocks(tmp_path_factory, seed, cuts, d
 
 @pytest.mark.parametrize("rows_at_once", [3, 50])
 def test_pieces_never_split_a_frame(tmp_path, monkeypatch, rows_at_once):
-    """However the file is cut on reading, held hits and the frame log stay the same."""
+    """However the file is cut on reading, hits and the frame log stay the same."""
     path = recording(tmp_path / "r.parquet", *traffic(np.random.default_rng(4), cycle_s=0.12))
     options = {"cycles": {"R1": 0.12}}
     measure_occupancy([path], [pose()], crossing(), tmp_path / "one", **options)
@@ -186,8 +113,7 @@ def test_clocks_that_cannot_be_right_are_warned_of(tmp_path, late_s):
 
 
 @pytest.mark.skipif(not (SHARED / "town02").exists(), reason="shared data absent: town02")
-@pytest.mark.parametrize("cycles", [None, {"R3": 0.057}])
-def test_three_sensors_fused_are_the_union_of_the_single_ones(tmp_path, cycles):
+def test_three_sensors_fused_are_the_union_of_the_single_ones(tmp_path):
     """The last one at 57 ms; occupied and observed counted from plain sets of pairs."""
     site = SHARED / "town02"
     tiles = make_tiles(read_map(site / "map.osm"))
@@ -200,31 +126,24 @@ def test_three_sensors_fused_are_the_union_of_the_single_ones(tmp_path, cycles):
     ]
     files = [_begin_of(site / f"{name}.parquet", tmp_path) for name in names]
     single = [
-        measure_occupancy([path], [looks], tiles, tmp_path / looks.sensor,
-                          cycles={k: v for k, v in (cycles or {}).items() if k == looks.sensor})
+        measure_occupancy([path], [looks], tiles, tmp_path / looks.sensor)
         for path, looks in zip(files, poses, strict=True)
-    ]  # fmt: skip
-    fused = measure_occupancy(files, poses, tiles, tmp_path / "fused", cycles=cycles)
-    hits = set().union(*(set(pairs_of(one)) for one in single))
-    assert set(pairs_of(fused)) == hits
-    observed = set()
+    ]
+    fused = measure_occupancy(files, poses, tiles, tmp_path / "fused")
+    assert set(pairs_of(fused)) == set().union(*(set(pairs_of(one)) for one in single))
+    observed, hits, end = set(), set(), fused.frames["last_step"].max()
     for one in single:
         steps = {step for _, step in steps_of(one.frames)}
-        observed |= {(step, tile) for tile in set(one.views["tile_id"]) for step in steps}
+        held = {step: [s for s in covers(step, steps, 0.1) if s <= end] for step in steps}
+        seen = set(one.views["tile_id"])
+        observed |= {(s, tile) for step in steps for s in held[step] for tile in seen}
+        hits |= {(s, tile) for step, tile in pairs_of(one) for s in held[step]}
+    assert len(steps) < 180  # of 200: the last one lacks every eighth
     heat = make_heatmap(fused, tiles).wide().set_index("tile_id")
-    seen = pd.Series(tile for _, tile in observed).value_counts()
-    hit = pd.Series(tile for _, tile in hits & observed).value_counts()
-    assert (
-        (heat.loc[seen.index, "observed_s"] * 20)
-        .round()
-        .astype(int)
-        .equals(seen.rename("observed_s"))
-    )
-    assert (heat.loc[seen.index, "occupied_s"] * 20).round().to_numpy().tolist() == (
-        hit.reindex(seen.index, fill_value=0).tolist()
-    )
-    slow_steps = {step for _, step in steps_of(single[2].frames)}
-    assert (len(slow_steps) < 180) is (cycles is None)
+    for column, pairs in (("observed_s", observed), ("occupied_s", hits & observed)):
+        expected = pd.Series(tile for _, tile in pairs).value_counts()
+        counted = (heat[column].fillna(0) * 20).round().astype(int)
+        assert counted[counted > 0].to_dict() == expected.to_dict()
 
 
 def _begin_of(path, folder, seconds=10.0):

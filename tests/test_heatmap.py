@@ -62,7 +62,7 @@ class Site:
     """An occupancy that is also kept as sets, for the oracle."""
 
     tiles: gpd.GeoDataFrame
-    delivered: dict[tuple[str, str], set[int]]  # steps with a frame, of each view
+    delivered: dict[tuple[str, str], set[int]]  # steps that a frame covers, of each view
     seen: dict[tuple[str, str], set[int]]  # tiles, of each view
     hit: set[tuple[int, int]]
     fingerprint: str = ""
@@ -81,7 +81,10 @@ class Site:
         rows = [(*key, tile) for key, tiles in self.seen.items() for tile in sorted(tiles)]
         return pd.DataFrame(rows, columns=["sensor", "view", "tile_id"])
 
-    def hits(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    def covered_frames(self) -> pd.DataFrame:
+        return self.frames
+
+    def held_hits(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         ordered = np.array(sorted(self.hit), dtype=np.int64).reshape(-1, 2)
         for start in range(0, len(ordered), 7):
             yield ordered[start : start + 7, 0], ordered[start : start + 7, 1]

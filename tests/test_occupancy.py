@@ -19,7 +19,7 @@ from gis_radar.occupancy import (
     merge_occupancies,
     read_occupancy,
 )
-from gis_radar.occupancy.hits import merge_hits
+from gis_radar.occupancy.hits import merge_rows
 from gis_radar.occupancy.views import name_of_view, seen_tiles, standing_for
 from gis_radar.poses.files import PoseTrack
 from gis_radar.poses.pose import View
@@ -90,7 +90,7 @@ def test_the_paper_engine_gives_the_same_folder(tmp_path):
     path = recording(tmp_path / "r.parquet", *traffic(np.random.default_rng(1)))
     for name, options in (("grid", {}), ("rtree", {"engine": TileTree})):
         measure_occupancy([path], [pose()], crossing(), tmp_path / name, **options)
-    for file in ("hits.parquet", "frames.parquet", "views.parquet", "manifest.json"):
+    for file in ("hits_by_sensor.parquet", "frames.parquet", "views.parquet", "manifest.json"):
         assert (tmp_path / "grid" / file).read_bytes() == (tmp_path / "rtree" / file).read_bytes()
 
 
@@ -124,7 +124,7 @@ def test_merging_is_exact(tmp_path_factory, seed, cuts, data):
     order = data.draw(st.permutations(range(len(parts))))
     again = data.draw(st.lists(st.sampled_from(order), max_size=2))
     merge_occupancies([parts[i] for i in [*order, *again]]).write(folder / "merged")
-    for file in ("hits.parquet", "frames.parquet", "views.parquet"):
+    for file in ("hits_by_sensor.parquet", "frames.parquet", "views.parquet"):
         assert (folder / "merged" / file).read_bytes() == (folder / "whole" / file).read_bytes()
 
 
@@ -142,7 +142,7 @@ def test_merged_streams_hold_each_pair_once(streams, size):
             part = np.array(pairs[begin : begin + size], dtype=np.int64)
             yield part[:, 0], part[:, 1]
 
-    merged = list(merge_hits([pieces(pairs) for pairs in streams]))
+    merged = list(merge_rows([pieces(pairs) for pairs in streams], 2))
     flat = [
         pair for step, tile in merged for pair in zip(step.tolist(), tile.tolist(), strict=True)
     ]
@@ -261,7 +261,7 @@ def test_merging_is_exact_with_a_track(tmp_path):
         for path in pieces_of(tmp_path, *record, [7, 21, 33])
     ]
     merge_occupancies(parts[::-1]).write(tmp_path / "merged")
-    for file in ("hits.parquet", "frames.parquet", "views.parquet"):
+    for file in ("hits_by_sensor.parquet", "frames.parquet", "views.parquet"):
         same = (tmp_path / "merged" / file).read_bytes() == (tmp_path / "whole" / file).read_bytes()
         assert same, file
     met = [len(each["poses"]) for part in parts for each in part.sources]
@@ -368,7 +368,7 @@ def test_a_fingerprint_knows_vertices_ids_and_crs():
 
 
 @pytest.mark.parametrize(
-    "name", ["hits.parquet", "frames.parquet", "views.parquet", "manifest.json"]
+    "name", ["hits_by_sensor.parquet", "frames.parquet", "views.parquet", "manifest.json"]
 )
 @pytest.mark.parametrize("damage", ["gone", "cut"])
 def test_a_damaged_folder_is_refused(tmp_path, name, damage):
@@ -393,7 +393,7 @@ def test_a_table_of_other_tiles_is_refused(tmp_path):
     path = recording(tmp_path / "r.parquet", [START], [[12.25, 0.0, -5.0]])
     elsewhere = tiles_of([lane_quads(EAST + 5, NORTH, 0.0)], height_m=370.0)
     measure_occupancy([path], [pose()], elsewhere, tmp_path / "other")
-    for name in ("hits", "frames", "views"):
+    for name in ("hits_by_sensor", "frames", "views"):
         kept = (tmp_path / "occ" / f"{name}.parquet").read_bytes()
         other = (tmp_path / "other" / f"{name}.parquet").read_bytes()
         (tmp_path / "occ" / f"{name}.parquet").write_bytes(other)
@@ -439,7 +439,7 @@ def test_a_broken_manifest_is_refused(tmp_path, text):
 
 
 @pytest.mark.parametrize(
-    ("name", "column"), [("hits", "step"), ("frames", "last_step"), ("views", "tile_id")]
+    ("name", "column"), [("hits_by_sensor", "step"), ("frames", "last_step"), ("views", "tile_id")]
 )
 def test_a_table_without_its_columns_is_refused(tmp_path, name, column):
     made(tmp_path)
@@ -450,13 +450,13 @@ def test_a_table_without_its_columns_is_refused(tmp_path, name, column):
 
 
 def test_hits_that_are_damaged_or_unsorted_are_refused(tmp_path):
-    path = tmp_path / "occ" / "hits.parquet"
+    path = tmp_path / "occ" / "hits_by_sensor.parquet"
     source = recording(tmp_path / "t.parquet", *traffic(np.random.default_rng(3), frames=900))
     measure_occupancy([source], [pose()], crossing(), tmp_path / "occ")
     data = bytearray(path.read_bytes())
     data[len(data) // 3] ^= 255
     path.write_bytes(data)
-    with pytest.raises(InputError, match=r"hits\.parquet: damaged"):
+    with pytest.raises(InputError, match=r"hits_by_sensor\.parquet: damaged"):
         list(read_occupancy(tmp_path / "occ").hits())
     made(tmp_path)
     pd.read_parquet(path).iloc[::-1].to_parquet(path)
@@ -516,7 +516,7 @@ def test_a_view_far_beyond_the_detections_is_warned_of(tmp_path):
 
 def test_tables_have_the_columns_of_their_contract(tmp_path):
     path = recording(tmp_path / "r.parquet", [START], [[12.25, 0.0, -5.0]])
-    measure_occupancy([path], [pose()], crossing(), tmp_path / "occ")
+    measure_occupancy([path], [pose()], crossing(), tmp_path / "occ", pairs=True)
     hits = pd.read_parquet(tmp_path / "occ" / "hits.parquet")
     frames = pd.read_parquet(tmp_path / "occ" / "frames.parquet")
     views = pd.read_parquet(tmp_path / "occ" / "views.parquet")

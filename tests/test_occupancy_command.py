@@ -37,7 +37,6 @@ BOTH = (
     ("words", "cycles"),
     [
         ((), None),
-        (("--cycle", "auto"), "auto"),
         (("--cycle", "R1=57ms,R2=0.1s"), {"R1": 0.057, "R2": 0.1}),
     ],
 )
@@ -56,7 +55,7 @@ def test_cycles_and_clocks_reach_their_arguments(site, monkeypatch, words, cycle
     assert seen["clocks"]["R2"].offset_s == 3.5
 
 
-@pytest.mark.parametrize("text", ["57ms", "R1=fast", "R1=57", "R1=57ms,,R2=1s"])
+@pytest.mark.parametrize("text", ["57ms", "auto", "R1=fast", "R1=57", "R1=57ms,,R2=1s"])
 def test_cycles_that_cannot_be_read(site, text):
     answer = run("occupancy", *BOTH, "-o", "occ", "--cycle", text)
     assert answer.exit_code == 2
@@ -101,7 +100,7 @@ def test_outputs_do_not_replace_inputs(site):
     run("occupancy", *BOTH, "-o", "occ")
     for words in (
         ("clocks", *BOTH, "-o", "R1.parquet"),
-        ("quality", "occ", "-o", "occ/hits.parquet"),
+        ("quality", "occ", "-o", "occ/hits_by_sensor.parquet"),
         ("occupancy", *BOTH, "-o", "tiles.gpkg", "--clocks", "tiles.gpkg"),
     ):
         assert isinstance(run(*words).exception, gr.OutputError), words

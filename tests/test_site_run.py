@@ -232,9 +232,9 @@ def test_a_cycle_and_clocks_of_the_site_file_are_used(copied):
     assert done.failure is None
     after = gr.read_occupancy(out / "occupancy" / "R2")
     (source,) = after.sources
-    assert (source["cycle_s"], source["clock"]["offset_s"]) == (0.15, 2.0)
+    assert (after.hold_s, source["clock"]["offset_s"]) == ({"R2": 0.225}, 2.0)
     assert after.frames["first_step"].min() == before["first_step"].min() - 40
-    assert after.frames["last_step"].max() == before["last_step"].max() - 40 + 2
+    assert after.frames["last_step"].max() == before["last_step"].max() - 40
     assert "the clock of R1 is not corrected" in (out / "summary.md").read_text(encoding="utf-8")
     assert "clocks.json" in json.loads((out / "run.json").read_text(encoding="utf-8"))["inputs"]
 
@@ -548,7 +548,7 @@ def test_the_demo_finds_its_sensors(demo):
         assert abs(off["height_m"]) < 0.3
         assert max(abs(off[f"{name}_deg"]) for name in ("yaw", "pitch", "roll")) < 0.5
         assert {name: float(rows[sensor][name]) for name in off} == off
-    for name in ("road.laz", "tiles.gpkg", "occupancy/R1/hits.parquet", "heatmap/heatmap.gpkg"):
+    for name in ("road.laz", "tiles.gpkg", "occupancy/R1/frames.parquet", "heatmap/heatmap.gpkg"):
         assert (folder / name).is_file()
 
 

@@ -102,7 +102,7 @@ def heatmap(
 ) -> Result:
     """Make heat maps of occupancy: GeoPackage, GeoTIFF, GeoParquet and a picture."""
     refuse_inputs(output, *folders, tiles_path)
-    merged = gr.merge_occupancies([gr.read_occupancy(folder) for folder in folders])
+    merged = gr.merge_occupancies([gr.read_occupancy(each, reporter=reporter) for each in folders])
     heat = gr.make_heatmap(merged, gr.read_tiles(tiles_path), reporter=reporter, **options)
     outputs = heat.write(output, reporter=reporter)
     return Result(outputs=outputs, summary=heat.figures())

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import click
 
@@ -97,11 +97,12 @@ def _duration(text: str) -> float:
         return duration_s(text)
 
 
-def _cycles(text: str) -> Literal["auto"] | dict[str, float]:
+def _cycles(text: str) -> dict[str, float]:
+    from gis_radar.occupancy.frame_steps import CYCLE_HINT  # noqa: PLC0415 - NumPy
     from gis_radar.steps import duration_s  # noqa: PLC0415 - NumPy
 
     if text == "auto":
-        return "auto"
+        raise ValueError(f"'auto' is none: {CYCLE_HINT}")
     cycles: dict[str, float] = {}
     for part in text.split(","):
         sensor, _, time = part.rpartition("=")
@@ -119,7 +120,7 @@ BEARING = Parsed("BEARING", _bearing)  # clockwise from true north: degrees, or 
 WORDS = Parsed("a,b,...", _words)
 PAIRS = Parsed("a=A,b=B,...", _pairs)  # names and what they stand for
 DURATION = Parsed("DURATION", _duration)  # in seconds; a bare number is seconds
-CYCLES = Parsed("auto|SENSOR=TIME,...", _cycles)  # times from frame to frame by sensor
+CYCLES = Parsed("SENSOR=TIME,...", _cycles)  # times from frame to frame by sensor
 
 
 def numbers(names: str) -> Parsed:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -73,22 +73,24 @@ def convert(*, inputs: tuple[str, ...], output: Path, reporter: Reporter, **opti
 )  # fmt: skip
 @click.option(
     "--cycle", "cycles", type=CYCLES,
-    help="Of sensors slower than 20 Hz, the time from frame to frame: a frame covers it.",
+    help="Of sensors slower than 10 Hz, the time from frame to frame: a frame holds 1.5 of it.",
 )  # fmt: skip
 @click.option(
     "--clocks", metavar="auto|FILE",
     help="Correct the sensors' clocks: by a file from gis-radar clocks, or as found here.",
 )  # fmt: skip
 @click.option("--engine", type=click.Choice(sorted(ENGINES)), default="grid", show_default=True)
+@click.option("--pairs", is_flag=True, help="Also write hits.parquet: each pair of step and tile.")
 def occupancy(
     *,
     recordings: tuple[Path, ...],
     poses: tuple[Path, ...],
     tiles_path: Path,
     output: Path,
-    cycles: dict[str, float] | Literal["auto"] | None,
+    cycles: dict[str, float] | None,
     clocks: str | None,
     engine: str,
+    pairs: bool,
     reporter: Reporter,
     **options: Any,
 ) -> Result:
@@ -109,6 +111,7 @@ def occupancy(
         cycles=cycles,
         clocks=None if clocks is None else _clocks(clocks, recordings, tracks, table, reporter),
         engine=getattr(gr, ENGINES[engine]),
+        pairs=pairs,
         reporter=reporter,
     )
     for line in gr.measure_quality(result).warnings():
@@ -199,7 +202,7 @@ def quality(
         gr.require_table_name(output)
         inside = [file for folder in folders if folder.is_dir() for file in folder.iterdir()]
         refuse_inputs(output, *folders, *(file for file in inside if file.stem != "quality"))
-    merged = gr.merge_occupancies([gr.read_occupancy(folder) for folder in folders])
+    merged = gr.merge_occupancies([gr.read_occupancy(each, reporter=reporter) for each in folders])
     found = gr.measure_quality(merged, timezone=timezone, reporter=reporter)
     outputs = [] if output is None else [found.write(output)]
     return Result(outputs=outputs, summary=found.figures())

@@ -1,7 +1,7 @@
 """Count in how many steps each tile was observed and occupied, interval by interval.
 
-Occupied(tile, interval) is the number of steps in which the tile was hit, observed(tile,
-interval) the number of steps in which any sensor delivered a frame in a view that sees the tile:
+Occupied(tile, interval) is the number of steps that frames with a hit in the tile cover,
+observed(tile, interval) that of the steps that frames of any sensor cover whose view sees the tile:
 a union over the sensors, so that overlapping views never count twice (the paper's section
 "Global Occupancy Heat Map"). A hit counts only where the tile was observed in that step: a
 detection on the corner of a tile whose centre lies outside the view is left out, and occupied
@@ -26,19 +26,19 @@ from gis_radar.errors import InputError, UsageError
 from gis_radar.heatmap.intervals import SETTINGS, Timeline
 from gis_radar.occupancy import Occupancy
 from gis_radar.occupancy.frame_steps import Runs, steps_in, union
-from gis_radar.occupancy.hits import Hits
+from gis_radar.occupancy.hits import Rows
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.steps import STEPS_PER_SECOND, iso_from_step
 from gis_radar.tiles.tiles import COLUMNS, fingerprint
 
 DEFINITIONS = {
     "occupied_s": (
-        "seconds in which the tile was occupied: 0.05 s for each step of 50 ms in which at least "
-        "one kept detection of any sensor fell in it while it was observed (hit occupancy)"
+        "seconds in which the tile was occupied: 0.05 s for each step of 50 ms that a frame of any "
+        "sensor with a kept detection in it covers, while it was observed (hit occupancy)"
     ),
     "observed_s": (
-        "seconds in which the tile was observed: 0.05 s for each step of 50 ms in which a sensor "
-        "that sees the tile's centre delivered a frame; overlapping views count once"
+        "seconds in which the tile was observed: 0.05 s for each step of 50 ms that a frame of a "
+        "sensor that sees the tile's centre covers; overlapping views count once"
     ),
     "occupancy": "occupied_s / observed_s, 0 to 1; no data where not observed",
 }
@@ -151,7 +151,7 @@ class Tally:
         observed, shift = _runs_of_groups(runs, timeline)
         occupied = np.zeros((len(timeline), len(seen)), np.uint32)
         done = 0
-        for step, tile_id in _hits_within(occupancy.hits(), timeline):
+        for step, tile_id in _hits_within(occupancy.held_hits(), timeline):
             place, row = column[positions(tile_ids, tile_id)], timeline.find(step)
             kept = np.flatnonzero((place >= 0) & (row >= 0))
             kept = kept[observed.find(step[kept] + shift[group[place[kept]]]) >= 0]
@@ -263,7 +263,7 @@ def _observe(
     occupancy: Occupancy, tile_ids: Integers
 ) -> tuple[Integers, Integers, tuple[Runs, ...]]:
     """Return the positions of the tiles in view, the group of each, and each group's steps."""
-    frames, views = occupancy.frames, occupancy.views
+    frames, views = occupancy.covered_frames(), occupancy.views
     if views.empty:
         raise InputError(
             "no sensor sees any of the tiles", hint="do the poses belong to this place?"
@@ -292,7 +292,7 @@ def positions(tile_ids: Integers, wanted: Integers) -> Integers:
     return position
 
 
-def _hits_within(hits: Iterator[Hits], timeline: Timeline) -> Iterator[Hits]:
+def _hits_within(hits: Iterator[Rows], timeline: Timeline) -> Iterator[Rows]:
     """Yield the hits in a span of time; what comes later is not read."""
     first, after = int(timeline.begin[0]), int(timeline.end[-1])
     for step, tile in hits:
@@ -354,7 +354,7 @@ def _group(position: Integers, code: Integers) -> tuple[Integers, Integers, list
 
 
 def checked(occupancy: Occupancy, tiles: gpd.GeoDataFrame) -> tuple[gpd.GeoDataFrame, Runs]:
-    """Return the tiles with their own columns only, and the steps with a frame of any sensor.
+    """Return the tiles with their own columns only, and the steps that any sensor's frames cover.
 
     Raises
     ------
@@ -377,4 +377,4 @@ def checked(occupancy: Occupancy, tiles: gpd.GeoDataFrame) -> tuple[gpd.GeoDataF
     attributes = tiles[list(COLUMNS)].reset_index(drop=True)
     shapes = tiles.geometry.reset_index(drop=True)
     own = gpd.GeoDataFrame(attributes, geometry=shapes, crs=tiles.crs)
-    return own, steps_in(occupancy.frames)
+    return own, steps_in(occupancy.covered_frames())

@@ -1,4 +1,8 @@
-"""Read, write and merge the folder of an occupancy."""
+"""Read, write and merge the folder of an occupancy.
+
+A folder holds frames and hits in the step of their time; which further steps they cover follows on
+reading, after merging. Rules 1, of version 0.1, held a frame for its stated cycle on writing.
+"""
 
 from __future__ import annotations
 
@@ -19,29 +23,35 @@ from gis_radar.errors import InputError
 from gis_radar.files import whole_folder
 from gis_radar.notebooks import card
 from gis_radar.occupancy.frame_log import COLUMNS, FILE, FRAME_LOG, merge_frame_logs
-from gis_radar.occupancy.frame_steps import Runs, steps_in
+from gis_radar.occupancy.frame_steps import Runs, covered_until, hold_hits, steps_in
 from gis_radar.occupancy.hits import (
     CHECKED,
     HITS,
-    Hits,
+    PAIRS,
     Rows,
     damaged_as_input_error,
-    merge_hits,
-    read_hits,
-)
+    merge_rows,
+)  # fmt: skip
+from gis_radar.occupancy.settings import DEFAULTS
 from gis_radar.occupancy.views import name_of_view
+from gis_radar.progress import QUIET, Reporter
 from gis_radar.steps import STEP_S, iso_from_step
 
-FILES = ("hits.parquet", "frames.parquet", "views.parquet", "manifest.json")
-OWNED = (*FILES, FILE, "quality.")  # a table made of it may stand there
+RULES = 2
+MANIFEST, HITS_FILE, PAIRS_FILE = "manifest.json", "hits_by_sensor.parquet", "hits.parquet"
+OWNED = (  # a table made of it may stand there
+    MANIFEST, "frames.parquet", "views.parquet", HITS_FILE, PAIRS_FILE, FILE, "quality.",
+)  # fmt: skip
 NEEDED = {
-    "hits": ("step", "tile_id"),
-    "frames": ("sensor", "first_step", "last_step"),
-    "views": ("sensor", "tile_id"),
-    "deliveries": COLUMNS,
+    PAIRS_FILE: ("step", "tile_id"),
+    HITS_FILE: ("step", "tile_id", "sensor"),
+    "frames.parquet": ("sensor", "first_step", "last_step"),
+    "views.parquet": ("sensor", "tile_id"),
+    FILE: COLUMNS,
 }
+MEASURE_AGAIN = "measure it again with: gis-radar occupancy"
 NOTHING: Integers = np.empty(0, np.int64)
-FrameLog = Callable[[Sequence[str]], Iterator[Rows]]
+RowsOfSensors = Callable[[Sequence[str]], Iterator[Rows]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,26 +63,36 @@ class Occupancy:
     fingerprint : str
         Of its tiles.
     frames : DataFrame
-        `sensor, view, first_step, last_step`: runs of steps in which the sensor delivered a
-        frame while it had that view.
+        `sensor, view, first_step, last_step`: runs of steps in which a frame of the sensor falls
+        while it had that view.
     views : DataFrame
         `sensor, tile_id, view, first_step, last_step`: the tiles each view sees, and from when
         to when the sensor had it. The name of a view stands for its set of tiles.
-    hits : callable
-        Starts reading the pairs (step, tile_id), each once, ascending, piece by piece.
+    hits_by_sensor : callable
+        Takes the names of all sensors and starts reading the rows (step, tile_id, sensor), each
+        once, ascending, piece by piece: the steps that frames fall in, sensors as numbers.
     sources : list of dict
         Per recording: file, sensor, poses, filters, settings.
+    hold_s : dict
+        By sensor, how long its frames hold, seconds.
     frame_log : callable
         Takes the names of all sensors and starts reading the rows of the frame log, as of
         :mod:`gis_radar.occupancy.frame_log`; none where the folder has no such log.
+    rules : int
+        By which it was made.
+    place : str
+        From where it was read, for messages.
     """
 
     fingerprint: str
     frames: pd.DataFrame
     views: pd.DataFrame
-    hits: Callable[[], Iterator[Hits]]
+    hits_by_sensor: RowsOfSensors
     sources: list[dict[str, Any]]
-    frame_log: FrameLog = lambda _: iter(())
+    hold_s: dict[str, float]
+    frame_log: RowsOfSensors = lambda _: iter(())
+    rules: int = RULES
+    place: str = "the occupancy"
 
     @property
     def sensors(self) -> list[str]:
@@ -80,10 +100,32 @@ class Occupancy:
         return sorted(map(str, self.frames["sensor"].unique()))
 
     def __repr__(self) -> str:
-        sensors = ", ".join(self.sensors)
-        seconds = (self.frames["last_step"] - self.frames["first_step"] + 1).sum() * STEP_S
+        seconds = ", ".join(f"{sensor} {text}" for sensor, text in self._covered().items())
         tiles = self.views["tile_id"].nunique()
-        return f"Occupancy({sensors}: {seconds:.1f} s of frames, {tiles} tiles seen)"
+        return f"Occupancy({seconds} covered by frames, {tiles} tiles seen)"
+
+    def hits(self) -> Iterator[Rows]:
+        """Read the pairs (step, tile_id) in the steps that frames fall in, each once, ascending."""
+        return merge_rows([(rows[:2] for rows in self.hits_by_sensor(self.sensors))], 2)
+
+    def held_hits(self) -> Iterator[Rows]:
+        """Read the pairs (step, tile_id) in all steps that frames cover, each once, ascending."""
+        by_sensor = self.frames.groupby("sensor", sort=True)
+        frames = [(steps_in(rows), self.hold_s[str(name)]) for name, rows in by_sensor]
+        return hold_hits(self.hits_by_sensor(self.sensors), frames)
+
+    def covered_frames(self) -> pd.DataFrame:
+        """Return `frames` with the runs of steps that they cover, to the last step with a frame."""
+        covered, end = [self.frames[:0]], self.frames["last_step"].max()
+        for sensor, rows in self.frames.groupby("sensor", sort=True):
+            last = rows["last_step"].to_numpy(np.int64)
+            until = covered_until(last, steps_in(rows), self.hold_s[str(sensor)])
+            covered.append(rows.assign(last_step=np.minimum(until, end)))
+        return pd.concat(covered, ignore_index=True)
+
+    def _covered(self) -> dict[str, str]:
+        runs = self.covered_frames().groupby("sensor")
+        return {str(sensor): f"{steps_in(rows).steps * STEP_S:.1f} s" for sensor, rows in runs}
 
     def figures(self) -> dict[str, Any]:
         """Return sensors, time span, tiles and hits."""
@@ -101,23 +143,36 @@ class Occupancy:
     def _repr_html_(self) -> str:
         if self.frames.empty:
             return card("Occupancy", {"frames": "none"})
-        runs = self.frames.groupby("sensor")[["first_step", "last_step"]]
-        seconds = {
-            str(name): f"{(run['last_step'] - run['first_step'] + 1).sum() * STEP_S:.1f} s"
-            for name, run in runs
-        }
-        return card("Occupancy", {**self._span(), "frames": seconds})
+        return card("Occupancy", {**self._span(), "covered by frames": self._covered()})
 
-    def write(self, folder: str | Path) -> Path:
-        """Write the folder, whole or not at all; equal content gives equal files."""
+    def write(self, folder: str | Path, *, pairs: bool = False) -> Path:
+        """Write the folder, whole or not at all; equal content gives equal files.
+
+        Parameters
+        ----------
+        folder : str or Path
+            Where.
+        pairs : bool
+            Also write `hits.parquet`, for other programs: the pairs of :meth:`hits`.
+
+        Raises
+        ------
+        InputError
+            If it was made by older rules.
+        """
+        if self.rules != RULES:
+            raise InputError(f"{self.place}: follows rules {self.rules}", hint=MEASURE_AGAIN)
         folder = Path(folder)
         with whole_folder(folder, owned=OWNED) as part:
-            HITS.write(self.hits(), part / "hits.parquet", self.fingerprint)
-            self.write_beside_hits(part)
+            rows = self.hits_by_sensor(self.sensors)
+            HITS.write(rows, part / HITS_FILE, self.fingerprint, self.sensors)
+            self.write_beside_hits(part, pairs=pairs)
         return folder
 
-    def write_beside_hits(self, folder: Path) -> None:
-        """Write everything but the hits into an open folder."""
+    def write_beside_hits(self, folder: Path, *, pairs: bool) -> None:
+        """Write everything but the hits by sensor into an open folder."""
+        if pairs:
+            PAIRS.write(self.hits(), folder / PAIRS_FILE, self.fingerprint)
         for name, table in (("frames", self.frames), ("views", self.views)):
             pq.write_table(
                 pa.Table.from_pandas(table, preserve_index=False).replace_schema_metadata(
@@ -132,10 +187,12 @@ class Occupancy:
         manifest = {
             "fingerprint": self.fingerprint,
             "software": {"name": "gis_radar", "version": version("gis_radar")},
+            "rules": RULES,
+            "hold_s": self.hold_s,
             "sources": _ordered(self.sources),
         }
         text = json.dumps(manifest, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
-        (folder / "manifest.json").write_text(text, encoding="utf-8")
+        (folder / MANIFEST).write_text(text, encoding="utf-8")
 
 
 def frames_of(sensor: object, view: object, steps: Runs) -> pd.DataFrame:
@@ -177,54 +234,96 @@ def _typed(table: pd.DataFrame) -> pd.DataFrame:
     return table.astype({n: str if n in ("sensor", "view") else np.int64 for n in table.columns})
 
 
-def read_occupancy(folder: str | Path) -> Occupancy:
+def read_occupancy(folder: str | Path, *, reporter: Reporter = QUIET) -> Occupancy:
     """Open an occupancy folder; its hits stay on disk.
+
+    Parameters
+    ----------
+    folder : str or Path
+        As made by :func:`gis_radar.measure_occupancy`.
+    reporter : Reporter
+        Receives a warning where the folder was made by older rules.
 
     Raises
     ------
     InputError
-        If a file is missing, damaged, or made from other tiles than the rest.
+        If a file is missing, damaged, or made from other tiles than the rest, or the folder follows
+        rules that are not known here.
     """
     folder = Path(folder)
-    missing = [name for name in FILES if not (folder / name).is_file()]
-    if missing:
-        raise InputError(
-            f"{folder}: not an occupancy folder: lacks {', '.join(missing)}",
-            hint="make one with: gis-radar occupancy",
-        )
-    try:
-        manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
-        fingerprint, sources = str(manifest["fingerprint"]), list(manifest["sources"])
-    except (ValueError, OSError, KeyError, TypeError) as error:
-        raise InputError(f"{folder / 'manifest.json'}: damaged: {error!r}") from error
-    frames, views = (_read_table(folder, name, fingerprint) for name in ("frames", "views"))
-    _check_table(folder, "hits", fingerprint)
-    if (log := folder / FILE).exists():
-        _check_table(folder, "deliveries", fingerprint)
+    manifest = _read_manifest(folder)
+    fingerprint, rules = manifest["fingerprint"], manifest["rules"]
+    frames, views = (
+        _read_table(folder, f"{name}.parquet", fingerprint) for name in ("frames", "views")
+    )
+    hits, log = folder / (HITS_FILE if rules == RULES else PAIRS_FILE), folder / FILE
+    for path in (hits, log) if log.exists() else (hits,):
+        _check_table(path, fingerprint)
     frames, views = _with_view_names(frames, views)
+    hold_s = DEFAULTS.hold_s if rules == RULES else 0.0
+    manifest["hold_s"] = dict.fromkeys(frames["sensor"].unique(), hold_s) | manifest["hold_s"]
+    if rules != RULES:
+        reporter.log(
+            f"{folder}: follows rules {rules}, not {RULES}: its frames cover no more than their "
+            f"own step or a stated cycle; {MEASURE_AGAIN}",
+            "warning",
+        )
     return Occupancy(
-        fingerprint=fingerprint,
         frames=frames,
         views=views,
-        hits=lambda: read_hits(folder / "hits.parquet"),
-        sources=sources,
-        frame_log=lambda sensors: FRAME_LOG.read(log, sensors) if log.is_file() else iter(()),
+        hits_by_sensor=lambda names: (
+            HITS.read(hits, names)
+            if rules == RULES
+            else ((*rows, np.zeros_like(rows[0])) for rows in PAIRS.read(hits))
+        ),
+        frame_log=lambda names: FRAME_LOG.read(log, names) if log.is_file() else iter(()),
+        place=str(folder),
+        **manifest,
     )
 
 
+def _read_manifest(folder: Path) -> dict[str, Any]:
+    """Return what the manifest holds, by the names of the fields of an Occupancy."""
+    _require(folder / MANIFEST)
+    try:
+        manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+        found: dict[str, Any] = {
+            "fingerprint": str(manifest["fingerprint"]),
+            "sources": list(manifest["sources"]),
+            "rules": int(manifest.get("rules", 1)),
+            "hold_s": {str(name): float(s) for name, s in manifest.get("hold_s", {}).items()},
+        }
+    except (ValueError, OSError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"{folder / MANIFEST}: damaged: {error!r}") from error
+    if not 1 <= found["rules"] <= RULES:
+        raise InputError(
+            f"{folder}: follows rules {found['rules']}, expected {RULES} or less",
+            hint="it was made by a newer gis_radar",
+        )
+    return found
+
+
+def _require(path: Path) -> None:
+    if not path.is_file():
+        raise InputError(
+            f"{path.parent}: not an occupancy folder: lacks {path.name}",
+            hint="make one with: gis-radar occupancy",
+        )
+
+
 def _read_table(folder: Path, name: str, fingerprint: str) -> pd.DataFrame:
-    _check_table(folder, name, fingerprint)
-    path = folder / f"{name}.parquet"
+    path = folder / name
+    _check_table(path, fingerprint)
     with damaged_as_input_error(path):
         return pd.DataFrame(pq.read_table(path, **CHECKED).to_pandas())
 
 
-def _check_table(folder: Path, name: str, fingerprint: str) -> None:
-    """Refuse a table that lacks columns or was made from other tiles."""
-    path = folder / f"{name}.parquet"
+def _check_table(path: Path, fingerprint: str) -> None:
+    """Refuse a table that is missing, lacks columns or was made from other tiles."""
+    _require(path)
     with damaged_as_input_error(path):
         schema = pq.read_schema(path)
-    missing = [column for column in NEEDED[name] if column not in schema.names]
+    missing = [column for column in NEEDED[path.name] if column not in schema.names]
     if missing:
         raise InputError(f"{path}: lacks the column {missing[0]}")
     other = (schema.metadata or {}).get(b"fingerprint", fingerprint.encode()).decode()
@@ -254,10 +353,11 @@ def merge_occupancies(parts: Sequence[Occupancy]) -> Occupancy:
     Raises
     ------
     InputError
-        If their tiles differ.
+        If their tiles differ, their rules, or how long the frames of a sensor hold.
     """
     if len({part.fingerprint for part in parts}) > 1:
         raise InputError("the occupancy folders were made with different tiles")
+    _refuse_other_rules(parts)
     frames = frames_table(pd.concat([part.frames for part in parts]))
     pairs = pd.concat([part.views[["view", "tile_id"]] for part in parts]).drop_duplicates()
     tiles = {
@@ -267,10 +367,33 @@ def merge_occupancies(parts: Sequence[Occupancy]) -> Occupancy:
         fingerprint=parts[0].fingerprint,
         frames=frames,
         views=views_table(frames, tiles),
-        hits=lambda: merge_hits([part.hits() for part in parts]),
+        hits_by_sensor=lambda names: merge_rows([part.hits_by_sensor(names) for part in parts], 3),
         sources=_ordered([source for part in parts for source in part.sources]),
-        frame_log=lambda sensors: merge_frame_logs([part.frame_log(sensors) for part in parts]),
+        frame_log=lambda names: merge_frame_logs([part.frame_log(names) for part in parts]),
+        hold_s={sensor: hold_s for part in parts for sensor, hold_s in part.hold_s.items()},
+        rules=parts[0].rules,
     )
+
+
+def _refuse_other_rules(parts: Sequence[Occupancy]) -> None:
+    """Refuse parts of different rules, or in which the frames of a sensor hold differently."""
+    older, newer = (choose(parts, key=lambda part: part.rules) for choose in (min, max))
+    if older.rules != newer.rules:
+        raise InputError(
+            f"{older.place}: follows rules {older.rules}, {newer.place} rules {newer.rules}: "
+            "they do not merge",
+            hint=MEASURE_AGAIN,
+        )
+    known: dict[str, tuple[float, Occupancy]] = {}
+    for part in parts:
+        for sensor, hold_s in part.hold_s.items():
+            other_s, other = known.setdefault(sensor, (hold_s, part))
+            if hold_s != other_s:
+                raise InputError(
+                    f"{part.place}: frames of {sensor} hold {1000 * hold_s:g} ms, in "
+                    f"{other.place} {1000 * other_s:g} ms: they do not merge",
+                    hint="measure the parts of a sensor with the same --cycle, or all without",
+                )
 
 
 def _ordered(sources: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -1,77 +1,129 @@
-"""Steps that frames cover: how many one frame covers, and sets of steps, kept as runs.
+"""Steps that frames cover, and sets of steps, kept as runs.
 
-A frame covers the step of its time stamp. With a stated cycle it also covers each later step that
-ends within one cycle of its time stamp: it holds for [time, time + cycle), and what holds at the
-end of a step stands for it. A cycle of 50 ms gives the frame's own step and no other, whatever the
-phase; a frame of a longer one covers cycle / 50 ms steps on average. A missing frame leaves its
-steps empty: a cycle is a property of the sensor, and no frame depends on the next one.
+A frame covers its own step and the following ones up to its sensor's next frame, but none that
+begins later than `hold` after it. Folders hold the steps that frames fall in; which steps they
+cover follows from these on reading, when all folders are merged: a next frame may stand in another
+folder. So whole steps count: a frame covers at most `hold / 50 ms` steps after its own, rounded
+down, and all frames of a sensor in one step are one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 import pandas as pd
 
-from gis_radar.arrays import Floats, Integers, ranges
+from gis_radar.arrays import Integers
 from gis_radar.errors import UsageError
-from gis_radar.occupancy.hits import Hits
-from gis_radar.occupancy.settings import DEFAULTS
-from gis_radar.recordings.recording import Recording
-from gis_radar.steps import STEP_US, step_of
+from gis_radar.occupancy.hits import Rows, distinct
+from gis_radar.occupancy.settings import DEFAULTS, OccupancySettings
+from gis_radar.steps import STEP_US
 
 SHORTEST_CYCLE_S, LONGEST_CYCLE_S = 0.001, 2.0  # of any radar; beyond, a unit is mistaken
 GAP_US = 100  # resolution of measured cycles: jitter is larger
 MOST_GAPS = round(LONGEST_CYCLE_S * 1e6) // GAP_US
-AUTO: Literal["auto"] = "auto"
-Cycles = Mapping[str, float] | Literal["auto"]
+MOST_ROWS_HELD = 1 << 18  # at once; 2 MiB a column
+NEVER = np.iinfo(np.int64).max
 
 
-def last_step_covered(time: Floats, cycle_us: int) -> Integers:
-    """Return the last step that a frame at each time covers.
+def holds_of(
+    cycles: Mapping[str, float] | None,
+    sensors: Sequence[str],
+    settings: OccupancySettings = DEFAULTS,
+) -> dict[str, float]:
+    """Return how long the frames of each sensor hold, seconds.
 
     Parameters
     ----------
-    time : (n,) array
-        UNIX seconds.
-    cycle_us : int
-        The sensor's cycle, microseconds; up to 50 000 the answer is the step of the time.
+    cycles : mapping, optional
+        The stated time from frame to frame of some sensors, seconds.
+    sensors : sequence of str
+        All sensors.
+    settings : OccupancySettings
+        How long frames hold: by default, and in cycles.
+
+    Raises
+    ------
+    UsageError
+        If a cycle is no duration of 1 ms to 2 s, or of a sensor that is not there.
     """
-    reached = (np.rint(np.asarray(time) * 1e6).astype(np.int64) + cycle_us) // STEP_US - 1
-    return np.maximum(step_of(time), reached)
+    if isinstance(cycles, str):
+        raise UsageError(f"cycles is {cycles!r}, expected seconds by sensor", hint=CYCLE_HINT)
+    holds = dict.fromkeys(sensors, settings.hold_s)
+    for sensor, cycle_s in (cycles or {}).items():
+        if sensor not in holds:
+            others = ", ".join(holds)
+            raise UsageError(f"a cycle is given for {sensor}, but the poses are of {others}")
+        if not SHORTEST_CYCLE_S <= cycle_s <= LONGEST_CYCLE_S:
+            raise UsageError(
+                f"the cycle of {sensor} is {cycle_s} s, "
+                f"expected {SHORTEST_CYCLE_S:g} to {LONGEST_CYCLE_S:g}",
+                hint="the time from one of its frames to the next, such as 150ms",
+            )
+        holds[sensor] = round(settings.cycles_held * cycle_s, 6)
+    return holds
 
 
-def spread_hits(frames: Iterator[tuple[Integers, Integers, Integers, int]]) -> Iterator[Hits]:
-    """Repeat the hits of frames in each step that the frames cover, in order.
+CYCLE_HINT = "a cycle is stated, such as 150ms, and never measured; without one, frames hold 100 ms"
+
+
+def steps_held(hold_s: float) -> int:
+    """Return how many steps after its own a frame covers at most."""
+    return round(hold_s * 1e6) // STEP_US
+
+
+def covered_until(step: Integers, frames: Runs, hold_s: float) -> Integers:
+    """Return the last step that the frames in each step cover.
 
     Parameters
     ----------
-    frames : iterator of (first, last, tile, until)
-        (k,) int64 arrays: first and last step that the frame of each hit covers, and its tile; and
-        the last step of the frames read so far. Hits in later steps wait, so that what comes out
-        ascends.
+    step : (n,) int64 array
+        Steps with a frame of a sensor.
+    frames : Runs
+        All steps with a frame of that sensor.
+    hold_s : float
+        How long its frames hold, seconds.
+    """
+    run = np.minimum(np.searchsorted(frames.last, step), len(frames) - 1)
+    before_next = np.append(frames.first[1:], NEVER)[run] - 1
+    reached = np.minimum(step + steps_held(hold_s), before_next)
+    return np.where(step == frames.last[run], reached, step)
+
+
+def hold_hits(hits: Iterator[Rows], frames: Sequence[tuple[Runs, float]]) -> Iterator[Rows]:
+    """Repeat hits in each step that their frames cover.
+
+    Parameters
+    ----------
+    hits : iterator of (step, tile, sensor)
+        (k,) int64 arrays, ascending by step: the step of each hit's frame, its tile, and the number
+        of its sensor.
+    frames : sequence of (Runs, float)
+        By sensor, all steps with a frame, and how long its frames hold, seconds.
 
     Yields
     ------
     step, tile : (k,) int64 arrays
+        Each pair once, ascending; no step is split between two pieces.
     """
-    steps = tiles = np.empty(0, np.int64)
-    for first, last, tile, until in frames:
-        if len(steps) == 0 and np.array_equal(first, last):
-            yield first, tile
-            continue
-        length = last - first + 1
-        steps = np.concatenate([steps, ranges(first, length)])
-        tiles = np.concatenate([tiles, np.repeat(tile, length)])
-        order = np.argsort(steps, kind="stable")
-        steps, tiles = steps[order], tiles[order]
-        cut = int(np.searchsorted(steps, until, side="right"))
-        yield steps[:cut], tiles[:cut]
-        steps, tiles = steps[cut:], tiles[cut:]
-    yield steps, tiles
+    longest = 1 + max((steps_held(hold_s) for _, hold_s in frames), default=0)
+    waiting: Rows = (np.empty(0, np.int64), np.empty(0, np.int64))
+    for rows in hits:
+        for low in range(0, len(rows[0]), size := MOST_ROWS_HELD // longest):
+            first, tile, sensor = (column[low : low + size] for column in rows)
+            more = np.zeros_like(first)
+            for number, (runs, hold_s) in enumerate(frames):
+                mine = sensor == number
+                more[mine] = covered_until(first[mine], runs, hold_s) - first[mine]
+            later = ((first[more >= k] + k, tile[more >= k]) for k in range(1, longest))
+            columns = zip(waiting, (first, tile), *later, strict=True)
+            step, tiles = distinct(*map(np.concatenate, columns))
+            cut = int(np.searchsorted(step, first[-1]))  # more of the last step may follow
+            yield step[:cut], tiles[:cut]
+            waiting = step[cut:], tiles[cut:]
+    yield waiting
 
 
 @dataclass(kw_only=True)
@@ -113,76 +165,6 @@ class FrameTimes:
             return np.inf
         middle = int(np.searchsorted(done, done[-1] / 2))
         return float(self.sums_us[middle] / self.gaps[middle])
-
-
-def cycles_us(
-    cycles: Cycles | None, recordings: list[Recording], sensors: list[str],
-    frames: int = DEFAULTS.cycle_frames,
-) -> dict[str, int]:  # fmt: skip
-    """Return the cycle of each sensor in microseconds; 50 ms where none is stated.
-
-    Parameters
-    ----------
-    cycles : mapping, "auto" or None
-        Seconds by sensor; or the median of the time from frame to frame, in whole milliseconds,
-        over the first frames of the sensor's recordings.
-    recordings, sensors : lists
-        The recordings, and whose they are.
-    frames : int
-        How many first frames that median takes from each recording.
-
-    Raises
-    ------
-    UsageError
-        If a cycle is no duration of 1 ms to 2 s, or of a sensor that is not there.
-    """
-    found = dict.fromkeys(sensors, STEP_US)
-    if cycles is None:
-        return found
-    if cycles == AUTO:
-        return {sensor: _measured_us(recordings, sensors, sensor, frames) for sensor in found}
-    for sensor, cycle_s in cycles.items():
-        if sensor not in found:
-            others = ", ".join(found)
-            raise UsageError(f"a cycle is given for {sensor}, but the poses are of {others}")
-        if not SHORTEST_CYCLE_S <= cycle_s <= LONGEST_CYCLE_S:
-            raise UsageError(
-                f"the cycle of {sensor} is {cycle_s} s, "
-                f"expected {SHORTEST_CYCLE_S:g} to {LONGEST_CYCLE_S:g}",
-                hint="the time from one of its frames to the next, such as 57ms",
-            )
-        found[sensor] = max(round(cycle_s * 1e6), STEP_US)
-    return found
-
-
-def _measured_us(recordings: list[Recording], sensors: list[str], sensor: str, frames: int) -> int:
-    apart = [
-        gaps
-        for recording, owner in zip(recordings, sensors, strict=True)
-        if owner == sensor
-        for gaps in _gaps_s(recording, frames)
-    ]
-    if sum(map(len, apart)) == 0:  # a single frame
-        return STEP_US
-    cycle_s = float(np.median(np.concatenate(apart)))
-    if cycle_s > LONGEST_CYCLE_S:
-        raise UsageError(
-            f"the frames of {sensor} lie {cycle_s:.3g} s apart: no cycle of a radar",
-            hint=f"state its cycle, such as {sensor}=100ms",
-        )
-    return max(round(cycle_s * 1000) * 1000, STEP_US)
-
-
-def _gaps_s(recording: Recording, frames: int) -> Iterator[Floats]:
-    """Yield the times from frame to frame at the begin of a recording."""
-    last, done = np.nan, 0
-    for detections in recording.read():
-        gaps = np.diff(detections.time, prepend=last)
-        gaps = gaps[gaps > 0.0]
-        yield gaps
-        last, done = float(detections.time[-1]), done + len(gaps)
-        if done >= frames:
-            return
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,13 +1,14 @@
 """Hits, and sorted tables at large: streams of rows in pieces of bounded size.
 
-Hits are pairs (step, tile), each once, ascending.
+Hits are rows (step, tile, sensor), each once, ascending; without their sensor, pairs.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
 
@@ -131,7 +132,11 @@ class SortedTable:
             If the file is damaged, its first column does not ascend, or it names another sensor.
         """
         last, names = -np.inf, self.schema.names
-        with damaged_as_input_error(path), pq.ParquetFile(path, **CHECKED) as file:
+        texts = [field.name for field in self.schema if pa.types.is_string(field.type)]
+        with (
+            damaged_as_input_error(path),
+            pq.ParquetFile(path, read_dictionary=texts, **CHECKED) as file,
+        ):
             for batch in file.iter_batches(self.rows_at_once, columns=names, use_threads=False):
                 rows = tuple(
                     _numbers_of(batch.column(field.name), sensors, path)
@@ -174,7 +179,7 @@ class SortedTableWriter:
         self, table: SortedTable, path: Path, fingerprint: str, sensors: Sequence[str] = ()
     ) -> None:
         self.path = path
-        self._table, self._names = table, np.array(sensors, dtype=object)
+        self._table, self._names = table, pa.array(sensors, pa.string())
         self._waiting: list[pa.RecordBatch] = []
         texts = [field.name for field in table.schema if pa.types.is_string(field.type)]
         self._writer = pq.ParquetWriter(
@@ -194,7 +199,9 @@ class SortedTableWriter:
     def add(self, rows: Rows) -> None:
         """Add rows that follow those so far: an array a column, names as their numbers."""
         arrays = [
-            pa.array(self._names[values] if pa.types.is_string(field.type) else values, field.type)
+            self._names.take(pa.array(values))
+            if pa.types.is_string(field.type)
+            else pa.array(values, field.type)
             for values, field in zip(rows, self._table.schema, strict=True)
         ]
         self._waiting.append(pa.record_batch(arrays, schema=self._table.schema))
@@ -211,30 +218,37 @@ class SortedTableWriter:
         self._writer.close()
 
 
-HITS = SortedTable(
+PAIRS = SortedTable(
     schema=pa.schema([("step", pa.int64()), ("tile_id", pa.int64())]),
     rows_at_once=1 << 18,  # 4 MiB
     rows_in_group=1 << 20,
 )
-MOST_KEYS = 1 << 62  # a pair as one int64
+HITS = replace(PAIRS, schema=PAIRS.schema.append(pa.field("sensor", pa.string())))
+MOST_KEYS = 1 << 62  # a row as one int64
 
-Hits = tuple[Integers, Integers]
 
-
-def distinct(step: Integers, tile: Integers) -> Hits:
-    """Return each pair of two columns once, ascending by the first, then by the second."""
-    if len(step) == 0:
-        return step, tile
-    low, tiles = int(step.min()), int(tile.max()) + 1
-    if int(tile.min()) >= 0 and (int(step.max()) - low + 1) * tiles < MOST_KEYS:
-        # One number a pair sorts several times faster than two columns.
-        keys = np.sort((step - low) * tiles + tile)
-        step, tile = np.divmod(keys[fresh(keys)], tiles)
-        return step + low, tile
-    order = np.lexsort((tile, step))
-    step, tile = step[order], tile[order]
-    new = fresh(step) | fresh(tile)
-    return step[new], tile[new]
+def distinct(*columns: Integers) -> Rows:
+    """Return each row of some columns once, ascending by the first, then by the second, ..."""
+    if len(columns[0]) == 0:
+        return columns
+    lowest = [int(column.min()) for column in columns]
+    sizes = [int(column.max()) - low + 1 for column, low in zip(columns, lowest, strict=True)]
+    if math.prod(sizes) >= MOST_KEYS:
+        order = np.lexsort(columns[::-1])
+        columns = tuple(column[order] for column in columns)
+        new = np.logical_or.reduce([fresh(column) for column in columns])
+        return tuple(column[new] for column in columns)
+    # One number a row sorts several times faster than columns.
+    keys = columns[0] - lowest[0]
+    for column, low, size in zip(columns[1:], lowest[1:], sizes[1:], strict=True):
+        keys = keys * size + (column - low)
+    keys.sort()
+    keys = keys[fresh(keys)]
+    found = []
+    for low, size in zip(lowest[:0:-1], sizes[:0:-1], strict=True):
+        keys, column = np.divmod(keys, size)
+        found.append(column + low)
+    return (keys + lowest[0], *reversed(found))
 
 
 def fresh(values: Integers | Floats) -> Booleans:
@@ -244,23 +258,20 @@ def fresh(values: Integers | Floats) -> Booleans:
     return differs
 
 
-def read_hits(path: Path) -> Iterator[Hits]:
-    """Read the table `hits.parquet` piece by piece; errors as of :meth:`SortedTable.read`."""
-    return ((step, tile) for step, tile in HITS.read(path))
-
-
-def merge_hits(streams: Sequence[Iterator[Hits]]) -> Iterator[Hits]:
-    """Merge streams into one that holds each of their pairs once.
+def merge_rows(streams: Sequence[Iterator[Rows]], columns: int) -> Iterator[Rows]:
+    """Merge streams into one that holds each of their rows once, ascending.
 
     Parameters
     ----------
-    streams : sequence of iterators of (step, tile)
-        Each ascending by step; a step may go on in the next piece.
+    streams : sequence of iterators of tuples of arrays
+        Each ascending by its first column, a step; a step may go on in the next piece.
+    columns : int
+        How many arrays a piece has.
 
     Yields
     ------
-    step, tile : (k,) int64 arrays
+    tuple of (k,) int64 arrays
         No step is split between two pieces.
     """
-    for step, tile in merge_ascending(streams, 2):
-        yield distinct(step, tile)
+    for rows in merge_ascending(streams, columns):
+        yield distinct(*rows)

@@ -20,6 +20,7 @@ from gis_radar.crs import metric_crs, require_same
 from gis_radar.errors import InputError, NoAnswerError, UsageError
 from gis_radar.files import whole_folder
 from gis_radar.occupancy.folder import (
+    HITS_FILE,
     OWNED,
     Occupancy,
     frames_of,
@@ -36,15 +37,13 @@ from gis_radar.occupancy.frame_log import (
     whole_frames,
 )
 from gis_radar.occupancy.frame_steps import (
-    Cycles,
     FrameTimes,
     Runs,
-    cycles_us,
-    last_step_covered,
-    spread_hits,
+    holds_of,
+    steps_held,
     union,
 )
-from gis_radar.occupancy.hits import HITS, SortedTableWriter, distinct, merge_hits, read_hits
+from gis_radar.occupancy.hits import HITS, Rows, SortedTableWriter, distinct, merge_rows
 from gis_radar.occupancy.settings import DEFAULTS, Filters, OccupancySettings
 from gis_radar.occupancy.views import ViewBook
 from gis_radar.poses.files import PoseTrack, as_track
@@ -65,9 +64,10 @@ def measure_occupancy(
     folder: str | Path,
     *,
     filters: Filters | None = None,
-    cycles: Cycles | None = None,
+    cycles: Mapping[str, float] | None = None,
     clocks: Mapping[str, SensorClock] | None = None,
     engine: Callable[[Floats], TileEngine] = TileGrid,
+    pairs: bool = False,
     settings: OccupancySettings = DEFAULTS,
     reporter: Reporter = QUIET,
 ) -> Occupancy:
@@ -89,14 +89,16 @@ def measure_occupancy(
         Where the occupancy goes; it appears whole or not at all.
     filters : Filters, optional
         Which detections count; without it, all.
-    cycles : mapping or "auto", optional
-        Seconds from frame to frame, by sensor, or "auto" to measure them: a frame then covers
-        each step that ends within its cycle (:mod:`gis_radar.occupancy.frame_steps`). Without
-        it, a frame covers its own step and no other.
+    cycles : mapping, optional
+        Seconds from frame to frame, of sensors slower than 10 Hz: a frame covers the steps up to
+        its sensor's next one, but none later than 1.5 cycles; without it, than 100 ms
+        (:mod:`gis_radar.occupancy.frame_steps`).
     clocks : mapping, optional
         How far the clocks of sensors are ahead, by sensor; times are corrected by it.
     engine : type
         :class:`TileGrid` or :class:`TileTree`; both give the same.
+    pairs : bool
+        Also write `hits.parquet`, for other programs: the pairs (step, tile_id).
     settings : OccupancySettings
         Constants of the algorithm; written to the manifest.
     reporter : Reporter
@@ -122,7 +124,7 @@ def measure_occupancy(
     >>> tiles = gr.make_tiles(gr.read_map(sample / "junction.osm"))
     >>> pose = gr.read_pose(sample / "R1.json")
     >>> gr.measure_occupancy([sample / "R1.parquet"], [pose], tiles, "occupancy")
-    Occupancy(R1: 73.9 s of frames, 2931 tiles seen)
+    Occupancy(R1 100.0 s covered by frames, 2931 tiles seen)
     """
     if len(recordings) != len(poses) or not recordings:
         raise UsageError(f"{len(recordings)} recordings, but {len(poses)} poses")
@@ -131,10 +133,9 @@ def measure_occupancy(
     views = _views(target, tracks, reporter)
     opened = [as_recording(recording) for recording in recordings]
     _refuse_clearance(opened, target.filters)
-    sensors = [track.sensor for track in tracks]
-    cycle_us = cycles_us(cycles, opened, sensors, settings.cycle_frames)
+    holds = holds_of(cycles, sorted({track.sensor for track in tracks}), settings)
     sources = [
-        Source(recording, track, seen, cycle_us[track.sensor], (clocks or {}).get(track.sensor))
+        Source(recording, track, seen, holds[track.sensor], (clocks or {}).get(track.sensor))
         for recording, track, seen in zip(opened, tracks, views, strict=True)
     ]
     with whole_folder(Path(folder), owned=OWNED, reporter=reporter) as part:
@@ -144,12 +145,13 @@ def measure_occupancy(
             fingerprint=target.fingerprint,
             frames=frames,
             views=views_table(frames, target.views.tiles),
-            hits=lambda: read_hits(part / "hits.parquet"),
+            hits_by_sensor=lambda names: HITS.read(part / HITS_FILE, names),
             sources=[each.record(target) for each in passes],
             frame_log=lambda names: merge_frame_logs(
                 [FRAME_LOG.read(each.log.path, names) for each in passes]
             ),
-        ).write_beside_hits(part)
+            hold_s=holds,
+        ).write_beside_hits(part, pairs=pairs)
         for each in passes:
             each.log.path.unlink()
     for line in _warnings(passes, target.views, settings):
@@ -180,8 +182,8 @@ class Source:
         What is read, and where its sensor stood.
     views : sequence of str
         The view of each pose of the track.
-    cycle_us : int
-        Time from frame to frame that a frame covers, microseconds.
+    hold_s : float
+        How long a frame holds, seconds.
     clock : SensorClock, optional
         How far the sensor's clock is ahead.
     """
@@ -189,7 +191,7 @@ class Source:
     recording: Recording
     track: PoseTrack
     views: Sequence[str]
-    cycle_us: int
+    hold_s: float
     clock: SensorClock | None
 
 
@@ -241,7 +243,6 @@ class RecordingPass:
             "filters": asdict(target.filters),
             "settings": asdict(target.settings),
             "poses": [pose.as_dict() for pose in source.track.poses[met]],
-            **({} if source.cycle_us == STEP_US else {"cycle_s": source.cycle_us / 1e6}),
             **({} if source.clock is None else {"clock": source.clock.as_dict()}),
             **({"elevation": False} if self.level else {}),
         }
@@ -253,6 +254,7 @@ def _read_all(
     """Read all recordings side by side; write their merged hits, return all else."""
     known = [source.recording.rows for source in sources]
     total = None if None in known else sum(rows for rows in known if rows is not None)
+    sensors = sorted({source.track.sensor for source in sources})
     with ExitStack() as logs:
         passes = []
         for number, source in enumerate(sources):
@@ -263,15 +265,19 @@ def _read_all(
         def count_rows() -> None:
             reporter.progress(STAGE, sum(each.rows for each in passes), total)
 
-        hits = merge_hits([spread_hits(_hits(each, target, count_rows)) for each in passes])
-        HITS.write(hits, folder / "hits.parquet", target.fingerprint)
+        numbers = [sensors.index(source.track.sensor) for source in sources]
+        streams = [
+            _hits(each, number, target, count_rows)
+            for each, number in zip(passes, numbers, strict=True)
+        ]
+        HITS.write(merge_rows(streams, 3), folder / HITS_FILE, target.fingerprint, sensors)
     return passes
 
 
 def _hits(
-    found: RecordingPass, target: Target, count_rows: Callable[[], None]
-) -> Iterator[tuple[Integers, Integers, Integers, int]]:
-    """Yield the hits of frames, as for `spread_hits`; add all else to `found` on the way."""
+    found: RecordingPass, number: int, target: Target, count_rows: Callable[[], None]
+) -> Iterator[Rows]:
+    """Yield the hits of frames as (step, tile, sensor); add all else to `found` on the way."""
     source = found.source
     clock = source.clock or SensorClock(offset_s=0.0)
     for read in whole_frames(source.recording.read()):
@@ -284,17 +290,16 @@ def _hits(
             frames = FrameIndex.of(part.time)
             pose, view = source.track.poses[index], source.views[index]
             frame, tile = _tiles_hit(part, frames, pose, target, target.views.road_m[view])
-            first = step_of(frames.time)
-            last = last_step_covered(frames.time, source.cycle_us)
-            tiles_hit = np.bincount(frame, minlength=len(first))
-            tiles_seen = np.full(len(first), len(target.views.tiles[view]))
+            step = step_of(frames.time)
+            tiles_hit = np.bincount(frame, minlength=len(step))
+            tiles_seen = np.full(len(step), len(target.views.tiles[view]))
             found.log.add(
                 frame_rows(part, frames, tiles_hit, tiles_seen, shift_us[now], target.settings)
             )
-            found.runs.setdefault(view, []).append(union([Runs(first=first, last=last)]))
+            found.runs.setdefault(view, []).append(union([Runs(first=step, last=step)]))
             found.poses.add(index)
             found.times.add(frames.time_us)
-            yield first[frame], last[frame], target.tile_id[tile], int(first[-1])
+            yield step[frame], target.tile_id[tile], np.full(len(frame), number)
         found.ranges.add(piece)
         found.level |= bool(np.isnan(piece.points[piece.present, 2]).any())
         found.rows += len(piece)
@@ -303,7 +308,7 @@ def _hits(
 
 def _tiles_hit(
     piece: Detections, frames: FrameIndex, pose: Pose, target: Target, road_m: float
-) -> tuple[Integers, Integers]:
+) -> Rows:
     """Return the pairs of a frame and a tile (positions) that it hit, each once."""
     keep = target.filters.keep_detections(piece)
     level = np.isnan(piece.points[:, 2])
@@ -391,12 +396,13 @@ def _warnings(
                 f"{reached_m:.0f} m, but the view of {sensor} reaches {view.max_range_m:g} m: what "
                 "lies beyond reads as observed and empty; set the view's max_range_m or --max-range"
             )
-        if each.source.cycle_us == STEP_US and settings.slow_cycle * STEP_US < cycle_us < np.inf:
-            cycle_ms, empty = round(cycle_us / 1000), 100.0 * (1.0 - STEP_US / cycle_us)
+        covered_us = (1 + steps_held(each.source.hold_s)) * STEP_US
+        if settings.slow_cycle * covered_us < cycle_us < np.inf:
+            cycle_ms, empty = round(cycle_us / 1000), 100.0 * (1.0 - covered_us / cycle_us)
             yield (
-                f"{file}: {sensor} delivers every {cycle_ms} ms: {empty:.0f} % of the 50 ms steps "
-                "are without a frame, and read as not observed by it; "
-                f"--cycle {sensor}={cycle_ms}ms lets a frame cover its whole cycle"
+                f"{file}: {sensor} delivers every {cycle_ms} ms, and a frame holds "
+                f"{1000 * each.source.hold_s:g} ms: {empty:.0f} % of the 50 ms steps read as not "
+                f"observed by it; --cycle {sensor}={cycle_ms}ms lets a frame cover its whole cycle"
             )
         if each.level:
             roads = {each.source.views[index] for index in each.poses}

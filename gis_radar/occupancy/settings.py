@@ -17,10 +17,16 @@ from gis_radar.recordings.recording import Detections
 class OccupancySettings:
     """Constants of the occupancy; those in effect are written to its `manifest.json`.
 
-    Which detections count is set by :class:`gis_radar.Filters`, how long a frame holds by `cycles`.
+    Which detections count is set by :class:`gis_radar.Filters`.
 
     Parameters
     ----------
+    hold_s : float
+        A frame covers no step that begins so much later, seconds, where no cycle is stated: two
+        cycles of 50 ms, so that one lost frame leaves no gap.
+    cycles_held : float
+        How long a frame holds where a cycle is stated, in cycles: over any jitter, under two, so
+        that time without frames is not observed.
     view_shared_m, view_shared_deg : float
         A pose of a track shares the view of an earlier one that is so near, metres and degrees:
         half a tile, and about the sigma of a tracked angle. Smaller values make more views; hits
@@ -35,11 +41,8 @@ class OccupancySettings:
         (0.1 to 0.3 m/s) and of leaves. For the frame log only.
     wild_mps : float
         No vehicle is faster, m/s (250 km/h). For the frame log only.
-    cycle_frames : int
-        Frames from which `cycles="auto"` takes the median cycle: 200 s at 20 Hz, in which the
-        median of a jitter of 5 ms is known to 0.1 ms.
     slow_cycle : float
-        Warn of a sensor whose cycle is so many steps long and not stated: 10 % of the steps empty.
+        Warn of a sensor whose cycle is so many times what a frame covers: 10 % of the steps empty.
     range_share, reach_share : float
         Warn where this share of the detections lies within less than `reach_share` of the range of
         the view (the contract: 99.9 % and 0.8).
@@ -47,13 +50,14 @@ class OccupancySettings:
         An earlier time stamp, UNIX seconds, is that of a clock that was never set.
     """
 
+    hold_s: float = 0.1
+    cycles_held: float = 1.5
     view_shared_m: float = 0.25
     view_shared_deg: float = 0.2
     views_compared: int = 64
     road_tiles: int = 200
     moving_mps: float = 0.5
     wild_mps: float = 70.0
-    cycle_frames: int = 4000
     slow_cycle: float = 1.1
     range_share: float = 0.999
     reach_share: float = 0.8

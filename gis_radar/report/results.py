@@ -318,10 +318,10 @@ def _filters(results: Results) -> Iterator[tuple[str, str]]:
     for text, sensors in by_text.items():
         whose = "" if len(by_text) == 1 else f" ({listed(sorted(set(sensors)))})"
         yield f"Detections that count{whose}", text
+    for sensor, hold_s in sorted(results.occupancy.hold_s.items()):
+        held = f"until its next one, at most {figure_text(1000 * hold_s)} ms"
+        yield f"A frame of {sensor} holds", held
     for source in results.occupancy.sources:
-        if "cycle_s" in source:
-            cycle = f"{figure_text(1000 * float(source['cycle_s']))} ms: a frame covers that long"
-            yield f"Cycle of {source['sensor']}", cycle
         if "clock" in source:
             clock = json.dumps(source["clock"], sort_keys=True)
             yield f"Clock of {source['sensor']} corrected", clock.strip("{}").replace('"', "")

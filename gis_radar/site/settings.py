@@ -180,8 +180,8 @@ class Sensor(TomlTable):
     """How the pose is found: lanes and Doppler, or the paper's ICP."""
     pose: File | None = key('"R2.json"', None, "none")
     """Its pose (JSON) or pose track (CSV), instead of a guess."""
-    cycle: Cycle | None = key('"57ms"', None, "a frame covers its step")
-    """Of a sensor under 20 Hz, the time from frame to frame: a frame covers it."""
+    cycle: Cycle | None = key('"150ms"', None, "a frame holds 100 ms")
+    """Of a sensor under 10 Hz, the time from frame to frame: a frame holds 1.5 of it."""
     view: ViewTable | None = None
     """What it sees, where its pose does not state it; without it 120 by 30 deg, 1 to 300 m."""
     convert: ConvertTable | None = None

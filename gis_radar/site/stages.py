@@ -151,7 +151,7 @@ def _seeing(track: PoseTrack, sensor: str, view: dict[str, float] | None) -> Pos
 def occupancy_stage(
     *, recordings: Paths, pose: Path, tile_file: Path, outputs: Paths, reporter: Reporter,
     sensor: str, view: dict[str, float] | None, filters: dict[str, Any],
-    cycle: float | Literal["auto"] | None, clocks: Path | None = None,
+    cycle: float | None, clocks: Path | None = None,
 ) -> Figures:  # fmt: skip
     """Join a sensor's recordings to the tiles."""
     known = {} if clocks is None else read_clocks(clocks)
@@ -164,7 +164,7 @@ def occupancy_stage(
         read_tiles(tile_file),
         outputs[0],
         filters=Filters(**filters),
-        cycles={sensor: cycle} if isinstance(cycle, float) else cycle,
+        cycles=None if cycle is None else {sensor: cycle},
         clocks=known,
         reporter=reporter,
     )
@@ -176,7 +176,7 @@ def heatmap_stage(
     interval: str | None,
 ) -> Figures:  # fmt: skip
     """Merge the occupancies and make the heat map."""
-    merged = merge_occupancies([read_occupancy(folder) for folder in occupancies])
+    merged = merge_occupancies([read_occupancy(each, reporter=reporter) for each in occupancies])
     heat = make_heatmap(merged, read_tiles(tile_file), interval=interval, reporter=reporter)
     heat.write(outputs[0], reporter=reporter)
     return {**merged.figures(), **heat.figures()}

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, Union, get_args, get_origin
 
 from pydantic import (
     AfterValidator,
@@ -22,7 +22,7 @@ from pydantic.fields import FieldInfo
 
 from gis_radar.crs import bearing_of, looks_like_degrees, metric_crs
 from gis_radar.errors import GisRadarError
-from gis_radar.occupancy.frame_steps import AUTO, LONGEST_CYCLE_S, SHORTEST_CYCLE_S
+from gis_radar.occupancy.frame_steps import CYCLE_HINT, LONGEST_CYCLE_S, SHORTEST_CYCLE_S
 from gis_radar.steps import duration_s, interval_steps, zone_of
 
 _WILD = frozenset("*?[")
@@ -110,10 +110,10 @@ def _intervals(value: Any) -> tuple[str, ...]:
     return found
 
 
-def _cycle(value: Any) -> float | str:
+def _cycle(value: Any) -> float:
     text = _text(value)
-    if text == AUTO:
-        return text
+    if text == "auto":
+        raise Unfit(hint=CYCLE_HINT)
     _parsed(duration_s, text)
     if not SHORTEST_CYCLE_S <= duration_s(text) <= LONGEST_CYCLE_S:
         raise Unfit(f"{SHORTEST_CYCLE_S:g} to {LONGEST_CYCLE_S:g} s")
@@ -192,9 +192,7 @@ Intervals = Annotated[
     Meaning('a list of lengths such as ["15min", "1h"]'),
     PlainValidator(_intervals),
 ]
-Cycle = Annotated[
-    float | Literal["auto"], Meaning('a duration such as "57ms", or "auto"'), PlainValidator(_cycle)
-]
+Cycle = Annotated[float, Meaning('a duration such as "150ms"'), PlainValidator(_cycle)]
 Zone = Annotated[str, Meaning("an IANA time zone such as Europe/Berlin"), PlainValidator(_zone)]
 File = Annotated[Path, Meaning("the name of a file"), PlainValidator(_file)]
 Files = Annotated[

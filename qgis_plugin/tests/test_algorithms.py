@@ -39,7 +39,7 @@ def parameters_of(name, site, out):
         "occupancy": ({"RECORDINGS": [SAMPLE / "R1.parquet", SAMPLE / "R2.parquet"],
                        "POSES": [SAMPLE / "R2.json", SAMPLE / "R1.json"],
                        "TILES": f"{site}/tiles.gpkg|layername=tiles", "CLEARANCE": "-0.5,4.5",
-                       "OUTPUT": out / "occ"}, "occ/hits.parquet"),
+                       "OUTPUT": out / "occ"}, "occ/frames.parquet"),
         "heatmap": ({"OCCUPANCY": site / "occupancy", "INTERVAL": "20s",
                      "TILES": f"{site}/tiles.gpkg|layername=tiles", "OUTPUT": out / "map"},
                     "map/heatmap.gpkg"),

@@ -56,7 +56,7 @@ def test_a_night_on_the_sample(profiles, tmp_path):
     run(profiles, "occupancy", RECORDINGS=[SAMPLE / "R1.parquet"], POSES=[surveyed],
         TILES=f"{tiles}|layername=tiles", CLEARANCE="-0.5,4.5", MAX_RANGE=120,
         OUTPUT=out / "occ")  # fmt: skip
-    assert (out / "occ" / "hits.parquet").is_file()
+    assert (out / "occ" / "frames.parquet").is_file()
     manifest = json.loads((out / "occ" / "manifest.json").read_text())
     assert [pose["view"]["max_range_m"] for pose in manifest["sources"][0]["poses"]] == [120.0]
     run(profiles, "heatmap", OCCUPANCY=out / "occ", TILES=f"{tiles}|layername=tiles",
