@@ -49,8 +49,8 @@ class Vehicles:
     yaw_rate: Floats
     size: Floats
 
-    def where(self, keep: Booleans) -> Vehicles:
-        """Return the vehicles for which `keep` is true."""
+    def where(self, keep: Booleans | Integers) -> Vehicles:
+        """Return the vehicles for which `keep` is true, or of these rows."""
         rows = {f.name: getattr(self, f.name)[keep] for f in fields(self) if f.name != "time"}
         return Vehicles(time=self.time, **rows)
 
@@ -120,6 +120,24 @@ class Traffic:
             speed=between(self.speed)[there],
             yaw_rate=between(self.yaw_rate)[there],
             size=self.size[there],
+        )
+
+    def joined(self, other: Traffic) -> Traffic:
+        """Return the traffic of both, over the same time: first this, then the other."""
+        count = len(self.kind)
+        more = {
+            body + count: Coupling(drawn_by=c.drawn_by + count, whole_m=c.whole_m)
+            for body, c in other.couplings.items()
+        }
+        return Traffic(
+            start=self.start,
+            centre=np.concatenate([self.centre, other.centre], axis=1),
+            heading=np.concatenate([self.heading, other.heading], axis=1),
+            speed=np.concatenate([self.speed, other.speed], axis=1),
+            yaw_rate=np.concatenate([self.yaw_rate, other.yaw_rate], axis=1),
+            size=np.concatenate([self.size, other.size]),
+            kind=self.kind + other.kind,
+            couplings=self.couplings | more,
         )
 
     def table(self, terrain: Terrain) -> pd.DataFrame:

@@ -9,6 +9,7 @@ from scipy.special import expit
 
 from gis_radar.arrays import Floats
 from gis_radar.poses.pose import Pose, View
+from simulation.bodies import walker_echoes
 from simulation.clutter import draw_clutter
 from simulation.echoes import Echoes, ghosts, join_echoes
 from simulation.movement import Vehicles
@@ -168,9 +169,7 @@ class Radar:
     ) -> Echoes:
         """Return the points of vehicles that are strong enough and not hidden, and ghosts."""
         eye = self.pose.position
-        echoes = self.targets.vehicle_echoes(
-            vehicles, self.scene, eye, density=self.model.density, rng=rng
-        )
+        echoes = self._bodies(vehicles, rng)
         strong = rng.random(len(echoes.rcs)) < self._detection(echoes.point, echoes.rcs)
         echoes = echoes.where(strong)
         hidden = boxes.hide(eye, echoes.point, echoes.owner)
@@ -179,6 +178,23 @@ class Radar:
         echoes = echoes.where(~hidden)
         images = ghosts(echoes, eye, self.walls, share=self.model.ghost_share, rng=rng)
         return join_echoes([echoes, images])
+
+    def _bodies(self, vehicles: Vehicles, rng: np.random.Generator) -> Echoes:
+        """Return the scatter points of vehicles and of walkers."""
+        walks = vehicles.kind == "walker"
+        drivers, walkers = np.flatnonzero(~walks), np.flatnonzero(walks)
+        driven = self.targets.vehicle_echoes(
+            vehicles.where(drivers), self.scene, self.pose.position,
+            density=self.model.density, rng=rng,
+        )  # fmt: skip
+        walked = walker_echoes(vehicles.where(walkers), self.scene, rng)
+        walked = walked.of(self.targets.of(vehicles.number[walkers[walked.owner]]))
+        return join_echoes(
+            [
+                replace(driven, owner=drivers[driven.owner]),
+                replace(walked, owner=walkers[walked.owner]),
+            ]
+        )
 
     def _fixed_returns(self, boxes: Boxes, rng: np.random.Generator) -> tuple[Echoes, Floats]:
         """Return the fixed points of this frame, and the range rate of their own stir."""

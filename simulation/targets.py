@@ -62,6 +62,9 @@ class Targets(Protocol):
     ) -> Echoes:  # fmt: skip
         """Return the scatter points of vehicles in this frame."""
 
+    def of(self, number: Integers) -> Integers:
+        """Return which targets vehicles of these numbers are; -1 where none lasts."""
+
     def bias(self, target: Integers, time: float) -> Floats:
         """Return what is added to range (m), azimuth and elevation (rad) of targets, (n, 3)."""
 
@@ -105,6 +108,10 @@ class _FleetingTargets:
     ) -> Echoes:  # fmt: skip
         """Return new scatter points."""
         return vehicle_echoes(vehicles, scene, eye, density=density, rng=rng)
+
+    def of(self, number: Integers) -> Integers:
+        """Return that no target lasts."""
+        return np.full(len(number), -1)
 
     def bias(self, target: Integers, time: float) -> Floats:
         """Return zeros: all errors are white."""
@@ -184,14 +191,18 @@ class _LastingTargets:
         lit = np.repeat(signs.T, 2 * _SPOTS_PER_FACE, axis=1) == outward
         chance = np.repeat(rates.T, 2 * _SPOTS_PER_FACE, axis=1) / _SPOTS_PER_FACE
         owner, slot = np.nonzero(lit & (rng.random(lit.shape) < chance))
-        number = vehicles.number[owner] % _VEHICLES
-        row = number * lit.shape[1] + slot
+        number = vehicles.number[owner]
+        row = number % _VEHICLES * lit.shape[1] + slot
         less = np.array([OPEN_FRAME_DB.get(kind, 0.0) for kind in vehicles.kind])
         echoes = place_spots(
             vehicles, scene, owner, outward[slot], self.spots.where(row),
             spin=rng.uniform(0.0, 2.0 * np.pi, len(row)), rcs=self.spot_rcs[row] - less[owner],
         )  # fmt: skip
-        return echoes.of(len(self.clutter.rcs) + number)
+        return echoes.of(self.of(number))
+
+    def of(self, number: Integers) -> Integers:
+        """Return the rows after those of the fixed points."""
+        return len(self.clutter.rcs) + number % _VEHICLES
 
     def bias(self, target: Integers, time: float) -> Floats:
         """Return the biases of this moment."""
