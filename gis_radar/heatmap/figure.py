@@ -57,8 +57,6 @@ def draw(
 
     Parameters
     ----------
-    tally : Tally
-        What to draw.
     ax : Axes, optional
         Where; without it, on a new figure of pyplot.
     interval : int, optional
@@ -326,8 +324,6 @@ def show_in_browser(tally: Tally, *, interval: int | None = None, **options: Any
 
     Parameters
     ----------
-    tally : Tally
-        What to show.
     interval : int, optional
         Which interval, from 0, negative from the end; without it, the whole time.
     **options

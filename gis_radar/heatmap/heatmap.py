@@ -78,7 +78,7 @@ class HeatMap(Tally):
         InputError
             If xarray is not installed.
         """
-        xr = require_xarray()
+        xr = _require_xarray()
         require_room(len(self.tiles), len(self.timeline), most_mib)
         shape = (len(self.tiles), len(self.timeline))
         arrays = {name: np.full(shape, np.nan, np.float32) for name in Shares._fields}
@@ -234,14 +234,8 @@ def read_heatmap(path: str | Path) -> HeatMap:
     return HeatMap(**read_package(Path(path)))
 
 
-def require_xarray() -> Any:
-    """Return the module xarray.
-
-    Raises
-    ------
-    InputError
-        If it is not installed.
-    """
+def _require_xarray() -> Any:
+    """Return the module xarray, or refuse where it is not installed."""
     try:
         import xarray  # noqa: PLC0415 - an extra
     except ImportError as error:
@@ -335,7 +329,7 @@ def to_xarray(
         If there is no frame in that time, the tiles are not those of the occupancy, a tile is
         not there, or xarray is not installed.
     """
-    require_xarray()
+    _require_xarray()
     tiles, runs = checked(occupancy, tiles)
     chosen = _chosen(tiles["tile_id"].to_numpy(np.int64), tile_ids)
     if within is not None:

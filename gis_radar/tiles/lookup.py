@@ -25,7 +25,7 @@ from scipy.spatial import cKDTree
 
 from gis_radar.arrays import Floats, Integers, compiled
 from gis_radar.errors import InputError
-from gis_radar.tiles.tiles import quads
+from gis_radar.tiles.tiles import LENGTH_M, quads
 
 SLACK_M = 1e-6  # a point may be rounded into the cell beside its own
 
@@ -85,7 +85,6 @@ def _apart(quad: Floats, x: float, y: float, half_m: float) -> bool:  # pragma: 
     return False
 
 
-CELL_M = 0.5  # side of a cell: as long as a tile
 MOST_CELLS = 16_000_000  # of a grid, 128 MB; wider cells where a map is larger
 Pairs = tuple[Integers, Integers]
 
@@ -113,7 +112,7 @@ class TileGrid:
         self._edges = _edges(local)
         span = local.reshape(-1, 2).max(axis=0) if len(quads) else np.ones(2)
         self._span = span
-        self._cell_m = max(CELL_M, math.sqrt(float(span.prod()) / MOST_CELLS))
+        self._cell_m = max(LENGTH_M, math.sqrt(float(span.prod()) / MOST_CELLS))
         self._columns, rows = (int(side / self._cell_m) + 1 for side in span)
         self._first, self._tiles = _fill_cells(local, self._columns, rows, self._cell_m)
 
