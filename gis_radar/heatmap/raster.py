@@ -25,13 +25,13 @@ from gis_radar.arrays import Floats, Integers, ranges
 from gis_radar.errors import OutputError
 from gis_radar.heatmap.counting import DEFINITIONS, Tally
 from gis_radar.heatmap.intervals import SETTINGS
+from gis_radar.occupancy.frame_steps import Runs, union
 from gis_radar.progress import Reporter
 from gis_radar.steps import iso_from_step
 from gis_radar.tiles.lookup import TileGrid
 from gis_radar.tiles.tiles import quads
 
 POINTS_AT_ONCE = 1_000_000  # pixels looked up together: 50 MB
-MOST_MASK_PIXELS = 100_000_000  # a byte each; larger grids are sparse, and their pixels listed
 MOST_BLOCK_BYTES = 16_000_000  # of all bands of a block, which GDAL holds at once
 SMALLEST = 512  # pixels: the smallest overview fits in a few blocks
 CACHE_MB = 256  # GDAL would take a share of the machine's memory
@@ -87,22 +87,13 @@ class PixelGrid:
             for edge in edges
         )
         west, north = np.maximum(west, 0), np.maximum(north, 0)
-        wide = np.maximum(np.minimum(east, self.width - 1) - west + 1, 0)
-        tall = np.maximum(np.minimum(south, self.height - 1) - north + 1, 0)
-        size = wide * tall
-        pixels = self.width * self.height
-        mask = np.zeros(pixels if pixels <= MOST_MASK_PIXELS else 0, np.bool_)
-        some = [np.empty(0, np.int64)]
-        portion = np.cumsum(size) // POINTS_AT_ONCE
-        for part in np.split(np.arange(len(size)), np.flatnonzero(np.diff(portion)) + 1):
-            tile = np.repeat(part, size[part])
-            down, along = np.divmod(ranges(np.zeros_like(part), size[part]), wide[tile])
-            found = (north[tile] + down) * self.width + west[tile] + along
-            if len(mask):
-                mask[found] = True
-            else:
-                some.append(np.unique(found))
-        return np.flatnonzero(mask) if len(mask) else np.unique(np.concatenate(some))
+        wide = np.minimum(east, self.width - 1) - west + 1
+        tall = np.minimum(south, self.height - 1) - north + 1
+        tall = np.where(wide > 0, np.maximum(tall, 0), 0)
+        # A box is a run of pixels in each of its rows.
+        first = ranges(north, tall) * self.width + np.repeat(west, tall)
+        rows = union([Runs(first=first, last=first + np.repeat(wide, tall) - 1)])
+        return ranges(rows.first, rows.last - rows.first + 1)
 
 
 @dataclass(frozen=True, kw_only=True)
