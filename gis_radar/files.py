@@ -10,7 +10,7 @@ import os
 import secrets
 import shutil
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -156,7 +156,7 @@ def whole_folder(
     path = path.resolve()
     if path.exists():
         _refuse_here(path)
-        _refuse_foreign(path, owned)
+        refuse_foreign(path, owned)
     with _alone(path, reporter), _beside(path) as private:
         fresh = private / path.name
         fresh.mkdir()
@@ -188,7 +188,8 @@ def _refuse_here(path: Path) -> None:
         )
 
 
-def _refuse_foreign(path: Path, owned: tuple[str, ...]) -> None:
+def refuse_foreign(path: Path, owned: tuple[str, ...]) -> None:
+    """Refuse a folder with files of others, whose names do not begin like our own, or a file."""
     if not path.is_dir():
         raise OutputError(f"{path}: is a file", hint="name a folder for the output")
     foreign = sorted(entry.name for entry in path.iterdir() if not entry.name.startswith(owned))
@@ -325,7 +326,9 @@ def _taken(lock: Path, path: Path, reporter: Reporter) -> int:
         os.close(handle)
 
 
-def json_text(document: Any, *, indent: int | None = None) -> str:
+def json_text(
+    document: Any, *, indent: int | None = None, default: Callable[[Any], Any] | None = None
+) -> str:
     """Return a document as JSON for other programs: what is no finite number is null.
 
     Parameters
@@ -334,8 +337,11 @@ def json_text(document: Any, *, indent: int | None = None) -> str:
         Of what JSON can hold, and numbers that it cannot.
     indent : int, optional
         By how many blanks; by default one line.
+    default : callable, optional
+        Turns other objects into what JSON can hold; without it they are refused.
     """
-    return json.dumps(_finite(document), indent=indent, ensure_ascii=False, allow_nan=False)
+    options: dict[str, Any] = {"indent": indent, "default": default}
+    return json.dumps(_finite(document), ensure_ascii=False, allow_nan=False, **options)
 
 
 def _finite(value: Any) -> Any:

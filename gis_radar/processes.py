@@ -17,6 +17,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from multiprocessing.process import BaseProcess
+from pathlib import Path
 from typing import IO
 
 from gis_radar.errors import GisRadarError
@@ -27,6 +28,8 @@ WATCHDOG_VARIABLE = "GIS_RADAR_PARENT_WATCHDOG"
 _POLL_S = 0.2  # an interruption reaches Python only between two waits; 5 Hz is not felt
 STOP_PATIENCE_S = 0.7
 """How long a stopped worker may clear up, seconds: it has files to remove, not work to end."""
+
+_MEMORY_EACH = 1 << 30  # bytes for one worker: what localizing a sensor takes, rounded up
 
 
 def run_child(
@@ -132,6 +135,30 @@ def stop_workers(workers: Iterable[BaseProcess], *, patience_s: float = STOP_PAT
                 os.killpg(worker.pid, signal.SIGKILL)  # no group: ended before it led one
         worker.kill()
         worker.join()
+
+
+def workers_here() -> int:
+    """Return how many workers this machine has cores and memory for."""
+    if hasattr(os, "sched_getaffinity"):
+        cores = len(os.sched_getaffinity(0))
+    else:
+        cores = os.cpu_count() or 1
+    memory = _free_memory()
+    return cores if memory is None else max(1, min(cores, memory // _MEMORY_EACH))
+
+
+def _free_memory() -> int | None:
+    """Return the bytes that new processes may use; None where the system does not state it."""
+    group = Path("/sys/fs/cgroup")
+    found = []
+    with suppress(OSError, ValueError):
+        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+        named = dict(line.split(":", 1) for line in lines)
+        found.append(int(named["MemAvailable"].split()[0]) * 1024)
+    with suppress(OSError, ValueError):
+        most = int((group / "memory.max").read_text(encoding="ascii"))
+        found.append(most - int((group / "memory.current").read_text(encoding="ascii")))
+    return min(found, default=None)
 
 
 def _start_watchdog(wait: Callable[[], object], end: Callable[[], object]) -> None:

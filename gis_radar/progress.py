@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 Level = Literal["info", "warning"]
@@ -30,3 +31,12 @@ class Reporter:
 
 
 QUIET = Reporter()
+
+
+def warnings_once(by_stage: Mapping[str, Sequence[str]]) -> list[str]:
+    """Return the warnings of stages, each once, after the names of the stages that gave it."""
+    stages: dict[str, list[str]] = {}
+    for name, warnings in by_stage.items():
+        for text in dict.fromkeys(warnings):
+            stages.setdefault(text, []).append(name)
+    return [f"{', '.join(names)}: {text}" for text, names in stages.items()]

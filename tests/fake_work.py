@@ -56,7 +56,8 @@ def break_down(*, outputs, reporter, **_inputs):
     raise ZeroDivisionError
 
 
-def die(*, outputs, reporter, **_inputs):
+def die(*, outputs, reporter, wait_s=0.0, **_inputs):
+    time.sleep(wait_s)
     os.kill(os.getpid(), signal.SIGKILL)
 
 

@@ -8,7 +8,9 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import BrokenExecutor, Executor, Future
 from pathlib import Path
+from queue import SimpleQueue
 
 import pytest
 from fake_stages import diamond, execute, stage, threads
@@ -16,10 +18,10 @@ from maps import Listener
 
 from gis_radar.errors import GisRadarError, InputError, NoAnswerError, OutputError
 from gis_radar.files import only_writer
+from gis_radar.processes import workers_here
 from gis_radar.site import execution
 from gis_radar.site.execution import RunState
-from gis_radar.site.run import workers_here
-from gis_radar.site.worker import process_pool
+from gis_radar.site.worker import Pool, process_pool
 
 HERE = Path(__file__).parent
 NAMES = ["road", "a1", "b1", "a2", "b2", "map"]
@@ -182,6 +184,35 @@ def test_what_all_depends_on_stops_all(root, source, work, kind, words):
     assert not (root / "a1").exists()
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+def test_the_stage_of_a_dead_worker_is_named_alone(root, source):
+    stages = diamond(root, source)
+    stages[1] = stage(root, "a1", ["road"], sensor="a", wait_s=30.0)
+    stages[2] = stage(root, "b1", ["road"], work="die", sensor="b", wait_s=1.0)
+    with pytest.raises(GisRadarError, match=r"^b1: a worker process ended with signal 9$"):
+        execute(stages, root, most=2, pool=process_pool)
+    assert all_gone(root)
+
+
+def test_where_nobody_knows_which_worker_died_all_at_work_are_named(root, source):
+    """Any executor may break; a stage that still waits for a worker is not among the suspects."""
+    broken = Future()
+    broken.set_exception(BrokenExecutor())
+
+    class Breaking(Executor):
+        def submit(self, _carry_out, name, *_):
+            if name != "b1":
+                events.put({"stage": name, "worker": 1})
+            return broken if name == "c1" else Future()
+
+    events = SimpleQueue()
+    stages = [stage(root, name, [source], sensor=name) for name in ("a1", "b1", "c1")]
+    state = RunState(root / ".gis-radar" / "state.json", root)
+    pool = Pool(executor=Breaking(), send=events.put, events=events)
+    with pytest.raises(GisRadarError, match=r"^a1, c1: a worker process ended$"):
+        execution.Execution(stages=stages, state=state, pool=pool, reporter=Listener()).run()
+
+
 def test_a_full_disk_stops_all_whoever_meets_it(root, source):
     stages = diamond(root, source)
     stages[1] = stage(root, "a1", ["road"], work="cannot_write", sensor="a")
@@ -217,6 +248,19 @@ def test_a_bar_a_stage_never_goes_back_and_ends_full(root, source):
         assert told == sorted(told)
         assert told[-1] == 100
     assert ("all stages", 6, 6) in heard.stages
+
+
+def test_the_bar_of_all_stages_grows_where_they_are_done_in_two_goes(root, source):
+    heard, stages = Listener(), diamond(root, source)
+    state = RunState(root / ".gis-radar" / "state.json", root)
+    with threads(1, root) as pool:
+        run = execution.Execution(stages=stages, state=state, pool=pool, reporter=heard)
+        assert [outcome.stage.name for outcome in run.run(-1)] == NAMES[:-1]
+        assert not (root / "map").exists()
+        assert [outcome.stage.name for outcome in run.run()] == NAMES
+    shares = [done / total for stage, done, total in heard.stages if stage == "all stages"]
+    assert shares == sorted(shares)
+    assert (shares[0], shares[-1]) == (0.0, 1.0)
 
 
 class Interrupting(Listener):
@@ -335,7 +379,7 @@ def test_the_content_of_a_folder_is_that_of_its_files(tmp_path):
 
 
 def test_there_is_at_least_one_worker(monkeypatch):
-    monkeypatch.setattr("gis_radar.site.run._free_memory", lambda: 1)
+    monkeypatch.setattr("gis_radar.processes._free_memory", lambda: 1)
     assert workers_here() == 1
-    monkeypatch.setattr("gis_radar.site.run._free_memory", lambda: None)
+    monkeypatch.setattr("gis_radar.processes._free_memory", lambda: None)
     assert workers_here() >= 1

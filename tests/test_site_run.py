@@ -295,6 +295,35 @@ def test_a_run_that_was_stopped_and_killed_ends_with_the_same_files(small, tmp_p
     assert {path.name for path in (out / product.STATE).iterdir()} == {".gitignore", "state.json"}
 
 
+@pytest.mark.parametrize("moment", ["report begins", "report is made"])
+def test_finished_means_that_the_report_is_made(small, copied, moment):
+    path, out = copied
+
+    class Stopping(Listener):
+        """Interrupts at the report, or when it is made but the record is not yet written."""
+
+        def progress(self, stage, done, total):
+            super().progress(stage, done, total)
+            if (stage, done) == ("report", 0 if moment == "report begins" else 100):
+                raise KeyboardInterrupt
+
+    state = RunState(out / product.STATE / "state.json", out)
+    discard(state.forget("report"))
+    state.save()
+    with pytest.raises(KeyboardInterrupt):
+        gr.run_site(path, out, reporter=Stopping())
+    before = json.loads((out / "run.json").read_text())
+    assert before["finished"] is False
+    assert "report" not in [stage["name"] for stage in before["stages"]]
+    assert not (out / "summary.md").exists()
+    done = gr.run_site(path, out)
+    assert states(done)["report"] == ("done" if moment == "report begins" else "kept")
+    after = json.loads((out / "run.json").read_text())
+    assert after["finished"] is True
+    assert after["stages"][-1]["name"] == "report"
+    same(out, small[1])
+
+
 def environment():
     return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
 

@@ -25,34 +25,13 @@ MASK_ENGINES = ("auto", "pdal", "laspy")
 @click.option("--road", type=FILE, help="Scanned road (LAZ) that gives the tiles' heights.")
 @click.option("--subtype", "subtypes", type=WORDS, help="Lanelets to tile, by subtype.")
 def tiles(
-    *,
-    map_path: Path,
-    output: Path,
-    crs: str | None,
-    length_m: float,
-    origin: tuple[float, float] | None,
-    road: Path | None,
-    subtypes: tuple[str, ...] | None,
-    reporter: Reporter,
+    *, map_path: Path, output: Path, road: Path | None, reporter: Reporter, **options: Any
 ) -> Result:
     """Split the lanelets of a Lanelet2 map into tiles (GeoPackage)."""
+    from gis_radar.site.recipes import split_map  # noqa: PLC0415 - --help needs no NumPy
+
     refuse_inputs(output, *[path for path in (map_path, road) if path])
-    roads = gr.read_map(map_path, crs=crs, origin=origin, reporter=reporter)
-    table = gr.make_tiles(roads, length_m=length_m, subtypes=subtypes, reporter=reporter)
-    if road is not None:
-        table = gr.with_road_heights(table, gr.read_road(road, roads.crs))
-    gr.write_tiles(table, output, problems=roads.problems)
-    actions = roads.problems["action"].value_counts()
-    summary = {
-        "crs": gr.name_of(roads.crs),
-        "lanelets": len(roads.lanelets),
-        "lanelets_tiled": int(table["lanelet_id"].nunique()),
-        "repaired": int(actions.get("repaired", 0)),
-        "left_out": int(actions.get("left out", 0)),
-        "tiles": len(table),
-        "with_height": int(table["height_m"].notna().sum()),
-        "fingerprint": gr.fingerprint(table),
-    }
+    summary = split_map(map_path, output, road=road, reporter=reporter, **options)
     return Result(outputs=[output], summary=summary)
 
 
@@ -73,21 +52,14 @@ def tiles(
 @origin
 @click.option("--layer", help="Which layer of polygons, where the file has several.")
 def mask(
-    *,
-    scans: tuple[Path, ...],
-    map_path: Path,
-    output: Path,
-    engine: str,
-    scan_crs: str | None,
-    reporter: Reporter,
-    **options: Any,
+    *, scans: tuple[Path, ...], map_path: Path, output: Path, reporter: Reporter, **options: Any
 ) -> Result:
     """Mask the road out of airborne laser scans: one point each 0.5 m (LAZ)."""
+    from gis_radar.site.recipes import mask_scans  # noqa: PLC0415 - --help needs no NumPy
+
     refuse_inputs(output, *scans, map_path)
-    gr.require_road_name(output)
-    roads = gr.read_roads(map_path, reporter=reporter, **options)
-    road = gr.mask_road(scans, roads, engine=engine, scan_crs=scan_crs, reporter=reporter)
-    return Result(outputs=road.write(output), summary=road.figures())
+    outputs, summary = mask_scans(scans, map_path, output, reporter=reporter, **options)
+    return Result(outputs=outputs, summary=summary)
 
 
 @command(example="gis-radar heatmap occupancy/ --tiles tiles.gpkg --interval 15min -o map/")

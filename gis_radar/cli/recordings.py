@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -24,11 +24,7 @@ from gis_radar.cli.options import (
 from gis_radar.files import refuse_inputs
 from gis_radar.progress import Reporter
 
-if TYPE_CHECKING:
-    import geopandas as gpd
-
 ENGINES = {"grid": "TileGrid", "rtree": "TileTree"}
-AUTO = "auto"
 
 
 @command(example="gis-radar convert capture.pcap -o R1.parquet")
@@ -95,50 +91,19 @@ def occupancy(
     **options: Any,
 ) -> Result:
     """Join recordings to tiles: which tile was hit in which 50 ms step."""
-    refuse_inputs(output, *recordings, *poses, tiles_path)
-    if clocks not in {None, AUTO}:
-        refuse_inputs(output, str(clocks))
+    from gis_radar.site.recipes import AUTO, join_recordings  # noqa: PLC0415 - --help needs no NumPy
+
+    clock_files = [] if clocks in {None, AUTO} else [str(clocks)]
+    refuse_inputs(output, *recordings, *poses, tiles_path, *clock_files)
     view = {name: options.pop(name) for name in ("azimuth_deg", "elevation_deg", "max_range_m")}
-    filters = gr.Filters(**options)
     tracks = [_seeing(gr.read_track(pose), view, reporter) for pose in poses]
-    table = gr.read_tiles(tiles_path)
-    result = gr.measure_occupancy(
-        recordings,
-        tracks,
-        table,
-        output,
-        filters=filters,
-        cycles=cycles,
-        clocks=None if clocks is None else _clocks(clocks, recordings, tracks, table, reporter),
-        engine=getattr(gr, ENGINES[engine]),
-        pairs=pairs,
-        reporter=reporter,
-    )
+    result = join_recordings(
+        recordings, tracks, tiles_path, output, filters=options, clocks=clocks, cycles=cycles,
+        engine=getattr(gr, ENGINES[engine]), pairs=pairs, reporter=reporter,
+    )  # fmt: skip
     for line in gr.measure_quality(result).warnings():
         reporter.log(line, "warning")
     return Result(outputs=[output], summary=result.figures())
-
-
-def _clocks(
-    source: str,
-    recordings: tuple[Path, ...],
-    tracks: list[gr.PoseTrack],
-    tiles: gpd.GeoDataFrame,
-    reporter: Reporter,
-) -> dict[str, gr.SensorClock]:
-    """Return the clocks of a file, or compare them; warn of those that are not corrected."""
-    if source == AUTO:
-        found = gr.measure_clocks(recordings, tracks, tiles, reporter=reporter)
-        for sensor, text in found.lines().items():
-            reference = sensor == "reference"
-            what = "clocks are corrected to that of" if reference else f"clock of {sensor}:"
-            reporter.log(f"{what} {text}")
-        clocks = found.clocks
-    else:
-        clocks = gr.read_clocks(source)
-    for sensor in sorted({track.sensor for track in tracks} - clocks.keys()):
-        reporter.log(f"the clock of {sensor} is not corrected: its offset is not known", "warning")
-    return clocks
 
 
 def _seeing(

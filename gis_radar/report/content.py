@@ -4,39 +4,39 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from functools import cached_property
 from itertools import groupby
 from numbers import Number
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from zoneinfo import ZoneInfo
 
 import pandas as pd
 
 
-@dataclass(frozen=True, kw_only=True)
-class Column:
+class Column(NamedTuple):
     """A column of a table.
 
     Parameters
     ----------
-    title : str
-        What stands over it.
-    unit : str
-        Under the title, small.
-    is_number : bool
-        Numbers stand right.
+    title, unit : str
+        What stands over it, the unit small.
     width : float
         Its share of the page, beside the others'.
+    text : callable
+        Returns its cell of what a row is made of.
+    is_number : bool
+        Numbers stand right.
     """
 
     title: str
-    unit: str = ""
+    unit: str
+    width: float
+    text: Callable[[Any], str]
     is_number: bool = True
-    width: float = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +45,8 @@ class Table:
 
     Parameters
     ----------
+    name : str
+        One word, for its layout.
     caption : str
         What it holds.
     columns : sequence of Column
@@ -55,10 +57,22 @@ class Table:
         What to know, below it.
     """
 
+    name: str
     caption: str
     columns: Sequence[Column]
     rows: Sequence[Sequence[str]]
     note: str = ""
+
+
+def rows_of(items: Iterable[Any], columns: Sequence[Column]) -> list[list[str]]:
+    """Return a row of cells for each item."""
+    return [[column.text(item) for column in columns] for item in items]
+
+
+class Terms(NamedTuple):
+    """Words and what they mean, as pairs in the order in which they are read."""
+
+    terms: Sequence[tuple[str, str]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,6 +91,8 @@ class Figure:
         Below it.
     alt : str
         What it shows, for who cannot see it.
+    tallest_mm : float
+        How high it may be on paper.
     """
 
     png: bytes
@@ -85,6 +101,7 @@ class Figure:
     title: str = ""
     caption: str
     alt: str
+    tallest_mm: float = 165.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -112,6 +129,25 @@ class MapSeries:
     note: str
 
 
+class Chapter(NamedTuple):
+    """A chapter after the map.
+
+    Parameters
+    ----------
+    name, title : str
+        One word for links, and the heading.
+    parts : sequence of Table, Figure or Terms
+        From top to bottom.
+    least_mm : float
+        What must be left of a page of paper for it to begin there.
+    """
+
+    name: str
+    title: str
+    parts: Sequence[Table | Figure | Terms]
+    least_mm: float = 45.0
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Content:
     """All of a report.
@@ -132,20 +168,8 @@ class Content:
         What to know before reading on, in sentences.
     map : MapSeries
         The map.
-    lane_figure : Figure
-        Where the lanes are.
-    lanes : Table
-        How busy they are.
-    sensors : Table
-        Where sensors stand.
-    sensor_figures : sequence of Figure
-        How their poses were found.
-    quality : Table
-        What sensors delivered, by hour.
-    settings, sources : Table
-        How and from what it was made.
-    definitions : sequence of (term, meaning)
-        What the words mean.
+    chapters : sequence of Chapter
+        What follows.
     made_by : str
         The software.
     """
@@ -158,14 +182,7 @@ class Content:
     facts: Sequence[tuple[str, str]]
     remarks: Sequence[str]
     map: MapSeries
-    lane_figure: Figure
-    lanes: Table
-    sensors: Table
-    sensor_figures: Sequence[Figure]
-    quality: Table
-    settings: Table
-    sources: Table
-    definitions: Sequence[tuple[str, str]]
+    chapters: Sequence[Chapter]
     made_by: str
 
 

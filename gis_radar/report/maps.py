@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import geopandas as gpd
 import matplotlib as mpl
@@ -32,10 +31,10 @@ from gis_radar.heatmap.picture import (
     rgb,
 )
 from gis_radar.notebooks import FONTS
-from gis_radar.poses.pose import Pose
 from gis_radar.progress import Reporter
 from gis_radar.report.content import Clock, Figure, MapSeries, count, percent
 from gis_radar.report.lanes import Lane, LaneSums
+from gis_radar.report.results import Results
 from gis_radar.tiles.tiles import quads
 
 ASPECT = (0.55, 1.25)  # height by width: lowest, which the scale needs, and highest
@@ -61,33 +60,24 @@ def lay_out(heat: HeatMap) -> MapPicture:
 
 
 def draw_maps(
-    heat: HeatMap,
-    picture: MapPicture,
-    sums: LaneSums,
-    poses: Sequence[Pose],
-    sources: Sequence[str],
-    clock: Clock,
-    reporter: Reporter,
+    results: Results, picture: MapPicture, sums: LaneSums, clock: Clock, reporter: Reporter
 ) -> MapSeries:
     """Draw the map over the whole time and by interval.
 
     Parameters
     ----------
-    heat : HeatMap
-        What to draw.
+    results : Results
+        With the heat map, the sensors that it shows, and whose data they are.
     picture : MapPicture
         Its pixels.
     sums : LaneSums
         Its sums by lane.
-    poses : sequence of Pose
-        Of the sensors that it shows.
-    sources : sequence of str
-        Whose data they are.
     clock : Clock
         For the labels.
     reporter : Reporter
         Where progress goes.
     """
+    heat, poses, sources = results.heat, results.poses, results.credits
     groups, frames = _groups(heat), []
     for done, group in enumerate(groups, start=1):
         begin, end = heat.timeline.span(group.start)[0], heat.timeline.span(group.stop - 1)[1]
@@ -237,17 +227,3 @@ def _add_number(
         fontsize=7.5, fontweight="bold", color=INK,
         ha="center", va="center", rotation=turn, path_effects=HALO, zorder=4,
     )  # fmt: skip
-
-
-def flat_picture(path: Path, width: int) -> Image.Image | None:
-    """Return a picture file, no wider than that, on white; None where it is none."""
-    try:
-        with Image.open(path) as image:
-            image.load()
-            whole = image.convert("RGBA")
-    except (OSError, ValueError):
-        return None
-    white = Image.new("RGBA", whole.size, "white")
-    flat = Image.alpha_composite(white, whole).convert("RGB")
-    flat.thumbnail((width, width * 4))
-    return flat

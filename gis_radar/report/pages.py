@@ -19,13 +19,13 @@ from PIL import Image
 
 from gis_radar.heatmap import style
 from gis_radar.heatmap.picture import INK, SENSOR, SOFT, STRIPE
-from gis_radar.report.content import Content, Figure, MapSeries, Table
+from gis_radar.report.content import Content, Figure, MapSeries, Table, Terms
 
 LINE, WASH, AMBER, AMBER_WASH = "#d5dade", "#f3f5f7", "#b26a00", "#fff6e0"
 MARGIN, TOP, FOOT = 16.0, 20.0, 18.0  # of a page, millimetres, as all lengths here
 FONT = "DejaVu"
 LEGEND, GAP = 44.0, 4.0
-TALLEST_MAP, TALLEST_PLAN, TALLEST_FIGURE = 165.0, 165.0, 120.0
+TALLEST_MAP = 165.0
 ACROSS, THUMB_PIXELS, MAP_PIXELS = 4, 420, 1500  # small maps side by side; widths of pictures
 
 Box = tuple[float, float, float, float]  # left, top, width, height, millimetres
@@ -127,8 +127,7 @@ class Paper(FPDF):
     def footer(self) -> None:
         """Write the page number, and in which zone the times are."""
         self.set_y(-12.0)
-        self.set_font(FONT, size=7.5)
-        self.set_text_color(SOFT)
+        self.write_with(7.5, colour=SOFT)
         self.cell(self.epw * 0.8, 4, self._fitting(self._foot, self.epw * 0.78))
         self.cell(self.epw * 0.2, 4, f"Page {self.page_no()} of {{nb}}", align="R")
 
@@ -141,6 +140,22 @@ class Paper(FPDF):
             text = text[:-1]
         return f"{text}…"
 
+    def write_with(self, size: float, *, bold: bool = False, colour: str = INK) -> None:
+        """Take a font for what is written next."""
+        self.set_font(FONT, "B" if bold else "", size)
+        self.set_text_color(colour)
+
+    def write_line(
+        self, left: float, top: float, text: str, size: float, *, bold: bool = False,
+        colour: str = INK, width: float = LEGEND,
+    ) -> None:  # fmt: skip
+        """Write a line at a place, smaller where it would be too wide."""
+        self.write_with(size, bold=bold, colour=colour)
+        while self.get_string_width(text) > width and self.font_size_pt > 5:
+            self.set_font_size(self.font_size_pt - 0.5)
+        self.set_xy(left, top)
+        self.cell(width, 4.0, text)
+
     def write_paragraph(
         self,
         text: str,
@@ -151,8 +166,7 @@ class Paper(FPDF):
         width: float = 0.0,
     ) -> None:
         """Write a paragraph below what is there."""
-        self.set_font(FONT, "B" if bold else "", size)
-        self.set_text_color(colour)
+        self.write_with(size, bold=bold, colour=colour)
         self.multi_cell(width, size * 0.5, text, align="L", new_x=XPos.LMARGIN, new_y=YPos.NEXT)
 
     def chapter(self, title: str, least: float = 45.0) -> None:
@@ -174,9 +188,9 @@ class Paper(FPDF):
         return float(self.h - FOOT - self.get_y())
 
 
-def _add_figure(paper: Paper, figure: Figure, tallest: float) -> None:
+def _add_figure(paper: Paper, figure: Figure) -> None:
     """Draw a picture with its caption, on a new page where it does not fit."""
-    height = min(paper.epw * figure.height / figure.width, tallest)
+    height = min(paper.epw * figure.height / figure.width, figure.tallest_mm)
     width = height * figure.width / figure.height
     if paper.room < height + 14:
         paper.add_page()
@@ -185,6 +199,15 @@ def _add_figure(paper: Paper, figure: Figure, tallest: float) -> None:
     paper.set_xy(MARGIN, top + height + 1.5)
     paper.write_paragraph(figure.caption, size=8, colour=SOFT)
     paper.ln(2)
+
+
+def _add_terms(paper: Paper, part: Terms) -> None:
+    for term, meaning in part.terms:
+        if paper.room < 22:
+            paper.add_page()
+        paper.write_paragraph(term, size=8.5, bold=True)
+        paper.write_paragraph(meaning, size=8.5)
+        paper.ln(1.8)
 
 
 def _add_table(paper: Paper, content: Table) -> None:
@@ -203,8 +226,7 @@ def _add_table(paper: Paper, content: Table) -> None:
 
 
 def _add_rows(paper: Paper, content: Table) -> None:
-    paper.set_font(FONT, size=7)
-    paper.set_text_color(INK)
+    paper.write_with(7.0)
     paper.set_draw_color(LINE)
     paper.set_fill_color(255)
     columns = content.columns
@@ -245,25 +267,15 @@ def write_pdf(content: Content, path: Path) -> None:
     _add_title(paper, content)
     _add_map(paper, content)
     _add_frames(paper, content)
-    paper.chapter("Lanes", 190)
-    _add_figure(paper, content.lane_figure, TALLEST_PLAN)
-    _add_table(paper, content.lanes)
-    paper.chapter("Sensors", 60)
-    _add_table(paper, content.sensors)
-    for figure in content.sensor_figures:
-        _add_figure(paper, figure, TALLEST_FIGURE)
-    paper.chapter("What the numbers rest on")
-    _add_table(paper, content.quality)
-    paper.chapter("Settings and sources", 70)
-    _add_table(paper, content.settings)
-    _add_table(paper, content.sources)
-    paper.chapter("What the words mean")
-    for term, meaning in content.definitions:
-        if paper.room < 22:
-            paper.add_page()
-        paper.write_paragraph(term, size=8.5, bold=True)
-        paper.write_paragraph(meaning, size=8.5)
-        paper.ln(1.8)
+    for chapter in content.chapters:
+        paper.chapter(chapter.title, chapter.least_mm)
+        for part in chapter.parts:
+            if isinstance(part, Table):
+                _add_table(paper, part)
+            elif isinstance(part, Figure):
+                _add_figure(paper, part)
+            else:
+                _add_terms(paper, part)
     paper.output(str(path))
 
 
@@ -295,22 +307,13 @@ def _add_facts(paper: Paper, content: Content) -> None:
         paper.rect(left, top, width, 13.5, style="F")
         paper.set_fill_color(SENSOR)
         paper.rect(left, top, 0.9, 13.5, style="F")
-        paper.set_xy(left + 2, top + 1.8)
-        paper.set_font(FONT, size=6.8)
-        paper.set_text_color(SOFT)
-        paper.cell(width - 2, 3.5, name)
-        paper.set_font(FONT, "B", 9)
-        while paper.get_string_width(value) > width - 4 and paper.font_size_pt > 5:
-            paper.set_font_size(paper.font_size_pt - 0.5)
-        paper.set_text_color(INK)
-        paper.set_xy(left + 2, top + 6.2)
-        paper.cell(width - 2, 5, value)
+        paper.write_line(left + 2, top + 1.5, name, 6.8, colour=SOFT, width=width - 4)
+        paper.write_line(left + 2, top + 6.7, value, 9.0, bold=True, width=width - 4)
     paper.set_xy(MARGIN, top + 17)
 
 
 def _add_remark(paper: Paper, text: str) -> None:
-    paper.set_font(FONT, size=8)
-    paper.set_text_color(INK)
+    paper.write_with(8.0)
     paper.set_fill_color(AMBER_WASH)
     paper.set_draw_color(AMBER)
     paper.multi_cell(
@@ -338,15 +341,8 @@ def _add_map(paper: Paper, content: Content) -> None:
 
 def _add_legend(paper: Paper, left: float, top: float) -> None:
     """Draw the classes of the map, highest first."""
-    paper.set_xy(left, top)
-    paper.set_font(FONT, "B", 7.5)
-    paper.set_text_color(INK)
-    paper.cell(LEGEND, 4, style.LEGEND_TITLE)
-    paper.set_xy(left, top + 4)
-    paper.set_font(FONT, size=7.5)
-    paper.set_text_color(SOFT)
-    paper.cell(LEGEND, 4, style.LEGEND_SUBTITLE)
-    paper.set_text_color(INK)
+    paper.write_line(left, top, style.LEGEND_TITLE, 7.5, bold=True)
+    paper.write_line(left, top + 4, style.LEGEND_SUBTITLE, 7.5, colour=SOFT)
     for i, (colour, label) in enumerate(style.legend()):
         y = top + 10 + i * 6
         paper.set_draw_color(SOFT)
@@ -356,8 +352,7 @@ def _add_legend(paper: Paper, left: float, top: float) -> None:
             paper.set_draw_color(STRIPE)
             for k in range(1, 6):
                 paper.line(left + 1.8 * k - 1.2, y + 4.5, left + 1.8 * k, y + 0.1)
-        paper.set_xy(left + 11, y)
-        paper.cell(LEGEND - 11, 4.6, label)
+        paper.write_line(left + 11, y + 0.3, label, 7.5, width=LEGEND - 11)
 
 
 def _add_frames(paper: Paper, content: Content) -> None:
@@ -385,11 +380,9 @@ def _add_frame(paper: Paper, frame: Figure, box: Box) -> None:
     left, top, width, height = box
     _add_picture(paper, _composed(frame.png, None, THUMB_PIXELS), frame.alt, box)
     paper.set_xy(left, top + height + 1)
-    paper.set_font(FONT, "B", 6.8)
-    paper.set_text_color(INK)
+    paper.write_with(6.8, bold=True)
     paper.multi_cell(width, 3.3, frame.title, align="L", new_x=XPos.LEFT, new_y=YPos.NEXT)
-    paper.set_font(FONT, size=6)
-    paper.set_text_color(SOFT)
+    paper.write_with(6.0, colour=SOFT)
     paper.multi_cell(width, 2.9, frame.caption, align="L", new_x=XPos.LEFT, new_y=YPos.NEXT)
 
 

@@ -22,16 +22,19 @@ from gis_radar.quality.quality import GOOD
 from gis_radar.report.content import (
     NOTHING,
     THIN,
+    Chapter,
     Clock,
     Column,
     Content,
     Figure,
     MapSeries,
     Table,
+    Terms,
     count,
     direction,
     figure_text,
     percent,
+    rows_of,
     utc,
     write_csv,
 )
@@ -163,7 +166,7 @@ def write_report(
         lanes=sums,
         table=table,
     )
-    maps = draw_maps(heat, picture, sums, results.poses, results.credits, clock, reporter)
+    maps = draw_maps(results, picture, sums, clock, reporter)
     content = _content(found, maps, draw_plan(heat.tiles, picture, sums.lanes, table))
     outputs = _write(folder if output is None else Path(output), found, content, reporter)
     return Report(outputs=outputs, summary=_summary(found, content))
@@ -252,8 +255,6 @@ def _content(found: _Findings, maps: MapSeries, plan: Figure) -> Content:
     """Put the findings into words."""
     results, clock = found.results, found.clock
     begin, end = results.heat.whole.span()
-    terms = files("gis_radar.report").joinpath("definitions.toml").read_text(encoding="utf-8")
-    figures = pose_figures(results)
     return Content(
         title=found.title,
         subtitle=clock.whole(begin, end),
@@ -263,16 +264,28 @@ def _content(found: _Findings, maps: MapSeries, plan: Figure) -> Content:
         facts=_facts(found),
         remarks=_remarks(results, found.quality),
         map=maps,
-        lane_figure=plan,
-        lanes=_lanes(found.table, clock, intervals=bool(maps.frames)),
-        sensors=sensor_table(results, figures=len(figures)),
-        sensor_figures=figures,
-        quality=_quality_table(found.quality, clock),
-        settings=settings_of(results),
-        sources=sources_of(results),
-        definitions=tuple(tomllib.loads(terms).items()),
+        chapters=_chapters(found, plan),
         made_by=made_by(),
     )
+
+
+def _chapters(found: _Findings, plan: Figure) -> list[Chapter]:
+    """Return what follows the map."""
+    results, clock = found.results, found.clock
+    intervals = len(results.heat.timeline) > 1
+    words = files("gis_radar.report").joinpath("definitions.toml").read_text(encoding="utf-8")
+    figures = pose_figures(results)
+    lanes = _lanes(found.table, clock, intervals=intervals)
+    sensors = sensor_table(results, figures=len(figures))
+    quality = _quality_table(found.quality, clock)
+    sources = [settings_of(results), sources_of(results)]
+    return [
+        Chapter("lanes", "Lanes", [plan, lanes], 190.0),
+        Chapter("sensors", "Sensors", [sensors, *figures], 60.0),
+        Chapter("quality", "What the numbers rest on", [quality]),
+        Chapter("settings", "Settings and sources", sources, 70.0),
+        Chapter("words", "What the words mean", [Terms(tuple(tomllib.loads(words).items()))]),
+    ]
 
 
 def _totals(found: _Findings) -> dict[str, Any]:
@@ -323,21 +336,10 @@ def _remarks(results: Results, quality: Quality | None) -> list[str]:
 
 def _lanes(table: pd.DataFrame, clock: Clock, *, intervals: bool) -> Table:
     """Return the observed lanes as they are read, from what `lane_table` returns."""
-    columns = [
-        Column(title="Lane", width=0.8),
-        Column(title="Leads to", is_number=False, width=1.4),
-        Column(title="Length", unit="m", width=0.9),
-        Column(title="Observed", unit="of its length", width=1.5),
-        Column(title="Occupancy", unit="of observed time", width=1.5),
-        Column(title="Busiest spot", unit="occupancy, at m", width=1.6),
-        Column(title="Over 20 %", unit="m of its length", width=1.3),
-    ]
-    if intervals:
-        columns.append(Column(title="Busiest interval", is_number=False, width=2.4))
-        columns.append(Column(title="Occupancy", unit="then", width=1.4))
     seen = table[table["occupancy"].notna()]
     shown = seen.head(MOST_LANES)
-    rows = [_lane_row(row, clock, intervals=intervals) for _, row in shown.iterrows()]
+    columns = _lane_columns(clock)
+    columns = columns if intervals else columns[:-2]
     note = "Where lanes cross, their tiles overlap, and a vehicle there counts on each."
     unseen = len(table) - len(seen)
     if len(seen) > len(shown):
@@ -347,56 +349,80 @@ def _lanes(table: pd.DataFrame, clock: Clock, *, intervals: bool) -> Table:
         note = f"{count(unseen, 'lane')} of the map {were} not observed. {note}"
     if len(table) > len(shown):
         note = f"{note} All lanes are in lanes.csv."
-    return Table(caption="Lanes, busiest first", columns=columns, rows=rows, note=note)
+    rows = rows_of((row for _, row in shown.iterrows()), columns)
+    caption = "Lanes, busiest first"
+    return Table(name="lanes", caption=caption, columns=columns, rows=rows, note=note)
 
 
-def _lane_row(row: pd.Series, clock: Clock, *, intervals: bool) -> list[str]:
-    cells = [
-        str(row["lane"]),
-        direction(row["east_m"], row["north_m"]),
-        figure_text(row["length_m"]),
-        percent(row["observed_m"] / row["length_m"], 0),
-        percent(row["occupancy"]),
-        f"{percent(row['busiest_spot'], 0)}, {figure_text(row['busiest_spot_m'])}",
-        figure_text(row["busy_m"], 1),
+def _lane_columns(clock: Clock) -> list[Column]:
+    """Return how a lane is read; the last two are of its busiest interval."""
+
+    def interval(row: pd.Series) -> str:
+        if pd.isna(row["busiest_begin"]):
+            return NOTHING
+        return clock.span(row["busiest_begin"].to_pydatetime(), row["busiest_end"].to_pydatetime())
+
+    def observed(row: pd.Series) -> str:
+        return percent(row["observed_m"] / row["length_m"], 0)
+
+    def spot(row: pd.Series) -> str:
+        return f"{percent(row['busiest_spot'], 0)}, {figure_text(row['busiest_spot_m'])}"
+
+    return [
+        Column("Lane", "", 0.8, lambda row: str(row["lane"])),
+        Column("Leads to", "", 1.4, lambda row: direction(row["east_m"], row["north_m"]), False),
+        Column("Length", "m", 0.9, lambda row: figure_text(row["length_m"])),
+        Column("Observed", "of its length", 1.5, observed),
+        Column("Occupancy", "of observed time", 1.5, lambda row: percent(row["occupancy"])),
+        Column("Busiest spot", "occupancy, at m", 1.6, spot),
+        Column("Over 20 %", "m of its length", 1.3, lambda row: figure_text(row["busy_m"], 1)),
+        Column("Busiest interval", "", 2.4, interval, False),
+        Column("Occupancy", "then", 1.4, lambda row: percent(row["busiest_occupancy"])),
     ]
-    if not intervals:
-        return cells
-    if pd.isna(row["busiest_begin"]):
-        return [*cells, NOTHING, NOTHING]
-    span = clock.span(row["busiest_begin"].to_pydatetime(), row["busiest_end"].to_pydatetime())
-    return [*cells, span, percent(row["busiest_occupancy"])]
 
 
 def _quality_table(quality: Quality | None, clock: Clock) -> Table:
     """Return what sensors delivered by hour, those with a fault first where there are many."""
-    columns = [
-        Column(title="Sensor", is_number=False, width=1.1),
-        Column(title="Hour from", is_number=False, width=1.8),
-        Column(title="Frames", unit="received", width=1.1),
-        Column(title="Frames", unit="expected", width=1.1),
-        Column(title="Detections", unit="a frame", width=1.2),
-        Column(title="Moving", unit="of them", width=1.0),
-        Column(title="Clock", unit="corrected by s", width=1.3),
-        Column(title="Pose age", unit="h", width=1.0),
-        Column(title="Verdict", is_number=False, width=2.4),
-    ]
+    columns = _hour_columns(clock)
+    note, rows = "What sensors delivered is not known.", []
+    if quality is not None:
+        table = quality.table
+        lines = [f"{sensor}: {text}." for sensor, text in _hours_in_words(table).items()]
+        if len(table) > MOST_HOURS:
+            faulty = table["verdict"].ne(GOOD).sort_values(ascending=False, kind="stable").index
+            table = table.loc[faulty].head(MOST_HOURS)
+            lines.append(
+                f"Here {MOST_HOURS} of {figure_text(len(quality.table))} rows, those with a fault "
+                "first; all are in quality.csv."
+            )
+        note, rows = " ".join(lines), rows_of((row for _, row in table.iterrows()), columns)
     caption = "Measurements by sensor and hour"
-    if quality is None:
-        return Table(
-            caption=caption, columns=columns, rows=(), note="What sensors delivered is not known."
-        )
-    table = quality.table
-    lines = [f"{sensor}: {text}." for sensor, text in _hours_in_words(table).items()]
-    if len(table) > MOST_HOURS:
-        faulty = table["verdict"].ne(GOOD).sort_values(ascending=False, kind="stable").index
-        table = table.loc[faulty].head(MOST_HOURS)
-        lines.append(
-            f"Here {MOST_HOURS} of {figure_text(len(quality.table))} rows, those with a fault "
-            "first; all are in quality.csv."
-        )
-    rows = [_hour_row(row, clock) for _, row in table.iterrows()]
-    return Table(caption=caption, columns=columns, rows=rows, note=" ".join(lines))
+    return Table(name="quality", caption=caption, columns=columns, rows=rows, note=note)
+
+
+def _hour_columns(clock: Clock) -> list[Column]:
+    """Return how an hour of a sensor is read."""
+
+    def number(name: str, digits: int = 0) -> Callable[[pd.Series], str]:
+        return lambda row: figure_text(row[name], digits)
+
+    def age(row: pd.Series) -> str:
+        return figure_text(row["pose_age_h"], 1) if row["pose_age_h"] >= 0 else NOTHING
+
+    def begin(row: pd.Series) -> str:
+        return clock.stamp(row["begin"].to_pydatetime())
+
+    return [
+        Column("Sensor", "", 1.1, lambda row: str(row["sensor"]), False),
+        Column("Hour from", "", 1.8, begin, False),
+        Column("Frames", "received", 1.1, number("frames")),
+        Column("Frames", "expected", 1.1, number("frames_expected")),
+        Column("Detections", "a frame", 1.2, number("detections_per_frame", 1)),
+        Column("Moving", "of them", 1.0, lambda row: percent(row["moving_share"], 0)),
+        Column("Clock", "corrected by s", 1.3, number("clock_offset_s", 3)),
+        Column("Pose age", "h", 1.0, age),
+        Column("Verdict", "", 2.4, lambda row: str(row["verdict"]), False),
+    ]
 
 
 def _hours_in_words(table: pd.DataFrame) -> dict[str, str]:
@@ -411,17 +437,3 @@ def _hours_in_words(table: pd.DataFrame) -> dict[str, str]:
             else (f"good in {figure_text(good)} of {hours}")
         )
     return words
-
-
-def _hour_row(row: pd.Series, clock: Clock) -> list[str]:
-    return [
-        str(row["sensor"]),
-        clock.stamp(row["begin"].to_pydatetime()),
-        figure_text(row["frames"]),
-        figure_text(row["frames_expected"]),
-        figure_text(row["detections_per_frame"], 1),
-        percent(row["moving_share"], 0),
-        figure_text(row["clock_offset_s"], 3),
-        figure_text(row["pose_age_h"], 1) if row["pose_age_h"] >= 0 else NOTHING,
-        str(row["verdict"]),
-    ]

@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+
+from PIL import Image
 
 from gis_radar.crs import name_of, same_plane
 from gis_radar.errors import InputError
@@ -18,6 +20,7 @@ from gis_radar.heatmap.picture import png
 from gis_radar.occupancy import Occupancy, merge_occupancies, read_occupancy
 from gis_radar.poses.files import read_track
 from gis_radar.poses.pose import ANGLES, POSITION, Pose, View, pose_from_dict
+from gis_radar.progress import warnings_once
 from gis_radar.report.content import (
     NOTHING,
     THIN,
@@ -30,15 +33,16 @@ from gis_radar.report.content import (
     listed,
     percent,
     plus_minus,
+    rows_of,
     write_csv,
 )
-from gis_radar.report.maps import flat_picture
 
 MANIFEST = "manifest.json"
 RUN = "run.json"
 NOT_KNOWN = "not known here"
 FIGURE_PIXELS, FINE_FIGURES = 1600, 6  # width of a picture; more than that many are coarser
 COARSE_PIXELS, MOST_FIGURES = 1000, 20
+TALLEST_MM = 120.0  # on paper
 HOW_FOUND = {"lane": "found from traffic on the lanes", "icp": "found by ICP"}
 
 
@@ -108,11 +112,9 @@ class Results:
     @property
     def warnings(self) -> list[str]:
         """The warnings of the run, each once, after the stages that raised it."""
-        by_text: dict[str, list[str]] = {}
-        for stage in self.stages:
-            for text in dict.fromkeys(stage.get("warnings") or []):
-                by_text.setdefault(text, []).append(str(stage["name"]))
-        return [f"{', '.join(names)}: {text}" for text, names in by_text.items()]
+        return warnings_once(
+            {str(each["name"]): each.get("warnings") or [] for each in self.stages}
+        )
 
     @property
     def credits(self) -> list[str]:
@@ -245,7 +247,7 @@ def settings_of(results: Results) -> Table:
         ["Fingerprint of the tiles", results.heat.fingerprint],
         ["Software", _software(results)],
     ]
-    return Table(caption="Settings", columns=_named("Setting"), rows=rows)
+    return Table(name="settings", caption="Settings", columns=_named("Setting"), rows=rows)
 
 
 def sources_of(results: Results) -> Table:
@@ -265,14 +267,11 @@ def sources_of(results: Results) -> Table:
     rows += [["Attribution", str(text)] for text in results.site.get("attribution") or []]
     if not rows:
         rows = [["Heat map", f"{results.name}; what it was made of is {NOT_KNOWN}"]]
-    return Table(caption="Data sources", columns=_named("Data"), rows=rows)
+    return Table(name="sources", caption="Data sources", columns=_named("Data"), rows=rows)
 
 
 def _named(title: str) -> tuple[Column, Column]:
-    return (
-        Column(title="What", is_number=False, width=1.0),
-        Column(title=title, is_number=False, width=2.6),
-    )
+    return Column("What", "", 1.0, str, False), Column(title, "", 2.6, str, False)
 
 
 def made_by() -> str:
@@ -353,7 +352,7 @@ def pose_figures(results: Results) -> list[Figure]:
     poses = [pose for pose in results.poses if pose.sensor in results.figures]
     width = FIGURE_PIXELS if len(poses) <= FINE_FIGURES else COARSE_PIXELS
     for pose in poses[:MOST_FIGURES]:
-        image = flat_picture(results.figures[pose.sensor], width)
+        image = _flat_picture(results.figures[pose.sensor], width)
         if image is None:
             continue
         found.append(
@@ -361,6 +360,7 @@ def pose_figures(results: Results) -> list[Figure]:
                 png=png(image),
                 width=image.width,
                 height=image.height,
+                tallest_mm=TALLEST_MM,
                 caption=f"Sensor {pose.sensor}: {how_found(pose)}.",
                 alt=(
                     f"How the pose of {pose.sensor} was found: traces of vehicles on the map's "
@@ -369,6 +369,20 @@ def pose_figures(results: Results) -> list[Figure]:
             )
         )
     return found
+
+
+def _flat_picture(path: Path, width: int) -> Image.Image | None:
+    """Return a picture file, no wider than that, on white; None where it is none."""
+    try:
+        with Image.open(path) as image:
+            image.load()
+            whole = image.convert("RGBA")
+    except (OSError, ValueError):
+        return None
+    white = Image.new("RGBA", whole.size, "white")
+    flat = Image.alpha_composite(white, whole).convert("RGB")
+    flat.thumbnail((width, width * 4))
+    return flat
 
 
 def sensor_table(results: Results, *, figures: int) -> Table:
@@ -381,17 +395,8 @@ def sensor_table(results: Results, *, figures: int) -> Table:
     figures : int
         How many pictures follow; the note says where there are more.
     """
-    columns = [
-        Column(title="Sensor", is_number=False, width=1.1),
-        Column(title="Easting", unit="m", width=1.9),
-        Column(title="Northing", unit="m", width=2.1),
-        Column(title="Height", unit="m", width=1.6),
-        Column(title="Looks to", unit="from grid north", width=2.0),
-        Column(title="Pitch, roll", unit="degrees", width=1.8),
-        Column(title="Sees", unit="range, width", width=1.1),
-        Column(title="How its pose was found", is_number=False, width=2.6),
-    ]
-    rows = [_sensor_row(pose) for pose in results.poses]
+    columns = _sensor_columns()
+    rows = rows_of(results.poses, columns)
     rows += [
         [name, *[NOTHING] * 6, f"no result: {reason}"] for name, reason in results.lost.items()
     ]
@@ -403,30 +408,45 @@ def sensor_table(results: Results, *, figures: int) -> Table:
         note += f" Pictures follow of {figures}; there are {len(results.figures)} in sensors/."
     if not rows:
         note = "No pose is known here."
-    return Table(caption="Sensors, and where they stand", columns=columns, rows=rows, note=note)
+    caption = "Sensors, and where they stand"
+    return Table(name="sensors", caption=caption, columns=columns, rows=rows, note=note)
 
 
-def _sensor_row(pose: Pose) -> list[str]:
-    sigma = _sigma(pose)
+def _sensor_columns() -> list[Column]:
+    """Return how a pose is read."""
 
-    def with_sigma(name: str, digits: int, value: float | None = None, unit: str = "") -> str:
-        shown = figure_text(getattr(pose, name) if value is None else value, digits) + unit
-        known = sigma.get(name)
-        return shown if known is None else f"{shown} {plus_minus(known, 2, unit)}"
+    def angles(pose: Pose) -> str:
+        return f"{_measured(pose, 'pitch', 1)}, {_measured(pose, 'roll', 1)}"
 
-    view = pose.view or View()
+    def sees(pose: Pose) -> str:
+        view = pose.view or View()
+        return f"{figure_text(view.max_range_m)} m, {figure_text(view.azimuth_deg)}°"
+
+    return [
+        Column("Sensor", "", 1.1, lambda pose: str(pose.sensor), False),
+        Column("Easting", "m", 1.9, lambda pose: _measured(pose, "easting", 2)),
+        Column("Northing", "m", 2.1, lambda pose: _measured(pose, "northing", 2)),
+        Column("Height", "m", 1.6, lambda pose: _measured(pose, "height", 2)),
+        Column("Looks to", "from grid north", 2.0, _looks_to),
+        Column("Pitch, roll", "degrees", 1.8, angles),
+        Column("Sees", "range, width", 1.1, sees),
+        Column("How its pose was found", "", 2.6, how_found, False),
+    ]
+
+
+def _measured(
+    pose: Pose, name: str, digits: int, value: float | None = None, unit: str = ""
+) -> str:
+    """Return a number of a pose, or another value for it, with its standard deviation."""
+    shown = figure_text(getattr(pose, name) if value is None else value, digits) + unit
+    known = _sigma(pose).get(name)
+    return shown if known is None else f"{shown} {plus_minus(known, 2, unit)}"
+
+
+def _looks_to(pose: Pose) -> str:
     ahead = pose.R_map_sensor[:2, 0]
     bearing = math.degrees(math.atan2(ahead[0], ahead[1])) % 360.0
-    return [
-        pose.sensor,
-        with_sigma("easting", 2),
-        with_sigma("northing", 2),
-        with_sigma("height", 2),
-        f"{direction(*ahead)}, {with_sigma('yaw', 1, bearing, '°')}",
-        f"{with_sigma('pitch', 1)}, {with_sigma('roll', 1)}",
-        f"{figure_text(view.max_range_m)} m, {figure_text(view.azimuth_deg)}°",
-        how_found(pose),
-    ]
+    return f"{direction(*ahead)}, {_measured(pose, 'yaw', 1, bearing, '°')}"
 
 
 def how_found(pose: Pose) -> str:
@@ -461,20 +481,18 @@ def write_sensor_table(path: Path, results: Results) -> None:
         "sensor", "crs", *names, *(f"sigma_{name}" for name in names),
         "azimuth_deg", "elevation_deg", "min_range_m", "max_range_m", "how_found",
     )  # fmt: skip
-    rows: list[Sequence[Any]] = []
-    for pose in results.poses:
-        sigma = _sigma(pose)
-        view = pose.view or View()
-        rows.append(
-            (
-                pose.sensor,
-                pose.as_dict()["crs"],
-                *(round(getattr(pose, name), 4) for name in names),
-                *(round(sigma[name], 4) if name in sigma else "" for name in names),
-                *(view.azimuth_deg, view.elevation_deg, view.min_range_m, view.max_range_m),
-                how_found(pose),
-            )
-        )
-    blank = [""] * (len(header) - 2)
-    rows += [(name, *blank, f"no result: {why}") for name, why in results.lost.items()]
-    write_csv(path, header, rows)
+    rows = [
+        {
+            "sensor": pose.sensor,
+            "crs": pose.as_dict()["crs"],
+            "how_found": how_found(pose),
+            **{name: round(getattr(pose, name), 4) for name in names},
+            **{f"sigma_{name}": round(value, 4) for name, value in _sigma(pose).items()},
+            **asdict(pose.view or View()),
+        }
+        for pose in results.poses
+    ]
+    rows += [
+        {"sensor": name, "how_found": f"no result: {why}"} for name, why in results.lost.items()
+    ]
+    write_csv(path, header, ([row.get(name, "") for name in header] for row in rows))

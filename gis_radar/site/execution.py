@@ -9,19 +9,21 @@ import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import cache
 from graphlib import TopologicalSorter
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel, ConfigDict, ValidationError
+
 from gis_radar.errors import GisRadarError, InputError, NoAnswerError, OutputError
 from gis_radar.files import whole_file
 from gis_radar.progress import Reporter
 from gis_radar.qgis.project import was_edited
 from gis_radar.site.plan import Ending, Outcome, Stage
-from gis_radar.site.worker import Answer, Event, Pool, carry_out
+from gis_radar.site.worker import Event, Pool, carry_out
 
 ALL = "all stages"
 LIBRARIES = (
@@ -34,7 +36,7 @@ _CHUNK = 1 << 20
 _SETTLED_S = 2.0  # file systems tell times no finer: a younger file may yet change unnoticed
 _LEFT_BY_VIEWERS = ("-wal", "-shm", "-journal", ".aux.xml", ".qmd")
 
-Stamp = list[int]
+Stamp = tuple[int, int, int, int]
 
 
 @dataclass(kw_only=True)
@@ -43,9 +45,11 @@ class _Begun:
 
     stage: Stage
     key: str
-    stamps: dict[Path, Stamp]
     since: float
+    worker: int | None = None  # its process, once it does it
+    percent: int = 0
     phases: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
 
 
 @dataclass(kw_only=True)
@@ -69,34 +73,39 @@ class Execution:
     pool: Pool
     reporter: Reporter
     outcomes: dict[str, Outcome] = field(default_factory=dict)
-    _begun: dict[Future[Answer], _Begun] = field(default_factory=dict)
+    _begun: dict[Future[Mapping[str, Any]], _Begun] = field(default_factory=dict)
     _logged: set[str] = field(default_factory=set)
 
-    def run(self, before: Sequence[Outcome] = ()) -> list[Outcome]:
-        """Do all stages but those that have ended `before`; return their outcomes in order.
+    def run(self, last: int | None = None) -> list[Outcome]:
+        """Do the stages that have not ended; return the outcomes in order.
+
+        Parameters
+        ----------
+        last : int, optional
+            Only those before this one, as an index; by default all.
 
         Raises
         ------
         GisRadarError
             What went wrong with a stage that all depends on, with writing, or with a worker.
         """
-        self.outcomes.update({each.stage.name: each for each in before})
+        stages = self.stages[:last]
         self.reporter.progress(ALL, len(self.outcomes), len(self.stages))
-        order = self._order()
+        order = self._order(stages)
         try:
             while order.is_active():
                 ready = set(order.get_ready())
-                begun = [self._begin(stage) for stage in self.stages if stage.name in ready]
+                begun = [self._begin(stage) for stage in stages if stage.name in ready]
                 for outcome in [each for each in begun if each] or self._ended():
                     self._settle(outcome)
                     order.done(outcome.stage.name)
         except BrokenExecutor as error:
             raise self._crash() from error
-        return [self.outcomes[stage.name] for stage in self.stages]
+        return [self.outcomes[stage.name] for stage in stages]
 
-    def _order(self) -> TopologicalSorter[str]:
+    def _order(self, stages: Sequence[Stage]) -> TopologicalSorter[str]:
         """Return the order of the stages that have not ended."""
-        left = [stage for stage in self.stages if stage.name not in self.outcomes]
+        left = [stage for stage in stages if stage.name not in self.outcomes]
         makers = {path: stage.name for stage in left for path in stage.outputs}
         order = TopologicalSorter(
             {stage.name: [makers[p] for p in stage.reads if p in makers] for stage in left}
@@ -112,16 +121,10 @@ class Execution:
         key = self.state.key_of(stage)
         if (kept := self.state.kept(stage, key)) is not None:
             return kept
-        begun = _Begun(
-            stage=stage,
-            key=key,
-            stamps={path: stamp_of(path) for path in stage.reads if path.is_file()},
-            since=time.monotonic(),
-        )
         future = self.pool.executor.submit(
             carry_out, stage.name, stage.work, stage.arguments, stage.outputs, self.pool.send
         )
-        self._begun[future] = begun
+        self._begun[future] = _Begun(stage=stage, key=key, since=time.monotonic())
         self.reporter.progress(stage.name, 0, 100)
         return None
 
@@ -131,72 +134,86 @@ class Execution:
         for path in stage.needs:
             if path in made and not made[path].has_result:
                 return made[path].error
-        for paths in stage.parts.values():
-            if not any(made[path].has_result for path in paths):
-                return made[paths[0]].error
+        for paths in stage.choices:
+            ended = [made[path] for path in paths if path in made]
+            if ended and not any(each.has_result for each in ended):
+                return ended[0].error
         return None
 
     def _ended(self) -> Iterator[Outcome]:
         """Wait for a moment, pass events on, and yield the outcomes of stages that have ended."""
         done, _ = wait(self._begun, timeout=_POLL_S, return_when=FIRST_COMPLETED)
-        while not self.pool.events.empty():
-            self._relay(self.pool.events.get())
+        self._relay_events()
         for future in done:
-            answer = future.result()
-            yield self._outcome(self._begun.pop(future), answer)
+            yield self._outcome(future)
 
     def _crash(self) -> GisRadarError:
         """Return the error of a worker that ended in the midst of its work."""
-        names = ", ".join(each.stage.name for each in self._begun.values())
+        self._relay_events()
+        crashes = self.pool.crashes()
+        at_work = [each for each in self._begun.values() if each.worker is not None]
+        crashed = [each for each in at_work if each.worker in crashes]
+        suspects = crashed or at_work or self._begun.values()
+        how = f" with {', '.join(sorted(set(crashes.values())))}" if crashes else ""
         return GisRadarError(
-            f"{names}: a worker process ended{self.pool.why_broken()}",
+            f"{', '.join(each.stage.name for each in suspects)}: a worker process ended{how}",
             hint="if memory ran out, use fewer at once: --jobs 1",
         )
 
-    def _relay(self, event: Event) -> None:
+    def _relay_events(self) -> None:
+        """Pass on what the workers have sent."""
+        begun = {each.stage.name: each for each in self._begun.values()}
+        while not self.pool.events.empty():
+            event = self.pool.events.get()
+            if (stage := begun.get(event["stage"])) is not None:
+                self._relay(event, stage)
+
+    def _relay(self, event: Event, begun: _Begun) -> None:
         """Pass on progress and remarks of a stage."""
-        begun = next((b for b in self._begun.values() if b.stage.name == event["stage"]), None)
-        if "message" in event:
+        if "worker" in event:
+            begun.worker = event["worker"]
+        elif "message" in event:
+            if event["level"] == "warning":
+                begun.warnings.append(event["message"])
             if event["message"] not in self._logged:  # each stage that reads the map repeats it
                 self._logged.add(event["message"])
                 self.reporter.log(f"{event['stage']}: {event['message']}", event["level"])
-        elif begun is not None:
+        else:
             if event["phase"] not in begun.phases:
                 begun.phases.append(event["phase"])
             share = event["done"] / event["total"] if event["total"] else 0.0
             past = begun.phases.index(event["phase"]) + min(share, 1.0)
-            percent = min(int(100 * past / begun.stage.phases), 99)
-            self.reporter.progress(begun.stage.name, percent, 100)
+            begun.percent = max(begun.percent, min(int(100 * past / begun.stage.phases), 99))
+            self.reporter.progress(begun.stage.name, begun.percent, 100)
 
-    def _outcome(self, begun: _Begun, answer: Answer) -> Outcome:
+    def _outcome(self, future: Future[Mapping[str, Any]]) -> Outcome:
         """Return how a stage ended, and record what need not be done again."""
-        stage, error = begun.stage, answer.error
-        if answer.fault:
-            raise RuntimeError(f"{stage.name}: fault in gis_radar\n{answer.fault}")
-        if isinstance(error, OutputError):
-            raise error  # no other stage could write either
-        failed: Ending = "refused" if isinstance(error, NoAnswerError) else "failed"
+        begun = self._begun[future]
+        figures: Mapping[str, Any] = {}
+        state: Ending = "done"
+        error: GisRadarError | None = None
+        try:
+            figures = future.result()
+        except OutputError:
+            raise  # no other stage could write either
+        except GisRadarError as caught:
+            error, state = caught, "refused" if isinstance(caught, NoAnswerError) else "failed"
+        del self._begun[future]
         outcome = Outcome(
-            stage=stage,
-            state=failed if error else "done",
-            figures=answer.figures,
-            warnings=tuple(answer.warnings),
+            stage=begun.stage,
+            state=state,
+            figures=figures,
+            warnings=tuple(begun.warnings),
             error=error,
             seconds=round(time.monotonic() - begun.since, 2),
         )
-        if outcome.state != "failed" and self._unchanged(begun):
+        if state != "failed" and self.state.key_of(begun.stage) == begun.key:
             self.state.keep(outcome, begun.key)
+        elif state != "failed":
+            self.reporter.log(
+                f"{begun.stage.name}: an input has changed meanwhile: run again", "warning"
+            )
         return outcome
-
-    def _unchanged(self, begun: _Begun) -> bool:
-        """Return whether the inputs are still those of the key."""
-        for path, stamp in begun.stamps.items():
-            if not path.exists() or stamp_of(path) != stamp:
-                self.reporter.log(
-                    f"{begun.stage.name}: {path} has changed meanwhile: run again", "warning"
-                )
-                return False
-        return True
 
     def _settle(self, outcome: Outcome) -> None:
         stage = outcome.stage
@@ -232,16 +249,23 @@ def discard(paths: Sequence[Path]) -> None:
 # What earlier runs have left: hashes of files, and records of stages.
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Record:
-    """A stage that ended, with a result or with a refusal, as the file holds it."""
+class _Record(BaseModel):
+    """A stage that ended, with a result or with a refusal."""
 
     key: str  # hash of all that its result depends on
-    outputs: Mapping[str, str | None]  # what it made, and the hash of each; empty for a refusal
-    figures: Mapping[str, Any]
-    warnings: Sequence[str]
-    refusal: Mapping[str, str] | None  # message and hint, where there was no trustworthy answer
+    outputs: dict[str, str | None]  # what it made, and the hash of each; empty for a refusal
+    figures: dict[str, Any]
+    warnings: tuple[str, ...]
+    refusal: tuple[str, str] | None  # message and hint, where there was no trustworthy answer
     seconds: float
+
+
+class _Memory(BaseModel):
+    """What the file holds: hashes by file, records by stage."""
+
+    model_config = ConfigDict(ser_json_inf_nan="constants")
+    files: dict[str, tuple[Stamp, str]] = {}
+    stages: dict[str, _Record] = {}
 
 
 class RunState:
@@ -257,22 +281,16 @@ class RunState:
 
     def __init__(self, path: Path, root: Path) -> None:
         self._path, self._root = path, root
-        self._hashes: dict[str, tuple[Stamp, str]] = {}
-        self.records: dict[str, _Record] = {}
         try:
-            found = json.loads(path.read_text(encoding="utf-8"))
-            files = found["files"].items()
-            self._hashes = {name: (list(stamp), str(each)) for name, (stamp, each) in files}
-            self.records = {name: _Record(**each) for name, each in found["stages"].items()}
-        except (OSError, ValueError, TypeError, KeyError, AttributeError):
-            self._hashes, self.records = {}, {}
+            memory = _Memory.model_validate_json(path.read_bytes())
+        except (OSError, ValidationError):
+            memory = _Memory()
+        self._memory, self._hashes, self.records = memory, memory.files, memory.stages
 
     def save(self) -> None:
         """Write the file, whole or not at all."""
-        stages = {name: asdict(each) for name, each in self.records.items()}
         with whole_file(self._path) as part:
-            text = json.dumps({"files": self._hashes, "stages": stages}, ensure_ascii=False)
-            part.write_text(text, encoding="utf-8")
+            part.write_text(self._memory.model_dump_json(), encoding="utf-8")
 
     def hash_of(self, path: Path, progress: Callable[[int], None] = lambda _: None) -> str | None:
         """Return the hash of a file or a folder, 32 characters; None where it is not there.
@@ -326,7 +344,9 @@ class RunState:
             return None
         if record.refusal is None and record.outputs != self._held(stage):
             return None
-        error = NoAnswerError(**record.refusal) if record.refusal else None
+        error = None
+        if record.refusal is not None:
+            error = NoAnswerError(record.refusal[0], hint=record.refusal[1])
         return Outcome(
             stage=stage,
             state="refused" if error else "kept",
@@ -342,9 +362,9 @@ class RunState:
         self.records[stage.name] = _Record(
             key=key,
             outputs={} if error else self._held(stage),
-            figures=outcome.figures,
+            figures=dict(outcome.figures),
             warnings=tuple(outcome.warnings),
-            refusal={"message": error.message, "hint": error.hint} if error else None,
+            refusal=(error.message, error.hint) if error else None,
             seconds=outcome.seconds,
         )
         self.save()
@@ -365,7 +385,7 @@ class RunState:
 def stamp_of(path: Path) -> Stamp:
     """Return size and times of a file; while they stay, so do its bytes."""
     status = path.stat()
-    return [status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino]
+    return status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino
 
 
 def _hash(path: Path, progress: Callable[[int], None]) -> str:

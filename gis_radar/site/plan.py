@@ -35,6 +35,8 @@ class Stage:
         Files and folders, one or a tuple, by the function's arguments; all are needed.
     parts : mapping
         The same, of which those are taken that are there: at least one a tuple.
+    beside : tuple of tuple of Path
+        What the function finds by itself beside its outputs: of each tuple at least one is there.
     options : mapping
         The function's other arguments; what JSON can hold.
     outputs : tuple of Path
@@ -50,6 +52,7 @@ class Stage:
     inputs: Mapping[str, Path | tuple[Path, ...]]
     outputs: tuple[Path, ...]
     parts: Mapping[str, tuple[Path, ...]] = field(default_factory=dict)
+    beside: tuple[tuple[Path, ...], ...] = ()
     options: Mapping[str, Any] = field(default_factory=dict)
     phases: int = 1
     sensor: str = ""
@@ -57,7 +60,12 @@ class Stage:
     @property
     def reads(self) -> tuple[Path, ...]:
         """All that it may read."""
-        return (*self.needs, *(path for paths in self.parts.values() for path in paths))
+        return (*self.needs, *(path for paths in self.choices for path in paths))
+
+    @property
+    def choices(self) -> tuple[tuple[Path, ...], ...]:
+        """Of each of these at least one must be there."""
+        return (*self.parts.values(), *self.beside)
 
     @property
     def needs(self) -> tuple[Path, ...]:
@@ -219,7 +227,7 @@ def _tiles(site: Site, folder: Path) -> Stage:
         name="tiles",
         work=stages.tiles_stage,
         inputs={"map_file": site.map.file} | ({"road": folder / "road.laz"} if site.scan else {}),
-        options={**_map_options(site), "length": site.tiles.length, "subtypes": subtypes},
+        options={**_map_options(site), "length_m": site.tiles.length, "subtypes": subtypes},
         outputs=(folder / "tiles.gpkg",),
         phases=2,
     )
@@ -271,16 +279,16 @@ def _products(site: Site, folder: Path) -> Iterator[Stage]:
     yield Stage(
         name="QGIS project",
         work=stages.project_stage,
-        inputs={"heat": folder / "heatmap"},
-        parts={"poses": poses, "occupancies": occupancies},
+        inputs={},
+        beside=((folder / "heatmap",), poses, occupancies),
         options={"title": site.title, "time_zone": site.time_zone, "source": source},
         outputs=(folder / "sensors.gpkg", folder / "site.qgz"),
     )
     yield Stage(
         name="report",
         work=stages.report_stage,
-        inputs={"heat": folder / "heatmap", "run": folder / "run.json"},
-        parts={"occupancies": occupancies},
+        inputs={},
+        beside=((folder / "heatmap",), (folder / "run.json",), occupancies),
         outputs=tuple(folder / name for name in REPORT_FILES),
         phases=3,
     )

@@ -5,30 +5,38 @@ Its record stands beside the results: `run.json` for programs, `summary.md` to r
 
 from __future__ import annotations
 
-import os
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import datetime
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from gis_radar.errors import GisRadarError, InputError, NoAnswerError, OutputError, UsageError
-from gis_radar.files import json_text, only_writer, refuse_inputs, whole_file
+from jinja2 import Template
+
+from gis_radar.errors import GisRadarError, InputError, NoAnswerError, UsageError
+from gis_radar.files import (
+    json_text,
+    only_writer,
+    output_errors,
+    refuse_foreign,
+    refuse_inputs,
+    whole_file,
+)
 from gis_radar.notebooks import card
-from gis_radar.progress import QUIET, Reporter
+from gis_radar.processes import workers_here
+from gis_radar.progress import QUIET, Reporter, warnings_once
 from gis_radar.site import stages as work
 from gis_radar.site.execution import Execution, RunState, discard, software
 from gis_radar.site.plan import OWNED, Outcome, Stage, stages_of
 from gis_radar.site.settings import Site, read_site
-from gis_radar.site.values import TomlTable
 from gis_radar.site.worker import process_pool
 from gis_radar.steps import zone_of
 
 STATE = ".gis-radar"
 _POSE = ("easting", "northing", "height", "yaw", "pitch", "roll")
-_MEMORY_EACH = 1 << 30  # bytes for one worker: what localizing a sensor takes, rounded up
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,37 +177,28 @@ def run_site(
         kept = RunState(state / "state.json", root)
         _forget(kept, stages, fresh=fresh, reporter=reporter)
         _hash_inputs(site, kept, reporter)
-        _write_summary(site, root, (), kept)
+        _write_record(site, root, (), kept, finished=False)
         pool = stack.enter_context(process_pool(jobs or workers_here(), scratch))
         try:
-            outcomes: list[Outcome] = []
-            for part in (stages[:-1], stages):  # the report reads the record of the others
-                if outcomes:
-                    _write_summary(site, root, outcomes, kept)
-                execution = Execution(stages=part, state=kept, pool=pool, reporter=reporter)
-                outcomes = execution.run(outcomes)
+            execution = Execution(stages=stages, state=kept, pool=pool, reporter=reporter)
+            _write_record(site, root, execution.run(-1), kept, finished=False)
+            outcomes = execution.run()
         except KeyboardInterrupt:
             reporter.log("stopped; what is done stays done: the same call goes on from there")
             raise
         kept.save()
+        _write_record(site, root, outcomes, kept, finished=True)
     return SiteRun(site=site, folder=Path(folder), outcomes=outcomes)
 
 
 def _prepared(root: Path) -> Path:
     """Make the folders of a run; refuse a folder that holds something else."""
     state = root / STATE
-    try:
+    with output_errors(root):
         if root.is_dir() and not state.is_dir():
-            foreign = [p.name for p in sorted(root.iterdir()) if not p.name.startswith(OWNED)]
-            if foreign:
-                raise OutputError(
-                    f"{root}: holds {foreign[0]!r}, which is not part of a run",
-                    hint="name a new or an empty folder",
-                )
+            refuse_foreign(root, OWNED)
         state.mkdir(parents=True, exist_ok=True)
         (state / ".gitignore").write_text("*\n", encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"{root}: cannot be written: {error.strerror or error}") from error
     return state
 
 
@@ -242,57 +241,35 @@ def _hash_inputs(site: Site, state: RunState, reporter: Reporter) -> None:
     reporter.progress("looking at the inputs", total, total)
 
 
-def workers_here() -> int:
-    """Return how many workers this machine has cores and memory for."""
-    if hasattr(os, "sched_getaffinity"):
-        cores = len(os.sched_getaffinity(0))
-    else:
-        cores = os.cpu_count() or 1
-    memory = _free_memory()
-    return cores if memory is None else max(1, min(cores, memory // _MEMORY_EACH))
-
-
-def _free_memory() -> int | None:
-    """Return the bytes that new processes may use; None where the system does not state it."""
-    group = Path("/sys/fs/cgroup")
-    found = []
-    with suppress(OSError, ValueError):
-        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
-        named = dict(line.split(":", 1) for line in lines)
-        found.append(int(named["MemAvailable"].split()[0]) * 1024)
-    with suppress(OSError, ValueError):
-        most = int((group / "memory.max").read_text(encoding="ascii"))
-        found.append(most - int((group / "memory.current").read_text(encoding="ascii")))
-    return min(found, default=None)
-
-
 # The record of a run beside its results.
 
 
-def _write_summary(site: Site, root: Path, outcomes: Sequence[Outcome], state: RunState) -> None:
-    """Write `run.json`, and `summary.md` of a run that has ended, of which there are outcomes.
+def _write_record(
+    site: Site, root: Path, outcomes: Sequence[Outcome], state: RunState, *, finished: bool
+) -> None:
+    """Write `run.json`, and `summary.md` of a run that is finished.
 
     They hold neither time nor duration: a run that was resumed writes the same as one that was
-    not.
+    not. The report reads the record of the stages before it.
     """
     base = site.path.parent.resolve()
     document = {
-        "finished": bool(outcomes),
-        "site": _plain(site, base),
+        "finished": finished,
+        "site": site.model_dump(),
         "sensors_in_heat_maps": _sensors_in(outcomes),
         "inputs": {_relative(p, base): state.hash_of(p) for p in (site.path, *site.inputs)},
         "software": software(),
         "stages": [_stage(each, base, root) for each in outcomes],
     }
     with whole_file(root / "run.json") as part:
-        text = json_text(document, indent=1)
+        text = json_text(document, indent=1, default=lambda path: _relative(path, base))
         part.write_text(text + "\n", encoding="utf-8")
     summary = root / "summary.md"
-    if not outcomes:
+    if not finished:
         summary.unlink(missing_ok=True)
         return
     with whole_file(summary) as part:
-        part.write_text("\n".join(_summary(site, outcomes)) + "\n", encoding="utf-8")
+        part.write_text(_summary(site, outcomes), encoding="utf-8")
 
 
 def _sensors_in(outcomes: Sequence[Outcome]) -> list[str]:
@@ -318,12 +295,7 @@ def _sensors_of(outcomes: Sequence[Outcome], site: Site) -> dict[str, dict[str, 
 
 
 def _warnings(outcomes: Sequence[Outcome]) -> list[str]:
-    """Return the warnings of the stages, each once, after the names of its stages."""
-    by_text: dict[str, list[str]] = {}
-    for each in outcomes:
-        for text in each.warnings:
-            by_text.setdefault(text, []).append(each.stage.name)
-    return [f"{', '.join(names)}: {text}" for text, names in by_text.items()]
+    return warnings_once({each.stage.name: each.warnings for each in outcomes})
 
 
 def _stage(outcome: Outcome, base: Path, root: Path) -> dict[str, Any]:
@@ -340,17 +312,6 @@ def _stage(outcome: Outcome, base: Path, root: Path) -> dict[str, Any]:
     }
 
 
-def _plain(value: Any, base: Path) -> Any:
-    """Return a site as what JSON can hold, its paths relative to its file where they can be."""
-    if isinstance(value, TomlTable):
-        return {name: _plain(each, base) for name, each in value}
-    if isinstance(value, Path):
-        return _relative(value, base)
-    if isinstance(value, Mapping):
-        return dict(value)
-    return [_plain(each, base) for each in value] if isinstance(value, tuple) else value
-
-
 def _relative(path: Path, *bases: Path) -> str:
     whole = path.resolve()
     for base in bases:
@@ -359,34 +320,24 @@ def _relative(path: Path, *bases: Path) -> str:
     return str(whole)
 
 
-def _summary(site: Site, outcomes: Sequence[Outcome]) -> Iterator[str]:
-    """Yield the lines of the summary."""
-    yield from (f"# {site.title}", "")
+def _summary(site: Site, outcomes: Sequence[Outcome]) -> str:
+    """Return the summary of a run, to read."""
     made = (each for each in outcomes if each.has_result)
-    heat = next((each.figures for each in made if each.stage.work is work.heatmap_stage), None)
-    if heat is not None:
-        begin, end = (
-            datetime.fromisoformat(heat[name]).astimezone(zone_of(site.time_zone))
-            .isoformat(sep=" ", timespec="seconds") for name in ("begin", "end")
-        )  # fmt: skip
-        yield from (f"From {begin} to {end} ({site.time_zone}).", "")
-        yield from (f"The heat maps show {', '.join(_sensors_in(outcomes))}.", "")
-    else:
-        yield from ("There is no heat map: no sensor has a result.", "")
-    columns = ("sensor", *_POSE, "fitness", "second look", "state")
-    yield from ("## Sensors", "", f"| {' | '.join(columns)} |", "|---" * len(columns) + "|")
-    for name, facts in _sensors_of(outcomes, site).items():
-        numbers = [str(facts.get(each, "")) for each in (*_POSE, "fitness", "second_look")]
-        yield f"| {name} | {' | '.join(numbers)} | {facts['state']} |"
-    yield from ("", "Positions in metres of the map frame, angles in degrees.", "")
-    yield from _listed("Warnings", _warnings(outcomes))
-    sources = (("map", site.map.source), ("scan", site.scan.source if site.scan else None))
-    named = [f"{what}: {source}" for what, source in sources if source]
-    yield from _listed("Sources", [*named, *site.attribution])
-    made_by = software()
-    yield f"Made by gis_radar {made_by['gis_radar']}; all settings are in `run.json`."
-
-
-def _listed(title: str, lines: Sequence[str]) -> Iterator[str]:
-    if lines:
-        yield from (f"## {title}", "", *(f"- {line}" for line in lines), "")
+    heat = next((each.figures for each in made if each.stage.work is work.heatmap_stage), {})
+    zone = zone_of(site.time_zone)
+    span = [
+        datetime.fromisoformat(heat[name]).astimezone(zone).isoformat(sep=" ", timespec="seconds")
+        for name in ("begin", "end")
+        if name in heat
+    ]
+    sources = {"map": site.map.source, "scan": site.scan.source if site.scan else None}
+    named = [f"{what}: {source}" for what, source in sources.items() if source]
+    text = files("gis_radar.site").joinpath("summary.md.jinja").read_text(encoding="utf-8")
+    template = Template(text, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True)
+    shown: str = template.render(
+        title=site.title, time_zone=site.time_zone, span=span, shown=_sensors_in(outcomes),
+        columns=("sensor", *_POSE, "fitness", "second look"), sensors=_sensors_of(outcomes, site),
+        lists={"Warnings": _warnings(outcomes), "Sources": [*named, *site.attribution]},
+        version=software()["gis_radar"],
+    )  # fmt: skip
+    return shown

@@ -92,7 +92,7 @@ class ScanTable(TomlTable):
 class TilesTable(TomlTable):
     """The unit of all statistics."""
 
-    length: Annotated[float, Meaning("metres, 0.05 to 100"), within(0.05, 100.0)] = key("0.5", 0.5)
+    length: Annotated[float, Meaning("metres, 0.05 to 100"), within(0.05, 100.0)] = key(0.5)
     """Length of a tile along its lanelet, m."""
 
 
@@ -107,9 +107,7 @@ class OccupancyTable(TomlTable):
     """Least absolute range rate, m/s; a queue stands still."""
     min_rcs: Annotated[float, Meaning("dBm2"), within()] | None = key("-10.0", None, "all")
     """Least radar cross section, dBm2."""
-    elevation_error: Annotated[float, Meaning("degrees, 0 to 45"), within(0.0, 44.999)] = key(
-        "0.5", 0.5
-    )
+    elevation_error: Annotated[float, Meaning("degrees, 0 to 45"), within(0.0, 44.999)] = key(0.5)
     """Elevation error of the radars, deg (1 sigma): widens the clearance with range."""
     clocks: File | None = key('"clocks.json"', None, "none")
     """How far sensors' clocks are ahead, from `gis-radar clocks`: times are corrected."""
@@ -125,19 +123,13 @@ class HeatmapTable(TomlTable):
 class ViewTable(TomlTable):
     """What a sensor sees: full opening angles about its x axis, and a range."""
 
-    azimuth_deg: Annotated[float, Meaning("degrees, 0 to 360"), within(1e-3, 360.0)] = key(
-        "120.0", 120.0
-    )
+    azimuth_deg: Annotated[float, Meaning("degrees, 0 to 360"), within(1e-3, 360.0)] = key(120.0)
     """Full azimuth."""
-    elevation_deg: Annotated[float, Meaning("degrees, 0 to 180"), within(1e-3, 180.0)] = key(
-        "30.0", 30.0
-    )
+    elevation_deg: Annotated[float, Meaning("degrees, 0 to 180"), within(1e-3, 180.0)] = key(30.0)
     """Full elevation."""
-    min_range_m: Annotated[float, Meaning("metres, 0 or more"), within(0.0, 1e5)] = key("1.0", 1.0)
+    min_range_m: Annotated[float, Meaning("metres, 0 or more"), within(0.0, 1e5)] = key(1.0)
     """Least slant range."""
-    max_range_m: Annotated[float, Meaning("metres, over 0"), within(1e-3, 1e5)] = key(
-        "300.0", 300.0
-    )
+    max_range_m: Annotated[float, Meaning("metres, over 0"), within(1e-3, 1e5)] = key(300.0)
     """Greatest slant range."""
 
     @model_validator(mode="after")
@@ -269,15 +261,10 @@ class Site(TomlTable):
     @property
     def inputs(self) -> tuple[Path, ...]:
         """All files that a run reads."""
-        scan = self.scan
-        scanned = (*scan.files, *([scan.road] if scan.road else [])) if scan else ()
-        of_sensors = [
-            path
-            for each in self.sensor
-            for path in (*each.recordings, *([each.pose] if each.pose else []))
-        ]
-        clocks = [self.occupancy.clocks] if self.occupancy.clocks else []
-        return (self.map.file, *scanned, *clocks, *of_sensors)
+        scanned = (*self.scan.files, self.scan.road) if self.scan else ()
+        of_sensors = [path for each in self.sensor for path in (*each.recordings, each.pose)]
+        named = (self.map.file, *scanned, self.occupancy.clocks, *of_sensors)
+        return tuple(path for path in named if path is not None)
 
 
 def read_site(path: str | Path) -> Site:
@@ -374,16 +361,11 @@ def _found(loc: Steps) -> tuple[type[TomlTable], FieldInfo | None, Steps]:
     table: type[TomlTable] = Site
     field: FieldInfo | None = None
     for depth, step in enumerate(loc):
-        if isinstance(step, int):
-            if field is None or table_of(field) is None:
-                return table, field, loc[:depth]
-            continue
-        if field is not None:
-            inner = table_of(field)
-            if inner is None:
-                return table, field, loc[:depth]
-            table = inner
-        field = table.model_fields.get(step)
+        inner = Site if field is None else table_of(field)
+        if inner is None:  # inside a value
+            return table, field, loc[:depth]
+        if isinstance(step, str):
+            table, field = inner, inner.model_fields.get(step)
     return table, field, loc
 
 
@@ -405,15 +387,14 @@ def site_template() -> str:
 
 def _template(table: type[TomlTable], path: str) -> Iterator[str]:
     """Yield the lines of a table: first its keys, then the tables below it."""
-    keys, below = _parts(table)
+    keys, below = _parts(table, path)
     for name, field in keys.items():
         needed = field.is_required() or (path, name) in _GIVEN
         text = f"{field.description} ({value_of(field)}; {_default(field)})"
         yield from textwrap.wrap(text, _WIDTH, initial_indent="# ", subsequent_indent="# ")
         yield f"{'' if needed else '# '}{name} = {(field.examples or [''])[0]}"
     yield ""
-    for name, (field, inner) in below.items():
-        whole = f"{path}.{name}" if path else name
+    for whole, field, inner in below:
         off = "# " if whole.startswith("sensor.") else ""
         yield f"{off}{_header(whole, field)}  # {field.description}"
         yield from _template(inner, whole)
@@ -425,25 +406,29 @@ def site_reference() -> str:
 
 
 def _reference(table: type[TomlTable], path: str, title: str) -> Iterator[str]:
-    keys, below = _parts(table)
+    keys, below = _parts(table, path)
     yield from (f"### {title}", "", "| key | value | what it is |", "|---|---|---|")
     for name, field in keys.items():
         value = value_of(field).replace("|", "\\|").replace("*", "\\*")
         meaning = (field.description or "").replace("|", "\\|")
         yield f"| `{name}` | {value}; {_default(field)} | {meaning} |"
     yield ""
-    for name, (field, inner) in below.items():
-        whole = f"{path}.{name}" if path else name
+    for whole, field, inner in below:
         yield from _reference(inner, whole, f"`{_header(whole, field)}`")
 
 
 def _parts(
-    table: type[TomlTable],
-) -> tuple[dict[str, FieldInfo], dict[str, tuple[FieldInfo, type[TomlTable]]]]:
-    """Return the keys of a table, and the tables below it."""
-    fields = table.model_fields
-    below = {name: (field, inner) for name, field in fields.items() if (inner := table_of(field))}
-    return {name: field for name, field in fields.items() if name not in below}, below
+    table: type[TomlTable], path: str
+) -> tuple[dict[str, FieldInfo], list[tuple[str, FieldInfo, type[TomlTable]]]]:
+    """Return the keys of a table, and the tables below it with their paths."""
+    inner = {name: table_of(field) for name, field in table.model_fields.items()}
+    keys = {name: field for name, field in table.model_fields.items() if inner[name] is None}
+    below = [
+        (f"{path}.{name}".lstrip("."), table.model_fields[name], each)
+        for name, each in inner.items()
+        if each is not None
+    ]
+    return keys, below
 
 
 def _header(path: str, field: FieldInfo) -> str:

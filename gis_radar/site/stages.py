@@ -1,6 +1,7 @@
 """The stages of a run as functions, each a call or two of the library, from files to files.
 
-Their arguments are lists of paths and small settings, which every executor can send to a worker.
+Their arguments are lists of paths and small settings, which every executor can send to a worker;
+options that a stage does not use itself go to the function of the library that has them.
 """
 
 from __future__ import annotations
@@ -10,83 +11,52 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-from gis_radar.clocks import read_clocks
 from gis_radar.crs import name_of
 from gis_radar.errors import InputError
 from gis_radar.files import whole_file
 from gis_radar.heatmap import make_heatmap
-from gis_radar.lanelets import read_map
 from gis_radar.localization import localize_files
-from gis_radar.occupancy import Filters, measure_occupancy, merge_occupancies, read_occupancy
+from gis_radar.occupancy import merge_occupancies, read_occupancy
 from gis_radar.poses.files import PoseTrack, read_track, write_pose
 from gis_radar.poses.pose import View
 from gis_radar.progress import Reporter
 from gis_radar.qgis import write_site_project
 from gis_radar.recordings import convert as convert_recordings
 from gis_radar.report import write_report
-from gis_radar.scans.mask import mask_road
-from gis_radar.scans.roads import read_roads
 from gis_radar.scans.scan import read_road, road_crs
-from gis_radar.tiles.lookup import with_road_heights
-from gis_radar.tiles.tiles import fingerprint, make_tiles, read_tiles, write_tiles
+from gis_radar.site.recipes import join_recordings, mask_scans, split_map
+from gis_radar.tiles.tiles import read_tiles
 
 Figures = dict[str, Any]
 Paths = Sequence[Path]
 
 
-def mask_stage(
-    *, map_file: Path, scans: Paths, outputs: Paths, reporter: Reporter,
-    crs: str | None, origin: tuple[float, float] | None, scan_crs: str | None, engine: str,
-) -> Figures:  # fmt: skip
+def mask_stage(*, map_file: Path, scans: Paths, outputs: Paths, **options: Any) -> Figures:
     """Mask the road out of the scans."""
-    roads = read_roads(map_file, crs=crs, origin=origin, reporter=reporter)
-    found = mask_road(scans, roads, engine=engine, scan_crs=scan_crs, reporter=reporter)
-    found.write(outputs[0])
-    return found.figures()
+    return mask_scans(scans, map_file, outputs[0], **options)[1]
 
 
-def road_stage(*, road: Path, outputs: Paths, reporter: Reporter) -> Figures:  # noqa: ARG001
+def road_stage(*, road: Path, outputs: Paths, reporter: Reporter) -> Figures:
     """Take a road that was masked before."""
     crs = road_crs(road)
     points = read_road(road, crs)
     with whole_file(outputs[0]) as part:
         shutil.copyfile(road, part)
+    reporter.progress("copying the road", 1, 1)
     return {"crs": name_of(crs), "cells": len(points)}
 
 
-def tiles_stage(
-    *, map_file: Path, outputs: Paths, reporter: Reporter, length: float,
-    crs: str | None, origin: tuple[float, float] | None, subtypes: tuple[str, ...] | None,
-    road: Path | None = None,
-) -> Figures:  # fmt: skip
+def tiles_stage(*, map_file: Path, outputs: Paths, **options: Any) -> Figures:
     """Split the lanes into tiles, at the heights of the scanned road where there is one."""
-    roads = read_map(map_file, crs=crs, origin=origin, reporter=reporter)
-    table = make_tiles(roads, length_m=length, subtypes=subtypes, reporter=reporter)
-    if road is not None:
-        table = with_road_heights(table, read_road(road, roads.crs))
-    write_tiles(table, outputs[0], problems=roads.problems)
-    return {
-        "crs": name_of(roads.crs),
-        "tiles": len(table),
-        "with_height": int(table["height_m"].notna().sum()),
-        "problems": len(roads.problems),
-        "fingerprint": fingerprint(table),
-    }
+    return split_map(map_file, outputs[0], **options)
 
 
-def convert_stage(
-    *, recordings: Paths, outputs: Paths, reporter: Reporter,
-    sensor: str | None, columns: dict[str, str] | None, time_unit: str,
-    clock: Literal["auto", "sensor", "recorder"],
-) -> Figures:  # fmt: skip
+def convert_stage(*, recordings: Paths, outputs: Paths, **options: Any) -> Figures:
     """Make one recording of what a sensor's own programs have written."""
     with tempfile.TemporaryDirectory() as folder:
-        made = convert_recordings(
-            recordings, Path(folder) / outputs[0].name, sensor=sensor, columns=columns,
-            time_unit=time_unit, clock=clock, reporter=reporter,
-        )  # fmt: skip
+        made = convert_recordings(recordings, Path(folder) / outputs[0].name, **options)
         if len(made.outputs) != 1:
             names = ", ".join(str(each.sensor) for each in made.recordings)
             raise InputError(
@@ -99,18 +69,10 @@ def convert_stage(
 
 
 def localize_stage(
-    *, recordings: Paths, map_file: Path, road: Path, outputs: Paths, reporter: Reporter,
-    sensor: str, crs: str | None, origin: tuple[float, float] | None, guess: tuple[float, ...],
-    heading: float | None, compass: float | None, method: str,
-    scans: Sequence[Path] = (), scan_crs: str | None = None,
-) -> Figures:  # fmt: skip
+    *, recordings: Paths, map_file: Path, road: Path, outputs: Paths, **options: Any
+) -> Figures:
     """Find a pose from the newest recording that gives one; whole scans give a second look."""
-    found = localize_files(
-        recordings, map_file, road,
-        guess=guess, heading=heading, compass=compass, crs=crs, origin=origin, method=method,
-        scans=scans, scan_crs=scan_crs, sensor=sensor,
-        figure=outputs[1], reporter=reporter,
-    )  # fmt: skip
+    found = localize_files(recordings, map_file, road, figure=outputs[1], **options)
     write_pose(found.pose, outputs[0])
     return {**found.figures(), "recording": found.recording}
 
@@ -149,26 +111,16 @@ def _seeing(track: PoseTrack, sensor: str, view: dict[str, float] | None) -> Pos
 
 
 def occupancy_stage(
-    *, recordings: Paths, pose: Path, tile_file: Path, outputs: Paths, reporter: Reporter,
-    sensor: str, view: dict[str, float] | None, filters: dict[str, Any],
-    cycle: float | None, clocks: Path | None = None,
+    *, recordings: Paths, pose: Path, tile_file: Path, outputs: Paths, sensor: str,
+    view: dict[str, float] | None, cycle: float | None,
+    clocks: Path | None = None, **options: Any,
 ) -> Figures:  # fmt: skip
     """Join a sensor's recordings to the tiles."""
-    known = {} if clocks is None else read_clocks(clocks)
-    if clocks and sensor not in known:
-        reporter.log(f"the clock of {sensor} is not corrected: its offset is not known", "warning")
-    track = _seeing(read_track(pose), sensor, view)
-    result = measure_occupancy(
-        recordings,
-        [track] * len(recordings),
-        read_tiles(tile_file),
-        outputs[0],
-        filters=Filters(**filters),
-        cycles=None if cycle is None else {sensor: cycle},
-        clocks=known,
-        reporter=reporter,
-    )
-    return result.figures()
+    tracks = [_seeing(read_track(pose), sensor, view)] * len(recordings)
+    cycles = None if cycle is None else {sensor: cycle}
+    return join_recordings(
+        recordings, tracks, tile_file, outputs[0], cycles=cycles, clocks=clocks, **options
+    ).figures()
 
 
 def heatmap_stage(
@@ -182,20 +134,13 @@ def heatmap_stage(
     return {**merged.figures(), **heat.figures()}
 
 
-def project_stage(
-    *, heat: Path, poses: Paths, occupancies: Paths, outputs: Paths,  # noqa: ARG001
-    reporter: Reporter, title: str, time_zone: str, source: str,
-) -> Figures:  # fmt: skip
+def project_stage(*, outputs: Paths, **options: Any) -> Figures:
     """Write the sensors as layers, and the project that shows them on the heat map."""
-    write_site_project(
-        heat.parent, title=title, time_zone=time_zone, source=source, reporter=reporter
-    )
+    write_site_project(outputs[0].parent, **options)
     return {}
 
 
-def report_stage(
-    *, heat: Path, run: Path, occupancies: Paths, outputs: Paths, reporter: Reporter,  # noqa: ARG001
-) -> Figures:  # fmt: skip
+def report_stage(*, outputs: Paths, reporter: Reporter) -> Figures:
     """Write the report of all that was made."""
-    write_report(run.parent, reporter=reporter)
+    write_report(outputs[0].parent, reporter=reporter)
     return {}

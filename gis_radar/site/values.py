@@ -10,14 +10,7 @@ from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Union, get_args, get_origin
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Field,
-    PlainValidator,
-    ValidationInfo,
-)  # fmt: skip
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, ValidationInfo
 from pydantic.fields import FieldInfo
 
 from gis_radar.crs import bearing_of, looks_like_degrees, metric_crs
@@ -84,8 +77,7 @@ def _parsed(parse: Callable[[str], object], text: str) -> None:
         raise Unfit(hint=error.message) from error
 
 
-def _crs(value: Any) -> str:
-    text = _text(value)
+def _crs(text: str) -> str:
     try:
         metric_crs(text, what="crs")
     except GisRadarError as error:
@@ -93,16 +85,13 @@ def _crs(value: Any) -> str:
     return text
 
 
-def _zone(value: Any) -> str:
-    text = _text(value)
+def _zone(text: str) -> str:
     _parsed(zone_of, text)
     return text
 
 
-def _intervals(value: Any) -> tuple[str, ...]:
-    if not isinstance(value, list) or not value:
-        raise Unfit
-    found = tuple(_text(each).strip().lower() for each in value)
+def _intervals(texts: tuple[str, ...]) -> tuple[str, ...]:
+    found = tuple(each.strip().lower() for each in texts)
     for each in found:
         _parsed(interval_steps, each)
     if len({interval_steps(each) for each in found}) < len(found):
@@ -183,17 +172,18 @@ Position = Annotated[
 Span = Annotated[
     tuple[Number, Number], Meaning("[LOW, HIGH], metres, ascending"), AfterValidator(_ascending)
 ]
-Crs = Annotated[str, Meaning("a projected, metric CRS such as EPSG:25832"), PlainValidator(_crs)]
+Crs = Annotated[Text, Meaning("a projected, metric CRS such as EPSG:25832"), AfterValidator(_crs)]
 CompassBearing = Annotated[
     float, Meaning("degrees or a word such as north-east"), PlainValidator(bearing_of)
 ]
 Intervals = Annotated[
-    tuple[str, ...],
+    tuple[Text, ...],
     Meaning('a list of lengths such as ["15min", "1h"]'),
-    PlainValidator(_intervals),
+    Field(min_length=1),
+    AfterValidator(_intervals),
 ]
 Cycle = Annotated[float, Meaning('a duration such as "150ms"'), PlainValidator(_cycle)]
-Zone = Annotated[str, Meaning("an IANA time zone such as Europe/Berlin"), PlainValidator(_zone)]
+Zone = Annotated[Text, Meaning("an IANA time zone such as Europe/Berlin"), AfterValidator(_zone)]
 File = Annotated[Path, Meaning("the name of a file"), PlainValidator(_file)]
 Files = Annotated[
     tuple[Path, ...],
@@ -211,19 +201,20 @@ Pairs = Annotated[dict[str, Text], Meaning('a table such as { x = "X" }'), Field
 # Tables of the file, their keys, and where these stand.
 
 
-def key(example: str, default: Any = ..., shown: str | None = None) -> Any:
+def key(example: str | float, default: Any = ..., shown: str | None = None) -> Any:
     """Declare a field of a table as a key of the site file; its docstring is what it is.
 
     Parameters
     ----------
     example : str
-        A value as TOML, for the template.
+        A value as TOML, for the template; a number is the default as well.
     default : object
         What holds without it; a key without a default is required.
     shown : str, optional
         The default in words; by default the value itself.
     """
-    return Field(default, examples=[example], json_schema_extra={"shown": shown})
+    default = example if isinstance(example, float) else default
+    return Field(default, examples=[str(example)], json_schema_extra={"shown": shown})
 
 
 class TomlTable(BaseModel):
@@ -251,12 +242,10 @@ def value_of(field: FieldInfo) -> str:
     if inner is not None:
         return "one or more tables: [[sensor]]" if is_repeated(field) else "a table"
     kinds = _kinds(field.annotation)
-    notes = (
-        *field.metadata,
-        *(note for each in kinds for note in getattr(each, "__metadata__", ())),
-    )
-    meaning = next((note.text for note in notes if isinstance(note, Meaning)), "")
-    return meaning or f"one of {', '.join(get_args(field.annotation))}"
+    inside = [note for each in kinds for note in getattr(each, "__metadata__", ())]
+    # the outermost comes last
+    meanings = [each.text for each in (*inside, *field.metadata) if isinstance(each, Meaning)]
+    return meanings[-1] if meanings else f"one of {', '.join(get_args(field.annotation))}"
 
 
 def _kinds(annotation: Any) -> tuple[Any, ...]:

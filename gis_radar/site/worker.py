@@ -12,14 +12,13 @@ import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from multiprocessing.context import SpawnContext, SpawnProcess
 from multiprocessing.queues import SimpleQueue
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from gis_radar import errors
 from gis_radar.errors import GisRadarError, OutputError
 from gis_radar.processes import stop_workers, watch_parent
 from gis_radar.progress import Level, Reporter
@@ -31,33 +30,10 @@ Event = dict[str, Any]
 Send = Callable[[Event], None]
 
 
-@dataclass(kw_only=True)
-class Answer:
-    """Result of a stage, as it comes back from a worker.
-
-    Parameters
-    ----------
-    figures : mapping
-        What is worth a look.
-    warnings : list of str
-        The warnings of its work.
-    error : GisRadarError, optional
-        Why there is no result.
-    fault : str
-        The traceback of an error that is ours; empty without one.
-    """
-
-    figures: Mapping[str, Any] = field(default_factory=dict)
-    warnings: list[str] = field(default_factory=list)
-    error: GisRadarError | None = None
-    fault: str = ""
-
-
 class _Sender(Reporter):
-    """Send progress and remarks of a stage to the run, and keep the warnings."""
+    """Send progress and remarks of a stage to the run."""
 
     def __init__(self, stage: str, send: Send) -> None:
-        self.warnings: list[str] = []
         self._stage, self._send = stage, send
         self._last: tuple[str, float] = ("", 0.0)
 
@@ -71,8 +47,6 @@ class _Sender(Reporter):
 
     def log(self, message: str, level: Level = "info") -> None:
         """Send a remark."""
-        if level == "warning":
-            self.warnings.append(message)
         self._send({"stage": self._stage, "message": message, "level": level})
 
 
@@ -82,8 +56,8 @@ def carry_out(
     arguments: Mapping[str, Any],
     outputs: Sequence[Path],
     send: Send,
-) -> Answer:
-    """Carry out a stage; whatever goes wrong is part of the answer.
+) -> Mapping[str, Any]:
+    """Carry out a stage; return what is worth a look.
 
     Parameters
     ----------
@@ -96,26 +70,30 @@ def carry_out(
     outputs : sequence of Path
         What it makes; their folders are made here.
     send : callable
-        Takes the events to the run: progress (`phase`, `done`, `total`) and remarks (`message`,
-        `level`), each with its `stage`.
+        Takes the events to the run, each with its `stage`: the process that begins it (`worker`),
+        progress (`phase`, `done`, `total`) and remarks (`message`, `level`).
+
+    Raises
+    ------
+    GisRadarError
+        Why there is no result; an OutputError for what the system refuses.
+    RuntimeError
+        With the traceback of an error that is ours: its class may not pass to another process.
     """
-    reporter = _Sender(name, send)
-    answer = Answer(warnings=reporter.warnings)
+    send({"stage": name, "worker": os.getpid()})
     try:
         for output in outputs:
             output.parent.mkdir(parents=True, exist_ok=True)
-        answer.figures = work(outputs=list(outputs), reporter=reporter, **arguments)
-    except GisRadarError as error:
-        named = next(kind for kind in type(error).__mro__ if kind.__module__ == errors.__name__)
-        answer.error = named(error.message, hint=error.hint)
+        return work(outputs=list(outputs), reporter=_Sender(name, send), **arguments)
+    except GisRadarError:
+        raise
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
-        answer.error = OutputError(f"{where}{error.strerror or error}")
+        raise OutputError(f"{where}{error.strerror or error}") from error
     except SystemExit:  # by _end: what was half-written is gone
         os._exit(_ENDED)
-    except Exception:  # noqa: BLE001 - the run raises it
-        answer.fault = traceback.format_exc()
-    return answer
+    except Exception as error:
+        raise RuntimeError(f"{name}: fault in gis_radar\n{traceback.format_exc()}") from error
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,14 +108,14 @@ class Pool:
         Puts an event into `events`; the executor takes it to the workers.
     events : queue
         Events of all stages, read by the run.
-    why_broken : callable
-        Returns how a worker ended, for the message when one crashed.
+    crashes : callable
+        Returns how workers ended that nobody had asked to, by process id.
     """
 
     executor: Executor
     send: Send
     events: SimpleQueue[Event] | queue.SimpleQueue[Event]
-    why_broken: Callable[[], str] = str
+    crashes: Callable[[], Mapping[int, str]] = dict
 
 
 @contextmanager
@@ -157,7 +135,7 @@ def process_pool(jobs: int, scratch: Path) -> Iterator[Pool]:
         jobs, mp_context=context, initializer=_begin, initargs=(events, str(scratch))
     )
     try:
-        yield Pool(executor=executor, send=_send, events=events, why_broken=context.why_broken)
+        yield Pool(executor=executor, send=_send, events=events, crashes=context.crashes)
     finally:
         stop_workers(worker for worker in context.started if worker.pid is not None)
         executor.shutdown(cancel_futures=True)
@@ -194,15 +172,20 @@ class _WorkerContext(SpawnContext):
         self.started.append(_Worker(*args, **options))
         return self.started[-1]
 
-    def why_broken(self) -> str:
-        """Return the signal or the exit code of the worker that ended before it was asked to."""
-        asked = {-signal.SIGTERM, _ENDED}
-        code, end = 0, time.monotonic() + 1.0  # the pool may know of an end before the system does
-        while not code and time.monotonic() < end:
+    def crashes(self) -> dict[int, str]:
+        """Return the signal or the exit code of each worker that ended before it was asked to."""
+        asked = {None, 0, -signal.SIGTERM, _ENDED}
+        found: dict[int, str] = {}
+        end = time.monotonic() + 1.0  # the pool may know of an end before the system does
+        while not found and time.monotonic() < end:
             time.sleep(0.01)
-            codes = (each.exitcode for each in self.started)
-            code = next((each for each in codes if each and each not in asked), 0)
-        return f" with signal {-code}" if code < 0 else f" with exit code {code}" if code else ""
+            ended = {each.pid: each.exitcode or 0 for each in self.started}
+            found = {
+                pid: f"signal {-code}" if code < 0 else f"exit code {code}"
+                for pid, code in ended.items()
+                if pid is not None and code not in asked
+            }
+        return found
 
 
 _events: SimpleQueue[Event] | None = None  # of this worker
