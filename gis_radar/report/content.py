@@ -64,7 +64,7 @@ class Table:
     note: str = ""
 
 
-def rows_of(items: Iterable[Any], columns: Sequence[Column]) -> list[list[str]]:
+def text_rows(items: Iterable[Any], columns: Sequence[Column]) -> list[list[str]]:
     """Return a row of cells for each item."""
     return [[column.text(item) for column in columns] for item in items]
 

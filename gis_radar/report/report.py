@@ -34,7 +34,7 @@ from gis_radar.report.content import (
     direction,
     figure_text,
     percent,
-    rows_of,
+    text_rows,
     utc,
     write_csv,
 )
@@ -349,7 +349,7 @@ def _lanes(table: pd.DataFrame, clock: Clock, *, intervals: bool) -> Table:
         note = f"{count(unseen, 'lane')} of the map {were} not observed. {note}"
     if len(table) > len(shown):
         note = f"{note} All lanes are in lanes.csv."
-    rows = rows_of((row for _, row in shown.iterrows()), columns)
+    rows = text_rows((row for _, row in shown.iterrows()), columns)
     caption = "Lanes, busiest first"
     return Table(name="lanes", caption=caption, columns=columns, rows=rows, note=note)
 
@@ -395,7 +395,7 @@ def _quality_table(quality: Quality | None, clock: Clock) -> Table:
                 f"Here {MOST_HOURS} of {figure_text(len(quality.table))} rows, those with a fault "
                 "first; all are in quality.csv."
             )
-        note, rows = " ".join(lines), rows_of((row for _, row in table.iterrows()), columns)
+        note, rows = " ".join(lines), text_rows((row for _, row in table.iterrows()), columns)
     caption = "Measurements by sensor and hour"
     return Table(name="quality", caption=caption, columns=columns, rows=rows, note=note)
 

@@ -33,7 +33,7 @@ from gis_radar.report.content import (
     listed,
     percent,
     plus_minus,
-    rows_of,
+    text_rows,
     write_csv,
 )
 
@@ -396,7 +396,7 @@ def sensor_table(results: Results, *, figures: int) -> Table:
         How many pictures follow; the note says where there are more.
     """
     columns = _sensor_columns()
-    rows = rows_of(results.poses, columns)
+    rows = text_rows(results.poses, columns)
     rows += [
         [name, *[NOTHING] * 6, f"no result: {reason}"] for name, reason in results.lost.items()
     ]
