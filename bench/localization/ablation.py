@@ -32,13 +32,9 @@ AT_ONCE = Schedule(scales_m=(0.0,), rounds=30)
 VARIANTS: Mapping[str, Mapping[str, Any]] = {
     "all stages": {},
     "no levelling": {"search.level_rounds": 0},
-    "no second look in the search": {"search.sharp_step_m": 3.0, "search.sharp_yaws": 0},
-    "half the candidates": {"search.candidates": 10, "search.known_candidates": 4},
-    "no starts shifted by a lane": {"hypotheses.shifts": ()},
     "no mirrored check": {"answer.mirror_share": math.inf},
     "one finalist": {"hypotheses.finalists": 1},
     "no full look at rivals": {"hypotheses.rival": 1e-9},
-    "no hill climbing": {"hypotheses.climbs": 0},
     "no rough to fine": dict.fromkeys((f"hypotheses.{s}" for s in ("rough", "settle", "fine")),
                                       AT_ONCE),
     "last fit at one scale": {"hypotheses.fine": AT_ONCE},
@@ -46,7 +42,6 @@ VARIANTS: Mapping[str, Mapping[str, Any]] = {
     "side strength not adapted": {"adaptation.most_factor": 1.0},
     "no profile likelihood": {"answer.valley_steps_m": ()},
     "no bias of streets": {"answer.street_sigma_m": (0.0, 0.0)},
-    "no smoothing of heights": {"lanes.smooth_m": 0.0},
     "no Doppler gate in the matching": {"lanes.slack_mps": math.inf},
 }  # fmt: skip
 STARTS = 1

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -20,8 +19,6 @@ from gis_radar.localization.solver import Fit, Prior, solve
 from gis_radar.localization.state import POSE, REFLECTION, SIZE, State
 from gis_radar.localization.traces import Samples
 
-PLANE = [0, 1, 5]  # of the state: easting, northing, turn about the vertical
-
 
 @dataclass(frozen=True, kw_only=True)
 class Hypothesis:
@@ -33,15 +30,15 @@ class Hypothesis:
         The local optimum.
     prior : Prior
         With which it was found.
-    origin : str
-        `search` or `shifted`, by a lane.
+    score : float
+        How well the search alone laid the samples on the lanes there, 0 to 1.
     model : Model
         How vehicles drive and reflect.
     """
 
     fit: Fit
     prior: Prior
-    origin: str
+    score: float = 0.0
     model: Model = MODEL
 
     @property
@@ -63,9 +60,7 @@ def find_hypotheses(scene: Scene, *, heading: tuple[float, float] | None) -> lis
     levelling, part, settings = level(scene), rough(scene), scene.settings.search
     most = settings.candidates if heading is None else settings.known_candidates
     found = _searched(scene, levelling, heading, most)
-    tried = [_rough_fit(part, _start(part, levelling, c), "search") for c in found]
-    best = min(tried, key=lambda h: h.loss)
-    tried += [_rough_fit(part, state, "shifted") for state in shifted(part, best.fit)]
+    tried = [_rough_fit(part, _start(part, levelling, c), c.score) for c in found]
     return _ranked(tried, scene.settings)
 
 
@@ -94,27 +89,6 @@ def rough(scene: Scene) -> Scene:
     return scene.of(samples.where(np.isin(np.arange(len(samples)), chosen)))
 
 
-def hill_climb(scene: Scene, best: Hypothesis) -> Hypothesis:
-    """Look beside an optimum for better ones, along the directions that are fixed least.
-
-    Which face of which vehicle a trace shows makes the cost bumpy in the small.
-    """
-    settings = scene.settings.hypotheses
-    lever = np.diag([1.0, 1.0, scene.settings.answer.lever_m])
-    for _ in range(settings.climbs):
-        covariance = np.linalg.inv(best.fit.information[POSE, POSE])[np.ix_(PLANE, PLANE)]
-        _, vectors = np.linalg.eigh(lever @ covariance @ lever)
-        sides = np.zeros((4, SIZE))
-        ways = np.vstack([vectors.T[1:], -vectors.T[1:]])
-        sides[:, PLANE] = settings.hop_m * ways @ np.linalg.inv(lever)
-        others = [_settled(scene, best, best.fit.state.moved(side)) for side in sides]
-        better = min(others, key=lambda other: other.fit.cost)
-        if better.fit.cost > best.fit.cost - settings.hop_gain:
-            break
-        best = better
-    return best
-
-
 def _settled(scene: Scene, hypothesis: Hypothesis, start: State) -> Hypothesis:
     schedule = scene.settings.hypotheses.settle
     fit = solve(scene, start, hypothesis.prior, schedule=schedule)
@@ -124,25 +98,21 @@ def _settled(scene: Scene, hypothesis: Hypothesis, start: State) -> Hypothesis:
 def refine(scene: Scene, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Fit the first hypotheses to all samples, and return them the best first.
 
-    The best one is looked at in full, and so is each that could still overtake it.
+    Prior and model adapt to the best one and to each that could still overtake it.
     """
     part, best, settings = rough(scene), hypotheses[0], scene.settings.hypotheses
     near = [h for h in hypotheses if advantage(best.fit, h.fit, part.samples) < settings.gone]
     finalists = near[: settings.finalists]
     settled = _ranked([_settled(part, h, h.fit.state) for h in finalists], scene.settings)
-    climbed = _with_rivals(settled, part, partial(hill_climb, part))
-    fine = _ranked([_fine(scene, h) for h in climbed], scene.settings)
-    return _with_rivals(fine, scene, partial(_adapted, scene))
-
-
-def _with_rivals(
-    ranked: Sequence[Hypothesis], scene: Scene, better: Callable[[Hypothesis], Hypothesis]
-) -> list[Hypothesis]:
-    """Improve the best hypothesis and its rivals, and return all, the best first."""
-    first, rival = ranked[0], scene.settings.hypotheses.rival
-    near = [advantage(first.fit, h.fit, scene.samples) < rival for h in ranked]
-    improved = [better(h) if close else h for h, close in zip(ranked, near, strict=True)]
-    return _ranked(improved, scene.settings)
+    fine = _ranked([_fine(scene, h) for h in settled], scene.settings)
+    first, rival = fine[0], settings.rival
+    return _ranked(
+        [
+            _adapted(scene, h) if advantage(first.fit, h.fit, scene.samples) < rival else h
+            for h in fine
+        ],
+        scene.settings,
+    )
 
 
 def _fine(scene: Scene, hypothesis: Hypothesis) -> Hypothesis:
@@ -204,31 +174,10 @@ def prior_at(state: State, settings: LocalizationSettings = DEFAULTS) -> Prior:
     return Prior(mean=mean, information=information)
 
 
-def _rough_fit(scene: Scene, start: State, origin: str) -> Hypothesis:
+def _rough_fit(scene: Scene, start: State, score: float) -> Hypothesis:
     prior = prior_at(start, scene.settings)
     fit = solve(scene, start, prior, schedule=scene.settings.hypotheses.rough)
-    return Hypothesis(fit=fit, prior=prior, origin=origin)
-
-
-def shifted(scene: Scene, fit: Fit) -> list[State]:
-    """Return the fit's state moved by a lane to every side of the main directions of traffic."""
-    lanes, settings = scene.lanes, scene.settings.hypotheses
-    used = lanes.along[fit.matches.lane[fit.matches.found]]
-    if len(used) == 0:
-        return []
-    # twice the angle: both directions of a street are one
-    turn = np.arctan2(used[:, 1], used[:, 0])
-    main = np.angle(np.mean(np.exp(2j * turn))) / 2.0
-    width = float(np.median(lanes.width_m[fit.matches.lane[fit.matches.found]]))
-    low, high = settings.lane_widths_m
-    width = width if low < width < high else settings.lane_m
-    sides = main + np.arange(4) * np.pi / 2.0
-    moves = width * np.column_stack([np.cos(sides), np.sin(sides), np.zeros(4)])
-    return [
-        replace(fit.state, position=fit.state.position + lanes_off * move)
-        for lanes_off in settings.shifts
-        for move in moves
-    ]
+    return Hypothesis(fit=fit, prior=prior, score=score)
 
 
 def _ranked(hypotheses: Sequence[Hypothesis], settings: LocalizationSettings) -> list[Hypothesis]:

@@ -48,7 +48,7 @@ def by_lanes(
     heading = None if problem.heading is None else (problem.heading, tolerance)
     tried = find_hypotheses(scene, heading=heading)
     reporter.progress(STAGE, 3, 5)
-    _refuse_mirrored(scene, tried[0], heading)
+    _refuse_mirrored(scene, tried, heading)
     reporter.progress(STAGE, 4, 5)
     answers = _within_reach(problem, refine(scene, tried), scene)
     _refuse_unfit(problem, answers[0], settings)
@@ -111,10 +111,12 @@ def lanes_around(
     return lanes
 
 
-def _refuse_mirrored(scene: Scene, best: Hypothesis, heading: tuple[float, float] | None) -> None:
+def _refuse_mirrored(
+    scene: Scene, tried: list[Hypothesis], heading: tuple[float, float] | None
+) -> None:
     """Refuse a recording that fits far better with its y axis turned round."""
     turned, settings = scene.of(mirrored(scene.samples)), scene.settings.answer
-    least = settings.mirror_share * search_score(scene, heading=heading)
+    best, least = tried[0], settings.mirror_share * max(h.score for h in tried)
     if search_score(turned, heading=heading) < least:
         return
     other, part = find_hypotheses(turned, heading=heading)[0], rough(scene).samples

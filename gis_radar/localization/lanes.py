@@ -104,7 +104,7 @@ def sample_lanes(
     along = np.vstack([way for _, way in parts])
     lane = np.repeat(np.arange(len(parts)), count)
     height, scanned = _heights(local, road - [*place, 0.0], settings)
-    local[:, 2] = _smooth(height, lane, settings)
+    local[:, 2] = height
     slope = _slopes(local, along, lane, settings)
     limit = table["speed_limit_kmh"].to_numpy(np.float64)[lane] / 3.6
     top = np.maximum(limit * settings.speeding, settings.min_top_mps)
@@ -168,22 +168,6 @@ def _heights(local: Floats, road: Floats, settings: LaneSettings) -> tuple[Float
     low, high = ranked[rows, np.maximum(found - 1, 0) // 2], ranked[rows, found // 2 % z.shape[1]]
     height = np.where(found > 0, np.where(found % 2 == 1, low, (low + high) / 2), known)
     return height, np.asarray(found > 0)
-
-
-def _smooth(height: Floats, lane: Integers, settings: LaneSettings) -> Floats:
-    """Return the running mean of heights along each lane, over gaps too."""
-    half = int(settings.smooth_m / settings.step_m / 2)
-    total, weight = np.zeros(len(height)), np.zeros(len(height))
-    valid = np.isfinite(height)
-    filled = np.where(valid, height, 0.0)
-    for shift in range(-half, half + 1):
-        source = np.clip(np.arange(len(height)) + shift, 0, len(height) - 1)
-        mirror = np.clip(np.arange(len(height)) - shift, 0, len(height) - 1)
-        # symmetric pairs only: a one-sided mean would bend the ends of a slope
-        use = (lane[source] == lane) & (lane[mirror] == lane) & valid[source] & valid[mirror]
-        total += np.where(use, filled[source], 0.0)
-        weight += use
-    return np.where(weight > 0, total / np.maximum(weight, 1), height)
 
 
 def _slopes(points: Floats, along: Floats, lane: Integers, settings: LaneSettings) -> Floats:

@@ -105,16 +105,8 @@ def search(
 
     places = _places(settings.guess_m + settings.slack_m, settings.step_m)
     yaws = _yaws(heading, settings.yaw_step)
-    first = score(closeness(lanes, settings.spread_m, settings), places, yaws)
-    peaks = _peaks(first, places, yaws, most, settings)
-    sharp = closeness(lanes, settings.sharp_m, settings)
-    turns = np.arange(-settings.sharp_yaws, settings.sharp_yaws + 1) * settings.sharp_yaw_step
-    second = []
-    for peak in peaks:
-        places = peak.place + _places(settings.step_m, settings.sharp_step_m)
-        yaws = np.asarray(peak.yaw + turns)
-        second += _peaks(score(sharp, places, yaws), places, yaws, 1, settings)
-    return sorted(second, key=lambda candidate: -candidate.score)
+    scores = score(closeness(lanes, settings), places, yaws)
+    return _peaks(scores, places, yaws, most, settings)
 
 
 def _yaws(heading: tuple[float, float] | None, step: float) -> Floats:
@@ -131,17 +123,15 @@ def _places(radius_m: float, step_m: float) -> Floats:
     return np.asarray(grid[np.hypot(*grid.T) <= radius_m])
 
 
-def closeness(lanes: Lanes, spread_m: float, settings: SearchSettings) -> NDArray[np.uint8]:
+def closeness(lanes: Lanes, settings: SearchSettings) -> NDArray[np.uint8]:
     """Return for each direction of sight how close a cell is to lanes that lead away along it.
 
     Parameters
     ----------
     lanes : Lanes
         The map.
-    spread_m : float
-        Standard deviation of the bell across a lane.
     settings : SearchSettings
-        Which directions agree.
+        The bell across a lane, and which directions agree.
 
     Returns
     -------
@@ -149,7 +139,7 @@ def closeness(lanes: Lanes, spread_m: float, settings: SearchSettings) -> NDArra
         255 on a centre line. What comes towards the sensor is what leads away along the
         opposite sight.
     """
-    near = np.exp(-0.5 * (lanes.distance / spread_m) ** 2)
+    near = np.exp(-0.5 * (lanes.distance / settings.spread_m) ** 2)
     sights, bins = settings.sights, len(near)
     ways = np.arange(bins) * (2.0 * np.pi / bins)
     out = np.zeros((sights, *near.shape[1:]), dtype=np.uint8)

@@ -106,8 +106,6 @@ class LaneSettings:
         Scanned points farther from the map's height are of another storey.
     scan_near_m, scan_points : float, int
         Scanned points that give a sample's height (their median).
-    smooth_m : float
-        Length of the running mean of heights: noise of the scan, not the shape of a road.
     slope_reach : int
         Samples either way over which the rise is taken.
     most_slope : float
@@ -132,7 +130,6 @@ class LaneSettings:
     same_level_m: float = 2.0
     scan_near_m: float = 2.0
     scan_points: int = 12
-    smooth_m: float = 8.0
     slope_reach: int = 3
     most_slope: float = 0.2
     unlimited_mps: float = 55.0
@@ -167,10 +164,8 @@ class SearchSettings:
     sights : int
         Bins of the direction of sight, 5.6 degrees.
     spread_m, step_m, yaw_step : float
-        First look: bell across a lane, grid of places, grid of headings (radians). Steps are at
-        most one spread, or 50 m off half of one.
-    sharp_m, sharp_step_m, sharp_yaw_step, sharp_yaws : float, int
-        Second look around each peak: the same, and headings either way.
+        Bell across a lane, grid of places, grid of headings (radians). Steps are at most one
+        spread, or 50 m off half of one.
     beside : float
         Cosine by which a lane's direction may disagree with the Doppler's sign (15 degrees).
     near_m, near_rad : float
@@ -191,15 +186,11 @@ class SearchSettings:
     spread_m: float = 2.0
     step_m: float = 2.0
     yaw_step: float = radians(2.0)
-    sharp_m: float = 1.0
-    sharp_step_m: float = 0.5
-    sharp_yaw_step: float = radians(0.25)
-    sharp_yaws: int = 8
     beside: float = 0.25
     near_m: float = 3.0
     near_rad: float = radians(5.0)
-    candidates: int = 20
-    known_candidates: int = 8
+    candidates: int = 10
+    known_candidates: int = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -265,7 +256,7 @@ class HypothesisSettings:
     rough : Schedule
         First fit of every candidate.
     settle : Schedule
-        Fit of each finalist and each hop.
+        Fit of each finalist.
     fine : Schedule
         Fit to all samples.
     finalists, gone : int, float
@@ -275,13 +266,6 @@ class HypothesisSettings:
         nearer by about half of one; more than `AnswerSettings.clear`.
     twin_m, twin_rad : (3,) tuples
         Closer fits are one: easting, northing, height; turns about the axes.
-    lane_m, lane_widths_m : float, (2,) tuple
-        A lane's width where the map's is not within the range.
-    shifts : tuple of float
-        Lane widths by which the best fit is moved to every side, as further starts.
-    climbs, hop_m, hop_gain : int, float, float
-        Most rounds of hill climbing, length of a hop (half a vehicle's width), and what it must
-        gain (half a sigma squared is 0.5).
     """
 
     reflection_m: float = 0.6
@@ -295,12 +279,6 @@ class HypothesisSettings:
     rival: float = 3.5
     twin_m: tuple[float, float, float] = (0.3, 0.3, 0.5)
     twin_rad: tuple[float, float, float] = (radians(0.5), radians(0.5), radians(0.3))
-    lane_m: float = 3.5
-    lane_widths_m: tuple[float, float] = (2.0, 5.0)
-    shifts: tuple[float, ...] = (1.0,)
-    climbs: int = 5
-    hop_m: float = 0.7
-    hop_gain: float = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -468,7 +446,7 @@ class LocalizationSettings:
     icp: IcpSettings = field(default_factory=IcpSettings)
 
     def changed(self, changes: Mapping[str, Any]) -> LocalizationSettings:
-        """Return the settings with other values, by dotted name: `{"hypotheses.climbs": 0}`."""
+        """Return the settings with other values, by dotted name: `{"hypotheses.finalists": 1}`."""
         settings = self
         for name, value in changes.items():
             group, _, constant = name.partition(".")

@@ -12,7 +12,7 @@ from gis_radar.arrays import Floats, Integers
 from gis_radar.errors import NoAnswerError
 from gis_radar.localization.adaptation import adapted
 from gis_radar.localization.certainty import advantage, certainty
-from gis_radar.localization.hypotheses import find_hypotheses, prior_at, rough, shifted
+from gis_radar.localization.hypotheses import find_hypotheses, prior_at, rough
 from gis_radar.localization.lane_method import lanes_around
 from gis_radar.localization.lanes import Lanes
 from gis_radar.localization.matching import Scene
@@ -296,7 +296,7 @@ class WindowFitter:
         part, here = rough(self.scene(found.samples)), found.fit.state
         fits = [
             solve(part, state, replace(prior_at(state, self.settings.localization), mean=state))
-            for state in (here, *shifted(part, found.fit))
+            for state in (here, *_a_lane_off(part, found.fit))
         ]
         for other in fits[1:]:
             away = other.state.difference(fits[0].state)[:2]
@@ -307,3 +307,16 @@ class WindowFitter:
                     f"{np.hypot(*away):.1f} m from its start pose",
                     hint="find the pose with gis-radar localize",
                 )
+
+
+def _a_lane_off(scene: Scene, fit: Fit) -> list[State]:
+    """Return the fit's state moved by a lane to every side of the main directions of traffic."""
+    lanes, used = scene.lanes, fit.matches.lane[fit.matches.found]
+    if len(used) == 0:
+        return []
+    # twice the angle: both directions of a street are one
+    turn = np.arctan2(lanes.along[used, 1], lanes.along[used, 0])
+    sides = np.angle(np.mean(np.exp(2j * turn))) / 2.0 + np.arange(4) * np.pi / 2.0
+    width_m = float(np.median(lanes.width_m[used]))
+    moves = width_m * np.column_stack([np.cos(sides), np.sin(sides), np.zeros(4)])
+    return [replace(fit.state, position=fit.state.position + move) for move in moves]
