@@ -43,7 +43,9 @@ class Certainty:
     observable: bool
 
 
-def certainty(fit: Fit, settings: AnswerSettings = DEFAULTS.answer) -> Certainty:
+def certainty(
+    fit: Fit, settings: AnswerSettings = DEFAULTS.answer, *, rival: State | None = None
+) -> Certainty:
     """Return how certain a fit is.
 
     The inverse information, widened where the vehicles disagree more than in the model (a
@@ -56,6 +58,8 @@ def certainty(fit: Fit, settings: AnswerSettings = DEFAULTS.answer) -> Certainty
         A local optimum.
     settings : AnswerSettings
         The sigmas of map and scan, and when a component is fixed.
+    rival : State, optional
+        Another optimum, so near that both are one answer; it is as likely as not the right one.
     """
     inverse: Floats = np.asarray(np.linalg.inv(fit.information), dtype=np.float64)
     noise = _widened(inverse, fit)
@@ -64,6 +68,9 @@ def certainty(fit: Fit, settings: AnswerSettings = DEFAULTS.answer) -> Certainty
     effects = np.vstack([fit.considered(), *streets]) @ inverse
     covariance = noise + effects.T @ effects
     to_angles = _to_angles(fit.state)
+    if rival is not None:
+        gap = rival.difference(fit.state)
+        covariance = covariance + np.outer(gap, gap) / 2.0
     pose = to_angles @ covariance[POSE, POSE] @ to_angles.T
     drawn = to_angles @ noise[POSE, POSE] @ to_angles.T
     return Certainty(
@@ -116,10 +123,11 @@ def _widened(inverse: Floats, fit: Fit) -> Floats:
 
 
 def advantage(fit: Fit, other: Fit, samples: Samples) -> float:
-    """Return by how many standard deviations the vehicles prefer one fit to another.
+    """Return by how many standard deviations the traffic prefers one fit to another.
 
-    The vehicles are clusters, each with the difference of its losses as score; the mean score is
-    compared with its standard error (Vuong 1989).
+    The vehicles are clusters, each with the difference of its losses as score; the sum is compared
+    with its standard error (Vuong 1989). To that comes what the habits of all drivers on a street
+    may do to the loss of either fit.
 
     Parameters
     ----------
@@ -128,12 +136,14 @@ def advantage(fit: Fit, other: Fit, samples: Samples) -> float:
     samples : Samples
         Those.
     """
-    clusters = np.bincount(samples.track, weights=other.loss - fit.loss, minlength=samples.tracks)
-    clusters = clusters[np.unique(samples.track)]
-    mean, spread = float(clusters.mean()), float(clusters.std(ddof=1)) if len(clusters) > 1 else 0.0
+    gain = np.bincount(samples.track, weights=other.loss - fit.loss, minlength=samples.tracks)
+    gain = gain[np.unique(samples.track)]
+    drawn = len(gain) * float(gain.var(ddof=1)) if len(gain) > 1 else 0.0
+    spread = float(np.sqrt(drawn + fit.habits + other.habits))
+    total = float(gain.sum())
     if spread <= 0.0:
-        return float(np.inf * np.sign(mean)) if mean else 0.0
-    return mean * float(np.sqrt(len(clusters))) / spread
+        return float(np.inf * np.sign(total)) if total else 0.0
+    return total / spread
 
 
 def along_valley(scene: Scene, fit: Fit, prior: Prior, model: Model) -> Fit:

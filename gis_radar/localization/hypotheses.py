@@ -34,12 +34,15 @@ class Hypothesis:
         How well the search alone laid the samples on the lanes there, 0 to 1.
     model : Model
         How vehicles drive and reflect.
+    rival : State or None
+        Another optimum, so near that both are one answer.
     """
 
     fit: Fit
     prior: Prior
     score: float = 0.0
     model: Model = MODEL
+    rival: State | None = None
 
     @property
     def loss(self) -> float:

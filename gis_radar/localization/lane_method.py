@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from gis_radar.localization.matching import Scene
 from gis_radar.localization.result import STAGE, Localization, Problem, common
 from gis_radar.localization.settings import (
     DEFAULTS,
+    AnswerSettings,
     LocalizationSettings,
 )
 from gis_radar.localization.traces import Moving, Samples, link_tracks, thin
@@ -56,7 +58,9 @@ def by_lanes(
     lead, rival = _lead(best, answers[1:], scene)
     reporter.progress(STAGE, 5, 5)
     if rival is not None and lead < settings.answer.clear:
-        raise _ambiguous(problem, best, rival)
+        if not _one_answer(best, rival, settings.answer):
+            raise _ambiguous(problem, best, rival)
+        best = replace(best, rival=rival.fit.state)
     return _answer(problem, moving, scene, best, tried, lead)
 
 
@@ -179,6 +183,14 @@ def _refuse_unfit(problem: Problem, answer: Hypothesis, settings: LocalizationSe
         raise NoAnswerError(f"{problem.name}: the fit did not come to rest")
 
 
+def _one_answer(answer: Hypothesis, rival: Hypothesis, settings: AnswerSettings) -> bool:
+    """Return whether two optima are so near that they are one answer with a larger sigma."""
+    gap = rival.fit.state.difference(answer.fit.state)
+    return bool(
+        np.hypot(*gap[:2]) < settings.one_answer_m and abs(gap[5]) < settings.one_answer_rad
+    )
+
+
 def _ambiguous(problem: Problem, answer: Hypothesis, rival: Hypothesis) -> NoAnswerError:
     gap = rival.fit.state.difference(answer.fit.state)
     return NoAnswerError(
@@ -197,7 +209,8 @@ def _answer(
     tried: list[Hypothesis],
     lead: float,
 ) -> Localization:
-    known, samples = certainty(best.fit, scene.settings.answer), scene.samples
+    known = certainty(best.fit, scene.settings.answer, rival=best.rival)
+    samples = scene.samples
     sigma = np.concatenate([known.sigma[:3], np.degrees(known.sigma[3:])])
     evidence = {
         "sigma": {name: float(value) for name, value in zip(COMPONENTS, sigma, strict=True)},

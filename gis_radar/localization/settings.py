@@ -364,6 +364,9 @@ class AnswerSettings:
         recording's own; infinite turns the check off.
     same_chi2 : float
         Squared standard deviations within which two answers are one (99.9 %, 3 components).
+    one_answer_m, one_answer_rad : float
+        Optima that near to each other are one answer with a larger sigma: nearer than lanes are,
+        and what drivers off the middle of their lanes can make of one.
     least_scanned : float
         Share of lanes in reach that the scanned road must cover.
     slack_m : float
@@ -384,6 +387,8 @@ class AnswerSettings:
     clear: float = 2.5
     mirror_share: float = 1.0
     same_chi2: float = 16.0
+    one_answer_m: float = 1.0
+    one_answer_rad: float = radians(1.0)
     least_scanned: float = 0.3
     slack_m: float = 5.0
 

@@ -14,6 +14,7 @@ from gis_radar.localization.matching import Matches, Placed, Scene, match, place
 from gis_radar.localization.model import MODEL, Model
 from gis_radar.localization.residuals import (
     Comparison,
+    Normal,
     Residuals,
     assemble,
     at_least,
@@ -57,6 +58,8 @@ class Fit:
         Of the samples alone, without the prior.
     scores : (tracks, 7) array
         Gradient of each vehicle's rows, for the cluster-robust covariance.
+    habits : float
+        Variance of the loss by where the drivers of each street keep in their lanes, all alike.
     streets : list of (streets, 7) arrays
         For each family of residuals the gradient of the cost by a 1 m map bias of a street
         section in one direction.
@@ -81,6 +84,7 @@ class Fit:
     information: Floats
     data_information: Floats
     scores: Floats
+    habits: float
     streets: list[Floats]
     cost: float
     loss: Floats
@@ -259,6 +263,7 @@ def _described(cost: _Cost, here: _Here, *, converged: bool) -> Fit:
         information=information,
         data_information=information - cost.prior.information,
         scores=normal.scores,
+        habits=_habits(cost, here, normal, street),
         streets=pulls,
         cost=here.total,
         loss=across.weight * across.loss,
@@ -268,6 +273,19 @@ def _described(cost: _Cost, here: _Here, *, converged: bool) -> Fit:
         effects=here.point.effects,
         considered=cache(partial(_considered, cost, here)),
     )
+
+
+def _habits(cost: _Cost, here: _Here, normal: Normal, street: Integers) -> float:
+    """Return the variance of the loss by an offset that the drivers of a street share.
+
+    With the vehicles' own effects at their optimum the loss changes with the offset c of a street
+    as `c sum b_k / tau^2 + c^2 / 2 sum 1 / (tau^2 + 1 / P_k)`; c is normal.
+    """
+    own, tau = here.point.effects[0], here.families[0].shared
+    variance, sigma_m = normal.shared[0][2], cost.scene.settings.answer.street_sigma_m[0]
+    linear = np.bincount(street, weights=own * tau**-2)
+    square = np.bincount(street, weights=(1.0 - variance * tau**-2) * tau**-2)
+    return float(np.sum((sigma_m * linear) ** 2 + 0.5 * (sigma_m**2 * square) ** 2))
 
 
 def _considered(cost: _Cost, here: _Here) -> Floats:
