@@ -373,7 +373,7 @@ class AnswerSettings:
         An answer may lie that much farther off than a guess may.
     """
 
-    street_sigma_m: tuple[float, float] = (0.25, 0.2)
+    street_sigma_m: tuple[float, float] = (0.3, 0.2)
     street_m: float = 60.0
     unfixed_m: tuple[float, float, float] = (1.0, 1.0, 0.5)
     unfixed_rad: tuple[float, float, float] = (radians(2.0), radians(2.0), radians(1.0))
