@@ -264,8 +264,8 @@ def test_turns_are_those_of_scipy(axis, angle):
 
 def test_changed_settings_are_recorded():
     settle = Schedule(scales_m=(0.1,), rounds=4)
-    other = DEFAULTS.changed({"hypotheses.climbs": 0, "hypotheses.settle": settle})
-    assert other.changes() == {"hypotheses.settle.scales_m": (0.1,), "hypotheses.climbs": 0}
+    other = DEFAULTS.changed({"hypotheses.finalists": 1, "hypotheses.settle": settle})
+    assert other.changes() == {"hypotheses.settle.scales_m": (0.1,), "hypotheses.finalists": 1}
     assert DEFAULTS.changes() == {}
     with pytest.raises(TypeError):
         DEFAULTS.changed({"hypotheses.unknown": 1})
@@ -281,6 +281,24 @@ def test_vehicles_vote(scene):
     assert advantage(fit, fit, samples) == 0.0
     one = np.where(samples.track == samples.track[0], 50.0, 0.0)
     assert advantage(fit, replace(fit, loss=fit.loss + one), samples) < 1.5
+
+
+def test_a_gain_within_the_habits_of_drivers_is_no_lead(scene):
+    scene, state, _ = scene
+    fit, samples = solve(scene, state, prior_at(state)), scene.samples
+    little = 1e-3 + 1e-5 * np.random.default_rng(3).normal(size=len(samples))
+    worse = replace(fit, loss=fit.loss + little)  # alike for all vehicles, so a sure gain
+    assert advantage(replace(fit, habits=0.0), replace(worse, habits=0.0), samples) > 5.0
+    assert 0.0 < advantage(fit, worse, samples) < 1.0
+
+
+def test_a_rival_that_is_the_same_answer_widens_sigma(scene):
+    scene, state, _ = scene
+    fit = solve(scene, state, prior_at(state))
+    alone = certainty(fit).covariance
+    both = certainty(fit, rival=fit.state.moved(np.array([0.6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])))
+    assert both.covariance[0, 0] - alone[0, 0] == pytest.approx(0.6**2 / 2.0)
+    assert both.covariance[1:, 1:] == pytest.approx(alone[1:, 1:])
 
 
 def test_few_vehicles_that_agree_suffice(scene):

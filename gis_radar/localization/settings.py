@@ -213,7 +213,8 @@ class SolverSettings:
     settled_m, settled_sigmas : float
         A step shorter than either ends a stage: far below the noise.
     at_rest_m, at_rest_sigmas : float
-        Where no shorter step helps, one shorter than either is convergence too.
+        Where no shorter step helps, one shorter than either is convergence too: it promised to
+        lower the cost by one at most, as faces that come and go make bumps of that size.
     shrink, least_share : float
         A step that does not help is divided by `shrink`, down to this share.
     least_curvature : float
@@ -231,7 +232,7 @@ class SolverSettings:
     settled_m: float = 5e-3
     settled_sigmas: float = 0.02
     at_rest_m: float = 0.1
-    at_rest_sigmas: float = 0.5
+    at_rest_sigmas: float = 1.5
     shrink: float = 3.0
     least_share: float = 0.05
     least_curvature: float = 0.05
