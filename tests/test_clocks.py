@@ -117,25 +117,25 @@ def test_offsets_from_milliseconds_to_time_since_boot(drive, ahead_s):
     assert abs(clock.offset_s - ahead_s) < min(3.0 * clock.sigma_s, 0.1)
 
 
+def drifting(path, drift, ahead_s=0.2):
+    """What the second sensor sees of that minute, by a clock that runs fast by `drift`."""
+    rows = driven()[1]
+    return recorded(path, rows, ahead_s + drift * (rows[:, 0] - SECONDS / 2))
+
+
 @pytest.mark.parametrize("drift", [-0.008, 0.005])
 def test_a_clock_that_runs_slow_by_a_percent_has_that_rate(drive, tmp_path, drift):
-    one, _ = drive("a")
-    rng = np.random.default_rng(7)
-    traffic = vehicles(rng, 60)
-    slow = recorded(tmp_path, "slow", looks()[1], traffic, rng, ahead_s=0.2, drift=drift)
-    clock = measure_clocks([one, slow], looks(), street()).clocks["R2"]
+    slow = drifting(tmp_path / "slow.parquet", drift)
+    clock = measure_clocks([drive("a")[0], slow], looks(), street()).clocks["R2"]
     assert abs(clock.drift_ppm - drift * 1e6) < 3.0 * clock.drift_sigma_ppm < 3000
-    middle = START + 30.0
+    middle = START + SECONDS / 2
     assert abs(clock.corrected(np.array([middle + 0.2]))[0] - middle) < 0.05
 
 
 def test_a_rate_of_no_clock_is_refused(drive, tmp_path):
-    one, _ = drive("a")
-    rng = np.random.default_rng(7)
-    traffic = vehicles(rng, 60)
-    odd = recorded(tmp_path, "odd", looks()[1], traffic, rng, drift=-0.015)
+    odd = drifting(tmp_path / "odd.parquet", -0.015)
     with pytest.raises(NoAnswerError, match=r"R1 and R2: their clocks run apart by 1\.[3-7]%"):
-        measure_clocks([one, odd], looks(), street())
+        measure_clocks([drive("a")[0], odd], looks(), street())
 
 
 def test_traffic_that_they_do_not_share_gives_no_offset(drive, tmp_path):

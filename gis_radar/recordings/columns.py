@@ -11,6 +11,7 @@ import numpy as np
 from gis_radar.errors import UsageError
 from gis_radar.recordings.frames import Column, DamagedError, Frame, ReaderContext
 from gis_radar.recordings.recording import COLUMNS
+from gis_radar.recordings.units import refuse_degrees
 
 # Names that radar drivers and data sets use, however they are written; the first one counts.
 NAMES: dict[str, tuple[str, ...]] = {
@@ -129,7 +130,10 @@ class Layout:
 
     def _read(self, name: str, values: Values) -> Column:
         if name in self.sources:
-            return _signed(self.sources[name], values)
+            read = _signed(self.sources[name], values)
+            if name in POLAR[1:]:
+                refuse_degrees(read, self.sources[name].removeprefix("-"), name)
+            return read
         if f"{name}_deg" in self.sources:
             return np.asarray(np.radians(_signed(self.sources[f"{name}_deg"], values)))
         return np.full(len(self._read(self._anchor, values)), np.nan, dtype=np.float32)

@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 from gis_radar.arrays import Booleans, Floats
 from gis_radar.errors import InputError, NoAnswerError, first_line
 from gis_radar.recordings.csv_table import open_csv_table
+from gis_radar.recordings.units import refuse_positions_in_other_units
 from gis_radar.steps import FIRST_YEAR, LAST_YEAR, UNIX_SECONDS_HINT, in_known_years
 
 COLUMNS = ("time", "x", "y", "z", "range_rate", "rcs")
@@ -123,14 +124,16 @@ class Recording:
         ------
         InputError
             If the file is damaged, a column is missing or no number, times do not ascend, a
-            coordinate is infinite, absurd or half missing, some detections have a height and
-            others none, or there is no row at all. Rows are counted from 1, without a header.
+            coordinate is infinite, absurd or half missing, positions look like another unit, some
+            detections have a height and others none, or there is no row at all. Rows are counted
+            from 1, without a header.
         """
         row, last, flat = 0, -np.inf, None
         try:
             for batch in self.batches():
                 piece = _checked(batch, path=self.path, row=row, last=last)
                 flat = _refuse_mixed(piece, self.path, row, flat=flat)
+                refuse_positions_in_other_units(piece.points[piece.present], str(self.path))
                 if len(piece):
                     row, last = row + len(piece), float(piece.time[-1])
                     yield piece
@@ -297,7 +300,7 @@ def _refuse_positions(points: Floats, path: Path, row: int) -> None:
     _refuse_rows(np.asarray(odd), f"{path}: position is not finite", row)
     far = np.asarray((np.abs(points) > FARTHEST_M).any(axis=1))
     reason = f"{path}: position is over {FARTHEST_M / 1000:.0f} km from the sensor"
-    _refuse_rows(far, reason, row, hint="x, y and z are metres")
+    _refuse_rows(far, reason, row, hint="x, y and z are metres from the sensor")
 
 
 def _refuse_mixed(piece: Detections, path: Path, row: int, *, flat: bool | None) -> bool | None:

@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 from gis_radar.errors import InputError
 from gis_radar.files import output_errors
 from gis_radar.recordings.frames import Column, Frame
+from gis_radar.recordings.units import refuse_positions_in_other_units
 
 ROWS_IN_GROUP = 1 << 17  # held in memory until written: 4 MB of our columns
 CORE = ("x", "y", "z", "range_rate", "rcs")
@@ -80,6 +81,8 @@ class RecordingFile:
                 self._writer.close()
 
     def _write(self) -> None:
+        points = np.concatenate([frame.points for _, frame in self._waiting])
+        refuse_positions_in_other_units(points, str(self._place))
         if self.elevation is None:
             self.elevation = _measures_elevation([frame for _, frame in self._waiting])
         self._waiting = [(time, self._level(frame)) for time, frame in self._waiting]

@@ -1,0 +1,83 @@
+"""Refuse recordings whose numbers cannot be metres and radians; name the unit they look like."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gis_radar.arrays import Floats
+from gis_radar.errors import InputError
+
+FARTHEST_RADAR_M = 1514.0  # the farthest an ARS548 can be set to; others end at 300 m
+LEAST_JUDGED = 100  # detections, of which the median is no ghost's
+LEAST_MEDIAN_M = 10.0  # of roadside radars it is 20 to 60 m: under it, the next smaller unit
+MAP_M = 1e5  # no median range in millimetres is over 100 m
+LEAST_EXTENT_M = 0.02  # even one still target wanders by more; 0.02 degrees are 2 km
+TURN_RAD = 2.0 * np.pi
+
+
+def refuse_positions_in_other_units(points: Floats, what: str) -> None:
+    """Refuse positions that look like millimetres, centimetres, degrees or places in a map.
+
+    Parameters
+    ----------
+    points : (n, 3) array
+        Of detections, finite x and y; fewer than 100 are not judged.
+    what : str
+        What they are, for the message.
+
+    Raises
+    ------
+    InputError
+        If their median is beyond any radar, or all are in one spot.
+    """
+    if len(points) < LEAST_JUDGED:
+        return
+    range_m = np.hypot(points[:, 0], points[:, 1])
+    median = float(np.median(range_m))
+    if median > FARTHEST_RADAR_M:
+        raise InputError(
+            f"{what}: half of the detections are over {median:,.0f} m away, beyond any radar: "
+            f"{_likely(median)}",
+            hint="x, y and z are metres from the sensor, x forward and y to the left",
+        )
+    extent = np.ptp(points[:, :2], axis=0)
+    if (extent < LEAST_EXTENT_M).all() and len(np.unique(points[:, :2], axis=0)) >= LEAST_JUDGED:
+        middle = np.median(points[:, :2], axis=0)
+        raise InputError(
+            f"{what}: all detections are within {extent.max():.1g} of x {middle[0]:g}, "
+            f"y {middle[1]:g}: it looks like degrees",
+            hint="x, y and z are metres from the sensor, x forward and y to the left",
+        )
+
+
+def _likely(median: float) -> str:
+    if median > MAP_M:
+        return "it looks like places in a map, not positions from the sensor"
+    unit = "millimetres" if median / 1000.0 >= LEAST_MEDIAN_M else "centimetres"
+    return f"it looks like {unit}"
+
+
+def refuse_degrees(angles: Floats, field: str, name: str) -> None:
+    """Refuse angles in radians that look like degrees.
+
+    Parameters
+    ----------
+    angles : (n,) array
+        Of one frame or more.
+    field, name : str
+        The file's field, and what it is read as: `azimuth` or `elevation`.
+
+    Raises
+    ------
+    InputError
+        If half of them are over a turn, or as elevations over a right angle.
+    """
+    limit = TURN_RAD if name == "azimuth" else TURN_RAD / 4.0
+    known = np.abs(angles[np.isfinite(angles)])
+    median = float(np.median(known)) if len(known) >= 5 else 0.0
+    if median > limit:
+        raise InputError(
+            f"{field}: half of the values are over {median:.3g}, expected radians: "
+            "it looks like degrees",
+            hint=f"say it: --columns {name}_deg={field}",
+        )
