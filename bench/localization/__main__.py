@@ -3,6 +3,7 @@
     python bench/localization             all, half an hour on two free cores
     python bench/localization --quick     a look, a few minutes
     python bench/localization --only table,straight
+    python bench/localization --only calibration --conditions "radar as recorded, walkers"
 
 Parts: speed, straight (a road that fixes no place along it), table (sets DY and DO of a town, as in
 Table I), sites (the sample and what lies beside the project), calibration, curves (start, length,
@@ -30,6 +31,7 @@ import figures
 import speed
 import straight
 import table
+from conditions import CONDITIONS, TEXTBOOK, folder_name
 from places import OUT
 from town import SETS, town_folder
 from trials import run_all
@@ -48,10 +50,18 @@ class Effort:
         A few starts everywhere.
     starts : int
         At most so many a sensor, set and method in the table.
+    conditions : str
+        A name of `CONDITIONS`: radar, drivers and people of the table and the calibration.
     """
 
     quick: bool
     starts: int
+    conditions: str = TEXTBOOK
+
+    @property
+    def out(self) -> Path:
+        """Folder of the results."""
+        return OUT if self.conditions == TEXTBOOK else OUT / folder_name("report", self.conditions)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -76,14 +86,14 @@ class Part:
 
 def make_table(effort: Effort) -> Part:
     """Measure the town's sets."""
-    town = town_folder("town")
+    town = town_folder("town", conditions=effort.conditions)
     results = run_all(table.plan(town, most=effort.starts), what="table")
     groups = table.report(results)
-    figures.draw_town(town, OUT / "town.png")
+    figures.draw_town(town, effort.out / "town.png")
     pictures = ["![The town](town.png)"]
     for set_name in SETS:
         near = [r for r in results if r.trial.group == f"near {set_name}"]
-        figures.draw_starts(town, set_name, near, OUT / f"starts_{set_name}.png")
+        figures.draw_starts(town, set_name, near, effort.out / f"starts_{set_name}.png")
         pictures.append(f"![Set {set_name}: starts and ends](starts_{set_name}.png)")
     wrong = [r for r in results if r.wrong and r.trial.method == "lane"]
     return Part(
@@ -117,10 +127,11 @@ def make_sites(effort: Effort) -> Part:
 
 def make_calibration(effort: Effort) -> Part:
     """Measure errors against their covariance."""
-    outcomes = calibration.run(range(QUICK_COMBINATIONS if effort.quick else calibration.COUNT))
+    count = QUICK_COMBINATIONS if effort.quick else calibration.COUNT
+    outcomes = calibration.run(range(count), conditions=effort.conditions)
     summary = calibration.summary(outcomes)
     figures.draw_calibration((o.nees for o in outcomes if o.outcome == "right"),
-                             OUT / "calibration.png")  # fmt: skip
+                             effort.out / "calibration.png")  # fmt: skip
     return Part(
         title="Calibration",
         text=f"{calibration.table(summary)}\n\n![NEES](calibration.png)",
@@ -167,6 +178,7 @@ PARTS: dict[str, Callable[[Effort], Part]] = {
     "curves": make_curves,
     "ablation": make_ablation,
 }
+UNDER_CONDITIONS = ("table", "calibration")
 
 
 def _plain(result: Any) -> dict[str, Any]:
@@ -182,13 +194,19 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="a few starts")
     parser.add_argument("--only", default=",".join(PARTS), help=f"some of {','.join(PARTS)}")
     parser.add_argument("--starts", type=int, help="a sensor in the table, at most (50)")
+    about = f"radar, drivers and people; for {', '.join(UNDER_CONDITIONS)}"
+    parser.add_argument("--conditions", choices=CONDITIONS, default=TEXTBOOK, help=about)
     options = parser.parse_args()
     most = table.QUICK_STARTS if options.quick else table.NEAR_STARTS["lane"]
-    effort = Effort(quick=options.quick, starts=options.starts or most)
+    effort = Effort(
+        quick=options.quick, starts=options.starts or most, conditions=options.conditions
+    )
     names = options.only.split(",")
     if unknown := set(names) - set(PARTS):
         parser.error(f"--only: no part is called {', '.join(sorted(unknown))}")
-    OUT.mkdir(parents=True, exist_ok=True)
+    if effort.conditions != TEXTBOOK and set(names) - set(UNDER_CONDITIONS):
+        parser.error(f"--conditions: is for --only {','.join(UNDER_CONDITIONS)}")
+    effort.out.mkdir(parents=True, exist_ok=True)
     wrong = {}
     for name in names:
         begin = time.perf_counter()
@@ -206,11 +224,12 @@ def _keep(name: str, part: Part, effort: Effort, seconds: float) -> None:
     """Write a part, and the report of all parts that are there, also of earlier runs."""
     how = "quick" if effort.quick else f"up to {effort.starts} starts a sensor"
     kept = dataclasses.asdict(part) | {"how": f"{how}, {seconds / 60.0:.0f} min"}
-    (OUT / f"{name}.json").write_text(json.dumps(kept, indent=1) + "\n")
-    files = [OUT / f"{other}.json" for other in PARTS]
+    (effort.out / f"{name}.json").write_text(json.dumps(kept, indent=1) + "\n")
+    files = [effort.out / f"{other}.json" for other in PARTS]
     parts = [json.loads(file.read_text()) for file in files if file.exists()]
     chapters = [f"## {p['title']} ({p['how']})\n\n{p['text']}" for p in parts]
-    (OUT / "report.md").write_text("\n\n".join(["# Localization", *chapters]) + "\n")
+    head = f"# Localization: {effort.conditions}"
+    (effort.out / "report.md").write_text("\n\n".join([head, *chapters]) + "\n")
 
 
 if __name__ == "__main__":

@@ -19,11 +19,13 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from combinations import combination
+from conditions import CONDITIONS, TEXTBOOK, folder_name
 from places import OUT, disc, errors, read_ground
 from scipy.stats import chi2
 from workers import PROCESSES, workers
@@ -68,9 +70,9 @@ class Outcome:
     said: str = ""
 
 
-def measure(number: int) -> Outcome:
+def measure(number: int, conditions: str = TEXTBOOK) -> Outcome:
     """Localize one combination from a start within 10 m, no heading given."""
-    folder = combination(number)
+    folder = combination(number, conditions)
     about = json.loads((folder / "about.json").read_text())
     true, ground = gr.read_pose(folder / "R1.json"), read_ground(folder)
     start = true.position[:2] + disc(np.random.default_rng([number, 5]), 1, 10.0)[0]
@@ -98,11 +100,13 @@ def measure(number: int) -> Outcome:
     )
 
 
-def run(numbers: Sequence[int], processes: int = PROCESSES) -> list[Outcome]:
+def run(
+    numbers: Sequence[int], processes: int = PROCESSES, *, conditions: str = TEXTBOOK
+) -> list[Outcome]:
     """Measure combinations on several processes; a line each as they come in."""
     outcomes = []
     with workers(processes) as pool:
-        for outcome in pool.imap_unordered(measure, numbers):
+        for outcome in pool.imap_unordered(partial(measure, conditions=conditions), numbers):
             outcomes.append(outcome)
             print(line(outcome), flush=True)
     return sorted(outcomes, key=lambda o: o.number)
@@ -178,16 +182,19 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=COUNT)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--processes", type=int, default=PROCESSES)
-    parser.add_argument("--json", type=Path, default=OUT / "calibration" / "outcomes.json")
+    parser.add_argument("--conditions", choices=CONDITIONS, default=TEXTBOOK)
+    parser.add_argument("--json", type=Path, help="where the figures go")
     options = parser.parse_args()
+    kept = OUT / folder_name("calibration", options.conditions) / "outcomes.json"
+    file = options.json or kept
     begin = time.perf_counter()
     numbers = range(options.first, options.first + options.count)
-    outcomes = run(numbers, options.processes)
+    outcomes = run(numbers, options.processes, conditions=options.conditions)
     figures = summary(outcomes)
-    options.json.parent.mkdir(parents=True, exist_ok=True)
+    file.parent.mkdir(parents=True, exist_ok=True)
     report = {"summary": figures, "outcomes": [asdict(o) for o in outcomes]}
-    options.json.write_text(json.dumps(report, indent=1) + "\n")
-    print(f"\n{table(figures)}\n\n{time.perf_counter() - begin:.0f} s; {options.json}")
+    file.write_text(json.dumps(report, indent=1) + "\n")
+    print(f"\n{table(figures)}\n\n{time.perf_counter() - begin:.0f} s; {file}")
 
 
 if __name__ == "__main__":

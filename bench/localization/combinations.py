@@ -8,16 +8,21 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
-from places import (
+from conditions import (
+    CONDITIONS,
     FALSE_DOPPLER_SHARE,
+    STATIC_PER_FRAME,
+    TEXTBOOK,
+    folder_name,
+)
+from places import (
     ORIGIN,
     OUT,
     ROOT,
-    STATIC_PER_FRAME,
     UTM,
     WINDOW_S,
     Manners,
@@ -38,15 +43,19 @@ from simulation.scene import Scene
 from simulation.terrain import Terrain
 
 
-def combination(number: int) -> Path:
-    """Return the folder of a combination; it is made where it is missing or out of date."""
-    folder = OUT / "calibration" / f"{number:03d}"
+def combination(number: int, conditions: str = TEXTBOOK) -> Path:
+    """Return the folder of a combination; it is made where it is missing or out of date.
+
+    Under a name of `CONDITIONS` other than ``textbook`` the place, the demand and the sensor's pose
+    are the same; radar, drivers and people are those of the name.
+    """
+    folder = OUT / folder_name("calibration", conditions) / f"{number:03d}"
     stamp = folder / "made.txt"
     if stamp.exists() and stamp.read_text() == _recipe():
         return folder
     folder.mkdir(parents=True, exist_ok=True)
     stamp.unlink(missing_ok=True)
-    _make(number, folder)
+    _make(number, folder, conditions)
     stamp.write_text(_recipe())
     return folder
 
@@ -54,13 +63,15 @@ def combination(number: int) -> Path:
 def _recipe() -> str:
     """Return a checksum of all that decides how a combination comes out."""
     here = Path(__file__).parent
-    parts = [here / f"{name}.py" for name in ("combinations", "places", "street_plans")]
+    parts = [
+        here / f"{name}.py" for name in ("combinations", "places", "conditions", "street_plans")
+    ]
     parts += sorted((ROOT / "simulation").glob("*.py"))
     return hashlib.sha256(b"".join(p.read_bytes() for p in parts)).hexdigest()
 
 
-def _make(number: int, folder: Path) -> None:
-    rng = np.random.default_rng([20260601, number])
+def _make(number: int, folder: Path, conditions: str) -> None:
+    rng, under = np.random.default_rng([20260601, number]), CONDITIONS[conditions]
     plan = PLANS[number % len(PLANS)](rng)
     steep = rng.random() < 0.3
     slope = rng.normal(0.0, 0.045 if steep else 0.01, 2)
@@ -74,13 +85,12 @@ def _make(number: int, folder: Path) -> None:
     manners = Manners(
         per_hour=round(float(np.exp(rng.uniform(np.log(500.0), np.log(2400.0))))),
         kinds=mixed(KINDS, rng),
-        keeping=LaneKeeping(
-            mean_m=float(rng.normal(0.0, 0.08)),
-            street_m=float(rng.uniform(0.0, 0.15)),
-            driver_m=float(rng.uniform(0.1, 0.25)),
-            wander_m=float(rng.uniform(0.04, 0.12)),
-        ),
+        keeping=_keeping(rng),
+        people=under.people,
     )
+    if under.drivers != TEXTBOOK:
+        more = mixed(under.kinds[len(KINDS) :], np.random.default_rng([20260601, number, 1]))
+        manners = replace(manners, keeping=under.keeping, kinds=(*manners.kinds, *more))
     roadside = Roadside(
         tree_gap_m=float(rng.uniform(9.0, 30.0)),
         house_gap_m=float(rng.uniform(26.0, 60.0)),
@@ -91,10 +101,13 @@ def _make(number: int, folder: Path) -> None:
         plan, seed=number, terrain=terrain, manners=manners, duration_s=WINDOW_S, roadside=roadside
     )
     pose, model = _sensor(place.scene, rng), _radar(rng)
+    if under.radar != TEXTBOOK:
+        model = under.model
     recording = place.record(pose, seed=number, model=model)
     write_moving(recording, folder / "R1.parquet")
     write_pose(pose, folder / "R1.json")
     place.write_ground(folder, seed=number)
+    place.write_truth(folder)
     about = {
         "plan": plan.name, "lane_width_m": plan.lane_width_m, "speed_mps": plan.speed_mps,
         "slope": round(float(np.hypot(*slope)), 3), "per_hour": manners.per_hour,
@@ -102,6 +115,16 @@ def _make(number: int, folder: Path) -> None:
         "mast_m": round(pose.height - float(terrain.height(pose.position[:2])), 2),
     }  # fmt: skip
     (folder / "about.json").write_text(json.dumps(about, indent=1))
+
+
+def _keeping(rng: np.random.Generator) -> LaneKeeping:
+    """Return drivers who keep near the middle of their lanes, here more and there less."""
+    return LaneKeeping(
+        mean_m=float(rng.normal(0.0, 0.08)),
+        street_m=float(rng.uniform(0.0, 0.15)),
+        driver_m=float(rng.uniform(0.1, 0.25)),
+        wander_m=float(rng.uniform(0.04, 0.12)),
+    )
 
 
 def _sensor(scene: Scene, rng: np.random.Generator) -> gr.Pose:

@@ -21,6 +21,7 @@ from simulation.driving import LaneKeeping
 from simulation.lanelet_writer import write_lanelets
 from simulation.movement import Traffic
 from simulation.network import RoadNetwork, build_network, read_network
+from simulation.people import People, simulate_people
 from simulation.radar import RadarModel, place_radar
 from simulation.recording import frame_times, simulate_recording
 from simulation.roadside import Roadside, furnish
@@ -35,9 +36,6 @@ UTM = CRS.from_epsg(25832)
 ORIGIN = (678_000.0, 5_403_600.0)
 START = 1_780_300_800.0
 WINDOW_S = 100.0  # 2000 frames at 20 Hz
-# Localization takes moving detections only: few fixed ones a frame, and as many false ones of
-# them as of the 480 that a radar of the paper's kind delivers.
-STATIC_PER_FRAME, FALSE_DOPPLER_SHARE = 40.0, 0.0015 * 480.0 / 40.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,11 +50,14 @@ class Manners:
         The mix.
     keeping : LaneKeeping
         Where in the lanes.
+    people : People
+        Who walks and cycles.
     """
 
     per_hour: float = 1800.0
     kinds: tuple[VehicleKind, ...] = KINDS
     keeping: LaneKeeping = field(default_factory=LaneKeeping)
+    people: People = field(default_factory=People)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,8 +85,14 @@ class Place:
         """Return what a radar records from `begin_s` after the traffic's first moment."""
         stand, times, noise = np.random.default_rng([seed, 2]).spawn(3)
         radar = place_radar(pose, self.scene, rng=stand, model=model)
-        moments = frame_times(START + begin_s, duration_s, rng=times)
+        moments = frame_times(
+            START + begin_s, duration_s, rng=times, cycle_s=model.cycle_s, jitter_s=model.jitter_s
+        )
         return simulate_recording(radar, self.traffic, moments, rng=noise)
+
+    def write_truth(self, folder: Path) -> None:
+        """Write `vehicles.parquet`: every road user's true place, size and kind by 50 ms."""
+        write_moving(self.traffic.table(self.scene.terrain), folder / "vehicles.parquet")
 
     def write_ground(self, folder: Path, *, seed: int) -> None:
         """Write `map.osm`, and `road.npy`: the road in half-metre cells, masked from a scan."""
@@ -120,6 +127,9 @@ def make_place(
             keeping=manners.keeping,
         )
     scene = furnish(network, terrain, rng=furniture, roadside=roadside)
+    traffic = traffic.joined(
+        simulate_people(network, scene.road, traffic, manners.people, seed=seed)
+    )
     return Place(network=network, scene=scene, traffic=traffic)
 
 

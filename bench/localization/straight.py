@@ -10,11 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from conditions import CONDITIONS, TEXTBOOK
 from places import (
-    FALSE_DOPPLER_SHARE,
     ORIGIN,
     OUT,
-    STATIC_PER_FRAME,
     UTM,
     WINDOW_S,
     Manners,
@@ -29,7 +28,6 @@ from street_plans import StreetPlan, axis
 import gis_radar as gr
 from gis_radar.arrays import Floats
 from gis_radar.poses.files import write_pose
-from simulation.radar import RadarModel
 from simulation.terrain import Terrain
 
 HEADING_DEG = 27.0
@@ -127,7 +125,7 @@ def straight_folder() -> Path:
         height=370.0 + MAST_M, yaw=HEADING_DEG + 5.0, pitch=3.0, roll=0.0,
         view=gr.View(max_range_m=200.0),
     )  # fmt: skip
-    model = RadarModel(static_per_frame=STATIC_PER_FRAME, false_doppler_share=FALSE_DOPPLER_SHARE)
+    model = CONDITIONS[TEXTBOOK].model
     write_moving(place.record(pose, seed=8, model=model), folder / "R1.parquet")
     write_pose(pose, folder / "R1.json")
     place.write_ground(folder, seed=8)

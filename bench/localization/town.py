@@ -16,12 +16,11 @@ from typing import TypedDict
 
 import numpy as np
 import shapely
+from conditions import CONDITIONS, TEXTBOOK, Conditions, folder_name
 from places import (
-    FALSE_DOPPLER_SHARE,
     ORIGIN,
     OUT,
     ROOT,
-    STATIC_PER_FRAME,
     UTM,
     WINDOW_S,
     Manners,
@@ -35,13 +34,11 @@ from street_plans import StreetPlan
 import gis_radar as gr
 from gis_radar.arrays import Floats
 from gis_radar.poses.files import write_pose
-from simulation.radar import RadarModel
 from simulation.terrain import Terrain
 
 SETS = ("DY", "DO")
 MAST_M, PITCH_DEG = 6.0, 3.0
 VIEW = gr.View(azimuth_deg=120.0, elevation_deg=30.0, max_range_m=200.0)
-RADAR = RadarModel(static_per_frame=STATIC_PER_FRAME, false_doppler_share=FALSE_DOPPLER_SHARE)
 TERRAIN = Terrain(
     origin=ORIGIN, height_m=374.0, slope=(0.011, 0.017), wave_m=0.5, wave_length_m=310.0
 )
@@ -152,13 +149,18 @@ def _through(*points: Floats | tuple[float, float]) -> Floats:
     return np.asarray(CubicSpline(s, knots, bc_type="natural")(at))
 
 
-def make_town(per_hour: float, *, duration_s: float) -> Place:
+def make_town(per_hour: float, *, duration_s: float, conditions: Conditions) -> Place:
     """Return the town with its traffic."""
     return make_place(
         town_plan(),
         seed=SEED,
         terrain=TERRAIN,
-        manners=Manners(per_hour=per_hour),
+        manners=Manners(
+            per_hour=per_hour,
+            kinds=conditions.kinds,
+            keeping=conditions.keeping,
+            people=conditions.people,
+        ),
         duration_s=duration_s,
     )
 
@@ -190,32 +192,37 @@ def _pose(place: Place, mast: Mast, verge: shapely.Geometry, *, free: bool) -> g
     )
 
 
-def town_folder(name: str, per_hour: float = PER_HOUR, sets: Sequence[str] = SETS) -> Path:
+def town_folder(
+    name: str, per_hour: float = PER_HOUR, sets: Sequence[str] = SETS, *,
+    conditions: str = TEXTBOOK,
+) -> Path:  # fmt: skip
     """Return a folder with map, road, and the sets' recordings and poses; made where missing.
 
-    The sets see different 100 s of the same traffic.
+    The sets see different 100 s of the same traffic; `conditions` is a name of `CONDITIONS`.
     """
-    folder = OUT / name
+    folder = OUT / folder_name(name, conditions)
     stamp = folder / "made.txt"
     recipe = f"{_recipe()} {per_hour} {' '.join(sets)}"
     if stamp.exists() and stamp.read_text() == recipe:
         return folder
     folder.mkdir(parents=True, exist_ok=True)
     stamp.unlink(missing_ok=True)
-    place = make_town(per_hour, duration_s=len(sets) * WINDOW_S)
+    under = CONDITIONS[conditions]
+    place = make_town(per_hour, duration_s=len(sets) * WINDOW_S, conditions=under)
     for k, set_name in enumerate(sets):
         for number, pose in enumerate(poses(place, set_name)):
             seed = 100 * SEED + 10 * SETS.index(set_name) + number
-            heard = place.record(pose, seed=seed, model=RADAR, begin_s=k * WINDOW_S)
+            heard = place.record(pose, seed=seed, model=under.model, begin_s=k * WINDOW_S)
             write_moving(heard, folder / f"{set_name}_{pose.sensor}.parquet")
             write_pose(pose, folder / f"{set_name}_{pose.sensor}.json")
     place.write_ground(folder, seed=SEED)
+    place.write_truth(folder)
     stamp.write_text(recipe)
     return folder
 
 
 def _recipe() -> str:
     here = Path(__file__).parent
-    parts = [here / f"{name}.py" for name in ("town", "places", "street_plans")]
+    parts = [here / f"{name}.py" for name in ("town", "places", "conditions", "street_plans")]
     parts += sorted((ROOT / "simulation").glob("*.py"))
     return hashlib.sha256(b"".join(p.read_bytes() for p in parts)).hexdigest()

@@ -1,0 +1,77 @@
+"""Conditions: which radar, which drivers and which people, by name.
+
+What a bench makes under one name is kept beside what it makes under another; places, poses and
+demand are the same.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+from simulation.demand import ALL_KINDS, KINDS, VehicleKind
+from simulation.driving import LaneKeeping
+from simulation.people import People
+from simulation.presets import DRIVERS, RADARS
+from simulation.radar import RadarModel
+
+# Localization takes moving detections only: few fixed ones a frame, and as many false ones of
+# them as of the 480 that a radar of the paper's kind delivers.
+STATIC_PER_FRAME, FALSE_DOPPLER_SHARE = 40.0, 0.0015 * 480.0 / 40.0
+TEXTBOOK = "textbook"
+_RADARS = {
+    **RADARS,
+    TEXTBOOK: RadarModel(
+        static_per_frame=STATIC_PER_FRAME, false_doppler_share=FALSE_DOPPLER_SHARE
+    ),
+}
+# 48 people of whom a radar sees some at every moment
+_PEOPLE = People(walkers=40, cyclists=8)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Conditions:
+    """What a bench simulates with.
+
+    Parameters
+    ----------
+    radar, drivers : str
+        Names of presets; combinations draw theirs themselves where it is ``textbook``.
+    people : People
+        Who walks and cycles.
+    kinds : tuple of VehicleKind
+        What drives.
+    """
+
+    radar: str = TEXTBOOK
+    drivers: str = TEXTBOOK
+    people: People = field(default_factory=People)
+    kinds: tuple[VehicleKind, ...] = KINDS
+
+    @property
+    def model(self) -> RadarModel:
+        """The radar."""
+        return _RADARS[self.radar]
+
+    @property
+    def keeping(self) -> LaneKeeping:
+        """Where in their lanes drivers keep."""
+        return DRIVERS[self.drivers]
+
+
+AS_RECORDED = Conditions(
+    radar="as recorded", drivers="as recorded", people=_PEOPLE, kinds=ALL_KINDS
+)
+CONDITIONS = {
+    TEXTBOOK: Conditions(),
+    "radar as recorded, walkers": Conditions(radar="as recorded", people=_PEOPLE),
+    "drivers as recorded": Conditions(drivers="as recorded", kinds=ALL_KINDS),
+    "as recorded": AS_RECORDED,
+    "harsh": replace(AS_RECORDED, radar="harsh"),
+}
+
+
+def folder_name(name: str, conditions: str) -> str:
+    """Return the name of a folder of what is made under some conditions."""
+    if conditions == TEXTBOOK:
+        return name
+    return f"{name}_{conditions.replace(',', '').replace(' ', '_')}"
