@@ -206,6 +206,8 @@ class Tracks:
                 columns = ", ".join(sorted(track.file.left_out))
                 late = f"{sensor}: columns that came late are left out: {columns}"
                 self._context.reporter.log(late, "warning")
+            if track.file.odd:
+                self._context.remark(f"{sensor}: {track.file.odd}", "warning")
             if track.file.elevation is False:
                 self._context.remark(f"{sensor}: {NO_ELEVATION}")
         counts = Counter(self._context.counts)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gis_radar.errors import InputError
-from gis_radar.progress import QUIET, Reporter
+from gis_radar.progress import QUIET, Level, Reporter
 from gis_radar.recordings.recording import FARTHEST_M
 
 Column = NDArray[Any]
@@ -119,11 +119,11 @@ class ReaderContext:
     counts: Counter[str] = field(default_factory=Counter)
     remarks: list[str] = field(default_factory=list)
 
-    def remark(self, text: str) -> None:
+    def remark(self, text: str, level: Level = "info") -> None:
         """Log a remark and keep it for the summary, once."""
         if text not in self.remarks:
             self.remarks.append(text)
-            self.reporter.log(text)
+            self.reporter.log(text, level)
 
     def wants(self, sensor: str) -> bool:
         """Return whether the frames of a sensor are asked for."""

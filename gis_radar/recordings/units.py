@@ -81,3 +81,51 @@ def refuse_degrees(angles: Floats, field: str, name: str) -> None:
             "it looks like degrees",
             hint=f"say it: --columns {name}_deg={field}",
         )
+
+
+MOVING_MPS = 3.0  # over walkers and leaves
+LAPSE_S = 0.5  # in which a vehicle moves by more than its reflections wander
+NEAR_RAD, NEAR_MPS = 0.17, 0.5  # of one vehicle before and after
+MOST_FRAMES = 3000  # looked at
+LEAST_PAIRS = 200
+WINDOW, LEAD = 0.2, 3.0  # share of a ratio within which pairs count; over those that fit metres
+# How much faster ranges change than the range rates state, if a unit or a sign is mistaken.
+RATIOS = {
+    3.28084: "positions look like feet",
+    1.0 / 3.6: "range rates look like km/h",
+    -1.0: "range rates look positive where targets approach",
+}
+
+
+def compare_speeds(time: Floats, points: Floats, range_rate: Floats) -> str:
+    """Return what is odd where ranges do not change as the range rates state; empty if nothing is.
+
+    Parameters
+    ----------
+    time : (n,) array
+        UNIX seconds, ascending; detections of one frame share one.
+    points, range_rate : arrays
+        Positions (n, 3), metres, and range rates (n,), m/s.
+    """
+    moving = np.abs(range_rate) >= MOVING_MPS
+    time, points, rate = time[moving], points[moving], range_rate[moving]
+    range_m, azimuth = np.hypot(points[:, 0], points[:, 1]), np.arctan2(points[:, 1], points[:, 0])
+    frames, begins = np.unique(time, return_index=True)
+    ends = np.append(begins[1:], len(time))
+    found = []
+    for one, other in enumerate(np.searchsorted(frames, frames[:MOST_FRAMES] + LAPSE_S)):
+        if other == len(frames) or frames[other] - frames[one] > 1.5 * LAPSE_S:
+            continue
+        a, b = (slice(begins[i], ends[i]) for i in (one, other))
+        alike = np.abs(rate[a, None] - rate[b]) <= NEAR_MPS
+        alike &= np.abs(azimuth[a, None] - azimuth[b]) <= NEAR_RAD
+        stated = (rate[a, None] + rate[b]) / 2 * (frames[other] - frames[one])
+        found.append(((range_m[b] - range_m[a, None])[alike], stated[alike]))
+    if sum(len(moved) for moved, _ in found) < LEAST_PAIRS:
+        return ""
+    moved, stated = (np.concatenate(part) for part in zip(*found, strict=True))
+    fits = {r: int((np.abs(moved / stated / r - 1.0) <= WINDOW).sum()) for r in (1.0, *RATIOS)}
+    best = max(RATIOS, key=lambda ratio: fits[ratio])
+    if fits[best] < max(LEAST_PAIRS / 4, LEAD * fits[1.0]):
+        return ""
+    return f"ranges change {best:.2f} times as fast as the range rates state: {RATIOS[best]}"
