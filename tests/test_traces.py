@@ -136,6 +136,27 @@ def test_vehicles_become_tracks_and_clutter_does_not(passing):
     assert np.mean(tracks[owner >= 2] >= 0) < 0.05
 
 
+@pytest.mark.parametrize(("vehicles", "walkers_kept"), [(14, False), (7, True), (3, False)])
+def test_walkers_carry_no_weight_but_where_all_traffic_creeps(vehicles, walkers_kept):
+    moment, rows = np.arange(0.0, 7.9, 0.1), []
+    speeds = [10.0] * vehicles + [1.6] * 6
+    for k, speed in enumerate(speeds):
+        x, y = 20.0 + speed * moment, 8.0 * (k - len(speeds) / 2)
+        points = np.column_stack([x, np.full_like(x, y), np.full_like(x, -5.0)])
+        rows.append((moment, points, speed * x / np.linalg.norm(points, axis=1)))
+    time, points, rate = (np.concatenate([row[i] for row in rows]) for i in range(3))
+    walks = np.repeat(np.array(speeds) < 3.0, len(moment))
+    order = np.argsort(time, kind="stable")
+    moving = Moving(
+        time=time[order], points=points[order], range_rate=rate[order],
+        frames=79, detections=len(time), begin=0.0, end=7.8,
+    )  # fmt: skip
+    tracks = link_tracks(moving)
+    assert (tracks[~walks[order]] >= 0).all()
+    assert (tracks[walks[order]] >= 0).all() == walkers_kept
+    assert (tracks[walks[order]] >= 0).any() == walkers_kept
+
+
 def test_thinning_keeps_tracks_and_a_limit(passing):
     moving, _ = passing
     tracks = link_tracks(moving)

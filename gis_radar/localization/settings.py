@@ -61,6 +61,10 @@ class TraceSettings:
         A slow track of a shorter path is a leaf.
     sure_mps : float
         Median range rate that leaves and grass stay below.
+    walk_mps : float
+        A track that never goes faster may be a walker (1.4 m/s; runners 3 m/s) and is left out.
+    creeping : (2,) tuple of int
+        But not where so many tracks are faster, and not yet so many: traffic that hardly moves.
     voxel_m, per_voxel : float, int
         Voxels wider than a vehicle, in which so many samples keep its faces' proportion.
     most : int
@@ -81,6 +85,8 @@ class TraceSettings:
     min_points: int = 6
     min_path_m: float = 3.0
     sure_mps: float = 1.5
+    walk_mps: float = 3.0
+    creeping: tuple[int, int] = (5, 12)
     voxel_m: float = 6.0
     per_voxel: int = 8
     most: int = 6000

@@ -195,7 +195,7 @@ def link_tracks(moving: Moving, settings: TraceSettings = DEFAULTS.traces) -> In
 
     Two detections belong together where the range changed as the Doppler states and bearing and
     Doppler are alike. What has few points is a false alarm; what is slow and goes nowhere are
-    leaves.
+    leaves; what never goes faster than one walks is left out.
 
     Parameters
     ----------
@@ -227,7 +227,7 @@ def link_tracks(moving: Moving, settings: TraceSettings = DEFAULTS.traces) -> In
 def _goes_somewhere(
     number: Integers, time: Floats, moving: Moving, settings: TraceSettings
 ) -> Booleans:
-    """Tell which tracks are long and fast enough for something that drives."""
+    """Return which tracks are long and fast enough for something that drives."""
     rows = pd.DataFrame(
         {
             "n": number,
@@ -243,7 +243,12 @@ def _goes_somewhere(
     least_m = settings.min_path_m
     goes = (path >= least_m) & (path >= 0.5 * extent)
     streams = (rows["rate"].median() >= settings.sure_mps) & (extent >= least_m)
-    return np.asarray((rows.size() >= settings.min_points) & (goes | streams))
+    good = (rows.size() >= settings.min_points) & (goes | streams)
+    lapse = np.maximum(late["t"] - early["t"], settings.link_s)
+    drives = good & (np.maximum(rows["rate"].quantile(0.9), path / lapse) > settings.walk_mps)
+    # walkers keep to kerbs, not to lanes; among few vehicles that drive, others creep in a queue
+    few, enough = settings.creeping
+    return np.asarray(good if few <= drives.sum() < enough else drives)
 
 
 def thin(
