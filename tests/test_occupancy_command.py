@@ -1,5 +1,7 @@
 """The commands about what sensors delivered: options reach their arguments, tables come out."""
 
+import json
+
 import pandas as pd
 import pytest
 from click.testing import CliRunner
@@ -61,6 +63,28 @@ def test_cycles_that_cannot_be_read(site, text):
     assert answer.exit_code == 2
     assert "--cycle" in answer.output
     assert not (site / "occ").exists()
+
+
+def test_pairs_are_written_for_other_programs(site):
+    assert run("occupancy", *BOTH, "-o", "occ", "--pairs").exit_code == 0
+    table = pd.read_parquet("occ/hits.parquet")
+    assert list(table) == ["step", "tile_id"]
+    assert len(table) == 120 == len(table.drop_duplicates())
+    assert len(pd.read_parquet("occ/hits_by_sensor.parquet")) == 240
+
+
+@pytest.mark.parametrize("words", [("heatmap", "--tiles", "tiles.gpkg", "-o", "map"), ("quality",)])
+def test_commands_name_folders_of_older_rules_and_do_not_merge_them(site, words):
+    for name in ("old", "new"):
+        run("occupancy", *BOTH, "-o", name, "--pairs")
+    manifest = json.loads((site / "old" / "manifest.json").read_text())
+    (site / "old" / "manifest.json").write_text(json.dumps(manifest | {"rules": 1, "hold_s": {}}))
+    alone = run(words[0], "old", *words[1:])
+    assert alone.exit_code == 0
+    assert "warning: old: follows rules 1, not 2" in alone.output
+    both = run(words[0], "new", "old", *words[1:])
+    assert isinstance(both.exception, gr.InputError)
+    assert both.exception.message == "old: follows rules 1, new rules 2: they do not merge"
 
 
 def test_clocks_are_found_or_refused(site, monkeypatch):

@@ -153,7 +153,7 @@ def write_report(
     folder = Path(folder)
     if title is not None and not title.strip():
         raise UsageError("the title is empty", hint="leave it out, or give the name of the site")
-    results = read_results(folder, [Path(each) for each in occupancies])
+    results = read_results(folder, [Path(each) for each in occupancies], reporter=reporter)
     heat = results.heat
     zone = timezone or str(results.site.get("time_zone") or "UTC")
     clock, sums, picture = _clock(heat, zone), sum_by_lane(heat), lay_out(heat)

@@ -20,7 +20,7 @@ from gis_radar.heatmap.picture import png
 from gis_radar.occupancy import Occupancy, merge_occupancies, read_occupancy
 from gis_radar.poses.files import read_track
 from gis_radar.poses.pose import ANGLES, POSITION, Pose, View, pose_from_dict
-from gis_radar.progress import warnings_once
+from gis_radar.progress import QUIET, Reporter, warnings_once
 from gis_radar.report.content import (
     NOTHING,
     THIN,
@@ -124,7 +124,9 @@ class Results:
         return list(dict.fromkeys([*named, *map(str, self.site.get("attribution") or [])]))
 
 
-def read_results(folder: Path, occupancies: Sequence[Path] = ()) -> Results:
+def read_results(
+    folder: Path, occupancies: Sequence[Path] = (), *, reporter: Reporter = QUIET
+) -> Results:
     """Read the results of `gis-radar run`, or of the steps one by one.
 
     Parameters
@@ -133,6 +135,8 @@ def read_results(folder: Path, occupancies: Sequence[Path] = ()) -> Results:
         Holds `heatmap.gpkg`, or a folder with it: `heatmap/`, or the only one that has one.
     occupancies : sequence of Path
         Folders of occupancies that are elsewhere; without them `occupancy/` or all in it.
+    reporter : Reporter
+        Receives a warning where one follows older rules.
 
     Raises
     ------
@@ -141,7 +145,7 @@ def read_results(folder: Path, occupancies: Sequence[Path] = ()) -> Results:
     """
     run, place = _run(folder), _heat_map(folder)
     heat = read_heatmap(place)
-    occupancy, missing = _occupancy(folder, heat, occupancies)
+    occupancy, missing = _occupancy(folder, heat, occupancies, reporter)
     if occupancy is None:
         missing.append(
             "The occupancy that the heat map was made of is not in the folder: what the sensors "
@@ -186,13 +190,13 @@ def _heat_map(folder: Path) -> Path:
 
 
 def _occupancy(
-    folder: Path, heat: HeatMap, given: Sequence[Path]
+    folder: Path, heat: HeatMap, given: Sequence[Path], reporter: Reporter
 ) -> tuple[Occupancy | None, list[str]]:
     """Return the occupancy of the heat map's tiles, and what to know of the others."""
     whole = folder / "occupancy"
     inside = [whole] if (whole / MANIFEST).is_file() else sorted(whole.glob("*/"))
     places = list(given) or [place for place in inside if (place / MANIFEST).is_file()]
-    parts = {place: read_occupancy(place) for place in places}
+    parts = {place: read_occupancy(place, reporter=reporter) for place in places}
     fitting = [part for part in parts.values() if part.fingerprint == heat.fingerprint]
     others = [place for place, part in parts.items() if part.fingerprint != heat.fingerprint]
     if others and given:
