@@ -63,10 +63,10 @@ RADARS = {
 # -0.29/-0.04/0.07 to -0.20/0.15/0.31 m, of turning ones from -0.45 to 0.70 m; between vehicles of a
 # lane 0.30-0.47 m, turning 0.28-0.45 m; 9-15 % of the samples over 1 m off the middle.
 DRIVERS_AS_RECORDED = LaneKeeping(
-    mean_m=0.04,
+    mean_m=-0.04,
     lane_m=0.18,
     turn_m=0.36,
-    driver_m=0.34,
+    driver_m=0.37,
     wander_m=0.2,
     cut_m2=2.0,
     round_m=1.45,

@@ -113,7 +113,7 @@ def yard() -> Scene:
 @pytest.fixture(scope="module")
 def still() -> tuple[pd.DataFrame, int]:
     nobody = driven(np.zeros((2, 0, 2)), 0.0, kind="car", size=(4.5, 1.8, 1.5))
-    return record(MODEL, pose(over_m=1.5), yard(), nobody, 40.0)
+    return record(MODEL, pose(over_m=1.5), yard(), nobody, 20.0)
 
 
 def standing(table: pd.DataFrame) -> pd.DataFrame:

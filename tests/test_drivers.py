@@ -82,7 +82,7 @@ def drive(monkeypatch, tmp_path, network, ways, keeping, kinds=KINDS):
     )  # fmt: skip
 
 
-STREETS, CARS = 14, 12
+STREETS, CARS = 14, 10
 
 
 @pytest.fixture(scope="module")

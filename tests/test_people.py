@@ -64,13 +64,11 @@ def test_48_are_there_at_once_and_always(people):
     assert now.sum(axis=1).max() >= 48
 
 
-def test_the_same_seed_gives_the_same_people(network, road, traffic, people):
-    again = simulate_people(
-        network, road, traffic, People(walkers=30, cyclists=18, crossing=0.4), seed=2
-    )
-    assert np.array_equal(again.centre, people.centre, equal_nan=True)
-    other = simulate_people(network, road, traffic, People(walkers=30), seed=3)
-    assert not np.array_equal(other.centre, of(people, "walker").centre, equal_nan=True)
+def test_the_same_seed_gives_the_same_people(network, road, traffic):
+    few = People(walkers=4, cyclists=2, crossing=0.4)
+    one, again, other = (simulate_people(network, road, traffic, few, seed=k) for k in (2, 2, 3))
+    assert np.array_equal(one.centre, again.centre, equal_nan=True)
+    assert not np.array_equal(one.centre[:, :4], other.centre[:, :4], equal_nan=True)
 
 
 def test_nobody_jumps_and_all_keep_their_pace(people):
@@ -117,12 +115,12 @@ def test_people_have_their_own_class_in_the_truth(traffic, people):
 
 @pytest.fixture(scope="module")
 def seen_walkers():
-    """Eight walkers 10 to 24 m before the radar, for 15 s."""
+    """Eight walkers 10 to 24 m before the radar, for 9 s."""
     begin = np.column_stack([np.linspace(10.0, 24.0, 8), np.linspace(-9.0, 12.0, 8)])
-    places = begin + 1.35 * STEP_S * np.arange(310)[:, None, None] * [1.0, 0.0]
+    places = begin + 1.35 * STEP_S * np.arange(190)[:, None, None] * [1.0, 0.0]
     there = driven(places, 1.35, kind="walker", size=(0.4, 0.5, 1.75))
     bare = Scene(terrain=LEVEL, road=shapely.box(0, 0, 1, 1))
-    return *record(MODEL, pose(over_m=4.0, pitch=5.0), bare, there, 15.0), there
+    return *record(MODEL, pose(over_m=4.0, pitch=5.0), bare, there, 9.0), there
 
 
 def test_a_walker_near_by_gives_four_or_five_returns_a_frame(seen_walkers):
