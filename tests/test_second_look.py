@@ -21,6 +21,7 @@ import gis_radar as gr
 from gis_radar.cli import group
 from gis_radar.grid import CELL_M
 from gis_radar.localization import Localization
+from gis_radar.localization.result import AmbiguousError
 from gis_radar.scans import scan as scan_files
 from gis_radar.second_look.second_look import Alignment, align
 from gis_radar.second_look.settings import DEFAULTS, SecondLookSettings
@@ -340,6 +341,22 @@ def test_a_view_that_is_known_is_not_measured(tmp_path, monkeypatch):
     )
     assert found.pose.view == known
     assert found.recording == "R2.parquet"
+
+
+def test_what_stands_decides_between_poses_that_the_traffic_fits_alike(monkeypatch):
+    aside = replace(POSE, easting=POSE.easting + 6.0, northing=POSE.northing + 3.0)
+    both = tuple(Localization(pose=p, fitness=0.95, observable=True) for p in (aside, POSE))
+
+    def ambiguous(*_, **__):
+        raise AmbiguousError("R2: ambiguous", hint="give a scan", answers=both)
+
+    monkeypatch.setattr(localizing, "localize", ambiguous)
+    files = (R2, SAMPLE / "junction.osm", SCAN)
+    with pytest.raises(AmbiguousError):
+        gr.localize_files(*files, guess=POSE.position[:2])
+    found = gr.localize_files(*files, guess=POSE.position[:2], scans=[SCAN])
+    assert found.pose.easting == POSE.easting
+    assert found.pose.evidence["second_look"]["verdict"] == "confirms"
 
 
 def test_a_scan_of_another_place_is_told_before_the_search(tmp_path, monkeypatch):

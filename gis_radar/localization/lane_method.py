@@ -20,7 +20,7 @@ from gis_radar.localization.hypotheses import (
 )
 from gis_radar.localization.lanes import Lanes, sample_lanes
 from gis_radar.localization.matching import Scene
-from gis_radar.localization.result import STAGE, Localization, Problem, common
+from gis_radar.localization.result import STAGE, AmbiguousError, Localization, Problem, common
 from gis_radar.localization.settings import (
     DEFAULTS,
     AnswerSettings,
@@ -59,7 +59,8 @@ def by_lanes(
     reporter.progress(STAGE, 5, 5)
     if rival is not None and lead < settings.answer.clear:
         if not _one_answer(best, rival, settings.answer):
-            raise _ambiguous(problem, best, rival)
+            both = [_answer(problem, moving, scene, h, tried, lead) for h in (best, rival)]
+            raise _ambiguous(problem, best, rival, tuple(both))
         best = replace(best, rival=rival.fit.state)
     return _answer(problem, moving, scene, best, tried, lead)
 
@@ -191,13 +192,16 @@ def _one_answer(answer: Hypothesis, rival: Hypothesis, settings: AnswerSettings)
     )
 
 
-def _ambiguous(problem: Problem, answer: Hypothesis, rival: Hypothesis) -> NoAnswerError:
+def _ambiguous(
+    problem: Problem, answer: Hypothesis, rival: Hypothesis, answers: tuple[Localization, ...]
+) -> AmbiguousError:
     gap = rival.fit.state.difference(answer.fit.state)
-    return NoAnswerError(
+    return AmbiguousError(
         f"{problem.name}: ambiguous, two poses {float(np.hypot(*gap[:2])):.1f} m and "
         f"{abs(math.degrees(gap[5])):.1f} deg apart put {answer.fit.fitness:.0%} and "
         f"{rival.fit.fitness:.0%} of the traffic on lanes",
-        hint="record longer, or give a heading",
+        hint="record longer, give a heading, or a scan (--scan): what stands may decide",
+        answers=answers,
     )
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,13 +17,21 @@ from gis_radar.errors import NoAnswerError, UsageError
 from gis_radar.lanelets import LaneletMap, read_map
 from gis_radar.localization.icp import by_icp
 from gis_radar.localization.lane_method import by_lanes
-from gis_radar.localization.result import Localization, Problem, draw_localization
+from gis_radar.localization.result import (
+    AmbiguousError,
+    Localization,
+    Problem,
+    draw_localization,
+)
 from gis_radar.localization.settings import DEFAULTS, LocalizationSettings
 from gis_radar.localization.traces import Moving, read_moving
-from gis_radar.poses.pose import View
+from gis_radar.poses.pose import Pose, View
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import open_recording
 from gis_radar.scans.scan import read_road, road_crs
+
+if TYPE_CHECKING:  # its image filters are loaded by those who have a scan
+    from gis_radar.second_look import SecondLook
 
 MOST_TRIES = 5  # recordings tried for a pose, the newest first: a quiet day or two in between
 METHODS: dict[str, Callable[[Problem, Moving, Reporter, LocalizationSettings], Localization]] = {
@@ -205,6 +213,9 @@ def localize_files(
         localize, roads=roads, road_points=points,
         guess=place, heading=heading, method=method, settings=settings, reporter=reporter,
     )  # fmt: skip
+    if scans:
+        look_at = partial(second_look, scans=scans, scan_crs=scan_crs, reporter=reporter)
+        ask = partial(_decided, localize=ask, look_at=look_at, reporter=reporter)
     recording, found = _first_answer(_newest_first(recordings), ask, reporter)
     pose = replace(found.pose, sensor=sensor or found.pose.sensor, view=view)
     found, look = replace(found, pose=pose, recording=recording.name), None
@@ -229,6 +240,24 @@ def _first_answer(
             if len(recordings) > 1:
                 reporter.log(f"{recording.name} gives no pose: {error.message}")
     raise refusals[0]
+
+
+def _decided(
+    recording: Path,
+    *,
+    localize: Callable[[Path], Localization],
+    look_at: Callable[[Path, Pose], SecondLook],
+    reporter: Reporter,
+) -> Localization:
+    """Localize; where the traffic fits several poses, take the one that what stands confirms."""
+    try:
+        return localize(recording)
+    except AmbiguousError as refusal:
+        confirmed = [a for a in refusal.answers if look_at(recording, a.pose).verdict == "confirms"]
+        if len(confirmed) != 1:
+            raise
+        reporter.log(f"{refusal.message}; what stands in the scan confirms one of them", "warning")
+        return confirmed[0]
 
 
 def _newest_first(recordings: str | Path | Sequence[str | Path]) -> list[Path]:

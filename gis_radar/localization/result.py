@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gis_radar.arrays import Floats
+from gis_radar.errors import NoAnswerError
 from gis_radar.lanelets import LaneletMap
 from gis_radar.localization.state import State
 from gis_radar.localization.traces import Moving
@@ -159,6 +160,22 @@ class Localization:
         self.plot(ax=ax).set_title("")
         ax.get_legend().remove()
         ax.tick_params(labelsize=6)
+
+
+class AmbiguousError(NoAnswerError):
+    """Several poses fit, and none clearly better than the others.
+
+    Parameters
+    ----------
+    message, hint : str
+        As for every error.
+    answers : tuple of Localization
+        The poses, each as if it were the answer; the best first.
+    """
+
+    def __init__(self, message: str, *, hint: str, answers: tuple[Localization, ...]) -> None:
+        super().__init__(message, hint=hint)
+        self.answers = answers
 
 
 def draw_localization(
