@@ -11,7 +11,7 @@ from gis_radar.arrays import Floats
 from simulation.network import Band, Lane, RoadNetwork, Turn
 
 EASED_M = 12.0
-# going round a parked car takes 30 m from lane to lane and back
+# going round a parked car begins 30 m before it and ends 30 m behind
 ROUND_M = 30.0
 _ROUND_LEFT = 0.75  # most of what is in the way stands at the right edge
 _ROUND_RADIUS_M = 30.0  # in tighter bends nothing is parked

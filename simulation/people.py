@@ -17,8 +17,8 @@ from simulation.movement import Traffic
 from simulation.network import Band, RoadNetwork
 
 _BODY = {"walker": (0.4, 0.5, 1.75), "cyclist": (1.8, 0.6, 1.75)}
-# walkers do 1.35 m/s with a standard deviation of 0.2 (Weidmann 1993), cyclists in towns 5 and 1
-_PACE_MPS = {"walker": (1.35, 0.2), "cyclist": (5.0, 1.0)}
+# walkers do 1.34 m/s with a standard deviation of 0.26 (Weidmann 1993), cyclists in towns 5 and 1
+_PACE_MPS = {"walker": (1.34, 0.26), "cyclist": (5.0, 1.0)}
 _PAVEMENT_M = 1.8  # walkers from the edge of the road
 _EDGE_M = 0.35  # cyclists from the edge of their lane
 _CYCLE_LANE_M = 1.2  # cycle lanes from the edge of the road
