@@ -27,6 +27,7 @@ from gis_radar.arrays import Floats, Integers
 NAMES = {"t": "time", "L": "length", "W": "width"}
 CLEARANCE_M = (-0.5, 4.5)
 FALSE_HIT = 0.005
+NO_VEHICLES = ("walker", "cyclist")
 
 
 def main() -> None:
@@ -60,7 +61,10 @@ def _compare(site: Path, filters: gr.Filters) -> dict[str, float]:
             Path(folder) / "occupancy", filters=filters,
         )  # fmt: skip
         heat = gr.make_heatmap(occupancy, tiles).wide()
-    true = _true_share(tiles, pd.read_parquet(site / "vehicles.parquet").rename(columns=NAMES))
+    traffic = pd.read_parquet(site / "vehicles.parquet").rename(columns=NAMES)
+    if "kind" in traffic:
+        traffic = traffic[~traffic["kind"].isin(NO_VEHICLES)]
+    true = _true_share(tiles, traffic)
     observed = heat["occupancy"].notna().to_numpy()
     hit, true = heat["occupancy"].to_numpy()[observed], true[observed]
     was_hit = hit > 0.0
