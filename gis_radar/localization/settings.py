@@ -62,7 +62,8 @@ class TraceSettings:
     sure_mps : float
         Median range rate that leaves and grass stay below.
     walk_mps : float
-        A track that never goes faster may be a walker (1.4 m/s; runners 3 m/s) and is left out.
+        A track whose range rates stay below may be of walkers (1.4 m/s, and their limbs) and is
+        left out.
     creeping : (2,) tuple of int
         But not where so many tracks are faster, and not yet so many: traffic that hardly moves.
     voxel_m, per_voxel : float, int
@@ -85,7 +86,7 @@ class TraceSettings:
     min_points: int = 6
     min_path_m: float = 3.0
     sure_mps: float = 1.5
-    walk_mps: float = 3.0
+    walk_mps: float = 2.7
     creeping: tuple[int, int] = (5, 12)
     voxel_m: float = 6.0
     per_voxel: int = 8
