@@ -396,7 +396,7 @@ class AnswerSettings:
     mirror_share: float = 1.0
     same_chi2: float = 16.0
     one_answer_m: float = 1.0
-    one_answer_rad: float = radians(1.0)
+    one_answer_rad: float = radians(3.0)
     least_scanned: float = 0.3
     slack_m: float = 5.0
 
