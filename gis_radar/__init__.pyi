@@ -11,7 +11,13 @@ from .errors import (
 )
 from .heatmap import HeatMap, make_heatmap, read_heatmap, to_xarray
 from .lanelets import LaneletMap, read_map
-from .localization import Localization, localize, localize_files
+from .localization import (
+    Localization,
+    Together,
+    localize,
+    localize_files,
+    localize_together,
+)
 from .localization.result import draw_localization
 from .occupancy import (
     Filters,
@@ -74,6 +80,7 @@ __all__ = [
     "SiteRun",
     "TileGrid",
     "TileTree",
+    "Together",
     "Track",
     "UsageError",
     "View",
@@ -84,6 +91,7 @@ __all__ = [
     "fingerprint",
     "localize",
     "localize_files",
+    "localize_together",
     "make_heatmap",
     "make_tiles",
     "mask_road",

@@ -87,8 +87,13 @@ class Street:
             view=View(elevation_deg=60.0, max_range_m=150.0),
         )  # fmt: skip
 
-    def detections(self, pose, *, vehicles=40, frames=600, seed=0):
-        """Time, points and range rates of vehicles that pass, as the sensor sees them."""
+    def detections(self, pose, *, vehicles=40, frames=600, seed=0, noise=None):
+        """Time, points and range rates of vehicles that pass, as the sensor sees them.
+
+        The seed decides the traffic; with a seed of its own for the noise, too, a sensor sees
+        other spots of the same vehicles at other moments.
+        """
+        own = None if noise is None else np.random.default_rng([seed, noise])
         rng = np.random.default_rng(seed)
         time, xyz, rate = [], [], []
         for number in range(vehicles):
@@ -96,23 +101,24 @@ class Street:
             along = (lane[1] - lane[0]) / np.linalg.norm(lane[1] - lane[0])
             left = np.array([-along[1], along[0]])
             speed, begin = rng.uniform(7.0, 14.0), rng.uniform(0.0, frames * 0.05 - 5.0)
-            count = 420
+            count, beside = 420, rng if own is None else np.random.default_rng([seed, number])
+            drawn = rng if own is None else own
             moment = np.sort(
-                rng.uniform(
+                drawn.uniform(
                     0.0,
                     min(np.linalg.norm(lane[1] - lane[0]) / speed, frames * 0.05 - begin),
                     count,
                 )
             )
-            centre = lane[0] + (moment * speed)[:, None] * along + rng.normal(0.0, 0.1) * left
+            centre = lane[0] + (moment * speed)[:, None] * along + beside.normal(0.0, 0.1) * left
             eye = (pose.position[:2] - self.middle) @ _turned(self.turn_deg)
             local = np.stack([(eye - centre) @ along, (eye - centre) @ left], axis=1)
-            side = np.abs(local[:, 1]) / np.abs(local).sum(axis=1) > rng.uniform(0, 1, count)
+            side = np.abs(local[:, 1]) / np.abs(local).sum(axis=1) > drawn.uniform(0, 1, count)
             off = np.sign(local) * [2.2, 0.9]
-            u = np.where(side, rng.uniform(-2.2, 2.2, count), off[:, 0])
-            v = np.where(side, off[:, 1], rng.uniform(-0.9, 0.9, count))
+            u = np.where(side, drawn.uniform(-2.2, 2.2, count), off[:, 0])
+            v = np.where(side, off[:, 1], drawn.uniform(-0.9, 0.9, count))
             plan = centre + u[:, None] * along + v[:, None] * left
-            height = self.ground(plan) + rng.uniform(0.3, 0.9, count)
+            height = self.ground(plan) + drawn.uniform(0.3, 0.9, count)
             point = np.column_stack([self.placed(plan), height])
             sight = point - pose.position
             motion = (self.placed([along]) - self.middle)[0] * speed
@@ -120,8 +126,9 @@ class Street:
             xyz.append(pose.to_sensor(point))
             time.append(np.floor((moment + begin) / 0.05) * 0.05)
         time, xyz, rate = np.concatenate(time), np.vstack(xyz), np.concatenate(rate)
-        xyz += rng.normal(0.0, 0.1, xyz.shape)
-        rate += rng.normal(0.0, 0.05, len(rate))
+        drawn = rng if own is None else own
+        xyz += drawn.normal(0.0, 0.1, xyz.shape)
+        rate += drawn.normal(0.0, 0.05, len(rate))
         seen = pose.view.sees(xyz)
         order = np.argsort(time[seen], kind="stable")
         return START + time[seen][order], xyz[seen][order], rate[seen][order]

@@ -59,8 +59,9 @@ def by_lanes(
     reporter.progress(STAGE, 5, 5)
     if rival is not None and lead < settings.answer.clear:
         if not _one_answer(best, rival, settings.answer):
-            both = [_answer(problem, moving, scene, h, tried, lead) for h in (best, rival)]
-            raise _ambiguous(problem, best, rival, tuple(both))
+            open_ones = [best, *_others(best, answers[1:], scene)]
+            each = [_answer(problem, moving, scene, h, tried, lead) for h in open_ones]
+            raise _ambiguous(problem, best, rival, tuple(each))
         best = replace(best, rival=rival.fit.state)
     return _answer(problem, moving, scene, best, tried, lead)
 
@@ -190,6 +191,17 @@ def _one_answer(answer: Hypothesis, rival: Hypothesis, settings: AnswerSettings)
     return bool(
         np.hypot(*gap[:2]) < settings.one_answer_m and abs(gap[5]) < settings.one_answer_rad
     )
+
+
+def _others(answer: Hypothesis, others: list[Hypothesis], scene: Scene) -> list[Hypothesis]:
+    """Return what the vehicles do not clearly rule out beside an answer, as uncertain as it is."""
+    settings = scene.settings.answer
+    return [
+        widen_by_profile(scene, h)
+        for h in others
+        if h.fit.fitness >= settings.least_fitness
+        and advantage(answer.fit, h.fit, scene.samples) < settings.clear
+    ]
 
 
 def _ambiguous(

@@ -1,0 +1,213 @@
+"""Poses of several sensors adjusted together: single answers and ties, by least squares."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gis_radar.arrays import Floats
+from gis_radar.localization.model import MODEL, Model
+from gis_radar.localization.tie_settings import TieSettings
+from gis_radar.localization.ties import FACES, PLANE, Rows, effects, mean_gaps
+
+STEPS = 8  # of weights and poses in turn; they settle after three or four
+OWN = 2 * PLANE  # of a pair of sensors
+Edge = tuple[int, int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tied:
+    """What the pairs of two sensors say, each with its vehicle's own effects eliminated.
+
+    Parameters
+    ----------
+    information : (pairs, 11, 11) array
+        About the poses of both (6), the constants of the faces (3), both clocks (2).
+    gradient : (pairs, 11) array
+        Of the cost by these, at the poses as they are.
+    gap, slope, covariance : (pairs, 2), (pairs, 2, 11), (pairs, 2, 2) arrays
+        The mean gap, its derivative, and how it scatters from vehicle to vehicle.
+    """
+
+    information: Floats
+    gradient: Floats
+    gap: Floats
+    slope: Floats
+    covariance: Floats
+
+    def chi2(self, step: Floats) -> Floats:
+        """Return the misfit of each pair after a step of the eleven."""
+        gap = self.gap + self.slope @ step
+        return np.asarray(np.einsum("pi,pij,pj->p", gap, np.linalg.inv(self.covariance), gap))
+
+
+def tie(rows: Rows, settings: TieSettings, model: Model = MODEL) -> Tied:
+    """Sum up the moments of each pair; what a vehicle adds to all of them is eliminated."""
+    slope = np.concatenate([rows.poses, rows.constants, rows.clocks], axis=2)
+    by_effect, variances = effects(rows, settings, model)
+    weight = settings.share / rows.variance
+
+    def total(a: Floats, b: Floats) -> Floats:
+        each = np.einsum("rik,ri,ril->rkl", a, weight, b)
+        return np.asarray(np.add.reduceat(each, rows.first, axis=0))
+
+    gap = rows.gap[:, :, None]
+    inner = np.linalg.inv(np.diag(1.0 / variances) + total(by_effect, by_effect))
+    coupled = total(slope, by_effect)
+    felt = coupled @ inner
+    mean, covariance = mean_gaps(rows, np.zeros((OWN, OWN)), settings, model)
+    return Tied(
+        information=total(slope, slope) - felt @ np.swapaxes(coupled, 1, 2),
+        gradient=(total(slope, gap) - felt @ total(by_effect, gap))[:, :, 0],
+        gap=mean,
+        slope=rows.means(slope),
+        covariance=covariance,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Adjusted:
+    """Poses adjusted together.
+
+    Parameters
+    ----------
+    step : (n, 3) array
+        From the poses as they were to the adjusted ones: easting, northing, yaw.
+    covariance : (3 n, 3 n) array
+        Of the adjusted ones.
+    misfit : dict
+        By pair of sensors, how far the single answers are from what the ties say, chi-square of
+        three degrees of freedom.
+    """
+
+    step: Floats
+    covariance: Floats
+    misfit: Mapping[Edge, float]
+
+
+def adjust(
+    ties: Mapping[Edge, Tied], away: Floats, covariances: Sequence[Floats], settings: TieSettings
+) -> Adjusted:
+    """Adjust the poses of sensors by what ties them and by what each alone says.
+
+    Pairs are weighted as by Student's t. The covariance is cluster-robust with the vehicles as
+    clusters, never below the model's and never above that of the single answers.
+
+    Parameters
+    ----------
+    ties : mapping
+        By pair of sensors.
+    away : (n, 3) array
+        The poses as they are less the single answers.
+    covariances : sequence of (3, 3) arrays
+        Of the single answers.
+    settings : TieSettings
+        What is known of faces and clocks.
+    """
+    n = len(covariances)
+    prior = np.zeros((PLANE * n + FACES + n, PLANE * n + FACES + n))
+    single = shared_covariance(covariances)
+    prior[: PLANE * n, : PLANE * n] = np.linalg.inv(single)
+    nuisance = _nuisance(n, settings)
+    prior[PLANE * n :, PLANE * n :] = np.diag(nuisance)
+    start = np.concatenate([away.ravel(), np.zeros(FACES + n)])
+    step = np.zeros(len(prior))
+    for _ in range(STEPS):
+        weights = {edge: _weights(tied, step[_index(edge, n)], settings)
+                   for edge, tied in ties.items()}  # fmt: skip
+        information, scores = prior.copy(), []
+        for edge, tied in ties.items():
+            at, weight = _index(edge, n), weights[edge]
+            information[np.ix_(at, at)] += np.tensordot(weight, tied.information, axes=1)
+            each = np.zeros((len(weight), len(prior)))
+            each[:, at] = weight[:, None] * (tied.gradient + tied.information @ step[at])
+            scores.append(each)
+        clusters = np.vstack(scores)
+        step = step - np.linalg.solve(information, clusters.sum(axis=0) + prior @ (start + step))
+    covariance = _robust(np.asarray(np.linalg.inv(information)), clusters, prior)[
+        : PLANE * n, : PLANE * n
+    ]
+    misfit = {
+        edge: _misfit(tied, weights[edge], away[list(edge)], [covariances[i] for i in edge],
+                      _nuisance(2, settings))
+        for edge, tied in ties.items()
+    }  # fmt: skip
+    return Adjusted(
+        step=step[: PLANE * n].reshape(n, PLANE),
+        covariance=_at_most(covariance, single),
+        misfit=misfit,
+    )
+
+
+def shared_covariance(covariances: Sequence[Floats]) -> Floats:
+    """Return the covariance of several single answers, which have map and model in common.
+
+    How much is not known. What is taken for common is the parallel sum of their covariances in the
+    plane: half of it where two are alike, all of the better one's where the other is far worse,
+    so that a sensor placed by another is no surer than that one.
+    """
+    n = len(covariances)
+    given = [np.linalg.inv(each)[:2, :2] for each in covariances]
+    common = np.linalg.inv(np.sum(given, axis=0)) if n > 1 else np.zeros((2, 2))
+    whole = np.zeros((n, PLANE, n, PLANE))
+    whole[:, :2, :, :2] = common[None, :, None, :]
+    for i, each in enumerate(covariances):
+        whole[i, :, i] = each
+    return whole.reshape(n * PLANE, n * PLANE)
+
+
+def _nuisance(sensors: int, settings: TieSettings) -> Floats:
+    """Return the inverse variances of the constants of the faces, and of the clocks."""
+    faces = [settings.half_length_sigma_m, settings.half_width_sigma_m, settings.side_sigma]
+    return np.array([*faces, *[settings.clock_s] * sensors]) ** -2.0
+
+
+def _index(edge: Edge, n: int) -> list[int]:
+    """Return where the eleven of a pair of sensors stand among all unknowns."""
+    one, other = (list(range(PLANE * i, PLANE * i + PLANE)) for i in edge)
+    after = PLANE * n + FACES
+    return [*one, *other, *range(PLANE * n, after), after + edge[0], after + edge[1]]
+
+
+def _weights(tied: Tied, step: Floats, settings: TieSettings) -> Floats:
+    """Return the weight of each pair by its misfit."""
+    return np.asarray((settings.freedom + 2.0) / (settings.freedom + tied.chi2(step)))
+
+
+def _robust(inverse: Floats, clusters: Floats, prior: Floats) -> Floats:
+    """Return the cluster-robust covariance, never below the model's."""
+    root = np.linalg.cholesky((inverse + inverse.T) / 2.0)
+    few = len(clusters) / max(len(clusters) - PLANE, 1)
+    spread = root.T @ (few * clusters.T @ clusters + prior) @ root
+    values, vectors = np.linalg.eigh((spread + spread.T) / 2.0)
+    wide = root @ vectors
+    return np.asarray((wide * np.maximum(values, 1.0)) @ wide.T)
+
+
+def _at_most(covariance: Floats, most: Floats) -> Floats:
+    """Return a covariance that is nowhere above another one."""
+    root = np.linalg.cholesky(most)
+    white = np.linalg.solve(root, np.linalg.solve(root, covariance).T)
+    values, vectors = np.linalg.eigh((white + white.T) / 2.0)
+    wide = root @ vectors
+    return np.asarray((wide * np.minimum(values, 1.0)) @ wide.T)
+
+
+def _misfit(
+    tied: Tied, weight: Floats, away: Floats, covariances: Sequence[Floats], nuisance: Floats
+) -> float:
+    """Return chi-square of the difference between ties and single answers of two sensors."""
+    information = np.tensordot(weight, tied.information, axes=1)
+    gradient = weight @ tied.gradient - information[:, :OWN] @ away.ravel()
+    inner = np.linalg.inv(information[OWN:, OWN:] + np.diag(nuisance))
+    felt = information[:OWN, OWN:] @ inner
+    pull = gradient[:OWN] - felt @ gradient[OWN:]
+    known = information[:OWN, :OWN] - felt @ information[OWN:, :OWN]
+    both = np.zeros((OWN, OWN))
+    both[:PLANE, :PLANE], both[PLANE:, PLANE:] = covariances
+    scatter = known + known @ both @ known
+    scale = np.sqrt(np.maximum(np.diag(scatter), 1e-12))
+    unit = np.linalg.pinv(scatter / np.outer(scale, scale), rcond=1e-6, hermitian=True)
+    return float((pull / scale) @ unit @ (pull / scale))

@@ -1,0 +1,105 @@
+"""Settings of what ties the poses of several sensors together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, log, radians
+
+
+@dataclass(frozen=True, kw_only=True)
+class TieSettings:
+    """When two radars see the same vehicle, and how well its place is known then.
+
+    Parameters
+    ----------
+    moment_s : float
+        Length of a moment: two or more frames of each radar; a vehicle goes 2-3 m.
+    least_moments : int
+        Two tracks with fewer common moments are no pair: a second of common sight.
+    least_cosine : float
+        Between sight and lane, below which the Doppler tells no speed (70 degrees).
+    least_straight : float
+        Mean of the unit vectors of travel of a moment; below, its detections lie on several lanes.
+    longest_m : float
+        Detections of one moment farther apart along the lane are of several vehicles, or a lorry.
+    least_alike : float
+        Cosine between the directions of travel (30 degrees: a bend, and a guess's yaw).
+    speed_mps : float
+        Largest difference of speeds: wheels, noise of the Doppler over the cosine.
+    level_m : float
+        Largest difference of heights: bridges are higher.
+    least_share : float
+        Of the moments that two tracks have in common, in which speed and direction must agree.
+    farthest_m : float
+        Pairs farther apart than a pose may be wrong are not looked at.
+    half_length_m, half_length_spread_m, half_length_sigma_m : float
+        Of vehicles (4.5 m), how they differ, and how well the mean is known.
+    half_width_sigma_m, side_sigma : float
+        The same of the mean half width, and of the sides' strength (logarithm).
+    spot_m : tuple of float
+        How far off its mean place, along and across, a vehicle shows for one radar against the
+        other for all of its way: mirrors, wheels, rounded corners, hidden ends.
+    moment_sigma_m : float
+        Of one moment by itself beside its faces: the radar's range, and its speed times lateness.
+    memory_s : float
+        Moments closer than this share their error: places that reflect change as aspects do.
+    clock_s : float
+        Offset of a sensor's clock, one standard deviation: NTP on a local network.
+    freedom : float
+        Degrees of freedom of Student's t for a pair's misfit: every tenth pair or so is wrong.
+    gate_chi2 : float
+        Two degrees of freedom: 1 in 1000 true pairs is lost.
+    least_pairs : int
+        Fewer pairs neither place a sensor nor contradict a pose.
+    fixed_m : float
+        A pose less certain along its weakest direction is looked for along it.
+    step_m, reach_m : float
+        Grid on which the shift between two sensors is looked for, and how far at least.
+    apart_m : float
+        Shifts nearer than this, a vehicle's length, are one answer: the adjustment pulls them in.
+    clear : float
+        Standard deviations by which vehicles must prefer a place to all others (as for one sensor),
+        and to what chance gives.
+    chance_s : tuple of float
+        What chance gives is seen where one sensor's times are wrong by so much: other traffic.
+    contradiction_chi2 : float
+        Three degrees of freedom: 1 in 1000 sites is refused in error.
+    rounds : int
+        Of pairing and fitting; two or three are enough.
+    """
+
+    moment_s: float = 0.2
+    least_moments: int = 5
+    least_cosine: float = cos(radians(70.0))
+    least_straight: float = 0.95
+    longest_m: float = 7.0
+    least_alike: float = cos(radians(30.0))
+    speed_mps: float = 2.5
+    level_m: float = 3.0
+    least_share: float = 0.7
+    farthest_m: float = 60.0
+    half_length_m: float = 2.25
+    half_length_spread_m: float = 0.6
+    half_length_sigma_m: float = 0.2
+    half_width_sigma_m: float = 0.1
+    side_sigma: float = log(1.5)
+    spot_m: tuple[float, float] = (0.7, 0.35)
+    moment_sigma_m: float = 0.3
+    memory_s: float = 1.0
+    clock_s: float = 0.02
+    freedom: float = 4.0
+    gate_chi2: float = 13.8
+    least_pairs: int = 4
+    fixed_m: float = 1.0
+    step_m: float = 1.0
+    reach_m: float = 6.0
+    apart_m: float = 5.0
+    clear: float = 2.5
+    chance_s: tuple[float, ...] = (-15.0, -8.0, 8.0, 15.0)
+    contradiction_chi2: float = 16.3
+    rounds: int = 6
+
+    @property
+    def share(self) -> float:
+        """Weight of a moment among those that share their error."""
+        return min(self.moment_s / self.memory_s, 1.0)

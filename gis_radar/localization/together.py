@@ -1,0 +1,353 @@
+"""Several sensors of a site together: vehicles that two of them see tie their poses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gis_radar.arrays import Floats
+from gis_radar.crs import moved_position, yaw_from_compass
+from gis_radar.errors import InputError, NoAnswerError, UsageError
+from gis_radar.files import output_errors, whole_files
+from gis_radar.lanelets import LaneletMap, read_map
+from gis_radar.localization.lanes import Lanes, sample_lanes
+from gis_radar.localization.localize import localize
+from gis_radar.localization.network import Solved, Station, solve_network
+from gis_radar.localization.result import AmbiguousError, Localization
+from gis_radar.localization.settings import DEFAULTS, LocalizationSettings
+from gis_radar.localization.traces import Moving, MovingWindow
+from gis_radar.notebooks import card
+from gis_radar.poses.files import write_pose
+from gis_radar.poses.pose import Pose
+from gis_radar.progress import QUIET, Reporter
+from gis_radar.recordings.recording import open_recording
+from gis_radar.scans.scan import read_road, road_crs
+
+STAGE = "finding the poses together"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Together:
+    """The poses of several sensors of a site.
+
+    Parameters
+    ----------
+    found : dict of str to Localization
+        By sensor. Where vehicles tie a sensor to others, `together` in its pose's evidence names
+        these, how many pairs of tracks there are, and sigma before and after (m, degrees).
+    refused : dict of str to str
+        Sensors without a trustworthy pose, and why.
+    pairs : dict of (str, str) to int
+        How many vehicles tie two sensors.
+    """
+
+    found: dict[str, Localization]
+    refused: dict[str, str]
+    pairs: dict[tuple[str, str], int]
+
+    @property
+    def failure(self) -> NoAnswerError | None:
+        """What is missing, in one line; None where every sensor has a pose."""
+        if not self.refused:
+            return None
+        whys = dict.fromkeys(
+            why if why.startswith(name) else f"{name}: {why}" for name, why in self.refused.items()
+        )
+        return NoAnswerError("; ".join(whys), hint="the other sensors have their poses")
+
+    def figures(self) -> dict[str, str]:
+        """Return a line a sensor."""
+        lines = {name: _line(found.pose) for name, found in self.found.items()}
+        return lines | {name: f"no answer: {why}" for name, why in self.refused.items()}
+
+    def write(self, folder: str | Path) -> list[Path]:
+        """Write a pose file for each sensor into a folder, all or none, and return them."""
+        folder = Path(folder)
+        with output_errors(folder):
+            folder.mkdir(exist_ok=True)
+        made = [folder / f"{name}.json" for name in self.found]
+        with whole_files(made[0]) as (private, places):
+            for found, path in zip(self.found.values(), made, strict=True):
+                write_pose(found.pose, private / path.name)
+                places[private / path.name] = path
+        return made
+
+    def _repr_html_(self) -> str:
+        return card("Sensors together", self.figures())
+
+    def __repr__(self) -> str:
+        return f"Together({'; '.join(f'{name}: {text}' for name, text in self.figures().items())})"
+
+
+def localize_together(
+    recordings: Sequence[str | Path],
+    map_path: str | Path,
+    road: str | Path,
+    *,
+    guesses: Sequence[Sequence[float]],
+    guess_crs: Any = None,
+    headings: Sequence[float] | None = None,
+    compasses: Sequence[float] | None = None,
+    crs: Any = None,
+    origin: tuple[float, float] | None = None,
+    settings: LocalizationSettings = DEFAULTS,
+    reporter: Reporter = QUIET,
+) -> Together:
+    """Find the poses of several sensors that recorded at the same time, all files.
+
+    Each is localized by itself, by the method `lane`. Then the vehicles that two of them see at
+    the same time tie their poses, which are adjusted together. A sensor that cannot tell several
+    poses apart, or whose place along a straight road is not fixed, is placed by its neighbours.
+
+    Parameters
+    ----------
+    recordings : sequence of paths
+        One a sensor, which is named after the file; they overlap in time.
+    map_path : str or Path
+        A Lanelet2 map.
+    road : str or Path
+        The scanned road, as :func:`gis_radar.mask_road` makes it.
+    guesses : sequence of (easting, northing) or (easting, northing, height)
+        As many as recordings, in order; each within 15 m of the truth.
+    guess_crs : CRS, str or int, optional
+        The guesses' coordinate system, where it is not the map's.
+    headings : sequence of float, optional
+        As many: yaw in degrees, counter-clockwise from grid east, within 25 degrees of the truth.
+    compasses : sequence of float, optional
+        The same as bearings: degrees clockwise from true north.
+    crs : CRS, str or int, optional
+        The map frame; that of the road where it is not given.
+    origin : (easting, northing), optional
+        Map-frame position of the map's local (0, 0), for maps without latitudes and longitudes.
+    settings : LocalizationSettings
+        All constants; `ties` are those of this function.
+    reporter : Reporter
+        Receives progress and remarks.
+
+    Raises
+    ------
+    UsageError
+        If there are fewer than two recordings, not as many guesses, or a sensor twice.
+    InputError
+        If a file cannot be read, or two recordings have no time in common.
+    NoAnswerError
+        If no sensor has a trustworthy pose.
+    """
+    paths = [Path(each) for each in recordings]
+    _check_counts(paths, guesses, headings, compasses)
+    frame = road_crs(road) if crs is None else crs
+    roads = read_map(map_path, crs=frame, origin=origin, reporter=reporter)
+    places = [tuple(float(number) for number in guess) for guess in guesses]
+    if guess_crs is not None:
+        places = [moved_position(place, guess_crs, roads.crs) for place in places]
+    if compasses is not None:
+        headings = [
+            yaw_from_compass(compass, roads.crs, place[0], place[1])
+            for compass, place in zip(compasses, places, strict=True)
+        ]
+    return locate_all(
+        paths, roads, read_road(road, roads.crs),
+        guesses=places, headings=headings, settings=settings, reporter=reporter,
+    )  # fmt: skip
+
+
+def locate_all(
+    recordings: Sequence[Path],
+    roads: LaneletMap,
+    road_points: Floats,
+    *,
+    guesses: Sequence[tuple[float, ...]],
+    headings: Sequence[float] | None = None,
+    settings: LocalizationSettings = DEFAULTS,
+    reporter: Reporter = QUIET,
+) -> Together:
+    """Find the poses of several sensors, with map and road in memory.
+
+    Parameters
+    ----------
+    recordings, guesses, headings, settings, reporter
+        As for :func:`localize_together`; guesses in the map's CRS.
+    roads, road_points
+        As for :func:`gis_radar.localize`.
+    """
+    end = common_time(recordings)
+    answers: dict[str, tuple[Localization, ...]] = {}
+    refused: dict[str, NoAnswerError] = {}
+    for number, recording in enumerate(recordings):
+        reporter.progress(STAGE, number, len(recordings) + 1)
+        heading = None if headings is None else headings[number]
+        try:
+            found = localize(
+                recording, roads, road_points,
+                guess=guesses[number], heading=heading, settings=settings, reporter=reporter,
+            )  # fmt: skip
+            answers[recording.stem] = (found,)
+        except AmbiguousError as error:
+            answers[recording.stem] = error.answers
+            refused[recording.stem] = error
+        except NoAnswerError as error:
+            refused[recording.stem] = error
+    reporter.progress(STAGE, len(recordings), len(recordings) + 1)
+    if all(name in refused for name in answers):
+        raise NoAnswerError("; ".join(error.message for error in refused.values()),
+                            hint="at least one sensor must have an answer of its own")  # fmt: skip
+    used = {path.stem: path for path in recordings if path.stem in answers}
+    solved = tie_poses(
+        used, {name: tuple(each.pose for each in found) for name, found in answers.items()},
+        roads, road_points, end=end, settings=settings, reporter=reporter,
+    )  # fmt: skip
+    reporter.progress(STAGE, len(recordings) + 1, len(recordings) + 1)
+    placed = {
+        name: _with_pose(answers[name][solved.chosen[name]], pose)
+        for name, pose in solved.poses.items()
+    }
+    why = {name: error.message for name, error in refused.items() if name not in placed}
+    ordered = {path.stem: placed[path.stem] for path in recordings if path.stem in placed}
+    return Together(found=ordered, refused=why | solved.refused, pairs=solved.pairs)
+
+
+def tie_poses(
+    recordings: Mapping[str, Path],
+    poses: Mapping[str, tuple[Pose, ...]],
+    roads: LaneletMap,
+    road_points: Floats,
+    *,
+    end: float,
+    settings: LocalizationSettings = DEFAULTS,
+    reporter: Reporter = QUIET,
+) -> Solved:
+    """Adjust poses by the vehicles that the sensors see at the same time.
+
+    Parameters
+    ----------
+    recordings : mapping of str to Path
+        By sensor.
+    poses : mapping of str to tuple of Pose
+        By sensor: its own answer with covariance, or several that it cannot tell apart.
+    roads, road_points
+        As for :func:`gis_radar.localize`.
+    end : float
+        UNIX seconds until which all recorded.
+    settings : LocalizationSettings
+        Of tracks and ties.
+    reporter : Reporter
+        Receives remarks.
+
+    Raises
+    ------
+    NoAnswerError
+        If the poses contradict each other so that none can be trusted.
+    """
+    stations = [
+        Station(name=name, moving=_moving_until(path, end, settings), poses=poses[name])
+        for name, path in recordings.items()
+    ]
+    lanes = _lanes_around(stations, roads, road_points, settings)
+    solved = solve_network(stations, lanes, settings)
+    tied = {name for pair in solved.pairs for name in pair}
+    for name in solved.poses:
+        if name not in tied and len(recordings) > 1:
+            reporter.log(f"{name}: no other sensor sees enough of the same vehicles", "warning")
+    return solved
+
+
+def common_time(recordings: Sequence[Path]) -> float:
+    """Return until when all recorded, UNIX seconds.
+
+    Raises
+    ------
+    InputError
+        If two of them have no time in common.
+    """
+    spans = {}
+    for path in recordings:
+        pieces = [(float(p.time[0]), float(p.time[-1])) for p in open_recording(path).read()]
+        spans[path] = pieces[0][0], pieces[-1][1]
+    last = max(spans, key=lambda path: spans[path][0])
+    first = min(spans, key=lambda path: spans[path][1])
+    if spans[last][0] >= spans[first][1]:
+        away_s = spans[last][0] - spans[first][1]
+        raise InputError(
+            f"{first} ends {away_s:.0f} s before {last} begins",
+            hint="give recordings of the same time",
+        )
+    return spans[first][1]
+
+
+def _check_counts(
+    paths: Sequence[Path],
+    guesses: Sequence[Any],
+    headings: Sequence[Any] | None,
+    compasses: Sequence[Any] | None,
+) -> None:
+    if len(paths) < 2:
+        raise UsageError(
+            f"{len(paths)} recording, at least two are needed", hint="leave out --together"
+        )
+    if headings is not None and compasses is not None:
+        raise UsageError("both heading and compass are given", hint="give one of them")
+    given = {"guesses": guesses, "headings": headings, "compasses": compasses}
+    for what, values in given.items():
+        if values is not None and len(values) != len(paths):
+            raise UsageError(
+                f"{len(paths)} recordings, but {len(values)} {what}", hint="one each, in order"
+            )
+    names = [path.stem for path in paths]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise UsageError(
+            f"two recordings are of {twice}", hint="sensors are named after their files"
+        )
+
+
+def _moving_until(path: Path, end: float, settings: LocalizationSettings) -> Moving:
+    """Return what moved in the last frames of a recording until a time."""
+    traces = settings.traces
+    window = MovingWindow(frames=traces.frames, min_speed=traces.min_speed_mps)
+    for piece in open_recording(path).read():
+        kept = piece.take(piece.time <= end)
+        if len(kept):
+            window.push(kept)
+    return window.moving()
+
+
+def _lanes_around(
+    stations: Sequence[Station],
+    roads: LaneletMap,
+    road_points: Floats,
+    settings: LocalizationSettings,
+) -> Lanes:
+    """Return the lanes that any of the sensors sees."""
+    places = np.array([pose.position[:2] for each in stations for pose in each.poses])
+    middle = places.mean(axis=0)
+    flat = [np.hypot(*each.moving.points[:, :2].T) for each in stations if len(each.moving)]
+    seen_m = max((float(np.percentile(each, 99.5)) for each in flat), default=0.0)
+    spread_m = float(np.hypot(*(places - middle).T).max())
+    return sample_lanes(
+        roads.lanelets, road_points,
+        place=middle, reach_m=spread_m + seen_m + settings.lanes.margin_m, settings=settings.lanes,
+    )  # fmt: skip
+
+
+def _with_pose(found: Localization, pose: Pose) -> Localization:
+    observable = bool(pose.evidence.get("observable", found.observable))
+    return replace(found, pose=pose, observable=observable)
+
+
+def _line(pose: Pose) -> str:
+    """Return what a pose's evidence says of its certainty and of what ties it."""
+    sigma, together = pose.parsed_evidence().sigma, pose.evidence.get("together")
+    after = f"position \u00b1 {np.hypot(sigma['easting'], sigma['northing']):.2f} m"
+    turn = f"yaw \u00b1 {sigma['yaw']:.2f} deg"
+    if together is None:
+        return f"{after}, {turn}; alone"
+    before = {name: value["before"] for name, value in together["gained"].items()}
+    return (
+        f"{after} (alone {np.hypot(before['easting'], before['northing']):.2f}), "
+        f"{turn} (alone {before['yaw']:.2f}); {together['pairs']} vehicles shared with "
+        f"{', '.join(together['sensors'])}"
+    )

@@ -1,0 +1,308 @@
+"""Several sensors of a site together: vehicles that two of them see tie their poses."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sites import recording
+from streets import CROSSING, Street, errors
+
+import gis_radar as gr
+from gis_radar.localization.joint import Tied, adjust, shared_covariance
+from gis_radar.localization.network import plane_covariance, pose_covariance
+from gis_radar.localization.result import AmbiguousError
+from gis_radar.localization.tie_settings import TieSettings
+from gis_radar.localization.ties import Moments, assign, compare
+from gis_radar.localization.together import common_time, locate_all, tie_poses
+from gis_radar.poses.pose import COMPONENTS, View
+
+LONG = Street(
+    lanes=(
+        ((-90.0, -1.75), (320.0, -1.75)),
+        ((320.0, 1.75), (-90.0, 1.75)),
+        *CROSSING[2:],
+    ),
+    turn_deg=25.0,
+)
+ALONG = LONG.placed([[1.0, 0.0]])[0] - LONG.placed([[0.0, 0.0]])[0]
+TRAFFIC = {"frames": 900, "vehicles": 60, "seed": 1}
+FIRM = (0.15, 0.15, 0.15, 0.1, 0.1, 0.1)  # sigmas of a sensor that stands fast, m and degrees
+TIES = TieSettings()
+
+
+@pytest.fixture(scope="module")
+def true():
+    """R1 at the crossing; R2 on the long street, from where the crossing is out of sight."""
+    far = LONG.pose(place=(165.0, 9.0), yaw=184.0)
+    view = View(elevation_deg=60.0, max_range_m=115.0)
+    return {"R1": LONG.pose(), "R2": replace(far, sensor="R2", view=view)}
+
+
+@pytest.fixture(scope="module")
+def recordings(true, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("together")
+    return {
+        name: LONG.record(folder / f"{name}.parquet", pose, noise=number, **TRAFFIC)
+        for number, (name, pose) in enumerate(true.items())
+    }
+
+
+def stated(pose, sigma=FIRM, *, along_m=0.0, spread_m=0.0):
+    """A pose with its covariance, moved along the street, and perhaps uncertain along it."""
+    radians = np.array([*sigma[:3], *np.radians(sigma[3:])])
+    covariance = np.diag(radians**2)
+    covariance[:2, :2] += spread_m**2 * np.outer(ALONG, ALONG)
+    sigmas = np.sqrt(np.diag(covariance)) * ([1.0] * 3 + [math.degrees(1.0)] * 3)
+    east, north = pose.position[:2] + along_m * ALONG
+    evidence = {
+        "covariance": covariance.tolist(),
+        "sigma": dict(zip(COMPONENTS, sigmas.tolist(), strict=True)),
+    }
+    return replace(pose, easting=east, northing=north, evidence=evidence)
+
+
+def tied(recordings, **poses):
+    return tie_poses(
+        {name: recordings[name] for name in poses}, poses, LONG.roads(), LONG.road_points(),
+        end=common_time(list(recordings.values())),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def found(true, recordings):
+    guesses = [tuple(pose.position[:2] + [4.0, -3.0]) for pose in true.values()]
+    return locate_all(
+        list(recordings.values()), LONG.roads(), LONG.road_points(), guesses=guesses
+    )  # fmt: skip
+
+
+def test_a_sensor_on_a_straight_road_is_fixed_along_it_by_its_neighbour(found, true):
+    pose = found.found["R2"].pose
+    gained = pose.evidence["together"]["gained"]
+    before, after = (
+        np.hypot(gained["easting"][when], gained["northing"][when]) for when in ("before", "after")
+    )
+    assert before > 5.0
+    assert after < 1.0
+    assert found.found["R2"].observable
+    error, sigma = errors(pose, true["R2"]), pose.evidence["sigma"]
+    assert (np.abs(error) < 2.0 * np.array([sigma[name] for name in COMPONENTS])).all()
+
+
+def test_the_evidence_names_who_tied_a_sensor(found):
+    (pairs,) = found.pairs.values()
+    assert pairs > 15
+    evidence = found.found["R1"].pose.evidence["together"]
+    assert (evidence["sensors"], evidence["pairs"]) == (["R2"], pairs)
+    assert found.failure is None
+    assert f"{pairs} vehicles shared with R1" in found.figures()["R2"]
+
+
+def test_pose_files_are_written_for_all_sensors(found, tmp_path):
+    made = found.write(tmp_path / "poses")
+    assert [path.name for path in made] == ["R1.json", "R2.json"]
+    for path in made:
+        assert gr.read_pose(path).evidence["together"]["pairs"] > 15
+
+
+@pytest.mark.parametrize("spread_m", [0.0, 0.5, 6.0])
+def test_no_sigma_grows_where_the_poses_agree(recordings, true, spread_m):
+    mine = {"R1": stated(true["R1"]), "R2": stated(true["R2"], spread_m=spread_m, along_m=0.1)}
+    solved = tied(recordings, **{name: (pose,) for name, pose in mine.items()})
+    for name, pose in mine.items():
+        before, after = pose_covariance(pose), pose_covariance(solved.poses[name])
+        assert np.linalg.eigvalsh(before - after).min() > -1e-9
+        assert plane_covariance(solved.poses[name])[2, 2] < 0.95 * before[5, 5]
+
+
+def test_errors_are_as_large_as_stated(recordings, true):
+    """NEES of the joint poses, single answers drawn from their covariance: chi-square of 3."""
+    nees = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        drawn = {}
+        for name, pose in true.items():
+            known = stated(pose, spread_m=0.2)
+            step = rng.multivariate_normal(np.zeros(6), pose_covariance(known))
+            drawn[name] = (
+                replace(
+                    known,
+                    easting=known.easting + step[0],
+                    northing=known.northing + step[1],
+                    yaw=known.yaw + math.degrees(step[5]),
+                ),
+            )
+        solved = tied(recordings, **drawn)
+        for name, pose in solved.poses.items():
+            error = errors(pose, true[name])[[0, 1, 5]] * [1.0, 1.0, math.radians(1.0)]
+            nees.append(error @ np.linalg.solve(plane_covariance(pose), error))
+    assert 1.0 < np.mean(nees) < 4.5
+
+
+@pytest.mark.parametrize("along_m", [3.0, -5.0])
+def test_poses_that_contradict_each_other_are_refused(recordings, true, along_m):
+    with pytest.raises(gr.NoAnswerError, match=r"^R1 and R2: .*contradict") as refusal:
+        tied(recordings, R1=(stated(true["R1"]),), R2=(stated(true["R2"], along_m=along_m),))
+    apart_m = float(refusal.value.message.split()[-3])
+    assert apart_m == pytest.approx(abs(along_m), abs=1.1)
+    assert "clocks" in refusal.value.hint
+
+
+def test_of_three_the_one_that_two_contradict_is_refused(recordings, true):
+    copy = replace(true["R2"], sensor="R3")
+    solved = tied(
+        recordings | {"R3": recordings["R2"]},
+        R1=(stated(true["R1"]),),
+        R2=(stated(true["R2"], along_m=4.0),),
+        R3=(stated(copy),),
+    )
+    assert list(solved.refused) == ["R2"]
+    assert solved.poses.keys() == {"R1", "R3"}
+    assert abs((solved.poses["R3"].position[:2] - copy.position[:2]) @ ALONG) < 0.5
+
+
+@pytest.mark.parametrize("right", [0, 1])
+def test_of_several_poses_the_neighbour_tells_the_right_one(recordings, true, right):
+    """Two places that the sensor alone cannot tell apart, 14 m from each other."""
+    wrong = stated(true["R2"], along_m=14.0, spread_m=0.5)
+    mine = [wrong, wrong]
+    mine[right] = stated(true["R2"], along_m=0.4, spread_m=0.5)
+    solved = tied(recordings, R1=(stated(true["R1"]),), R2=tuple(mine))
+    assert solved.chosen["R2"] == right
+    assert abs(errors(solved.poses["R2"], true["R2"])[:2] @ ALONG) < 0.6
+
+
+@pytest.mark.parametrize("spread_m", [0.0, 6.0])
+@pytest.mark.parametrize("seed", range(77, 82))
+def test_a_sensor_that_sees_other_traffic_keeps_its_answer(
+    recordings, true, tmp_path, seed, spread_m
+):
+    other = TRAFFIC | {"seed": seed}
+    alone = LONG.record(tmp_path / "R2.parquet", true["R2"], noise=9, **other)
+    mine = {"R1": stated(true["R1"]), "R2": stated(true["R2"], spread_m=spread_m)}
+    solved = tied(
+        {"R1": recordings["R1"], "R2": alone}, **{name: (pose,) for name, pose in mine.items()}
+    )
+    assert solved.pairs == {}
+    assert solved.poses == mine
+
+
+def test_what_no_neighbour_places_keeps_its_reason(recordings, true, tmp_path, monkeypatch):
+    """R2 cannot tell two poses apart, and sees none of R1's vehicles."""
+    other = TRAFFIC | {"seed": 77}
+    alone = LONG.record(tmp_path / "R2.parquet", true["R2"], noise=9, **other)
+    results = {
+        "R1": gr.Localization(pose=stated(true["R1"]), fitness=0.9, observable=True),
+        "R2": AmbiguousError(
+            "R2: ambiguous",
+            hint="",
+            answers=tuple(
+                gr.Localization(pose=stated(true["R2"], along_m=far), fitness=0.9, observable=True)
+                for far in (0.0, 14.0)
+            ),
+        ),
+    }
+
+    def single(recording, *_, **__):
+        found = results[recording.stem]
+        if isinstance(found, Exception):
+            raise found
+        return found
+
+    monkeypatch.setattr("gis_radar.localization.together.localize", single)
+    done = locate_all(
+        [recordings["R1"], alone], LONG.roads(), LONG.road_points(), guesses=[(0, 0), (0, 0)]
+    )
+    assert list(done.found) == ["R1"]
+    assert done.failure.exit_code == 4
+    assert done.failure.message == "R2: ambiguous"
+
+
+def test_recordings_without_common_time_are_refused(recordings, true, tmp_path):
+    time, xyz, rate = LONG.detections(true["R2"], vehicles=4)
+    later = recording(tmp_path / "R2.parquet", time + 1000.0, xyz, range_rate=rate)
+    with pytest.raises(gr.InputError, match=r"R1\.parquet ends \d+ s before .*R2\.parquet begins"):
+        common_time([recordings["R1"], later])
+
+
+def counts():
+    """Wrong calls: recordings, options, what the message says."""
+    two = ["a/R1.parquet", "a/R2.parquet"]
+    yield ["a/R1.parquet"], {"guesses": [(0, 0)]}, "1 recording, at least two"
+    yield two, {"guesses": [(0, 0)]}, "2 recordings, but 1 guesses"
+    yield two, {"guesses": [(0, 0)] * 2, "headings": [1.0]}, "2 recordings, but 1 headings"
+    yield two, {"guesses": [(0, 0)] * 2, "headings": [1, 1], "compasses": [1, 1]}, "both heading"
+    yield ["a/R1.parquet", "b/R1.parquet"], {"guesses": [(0, 0)] * 2}, "two recordings are of R1"
+
+
+@pytest.mark.parametrize(("paths", "options", "message"), list(counts()))
+def test_wrong_calls_are_refused_in_a_line(paths, options, message):
+    with pytest.raises(gr.UsageError, match=message):
+        gr.localize_together(paths, "map.osm", "road.laz", **options)
+
+
+def some_moments(seed, place):
+    """Ten vehicles for four seconds on two lanes, seen by one sensor."""
+    rng = np.random.default_rng(seed)
+    track, moment = (each.ravel() for each in np.mgrid[0:10, 0:20])
+    along = np.where(track[:, None] % 2, [1.0, 0.0], [-1.0, 0.0])
+    begin = rng.uniform(-80.0, 80.0, (10, 1))
+    middle = np.column_stack([begin[track, 0], 2.0 * along[:, 0]])
+    middle += along * (10.0 * 0.2 * moment)[:, None]
+    arm = np.column_stack([middle, np.zeros(len(track))]) - place
+    return Moments(
+        track=track, moment=moment, arm=arm, place=np.asarray(place, float), along=along,
+        speed=np.full(len(track), 10.0), count=np.full(len(track), 3),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("part", range(6))
+def test_derivatives_by_the_poses_are_right(part):
+    one, other = some_moments(1, [0.0, 12.0, 5.0]), some_moments(1, [60.0, -15.0, 6.0])
+    rows, step = compare(one, other, TIES), np.zeros(6)
+    step[part] = 1e-5
+    after = compare(one.moved(step[:3]), other.moved(step[3:]), TIES)
+    assert (rows.tracks == after.tracks).all()
+    # that a turn changes the aspect, and the share of the sides with it, is left out
+    off = np.abs((after.gap - rows.gap) / 1e-5 - rows.poses[:, :, part])
+    assert off.max() < (TIES.half_length_m if part in {2, 5} else 1e-6)
+
+
+def test_each_track_is_paired_once_at_the_least_misfit():
+    tracks = np.array([[0, 0], [0, 1], [1, 0], [1, 1], [2, 2]])
+    assert assign(np.array([1.0, 2.0, 2.0, 9.0, 20.0]), tracks, 13.8).tolist() == [1, 2]
+
+
+matrices = st.integers(0, 2**32 - 1)
+
+
+def covariances(rng, n):
+    for _ in range(n):
+        root = rng.normal(size=(3, 3)) * np.exp(rng.normal(0.0, 1.5, (3, 1)))
+        yield root @ root.T + 1e-6 * np.eye(3)
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=matrices, n=st.integers(2, 4), pairs=st.integers(1, 12))
+def test_an_adjustment_never_knows_less_than_the_single_answers(seed, n, pairs):
+    rng = np.random.default_rng(seed)
+    known = list(covariances(rng, n))
+    slope = rng.normal(size=(pairs, 2, 11))
+    gap = rng.normal(0.0, 3.0, (pairs, 2))
+    ties = {
+        (0, n - 1): Tied(
+            information=np.einsum("pik,pil->pkl", slope, slope),
+            gradient=np.einsum("pik,pi->pk", slope, gap),
+            gap=gap, slope=slope, covariance=np.tile(np.eye(2), (pairs, 1, 1)),
+        )
+    }  # fmt: skip
+    single = shared_covariance(known)
+    assert np.linalg.eigvalsh(single).min() > 0.0
+    found = adjust(ties, np.zeros((n, 3)), known, TIES)
+    scale = np.sqrt(np.diag(single))
+    less = (single - found.covariance) / np.outer(scale, scale)
+    assert np.linalg.eigvalsh(less).min() > -1e-7
+    assert np.isfinite(found.step).all()
