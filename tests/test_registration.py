@@ -13,7 +13,7 @@ from streets import CROSSING, Street
 from gis_radar.errors import NoAnswerError
 from gis_radar.localization.adaptation import heights
 from gis_radar.localization.certainty import advantage, certainty
-from gis_radar.localization.hypotheses import prior_at
+from gis_radar.localization.hypotheses import Hypothesis, look_around, prior_at
 from gis_radar.localization.lanes import Lanes, sample_lanes
 from gis_radar.localization.matching import Scene, match, place
 from gis_radar.localization.model import MODEL
@@ -357,3 +357,15 @@ def test_information_keeps_over_its_floor(seed):
     kept = at_least(other, floor)
     assert np.linalg.eigvalsh(kept - floor).min() > -1e-8 * np.abs(kept).max()
     assert np.allclose(at_least(floor + b @ b.T, floor), floor + b @ b.T)
+
+
+def test_a_look_around_finds_the_better_optimum_beside_one(scene):
+    scene, state, _ = scene
+    prior, once = prior_at(state), Schedule(scales_m=(0.0,), rounds=1)
+    aside = state.moved(np.array([1.0, -1.0, 0.0, 0.0, 0.0, 0.02, 0.0]))
+    stuck = Hypothesis(fit=solve(scene, aside, prior, schedule=once), prior=prior)
+    found = look_around(scene, stuck)
+    best = solve(scene, state, prior)
+    assert stuck.fit.cost > best.cost + 50.0
+    assert found.fit.cost < best.cost + 5.0
+    assert np.abs(found.fit.state.difference(best.state)[:2]).max() < 0.2

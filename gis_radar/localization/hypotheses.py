@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
+from scipy.ndimage import minimum_filter
 from scipy.spatial.transform import Rotation
 
 from gis_radar.arrays import Floats
@@ -15,9 +17,11 @@ from gis_radar.localization.matching import Scene
 from gis_radar.localization.model import MODEL, Model
 from gis_radar.localization.search import Candidate, Levelling, level, search
 from gis_radar.localization.settings import DEFAULTS, LocalizationSettings
-from gis_radar.localization.solver import Fit, Prior, solve
+from gis_radar.localization.solver import Fit, Prior, cost_at, solve
 from gis_radar.localization.state import POSE, REFLECTION, SIZE, State
 from gis_radar.localization.traces import Samples
+
+PLANE = [0, 1, 5]  # of the state: easting, northing, turn about the vertical
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +91,11 @@ def _searched(
 
 def rough(scene: Scene) -> Scene:
     """Return the scene with an even part of the samples, enough to rank hypotheses."""
-    samples, most = scene.samples, scene.settings.hypotheses.rough_samples
+    return _part(scene, scene.settings.hypotheses.rough_samples)
+
+
+def _part(scene: Scene, most: int) -> Scene:
+    samples = scene.samples
     chosen = np.random.default_rng(1).permutation(len(samples))[:most]
     return scene.of(samples.where(np.isin(np.arange(len(samples)), chosen)))
 
@@ -101,21 +109,52 @@ def _settled(scene: Scene, hypothesis: Hypothesis, start: State) -> Hypothesis:
 def refine(scene: Scene, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Fit the first hypotheses to all samples, and return them the best first.
 
-    Prior and model adapt to the best one and to each that could still overtake it.
+    The best one is looked at in full, and so is each that could still overtake it.
     """
     part, best, settings = rough(scene), hypotheses[0], scene.settings.hypotheses
     near = [h for h in hypotheses if advantage(best.fit, h.fit, part.samples) < settings.gone]
     finalists = near[: settings.finalists]
     settled = _ranked([_settled(part, h, h.fit.state) for h in finalists], scene.settings)
     fine = _ranked([_fine(scene, h) for h in settled], scene.settings)
-    first, rival = fine[0], settings.rival
-    return _ranked(
-        [
-            _adapted(scene, h) if advantage(first.fit, h.fit, scene.samples) < rival else h
-            for h in fine
-        ],
-        scene.settings,
-    )
+    looked = _with_rivals(fine, scene, partial(look_around, scene))
+    return _with_rivals(looked, scene, partial(_adapted, scene))
+
+
+def _with_rivals(
+    ranked: Sequence[Hypothesis], scene: Scene, better: Callable[[Hypothesis], Hypothesis]
+) -> list[Hypothesis]:
+    """Improve the best hypothesis and its rivals, and return all, the best first."""
+    first, rival = ranked[0], scene.settings.hypotheses.rival
+    near = [advantage(first.fit, h.fit, scene.samples) < rival for h in ranked]
+    improved = [better(h) if close else h for h, close in zip(ranked, near, strict=True)]
+    return _ranked(improved, scene.settings)
+
+
+def look_around(scene: Scene, best: Hypothesis) -> Hypothesis:
+    """Look for better optima around one: by the likelihood on a grid, and from its best places.
+
+    Which face of which vehicle a trace shows, and to which lane it belongs, make the cost bumpy in
+    the small where drivers keep off the middle of their lanes.
+    """
+    settings, lever_m = scene.settings.hypotheses, scene.settings.answer.lever_m
+    aside, turned = (np.arange(-n, n + 1) * settings.look_m for n in settings.look_steps)
+    few = _part(scene, settings.look_samples)
+    grid = np.stack(np.meshgrid(aside, aside, turned / lever_m, indexing="ij"), axis=-1)
+    steps = np.zeros((grid.size // 3, SIZE))
+    steps[:, PLANE] = grid.reshape(-1, 3)
+    for _ in range(settings.looks):
+        starts = [best.fit.state.moved(step) for step in steps]
+        costs = np.array([cost_at(few, start, scale_m=settings.look_scale_m) for start in starts])
+        costs = costs.reshape(grid.shape[:3])
+        lowest = np.argwhere(costs == minimum_filter(costs, size=3))
+        order = np.argsort(costs[tuple(lowest.T)])[: settings.look_places]
+        chosen = np.ravel_multi_index(tuple(lowest[order].T), costs.shape)
+        others = [_settled(scene, best, starts[k]) for k in chosen]
+        better = min(others, key=lambda h: h.fit.cost)
+        if better.fit.cost > best.fit.cost - settings.look_gain:
+            break
+        best = better
+    return best
 
 
 def _fine(scene: Scene, hypothesis: Hypothesis) -> Hypothesis:

@@ -276,6 +276,15 @@ class HypothesisSettings:
         nearer by about half of one; more than `AnswerSettings.clear`.
     twin_m, twin_rad : (3,) tuples
         Closer fits are one: easting, northing, height; turns about the axes.
+    look_m, look_steps : float, (2,) tuple of int
+        Grid around an optimum on which better ones are looked for: half a vehicle's width apart,
+        and so many steps to all sides and turns, which count at `AnswerSettings.lever_m`.
+    look_scale_m, look_samples, look_places : float, int, int
+        Widening of the spreads there (drivers differ by as much), samples that are looked at, and
+        how many of the lowest places are fitted.
+    looks, look_gain : int, float
+        Most looks, each around the last one's best, and what one must gain (half a sigma squared
+        is 0.5).
     """
 
     reflection_m: float = 0.6
@@ -289,6 +298,13 @@ class HypothesisSettings:
     rival: float = 3.5
     twin_m: tuple[float, float, float] = (0.3, 0.3, 0.5)
     twin_rad: tuple[float, float, float] = (radians(0.5), radians(0.5), radians(0.3))
+    look_m: float = 0.5
+    look_steps: tuple[int, int] = (3, 2)
+    look_scale_m: float = 0.3
+    look_samples: int = 400
+    look_places: int = 4
+    looks: int = 4
+    look_gain: float = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -155,7 +155,7 @@ def solve(
     return _described(cost, here, converged=converged)
 
 
-def cost_at(scene: Scene, state: State, *, model: Model = MODEL) -> float:
+def cost_at(scene: Scene, state: State, *, model: Model = MODEL, scale_m: float = 0.0) -> float:
     """Return the cost of the traces at a state, without a prior: a negative log likelihood.
 
     Parameters
@@ -166,10 +166,12 @@ def cost_at(scene: Scene, state: State, *, model: Model = MODEL) -> float:
         Where the sensor is, and how vehicles reflect.
     model : Model
         How vehicles drive and reflect.
+    scale_m : float
+        Widening of all spreads (root of squares).
     """
     flat = Prior(mean=state, information=np.zeros((SIZE, SIZE)))
     point = _Point(state, np.zeros((len(FAMILIES), scene.samples.tracks)))
-    return _Cost(scene, flat, model, 0.0, None).at(point).total
+    return _Cost(scene, flat, model, scale_m, None).at(point).total
 
 
 @dataclass(frozen=True)
