@@ -1,16 +1,22 @@
 """Several sensors of a site together: vehicles that two of them see tie their poses."""
 
+import json
 import math
+import pickle
 from dataclasses import replace
+from importlib import import_module
 
+import laspy
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sites import recording
+from sites import UTM, recording
 from streets import CROSSING, Street, errors
 
 import gis_radar as gr
+from gis_radar.cli import group
 from gis_radar.localization.joint import Tied, adjust, shared_covariance
 from gis_radar.localization.network import plane_covariance, pose_covariance
 from gis_radar.localization.result import AmbiguousError
@@ -190,6 +196,13 @@ def test_a_sensor_that_sees_other_traffic_keeps_its_answer(
     assert solved.poses == mine
 
 
+def test_the_poses_that_fit_come_back_from_a_worker_process(true):
+    each = gr.Localization(pose=true["R1"], fitness=0.9, observable=True)
+    sent = AmbiguousError("R1: ambiguous", hint="record longer", answers=(each, each))
+    back = pickle.loads(pickle.dumps(sent))  # noqa: S301 - our own
+    assert (back.message, back.hint, len(back.answers)) == ("R1: ambiguous", "record longer", 2)
+
+
 def test_what_no_neighbour_places_keeps_its_reason(recordings, true, tmp_path, monkeypatch):
     """R2 cannot tell two poses apart, and sees none of R1's vehicles."""
     other = TRAFFIC | {"seed": 77}
@@ -306,3 +319,94 @@ def test_an_adjustment_never_knows_less_than_the_single_answers(seed, n, pairs):
     less = (single - found.covariance) / np.outer(scale, scale)
     assert np.linalg.eigvalsh(less).min() > -1e-7
     assert np.isfinite(found.step).all()
+
+
+@pytest.fixture(scope="module")
+def files(recordings, tmp_path_factory):
+    """The scanned road; the map's lanes come from the scene itself."""
+    scan = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
+    points = LONG.road_points()
+    scan.header.scales, scan.header.offsets = [0.001] * 3, np.floor(points.min(axis=0))
+    scan.header.add_crs(UTM)
+    scan.xyz = points
+    road = tmp_path_factory.mktemp("road") / "road.laz"
+    scan.write(road)
+    return [str(recordings["R1"]), str(recordings["R2"]), "--map", "map.osm", "--road", str(road)]
+
+
+def invoke(files, output, *more):
+    words = ["localize", *files, "--together", "--json", "-o", str(output), *more]
+    return CliRunner().invoke(group, words, standalone_mode=False)
+
+
+def guess_words(true):
+    return [
+        word
+        for pose in true.values()
+        for word in ("--guess", f"{pose.easting - 3:.1f},{pose.northing + 4:.1f}")
+    ]
+
+
+@pytest.fixture
+def scene_map(monkeypatch):
+    together = import_module("gis_radar.localization.together")
+    monkeypatch.setattr(together, "read_map", lambda *_, **__: LONG.roads())
+
+
+@pytest.mark.usefixtures("scene_map")
+def test_the_command_writes_a_pose_for_each_sensor(files, true, tmp_path):
+    done = invoke(files, tmp_path / "poses", *guess_words(true))
+    assert done.exception is None
+    result = json.loads(done.stdout.splitlines()[-1])
+    assert result["outputs"] == [str(tmp_path / "poses" / f"{name}.json") for name in true]
+    assert "vehicles shared with R1" in result["summary"]["R2"]
+    for path, pose in zip(result["outputs"], true.values(), strict=True):
+        assert (np.abs(errors(gr.read_pose(path), pose)[:2]) < 1.0).all()
+
+
+@pytest.mark.usefixtures("scene_map")
+def test_the_command_fails_after_the_poses_where_a_sensor_has_none(
+    files, true, tmp_path, monkeypatch
+):
+    pose = stated(true["R1"])
+    found = gr.Localization(pose=pose, fitness=0.9, observable=True)
+    part = gr.Together(found={"R1": found}, refused={"R2": "R2: 2 moving vehicles"}, pairs={})
+    monkeypatch.setattr(gr, "localize_together", lambda *_, **__: part)
+    done = invoke(files, tmp_path, *guess_words(true))
+    assert isinstance(done.exception, gr.NoAnswerError)
+    assert done.exception.message == "R2: 2 moving vehicles"
+    assert [path.name for path in tmp_path.iterdir()] == ["R1.json"]
+    assert json.loads(done.stdout.splitlines()[-1])["outputs"] == [str(tmp_path / "R1.json")]
+
+
+@pytest.mark.usefixtures("scene_map")
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (("--figure", "f.png"), "for one sensor"),
+        (("--method", "icp"), "for one sensor"),
+        (("--scan", "s.laz"), "for one sensor"),
+        (("--heading", "3"), "2 recordings, but 1 headings"),
+        (("--guess", "690000,5336000"), "2 recordings, but 3 guesses"),
+        (("--heading", "3", "--compass", "north"), "both --heading and --compass"),
+    ],
+)
+def test_what_does_not_go_together_is_wrong_usage(files, true, tmp_path, more, message):
+    done = invoke(files, tmp_path / "poses", *guess_words(true), *more)
+    assert isinstance(done.exception, gr.UsageError)
+    assert message in done.exception.message
+    assert not (tmp_path / "poses").exists()
+
+
+def test_several_recordings_need_the_option(files, tmp_path):
+    words = ["localize", *files, "--guess", "690000,5336000", "-o", str(tmp_path / "pose.json")]
+    done = CliRunner().invoke(group, words, standalone_mode=False)
+    assert isinstance(done.exception, gr.UsageError)
+    assert (done.exception.message, done.exception.hint[:10]) == ("2 times RECORDING", "--together")
+
+
+def test_a_file_in_the_place_of_the_folder_is_refused_before_any_work(files, true, tmp_path):
+    (tmp_path / "poses").write_text("mine")
+    done = invoke(files, tmp_path / "poses", *guess_words(true))
+    assert isinstance(done.exception, gr.OutputError)
+    assert "is a file" in done.exception.message

@@ -9,8 +9,18 @@ import click
 
 import gis_radar as gr
 from gis_radar.cli.console import Result, command
-from gis_radar.cli.options import BEARING, FILE, POSITION, lanes, origin, output, road, scan_crs
-from gis_radar.errors import UsageError
+from gis_radar.cli.options import (
+    BEARING,
+    FILE,
+    POSITION,
+    lanes,
+    origin,
+    output,
+    recordings,
+    road,
+    scan_crs,
+)
+from gis_radar.errors import OutputError, UsageError
 from gis_radar.files import refuse_inputs, require_folder
 from gis_radar.progress import Reporter
 
@@ -19,13 +29,27 @@ from gis_radar.progress import Reporter
     example="gis-radar localize R1.parquet --map junction.osm --road road.laz "
     "--guess 690356,5336183 -o R1.json",
 )
-@click.argument("recording", metavar="RECORDING", type=FILE)
+@recordings
 @lanes
 @road
-@click.option("--guess", type=POSITION, required=True, help="Within 15 m, in the road's CRS.")
+@click.option(
+    "--guess", "guesses", type=POSITION, multiple=True, required=True,
+    help="Within 15 m, in the road's CRS.",
+)  # fmt: skip
 @click.option("--guess-crs", help="CRS of the guess, where it is not the road's: EPSG:3857.")
-@click.option("--heading", type=float, help="Yaw within 25 deg: from grid east, anticlockwise.")
-@click.option("--compass", type=BEARING, help="The same as a bearing: 210, north-east, ...")
+@click.option(
+    "--heading", "headings", type=float, multiple=True,
+    help="Yaw within 25 deg: from grid east, anticlockwise.",
+)  # fmt: skip
+@click.option(
+    "--compass", "compasses", type=BEARING, multiple=True,
+    help="The same as a bearing: 210, north-east, ...",
+)  # fmt: skip
+@click.option(
+    "--together", is_flag=True,
+    help="Several sensors, tied by the vehicles they share: a RECORDING and --guess each; "
+    "-o is a folder of SENSOR.json.",
+)  # fmt: skip
 @origin
 @click.option(
     "--method", type=click.Choice(["lane", "icp"]), default="lane", show_default=True,
@@ -40,22 +64,46 @@ from gis_radar.progress import Reporter
 @output
 def localize(
     *,
-    recording: Path,
+    recordings: tuple[Path, ...],
     map_path: Path,
     road: Path,
+    guesses: tuple[tuple[float, ...], ...],
+    headings: tuple[float, ...],
+    compasses: tuple[float, ...],
+    together: bool,
     scans: tuple[Path, ...],
     figure: Path | None,
     output: Path,
     reporter: Reporter,
     **options: Any,
 ) -> Result:
-    """Find a sensor's pose from its recording and a rough guess (JSON)."""
-    if options["heading"] is not None and options["compass"] is not None:
+    """Find a sensor's pose from its recording and a rough guess (JSON).
+
+    With --together those of several sensors that recorded at the same time.
+    """
+    if headings and compasses:
         raise UsageError("both --heading and --compass are given", hint="give one of them")
-    _check_outputs(output, figure, recording, map_path, road, *scans)
+    if together:
+        if scans or figure or options.pop("method") != "lane" or options.pop("scan_crs"):
+            raise UsageError("--scan, --figure and --method icp are for one sensor")
+        _check_folder(output, recordings, map_path, road)
+        several = gr.localize_together(
+            recordings, map_path, road, guesses=guesses, headings=headings or None,
+            compasses=compasses or None, reporter=reporter, **options,
+        )  # fmt: skip
+        made = several.write(output)
+        return Result(outputs=made, summary=several.figures(), failure=several.failure)
+    given = {"RECORDING": recordings, "--guess": guesses, "--heading": headings,
+             "--compass": compasses}  # fmt: skip
+    for name, values in given.items():
+        if len(values) > 1:
+            raise UsageError(f"{len(values)} times {name}", hint="--together takes several sensors")
+    _check_outputs(output, figure, *recordings, map_path, road, *scans)
     found = gr.localize_files(
-        recording, map_path, road, scans=scans, figure=figure, reporter=reporter, **options
-    )
+        recordings[0], map_path, road, guess=guesses[0], heading=next(iter(headings), None),
+        compass=next(iter(compasses), None), scans=scans, figure=figure, reporter=reporter,
+        **options,
+    )  # fmt: skip
     gr.write_pose(found.pose, output)
     outputs = [output] if figure is None else [output, figure]
     return Result(outputs=outputs, summary=found.figures())
@@ -111,6 +159,15 @@ def sensors(*, poses: tuple[Path, ...], output: Path, reporter: Reporter) -> Res
     gr.write_sensors(found, output)
     reporter.progress("writing sensors", len(found), len(found))
     return Result(outputs=[output], summary={"sensors": [pose.sensor for pose in found]})
+
+
+def _check_folder(output: Path, recordings: tuple[Path, ...], *inputs: Path) -> None:
+    """Refuse a folder for poses that cannot be written, before any work."""
+    require_folder(output)
+    if output.is_file():
+        raise OutputError(f"{output}: is a file", hint="name a folder for the poses")
+    for recording in recordings:
+        refuse_inputs(output / f"{recording.stem}.json", *recordings, *inputs)
 
 
 def _check_outputs(output: Path, figure: Path | None, *inputs: Path) -> None:

@@ -173,7 +173,9 @@ class AmbiguousError(NoAnswerError):
         The poses, each as if it were the answer; the best first.
     """
 
-    def __init__(self, message: str, *, hint: str, answers: tuple[Localization, ...]) -> None:
+    def __init__(  # by the message alone, too: so errors come back from worker processes
+        self, message: str, *, hint: str = "", answers: tuple[Localization, ...] = ()
+    ) -> None:
         super().__init__(message, hint=hint)
         self.answers = answers
 
