@@ -67,13 +67,13 @@ def _compare(site: Path, filters: gr.Filters) -> dict[str, float]:
     true = _true_share(tiles, traffic)
     observed = heat["occupancy"].notna().to_numpy()
     hit, true = heat["occupancy"].to_numpy()[observed], true[observed]
-    was_hit = hit > 0.0
+    was_hit, empty = hit > 0.0, true == 0.0
     return {
         "tiles": int(observed.sum()),
         **_agreement(hit, true),
         "tiles_hit": int(was_hit.sum()),
         **{f"{k}_hit": v for k, v in _agreement(hit[was_hit], true[was_hit]).items()},
-        "false_hits": float((hit[true == 0.0] > FALSE_HIT).mean()),
+        "false_hits": float((hit[empty] > FALSE_HIT).mean()) if empty.any() else float("nan"),
     }
 
 

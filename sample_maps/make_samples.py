@@ -18,10 +18,12 @@ from pyproj import CRS
 from gis_radar.poses.files import write_pose
 from gis_radar.poses.pose import Pose, View
 from simulation.curves import arc_length, points_at
-from simulation.demand import KINDS, Flow
+from simulation.demand import KINDS, LONG_KINDS, Flow
 from simulation.lanelet_writer import Crosswalk, write_lanelets
 from simulation.movement import Traffic
 from simulation.network import RoadNetwork, build_network, read_network
+from simulation.people import People, simulate_people
+from simulation.presets import RADARS
 from simulation.radar import place_radar
 from simulation.recording import frame_times, simulate_recording, write_packed, write_recording
 from simulation.roadside import furnish
@@ -50,6 +52,14 @@ PER_HOUR = {
 }  # fmt: skip
 
 
+# of trucks those with a trailer
+DRIVEN = (
+    *(kind for kind in KINDS if kind.name != "truck"),
+    *(kind for kind in LONG_KINDS if kind.name == "articulated"),
+)
+PEOPLE = People(walkers=12, cyclists=4, crossing=0.5, reach_m=60.0)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Mast:
     """Where a radar stands on the plan, and how its frames come.
@@ -62,7 +72,9 @@ class Mast:
         Along the arm, beside its axis, and over the ground.
     yaw, pitch, roll : float
         Degrees, as in a pose.
-    begins_s, period_s, jitter_s, dropped, doubled : float
+    radar : str
+        A preset's name.
+    begins_s, dropped, doubled : float
         Its frames.
     blank_frames : int
         Frames without a detection.
@@ -76,9 +88,8 @@ class Mast:
     yaw: float
     pitch: float
     roll: float
+    radar: str
     begins_s: float
-    period_s: float
-    jitter_s: float
     dropped: float
     doubled: float
     blank_frames: int
@@ -105,12 +116,12 @@ MASTS = (
     Mast(
         sensor="R1", arm="W", from_middle_m=44.0, lateral_m=11.6, over_m=5.6,
         yaw=21.7, pitch=3.2, roll=-0.8,
-        begins_s=0.0, period_s=0.05, jitter_s=0.001, dropped=0.0, doubled=0.0, blank_frames=1,
+        radar="as recorded", begins_s=0.0, dropped=0.0, doubled=0.0, blank_frames=1,
     ),
     Mast(
         sensor="R2", arm="N", from_middle_m=38.0, lateral_m=9.2, over_m=6.3,
         yaw=-66.4, pitch=2.6, roll=1.1,
-        begins_s=0.017, period_s=0.057, jitter_s=0.001, dropped=0.01, doubled=0.01, blank_frames=2,
+        radar="as recorded, side", begins_s=0.017, dropped=0.01, doubled=0.01, blank_frames=2,
     ),
 )  # fmt: skip
 
@@ -153,13 +164,15 @@ def make_site(duration_s: float = DURATION_S) -> Site:
                 Flow(source=f"{pair[0]}_far", sink=f"{pair[1]}_out", per_hour=rate)
                 for pair, rate in PER_HOUR.items()
             ],
-            kinds=KINDS,
+            kinds=DRIVEN,
             start=START,
             duration_s=duration_s,
             seed=TRAFFIC_SEED,
         )
     bend = street_plan.ARMS["S"].along(95.0, 165.0, 4.2) + ORIGIN
     scene = furnish(network, TERRAIN, rng=np.random.default_rng(SEED), rails=(Rail(line=bend),))
+    people = simulate_people(network, scene.road, traffic, PEOPLE, seed=SEED)
+    traffic = traffic.joined(people)
     return Site(network=network, scene=scene, traffic=traffic)
 
 
@@ -193,13 +206,14 @@ def write_recordings(site: Site, folder: Path, duration_s: float) -> None:
     """Write what each radar records, and its true pose."""
     for number, mast in enumerate(MASTS):
         place, times, noise = np.random.default_rng([SEED, number]).spawn(3)
-        radar = place_radar(mast.pose(), site.scene, rng=place)
+        model = RADARS[mast.radar]
+        radar = place_radar(mast.pose(), site.scene, rng=place, model=model)
         moments = frame_times(
             START + mast.begins_s,
             duration_s - mast.begins_s,
             rng=times,
-            cycle_s=(mast.period_s,),
-            jitter_s=mast.jitter_s,
+            cycle_s=model.cycle_s,
+            jitter_s=model.jitter_s,
             dropped=mast.dropped,
             doubled=mast.doubled,
         )

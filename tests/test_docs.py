@@ -135,10 +135,8 @@ def test_the_tutorial_runs_as_it_stands(tmp_path, monkeypatch):
         arguments = words[1:]
         if arguments[0] in HEAVY:
             assert parses(arguments)
-            found = json.loads((sample / "R1.json").read_text(encoding="utf-8"))
-            del found["view"]  # as one that is found
             place = Path(arguments[arguments.index("-o") + 1])
-            place.write_text(json.dumps(found), encoding="utf-8")
+            place.write_bytes((sample / "R1.json").read_bytes())
             continue
         done = CliRunner().invoke(group, arguments, catch_exceptions=False)
         assert done.exit_code == 0, done.output

@@ -22,6 +22,7 @@ SAMPLE = Path(__file__).parents[1] / "sample_maps"
 START = 1_749_713_400.0
 COLUMNS = ["x", "y", "z", "range_rate", "rcs"]
 SENSORS = ("R1", "R2")
+PEOPLE = ("walker", "cyclist")
 
 
 @pytest.fixture(scope="module")
@@ -68,11 +69,12 @@ def test_recordings_keep_the_contract(recordings, sensor):
     assert table["time"].dtype == np.float64
     assert (table.dtypes[COLUMNS] == np.float32).all()
     assert table["time"].is_monotonic_increasing
-    assert table["time"].iloc[0] - START == pytest.approx(0.017 * (sensor == "R2"), abs=0.005)
+    begins = START + 0.017 * (sensor == "R2")
+    assert 0.0 <= table["time"].iloc[0] - begins < 0.06  # a cycle may begin at any moment of it
     assert 99.9 < table["time"].iloc[-1] - START < 100.0
     size = table.groupby("time").size()
-    assert 300 < size.mean() < 500
-    assert size.max() <= 800
+    assert 70 < size.mean() < 100  # a recorded ARS548 gives 50-100
+    assert size.max() < 150
     nothing = table[table["x"].isna()]
     assert len(nothing) >= 1
     assert (size[nothing["time"]] == 1).all()
@@ -84,19 +86,20 @@ def test_pages_have_checksums():
         pq.read_table(SAMPLE / f"{sensor}.parquet", page_checksum_verification=True)
 
 
-def test_r1_keeps_its_rate_and_r2_loses_and_doubles_frames(recordings):
+def test_frames_come_in_turn_and_r2_loses_and_doubles_some(recordings):
     first, second = (np.diff(recordings[s]["time"].unique()) for s in SENSORS)
+    in_turn = np.sort(np.median(first[: len(first) // 3 * 3].reshape(-1, 3), axis=0))
+    assert in_turn == pytest.approx([0.0413, 0.0515, 0.0572], abs=2e-4)
     assert first.mean() == pytest.approx(0.05, abs=1e-4)
-    assert 0.0005 < first.std() < 0.003
-    assert np.median(second) == pytest.approx(0.057, abs=0.001)
-    assert (second > 0.1).sum() >= 5
+    assert np.median(second) == pytest.approx(0.051, abs=0.001)
+    assert (second > 0.09).sum() >= 5
     assert ((second > 0.004) & (second < 0.016)).sum() >= 5
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_most_returns_stand_still(recordings, sensor):
     moving = (recordings[sensor]["range_rate"].abs() > 0.15).mean()
-    assert 0.02 < moving < 0.07
+    assert 0.15 < moving < 0.3
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
@@ -137,6 +140,7 @@ def test_vehicles_drive_on_the_lanes_and_queue(vehicles, lanelet_map):
     lanes = lane_polygons(lanelet_map)
     road = shapely.union_all([lane.buffer(0.05) for lane in lanes.values()])
     west, south, east, north = np.array(road.bounds) + (12, 12, -12, -12)
+    vehicles = vehicles[~vehicles["kind"].isin(PEOPLE)]
     inner = vehicles[
         vehicles["easting"].between(west, east) & vehicles["northing"].between(south, north)
     ]
@@ -151,6 +155,18 @@ def test_vehicles_drive_on_the_lanes_and_queue(vehicles, lanelet_map):
         ]
         longest = max(longest, *counts)
     assert longest >= 5
+
+
+def test_people_and_a_truck_with_a_trailer_are_there(vehicles):
+    kind = vehicles.groupby("t")["kind"]
+    assert kind.agg(lambda here: (here == "walker").sum()).eq(12).all()
+    assert kind.agg(lambda here: (here == "cyclist").sum()).eq(4).all()
+    truck = vehicles[vehicles["kind"] == "articulated"]
+    assert len(set(truck["id"])) == 1
+    assert set(truck["part"]) == {0, 1}
+    assert set(vehicles.loc[vehicles["part"] == 1, "kind"]) == {"articulated"}
+    assert (truck["whole_length"] == truck["whole_length"].iloc[0]).all()
+    assert truck["whole_length"].iloc[0] > truck["length"].max()
 
 
 def test_the_map_can_be_routed(lanelet_map):

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from datetime import date
 from importlib import import_module
 
 import laspy
@@ -26,6 +27,12 @@ from gis_radar.scans import scan as scan_files
 from gis_radar.second_look.second_look import Alignment, align
 from gis_radar.second_look.settings import DEFAULTS, SecondLookSettings
 from gis_radar.second_look.surroundings import LevelFrame, read_slow, read_structure
+from simulation.movement import Traffic
+from simulation.radar import RadarModel, place_radar
+from simulation.recording import simulate_recording, write_recording
+from simulation.scan import fly, write_scan
+from simulation.scene import Scene, Tree
+from simulation.terrain import Terrain
 
 localizing = import_module("gis_radar.localization.localize")  # its function has its name
 
@@ -59,9 +66,9 @@ def rewritten(path, change, crs="EPSG:25832"):
     return path
 
 
-def filtered(path, keep):
-    """Write the sample's recording with the detections that `keep` says; every frame stays."""
-    table = pq.read_table(R2)
+def filtered(path, keep, source=R2):
+    """Write a recording with the detections that `keep` says; every frame stays."""
+    table = pq.read_table(source)
     rate = np.abs(table["range_rate"].to_numpy())
     stamps = np.unique(table["time"].to_numpy())
     kept = table.filter(pc.field("time") > 0).filter(keep(rate))
@@ -74,6 +81,33 @@ def filtered(path, keep):
     }
     points = np.column_stack([columns[axis] for axis in "xyz"])[order]
     return recording(path, time[order], points, range_rate=columns["range_rate"][order])
+
+
+def windy_park(folder):
+    """Write the scan and the recording of trees in wind: their leaves do 0.3 m/s on average."""
+    rng = np.random.default_rng(5)
+    middle = np.array(POSE.position[:2])
+    places = middle + rng.uniform(-90.0, 90.0, (60, 2))
+    places = places[np.hypot(*(places - middle).T) > 12.0]
+    terrain = Terrain(origin=tuple(middle), height_m=POSE.height - 6.0)
+    trees = tuple(
+        Tree(place=tuple(place), crown_m=crown, crown_height_m=crown + 2.5)
+        for place, crown in zip(places, rng.uniform(2.0, 3.5, len(places)), strict=True)
+    )
+    lawn = shapely.box(*(middle - 80.0), *(middle + 80.0))
+    scene = Scene(terrain=terrain, road=lawn, trees=trees)
+    write_scan(fly(scene, rng=rng), folder / "scan.laz", crs=POSE.crs, flown=date(2024, 3, 14))
+    radar = place_radar(POSE, scene, rng=rng, model=replace(RadarModel(), static_per_frame=150.0))
+    still = radar.targets.clutter
+    stirred = replace(still, wobble=still.wobble * 15.0)
+    radar = replace(radar, targets=replace(radar.targets, clutter=stirred))
+    nobody = Traffic(
+        start=0.0, centre=np.zeros((2, 0, 2)), heading=np.zeros((2, 0)), speed=np.zeros((2, 0)),
+        yaw_rate=np.zeros((2, 0)), size=np.zeros((0, 3)), kind=(),
+    )  # fmt: skip
+    recorded = simulate_recording(radar, nobody, 1.0 + np.arange(200) * 0.05, rng=rng)
+    write_recording(recorded, folder / "R.parquet")
+    return folder / "R.parquet", folder / "scan.laz"
 
 
 @pytest.fixture(scope="module")
@@ -116,11 +150,25 @@ def test_a_pose_the_wrong_way_round_is_doubted():
     assert abs(abs(found.best.turn_deg) - 180.0) < 1.0
 
 
-def test_a_small_error_is_confirmed_and_measured():
-    found = gr.second_look(R2, moved(POSE, 0.5, -0.6, 0.4), [SCAN])
+@pytest.mark.parametrize("off", [(0.5, -0.6, 0.4), (-0.5, 0.6, 0.4)])
+def test_a_small_error_is_confirmed_and_measured(off):
+    """A shift and a turn make up for each other, so what counts is where they bring the cells."""
+    wrong = moved(POSE, *off)
+    found = gr.second_look(R2, wrong, [SCAN])
     assert found.verdict == "confirms"
-    assert found.best.turn_deg == pytest.approx(-0.4, abs=0.3)
-    assert found.best.left_m == pytest.approx(0.6, abs=0.35)
+    assert found.best.turn_deg == pytest.approx(-off[2], abs=0.3)
+    before = away_m(found, wrong)
+    after = away_m(found, moved(wrong, *found.best.place))
+    assert before > 0.55
+    assert after < 0.35
+    assert after < before / 2.0
+
+
+def away_m(look, pose):
+    """Return how far from their place a pose puts the cells that stand, on average."""
+    cells = look.standing.points[:, :2]
+    there, true = (LevelFrame(pose=each).to_map(cells) for each in (pose, POSE))
+    return np.hypot(*(there - true).T).mean()
 
 
 def test_only_the_place_of_map_and_sensor_to_each_other_counts(look, tmp_path):
@@ -240,10 +288,12 @@ def test_a_radar_that_hides_what_stands_has_nothing_to_compare(tmp_path):
 
 
 def test_leaves_alone_do(tmp_path):
-    path = filtered(tmp_path / "R2.parquet", lambda rate: rate > 0.08)
-    found = gr.second_look(path, POSE, [SCAN])
+    whole, scan = windy_park(tmp_path)
+    path = filtered(tmp_path / "leaves.parquet", lambda rate: rate > 0.15, source=whole)
+    found = gr.second_look(path, POSE, [scan])
     assert found.verdict == "confirms"
-    assert found.standing.rustles.mean() > 0.05
+    assert found.standing.rustles.min() == 1.0
+    assert gr.second_look(path, moved(POSE, 0.0, 3.5), [scan]).verdict == "doubts"
 
 
 def test_vehicles_that_wait_or_drive_by_do_not_stand(look):

@@ -190,7 +190,7 @@ def open_recording(path: str | Path) -> Recording:
     >>> recording = gr.open_recording(gr.sample_folder() / "R1.parquet")
     >>> detections = next(recording.read())
     >>> recording.rows, detections.points.shape
-    (853768, (65536, 3))
+    (167617, (65536, 3))
     """
     path = Path(path)
     if path.suffix.lower() not in FORMATS:
