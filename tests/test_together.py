@@ -159,8 +159,9 @@ def test_poses_that_contradict_each_other_are_refused(recordings, true, along_m)
 
 def test_of_three_the_one_that_two_contradict_is_refused(recordings, true):
     copy = replace(true["R2"], sensor="R3")
+    whole = recordings | {"R3": recordings["R2"]}
     solved = tied(
-        recordings | {"R3": recordings["R2"]},
+        whole,
         R1=(stated(true["R1"]),),
         R2=(stated(true["R2"], along_m=4.0),),
         R3=(stated(copy),),
@@ -168,6 +169,22 @@ def test_of_three_the_one_that_two_contradict_is_refused(recordings, true):
     assert list(solved.refused) == ["R2"]
     assert solved.poses.keys() == {"R1", "R3"}
     assert abs((solved.poses["R3"].position[:2] - copy.position[:2]) @ ALONG) < 0.5
+
+
+def test_a_contradiction_is_told_once_and_others_keep_their_poses(recordings, true, tmp_path):
+    """Two that contradict each other, and a third that sees other traffic."""
+    alone = LONG.record(tmp_path / "R3.parquet", true["R2"], noise=9, **(TRAFFIC | {"seed": 77}))
+    solved = tied(
+        recordings | {"R3": alone},
+        R1=(stated(true["R1"]),),
+        R2=(stated(true["R2"], along_m=4.0),),
+        R3=(stated(replace(true["R2"], sensor="R3")),),
+    )
+    assert solved.poses.keys() == {"R3"}
+    assert solved.refused.keys() == {"R1", "R2"}
+    failure = gr.Together(found={}, refused=solved.refused, pairs={}).failure
+    assert failure.message.startswith("R1 and R2: their poses contradict")
+    assert failure.message.count("contradict") == 1
 
 
 @pytest.mark.parametrize("right", [0, 1])

@@ -182,9 +182,14 @@ class _Network:
         """Note whether two sensors that stand fast agree, or contradict each other."""
         found = find_place([choice], {other: at}, self.settings)
         if found.beyond is not None:
-            self.clashes[other, name] = _clash((other, name), found.beyond)
+            self.clashes[self._pair(other, name)] = _clash(self._pair(other, name), found.beyond)
         elif found.inside is not None:
-            self.agreeing.add((other, name))
+            self.agreeing.add(self._pair(other, name))
+
+    def _pair(self, *names: str) -> Names:
+        """Return two sensors in the order in which they were given."""
+        one, other = (name for name in self.all if name in names)
+        return one, other
 
     def _place(self, name: str) -> bool:
         """Place a sensor by those that have a place; return whether it could be."""
@@ -192,7 +197,7 @@ class _Network:
         found = find_place(choices, self.placed, self.settings)
         if found.beyond is not None:
             most = max(found.beyond.pairs.items(), key=lambda pair: pair[1])[0]
-            self.clashes[most, name] = _clash((most, name), found.beyond)
+            self.clashes[self._pair(most, name)] = _clash(self._pair(most, name), found.beyond)
             return False
         if found.inside is None or found.lead < self.settings.clear:
             return False
@@ -200,7 +205,7 @@ class _Network:
         covariance = choices[member.choice].covariance
         seen = self.seen(member, member.choice, member.start)
         self.placed[name] = Choice(seen=seen, covariance=self._loose(covariance))
-        self.agreeing |= {(other, name) for other, n in found.inside.pairs.items() if n}
+        self.agreeing |= {self._pair(other, name) for other, n in found.inside.pairs.items() if n}
         return True
 
     def _loose(self, covariance: Floats) -> Floats:
@@ -218,7 +223,8 @@ class _Network:
                 self.refused[one] = why
             if theirs <= mine:
                 self.refused[other] = why
-        self.placed = {n: c for n, c in self.placed.items() if n not in self.refused}
+        left = self.placed.keys() - self.refused.keys()
+        self.placed = {name: self.placed[name] for name in self.all if name in left}
         if not self.placed:
             raise NoAnswerError(next(iter(self.clashes.values())), hint=CLASH_HINT)
 
@@ -266,7 +272,7 @@ class _Network:
         ties = {}
         for j, other in enumerate(names):
             for i, one in enumerate(names[:j]):
-                if (one, other) not in self.agreeing and (other, one) not in self.agreeing:
+                if (one, other) not in self.agreeing:
                     continue
                 rows = compare(at[one], at[other], self.settings)
                 if len(rows.tracks) < self.settings.least_pairs:

@@ -54,9 +54,10 @@ class Together:
         """What is missing, in one line; None where every sensor has a pose."""
         if not self.refused:
             return None
-        whys = dict.fromkeys(
-            why if why.startswith(name) else f"{name}: {why}" for name, why in self.refused.items()
-        )
+        whys = {
+            why if name in why.partition(":")[0].split() else f"{name}: {why}": None
+            for name, why in self.refused.items()
+        }
         return NoAnswerError("; ".join(whys), hint="the other sensors have their poses")
 
     def figures(self) -> dict[str, str]:
