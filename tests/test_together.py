@@ -3,6 +3,7 @@
 import json
 import math
 import pickle
+import re
 from dataclasses import replace
 from importlib import import_module
 
@@ -12,7 +13,7 @@ import pytest
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sites import UTM, recording
+from sites import START, UTM, recording
 from streets import CROSSING, Street, errors
 
 import gis_radar as gr
@@ -157,6 +158,18 @@ def test_poses_that_contradict_each_other_are_refused(recordings, true, along_m)
     assert "clocks" in refusal.value.hint
 
 
+@pytest.mark.parametrize("ahead_s", [0.2, -0.2, 0.0])
+def test_a_clock_that_is_off_is_told_and_moves_no_pose(recordings, true, tmp_path, ahead_s):
+    time, xyz, rate = LONG.detections(true["R2"], noise=1, **TRAFFIC)
+    late = recording(tmp_path / "R2.parquet", time + ahead_s, xyz, range_rate=rate)
+    mine = {name: (stated(pose),) for name, pose in true.items()}
+    solved = tied({"R1": recordings["R1"], "R2": late}, **mine)
+    way = {0.2: "0.2. s ahead of", -0.2: "0.[12]. s behind"}.get(ahead_s)
+    told = [re.fullmatch(f"the clock of R2 is {way} that of R1: .*", r) for r in solved.remarks]
+    assert [bool(each) for each in told] == ([True] if ahead_s else [])
+    assert (np.abs(errors(solved.poses["R2"], true["R2"])[:2]) < 0.3).all()
+
+
 def test_of_three_the_one_that_two_contradict_is_refused(recordings, true):
     copy = replace(true["R2"], sensor="R3")
     whole = recordings | {"R3": recordings["R2"]}
@@ -249,6 +262,15 @@ def test_what_no_neighbour_places_keeps_its_reason(recordings, true, tmp_path, m
     assert list(done.found) == ["R1"]
     assert done.failure.exit_code == 4
     assert done.failure.message == "R2: ambiguous"
+
+
+def test_a_sensor_before_which_nothing_moves_then_is_not_tied(recordings, true, tmp_path):
+    times = START + np.arange(200) * 0.05
+    still = recording(tmp_path / "R2.parquet", times, np.tile([20.0, 5.0, -3.0], (200, 1)))
+    mine = {name: (stated(pose),) for name, pose in true.items()}
+    solved = tied({"R1": recordings["R1"], "R2": still}, **mine)
+    assert solved.pairs == {}
+    assert solved.poses == {name: pose for name, (pose,) in mine.items()}
 
 
 def test_recordings_without_common_time_are_refused(recordings, true, tmp_path):

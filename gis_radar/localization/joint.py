@@ -87,6 +87,39 @@ class Adjusted:
     misfit: Mapping[Edge, float]
 
 
+def clock_gap(
+    tied: Tied, away: Floats, covariances: Sequence[Floats], settings: TieSettings
+) -> tuple[float, float]:
+    """Return by how much the clock of the other sensor is ahead of the one's, and its sigma, s.
+
+    As if clocks could be off by a second. Traffic in opposite directions tells a clock from a
+    place; where it goes one way, sigma says so.
+
+    Parameters
+    ----------
+    tied, settings
+        As for :func:`adjust`.
+    away, covariances
+        Of the two: (2, 3), and two (3, 3) arrays.
+    """
+    nuisance = _nuisance(2, settings)
+    nuisance[FACES:] = settings.free_clock_s**-2.0
+    prior = np.diag([*[0.0] * OWN, *nuisance])
+    for k, each in enumerate(covariances):
+        own = slice(PLANE * k, PLANE * k + PLANE)
+        prior[own, own] = np.linalg.inv(each)
+    start = np.concatenate([away.ravel(), np.zeros(len(nuisance))])
+    step = np.zeros(len(start))
+    for _ in range(STEPS):
+        weight = _weights(tied, step, settings)
+        information = np.tensordot(weight, tied.information, axes=1) + prior
+        pull = weight @ (tied.gradient + tied.information @ step) + prior @ (start + step)
+        step = step - np.linalg.solve(information, pull)
+    gap = np.zeros(len(start))
+    gap[-2:] = -1.0, 1.0
+    return float(gap @ step), float(np.sqrt(gap @ np.linalg.solve(information, gap)))
+
+
 def adjust(
     ties: Mapping[Edge, Tied], away: Floats, covariances: Sequence[Floats], settings: TieSettings
 ) -> Adjusted:

@@ -12,7 +12,14 @@ from gis_radar.arrays import Floats, Integers
 from gis_radar.errors import NoAnswerError
 from gis_radar.localization.certainty import PLANE as IN_POSE
 from gis_radar.localization.certainty import is_fixed
-from gis_radar.localization.joint import Adjusted, Tied, adjust, shared_covariance, tie
+from gis_radar.localization.joint import (
+    Adjusted,
+    Tied,
+    adjust,
+    clock_gap,
+    shared_covariance,
+    tie,
+)
 from gis_radar.localization.lanes import Lanes
 from gis_radar.localization.placing import GRID_YAW, Choice, Shift, find_place
 from gis_radar.localization.settings import AnswerSettings, LocalizationSettings
@@ -67,12 +74,15 @@ class Solved:
         Sensors without a trustworthy pose, and why, where that is the network's finding.
     pairs : dict
         How many vehicles tie two sensors, by their names.
+    remarks : tuple of str
+        What the user should know.
     """
 
     poses: dict[str, Pose]
     chosen: dict[str, int]
     refused: dict[str, str]
     pairs: dict[Names, int]
+    remarks: tuple[str, ...] = ()
 
 
 def solve_network(
@@ -294,14 +304,30 @@ class _Network:
         """Return the pairs of sensors whose own poses the ties contradict."""
         names, found = list(self.placed), {}
         for (i, j), chi2 in adjusted.misfit.items():
+            if chi2 <= self.settings.contradiction_chi2:
+                continue
             pair = names[i], names[j]
-            if chi2 > self.settings.contradiction_chi2:
-                own = np.concatenate([self.all[name].away for name in pair])
-                tied = ties[pair]
-                gap = tied.gap - tied.slope[:, :, : 2 * PLANE] @ own
-                apart_m = float(np.hypot(*np.median(gap, axis=0)))
-                found[pair] = _contradiction(pair, len(gap), apart_m)
+            own = np.array([self.all[name].away for name in pair])
+            tied = ties[pair]
+            gap = tied.gap - tied.slope[:, :, : 2 * PLANE] @ own.ravel()
+            apart_m = float(np.median(np.hypot(*gap.T)))
+            found[pair] = _contradiction(pair, len(gap), apart_m)
         return found
+
+    def clock_remarks(self, ties: Mapping[Names, Tied]) -> list[str]:
+        """Return which clocks are apart by more than the ties take for granted."""
+        remarks, most = [], self.settings.clock_s * math.sqrt(2.0)
+        for pair, tied in ties.items():
+            away = np.array([self.all[name].away for name in pair])
+            known = [plane_covariance(self.all[name].pose) for name in pair]
+            ahead_s, sigma_s = clock_gap(tied, away, known, self.settings)
+            if abs(ahead_s) > self.settings.clock_sigmas * math.hypot(most, sigma_s):
+                remarks.append(
+                    f"the clock of {pair[1]} is {abs(ahead_s):.2f} s "
+                    f"{'ahead of' if ahead_s > 0.0 else 'behind'} that of {pair[0]}: "
+                    "gis-radar clocks measures it"
+                )
+        return remarks
 
     def solved(self, adjusted: Adjusted, ties: Mapping[Names, Tied]) -> Solved:
         """Return poses, pairs and refusals."""
@@ -322,6 +348,7 @@ class _Network:
             chosen={name: self.all[name].choice for name in poses},
             refused=self.refused,
             pairs=pairs,
+            remarks=tuple(self.clock_remarks(ties)),
         )
 
 

@@ -45,6 +45,10 @@ class TieSettings:
         Moments closer than this share their error: places that reflect change as aspects do.
     clock_s : float
         Offset of a sensor's clock, one standard deviation: NTP on a local network.
+    free_clock_s : float
+        The same where it is asked whether clocks are off: at more, no vehicle finds its pair.
+    clock_sigmas : float
+        Standard deviations beyond which a clock's offset is remarked upon.
     freedom : float
         Degrees of freedom of Student's t for a pair's misfit: every tenth pair or so is wrong.
     gate_chi2 : float
@@ -87,6 +91,8 @@ class TieSettings:
     moment_sigma_m: float = 0.3
     memory_s: float = 1.0
     clock_s: float = 0.02
+    free_clock_s: float = 1.0
+    clock_sigmas: float = 4.0
     freedom: float = 4.0
     gate_chi2: float = 13.8
     least_pairs: int = 4

@@ -249,6 +249,8 @@ def tie_poses(
     ]
     lanes = _lanes_around(stations, roads, road_points, settings)
     solved = solve_network(stations, lanes, settings)
+    for remark in solved.remarks:
+        reporter.log(remark, "warning")
     tied = {name for pair in solved.pairs for name in pair}
     for name in solved.poses:
         if name not in tied and len(recordings) > 1:
