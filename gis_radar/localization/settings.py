@@ -64,8 +64,8 @@ class TraceSettings:
     sure_mps : float
         Median range rate that leaves and grass stay below.
     walk_mps : float
-        A track whose range rates stay below may be of walkers (1.4 m/s, and their limbs) and is
-        left out.
+        A track whose range rates stay below, and whose way no line of a higher speed fits within
+        `across_m`, may be of walkers (1.4 m/s, and their limbs) and is left out.
     creeping : (2,) tuple of int
         But not where so many tracks are faster, and not yet so many: traffic that hardly moves.
     voxel_m, per_voxel : float, int
@@ -405,7 +405,7 @@ class AnswerSettings:
     unfixed_rad: tuple[float, float, float] = (radians(2.0), radians(2.0), radians(1.0))
     lever_m: float = LEVER_M
     valley: Schedule = Schedule(scales_m=(0.3, 0.0), rounds=4)
-    valley_steps_m: tuple[float, ...] = (2.0, 4.0, 8.0, 16.0)
+    valley_steps_m: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
     least_rise: float = 0.5
     clear_rise: float = 50.0
     least_tracks: int = 5

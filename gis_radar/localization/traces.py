@@ -244,11 +244,28 @@ def _goes_somewhere(
     goes = (path >= least_m) & (path >= 0.5 * extent)
     streams = (rows["rate"].median() >= settings.sure_mps) & (extent >= least_m)
     good = (rows.size() >= settings.min_points) & (goes | streams)
-    # by the Doppler: people who walk behind each other make one long track
-    drives = good & (rows["rate"].quantile(0.9) > settings.walk_mps)
+    speed = np.maximum(rows["rate"].quantile(0.9), _steady_speed(number, time, moving, settings))
+    drives = good & (speed > settings.walk_mps)
     # walkers keep to kerbs, not to lanes; among few vehicles that drive, others creep in a queue
     few, enough = settings.creeping
     return np.asarray(good if few <= drives.sum() < enough else drives)
+
+
+def _steady_speed(
+    number: Integers, time: Floats, moving: Moving, settings: TraceSettings
+) -> Floats:
+    """Return the speed of the straight line that fits a track, m/s; 0 where none does.
+
+    What crosses the sight shows no Doppler; people behind each other make no line.
+    """
+    count = np.bincount(number)
+    centred = [v - (np.bincount(number, v) / count)[number] for v in (time, *moving.points.T[:2])]
+    t, east, north = centred
+    spread = np.maximum(np.bincount(number, t**2), 1e-9)
+    slopes = [np.bincount(number, t * way) / spread for way in (east, north)]
+    speed = np.hypot(*slopes)
+    left = np.bincount(number, east**2 + north**2) / count - speed**2 * spread / count
+    return np.where(np.sqrt(np.maximum(left, 0.0)) < settings.across_m, speed, 0.0)
 
 
 def thin(
