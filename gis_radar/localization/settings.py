@@ -57,15 +57,12 @@ class TraceSettings:
         Largest difference of range rates in a track: a vehicle that turns.
     segment_s : float
         A stream of vehicles that never breaks counts as several tracks of this length.
-    min_points : int
-        A track of fewer is a false alarm.
-    min_path_m : float
-        A slow track of a shorter path is a leaf.
+    min_points, min_path_m : int, float
+        A track of fewer is a false alarm, a slow track of a shorter path is a leaf.
     sure_mps : float
         Median range rate that leaves and grass stay below.
     walk_mps : float
-        A track whose range rates stay below, and whose way no line of a higher speed fits within
-        `across_m`, may be of walkers (1.4 m/s, and their limbs) and is left out.
+        A track that is slower by its range rates and by its way is of walkers, with their limbs.
     creeping : (2,) tuple of int
         But not where so many tracks are faster, and not yet so many: traffic that hardly moves.
     voxel_m, per_voxel : float, int
@@ -263,12 +260,8 @@ class HypothesisSettings:
         Prior of the mean height of reflections: between wheel hubs and belt lines.
     rough_samples : int
         Enough to rank hypotheses; cost in proportion.
-    rough : Schedule
-        First fit of every candidate.
-    settle : Schedule
-        Fit of each finalist.
-    fine : Schedule
-        Fit to all samples.
+    rough, settle, fine : Schedule
+        First fit of every candidate, fit of each finalist, fit to all samples.
     finalists, gone : int, float
         Most of them, and how many standard deviations behind the first none is one.
     rival : float
@@ -283,8 +276,7 @@ class HypothesisSettings:
         Widening of the spreads there (drivers differ by as much), samples that are looked at, and
         how many of the lowest places are fitted.
     looks, look_gain : int, float
-        Most looks, each around the last one's best, and what one must gain (half a sigma squared
-        is 0.5).
+        Most looks, each around the last one's best; what one must gain (a sigma's cost is 0.5).
     """
 
     reflection_m: float = 0.6
