@@ -462,8 +462,7 @@ def how_found(pose: Pose) -> str:
         words.append(f"{percent(float(fitness), 0)} of the traces fit")
     if evidence.get("observable") is False:
         words.append("the scene does not fix all of it")
-    look = evidence.get("second_look")
-    if isinstance(look, dict) and look.get("verdict"):
+    if isinstance(look := evidence.get("second_look"), dict) and look.get("verdict"):
         words.append(f"second look {look['verdict']}")
     return "; ".join(words)
 
@@ -496,7 +495,6 @@ def write_sensor_table(path: Path, results: Results) -> None:
         }
         for pose in results.poses
     ]
-    rows += [
-        {"sensor": name, "how_found": f"no result: {why}"} for name, why in results.lost.items()
-    ]
+    lost = results.lost.items()
+    rows += [{"sensor": name, "how_found": f"no result: {why}"} for name, why in lost]
     write_csv(path, header, ([row.get(name, "") for name in header] for row in rows))
