@@ -136,7 +136,7 @@ def test_vehicles_become_tracks_and_clutter_does_not(passing):
     assert np.mean(tracks[owner >= 2] >= 0) < 0.05
 
 
-@pytest.mark.parametrize(("vehicles", "walkers_kept"), [(14, False), (7, True), (3, False)])
+@pytest.mark.parametrize(("vehicles", "walkers_kept"), [(14, False), (40, True), (0, False)])
 def test_walkers_carry_no_weight_but_where_all_traffic_creeps(vehicles, walkers_kept):
     moment, rows = np.arange(0.0, 7.9, 0.1), []
     speeds = [10.0] * vehicles + [1.6] * 6

@@ -41,10 +41,8 @@ class TraceSettings:
 
     Parameters
     ----------
-    frames : int
-        Window, 100 s at 20 Hz (the paper's n_f).
-    least_frames : int
-        Fewer are refused: 5 s show no traffic.
+    frames, least_frames : int
+        Window, 100 s at 20 Hz (the paper's n_f); fewer are refused: 5 s show no traffic.
     min_speed_mps : float
         Least absolute range rate (the paper).
     link_s : float
@@ -60,11 +58,12 @@ class TraceSettings:
     min_points, min_path_m : int, float
         A track of fewer is a false alarm, a slow track of a shorter path is a leaf.
     sure_mps : float
-        Median range rate that leaves and grass stay below.
+        Median range rate that leaves stay below.
     walk_mps : float
-        A track that is slower by its range rates and by its way is of walkers, with their limbs.
-    creeping : (2,) tuple of int
-        But not where so many tracks are faster, and not yet so many: traffic that hardly moves.
+        Tracks that are slower by range rates and way may be of walkers, with their limbs.
+    creeping : float
+        These are left out where they are more than that share of tracks: up to 0.11 in a gridlock,
+        0.2 and more with 48 walkers in view; as many as the fit takes for strays do no harm.
     voxel_m, per_voxel : float, int
         Voxels wider than a vehicle, in which so many samples keep its faces' proportion.
     most : int
@@ -86,7 +85,7 @@ class TraceSettings:
     min_path_m: float = 3.0
     sure_mps: float = 1.5
     walk_mps: float = 2.7
-    creeping: tuple[int, int] = (5, 12)
+    creeping: float = 0.15
     voxel_m: float = 6.0
     per_voxel: int = 8
     most: int = 6000
@@ -276,7 +275,7 @@ class HypothesisSettings:
         Widening of the spreads there (drivers differ by as much), samples that are looked at, and
         how many of the lowest places are fitted.
     looks, look_gain : int, float
-        Most looks, each around the last one's best; what one must gain (a sigma's cost is 0.5).
+        Most looks, each around the last's best; what one must gain (a sigma costs 0.5).
     """
 
     reflection_m: float = 0.6

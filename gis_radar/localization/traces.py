@@ -195,7 +195,7 @@ def link_tracks(moving: Moving, settings: TraceSettings = DEFAULTS.traces) -> In
 
     Two detections belong together where the range changed as the Doppler states and bearing and
     Doppler are alike. What has few points is a false alarm; what is slow and goes nowhere are
-    leaves; what never goes faster than one walks is left out.
+    leaves; where many never go faster than one walks, these are left out.
 
     Parameters
     ----------
@@ -246,9 +246,9 @@ def _goes_somewhere(
     good = (rows.size() >= settings.min_points) & (goes | streams)
     speed = np.maximum(rows["rate"].quantile(0.9), _steady_speed(number, time, moving, settings))
     drives = good & (speed > settings.walk_mps)
-    # walkers keep to kerbs, not to lanes; among few vehicles that drive, others creep in a queue
-    few, enough = settings.creeping
-    return np.asarray(good if few <= drives.sum() < enough else drives)
+    # walkers keep to kerbs, not to lanes; but in a queue vehicles creep
+    walkers = 1.0 - drives.sum() / max(good.sum(), 1)
+    return np.asarray(drives if walkers > settings.creeping else good)
 
 
 def _steady_speed(
