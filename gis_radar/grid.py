@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -67,8 +68,13 @@ class Grid:
 
     def cells(self, x: Floats, y: Floats) -> tuple[Integers, Integers]:
         """Return column and row of the cell of each point; those of points outside are, too."""
-        # a quotient may round up to an edge, or underflow to it; floor_divide does neither
-        column, row = (np.floor_divide(side, self.cell_m).astype(np.int64) for side in (x, y))
+        # a quotient may round up to an edge, or underflow to it; floor_divide does neither, slowly
+        exact = self.cell_m <= 1.0 and math.frexp(self.cell_m)[0] == 0.5  # 1, 0.5, 0.25 m ...
+        floored = (
+            np.floor(side / self.cell_m) if exact else np.floor_divide(side, self.cell_m)
+            for side in (x, y)
+        )  # fmt: skip
+        column, row = (side.astype(np.int64) for side in floored)
         return column - self.west, row - self.south
 
     def holds(self, column: Integers, row: Integers) -> Booleans:

@@ -141,3 +141,11 @@ def test_noise_tells_nothing_of_units(seed, count):
     time = START + np.sort(rng.integers(0, 100, count)) * 0.05
     points = rng.uniform(-100, 100, (count, 3))
     assert compare_speeds(time, points, rng.uniform(-20, 20, count)) == ""
+
+
+def test_dense_noise_tells_nothing_of_units():
+    rng = np.random.default_rng(1)
+    time = START + np.repeat(np.arange(120), 300) * 0.05
+    reach, turn = rng.uniform(1.0, 300.0, len(time)), rng.uniform(-1.0, 1.0, len(time))
+    points = np.column_stack([reach * np.cos(turn), reach * np.sin(turn), 0.0 * turn])
+    assert compare_speeds(time, points, rng.uniform(-40, 40, len(time))) == ""

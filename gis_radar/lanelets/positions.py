@@ -140,7 +140,7 @@ def _without_geographic(
             hint="say where local (0, 0) lies: --origin E,N",
         )
     if target is None:
-        raise InputError(f"{what}, so its zone is not known", hint="say it, e.g. --crs EPSG:25832")
+        raise InputError(f"{what}, so its zone is not known", hint="give it, e.g. --crs EPSG:25832")
     return osm.local + np.asarray(origin), target, ("placed by local_x, local_y and --origin",)
 
 
