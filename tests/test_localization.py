@@ -9,7 +9,7 @@ from sites import EAST, NORTH, recording
 from streets import CROSSING, STRAIGHT, Street, errors
 
 from gis_radar.errors import InputError, NoAnswerError, UsageError
-from gis_radar.localization import localize
+from gis_radar.localization import lane_method, localize
 from gis_radar.localization.certainty import eigenvalues, is_fixed, pose_covariance
 from gis_radar.localization.icp import pose_information
 from gis_radar.localization.result import draw_localization
@@ -256,3 +256,23 @@ def test_a_guess_that_is_no_position_in_metres_is_refused(scene, guess):
     street, _, path = scene
     with pytest.raises(UsageError, match=r"degrees|expected easting, northing"):
         find(street, path, guess)
+
+
+def test_a_rival_beside_the_answer_hides_none_farther_off(tmp_path, monkeypatch):
+    street = Street(lanes=CROSSING)
+    pose = street.pose()
+    street.record(tmp_path / "R1.parquet", pose)
+    refined = lane_method.refine
+
+    def with_rivals(scene, tried):
+        """The best fit, one half a metre beside it and one five metres off, all alike."""
+        best = refined(scene, tried)[0]
+        fits = [
+            replace(best.fit, state=best.fit.state.moved(move), loss=best.fit.loss + 1e-6 * k)
+            for k, move in enumerate(np.array([0.0, 0.5, 5.0])[:, None] * np.eye(7)[0])
+        ]
+        return [replace(best, fit=fit) for fit in fits]
+
+    monkeypatch.setattr(lane_method, "refine", with_rivals)
+    with pytest.raises(NoAnswerError, match=r"ambiguous, two poses 5\.0 m"):
+        find(street, tmp_path / "R1.parquet", near(pose), heading=pose.yaw)

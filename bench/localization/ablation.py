@@ -35,6 +35,8 @@ VARIANTS: Mapping[str, Mapping[str, Any]] = {
     "no mirrored check": {"answer.mirror_share": math.inf},
     "one finalist": {"hypotheses.finalists": 1},
     "no full look at rivals": {"hypotheses.rival": 1e-9},
+    "no look around": {"hypotheses.looks": 0},
+    "walkers not left out": {"traces.walk_mps": 0.0},
     "no rough to fine": dict.fromkeys((f"hypotheses.{s}" for s in ("rough", "settle", "fine")),
                                       AT_ONCE),
     "last fit at one scale": {"hypotheses.fine": AT_ONCE},

@@ -111,11 +111,28 @@ def is_fixed(covariance: Floats, settings: AnswerSettings) -> bool:
 
 
 def _widened(inverse: Floats, fit: Fit) -> Floats:
-    """Return the cluster-robust covariance, never below the model's."""
-    root = np.linalg.cholesky((inverse + inverse.T) / 2.0)
+    """Return the cluster-robust covariance of a fit, with the vehicles as clusters."""
     clusters = fit.scores[np.abs(fit.scores).sum(axis=1) > 0.0]
-    few = len(clusters) / max(len(clusters) - inverse.shape[0], 1)
     prior = fit.information - fit.data_information
+    return cluster_robust(inverse, clusters, prior, unknowns=len(inverse))
+
+
+def cluster_robust(inverse: Floats, clusters: Floats, prior: Floats, *, unknowns: int) -> Floats:
+    """Return the cluster-robust covariance, never below the model's.
+
+    Parameters
+    ----------
+    inverse : (n, n) array
+        The model's covariance.
+    clusters : (k, n) array
+        Gradient of the cost of each cluster.
+    prior : (n, n) array
+        Information of the prior, which is no cluster.
+    unknowns : int
+        How many the clusters fix, for the correction of few clusters.
+    """
+    root = np.linalg.cholesky((inverse + inverse.T) / 2.0)
+    few = len(clusters) / max(len(clusters) - unknowns, 1)
     spread = root.T @ (few * clusters.T @ clusters + prior) @ root
     values, vectors = np.linalg.eigh((spread + spread.T) / 2.0)
     wide = root @ vectors

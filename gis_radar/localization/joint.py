@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gis_radar.arrays import Floats
+from gis_radar.localization.certainty import cluster_robust
 from gis_radar.localization.model import MODEL, Model
 from gis_radar.localization.tie_settings import TieSettings
 from gis_radar.localization.ties import FACES, PLANE, Rows, effects, mean_gaps
@@ -159,9 +160,8 @@ def adjust(
             scores.append(each)
         clusters = np.vstack(scores)
         step = step - np.linalg.solve(information, clusters.sum(axis=0) + prior @ (start + step))
-    covariance = _robust(np.asarray(np.linalg.inv(information)), clusters, prior)[
-        : PLANE * n, : PLANE * n
-    ]
+    inverse = np.asarray(np.linalg.inv(information))
+    covariance = cluster_robust(inverse, clusters, prior, unknowns=PLANE)[: PLANE * n, : PLANE * n]
     misfit = {
         edge: _misfit(tied, weights[edge], away[list(edge)], [covariances[i] for i in edge],
                       _nuisance(2, settings))
@@ -207,16 +207,6 @@ def _index(edge: Edge, n: int) -> list[int]:
 def _weights(tied: Tied, step: Floats, settings: TieSettings) -> Floats:
     """Return the weight of each pair by its misfit."""
     return np.asarray((settings.freedom + 2.0) / (settings.freedom + tied.chi2(step)))
-
-
-def _robust(inverse: Floats, clusters: Floats, prior: Floats) -> Floats:
-    """Return the cluster-robust covariance, never below the model's."""
-    root = np.linalg.cholesky((inverse + inverse.T) / 2.0)
-    few = len(clusters) / max(len(clusters) - PLANE, 1)
-    spread = root.T @ (few * clusters.T @ clusters + prior) @ root
-    values, vectors = np.linalg.eigh((spread + spread.T) / 2.0)
-    wide = root @ vectors
-    return np.asarray((wide * np.maximum(values, 1.0)) @ wide.T)
 
 
 def _at_most(covariance: Floats, most: Floats) -> Floats:

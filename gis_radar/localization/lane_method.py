@@ -55,14 +55,17 @@ def by_lanes(
     answers = _within_reach(problem, refine(scene, tried), scene)
     _refuse_unfit(problem, answers[0], settings)
     best = widen_by_profile(scene, answers[0])
-    lead, rival = _lead(best, answers[1:], scene)
+    others, clear = answers[1:], settings.answer.clear
+    beside = [h for h in others if _one_answer(best, h, settings.answer)]
+    lead, rival = _lead(best, [h for h in others if not any(h is b for b in beside)], scene)
     reporter.progress(STAGE, 5, 5)
-    if rival is not None and lead < settings.answer.clear:
-        if not _one_answer(best, rival, settings.answer):
-            open_ones = [best, *_others(best, answers[1:], scene)]
-            each = [_answer(problem, moving, scene, h, tried, lead) for h in open_ones]
-            raise _ambiguous(problem, best, rival, tuple(each))
-        best = replace(best, rival=rival.fit.state)
+    if rival is not None and lead < clear:
+        open_ones = [best, *_others(best, others, scene)]
+        each = [_answer(problem, moving, scene, h, tried, lead) for h in open_ones]
+        raise _ambiguous(problem, best, rival, tuple(each))
+    beside_lead, same = _lead(best, beside, scene)
+    if same is not None and beside_lead < clear:
+        best = replace(best, rival=same.fit.state)
     return _answer(problem, moving, scene, best, tried, lead)
 
 
