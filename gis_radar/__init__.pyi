@@ -11,14 +11,9 @@ from .errors import (
 )
 from .heatmap import HeatMap, make_heatmap, read_heatmap, to_xarray
 from .lanelets import LaneletMap, read_map
-from .localization import (
-    Localization,
-    Together,
-    localize,
-    localize_files,
-    localize_together,
-)
+from .localization import Localization, localize, localize_files
 from .localization.result import draw_localization
+from .network import Together, localize_together
 from .occupancy import (
     Filters,
     Occupancy,

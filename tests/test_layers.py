@@ -16,7 +16,7 @@ ROWS = """
     lanelets recordings scans
     tiles
     projection clocks occupancy
-    second_look localization tracking
+    second_look localization network tracking
     quality heatmap
     qgis report
     site

@@ -35,4 +35,12 @@ def test_a_settings_record_is_frozen_and_documents_each_field(record):
 
 def test_every_room_of_the_core_has_its_record():
     rooms = {param.values[0].__module__.split(".")[1] for param in records()}
-    assert {"localization", "tracking", "second_look", "scans", "clocks", "occupancy"} <= rooms
+    assert {
+        "localization",
+        "network",
+        "tracking",
+        "second_look",
+        "scans",
+        "clocks",
+        "occupancy",
+    } <= rooms

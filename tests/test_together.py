@@ -18,12 +18,12 @@ from streets import CROSSING, Street, errors
 
 import gis_radar as gr
 from gis_radar.cli import group
-from gis_radar.localization.joint import Tied, adjust, shared_covariance
-from gis_radar.localization.network import plane_covariance, pose_covariance
 from gis_radar.localization.result import AmbiguousError
-from gis_radar.localization.tie_settings import TieSettings
-from gis_radar.localization.ties import Moments, assign, compare
-from gis_radar.localization.together import common_time, locate_all, tie_poses
+from gis_radar.network.adjustment import Tied, adjust, shared_covariance
+from gis_radar.network.network import plane_covariance, stated_covariance
+from gis_radar.network.settings import TieSettings
+from gis_radar.network.ties import Moments, assign, compare
+from gis_radar.network.together import common_time, locate_all, tie_poses
 from gis_radar.poses.pose import COMPONENTS, View
 
 LONG = Street(
@@ -120,7 +120,7 @@ def test_no_sigma_grows_where_the_poses_agree(recordings, true, spread_m):
     mine = {"R1": stated(true["R1"]), "R2": stated(true["R2"], spread_m=spread_m, along_m=0.1)}
     solved = tied(recordings, **{name: (pose,) for name, pose in mine.items()})
     for name, pose in mine.items():
-        before, after = pose_covariance(pose), pose_covariance(solved.poses[name])
+        before, after = stated_covariance(pose), stated_covariance(solved.poses[name])
         assert np.linalg.eigvalsh(before - after).min() > -1e-9
         assert plane_covariance(solved.poses[name])[2, 2] < 0.95 * before[5, 5]
 
@@ -133,7 +133,7 @@ def test_errors_are_as_large_as_stated(recordings, true):
         drawn = {}
         for name, pose in true.items():
             known = stated(pose, spread_m=0.2)
-            step = rng.multivariate_normal(np.zeros(6), pose_covariance(known))
+            step = rng.multivariate_normal(np.zeros(6), stated_covariance(known))
             drawn[name] = (
                 replace(
                     known,
@@ -255,7 +255,7 @@ def test_what_no_neighbour_places_keeps_its_reason(recordings, true, tmp_path, m
             raise found
         return found
 
-    monkeypatch.setattr("gis_radar.localization.together.localize", single)
+    monkeypatch.setattr("gis_radar.network.together.localize", single)
     done = locate_all(
         [recordings["R1"], alone], LONG.roads(), LONG.road_points(), guesses=[(0, 0), (0, 0)]
     )
@@ -388,7 +388,7 @@ def guess_words(true):
 
 @pytest.fixture
 def scene_map(monkeypatch):
-    together = import_module("gis_radar.localization.together")
+    together = import_module("gis_radar.network.together")
     monkeypatch.setattr(together, "read_map", lambda *_, **__: LONG.roads())
 
 

@@ -2,13 +2,5 @@
 
 from gis_radar.localization.localize import localize, localize_files
 from gis_radar.localization.result import AmbiguousError, Localization
-from gis_radar.localization.together import Together, localize_together
 
-__all__ = [
-    "AmbiguousError",
-    "Localization",
-    "Together",
-    "localize",
-    "localize_files",
-    "localize_together",
-]
+__all__ = ["AmbiguousError", "Localization", "localize", "localize_files"]

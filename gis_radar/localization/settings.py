@@ -13,8 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from gis_radar.localization.tie_settings import TieSettings
-
 LEVER_M = 50.0  # a turn counts as the metres by which it moves what is so far off: usual traces
 
 
@@ -456,8 +454,6 @@ class LocalizationSettings:
         Of the method `lane`, step by step.
     icp : IcpSettings
         Of the method `icp`.
-    ties : TieSettings
-        Of several sensors together.
     """
 
     traces: TraceSettings = field(default_factory=TraceSettings)
@@ -468,7 +464,6 @@ class LocalizationSettings:
     adaptation: AdaptationSettings = field(default_factory=AdaptationSettings)
     answer: AnswerSettings = field(default_factory=AnswerSettings)
     icp: IcpSettings = field(default_factory=IcpSettings)
-    ties: TieSettings = field(default_factory=TieSettings)
 
     def changed(self, changes: Mapping[str, Any]) -> LocalizationSettings:
         """Return the settings with other values, by dotted name: `{"hypotheses.finalists": 1}`."""

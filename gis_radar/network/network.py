@@ -12,7 +12,11 @@ from gis_radar.arrays import Floats, Integers
 from gis_radar.errors import NoAnswerError
 from gis_radar.localization.certainty import PLANE as IN_POSE
 from gis_radar.localization.certainty import is_fixed
-from gis_radar.localization.joint import (
+from gis_radar.localization.lanes import Lanes
+from gis_radar.localization.settings import DEFAULTS, AnswerSettings, LocalizationSettings
+from gis_radar.localization.state import State
+from gis_radar.localization.traces import Moving, link_tracks
+from gis_radar.network.adjustment import (
     Adjusted,
     Tied,
     adjust,
@@ -20,11 +24,9 @@ from gis_radar.localization.joint import (
     shared_covariance,
     tie,
 )
-from gis_radar.localization.lanes import Lanes
-from gis_radar.localization.placing import GRID_YAW, Choice, Shift, find_place
-from gis_radar.localization.settings import AnswerSettings, LocalizationSettings
-from gis_radar.localization.state import State
-from gis_radar.localization.ties import (
+from gis_radar.network.placing import GRID_YAW, Choice, Shift, find_place
+from gis_radar.network.settings import TIES, TieSettings
+from gis_radar.network.ties import (
     PLANE,
     Moments,
     Rows,
@@ -33,7 +35,6 @@ from gis_radar.localization.ties import (
     mean_gaps,
     read_moments,
 )
-from gis_radar.localization.traces import Moving, link_tracks
 from gis_radar.poses.pose import COMPONENTS, Pose
 
 AT_REST = 1e-4  # a step of the adjustment, metres and radians
@@ -86,7 +87,10 @@ class Solved:
 
 
 def solve_network(
-    stations: Sequence[Station], lanes: Lanes, settings: LocalizationSettings
+    stations: Sequence[Station],
+    lanes: Lanes,
+    settings: LocalizationSettings = DEFAULTS,
+    ties: TieSettings = TIES,
 ) -> Solved:
     """Adjust the poses of several sensors by the vehicles that they see at the same time.
 
@@ -96,7 +100,7 @@ def solve_network(
         The sensors; those with one pose tie, those with several are tied.
     lanes : Lanes
         The map around all of them.
-    settings : LocalizationSettings
+    settings, ties : LocalizationSettings, TieSettings
         Of tracks and ties.
 
     Raises
@@ -104,16 +108,16 @@ def solve_network(
     NoAnswerError
         If the poses contradict each other so that none can be trusted.
     """
-    network = _Network(stations, lanes, settings)
+    network = _Network(stations, lanes, settings, ties)
     network.place_all()
     while True:
         network.refuse_clashes()
-        adjusted, ties = network.adjusted()
-        found = network.misfits(adjusted, ties)
+        adjusted, tied = network.adjusted()
+        found = network.misfits(adjusted, tied)
         if not found:
             break
         network.clashes |= found
-    return network.solved(adjusted, ties)
+    return network.solved(adjusted, tied)
 
 
 @dataclass
@@ -136,9 +140,10 @@ class _Network:
     """The sensors with their places, what agrees and what contradicts."""
 
     def __init__(
-        self, stations: Sequence[Station], lanes: Lanes, settings: LocalizationSettings
-    ) -> None:
-        self.lanes, self.settings, self.answer = lanes, settings.ties, settings.answer
+        self, stations: Sequence[Station], lanes: Lanes, settings: LocalizationSettings,
+        ties: TieSettings,
+    ) -> None:  # fmt: skip
+        self.lanes, self.settings, self.answer = lanes, ties, settings.answer
         self.all = {
             each.name: _Member(each, link_tracks(each.moving, settings.traces)) for each in stations
         }
@@ -365,10 +370,10 @@ def _clash(names: Names, shift: Shift) -> str:
 
 def plane_covariance(pose: Pose) -> Floats:
     """Return the covariance of easting, northing (m) and yaw (radians), (3, 3)."""
-    return pose_covariance(pose)[np.ix_(IN_POSE, IN_POSE)]
+    return stated_covariance(pose)[np.ix_(IN_POSE, IN_POSE)]
 
 
-def pose_covariance(pose: Pose) -> Floats:
+def stated_covariance(pose: Pose) -> Floats:
     """Return the (6, 6) covariance that a pose states.
 
     Raises
@@ -390,7 +395,7 @@ def _longest(covariance: Floats) -> float:
 
 def moved(pose: Pose, step: Floats) -> Pose:
     """Return a pose after a step of easting, northing, yaw; the rest follows its covariance."""
-    covariance = pose_covariance(pose)
+    covariance = stated_covariance(pose)
     known = covariance[np.ix_(IN_POSE, IN_POSE)]
     whole = covariance[:, IN_POSE] @ np.linalg.solve(known, step)
     whole[IN_POSE] = step
@@ -411,7 +416,7 @@ def _with_gain(
     pose: Pose, plane: Floats, name: str, pairs: Mapping[Names, int], settings: AnswerSettings
 ) -> Pose:
     """Return a pose with its new covariance, and what it gained by whom."""
-    before = pose_covariance(pose)
+    before = stated_covariance(pose)
     known = before[np.ix_(IN_POSE, IN_POSE)]
     share = before[:, IN_POSE] @ np.linalg.inv(known)
     after = before + share @ (plane - known) @ share.T

@@ -16,10 +16,11 @@ from gis_radar.files import output_errors, whole_files
 from gis_radar.lanelets import LaneletMap, read_map
 from gis_radar.localization.lanes import Lanes, sample_lanes
 from gis_radar.localization.localize import localize
-from gis_radar.localization.network import Solved, Station, solve_network
 from gis_radar.localization.result import AmbiguousError, Localization
 from gis_radar.localization.settings import DEFAULTS, LocalizationSettings
 from gis_radar.localization.traces import Moving, MovingWindow
+from gis_radar.network.network import Solved, Station, solve_network
+from gis_radar.network.settings import TIES, TieSettings
 from gis_radar.notebooks import card
 from gis_radar.poses.files import write_pose
 from gis_radar.poses.pose import Pose
@@ -96,6 +97,7 @@ def localize_together(
     crs: Any = None,
     origin: tuple[float, float] | None = None,
     settings: LocalizationSettings = DEFAULTS,
+    ties: TieSettings = TIES,
     reporter: Reporter = QUIET,
 ) -> Together:
     """Find the poses of several sensors that recorded at the same time, all files.
@@ -124,8 +126,8 @@ def localize_together(
         The map frame; that of the road where it is not given.
     origin : (easting, northing), optional
         Map-frame position of the map's local (0, 0), for maps without latitudes and longitudes.
-    settings : LocalizationSettings
-        All constants; `ties` are those of this function.
+    settings, ties : LocalizationSettings, TieSettings
+        All constants, of the single answers and of what ties them.
     reporter : Reporter
         Receives progress and remarks.
 
@@ -152,7 +154,7 @@ def localize_together(
         ]
     return locate_all(
         paths, roads, read_road(road, roads.crs),
-        guesses=places, headings=headings, settings=settings, reporter=reporter,
+        guesses=places, headings=headings, settings=settings, ties=ties, reporter=reporter,
     )  # fmt: skip
 
 
@@ -164,13 +166,14 @@ def locate_all(
     guesses: Sequence[tuple[float, ...]],
     headings: Sequence[float] | None = None,
     settings: LocalizationSettings = DEFAULTS,
+    ties: TieSettings = TIES,
     reporter: Reporter = QUIET,
 ) -> Together:
     """Find the poses of several sensors, with map and road in memory.
 
     Parameters
     ----------
-    recordings, guesses, headings, settings, reporter
+    recordings, guesses, headings, settings, ties, reporter
         As for :func:`localize_together`; guesses in the map's CRS.
     roads, road_points
         As for :func:`gis_radar.localize`.
@@ -199,7 +202,7 @@ def locate_all(
     used = {path.stem: path for path in recordings if path.stem in answers}
     solved = tie_poses(
         used, {name: tuple(each.pose for each in found) for name, found in answers.items()},
-        roads, road_points, end=end, settings=settings, reporter=reporter,
+        roads, road_points, end=end, settings=settings, ties=ties, reporter=reporter,
     )  # fmt: skip
     reporter.progress(STAGE, len(recordings) + 1, len(recordings) + 1)
     placed = {
@@ -219,6 +222,7 @@ def tie_poses(
     *,
     end: float,
     settings: LocalizationSettings = DEFAULTS,
+    ties: TieSettings = TIES,
     reporter: Reporter = QUIET,
 ) -> Solved:
     """Adjust poses by the vehicles that the sensors see at the same time.
@@ -233,7 +237,7 @@ def tie_poses(
         As for :func:`gis_radar.localize`.
     end : float
         UNIX seconds until which all recorded.
-    settings : LocalizationSettings
+    settings, ties : LocalizationSettings, TieSettings
         Of tracks and ties.
     reporter : Reporter
         Receives remarks.
@@ -248,7 +252,7 @@ def tie_poses(
         for name, path in recordings.items()
     ]
     lanes = _lanes_around(stations, roads, road_points, settings)
-    solved = solve_network(stations, lanes, settings)
+    solved = solve_network(stations, lanes, settings, ties)
     for remark in solved.remarks:
         reporter.log(remark, "warning")
     tied = {name for pair in solved.pairs for name in pair}

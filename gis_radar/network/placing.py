@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.localization.tie_settings import TieSettings
-from gis_radar.localization.ties import PLANE, Moments, Rows, assign, compare, mean_gaps
+from gis_radar.network.settings import TieSettings
+from gis_radar.network.ties import PLANE, Moments, Rows, assign, compare, mean_gaps
 
 TRIED = 30  # shifts scored one to one, of those that look best
 GRID_YAW = math.radians(0.5)  # between the headings that ties are looked for under

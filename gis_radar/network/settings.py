@@ -110,3 +110,6 @@ class TieSettings:
     def share(self) -> float:
         """Weight of a moment among those that share their error."""
         return min(self.moment_s / self.memory_s, 1.0)
+
+
+TIES = TieSettings()

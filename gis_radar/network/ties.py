@@ -14,8 +14,8 @@ from gis_radar.localization.lanes import Lanes
 from gis_radar.localization.matching import match, place
 from gis_radar.localization.model import MODEL, Model
 from gis_radar.localization.state import State
-from gis_radar.localization.tie_settings import TieSettings
 from gis_radar.localization.traces import NONE, Moving, Samples
+from gis_radar.network.settings import TieSettings
 
 PLANE = 3  # easting, northing, yaw of a sensor
 FLAT, FACES = slice(0, 2), 3  # of the constants: half length, half width, strength of sides (log)

@@ -10,8 +10,8 @@ import numpy as np
 from gis_radar.arrays import Floats
 from gis_radar.localization.certainty import cluster_robust
 from gis_radar.localization.model import MODEL, Model
-from gis_radar.localization.tie_settings import TieSettings
-from gis_radar.localization.ties import FACES, PLANE, Rows, effects, mean_gaps
+from gis_radar.network.settings import TieSettings
+from gis_radar.network.ties import FACES, PLANE, Rows, effects, mean_gaps
 
 STEPS = 8  # of weights and poses in turn; they settle after three or four
 OWN = 2 * PLANE  # of a pair of sensors
