@@ -17,6 +17,7 @@ ROWS = """
     tiles
     projection clocks occupancy
     second_look localization network tracking
+    vehicles
     quality heatmap
     qgis report
     site

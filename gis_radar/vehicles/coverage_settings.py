@@ -1,0 +1,49 @@
+"""Settings of footprints, visibility and the error of coverage, with unit and reason."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class CoverageSettings:
+    """Constants of what vehicles cover and hide; those in effect are written to the manifest.
+
+    Parameters
+    ----------
+    overlap_m : float
+        A footprint covers a tile when it overlaps the middle cross-line by so much, metres, or by
+        half of the cross-line or of the vehicle's width where that is less (the contract).
+    same_level_m : float
+        A footprint is on the level of a tile when their roads are within so many metres of height
+        (the contract): over a crossfall, under the clearance of a bridge.
+    strip_m : float
+        A longer vehicle is the strip of its width along the path its front took, metres (the
+        contract): the longest single vehicle without a joint.
+    path_step_m : float
+        Distance of the points of such a path, metres: on a curve of 10 m radius its chord is 1 cm
+        off the arc.
+    hidden_s : float
+        A tile stays visible for so long while other vehicles hide it, seconds (the contract).
+    target_m : float
+        Height over the road at which a tile is looked at, metres (the contract): a car's bumper.
+    car_height_m, heavy_height_m : float
+        Height of the box of a car and of a heavy vehicle, metres (a compact car; a van body or the
+        trailer of an articulated truck is 3.5 to 4 m).
+    sensor_over_road_m : float
+        Height of a sensor over the road where tiles have no heights, metres: a mast or a signal
+        head stands 4 to 6 m high.
+    """
+
+    overlap_m: float = 0.5
+    same_level_m: float = 2.0
+    strip_m: float = 12.0
+    path_step_m: float = 1.0
+    hidden_s: float = 10.0
+    target_m: float = 0.6
+    car_height_m: float = 1.5
+    heavy_height_m: float = 3.5
+    sensor_over_road_m: float = 5.0
+
+
+DEFAULTS = CoverageSettings()

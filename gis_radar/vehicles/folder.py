@@ -1,0 +1,454 @@
+"""Read and write the folder of vehicles.
+
+Finished vehicles come piece by piece in ascending time, and are written as they come: memory is
+that of a piece and of a block of runs, not of the recording.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+
+from gis_radar.errors import InputError
+from gis_radar.files import whole_folder
+from gis_radar.notebooks import card
+from gis_radar.occupancy.folder import frames_table
+from gis_radar.occupancy.frame_steps import Runs, covered_until, steps_in
+from gis_radar.progress import QUIET, Reporter
+from gis_radar.steps import iso_from_step
+from gis_radar.tiles.tiles import fingerprint
+from gis_radar.vehicles.coverage import CoverageEngine, SensorView
+from gis_radar.vehicles.coverage_settings import CoverageSettings
+from gis_radar.vehicles.tables import (
+    BLOCK_STEPS,
+    COVERED,
+    FRAMES,
+    PASSAGES,
+    TRACKS,
+    VEHICLES,
+    VISIBLE,
+    TableKind,
+    TableWriter,
+    check_file,
+    read_pieces,
+    read_whole,
+)
+
+RULES = 2
+MANIFEST = "manifest.json"
+_TABLES = (TRACKS, VEHICLES, PASSAGES, COVERED, VISIBLE, FRAMES)
+OWNED = (MANIFEST, *(kind.file for kind in _TABLES))
+AGAIN = "make it again with: gis-radar vehicles"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Provenance:
+    """What vehicles were made from; two folders merge where this is equal, but for the times.
+
+    Parameters
+    ----------
+    fingerprint : str
+        Of the tiles.
+    map : dict
+        `digest` of the map, its `crs` and `origin` (the map-frame position of its local (0, 0),
+        or None).
+    sight : object
+        How sight was told, as in the manifest of an occupancy.
+    hold_s : dict
+        By sensor, how long its frames hold, seconds.
+    settings : dict
+        Of the tracker and of the coverage, by name.
+    sources : list of dict
+        Per recording: file, sensor, poses, ...
+    """
+
+    fingerprint: str
+    map: dict[str, Any]
+    sight: Any = "view only"
+    hold_s: dict[str, float]
+    settings: dict[str, Any] = field(default_factory=dict)
+    sources: list[dict[str, Any]]
+
+    @property
+    def poses(self) -> dict[str, list[str]]:
+        """By sensor, where it stood and what it viewed, as texts that compare."""
+        return poses_of(self.sources)
+
+
+def poses_of(sources: Sequence[dict[str, Any]]) -> dict[str, list[str]]:
+    """Return by sensor the poses in the entries of a manifest, each once, as texts that compare."""
+    wanted = ("crs", "easting", "northing", "height", "yaw", "pitch", "roll", "view")
+    found: dict[str, set[str]] = {}
+    for source in sources:
+        texts = found.setdefault(str(source.get("sensor")), set())
+        for pose in source.get("poses", []):
+            texts.add(json.dumps([pose.get(name) for name in wanted], sort_keys=True))
+    return {sensor: sorted(texts) for sensor, texts in sorted(found.items())}
+
+
+@dataclass(frozen=True, kw_only=True)
+class VehiclePiece:
+    """Finished vehicles of a span of steps, as a tracker hands them on.
+
+    Parameters
+    ----------
+    first_step, last_step : int
+        The span, inclusive; after that of the piece before.
+    tracks : DataFrame
+        The columns of `TRACKS`, by step and vehicle: all states in the span, one for each step from
+        a vehicle's first to its last. `easting` and `northing` are the middle of the rectangle of
+        its length and width: the middle of its front lies half a length ahead along `heading`, of
+        vehicles over 12 m too.
+    vehicles : DataFrame
+        The columns of `VEHICLES`: each vehicle with a state in the span, as known so far. It may
+        go on in the next piece under the same number.
+    frames : DataFrame
+        `sensor, view, first_step, last_step`: runs of steps in the span with a frame.
+    """
+
+    first_step: int
+    last_step: int
+    tracks: pd.DataFrame
+    vehicles: pd.DataFrame
+    frames: pd.DataFrame
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunBlock:
+    """The runs of a block of time.
+
+    Parameters
+    ----------
+    number : int
+        Of the block: its steps are `number * BLOCK_STEPS` and on.
+    covered, visible : DataFrame
+        The columns of `COVERED` and `VISIBLE`, by tile and step.
+    """
+
+    number: int
+    covered: pd.DataFrame
+    visible: pd.DataFrame
+
+
+@dataclass(frozen=True, kw_only=True)
+class Vehicles:
+    """Vehicles, and which tiles they covered while these were visible.
+
+    Parameters
+    ----------
+    provenance : Provenance
+        What they were made from.
+    frames : DataFrame
+        `sensor, view, first_step, last_step`: runs of steps with a frame.
+    vehicles, passages : DataFrame
+        A row a vehicle, and a row a passage.
+    tracks : callable
+        Starts reading the rows of `tracks.parquet`, piece by piece.
+    blocks : callable
+        Starts reading the runs of covered and visible tiles, block by block, ascending.
+    place : str
+        From where they were read, for messages.
+    """
+
+    provenance: Provenance
+    frames: pd.DataFrame
+    vehicles: pd.DataFrame
+    passages: pd.DataFrame
+    tracks: Callable[[], Iterator[pd.DataFrame]]
+    blocks: Callable[[], Iterator[RunBlock]]
+    place: str = "the vehicles"
+
+    @property
+    def sensors(self) -> list[str]:
+        """The names of the sensors that delivered frames."""
+        return sorted(map(str, self.frames["sensor"].unique()))
+
+    def covered_frames(self) -> Runs:
+        """Return the steps that frames of any sensor cover, to the last step with a frame."""
+        return steps_in(hold_frames(self.frames, self.provenance.hold_s))
+
+    def figures(self) -> dict[str, Any]:
+        """Return sensors, time span, and how many vehicles and passages there are."""
+        known: dict[str, Any] = {"sensors": self.sensors}
+        if len(self.frames):
+            known["begin"] = iso_from_step(int(self.frames["first_step"].min()))
+            known["end"] = iso_from_step(int(self.frames["last_step"].max()) + 1)
+        heavy = int((self.vehicles["p_heavy"] >= 0.5).sum())
+        counts = {"vehicles": len(self.vehicles), "heavy": heavy, "passages": len(self.passages)}
+        return known | counts
+
+    def __repr__(self) -> str:
+        known = self.figures()
+        return (
+            f"Vehicles({known['vehicles']}, {known['heavy']} of them heavy, "
+            f"{known['passages']} passages, by {', '.join(known['sensors']) or 'no sensor'})"
+        )
+
+    def _repr_html_(self) -> str:
+        return card("Vehicles", self.figures())
+
+
+def hold_frames(frames: pd.DataFrame, hold_s: dict[str, float]) -> pd.DataFrame:
+    """Return a table of frames with the runs of steps that they cover, to the last with a frame."""
+    covered, end = [frames[:0]], frames["last_step"].max()
+    for sensor, rows in frames.groupby("sensor", sort=True):
+        last = rows["last_step"].to_numpy(np.int64)
+        until = covered_until(last, steps_in(rows), hold_s[str(sensor)])
+        covered.append(rows.assign(last_step=np.minimum(until, end)))
+    return pd.concat(covered, ignore_index=True)
+
+
+class VehiclesWriter:
+    """A folder of vehicles that is written as finished pieces come; made by `write_vehicles`."""
+
+    def __init__(
+        self, part: Path, provenance: Provenance, engine: CoverageEngine, files: ExitStack
+    ) -> None:
+        self._part, self._provenance, self._engine = part, provenance, engine
+        self._reached: int | None = None
+        self._last: dict[int, int] = {}  # last step of the vehicles of the piece before
+        self._vehicles: dict[int, dict[str, Any]] = {}
+        self._passages: list[pd.DataFrame] = []
+        self._frames: list[pd.DataFrame] = []
+        self._recent = FRAMES.empty()  # of them, those that may cover steps to come
+        self._writers = {
+            kind.name: files.enter_context(
+                TableWriter(
+                    kind, part / kind.file, provenance.fingerprint,
+                    by_piece=kind in (COVERED, VISIBLE),
+                )
+            )
+            for kind in (TRACKS, COVERED, VISIBLE)
+        }  # fmt: skip
+
+    def add(self, piece: VehiclePiece) -> None:
+        """Write a piece that follows those so far.
+
+        Raises
+        ------
+        InputError
+            If its tables are not in order, or it does not follow.
+        """
+        tracks, vehicles = TRACKS.typed(piece.tracks), VEHICLES.typed(piece.vehicles)
+        frames = FRAMES.typed(piece.frames.sort_values(["sensor", "view", "first_step"]))
+        self._refuse_disorder(piece, tracks, vehicles)
+        if self._reached is not None and piece.first_step // BLOCK_STEPS != self._block:
+            self._flush()
+        self._writers["tracks"].add(tracks)
+        for row in vehicles.to_dict("records"):
+            number = int(row["vehicle"])
+            self._vehicles[number] = joined_rows(
+                self._vehicles.get(number), {str(name): each for name, each in row.items()}
+            )
+        self._frames.append(frames)
+        self._recent = pd.concat([self._recent, frames], ignore_index=True)
+        late = self._recent["last_step"] >= piece.first_step - BLOCK_STEPS
+        self._recent = self._recent[late].reset_index(drop=True)
+        held = hold_frames(self._recent, self._provenance.hold_s)
+        edges = range(piece.first_step // BLOCK_STEPS + 1, piece.last_step // BLOCK_STEPS + 1)
+        begins = [piece.first_step, *(edge * BLOCK_STEPS for edge in edges)]
+        for begin, after in zip(begins, [*begins[1:], piece.last_step + 1], strict=True):
+            if begin > piece.first_step:
+                self._flush()
+            step = tracks["step"].to_numpy(np.int64)
+            low, high = np.searchsorted(step, [begin, after])
+            states = tracks.iloc[low:high].reset_index(drop=True)
+            self._passages.append(self._engine.advance(states, vehicles, held, (begin, after)))
+            self._reached = after - 1
+
+    @property
+    def _block(self) -> int:
+        return (self._reached or 0) // BLOCK_STEPS
+
+    def _refuse_disorder(
+        self, piece: VehiclePiece, tracks: pd.DataFrame, vehicles: pd.DataFrame
+    ) -> None:
+        """Refuse states out of the span, without size, or with steps left out."""
+        if piece.first_step > piece.last_step or piece.first_step <= (self._reached or -(2**62)):
+            raise InputError(
+                f"tracks: a piece of steps {piece.first_step} to {piece.last_step} does not follow "
+                f"step {self._reached}"
+            )
+        by_vehicle = tracks.groupby("vehicle")["step"].agg(["min", "max", "size"])
+        if not set(by_vehicle.index) <= set(vehicles["vehicle"]):
+            raise InputError("tracks: has states of a vehicle that the vehicles lack")
+        for number, (first, last, count) in zip(
+            by_vehicle.index.tolist(), by_vehicle.to_numpy().tolist(), strict=True
+        ):
+            before = self._last.get(number, first - 1)
+            if first < piece.first_step or last > piece.last_step:
+                raise InputError(f"tracks: vehicle {number} has states out of its piece")
+            if count != last - first + 1 or (number in self._vehicles and before != first - 1):
+                raise InputError(f"tracks: vehicle {number} lacks a step from {before} to {last}")
+        self._last = dict(zip(by_vehicle.index.tolist(), by_vehicle["max"].tolist(), strict=True))
+
+    def _flush(self) -> None:
+        covered, visible = self._engine.flush()
+        self._writers["covered"].add(COVERED.typed(covered))
+        self._writers["visible"].add(VISIBLE.typed(visible))
+
+    def finish(self) -> None:
+        """Write what is known only at the end: the last block, vehicles, passages, manifest."""
+        self._flush()
+        mark = self._provenance.fingerprint
+        frames = frames_table(pd.concat([FRAMES.empty(), *self._frames], ignore_index=True))
+        vehicles = pd.DataFrame([self._vehicles[n] for n in sorted(self._vehicles)])
+        passages = pd.concat([PASSAGES.empty(), *self._passages], ignore_index=True)
+        order = list(PASSAGES.order)
+        for kind, table in (
+            (FRAMES, frames),
+            (VEHICLES, vehicles if len(vehicles) else VEHICLES.empty()),
+            (PASSAGES, passages.sort_values(order)),
+        ):
+            with TableWriter(kind, self._part / kind.file, mark) as writer:
+                writer.add(kind.typed(table))
+        manifest = asdict(self._provenance) | {
+            "software": {"name": "gis_radar", "version": version("gis_radar")},
+            "rules": RULES,
+        }
+        text = json.dumps(manifest, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
+        (self._part / MANIFEST).write_text(text, encoding="utf-8")
+
+
+def joined_rows(known: dict[str, Any] | None, row: dict[str, Any]) -> dict[str, Any]:
+    """Return the row of a vehicle that goes on: size as known best, lanelets of both."""
+    if known is None:
+        return row
+    best = min((row, known), key=lambda each: float(each["length_sigma_m"]))
+    before, after = known["lanelets"].tolist(), row["lanelets"].tolist()
+    most = min(len(before), len(after))
+    shared = max(n for n in range(most + 1) if before[len(before) - n :] == after[:n])
+    return {
+        **best,
+        "first_step": min(known["first_step"], row["first_step"]),
+        "last_step": max(known["last_step"], row["last_step"]),
+        "lanelets": np.array([*before, *after[shared:]], np.int64),
+        "continues": bool(known["continues"] or row["continues"]),
+    }
+
+
+@contextmanager
+def write_vehicles(
+    folder: str | Path,
+    *,
+    tiles: gpd.GeoDataFrame,
+    views: Sequence[SensorView],
+    provenance: Provenance,
+    settings: CoverageSettings | None = None,
+    reporter: Reporter = QUIET,
+) -> Iterator[VehiclesWriter]:
+    """Write a folder of vehicles, whole or not at all.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Where; an earlier one there is replaced.
+    tiles : GeoDataFrame
+        All tiles.
+    views : sequence of SensorView
+        Where each sensor stood in each of its views, and the tiles that it had in sight.
+    provenance : Provenance
+        Written to the manifest; the settings of the coverage are added.
+    settings : CoverageSettings, optional
+        Of footprints and visibility.
+    reporter : Reporter
+        Receives a warning where the file system has no locks.
+
+    Yields
+    ------
+    VehiclesWriter
+        Takes the pieces in ascending time.
+
+    Raises
+    ------
+    InputError
+        If the tiles are not those of the provenance.
+    """
+    settings = settings or CoverageSettings()
+    if (got := fingerprint(tiles)) != provenance.fingerprint:
+        raise InputError(f"the tiles have the fingerprint {got}, not {provenance.fingerprint}")
+    provenance.settings["coverage"] = asdict(settings)
+    whole = whole_folder(Path(folder), owned=OWNED, reporter=reporter)
+    with whole as part, ExitStack() as files:
+        engine = CoverageEngine(tiles, views, settings)
+        writer = VehiclesWriter(part, provenance, engine, files)
+        yield writer
+        writer.finish()
+
+
+def read_vehicles(folder: str | Path) -> Vehicles:
+    """Open a folder of vehicles; tracks and runs stay on disk.
+
+    Raises
+    ------
+    InputError
+        If a file is missing, damaged, or made from other tiles than the rest, or the folder
+        follows other rules.
+    """
+    folder = Path(folder)
+    provenance = _read_manifest(folder)
+    for kind in _TABLES:
+        check_file(kind, folder / kind.file, provenance.fingerprint)
+    return Vehicles(
+        provenance=provenance,
+        frames=read_whole(FRAMES, folder / FRAMES.file),
+        vehicles=read_whole(VEHICLES, folder / VEHICLES.file),
+        passages=read_whole(PASSAGES, folder / PASSAGES.file),
+        tracks=lambda: read_pieces(TRACKS, folder / TRACKS.file),
+        blocks=lambda: _read_blocks(folder),
+        place=str(folder),
+    )
+
+
+def _read_manifest(folder: Path) -> Provenance:
+    path = folder / MANIFEST
+    if not path.is_file():
+        raise InputError(
+            f"{folder}: not a folder of vehicles: lacks {MANIFEST}",
+            hint="make one with: gis-radar vehicles",
+        )
+    try:
+        known = json.loads(path.read_text(encoding="utf-8"))
+        rules = int(known["rules"])
+        names = Provenance.__dataclass_fields__
+        provenance = Provenance(**{name: known[name] for name in names})
+    except (ValueError, OSError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"{path}: damaged: {error!r}") from error
+    if rules != RULES:
+        raise InputError(f"{folder}: follows rules {rules}, expected {RULES}", hint=AGAIN)
+    return provenance
+
+
+def _read_blocks(folder: Path) -> Iterator[RunBlock]:
+    """Read the runs of both tables side by side, block by block."""
+    streams = [_numbered(kind, folder / kind.file) for kind in (COVERED, VISIBLE)]
+    heads = [next(stream, None) for stream in streams]
+    while any(head is not None for head in heads):
+        number = min(head[0] for head in heads if head is not None)
+        tables = []
+        for index, kind in enumerate((COVERED, VISIBLE)):
+            head = heads[index]
+            mine = head is not None and head[0] == number
+            tables.append(head[1] if head is not None and mine else kind.empty())
+            heads[index] = next(streams[index], None) if mine else head
+        yield RunBlock(number=number, covered=tables[0], visible=tables[1])
+
+
+def _numbered(kind: TableKind, path: Path) -> Iterator[tuple[int, pd.DataFrame]]:
+    """Read the row groups of a table of runs with the numbers of their blocks, which ascend."""
+    last = None
+    for rows in read_pieces(kind, path):
+        blocks = np.unique(rows[["first_step", "last_step"]].to_numpy(np.int64) // BLOCK_STEPS)
+        if len(blocks) != 1 or (last is not None and blocks[0] <= last):
+            raise InputError(f"{path}: its runs are not ordered by blocks of {BLOCK_STEPS} steps")
+        last = int(blocks[0])
+        yield last, rows

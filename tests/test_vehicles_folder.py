@@ -1,0 +1,171 @@
+"""The folder of vehicles: its tables, streamed writing, refusals."""
+
+from itertools import pairwise
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pytest
+import shapely
+
+from gis_radar.errors import InputError
+from gis_radar.tiles import fingerprint
+from gis_radar.vehicles import read_vehicles
+from gis_radar.vehicles.coverage import SensorView
+from gis_radar.vehicles.folder import Provenance, VehiclePiece, write_vehicles
+from gis_radar.vehicles.tables import TRACKS, VEHICLES
+
+FIRST = 34_000_000_000
+
+
+def straight_tiles(count=40, *, length=0.5, width=3.0, lanelet_id=7, height=np.nan):
+    """Lay the tiles of a lanelet that goes east from (0, 0)."""
+    x = np.arange(count) * length
+    return gpd.GeoDataFrame(
+        {
+            "tile_id": np.arange(count),
+            "lanelet_id": lanelet_id,
+            "index": np.arange(count),
+            "s_m": x,
+            "length_m": length,
+            "width_m": width,
+            "height_m": height,
+            "subtype": "road",
+        },
+        geometry=shapely.box(x, -width / 2, x + length, width / 2),
+        crs="EPSG:25832",
+    )
+
+
+def drive(vehicle, first_step, fronts, *, speed=10.0, lanelet_id=7, length=4.5, seen=True):
+    """Give the states of a vehicle that goes east, its front at x = fronts."""
+    fronts = np.asarray(fronts, float)
+    return pd.DataFrame(
+        {
+            "vehicle": vehicle,
+            "step": first_step + np.arange(len(fronts)),
+            "easting": fronts - length / 2,
+            "northing": 0.0,
+            "heading": 0.0,
+            "speed": speed,
+            "lanelet_id": pd.array([lanelet_id] * len(fronts), dtype="Int64"),
+            "s_m": fronts,
+            "d_m": 0.0,
+            "seen": seen,
+        }
+    )
+
+
+def rows_of(tracks, *, length=4.5, width=1.8, p_heavy=0.0, sigma=0.3, continues=False):
+    """Give the rows of the vehicles of some states."""
+    by = tracks.groupby("vehicle")["step"].agg(["min", "max"])
+    lanelets = [
+        tracks.loc[tracks["vehicle"] == n, "lanelet_id"].dropna().unique().tolist()
+        for n in by.index
+    ]
+    return pd.DataFrame(
+        {
+            "vehicle": by.index,
+            "first_step": by["min"],
+            "last_step": by["max"],
+            "length_m": length,
+            "width_m": width,
+            "length_sigma_m": sigma,
+            "p_heavy": p_heavy,
+            "lanelets": lanelets,
+            "continues": continues,
+        }
+    )
+
+
+def frames_of_span(first, last, view="v"):
+    return pd.DataFrame(
+        {"sensor": ["R1"], "view": [view], "first_step": [first], "last_step": [last]}
+    )
+
+
+def provenance_of(tiles, **changed):
+    known = {
+        "fingerprint": fingerprint(tiles),
+        "map": {"digest": "d", "crs": "EPSG:25832", "origin": None},
+        "hold_s": {"R1": 0.1},
+        "sources": [{"recording": "a", "sensor": "R1", "poses": [{"easting": 0.0}]}],
+    }
+    return Provenance(**(known | changed))
+
+
+def view_of(tiles, position=(-20.0, 0.0, 6.0)):
+    ids = tiles["tile_id"].to_numpy(np.int64)
+    return SensorView(sensor="R1", view="v", tile_id=ids, position=np.array(position))
+
+
+def write(folder, tiles, tracks, cuts=(), *, last=None, frames=None, **options):
+    """Write tracks in pieces that end before the cuts."""
+    last = int(tracks["step"].max()) if last is None else last
+    first = int(min(tracks["step"].min(), last))
+    edges = [first, *cuts, last + 1]
+    tracks = tracks.sort_values(["step", "vehicle"], ignore_index=True)
+    rows = rows_of(tracks, **options)
+    with write_vehicles(
+        folder, tiles=tiles, views=[view_of(tiles)], provenance=provenance_of(tiles)
+    ) as writer:
+        for begin, after in pairwise(edges):
+            part = tracks[tracks["step"].between(begin, after - 1)]
+            writer.add(
+                VehiclePiece(
+                    first_step=begin, last_step=after - 1, tracks=part,
+                    vehicles=rows[rows["vehicle"].isin(part["vehicle"])],
+                    frames=frames_of_span(begin, after - 1),
+                )
+            )  # fmt: skip
+    return read_vehicles(folder)
+
+
+def test_what_is_written_is_read(tmp_path):
+    tiles = straight_tiles()
+    tracks = pd.concat(
+        [drive(3, FIRST, np.arange(20.0)), drive(1, FIRST + 5, np.arange(9.0), lanelet_id=None)]
+    )
+    found = write(tmp_path / "v", tiles, tracks)
+    assert found.sensors == ["R1"]
+    assert found.figures()["vehicles"] == 2
+    read = pd.concat(found.tracks())
+    expected = TRACKS.typed(tracks.sort_values(["step", "vehicle"], ignore_index=True))
+    pd.testing.assert_frame_equal(read, expected)
+    pd.testing.assert_frame_equal(found.vehicles, VEHICLES.typed(rows_of(tracks)))
+
+
+@pytest.mark.parametrize("cuts", [(7,), (1, 2, 11)])
+def test_the_folder_does_not_depend_on_the_pieces(tmp_path, cuts):
+    tiles = straight_tiles()
+    tracks = pd.concat([drive(3, FIRST, np.arange(20.0)), drive(1, FIRST + 5, np.arange(9.0))])
+    write(tmp_path / "whole", tiles, tracks)
+    write(tmp_path / "cut", tiles, tracks, [FIRST + cut for cut in cuts])
+    for path in sorted((tmp_path / "whole").iterdir()):
+        assert path.read_bytes() == (tmp_path / "cut" / path.name).read_bytes(), path.name
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t: t.drop(columns="s_m"), "tracks: lacks the column s_m"),
+        (lambda t: t.iloc[::-1], "tracks: rows do not ascend by step, vehicle"),
+        (lambda t: t.drop(index=4), "tracks: vehicle 3 lacks a step from"),
+        (lambda t: t.assign(speed=np.nan), "tracks: speed is empty in row 0"),
+        (lambda t: t.assign(vehicle=0.5), "tracks: vehicle holds something else than int64"),
+        (lambda t: t.assign(vehicle=4), "tracks: has states of a vehicle that the vehicles lack"),
+    ],
+)
+def test_states_that_are_not_in_order_are_refused(tmp_path, change, message):
+    tiles = straight_tiles()
+    tracks = drive(3, FIRST, np.arange(10.0))
+    piece = VehiclePiece(
+        first_step=FIRST, last_step=FIRST + 9, tracks=change(tracks), vehicles=rows_of(tracks),
+        frames=frames_of_span(FIRST, FIRST + 9),
+    )  # fmt: skip
+    writing = write_vehicles(
+        tmp_path / "v", tiles=tiles, views=[view_of(tiles)], provenance=provenance_of(tiles)
+    )
+    with pytest.raises(InputError, match=message), writing as writer:
+        writer.add(piece)
+    assert not (tmp_path / "v").exists()
