@@ -103,8 +103,7 @@ def clock_gap(
     away, covariances
         Of the two: (2, 3), and two (3, 3) arrays.
     """
-    nuisance = _nuisance(2, settings)
-    nuisance[FACES:] = settings.free_clock_s**-2.0
+    nuisance = _nuisance([settings.free_clock_s] * 2, settings)
     prior = np.diag([*[0.0] * OWN, *nuisance])
     for k, each in enumerate(covariances):
         own = slice(PLANE * k, PLANE * k + PLANE)
@@ -122,7 +121,12 @@ def clock_gap(
 
 
 def adjust(
-    ties: Mapping[Edge, Tied], away: Floats, covariances: Sequence[Floats], settings: TieSettings
+    ties: Mapping[Edge, Tied],
+    away: Floats,
+    covariances: Sequence[Floats],
+    settings: TieSettings,
+    *,
+    clocks_s: Sequence[float] | None = None,
 ) -> Adjusted:
     """Adjust the poses of sensors by what ties them and by what each alone says.
 
@@ -139,12 +143,15 @@ def adjust(
         Of the single answers.
     settings : TieSettings
         What is known of faces and clocks.
+    clocks_s : sequence of float, optional
+        Standard deviations of the clocks; by default that of the settings.
     """
     n = len(covariances)
+    clocks = [settings.clock_s] * n if clocks_s is None else list(clocks_s)
     prior = np.zeros((PLANE * n + FACES + n, PLANE * n + FACES + n))
     single = shared_covariance(covariances)
     prior[: PLANE * n, : PLANE * n] = np.linalg.inv(single)
-    nuisance = _nuisance(n, settings)
+    nuisance = _nuisance(clocks, settings)
     prior[PLANE * n :, PLANE * n :] = np.diag(nuisance)
     start = np.concatenate([away.ravel(), np.zeros(FACES + n)])
     step = np.zeros(len(prior))
@@ -164,7 +171,7 @@ def adjust(
     covariance = cluster_robust(inverse, clusters, prior, unknowns=PLANE)[: PLANE * n, : PLANE * n]
     misfit = {
         edge: _misfit(tied, weights[edge], away[list(edge)], [covariances[i] for i in edge],
-                      _nuisance(2, settings))
+                      _nuisance([clocks[i] for i in edge], settings))
         for edge, tied in ties.items()
     }  # fmt: skip
     return Adjusted(
@@ -191,10 +198,10 @@ def shared_covariance(covariances: Sequence[Floats]) -> Floats:
     return whole.reshape(n * PLANE, n * PLANE)
 
 
-def _nuisance(sensors: int, settings: TieSettings) -> Floats:
+def _nuisance(clocks_s: Sequence[float], settings: TieSettings) -> Floats:
     """Return the inverse variances of the constants of the faces, and of the clocks."""
     faces = [settings.half_length_sigma_m, settings.half_width_sigma_m, settings.side_sigma]
-    return np.array([*faces, *[settings.clock_s] * sensors]) ** -2.0
+    return np.array([*faces, *clocks_s]) ** -2.0
 
 
 def _index(edge: Edge, n: int) -> list[int]:

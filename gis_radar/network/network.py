@@ -10,10 +10,8 @@ import numpy as np
 
 from gis_radar.arrays import Floats, Integers
 from gis_radar.errors import NoAnswerError
-from gis_radar.localization.certainty import PLANE as IN_POSE
-from gis_radar.localization.certainty import is_fixed
 from gis_radar.localization.lanes import Lanes
-from gis_radar.localization.settings import DEFAULTS, AnswerSettings, LocalizationSettings
+from gis_radar.localization.settings import DEFAULTS, LocalizationSettings
 from gis_radar.localization.state import State
 from gis_radar.localization.traces import Moving, link_tracks
 from gis_radar.network.adjustment import (
@@ -24,8 +22,17 @@ from gis_radar.network.adjustment import (
     shared_covariance,
     tie,
 )
-from gis_radar.network.placing import GRID_YAW, Choice, Shift, find_place
+from gis_radar.network.lags import Lag, find_lag
+from gis_radar.network.placing import (
+    GRID_YAW,
+    Choice,
+    Placing,
+    Shift,
+    find_place,
+    preference,
+)
 from gis_radar.network.settings import TIES, TieSettings
+from gis_radar.network.stated import Names, longest_m, moved, plane_covariance, with_gain
 from gis_radar.network.ties import (
     PLANE,
     Moments,
@@ -35,10 +42,9 @@ from gis_radar.network.ties import (
     mean_gaps,
     read_moments,
 )
-from gis_radar.poses.pose import COMPONENTS, Pose
+from gis_radar.poses.pose import Pose
 
 AT_REST = 1e-4  # a step of the adjustment, metres and radians
-Names = tuple[str, str]
 CLASH_HINT = "check both guesses, and the clocks of both sensors: gis-radar clocks"
 
 
@@ -54,11 +60,14 @@ class Station:
         What it saw while the others recorded, too.
     poses : tuple of Pose
         The poses that it may have by itself: its answer, or several that it cannot tell apart.
+    clock_s : float, optional
+        Standard deviation of its clock, where that was measured.
     """
 
     name: str
     moving: Moving
     poses: tuple[Pose, ...]
+    clock_s: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,6 +84,8 @@ class Solved:
         Sensors without a trustworthy pose, and why, where that is the network's finding.
     pairs : dict
         How many vehicles tie two sensors, by their names.
+    untied : dict of str to str
+        Why a sensor is not tied to others.
     remarks : tuple of str
         What the user should know.
     """
@@ -83,6 +94,7 @@ class Solved:
     chosen: dict[str, int]
     refused: dict[str, str]
     pairs: dict[Names, int]
+    untied: dict[str, str] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
 
 
@@ -113,6 +125,8 @@ def solve_network(
     while True:
         network.refuse_clashes()
         adjusted, tied = network.adjusted()
+        if network.free_clock(tied):
+            continue
         found = network.misfits(adjusted, tied)
         if not found:
             break
@@ -130,6 +144,8 @@ class _Member:
     start: Floats = field(default_factory=lambda: np.zeros(PLANE))  # from its own answer
     away: Floats = field(default_factory=lambda: np.zeros(PLANE))
     loose: bool = False  # its own answer was no place: ties have chosen the start
+    lag: Lag = field(default_factory=Lag)  # by which its clock is thought to be ahead
+    free: bool = False  # its clock is off: it is found with the poses
 
     @property
     def pose(self) -> Pose:
@@ -151,6 +167,7 @@ class _Network:
         self.clashes: dict[Names, str] = {}
         self.agreeing: set[Names] = set()
         self.refused: dict[str, str] = {}
+        self.unclear: set[str] = set()  # whose vehicles fit those of others in several places
 
     def seen(self, member: _Member, choice: int, away: Floats) -> Moments:
         """Return a sensor's vehicles at a step from one of its own poses."""
@@ -160,9 +177,9 @@ class _Network:
             R_map_sensor=pose.R_map_sensor,
             reflection=0.0,
         )
-        return read_moments(
-            member.station.moving, member.tracks, state, self.lanes, self.settings
-        )  # fmt: skip
+        moving = member.station.moving
+        moving = replace(moving, time=member.lag.corrected(moving.time))
+        return read_moments(moving, member.tracks, state, self.lanes, self.settings)
 
     def choices(self, member: _Member) -> list[Choice]:
         """Return all poses that a sensor may have by itself."""
@@ -178,20 +195,46 @@ class _Network:
     def place_all(self) -> None:
         """Take the sensors that stand fast, hold them against each other, and place the rest."""
         longest = {
-            name: float(_longest(plane_covariance(member.pose)))
+            name: float(longest_m(plane_covariance(member.pose)))
             for name, member in self.all.items()
             if len(member.station.poses) == 1
         }
         firm = sorted(longest, key=lambda name: longest[name])
         fixed = [name for name in firm if longest[name] < self.settings.fixed_m] or firm[:1]
         for name in fixed:
-            (choice,) = self.choices(self.all[name])
+            (choice,), _ = self._look(self.all[name])
             for other, at in self.placed.items():
                 self._hold_against(name, choice, other, at)
             self.placed[name] = choice
         waiting = [name for name in dict.fromkeys((*firm, *self.all)) if name not in self.placed]
         while any(self._place(name) for name in waiting if name not in self.placed):
             pass  # who has just been placed may place another
+
+    def _look(self, member: _Member) -> tuple[list[Choice], Placing]:
+        """Look for a sensor by those that have a place.
+
+        Where vehicles clearly agree better at another time, the sensor's clock is off by that.
+        """
+        choices = self.choices(member)
+        found = find_place(choices, self.placed, self.settings)
+        if not self.placed:
+            return choices, found
+        others = [each.seen for each in self.placed.values()]
+        lags = (find_lag(choice.seen, others, self.settings) for choice in choices)
+        lag = next((each for each in lags if each is not None), None)
+        if lag is None:
+            return choices, found
+        member.lag = lag
+        then = self.choices(member)
+        there = find_place(then, self.placed, self.settings)
+        if (
+            there.inside is None
+            or preference(there.inside.scores, found.best) < self.settings.lag_clear
+        ):
+            member.lag = Lag()
+            return choices, found
+        member.free = True
+        return then, there
 
     def _hold_against(self, name: str, choice: Choice, other: str, at: Choice) -> None:
         """Note whether two sensors that stand fast agree, or contradict each other."""
@@ -208,13 +251,14 @@ class _Network:
 
     def _place(self, name: str) -> bool:
         """Place a sensor by those that have a place; return whether it could be."""
-        member, choices = self.all[name], self.choices(self.all[name])
-        found = find_place(choices, self.placed, self.settings)
+        member = self.all[name]
+        choices, found = self._look(member)
         if found.beyond is not None:
             most = max(found.beyond.pairs.items(), key=lambda pair: pair[1])[0]
             self.clashes[self._pair(most, name)] = _clash(self._pair(most, name), found.beyond)
             return False
         if found.inside is None or found.lead < self.settings.clear:
+            self.unclear |= {name} if found.inside is not None else set()
             return False
         member.choice, member.start, member.loose = found.inside.choice, found.inside.step, True
         covariance = choices[member.choice].covariance
@@ -272,7 +316,8 @@ class _Network:
                 break
             index = {(names.index(a), names.index(b)): tied for (a, b), tied in ties.items()}
             away = np.array([self.all[name].away for name in names])
-            result = adjust(index, away, covariances, self.settings)
+            clocks = [self._clock_s(self.all[name]) for name in names]
+            result = adjust(index, away, covariances, self.settings, clocks_s=clocks)
             for name, step in zip(names, result.step, strict=True):
                 self.all[name].away = self.all[name].away + step
             within = result.covariance
@@ -319,20 +364,67 @@ class _Network:
             found[pair] = _contradiction(pair, len(gap), apart_m)
         return found
 
+    def _clock_s(self, member: _Member) -> float:
+        """Return the standard deviation of a sensor's clock."""
+        if member.free:
+            return self.settings.free_clock_s
+        known = member.station.clock_s
+        return self.settings.clock_s if known is None else max(known, self.settings.clock_s)
+
+    def _clock_gap(self, pair: Names, tied: Tied) -> tuple[float, bool]:
+        """Return by how much the other's clock is ahead, s, and whether that is out of bounds."""
+        away = np.array([self.all[name].away for name in pair])
+        known = [plane_covariance(self.all[name].pose) for name in pair]
+        ahead_s, sigma_s = clock_gap(tied, away, known, self.settings)
+        most = math.hypot(*[self._clock_s(self.all[name]) for name in pair], sigma_s)
+        return ahead_s, abs(ahead_s) > self.settings.clock_sigmas * most
+
+    def free_clock(self, ties: Mapping[Names, Tied]) -> bool:
+        """Let the clock be found with the poses that most of the ties show to be off."""
+        off = {
+            pair: ahead_s
+            for pair, tied in ties.items()
+            for ahead_s, clearly in [self._clock_gap(pair, tied)]
+            if clearly
+        }
+        if not off:
+            return False
+        named = [name for pair in off for name in reversed(pair) if not self.all[name].free]
+        if not named:
+            return False
+        name = max(named, key=named.count)
+        pair = next(pair for pair in off if name in pair)
+        member, sign = self.all[name], 1.0 if name == pair[1] else -1.0
+        member.free, member.lag = True, member.lag.later(sign * off[pair])
+        return True
+
     def clock_remarks(self, ties: Mapping[Names, Tied]) -> list[str]:
         """Return which clocks are apart by more than the ties take for granted."""
-        remarks, most = [], self.settings.clock_s * math.sqrt(2.0)
+        remarks = []
         for pair, tied in ties.items():
-            away = np.array([self.all[name].away for name in pair])
-            known = [plane_covariance(self.all[name].pose) for name in pair]
-            ahead_s, sigma_s = clock_gap(tied, away, known, self.settings)
-            if abs(ahead_s) > self.settings.clock_sigmas * math.hypot(most, sigma_s):
-                remarks.append(
-                    f"the clock of {pair[1]} is {abs(ahead_s):.2f} s "
-                    f"{'ahead of' if ahead_s > 0.0 else 'behind'} that of {pair[0]}: "
-                    "gis-radar clocks measures it"
-                )
+            one, other = (self.all[name] for name in pair)
+            if not (one.free or other.free):
+                continue
+            ahead_s = other.lag.offset_s - one.lag.offset_s + self._clock_gap(pair, tied)[0]
+            fast = other.lag.rate - one.lag.rate
+            runs = f", and runs {abs(fast):.1%} {'fast' if fast > 0.0 else 'slow'}"
+            remarks.append(
+                f"the clock of {pair[1]} is {abs(ahead_s):.2f} s "
+                f"{'ahead of' if ahead_s > 0.0 else 'behind'} that of {pair[0]}"
+                f"{runs if fast else ''}: the poses allow for it, gis-radar clocks measures it"
+            )
         return remarks
+
+    def untied(self, pairs: Mapping[Names, int]) -> dict[str, str]:
+        """Return why sensors are not tied."""
+        tied = {name for pair in pairs for name in pair}
+        return {
+            name: "its vehicles fit those of others in several places"
+            if name in self.unclear and name not in self.placed
+            else "no other sensor sees enough of the same vehicles"
+            for name in self.all
+            if name not in tied and name not in self.refused
+        }
 
     def solved(self, adjusted: Adjusted, ties: Mapping[Names, Tied]) -> Solved:
         """Return poses, pairs and refusals."""
@@ -343,7 +435,7 @@ class _Network:
             mine = {pair: n for pair, n in pairs.items() if name in pair}
             if mine:
                 member = self.all[name]
-                poses[name] = _with_gain(
+                poses[name] = with_gain(
                     moved(member.pose, member.away), adjusted.covariance[own, own], name, mine,
                     self.answer,
                 )  # fmt: skip
@@ -353,6 +445,7 @@ class _Network:
             chosen={name: self.all[name].choice for name in poses},
             refused=self.refused,
             pairs=pairs,
+            untied=self.untied(pairs),
             remarks=tuple(self.clock_remarks(ties)),
         )
 
@@ -366,70 +459,3 @@ def _contradiction(names: Names, vehicles: int, gap_m: float) -> str:
 
 def _clash(names: Names, shift: Shift) -> str:
     return _contradiction(names, sum(shift.pairs.values()), float(np.hypot(*shift.step[:2])))
-
-
-def plane_covariance(pose: Pose) -> Floats:
-    """Return the covariance of easting, northing (m) and yaw (radians), (3, 3)."""
-    return stated_covariance(pose)[np.ix_(IN_POSE, IN_POSE)]
-
-
-def stated_covariance(pose: Pose) -> Floats:
-    """Return the (6, 6) covariance that a pose states.
-
-    Raises
-    ------
-    NoAnswerError
-        If it states none.
-    """
-    covariance = pose.parsed_evidence().covariance
-    if covariance is None:
-        raise NoAnswerError(
-            f"{pose.sensor}: its pose states no covariance", hint="localize it with --method lane"
-        )
-    return covariance
-
-
-def _longest(covariance: Floats) -> float:
-    return float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
-
-
-def moved(pose: Pose, step: Floats) -> Pose:
-    """Return a pose after a step of easting, northing, yaw; the rest follows its covariance."""
-    covariance = stated_covariance(pose)
-    known = covariance[np.ix_(IN_POSE, IN_POSE)]
-    whole = covariance[:, IN_POSE] @ np.linalg.solve(known, step)
-    whole[IN_POSE] = step
-    east, north, up, roll, pitch, yaw = (float(v) for v in whole)
-    turned = pose.yaw + math.degrees(yaw)
-    return replace(
-        pose,
-        easting=pose.easting + east,
-        northing=pose.northing + north,
-        height=pose.height + up,
-        roll=pose.roll + math.degrees(roll),
-        pitch=pose.pitch + math.degrees(pitch),
-        yaw=(turned + 180.0) % 360.0 - 180.0,
-    )
-
-
-def _with_gain(
-    pose: Pose, plane: Floats, name: str, pairs: Mapping[Names, int], settings: AnswerSettings
-) -> Pose:
-    """Return a pose with its new covariance, and what it gained by whom."""
-    before = stated_covariance(pose)
-    known = before[np.ix_(IN_POSE, IN_POSE)]
-    share = before[:, IN_POSE] @ np.linalg.inv(known)
-    after = before + share @ (plane - known) @ share.T
-    after = (after + after.T) / 2.0
-    units = np.array([1.0] * 3 + [math.degrees(1.0)] * 3)
-    old, new = (np.sqrt(np.diag(each)) * units for each in (before, after))
-    others = sorted({each for pair in pairs for each in pair} - {name})
-    gained = {COMPONENTS[i]: {"before": float(old[i]), "after": float(new[i])} for i in IN_POSE}
-    evidence = {
-        **pose.evidence,
-        "sigma": {each: float(value) for each, value in zip(COMPONENTS, new, strict=True)},
-        "covariance": after.tolist(),
-        "observable": is_fixed(after, settings),
-        "together": {"sensors": others, "pairs": sum(pairs.values()), "gained": gained},
-    }
-    return replace(pose, evidence=evidence)

@@ -66,6 +66,11 @@ class Shift:
     pairs: Mapping[str, int]
 
 
+def total_score(shift: Shift) -> float:
+    """Return the sum of the scores of a shift."""
+    return float(shift.scores.sum())
+
+
 @dataclass(frozen=True, kw_only=True)
 class Placing:
     """What others say of a sensor's pose.
@@ -83,6 +88,12 @@ class Placing:
     inside: Shift | None
     lead: float
     beyond: Shift | None
+
+    @property
+    def best(self) -> Floats:
+        """The scores of the better place; empty where there is none."""
+        there = [each for each in (self.inside, self.beyond) if each is not None]
+        return max(there, key=total_score).scores if there else np.empty(0)
 
 
 def find_place(
@@ -115,22 +126,18 @@ def find_place(
             chance += _Score(choice, wrong, tracks, settings).best(number, steps)[:1]
 
     def good(shift: Shift) -> bool:
-        leads = (_advantage(shift.scores, each.scores) for each in chance)
+        leads = (preference(shift.scores, each.scores) for each in chance)
         return min(leads, default=math.inf) > settings.clear
 
     allowed, beyond = [s for s in allowed if good(s)], [s for s in beyond if good(s)]
-    best = max(allowed, key=_total, default=None)
+    best = max(allowed, key=total_score, default=None)
     rivals = [s for s in allowed if best is not None and _differ(choices, best, s, settings)]
-    lead = min((_advantage(best.scores, s.scores) for s in rivals if best), default=math.inf)
+    lead = min((preference(best.scores, s.scores) for s in rivals if best), default=math.inf)
     return Placing(
         inside=best,
         lead=lead if best is not None else 0.0,
         beyond=_contradiction(best, beyond, settings),
     )
-
-
-def _total(shift: Shift) -> float:
-    return float(shift.scores.sum())
 
 
 def _contradiction(
@@ -142,9 +149,9 @@ def _contradiction(
             shift
             for shift in beyond
             if np.hypot(*(shift.step - best.step)[:2]) > 2.0 * settings.step_m
-            and _advantage(shift.scores, best.scores) > settings.clear
+            and preference(shift.scores, best.scores) > settings.clear
         ]
-    return max(beyond, key=_total, default=None)
+    return max(beyond, key=total_score, default=None)
 
 
 def _differ(choices: Sequence[Choice], one: Shift, other: Shift, settings: TieSettings) -> bool:
@@ -156,9 +163,11 @@ def _differ(choices: Sequence[Choice], one: Shift, other: Shift, settings: TieSe
     return apart_m > 2.0 * settings.step_m or choices[one.choice].turned(choices[other.choice])
 
 
-def _advantage(scores: Floats, others: Floats) -> float:
+def preference(scores: Floats, others: Floats) -> float:
     """Return by how many standard deviations tracks prefer one place to another (Vuong 1989)."""
-    gain = (scores - others)[(scores > 0.0) | (others > 0.0)]
+    longest = max(len(scores), len(others))
+    one, other = (np.pad(each, (0, longest - len(each))) for each in (scores, others))
+    gain = (one - other)[(one > 0.0) | (other > 0.0)]
     if len(gain) < 2:
         return 0.0
     spread = math.sqrt(len(gain) * float(gain.var(ddof=1)))
@@ -216,7 +225,7 @@ class _Score:
 
     def _most(self, choice: int, steps: Floats) -> Shift:
         shifts = [self._shift(choice, step) for step in steps]
-        return max(shifts, key=_total)
+        return max(shifts, key=total_score)
 
     def _chi2(self, name: str, step: Floats) -> Floats:
         _, gap, slope, inverse = self.parts[name]

@@ -33,8 +33,9 @@ class TieSettings:
     farthest_m : float
         Pairs farther apart than a pose may be wrong are not looked at.
     half_length_m, half_length_spread_m, half_length_sigma_m : float
-        Of vehicles (4.5 m), how they differ, and how well the mean is known: wheels and the
-        underbody reflect from behind a face, 0.1 to 0.25 m on average in simulation.
+        From the middle of vehicles to what reflects at their ends, how they differ, and how well
+        the mean is known: half of 4.5 m, less 0.1 to 0.35 m, as wheels and the underbody reflect
+        from behind a face (1.9 and 2.0 m at the true poses of two simulators).
     half_width_sigma_m, side_sigma : float
         The same of the mean half width, and of the sides' strength (logarithm).
     spot_m : tuple of float
@@ -48,6 +49,21 @@ class TieSettings:
         Offset of a sensor's clock, one standard deviation: NTP on a local network.
     free_clock_s : float
         The same where it is asked whether clocks are off: at more, no vehicle finds its pair.
+    most_lag_s : float
+        Largest offset of clocks that is looked for: beyond it, radars have no common time at all.
+    clock_rates : tuple of float
+        Rates of clocks that are looked for: quartz keeps 1e-4, an ARS430 was 0.8 % slow.
+    lag_s : float
+        Votes for a lag nearer than this agree: a vehicle's length at 30 km/h, poses within 1 m.
+    lag_place_m, lag_speed_mps : float
+        Moments farther apart are of two places; slower vehicles tell no time.
+    lag_lead : float
+        By how many standard deviations, as counts scatter, the votes for a lag exceed those for
+        any other and for none, and with another rate those without: chance gave 3 in 13.
+    lag_clear : float
+        Standard deviations by which vehicles must prefer a lag to another place of the sensor.
+    same_lag_s : float
+        Lags nearer than this are one.
     clock_sigmas : float
         Standard deviations beyond which a clock's offset is remarked upon.
     freedom : float
@@ -83,7 +99,7 @@ class TieSettings:
     level_m: float = 3.0
     least_share: float = 0.7
     farthest_m: float = 60.0
-    half_length_m: float = 2.25
+    half_length_m: float = 2.05
     half_length_spread_m: float = 0.6
     half_length_sigma_m: float = 0.25
     half_width_sigma_m: float = 0.1
@@ -93,6 +109,16 @@ class TieSettings:
     memory_s: float = 1.0
     clock_s: float = 0.02
     free_clock_s: float = 1.0
+    most_lag_s: float = 10.0
+    clock_rates: tuple[float, ...] = (
+        -0.012, -0.01, -0.008, -0.006, -0.004, -0.002, 0.002, 0.004, 0.006, 0.008, 0.01, 0.012,
+    )  # fmt: skip
+    lag_s: float = 0.25
+    lag_place_m: float = 4.0
+    lag_speed_mps: float = 3.0
+    lag_lead: float = 5.0
+    lag_clear: float = 2.0
+    same_lag_s: float = 1.0
     clock_sigmas: float = 4.0
     freedom: float = 4.0
     gate_chi2: float = 13.8
