@@ -35,6 +35,7 @@ from .scans.roads import Roads, read_roads
 from .scans.scan import read_road, road_crs
 from .second_look import SecondLook, require_scans_near, second_look
 from .second_look.picture import draw_second_look
+from .sight import Sight, SightScan, SightTiles, find_sight
 from .site.run import SiteRun, run_site
 from .site.settings import Site, read_site, site_template
 from .tiles import (
@@ -71,6 +72,9 @@ __all__ = [
     "Roads",
     "SecondLook",
     "SensorClock",
+    "Sight",
+    "SightScan",
+    "SightTiles",
     "Site",
     "SiteRun",
     "TileGrid",
@@ -83,6 +87,7 @@ __all__ = [
     "draw_localization",
     "draw_second_look",
     "draw_track",
+    "find_sight",
     "fingerprint",
     "localize",
     "localize_files",

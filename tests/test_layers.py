@@ -15,6 +15,7 @@ ROWS = """
     poses
     lanelets recordings scans
     tiles
+    sight
     projection clocks occupancy
     second_look localization network tracking
     vehicles

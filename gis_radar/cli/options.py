@@ -133,6 +133,10 @@ origin = click.option(
     "--origin", type=numbers("E,N"), help="Map-frame position of the map's local (0, 0)."
 )
 scan_crs = click.option("--scan-crs", help="CRS of scans that do not state theirs: EPSG:2154.")
+sight_scans = click.option(
+    "--scan", "scans", metavar="SCAN.laz", type=FILE, multiple=True,
+    help="What stands in it hides tiles (LAS, LAZ, COPC); whole, not masked; repeatable.",
+)  # fmt: skip
 lanes = click.option(
     "--map", "map_path", metavar="MAP.osm", type=FILE, required=True, help="The lanes."
 )

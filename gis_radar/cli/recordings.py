@@ -19,6 +19,8 @@ from gis_radar.cli.options import (
     output,
     poses,
     recordings,
+    scan_crs,
+    sight_scans,
     tile_file,
 )  # fmt: skip
 from gis_radar.files import refuse_inputs
@@ -75,6 +77,8 @@ def convert(*, inputs: tuple[str, ...], output: Path, reporter: Reporter, **opti
     "--clocks", metavar="auto|FILE",
     help="Correct the sensors' clocks: by a file from gis-radar clocks, or as found here.",
 )  # fmt: skip
+@sight_scans
+@scan_crs
 @click.option("--engine", type=click.Choice(sorted(ENGINES)), default="grid", show_default=True)
 @click.option("--pairs", is_flag=True, help="Also write hits.parquet: each pair of step and tile.")
 def occupancy(
@@ -87,6 +91,8 @@ def occupancy(
     clocks: str | None,
     engine: str,
     pairs: bool,
+    scans: tuple[Path, ...],
+    scan_crs: str | None,
     reporter: Reporter,
     **options: Any,
 ) -> Result:
@@ -94,12 +100,13 @@ def occupancy(
     from gis_radar.site.recipes import AUTO, join_recordings  # noqa: PLC0415 - --help needs no NumPy
 
     clock_files = [] if clocks in {None, AUTO} else [str(clocks)]
-    refuse_inputs(output, *recordings, *poses, tiles_path, *clock_files)
+    refuse_inputs(output, *recordings, *poses, tiles_path, *clock_files, *scans)
     view = {name: options.pop(name) for name in ("azimuth_deg", "elevation_deg", "max_range_m")}
     tracks = [_seeing(gr.read_track(pose), view, reporter) for pose in poses]
     result = join_recordings(
         recordings, tracks, tiles_path, output, filters=options, clocks=clocks, cycles=cycles,
-        engine=getattr(gr, ENGINES[engine]), pairs=pairs, reporter=reporter,
+        engine=getattr(gr, ENGINES[engine]), pairs=pairs, scans=scans, scan_crs=scan_crs,
+        reporter=reporter,
     )  # fmt: skip
     for line in gr.measure_quality(result).warnings():
         reporter.log(line, "warning")

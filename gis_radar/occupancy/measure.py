@@ -12,7 +12,6 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-import shapely
 
 from gis_radar.arrays import Floats, Integers
 from gis_radar.clocks import SensorClock
@@ -50,9 +49,9 @@ from gis_radar.poses.files import PoseTrack, as_track
 from gis_radar.poses.pose import Pose, View
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Detections, RangeCounts, Recording, as_recording
+from gis_radar.sight import SightScan, SightTiles, describe_sight
 from gis_radar.steps import STEP_US, iso_from_step, step_of
 from gis_radar.tiles.lookup import TileEngine, TileGrid
-from gis_radar.tiles.tiles import fingerprint, quads
 
 STAGE = "occupancy"
 
@@ -68,6 +67,8 @@ def measure_occupancy(
     clocks: Mapping[str, SensorClock] | None = None,
     engine: Callable[[Floats], TileEngine] = TileGrid,
     pairs: bool = False,
+    scans: Sequence[str | Path] = (),
+    scan_crs: Any = None,
     settings: OccupancySettings = DEFAULTS,
     reporter: Reporter = QUIET,
 ) -> Occupancy:
@@ -99,6 +100,11 @@ def measure_occupancy(
         :class:`TileGrid` or :class:`TileTree`; both give the same.
     pairs : bool
         Also write `hits.parquet`, for other programs: the pairs (step, tile_id).
+    scans : sequence of paths
+        Airborne scans (LAS, LAZ, COPC), whole and not masked: what stands in them hides tiles.
+        Without them, all in the view counts as seen.
+    scan_crs : CRS, str or int, optional
+        The scans' coordinate system, for files without one.
     settings : OccupancySettings
         Constants of the algorithm; written to the manifest.
     reporter : Reporter
@@ -124,12 +130,15 @@ def measure_occupancy(
     >>> tiles = gr.make_tiles(gr.read_map(sample / "junction.osm"))
     >>> pose = gr.read_pose(sample / "R1.json")
     >>> gr.measure_occupancy([sample / "R1.parquet"], [pose], tiles, "occupancy")
-    Occupancy(R1 100.0 s covered by frames, 2931 tiles seen)
+    Occupancy(R1 100.0 s covered by frames, 2948 tiles seen)
     """
     if len(recordings) != len(poses) or not recordings:
         raise UsageError(f"{len(recordings)} recordings, but {len(poses)} poses")
     tracks = [as_track(pose) for pose in poses]
     target = _target(tiles, tracks, filters or Filters(), engine, settings)
+    if scans:
+        scan = SightScan(scans, target.views.road, scan_crs=scan_crs, reporter=reporter)
+        target.views.scan = scan
     views = _views(target, tracks, reporter)
     opened = [as_recording(recording) for recording in recordings]
     _refuse_clearance(opened, target.filters)
@@ -242,6 +251,7 @@ class RecordingPass:
             "sensor": source.track.sensor,
             "filters": asdict(target.filters),
             "settings": asdict(target.settings),
+            "sight": describe_sight(target.views.scan),
             "poses": [pose.as_dict() for pose in source.track.poses[met]],
             **({} if source.clock is None else {"clock": source.clock.as_dict()}),
             **({"elevation": False} if self.level else {}),
@@ -342,21 +352,18 @@ def _target(
     for track in tracks:
         what = f"the pose of {track.sensor}"
         require_same(track.poses[0].crs, crs, what=what, other_what="the tiles")
-    tile_id = tiles["tile_id"].to_numpy(np.int64)
-    height = tiles["height_m"].to_numpy(np.float64)
-    if filters.clearance is not None and np.isnan(height).all():
+    road = SightTiles.of(tiles)
+    if filters.clearance is not None and np.isnan(road.height).all():
         raise InputError(
             "the tiles have no road heights, which the clearance filter needs",
             hint="make the tiles with --road, or from a map with ele",
         )
-    middle = shapely.get_coordinates(shapely.centroid(tiles.geometry.array))
-    centres = np.column_stack([middle, height])
     return Target(
-        fingerprint=fingerprint(tiles),
-        tile_id=tile_id,
-        road_height=height,
-        engine=engine(quads(tiles)),
-        views=ViewBook(tile_id=tile_id, centres=centres, settings=settings),
+        fingerprint=road.fingerprint,
+        tile_id=road.tile_id,
+        road_height=road.height,
+        engine=engine(road.quads),
+        views=ViewBook(road=road, settings=settings),
         filters=filters,
         settings=settings,
     )

@@ -15,32 +15,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gis_radar.arrays import Floats, Integers
+from gis_radar.arrays import Integers
 from gis_radar.occupancy.settings import DEFAULTS, OccupancySettings
 from gis_radar.poses.files import PoseTrack
-from gis_radar.poses.pose import Pose, View
-
-
-def seen_tiles(pose: Pose, view: View, tile_id: Integers, centres: Floats) -> Integers:
-    """Return the ids of the tiles whose centre, at road height, lies in a sensor's view.
-
-    Parameters
-    ----------
-    pose : Pose
-        Where the sensor stands and looks.
-    view : View
-        What it sees.
-    tile_id : (n,) int64 array
-        Ids of the tiles.
-    centres : (n, 3) array
-        Their centres in the map, metres. Where the road's height is NaN, any elevation is in
-        view.
-    """
-    unknown = np.isnan(centres[:, 2])
-    level = np.where(unknown, pose.height, centres[:, 2])
-    points = pose.to_sensor(np.column_stack([centres[:, :2], level]))
-    points[unknown, 2] = np.nan
-    return tile_id[view.sees(points)]
+from gis_radar.poses.pose import Pose
+from gis_radar.sight import OUT_OF_VIEW, Sight, SightScan, SightTiles, find_sight
 
 
 def name_of_view(tiles: Integers) -> str:
@@ -54,41 +33,48 @@ class ViewBook:
 
     Parameters
     ----------
-    tile_id : (n,) int64 array
-    centres : (n, 3) array
-        Ids and centres of all tiles, as for :func:`seen_tiles`.
+    road : SightTiles
+        All tiles.
+    scan : SightScan, optional
+        What hides tiles; without it, a view is all that is within range and angles.
     settings : OccupancySettings
         Which poses share a view.
     tiles : dict
         By view, the ids of its tiles.
     road_m : dict
         By view, the height of the road near the sensor, metres; NaN where it is not known.
+    sights : dict
+        By view, the sight that it was made from.
     """
 
-    tile_id: Integers
-    centres: Floats
+    road: SightTiles
+    scan: SightScan | None = None
     settings: OccupancySettings = DEFAULTS
     tiles: dict[str, Integers] = field(default_factory=dict)
     road_m: dict[str, float] = field(default_factory=dict)
+    sights: dict[str, Sight] = field(default_factory=dict)
 
     def enter(self, track: PoseTrack) -> tuple[str, ...]:
         """Return the name of what each pose of a track sees, and remember the tiles."""
         standing = standing_for(track.poses, self.settings)
+        if self.scan is not None:
+            self.scan.read([track.poses[index] for index in np.unique(standing)])
         names = {index: self._name(track.poses[index]) for index in np.unique(standing).tolist()}
         return tuple(names[index] for index in standing.tolist())
 
     def _name(self, pose: Pose) -> str:
-        seen = seen_tiles(pose, pose.view or View(), self.tile_id, self.centres)
-        name = name_of_view(seen)
-        self.tiles[name] = seen
-        self.road_m[name] = self._road_m(pose, seen)
+        sight = find_sight(pose, self.road, self.scan)
+        name = name_of_view(sight.seen)
+        self.tiles[name] = sight.seen
+        self.sights[name] = sight
+        self.road_m[name] = self._road_m(sight)
         return name
 
-    def _road_m(self, pose: Pose, seen: Integers) -> float:
-        centres = self.centres[np.isin(self.tile_id, seen) & np.isfinite(self.centres[:, 2])]
+    def _road_m(self, sight: Sight) -> float:
+        centres = self.road.centres[(sight.state != OUT_OF_VIEW) & np.isfinite(self.road.height)]
         if len(centres) == 0:
             return float("nan")
-        near = np.argsort(np.hypot(*(centres[:, :2] - pose.position[:2]).T), kind="stable")
+        near = np.argsort(np.hypot(*(centres[:, :2] - sight.pose.position[:2]).T), kind="stable")
         return float(np.median(centres[near[: self.settings.road_tiles], 2]))
 
 

@@ -19,11 +19,9 @@ from gis_radar.grid import CELL_M, Grid
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import RangeCounts, Recording, RollingWindow, as_recording
-from gis_radar.scans.scan import ROAD_CLASSES, box_with_margin, open_scan
+from gis_radar.scans.columns import Columns, ground_under, nearest_known, read_columns
+from gis_radar.scans.scan import box_with_margin, open_scan
 from gis_radar.second_look.settings import DEFAULTS, SecondLookSettings
-
-PLANTS, BUILDING = (3, 4, 5), (6,)  # ASPRS LAS 1.4, table 17
-UNFIT = (7, 9, 13, 14, 15, 16, 18)  # noise, water, wires and pylons
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -245,30 +243,6 @@ class Structure:
         return self.edge | self.canopy
 
 
-class _Tops:
-    """Highest and lowest points by cell, gathered from pieces."""
-
-    def __init__(self, size: int) -> None:
-        self.any, self.plants, self.building = (np.full((size, size), -np.inf) for _ in range(3))
-        self.ground, self.low = (np.full((size, size), np.inf) for _ in range(2))
-        self.points = 0
-
-    def add(self, xyz: Floats, category: Any) -> None:
-        size = len(self.any)
-        half = size // 2 * CELL_M
-        kept = (np.abs(xyz[:, :2]) < half).all(axis=1) & ~np.isin(category, UNFIT)
-        xyz, category = xyz[kept], category[kept]
-        rows, columns = LevelFrame.cells(xyz, size)
-        self.points += len(xyz)
-        for grid, which in ((self.plants, PLANTS), (self.building, BUILDING)):
-            of = np.isin(category, which)
-            np.maximum.at(grid, (rows[of], columns[of]), xyz[of, 2])
-        of = np.isin(category, ROAD_CLASSES)
-        np.minimum.at(self.ground, (rows[of], columns[of]), xyz[of, 2])
-        np.minimum.at(self.low, (rows, columns), xyz[:, 2])
-        np.maximum.at(self.any, (rows, columns), xyz[:, 2])
-
-
 def read_structure(
     scans: Sequence[str | Path],
     level: LevelFrame,
@@ -305,32 +279,31 @@ def read_structure(
         If a scan is damaged; CrsError if it has no projected, metric coordinate system.
     """
     opened = [open_scan(scan, crs=scan_crs) for scan in scans]
-    tops = _Tops(2 * int(np.ceil(reach_m / CELL_M)))
+    half = int(np.ceil(reach_m / CELL_M))
+    grid = Grid(cell_m=CELL_M, west=-half, south=-half, columns=2 * half, rows=2 * half)
+    window = Columns(grid=grid, from_map=level.from_map)
     east, north, _ = level.pose.position
     box = box_with_margin((east, north, east, north), reach_m * np.sqrt(2.0))
-    total, done, grounds = sum(scan.points for scan in opened), 0, 0
-    for scan in opened:
-        if not scan.touches(box, level.pose.crs):
-            continue
-        for piece in scan.pieces(box, level.pose.crs):
-            xyz = np.column_stack([piece.x, piece.y, piece.z])
-            tops.add(level.from_map(xyz), piece.category)
-            done, grounds = done + piece.read, grounds + piece.ground
-            reporter.progress("reading the scan", done, total)
-    if tops.points == 0:
+    grounds = read_columns(opened, [window], box, level.pose.crs, reporter=reporter)
+    if window.points == 0:
         return None
-    classified = grounds >= settings.least_ground * max(done, 1)
-    return _structure(tops, settings, classified=classified)
+    return _structure(window, settings, classified=grounds >= settings.least_ground)
 
 
-def _structure(tops: _Tops, settings: SecondLookSettings, *, classified: bool) -> Structure:
+def _structure(tops: Columns, settings: SecondLookSettings, *, classified: bool) -> Structure:
     tall_m, jump = settings.tall_m, settings.jump_cells
-    away, index = ndimage.distance_transform_edt(np.isinf(tops.any), return_indices=True)
+    away, index = nearest_known(np.isfinite(tops.top))
     top, plants, building = (
-        np.where(away <= settings.gap_cells, grid[tuple(index)], np.nan)
-        for grid in (tops.any, tops.plants, tops.building)
+        np.where(away <= settings.gap_cells, grid[index], np.nan)
+        for grid in (tops.top, tops.plants, tops.building)
     )
-    ground = _ground(tops.ground if classified else tops.low, settings, classified=classified)
+    ground = ground_under(
+        np.minimum(tops.ground, tops.deck) if classified else tops.low,
+        cell_m=CELL_M,
+        coarse_cells=settings.ground_cells,
+        widest_roof_m=settings.widest_roof_m,
+        classified=classified,
+    )
     below = ndimage.maximum_filter(np.where(np.isnan(top), -np.inf, top), jump)
     low = ndimage.minimum_filter(np.where(np.isnan(top), np.inf, top), jump)
     high = _solid(np.nan_to_num(top - low, nan=0.0) > tall_m)
@@ -349,22 +322,3 @@ def _solid(cells: Booleans) -> Booleans:
     """Return cells that are no strays: three or more of nine around."""
     around = ndimage.convolve(cells.astype(np.uint8), np.ones((3, 3), np.uint8), mode="constant")
     return np.asarray(cells & (around >= 3))
-
-
-def _ground(low: Floats, settings: SecondLookSettings, *, classified: bool) -> Floats:
-    """Return the ground from lowest points: of its class, or under what an opening removes."""
-    size, wide = len(low), settings.ground_cells
-    pad = -size % wide
-    coarse = np.pad(low, (0, pad), constant_values=np.inf)
-    coarse = coarse.reshape(len(coarse) // wide, wide, -1, wide).min(axis=(1, 3))
-    known = np.isfinite(coarse)
-    if not known.any():
-        return np.full_like(low, np.nan)
-    away, index = ndimage.distance_transform_edt(~known, return_indices=True)
-    coarse = ndimage.median_filter(coarse[tuple(index)], 3)
-    if not classified:
-        window = int(settings.widest_roof_m / CELL_M / wide)
-        coarse = ndimage.grey_opening(coarse, (window, window))
-    near = away * wide * CELL_M < settings.widest_roof_m
-    fine = np.where(near, coarse, np.nan).repeat(wide, axis=0).repeat(wide, axis=1)
-    return np.asarray(fine[:size, :size])

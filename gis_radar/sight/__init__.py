@@ -1,0 +1,27 @@
+"""Sight: which tiles a sensor sees from one pose, and what hides the others."""
+
+from gis_radar.sight.settings import SightSettings
+from gis_radar.sight.sight import (
+    HIDDEN,
+    IN_SIGHT,
+    OUT_OF_VIEW,
+    VIEW_ONLY,
+    Sight,
+    SightScan,
+    SightTiles,
+    describe_sight,
+    find_sight,
+)
+
+__all__ = [
+    "HIDDEN",
+    "IN_SIGHT",
+    "OUT_OF_VIEW",
+    "VIEW_ONLY",
+    "Sight",
+    "SightScan",
+    "SightSettings",
+    "SightTiles",
+    "describe_sight",
+    "find_sight",
+]

@@ -1,0 +1,88 @@
+"""Settings of sight: every choice of its algorithm, with unit and source."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class SightSettings:
+    """What in a scan hides a tile from a sensor.
+
+    Parameters
+    ----------
+    target_m : float
+        Height over the road at which a tile counts as seen, metres (the contract).
+    cell_m : float
+        Side of the cells in which the scan is gathered, metres.
+    window_m : float
+        Windows of the scan begin at multiples of this, metres: poses of a track share them.
+    tall_m : float
+        What is lower over the ground does not hide: parked cars, hedges, rails.
+    crown_m : float
+        Something stands solid where no return from below lies in a square of this side, metres:
+        crowns let pulses through, roofs do not.
+    ground_m : float
+        What is narrower is no ground, metres: cars, hedges.
+    widest_roof_m : float
+        In scans without classes: opening that removes roofs from the ground, metres.
+    ground_cells : int
+        That opening works on squares of so many cells a side.
+    least_ground : float
+        A scan with a smaller share of points in classes of ground is not classified.
+    sunk_m : float
+        A ray may pass so far under the ground's surface, metres: noise of scan and map.
+    blocked_m : float
+        Length of a ray inside what stands from which on it is hidden, metres.
+    step_m : float
+        Distance of the samples of a ray, metres.
+    skip_near_m, skip_far_m : float
+        Ends of a ray that do not count, metres: a mast stands at a wall or in a crown.
+    clear_m : float
+        Over a road it is free up to here, metres: the least clearance of bridges and gates.
+    levels_apart_m : float
+        Tiles at one place that lie farther apart in height are on two levels, metres.
+    shoulder_m : float
+        Kerbs, shoulders and parapets beside an upper level's tiles belong to it, metres.
+    opening_m : float
+        Under a deck it is free so far beside the lower level's tiles, metres.
+    deck_m : float
+        Thickness of a deck, metres.
+    gap_m : float
+        Cells without points take the heights of ones so near, metres.
+    unknown_m : float
+        A ray that is not hidden and passes so far over what the scan does not cover: the tile
+        counts as in sight, and is counted as not covered.
+    offset_m : float
+        Median difference of the scan's and the tiles' road heights above which the two are not of
+        one vertical system, metres.
+    windows_kept : int
+        Windows of the scan that are kept in memory, 10 MB each.
+    """
+
+    target_m: float = 0.6
+    cell_m: float = 1.0
+    window_m: float = 64.0
+    tall_m: float = 2.5
+    crown_m: float = 3.0
+    ground_m: float = 12.0
+    widest_roof_m: float = 40.0
+    ground_cells: int = 2
+    least_ground: float = 0.01
+    sunk_m: float = 0.4
+    blocked_m: float = 1.5
+    step_m: float = 0.5
+    skip_near_m: float = 2.0
+    skip_far_m: float = 1.0
+    clear_m: float = 4.5
+    levels_apart_m: float = 3.0
+    shoulder_m: float = 4.0
+    opening_m: float = 8.0
+    deck_m: float = 1.5
+    gap_m: float = 3.0
+    unknown_m: float = 10.0
+    offset_m: float = 2.0
+    windows_kept: int = 8
+
+
+DEFAULTS = SightSettings()

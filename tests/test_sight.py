@@ -1,0 +1,153 @@
+"""Sight: what stands in a scan hides tiles; crowns and decks let rays pass."""
+
+import json
+
+import numpy as np
+import pytest
+from scans import ground, hidden, strewn, write_points
+from sites import EAST, NORTH, START, lane_quads, pose, recording, tiles_of
+
+from gis_radar.errors import InputError
+from gis_radar.occupancy import measure_occupancy
+from gis_radar.poses.pose import View
+from gis_radar.sight import HIDDEN, IN_SIGHT, OUT_OF_VIEW, SightScan, SightTiles, find_sight
+
+ROAD_M = 372.0
+AREA = (-20.0, -80.0, 160.0, 80.0)
+SENSOR = pose(height=ROAD_M + 6.0, view=View(max_range_m=150.0, elevation_deg=120.0))
+HOUSE, ROOF_M = (40.0, -10.0, 60.0, 10.0), ROAD_M + 9.0
+
+
+def level(height):
+    return lambda x, y: np.full(len(x), height)  # noqa: ARG005 - of a place
+
+
+def across(height_m=ROAD_M):
+    """A lane across, 100 m ahead, from 60 m to the right to 60 m to the left."""
+    lane = lane_quads(EAST + 100.0, NORTH - 60.0, 90.0, count=240)
+    return SightTiles.of(tiles_of([lane], height_m=height_m))
+
+
+def left_m(tiles):
+    """How far left of the sensor's axis each tile is."""
+    return tiles.centres[:, 1] - NORTH
+
+
+def sight_over(tmp_path, points, tiles, sensor=SENSOR, **scan):
+    path = write_points(tmp_path / "scan.laz", points, **scan)
+    return find_sight(sensor, tiles, SightScan([path], tiles))
+
+
+def flat(*bodies, density=6.0):
+    """Level ground with bodies on it, each (box, top)."""
+    points = ground(AREA, level(ROAD_M), density=density)
+    for box, top in bodies:
+        points = hidden(points, box, level(top))
+    return points
+
+
+def crown(box, top, density=4.0):
+    """Leaves over a box, the ground under them being seen too."""
+    spread = strewn(box, density, np.random.default_rng(5))
+    return np.column_stack([spread, np.random.default_rng(6).uniform(top - 3, top, len(spread))])
+
+
+@pytest.mark.parametrize("density", [2.0, 12.0])
+@pytest.mark.parametrize("category", [1, 6])
+def test_a_house_hides_what_a_straight_line_through_it_reaches(tmp_path, density, category):
+    points = flat((HOUSE, ROOF_M), density=density)
+    classes = np.where(points[:, 2] > ROAD_M + 3.0, category, 2 if category == 6 else 1)
+    tiles = across()
+    sight = sight_over(tmp_path, points, tiles, category=classes)
+    edge = 10.0 / 0.4  # of the shadow of the house's front at 40 m
+    certain = np.abs(np.abs(left_m(tiles)) - edge) > 3.0
+    shadow = np.abs(left_m(tiles)) < edge
+    np.testing.assert_array_equal((sight.state == HIDDEN)[certain], shadow[certain])
+    middle = np.abs(left_m(tiles)) < 5.0
+    np.testing.assert_allclose(sight.hidden_at_m[middle], 40.0, atol=2.0)
+    assert set(sight.state) == {HIDDEN, IN_SIGHT}
+    assert sight.covered == 1.0
+
+
+def test_over_a_low_house_and_past_a_wide_crown_all_is_in_sight(tmp_path):
+    low = flat(((40.0, -10.0, 60.0, 10.0), ROAD_M + 2.2))
+    leaves = np.vstack([flat(), crown(HOUSE, ROOF_M)])
+    for points in (low, leaves):
+        assert (sight_over(tmp_path, points, across()).state == IN_SIGHT).all()
+    solid = flat((HOUSE, ROOF_M))
+    assert (sight_over(tmp_path, solid, across()).state == HIDDEN).any()
+
+
+def test_a_truck_on_the_road_when_the_scan_was_flown_hides_nothing(tmp_path):
+    points = flat(((98.4, -8.0, 101.6, 8.0), ROAD_M + 4.0))
+    assert (sight_over(tmp_path, points, across()).state == IN_SIGHT).all()
+
+
+def two_levels():
+    """A road ahead, and a bridge of 10 m across it, 6.5 m higher, 50 m away."""
+    ahead = lane_quads(EAST + 10.0, NORTH, 0.0, count=240)
+    bridge = [lane_quads(EAST + x, NORTH - 40.0, 90.0, count=160) for x in (51.6, 54.8, 58.0)]
+    heights = [ROAD_M, *[ROAD_M + 6.5] * len(bridge)]
+    tiles = SightTiles.of(tiles_of([ahead, *bridge], height_m=heights))
+    return tiles, flat(((50.0, -40.0, 60.0, 40.0), ROAD_M + 6.5))
+
+
+def test_a_ray_passes_under_a_deck_and_over_it(tmp_path):
+    tiles, points = two_levels()
+    lower = tiles.height == ROAD_M
+    sight = sight_over(tmp_path, points, tiles, pose(height=ROAD_M + 4.0, view=SENSOR.view))
+    assert (sight.state[lower] == IN_SIGHT).all()
+    high = pose(height=ROAD_M + 16.0, view=SENSOR.view, pitch=5.0)
+    sight = sight_over(tmp_path, points, tiles, high)
+    assert (sight.state[~lower] == IN_SIGHT).all()
+    beyond = lower & (tiles.centres[:, 0] > EAST + 76.0) & (tiles.centres[:, 0] < EAST + 92.0)
+    assert (sight.state[beyond] == HIDDEN).all()  # z = 377 to 378.5 m over it
+    assert set(sight.hider[beyond]) == {3}
+
+
+def test_a_bank_of_earth_hides_what_is_behind_it(tmp_path):
+    def bank(x, y):
+        return ROAD_M + np.clip(6.0 - np.abs(x - 55.0) / 1.5 + 5.0, 0.0, 6.0) + 0.0 * y
+
+    points = ground(AREA, bank, density=6.0)
+    assert (sight_over(tmp_path, points, across()).state == HIDDEN).all()
+
+
+def test_without_a_scan_or_heights_the_view_decides():
+    tiles = across(np.nan)
+    sight = find_sight(SENSOR, tiles)
+    place = SENSOR.to_sensor(np.column_stack([tiles.centres[:, :2], np.full(240, 378.0)]))
+    assert ((sight.state == IN_SIGHT) == (np.hypot(*place[:, :2].T) <= 150.0)).all()
+    narrow = pose(height=378.0, view=View(max_range_m=150.0, azimuth_deg=30.0))
+    assert (find_sight(narrow, tiles).state == OUT_OF_VIEW).any()
+    assert sight.scan == "view only"
+
+
+def test_tiles_without_heights_take_those_of_the_ground(tmp_path):
+    sight = sight_over(tmp_path, flat((HOUSE, ROOF_M)), across(np.nan))
+    known = sight_over(tmp_path, flat((HOUSE, ROOF_M)), across())
+    assert np.count_nonzero(sight.state != known.state) <= 4
+
+
+def test_a_scan_of_another_place_is_refused(tmp_path):
+    tiles = across()
+    path = write_points(tmp_path / "far.laz", flat() + [5000.0, 0.0, 0.0])
+    with pytest.raises(InputError, match=r"far.laz: no point within 150 m of R1"):
+        find_sight(SENSOR, tiles, SightScan([path], tiles))
+
+
+def test_occupancy_observes_what_is_in_sight_and_names_the_scan(tmp_path):
+    path = write_points(tmp_path / "scan.laz", flat((HOUSE, ROOF_M)))
+    tiles = tiles_of([lane_quads(EAST + 100.0, NORTH - 60.0, 90.0, count=240)], height_m=ROAD_M)
+    track = recording(
+        tmp_path / "r.parquet", START + np.arange(3), np.tile([100.0, 0, -6.0], (3, 1))
+    )
+    found = measure_occupancy([track], [SENSOR], tiles, tmp_path / "occ", scans=[path])
+    road = SightTiles.of(tiles)
+    seen = find_sight(SENSOR, road, SightScan([path], road)).seen
+    np.testing.assert_array_equal(np.sort(found.views["tile_id"]), seen)
+    manifest = json.loads((tmp_path / "occ" / "manifest.json").read_text())
+    assert manifest["sources"][0]["sight"]["files"] == ["scan.laz"]
+    plain = measure_occupancy([track], [SENSOR], tiles, tmp_path / "plain")
+    assert len(plain.views) == 240
+    assert plain.sources[0]["sight"] == "view only"
