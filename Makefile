@@ -11,7 +11,7 @@ MADE := .venv .pdal .pdal.part.* .qgis out build dist .mypy_cache .ruff_cache .p
 .NOTPARALLEL:
 .PHONY: help set-up set-up-dev set-up-bench pdal demo docs test test-qgis lint format types bench \
 	bench-assignment bench-tiles bench-occupancy bench-memory bench-truth bench-mask \
-	bench-localization bench-clocks bench-convert samples wheel plugin-zip constraints clean
+	bench-localization bench-vehicles bench-clocks bench-convert samples wheel plugin-zip constraints clean
 
 help: ## List the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' Makefile | expand -t 20
@@ -58,7 +58,7 @@ format: set-up-dev ## Mend style and layout
 types: set-up-dev ## Check the types
 	$(BIN)/mypy
 
-bench: bench-assignment bench-tiles bench-occupancy bench-memory bench-truth bench-mask bench-localization bench-clocks bench-convert ## Run every benchmark
+bench: bench-assignment bench-tiles bench-occupancy bench-memory bench-truth bench-mask bench-localization bench-vehicles bench-clocks bench-convert ## Run every benchmark
 
 bench-assignment: set-up-dev ## Measure tile assignment against its targets
 	$(BIN)/python bench/assignment.py
@@ -80,6 +80,9 @@ bench-mask: set-up-dev ## Measure the road mask: time, and memory from few tiles
 
 bench-localization: set-up-bench ## Measure localization beside the paper's (QUICK=--quick for a look)
 	$(BIN)/python bench/localization $(QUICK)
+
+bench-vehicles: set-up-bench ## Measure vehicles and coverage against the true traffic
+	$(BIN)/python bench/vehicles
 
 bench-convert: set-up-dev ## Measure the conversion of captures: time, and memory from short to long
 	$(BIN)/python bench/convert.py

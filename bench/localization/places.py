@@ -107,7 +107,7 @@ class Place:
 
 def make_place(
     plan: StreetPlan, *, seed: int, terrain: Terrain, manners: Manners, duration_s: float,
-    roadside: Roadside | None = None,
+    roadside: Roadside | None = None, warm_up_s: float = 120.0,
 ) -> Place:  # fmt: skip
     """Return a street plan come to life."""
     with tempfile.TemporaryDirectory() as folder:
@@ -122,7 +122,7 @@ def make_place(
             kinds=manners.kinds,
             start=START,
             duration_s=duration_s,
-            warm_up_s=120.0,
+            warm_up_s=warm_up_s,
             seed=seed,
             keeping=manners.keeping,
         )

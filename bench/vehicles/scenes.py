@@ -1,0 +1,310 @@
+"""Scenes: small simulated sites with their truth, made where missing and kept.
+
+A scene is a folder: map.osm, scan.laz, R1.parquet ... with R1.json ... (true poses),
+vehicles.parquet (the true traffic), standing.npz (what hides). Those that end in ``-held`` are held
+out: other streets, seeds and masts, not to be looked at while a setting is chosen. The shared towns
+are scenes too, where they are there.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+
+ROOT = Path(__file__).parents[2]
+sys.path += [str(ROOT), str(ROOT / "bench"), str(ROOT / "bench" / "localization")]
+
+from conditions import CONDITIONS, Conditions  # noqa: E402
+from places import (  # noqa: E402
+    ORIGIN,
+    UTM,
+    Manners,
+    Place,
+    make_place,
+    roadside_stand,
+    write_moving,
+)
+from simulated import true_pose  # noqa: E402
+from standing import in_sight, write_standing  # noqa: E402
+from street_plans import PLANS, StreetPlan, axis  # noqa: E402
+from town import MASTS, TERRAIN, poses, town_plan  # noqa: E402
+from true_coverage import Sensor, TrueCoverage, true_coverage  # noqa: E402
+from true_traffic import TrueTraffic, read_traffic  # noqa: E402
+
+import gis_radar as gr  # noqa: E402
+from gis_radar.poses.files import write_pose  # noqa: E402
+from simulation.lanelet_writer import write_lanelets  # noqa: E402
+from simulation.presets import TEXTBOOK  # noqa: E402
+from simulation.radar import RadarModel  # noqa: E402
+from simulation.roadside import Roadside  # noqa: E402
+from simulation.scan import fly, write_scan  # noqa: E402
+
+OUT = ROOT / "out" / "bench-vehicles"
+SHARED = ("town01", "town02", "town04")
+TOWN_MASTS = {mast.sensor: k for k, mast in enumerate(MASTS)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recipe:
+    """How a scene is made.
+
+    Parameters
+    ----------
+    plan : str
+        ``town``, ``motorway`` or the name of a random plan.
+    seed : int
+        Of everything.
+    per_hour : float
+        Vehicles an hour, over all ways in.
+    radars : tuple of str or int
+        Masts of the town, or how many at random.
+    conditions : str
+        A name of `CONDITIONS`.
+    minutes, warm_up_s : float
+        How long is recorded, and how long traffic builds up before.
+    free : bool
+        Whether the sensors hang as they like.
+    """
+
+    plan: str
+    seed: int
+    per_hour: float
+    radars: tuple[str, ...] | int
+    conditions: str = "as recorded"
+    minutes: float = 2.0
+    warm_up_s: float = 120.0
+    free: bool = True
+
+
+RECIPES: Mapping[str, Recipe] = {
+    "town": Recipe(plan="town", seed=11, per_hour=2600, radars=("R1", "R2", "R4")),
+    "motorway": Recipe(plan="motorway", seed=12, per_hour=7000, radars=2),
+    "gridlock": Recipe(
+        plan="town", seed=13, per_hour=6500, radars=("R1", "R3"), warm_up_s=420.0, free=False
+    ),
+    "light": Recipe(plan="junction", seed=20, per_hour=400, radars=1, minutes=3.0),
+    "harsh": Recipe(plan="junction", seed=30, per_hour=1500, radars=2, conditions="harsh"),
+    "ideal": Recipe(plan="tee", seed=16, per_hour=900, radars=1, conditions="textbook"),
+    "town-held": Recipe(plan="town", seed=111, per_hour=2200, radars=("R3", "R5", "R6")),
+    "motorway-held": Recipe(plan="motorway", seed=112, per_hour=5200, radars=1),
+    "gridlock-held": Recipe(plan="junction", seed=113, per_hour=4200, radars=2, warm_up_s=420.0),
+    "light-held": Recipe(plan="bend", seed=122, per_hour=300, radars=1, minutes=3.0),
+    "harsh-held": Recipe(
+        plan="town", seed=115, per_hour=2600, radars=("R2", "R4", "R6"), conditions="harsh"
+    ),
+    "ideal-held": Recipe(
+        plan="roundabout", seed=116, per_hour=1100, radars=1, conditions="textbook"
+    ),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneFiles:
+    """A scene.
+
+    Parameters
+    ----------
+    name : str
+        As given on the command line.
+    folder : Path
+        Where its files are.
+    kept : Path
+        A folder for what is made of it.
+    """
+
+    name: str
+    folder: Path
+    kept: Path
+
+    @property
+    def map(self) -> Path:
+        """The map."""
+        return next(self.folder.glob("*.osm"))
+
+    @property
+    def scan(self) -> Path:
+        """The scan."""
+        return next(self.folder.glob("*.laz"))
+
+    @property
+    def recordings(self) -> list[Path]:
+        """The recordings."""
+        return sorted(self.folder.glob("R*.parquet"))
+
+    @property
+    def poses(self) -> list[gr.Pose]:
+        """The true poses, in the order of the recordings."""
+        return [true_pose(self.folder, path.stem) for path in self.recordings]
+
+    def traffic(self) -> TrueTraffic:
+        """Return the true traffic."""
+        return read_traffic(self.folder / "vehicles.parquet")
+
+    def tiles(self) -> gpd.GeoDataFrame:
+        """Return the tiles, which are kept too: `tiles.gpkg`."""
+        path = self.kept / "tiles.gpkg"
+        if not path.exists():
+            roads = gr.read_map(self.map)
+            gr.write_tiles(gr.make_tiles(roads), path, problems=roads.problems)
+        return gr.read_tiles(path)
+
+    def truth(self) -> TrueCoverage:
+        """Return the true coverage, which is kept too."""
+        path = self.kept / f"truth-{_digest('true_traffic', 'true_coverage', 'standing')}.npz"
+        if path.exists():
+            return _read_truth(path)
+        tiles = self.tiles()
+        sensors = [
+            Sensor(
+                pose=pose,
+                in_sight=in_sight(tiles, pose, self.folder),
+                times=np.unique(pd.read_parquet(file, columns=["time"])["time"]),
+            )
+            for pose, file in zip(self.poses, self.recordings, strict=True)
+        ]
+        truth = true_coverage(tiles, sensors, self.traffic())
+        _write_truth(truth, path)
+        return truth
+
+
+def _write_truth(truth: TrueCoverage, path: Path) -> None:
+    flags: dict[str, Any] = {n: np.packbits(getattr(truth, n), axis=1) for n in _FLAGS}
+    count = truth.covered.shape[1]
+    np.savez_compressed(
+        path, tile_id=truth.tile_id, first_step=truth.first_step, count=count, **flags
+    )
+
+
+_FLAGS = ("covered", "visible", "blocked")
+
+
+def _read_truth(path: Path) -> TrueCoverage:
+    with np.load(path) as kept:
+        count = int(kept["count"])
+        flags = {n: np.unpackbits(kept[n], axis=1, count=count).astype(np.bool_) for n in _FLAGS}
+        return TrueCoverage(tile_id=kept["tile_id"], first_step=int(kept["first_step"]), **flags)
+
+
+def scene(name: str) -> SceneFiles:
+    """Return a scene; it is made where it is missing or out of date.
+
+    Raises
+    ------
+    KeyError
+        If there is none of that name.
+    """
+    kept = OUT / "scenes" / name
+    shared = ROOT.parent / "shared" / "data" / name
+    if name in SHARED and shared.exists():
+        kept.mkdir(parents=True, exist_ok=True)
+        return SceneFiles(name=name, folder=shared, kept=kept)
+    recipe = RECIPES[name]
+    stamp, wanted = kept / "made.txt", f"{_simulator()} {recipe}"
+    if not (stamp.exists() and stamp.read_text() == wanted):
+        kept.mkdir(parents=True, exist_ok=True)
+        for old in (stamp, *kept.glob("truth-*.npz"), *kept.glob("tiles.gpkg")):
+            old.unlink(missing_ok=True)
+        _make(recipe, kept)
+        stamp.write_text(wanted)
+    return SceneFiles(name=name, folder=kept, kept=kept)
+
+
+def _simulator() -> str:
+    parts = sorted((ROOT / "simulation").glob("*.py"))
+    return hashlib.sha256(b"".join(p.read_bytes() for p in parts)).hexdigest()[:16]
+
+
+def _digest(*names: str) -> str:
+    here = Path(__file__).parent
+    code = b"".join((here / f"{name}.py").read_bytes() for name in names)
+    return hashlib.sha256(code).hexdigest()[:8]
+
+
+def _make(recipe: Recipe, folder: Path) -> None:
+    rng = np.random.default_rng([20261122, recipe.seed])
+    under = CONDITIONS[recipe.conditions]
+    place = make_place(
+        _plan(recipe.plan, rng),
+        seed=recipe.seed,
+        terrain=TERRAIN,
+        manners=Manners(
+            per_hour=recipe.per_hour,
+            kinds=under.kinds,
+            keeping=under.keeping,
+            people=replace(under.people, walkers=0, cyclists=0)
+            if recipe.plan == "motorway" else under.people,
+        ),
+        duration_s=recipe.minutes * 60.0,
+        warm_up_s=recipe.warm_up_s,
+        roadside=Roadside(house_setback_m=40.0, car_share=0.0)
+        if recipe.plan == "motorway" else None,
+    )  # fmt: skip
+    for number, pose in enumerate(_masts(recipe, place, rng)):
+        heard = place.record(
+            pose, seed=10 * recipe.seed + number, model=_radar(recipe, under),
+            duration_s=recipe.minutes * 60.0,
+        )  # fmt: skip
+        write_moving(heard, folder / f"{pose.sensor}.parquet")
+        write_pose(pose, folder / f"{pose.sensor}.json")
+    write_lanelets(place.network, folder / "map.osm", terrain=place.scene.terrain, crs=UTM)
+    scan = fly(place.scene, rng=np.random.default_rng([recipe.seed, 3]))
+    write_scan(scan, folder / "scan.laz", crs=UTM, flown=date(2026, 3, 14))
+    write_standing(place.scene, folder / "standing.npz")
+    place.write_truth(folder)
+
+
+def _radar(recipe: Recipe, under: Conditions) -> RadarModel:
+    """Return the radar; the textbook's with all its fixed returns."""
+    return TEXTBOOK if recipe.conditions == "textbook" else under.model
+
+
+def _plan(name: str, rng: np.random.Generator) -> StreetPlan:
+    if name == "town":
+        return town_plan()
+    if name == "motorway":
+        return _motorway(rng)
+    drawn: dict[str, Callable[[np.random.Generator], StreetPlan]] = {p.__name__: p for p in PLANS}
+    return drawn[name](rng)
+
+
+def _motorway(rng: np.random.Generator) -> StreetPlan:
+    """Return three lanes each way in a long bend."""
+    plan = StreetPlan(name="motorway", lane_width_m=3.6, speed_mps=33.0)
+    plan.node("C", np.zeros(2))
+    heading, radius = rng.uniform(0.0, 360.0), rng.uniform(900.0, 2500.0)
+    for k, way in enumerate((heading, heading + 180.0)):
+        line = axis(np.zeros(2), way, (60.0, 0.0), (300.0, (1.0, -1.0)[k] / radius))
+        plan.arm(f"M{k}", "C", line, (3, 3), median_m=4.0, rank=5)
+    return plan
+
+
+def _masts(recipe: Recipe, place: Place, rng: np.random.Generator) -> list[gr.Pose]:
+    """Return the true poses."""
+    if not isinstance(recipe.radars, int):
+        all_of_them = poses(place, "DO" if recipe.free else "DY")
+        return [all_of_them[TOWN_MASTS[name]] for name in recipe.radars]
+    found: list[gr.Pose] = []
+    for number in range(1, recipe.radars + 1):
+        stand = roadside_stand(place.scene, rng, within_m=(12.0, 60.0))
+        towards = np.array(ORIGIN) - stand
+        yaw = np.degrees(np.arctan2(towards[1], towards[0])) + rng.normal(0.0, 20.0)
+        ground = float(place.scene.terrain.height(stand))
+        fields: dict[str, Any] = {
+            "easting": float(stand[0]), "northing": float(stand[1]),
+            "height": ground + float(rng.uniform(5.0, 8.0)),
+            "yaw": float((yaw + 180.0) % 360.0 - 180.0), "pitch": float(rng.uniform(1.0, 5.0)),
+            "roll": float(rng.normal(0.0, 1.5)),
+        }  # fmt: skip
+        fields = {name: round(value, 3) for name, value in fields.items()}
+        view = gr.View(max_range_m=200.0)
+        found.append(gr.Pose(sensor=f"R{number}", crs=UTM, view=view, **fields))
+    return found
