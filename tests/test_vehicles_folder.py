@@ -6,14 +6,14 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import pytest
-import shapely
 
 from gis_radar.errors import InputError
 from gis_radar.tiles import fingerprint
+from gis_radar.tiles.tiles import polygons
 from gis_radar.vehicles import read_vehicles
-from gis_radar.vehicles.coverage import SensorView
 from gis_radar.vehicles.folder import Provenance, VehiclePiece, write_vehicles
 from gis_radar.vehicles.tables import TRACKS, VEHICLES
+from gis_radar.vehicles.visibility import SensorView
 
 FIRST = 34_000_000_000
 
@@ -21,6 +21,8 @@ FIRST = 34_000_000_000
 def straight_tiles(count=40, *, length=0.5, width=3.0, lanelet_id=7, height=np.nan):
     """Lay the tiles of a lanelet that goes east from (0, 0)."""
     x = np.arange(count) * length
+    ahead = np.array([length, 0.0])
+    right, left = (np.column_stack([x, np.full(count, side)]) for side in (-width / 2, width / 2))
     return gpd.GeoDataFrame(
         {
             "tile_id": np.arange(count),
@@ -32,7 +34,7 @@ def straight_tiles(count=40, *, length=0.5, width=3.0, lanelet_id=7, height=np.n
             "height_m": height,
             "subtype": "road",
         },
-        geometry=shapely.box(x, -width / 2, x + length, width / 2),
+        geometry=polygons(np.stack([right, right + ahead, left + ahead, left], axis=1)),
         crs="EPSG:25832",
     )
 

@@ -3,34 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import geopandas as gpd
+import numpy as np
 import pandas as pd
 
-from gis_radar.arrays import Floats, Integers
+from gis_radar.arrays import Integers
 from gis_radar.vehicles.coverage_settings import DEFAULTS, CoverageSettings
-from gis_radar.vehicles.tables import COVERED, PASSAGES, VISIBLE
-
-
-@dataclass(frozen=True, kw_only=True)
-class SensorView:
-    """Where a sensor stood, and the tiles that it had in sight from there.
-
-    Parameters
-    ----------
-    sensor, view : str
-        Names, as in the table of frames.
-    tile_id : (n,) int64 array
-        The tiles in sight.
-    position : (3,) array
-        Easting, northing, height in the map, metres.
-    """
-
-    sensor: str
-    view: str
-    tile_id: Integers
-    position: Floats
+from gis_radar.vehicles.footprints import (
+    CrossLines,
+    Footprints,
+    PathBook,
+    cover_runs,
+    footprints_of,
+)
+from gis_radar.vehicles.passages import HEAVY, LaneletPlaces, PassageBook, levels_of
+from gis_radar.vehicles.tables import COVERED, VISIBLE
+from gis_radar.vehicles.visibility import SensorView, Visibility
 
 
 class CoverageEngine:
@@ -52,7 +41,17 @@ class CoverageEngine:
         views: Sequence[SensorView],
         settings: CoverageSettings = DEFAULTS,
     ) -> None:
-        self._tiles, self._views, self._settings = tiles, views, settings
+        tiles = tiles.sort_values("tile_id", ignore_index=True)
+        self._settings = settings
+        self._tile_id = tiles["tile_id"].to_numpy(np.int64)
+        self._lines = CrossLines.of(tiles)
+        self._places = LaneletPlaces.of(tiles)
+        self._paths = PathBook(settings=settings)
+        self._passages = PassageBook(places=self._places)
+        self._visibility = Visibility(tiles, self._lines, views, settings)
+        self._open = np.full((len(tiles), 3), -1)
+        self._stamps = np.full((len(tiles), 3), -1)
+        self._ended: list[Integers] = []
 
     def advance(
         self,
@@ -74,9 +73,35 @@ class CoverageEngine:
         span : (int, int)
             First step, and the step after the last; of one block of runs.
         """
-        del states, vehicles, held, span
-        return PASSAGES.empty()
+        level_m = levels_of(states, self._places, self._lines.height_m)
+        prints = footprints_of(states, vehicles, level_m, self._lines.origin, self._paths)
+        self._ended.append(self._cover(prints))
+        row = np.searchsorted(vehicles["vehicle"].to_numpy(), states["vehicle"].to_numpy())
+        heavy = vehicles["p_heavy"].to_numpy(float)[row] >= HEAVY
+        tall = np.where(heavy, self._settings.heavy_height_m, self._settings.car_height_m)
+        passages = self._passages.find(states, vehicles)
+        asked = (passages["step"].to_numpy(np.int64), passages["tile"].to_numpy(np.int64))
+        visible = self._visibility.advance(prints, tall, held, span, asked)
+        return passages[visible].drop(columns="tile")
+
+    def _cover(self, prints: Footprints) -> Integers:
+        lines, settings = self._lines, self._settings
+        return cover_runs(
+            prints.step, prints.boxes, prints.level_m, prints.seen, prints.path, prints.points,
+            prints.begins, lines.lines, lines.height_m, *lines.cells, lines.columns, lines.rows,
+            lines.cell_m, settings.overlap_m, settings.same_level_m, self._open, self._stamps,
+        )  # fmt: skip
 
     def flush(self) -> tuple[pd.DataFrame, pd.DataFrame]:
         """Return the runs of covered and of visible tiles since the last time, by tile and step."""
-        return COVERED.empty(), VISIBLE.empty()
+        running = np.flatnonzero(self._open[:, 0] >= 0)
+        self._ended.append(np.column_stack([running, self._open[running]]))
+        self._open[running] = -1
+        covered = self._table(np.concatenate(self._ended), list(COVERED.columns))
+        self._ended = []
+        return covered, self._table(self._visibility.flush(), list(VISIBLE.columns))
+
+    def _table(self, runs: Integers, columns: list[str]) -> pd.DataFrame:
+        runs = runs[np.lexsort((runs[:, 1], runs[:, 0]))]
+        table = pd.DataFrame(runs, columns=columns)
+        return table.assign(tile_id=self._tile_id[runs[:, 0]])

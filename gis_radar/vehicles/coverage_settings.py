@@ -25,6 +25,9 @@ class CoverageSettings:
         off the arc.
     hidden_s : float
         A tile stays visible for so long while other vehicles hide it, seconds (the contract).
+    look_steps : int
+        Lines of sight are looked along once in so many steps, and where the sensors change: a
+        vehicle at 15 m/s goes 3 m in 0.2 s, which 10 s of hiding do not depend on.
     target_m : float
         Height over the road at which a tile is looked at, metres (the contract): a car's bumper.
     car_height_m, heavy_height_m : float
@@ -40,6 +43,7 @@ class CoverageSettings:
     strip_m: float = 12.0
     path_step_m: float = 1.0
     hidden_s: float = 10.0
+    look_steps: int = 4
     target_m: float = 0.6
     car_height_m: float = 1.5
     heavy_height_m: float = 3.5

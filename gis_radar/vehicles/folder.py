@@ -26,7 +26,7 @@ from gis_radar.occupancy.frame_steps import Runs, covered_until, steps_in
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.steps import iso_from_step
 from gis_radar.tiles.tiles import fingerprint
-from gis_radar.vehicles.coverage import CoverageEngine, SensorView
+from gis_radar.vehicles.coverage import CoverageEngine
 from gis_radar.vehicles.coverage_settings import CoverageSettings
 from gis_radar.vehicles.tables import (
     BLOCK_STEPS,
@@ -42,6 +42,7 @@ from gis_radar.vehicles.tables import (
     read_pieces,
     read_whole,
 )
+from gis_radar.vehicles.visibility import SensorView
 
 RULES = 2
 MANIFEST = "manifest.json"
