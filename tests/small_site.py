@@ -47,7 +47,7 @@ pose = "R2.json"
 def write_site(folder):
     """Write map, scan, recordings, a pose and the site file; return the file and the true poses."""
     street = Street()
-    _write_map(street, folder / "map.osm")
+    write_map(street, folder / "map.osm")
     rng = np.random.default_rng(1)
     west, south, east, north = SCAN_BOX
     plan = np.column_stack([rng.uniform(west, east, 60_000), rng.uniform(south, north, 60_000)])
@@ -63,7 +63,7 @@ def write_site(folder):
     return folder / "SITE.toml", poses
 
 
-def _write_map(street, path):
+def write_map(street, path):
     nodes, ways, lanelets, number = {}, {}, {}, 1
     for lane_id, lane in enumerate(street.lanes, start=1):
         begin, end = np.asarray(lane, float)
@@ -72,7 +72,8 @@ def _write_map(street, path):
         for side, shift in enumerate((left, -left)):
             refs = []
             for place in np.linspace(begin, end, 20) + shift:
-                nodes[number] = (*place, float(street.ground(place)))
+                turned = street.placed(place) - street.middle
+                nodes[number] = (*turned, float(street.ground(place)))
                 refs.append(number)
                 number += 1
             ways[10_000 + 10 * lane_id + side] = refs

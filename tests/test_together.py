@@ -6,6 +6,7 @@ import pickle
 import re
 from dataclasses import replace
 from importlib import import_module
+from pathlib import Path
 
 import laspy
 import numpy as np
@@ -21,6 +22,8 @@ from gis_radar.cli import group
 from gis_radar.localization.result import AmbiguousError
 from gis_radar.network.adjustment import Tied, adjust, shared_covariance
 from gis_radar.network.lags import find_lag
+from gis_radar.network.network import CLASH_HINT
+from gis_radar.network.reading import Span, best_end
 from gis_radar.network.settings import TieSettings
 from gis_radar.network.stated import plane_covariance, stated_covariance
 from gis_radar.network.ties import Moments, assign, compare
@@ -152,11 +155,58 @@ def test_errors_are_as_large_as_stated(recordings, true):
 
 @pytest.mark.parametrize("along_m", [3.0, -5.0])
 def test_poses_that_contradict_each_other_are_refused(recordings, true, along_m):
-    with pytest.raises(gr.NoAnswerError, match=r"^R1 and R2: .*contradict") as refusal:
-        tied(recordings, R1=(stated(true["R1"]),), R2=(stated(true["R2"], along_m=along_m),))
-    apart_m = float(refusal.value.message.split()[-3])
-    assert apart_m == pytest.approx(abs(along_m), abs=1.1)
-    assert "clocks" in refusal.value.hint
+    solved = tied(recordings, R1=(stated(true["R1"]),), R2=(stated(true["R2"], along_m=along_m),))
+    assert (solved.poses, solved.refused.keys()) == ({}, {"R1", "R2"})
+    (why,) = set(solved.refused.values())
+    assert why.startswith("R1 and R2: their poses contradict each other: ")
+    assert float(why.split()[-3]) == pytest.approx(abs(along_m), abs=1.1)
+
+
+def test_two_sensors_that_contradict_each_other_end_with_one_line(recordings, true, monkeypatch):
+    poses = {"R1": stated(true["R1"]), "R2": stated(true["R2"], along_m=4.0)}
+
+    def single(recording, *_, **__):
+        return gr.Localization(pose=poses[recording.stem], fitness=0.9, observable=True)
+
+    monkeypatch.setattr("gis_radar.network.together.localize", single)
+    with pytest.raises(gr.NoAnswerError, match=r"^R1 and R2: .*contradict[^;]*$") as refusal:
+        locate_all(
+            list(recordings.values()), LONG.roads(), LONG.road_points(), guesses=[(0, 0), (0, 0)]
+        )
+    assert (refusal.value.exit_code, refusal.value.hint) == (4, CLASH_HINT)
+
+
+def test_the_time_in_which_most_sensors_recorded_counts():
+    def spans(*pairs):
+        return [Span(path=Path("R.parquet"), begin=a, end=b) for a, b in pairs]
+
+    whole = {"R1": spans((0, 200), (1000, 1100)), "R2": spans((50, 260)), "R3": spans((2000, 2100))}
+    assert best_end(whole, 100.0) == 200
+    assert best_end({"R1": spans((0, 100)), "R2": spans((1, 101))}, 100.0) == 101
+
+
+def test_a_sensor_that_did_not_record_then_is_named(recordings, true, tmp_path):
+    time, xyz, rate = LONG.detections(true["R2"], vehicles=4)
+    later = recording(tmp_path / "R3.parquet", time + 1000.0, xyz, range_rate=rate)
+    mine = {name: (stated(pose),) for name, pose in true.items()}
+    mine["R3"] = (stated(replace(true["R2"], sensor="R3")),)
+    whole = {name: (path,) for name, path in recordings.items()} | {"R3": (later,)}
+    solved = tie_poses(whole, mine, LONG.roads(), LONG.road_points())
+    assert solved.pairs.keys() == {("R1", "R2")}
+    assert solved.untied == {"R3": "it did not record while the others did"}
+    assert solved.poses["R3"] == mine["R3"][0]
+
+
+def test_measured_clocks_are_corrected(recordings, true, tmp_path):
+    time, xyz, rate = LONG.detections(true["R2"], noise=1, **TRAFFIC)
+    late = recording(tmp_path / "R2.parquet", time + 3600.0, xyz, range_rate=rate)
+    clocks = {"R2": gr.SensorClock(offset_s=3600.0, sigma_s=0.01)}
+    solved = tie_poses(
+        {"R1": recordings["R1"], "R2": late}, {n: (stated(pose),) for n, pose in true.items()},
+        LONG.roads(), LONG.road_points(), clocks=clocks,
+    )  # fmt: skip
+    assert solved.pairs["R1", "R2"] > 25
+    assert solved.remarks == ()
 
 
 @pytest.mark.parametrize("ahead_s", [0.2, -0.2, 0.6, -3.2, 0.0])

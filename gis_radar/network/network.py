@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gis_radar.arrays import Floats, Integers
-from gis_radar.errors import NoAnswerError
 from gis_radar.localization.lanes import Lanes
 from gis_radar.localization.settings import DEFAULTS, LocalizationSettings
 from gis_radar.localization.state import State
@@ -114,11 +113,6 @@ def solve_network(
         The map around all of them.
     settings, ties : LocalizationSettings, TieSettings
         Of tracks and ties.
-
-    Raises
-    ------
-    NoAnswerError
-        If the poses contradict each other so that none can be trusted.
     """
     network = _Network(stations, lanes, settings, ties)
     network.place_all()
@@ -284,8 +278,6 @@ class _Network:
                 self.refused[other] = why
         left = self.placed.keys() - self.refused.keys()
         self.placed = {name: self.placed[name] for name in self.all if name in left}
-        if not self.placed:
-            raise NoAnswerError(next(iter(self.clashes.values())), hint=CLASH_HINT)
 
     def _friends(self, name: str) -> set[str]:
         """Return the sensors that agree with one, or with one that does, itself included."""

@@ -12,6 +12,8 @@ class TieSettings:
 
     Parameters
     ----------
+    window_s : float
+        Of the recordings of several days, the seconds in which most sensors recorded: 2000 frames.
     moment_s : float
         Length of a moment: two or more frames of each radar; a vehicle goes 2-3 m.
     least_moments : int
@@ -89,6 +91,7 @@ class TieSettings:
         Of pairing and fitting; two or three are enough.
     """
 
+    window_s: float = 100.0
     moment_s: float = 0.2
     least_moments: int = 5
     least_cosine: float = cos(radians(70.0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,25 +11,33 @@ from typing import Any
 import numpy as np
 
 from gis_radar.arrays import Floats
+from gis_radar.clocks import SensorClock
 from gis_radar.crs import moved_position, yaw_from_compass
-from gis_radar.errors import InputError, NoAnswerError, UsageError
+from gis_radar.errors import NoAnswerError, UsageError
 from gis_radar.files import output_errors, whole_files
 from gis_radar.lanelets import LaneletMap, read_map
-from gis_radar.localization.lanes import Lanes, sample_lanes
 from gis_radar.localization.localize import localize
 from gis_radar.localization.result import AmbiguousError, Localization
 from gis_radar.localization.settings import DEFAULTS, LocalizationSettings
-from gis_radar.localization.traces import Moving, MovingWindow
-from gis_radar.network.network import Solved, Station, solve_network
+from gis_radar.network.network import CLASH_HINT, Solved, Station, solve_network
+from gis_radar.network.reading import (
+    RIGHT,
+    best_end,
+    common_time,
+    lanes_of_all,
+    read_span,
+    read_until,
+)
 from gis_radar.network.settings import TIES, TieSettings
 from gis_radar.notebooks import card
 from gis_radar.poses.files import write_pose
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.recordings.recording import open_recording
 from gis_radar.scans.scan import read_road, road_crs
 
 STAGE = "finding the poses together"
+READING = "reading what moved"
+AWAY = "it did not record while the others did"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +72,7 @@ class Together:
 
     def figures(self) -> dict[str, str]:
         """Return a line a sensor."""
-        lines = {name: _line(found.pose) for name, found in self.found.items()}
+        lines = {name: gain_line(found.pose) for name, found in self.found.items()}
         return lines | {name: f"no answer: {why}" for name, why in self.refused.items()}
 
     def write(self, folder: str | Path) -> list[Path]:
@@ -205,6 +214,11 @@ def locate_all(
         roads, road_points, end=end, settings=settings, ties=ties, reporter=reporter,
     )  # fmt: skip
     reporter.progress(STAGE, len(recordings) + 1, len(recordings) + 1)
+    if not solved.poses:
+        raise NoAnswerError("; ".join(dict.fromkeys(solved.refused.values())), hint=CLASH_HINT)
+    for name, reason in solved.untied.items():
+        if name in solved.poses and len(used) > 1:
+            reporter.log(f"{name}: {reason}", "warning")
     placed = {
         name: _with_pose(answers[name][solved.chosen[name]], pose)
         for name, pose in solved.poses.items()
@@ -215,12 +229,13 @@ def locate_all(
 
 
 def tie_poses(
-    recordings: Mapping[str, Path],
+    recordings: Mapping[str, Path | Sequence[Path]],
     poses: Mapping[str, tuple[Pose, ...]],
     roads: LaneletMap,
     road_points: Floats,
     *,
-    end: float,
+    end: float | None = None,
+    clocks: Mapping[str, SensorClock] | None = None,
     settings: LocalizationSettings = DEFAULTS,
     ties: TieSettings = TIES,
     reporter: Reporter = QUIET,
@@ -229,60 +244,58 @@ def tie_poses(
 
     Parameters
     ----------
-    recordings : mapping of str to Path
+    recordings : mapping of str to Path or sequence of Path
         By sensor.
     poses : mapping of str to tuple of Pose
         By sensor: its own answer with covariance, or several that it cannot tell apart.
     roads, road_points
         As for :func:`gis_radar.localize`.
-    end : float
-        UNIX seconds until which all recorded.
+    end : float, optional
+        UNIX seconds until which what they recorded counts; by default the end of the 100 s in
+        which most recorded, the latest of these.
+    clocks : mapping of str to SensorClock, optional
+        Of sensors whose clocks were measured: their times are corrected.
     settings, ties : LocalizationSettings, TieSettings
         Of tracks and ties.
     reporter : Reporter
-        Receives remarks.
+        Receives progress and remarks.
 
-    Raises
-    ------
-    NoAnswerError
-        If the poses contradict each other so that none can be trusted.
-    """
-    stations = [
-        Station(name=name, moving=_moving_until(path, end, settings), poses=poses[name])
-        for name, path in recordings.items()
-    ]
-    lanes = _lanes_around(stations, roads, road_points, settings)
-    solved = solve_network(stations, lanes, settings, ties)
-    for remark in solved.remarks:
-        reporter.log(remark, "warning")
-    tied = {name for pair in solved.pairs for name in pair}
-    for name in solved.poses:
-        if name not in tied and len(recordings) > 1:
-            reporter.log(f"{name}: no other sensor sees enough of the same vehicles", "warning")
-    return solved
-
-
-def common_time(recordings: Sequence[Path]) -> float:
-    """Return until when all recorded, UNIX seconds.
+    Returns
+    -------
+    Solved
+        Without a pose for any sensor where all contradict each other.
 
     Raises
     ------
     InputError
-        If two of them have no time in common.
+        If a recording cannot be read.
     """
-    spans = {}
-    for path in recordings:
-        pieces = [(float(p.time[0]), float(p.time[-1])) for p in open_recording(path).read()]
-        spans[path] = pieces[0][0], pieces[-1][1]
-    last = max(spans, key=lambda path: spans[path][0])
-    first = min(spans, key=lambda path: spans[path][1])
-    if spans[last][0] >= spans[first][1]:
-        away_s = spans[last][0] - spans[first][1]
-        raise InputError(
-            f"{first} ends {away_s:.0f} s before {last} begins",
-            hint="give recordings of the same time",
-        )
-    return spans[first][1]
+    known = clocks or {}
+    right = {name: known.get(name, RIGHT) for name in recordings}
+    paths = {name: [each] if isinstance(each, Path) else each for name, each in recordings.items()}
+    spans = {
+        name: [read_span(path, right[name]) for path in several] for name, several in paths.items()
+    }
+    until = best_end(spans, ties.window_s) if end is None else end
+    stations = []
+    for done, (name, several) in enumerate(spans.items()):
+        reporter.progress(READING, done, len(spans))
+        there = [each for each in several if each.shared_s(until - ties.window_s, until)]
+        sigma_s = known[name].sigma_s if name in known else math.nan
+        stations.append(
+            Station(
+                name=name, moving=read_until(there, until, settings, right[name]),
+                poses=poses[name], clock_s=sigma_s if math.isfinite(sigma_s) else None,
+            )
+        )  # fmt: skip
+    reporter.progress(READING, len(spans), len(spans))
+    places = np.array([pose.position[:2] for each in stations for pose in each.poses])
+    lanes = lanes_of_all([each.moving for each in stations], places, roads, road_points, settings)
+    solved = solve_network(stations, lanes, settings, ties)
+    for remark in solved.remarks:
+        reporter.log(remark, "warning")
+    away = [each.name for each in stations if not each.moving.frames]
+    return replace(solved, untied=solved.untied | dict.fromkeys(away, AWAY))
 
 
 def _check_counts(
@@ -311,41 +324,12 @@ def _check_counts(
         )
 
 
-def _moving_until(path: Path, end: float, settings: LocalizationSettings) -> Moving:
-    """Return what moved in the last frames of a recording until a time."""
-    traces = settings.traces
-    window = MovingWindow(frames=traces.frames, min_speed=traces.min_speed_mps)
-    for piece in open_recording(path).read():
-        kept = piece.take(piece.time <= end)
-        if len(kept):
-            window.push(kept)
-    return window.moving()
-
-
-def _lanes_around(
-    stations: Sequence[Station],
-    roads: LaneletMap,
-    road_points: Floats,
-    settings: LocalizationSettings,
-) -> Lanes:
-    """Return the lanes that any of the sensors sees."""
-    places = np.array([pose.position[:2] for each in stations for pose in each.poses])
-    middle = places.mean(axis=0)
-    flat = [np.hypot(*each.moving.points[:, :2].T) for each in stations if len(each.moving)]
-    seen_m = max((float(np.percentile(each, 99.5)) for each in flat), default=0.0)
-    spread_m = float(np.hypot(*(places - middle).T).max())
-    return sample_lanes(
-        roads.lanelets, road_points,
-        place=middle, reach_m=spread_m + seen_m + settings.lanes.margin_m, settings=settings.lanes,
-    )  # fmt: skip
-
-
 def _with_pose(found: Localization, pose: Pose) -> Localization:
     observable = bool(pose.evidence.get("observable", found.observable))
     return replace(found, pose=pose, observable=observable)
 
 
-def _line(pose: Pose) -> str:
+def gain_line(pose: Pose) -> str:
     """Return what a pose's evidence says of its certainty and of what ties it."""
     sigma, together = pose.parsed_evidence().sigma, pose.evidence.get("together")
     after = f"position \u00b1 {np.hypot(sigma['easting'], sigma['northing']):.2f} m"

@@ -211,6 +211,17 @@ def plus_minus(value: float, digits: int, unit: str = "") -> str:
     return f"± {figure_text(value, digits)}{unit}" if math.isfinite(value) else NOTHING
 
 
+def tie_words(tie: Any) -> str:
+    """Return to which sensors a pose is tied, and how certain it was before, from its evidence."""
+    try:
+        before = [float(tie["gained"][name]["before"]) for name in ("easting", "northing")]
+        others, shared = listed([str(each) for each in tie["sensors"]]), int(tie["pairs"])
+    except (KeyError, TypeError, ValueError):
+        return ""
+    alone = plus_minus(math.hypot(*before), 2, " m")
+    return f"tied by {count(shared, 'vehicle')} to {others}, alone {alone}"
+
+
 def count(amount: int, noun: str) -> str:
     """Return an amount with its noun."""
     return f"{figure_text(amount)} {noun}{'' if amount == 1 else 's'}"

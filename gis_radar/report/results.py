@@ -34,6 +34,7 @@ from gis_radar.report.content import (
     percent,
     plus_minus,
     text_rows,
+    tie_words,
     write_csv,
 )
 
@@ -464,6 +465,8 @@ def how_found(pose: Pose) -> str:
         words.append("the scene does not fix all of it")
     if isinstance(look := evidence.get("second_look"), dict) and look.get("verdict"):
         words.append(f"second look {look['verdict']}")
+    if tie := tie_words(evidence.get("together")):
+        words.append(tie)
     return "; ".join(words)
 
 

@@ -224,7 +224,9 @@ class Execution:
         if outcome.error is not None and outcome.state != "skipped":
             if not stage.sensor:
                 raise outcome.error
-            self.reporter.log(f"{stage.name}: {outcome.error.message}", "warning")
+            if outcome.error.message not in self._logged:  # of two that contradict each other
+                self.reporter.log(f"{stage.name}: {outcome.error.message}", "warning")
+            self._logged.add(outcome.error.message)
         if outcome.state != "skipped":
             self.reporter.progress(stage.name, 100, 100)
         self.reporter.progress(ALL, len(self.outcomes), len(self.stages))

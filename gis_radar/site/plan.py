@@ -11,10 +11,11 @@ from gis_radar.errors import GisRadarError
 from gis_radar.report.report import REPORT_FILES
 from gis_radar.site import stages
 from gis_radar.site.settings import ConvertTable, Sensor, Site
+from gis_radar.site.together import FOUND, RECORDED, SEVERAL
 
 OWNED = (
     "road.", "tiles.gpkg", "sensors", "occupancy", "heatmap", "site.qgz", "site_", "run.json",
-    "summary.md", "pose_errors.csv", *REPORT_FILES,
+    "summary.md", "pose_errors.csv", "together.json", *REPORT_FILES,
 )  # fmt: skip
 
 
@@ -113,6 +114,11 @@ class Outcome:
         """Whether its outputs are there."""
         return self.state in {"done", "kept"}
 
+    @property
+    def made(self) -> list[Path]:
+        """The outputs that are there: of a sensor its pose, or those that it cannot tell apart."""
+        return [path for path in self.stage.outputs if self.has_result and path.exists()]
+
 
 def stages_of(site: Site, folder: Path) -> list[Stage]:
     """Return the stages of a run, each after those that it needs.
@@ -132,7 +138,8 @@ def stages_of(site: Site, folder: Path) -> list[Stage]:
         *(_conversion(each, folder) for each in sensors if each.foreign),
         # Poses take longest, so they come as early as they can.
         *(_localization(site, each, folder) for each in sensors if each.pose is None),
-        *(_pose(each, folder) for each in sensors),
+        *_together(site, folder),
+        *(_pose(site, each, folder) for each in sensors),
         _tiles(site, folder),
         *(_occupancy(site, each, folder) for each in sensors),
         *_products(site, folder),
@@ -166,7 +173,7 @@ def _conversion(sensor: Sensor, folder: Path) -> Stage:
         work=stages.convert_stage,
         inputs={"recordings": sensor.foreign},
         options=(sensor.convert or ConvertTable()).model_dump(),
-        outputs=(folder / "sensors" / sensor.name / "recording.parquet",),
+        outputs=(folder / "sensors" / sensor.name / RECORDED,),
         phases=2,
         sensor=sensor.name,
     )
@@ -197,7 +204,7 @@ def _localization(site: Site, sensor: Sensor, folder: Path) -> Stage:
             **sensor.model_dump(include={"guess", "heading", "compass", "method"}),
             "scan_crs": site.scan.crs if site.scan else None,
         },
-        outputs=(place / "localization.json", place / "localization.png"),
+        outputs=(place / FOUND, place / "localization.png", place / SEVERAL),
         phases=5 if scans else 3,
         sensor=sensor.name,
     )
@@ -207,15 +214,62 @@ def _view(sensor: Sensor) -> dict[str, float] | None:
     return None if sensor.view is None else sensor.view.model_dump()
 
 
-def _pose(sensor: Sensor, folder: Path) -> Stage:
+def _tied(site: Site) -> list[Sensor]:
+    """Return the sensors whose poses are found together; none where there is but one."""
+    lost = [each for each in site.sensor if each.pose is None]
+    tied = [each for each in lost if each.tied and each.method == "lane"]
+    return tied if len(tied) > 1 else []
+
+
+def _together(site: Site, folder: Path) -> Iterator[Stage]:
+    tied = _tied(site)
+    if not tied:
+        return
+    places = [folder / "sensors" / each.name for each in tied]
+    clocks = site.occupancy.clocks
+    ours = {each.name: [p for p in each.recordings if p not in each.foreign] for each in tied}
+    converted = [
+        path for each in tied if each.foreign for path in _conversion(each, folder).outputs
+    ]
+    yield Stage(
+        name="poses together",
+        work=stages.together_stage,
+        inputs={
+            "map_file": site.map.file,
+            "road": folder / "road.laz",
+            "recordings": tuple(path for paths in ours.values() for path in paths),
+            **({"clocks": clocks} if clocks else {}),
+        },
+        beside=((*(place / name for place in places for name in (FOUND, SEVERAL)), *converted),),
+        options={
+            **_map_options(site),
+            "sensors": {name: len(paths) for name, paths in ours.items()},
+        },
+        outputs=(folder / "together.json",),
+        phases=2,
+    )
+
+
+def _pose(site: Site, sensor: Sensor, folder: Path) -> Stage:
     place = folder / "sensors" / sensor.name
-    pose = sensor.pose or place / "localization.json"
+    options: dict[str, Any] = {"sensor": sensor.name, "view": _view(sensor)}
+    if sensor in _tied(site):
+        return Stage(
+            name=f"pose {sensor.name}",
+            work=stages.tied_pose_stage,
+            inputs={"together": folder / "together.json"},
+            beside=((place / FOUND,),),
+            options=options,
+            outputs=(place / "pose.json",),
+            sensor=sensor.name,
+        )
+    pose = sensor.pose or place / FOUND
     is_track = pose.suffix.lower() == ".csv"
     return Stage(
         name=f"pose {sensor.name}",
         work=stages.pose_stage,
-        inputs={"pose": pose},
-        options={"sensor": sensor.name, "view": _view(sensor), "given": sensor.pose is not None},
+        inputs={"pose": pose} | ({} if sensor.pose else {"candidates": place / SEVERAL}),
+        options={**options, "given": sensor.pose is not None},
         outputs=(place / ("track.csv" if is_track else "pose.json"),),
         sensor=sensor.name,
     )
@@ -234,7 +288,7 @@ def _tiles(site: Site, folder: Path) -> Stage:
 
 
 def _occupancy(site: Site, sensor: Sensor, folder: Path) -> Stage:
-    (pose,) = _pose(sensor, folder).outputs
+    (pose,) = _pose(site, sensor, folder).outputs
     filters = site.occupancy.model_dump()
     clocks = filters.pop("clocks")
     filters["elevation_error_deg"] = filters.pop("elevation_error")
@@ -273,7 +327,7 @@ def _products(site: Site, folder: Path) -> Iterator[Stage]:
             outputs=(folder / f"heatmap{end}",),
             phases=4,
         )
-    poses = tuple(path for each in site.sensor for path in _pose(each, folder).outputs)
+    poses = tuple(path for each in site.sensor for path in _pose(site, each, folder).outputs)
     named = (site.map.source, site.scan.source if site.scan else None, *site.attribution)
     source = "; ".join(dict.fromkeys(each for each in named if each))
     yield Stage(

@@ -61,7 +61,7 @@ class SiteRun:
     def outputs(self) -> list[Path]:
         """What is there now, as paths below `folder`."""
         root = self.folder.resolve()
-        made = [p for each in self.outcomes if each.has_result for p in each.stage.outputs]
+        made = [p for each in self.outcomes for p in each.made]
         made = [self.folder / p.resolve().relative_to(root) for p in made]
         return [*made, self.folder / "run.json", self.folder / "summary.md"]
 
@@ -92,9 +92,11 @@ class SiteRun:
         )
         kind = InputError if bad else NoAnswerError
         lost = ", ".join(sorted(missing))
-        reason = missing[first].message.removeprefix(f"{first}: ")
+        reason = missing[first].message
+        if first not in reason.partition(":")[0].split():  # else it names the sensor itself
+            reason = f"{first}: {reason}"
         return kind(
-            f"no result for {lost}; {rest}; {first}: {reason}",
+            f"no result for {lost}; {rest}; {reason}",
             hint=missing[first].hint,
         )
 
@@ -288,10 +290,16 @@ def _sensors_of(outcomes: Sequence[Outcome], site: Site) -> dict[str, dict[str, 
         if each.error is not None:
             reason = each.error.message.removeprefix(f"{each.stage.sensor}: ")
             facts.setdefault("state", reason)
-        elif each.stage.work in {work.localize_stage, work.pose_stage}:
-            # how a pose was found comes first, and counts
-            found[each.stage.sensor] = {**each.figures, **facts}
+        elif each.stage.work in {work.localize_stage, work.pose_stage, work.tied_pose_stage}:
+            # how a pose was found comes first; the pose in use counts
+            found[each.stage.sensor] = {**facts, **each.figures}
     return {name: {"state": "ok"} | facts for name, facts in found.items()}
+
+
+def _together(outcomes: Sequence[Outcome]) -> list[str]:
+    """Return what sensors gained by each other, or why they are not tied."""
+    solved = (e.figures for e in outcomes if e.has_result and e.stage.work is work.together_stage)
+    return [f"{name}: {line}" for each in solved for name, line in each.items()]
 
 
 def _warnings(outcomes: Sequence[Outcome]) -> list[str]:
@@ -304,7 +312,7 @@ def _stage(outcome: Outcome, base: Path, root: Path) -> dict[str, Any]:
         "name": stage.name,
         "state": "done" if outcome.has_result else outcome.state,
         "inputs": [_relative(path, root, base) for path in stage.reads],
-        "outputs": [_relative(path, root) for path in stage.outputs if outcome.has_result],
+        "outputs": [_relative(path, root) for path in outcome.made],
         "options": dict(stage.options),
         "figures": dict(outcome.figures),
         "warnings": list(outcome.warnings),
@@ -337,7 +345,8 @@ def _summary(site: Site, outcomes: Sequence[Outcome]) -> str:
     shown: str = template.render(
         title=site.title, time_zone=site.time_zone, span=span, shown=_sensors_in(outcomes),
         columns=("sensor", *_POSE, "fitness", "second look"), sensors=_sensors_of(outcomes, site),
-        lists={"Warnings": _warnings(outcomes), "Sources": [*named, *site.attribution]},
+        lists={"Poses found together": _together(outcomes), "Warnings": _warnings(outcomes),
+               "Sources": [*named, *site.attribution]},
         version=software()["gis_radar"],
     )  # fmt: skip
     return shown

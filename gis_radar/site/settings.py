@@ -32,6 +32,7 @@ from gis_radar.site.values import (
     Recordings,
     Span,
     Steps,
+    Switch,
     Text,
     Texts,
     TomlTable,
@@ -170,6 +171,8 @@ class Sensor(TomlTable):
     """The same as a bearing, clockwise from true north."""
     method: Literal["lane", "icp"] = key('"lane"', "lane")
     """How the pose is found: lanes and Doppler, or the paper's ICP."""
+    tied: Switch = key("false", True, "true")
+    """Whether vehicles that other sensors see, too, tie its pose to theirs."""
     pose: File | None = key('"R2.json"', None, "none")
     """Its pose (JSON) or pose track (CSV), instead of a guess."""
     cycle: Cycle | None = key('"150ms"', None, "a frame holds 100 ms")

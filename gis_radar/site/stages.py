@@ -17,16 +17,24 @@ from gis_radar.crs import name_of
 from gis_radar.errors import InputError
 from gis_radar.files import whole_file
 from gis_radar.heatmap import make_heatmap
-from gis_radar.localization import localize_files
+from gis_radar.localization import AmbiguousError, localize_files
 from gis_radar.occupancy import merge_occupancies, read_occupancy
 from gis_radar.poses.files import PoseTrack, read_track, write_pose
-from gis_radar.poses.pose import View
+from gis_radar.poses.pose import COMPONENTS, Pose, View
 from gis_radar.progress import Reporter
 from gis_radar.qgis import write_site_project
 from gis_radar.recordings import convert as convert_recordings
 from gis_radar.report import write_report
 from gis_radar.scans.scan import read_road, road_crs
 from gis_radar.site.recipes import join_recordings, mask_scans, split_map
+from gis_radar.site.together import (
+    RECORDED,
+    read_together,
+    refuse_candidates,
+    solve_together,
+    write_candidates,
+    write_together,
+)
 from gis_radar.tiles.tiles import read_tiles
 
 Figures = dict[str, Any]
@@ -71,20 +79,69 @@ def convert_stage(*, recordings: Paths, outputs: Paths, **options: Any) -> Figur
 def localize_stage(
     *, recordings: Paths, map_file: Path, road: Path, outputs: Paths, **options: Any
 ) -> Figures:
-    """Find a pose from the newest recording that gives one; whole scans give a second look."""
-    found = localize_files(recordings, map_file, road, figure=outputs[1], **options)
-    write_pose(found.pose, outputs[0])
+    """Find a pose from the newest recording that gives one; whole scans give a second look.
+
+    Where several poses fit, these are kept: other sensors may know which.
+    """
+    pose, picture, several = outputs
+    for before in outputs:
+        before.unlink(missing_ok=True)  # a pose and several are never there both
+    try:
+        found = localize_files(recordings, map_file, road, figure=picture, **options)
+    except AmbiguousError as refusal:
+        write_candidates(refusal, options["sensor"], several)
+        return {"candidates": len(refusal.answers)}
+    write_pose(found.pose, pose)
     return {**found.figures(), "recording": found.recording}
+
+
+def together_stage(
+    *, recordings: Paths, sensors: dict[str, int], map_file: Path, road: Path, outputs: Paths,
+    reporter: Reporter, clocks: Path | None = None, **options: Any,
+) -> Figures:  # fmt: skip
+    """Tie the poses of sensors by the vehicles that two of them see.
+
+    `recordings` are those of all sensors, of each as many as `sensors` has; what was converted is
+    beside the sensors' poses.
+    """
+    folder, left = outputs[0].parent / "sensors", list(recordings)
+    paths = {}
+    for name, number in sensors.items():
+        paths[name], left = left[:number], left[number:]
+        if (converted := folder / name / RECORDED).exists():
+            paths[name].append(converted)
+    found = solve_together(
+        paths, folder, map_file, road, clocks=clocks, reporter=reporter, **options
+    )
+    write_together(found, outputs[0])
+    for name, entry in found.items():
+        reporter.log(f"{name}: {entry['line']}")
+    return {name: entry["line"] for name, entry in found.items()}
+
+
+def tied_pose_stage(
+    *, together: Path, outputs: Paths, reporter: Reporter, sensor: str,
+    view: dict[str, float] | None,
+) -> Figures:  # fmt: skip
+    """Take the pose that was found with those of other sensors, with the view of the site file."""
+    pose, line = read_together(together, sensor)
+    if view is not None:
+        pose = replace(pose, view=View(**view))
+    write_pose(pose, outputs[0])
+    reporter.progress("taking the pose", 1, 1)
+    return {**_pose_figures(pose), "together": line}
 
 
 def pose_stage(
     *, pose: Path, outputs: Paths, reporter: Reporter, sensor: str, view: dict[str, float] | None,
-    given: bool,
+    given: bool, candidates: Path | None = None,
 ) -> Figures:  # fmt: skip
     """Take a pose or a pose track that was given or found, with the view of the site file.
 
     The view of a given pose counts; that of a found one is but the range that its recording shows.
     """
+    if candidates is not None:
+        refuse_candidates(candidates)
     track = read_track(pose)
     track.poses[-1].plane_covariance()  # refused here, a bad one stops this sensor alone
     if not given and view is not None:
@@ -100,8 +157,15 @@ def pose_stage(
         return {"poses": len(track.poses)}
     only = _seeing(track, sensor, view).poses[0]
     write_pose(only, outputs[0])
-    names = ("easting", "northing", "height", "roll", "pitch", "yaw")
-    return {name: round(getattr(only, name), 3) for name in names}
+    return _pose_figures(only)
+
+
+def _pose_figures(pose: Pose) -> Figures:
+    sigma = pose.parsed_evidence().sigma
+    return {
+        **{name: round(getattr(pose, name), 3) for name in COMPONENTS},
+        **{f"sigma_{name}": float(f"{value:.2g}") for name, value in sigma.items()},
+    }
 
 
 def _seeing(track: PoseTrack, sensor: str, view: dict[str, float] | None) -> PoseTrack:

@@ -161,6 +161,7 @@ def within(low: float = -math.inf, high: float = math.inf) -> Any:
 Text = Annotated[str, Meaning("text"), PlainValidator(_text)]
 Texts = Annotated[tuple[Text, ...], Meaning("a list of texts"), Field(min_length=1)]
 Name = Annotated[str, Meaning("a name"), PlainValidator(_name)]
+Switch = Annotated[bool, Meaning("true or false"), Field(strict=True)]
 Number = Annotated[float, within()]
 Point = Annotated[tuple[Number, Number], Meaning("[E, N], metres")]
 Position = Annotated[

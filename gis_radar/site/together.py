@@ -1,0 +1,146 @@
+"""Poses of a site's sensors found together: what each alone may be, and the answer for all."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from gis_radar.clocks import SensorClock, read_clocks
+from gis_radar.errors import InputError, NoAnswerError
+from gis_radar.files import whole_file
+from gis_radar.lanelets import read_map
+from gis_radar.localization.result import AmbiguousError
+from gis_radar.network.network import CLASH_HINT, Solved
+from gis_radar.network.together import gain_line, tie_poses
+from gis_radar.poses.files import read_pose
+from gis_radar.poses.pose import Pose, pose_from_dict
+from gis_radar.progress import Reporter
+from gis_radar.scans.scan import read_road
+
+FOUND, SEVERAL, RECORDED = "localization.json", "candidates.json", "recording.parquet"
+Record = dict[str, Any]
+
+
+def write_candidates(refusal: AmbiguousError, sensor: str, path: Path) -> None:
+    """Write the poses that a sensor cannot tell apart, and why it is refused alone."""
+    poses = [replace(each.pose, sensor=sensor).as_dict() for each in refusal.answers]
+    _write(path, {"message": refusal.message, "hint": refusal.hint, "poses": poses})
+
+
+def refuse_candidates(path: Path) -> None:
+    """Refuse a sensor of which there are several poses.
+
+    Raises
+    ------
+    NoAnswerError
+        If there are.
+    """
+    if path.exists():
+        record = _read(path)
+        raise NoAnswerError(record["message"], hint=record["hint"])
+
+
+def solve_together(
+    sensors: Mapping[str, Sequence[Path]], folder: Path, map_file: Path, road: Path, *,
+    clocks: Path | None, reporter: Reporter, **options: Any,
+) -> Record:  # fmt: skip
+    """Tie the poses of a site's sensors, as far as they have one or several.
+
+    Parameters
+    ----------
+    sensors : mapping of str to sequence of Path
+        Their recordings.
+    folder : Path
+        Of the sensors' folders.
+    map_file, road : Path
+        The lanes, and the scanned road.
+    clocks : Path or None
+        How far clocks are ahead, where that was measured.
+    reporter : Reporter
+        Receives progress and remarks.
+    **options
+        Of :func:`gis_radar.read_map`.
+
+    Returns
+    -------
+    dict
+        By sensor its `pose`, or the `message` and `hint` of its refusal; `line` is what it gained,
+        or why it is not tied.
+    """
+    alone = {name: _alone(folder / name) for name in sensors}
+    poses = {name: found[0] for name, found in alone.items() if found[0]}
+    solved = Solved(poses={}, chosen={}, refused={}, pairs={})
+    if len(poses) > 1:
+        roads = read_map(map_file, reporter=reporter, **options)
+        known: dict[str, SensorClock] = {} if clocks is None else read_clocks(clocks)
+        solved = tie_poses(
+            {name: sensors[name] for name in poses}, poses, roads, read_road(road, roads.crs),
+            clocks=known, reporter=reporter,
+        )  # fmt: skip
+    return {
+        name: _entry(name, found, solved, alone[name][1])
+        for name, found in poses.items()
+    }  # fmt: skip
+
+
+def _alone(place: Path) -> tuple[tuple[Pose, ...], Record]:
+    """Return the poses that a sensor may have by itself, and its refusal where it has several."""
+    if (place / FOUND).exists():
+        return (read_pose(place / FOUND),), {}
+    if not (place / SEVERAL).exists():
+        return (), {}
+    record = _read(place / SEVERAL)
+    what = str(place / SEVERAL)
+    return tuple(pose_from_dict(each, what=what) for each in record.pop("poses")), record
+
+
+def _entry(name: str, poses: tuple[Pose, ...], solved: Solved, refusal: Record) -> Record:
+    """Return what became of a sensor."""
+    if name in solved.refused:
+        return {"message": solved.refused[name], "hint": CLASH_HINT, "line": "refused"}
+    why = solved.untied.get(name, "no other sensor has a pose")
+    if name not in solved.poses:
+        if not refusal:
+            return {"pose": poses[0].as_dict(), "line": f"alone: {why}"}
+        return {**refusal, "line": f"not placed: {why}"}
+    pose = solved.poses[name]
+    if "together" not in pose.evidence:
+        return {"pose": pose.as_dict(), "line": f"alone: {why}"}
+    line = gain_line(pose)
+    if refusal:
+        line += f"; alone it was refused ({refusal['message'].removeprefix(f'{name}: ')})"
+    return {"pose": pose.as_dict(), "line": line}
+
+
+def write_together(record: Record, path: Path) -> None:
+    """Write what became of all sensors."""
+    _write(path, {"sensors": record})
+
+
+def read_together(path: Path, sensor: str) -> tuple[Pose, str]:
+    """Return the pose of a sensor, and what it gained or why it is not tied.
+
+    Raises
+    ------
+    NoAnswerError
+        If it is refused.
+    """
+    entry = _read(path)["sensors"][sensor]
+    if "pose" not in entry:
+        raise NoAnswerError(entry["message"], hint=entry["hint"])
+    return pose_from_dict(entry["pose"], what=f"{path}: {sensor}"), entry["line"]
+
+
+def _write(path: Path, record: Record) -> None:
+    with whole_file(path) as part:
+        part.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+
+
+def _read(path: Path) -> Record:
+    try:
+        return dict(json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read", hint="run again with --fresh") from error

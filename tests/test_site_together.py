@@ -1,0 +1,196 @@
+"""The sensors of a site together: one places another, two contradict each other, one is alone."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from types import SimpleNamespace
+
+import laspy
+import numpy as np
+import pytest
+from fake_stages import execute
+from maps import Listener
+from sites import UTM, recording
+from small_site import write_map
+from test_together import LONG, TRAFFIC, stated
+
+import gis_radar as gr
+from gis_radar.localization import AmbiguousError
+from gis_radar.poses.pose import View
+from gis_radar.report.results import how_found
+from gis_radar.site import stages as work
+from gis_radar.site.plan import stages_of
+from gis_radar.site.run import SiteRun, _summary
+
+POSES = (
+    work.road_stage, work.localize_stage, work.together_stage, work.pose_stage,
+    work.tied_pose_stage,
+)  # fmt: skip
+SENSOR = '\n[[sensor]]\nname = "{0}"\nrecordings = "{0}.parquet"\nguess = [690000, 5336000]\n{1}\n'
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """A folder with map, road and recordings of two sensors on one street, and their poses."""
+    folder = tmp_path_factory.mktemp("site")
+    write_map(LONG, folder / "map.osm")
+    scan = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
+    points = LONG.road_points()
+    scan.header.scales, scan.header.offsets = [0.001] * 3, np.floor(points.min(axis=0))
+    scan.header.add_crs(UTM)
+    scan.xyz = points
+    scan.write(folder / "road.laz")
+    far = replace(
+        LONG.pose(place=(165.0, 9.0), yaw=184.0),
+        sensor="R2", view=View(elevation_deg=60.0, max_range_m=115.0),
+    )  # fmt: skip
+    true = {"R1": LONG.pose(), "R2": far}
+    for number, (name, pose) in enumerate(true.items()):
+        LONG.record(folder / f"{name}.parquet", pose, noise=number, **TRAFFIC)
+    return SimpleNamespace(folder=folder, true=true)
+
+
+@pytest.fixture
+def run(site, tmp_path, monkeypatch):
+    """Find the poses of a site, each alone as given, and return how it ended."""
+
+    def call(alone, **options):
+        def localize_files(paths, *_, sensor, **__):
+            found = alone[sensor]
+            if isinstance(found, Exception):
+                raise found
+            return gr.Localization(
+                pose=found, fitness=0.9, observable=True, recording=paths[0].name
+            )
+
+        monkeypatch.setattr(work, "localize_files", localize_files)
+        path = site.folder / f"{tmp_path.name}.toml"
+        sensors = "".join(SENSOR.format(name, options.get(name, "")) for name in alone)
+        path.write_text(
+            'title = "Street"\n[map]\nfile = "map.osm"\ncrs = "EPSG:25832"\n'
+            f'[scan]\nroad = "road.laz"\n{options.get("more", "")}{sensors}'
+        )
+        read, heard = gr.read_site(path), Listener()
+        stages = [each for each in stages_of(read, tmp_path) if each.work in POSES]
+        outcomes = list(execute(stages, tmp_path, reporter=heard).values())
+        return SimpleNamespace(
+            outcomes=outcomes, folder=tmp_path, heard=heard, summary=_summary(read, outcomes),
+            done=SiteRun(site=read, folder=tmp_path, outcomes=outcomes),
+            pose=lambda name: gr.read_pose(tmp_path / "sensors" / name / "pose.json"),
+        )  # fmt: skip
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def traffic(site):
+    """A third sensor at the place of the second, before which other vehicles drive."""
+    other = TRAFFIC | {"seed": 77}
+    return LONG.record(site.folder / "R3.parquet", site.true["R2"], noise=9, **other)
+
+
+def several(*poses):
+    """The refusal of a sensor that fits in several places."""
+    answers = tuple(gr.Localization(pose=each, fitness=0.9, observable=True) for each in poses)
+    text = f"{poses[0].sensor}: ambiguous, two poses"
+    return AmbiguousError(text, hint="record longer", answers=answers)
+
+
+def test_two_sensors_gain_by_each_other(site, run):
+    known = stated(site.true["R2"], spread_m=3.0, along_m=2.0)
+    found = run({"R1": stated(site.true["R1"]), "R2": known})
+    assert found.done.failure is None
+    pose = found.pose("R2")
+    assert abs(pose.easting - site.true["R2"].easting) < 0.5
+    gained = pose.evidence["together"]["gained"]["easting"]
+    assert gained["after"] < 0.3 * gained["before"]
+    line = r"R2: position \u00b1 0.\d\d m \(alone 3.\d\d\), yaw .*; \d+ vehicles shared with R1"
+    assert re.search(f"## Poses found together\n\n.*\n- {line}\n", found.summary)
+    assert any(re.search(line, text) for _, text in found.heard.messages)
+    single = gr.read_pose(found.folder / "sensors" / "R2" / "localization.json")
+    assert single.easting == known.easting
+    shown = found.done.figures()["sensors"]["R2"]
+    assert (shown["easting"], shown["fitness"]) == (round(pose.easting, 3), 0.9)
+    assert "tied by" in how_found(pose)
+
+
+def test_a_sensor_that_alone_is_refused_is_placed_by_its_neighbour(site, run):
+    places = [stated(site.true["R2"], along_m=far, spread_m=0.5) for far in (14.0, 0.4)]
+    found = run({"R1": stated(site.true["R1"]), "R2": several(*places)})
+    assert found.done.failure is None
+    assert abs(found.pose("R2").easting - site.true["R2"].easting) < 0.6
+    assert "alone it was refused (ambiguous, two poses)" in found.summary
+    made = {path.name for path in found.done.outputs}
+    assert {"candidates.json", "together.json"} <= made
+    assert not (found.folder / "sensors" / "R2" / "localization.json").exists()
+
+
+def test_one_that_nobody_places_keeps_its_reason_and_stops_no_other(site, run, traffic):
+    places = [stated(replace(site.true["R2"], sensor="R3"), along_m=far) for far in (0.0, 14.0)]
+    found = run({"R1": stated(site.true["R1"]), "R3": several(*places)})
+    failure = found.done.failure
+    assert (failure.exit_code, found.done.missing.keys()) == (4, {"R3"})
+    assert failure.message.endswith("R3: ambiguous, two poses")
+    assert found.pose("R1").easting == site.true["R1"].easting
+    assert "R3: not placed: no other sensor sees enough of the same vehicles" in found.summary
+
+
+def test_two_that_contradict_each_other_are_named_in_one_line(site, run):
+    alone = {"R1": stated(site.true["R1"]), "R2": stated(site.true["R2"], along_m=4.0)}
+    found = run(alone)
+    failure = found.done.failure
+    assert failure.exit_code == 4
+    line = (
+        "no result for R1, R2; there is no heat map; R1 and R2: their poses contradict each other: "
+    )
+    assert failure.message.startswith(line)
+    assert "clocks" in failure.hint
+    warned = [text for level, text in found.heard.messages if level == "warning"]
+    assert sum("contradict" in text for text in warned) == 1
+    assert not (found.folder / "sensors" / "R1" / "pose.json").exists()
+    again = run(alone, R2="tied = false")  # the user knows better
+    assert again.done.failure is None
+    assert "poses together" not in {each.stage.name for each in again.outcomes}
+
+
+def test_a_sensor_with_bad_data_stops_no_other(site, run):
+    found = run({"R1": stated(site.true["R1"]), "R2": gr.InputError("R2.parquet: damaged")})
+    assert type(found.done.failure) is gr.InputError
+    assert "R1: alone: no other sensor has a pose" in found.summary
+    assert found.pose("R1").easting == site.true["R1"].easting
+
+
+def test_what_changes_is_solved_again(site, run):
+    alone = {name: stated(pose) for name, pose in site.true.items()}
+    assert {each.state for each in run(alone).outcomes} == {"done"}
+    assert {each.state for each in run(alone).outcomes} == {"kept"}
+    (site.folder / "clocks.json").write_text(json.dumps({"clocks": {"R2": {"offset_s": 0.0}}}))
+    later = run(alone, more='[occupancy]\nclocks = "clocks.json"\n')
+    states = {each.stage.name: each.state for each in later.outcomes}
+    assert states == {
+        "road": "kept", "localize R1": "kept", "localize R2": "kept", "poses together": "done",
+        "pose R1": "kept", "pose R2": "kept",
+    }  # fmt: skip
+
+
+def test_measured_clocks_are_used_and_others_are_found(site, run):
+    time, xyz, rate = LONG.detections(site.true["R2"], noise=1, **TRAFFIC)
+    recording(site.folder / "R4.parquet", time + 2.0, xyz, range_rate=rate)
+    alone = {"R1": stated(site.true["R1"]), "R4": stated(replace(site.true["R2"], sensor="R4"))}
+    warned = [text for level, text in run(alone).heard.messages if level == "warning"]
+    assert [text.partition(" that of")[0] for text in warned] == [
+        "poses together: the clock of R4 is 2.00 s ahead of"
+    ]
+    (site.folder / "clocks.json").write_text(json.dumps({"clocks": {"R4": {"offset_s": 2.0}}}))
+    quiet = run(alone, more='[occupancy]\nclocks = "clocks.json"\n')
+    assert "warning" not in {level for level, _ in quiet.heard.messages}
+    assert "vehicles shared with R1" in quiet.summary
+
+
+def test_a_site_of_one_sensor_refuses_one_that_fits_in_several_places(site, run):
+    found = run({"R2": several(*[stated(site.true["R2"], along_m=far) for far in (0.0, 14.0)])})
+    failure = found.done.failure
+    assert (failure.exit_code, failure.hint) == (4, "record longer")
+    assert failure.message.endswith("R2: ambiguous, two poses")
