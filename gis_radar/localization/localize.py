@@ -13,7 +13,7 @@ import numpy as np
 
 from gis_radar.arrays import Floats
 from gis_radar.crs import looks_like_degrees, moved_position, yaw_from_compass
-from gis_radar.errors import NoAnswerError, UsageError
+from gis_radar.errors import InputError, NoAnswerError, UsageError
 from gis_radar.lanelets import LaneletMap, read_map
 from gis_radar.localization.icp import by_icp
 from gis_radar.localization.lane_method import by_lanes
@@ -28,6 +28,7 @@ from gis_radar.localization.traces import Moving, read_moving
 from gis_radar.poses.pose import Pose, View
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import open_recording
+from gis_radar.recordings.units import compare_speeds
 from gis_radar.scans.scan import read_road, road_crs
 
 if TYPE_CHECKING:  # its image filters are loaded by those who have a scan
@@ -78,7 +79,7 @@ def localize(
     UsageError
         If there is no such method, or the guess is no position in metres.
     InputError
-        If the recording cannot be read, or scan and map do not overlap.
+        If the recording cannot be read or is in other units, or scan and map do not overlap.
     NoAnswerError
         If no trustworthy answer follows: no traffic, too few frames, a guess too far off, several
         answers, a mirrored recording.
@@ -113,12 +114,26 @@ def localize(
         guess=np.asarray(guess, dtype=np.float64),
         heading=None if heading is None else math.radians(heading),
     )
-    found = METHODS[method](problem, moving, reporter, settings)
+    try:
+        found = METHODS[method](problem, moving, reporter, settings)
+    except NoAnswerError:
+        _refuse_units(recording, moving)
+        raise
     changes = settings.changes()
     if not changes:
         return found
     evidence = {**found.pose.evidence, "settings": changes}
     return replace(found, pose=replace(found.pose, evidence=evidence))
+
+
+def _refuse_units(recording: str | Path, moving: Moving) -> None:
+    """Refuse a recording whose ranges do not change as its range rates state."""
+    odd = compare_speeds(moving.time, moving.points, moving.range_rate)
+    if odd:
+        raise InputError(
+            f"{recording}: {odd}",
+            hint="x, y and z are metres, range_rate is m/s and positive when receding",
+        )
 
 
 def localize_files(

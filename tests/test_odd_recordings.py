@@ -1,0 +1,88 @@
+"""Recordings that hold no traffic, other units or a clock of another rate: one line, right code."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from sites import START, recording
+from streets import Street, errors
+
+import gis_radar as gr
+
+STREET = Street()
+TRUE = STREET.pose()
+GUESS = (TRUE.easting + 4.0, TRUE.northing - 3.0)
+
+
+@cache
+def passing(vehicles=40, frames=600):
+    return STREET.detections(TRUE, vehicles=vehicles, frames=frames)
+
+
+def localized(folder, time, points, rate, **options):
+    path = recording(folder / "R1.parquet", time, points, range_rate=rate)
+    return gr.localize(path, STREET.roads(), STREET.road_points(), guess=GUESS, **options)
+
+
+def people(speeds, count=40, frames=900):
+    """What a radar sees of people, or cars, that go up and down beside the lanes at some speeds."""
+    rng = np.random.default_rng(1)
+    time, points, rate = [], [], []
+    for number in range(count):
+        lane = np.array(STREET.lanes[number % len(STREET.lanes)])
+        along = (lane[1] - lane[0]) / np.linalg.norm(lane[1] - lane[0])
+        beside = np.array([-along[1], along[0]]) * rng.uniform(2.5, 4.5) * rng.choice([-1, 1])
+        speed = rng.uniform(*speeds) * rng.choice([-1, 1])
+        late = np.flatnonzero(rng.random(frames) < 0.5) * 0.05
+        plan = lane[0] + np.outer(rng.uniform(10, 80) + speed * late, along) + beside
+        plan += rng.normal(0.0, 0.2, plan.shape)
+        place = np.column_stack([plan + STREET.middle, STREET.ground(plan) + 1.0])
+        sight = place - TRUE.position
+        toward = sight[:, :2] @ along / np.linalg.norm(sight, axis=1)
+        time.append(START + late)
+        points.append(TRUE.to_sensor(place))
+        rate.append(speed * toward + rng.normal(0.0, 0.02, len(late)))
+    order = np.argsort(np.concatenate(time), kind="stable")
+    return tuple(np.concatenate(each)[order] for each in (time, points, rate))
+
+
+@pytest.mark.parametrize(
+    ("what", "made"),
+    [
+        ("walkers only", lambda: people((0.8, 1.8))),
+        ("a parked car park", lambda: people((0.0, 0.0))),
+        ("one vehicle", lambda: passing(vehicles=1)),
+    ],
+)
+def test_without_traffic_there_is_no_answer(tmp_path, what, made):
+    line = r"^R1: [0-4] moving vehicles in \d+ frames, at least 5 are needed$"
+    with pytest.raises(gr.NoAnswerError, match=line) as refusal:
+        localized(tmp_path, *made())
+    assert refusal.value.exit_code == 4, what
+
+
+def other_units():
+    """Recordings in other units, and what the message names."""
+    time, points, rate = passing()
+    place = TRUE.to_map(points)
+    turn = np.column_stack([place[:, :2] / 1e5, place[:, 2]]) - [0.0, 0.0, 370.0]
+    yield "millimetres", time, points * 1000.0, rate
+    yield "it looks like degrees", time, turn, rate
+    yield "positions look like feet", time, points * 3.28084, rate
+    yield "range rates look positive where targets approach", time, points, -rate
+
+
+@pytest.mark.parametrize(("named", "time", "points", "rate"), list(other_units()))
+def test_other_units_are_named(tmp_path, named, time, points, rate):
+    with pytest.raises(gr.InputError, match=rf"R1\.parquet: [^\n]*{named}") as refusal:
+        localized(tmp_path, time, points, rate, heading=TRUE.yaw)
+    assert refusal.value.exit_code == 3
+    assert "metres" in refusal.value.hint
+
+
+def test_a_clock_that_runs_one_percent_slow_moves_no_pose(tmp_path):
+    time, points, rate = passing()
+    found = localized(tmp_path, START + 0.99 * (time - START), points, rate, heading=TRUE.yaw)
+    assert (np.abs(errors(found.pose, TRUE)[:2]) < 0.3).all()
