@@ -131,7 +131,7 @@ def _refuse_units(recording: str | Path, moving: Moving) -> None:
     odd = compare_speeds(moving.time, moving.points, moving.range_rate)
     if odd:
         raise InputError(
-            f"{recording}: {odd}",
+            f"{recording}: no pose follows: {odd}",
             hint="x, y and z are metres, range_rate is m/s and positive when receding",
         )
 
