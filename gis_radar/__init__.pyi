@@ -50,6 +50,7 @@ from .tiles import (
 )
 from .tracking import Track, track
 from .tracking.track import draw_track
+from .vehicles import Vehicles, merge_vehicles, read_vehicles
 
 __all__ = [
     "Clocks",
@@ -82,6 +83,7 @@ __all__ = [
     "Together",
     "Track",
     "UsageError",
+    "Vehicles",
     "View",
     "convert",
     "draw_localization",
@@ -99,6 +101,7 @@ __all__ = [
     "measure_occupancy",
     "measure_quality",
     "merge_occupancies",
+    "merge_vehicles",
     "moved_position",
     "name_of",
     "open_recording",
@@ -114,6 +117,7 @@ __all__ = [
     "read_site",
     "read_tiles",
     "read_track",
+    "read_vehicles",
     "require_road_name",
     "require_scans_near",
     "require_table_name",

@@ -190,7 +190,7 @@ def test_a_heat_map_that_was_changed_is_not_read(site, tmp_path):
     file = tmp_path / "heat" / "heatmap.gpkg"
     changes = (
         ("UPDATE heatmap SET lanelet_id = 8 WHERE tile_id = 15", "changed since"),
-        ("DELETE FROM occupancy_by_interval WHERE tile_id = 3", "damaged"),
+        ("DELETE FROM steps_by_interval WHERE tile_id = 3", "damaged"),
         ("DELETE FROM gpkg_metadata_reference", "lacks fingerprint"),
     )
     for number, (change, words) in enumerate(changes):

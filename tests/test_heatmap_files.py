@@ -133,11 +133,20 @@ def test_geopackage_is_of_version_1_2_with_indexes_and_no_log(folder):
     assert rows(folder, "PRAGMA journal_mode") == [("delete",)]
     assert rows(folder, "PRAGMA integrity_check") == [("ok",)]
     names = {name for (name,) in rows(folder, "SELECT name FROM sqlite_master")}
-    assert {"rtree_heatmap_geom", "rtree_occupancy_by_interval_geom"} <= names
+    assert {"rtree_heatmap_geom", "heatmap_tile_id"} <= names
+
+
+def test_the_layer_by_interval_is_a_view_of_whole_steps(folder):
+    """No polygon a row; an interval is found by its time, without a look at other rows."""
+    assert rows(folder, "SELECT type FROM sqlite_master WHERE name = 'occupancy_by_interval'") == [
+        ("view",)
+    ]
+    kinds = "SELECT DISTINCT typeof(occupied), typeof(observed) FROM steps_by_interval"
+    assert set(rows(folder, kinds)) == {("integer", "integer"), ("null", "integer")}
     plan = rows(
         folder, "EXPLAIN QUERY PLAN SELECT * FROM occupancy_by_interval WHERE begin = ?", "x"
     )
-    assert "occupancy_by_interval_begin" in plan[0][3]
+    assert [step[3].split(" USING ")[0] for step in plan] == ["SCAN i", "SEARCH s", "SEARCH h"]
 
 
 def test_default_styles_are_registered(folder):

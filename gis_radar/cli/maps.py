@@ -69,11 +69,19 @@ def mask(
 @click.option("--interval", help="Length of the intervals: 20s, 15min, 1h, ...")
 @click.option("--timezone", help="Whose hours and days the intervals follow: Europe/Berlin.")
 @click.option("--at", help="Map of the one 50 ms step at this time (ISO 8601 with Z).")
+@click.option(
+    "--vehicles", "vehicle_folders", type=FILE, multiple=True,
+    help="From gis-radar vehicles: adds coverage, the share of time that vehicles stand there.",
+)  # fmt: skip
 def heatmap(
-    *, folders: tuple[Path, ...], tiles_path: Path, output: Path, reporter: Reporter, **options: Any
-) -> Result:
-    """Make heat maps of occupancy: GeoPackage, GeoTIFF, GeoParquet and a picture."""
-    refuse_inputs(output, *folders, tiles_path)
+    *, folders: tuple[Path, ...], tiles_path: Path, output: Path,
+    vehicle_folders: tuple[Path, ...], reporter: Reporter, **options: Any,
+) -> Result:  # fmt: skip
+    """Make heat maps of occupancy and coverage: GeoPackage, GeoTIFF, GeoParquet, picture."""
+    refuse_inputs(output, *folders, *vehicle_folders, tiles_path)
+    if vehicle_folders:
+        read = [gr.read_vehicles(each) for each in vehicle_folders]
+        options["vehicles"] = gr.merge_vehicles(read)
     merged = gr.merge_occupancies([gr.read_occupancy(each, reporter=reporter) for each in folders])
     heat = gr.make_heatmap(merged, gr.read_tiles(tiles_path), reporter=reporter, **options)
     outputs = heat.write(output, reporter=reporter)

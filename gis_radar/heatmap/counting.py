@@ -23,13 +23,21 @@ from pyproj import CRS
 from gis_radar.arrays import Floats, Integers
 from gis_radar.crs import metric_crs
 from gis_radar.errors import InputError, UsageError
+from gis_radar.heatmap.covering import (
+    COVERAGE_DEFINITIONS,
+    Coverage,
+    CoverageShares,
+    count_coverage,
+    require_same_origin,
+)
 from gis_radar.heatmap.intervals import SETTINGS, Timeline
 from gis_radar.occupancy import Occupancy
-from gis_radar.occupancy.frame_steps import Runs, steps_in, union
+from gis_radar.occupancy.frame_steps import Runs, common_steps, steps_in, union
 from gis_radar.occupancy.hits import Rows
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.steps import STEPS_PER_SECOND, iso_from_step
 from gis_radar.tiles.tiles import COLUMNS, fingerprint
+from gis_radar.vehicles import Vehicles
 
 DEFINITIONS = {
     "occupied_s": (
@@ -86,6 +94,8 @@ class Tally:
         Steps in which a tile was occupied.
     observed : (intervals, groups) int64 array
         Steps in which a group of tiles was observed.
+    coverage : Coverage, optional
+        Steps in which they were visible and covered, where vehicles are known.
     """
 
     tiles: gpd.GeoDataFrame
@@ -97,6 +107,17 @@ class Tally:
     group: Integers
     occupied: Counts
     observed: Integers
+    coverage: Coverage | None = None
+
+    @property
+    def measure(self) -> str:
+        """What maps of it show: `coverage` where vehicles are known, else `occupancy`."""
+        return "occupancy" if self.coverage is None else "coverage"
+
+    @property
+    def definitions(self) -> dict[str, str]:
+        """What its columns mean."""
+        return DEFINITIONS | ({} if self.coverage is None else COVERAGE_DEFINITIONS)
 
     @property
     def crs(self) -> CRS:
@@ -119,6 +140,7 @@ class Tally:
         timeline: Timeline,
         *,
         chosen: Integers | None = None,
+        vehicles: Vehicles | None = None,
         reporter: Reporter = QUIET,
     ) -> Self:
         """Count the steps in which tiles were observed, and occupied while they were.
@@ -133,6 +155,8 @@ class Tally:
             The whole time, and the intervals.
         chosen : (k,) int64 array, optional
             Positions of the tiles to count, ascending; without it, all.
+        vehicles : Vehicles, optional
+            Of the same tiles, sensors, poses and sight; only steps that both hold count.
         reporter : Reporter
             Where progress goes.
 
@@ -143,6 +167,9 @@ class Tally:
         """
         tile_ids = tiles["tile_id"].to_numpy(np.int64)
         seen, group, runs = _observe(occupancy, tile_ids)
+        if vehicles is not None:
+            both = vehicles.covered_frames()
+            runs = tuple(common_steps(each, both) for each in runs)
         if chosen is not None:
             wanted = np.isin(seen, chosen)
             seen, group = seen[wanted], group[wanted]
@@ -158,6 +185,11 @@ class Tally:
             np.add.at(occupied.reshape(-1), row[kept] * len(seen) + place[kept], 1)
             done += len(step)
             reporter.progress("counting hits", done, None)
+        coverage = None
+        if vehicles is not None:
+            either = steps_in(occupancy.covered_frames())
+            steps = common_steps(either, both)
+            coverage = count_coverage(vehicles, tiles, seen, timeline, steps, reporter)
         return cls(
             tiles=tiles if chosen is None else tiles.iloc[chosen].reset_index(drop=True),
             fingerprint=occupancy.fingerprint,
@@ -168,6 +200,7 @@ class Tally:
             group=group,
             occupied=occupied,
             observed=np.stack([timeline.counts(each) for each in runs], axis=1),
+            coverage=coverage,
         )
 
     def shares(self, interval: int | slice | None = None) -> Shares:
@@ -194,6 +227,30 @@ class Tally:
         share[self.seen[known]] = occupied[known] / observed[known]
         return Shares(occupied_s, observed_s, share)
 
+    def coverage_shares(self, interval: int | slice | None = None) -> CoverageShares | None:
+        """Return visible and covered seconds and coverage of all tiles, where vehicles are known.
+
+        Parameters
+        ----------
+        interval : int or slice, optional
+            As for :meth:`shares`.
+        """
+        self.steps(interval)
+        if self.coverage is None:
+            return None
+        return self.coverage.shares(self.seen, len(self.tiles), interval)
+
+    def shown(self, interval: int | slice | None = None) -> Floats:
+        """Return for all tiles what maps show: coverage where vehicles are known, else occupancy.
+
+        Parameters
+        ----------
+        interval : int or slice, optional
+            As for :meth:`shares`.
+        """
+        known = self.coverage_shares(interval)
+        return self.shares(interval).occupancy if known is None else known.coverage
+
     def steps(self, interval: int | slice | None = None) -> tuple[Integers, Integers]:
         """Return the steps in which each of the `seen` tiles was occupied and observed."""
         part = slice(interval) if interval is None else interval
@@ -219,7 +276,7 @@ class Tally:
             "sensors": list(self.sensors),
             "begin": begin,
             "end": end,
-            "definitions": DEFINITIONS,
+            "definitions": self.definitions,
         }
 
     def figures(self) -> dict[str, Any]:
@@ -233,6 +290,13 @@ class Tally:
             "tiles_observed": int(np.count_nonzero(observed)),
             "tiles_hit": int(np.count_nonzero(occupied)),
         }
+        known = self.coverage_shares()
+        if known is not None:
+            figures["tiles_visible"] = int(np.count_nonzero(known.visible_s))
+            figures["covered_s"] = float(np.nansum(known.covered_s))
+            figures["mean_coverage"] = float(
+                np.nansum(known.covered_s) / max(known.visible_s.sum(), 1.0)
+            )
         if not occupied.any():
             return figures
         share = occupied / np.maximum(observed, 1)
@@ -353,13 +417,18 @@ def _group(position: Integers, code: Integers) -> tuple[Integers, Integers, list
     return seen, group, members
 
 
-def checked(occupancy: Occupancy, tiles: gpd.GeoDataFrame) -> tuple[gpd.GeoDataFrame, Runs]:
+def checked(
+    occupancy: Occupancy, tiles: gpd.GeoDataFrame, vehicles: Vehicles | None = None
+) -> tuple[gpd.GeoDataFrame, Runs]:
     """Return the tiles with their own columns only, and the steps that any sensor's frames cover.
+
+    With vehicles, these are the steps that both hold.
 
     Raises
     ------
     InputError
-        If there is no frame, or the tiles are not those of the occupancy.
+        If there is no frame, the tiles are not those of the occupancy, or the vehicles are of
+        other sensors, poses or sight, or of no common time.
     """
     if occupancy.frames.empty:
         raise InputError("the occupancy holds no frame", hint="was the recording empty?")
@@ -377,4 +446,11 @@ def checked(occupancy: Occupancy, tiles: gpd.GeoDataFrame) -> tuple[gpd.GeoDataF
     attributes = tiles[list(COLUMNS)].reset_index(drop=True)
     shapes = tiles.geometry.reset_index(drop=True)
     own = gpd.GeoDataFrame(attributes, geometry=shapes, crs=tiles.crs)
-    return own, steps_in(occupancy.covered_frames())
+    steps = steps_in(occupancy.covered_frames())
+    if vehicles is None:
+        return own, steps
+    require_same_origin(occupancy, vehicles)
+    steps = common_steps(steps, vehicles.covered_frames())
+    if len(steps) == 0:
+        raise InputError(f"{occupancy.place} and {vehicles.place} have no time in common")
+    return own, steps

@@ -42,6 +42,17 @@ TITLE_IN = 0.85
 FOOT_IN = 0.42
 FRAME = "#9aa1a8"
 HATCH = "////"
+TITLES = {"occupancy": "Occupancy heat map", "coverage": "Coverage heat map"}
+MEANINGS = {
+    "occupancy": (
+        "A tile is occupied in a step of 50 ms when a radar detection falls in it; overlapping "
+        "views count once."
+    ),
+    "coverage": (
+        "A tile is covered in a step of 50 ms when a tracked vehicle stands on it; what others "
+        "hide for over 10 s is not visible."
+    ),
+}
 PLOT_PIXELS, SMALL_PIXELS = 1_100_000, 400_000  # of a plot: 180 an inch; of a notebook card
 
 
@@ -53,7 +64,9 @@ def draw(
     legend: bool = True,
     most_pixels: int = PLOT_PIXELS,
 ) -> Axes:
-    """Draw the occupancy of the tiles in the classes of all heat maps, the busiest on top.
+    """Draw the tiles in the classes of all heat maps, the busiest on top.
+
+    Where vehicles are known it shows coverage, else occupancy.
 
     Parameters
     ----------
@@ -76,14 +89,14 @@ def draw(
     UsageError
         If there is no such interval.
     """
-    share = tally.shares(interval).occupancy
+    share = tally.shown(interval)
     ax = axes_or_new(ax, (8.5, 6.0))
     extent = _extent(tally, (0.0, np.inf))
     map_picture(quads(tally.tiles), extent, most_pixels).show(ax, share)
     label_map(ax)
     ax.set_title(time_span(tally, interval), fontsize="medium")
     if legend:
-        _add_legend(ax)
+        _add_legend(ax, tally.measure)
     return ax
 
 
@@ -100,14 +113,14 @@ def _swatch(corner: tuple[float, float], size: tuple[float, float], colour: str)
     return field
 
 
-def _add_legend(ax: Axes) -> None:
-    """Write the classes of occupancy beside axes."""
-    colours, labels = zip(*style.legend(), strict=True)
+def _add_legend(ax: Axes, measure: str) -> None:
+    """Write the classes of a measure beside axes."""
+    colours, labels = zip(*style.legend(measure), strict=True)
     handles = [_swatch((0, 0), (1, 1), colour) for colour in colours]
     ax.legend(
-        handles, labels, title=style.LEGEND_TITLE, loc="upper left", bbox_to_anchor=(1.01, 1.0),
-        borderaxespad=0.0, frameon=False, fontsize="small", title_fontsize="small",
-        alignment="left",
+        handles, labels, title=style.WORDS[measure].title, loc="upper left",
+        bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, frameon=False, fontsize="small",
+        title_fontsize="small", alignment="left",
     )  # fmt: skip
 
 
@@ -116,7 +129,7 @@ def write_figure(tally: Tally, path: Path, reporter: Reporter) -> None:
     reporter.progress("drawing the picture", 0, 1)
     with mpl.rc_context(FONTS):
         figure = _figure(tally)
-        about = {"Title": "Occupancy heat map", "Description": time_span(tally)}
+        about = {"Title": TITLES[tally.measure], "Description": time_span(tally)}
         figure.savefig(path, dpi=DPI, metadata=about)
     reporter.progress("drawing the picture", 1, 1)
 
@@ -151,7 +164,7 @@ def _add_map(ax: Axes, tally: Tally, extent: Extent, width_in: float) -> None:
     width_m, height_m = extent[1] - extent[0]
     most = (width_in * DPI * FINER) ** 2 * float(height_m / width_m)
     picture = map_picture(quads(tally.tiles), extent, int(most))
-    picture.show(ax, tally.shares().occupancy)
+    picture.show(ax, tally.shown())
     ax.set(xlim=(extent[0][0], extent[1][0]), ylim=(extent[0][1], extent[1][1]))
 
 
@@ -161,7 +174,7 @@ def _add_titles(figure: Figure, tally: Tally, left_in: float) -> None:
     left = left_in / width_in
     line: dict[str, Any] = {"ha": "left", "va": "baseline"}
     figure.text(
-        left, 1 - 0.42 / height_in, "Occupancy heat map",
+        left, 1 - 0.42 / height_in, TITLES[tally.measure],
         fontsize=17, fontweight="bold", color=INK, **line,
     )  # fmt: skip
     figure.text(left, 1 - 0.68 / height_in, time_span(tally), fontsize=10, color=SOFT, **line)
@@ -169,11 +182,7 @@ def _add_titles(figure: Figure, tally: Tally, left_in: float) -> None:
 
 
 def _foot(tally: Tally) -> str:
-    crs = tally.crs
-    return (
-        f"{crs.name} ({name_of(crs)[:20]}). A tile is occupied in a step of 50 ms when a radar "
-        "detection falls in it; overlapping views count once."
-    )
+    return f"{tally.crs.name} ({name_of(tally.crs)[:20]}). {MEANINGS[tally.measure]}"
 
 
 def time_span(tally: Tally, interval: int | None = None) -> str:
@@ -197,10 +206,11 @@ def _add_side(ax: Axes, tally: Tally) -> None:
     ax.set_xlim(0, box.width / DPI)
     ax.set_ylim(box.height / DPI, 0)
     ax.axis("off")
-    ax.text(0.25, 0.12, style.LEGEND_TITLE, fontsize=9.5, fontweight="bold", color=INK)
-    ax.text(0.25, 0.3, style.LEGEND_SUBTITLE, fontsize=8.5, color=SOFT)
+    words = style.WORDS[tally.measure]
+    ax.text(0.25, 0.12, words.title, fontsize=9.5, fontweight="bold", color=INK)
+    ax.text(0.25, 0.3, words.subtitle, fontsize=8.5, color=SOFT)
     y = 0.5
-    for colour, label in style.legend():
+    for colour, label in style.legend(tally.measure):
         apart = 0.08 if colour in {style.NEVER_HIT, style.NOT_OBSERVED} else 0.0
         ax.add_patch(_swatch((0.25, y + apart), (0.34, 0.24), colour))
         ax.text(0.7, y + apart + 0.125, label, fontsize=8.5, color=INK, va="center")
@@ -217,7 +227,15 @@ def _facts(tally: Tally) -> list[tuple[str, str]]:
         ("Tiles observed", f"{known['tiles_observed']:,}".replace(",", " ")),
         ("Tiles hit", f"{known['tiles_hit']:,}".replace(",", " ")),
     ]
-    if "busiest_tile" in known:
+    shares = tally.coverage_shares()
+    if shares is not None:
+        facts[2] = ("Tiles visible", f"{known['tiles_visible']:,}".replace(",", " "))
+        facts.append(("Mean coverage", f"{known['mean_coverage'] * 100:.1f} %"))
+        if np.any(shares.coverage > 0):
+            top = int(np.nanargmax(shares.coverage))
+            best = 100 * shares.coverage[top], 100 * shares.coverage_se[top]
+            facts.append(("Highest coverage", f"{best[0]:.1f} % ± {best[1]:.1f} %"))
+    elif "busiest_tile" in known:
         occupied_s, observed_s = known["busiest_occupied_s"], known["busiest_observed_s"]
         share = f"{known['busiest_occupancy'] * 100:.1f} %"
         facts.append(("Busiest tile", f"{occupied_s:.6g} of {observed_s:.6g} s, {share}"))
@@ -290,7 +308,7 @@ def free_corner(centres: Floats, extent: Extent) -> Box | None:
 def _add_detail(ax: Axes, tally: Tally, extent: Extent) -> None:
     """Draw the busiest place larger in a corner of the map, where one is free."""
     centres = quads(tally.tiles).mean(axis=1)
-    window = busiest_window(centres, tally.shares().occupancy, extent)
+    window = busiest_window(centres, tally.shown(), extent)
     corner = free_corner(centres, extent)
     if window is None or corner is None:
         return
@@ -341,11 +359,14 @@ def show_in_browser(tally: Tally, *, interval: int | None = None, **options: Any
     InputError
         If folium is not installed.
     """
-    tiles = tally.tiles.assign(**tally.shares(interval)._asdict()).dropna(subset="occupancy")
-    tiles = tiles.sort_values("occupancy", kind="stable")  # the busiest on top
-    levels = style.colour_classes()
-    place = np.searchsorted([level.upper for level in levels], tiles["occupancy"])
+    measure, known = tally.measure, tally.coverage_shares(interval)
+    columns = tally.shares(interval)._asdict() | ({} if known is None else known._asdict())
+    tiles = tally.tiles.assign(**columns).dropna(subset=measure)
+    tiles = tiles.sort_values(measure, kind="stable")  # the busiest on top
+    levels = style.colour_classes(measure)
+    place = np.searchsorted([level.upper for level in levels], tiles[measure])
     labels = [level.label for level in levels]
+    popup = SHOWN if known is None else (*SHOWN, *known._fields)
     # what a browser reads has no 64-bit integers
     tiles = tiles.assign(lanelet_id=tiles["lanelet_id"].astype(str))
     tiles[CLASS] = np.array(labels, object)[place]
@@ -356,13 +377,13 @@ def show_in_browser(tally: Tally, *, interval: int | None = None, **options: Any
         "cmap": [level.colour for level in levels],
         "style_kwds": {"weight": 0.3, "fillOpacity": 0.9},
         "tooltip": [CLASS],
-        "popup": list(SHOWN),
+        "popup": list(popup),
         "tiles": "CartoDB positron",
         "max_zoom": 21,
         "legend_kwds": {"caption": time_span(tally, interval)},
     }
     try:
-        return tiles[[*SHOWN, CLASS, "geometry"]].round(4).explore(**chosen | options)
+        return tiles[[*popup, CLASS, "geometry"]].round(4).explore(**chosen | options)
     except ImportError as error:
         raise InputError(
             f"explore needs folium and mapclassify: {error.name or 'one'} is missing",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +35,7 @@ from gis_radar.notebooks import card, small_picture
 from gis_radar.occupancy import Occupancy
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.steps import STEP_US, interval_steps, step_of, zone_of
+from gis_radar.vehicles import Vehicles
 
 if TYPE_CHECKING:
     import xarray
@@ -43,7 +45,15 @@ LANELET, START = "lanelet of the tile", "start of the tile along its lanelet"
 CELL_BYTES = 3 * 4 + 4  # of a tile and interval: three numbers, and the count they come from
 MOST_DRAWN = 60_000  # tiles in the small picture of a notebook
 # A report of it may stand there; it goes when the heat map does.
-OWNED = ("heatmap.", "report.", "lanes.csv", "lanes_by_interval.csv", "sensors.csv", "quality.csv")
+OWNED = (
+    "heatmap.",
+    "occupancy.tif",
+    "report.",
+    "lanes.csv",
+    "lanes_by_interval.csv",
+    "sensors.csv",
+    "quality.csv",
+)
 
 
 class HeatMap(Tally):
@@ -109,6 +119,7 @@ class HeatMap(Tally):
         """Write `heatmap.gpkg`, `heatmap.tif`, `heatmap.parquet`, `heatmap.png`.
 
         Beside them `heatmap.qml` lets QGIS show the GeoTIFF and the table in the same colours.
+        Where vehicles are known, these show coverage, and `occupancy.tif` stands beside.
 
         Parameters
         ----------
@@ -128,13 +139,16 @@ class HeatMap(Tally):
             If the folder cannot be written or holds other files.
         """
         folder = Path(folder)
+        style = sidecar_qml(self.measure)
         writers: dict[str, Callable[[Tally, Path, Reporter], object]] = {
             "heatmap.gpkg": write_package,
             "heatmap.tif": write_raster,
             "heatmap.parquet": write_table,
             "heatmap.png": write_figure,
-            "heatmap.qml": lambda _, path, __: path.write_text(sidecar_qml(), encoding="utf-8"),
+            "heatmap.qml": lambda _, path, __: path.write_text(style, encoding="utf-8"),
         }
+        if self.coverage is not None:
+            writers["occupancy.tif"] = partial(write_raster, measure="occupancy")
         with whole_folder(folder, owned=OWNED, reporter=reporter) as fresh:
             for name, write in writers.items():
                 try:
@@ -151,6 +165,7 @@ def make_heatmap(
     interval: str | None = None,
     at: str | None = None,
     timezone: str | None = None,
+    vehicles: Vehicles | None = None,
     reporter: Reporter = QUIET,
 ) -> HeatMap:
     """Make the heat map of all tiles (the paper's section "Global Occupancy Heat Map").
@@ -170,6 +185,9 @@ def make_heatmap(
         Whose hours and days intervals follow, such as Europe/Berlin; all output stays in UTC.
     at : str, optional
         ISO 8601 time: the map of the one step that contains it, instead of the whole time.
+    vehicles : Vehicles, optional
+        Of the same tiles, sensors, poses and sight, as from :func:`gis_radar.read_vehicles`: adds
+        coverage, which maps then show. The whole time is what both hold.
     reporter : Reporter
         Where progress and remarks go.
 
@@ -185,7 +203,8 @@ def make_heatmap(
     CrsError
         If the tiles' coordinate system is not a projected one in metres.
     InputError
-        If there is no frame, no tile in view, or the tiles are not those of the occupancy.
+        If there is no frame, no tile in view, the tiles are not those of the occupancy, or the
+        vehicles were made from other tiles, sensors, poses or sight, or at another time.
 
     Examples
     --------
@@ -204,11 +223,11 @@ def make_heatmap(
     if timezone is not None and interval is None:
         raise UsageError("a timezone needs an interval", hint="such as 1h or 1d")
     zone = None if timezone is None else zone_of(timezone)
-    tiles, runs = checked(occupancy, tiles)
+    tiles, runs = checked(occupancy, tiles, vehicles)
     whole = timeline = whole_of(runs, at)
     if interval is not None:
         timeline = intervals_of(runs, interval, zone, len(tiles), reporter)
-    return HeatMap.count(occupancy, tiles, whole, timeline, reporter=reporter)
+    return HeatMap.count(occupancy, tiles, whole, timeline, vehicles=vehicles, reporter=reporter)
 
 
 def read_heatmap(path: str | Path) -> HeatMap:

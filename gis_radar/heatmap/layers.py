@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -12,34 +11,42 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 import pyogrio
+from numpy.typing import NDArray
 from pyogrio.errors import DataLayerError, DataSourceError
 
 from gis_radar.arrays import Integers
 from gis_radar.errors import InputError
-from gis_radar.geopackage import GPKG_VERSION, add_styles, write_stream
+from gis_radar.geopackage import GPKG_VERSION, add_styles
 from gis_radar.heatmap import style
 from gis_radar.heatmap.counting import Counts, Tally
+from gis_radar.heatmap.covering import Coverage
 from gis_radar.heatmap.intervals import Timeline
-from gis_radar.progress import QUIET, Reporter
+from gis_radar.heatmap.step_table import (
+    BEGIN,
+    END,
+    ERROR,
+    LONG,
+    STEPS,
+    WIDE,
+    read_times,
+    step_columns,
+    write_steps,
+)
+from gis_radar.progress import Reporter
 from gis_radar.steps import STEPS_PER_SECOND, seconds_from_iso, step_begin, step_of
 from gis_radar.tiles.tiles import COLUMNS, fingerprint
 
 FILE = "heatmap.gpkg"
-WIDE = "heatmap"
-LONG = "occupancy_by_interval"
-BEGIN, END = "begin", "end"
-ROWS_AT_ONCE = 65_536
+Counted = dict[str, NDArray[Any]]
 
 _STEP_MS = 50
-_TIME = pa.timestamp("ms", tz="UTC")
 
 
-def _interval_column(begin_step: int, length_steps: int) -> str:
-    """Return `occ_` and an interval's begin in UTC, as fine as intervals of that length need."""
+def _interval_column(kind: str, begin_step: int, length_steps: int) -> str:
+    """Return a kind and an interval's begin in UTC, as fine as intervals of that length need."""
     begin = step_begin(begin_step)
-    name = f"occ_{begin:%Y%m%dT%H%M}"
+    name = f"{kind}_{begin:%Y%m%dT%H%M}"
     if length_steps < 60 * STEPS_PER_SECOND:
         name += f"{begin:%S}"
     if length_steps < STEPS_PER_SECOND:
@@ -54,13 +61,19 @@ def wide_layer(tally: Tally) -> gpd.GeoDataFrame:
     -------
     GeoDataFrame
         The tiles' columns, then `occupied_s`, `observed_s`, `occupancy` over the whole time, and
-        `occ_...`, the occupied seconds of each interval, NaN where not observed in it.
+        `occ_...`, the occupied seconds of each interval, NaN where not observed in it. Where
+        vehicles are known also `visible_s`, `covered_s`, `coverage`, `coverage_se`, and `cov_...`,
+        the covered seconds of each interval, NaN where not visible in it.
     """
     timeline = tally.timeline
-    columns = tally.shares()._asdict()
-    for i in tally.columns:
-        begin, end = int(timeline.begin[i]), int(timeline.end[i])
-        columns[_interval_column(begin, end - begin)] = tally.shares(i).occupied_s
+    known = tally.coverage_shares()
+    columns = tally.shares()._asdict() | ({} if known is None else known._asdict())
+    spans = [(i, int(timeline.begin[i]), int(timeline.end[i])) for i in tally.columns]
+    for i, begin, end in spans:
+        columns[_interval_column("occ", begin, end - begin)] = tally.shares(i).occupied_s
+    for i, begin, end in spans:
+        if (part := tally.coverage_shares(i)) is not None:
+            columns[_interval_column("cov", begin, end - begin)] = part.covered_s
     shares = pd.DataFrame(columns, index=tally.tiles.index)
     attributes = tally.tiles.drop(columns="geometry")
     return gpd.GeoDataFrame(
@@ -75,43 +88,21 @@ def long_layer(tally: Tally) -> gpd.GeoDataFrame:
     -------
     GeoDataFrame
         `tile_id`, `lanelet_id`, `begin` and `end` (UTC; the end is exclusive), `occupied_s`,
-        `observed_s`, `occupancy`, geometry, ordered by interval, then by tile. Where a
-        tile was not observed, `observed_s` is 0 and the other two are NaN.
+        `observed_s`, `occupancy`, where vehicles are known also `visible_s`, `covered_s`,
+        `coverage`, `coverage_se`, and geometry, ordered by interval, then by tile. Where a tile was
+        not observed, `observed_s` is 0 and the other two are NaN.
     """
-    rows = pa.Table.from_batches(long_batches(tally), schema=LONG_SCHEMA).drop(["geometry"])
-    geometry = np.tile(tally.tiles.geometry.to_numpy(), len(tally.timeline))
-    return gpd.GeoDataFrame(rows.to_pandas(), geometry=geometry, crs=tally.crs)
-
-
-LONG_SCHEMA = pa.schema(
-    [
-        ("tile_id", pa.int64()),
-        ("lanelet_id", pa.int64()),
-        (BEGIN, _TIME),
-        (END, _TIME),
-        ("occupied_s", pa.float64()),
-        ("observed_s", pa.float64()),
-        ("occupancy", pa.float64()),
-        pa.field("geometry", pa.binary(), metadata={"ARROW:extension:name": "geoarrow.wkb"}),
-    ]
-)
-
-
-def long_batches(tally: Tally, reporter: Reporter = QUIET) -> Iterator[pa.RecordBatch]:
-    """Yield the rows of :func:`long_layer` as Arrow batches, a few at a time."""
-    done, total = 0, len(tally.timeline) * len(tally.tiles)
-    ids = [pa.array(tally.tiles[name].to_numpy()) for name in ("tile_id", "lanelet_id")]
-    shapes = pa.array(tally.tiles.geometry.to_wkb().to_numpy(), pa.binary())
+    parts = []
+    tiles = tally.tiles[["tile_id", "lanelet_id"]]
     for i in range(len(tally.timeline)):
         times = (int(step[i]) * _STEP_MS for step in (tally.timeline.begin, tally.timeline.end))
-        moments = [pa.repeat(pa.scalar(time, _TIME), len(shapes)) for time in times]
-        shares = [pa.array(share, from_pandas=True) for share in tally.shares(i)]
-        rows = pa.RecordBatch.from_arrays([*ids, *moments, *shares, shapes], schema=LONG_SCHEMA)
-        for start in range(0, len(shapes), ROWS_AT_ONCE):
-            batch = rows.slice(start, ROWS_AT_ONCE)
-            yield batch
-            done += len(batch)
-            reporter.progress("writing occupancy by interval", done, total)
+        begin, end = (pd.Timestamp(time, unit="ms", tz="UTC").as_unit("ms") for time in times)
+        known = tally.coverage_shares(i)
+        shares = tally.shares(i)._asdict() | ({} if known is None else known._asdict())
+        parts.append(tiles.assign(**{BEGIN: begin, END: end}, **shares))
+    geometry = np.tile(tally.tiles.geometry.to_numpy(), len(tally.timeline))
+    rows = pd.concat(parts, ignore_index=True)
+    return gpd.GeoDataFrame(rows, geometry=geometry, crs=tally.crs)
 
 
 def write_table(tally: Tally, path: Path, _reporter: Reporter) -> None:
@@ -129,7 +120,7 @@ def write_table(tally: Tally, path: Path, _reporter: Reporter) -> None:
 
 
 def write_package(tally: Tally, path: Path, reporter: Reporter) -> None:
-    """Write both layers, the long one in batches, their styles, and an index on the times."""
+    """Write the layer of tiles, the table of steps with its view as a layer, and their styles."""
     metadata = {
         name: value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
         for name, value in tally.metadata.items()
@@ -138,35 +129,19 @@ def write_package(tally: Tally, path: Path, reporter: Reporter) -> None:
         wide_layer(tally), path, layer=WIDE, driver="GPKG", use_arrow=True,
         geometry_type="Polygon", layer_metadata=metadata, VERSION=GPKG_VERSION,
     )  # fmt: skip
-    write_stream(
-        long_batches(tally, reporter), LONG_SCHEMA, path,
-        layer=LONG, driver="GPKG", crs=tally.crs.to_wkt(),
-        geometry_name="geometry", geometry_type="Polygon", layer_metadata=metadata,
-    )  # fmt: skip
     length_s = float(tally.timeline.end[0] - tally.timeline.begin[0]) / STEPS_PER_SECOND
+    measure = tally.measure
     styles = {
-        WIDE: (style.vector_qml(), style.sld(WIDE)),
-        LONG: (style.vector_qml(interval_s=length_s), style.sld(LONG)),
+        WIDE: (style.vector_qml(measure=measure), style.sld(WIDE, measure)),
+        LONG: (style.vector_qml(interval_s=length_s, measure=measure), style.sld(LONG, measure)),
     }
-    about = "fixed classes of occupancy, so that maps compare"
+    about = f"fixed classes of {measure}, so that maps compare"
     with closing(sqlite3.connect(path)) as database, database:
-        for field in (BEGIN, END):
-            database.execute(f'CREATE INDEX "{LONG}_{field}" ON "{LONG}" ("{field}")')
-        add_styles(database, styles, name="occupancy", about=about)
+        write_steps(database, tally, reporter)
+        add_styles(database, styles, name=measure, about=about)
 
 
 _HINT = "make one with: gis-radar heatmap"
-# From one begin to the next by their index: a scan of all rows would take seconds.
-_TIMES = f"""
-    WITH RECURSIVE times(moment) AS (
-        SELECT min("{BEGIN}") FROM "{LONG}"
-        UNION ALL
-        SELECT (SELECT min("{BEGIN}") FROM "{LONG}" WHERE "{BEGIN}" > moment)
-        FROM times WHERE moment IS NOT NULL
-    )
-    SELECT moment, (SELECT "{END}" FROM "{LONG}" WHERE "{BEGIN}" = moment LIMIT 1)
-    FROM times WHERE moment IS NOT NULL
-"""  # noqa: S608 - our own names
 
 
 def read_package(path: Path) -> dict[str, Any]:
@@ -188,17 +163,22 @@ def read_package(path: Path) -> dict[str, Any]:
     try:
         tiles = pyogrio.read_dataframe(path, layer=WIDE, columns=list(COLUMNS), use_arrow=True)
         notes = pyogrio.read_info(path, layer=WIDE)["layer_metadata"] or {}
-        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
-            times = database.execute(_TIMES).fetchall()
         whole = _checked_whole(tiles, notes, path)
+        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
+            times = read_times(database)
+            names = step_columns(database)
         timeline = Timeline(
             begin=_steps_of([begin for begin, _ in times], path),
             end=_steps_of([end for _, end in times], path),
         )
-        occupied, observed = _read_counts(path, tiles["tile_id"].to_numpy(np.int64), len(timeline))
+        counts = _read_counts(path, tiles["tile_id"].to_numpy(np.int64), len(timeline), names)
+        errors = pyogrio.read_dataframe(
+            path, layer=WIDE, columns=["coverage_se"], read_geometry=False, use_arrow=True
+        )
     except (DataSourceError, DataLayerError, sqlite3.Error, OSError) as error:
         reason = str(error).splitlines()[0]
         raise InputError(f"{path}: not a heat map: {reason}", hint=_HINT) from error
+    occupied, observed = counts["occupied"], counts["observed"]
     seen = np.flatnonzero(observed.any(axis=0))
     first, group = _alike(observed[:, seen])
     return {
@@ -209,9 +189,22 @@ def read_package(path: Path) -> dict[str, Any]:
         "timeline": whole if timeline.spans() == whole.spans() else timeline,
         "seen": seen,
         "group": group,
-        "occupied": occupied[:, seen],
+        "occupied": occupied[:, seen].astype(np.uint32),
         "observed": observed[:, seen[first]].astype(np.int64),
+        "coverage": _coverage_of(counts, seen, errors),
     }
+
+
+def _coverage_of(counts: Counted, seen: Integers, errors: pd.DataFrame) -> Coverage | None:
+    """Return visible and covered steps and errors of the tiles that are seen, if there are any."""
+    if "visible" not in counts:
+        return None
+    return Coverage(
+        visible=counts["visible"][:, seen].astype(np.uint32),
+        covered=counts["covered"][:, seen].astype(np.uint32),
+        error=counts["coverage_se"][:, seen].astype(np.float32),
+        error_whole=errors["coverage_se"].to_numpy(np.float32)[seen],
+    )
 
 
 def _checked_whole(tiles: gpd.GeoDataFrame, notes: dict[str, Any], path: Path) -> Timeline:
@@ -230,14 +223,13 @@ def _steps_of(times: list[str], path: Path) -> Integers:
     return step_of(np.array([seconds_from_iso(each, what=f"{path}: time") for each in times]))
 
 
-def _read_counts(path: Path, tile_ids: Integers, intervals: int) -> tuple[Counts, Counts]:
-    """Read the steps in which tiles were occupied and observed, (intervals, tiles) each."""
+def _read_counts(path: Path, tile_ids: Integers, intervals: int, names: list[str]) -> Counted:
+    """Read the table of steps: for each column an (intervals, tiles) array."""
     rows = intervals * len(tile_ids)
-    names = ("occupied_s", "observed_s")
-    counts = np.zeros((len(names), rows), np.uint32)
+    counts = {name: np.zeros(rows, np.float32 if name == ERROR else np.uint32) for name in names}
     done = 0
     with pyogrio.open_arrow(
-        path, layer=LONG, use_pyarrow=True, read_geometry=False, columns=["tile_id", *names]
+        path, layer=STEPS, use_pyarrow=True, read_geometry=False, columns=["tile_id", *names]
     ) as (_, reader):
         for batch in reader:
             place = np.arange(done, done + len(batch))
@@ -246,13 +238,12 @@ def _read_counts(path: Path, tile_ids: Integers, intervals: int) -> tuple[Counts
             if not np.array_equal(batch["tile_id"].to_numpy(), expected):
                 done = -1
                 break
-            for steps, name in zip(counts, names, strict=True):
-                seconds = np.nan_to_num(batch[name].to_numpy(zero_copy_only=False))
-                steps[place] = np.rint(seconds * STEPS_PER_SECOND)
+            for name, values in counts.items():
+                read = batch[name].to_numpy(zero_copy_only=False)
+                values[place] = read if name == ERROR else np.nan_to_num(read)
     if done != rows or not rows:
-        raise InputError(f"{path}: {LONG} is damaged: not one row a tile and interval", hint=_HINT)
-    occupied, observed = counts.reshape(len(names), intervals, len(tile_ids))
-    return occupied, observed
+        raise InputError(f"{path}: {STEPS} is damaged: not one row a tile and interval", hint=_HINT)
+    return {name: values.reshape(intervals, len(tile_ids)) for name, values in counts.items()}
 
 
 def _alike(observed: Counts) -> tuple[Integers, Integers]:

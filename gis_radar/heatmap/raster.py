@@ -23,7 +23,7 @@ from rasterio.transform import Affine
 
 from gis_radar.arrays import Floats, Integers, ranges
 from gis_radar.errors import OutputError
-from gis_radar.heatmap.counting import DEFINITIONS, Tally
+from gis_radar.heatmap.counting import Tally
 from gis_radar.heatmap.intervals import SETTINGS
 from gis_radar.occupancy.frame_steps import Runs, union
 from gis_radar.progress import Reporter
@@ -154,10 +154,23 @@ def aligned_grid(corners: Floats) -> PixelGrid:
     )  # fmt: skip
 
 
-def write_raster(tally: Tally, path: Path, reporter: Reporter) -> None:
-    """Write the cloud-optimised GeoTIFF: float32 occupancy, NaN where not observed.
+def write_raster(
+    tally: Tally, path: Path, reporter: Reporter, *, measure: str | None = None
+) -> None:
+    """Write the cloud-optimised GeoTIFF: float32 shares, NaN where not observed or visible.
 
     A plain GeoTIFF stands beside it while it is built, band by band.
+
+    Parameters
+    ----------
+    tally : Tally
+        What was counted.
+    path : Path
+        The file.
+    reporter : Reporter
+        Where progress goes.
+    measure : str, optional
+        `occupancy` or `coverage`; without it, what the tally shows.
     """
     corners = quads(tally.tiles)[tally.seen]
     intervals = [None, *tally.columns]
@@ -177,7 +190,7 @@ def write_raster(tally: Tally, path: Path, reporter: Reporter) -> None:
     plain = path.with_suffix(".plain.tif")
     with rasterio.Env(GDAL_CACHEMAX=CACHE_MB, SPARSE_OK_OVERVIEW=True):
         with rasterio.open(plain, "w", **plain_profile) as raster:
-            _write_bands(raster, tally, cover(grid, corners), reporter)
+            _write_bands(raster, tally, cover(grid, corners), measure, reporter)
         with rasterio.open(plain, "r+") as raster:
             raster.build_overviews(overviews, OVERVIEW)
         rasterio.shutil.copy(
@@ -199,7 +212,9 @@ def _check_crs(path: Path) -> None:
             )
 
 
-def _write_bands(raster: Any, tally: Tally, covered: Cover, reporter: Reporter) -> None:
+def _write_bands(
+    raster: Any, tally: Tally, covered: Cover, measure: str | None, reporter: Reporter
+) -> None:
     """Write the whole time and each interval, block by block; empty blocks stay out of the file."""
     row, column = np.divmod(covered.pixel, raster.width)
     down, across = row // raster.profile["blockysize"], column // raster.profile["blockxsize"]
@@ -208,7 +223,10 @@ def _write_bands(raster: Any, tally: Tally, covered: Cover, reporter: Reporter) 
     starts = np.flatnonzero(np.diff(down, prepend=-1) | np.diff(across, prepend=-1))
     intervals = [None, *tally.columns]
     for band, interval in enumerate(intervals, start=1):
-        share = tally.shares(interval).occupancy[tally.seen].astype(np.float32)
+        all_tiles = tally.shown(interval)
+        if measure == "occupancy":
+            all_tiles = tally.shares(interval).occupancy
+        share = all_tiles[tally.seen].astype(np.float32)
         values = covered.highest(share)[order]
         for start, stop in pairwise([*starts.tolist(), len(order)]):
             window = raster.block_window(band, down[start], across[start])
@@ -222,4 +240,4 @@ def _write_bands(raster: Any, tally: Tally, covered: Cover, reporter: Reporter) 
             about = iso_from_step(int(tally.timeline.begin[interval]))
         raster.set_band_description(band, about)
         reporter.progress("writing bands", band, len(intervals))
-    raster.update_tags(fingerprint=tally.fingerprint, definitions=json.dumps(DEFINITIONS))
+    raster.update_tags(fingerprint=tally.fingerprint, definitions=json.dumps(tally.definitions))

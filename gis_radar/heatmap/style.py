@@ -26,14 +26,30 @@ NEVER_HIT = "#dce8f1"
 NOT_OBSERVED = "#b9bdc1"  # for pictures; layers leave such tiles transparent
 LEGEND_TITLE = "Share of the observed time"
 LEGEND_SUBTITLE = "in which a tile is hit"
-NOT_OBSERVED_LABEL = "not observed"
 
 _QGIS_DOCTYPE = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>"
 _HERE = Path(__file__).parent
 
 
+class MeasureWords(NamedTuple):
+    """How maps call a measure: title of its legend and what follows it, zero, no data."""
+
+    title: str
+    subtitle: str
+    zero: str
+    unknown: str
+
+
+WORDS = {
+    "occupancy": MeasureWords(LEGEND_TITLE, LEGEND_SUBTITLE, "never hit", "not observed"),
+    "coverage": MeasureWords(
+        "Share of the visible time", "that a vehicle stands on a tile", "no vehicle", "not visible"
+    ),
+}
+
+
 class ColourClass(NamedTuple):
-    """A class of occupancy: more than `lower` up to `upper`; the first is exactly 0."""
+    """A class of occupancy or coverage: more than `lower` up to `upper`; the first is exactly 0."""
 
     lower: float
     upper: float
@@ -41,19 +57,19 @@ class ColourClass(NamedTuple):
     label: str
 
 
-def colour_classes() -> tuple[ColourClass, ...]:
-    """Return the classes of occupancy from 0 to 1, lowest first."""
+def colour_classes(measure: str = "occupancy") -> tuple[ColourClass, ...]:
+    """Return the classes of occupancy or coverage from 0 to 1, lowest first."""
     bounds = zip(pairwise(BREAKS), RAMP, strict=True)
     return (
-        ColourClass(0.0, 0.0, NEVER_HIT, "0 %, never hit"),
+        ColourClass(0.0, 0.0, NEVER_HIT, f"0 %, {WORDS[measure].zero}"),
         *(ColourClass(low, high, colour, _label(low, high)) for (low, high), colour in bounds),
     )
 
 
-def legend() -> tuple[tuple[str, str], ...]:
+def legend(measure: str = "occupancy") -> tuple[tuple[str, str], ...]:
     """Return colours with their labels, highest class first, not observed last."""
-    classes = [(each.colour, each.label) for each in reversed(colour_classes())]
-    return (*classes, (NOT_OBSERVED, NOT_OBSERVED_LABEL))
+    classes = [(each.colour, each.label) for each in reversed(colour_classes(measure))]
+    return (*classes, (NOT_OBSERVED, WORDS[measure].unknown))
 
 
 def _label(lower: float, upper: float) -> str:
@@ -62,11 +78,13 @@ def _label(lower: float, upper: float) -> str:
     return f"{lower * 100:g} to {upper * 100:g} %"
 
 
-def vector_qml(*, interval_s: float | None = None) -> str:
+def vector_qml(*, interval_s: float | None = None, measure: str = "occupancy") -> str:
     """Return the QGIS style of a layer of tiles.
 
     Parameters
     ----------
+    measure : str
+        The column that it shows, `occupancy` or `coverage`.
     interval_s : float, optional
         Length of the interval of each row, seconds: the temporal controller shows a row for so
         long from its `begin`. Without it, the layer holds the whole time.
@@ -76,18 +94,19 @@ def vector_qml(*, interval_s: float | None = None) -> str:
     str
         QML text. Where tiles overlap, the busiest is on top.
     """
-    root = _occupancy_style(without=("pipe",) if interval_s is not None else ("pipe", "temporal"))
+    without = ("pipe",) if interval_s is not None else ("pipe", "temporal")
+    root = _measure_style(measure, without=without)
     if interval_s is not None:
         _element(root, "temporal").set("fixedDuration", str(_shown_ms(interval_s)))
     return _document(root, _QGIS_DOCTYPE)
 
 
-def sidecar_qml() -> str:
+def sidecar_qml(measure: str = "occupancy") -> str:
     """Return the QGIS style of files that carry none: a GeoTIFF (first band) or a table.
 
     QGIS loads it by itself where it has the name of the file and the ending `.qml`.
     """
-    root = _occupancy_style(without=("temporal", "layerGeometryType"))
+    root = _measure_style(measure, without=("temporal", "layerGeometryType"))
     root.set("styleCategories", "Symbology")
     return _document(root, _QGIS_DOCTYPE)
 
@@ -100,22 +119,24 @@ def ground_qml() -> str:
     return (_HERE / "ground.qml").read_text(encoding="utf-8")
 
 
-def _occupancy_style(*, without: tuple[str, ...]) -> Element:
-    """Return `occupancy.qml` with an entry for each class, without the parts named."""
+def _measure_style(measure: str, *, without: tuple[str, ...]) -> Element:
+    """Return `occupancy.qml` with an entry for each class of a measure, without some parts."""
     root = parse(_HERE / "occupancy.qml").getroot()  # noqa: S314 - our own file
     for name in without:
         root.remove(_element(root, name))
     for parent in ("pipe//colorrampshader", "renderer-v2/ranges", "renderer-v2/symbols"):
         if (entries := root.find(parent)) is not None:
-            _repeat_for_each_class(entries)
+            _repeat_for_each_class(entries, measure)
+    _element(root, "renderer-v2").set("attr", measure)
+    _element(root, "renderer-v2/orderby/orderByClause").text = f'"{measure}"'
     return root
 
 
-def _repeat_for_each_class(entries: Element) -> None:
+def _repeat_for_each_class(entries: Element, measure: str) -> None:
     """Replace the only entry by one for each colour class."""
     (pattern,) = entries
     entries.remove(pattern)
-    for number, each in enumerate(colour_classes()):
+    for number, each in enumerate(colour_classes(measure)):
         entry = copy.deepcopy(pattern)
         entries.append(entry)
         if entry.tag == "item":
@@ -147,7 +168,7 @@ def _shown_ms(interval_s: float) -> int:
     return max(0, round(interval_s * 1000) - 10)
 
 
-def sld(layer: str) -> str:
+def sld(layer: str, measure: str = "occupancy") -> str:
     """Return the style of a layer as Styled Layer Descriptor 1.0, for map servers."""
     root = Element("StyledLayerDescriptor", {
         "version": "1.0.0",
@@ -157,27 +178,27 @@ def sld(layer: str) -> str:
     named = SubElement(root, "NamedLayer")
     SubElement(named, "Name").text = layer
     style = SubElement(SubElement(named, "UserStyle"), "FeatureTypeStyle")
-    for level in colour_classes():
+    for level in colour_classes(measure):
         rule = SubElement(style, "Rule")
         SubElement(rule, "Name").text = level.label
-        _add_filter(SubElement(rule, "ogc:Filter"), level)
+        _add_filter(SubElement(rule, "ogc:Filter"), level, measure)
         fill = SubElement(SubElement(rule, "PolygonSymbolizer"), "Fill")
         SubElement(fill, "CssParameter", name="fill").text = level.colour
     return _document(root, '<?xml version="1.0" encoding="UTF-8"?>')
 
 
-def _add_filter(parent: Element, level: ColourClass) -> None:
+def _add_filter(parent: Element, level: ColourClass, measure: str) -> None:
     if level.upper == 0.0:
-        _add_comparison(parent, "ogc:PropertyIsEqualTo", 0.0)
+        _add_comparison(parent, "ogc:PropertyIsEqualTo", measure, 0.0)
         return
     both = SubElement(parent, "ogc:And")
-    _add_comparison(both, "ogc:PropertyIsGreaterThan", level.lower)
-    _add_comparison(both, "ogc:PropertyIsLessThanOrEqualTo", level.upper)
+    _add_comparison(both, "ogc:PropertyIsGreaterThan", measure, level.lower)
+    _add_comparison(both, "ogc:PropertyIsLessThanOrEqualTo", measure, level.upper)
 
 
-def _add_comparison(parent: Element, kind: str, value: float) -> None:
+def _add_comparison(parent: Element, kind: str, measure: str, value: float) -> None:
     comparison = SubElement(parent, kind)
-    SubElement(comparison, "ogc:PropertyName").text = "occupancy"
+    SubElement(comparison, "ogc:PropertyName").text = measure
     SubElement(comparison, "ogc:Literal").text = f"{value:g}"
 
 

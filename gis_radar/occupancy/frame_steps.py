@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pandas as pd
 
-from gis_radar.arrays import Integers
+from gis_radar.arrays import Integers, ranges
 from gis_radar.errors import UsageError
 from gis_radar.occupancy.hits import Rows, distinct
 from gis_radar.occupancy.settings import DEFAULTS, OccupancySettings
@@ -220,6 +220,17 @@ def union(parts: Sequence[Runs]) -> Runs:
     begins, ends = np.ones(len(first), np.bool_), np.ones(len(first), np.bool_)
     begins[1:] = ends[:-1] = apart
     return Runs(first=first[begins], last=reached[ends])
+
+
+def common_steps(one: Runs, other: Runs) -> Runs:
+    """Return the steps that are in both sets."""
+    first = np.searchsorted(other.last, one.first)
+    count = np.searchsorted(other.first, one.last, side="right") - first
+    mine, place = np.repeat(np.arange(len(one)), count), ranges(first, count)
+    return Runs(
+        first=np.maximum(one.first[mine], other.first[place]),
+        last=np.minimum(one.last[mine], other.last[place]),
+    )
 
 
 def steps_in(frames: pd.DataFrame) -> Runs:

@@ -25,7 +25,7 @@ from gis_radar.crs import Box, metric_crs, name_of
 from gis_radar.errors import InputError, OutputError, UsageError
 from gis_radar.files import whole_file
 from gis_radar.heatmap import style
-from gis_radar.heatmap.layers import LONG, WIDE
+from gis_radar.heatmap.step_table import LONG, WIDE
 from gis_radar.poses.files import read_track
 from gis_radar.poses.layers import SENSORS, UNCERTAINTY, VIEWS, read_style, write_sensors
 from gis_radar.progress import QUIET, Reporter

@@ -1,5 +1,6 @@
 """Vehicles: their tracks, and which tiles they cover in which steps."""
 
 from gis_radar.vehicles.folder import Vehicles, read_vehicles
+from gis_radar.vehicles.merging import merge_vehicles
 
-__all__ = ["Vehicles", "read_vehicles"]
+__all__ = ["Vehicles", "merge_vehicles", "read_vehicles"]

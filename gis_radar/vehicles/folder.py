@@ -12,7 +12,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import geopandas as gpd
 import numpy as np
@@ -45,6 +45,7 @@ from gis_radar.vehicles.tables import (
 from gis_radar.vehicles.visibility import SensorView
 
 RULES = 2
+Span: TypeAlias = tuple[int, int] | None
 MANIFEST = "manifest.json"
 _TABLES = (TRACKS, VEHICLES, PASSAGES, COVERED, VISIBLE, FRAMES)
 OWNED = (MANIFEST, *(kind.file for kind in _TABLES))
@@ -152,8 +153,9 @@ class Vehicles:
         `sensor, view, first_step, last_step`: runs of steps with a frame.
     vehicles, passages : DataFrame
         A row a vehicle, and a row a passage.
-    tracks : callable
-        Starts reading the rows of `tracks.parquet`, piece by piece.
+    read_tracks : callable
+        Takes the first and the last step, or None for all, and starts reading the rows of
+        `tracks.parquet` around them, piece by piece; see :meth:`tracks`.
     blocks : callable
         Starts reading the runs of covered and visible tiles, block by block, ascending.
     place : str
@@ -164,7 +166,7 @@ class Vehicles:
     frames: pd.DataFrame
     vehicles: pd.DataFrame
     passages: pd.DataFrame
-    tracks: Callable[[], Iterator[pd.DataFrame]]
+    read_tracks: Callable[[Span], Iterator[pd.DataFrame]]
     blocks: Callable[[], Iterator[RunBlock]]
     place: str = "the vehicles"
 
@@ -172,6 +174,17 @@ class Vehicles:
     def sensors(self) -> list[str]:
         """The names of the sensors that delivered frames."""
         return sorted(map(str, self.frames["sensor"].unique()))
+
+    def tracks(self, span: Span = None) -> Iterator[pd.DataFrame]:
+        """Read the states of all vehicles by step and vehicle, piece by piece.
+
+        Parameters
+        ----------
+        span : (int, int), optional
+            First and last step; without it, all.
+        """
+        for rows in self.read_tracks(span):
+            yield rows if span is None else rows[rows["step"].between(*span)]
 
     def covered_frames(self) -> Runs:
         """Return the steps that frames of any sensor cover, to the last step with a frame."""
@@ -404,7 +417,7 @@ def read_vehicles(folder: str | Path) -> Vehicles:
         frames=read_whole(FRAMES, folder / FRAMES.file),
         vehicles=read_whole(VEHICLES, folder / VEHICLES.file),
         passages=read_whole(PASSAGES, folder / PASSAGES.file),
-        tracks=lambda: read_pieces(TRACKS, folder / TRACKS.file),
+        read_tracks=lambda span: read_pieces(TRACKS, folder / TRACKS.file, span),
         blocks=lambda: _read_blocks(folder),
         place=str(folder),
     )

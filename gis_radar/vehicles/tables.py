@@ -233,8 +233,20 @@ def check_file(kind: TableKind, path: Path, fingerprint: str) -> None:
         raise InputError(f"{path}: was made from tiles {other}, its folder from {fingerprint}")
 
 
-def read_pieces(kind: TableKind, path: Path) -> Iterator[pd.DataFrame]:
+def read_pieces(
+    kind: TableKind, path: Path, span: tuple[int, int] | None = None
+) -> Iterator[pd.DataFrame]:
     """Read a file row group by row group.
+
+    Parameters
+    ----------
+    kind : TableKind
+        Its columns.
+    path : Path
+        The file.
+    span : (int, int), optional
+        Only row groups that hold values of the first column of its order from the first to the
+        last; without it, all.
 
     Raises
     ------
@@ -243,8 +255,18 @@ def read_pieces(kind: TableKind, path: Path) -> Iterator[pd.DataFrame]:
     """
     with damaged_as_input_error(path), pq.ParquetFile(path, **CHECKED) as file:
         for group in range(file.num_row_groups):
+            if span is not None and not _holds(file, group, kind, span):
+                continue
             rows = file.read_row_group(group, columns=list(kind.columns), use_threads=False)
             yield kind.typed(rows.to_pandas(types_mapper={pa.int64(): pd.Int64Dtype()}.get))
+
+
+def _holds(file: Any, group: int, kind: TableKind, span: tuple[int, int]) -> bool:
+    column = file.schema_arrow.names.index(kind.order[0])
+    known = file.metadata.row_group(group).column(column).statistics
+    if known is None or not known.has_min_max:
+        return True
+    return bool(known.max >= span[0] and known.min <= span[1])
 
 
 def read_whole(kind: TableKind, path: Path) -> pd.DataFrame:
