@@ -246,6 +246,50 @@ def test_a_clock_of_another_rate_moves_no_pose(recordings, true, tmp_path, slow)
     assert (np.abs(errors(solved.poses["R2"], true["R2"])[:2]) < 0.3).all()
 
 
+@pytest.fixture(scope="module")
+def few(true, tmp_path_factory):
+    """The same street with a third of the traffic."""
+    folder = tmp_path_factory.mktemp("few")
+    return {
+        name: LONG.record(folder / f"{name}.parquet", pose, noise=n, **(TRAFFIC | {"vehicles": 20}))
+        for n, (name, pose) in enumerate(true.items())
+    }
+
+
+def test_few_vehicles_move_no_pose_that_is_certain_by_itself(few, true):
+    mine = {"R1": stated(true["R1"]), "R2": stated(true["R2"], along_m=0.3)}
+    solved = tied(few, **{name: (pose,) for name, pose in mine.items()})
+    assert (solved.poses, solved.pairs) == (mine, {})
+    assert re.fullmatch(
+        r"\d+ vehicles shared with R1 confirm its pose, too few to move it", solved.untied["R2"]
+    )
+    loose = stated(true["R2"], along_m=4.0, spread_m=6.0)
+    solved = tied(few, R1=(mine["R1"],), R2=(loose,))
+    assert 4 <= solved.pairs["R1", "R2"] < TIES.firm_pairs
+    assert abs(errors(solved.poses["R2"], true["R2"])[:2] @ ALONG) < 1.0
+
+
+def test_what_is_alike_on_a_stretch_is_no_evidence_of_each_vehicle():
+    """Thirty vehicles on one stretch say hardly more than ten of them do."""
+    rng = np.random.default_rng(5)
+    known = [np.diag([1.0, 1.0, 0.01]) ** 2] * 2
+    sigma = []
+    for pairs in (10, 30, 1000):
+        slope = np.tile(np.eye(2, 13) - np.eye(2, 13, 3) + np.eye(2, 13, 11), (pairs, 1, 1))
+        gap = rng.normal(0.0, 0.5, (pairs, 2))
+        ties = Tied(
+            information=4.0 * np.einsum("pik,pil->pkl", slope, slope),
+            gradient=4.0 * np.einsum("pik,pi->pk", slope, gap),
+            gap=gap, slope=slope, covariance=np.tile(0.25 * np.eye(2), (pairs, 1, 1)),
+            stretch=np.zeros(pairs, dtype=int),
+        )  # fmt: skip
+        covariance = adjust({(0, 1): ties}, np.zeros((2, 3)), known, TIES).covariance
+        apart = np.array([1.0, 0.0, 0.0, -1.0, 0.0, 0.0])
+        sigma.append(np.sqrt(apart @ covariance @ apart))
+    assert sigma[0] > sigma[1] > sigma[2]
+    assert sigma[2] == pytest.approx(TIES.stretch_sigma_m[0], rel=0.2)
+
+
 def test_of_three_the_one_that_two_contradict_is_refused(recordings, true):
     copy = replace(true["R2"], sensor="R3")
     whole = recordings | {"R3": recordings["R2"]}
@@ -419,13 +463,14 @@ def covariances(rng, n):
 def test_an_adjustment_never_knows_less_than_the_single_answers(seed, n, pairs):
     rng = np.random.default_rng(seed)
     known = list(covariances(rng, n))
-    slope = rng.normal(size=(pairs, 2, 11))
+    slope = rng.normal(size=(pairs, 2, 13))
     gap = rng.normal(0.0, 3.0, (pairs, 2))
     ties = {
         (0, n - 1): Tied(
             information=np.einsum("pik,pil->pkl", slope, slope),
             gradient=np.einsum("pik,pi->pk", slope, gap),
             gap=gap, slope=slope, covariance=np.tile(np.eye(2), (pairs, 1, 1)),
+            stretch=rng.integers(0, 3, pairs),
         )
     }  # fmt: skip
     single = shared_covariance(known)

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from gis_radar.arrays import Floats
+from gis_radar.arrays import Floats, Integers
 from gis_radar.localization.certainty import cluster_robust
 from gis_radar.localization.model import MODEL, Model
 from gis_radar.network.settings import TieSettings
-from gis_radar.network.ties import FACES, PLANE, Rows, effects, mean_gaps
+from gis_radar.network.ties import FACES, PLANE, Rows, effects, mean_gaps, stretches
 
 STEPS = 8  # of weights and poses in turn; they settle after three or four
 OWN = 2 * PLANE  # of a pair of sensors
+SHARED = OWN + FACES + 2  # with the constants of the faces and both clocks
 Edge = tuple[int, int]
 
 
@@ -24,12 +25,15 @@ class Tied:
 
     Parameters
     ----------
-    information : (pairs, 11, 11) array
-        About the poses of both (6), the constants of the faces (3), both clocks (2).
-    gradient : (pairs, 11) array
+    information : (pairs, 13, 13) array
+        About the poses of both (6), the constants of the faces (3), both clocks (2), and what is
+        alike on a stretch of road (2).
+    gradient : (pairs, 13) array
         Of the cost by these, at the poses as they are.
-    gap, slope, covariance : (pairs, 2), (pairs, 2, 11), (pairs, 2, 2) arrays
+    gap, slope, covariance : (pairs, 2), (pairs, 2, 13), (pairs, 2, 2) arrays
         The mean gap, its derivative, and how it scatters from vehicle to vehicle.
+    stretch : (pairs,) array
+        Number of the stretch of road.
     """
 
     information: Floats
@@ -37,16 +41,44 @@ class Tied:
     gap: Floats
     slope: Floats
     covariance: Floats
+    stretch: Integers
 
     def chi2(self, step: Floats) -> Floats:
-        """Return the misfit of each pair after a step of the eleven."""
-        gap = self.gap + self.slope @ step
+        """Return the misfit of each pair after a step of the first eleven."""
+        gap = self.gap + self.slope[:, :, :SHARED] @ step
         return np.asarray(np.einsum("pi,pij,pj->p", gap, np.linalg.inv(self.covariance), gap))
+
+    def summed(self, weight: Floats, step: Floats, settings: TieSettings) -> tuple[Floats, Floats]:
+        """Return the information about the eleven, and each pair's part of the gradient by them.
+
+        What is alike on a stretch is eliminated.
+
+        Parameters
+        ----------
+        weight : (pairs,) array
+            Of each pair.
+        step : (11,) array
+            At which the gradient is taken.
+        settings : TieSettings
+            How alike that is.
+        """
+        known = weight[:, None, None] * self.information
+        pull = weight[:, None] * self.gradient + known[:, :, :SHARED] @ step
+        total, parts = np.zeros((SHARED, SHARED)), pull[:, :SHARED].copy()
+        alike = np.diag(np.square(settings.stretch_sigma_m) ** -1.0)
+        for number in np.unique(self.stretch):
+            on = self.stretch == number
+            here = known[on].sum(axis=0)
+            felt = here[:SHARED, SHARED:] @ np.linalg.inv(here[SHARED:, SHARED:] + alike)
+            total += here[:SHARED, :SHARED] - felt @ here[SHARED:, :SHARED]
+            parts[on] -= pull[on, SHARED:] @ felt.T
+        return total, parts
 
 
 def tie(rows: Rows, settings: TieSettings, model: Model = MODEL) -> Tied:
     """Sum up the moments of each pair; what a vehicle adds to all of them is eliminated."""
-    slope = np.concatenate([rows.poses, rows.constants, rows.clocks], axis=2)
+    alike = np.broadcast_to(np.eye(2), (len(rows.gap), 2, 2))
+    slope = np.concatenate([rows.poses, rows.constants, rows.clocks, alike], axis=2)
     by_effect, variances = effects(rows, settings, model)
     weight = settings.share / rows.variance
 
@@ -65,6 +97,7 @@ def tie(rows: Rows, settings: TieSettings, model: Model = MODEL) -> Tied:
         gap=mean,
         slope=rows.means(slope),
         covariance=covariance,
+        stretch=stretches(rows, settings),
     )
 
 
@@ -112,9 +145,9 @@ def clock_gap(
     step = np.zeros(len(start))
     for _ in range(STEPS):
         weight = _weights(tied, step, settings)
-        information = np.tensordot(weight, tied.information, axes=1) + prior
-        pull = weight @ (tied.gradient + tied.information @ step) + prior @ (start + step)
-        step = step - np.linalg.solve(information, pull)
+        known, parts = tied.summed(weight, step, settings)
+        information = known + prior
+        step = step - np.linalg.solve(information, parts.sum(axis=0) + prior @ (start + step))
     gap = np.zeros(len(start))
     gap[-2:] = -1.0, 1.0
     return float(gap @ step), float(np.sqrt(gap @ np.linalg.solve(information, gap)))
@@ -127,6 +160,7 @@ def adjust(
     settings: TieSettings,
     *,
     clocks_s: Sequence[float] | None = None,
+    held: Collection[Edge] = (),
 ) -> Adjusted:
     """Adjust the poses of sensors by what ties them and by what each alone says.
 
@@ -145,6 +179,8 @@ def adjust(
         What is known of faces and clocks.
     clocks_s : sequence of float, optional
         Standard deviations of the clocks; by default that of the settings.
+    held : collection of (int, int)
+        Pairs of sensors that are only held against each other: their ties move no pose.
     """
     n = len(covariances)
     clocks = [settings.clock_s] * n if clocks_s is None else list(clocks_s)
@@ -160,18 +196,23 @@ def adjust(
                    for edge, tied in ties.items()}  # fmt: skip
         information, scores = prior.copy(), []
         for edge, tied in ties.items():
+            if edge in held:
+                continue
             at, weight = _index(edge, n), weights[edge]
-            information[np.ix_(at, at)] += np.tensordot(weight, tied.information, axes=1)
+            known, parts = tied.summed(weight, step[at], settings)
+            information[np.ix_(at, at)] += known
             each = np.zeros((len(weight), len(prior)))
-            each[:, at] = weight[:, None] * (tied.gradient + tied.information @ step[at])
+            each[:, at] = parts
             scores.append(each)
-        clusters = np.vstack(scores)
+        clusters = np.vstack([np.zeros((0, len(prior))), *scores])
         step = step - np.linalg.solve(information, clusters.sum(axis=0) + prior @ (start + step))
     inverse = np.asarray(np.linalg.inv(information))
-    covariance = cluster_robust(inverse, clusters, prior, unknowns=PLANE)[: PLANE * n, : PLANE * n]
+    if len(clusters):
+        inverse = cluster_robust(inverse, clusters, prior, unknowns=PLANE)
+    covariance = inverse[: PLANE * n, : PLANE * n]
     misfit = {
         edge: _misfit(tied, weights[edge], away[list(edge)], [covariances[i] for i in edge],
-                      _nuisance([clocks[i] for i in edge], settings))
+                      _nuisance([clocks[i] for i in edge], settings), settings)
         for edge, tied in ties.items()
     }  # fmt: skip
     return Adjusted(
@@ -226,11 +267,16 @@ def _at_most(covariance: Floats, most: Floats) -> Floats:
 
 
 def _misfit(
-    tied: Tied, weight: Floats, away: Floats, covariances: Sequence[Floats], nuisance: Floats
+    tied: Tied,
+    weight: Floats,
+    away: Floats,
+    covariances: Sequence[Floats],
+    nuisance: Floats,
+    settings: TieSettings,
 ) -> float:
     """Return chi-square of the difference between ties and single answers of two sensors."""
-    information = np.tensordot(weight, tied.information, axes=1)
-    gradient = weight @ tied.gradient - information[:, :OWN] @ away.ravel()
+    information, parts = tied.summed(weight, np.zeros(SHARED), settings)
+    gradient = parts.sum(axis=0) - information[:, :OWN] @ away.ravel()
     inner = np.linalg.inv(information[OWN:, OWN:] + np.diag(nuisance))
     felt = information[:OWN, OWN:] @ inner
     pull = gradient[:OWN] - felt @ gradient[OWN:]

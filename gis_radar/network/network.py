@@ -307,9 +307,10 @@ class _Network:
             if not ties:
                 break
             index = {(names.index(a), names.index(b)): tied for (a, b), tied in ties.items()}
+            held = {(names.index(a), names.index(b)) for a, b in self._held(ties)}
             away = np.array([self.all[name].away for name in names])
             clocks = [self._clock_s(self.all[name]) for name in names]
-            result = adjust(index, away, covariances, self.settings, clocks_s=clocks)
+            result = adjust(index, away, covariances, self.settings, clocks_s=clocks, held=held)
             for name, step in zip(names, result.step, strict=True):
                 self.all[name].away = self.all[name].away + step
             within = result.covariance
@@ -334,6 +335,15 @@ class _Network:
                 if len(rows.tracks) >= self.settings.least_pairs:
                     ties[one, other] = tie(rows, self.settings)
         return ties
+
+    def _held(self, ties: Mapping[Names, Tied]) -> set[Names]:
+        """Return the pairs of sensors with too few vehicles to move poses that stand fast."""
+        return {
+            pair
+            for pair, tied in ties.items()
+            if len(tied.gap) < self.settings.firm_pairs
+            and not any(self.all[name].loose for name in pair)
+        }
 
     def _paired(self, rows: Rows, covariance: Floats) -> Rows:
         gap, known = mean_gaps(rows, covariance, self.settings)
@@ -407,21 +417,28 @@ class _Network:
             )
         return remarks
 
-    def untied(self, pairs: Mapping[Names, int]) -> dict[str, str]:
+    def untied(self, pairs: Mapping[Names, int], held: Mapping[Names, int]) -> dict[str, str]:
         """Return why sensors are not tied."""
         tied = {name for pair in pairs for name in pair}
-        return {
-            name: "its vehicles fit those of others in several places"
-            if name in self.unclear and name not in self.placed
-            else "no other sensor sees enough of the same vehicles"
-            for name in self.all
-            if name not in tied and name not in self.refused
-        }
+        left = [name for name in self.all if name not in tied and name not in self.refused]
+        return {name: self._why_untied(name, held) for name in left}
+
+    def _why_untied(self, name: str, held: Mapping[Names, int]) -> str:
+        mine = {pair: number for pair, number in held.items() if name in pair}
+        if mine:
+            pair = max(mine, key=lambda each: mine[each])
+            other = pair[1] if name == pair[0] else pair[0]
+            return f"{mine[pair]} vehicles shared with {other} confirm its pose, too few to move it"
+        if name in self.unclear and name not in self.placed:
+            return "its vehicles fit those of others in several places"
+        return "no other sensor sees enough of the same vehicles"
 
     def solved(self, adjusted: Adjusted, ties: Mapping[Names, Tied]) -> Solved:
         """Return poses, pairs and refusals."""
         poses = {n: m.pose for n, m in self.all.items() if len(m.station.poses) == 1}
-        pairs = {pair: len(tied.gap) for pair, tied in ties.items()}
+        shared = {pair: len(tied.gap) for pair, tied in ties.items()}
+        held = {pair: shared[pair] for pair in self._held(ties)}
+        pairs = {pair: number for pair, number in shared.items() if pair not in held}
         for number, name in enumerate(self.placed):
             own = slice(PLANE * number, PLANE * number + PLANE)
             mine = {pair: n for pair, n in pairs.items() if name in pair}
@@ -437,7 +454,7 @@ class _Network:
             chosen={name: self.all[name].choice for name in poses},
             refused=self.refused,
             pairs=pairs,
-            untied=self.untied(pairs),
+            untied=self.untied(pairs, held),
             remarks=tuple(self.clock_remarks(ties)),
         )
 

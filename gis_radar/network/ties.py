@@ -177,6 +177,8 @@ class Rows:
         By an error of bearing of the one and the other.
     variance : (r, 2) array
         Of each moment by itself, m^2.
+    place : (r, 2) array
+        Where the vehicle is, local coordinates.
     """
 
     pair: Integers
@@ -187,6 +189,7 @@ class Rows:
     clocks: Floats
     bearings: Floats
     variance: Floats
+    place: Floats
 
     @cached_property
     def first(self) -> Integers:
@@ -204,7 +207,7 @@ class Rows:
         keep = pairs[self.pair]
         cut = {
             name: getattr(self, name)[keep]
-            for name in ("gap", "poses", "constants", "clocks", "bearings", "variance")
+            for name in ("gap", "poses", "constants", "clocks", "bearings", "variance", "place")
         }
         number = (np.cumsum(pairs) - 1)[self.pair[keep]]
         return Rows(pair=number, tracks=self.tracks[pairs], **cut)
@@ -283,8 +286,17 @@ def _rows(
         variance += half**2 * (share / 3.0 + mixed[:, None]) / seen.count[at][:, None]
     return Rows(
         pair=pair, tracks=tracks, gap=gap, poses=poses, constants=constants, clocks=clocks,
-        bearings=bearings, variance=variance,
+        bearings=bearings, variance=variance, place=one.points[a][:, FLAT],
     )  # fmt: skip
+
+
+def stretches(rows: Rows, settings: TieSettings) -> Integers:
+    """Return of each pair a number of the stretch of road and the direction it is driven in."""
+    place = np.floor(rows.means(rows.place) / settings.stretch_m)
+    along = rows.means(rows.poses[:, 0, FLAT])
+    quarter = np.round(np.arctan2(along[:, 1], along[:, 0]) / (np.pi / 2.0)) % 4
+    labels = np.column_stack([place, quarter])
+    return np.asarray(np.unique(labels, axis=0, return_inverse=True)[1].ravel())
 
 
 def effects(rows: Rows, settings: TieSettings, model: Model = MODEL) -> tuple[Floats, Floats]:
