@@ -7,11 +7,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import gis_radar as gr
 from gis_radar.errors import InputError
 from gis_radar.tiles import fingerprint
 from gis_radar.tiles.tiles import polygons
 from gis_radar.vehicles import read_vehicles
 from gis_radar.vehicles.folder import Provenance, VehiclePiece, write_vehicles
+from gis_radar.vehicles.map_check import describe_map
 from gis_radar.vehicles.tables import TRACKS, VEHICLES
 from gis_radar.vehicles.visibility import SensorView
 
@@ -135,6 +137,19 @@ def test_what_is_written_is_read(tmp_path):
     expected = TRACKS.typed(tracks.sort_values(["step", "vehicle"], ignore_index=True))
     pd.testing.assert_frame_equal(read, expected)
     pd.testing.assert_frame_equal(found.vehicles, VEHICLES.typed(rows_of(tracks)))
+
+
+def test_the_map_of_the_tiles_is_told_from_others():
+    path = gr.sample_folder() / "junction.osm"
+    roads = gr.read_map(path)
+    tiles = gr.make_tiles(roads)
+    known = describe_map(path, roads, tiles, origin=(1, 2))
+    assert (known["crs"], known["origin"], len(known["digest"])) == ("EPSG:25832", [1.0, 2.0], 32)
+    with pytest.raises(InputError, match=r"junction\.osm: lacks lanelet 5 of the tiles"):
+        describe_map(path, roads, tiles.assign(lanelet_id=5))
+    tiles.geometry = tiles.geometry.translate(0.0, 0.3)
+    with pytest.raises(InputError, match=r"lanelet \d+ lies 0\.30 m from its tiles"):
+        describe_map(path, roads, tiles)
 
 
 @pytest.mark.parametrize("cuts", [(7,), (1, 2, 11)])

@@ -8,7 +8,7 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 
-from gis_radar.arrays import Integers
+from gis_radar.arrays import Floats, Integers
 from gis_radar.vehicles.coverage_settings import DEFAULTS, CoverageSettings
 from gis_radar.vehicles.footprints import (
     CrossLines,
@@ -77,12 +77,19 @@ class CoverageEngine:
         prints = footprints_of(states, vehicles, level_m, self._lines.origin, self._paths)
         self._ended.append(self._cover(prints))
         row = np.searchsorted(vehicles["vehicle"].to_numpy(), states["vehicle"].to_numpy())
-        heavy = vehicles["p_heavy"].to_numpy(float)[row] >= HEAVY
-        tall = np.where(heavy, self._settings.heavy_height_m, self._settings.car_height_m)
+        tall = self._heights(vehicles)[row]
         passages = self._passages.find(states, vehicles)
         asked = (passages["step"].to_numpy(np.int64), passages["tile"].to_numpy(np.int64))
         visible = self._visibility.advance(prints, tall, held, span, asked)
         return passages[visible].drop(columns="tile")
+
+    def _heights(self, vehicles: pd.DataFrame) -> Floats:
+        """Return the height of the box of each vehicle, metres."""
+        known = self._settings
+        van = vehicles["length_m"].to_numpy(float) > known.van_m
+        heavy = vehicles["p_heavy"].to_numpy(float) >= HEAVY
+        light = np.where(van, known.van_height_m, known.car_height_m)
+        return np.where(heavy, known.heavy_height_m, light)
 
     def _cover(self, prints: Footprints) -> Integers:
         lines, settings = self._lines, self._settings

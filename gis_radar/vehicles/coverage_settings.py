@@ -30,9 +30,13 @@ class CoverageSettings:
         vehicle at 15 m/s goes 3 m in 0.2 s, which 10 s of hiding do not depend on.
     target_m : float
         Height over the road at which a tile is looked at, metres (the contract): a car's bumper.
-    car_height_m, heavy_height_m : float
-        Height of the box of a car and of a heavy vehicle, metres (a compact car; a van body or the
-        trailer of an articulated truck is 3.5 to 4 m).
+    car_height_m, van_height_m, heavy_height_m : float
+        Height of the box of a car, of a van and of a heavy vehicle, metres: a compact car; panel
+        vans are 2.2 to 2.8 m; a box body or trailer is 3.5 to 4 m. All heights 0.2 m lower or
+        higher change the visible time of streets full of queues by 2 %.
+    van_m : float
+        A vehicle that is not heavy and longer than this is a van, metres: cars end at 5.1 m, vans
+        with a high roof begin at 5.3 m.
     sensor_over_road_m : float
         Height of a sensor over the road where tiles have no heights, metres: a mast or a signal
         head stands 4 to 6 m high.
@@ -46,7 +50,9 @@ class CoverageSettings:
     look_steps: int = 4
     target_m: float = 0.6
     car_height_m: float = 1.5
+    van_height_m: float = 2.3
     heavy_height_m: float = 3.5
+    van_m: float = 5.2
     sensor_over_road_m: float = 5.0
 
 

@@ -425,11 +425,12 @@ def read_vehicles(folder: str | Path) -> Vehicles:
 
 def _read_manifest(folder: Path) -> Provenance:
     path = folder / MANIFEST
-    if not path.is_file():
-        raise InputError(
-            f"{folder}: not a folder of vehicles: lacks {MANIFEST}",
-            hint="make one with: gis-radar vehicles",
-        )
+    for file in (MANIFEST, TRACKS.file):
+        if not (folder / file).is_file():
+            raise InputError(
+                f"{folder}: not a folder of vehicles: lacks {file}",
+                hint="make one with: gis-radar vehicles",
+            )
     try:
         known = json.loads(path.read_text(encoding="utf-8"))
         rules = int(known["rules"])
