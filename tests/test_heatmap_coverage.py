@@ -9,10 +9,15 @@ import pandas as pd
 import pyogrio
 import pytest
 import rasterio
+from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib.figure import Figure
 from test_heatmap import T0, lane_tiles, runs_of
+from test_vehicles_folder import FIRST, drive, straight_tiles, write
 
+import gis_radar as gr
+from gis_radar.cli import group
 from gis_radar.errors import InputError
 from gis_radar.heatmap import make_heatmap, read_heatmap
 from gis_radar.heatmap.covering import ERRORS
@@ -232,6 +237,21 @@ def test_the_layer_by_interval_reads_as_made(written):
     )
 
 
+def test_plots_browser_map_and_cube_show_coverage(written):
+    heat, _ = written
+    labels = [
+        text.get_text() for text in heat.plot(Figure().add_subplot()).get_legend().get_texts()
+    ]
+    assert labels[-2:] == ["0 %, no vehicle", "not visible"]
+    assert "0 %, no vehicle" in heat.explore(tiles=None).get_root().render()
+    cube = heat.to_xarray()
+    for i in range(len(heat.timeline)):
+        for name, values in heat.coverage_shares(i)._asdict().items():
+            np.testing.assert_array_equal(cube[name][:, i], values.astype(np.float32))
+    assert cube["covered_s"].attrs["units"] == "s"
+    assert "vehicle stood on it" in cube["covered_s"].attrs["long_name"]
+
+
 def test_it_is_read_back_equal(written):
     heat, folder = written
     read = read_heatmap(folder)
@@ -239,3 +259,27 @@ def test_it_is_read_back_equal(written):
         for one, other in zip(read.coverage_shares(i), heat.coverage_shares(i), strict=True):
             np.testing.assert_array_equal(one, other)
     assert read.figures() == heat.figures()
+
+
+def test_the_command_adds_coverage_of_all_folders(tmp_path):
+    """Two folders of vehicles, one after the other, beside one occupancy."""
+    tiles = straight_tiles(30)
+    gr.write_tiles(tiles, tmp_path / "tiles.gpkg", problems=tiles[:0][["lanelet_id", "geometry"]])
+    for name, first in (("a", FIRST), ("b", FIRST + 40)):
+        write(tmp_path / name, tiles, drive(0, first, np.arange(0, 10, 0.25), speed=5.0))
+    source = {"recording": "a", "sensor": "R1", "poses": [{"easting": 0.0}]}
+    occupancy_in(tiles, range(FIRST, FIRST + 100), sources=[source]).write(tmp_path / "occ")
+    words = ["heatmap", "occ", "--tiles", "tiles.gpkg", "-o", "map", "--interval", "1s"]
+    words = [str(tmp_path / each) if (tmp_path / each).exists() else each for each in words]
+    words[words.index("map")] = str(tmp_path / "map")
+    for name in ("a", "b"):
+        words += ["--vehicles", str(tmp_path / name)]
+    done = CliRunner().invoke(group, words, catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    heat = gr.read_heatmap(tmp_path / "map")
+    assert heat.whole.end[0] - heat.whole.begin[0] == 80  # what both hold
+    known = heat.coverage_shares()
+    assert known.covered_s[0] == pytest.approx(2 * 0.05 * 19)  # 0.25 to 4.75 m
+    assert known.visible_s[0] == pytest.approx(4.0)
+    with pytest.raises(InputError, match="have steps in common"):
+        CliRunner().invoke(group, [*words, *words[-2:]], catch_exceptions=False)

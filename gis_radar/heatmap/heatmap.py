@@ -19,7 +19,8 @@ from gis_radar.arrays import Integers
 from gis_radar.crs import name_of
 from gis_radar.errors import NOTEBOOKS, InputError, OutputError, UsageError
 from gis_radar.files import whole_folder
-from gis_radar.heatmap.counting import DEFINITIONS, Shares, Tally, checked, positions
+from gis_radar.heatmap.counting import Shares, Tally, checked, positions
+from gis_radar.heatmap.covering import CoverageShares
 from gis_radar.heatmap.figure import SMALL_PIXELS, draw, show_in_browser, write_figure
 from gis_radar.heatmap.intervals import Timeline, intervals_of, intervals_with, moment_of, whole_of
 from gis_radar.heatmap.layers import (
@@ -71,7 +72,8 @@ class HeatMap(Tally):
         """Return the heat map as an xarray Dataset over (tile, time).
 
         `occupied_s`, `observed_s` and `occupancy` are float32; where a tile was not observed,
-        `observed_s` is 0 and the others are NaN. Coordinates of a tile: `tile_id` (an index, so
+        `observed_s` is 0 and the others are NaN. So are `visible_s`, `covered_s`, `coverage` and
+        `coverage_se`, where vehicles are known. Coordinates of a tile: `tile_id` (an index, so
         that `sel(tile_id=7)` works), `lanelet_id`, `s_m`, `easting`, `northing` (of its centre, m);
         of a time: `time` and `begin`, `end` (exclusive), datetime64 in UTC.
 
@@ -91,13 +93,17 @@ class HeatMap(Tally):
         xr = _require_xarray()
         require_room(len(self.tiles), len(self.timeline), most_mib)
         shape = (len(self.tiles), len(self.timeline))
-        arrays = {name: np.full(shape, np.nan, np.float32) for name in Shares._fields}
+        names = (*Shares._fields, *(() if self.coverage is None else CoverageShares._fields))
+        arrays = {name: np.full(shape, np.nan, np.float32) for name in names}
         for column in range(shape[1]):
-            for name, value in self.shares(column)._asdict().items():
+            known = self.coverage_shares(column)
+            shares = self.shares(column)._asdict() | ({} if known is None else known._asdict())
+            for name, value in shares.items():
                 arrays[name][:, column] = value
+        units = {name: "s" if name.endswith("_s") else "1" for name in names}
         values = {
-            name: (("tile", "time"), array, {"long_name": DEFINITIONS[name], "units": unit})
-            for (name, array), unit in zip(arrays.items(), ("s", "s", "1"), strict=True)
+            name: (("tile", "time"), array, {"long_name": about, "units": units[name]})
+            for (name, array), about in zip(arrays.items(), self.definitions.values(), strict=True)
         }
         attributes = {
             "title": "Occupancy of lane tiles",
