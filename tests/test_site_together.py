@@ -28,6 +28,7 @@ POSES = (
     work.road_stage, work.localize_stage, work.together_stage, work.pose_stage,
     work.tied_pose_stage,
 )  # fmt: skip
+R2 = 'recordings = "R2.parquet"'
 SENSOR = '\n[[sensor]]\nname = "{0}"\nrecordings = "{0}.parquet"\nguess = [690000, 5336000]\n{1}\n'
 
 
@@ -68,6 +69,7 @@ def run(site, tmp_path, monkeypatch):
         monkeypatch.setattr(work, "localize_files", localize_files)
         path = site.folder / f"{tmp_path.name}.toml"
         sensors = "".join(SENSOR.format(name, options.get(name, "")) for name in alone)
+        sensors = sensors.replace(R2, options.get("recordings", R2))
         path.write_text(
             'title = "Street"\n[map]\nfile = "map.osm"\ncrs = "EPSG:25832"\n'
             f'[scan]\nroad = "road.laz"\n{options.get("more", "")}{sensors}'
@@ -160,6 +162,21 @@ def test_a_sensor_with_bad_data_stops_no_other(site, run):
     assert type(found.done.failure) is gr.InputError
     assert "R1: alone: no other sensor has a pose" in found.summary
     assert found.pose("R1").easting == site.true["R1"].easting
+
+
+def test_a_damaged_recording_beside_a_good_one_stops_no_other(site, run):
+    """The pose of R2 was found from its good recording; the damaged one is of the same time."""
+    whole = (site.folder / "R2.parquet").read_bytes()
+    (site.folder / "R2_2.parquet").write_bytes(whole[: len(whole) // 2])
+    alone = {name: stated(pose) for name, pose in site.true.items()}
+    found = run(alone, recordings='recordings = ["R2.parquet", "R2_2.parquet"]')
+    assert found.done.failure is None
+    assert "vehicles shared with R1" in found.summary
+    (site.folder / "R5.parquet").write_bytes(whole[: len(whole) // 2])
+    alone["R5"] = stated(replace(site.true["R2"], sensor="R5"))
+    found = run(alone)
+    assert found.done.failure is None  # its occupancy would say so
+    assert re.search(r"R5: alone: .*R5\.parquet: ", found.summary)
 
 
 def test_what_changes_is_solved_again(site, run):

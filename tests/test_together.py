@@ -10,6 +10,8 @@ from pathlib import Path
 
 import laspy
 import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 from hypothesis import given, settings
@@ -23,7 +25,7 @@ from gis_radar.localization.result import AmbiguousError
 from gis_radar.network.adjustment import Tied, adjust, shared_covariance
 from gis_radar.network.lags import find_lag
 from gis_radar.network.network import CLASH_HINT
-from gis_radar.network.reading import Span, best_end
+from gis_radar.network.reading import Span, best_end, read_span
 from gis_radar.network.settings import TieSettings
 from gis_radar.network.stated import plane_covariance, stated_covariance
 from gis_radar.network.ties import Moments, assign, compare
@@ -174,6 +176,20 @@ def test_two_sensors_that_contradict_each_other_end_with_one_line(recordings, tr
             list(recordings.values()), LONG.roads(), LONG.road_points(), guesses=[(0, 0), (0, 0)]
         )
     assert (refusal.value.exit_code, refusal.value.hint) == (4, CLASH_HINT)
+
+
+def test_the_span_of_a_recording_is_that_of_its_rows(recordings, tmp_path):
+    times = pd.read_parquet(recordings["R1"])["time"]
+    found = read_span(recordings["R1"])
+    assert (found.begin, found.end) == (times.iloc[0], times.iloc[-1])
+    table = pq.read_table(recordings["R1"])
+    pq.write_table(table, tmp_path / "R1.parquet", write_statistics=False, row_group_size=5000)
+    pd.read_parquet(recordings["R1"]).to_csv(tmp_path / "R1.csv", index=False)
+    for name in ("R1.parquet", "R1.csv"):
+        same = read_span(tmp_path / name)
+        assert (same.begin, same.end) == pytest.approx((found.begin, found.end), abs=1e-6)
+    ahead = read_span(recordings["R1"], gr.SensorClock(offset_s=3.0))
+    assert found.begin - ahead.begin == pytest.approx(3.0)
 
 
 def test_the_time_in_which_most_sensors_recorded_counts():

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 
 from gis_radar.arrays import Floats
 from gis_radar.clocks import SensorClock
@@ -49,12 +50,24 @@ def read_span(path: Path, clock: SensorClock = RIGHT) -> Span:
     InputError
         If it cannot be read.
     """
-    begin = end = np.nan
-    for piece in open_recording(path).read():
-        begin = float(piece.time[0]) if np.isnan(begin) else begin
-        end = float(piece.time[-1])
-    begin, end = (float(each) for each in clock.corrected(np.array([begin, end])))
+    recording = open_recording(path)
+    found = _stated_times(path) if path.suffix.lower() == ".parquet" else None
+    if found is None:
+        ends = [(float(piece.time[0]), float(piece.time[-1])) for piece in recording.read()]
+        found = ends[0][0], ends[-1][1]
+    begin, end = (float(each) for each in clock.corrected(np.array(found)))
     return Span(path=path, begin=begin, end=end)
+
+
+def _stated_times(path: Path) -> tuple[float, float] | None:
+    """Return the first and the last time as a Parquet file's footer states them, or None."""
+    metadata = pq.read_metadata(path)
+    groups = [metadata.row_group(number) for number in range(metadata.num_row_groups)]
+    columns = [group.column(i) for group in groups for i in range(group.num_columns)]
+    stated = [each.statistics for each in columns if each.path_in_schema == "time"]
+    if not stated or not all(each is not None and each.has_min_max for each in stated):
+        return None
+    return float(stated[0].min), float(stated[-1].max)
 
 
 def common_time(recordings: Sequence[Path]) -> float:
@@ -93,7 +106,7 @@ def best_end(spans: Mapping[str, Sequence[Span]], length_s: float) -> float:
         )
 
     ends = sorted({each.end for several in spans.values() for each in several}, reverse=True)
-    return max(ends, key=lambda end: round(recorded(end)))
+    return max(ends, key=lambda end: round(recorded(end)), default=0.0)
 
 
 def read_until(
@@ -111,6 +124,8 @@ def read_until(
     for span in sorted(spans, key=lambda each: each.begin):
         for piece in open_recording(span.path).read():
             right = replace(piece, time=clock.corrected(piece.time))
+            if right.time[0] > end:
+                break
             kept = right.take((right.time <= end) & (right.time > last))
             if len(kept):
                 window.push(kept)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -58,6 +58,12 @@ class Moments:
     def points(self) -> Floats:
         """What it sees, local coordinates."""
         return np.asarray(self.arm + self.place)
+
+    def first(self, number: int) -> Moments:
+        """Return the first so many of them."""
+        cut = {each.name: getattr(self, each.name) for each in fields(self)}
+        rows = {name: values[:number] for name, values in cut.items() if name != "place"}
+        return replace(self, **rows)
 
     def later(self, moments: int) -> Moments:
         """Return them as if they had been seen so many moments later."""
@@ -225,6 +231,8 @@ def compare(one: Moments, other: Moments, settings: TieSettings, model: Model = 
     model : Model
         How vehicles reflect.
     """
+    if not _in_reach(one, other, settings):  # sensors of a large site that never meet
+        one = one.first(0)
     a, b = _same_moment(one.moment, other.moment)
     table = pd.DataFrame({"one": one.track[a], "other": other.track[b]})
     way = np.sum(one.along[a] * other.along[b], axis=1)
@@ -245,6 +253,15 @@ def compare(one: Moments, other: Moments, settings: TieSettings, model: Model = 
     _, pair = np.unique(number[order], return_inverse=True)
     tracks = table.iloc[order].groupby(pair).first().to_numpy().reshape(-1, 2)
     return _rows(one, other, a[order], b[order], pair, tracks, settings, model)
+
+
+def _in_reach(one: Moments, other: Moments, settings: TieSettings) -> bool:
+    """Return whether what two sensors see may be near each other anywhere."""
+    if not len(one) or not len(other):
+        return False
+    a, b = one.points[:, FLAT], other.points[:, FLAT]
+    apart_m = np.maximum(a.min(axis=0) - b.max(axis=0), b.min(axis=0) - a.max(axis=0))
+    return bool((apart_m < settings.farthest_m).all())
 
 
 def _same_moment(one: Integers, other: Integers) -> tuple[Integers, Integers]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ import numpy as np
 from gis_radar.arrays import Floats
 from gis_radar.clocks import SensorClock
 from gis_radar.crs import moved_position, yaw_from_compass
-from gis_radar.errors import NoAnswerError, UsageError
+from gis_radar.errors import InputError, NoAnswerError, UsageError
 from gis_radar.files import output_errors, whole_files
 from gis_radar.lanelets import LaneletMap, read_map
 from gis_radar.localization.localize import localize
@@ -22,6 +23,7 @@ from gis_radar.localization.settings import DEFAULTS, LocalizationSettings
 from gis_radar.network.network import CLASH_HINT, Solved, Station, solve_network
 from gis_radar.network.reading import (
     RIGHT,
+    Span,
     best_end,
     common_time,
     lanes_of_all,
@@ -263,39 +265,52 @@ def tie_poses(
     Returns
     -------
     Solved
-        Without a pose for any sensor where all contradict each other.
-
-    Raises
-    ------
-    InputError
-        If a recording cannot be read.
+        Without a pose for any sensor where all contradict each other. Sensors with recordings that
+        cannot be read are not tied.
     """
-    known = clocks or {}
-    right = {name: known.get(name, RIGHT) for name in recordings}
+    right = {name: (clocks or {}).get(name, RIGHT) for name in recordings}
     paths = {name: [each] if isinstance(each, Path) else each for name, each in recordings.items()}
-    spans = {
-        name: [read_span(path, right[name]) for path in several] for name, several in paths.items()
-    }
+    why: dict[str, str] = {}
+    spans: dict[str, list[Span]] = {name: [] for name in paths}
+    for name, several in paths.items():
+        for path in several:
+            with _noted(why, name):
+                spans[name].append(read_span(path, right[name]))
     until = best_end(spans, ties.window_s) if end is None else end
     stations = []
-    for done, (name, several) in enumerate(spans.items()):
+    for done, (name, known) in enumerate(spans.items()):
         reporter.progress(READING, done, len(spans))
-        there = [each for each in several if each.shared_s(until - ties.window_s, until)]
-        sigma_s = known[name].sigma_s if name in known else math.nan
-        stations.append(
-            Station(
-                name=name, moving=read_until(there, until, settings, right[name]),
-                poses=poses[name], clock_s=sigma_s if math.isfinite(sigma_s) else None,
-            )
-        )  # fmt: skip
+        there = [each for each in known if each.shared_s(until - ties.window_s, until)]
+        moving = read_until([], until, settings)
+        with _noted(why, name):
+            moving = read_until(there, until, settings, right[name])
+        if not moving.frames:
+            why.setdefault(name, AWAY)
+        clock_s = _sigma_s(right[name])
+        stations.append(Station(name=name, moving=moving, poses=poses[name], clock_s=clock_s))
     reporter.progress(READING, len(spans), len(spans))
     places = np.array([pose.position[:2] for each in stations for pose in each.poses])
     lanes = lanes_of_all([each.moving for each in stations], places, roads, road_points, settings)
     solved = solve_network(stations, lanes, settings, ties)
     for remark in solved.remarks:
         reporter.log(remark, "warning")
-    away = [each.name for each in stations if not each.moving.frames]
-    return replace(solved, untied=solved.untied | dict.fromkeys(away, AWAY))
+    untied = {name: why.get(name, text) for name, text in solved.untied.items()}
+    return replace(solved, untied=untied)
+
+
+def _sigma_s(clock: SensorClock) -> float | None:
+    """Return the standard deviation of a measured clock; None where it is not known."""
+    known = clock is not RIGHT and math.isfinite(clock.sigma_s)
+    return clock.sigma_s if known else None
+
+
+@contextmanager
+def _noted(why: dict[str, str], name: str) -> Iterator[None]:
+    """Note what is wrong with a sensor's data instead of failing: the others have theirs."""
+    try:
+        yield
+    except InputError as error:
+        why[name] = error.message
 
 
 def _check_counts(
