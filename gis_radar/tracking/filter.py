@@ -175,6 +175,27 @@ def widened(estimate: Estimate, move: Floats) -> Estimate:
     return replace(estimate, covariance=estimate.covariance + more)
 
 
+def displaced(estimate: Estimate, move: Floats, covariance: Floats) -> Estimate:
+    """Return an estimate of a sensor that has moved since.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        Before the move.
+    move : (6,) array
+        Metres and a turn about the map's axes in radians.
+    covariance : (6, 6) array
+        Of the move.
+    """
+    turn = Rotation.from_rotvec(move[3:]) * Rotation.from_quat(estimate.quaternion)
+    return replace(
+        estimate,
+        position=estimate.position + move[:3],
+        quaternion=same_sign(np.asarray(turn.as_quat()), estimate.quaternion),
+        covariance=estimate.covariance + covariance,
+    )
+
+
 def corrected(estimate: Estimate, measurement: Measurement) -> Estimate:
     """Return an estimate that takes a measurement in (Eqs. 5-7).
 

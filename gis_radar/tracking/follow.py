@@ -23,12 +23,14 @@ from gis_radar.poses.files import PoseTrack, as_track
 from gis_radar.poses.pose import COMPONENTS, Evidence, Pose
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Detections, Recording, as_recording
-from gis_radar.steps import STEP_S, seconds_from_iso
+from gis_radar.steps import STEP_S, iso_from_step, seconds_from_iso, step_of
+from gis_radar.tracking.alarm import Displacement, Watch
 from gis_radar.tracking.filter import (
     Estimate,
     Measurement,
     corrected,
     covariance_from_angles,
+    displaced,
     innovation,
     likeliest_move,
     predicted,
@@ -98,7 +100,8 @@ def track(
         heading=None,
     )
     fitter = WindowFitter(problem, settings, reporter=reporter)
-    follower = Follower(fitter, start_estimate(start, begin, settings), settings)
+    estimate = start_estimate(start, begin, settings)
+    follower = Follower(fitter, estimate, settings, name=start.sensor, reporter=reporter)
     for piece, end in chain([(first, ends)], cycles):
         follower.push(piece)
         if end is not None:
@@ -217,15 +220,27 @@ class Follower:
         The pose to begin with.
     settings : TrackingSettings
         Of window, prediction and moves.
+    name : str
+        Of the sensor, for warnings.
+    reporter : Reporter
+        Receives a warning for each move.
     """
 
     def __init__(
-        self, fitter: WindowFitter, start: Estimate, settings: TrackingSettings = DEFAULTS
+        self,
+        fitter: WindowFitter,
+        start: Estimate,
+        settings: TrackingSettings = DEFAULTS,
+        *,
+        name: str = "the sensor",
+        reporter: Reporter = QUIET,
     ) -> None:
         self.rows = [Row(estimate=start)]
         self.confirmed = False
         self._fitter = fitter
         self._settings = settings
+        self._name, self._reporter = name, reporter
+        self._watch = Watch(fitter, settings)
         traces = settings.localization.traces
         self._window = MovingWindow(frames=traces.frames, min_speed=traces.min_speed_mps)
         self._past: deque[Estimate] = deque([start])
@@ -273,6 +288,10 @@ class Follower:
             )
             self._keep(row if suspected is None else _allowing(row, suspected.move))
         self._give_up_if_lost(time)
+        if self.confirmed and self._full and traffic.tracks:
+            noticed = self._watch.look(traffic, self.now.state(self._like), time)
+            if noticed is not None:
+                self._move(noticed, time)
         self._vehicles = max(self._vehicles, traffic.tracks)
         if not self.confirmed and self._full and self._seen:
             self._refuse_start(self._seen)
@@ -339,8 +358,30 @@ class Follower:
         while len(self._past) > 1 and self._past[1].time <= self._window.begin:
             self._past.popleft()
 
+    def _move(self, noticed: Displacement, time: float) -> None:
+        """Move the pose as the alarm states, since when it states, and watch from there."""
+        alarm = self._settings.alarm
+        since = time - alarm.settle_s - noticed.blocks * alarm.block_s
+        earlier = [row.estimate for row in self.rows if row.estimate.time <= since]
+        before = self._later((earlier or [self.rows[0].estimate])[-1], since)
+        new = displaced(before, noticed.move, noticed.covariance)
+        self._replace_since(Row(estimate=new, vehicles=self.rows[-1].vehicles, event=MOVED))
+        self._window.forget(since)
+        self._past, self._rejected_since = deque([new]), None
+        self._watch.restart()
+        self._warn(new, noticed.move)
+
+    def _warn(self, new: Estimate, move: Floats) -> None:
+        when = iso_from_step(int(step_of(np.array(new.time))))
+        self._reporter.log(
+            f"{self._name} was moved by about {np.linalg.norm(move[:3]):.2f} m and "
+            f"{np.degrees(np.linalg.norm(move[3:])):.2f} deg around {when}",
+            "warning",
+        )
+
     def _restart(self, change: Change, time: float) -> None:
         """Restart at a change, and replace the poses since then."""
+        self._watch.restart()
         start = self._knocked(self._expected(change.time, change.time))
         new = corrected(start, change.found.measurement)
         self._window.forget(change.time)
@@ -352,6 +393,7 @@ class Follower:
         self.rows.append(replace(row, estimate=self._later(new, time)))
         self._replace_since(replace(row, event=MOVED))
         self._past = deque([start, self.now])
+        self._warn(new, innovation(start, change.found.measurement).gap)
 
     def _give_up_if_lost(self, time: float) -> None:
         """Declare `moved` with unknown pose after a whole window of rejected fits (`lost_s`)."""
@@ -367,6 +409,7 @@ class Follower:
         self._window.forget(lost.time)
         self._replace_since(Row(estimate=lost, event=MOVED), REJECTED)
         self._past, self._rejected_since = deque([lost]), None
+        self._watch.restart()
 
     def _replace_since(self, row: Row, event: str = NOTHING) -> None:
         """Put a row in, and what follows from it in the place of all later ones."""

@@ -19,6 +19,130 @@ _FAR = replace(LOCALIZATION.solver.far, rounds=12)
 
 
 @dataclass(frozen=True, kw_only=True)
+class AlarmSettings:
+    """Settings of the alarm: how a small move is noticed against the sensor's own first hour.
+
+    Lengths across a lane are means of a vehicle in a cell. *Measured* is on two hours of the sample
+    junction, simulated as recorded (`bench/alarm.py`).
+
+    Parameters
+    ----------
+    cell_m, stretch_m : float
+        Cells of lanes, in which a vehicle's place is one number; and stretches, in which whatever
+        makes drivers change their habit (a parked van, a cyclist) concerns all cells.
+    apart_m, same_line_m : float
+        Where lanes of one direction run nearer than a lane's width, and are not the same line, a
+        vehicle may be of either: left out.
+    same_way : float
+        Cosine of the angle between directions that are one, 25 degrees.
+    within_m, taper_m : float
+        Half a lane: what is farther from its middle drives elsewhere; and from where on it counts
+        less and less.
+    over_m : (float, float)
+        Heights over the road between which vehicles reflect.
+    half_width_m : float
+        From a vehicle's side to its middle, as in the localization.
+    least_mps : float
+        What is slower may walk.
+    smooth_s : float
+        A detection's velocity is the slope of its track so long before and after.
+    whole_s : float
+        Tracks are not cut, a vehicle is one cluster: any length beyond that of the window.
+    hidden_s, vehicle_m, stray_mps : float
+        A track that begins where the last one of a hidden vehicle would be by then, within its
+        length and a growing error, is of the same vehicle.
+    least_hits : int
+        Fewer detections in a cell state no mean.
+    driver_m, sway_m, hit_m : float
+        Standard deviations: between vehicles, from cell to cell, and of one detection (faces,
+        bearing). Measured: 0.35, 0.45 to 0.49, 0.3 to 0.6.
+    tall_m, bump_m, elevation_hit_m, elevation_rad : float
+        The same of heights over the road, and what grows with range; measured.
+    block_s : float
+        Traffic is summed by blocks, and tested at the end of each.
+    warm_up : int
+        Blocks of reference with which the dispersion can be measured.
+    settle_s : float
+        A vehicle counts in the block so long after its last detection, when none may follow.
+    blocks : tuple of int
+        Newest blocks that are tested: five for a strong move, nine for a small one (with
+        `settle_s` within ten minutes), thirty for light traffic.
+    share : float
+        The tested blocks are at most that share of all there are: no alarm before 15 minutes,
+        nine blocks are tested from 27 on, thirty from 90 on.
+    reference_h, reference_vehicles : float, int
+        The reference is the first hour; then it forgets within an hour or so many vehicles,
+        whichever takes longer, to follow what changes slowly.
+    least_vehicles : int
+        Fewer in the tested blocks contradict nothing.
+    known : float
+        Cells of which the reference holds less than so many vehicles do not measure dispersion.
+    least_seen : float
+        Combinations of moves and habits that blocks show less than so well do not, either.
+    dispersion, dispersion_blocks : float
+        Ratio of the scatter between blocks to what independent vehicles make (broken tracks,
+        platoons; measured 1.4 to 2.1): before it is measured at the sensor, and how many blocks
+        that counts for.
+    stretch_habit_m, outlier : float
+        How far drivers change their habit on a stretch within an hour, one standard deviation; and
+        from how many on it is no habit but an obstacle, which weighs less and less.
+    common_m, breadth_m : float
+        The same of all drivers at once (rain, night), and of where vehicles reflect, seen from the
+        sensor (trucks are broader).
+    height_habit_m, taller_m : float
+        The same of heights over the road: of a stretch, of all vehicles.
+    gate : float
+        Score beyond which a move is noticed: under one false alarm in a month (`bench/alarm.py`).
+    rounds : int
+        Reweightings of stretches.
+    """
+
+    cell_m: float = 12.0
+    stretch_m: float = 48.0
+    apart_m: float = 2.2
+    same_line_m: float = 0.3
+    same_way: float = 0.9
+    within_m: float = 1.75
+    taper_m: float = 1.3
+    over_m: tuple[float, float] = (-2.0, 5.0)
+    half_width_m: float = 0.9
+    least_mps: float = 2.7
+    smooth_s: float = 1.0
+    whole_s: float = 1e6
+    hidden_s: float = 6.0
+    vehicle_m: float = 5.0
+    stray_mps: float = 1.0
+    least_hits: int = 3
+    driver_m: float = 0.35
+    sway_m: float = 0.46
+    hit_m: float = 0.5
+    tall_m: float = 0.55
+    bump_m: float = 0.3
+    elevation_hit_m: float = 1.0
+    elevation_rad: float = 0.014
+    block_s: float = 60.0
+    warm_up: int = 10
+    settle_s: float = 7.0
+    blocks: tuple[int, ...] = (5, 9, 30)
+    share: float = 0.34
+    reference_h: float = 1.0
+    reference_vehicles: int = 1000
+    least_vehicles: int = 12
+    known: float = 3.0
+    least_seen: float = 0.05
+    dispersion: float = 2.0
+    dispersion_blocks: float = 20.0
+    stretch_habit_m: float = 0.05
+    outlier: float = 2.0
+    common_m: float = 0.05
+    breadth_m: float = 0.02
+    height_habit_m: float = 0.08
+    taller_m: float = 0.15
+    gate: float = 27.0
+    rounds: int = 4
+
+
+@dataclass(frozen=True, kw_only=True)
 class TrackingSettings:
     """All settings of the tracking.
 
@@ -79,6 +203,8 @@ class TrackingSettings:
         Where no near fit lies on lanes, the pose is searched within so many sigmas of `knock`.
     lost_s : float
         `moved` with unknown pose after so many seconds of rejected fits: a whole window.
+    alarm : AlarmSettings
+        Of small moves.
     localization : LocalizationSettings
         Of window, traces, lanes and fits.
     """
@@ -110,6 +236,7 @@ class TrackingSettings:
     far: Schedule = _FAR
     farthest: float = 4.0
     lost_s: float = 100.0
+    alarm: AlarmSettings = field(default_factory=AlarmSettings)
     localization: LocalizationSettings = field(default_factory=LocalizationSettings)
 
     @property
@@ -134,3 +261,4 @@ def chi2_quantile(level: float) -> float:
 
 
 DEFAULTS = TrackingSettings()
+ALARM = DEFAULTS.alarm
