@@ -307,9 +307,11 @@ class Tracks:
         across, over = self.witnesses
         slow = _Slow(rng, day, across)
         place, signs = 0, np.ones(2)
+        used: list[int] = []
         for minute in range(count):
             if minute % RUN == 0:
-                place = int(rng.integers(len(self.minutes) - RUN + 1))
+                place = self._draw(used)
+                used = [*used, place][-APART // RUN :]
                 signs = rng.choice([-1.0, 1.0], 2)
             seen = self.minutes[place + minute % RUN]
             share = day.shares[(begin + minute) // 60 % len(day.shares)]
@@ -326,6 +328,12 @@ class Tracks:
                 cell=seen.cell[kept], across_m=values[0][kept], over_m=values[1][kept],
                 count=seen.count[kept],
             )  # fmt: skip
+
+    def _draw(self, used: Sequence[int]) -> int:
+        """Return where a run begins: no minute comes twice in half an hour, as none ever does."""
+        places = np.arange(len(self.minutes) - RUN + 1)
+        free = [k for k in places if all(abs(k - other) >= RUN for other in used)]
+        return int(self.rng.choice(free or places))
 
 
 def _values(seen: LanePlaces) -> tuple[Floats, Floats]:
@@ -382,17 +390,17 @@ def false_alarms(sensor: Sensor, pieces: Sequence[Path], days: int) -> dict[str,
     whole = np.array(detections[3 * ALARM.warm_up :])
     report: dict[str, object] = {"detections": _quantiles(whole)}
     tracks = Tracks(sensor, minutes, seed=len(minutes))
-    for name, day in (("steady", STEADY), ("day", CHANGING)):
+    for name, day, count in (("day", CHANGING, days), ("steady", STEADY, (days + 1) // 2)):
         halves: list[float] = []
         every: list[float] = []
-        for _ in range(days):
+        for _ in range(count):
             alarm = sensor.alarm()
             scores = [
                 _score(alarm.push(each, 60.0 * k)) for k, each in enumerate(tracks.hours(24.0, day))
             ]
             every += scores[3 * ALARM.warm_up : len(minutes)] if name == "steady" else scores
             halves += np.array(scores).reshape(-1, APART).max(axis=1).tolist()
-        report[name] = {**_quantiles(np.array(every)), **tail(np.array(halves), days)}
+        report[name] = {**_quantiles(np.array(every)), **tail(np.array(halves), count)}
         print(f"  {name:10s} {report[name]}", flush=True)
     print(f"  detections {report['detections']}", flush=True)
     return report

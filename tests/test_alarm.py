@@ -16,6 +16,7 @@ from gis_radar.steps import seconds_from_iso
 from gis_radar.tracking import track
 from gis_radar.tracking.alarm import Alarm, Displacement, Memory, Watch, habits_of, witnesses
 from gis_radar.tracking.lane_places import LanePlaces, cells_along, lane_places
+from gis_radar.tracking.moves import Scatter
 from gis_radar.tracking.settings import ALARM, DEFAULTS
 from gis_radar.tracking.track import MOVED
 from gis_radar.tracking.windows import WindowTraffic
@@ -316,3 +317,17 @@ def test_a_move_noticed_by_the_watch_moves_the_track(tmp_path, monkeypatch):
     assert len(restarts) == 2  # at the beginning, and at the move
     (line,) = [text for level, text in heard.lines if level == "warning"]
     assert "R1 was moved by about 0.27 m and 0.40 deg around 2023-11-14T22:13:" in line
+
+
+def test_a_sensor_whose_windows_differ_much_needs_more_for_a_move():
+    scatter, rng = Scatter(DEFAULTS), np.random.default_rng(1)
+    assert scatter.ratio == 1.0
+    for chi2 in rng.chisquare(6, 200):
+        scatter.add(chi2)
+    assert scatter.ratio < 1.4
+    for chi2 in 3.0 * rng.chisquare(6, 200):
+        scatter.add(chi2)
+    assert 2.2 < scatter.ratio < 3.8
+    for _ in range(5):  # a knock
+        scatter.add(500.0)
+    assert scatter.ratio < 4.2

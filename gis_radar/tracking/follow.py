@@ -36,7 +36,7 @@ from gis_radar.tracking.filter import (
     predicted,
     widened,
 )
-from gis_radar.tracking.moves import Change, MoveTest, SuspectedMove
+from gis_radar.tracking.moves import Change, MoveTest, Scatter, SuspectedMove
 from gis_radar.tracking.settings import DEFAULTS, TrackingSettings
 from gis_radar.tracking.track import MOVED, NOTHING, REJECTED, Row, Track, track_of
 from gis_radar.tracking.windows import WindowFit, WindowFitter, WindowTraffic
@@ -240,7 +240,7 @@ class Follower:
         self._fitter = fitter
         self._settings = settings
         self._name, self._reporter = name, reporter
-        self._watch = Watch(fitter, settings)
+        self._watch, self._scatter = Watch(fitter, settings), Scatter(settings)
         traces = settings.localization.traces
         self._window = MovingWindow(frames=traces.frames, min_speed=traces.min_speed_mps)
         self._past: deque[Estimate] = deque([start])
@@ -301,7 +301,9 @@ class Follower:
         if not self.confirmed or traffic.tracks < self._settings.localization.answer.least_tracks:
             return None
         expected = partial(self._expected, time=time)
-        test = MoveTest(fitter=self._fitter, traffic=traffic, now=time, expected=expected)
+        test = MoveTest(
+            fitter=self._fitter, traffic=traffic, now=time, expected=expected, scatter=self._scatter
+        )
         return test.suspected(self._like)
 
     def _corrected(self, traffic: WindowTraffic, time: float, *, suspected: bool) -> Row:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -10,6 +11,7 @@ import numpy as np
 from gis_radar.arrays import Floats
 from gis_radar.localization.state import State
 from gis_radar.tracking.filter import Estimate, innovation, likeliest_move
+from gis_radar.tracking.settings import TrackingSettings
 from gis_radar.tracking.windows import WindowFit, WindowFitter, WindowTraffic
 
 
@@ -52,6 +54,33 @@ class SuspectedMove:
     change: Change | None = None
 
 
+class Scatter:
+    """By how much pieces of traffic differ more than their covariances state, at this sensor.
+
+    Tracks are cut in pieces that count as independent, and drivers keep aside for some hundred
+    metres: chi2 is larger than it should be where nothing moves. Its median shows by how much.
+
+    Parameters
+    ----------
+    settings : TrackingSettings
+        Over how many tests.
+    """
+
+    def __init__(self, settings: TrackingSettings) -> None:
+        self._usual = settings.median_chi2
+        self._assumed = [self._usual] * settings.assumed_tests
+        self._last: deque[float] = deque(maxlen=settings.scatter_tests)
+
+    def add(self, chi2: float) -> None:
+        """Take the result of a test."""
+        self._last.append(chi2)
+
+    @property
+    def ratio(self) -> float:
+        """Of variances, at least one."""
+        return max(float(np.median([*self._assumed, *self._last])) / self._usual, 1.0)
+
+
 @dataclass(frozen=True, kw_only=True)
 class MoveTest:
     """A window of traffic, tested for a move of its sensor.
@@ -69,12 +98,15 @@ class MoveTest:
         UNIX seconds at which it ends.
     expected : callable
         Returns the pose now, predicted from data before a time.
+    scatter : Scatter
+        Of earlier tests; takes the results of this one.
     """
 
     fitter: WindowFitter
     traffic: WindowTraffic
     now: float
     expected: Callable[[float], Estimate]
+    scatter: Scatter
 
     def suspected(self, like: State) -> SuspectedMove | None:
         """Test whether the newest data contradict the pose, and estimate the change behind it.
@@ -84,7 +116,7 @@ class MoveTest:
         like : State
             How vehicles reflected so far.
         """
-        suspected, settings = None, self.fitter.settings
+        suspected, settings, ratio = None, self.fitter.settings, self.scatter.ratio
         for length_s in settings.lengths_s:
             part = self.newest(length_s)
             if part.moving.begin - self.traffic.moving.begin < settings.mature_s:
@@ -101,10 +133,11 @@ class MoveTest:
                     return SuspectedMove(certain=True, move=np.zeros(6))
                 seen = found
             gap = innovation(held, seen.measurement)
-            if gap.chi2 < settings.suspect_chi2:
+            self.scatter.add(gap.chi2)
+            if gap.chi2 < ratio * settings.suspect_chi2:
                 continue
             suspected = SuspectedMove(
-                certain=gap.chi2 >= settings.gate,
+                certain=gap.chi2 >= ratio * settings.gate,
                 move=likeliest_move(gap, settings.knock),
                 change=self._change(held, seen),
             )
@@ -144,7 +177,7 @@ class MoveTest:
         if len(latest) and fitter.cost(latest, seen.fit.state) > fitter.cost(latest, old):
             return None
         contradiction = innovation(held, seen.measurement).chi2
-        if contradiction < settings.gate:
+        if contradiction < self.scatter.ratio * settings.gate:
             return None
         return Change(time=since, found=seen, chi2=contradiction)
 

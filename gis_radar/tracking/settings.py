@@ -181,6 +181,10 @@ class TrackingSettings:
         Moves reported an hour where none was; at most, as if all tests were independent.
     suspect : float
         Level of chi2 above which a move is looked for and the pose's sigma widened.
+    scatter_tests, assumed_tests : int
+        So many of the last tests measure by how much chi2 is larger here than it should be, with
+        so many assumed as it should be. Simulated drivers as recorded: 2 to 3 times, and one false
+        move in some minutes without it.
     newest_tracks : int
         Least vehicles in a tested part; it grows until it holds them.
     mature_s : float
@@ -225,6 +229,8 @@ class TrackingSettings:
     lengths_s: tuple[float, ...] = (20.0, 60.0)
     false_alarms: float = 0.01
     suspect: float = 0.95
+    scatter_tests: int = 60
+    assumed_tests: int = 4
     newest_tracks: int = 8
     mature_s: float = 30.0
     settled_s: float = 15.0
@@ -244,6 +250,11 @@ class TrackingSettings:
         """Largest chi2 of six degrees of freedom that is chance, by `false_alarms`."""
         tests = HOUR_S / self.cycle_s * len(self.lengths_s)  # an hour
         return chi2_quantile(1.0 - self.false_alarms / tests)
+
+    @property
+    def median_chi2(self) -> float:
+        """Median of chi2 of six degrees of freedom."""
+        return chi2_quantile(0.5)
 
     @property
     def suspect_chi2(self) -> float:
