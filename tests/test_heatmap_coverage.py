@@ -1,6 +1,7 @@
 """Coverage in heat maps, against sets of steps counted one by one."""
 
 import json
+import zipfile
 from collections import defaultdict
 
 import geopandas as gpd
@@ -250,6 +251,17 @@ def test_plots_browser_map_and_cube_show_coverage(written):
             np.testing.assert_array_equal(cube[name][:, i], values.astype(np.float32))
     assert cube["covered_s"].attrs["units"] == "s"
     assert "vehicle stood on it" in cube["covered_s"].attrs["long_name"]
+
+
+def test_a_qgis_project_of_it_shows_coverage(written, tmp_path):
+    gr.write_qgis_project(tmp_path / "site.qgz", heatmap=written[1])
+    with zipfile.ZipFile(tmp_path / "site.qgz") as archive:
+        text = archive.read("site.qgs").decode()
+    assert 'attr="coverage"' in text
+    assert 'attr="occupancy"' not in text
+    assert "Coverage by interval" in text
+    assert "Share of the visible time" in text
+    assert "Occupancy" not in text
 
 
 def test_it_is_read_back_equal(written):

@@ -25,7 +25,7 @@ from gis_radar.crs import Box, metric_crs, name_of
 from gis_radar.errors import InputError, OutputError, UsageError
 from gis_radar.files import whole_file
 from gis_radar.heatmap import style
-from gis_radar.heatmap.step_table import LONG, WIDE
+from gis_radar.heatmap.step_table import LONG, TIMES, WIDE
 from gis_radar.poses.files import read_track
 from gis_radar.poses.layers import SENSORS, UNCERTAINTY, VIEWS, read_style, write_sensors
 from gis_radar.progress import QUIET, Reporter
@@ -35,7 +35,7 @@ MAP_MARGIN = 0.05
 """Around what was observed, as a share of its size: the road goes on a little to each side."""
 
 _MARK = b"gis_radar "
-_TIMES = f'SELECT min("begin"), min("end"), max("end") FROM "{LONG}"'  # noqa: S608 - our own name
+_TIMES = f'SELECT min("begin"), min("end"), max("end") FROM "{TIMES}"'  # noqa: S608 - our own name
 
 
 def write_qgis_project(
@@ -83,12 +83,13 @@ def write_qgis_project(
     package = Path(heatmap) / "heatmap.gpkg"
     crs, box = _observed_box(package)
     played = _time_range(package)
-    layers = _heatmap_layers(Path(heatmap).resolve(), played.step_s if played else 0.0)
+    measure, step_s = _measure(package), played.step_s if played else 0.0
+    layers = _heatmap_layers(Path(heatmap).resolve(), step_s, measure)
     if sensors is not None:
         layers |= _sensor_layers(Path(sensors).resolve())
     content = _ProjectContent(
         title=title or path.stem, time=_local_time(played, time_zone) if played else "",
-        source=source, crs=crs, box=box, layers=layers, played=played,
+        source=source, crs=crs, box=box, layers=layers, played=played, measure=measure,
     )  # fmt: skip
     _write_project_file(path, _project_xml(content, path.resolve().parent))
 
@@ -250,6 +251,7 @@ class _ProjectContent(NamedTuple):
     box: Box
     layers: Mapping[str, _LayerSource]
     played: _TimeRange | None
+    measure: str
 
 
 def _sensor_layers(path: Path) -> dict[str, _LayerSource]:
@@ -260,17 +262,23 @@ def _sensor_layers(path: Path) -> dict[str, _LayerSource]:
     }
 
 
-def _heatmap_layers(folder: Path, interval_s: float) -> dict[str, _LayerSource]:
+def _measure(package: Path) -> str:
+    """Return what a heat map shows: coverage, where it was made with vehicles."""
+    fields = pyogrio.read_info(package, layer=WIDE)["fields"]
+    return "coverage" if "coverage" in fields else "occupancy"
+
+
+def _heatmap_layers(folder: Path, interval_s: float, measure: str) -> dict[str, _LayerSource]:
     """Return the layers of a heat map."""
     package, raster = folder / "heatmap.gpkg", folder / "heatmap.tif"
-    by_interval = style.vector_qml(interval_s=interval_s)
+    by_interval = style.vector_qml(interval_s=interval_s, measure=measure)
     layers = {
         "heatmap_by_interval": _LayerSource(package, by_interval, LONG),
-        "heatmap": _LayerSource(package, style.vector_qml(), WIDE),
+        "heatmap": _LayerSource(package, style.vector_qml(measure=measure), WIDE),
         "ground": _LayerSource(package, style.ground_qml(), WIDE),
     }
     if raster.is_file():
-        layers["raster"] = _LayerSource(raster, style.sidecar_qml())
+        layers["raster"] = _LayerSource(raster, style.sidecar_qml(measure))
     return {f"gis_radar_{name}": layer for name, layer in layers.items()}
 
 
@@ -280,14 +288,25 @@ def _project_xml(content: _ProjectContent, home: Path) -> str:
     root.set("projectname", content.title)
     _find(root, "title").text = content.title
     _find(root, "layer-tree-group/layer-tree-group[@name='Heat map']").set(
-        "name", style.LEGEND_TITLE
+        "name", style.WORDS[content.measure].title
     )
     _find(root, "Layouts").append(_sheet(content))
     _fill_layers(root, content.layers, home)
     _fill_time(root, content.played)
     _fill_place(root, content.crs, content.box)
+    if content.measure != "occupancy":
+        _rename_layers(root, content.measure)
     indent(root)
     return f"{_DOCTYPE}\n{tostring(root, encoding='unicode')}\n"
+
+
+def _rename_layers(root: Element, measure: str) -> None:
+    """Call the layers of the template, which are of occupancy, by another measure."""
+    for element in root.iter():
+        if (name := element.get("name", "")).startswith("Occupancy"):
+            element.set("name", name.replace("Occupancy", measure.capitalize()))
+        if element.tag == "layername" and (element.text or "").startswith("Occupancy"):
+            element.text = (element.text or "").replace("Occupancy", measure.capitalize())
 
 
 def _sheet(content: _ProjectContent) -> Element:
@@ -295,7 +314,7 @@ def _sheet(content: _ProjectContent) -> Element:
     layout = _template("sheet.qpt")
     _item(layout, "title").set("labelText", content.title)
     _item(layout, "time").set("labelText", content.time)
-    _item(layout, "legend").set("title", style.LEGEND_TITLE)
+    _item(layout, "legend").set("title", style.WORDS[content.measure].title)
     if content.source:
         _item(layout, "source").set("labelText", f"Source: {content.source}")
     else:

@@ -23,8 +23,22 @@ def as_utc(moment: QDateTime) -> QDateTime:
     return QDateTime(moment.date(), moment.time(), Qt.TimeSpec.UTC)
 
 
+def _with_times(layer: QgsVectorLayer) -> QgsVectorLayer:
+    """Return what holds the intervals of a layer once: the table beside a view, or the layer.
+
+    The limits of a column of a view are found in all its rows.
+    """
+    source, _, name = layer.source().partition("|layername=")
+    if name == "occupancy_by_interval":
+        table = QgsVectorLayer(f"{source}|layername=intervals", "intervals", "ogr")
+        if table.isValid() and table.fields().lookupField("begin") >= 0:
+            return table
+    return layer
+
+
 def extent_of(layer: QgsVectorLayer) -> QgsDateTimeRange:
     """Return the time from the first begin to the last end, UTC."""
+    layer = _with_times(layer)
     fields = layer.fields()
     begin = layer.minimumValue(fields.lookupField("begin"))
     end = layer.maximumValue(fields.lookupField("end"))
@@ -43,6 +57,7 @@ def step_of(layer: QgsVectorLayer) -> QgsInterval:
 
 def intervals_of(layer: QgsVectorLayer) -> list[tuple[QDateTime, QDateTime]]:
     """Return begin and end of each interval, in order, UTC."""
+    layer = _with_times(layer)
     fields = layer.fields()
     begins = sorted(layer.uniqueValues(fields.lookupField("begin")))
     ends = sorted(layer.uniqueValues(fields.lookupField("end")))
