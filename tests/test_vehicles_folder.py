@@ -186,3 +186,16 @@ def test_states_that_are_not_in_order_are_refused(tmp_path, change, message):
     with pytest.raises(InputError, match=message), writing as writer:
         writer.add(piece)
     assert not (tmp_path / "v").exists()
+
+
+def test_frames_of_an_unknown_view_are_refused(tmp_path):
+    tiles, tracks = straight_tiles(), drive(3, FIRST, np.arange(10.0))
+    given = provenance_of(tiles)
+    piece = VehiclePiece(
+        first_step=FIRST, last_step=FIRST + 9, tracks=tracks, vehicles=rows_of(tracks),
+        frames=frames_of_span(FIRST, FIRST + 9, view="other"),
+    )  # fmt: skip
+    writing = write_vehicles(tmp_path / "v", tiles=tiles, views=[view_of(tiles)], provenance=given)
+    with pytest.raises(InputError, match="name the view other of R1, which is"), writing as one:
+        one.add(piece)
+    assert given.settings == {}  # inputs stay as they are

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -390,7 +390,8 @@ def write_vehicles(
     settings = settings or CoverageSettings()
     if (got := fingerprint(tiles)) != provenance.fingerprint:
         raise InputError(f"the tiles have the fingerprint {got}, not {provenance.fingerprint}")
-    provenance.settings["coverage"] = asdict(settings)
+    in_effect = {**provenance.settings, "coverage": asdict(settings)}
+    provenance = replace(provenance, settings=in_effect)
     whole = whole_folder(Path(folder), owned=OWNED, reporter=reporter)
     with whole as part, ExitStack() as files:
         engine = CoverageEngine(tiles, views, settings)

@@ -19,6 +19,7 @@ import pandas as pd
 import shapely
 
 from gis_radar.arrays import Booleans, Floats, Integers, compiled
+from gis_radar.errors import InputError
 from gis_radar.steps import STEPS_PER_SECOND
 from gis_radar.vehicles.coverage_settings import CoverageSettings
 from gis_radar.vehicles.footprints import (
@@ -226,6 +227,10 @@ class Visibility:
 
     def _rays_of(self, name: tuple[str, str]) -> Rays:
         if name not in self._rays:
+            if name not in self._views:
+                raise InputError(
+                    f"frames: name the view {name[1]} of {name[0]}, which is not given"
+                )
             view = self._views[name]
             tile = np.searchsorted(self._tile_id, np.sort(view.tile_id))
             self._rays[name] = Rays.of(
