@@ -384,7 +384,8 @@ class Follower:
     def _restart(self, change: Change, time: float) -> None:
         """Restart at a change, and replace the poses since then."""
         self._watch.restart()
-        start = self._knocked(self._expected(change.time, change.time))
+        before = self._expected(change.time, change.time)
+        start = self._knocked(before)
         new = corrected(start, change.found.measurement)
         self._window.forget(change.time)
         self._like = change.found.fit.state
@@ -395,7 +396,8 @@ class Follower:
         self.rows.append(replace(row, estimate=self._later(new, time)))
         self._replace_since(replace(row, event=MOVED))
         self._past = deque([start, self.now])
-        self._warn(new, innovation(start, change.found.measurement).gap)
+        gap = innovation(before, change.found.measurement)
+        self._warn(new, likeliest_move(gap, self._settings.knock))
 
     def _give_up_if_lost(self, time: float) -> None:
         """Declare `moved` with unknown pose after a whole window of rejected fits (`lost_s`)."""
