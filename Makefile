@@ -11,7 +11,7 @@ MADE := .venv .pdal .pdal.part.* .qgis out build dist .mypy_cache .ruff_cache .p
 .NOTPARALLEL:
 .PHONY: help set-up set-up-dev set-up-bench pdal demo docs test test-qgis lint format types bench \
 	bench-assignment bench-tiles bench-occupancy bench-memory bench-truth bench-mask \
-	bench-localization bench-vehicles bench-clocks bench-convert bench-alarm samples wheel plugin-zip constraints clean
+	bench-localization bench-vehicles bench-clocks bench-convert bench-alarm bench-sight samples wheel plugin-zip constraints clean
 
 help: ## List the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' Makefile | expand -t 20
@@ -58,7 +58,7 @@ format: set-up-dev ## Mend style and layout
 types: set-up-dev ## Check the types
 	$(BIN)/mypy
 
-bench: bench-assignment bench-tiles bench-occupancy bench-memory bench-truth bench-mask bench-localization bench-vehicles bench-clocks bench-convert bench-alarm ## Run every benchmark
+bench: bench-assignment bench-tiles bench-occupancy bench-memory bench-truth bench-mask bench-localization bench-vehicles bench-clocks bench-convert bench-alarm bench-sight ## Run every benchmark
 
 bench-assignment: set-up-dev ## Measure tile assignment against its targets
 	$(BIN)/python bench/assignment.py
@@ -92,6 +92,9 @@ bench-clocks: set-up-dev ## Measure clocks that are off against the truth
 
 bench-alarm: set-up-dev ## Measure how soon a small move is noticed, and false alarms a month
 	$(BIN)/python bench/alarm.py
+
+bench-sight: set-up-dev ## Measure what is hidden against the truth of towns and two levels
+	$(BIN)/python bench/sight.py
 
 samples: set-up-dev ## Make the files in sample_maps again
 	$(BIN)/python sample_maps/make_samples.py

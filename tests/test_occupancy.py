@@ -509,7 +509,8 @@ def test_a_view_far_beyond_the_detections_is_warned_of(tmp_path):
         notes = Notes()
         seeing = replace(pose(), view=View(max_range_m=reach, elevation_deg=90.0))
         measure_occupancy([path], [seeing], crossing(), tmp_path / "occ", reporter=notes)
-        assert len(notes.lines) == lines
+        levels = [level for level, _ in notes.lines]
+        assert levels == ["info", *["warning"] * lines]  # sight: view only
     assert json.loads((tmp_path / "occ" / "manifest.json").read_text())["sources"][0]["rows"] == 3
 
 

@@ -1,6 +1,7 @@
 """Sight: what stands in a scan hides tiles; crowns and decks let rays pass."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -10,7 +11,15 @@ from sites import EAST, NORTH, START, lane_quads, pose, recording, tiles_of
 from gis_radar.errors import InputError
 from gis_radar.occupancy import measure_occupancy
 from gis_radar.poses.pose import View
-from gis_radar.sight import HIDDEN, IN_SIGHT, OUT_OF_VIEW, SightScan, SightTiles, find_sight
+from gis_radar.sight import (
+    HIDDEN,
+    IN_SIGHT,
+    OUT_OF_VIEW,
+    SightScan,
+    SightTiles,
+    find_sight,
+    remarks_on,
+)
 
 ROAD_M = 372.0
 AREA = (-20.0, -80.0, 160.0, 80.0)
@@ -134,6 +143,24 @@ def test_a_scan_of_another_place_is_refused(tmp_path):
     path = write_points(tmp_path / "far.laz", flat() + [5000.0, 0.0, 0.0])
     with pytest.raises(InputError, match=r"far.laz: no point within 150 m of R1"):
         find_sight(SENSOR, tiles, SightScan([path], tiles))
+
+
+def test_a_scan_in_another_vertical_system_is_refused(tmp_path):
+    tiles = across()
+    path = write_points(tmp_path / "high.laz", flat() + [0.0, 0.0, 46.3])
+    with pytest.raises(InputError, match=r"high.laz: its road is \+46.3 m from the height"):
+        find_sight(SENSOR, tiles, SightScan([path], tiles))
+
+
+def test_what_the_scan_does_not_cover_counts_as_in_sight_and_is_named(tmp_path):
+    points = flat((HOUSE, ROOF_M))
+    half = points[points[:, 1] > 0.0]
+    sight = sight_over(tmp_path, half, across())
+    right = left_m(across()) < -10.0
+    assert (sight.state[right] == IN_SIGHT).all()
+    assert sight.uncovered[right].all()
+    assert re.match(r"the scan covers \d\d% of the view of R1", remarks_on(sight))
+    assert remarks_on(sight_over(tmp_path, points, across())) == ""
 
 
 def test_occupancy_observes_what_is_in_sight_and_names_the_scan(tmp_path):

@@ -34,6 +34,7 @@ from street_plans import StreetPlan
 import gis_radar as gr
 from gis_radar.arrays import Floats
 from gis_radar.poses.files import write_pose
+from simulation.scene import Scene
 from simulation.terrain import Terrain
 
 SETS = ("DY", "DO")
@@ -167,14 +168,17 @@ def make_town(per_hour: float, *, duration_s: float, conditions: Conditions) -> 
 
 def poses(place: Place, set_name: str) -> list[gr.Pose]:
     """Return the six true poses of a set."""
-    houses = [shapely.Polygon(b.outline).buffer(1.0) for b in place.scene.buildings]
-    verge = place.scene.road.buffer(4.5).difference(
-        shapely.union_all([*houses, place.scene.road.buffer(2.0)])
-    )
-    return [_pose(place, mast, verge, free=set_name == "DO") for mast in MASTS]
+    return masts_of(place.scene, free=set_name == "DO")
 
 
-def _pose(place: Place, mast: Mast, verge: shapely.Geometry, *, free: bool) -> gr.Pose:
+def masts_of(scene: Scene, *, free: bool) -> list[gr.Pose]:
+    """Return the six true poses in a scene of the town; `free` for those of set DO."""
+    houses = [shapely.Polygon(b.outline).buffer(1.0) for b in scene.buildings]
+    verge = scene.road.buffer(4.5).difference(shapely.union_all([*houses, scene.road.buffer(2.0)]))
+    return [_pose(scene, mast, verge, free=free) for mast in MASTS]
+
+
+def _pose(scene: Scene, mast: Mast, verge: shapely.Geometry, *, free: bool) -> gr.Pose:
     wanted = shapely.Point(np.array(mast.near) + ORIGIN)
     stand = shapely.get_coordinates(shapely.shortest_line(verge, wanted))[0]
     ahead = np.array(mast.towards) + ORIGIN - stand
@@ -184,7 +188,7 @@ def _pose(place: Place, mast: Mast, verge: shapely.Geometry, *, free: bool) -> g
         crs=UTM,
         easting=round(float(stand[0]), 3),
         northing=round(float(stand[1]), 3),
-        height=round(float(place.scene.terrain.height(stand)) + MAST_M, 3),
+        height=round(float(scene.terrain.height(stand)) + MAST_M, 3),
         yaw=round((yaw + 180.0) % 360.0 - 180.0, 2),
         pitch=mast.pitch_deg if free else PITCH_DEG,
         roll=mast.roll_deg if free else 0.0,

@@ -35,6 +35,7 @@ from gis_radar.occupancy.hits import (
 from gis_radar.occupancy.settings import DEFAULTS
 from gis_radar.occupancy.views import name_of_view
 from gis_radar.progress import QUIET, Reporter
+from gis_radar.sight import VIEW_ONLY
 from gis_radar.steps import STEP_S, iso_from_step
 
 RULES = 2
@@ -138,7 +139,14 @@ class Occupancy:
             "begin": iso_from_step(first),
             "end": iso_from_step(last + 1),
             "tiles_observed": int(self.views["tile_id"].nunique()),
+            "sight": self.sight,
         }
+
+    @property
+    def sight(self) -> str:
+        """Whether what stands in a scan hides tiles: `view only` where that is not so of all."""
+        scanned = [isinstance(source.get("sight"), dict) for source in self.sources]
+        return "with a scan" if scanned and all(scanned) else VIEW_ONLY
 
     def _repr_html_(self) -> str:
         if self.frames.empty:

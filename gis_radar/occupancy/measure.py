@@ -49,7 +49,7 @@ from gis_radar.poses.files import PoseTrack, as_track
 from gis_radar.poses.pose import Pose, View
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Detections, RangeCounts, Recording, as_recording
-from gis_radar.sight import SightScan, SightTiles, describe_sight
+from gis_radar.sight import VIEW_ONLY, SightScan, SightTiles, describe_sight, remarks_on
 from gis_radar.steps import STEP_US, iso_from_step, step_of
 from gis_radar.tiles.lookup import TileEngine, TileGrid
 
@@ -140,6 +140,7 @@ def measure_occupancy(
         scan = SightScan(scans, target.views.road, scan_crs=scan_crs, reporter=reporter)
         target.views.scan = scan
     views = _views(target, tracks, reporter)
+    _report_sight(target.views, reporter)
     opened = [as_recording(recording) for recording in recordings]
     _refuse_clearance(opened, target.filters)
     holds = holds_of(cycles, sorted({track.sensor for track in tracks}), settings)
@@ -386,6 +387,22 @@ def _views(target: Target, tracks: list[PoseTrack], reporter: Reporter) -> list[
     for sensor in blind:
         reporter.log(f"no tile lies in the view of {sensor}", "warning")
     return [views[id(track)] for track in tracks]
+
+
+def _report_sight(book: ViewBook, reporter: Reporter) -> None:
+    """Report that there is no scan, or what it does not cover."""
+    if book.scan is None:
+        reporter.log(
+            f"sight: {VIEW_ONLY}: houses hide no tile; with --scan, what stands in a scan does"
+        )
+    remarks = (remarks_on(sight) for sight in book.sights.values())
+    for line in dict.fromkeys(filter(None, remarks)):
+        reporter.log(line, "warning")
+    if book.scan is not None and np.isnan(book.road.height).all():
+        reporter.log(
+            "the tiles have no heights: those of the scan's ground count, and levels one above "
+            "another are not distinguished", "warning",
+        )  # fmt: skip
 
 
 def _warnings(

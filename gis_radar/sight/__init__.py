@@ -11,6 +11,7 @@ from gis_radar.sight.sight import (
     SightTiles,
     describe_sight,
     find_sight,
+    remarks_on,
 )
 
 __all__ = [
@@ -24,4 +25,5 @@ __all__ = [
     "SightTiles",
     "describe_sight",
     "find_sight",
+    "remarks_on",
 ]

@@ -119,7 +119,10 @@ def find_obstacles(
     """
     away, index = nearest_known(np.isfinite(columns.low))
     known = away * settings.cell_m <= settings.gap_m
-    low = np.where(known, columns.low[index].astype(np.float64), np.nan)
+    low, top = (
+        np.where(known, side[index].astype(np.float64), np.nan)
+        for side in (columns.low, columns.top)
+    )
     surface = _opened(low, settings.crown_m / settings.cell_m)
     wide = ground_under(
         columns.ground if classified else columns.low,
@@ -131,10 +134,14 @@ def find_obstacles(
     wide = np.fmin(wide, surface)
     ground = _opened(low, settings.ground_m / settings.cell_m)
     stands = surface - wide > settings.tall_m
-    slab_low, slab_high = _slabs(columns, roads, surface, wide, settings)
+    by_class = np.isfinite(columns.deck)
+    level, deck, below = _decks(
+        top, np.where(by_class, columns.deck, np.nan), roads, wide, settings
+    )
+    slab_low, slab_high = _slabs(level, deck, roads, surface, settings)
     under = np.isfinite(slab_low)
     stands &= ~under & ~roads.road
-    base = np.where(under, np.fmin(wide, roads.lowest), ground)
+    base = np.where(under, np.fmin(np.fmin(wide, below), roads.lowest), ground)
     base = np.where(roads.road & ~under, roads.lowest, base)
     floor = np.where(known, base - settings.sunk_m, -np.inf)
     return Obstacles(
@@ -159,35 +166,39 @@ def _opened(low: Floats, cells: float) -> Floats:
 
 
 def _slabs(
-    columns: Columns, roads: RoadHeights, surface: Floats, wide: Floats, settings: SightSettings
+    level: Floats, deck: Booleans, roads: RoadHeights, surface: Floats, settings: SightSettings
 ) -> tuple[Floats, Floats]:
     """Return lower and upper side of decks, and of what spans a road; inf and -inf elsewhere."""
     low, high = np.full(surface.shape, np.inf), np.full(surface.shape, -np.inf)
     spans = roads.road & (surface - roads.lowest > settings.clear_m)
     low[spans] = roads.lowest[spans] + settings.clear_m
     high[spans] = surface[spans]
-    top, deck = _decks(columns, roads, wide, settings)
-    low[deck] = top[deck] - settings.deck_m
-    high[deck] = np.fmax(np.where(spans, high, -np.inf), top)[deck]
+    low[deck] = level[deck] - settings.deck_m
+    high[deck] = np.fmax(high, level)[deck]
     return low, high
 
 
 def _decks(
-    columns: Columns, roads: RoadHeights, wide: Floats, settings: SightSettings
-) -> tuple[Floats, Booleans]:
-    """Return the height of the nearest upper road, and the cells where it is a deck, free below."""
+    highest: Floats, by_class: Floats, roads: RoadHeights, wide: Floats, settings: SightSettings
+) -> tuple[Floats, Booleans, Floats]:
+    """Return the nearest upper road's height, the cells of decks free below, and the road there.
+
+    A deck is free below where a lower level's tiles are under it and some metres beside them, and
+    where the scan has the class of decks; an upper road is an embankment elsewhere.
+    """
     crossing = roads.highest - roads.lowest > settings.levels_apart_m
-    by_class = np.isfinite(columns.deck)
+    known = np.isfinite(by_class)
     upper = roads.highest - np.fmin(wide, roads.lowest) > settings.tall_m
-    top = np.where(upper, roads.highest, np.where(by_class, columns.deck, np.nan))
+    top = np.where(upper, roads.highest, by_class)
     away, index = nearest_known(np.isfinite(top))
-    beside = away * settings.cell_m <= settings.shoulder_m
-    level = np.where(beside, top[index], np.nan)
-    near = np.abs(columns.top - level) < settings.tall_m
+    level = np.where(away * settings.cell_m <= settings.shoulder_m, top[index], np.nan)
+    near = np.abs(highest - level) < settings.tall_m
     deck = (near & (level - wide > settings.tall_m) & ~(roads.road & ~upper)) | crossing
     cells = round(settings.opening_m / settings.cell_m)
-    open_below = ndimage.binary_dilation(crossing, iterations=cells, mask=deck)
-    return level, (open_below & deck) | (by_class & deck)
+    opened = ndimage.binary_dilation(crossing, iterations=cells, mask=deck)
+    away, index = nearest_known(crossing)
+    below = np.where(away <= 2 * cells, roads.lowest[index], np.nan)
+    return level, (opened | known) & deck, below
 
 
 def cells_of(grid: Grid, places: Floats) -> tuple[Integers, Integers]:

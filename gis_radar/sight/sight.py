@@ -28,7 +28,13 @@ from gis_radar.poses.pose import Pose, View
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.scans.columns import Columns, read_columns
 from gis_radar.scans.scan import Scan, box_with_margin, open_scan
-from gis_radar.sight.obstacles import Obstacles, cells_of, find_obstacles, road_heights
+from gis_radar.sight.obstacles import (
+    Obstacles,
+    RoadHeights,
+    cells_of,
+    find_obstacles,
+    road_heights,
+)
 from gis_radar.sight.settings import DEFAULTS, SightSettings
 from gis_radar.tiles.tiles import fingerprint, quads
 
@@ -122,7 +128,7 @@ class Sight:
         in_view = np.count_nonzero(self.state != OUT_OF_VIEW)
         if self.scan == VIEW_ONLY or in_view == 0:
             return 0.0
-        return 1.0 - float(np.count_nonzero(self.uncovered)) / in_view
+        return 1.0 - float(np.count_nonzero(self.uncovered) / in_view)
 
     def __repr__(self) -> str:
         counts = np.bincount(self.state, minlength=3)
@@ -225,12 +231,29 @@ class SightScan:
             if window.points == 0:
                 raise self._elsewhere(next(p for p in poses if self._window(p).bounds == bounds))
             roads = road_heights(self.tiles.quads, self.tiles.height, window.grid)
+            self._refuse_other_heights(window, roads)
             self._kept[bounds] = find_obstacles(
                 window, roads, classified=ground >= self.settings.least_ground,
                 settings=self.settings,
             )  # fmt: skip
             while len(self._kept) > max(self.settings.windows_kept, len(windows)):
                 self._kept.pop(next(iter(self._kept)))
+
+    def _refuse_other_heights(self, window: Columns, roads: RoadHeights) -> None:
+        """Refuse a scan whose heights of the road are not those of the tiles."""
+        both = roads.road & np.isfinite(window.low)
+        if not both.any():
+            return
+        levels = np.stack([roads.lowest[both], roads.highest[both]])
+        apart = window.low[both] - levels
+        nearest = np.where(np.abs(apart[0]) < np.abs(apart[1]), apart[0], apart[1])
+        offset_m = float(np.median(nearest))
+        if abs(offset_m) > self.settings.offset_m:
+            raise InputError(
+                f"{self.scans[0].path}: its road is {offset_m:+.1f} m from the height of the "
+                "tiles: two vertical systems, or the road of another place",
+                hint="make the tiles with --road from this scan, or take the scan in their heights",
+            )
 
     def _elsewhere(self, pose: Pose) -> InputError:
         names = ", ".join(str(scan.path) for scan in self.scans[:3])
@@ -299,6 +322,16 @@ def find_sight(
     if obstacles is not None:
         _hide(sight, np.flatnonzero(in_view), place, obstacles, settings)
     return sight
+
+
+def remarks_on(sight: Sight, settings: SightSettings = DEFAULTS) -> str:
+    """Return what a scan does not cover of a view, in one line, or nothing."""
+    if sight.scan == VIEW_ONLY or sight.covered >= settings.least_covered:
+        return ""
+    return (
+        f"the scan covers {sight.covered:.0%} of the view of {sight.pose.sensor}: what it does not "
+        "cover counts as in sight"
+    )
 
 
 def _hide(

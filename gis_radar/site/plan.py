@@ -300,9 +300,11 @@ def _occupancy(site: Site, sensor: Sensor, folder: Path) -> Stage:
             "pose": pose,
             "tile_file": folder / "tiles.gpkg",
             **({"clocks": clocks} if clocks else {}),
+            **({"scans": site.scan.files} if site.scan and site.scan.files else {}),
         },
         options={
             "sensor": sensor.name,
+            "scan_crs": site.scan.crs if site.scan else None,
             # a pose has its view already, a track as it was given
             "view": _view(sensor) if pose.suffix == ".csv" else None,
             "filters": filters,
