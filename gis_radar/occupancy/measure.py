@@ -140,7 +140,6 @@ def measure_occupancy(
         scan = SightScan(scans, target.views.road, scan_crs=scan_crs, reporter=reporter)
         target.views.scan = scan
     views = _views(target, tracks, reporter)
-    _report_sight(target.views, reporter)
     opened = [as_recording(recording) for recording in recordings]
     _refuse_clearance(opened, target.filters)
     holds = holds_of(cycles, sorted({track.sensor for track in tracks}), settings)
@@ -164,6 +163,7 @@ def measure_occupancy(
         ).write_beside_hits(part, pairs=pairs)
         for each in passes:
             each.log.path.unlink()
+    _report_sight(target.views, reporter)
     for line in _warnings(passes, target.views, settings):
         reporter.log(line, "warning")
     return read_occupancy(folder)
