@@ -2,19 +2,23 @@
 
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
 import pytest
 import shapely
+import shapely.affinity
 from pyproj import CRS
 
 import gis_radar as gr
 
 sys.path.append(str(Path(__file__).parents[1] / "bench" / "vehicles"))
 
+from passages import lanes_of, score_passages, true_passages
 from score import agreement, coverage_of_folder, score_coverage
+from tracks import Scored, hota, matched, score_tracks, similarity
 from true_coverage import (
     Sensor,
     TrueCoverage,
@@ -209,3 +213,120 @@ def test_a_folder_of_vehicles_is_summed_over_visible_steps(tmp_path):
     table = coverage_of_folder(tmp_path).set_index("tile_id")
     assert table["visible_s"].to_dict() == pytest.approx({3: 1.0, 5: 0.5})
     assert table["covered_s"].to_dict() == pytest.approx({3: 0.5, 5: 0.0})
+
+
+def states(*rows, length=4.0):
+    """Rows of (vehicle, step, east), all due, headed to the east."""
+    vehicle, step, east = np.array(rows, dtype=float).T
+    table = pd.DataFrame(
+        {
+            "vehicle": vehicle.astype(int), "step": step.astype(int), "easting": east,
+            "northing": 0.0, "heading": 0.0, "speed": 5.0, "length": length, "due": True,
+            "hidden": False, "range_m": 20.0,
+        }
+    )  # fmt: skip
+    return table.sort_values("step", kind="stable", ignore_index=True)
+
+
+def scored(true, given):
+    return Scored(true=true, given=given)
+
+
+def test_gospa_counts_what_is_off_missed_and_false():
+    true = states((1, 0, 0.0), (2, 0, 50.0))
+    given = states((9, 0, 3.0), (8, 0, 90.0))
+    one, other, gospa = matched(scored(true, given))
+    assert one["match"].tolist() == [0, -1]
+    assert other["match"].tolist() == [0, -1]
+    # 3 m, and a half of 4 m squared each for the missed and the false one
+    assert gospa == pytest.approx(np.sqrt(9.0 + 8.0 + 8.0))
+
+
+def test_what_is_not_due_is_neither_missed_nor_false():
+    true = states((1, 0, 0.0), (2, 0, 50.0)).assign(due=[True, False])
+    given = states((9, 0, 0.0), (8, 0, 90.0)).assign(due=[False, False])
+    figures = score_tracks(scored(true, given), {})
+    assert (figures["recall"], figures["gospa_m"], figures["hota"]) == (1.0, 0.0, 1.0)
+    assert np.isnan(figures["precision"])
+
+
+def test_similarity_is_the_overlap_along_the_lane():
+    one, other = states((1, 0, 0.0)), states((1, 0, 2.0), (2, 0, -4.0), (3, 0, 0.0))
+    other.loc[2, "northing"] = 1.6
+    assert similarity(one, other)[0].tolist() == pytest.approx([1 / 3, 0.0, 0.0])
+
+
+def test_hota_of_one_vehicle_cut_in_two():
+    # found all the time, half of it under another number: DetA 1, AssA 1/2
+    true = states(*((1, k, k) for k in range(10)))
+    given = states(*((7 + (k >= 5), k, k) for k in range(10)))
+    figures = hota(scored(true, given))
+    assert figures["det_a"] == pytest.approx(1.0)
+    assert figures["ass_a"] == pytest.approx(0.5)
+    assert figures["hota"] == pytest.approx(np.sqrt(0.5))
+
+
+def test_hota_knows_no_threshold_but_the_overlap():
+    # an overlap of a third passes 0.05, 0.10 ... 0.30: 6 of 19 thresholds
+    figures = hota(scored(states((1, 0, 0.0)), states((1, 0, 2.0))))
+    assert figures["det_a"] == pytest.approx(6 / 19)
+
+
+def test_a_vehicle_found_half_of_the_time_is_found():
+    true = states(*((1, 10 * k, 0.0) for k in range(4)), *((2, 10 * k, 50.0) for k in range(4)))
+    given = states((7, 0, 0.0), (7, 10, 0.0), (8, 0, 50.0))
+    figures = score_tracks(scored(true, given), {})
+    assert figures["found"] == 0.5
+    assert figures["recall"] == pytest.approx(3 / 8)
+    assert figures["precision"] == 1.0
+
+
+def fork():
+    """Lanelet 1 to the east, then 2 straight on and 3 that turns off to the left."""
+    at = np.arange(20) / 2.0
+    straight = lane(40)
+    straight["lanelet_id"] = np.repeat([1, 2], 20)
+    straight["index"] = np.tile(np.arange(20), 2)
+    turned = lane(20)
+    angle = at / 12.0
+    turned["geometry"] = [
+        shapely.affinity.translate(
+            shapely.affinity.rotate(shape, np.degrees(a), origin=(w, 1.5)),
+            10.0 + 12.0 * np.sin(a) - w, 12.0 * (1.0 - np.cos(a)),
+        )
+        for shape, a, w in zip(turned.geometry, angle, at, strict=True)
+    ]  # fmt: skip
+    turned["lanelet_id"], turned["index"] = 3, np.arange(20)
+    tiles = pd.concat([straight, turned], ignore_index=True)
+    tiles["tile_id"] = np.arange(len(tiles))
+    after = gpd.GeoDataFrame({"lanelet_id": [1, 2, 3], "successors": [(2, 3), (), ()]})
+    return tiles, SimpleNamespace(lanelets=after)
+
+
+@pytest.mark.parametrize(("turns", "second"), [(False, 2), (True, 3)])
+def test_a_passage_is_of_the_lanelet_that_is_followed(turns, second):
+    tiles, roads = fork()
+    t = np.arange(0.0, 2.0, 0.05)
+    s = -4.0 + 12.0 * t  # of the front
+    angle = np.where((s > 10.0) & turns, (s - 10.0) / 12.0, 0.0)
+    east = np.where(angle > 0, 10.0 + 12.0 * np.sin(angle), s)
+    north = 1.5 + 12.0 * (1.0 - np.cos(angle))
+    table = drive(*zip(t, east, north, strict=True), length=0.2)
+    table["heading"] = np.degrees(angle)
+    truth = TrueCoverage(
+        tile_id=np.arange(60), first_step=FIRST, covered=np.zeros((60, 40), bool),
+        visible=np.ones((60, 40), bool), blocked=np.zeros((60, 40), bool),
+    )  # fmt: skip
+    passed = true_passages(lanes_of(tiles, roads), traffic_of(table), truth)
+    assert passed["lanelet_id"].tolist() == [1, second]
+    # the front is at 5 m after 0.75 s, at 15 m after 1.58 s
+    assert passed["step"].to_numpy() - FIRST == pytest.approx([15, 32], abs=1)
+
+
+def test_passages_pair_within_a_second():
+    true = pd.DataFrame({"lanelet_id": [1, 1, 2], "step": [100, 200, 300]})
+    given = pd.DataFrame({"lanelet_id": [1, 1, 3], "step": [119, 240, 300]})
+    figures = score_passages(true, given)
+    assert figures["passages_recall"] == pytest.approx(1 / 3)
+    assert figures["passages_precision"] == pytest.approx(1 / 3)
+    assert (figures["count_bias"], figures["count_error"]) == (0.0, pytest.approx(2 / 3))

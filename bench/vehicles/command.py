@@ -17,17 +17,27 @@ import dataclasses
 import json
 import time
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
+from passages import score_passages
 from peers import PEERS
 from scenes import OUT, RECIPES, SHARED, scene
 from score import CoverageScore, coverage_of_folder, score_coverage
+from tracks import compared, estimated_states, score_tracks
 
 HELD_OUT = "-held"
 HEADS = {
     "tiles": "d", "true_mean": ".1%", "answered": ".0%", "rank": ".2f", "scale": ".2f",
     "mae_percent": ".1f", "r2": ".2f", "false_zeros": ".0%", "false_busy": ".0%", "beyond": ".0%",
     "within_2_se": ".0%",
+}  # fmt: skip
+VEHICLES = {
+    "recall": ".0%", "precision": ".0%", "found": ".0%", "real": ".0%", "gospa_m": ".1f",
+    "hota": ".2f", "det_a": ".2f", "ass_a": ".2f", "along_m": ".2f", "across_m": ".2f",
+    "speed_mps": ".2f", "speed_90_mps": ".2f", "length_m": ".2f", "length_bias_m": "+.2f",
+    "two_groups": ".0%", "count_bias": "+.1%", "count_error": ".1%", "passages_recall": ".0%",
+    "passages_precision": ".0%",
 }  # fmt: skip
 
 
@@ -49,6 +59,8 @@ def main() -> None:
         return
     if options.score_only:
         print_rows({options.scene: score(options.scene, options.score_only)})
+        if options.score_only.is_dir():
+            print_vehicles({options.scene: vehicles_score(options.scene, options.score_only)})
         return
     report = {}
     for name in options.scene.split(","):
@@ -77,6 +89,32 @@ def score(name: str, given: Path | pd.DataFrame) -> CoverageScore:
     if isinstance(given, Path):
         given = coverage_of_folder(given) if given.is_dir() else pd.read_parquet(given)
     return score_coverage(scene(name).truth(), given)
+
+
+def vehicles_score(name: str, folder: Path) -> dict[str, Any]:
+    """Return the figures of a vehicles folder: vehicles, and passages where they are there."""
+    site = scene(name)
+    given = estimated_states(folder)
+    poses, traffic = site.poses, site.traffic()
+    figures = score_tracks(
+        compared(site.tiles(), site.truth(), poses, traffic, given), traffic.kinds
+    )
+    if (folder / "passages.parquet").exists():
+        passed = pd.read_parquet(folder / "passages.parquet")
+        figures |= score_passages(site.passages(), passed)
+    return figures
+
+
+def print_vehicles(rows: dict[str, dict[str, Any]]) -> None:
+    """Print figures of vehicles as a Markdown table, and what they come from."""
+    print(f"\n| what | {' | '.join(VEHICLES)} |\n{'|---' * (1 + len(VEHICLES))}|")
+    for name, row in rows.items():
+        shown = [format(row.get(key, float("nan")), form) for key, form in VEHICLES.items()]
+        print(f"| {name} | {' | '.join(shown)} |")
+    heads = list(next(iter(rows.values()))["by"])
+    print(f"\n| what | {' | '.join(heads)} |\n{'|---' * (1 + len(heads))}|")
+    for name, row in rows.items():
+        print(f"| {name} | {' | '.join(format(v, '.0%') for v in row['by'].values())} |")
 
 
 def print_rows(rows: dict[str, CoverageScore], *, head: bool = True) -> None:

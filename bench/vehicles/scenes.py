@@ -24,6 +24,7 @@ ROOT = Path(__file__).parents[2]
 sys.path += [str(ROOT), str(ROOT / "bench"), str(ROOT / "bench" / "localization")]
 
 from conditions import CONDITIONS, Conditions  # noqa: E402
+from passages import lanes_of, true_passages  # noqa: E402
 from places import (  # noqa: E402
     ORIGIN,
     UTM,
@@ -72,7 +73,9 @@ class Recipe:
     minutes, warm_up_s : float
         How long is recorded, and how long traffic builds up before.
     free : bool
-        Whether the sensors hang as they like.
+        Whether the town's sensors hang as they like.
+    stand_m, aim_deg : tuple of float, float
+        Distance from the plan's middle of masts at random, and how well they look at it.
     """
 
     plan: str
@@ -83,20 +86,28 @@ class Recipe:
     minutes: float = 2.0
     warm_up_s: float = 120.0
     free: bool = True
+    stand_m: tuple[float, float] = (12.0, 60.0)
+    aim_deg: float = 20.0
 
 
 RECIPES: Mapping[str, Recipe] = {
     "town": Recipe(plan="town", seed=11, per_hour=2600, radars=("R1", "R2", "R4")),
-    "motorway": Recipe(plan="motorway", seed=12, per_hour=7000, radars=2),
+    "motorway": Recipe(
+        plan="motorway", seed=12, per_hour=7000, radars=2, stand_m=(110.0, 170.0), aim_deg=5.0
+    ),
     "gridlock": Recipe(
-        plan="town", seed=13, per_hour=6500, radars=("R1", "R3"), warm_up_s=420.0, free=False
+        plan="town", seed=13, per_hour=9000, radars=("R1", "R3"), warm_up_s=900.0, free=False
     ),
     "light": Recipe(plan="junction", seed=20, per_hour=400, radars=1, minutes=3.0),
     "harsh": Recipe(plan="junction", seed=30, per_hour=1500, radars=2, conditions="harsh"),
-    "ideal": Recipe(plan="tee", seed=16, per_hour=900, radars=1, conditions="textbook"),
+    "ideal": Recipe(
+        plan="tee", seed=16, per_hour=900, radars=1, conditions="textbook", aim_deg=8.0
+    ),
     "town-held": Recipe(plan="town", seed=111, per_hour=2200, radars=("R3", "R5", "R6")),
-    "motorway-held": Recipe(plan="motorway", seed=112, per_hour=5200, radars=1),
-    "gridlock-held": Recipe(plan="junction", seed=113, per_hour=4200, radars=2, warm_up_s=420.0),
+    "motorway-held": Recipe(
+        plan="motorway", seed=112, per_hour=5200, radars=1, stand_m=(110.0, 170.0), aim_deg=5.0
+    ),
+    "gridlock-held": Recipe(plan="junction", seed=113, per_hour=4200, radars=2, warm_up_s=600.0),
     "light-held": Recipe(plan="bend", seed=122, per_hour=300, radars=1, minutes=3.0),
     "harsh-held": Recipe(
         plan="town", seed=115, per_hour=2600, radars=("R2", "R4", "R6"), conditions="harsh"
@@ -163,7 +174,23 @@ class SceneFiles:
         if path.exists():
             return _read_truth(path)
         tiles = self.tiles()
-        sensors = [
+        truth = true_coverage(tiles, self.sensors(), self.traffic())
+        _write_truth(truth, path)
+        return truth
+
+    def passages(self) -> pd.DataFrame:
+        """Return the true passages, which are kept too."""
+        code = ("true_traffic", "true_coverage", "standing", "passages")
+        path = self.kept / f"passages-{_digest(*code)}.parquet"
+        if not path.exists():
+            lanes = lanes_of(self.tiles(), gr.read_map(self.map))
+            true_passages(lanes, self.traffic(), self.truth()).to_parquet(path)
+        return pd.read_parquet(path)
+
+    def sensors(self) -> list[Sensor]:
+        """Return the sensors with what they have truly in sight."""
+        tiles = self.tiles()
+        return [
             Sensor(
                 pose=pose,
                 in_sight=in_sight(tiles, pose, self.folder),
@@ -171,9 +198,6 @@ class SceneFiles:
             )
             for pose, file in zip(self.poses, self.recordings, strict=True)
         ]
-        truth = true_coverage(tiles, sensors, self.traffic())
-        _write_truth(truth, path)
-        return truth
 
 
 def _write_truth(truth: TrueCoverage, path: Path) -> None:
@@ -211,7 +235,12 @@ def scene(name: str) -> SceneFiles:
     stamp, wanted = kept / "made.txt", f"{_simulator()} {recipe}"
     if not (stamp.exists() and stamp.read_text() == wanted):
         kept.mkdir(parents=True, exist_ok=True)
-        for old in (stamp, *kept.glob("truth-*.npz"), *kept.glob("tiles.gpkg")):
+        for old in (
+            stamp,
+            *kept.glob("truth-*.npz"),
+            *kept.glob("passages-*"),
+            *kept.glob("tiles.gpkg"),
+        ):
             old.unlink(missing_ok=True)
         _make(recipe, kept)
         stamp.write_text(wanted)
@@ -294,9 +323,9 @@ def _masts(recipe: Recipe, place: Place, rng: np.random.Generator) -> list[gr.Po
         return [all_of_them[TOWN_MASTS[name]] for name in recipe.radars]
     found: list[gr.Pose] = []
     for number in range(1, recipe.radars + 1):
-        stand = roadside_stand(place.scene, rng, within_m=(12.0, 60.0))
+        stand = roadside_stand(place.scene, rng, within_m=recipe.stand_m)
         towards = np.array(ORIGIN) - stand
-        yaw = np.degrees(np.arctan2(towards[1], towards[0])) + rng.normal(0.0, 20.0)
+        yaw = np.degrees(np.arctan2(towards[1], towards[0])) + rng.normal(0.0, recipe.aim_deg)
         ground = float(place.scene.terrain.height(stand))
         fields: dict[str, Any] = {
             "easting": float(stand[0]), "northing": float(stand[1]),

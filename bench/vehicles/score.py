@@ -71,11 +71,10 @@ def score_coverage(truth: TrueCoverage, table: pd.DataFrame) -> CoverageScore:
         ``tile_id`` and ``coverage`` in [0, 1], NaN where there is no estimate, or ``covered_s`` and
         ``visible_s``; where there is, ``coverage_se``.
     """
-    if "coverage" not in table:
-        with np.errstate(invalid="ignore", divide="ignore"):
-            table = table.assign(coverage=table["covered_s"] / table["visible_s"])
-    given = table.dropna(subset="coverage").drop(
-        columns=["covered_s", "visible_s"], errors="ignore"
+    given = (
+        with_coverage(table)
+        .dropna(subset="coverage")
+        .drop(columns=["covered_s", "visible_s"], errors="ignore")
     )
     true = truth.table()
     true = true[true["visible_s"] > 0.0]
@@ -95,6 +94,14 @@ def score_coverage(truth: TrueCoverage, table: pd.DataFrame) -> CoverageScore:
         beyond=float(1.0 - given["tile_id"].isin(true["tile_id"]).mean()) if len(given) else np.nan,
         within_2_se=float((error < WITHIN).mean()) if np.isfinite(error).any() else np.nan,
     )
+
+
+def with_coverage(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a table with the column ``coverage``, from the seconds where it is not there."""
+    if "coverage" in table:
+        return table
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return table.assign(coverage=table["covered_s"] / table["visible_s"])
 
 
 def agreement(estimate: Floats, exact: Floats) -> dict[str, float]:

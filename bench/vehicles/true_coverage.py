@@ -147,41 +147,57 @@ def middle_lines(tiles: gpd.GeoDataFrame) -> Floats:
     return np.stack([(right0 + right1) / 2.0, (left0 + left1) / 2.0], axis=1)
 
 
-def covered_steps(
-    tiles: gpd.GeoDataFrame, traffic: TrueTraffic, first_step: int, count: int
-) -> Booleans:
-    """Return (tiles, steps): whether a footprint covers a tile at the step's begin."""
-    lines, covered = middle_lines(tiles), np.zeros((len(tiles), count), np.bool_)
+def covered_pairs(
+    tiles: gpd.GeoDataFrame, traffic: TrueTraffic, first_step: int
+) -> dict[str, Integers]:
+    """Return which tiles (row), steps (from the first) and vehicles belong together.
+
+    A footprint covers a tile at the step's begin.
+    """
+    lines = middle_lines(tiles)
     tree = shapely.STRtree(np.asarray(shapely.linestrings(lines)))
     level = tiles["height_m"].to_numpy(np.float64)
     short = traffic.states["length"] <= LONG_M
-    for states, is_long in ((traffic.states[short], False), (traffic.states[~short], True)):
-        states = states.reset_index(drop=True)  # noqa: PLW2901
+    parts = []
+    for chosen in (short, ~short):
+        states = traffic.states[chosen].reset_index(drop=True)
         begin, runs = runs_at_rest(states)
         still = states.iloc[begin].reset_index(drop=True)
-        shapes = (
-            strips(states, begin) if is_long else np.asarray(shapely.polygons(rectangles(still)))
-        )
+        boxes = np.asarray(shapely.polygons(rectangles(still)))
+        shapes = boxes if chosen is short else strips(states, begin)
         row, tile = tree.query(shapes, predicate="intersects")
-        overlap = (
-            shapely.length(shapely.intersection(shapes[row], tree.geometries[tile]))
-            if is_long
-            else overlap_m(lines[tile], still.iloc[row])
-        )
+        if chosen is short:
+            overlap = overlap_m(lines[tile], still.iloc[row])
+        else:
+            overlap = shapely.length(shapely.intersection(shapes[row], tree.geometries[tile]))
         across = np.hypot(*(lines[tile, 1] - lines[tile, 0]).T)
         half = np.minimum(across, still["width"].to_numpy()[row]) / 2.0
         apart = np.abs(level[tile] - still["height"].to_numpy()[row])
         on = (overlap >= np.minimum(OVERLAP_M, half) - 1e-9) & ~(apart > LEVEL_M)
-        _fill(covered, tile[on], still["step"].to_numpy()[row[on]] - first_step, runs[row[on]])
+        parts.append(_all_steps(tile[on], still.iloc[row[on]], runs[row[on]], first_step))
+    names = ("tile", "step", "vehicle")
+    return {
+        name: np.concatenate(c) for name, c in zip(names, zip(*parts, strict=True), strict=True)
+    }
+
+
+def _all_steps(
+    tile: Integers, still: pd.DataFrame, runs: Integers, first_step: int
+) -> tuple[Integers, Integers, Integers]:
+    """Return tile, step and vehicle of all steps in which vehicles stand still."""
+    within = np.arange(runs.sum()) - np.repeat(np.cumsum(runs) - runs, runs)
+    step = np.repeat(still["step"].to_numpy() - first_step, runs) + within
+    return np.repeat(tile, runs), step, np.repeat(still["vehicle"].to_numpy(), runs)
+
+
+def covered_steps(
+    tiles: gpd.GeoDataFrame, traffic: TrueTraffic, first_step: int, count: int
+) -> Booleans:
+    """Return (tiles, steps): whether a footprint covers a tile at the step's begin."""
+    covered = np.zeros((len(tiles), count), np.bool_)
+    pairs = covered_pairs(tiles, traffic, first_step)
+    covered[pairs["tile"], pairs["step"]] = True
     return covered
-
-
-def _fill(covered: Booleans, tile: Integers, step: Integers, runs: Integers) -> None:
-    """Mark runs of steps."""
-    one = runs == 1
-    covered[tile[one], step[one]] = True
-    for t, begin, length in zip(tile[~one], step[~one], runs[~one], strict=True):
-        covered[t, begin : begin + length] = True
 
 
 def strips(states: pd.DataFrame, rows: Integers) -> np.ndarray[tuple[int], np.dtype[np.object_]]:
