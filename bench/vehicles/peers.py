@@ -8,11 +8,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from scenes import SceneFiles
+from true_coverage import HIDDEN_STEPS, covered_pairs
 
 import gis_radar as gr
-from gis_radar.steps import STEP_S
+from gis_radar.arrays import Booleans, Floats
+from gis_radar.steps import STEP_S, step_of
 
 CLOSED_STEPS = 20  # 1 s
+BESIDE_M = 0.5  # a detection may lie so far beside its vehicle
 
 
 def hits(site: SceneFiles) -> pd.DataFrame:
@@ -44,7 +47,67 @@ def _occupancy(site: SceneFiles) -> gr.Occupancy:
     return gr.read_occupancy(folder)
 
 
+def oracle(site: SceneFiles) -> pd.DataFrame:
+    """Return the coverage of true footprints between detections on them: perfect association.
+
+    A vehicle counts from its first detection to its last, but for gaps of over ten seconds. What is
+    missing here no tracker has data for.
+    """
+    truth, traffic, tiles = site.truth(), site.traffic(), site.tiles()
+    count = truth.covered.shape[1]
+    traffic = traffic.within(truth.first_step, truth.first_step + count - 1)
+    hit = _steps_with_detections(site, traffic.states)
+    seen = tiles[tiles["tile_id"].isin(truth.tile_id)]
+    pairs = covered_pairs(seen, traffic, truth.first_step)
+    known = pd.DataFrame({**pairs, "at": pairs["step"] + truth.first_step})
+    last = pd.merge_asof(known.sort_values("at"), hit, on="at", by="vehicle")
+    both = pd.merge_asof(last, hit.rename(columns={"hit": "next"}), on="at", by="vehicle",
+                         direction="forward")  # fmt: skip
+    held = both[both["next"] - both["hit"] <= HIDDEN_STEPS]
+    covered = np.zeros_like(truth.covered)
+    covered[held["tile"], held["step"]] = True
+    return pd.DataFrame(
+        {
+            "tile_id": truth.tile_id,
+            "covered_s": (covered & truth.visible).sum(axis=1) * STEP_S,
+            "visible_s": truth.visible.sum(axis=1) * STEP_S,
+        }
+    )
+
+
+def _steps_with_detections(site: SceneFiles, states: pd.DataFrame) -> pd.DataFrame:
+    """Return ``vehicle at hit``: the steps in which a detection lies on a vehicle, by step."""
+    states = states.sort_values("step", kind="stable")
+    steps = states["step"].to_numpy()
+    columns = ["easting", "northing", "heading", "length", "width", "vehicle"]
+    boxes = states[columns].to_numpy(np.float64)
+    found = []
+    for pose, path in zip(site.poses, site.recordings, strict=True):
+        table = pd.read_parquet(path).dropna(subset="x")
+        places = pose.to_map(table[["x", "y", "z"]].to_numpy(np.float64))[:, :2]
+        heard = step_of(table["time"].to_numpy())
+        for step in np.unique(heard):
+            low, high = np.searchsorted(steps, [step, step + 1])
+            begin, end = np.searchsorted(heard, [step, step + 1])
+            on = _inside(places[begin:end], boxes[low:high]).any(axis=0)
+            found += [(int(v), int(step)) for v in boxes[low:high][on, 5]]
+    hit = pd.DataFrame(found, columns=["vehicle", "at"]).drop_duplicates()
+    return hit.sort_values("at", ignore_index=True).assign(hit=lambda t: t["at"])
+
+
+def _inside(places: Floats, boxes: Floats) -> Booleans:
+    """Return (places, boxes): whether a place is in a footprint, or half a metre beside it."""
+    away = places[:, None] - boxes[:, :2]
+    cos, sin = np.cos(boxes[:, 2]), np.sin(boxes[:, 2])
+    along = np.abs(cos * away[..., 0] + sin * away[..., 1])
+    aside = np.abs(cos * away[..., 1] - sin * away[..., 0])
+    return np.asarray(
+        (along < boxes[:, 3] / 2.0 + BESIDE_M) & (aside < boxes[:, 4] / 2.0 + BESIDE_M)
+    )
+
+
 PEERS: Mapping[str, Callable[[SceneFiles], pd.DataFrame]] = {
     "hits": hits,
     "closed": hits_closed,
+    "oracle": oracle,
 }
