@@ -36,7 +36,7 @@ from places import ORIGIN, UTM  # noqa: E402
 from street_plans import NO_TURNS  # noqa: E402
 from town import masts_of, town_plan  # noqa: E402
 
-TOWNS, LEVELS = (4, 7, 11), (1, 2, 3, 4, 5, 6)
+TOWNS, LEVELS = (4, 7), (1, 2, 3)
 DENSE = (Strip(heading_deg=24.0, slant=0.16), Strip(heading_deg=208.0, slant=0.1))
 SCANS = {"classes": (True, 1.0), "no classes": (False, 1.0), "thin, no classes": (False, 2.2)}
 UP = np.array([0.0, 0.0, 0.6])  # to where a tile counts as seen

@@ -35,7 +35,7 @@ from .scans.roads import Roads, read_roads
 from .scans.scan import read_road, road_crs
 from .second_look import SecondLook, require_scans_near, second_look
 from .second_look.picture import draw_second_look
-from .sight import Sight, SightScan, SightTiles, find_sight
+from .sight import Sight, SightScan, SightTiles, find_sight, remarks_on, write_sights
 from .site.run import SiteRun, run_site
 from .site.settings import Site, read_site, site_template
 from .tiles import (
@@ -118,6 +118,7 @@ __all__ = [
     "read_tiles",
     "read_track",
     "read_vehicles",
+    "remarks_on",
     "require_road_name",
     "require_scans_near",
     "require_table_name",
@@ -135,6 +136,7 @@ __all__ = [
     "write_qgis_project",
     "write_report",
     "write_sensors",
+    "write_sights",
     "write_site_project",
     "write_tiles",
     "write_track",

@@ -3,6 +3,7 @@
 import json
 import re
 
+import geopandas as gpd
 import numpy as np
 import pytest
 from scans import ground, hidden, strewn, write_points
@@ -19,6 +20,7 @@ from gis_radar.sight import (
     SightTiles,
     find_sight,
     remarks_on,
+    write_sights,
 )
 
 ROAD_M = 372.0
@@ -178,3 +180,17 @@ def test_occupancy_observes_what_is_in_sight_and_names_the_scan(tmp_path):
     plain = measure_occupancy([track], [SENSOR], tiles, tmp_path / "plain")
     assert len(plain.views) == 240
     assert plain.sources[0]["sight"] == "view only"
+
+
+def test_the_layer_has_a_row_a_tile_in_view_and_names_what_hides_it(tmp_path):
+    tiles = tiles_of([lane_quads(EAST + 100.0, NORTH - 60.0, 90.0, count=240)], height_m=ROAD_M)
+    sight = sight_over(tmp_path, flat((HOUSE, ROOF_M)), SightTiles.of(tiles))
+    write_sights([sight], tiles, tmp_path / "sight.gpkg")
+    layer = gpd.read_file(tmp_path / "sight.gpkg", layer="sight")
+    assert layer["tile_id"].tolist() == sight.tile_id[sight.state != OUT_OF_VIEW].tolist()
+    hidden_ids = sight.tile_id[sight.state == HIDDEN]
+    behind = layer[layer["state"] == "hidden"]
+    np.testing.assert_array_equal(behind["tile_id"], hidden_ids)
+    assert set(behind["hidden_by"]) == {"something that stands"}
+    middles = layer.geometry.centroid.y - NORTH
+    np.testing.assert_allclose(middles, left_m(SightTiles.of(tiles)), atol=1e-6)

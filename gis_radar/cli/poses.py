@@ -1,4 +1,4 @@
-"""The commands about poses: localize, track, sensors."""
+"""The commands about poses: localize, track, sensors, sight."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ from gis_radar.cli.options import (
     recordings,
     road,
     scan_crs,
+    sight_scans,
+    tile_file,
 )
 from gis_radar.errors import OutputError, UsageError
 from gis_radar.files import refuse_inputs, require_folder
@@ -159,6 +161,41 @@ def sensors(*, poses: tuple[Path, ...], output: Path, reporter: Reporter) -> Res
     gr.write_sensors(found, output)
     reporter.progress("writing sensors", len(found), len(found))
     return Result(outputs=[output], summary={"sensors": [pose.sensor for pose in found]})
+
+
+@command(
+    example="gis-radar sight --pose R1.json --tiles tiles.gpkg --scan scan.laz -o sight.gpkg",
+)
+@click.option(
+    "--pose", "poses", type=FILE, multiple=True, required=True,
+    help="Of each sensor; of a track, its last pose.",
+)  # fmt: skip
+@tile_file
+@sight_scans
+@scan_crs
+@output
+def sight(
+    *,
+    poses: tuple[Path, ...],
+    tiles_path: Path,
+    scans: tuple[Path, ...],
+    scan_crs: str | None,
+    output: Path,
+    reporter: Reporter,
+) -> Result:
+    """Show which tiles sensors see from their poses, and which something hides (GeoPackage)."""
+    refuse_inputs(output, *poses, tiles_path, *scans)
+    if not scans:
+        raise UsageError("no scan is given", hint="name one with --scan; see --help")
+    tiles = gr.read_tiles(tiles_path)
+    road = gr.SightTiles.of(tiles)
+    scan = gr.SightScan(scans, road, scan_crs=scan_crs, reporter=reporter)
+    found = [gr.find_sight(gr.read_track(path).poses[-1], road, scan) for path in poses]
+    for line in filter(None, map(gr.remarks_on, found)):
+        reporter.log(line, "warning")
+    gr.write_sights(found, tiles, output)
+    figures = {each.pose.sensor: each.figures() for each in found}
+    return Result(outputs=[output], summary={"sensors": figures})
 
 
 def _check_folder(output: Path, recordings: tuple[Path, ...], *inputs: Path) -> None:

@@ -1,5 +1,6 @@
 """Sight: which tiles a sensor sees from one pose, and what hides the others."""
 
+from gis_radar.sight.layers import write_sights
 from gis_radar.sight.settings import SightSettings
 from gis_radar.sight.sight import (
     HIDDEN,
@@ -26,4 +27,5 @@ __all__ = [
     "describe_sight",
     "find_sight",
     "remarks_on",
+    "write_sights",
 ]

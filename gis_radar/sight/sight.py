@@ -130,6 +130,15 @@ class Sight:
             return 0.0
         return 1.0 - float(np.count_nonzero(self.uncovered) / in_view)
 
+    def figures(self) -> dict[str, Any]:
+        """Return how many tiles are in sight and hidden, and the share that the scan decides."""
+        counts = np.bincount(self.state, minlength=3)
+        return {
+            "in_sight": int(counts[IN_SIGHT]),
+            "hidden": int(counts[HIDDEN]),
+            "covered": round(self.covered, 3),
+        }
+
     def __repr__(self) -> str:
         counts = np.bincount(self.state, minlength=3)
         return (
