@@ -19,7 +19,7 @@ from test_together import LONG, TRAFFIC, stated
 import gis_radar as gr
 from gis_radar.localization import AmbiguousError
 from gis_radar.poses.pose import View
-from gis_radar.report.results import how_found
+from gis_radar.report.content import how_found
 from gis_radar.site import stages as work
 from gis_radar.site.plan import stages_of
 from gis_radar.site.run import SiteRun, _summary
@@ -115,7 +115,7 @@ def test_two_sensors_gain_by_each_other(site, run):
     assert single.easting == known.easting
     shown = found.done.figures()["sensors"]["R2"]
     assert (shown["easting"], shown["fitness"]) == (round(pose.easting, 3), 0.9)
-    assert "tied by" in how_found(pose)
+    assert "tied by" in how_found(pose.evidence)
 
 
 def test_a_sensor_that_alone_is_refused_is_placed_by_its_neighbour(site, run):

@@ -34,7 +34,7 @@ import table
 from conditions import CONDITIONS, TEXTBOOK, folder_name
 from places import OUT
 from town import SETS, town_folder
-from trials import run_all
+from trials import METHODS, run_all
 from workers import workers
 
 QUICK_COMBINATIONS = 10
@@ -52,11 +52,14 @@ class Effort:
         At most so many a sensor, set and method in the table.
     conditions : str
         A name of `CONDITIONS`: radar, drivers and people of the table and the calibration.
+    methods : tuple of str
+        Which methods the table compares.
     """
 
     quick: bool
     starts: int
     conditions: str = TEXTBOOK
+    methods: tuple[str, ...] = METHODS
 
     @property
     def out(self) -> Path:
@@ -87,7 +90,7 @@ class Part:
 def make_table(effort: Effort) -> Part:
     """Measure the town's sets."""
     town = town_folder("town", conditions=effort.conditions)
-    results = run_all(table.plan(town, most=effort.starts), what="table")
+    results = run_all(table.plan(town, most=effort.starts, methods=effort.methods), what="table")
     groups = table.report(results)
     figures.draw_town(town, effort.out / "town.png")
     pictures = ["![The town](town.png)"]
@@ -196,11 +199,17 @@ def main() -> None:
     parser.add_argument("--starts", type=int, help="a sensor in the table, at most (50)")
     about = f"radar, drivers and people; for {', '.join(UNDER_CONDITIONS)}"
     parser.add_argument("--conditions", choices=CONDITIONS, default=TEXTBOOK, help=about)
+    about = f"of the table, some of {','.join(METHODS)}"
+    parser.add_argument("--methods", default=",".join(METHODS), help=about)
     options = parser.parse_args()
+    methods = tuple(options.methods.split(","))
+    if unknown := set(methods) - set(METHODS):
+        parser.error(f"--methods: no method is called {', '.join(sorted(unknown))}")
     most = table.QUICK_STARTS if options.quick else table.NEAR_STARTS["lane"]
     effort = Effort(
-        quick=options.quick, starts=options.starts or most, conditions=options.conditions
-    )
+        quick=options.quick, starts=options.starts or most, conditions=options.conditions,
+        methods=methods,
+    )  # fmt: skip
     names = options.only.split(",")
     if unknown := set(names) - set(PARTS):
         parser.error(f"--only: no part is called {', '.join(sorted(unknown))}")

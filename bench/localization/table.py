@@ -55,12 +55,12 @@ PAPER_FLAT = {
 }
 
 
-def plan(folder: Path, *, most: int) -> list[Trial]:
+def plan(folder: Path, *, most: int, methods: Sequence[str] = METHODS) -> list[Trial]:
     """Return the trials of the table, at most so many starts a sensor, set and method."""
     trials = []
     for kind, starts in (("near", NEAR_STARTS), ("any", ANY_STARTS)):
         for set_name in SETS:
-            for method in METHODS:
+            for method in methods:
                 trials += spread(
                     folder,
                     [f"{set_name}_{sensor}" for sensor in SENSORS],
@@ -137,10 +137,8 @@ def markdown(groups: dict[str, Any]) -> str:
         theirs = " | ".join([*(_number(cell) for cell in cells), "", "", "", ""])
         lines.append(f"| {set_name} | its own | the paper | {theirs} |")
         for kind in KINDS if set_name in SETS else ():
-            lines += [
-                row(set_name, kind, method, groups[f"{kind} {set_name} {method}"])
-                for method in METHODS
-            ]
+            rows = [(method, groups[f"{kind} {set_name} {method}"]) for method in METHODS]
+            lines += [row(set_name, kind, method, f) for method, f in rows if f["starts"]]
     lines += ["", *(f"*{kind}*: {meaning}." for kind, meaning in MEANING.items()), ""]
     return "\n".join([*lines, *_by_sensor(groups)])
 
@@ -164,6 +162,8 @@ def _by_sensor(groups: dict[str, Any]) -> list[str]:
         theirs = " | ".join(f"{PAPER_FLAT[set_name][sensor]:.2f}" for sensor in SENSORS)
         lines.append(f"| {set_name} | the paper | {theirs} |")
         for method in METHODS:
+            if not groups[f"near {set_name} {method}"]["starts"]:
+                continue
             by_sensor = groups[f"near {set_name} {method}"]["sensors"]
             cells = [
                 f"{_number(by_sensor[sensor]['flat_median'])} ({by_sensor[sensor]['right']:.0%})"

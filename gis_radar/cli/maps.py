@@ -71,7 +71,7 @@ def mask(
 @click.option("--at", help="Map of the one 50 ms step at this time (ISO 8601 with Z).")
 @click.option(
     "--vehicles", "vehicle_folders", type=FILE, multiple=True,
-    help="From gis-radar vehicles: adds coverage, the share of time that vehicles stand there.",
+    help="A folder of vehicles: adds coverage, the share of time that they stand on a tile.",
 )  # fmt: skip
 def heatmap(
     *, folders: tuple[Path, ...], tiles_path: Path, output: Path,

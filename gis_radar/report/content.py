@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from functools import cached_property
@@ -15,6 +15,8 @@ from typing import Any, NamedTuple
 from zoneinfo import ZoneInfo
 
 import pandas as pd
+
+HOW_FOUND = {"lane": "found from traffic on the lanes", "icp": "found by ICP"}
 
 
 class Column(NamedTuple):
@@ -220,6 +222,21 @@ def tie_words(tie: Any) -> str:
         return ""
     alone = plus_minus(math.hypot(*before), 2, " m")
     return f"tied by {count(shared, 'vehicle')} to {others}, alone {alone}"
+
+
+def how_found(evidence: Mapping[str, Any]) -> str:
+    """Return how a pose was found, and on what evidence, in words."""
+    words = [HOW_FOUND.get(str(evidence.get("method")), "given, not found by gis_radar")]
+    fitness = evidence.get("fitness")
+    if isinstance(fitness, int | float) and not isinstance(fitness, bool):
+        words.append(f"{percent(float(fitness), 0)} of the traces fit")
+    if evidence.get("observable") is False:
+        words.append("the scene does not fix all of it")
+    if isinstance(look := evidence.get("second_look"), dict) and look.get("verdict"):
+        words.append(f"second look {look['verdict']}")
+    if tie := tie_words(evidence.get("together")):
+        words.append(tie)
+    return "; ".join(words)
 
 
 def count(amount: int, noun: str) -> str:

@@ -30,11 +30,10 @@ from gis_radar.report.content import (
     count,
     direction,
     figure_text,
+    how_found,
     listed,
-    percent,
     plus_minus,
     text_rows,
-    tie_words,
     write_csv,
 )
 
@@ -44,7 +43,6 @@ NOT_KNOWN = "not known here"
 FIGURE_PIXELS, FINE_FIGURES = 1600, 6  # width of a picture; more than that many are coarser
 COARSE_PIXELS, MOST_FIGURES = 1000, 20
 TALLEST_MM = 120.0  # on paper
-HOW_FOUND = {"lane": "found from traffic on the lanes", "icp": "found by ICP"}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -366,10 +364,10 @@ def pose_figures(results: Results) -> list[Figure]:
                 width=image.width,
                 height=image.height,
                 tallest_mm=TALLEST_MM,
-                caption=f"Sensor {pose.sensor}: {how_found(pose)}.",
+                caption=f"Sensor {pose.sensor}: {how_found(pose.evidence)}.",
                 alt=(
                     f"How the pose of {pose.sensor} was found: traces of vehicles on the map's "
-                    f"lanes; {how_found(pose)}."
+                    f"lanes; {how_found(pose.evidence)}."
                 ),
             )
         )
@@ -435,7 +433,7 @@ def _sensor_columns() -> list[Column]:
         Column("Looks to", "from grid north", 2.0, _looks_to),
         Column("Pitch, roll", "degrees", 1.8, angles),
         Column("Sees", "range, width", 1.1, sees),
-        Column("How its pose was found", "", 2.6, how_found, False),
+        Column("How its pose was found", "", 2.6, lambda pose: how_found(pose.evidence), False),
     ]
 
 
@@ -452,22 +450,6 @@ def _looks_to(pose: Pose) -> str:
     ahead = pose.R_map_sensor[:2, 0]
     bearing = math.degrees(math.atan2(ahead[0], ahead[1])) % 360.0
     return f"{direction(*ahead)}, {_measured(pose, 'yaw', 1, bearing, '°')}"
-
-
-def how_found(pose: Pose) -> str:
-    """Return how a pose was found, and on what evidence, in words."""
-    evidence = pose.evidence
-    words = [HOW_FOUND.get(str(evidence.get("method")), "given, not found by gis_radar")]
-    fitness = evidence.get("fitness")
-    if isinstance(fitness, int | float) and not isinstance(fitness, bool):
-        words.append(f"{percent(float(fitness), 0)} of the traces fit")
-    if evidence.get("observable") is False:
-        words.append("the scene does not fix all of it")
-    if isinstance(look := evidence.get("second_look"), dict) and look.get("verdict"):
-        words.append(f"second look {look['verdict']}")
-    if tie := tie_words(evidence.get("together")):
-        words.append(tie)
-    return "; ".join(words)
 
 
 def _sigma(pose: Pose) -> dict[str, float]:
@@ -491,7 +473,7 @@ def write_sensor_table(path: Path, results: Results) -> None:
         {
             "sensor": pose.sensor,
             "crs": pose.as_dict()["crs"],
-            "how_found": how_found(pose),
+            "how_found": how_found(pose.evidence),
             **{name: round(getattr(pose, name), 4) for name in names},
             **{f"sigma_{name}": round(value, 4) for name, value in _sigma(pose).items()},
             **asdict(pose.view or View()),

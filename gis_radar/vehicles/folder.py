@@ -49,7 +49,7 @@ Span: TypeAlias = tuple[int, int] | None
 MANIFEST = "manifest.json"
 _TABLES = (TRACKS, VEHICLES, PASSAGES, COVERED, VISIBLE, FRAMES)
 OWNED = (MANIFEST, *(kind.file for kind in _TABLES))
-AGAIN = "make it again with: gis-radar vehicles"
+AGAIN = "write it again with this version"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -430,7 +430,7 @@ def _read_manifest(folder: Path) -> Provenance:
         if not (folder / file).is_file():
             raise InputError(
                 f"{folder}: not a folder of vehicles: lacks {file}",
-                hint="make one with: gis-radar vehicles",
+                hint="a folder that gis_radar.vehicles.folder.write_vehicles wrote is needed",
             )
     try:
         known = json.loads(path.read_text(encoding="utf-8"))
