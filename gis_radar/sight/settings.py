@@ -56,7 +56,8 @@ class SightSettings:
         A ray that is not hidden and passes so far over what the scan does not cover: the tile
         counts as in sight, and is counted as not covered.
     least_covered : float
-        Warn where the scan decides less than this share of the tiles in the view.
+        Warn where the scan decides less than this share of the tiles in the view: the rim of a
+        view reaches beyond most scans, and a tenth of it hardly changes a map.
     offset_m : float
         Median difference of the scan's and the tiles' road heights above which the two are not of
         one vertical system, metres.
@@ -85,7 +86,7 @@ class SightSettings:
     deck_m: float = 1.5
     gap_m: float = 3.0
     unknown_m: float = 10.0
-    least_covered: float = 0.98
+    least_covered: float = 0.9
     offset_m: float = 2.0
     windows_kept: int = 8
 
