@@ -66,7 +66,7 @@ def run_engine(tiles, tracks, rows, *, views=(), held=NO_FRAMES, span=None, chos
 angles = st.floats(-180, 180).map(lambda x: round(x, 2))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(
     lanes=st.lists(
         st.tuples(angles, st.sampled_from([0.0, 1.9, 6.0]), st.sampled_from([0.6, 3.0, 5.5])),
