@@ -35,7 +35,7 @@ from .scans.roads import Roads, read_roads
 from .scans.scan import read_road, road_crs
 from .second_look import SecondLook, require_scans_near, second_look
 from .second_look.picture import draw_second_look
-from .sight import Sight, SightScan, SightTiles, find_sight, remarks_on, write_sights
+from .sight import Sight, SightScan, SightTiles, find_sight, report_uncovered, write_sights
 from .site.run import SiteRun, run_site
 from .site.settings import Site, read_site, site_template
 from .tiles import (
@@ -118,7 +118,7 @@ __all__ = [
     "read_tiles",
     "read_track",
     "read_vehicles",
-    "remarks_on",
+    "report_uncovered",
     "require_road_name",
     "require_scans_near",
     "require_table_name",

@@ -6,6 +6,7 @@ import re
 import geopandas as gpd
 import numpy as np
 import pytest
+from maps import Listener
 from scans import ground, hidden, strewn, write_points
 from sites import EAST, NORTH, START, lane_quads, pose, recording, tiles_of
 
@@ -19,7 +20,7 @@ from gis_radar.sight import (
     SightScan,
     SightTiles,
     find_sight,
-    remarks_on,
+    report_uncovered,
     write_sights,
 )
 
@@ -161,8 +162,23 @@ def test_what_the_scan_does_not_cover_counts_as_in_sight_and_is_named(tmp_path):
     right = left_m(across()) < -10.0
     assert (sight.state[right] == IN_SIGHT).all()
     assert sight.uncovered[right].all()
-    assert re.match(r"the scan covers \d\d% of the view of R1", remarks_on(sight))
-    assert remarks_on(sight_over(tmp_path, points, across())) == ""
+    heard = Listener()
+    report_uncovered([sight, sight], heard)
+    ((rank, message),) = heard.messages
+    assert rank == "warning"
+    assert re.match(r"the scan covers \d\d% of the view of R1", message)
+
+
+def test_a_scan_that_misses_the_rim_of_a_view_is_no_warning(tmp_path):
+    points = flat()
+    heard = Listener()
+    report_uncovered([sight_over(tmp_path, points, across())], heard)
+    assert heard.messages == []
+    nearly = sight_over(tmp_path, points[points[:, 1] > -45.0], across())
+    assert 0.9 < nearly.covered < 1.0
+    report_uncovered([nearly], heard)
+    ((rank, _),) = heard.messages
+    assert rank == "info"
 
 
 def test_occupancy_observes_what_is_in_sight_and_names_the_scan(tmp_path):

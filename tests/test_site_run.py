@@ -581,6 +581,20 @@ def test_the_demo_finds_its_sensors(demo):
         assert (folder / name).is_file()
 
 
+def test_the_scan_of_a_site_gives_sight(demo):
+    folder, _ = demo
+    tiles = gr.read_tiles(folder / "tiles.gpkg")
+    road = gr.SightTiles.of(tiles)
+    scan = gr.SightScan([gr.sample_folder() / "scan.laz"], road)
+    for sensor in ("R1", "R2"):
+        (source,) = gr.read_occupancy(folder / "occupancy" / sensor).sources
+        assert source["sight"]["scan"] == scan.digest
+        seen = gr.find_sight(gr.read_pose(folder / "sensors" / sensor / "pose.json"), road, scan)
+        assert seen.figures()["hidden"] > 0
+        views = pd.read_parquet(folder / "occupancy" / sensor / "views.parquet")
+        assert sorted(views["tile_id"]) == seen.seen.tolist()
+
+
 def test_errors_of_poses_turn_the_short_way():
     true = gr.read_pose(gr.sample_folder() / "R1.json")
     found = replace(true, yaw=true.yaw - 359.0, easting=true.easting + 3.0, height=true.height - 1)

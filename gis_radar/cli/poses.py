@@ -191,8 +191,7 @@ def sight(
     road = gr.SightTiles.of(tiles)
     scan = gr.SightScan(scans, road, scan_crs=scan_crs, reporter=reporter)
     found = [gr.find_sight(gr.read_track(path).poses[-1], road, scan) for path in poses]
-    for line in filter(None, map(gr.remarks_on, found)):
-        reporter.log(line, "warning")
+    gr.report_uncovered(found, reporter)
     gr.write_sights(found, tiles, output)
     figures = {each.pose.sensor: each.figures() for each in found}
     return Result(outputs=[output], summary={"sensors": figures})

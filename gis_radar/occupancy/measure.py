@@ -49,7 +49,7 @@ from gis_radar.poses.files import PoseTrack, as_track
 from gis_radar.poses.pose import Pose, View
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Detections, RangeCounts, Recording, as_recording
-from gis_radar.sight import VIEW_ONLY, SightScan, SightTiles, describe_sight, remarks_on
+from gis_radar.sight import VIEW_ONLY, SightScan, SightTiles, describe_sight, report_uncovered
 from gis_radar.steps import STEP_US, iso_from_step, step_of
 from gis_radar.tiles.lookup import TileEngine, TileGrid
 
@@ -395,10 +395,9 @@ def _report_sight(book: ViewBook, reporter: Reporter) -> None:
         reporter.log(
             f"sight: {VIEW_ONLY}: houses hide no tile; with --scan, what stands in a scan does"
         )
-    remarks = (remarks_on(sight) for sight in book.sights.values())
-    for line in dict.fromkeys(filter(None, remarks)):
-        reporter.log(line, "warning")
-    if book.scan is not None and np.isnan(book.road.height).all():
+        return
+    report_uncovered(book.sights.values(), reporter, book.scan.settings)
+    if np.isnan(book.road.height).all():
         reporter.log(
             "the tiles have no heights: those of the scan's ground count, and levels one above "
             "another are not distinguished", "warning",

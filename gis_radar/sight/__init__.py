@@ -12,7 +12,7 @@ from gis_radar.sight.sight import (
     SightTiles,
     describe_sight,
     find_sight,
-    remarks_on,
+    report_uncovered,
 )
 
 __all__ = [
@@ -26,6 +26,6 @@ __all__ = [
     "SightTiles",
     "describe_sight",
     "find_sight",
-    "remarks_on",
+    "report_uncovered",
     "write_sights",
 ]

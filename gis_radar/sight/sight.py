@@ -8,7 +8,8 @@ through a deck. Without a scan, all that is in the view counts as seen: `view on
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -333,14 +334,20 @@ def find_sight(
     return sight
 
 
-def remarks_on(sight: Sight, settings: SightSettings = DEFAULTS) -> str:
-    """Return what a scan does not cover of a view, in one line, or nothing."""
-    if sight.scan == VIEW_ONLY or sight.covered >= settings.least_covered:
-        return ""
-    return (
-        f"the scan covers {sight.covered:.0%} of the view of {sight.pose.sensor}: what it does not "
-        "cover counts as in sight"
-    )
+def report_uncovered(
+    sights: Iterable[Sight], reporter: Reporter, settings: SightSettings = DEFAULTS
+) -> None:
+    """Report what a scan does not cover of each sensor's views; as a warning where it is much."""
+    worst: dict[str, float] = {}
+    for sight in sights:
+        if sight.scan != VIEW_ONLY and sight.uncovered.any():
+            worst[sight.pose.sensor] = min(sight.covered, worst.get(sight.pose.sensor, 1.0))
+    for sensor, covered in worst.items():
+        reporter.log(
+            f"the scan covers {math.floor(100.0 * covered)}% of the view of {sensor}: what it does "
+            "not cover counts as in sight",
+            "info" if covered >= settings.least_covered else "warning",
+        )
 
 
 def _hide(

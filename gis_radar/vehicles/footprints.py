@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from gis_radar.arrays import Booleans, Floats, Integers, compiled
+from gis_radar.arrays import Booleans, Floats, Integers, compiled, ranges
 from gis_radar.tiles.tiles import quads
 from gis_radar.vehicles.coverage_settings import CoverageSettings
 
@@ -78,7 +78,7 @@ def _fill(
     high = (np.maximum(lines[:, :2], lines[:, 2:]) / cell_m).astype(np.int64)
     wide, tall = (high - low + 1).T
     line = np.repeat(np.arange(len(lines)), wide * tall)
-    place = np.arange(len(line)) - np.repeat(np.cumsum(wide * tall) - wide * tall, wide * tall)
+    place = ranges(np.zeros(len(lines), np.int64), wide * tall)
     column = np.minimum(low[line, 0] + place % wide[line], columns - 1)
     row = np.minimum(low[line, 1] + place // wide[line], rows - 1)
     cell = row * columns + column
