@@ -58,6 +58,8 @@ def main() -> None:
             make(name)
         return
     if options.score_only:
+        if not options.score_only.exists():
+            parser.error(f"{options.score_only} is not there")
         print_rows({options.scene: score(options.scene, options.score_only)})
         if options.score_only.is_dir():
             print_vehicles({options.scene: vehicles_score(options.scene, options.score_only)})
@@ -86,9 +88,11 @@ def make(name: str) -> None:
 
 def score(name: str, given: Path | pd.DataFrame) -> CoverageScore:
     """Return the score of a coverage table, its file, or a vehicles folder, on a scene."""
+    site = scene(name)
     if isinstance(given, Path):
-        given = coverage_of_folder(given) if given.is_dir() else pd.read_parquet(given)
-    return score_coverage(scene(name).truth(), given)
+        folder = given.is_dir()
+        given = coverage_of_folder(given, site.tiles()) if folder else pd.read_parquet(given)
+    return score_coverage(site.truth(), given)
 
 
 def vehicles_score(name: str, folder: Path) -> dict[str, Any]:
@@ -101,6 +105,7 @@ def vehicles_score(name: str, folder: Path) -> dict[str, Any]:
     )
     if (folder / "passages.parquet").exists():
         passed = pd.read_parquet(folder / "passages.parquet")
+        passed = passed[passed["lanelet_id"].isin(site.lanelets_in_sight())]
         figures |= score_passages(site.passages(), passed)
     return figures
 

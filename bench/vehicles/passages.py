@@ -7,6 +7,7 @@ as it is; from one to itself, its successors, or, at a price, to another.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import geopandas as gpd
 import numpy as np
@@ -45,6 +46,8 @@ class Lanes:
         By lanelet, the tile index at which half of it is passed.
     follows : set of (int, int)
         Lanelets and their successors.
+    s_m : Floats
+        Of each tile's middle, along its lanelet.
     """
 
     lanelet: Integers
@@ -55,6 +58,16 @@ class Lanes:
     width: Floats = field(repr=False)
     half: dict[int, int] = field(repr=False)
     follows: set[tuple[int, int]] = field(repr=False)
+    s_m: Floats = field(repr=False)
+
+    @cached_property
+    def of_lanelet(self) -> dict[int, tuple[Integers, cKDTree]]:
+        """By lanelet, its rows and where their middles are."""
+        found = {}
+        for lanelet in np.unique(self.lanelet).tolist():
+            rows = np.flatnonzero(self.lanelet == lanelet)
+            found[lanelet] = (rows, cKDTree(self.middle[rows]))
+        return found
 
 
 def lanes_of(tiles: gpd.GeoDataFrame, roads: gr.LaneletMap) -> Lanes:
@@ -72,7 +85,15 @@ def lanes_of(tiles: gpd.GeoDataFrame, roads: gr.LaneletMap) -> Lanes:
         width=np.hypot(*across.T),
         half={int(k): int(n) // 2 for k, n in count.items()},
         follows={(int(a), int(b)) for a, after in table for b in after},
+        s_m=_middles(tiles),
     )
+
+
+def _middles(tiles: gpd.GeoDataFrame) -> Floats:
+    """Return how far along its lanelet the middle of each tile lies."""
+    if "s_m" not in tiles:
+        return np.full(len(tiles), np.nan)
+    return np.asarray(tiles["s_m"] + tiles["length_m"] / 2.0, np.float64)
 
 
 def true_passages(lanes: Lanes, traffic: TrueTraffic, truth: TrueCoverage) -> pd.DataFrame:
@@ -99,16 +120,8 @@ def true_passages(lanes: Lanes, traffic: TrueTraffic, truth: TrueCoverage) -> pd
 def way_of(lanes: Lanes, tree: cKDTree, states: pd.DataFrame) -> list[tuple[int, int]]:
     """Return the lanelets whose middles a vehicle passes, each with the row in which it does."""
     front = states[["front_e", "front_n"]].to_numpy()
-    heading = states["heading"].to_numpy()
-    driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(front, axis=0).T))])
-    looks = np.unique(np.searchsorted(driven, np.arange(0.0, driven[-1] + MOVE_M, MOVE_M)))
-    looks = looks[looks < len(front)]
-    options = [_options(lanes, tree, front[k], heading[k]) for k in looks]
-    kept = [k for k, found in enumerate(options) if found]
-    if not kept:
-        return []
-    chain = _likeliest(lanes, [options[k] for k in kept])
-    rows, passed = looks[kept], []
+    rows, chain = followed(lanes, tree, front, states["heading"].to_numpy())
+    passed = []
     for before, after in zip(range(len(chain) - 1), range(1, len(chain)), strict=True):
         (one, index), (other, later) = chain[before], chain[after]
         half = lanes.half[other]
@@ -117,6 +130,18 @@ def way_of(lanes: Lanes, tree: cKDTree, states: pd.DataFrame) -> list[tuple[int,
             if one == other or _entered_before(index, one, other, lanes):
                 passed.append((other, int(at)))
     return passed
+
+
+def followed(
+    lanes: Lanes, tree: cKDTree, front: Floats, heading: Floats
+) -> tuple[Integers, list[tuple[int, int]]]:
+    """Return the rows in which a vehicle was looked at, and (lanelet, tile index) of each."""
+    driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(front, axis=0).T))])
+    looks = np.unique(np.searchsorted(driven, np.arange(0.0, driven[-1] + MOVE_M, MOVE_M)))
+    looks = looks[looks < len(front)]
+    options = [_options(lanes, tree, front[k], heading[k]) for k in looks]
+    kept = [k for k, found in enumerate(options) if found]
+    return looks[kept], _likeliest(lanes, [options[k] for k in kept]) if kept else []
 
 
 def _entered_before(index: int, one: int, other: int, lanes: Lanes) -> bool:

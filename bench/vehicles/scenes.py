@@ -42,6 +42,7 @@ from true_coverage import Sensor, TrueCoverage, true_coverage  # noqa: E402
 from true_traffic import TrueTraffic, read_traffic  # noqa: E402
 
 import gis_radar as gr  # noqa: E402
+from gis_radar.arrays import Integers  # noqa: E402
 from gis_radar.poses.files import write_pose  # noqa: E402
 from simulation.lanelet_writer import write_lanelets  # noqa: E402
 from simulation.presets import TEXTBOOK  # noqa: E402
@@ -186,6 +187,13 @@ class SceneFiles:
             lanes = lanes_of(self.tiles(), gr.read_map(self.map))
             true_passages(lanes, self.traffic(), self.truth()).to_parquet(path)
         return pd.read_parquet(path)
+
+    def lanelets_in_sight(self) -> Integers:
+        """Return the lanelets whose middles are truly in sight: passages of others do not count."""
+        tiles, seen = self.tiles(), self.truth().tile_id
+        half = (tiles.groupby("lanelet_id")["index"].transform("max") + 1) // 2
+        middle = (tiles["index"] == half) & tiles["tile_id"].isin(seen)
+        return np.asarray(tiles.loc[middle, "lanelet_id"], np.int64)
 
     def sensors(self) -> list[Sensor]:
         """Return the sensors with what they have truly in sight."""

@@ -5,13 +5,18 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import geopandas as gpd
 import numpy as np
 import pandas as pd
 from scipy.stats import spearmanr
 from true_coverage import TrueCoverage
 
 from gis_radar.arrays import Floats
+from gis_radar.heatmap.covering import count_coverage
+from gis_radar.heatmap.intervals import Timeline
+from gis_radar.progress import QUIET
 from gis_radar.steps import STEP_S
+from gis_radar.vehicles import read_vehicles
 
 BUSY = 0.01  # a tile with more is one that vehicles use
 WITHIN = 2.0  # standard errors; 95 % of the errors should be
@@ -123,8 +128,28 @@ def agreement(estimate: Floats, exact: Floats) -> dict[str, float]:
         }
 
 
-def coverage_of_folder(folder: Path) -> pd.DataFrame:
-    """Return the coverage of a folder of vehicles: covered and visible runs, summed by tile."""
+def coverage_of_folder(folder: Path, tiles: gpd.GeoDataFrame | None = None) -> pd.DataFrame:
+    """Return the coverage of a folder of vehicles: covered and visible runs, summed by tile.
+
+    With tiles, also the standard error that the package states.
+    """
+    table = _summed(folder)
+    return table if tiles is None else table.merge(standard_errors(folder, tiles), on="tile_id")
+
+
+def standard_errors(folder: Path, tiles: gpd.GeoDataFrame) -> pd.DataFrame:
+    """Return ``tile_id coverage_se`` over the whole time, as a heat map states it."""
+    vehicles = read_vehicles(folder)
+    tiles = tiles.sort_values("tile_id", ignore_index=True)
+    seen, steps = np.arange(len(tiles)), vehicles.covered_frames()
+    first, last = int(steps.first[0]), int(steps.last[-1])
+    timeline = Timeline(begin=np.array([first]), end=np.array([last + 1]))
+    counted = count_coverage(vehicles, tiles, seen, timeline, steps, QUIET)
+    error = counted.shares(seen, len(tiles), None).coverage_se
+    return pd.DataFrame({"tile_id": tiles["tile_id"], "coverage_se": error})
+
+
+def _summed(folder: Path) -> pd.DataFrame:
     visible = pd.read_parquet(folder / "visible.parquet")
     covered = pd.read_parquet(folder / "covered.parquet")
     seconds = {
