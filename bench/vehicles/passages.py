@@ -63,7 +63,7 @@ class Lanes:
     @cached_property
     def of_lanelet(self) -> dict[int, tuple[Integers, cKDTree]]:
         """By lanelet, its rows and where their middles are."""
-        found = {}
+        found: dict[int, tuple[Integers, cKDTree]] = {}
         for lanelet in np.unique(self.lanelet).tolist():
             rows = np.flatnonzero(self.lanelet == lanelet)
             found[lanelet] = (rows, cKDTree(self.middle[rows]))
