@@ -107,7 +107,7 @@ plugin-zip: wheel ## Build the installable zip of the QGIS plugin in dist
 
 constraints: set-up-dev ## Pin what pyproject.toml asks for in constraints.txt
 	printf 'hatchling\nuv\n' | $(BIN)/uv pip compile --quiet --no-header --no-annotate \
-		--universal --python-version 3.11 --fork-strategy fewest --all-extras --group dev --group docs \
+		--universal --python-version 3.11 --fork-strategy fewest --all-extras --group bench --group dev --group docs \
 		$(UPGRADE) --output-file constraints.txt pyproject.toml -
 
 clean: ## Remove all that was made, .venv too

@@ -91,6 +91,7 @@ install_packages() {
     set -- --editable .
     [ "$level" != bench ] || set -- --editable '.[localize]'
     [ "$level" = run ] || set -- "$@" --group dev --group docs
+    [ "$level" != bench ] || set -- "$@" --group bench
     $venv/bin/python -m pip install --quiet --disable-pip-version-check \
         --constraint constraints.txt uv || fail "pip could not install uv (see above)."
     # Without a home to write to, downloads are kept beside what they become.

@@ -1,77 +1,83 @@
 """Vehicles and coverage, measured against the true traffic of simulated scenes.
 
-    python bench/vehicles --scene town --score-only coverage.parquet     a table or vehicles folder
-    python bench/vehicles --make town,light                              only make scenes
-    python bench/vehicles                                                the development scenes
+    python bench/vehicles --scene town --score-only vehicles/    a vehicles folder, or a table
+    python bench/vehicles --make town,light                      only make scenes
+    python bench/vehicles --scene town --methods hits,true       some methods on some scenes
+    python bench/vehicles --scene town --ablation                what each component is worth
+    python bench/vehicles --bad-input                            how bad input is treated
+    python bench/vehicles --tables                               README's tables, from the JSON
+    python bench/vehicles                                        all methods, development scenes
 
 From Python, with bench/vehicles in the path: `from scenes import scene`, `from score import
 score_coverage`; `score_coverage(scene("town").truth(), table)`. A scene has `.map`, `.scan`,
-`.recordings`, `.poses` (true ones), `.tiles()`, `.truth()`, `.traffic()`. Results in
-out/bench-vehicles. Needs Eclipse SUMO to make scenes.
+`.recordings`, `.poses` (true ones), `.tiles()`, `.truth()`, `.traffic()`. Figures are collected in
+out/bench-vehicles/bench.json. Needs Eclipse SUMO to make scenes.
 """
 
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import json
+import math
 import time
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from passages import score_passages
-from peers import PEERS
-from scenes import OUT, RECIPES, SHARED, scene
-from score import CoverageScore, coverage_of_folder, score_coverage
-from tracks import compared, estimated_states, score_tracks
+import tables
+from bad_input import try_all
+from components import ablate
+from methods import METHODS, SHORT, NotThereError, figures_of_folder, figures_of_table
+from scenes import OUT, RECIPES, SHARED, is_there, scene
 
 HELD_OUT = "-held"
-HEADS = {
-    "tiles": "d", "true_mean": ".1%", "answered": ".0%", "rank": ".2f", "scale": ".2f",
-    "mae_percent": ".1f", "r2": ".2f", "false_zeros": ".0%", "false_busy": ".0%", "beyond": ".0%",
-    "within_2_se": ".0%",
-}  # fmt: skip
-VEHICLES = {
-    "recall": ".0%", "precision": ".0%", "found": ".0%", "real": ".0%", "gospa_m": ".1f",
-    "hota": ".2f", "det_a": ".2f", "ass_a": ".2f", "along_m": ".2f", "across_m": ".2f",
-    "speed_mps": ".2f", "speed_90_mps": ".2f", "length_m": ".2f", "length_bias_m": "+.2f",
-    "two_groups": ".0%", "count_bias": "+.1%", "count_error": ".1%", "passages_recall": ".0%",
-    "passages_precision": ".0%",
-}  # fmt: skip
+BAD_INPUT_ONLY = "parked"
+KEPT = OUT / "bench.json"
 
 
 def main() -> None:
-    """Make scenes, run what is asked for, print a table."""
+    """Make scenes, run what is asked for, print tables, keep figures."""
+    options = _options()
+    chosen = [name for name in (options.make or options.scene).split(",") if is_there(name)]
+    if options.tables:
+        print_kept()
+    elif options.make:
+        for name in chosen:
+            make(name)
+    elif options.score_only:
+        for name in chosen:
+            print(tables.everything({name: score(name, options.score_only)}))
+    elif options.ablation:
+        run_ablation(chosen)
+    elif options.bad_input:
+        run_bad_input()
+    else:
+        compare(chosen, [SHORT[name] for name in options.methods.split(",")])
+
+
+def _options() -> argparse.Namespace:
     names = [*RECIPES, *SHARED]
-    development = [name for name in names if not name.endswith(HELD_OUT)]
+    development = [n for n in names if not n.endswith(HELD_OUT) and n != BAD_INPUT_ONLY]
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--scene", default=",".join(development), help=f"of {', '.join(names)}")
     parser.add_argument("--make", metavar="SCENES", help="only make these")
-    parser.add_argument("--score-only", type=Path, metavar="FILE", help="table, or vehicles folder")
-    parser.add_argument("--peers", default=",".join(PEERS), help=f"of {', '.join(PEERS)}")
+    parser.add_argument("--score-only", type=Path, metavar="DIR", help="vehicles folder, or table")
+    parser.add_argument("--methods", default=",".join(SHORT), help=f"of {', '.join(SHORT)}")
+    parser.add_argument("--ablation", action="store_true", help="each component off in turn")
+    parser.add_argument("--bad-input", action="store_true", help="scenes that go wrong")
+    parser.add_argument("--tables", action="store_true", help="only print what is kept")
     options = parser.parse_args()
-    if options.make:
-        for name in options.make.split(","):
-            make(name)
-        return
-    if options.score_only:
-        if not options.score_only.exists():
-            parser.error(f"{options.score_only} is not there")
-        print_rows({options.scene: score(options.scene, options.score_only)})
-        if options.score_only.is_dir():
-            print_vehicles({options.scene: vehicles_score(options.scene, options.score_only)})
-        return
-    report = {}
-    for name in options.scene.split(","):
-        for peer in options.peers.split(","):
-            made = PEERS[peer](scene(name))
-            report[f"{name}, {peer}"] = score_coverage(scene(name).truth(), made)
-            print_rows({f"{name}, {peer}": report[f"{name}, {peer}"]}, head=len(report) == 1)
-    kept = {name: dataclasses.asdict(row) for name, row in report.items()}
-    (OUT / "coverage.json").write_text(json.dumps(kept, indent=1) + "\n")
+    for given, known in ((options.make or options.scene, names), (options.methods, SHORT)):
+        if unknown := [name for name in given.split(",") if name not in known]:
+            parser.error(f"{unknown[0]} is none of {', '.join(known)}")
+    if options.score_only and not options.score_only.exists():
+        parser.error(f"{options.score_only} is not there")
+    for name in (options.make or options.scene).split(","):
+        if not is_there(name):
+            print(f"left out: {name}: not there")
+    return options
 
 
 def make(name: str) -> None:
@@ -86,46 +92,84 @@ def make(name: str) -> None:
     print(f"{name}: {about}; {middle - begin:.0f} s, truth {end - middle:.0f} s", flush=True)
 
 
-def score(name: str, given: Path | pd.DataFrame) -> CoverageScore:
-    """Return the score of a coverage table, its file, or a vehicles folder, on a scene."""
-    site = scene(name)
-    if isinstance(given, Path):
-        folder = given.is_dir()
-        given = coverage_of_folder(given, site.tiles()) if folder else pd.read_parquet(given)
-    return score_coverage(site.truth(), given)
+def score(name: str, given: Path) -> dict[str, Any]:
+    """Return the figures of a vehicles folder, or of a coverage table, on a scene."""
+    if given.is_dir():
+        return figures_of_folder(scene(name), given)
+    return figures_of_table(scene(name), pd.read_parquet(given))
 
 
-def vehicles_score(name: str, folder: Path) -> dict[str, Any]:
-    """Return the figures of a vehicles folder: vehicles, and passages where they are there."""
-    site = scene(name)
-    given = estimated_states(folder)
-    poses, traffic = site.poses, site.traffic()
-    figures = score_tracks(
-        compared(site.tiles(), site.truth(), poses, traffic, given), traffic.kinds
-    )
-    if (folder / "passages.parquet").exists():
-        passed = pd.read_parquet(folder / "passages.parquet")
-        passed = passed[passed["lanelet_id"].isin(site.lanelets_in_sight())]
-        figures |= score_passages(site.passages(), passed)
-    return figures
+def compare(names: list[str], methods: list[str]) -> None:
+    """Run methods on scenes, one after the other."""
+    for name in names:
+        rows = {}
+        for method in methods:
+            try:
+                rows[method] = METHODS[method](scene(name))
+            except NotThereError as error:
+                print(f"{name}: {method}: left out: {error}", flush=True)
+                continue
+            keep("scenes", name, method, rows[method])
+        named = {f"{name}, {method}": row for method, row in rows.items()}
+        print(tables.everything(named) + "\n", flush=True)
 
 
-def print_vehicles(rows: dict[str, dict[str, Any]]) -> None:
-    """Print figures of vehicles as a Markdown table, and what they come from."""
-    print(f"\n| what | {' | '.join(VEHICLES)} |\n{'|---' * (1 + len(VEHICLES))}|")
-    for name, row in rows.items():
-        shown = [format(row.get(key, float("nan")), form) for key, form in VEHICLES.items()]
-        print(f"| {name} | {' | '.join(shown)} |")
-    heads = list(next(iter(rows.values()))["by"])
-    print(f"\n| what | {' | '.join(heads)} |\n{'|---' * (1 + len(heads))}|")
-    for name, row in rows.items():
-        print(f"| {name} | {' | '.join(format(v, '.0%') for v in row['by'].values())} |")
+def run_ablation(names: list[str]) -> None:
+    """Run the tracker with each component off, print and keep what that costs."""
+    for name in names:
+        try:
+            for without, figures in ablate(scene(name)):
+                keep("ablation", name, without, figures)
+                print(f"{name}, without {without}: done", flush=True)
+        except NotThereError as error:
+            print(f"{name}: left out: {error}")
+    print(tables.ablation(kept()))
 
 
-def print_rows(rows: dict[str, CoverageScore], *, head: bool = True) -> None:
-    """Print scores as rows of a Markdown table."""
-    if head:
-        print(f"| what | {' | '.join(HEADS)} |\n{'|---' * (1 + len(HEADS))}|")
-    for name, row in rows.items():
-        figures = [format(getattr(row, key), form) for key, form in HEADS.items()]
-        print(f"| {name} | {' | '.join(figures)} |", flush=True)
+def run_bad_input() -> None:
+    """Try each bad input, print and keep how it went."""
+    try:
+        for name, row in try_all():
+            keep("bad input", name, None, row)
+            verdict = "as it should be" if row["good"] else "NOT as it should be"
+            print(f"{name}: {verdict}", flush=True)
+    except NotThereError as error:
+        print(f"left out: {error}")
+    print(tables.bad_input(kept()))
+
+
+def kept() -> dict[str, Any]:
+    """Return all figures so far."""
+    return dict(json.loads(KEPT.read_text())) if KEPT.exists() else {}
+
+
+def keep(part: str, name: str, row: str | None, figures: dict[str, Any]) -> None:
+    """Add figures to those kept."""
+    report = kept()
+    place = report.setdefault(part, {})
+    if row is None:
+        place[name] = figures
+    else:
+        place.setdefault(name, {})[row] = figures
+    KEPT.parent.mkdir(parents=True, exist_ok=True)
+    KEPT.write_text(json.dumps(_finite(report), indent=1, allow_nan=False) + "\n")
+
+
+def _finite(value: Any) -> Any:
+    """Return a record with None for what is no number."""
+    if isinstance(value, dict):
+        return {name: _finite(each) for name, each in value.items()}
+    if isinstance(value, list):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def print_kept() -> None:
+    """Print README's tables and those of ablation and bad input, and keep them beside the JSON."""
+    report = kept()
+    parts = [tables.readme(report)]
+    parts += [tables.ablation(report)] if "ablation" in report else []
+    parts += [tables.bad_input(report)] if "bad input" in report else []
+    text = "\n\n".join(parts) + "\n"
+    (OUT / "tables.md").write_text(text)
+    print(text)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -41,9 +40,9 @@ def hits_closed(site: SceneFiles) -> pd.DataFrame:
 
 
 def _occupancy(site: SceneFiles) -> gr.Occupancy:
-    folder: Path = site.kept / "occupancy"
+    folder: Path = site.kept / "occupancy-sight"
     if not folder.exists():
-        gr.measure_occupancy(site.recordings, site.poses, site.tiles(), folder)
+        gr.measure_occupancy(site.recordings, site.poses, site.tiles(), folder, scans=[site.scan])
     return gr.read_occupancy(folder)
 
 
@@ -95,6 +94,20 @@ def _steps_with_detections(site: SceneFiles, states: pd.DataFrame) -> pd.DataFra
     return hit.sort_values("at", ignore_index=True).assign(hit=lambda t: t["at"])
 
 
+def beside_vehicles(table: pd.DataFrame, pose: gr.Pose, states: pd.DataFrame) -> Booleans:
+    """Return which rows of a recording lie on a true vehicle, or half a metre beside it."""
+    states = states.sort_values("step", kind="stable")
+    steps, heard = states["step"].to_numpy(), step_of(table["time"].to_numpy())
+    boxes = states[["easting", "northing", "heading", "length", "width"]].to_numpy(np.float64)
+    places = pose.to_map(table[["x", "y", "z"]].to_numpy(np.float64))[:, :2]
+    found = np.zeros(len(table), np.bool_)
+    for step in np.unique(heard):
+        low, high = np.searchsorted(steps, [step, step + 1])
+        begin, end = np.searchsorted(heard, [step, step + 1])
+        found[begin:end] = _inside(places[begin:end], boxes[low:high]).any(axis=1)
+    return found
+
+
 def _inside(places: Floats, boxes: Floats) -> Booleans:
     """Return (places, boxes): whether a place is in a footprint, or half a metre beside it."""
     away = places[:, None] - boxes[:, :2]
@@ -104,10 +117,3 @@ def _inside(places: Floats, boxes: Floats) -> Booleans:
     return np.asarray(
         (along < boxes[:, 3] / 2.0 + BESIDE_M) & (aside < boxes[:, 4] / 2.0 + BESIDE_M)
     )
-
-
-PEERS: Mapping[str, Callable[[SceneFiles], pd.DataFrame]] = {
-    "hits": hits,
-    "closed": hits_closed,
-    "oracle": oracle,
-}

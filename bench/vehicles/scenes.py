@@ -52,6 +52,7 @@ from simulation.scan import fly, write_scan  # noqa: E402
 
 OUT = ROOT / "out" / "bench-vehicles"
 SHARED = ("town01", "town02", "town04")
+PARKED = ", parked"
 TOWN_MASTS = {mast.sensor: k for k, mast in enumerate(MASTS)}
 
 
@@ -62,7 +63,7 @@ class Recipe:
     Parameters
     ----------
     plan : str
-        ``town``, ``motorway`` or the name of a random plan.
+        ``town``, ``motorway``, the name of a random plan, or that with `PARKED` after it.
     seed : int
         Of everything.
     per_hour : float
@@ -104,6 +105,7 @@ RECIPES: Mapping[str, Recipe] = {
     "ideal": Recipe(
         plan="tee", seed=16, per_hour=900, radars=1, conditions="textbook", aim_deg=8.0
     ),
+    "parked": Recipe(plan="junction, parked", seed=40, per_hour=700, radars=2),
     "town-held": Recipe(plan="town", seed=111, per_hour=2200, radars=("R3", "R5", "R6")),
     "motorway-held": Recipe(
         plan="motorway", seed=112, per_hour=5200, radars=1, stand_m=(110.0, 170.0), aim_deg=5.0
@@ -255,6 +257,11 @@ def scene(name: str) -> SceneFiles:
     return SceneFiles(name=name, folder=kept, kept=kept)
 
 
+def is_there(name: str) -> bool:
+    """Tell whether a scene is there or can be made."""
+    return name in RECIPES or (ROOT.parent / "shared" / "data" / name).exists()
+
+
 def _simulator() -> str:
     parts = sorted((ROOT / "simulation").glob("*.py"))
     return hashlib.sha256(b"".join(p.read_bytes() for p in parts)).hexdigest()[:16]
@@ -282,8 +289,7 @@ def _make(recipe: Recipe, folder: Path) -> None:
         ),
         duration_s=recipe.minutes * 60.0,
         warm_up_s=recipe.warm_up_s,
-        roadside=Roadside(house_setback_m=40.0, car_share=0.0)
-        if recipe.plan == "motorway" else None,
+        roadside=_roadside(recipe.plan),
     )  # fmt: skip
     for number, pose in enumerate(_masts(recipe, place, rng)):
         heard = place.record(
@@ -299,6 +305,13 @@ def _make(recipe: Recipe, folder: Path) -> None:
     place.write_truth(folder)
 
 
+def _roadside(plan: str) -> Roadside | None:
+    """Return how roads are lined, where that is not as usual."""
+    if plan == "motorway":
+        return Roadside(house_setback_m=40.0, car_share=0.0)
+    return Roadside(car_share=0.95, no_parking_m=8.0) if plan.endswith(PARKED) else None
+
+
 def _radar(recipe: Recipe, under: Conditions) -> RadarModel:
     """Return the radar; the textbook's with all its fixed returns."""
     return TEXTBOOK if recipe.conditions == "textbook" else under.model
@@ -310,7 +323,7 @@ def _plan(name: str, rng: np.random.Generator) -> StreetPlan:
     if name == "motorway":
         return _motorway(rng)
     drawn: dict[str, Callable[[np.random.Generator], StreetPlan]] = {p.__name__: p for p in PLANS}
-    return drawn[name](rng)
+    return drawn[name.removesuffix(PARKED)](rng)
 
 
 def _motorway(rng: np.random.Generator) -> StreetPlan:

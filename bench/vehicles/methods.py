@@ -1,0 +1,110 @@
+"""The methods that the bench compares on a scene, and the figures of each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import own
+import pandas as pd
+from breakdown import by_group, step_errors, tile_groups
+from passages import score_passages
+from peers import hits, hits_closed, oracle
+from scenes import SceneFiles
+from score import coverage_of_folder, score_coverage
+from tracks import compared, estimated_states, score_tracks
+
+Figures = dict[str, Any]
+MISSING = "there is no `gis-radar vehicles` yet"
+
+
+class NotThereError(Exception):
+    """A method that cannot run here; its text is the reason."""
+
+
+def figures_of_table(site: SceneFiles, table: pd.DataFrame) -> Figures:
+    """Return the figures of a table of coverage: whole, and by groups of tiles."""
+    truth = site.truth()
+    groups = tile_groups(site.tiles(), truth, site.poses)
+    return {
+        "coverage": asdict(score_coverage(truth, table)),
+        "by_tiles": by_group(truth, table, groups),
+    }
+
+
+def figures_of_folder(site: SceneFiles, folder: Path) -> Figures:
+    """Return all figures of a folder of vehicles."""
+    tiles, truth, traffic = site.tiles(), site.truth(), site.traffic()
+    figures = figures_of_table(site, coverage_of_folder(folder, tiles))
+    given = estimated_states(folder)
+    scored = compared(tiles, truth, site.poses, traffic, given)
+    figures["vehicles"] = score_tracks(scored, traffic.kinds)
+    figures["by_vehicles"] = figures["vehicles"].pop("by")
+    figures["steps"] = step_errors(folder, tiles, truth)
+    passed = pd.read_parquet(folder / "passages.parquet")
+    passed = passed[passed["lanelet_id"].isin(site.lanelets_in_sight())]
+    figures["passages"] = score_passages(site.passages(), passed)
+    return figures
+
+
+def _hits(site: SceneFiles) -> Figures:
+    return figures_of_table(site, hits(site))
+
+
+def _closed(site: SceneFiles) -> Figures:
+    return figures_of_table(site, hits_closed(site))
+
+
+def _oracle(site: SceneFiles) -> Figures:
+    return figures_of_table(site, oracle(site))
+
+
+def _stone_soup(site: SceneFiles) -> Figures:
+    try:
+        from stone_soup import stone_soup  # noqa: PLC0415 - a package of the bench alone
+    except ImportError as error:
+        raise NotThereError(str(error)) from error
+    return figures_of_folder(site, stone_soup(site, site.poses, site.kept / "peer-stone-soup"))
+
+
+def _true_poses(site: SceneFiles) -> Figures:
+    return _own(site, own.true_pose_files(site), "vehicles-true")
+
+
+def _found_poses(site: SceneFiles) -> Figures:
+    files = own.found_poses(site)
+    known = {"pose_errors": own.pose_errors(site, files)}
+    if not files:
+        return known
+    return _own(site, files, "vehicles-found") | known
+
+
+def _own(site: SceneFiles, files: list[Path], name: str) -> Figures:
+    if not own.has("vehicles"):
+        raise NotThereError(MISSING)
+    folder = site.kept / name
+    ran = own.find_vehicles(site, files, folder)
+    figures: Figures = {"code": ran.code, "warnings": ran.warnings, "errors": ran.errors}
+    if ran.code == 0:
+        figures |= figures_of_folder(site, folder) | {"costs": own.costs(site, files, ran)}
+    return figures
+
+
+METHODS: Mapping[str, Callable[[SceneFiles], Figures]] = {
+    "hits": _hits,
+    "hits, gaps <= 1 s closed": _closed,
+    "DBSCAN + Kalman + Hungarian (Stone Soup)": _stone_soup,
+    "vehicles, true poses": _true_poses,
+    "vehicles, found poses": _found_poses,
+    "oracle association": _oracle,
+}
+SHORT = {
+    "hits": "hits",
+    "closed": "hits, gaps <= 1 s closed",
+    "soup": "DBSCAN + Kalman + Hungarian (Stone Soup)",
+    "true": "vehicles, true poses",
+    "found": "vehicles, found poses",
+    "oracle": "oracle association",
+}

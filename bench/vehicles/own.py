@@ -1,0 +1,173 @@
+"""The package's own commands on a scene: found poses, vehicles, and what they cost."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scenes import ROOT, SceneFiles
+
+import gis_radar as gr
+from gis_radar.poses.files import write_pose
+
+ONE_CORE = dict.fromkeys(
+    ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
+)
+GUESS_M, GUESS_DEG = 6.0, 8.0  # what a user is off by who reads map and compass
+MOST_S = 1200.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ran:
+    """How a command ended.
+
+    Parameters
+    ----------
+    code : int
+        Its exit code.
+    warnings, errors : list of str
+        Its lines.
+    cpu_s, wall_s, peak_mb : float
+        What it took.
+    summary : dict
+        Of its result.
+    """
+
+    code: int
+    warnings: list[str]
+    errors: list[str]
+    cpu_s: float
+    wall_s: float
+    peak_mb: float
+    summary: dict[str, Any] = field(default_factory=dict)
+
+
+def run(*arguments: object) -> Ran:
+    """Run a command of the package on one core, as a process of its own."""
+    command = [sys.executable, "-m", "gis_radar", *map(str, arguments), "--json"]
+    environment = {**os.environ, **ONE_CORE, "PYTHONPATH": str(ROOT)}
+    begin = time.perf_counter()
+    with tempfile.TemporaryFile("w+", encoding="utf-8") as out:
+        process = subprocess.Popen(
+            command, stdout=out, stderr=subprocess.DEVNULL, stdin=subprocess.DEVNULL,
+            env=environment, cwd=ROOT,
+        )  # fmt: skip
+        _, status, used = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        out.seek(0)
+        events = [json.loads(line) for line in out if line.startswith("{")]
+    logged = [event for event in events if event["event"] == "log"]
+    results = [event for event in events if event["event"] == "result"]
+    return Ran(
+        code=process.returncode,
+        warnings=[event["message"] for event in logged if event["level"] == "warning"],
+        errors=[event["message"] for event in events if event["event"] == "error"],
+        cpu_s=used.ru_utime + used.ru_stime,
+        wall_s=time.perf_counter() - begin,
+        peak_mb=used.ru_maxrss / 1024.0,
+        summary=results[-1]["summary"] if results else {},
+    )
+
+
+@cache
+def has(command: str) -> bool:
+    """Tell whether the package has a command."""
+    return run(command, "--help").code == 0
+
+
+def found_poses(site: SceneFiles) -> list[Path]:
+    """Return pose files that `gis-radar localize` found, kept; a sensor it refuses has none.
+
+    The guess is as far off as a user's: six metres, eight degrees.
+    """
+    folder = site.kept / "found"
+    folder.mkdir(exist_ok=True)
+    road, made = folder / "road.laz", []
+    if not road.exists():
+        run("mask", site.scan, "--map", site.map, "-o", road)
+    for number, (pose, path) in enumerate(zip(site.poses, site.recordings, strict=True)):
+        output, refused = folder / f"{pose.sensor}.json", folder / f"{pose.sensor}.refused"
+        if not output.exists() and not refused.exists():
+            turn = np.random.default_rng([7, number]).uniform(0.0, 2.0 * np.pi)
+            east = pose.easting + GUESS_M * np.cos(turn)
+            north = pose.northing + GUESS_M * np.sin(turn)
+            ended = run(
+                "localize", path, "--map", site.map, "--road", road, "--scan", site.scan,
+                "--guess", f"{east:.2f},{north:.2f}",
+                "--heading", f"{pose.yaw + GUESS_DEG * (-1) ** number:.1f}", "-o", output,
+            )  # fmt: skip
+            if ended.code:
+                refused.write_text("\n".join([*ended.warnings, *ended.errors]) + "\n")
+        if output.exists():
+            made.append(output)
+    return made
+
+
+def true_pose_files(site: SceneFiles) -> list[Path]:
+    """Return files of the true poses, kept."""
+    folder = site.kept / "true-poses"
+    folder.mkdir(exist_ok=True)
+    for pose in site.poses:
+        write_pose(pose, folder / f"{pose.sensor}.json")
+    return [folder / f"{pose.sensor}.json" for pose in site.poses]
+
+
+def pose_errors(site: SceneFiles, files: Sequence[Path]) -> dict[str, list[float]]:
+    """Return by sensor how far a pose is off, metres and degrees of yaw."""
+    known = {pose.sensor: pose for pose in site.poses}
+    found = {}
+    for path in files:
+        pose = gr.read_pose(path)
+        true = known[path.stem]
+        apart = np.hypot(*(pose.position - true.position)[:2])
+        turn = (pose.yaw - true.yaw + 180.0) % 360.0 - 180.0
+        found[path.stem] = [round(float(apart), 3), round(float(turn), 3)]
+    return found
+
+
+def find_vehicles(site: SceneFiles, files: Sequence[Path], folder: Path) -> Ran:
+    """Run `gis-radar vehicles` on a scene with some pose files."""
+    return run("vehicles", *_sources(site, files), "--map", site.map, "-o", folder)
+
+
+def _sources(site: SceneFiles, files: Sequence[Path]) -> list[object]:
+    """Return the arguments that `vehicles` and `occupancy` have in common."""
+    site.tiles()
+    recordings = {path.stem: path for path in site.recordings}
+    given: list[object] = [recordings[path.stem] for path in files]
+    for path in files:
+        given += ["--pose", path]
+    return [*given, "--tiles", site.kept / "tiles.gpkg", "--scan", site.scan]
+
+
+def costs(site: SceneFiles, files: Sequence[Path], vehicles: Ran) -> dict[str, float]:
+    """Return CPU seconds and memory a sensor-minute, also beside decoding and occupancy."""
+    with tempfile.TemporaryDirectory() as folder:
+        plain = run("occupancy", *_sources(site, files), "-o", Path(folder) / "occupancy")
+    names = {path.stem for path in files}
+    minutes = sum(_minutes(path) for path in site.recordings if path.stem in names)
+    return {
+        "sensor_minutes": minutes,
+        "cpu_s": vehicles.cpu_s / minutes,
+        "occupancy_cpu_s": plain.cpu_s / minutes,
+        "times_occupancy": vehicles.cpu_s / plain.cpu_s,
+        "peak_mb": vehicles.peak_mb,
+        "occupancy_peak_mb": plain.peak_mb,
+        "wall_s": vehicles.wall_s,
+    }
+
+
+def _minutes(path: Path) -> float:
+    times = pd.read_parquet(path, columns=["time"])["time"]
+    return float(times.iloc[-1] - times.iloc[0]) / 60.0

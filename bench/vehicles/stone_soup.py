@@ -1,0 +1,183 @@
+"""The peer that others would build: DBSCAN, Kalman filters and Hungarian assignment.
+
+Stone Soup's components as its tutorials put them together: clusters of moving detections on the
+lanes, their middles as measurements, constant velocity, global nearest neighbours in two
+dimensions, birth after three clusters, death after two seconds without one, and its smoother. A
+radar at rest cannot distinguish standing vehicles from what is built, so this has moving ones only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from folders import ground_of, write_states
+from scenes import SceneFiles
+from sklearn.cluster import DBSCAN
+from stonesoup.dataassociator.tree import DetectionKDTreeGNN2D
+from stonesoup.deleter.time import UpdateTimeDeleter
+from stonesoup.hypothesiser.distance import DistanceHypothesiser
+from stonesoup.initiator.simple import MultiMeasurementInitiator
+from stonesoup.measures import Mahalanobis
+from stonesoup.models.measurement.linear import LinearGaussian
+from stonesoup.models.transition.linear import (
+    CombinedLinearGaussianTransitionModel,
+    ConstantVelocity,
+)
+from stonesoup.predictor.kalman import KalmanPredictor
+from stonesoup.smoother.kalman import KalmanSmoother
+from stonesoup.tracker.simple import MultiTargetTracker
+from stonesoup.types.detection import Detection
+from stonesoup.types.state import GaussianState
+from stonesoup.types.update import Update
+from stonesoup.updater.kalman import KalmanUpdater
+
+import gis_radar as gr
+from gis_radar.arrays import Floats
+from gis_radar.steps import STEP_S, step_of
+
+WINDOW_STEPS = 2
+MOVING_MPS = 0.5
+NEAR_M, LEAST = 2.0, 2  # of DBSCAN
+PLACE_M, ACCEL = 1.0, 1.5  # of a cluster's middle; of the noise of velocity, m/s per root second
+GATE = 4.0  # Mahalanobis
+CONFIRMED, SILENT_S = 3, 2.0
+REACH_M = 8.0  # clusters farther from a prediction are not looked at
+CAR_M, LONGEST_M, WIDTH_M = 4.2, 18.0, 1.8
+BLIND_M = 0.6  # extents of clusters fall short by so much
+SLOW_MPS = 1.0  # below, a heading is the last one
+SEEN_STEPS = 10
+
+
+def stone_soup(site: SceneFiles, poses: Sequence[gr.Pose], folder: Path) -> Path:
+    """Write a folder of the vehicles that Stone Soup's components find."""
+    tracks = _smoothed(_tracked(site, poses))
+    return write_states(ground_of(site, poses), _states(tracks), folder)
+
+
+def clusters(
+    site: SceneFiles, poses: Sequence[gr.Pose]
+) -> Iterator[tuple[int, list[tuple[Floats, Floats]]]]:
+    """Yield by window the middles of clusters of moving detections on lanes, and their points."""
+
+    grid = gr.TileGrid(gr.quads(site.tiles()))
+    steps, places = [], []
+    for pose, path in zip(poses, site.recordings, strict=True):
+        table = pd.read_parquet(path).dropna(subset=["x", "range_rate"])
+        table = table[table["range_rate"].abs() > MOVING_MPS]
+        place = pose.to_map(table[["x", "y", "z"]].to_numpy(np.float64))[:, :2]
+        on = np.unique(grid.assign(place[:, 0], place[:, 1])[0])
+        steps.append(step_of(table["time"].to_numpy()[on]))
+        places.append(place[on])
+    step, place = np.concatenate(steps), np.concatenate(places)
+    window = step // WINDOW_STEPS
+    order = np.argsort(window, kind="stable")
+    window, place = window[order], place[order]
+    for now in range(int(window[0]), int(window[-1]) + 1):
+        points = place[slice(*np.searchsorted(window, [now, now + 1]))]
+        found = []
+        if len(points):
+            label = DBSCAN(eps=NEAR_M, min_samples=LEAST).fit_predict(points)
+            groups = (points[label == k] for k in range(label.max() + 1))
+            found = [(group.mean(axis=0), group) for group in groups]
+        yield now * WINDOW_STEPS, found
+
+
+def _tracked(site: SceneFiles, poses: Sequence[gr.Pose]) -> tuple[list[Any], Any, Floats]:
+    """Return the tracks, how they move, and the origin of their coordinates."""
+
+    origin = np.mean([pose.position[:2] for pose in poses], axis=0)
+    moves = CombinedLinearGaussianTransitionModel([ConstantVelocity(ACCEL**2)] * 2)
+    measured = LinearGaussian(4, (0, 2), np.eye(2) * PLACE_M**2)
+    predictor, updater = KalmanPredictor(moves), KalmanUpdater(measured)
+    near = DistanceHypothesiser(predictor, updater, Mahalanobis(), missed_distance=GATE)
+    associator = DetectionKDTreeGNN2D(near, predictor, updater, max_distance=REACH_M)
+    prior = GaussianState([[0], [0], [0], [0]], np.diag([0.0, 100.0, 0.0, 100.0]))
+
+    def detections() -> Iterator[tuple[datetime, set[Any]]]:
+        for step, found in clusters(site, poses):
+            now = datetime.fromtimestamp(step * STEP_S, UTC).replace(tzinfo=None)
+            yield now, {
+                Detection(middle - origin, timestamp=now, measurement_model=measured,
+                          metadata={"points": points})
+                for middle, points in found
+            }  # fmt: skip
+
+    tracker = MultiTargetTracker(
+        initiator=MultiMeasurementInitiator(
+            prior, UpdateTimeDeleter(timedelta(seconds=0.5)), associator, updater,
+            measurement_model=measured, min_points=CONFIRMED,
+        ),
+        deleter=UpdateTimeDeleter(timedelta(seconds=SILENT_S)),
+        detector=detections(), data_associator=associator, updater=updater,
+    )  # fmt: skip
+    found: dict[int, Any] = {}
+    for _, tracks in tracker:
+        found |= {id(track): track for track in tracks}
+    return list(found.values()), moves, origin
+
+
+def _smoothed(tracked: tuple[list[Any], Any, Floats]) -> list[dict[str, Floats]]:
+    """Return of each track steps, smoothed states, extents and which were measured."""
+
+    tracks, moves, origin = tracked
+    smoother, found = KalmanSmoother(moves), []
+    for track in tracks:
+        measured = [isinstance(state, Update) for state in track.states]
+        last = len(measured) - measured[::-1].index(True)
+        states = smoother.smooth(track[:last]).states
+        vectors = np.array([np.asarray(s.state_vector, float)[:, 0] for s in states])
+        heading = _headings(vectors[:, 1], vectors[:, 3])
+        extents = [
+            np.ptp(s.hypothesis.measurement.metadata["points"] @ [np.cos(h), np.sin(h)])
+            for s, h, hit in zip(track.states[:last], heading, measured[:last], strict=True)
+            if hit
+        ]
+        time = [s.timestamp.replace(tzinfo=UTC).timestamp() for s in states]
+        found.append(
+            {
+                "step": step_of(np.array(time)), "place": vectors[:, [0, 2]] + origin,
+                "speed": np.hypot(vectors[:, 1], vectors[:, 3]), "heading": heading,
+                "measured": np.array(measured[:last]),
+                "length": np.clip(np.quantile(extents, 0.9) + BLIND_M, CAR_M, LONGEST_M),
+            }
+        )  # fmt: skip
+    return found
+
+
+def _headings(east: Floats, north: Floats) -> Floats:
+    """Return unwrapped headings, those of slow states from the faster ones nearest in time."""
+    speed, row = np.hypot(east, north), np.arange(len(east))
+    fast = np.flatnonzero(speed > min(SLOW_MPS, float(speed.max())) - 1e-9)
+    near = fast[np.abs(row[:, None] - fast).argmin(axis=1)]
+    return np.asarray(np.unwrap(np.arctan2(north[near], east[near])))
+
+
+def _states(tracks: list[dict[str, Floats]]) -> pd.DataFrame:
+    """Return a row for each vehicle and step, interpolated between windows."""
+    parts = []
+    for number, track in enumerate(tracks):
+        at = track["step"]
+        if len(at) < 2:
+            continue
+        step = np.arange(at[0], at[-1] + 1)
+        hit = at[track["measured"]]
+        late = np.abs(step[:, None] - hit).min(axis=1)
+        parts.append(
+            pd.DataFrame(
+                {
+                    "vehicle": number, "step": step,
+                    "easting": np.interp(step, at, track["place"][:, 0]),
+                    "northing": np.interp(step, at, track["place"][:, 1]),
+                    "heading": np.interp(step, at, track["heading"]),
+                    "speed": np.interp(step, at, track["speed"]),
+                    "length": float(track["length"]), "width": WIDTH_M,
+                    "seen": late <= SEEN_STEPS,
+                }
+            )
+        )  # fmt: skip
+    return pd.concat(parts, ignore_index=True)

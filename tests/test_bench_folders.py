@@ -1,0 +1,168 @@
+"""The bench of vehicles: folders from states, where a coverage is wrong, tables, bad input."""
+
+import json
+import math
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from test_vehicles_folder import FIRST, frames_of_span, provenance_of, straight_tiles, view_of
+
+sys.path.append(str(Path(__file__).parents[1] / "bench" / "vehicles"))
+
+import command
+import tables
+from bad_input import _lasting
+from breakdown import by_group, step_errors
+from components import switched_off
+from folders import Ground, write_states
+from passages import Lanes
+from score import coverage_of_folder
+from true_coverage import TrueCoverage
+
+from gis_radar.vehicles import read_vehicles
+
+COUNT = 100  # steps
+
+
+def ground():
+    """Forty tiles of a lanelet to the east, seen by one sensor."""
+    tiles = straight_tiles()
+    at = tiles["s_m"].to_numpy() + 0.25
+    lanes = Lanes(
+        lanelet=np.full(40, 7), index=np.arange(40), tile_id=np.arange(40), heading=np.zeros(40),
+        middle=np.column_stack([at, np.zeros(40)]), width=np.full(40, 3.0), half={7: 20},
+        follows=set(), s_m=at,
+    )  # fmt: skip
+    return Ground(
+        tiles=tiles, lanes=lanes, views=[view_of(tiles)],
+        frames=frames_of_span(FIRST, FIRST + COUNT - 1), provenance=provenance_of(tiles),
+    )  # fmt: skip
+
+
+def eastward(steps, *, vehicle=3, speed=4.0, length=4.0):
+    """States of a vehicle whose front is at 0 in the first step."""
+    steps = np.asarray(steps)
+    front = speed * 0.05 * steps
+    return pd.DataFrame(
+        {
+            "vehicle": vehicle, "step": FIRST + steps, "easting": front - length / 2,
+            "northing": 0.2, "heading": 0.0, "speed": speed, "length": length, "width": 1.8,
+            "seen": True,
+        }
+    )  # fmt: skip
+
+
+def true_of(states):
+    """The coverage of vehicles of 4 m by hand: tiles whose middles lie under them."""
+    covered = np.zeros((40, COUNT), bool)
+    middle = np.arange(40) / 2.0 + 0.25
+    for step, east in zip(states["step"] - FIRST, states["easting"], strict=True):
+        covered[np.abs(middle - east) <= 2.0, step] = True
+    return TrueCoverage(
+        tile_id=np.arange(40), first_step=FIRST, covered=covered,
+        visible=np.ones_like(covered), blocked=np.zeros_like(covered),
+    )  # fmt: skip
+
+
+def test_states_become_a_folder_with_places_along_the_lane(tmp_path):
+    states = eastward(np.arange(COUNT))
+    folder = write_states(ground(), states, tmp_path / "vehicles")
+    tracks = pd.read_parquet(folder / "tracks.parquet")
+    on = tracks[tracks["s_m"].notna()]
+    assert on["lanelet_id"].unique().tolist() == [7]
+    assert on["s_m"].to_numpy() == pytest.approx(0.2 * (on["step"] - FIRST), abs=1e-3)
+    assert on["d_m"].to_numpy() == pytest.approx(0.2)
+    passages = read_vehicles(folder).passages
+    # the middle at 10 m after 2.5 s
+    assert (passages["lanelet_id"].tolist(), passages["step"].tolist()) == ([7], [FIRST + 49])
+    table = coverage_of_folder(folder, ground().tiles).set_index("tile_id")
+    true = true_of(states).table().set_index("tile_id")["coverage"]
+    assert table["covered_s"].div(table["visible_s"]).to_numpy() == pytest.approx(true.to_numpy())
+    assert (table["coverage_se"] > 0.0).all()
+
+
+def test_a_vehicle_that_is_gone_for_a_while_becomes_two(tmp_path):
+    states = eastward([*range(40), *range(50, 90)])
+    vehicles = read_vehicles(write_states(ground(), states, tmp_path / "vehicles")).vehicles
+    assert (vehicles["last_step"] - FIRST).tolist() == [39, 89]
+
+
+def test_steps_are_missed_misplaced_or_false(tmp_path):
+    true = true_of(eastward(np.arange(COUNT)))
+    runs = pd.DataFrame(
+        # a metre behind the true vehicle, and where nothing was
+        {"tile_id": [1, 38], "first_step": FIRST + np.array([0, 0]), "last_step": FIRST + 9}
+    )
+    runs.to_parquet(tmp_path / "covered.parquet")
+    hidden = true.blocked.copy()
+    hidden[:, 50:] = True
+    truth = TrueCoverage(
+        tile_id=true.tile_id, first_step=FIRST, covered=true.covered, visible=true.visible,
+        blocked=hidden,
+    )  # fmt: skip
+    errors = step_errors(tmp_path, ground().tiles, truth)
+    total = true.covered.sum()
+    right = true.covered[1, :10].sum()
+    near = true.covered[:10, :10].any(axis=0).sum()
+    assert errors["missed_in_view"] == pytest.approx((true.covered[:, :50].sum() - right) / total)
+    assert errors["missed_hidden"] == pytest.approx(true.covered[:, 50:].sum() / total)
+    assert errors["misplaced"] == pytest.approx((near - right) / total)
+    assert errors["false_in_view"] == pytest.approx((20 - near) / total)
+    assert errors["false_hidden"] == 0.0
+
+
+def test_groups_have_figures_of_their_own():
+    truth = true_of(eastward(np.arange(COUNT)))
+    table = truth.table().assign(coverage_se=0.01)
+    table.loc[:9, "coverage"] += 0.1
+    first = np.arange(40) < 10
+    figures = by_group(truth, table, {"first": first, "rest": ~first})
+    assert figures["first"]["mae_percent"] == pytest.approx(10.0)
+    assert (figures["rest"]["mae_percent"], figures["rest"]["within_2_se"]) == (0.0, 1.0)
+    assert figures["first"]["within_2_se"] == 0.0
+
+
+def test_false_vehicles_count_where_they_last():
+    steps = np.arange(0, 400, 10)
+    rows = pd.concat(
+        pd.DataFrame({"vehicle": v, "step": s})
+        for v, s in ((1, steps[:20]), (2, steps[:19]), (3, np.append(steps[:15], steps[20:35])))
+    )
+    assert _lasting(rows).tolist() == [1]
+
+
+@dataclass(frozen=True)
+class Inner:
+    order: bool = True
+    limit: float = 2.0
+
+
+@dataclass(frozen=True)
+class Outer:
+    inner: Inner = field(default_factory=Inner)
+    smooth: bool = True
+    odd: bool = False
+
+
+def test_each_switch_goes_off_alone():
+    found = switched_off(Outer())
+    assert found == {"inner.order": Outer(inner=Inner(order=False)), "smooth": Outer(smooth=False)}
+
+
+def test_figures_are_collected_and_become_tables(tmp_path, monkeypatch):
+    monkeypatch.setattr(command, "KEPT", tmp_path / "bench.json")
+    score = {"true_mean": 0.053, "rank": 0.9512, "scale": math.inf, "mae_percent": math.nan}
+    command.keep("scenes", "town", "hits", {"coverage": score})
+    command.keep("scenes", "town", "oracle association", {"coverage": score | {"scale": 0.98}})
+    command.keep("bad input", "half of a file", None,
+                 {"code": 3, "good": True, "false": 0, "said": "a|b"})  # fmt: skip
+    kept = json.loads((tmp_path / "bench.json").read_text())
+    assert kept["scenes"]["town"]["hits"]["coverage"]["scale"] is None
+    lines = tables.readme(kept).splitlines()
+    assert lines[0].split(" | ")[2:4] == ["hits", "best possible"]
+    assert lines[2].startswith("| town | 5.3% | 0.95 / - / - | 0.95 / 0.98 / - | >= .95")
+    assert "| half of a file | 3 | yes | 0 | a/b |" in tables.bad_input(kept)
