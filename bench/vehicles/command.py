@@ -19,6 +19,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -28,11 +29,14 @@ import tables
 from bad_input import try_all
 from components import ablate
 from methods import METHODS, SHORT, NotThereError, figures_of_folder, figures_of_table
+from pictures import draw_coverage
 from scenes import OUT, RECIPES, SHARED, is_there, scene
+from score import coverage_of_folder
 
 HELD_OUT = "-held"
 BAD_INPUT_ONLY = "parked"
 KEPT = OUT / "bench.json"
+MARKS = ("<!-- vehicles -->", "<!-- end of vehicles -->")
 
 
 def main() -> None:
@@ -40,13 +44,15 @@ def main() -> None:
     options = _options()
     chosen = [name for name in (options.make or options.scene).split(",") if is_there(name)]
     if options.tables:
-        print_kept()
+        print_kept(options.into)
     elif options.make:
         for name in chosen:
             make(name)
     elif options.score_only:
         for name in chosen:
             print(tables.everything({name: score(name, options.score_only)}))
+            if options.picture:
+                draw(name, options.score_only, options.picture)
     elif options.ablation:
         run_ablation(chosen)
     elif options.bad_input:
@@ -64,10 +70,12 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--scene", default=",".join(development), help=f"of {', '.join(names)}")
     parser.add_argument("--make", metavar="SCENES", help="only make these")
     parser.add_argument("--score-only", type=Path, metavar="DIR", help="vehicles folder, or table")
+    parser.add_argument("--picture", type=Path, metavar="PNG", help="with --score-only: draw it")
     parser.add_argument("--methods", default=",".join(SHORT), help=f"of {', '.join(SHORT)}")
     parser.add_argument("--ablation", action="store_true", help="each component off in turn")
     parser.add_argument("--bad-input", action="store_true", help="scenes that go wrong")
     parser.add_argument("--tables", action="store_true", help="only print what is kept")
+    parser.add_argument("--into", type=Path, metavar="MD", help=f"put them between {MARKS[0]} ...")
     options = parser.parse_args()
     for given, known in ((options.make or options.scene, names), (options.methods, SHORT)):
         if unknown := [name for name in given.split(",") if name not in known]:
@@ -164,12 +172,26 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def print_kept() -> None:
-    """Print README's tables and those of ablation and bad input, and keep them beside the JSON."""
+def print_kept(into: Path | None = None) -> None:
+    """Print the tables of what is kept; put README's into a page, between its marks."""
     report = kept()
     parts = [tables.readme(report)]
+    if into is not None:
+        text = into.read_text(encoding="utf-8")
+        before, _, rest = text.partition(MARKS[0])
+        _, mark, after = rest.partition(MARKS[1])
+        if not mark:
+            sys.exit(f"{into}: lacks {MARKS[0]} ... {MARKS[1]}")
+        made = f"{before}{MARKS[0]}\n{parts[0]}\n{mark}{after}"
+        into.write_text(made, encoding="utf-8")
     parts += [tables.ablation(report)] if "ablation" in report else []
     parts += [tables.bad_input(report)] if "bad input" in report else []
-    text = "\n\n".join(parts) + "\n"
-    (OUT / "tables.md").write_text(text)
-    print(text)
+    print("\n\n".join(parts))
+
+
+def draw(name: str, given: Path, path: Path) -> None:
+    """Draw an estimate beside the truth."""
+    site = scene(name)
+    table = coverage_of_folder(given) if given.is_dir() else pd.read_parquet(given)
+    draw_coverage(site, site.truth(), table, path, title=given.name)
+    print(path)

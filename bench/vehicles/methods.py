@@ -76,8 +76,6 @@ def _true_poses(site: SceneFiles) -> Figures:
 def _found_poses(site: SceneFiles) -> Figures:
     files = own.found_poses(site)
     known = {"pose_errors": own.pose_errors(site, files)}
-    if not files:
-        return known
     return _own(site, files, "vehicles-found") | known
 
 

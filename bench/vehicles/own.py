@@ -87,31 +87,42 @@ def has(command: str) -> bool:
 
 
 def found_poses(site: SceneFiles) -> list[Path]:
-    """Return pose files that `gis-radar localize` found, kept; a sensor it refuses has none.
+    """Return pose files, kept: as `gis-radar localize` finds them, else the true ones.
 
-    The guess is as far off as a user's: six metres, eight degrees.
+    The guess is as far off as a user's: six metres, eight degrees. Where the answer is refused, or
+    says itself that the place along the road cannot be found, a user has the sensor surveyed.
     """
     folder = site.kept / "found"
     folder.mkdir(exist_ok=True)
-    road, made = folder / "road.laz", []
+    road = folder / "road.laz"
     if not road.exists():
         run("mask", site.scan, "--map", site.map, "-o", road)
-    for number, (pose, path) in enumerate(zip(site.poses, site.recordings, strict=True)):
-        output, refused = folder / f"{pose.sensor}.json", folder / f"{pose.sensor}.refused"
-        if not output.exists() and not refused.exists():
-            turn = np.random.default_rng([7, number]).uniform(0.0, 2.0 * np.pi)
-            east = pose.easting + GUESS_M * np.cos(turn)
-            north = pose.northing + GUESS_M * np.sin(turn)
-            ended = run(
-                "localize", path, "--map", site.map, "--road", road, "--scan", site.scan,
-                "--guess", f"{east:.2f},{north:.2f}",
-                "--heading", f"{pose.yaw + GUESS_DEG * (-1) ** number:.1f}", "-o", output,
-            )  # fmt: skip
-            if ended.code:
-                refused.write_text("\n".join([*ended.warnings, *ended.errors]) + "\n")
-        if output.exists():
-            made.append(output)
-    return made
+    return [
+        _found(site, number, path, surveyed)
+        for number, (path, surveyed) in enumerate(
+            zip(site.recordings, true_pose_files(site), strict=True)
+        )
+    ]
+
+
+def _found(site: SceneFiles, number: int, recording: Path, surveyed: Path) -> Path:
+    """Return the pose file of a sensor, found before or now."""
+    folder, pose = surveyed.parent.parent / "found", gr.read_pose(surveyed)
+    output, refused = folder / surveyed.name, folder / f"{pose.sensor}.refused"
+    if not output.exists() and not refused.exists():
+        turn = np.random.default_rng([7, number]).uniform(0.0, 2.0 * np.pi)
+        east = pose.easting + GUESS_M * np.cos(turn)
+        north = pose.northing + GUESS_M * np.sin(turn)
+        ended = run(
+            "localize", recording, "--map", site.map, "--road", folder / "road.laz",
+            "--scan", site.scan, "--guess", f"{east:.2f},{north:.2f}",
+            "--heading", f"{pose.yaw + GUESS_DEG * (-1) ** number:.1f}", "-o", output,
+        )  # fmt: skip
+        if ended.code:
+            refused.write_text("\n".join([*ended.warnings, *ended.errors]) + "\n")
+    if not output.exists() or not gr.read_pose(output).evidence.get("observable", True):
+        return surveyed
+    return output
 
 
 def true_pose_files(site: SceneFiles) -> list[Path]:
@@ -124,7 +135,7 @@ def true_pose_files(site: SceneFiles) -> list[Path]:
 
 
 def pose_errors(site: SceneFiles, files: Sequence[Path]) -> dict[str, list[float]]:
-    """Return by sensor how far a pose is off, metres and degrees of yaw."""
+    """Return by sensor how far a pose is off, metres and degrees of yaw; 0 where surveyed."""
     known = {pose.sensor: pose for pose in site.poses}
     found = {}
     for path in files:
