@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -32,10 +33,18 @@ from gis_radar.heatmap.heatmap import OWNED
 from gis_radar.report.content import safe
 from gis_radar.report.report import REPORT_FILES
 
+writing = import_module("gis_radar.report.report")
+
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
     return write_whole_run(tmp_path_factory.mktemp("site"))
+
+
+@pytest.fixture
+def blank_paper(monkeypatch):
+    """Leave the PDF empty where a test looks at the other files: it takes the most time."""
+    monkeypatch.setattr(writing, "write_pdf", lambda _, path: path.write_bytes(b"%PDF"))
 
 
 def test_text_of_others_stays_text(tmp_path):
@@ -70,7 +79,7 @@ def test_what_is_not_known_is_empty():
     assert [safe(None), safe(float("nan")), safe(pd.NaT)] == ["", "", ""]
 
 
-def test_a_heat_map_alone(results, tmp_path):
+def test_a_heat_map_alone(results, tmp_path, blank_paper):
     shutil.copytree(results / "heatmap", tmp_path / "map")
     report = gr.write_report(tmp_path / "map")
     names = sorted(path.name for path in report.outputs)
@@ -89,7 +98,7 @@ def test_a_heat_map_alone(results, tmp_path):
     assert not (tmp_path / "map" / "report.html").exists()
 
 
-def test_a_pose_in_another_plane_is_told(results, tmp_path):
+def test_a_pose_in_another_plane_is_told(results, tmp_path, blank_paper):
     shutil.copytree(results / "heatmap", tmp_path / "run" / "heatmap")
     for name, crs in (("R1", "EPSG:25832"), ("R2", "EPSG:25833")):
         (tmp_path / "run" / "sensors" / name).mkdir(parents=True)
@@ -118,7 +127,7 @@ def tiles_file(folder):
     return folder / "tiles.gpkg"
 
 
-def test_a_sensor_without_a_result_is_told_first(results, tmp_path):
+def test_a_sensor_without_a_result_is_told_first(results, tmp_path, blank_paper):
     shutil.copytree(results, tmp_path / "run")
     write_run(
         tmp_path / "run", title="x", sensors_in_heat_maps=["R1", "R2"],
@@ -134,7 +143,7 @@ def test_a_sensor_without_a_result_is_told_first(results, tmp_path):
     assert "no result: two places fit" in (tmp_path / "run" / "sensors.csv").read_text()
 
 
-def test_a_warning_of_several_stages_is_told_once(results, tmp_path):
+def test_a_warning_of_several_stages_is_told_once(results, tmp_path, blank_paper):
     shutil.copytree(results, tmp_path / "run")
     stages = [{"name": name, "warnings": ["27 repaired"] * 2} for name in ("mask", "tiles")]
     write_run(tmp_path / "run", title="x", sensors_in_heat_maps=["R1", "R2"], stages=stages)
@@ -209,7 +218,7 @@ def test_a_heat_map_takes_the_place_of_a_report_in_its_folder():
     assert all(name.startswith(OWNED) for name in REPORT_FILES)
 
 
-def test_a_table_of_an_earlier_report_does_not_stay(results, tmp_path):
+def test_a_table_of_an_earlier_report_does_not_stay(results, tmp_path, blank_paper):
     shutil.copytree(results, tmp_path / "run")
     gr.write_report(tmp_path / "run")
     assert (tmp_path / "run" / "quality.csv").is_file()

@@ -187,7 +187,7 @@ def test_what_all_depends_on_stops_all(root, source, work, kind, words):
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 def test_the_stage_of_a_dead_worker_is_named_alone(root, source):
     stages = diamond(root, source)
-    stages[1] = stage(root, "a1", ["road"], sensor="a", wait_s=30.0)
+    stages[1] = stage(root, "a1", ["road"], sensor="a", wait_s=6.0)
     stages[2] = stage(root, "b1", ["road"], work="die", sensor="b", wait_s=1.0)
     with pytest.raises(GisRadarError, match=r"^b1: a worker process ended with signal 9$"):
         execute(stages, root, most=2, pool=process_pool)

@@ -8,6 +8,7 @@ so that nothing is generated in the tree; the site is FOLDER/html. FOLDER is out
 
 from __future__ import annotations
 
+import gc
 import shutil
 import sys
 from pathlib import Path
@@ -24,6 +25,7 @@ def main(arguments: list[str]) -> int:
     folder = Path(folders[0]) if folders else ROOT / "out" / "docs"
     stage(folder / "source")
     mode = "auto" if run else "off"
+    gc.disable()  # a fifth of the time: the trees of all pages live until the end
     code = build(
         ["-b", "html", "-W", "--keep-going", "-q", "-D", f"nb_execution_mode={mode}",
          "-d", str(folder / "doctrees"), str(folder / "source"), str(folder / "html")]
