@@ -19,7 +19,7 @@ from bad_input import _lasting
 from breakdown import by_group, step_errors
 from components import switched_off
 from folders import Ground, write_states
-from passages import Lanes
+from passages import Lanes, joined
 from score import coverage_of_folder
 from true_coverage import TrueCoverage
 
@@ -166,3 +166,12 @@ def test_figures_are_collected_and_become_tables(tmp_path, monkeypatch):
     assert lines[0].split(" | ")[2:4] == ["hits", "best possible"]
     assert lines[2].startswith("| town | 5.3% | 0.95 / - / - | 0.95 / 0.98 / - | >= .95")
     assert "| half of a file | 3 | yes | 0 | a/b |" in tables.bad_input(kept)
+
+
+def test_lanelets_without_shared_nodes_follow_each_other():
+    first = straight_tiles(20)
+    beyond = straight_tiles(20, lanelet_id=8)
+    beyond.geometry = beyond.geometry.translate(10.2, 0.1)
+    beside = straight_tiles(20, lanelet_id=9)
+    beside.geometry = beside.geometry.translate(10.0, 3.0)
+    assert joined(pd.concat([first, beyond, beside], ignore_index=True)) == {(7, 8)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -66,7 +67,11 @@ def _stone_soup(site: SceneFiles) -> Figures:
         from stone_soup import stone_soup  # noqa: PLC0415 - a package of the bench alone
     except ImportError as error:
         raise NotThereError(str(error)) from error
-    return figures_of_folder(site, stone_soup(site, site.poses, site.kept / "peer-stone-soup"))
+    begin = time.process_time()
+    folder = stone_soup(site, site.poses, site.kept / "peer-stone-soup")
+    minutes = own.sensor_minutes(site, [pose.sensor for pose in site.poses])
+    cost = {"sensor_minutes": minutes, "cpu_s": (time.process_time() - begin) / minutes}
+    return figures_of_folder(site, folder) | {"costs": cost}
 
 
 def _true_poses(site: SceneFiles) -> Figures:

@@ -166,8 +166,7 @@ def costs(site: SceneFiles, files: Sequence[Path], vehicles: Ran) -> dict[str, f
     """Return CPU seconds and memory a sensor-minute, also beside decoding and occupancy."""
     with tempfile.TemporaryDirectory() as folder:
         plain = run("occupancy", *_sources(site, files), "-o", Path(folder) / "occupancy")
-    names = {path.stem for path in files}
-    minutes = sum(_minutes(path) for path in site.recordings if path.stem in names)
+    minutes = sensor_minutes(site, [path.stem for path in files])
     return {
         "sensor_minutes": minutes,
         "cpu_s": vehicles.cpu_s / minutes,
@@ -177,6 +176,11 @@ def costs(site: SceneFiles, files: Sequence[Path], vehicles: Ran) -> dict[str, f
         "occupancy_peak_mb": plain.peak_mb,
         "wall_s": vehicles.wall_s,
     }
+
+
+def sensor_minutes(site: SceneFiles, sensors: Sequence[str]) -> float:
+    """Return the minutes that some sensors recorded, summed."""
+    return sum(_minutes(path) for path in site.recordings if path.stem in sensors)
 
 
 def _minutes(path: Path) -> float:

@@ -23,6 +23,7 @@ MOVE_M = 1.0  # the way is looked at so often
 ACROSS_M, HEADING = 0.8, 0.35  # standard deviations from the middle of a lanelet, and rad
 NEAR_M, TURNED = 3.5, 1.0
 OTHER, BESIDE = 30.0, 12.0  # prices of lanelets that do not follow
+JOINED_M = 0.5  # between the end of a lanelet and the begin of the next
 WITHIN_STEPS = 20  # 1 s; two passages of a lanelet are one
 
 
@@ -76,6 +77,7 @@ def lanes_of(tiles: gpd.GeoDataFrame, roads: gr.LaneletMap) -> Lanes:
     across = lines[:, 1] - lines[:, 0]
     count = tiles.groupby("lanelet_id")["index"].max() + 1
     table = zip(roads.lanelets["lanelet_id"], roads.lanelets["successors"], strict=True)
+    follows = {(int(a), int(b)) for a, after in table for b in after} | joined(tiles)
     return Lanes(
         lanelet=tiles["lanelet_id"].to_numpy(np.int64),
         index=tiles["index"].to_numpy(np.int64),
@@ -84,9 +86,28 @@ def lanes_of(tiles: gpd.GeoDataFrame, roads: gr.LaneletMap) -> Lanes:
         heading=np.arctan2(-across[:, 0], across[:, 1]),
         width=np.hypot(*across.T),
         half={int(k): int(n) // 2 for k, n in count.items()},
-        follows={(int(a), int(b)) for a, after in table for b in after},
+        follows=follows,
         s_m=_middles(tiles),
     )
+
+
+def joined(tiles: gpd.GeoDataFrame) -> set[tuple[int, int]]:
+    """Return lanelets and those that begin where they end, shared nodes or not."""
+    right0, right1, left1, left0 = np.moveaxis(gr.quads(tiles), 1, 0)
+    begin, end = (right0 + left0) / 2.0, (right1 + left1) / 2.0
+    lanelet, index = tiles["lanelet_id"].to_numpy(), tiles["index"].to_numpy()
+    last = np.flatnonzero(index == tiles.groupby("lanelet_id")["index"].transform("max"))
+    first = np.flatnonzero(index == 0)
+    heading = np.arctan2(*(end - begin).T[::-1])
+    pairs = set()
+    for row, near in zip(
+        last, cKDTree(begin[first]).query_ball_point(end[last], JOINED_M), strict=True
+    ):
+        for other in first[near]:
+            turn = (heading[other] - heading[row] + np.pi) % (2.0 * np.pi) - np.pi
+            if abs(turn) < HEADING and lanelet[other] != lanelet[row]:
+                pairs.add((int(lanelet[row]), int(lanelet[other])))
+    return pairs
 
 
 def _middles(tiles: gpd.GeoDataFrame) -> Floats:

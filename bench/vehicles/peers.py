@@ -36,6 +36,7 @@ def hits_closed(site: SceneFiles) -> pd.DataFrame:
     steps = np.where(same & (gap <= CLOSED_STEPS + 1), gap, 1)
     closed = pd.Series(steps * STEP_S).groupby(tile).sum()
     table = hits(site)
+    table = table[table["visible_s"] > 0.0]
     return table.assign(covered_s=table["tile_id"].map(closed).fillna(0.0))
 
 

@@ -40,6 +40,7 @@ from street_plans import PLANS, StreetPlan, axis  # noqa: E402
 from town import MASTS, TERRAIN, poses, town_plan  # noqa: E402
 from true_coverage import Sensor, TrueCoverage, true_coverage  # noqa: E402
 from true_traffic import TrueTraffic, read_traffic  # noqa: E402
+from wide_map import widen  # noqa: E402
 
 import gis_radar as gr  # noqa: E402
 from gis_radar.arrays import Integers  # noqa: E402
@@ -52,7 +53,7 @@ from simulation.scan import fly, write_scan  # noqa: E402
 
 OUT = ROOT / "out" / "bench-vehicles"
 SHARED = ("town01", "town02", "town04")
-PARKED = ", parked"
+PARKED, WIDE = ", parked", ", wide map"
 TOWN_MASTS = {mast.sensor: k for k, mast in enumerate(MASTS)}
 
 
@@ -63,7 +64,8 @@ class Recipe:
     Parameters
     ----------
     plan : str
-        ``town``, ``motorway``, the name of a random plan, or that with `PARKED` after it.
+        ``town``, ``motorway``, or the name of a random plan, with `PARKED` or `WIDE` after it
+        where its kerbs are full or its map is wider than its lanes.
     seed : int
         Of everything.
     per_hour : float
@@ -105,6 +107,8 @@ RECIPES: Mapping[str, Recipe] = {
     "ideal": Recipe(
         plan="tee", seed=16, per_hour=900, radars=1, conditions="textbook", aim_deg=8.0
     ),
+    "wide": Recipe(plan="junction, wide map", seed=50, per_hour=900, radars=2),
+    "wide-light": Recipe(plan="roundabout, wide map", seed=51, per_hour=350, radars=1, minutes=3.0),
     "parked": Recipe(plan="junction, parked", seed=40, per_hour=700, radars=2),
     "town-held": Recipe(plan="town", seed=111, per_hour=2200, radars=("R3", "R5", "R6")),
     "motorway-held": Recipe(
@@ -299,6 +303,8 @@ def _make(recipe: Recipe, folder: Path) -> None:
         write_moving(heard, folder / f"{pose.sensor}.parquet")
         write_pose(pose, folder / f"{pose.sensor}.json")
     write_lanelets(place.network, folder / "map.osm", terrain=place.scene.terrain, crs=UTM)
+    if recipe.plan.endswith(WIDE):
+        widen(folder / "map.osm")
     scan = fly(place.scene, rng=np.random.default_rng([recipe.seed, 3]))
     write_scan(scan, folder / "scan.laz", crs=UTM, flown=date(2026, 3, 14))
     write_standing(place.scene, folder / "standing.npz")
@@ -323,7 +329,7 @@ def _plan(name: str, rng: np.random.Generator) -> StreetPlan:
     if name == "motorway":
         return _motorway(rng)
     drawn: dict[str, Callable[[np.random.Generator], StreetPlan]] = {p.__name__: p for p in PLANS}
-    return drawn[name.removesuffix(PARKED)](rng)
+    return drawn[name.removesuffix(PARKED).removesuffix(WIDE)](rng)
 
 
 def _motorway(rng: np.random.Generator) -> StreetPlan:
