@@ -5,6 +5,7 @@ import math
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -13,6 +14,7 @@ from test_vehicles_folder import FIRST, frames_of_span, provenance_of, straight_
 
 sys.path.append(str(Path(__file__).parents[1] / "bench" / "vehicles"))
 
+import causes
 import command
 import tables
 from bad_input import _lasting
@@ -21,6 +23,7 @@ from components import switched_off
 from folders import Ground, write_states
 from passages import Lanes, joined
 from score import coverage_of_folder
+from tracks import Scored
 from true_coverage import TrueCoverage
 
 from gis_radar.vehicles import read_vehicles
@@ -175,3 +178,27 @@ def test_lanelets_without_shared_nodes_follow_each_other():
     beside = straight_tiles(20, lanelet_id=9)
     beside.geometry = beside.geometry.translate(10.0, 3.0)
     assert joined(pd.concat([first, beyond, beside], ignore_index=True)) == {(7, 8)}
+
+
+def test_false_and_missed_vehicles_have_a_cause(tmp_path, monkeypatch):
+    def states(*rows):
+        table = pd.DataFrame(rows, columns=["vehicle", "step", "easting", "northing"])
+        more = {"heading": 0.0, "speed": 5.0, "length": 4.0, "due": True, "hidden": False}
+        return table.assign(range_m=20.0, **more).sort_values("step", ignore_index=True)
+
+    step = int(FIRST)
+    true = states((1, step, 0.0, 0.0), (2, step, 50.0, 0.0), (3, step, 80.0, 0.0))
+    true["hidden"] = true["vehicle"] == 3
+    given = states(
+        (7, step, 0.5, 0.0), (8, step, 6.0, 0.0), (9, step, 20.0, 0.0), (10, step, 120.0, 0.0)
+    )
+    walker = {"t": step * 0.05, "kind": "walker", "easting": 21.0, "northing": 0.0}
+    pd.DataFrame([walker]).to_parquet(tmp_path / "vehicles.parquet")
+    heard = pd.DataFrame({"vehicle": [2], "at": [step + 15]})
+    monkeypatch.setattr(causes, "steps_with_detections", lambda *_: heard)
+    site = SimpleNamespace(folder=tmp_path, traffic=lambda: SimpleNamespace(states=None))
+    found = causes.causes(site, Scored(true=true, given=given))
+    assert {name: value for name, value in found.items() if value} == {
+        "double": 0.25, "person": 0.25, "ghost": 0.25,
+        "missed_while_hidden": 1 / 3, "missed_with_data": 1 / 3,
+    }  # fmt: skip

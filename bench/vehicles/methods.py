@@ -11,6 +11,7 @@ from typing import Any
 import own
 import pandas as pd
 from breakdown import by_group, step_errors, tile_groups
+from causes import causes
 from passages import score_passages
 from peers import hits, hits_closed, oracle
 from scenes import SceneFiles
@@ -43,6 +44,7 @@ def figures_of_folder(site: SceneFiles, folder: Path) -> Figures:
     scored = compared(tiles, truth, site.poses, traffic, given)
     figures["vehicles"] = score_tracks(scored, traffic.kinds)
     figures["by_vehicles"] = figures["vehicles"].pop("by")
+    figures["causes"] = causes(site, scored)
     figures["steps"] = step_errors(folder, tiles, truth)
     passed = pd.read_parquet(folder / "passages.parquet")
     passed = passed[passed["lanelet_id"].isin(site.lanelets_in_sight())]

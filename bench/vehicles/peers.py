@@ -56,7 +56,7 @@ def oracle(site: SceneFiles) -> pd.DataFrame:
     truth, traffic, tiles = site.truth(), site.traffic(), site.tiles()
     count = truth.covered.shape[1]
     traffic = traffic.within(truth.first_step, truth.first_step + count - 1)
-    hit = _steps_with_detections(site, traffic.states)
+    hit = steps_with_detections(site, traffic.states)
     seen = tiles[tiles["tile_id"].isin(truth.tile_id)]
     pairs = covered_pairs(seen, traffic, truth.first_step)
     known = pd.DataFrame({**pairs, "at": pairs["step"] + truth.first_step})
@@ -75,7 +75,7 @@ def oracle(site: SceneFiles) -> pd.DataFrame:
     )
 
 
-def _steps_with_detections(site: SceneFiles, states: pd.DataFrame) -> pd.DataFrame:
+def steps_with_detections(site: SceneFiles, states: pd.DataFrame) -> pd.DataFrame:
     """Return ``vehicle at hit``: the steps in which a detection lies on a vehicle, by step."""
     states = states.sort_values("step", kind="stable")
     steps = states["step"].to_numpy()

@@ -27,13 +27,17 @@ STEPS = {
     "missed_in_view": ".1%", "missed_hidden": ".1%", "misplaced": ".1%", "false_in_view": ".1%",
     "false_hidden": ".1%",
 }  # fmt: skip
+CAUSES = {
+    "double": ".1%", "person": ".1%", "parked": ".1%", "ghost": ".1%",
+    "missed_while_hidden": ".1%", "missed_no_data": ".1%", "missed_with_data": ".1%",
+}  # fmt: skip
 COSTS = {
     "sensor_minutes": ".1f", "cpu_s": ".2f", "occupancy_cpu_s": ".2f", "times_occupancy": ".1f",
     "peak_mb": ".0f", "occupancy_peak_mb": ".0f",
 }  # fmt: skip
 PARTS = {
     "coverage": COVERAGE, "vehicles": VEHICLES, "passages": PASSAGES, "steps": STEPS,
-    "costs": COSTS,
+    "causes": CAUSES, "costs": COSTS,
 }  # fmt: skip
 TARGETS = {
     "town": ">= .95 / .95-1.05 / <= 2 %",
