@@ -50,7 +50,7 @@ from .tiles import (
 )
 from .tracking import Track, track
 from .tracking.track import draw_track
-from .vehicles import Vehicles, merge_vehicles, read_vehicles
+from .vehicles import Vehicles, find_vehicles, merge_vehicles, read_vehicles
 
 __all__ = [
     "Clocks",
@@ -90,6 +90,7 @@ __all__ = [
     "draw_second_look",
     "draw_track",
     "find_sight",
+    "find_vehicles",
     "fingerprint",
     "localize",
     "localize_files",

@@ -18,7 +18,8 @@ def group() -> None:
 
 for verb in (
     *(maps.tiles, maps.mask, maps.heatmap, maps.project),
-    *(recordings.convert, recordings.occupancy, recordings.clocks, recordings.quality),
+    *(recordings.convert, recordings.occupancy, recordings.vehicles),
+    *(recordings.clocks, recordings.quality),
     *(poses.localize, poses.track, poses.sensors, poses.sight),
     *(sites.run, sites.report, sites.qgis, sites.sample, sites.demo),
 ):

@@ -14,6 +14,7 @@ from gis_radar.cli.options import (
     DURATION,
     FILE,
     PAIRS,
+    lanes,
     numbers,
     occupancies,
     output,
@@ -126,6 +127,54 @@ def _seeing(
     if any(getattr(each, name) != value for each in own for name, value in given.items()):
         reporter.log(f"the pose of {track.sensor} has a view, which counts", "warning")
     return track.with_view(view)
+
+
+@command(
+    example="gis-radar vehicles R1.parquet R2.parquet --pose R1.json --pose R2.json "
+    "--tiles tiles.gpkg --map MAP.osm --scan SCAN.laz -o vehicles/",
+)
+@recordings
+@poses
+@tile_file
+@lanes
+@output
+@click.option("--max-range", "max_range_m", type=float, help="Range of poses without a view, m.")
+@click.option("--azimuth", "azimuth_deg", type=float, help="Full azimuth of such poses, deg.")
+@click.option("--elevation", "elevation_deg", type=float, help="Full elevation of such poses, deg.")
+@click.option(
+    "--cycle", "cycles", type=CYCLES,
+    help="Of sensors slower than 10 Hz, the time from frame to frame: a frame holds 1.5 of it.",
+)  # fmt: skip
+@click.option(
+    "--clocks", metavar="auto|FILE",
+    help="Correct the sensors' clocks: by a file from gis-radar clocks, or as found here.",
+)  # fmt: skip
+@sight_scans
+@scan_crs
+def vehicles(
+    *,
+    recordings: tuple[Path, ...],
+    poses: tuple[Path, ...],
+    tiles_path: Path,
+    map_path: Path,
+    output: Path,
+    clocks: str | None,
+    reporter: Reporter,
+    scans: tuple[Path, ...],
+    **options: Any,
+) -> Result:
+    """Follow the vehicles in recordings: which tiles they covered, and for how long."""
+    from gis_radar.site.recipes import AUTO, follow_vehicles  # noqa: PLC0415 - --help needs no NumPy
+
+    clock_files = [] if clocks in {None, AUTO} else [str(clocks)]
+    refuse_inputs(output, *recordings, *poses, tiles_path, map_path, *clock_files, *scans)
+    view = {name: options.pop(name) for name in ("azimuth_deg", "elevation_deg", "max_range_m")}
+    tracks = [_seeing(gr.read_track(pose), view, reporter) for pose in poses]
+    found = follow_vehicles(
+        recordings, tracks, tiles_path, map_path, output, clocks=clocks, scans=scans,
+        reporter=reporter, **options,
+    )  # fmt: skip
+    return Result(outputs=[output], summary=found.figures())
 
 
 @command(

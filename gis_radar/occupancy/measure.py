@@ -16,7 +16,7 @@ import pandas as pd
 from gis_radar.arrays import Floats, Integers
 from gis_radar.clocks import SensorClock
 from gis_radar.crs import metric_crs, require_same
-from gis_radar.errors import InputError, NoAnswerError, UsageError
+from gis_radar.errors import InputError, UsageError
 from gis_radar.files import whole_folder
 from gis_radar.occupancy.folder import (
     HITS_FILE,
@@ -49,7 +49,7 @@ from gis_radar.poses.files import PoseTrack, as_track
 from gis_radar.poses.pose import Pose, View
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Detections, RangeCounts, Recording, as_recording
-from gis_radar.sight import VIEW_ONLY, SightScan, SightTiles, describe_sight, report_uncovered
+from gis_radar.sight import SightScan, SightTiles, describe_sight
 from gis_radar.steps import STEP_US, iso_from_step, step_of
 from gis_radar.tiles.lookup import TileEngine, TileGrid
 
@@ -139,7 +139,7 @@ def measure_occupancy(
     if scans:
         scan = SightScan(scans, target.views.road, scan_crs=scan_crs, reporter=reporter)
         target.views.scan = scan
-    views = _views(target, tracks, reporter)
+    views = target.views.enter_all(tracks, reporter)
     opened = [as_recording(recording) for recording in recordings]
     _refuse_clearance(opened, target.filters)
     holds = holds_of(cycles, sorted({track.sensor for track in tracks}), settings)
@@ -163,7 +163,7 @@ def measure_occupancy(
         ).write_beside_hits(part, pairs=pairs)
         for each in passes:
             each.log.path.unlink()
-    _report_sight(target.views, reporter)
+    target.views.report(reporter)
     for line in _warnings(passes, target.views, settings):
         reporter.log(line, "warning")
     return read_occupancy(folder)
@@ -368,40 +368,6 @@ def _target(
         filters=filters,
         settings=settings,
     )
-
-
-def _views(target: Target, tracks: list[PoseTrack], reporter: Reporter) -> list[tuple[str, ...]]:
-    """Return the views of each track's poses; refuse where no sensor sees a tile."""
-    different = {id(track): track for track in tracks}
-    views = {key: target.views.enter(track) for key, track in different.items()}
-    blind = [
-        track.sensor
-        for track in tracks
-        if not any(len(target.views.tiles[name]) for name in set(views[id(track)]))
-    ]
-    if len(blind) == len(tracks):
-        raise NoAnswerError(
-            f"no tile lies in the view of {', '.join(blind)}",
-            hint="poses, heights and tiles do not fit each other",
-        )
-    for sensor in blind:
-        reporter.log(f"no tile lies in the view of {sensor}", "warning")
-    return [views[id(track)] for track in tracks]
-
-
-def _report_sight(book: ViewBook, reporter: Reporter) -> None:
-    """Report that there is no scan, or what it does not cover."""
-    if book.scan is None:
-        reporter.log(
-            f"sight: {VIEW_ONLY}: houses hide no tile; with --scan, what stands in a scan does"
-        )
-        return
-    report_uncovered(book.sights.values(), reporter, book.scan.settings)
-    if np.isnan(book.road.height).all():
-        reporter.log(
-            "the tiles have no heights: those of the scan's ground count, and levels one above "
-            "another are not distinguished", "warning",
-        )  # fmt: skip
 
 
 def _warnings(

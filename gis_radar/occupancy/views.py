@@ -16,10 +16,20 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gis_radar.arrays import Integers
+from gis_radar.errors import NoAnswerError
 from gis_radar.occupancy.settings import DEFAULTS, OccupancySettings
 from gis_radar.poses.files import PoseTrack
 from gis_radar.poses.pose import Pose
-from gis_radar.sight import OUT_OF_VIEW, Sight, SightScan, SightTiles, find_sight
+from gis_radar.progress import Reporter
+from gis_radar.sight import (
+    OUT_OF_VIEW,
+    VIEW_ONLY,
+    Sight,
+    SightScan,
+    SightTiles,
+    find_sight,
+    report_uncovered,
+)
 
 
 def name_of_view(tiles: Integers) -> str:
@@ -61,6 +71,44 @@ class ViewBook:
             self.scan.read([track.poses[index] for index in np.unique(standing)])
         names = {index: self._name(track.poses[index]) for index in np.unique(standing).tolist()}
         return tuple(names[index] for index in standing.tolist())
+
+    def enter_all(self, tracks: Sequence[PoseTrack], reporter: Reporter) -> list[tuple[str, ...]]:
+        """Return the views of each track's poses; warn of sensors that see no tile.
+
+        Raises
+        ------
+        NoAnswerError
+            If no sensor sees any tile.
+        """
+        different = {id(track): track for track in tracks}
+        views = {key: self.enter(track) for key, track in different.items()}
+        blind = [
+            track.sensor
+            for track in tracks
+            if not any(len(self.tiles[name]) for name in set(views[id(track)]))
+        ]
+        if len(blind) == len(tracks):
+            raise NoAnswerError(
+                f"no tile lies in the view of {', '.join(blind)}",
+                hint="poses, heights and tiles do not fit each other",
+            )
+        for sensor in blind:
+            reporter.log(f"no tile lies in the view of {sensor}", "warning")
+        return [views[id(track)] for track in tracks]
+
+    def report(self, reporter: Reporter) -> None:
+        """Report that there is no scan, or what it does not cover."""
+        if self.scan is None:
+            reporter.log(
+                f"sight: {VIEW_ONLY}: houses hide no tile; with --scan, what stands in a scan does"
+            )
+            return
+        report_uncovered(self.sights.values(), reporter, self.scan.settings)
+        if np.isnan(self.road.height).all():
+            reporter.log(
+                "the tiles have no heights: those of the scan's ground count, and levels one above "
+                "another are not distinguished", "warning",
+            )  # fmt: skip
 
     def _name(self, pose: Pose) -> str:
         sight = find_sight(pose, self.road, self.scan)

@@ -22,6 +22,7 @@ from gis_radar.scans.roads import read_roads
 from gis_radar.scans.scan import read_road
 from gis_radar.tiles.lookup import with_road_heights
 from gis_radar.tiles.tiles import fingerprint, make_tiles, read_tiles, write_tiles
+from gis_radar.vehicles import Vehicles, find_vehicles
 
 AUTO = "auto"  # clocks: as the recordings themselves show
 
@@ -82,6 +83,21 @@ def join_recordings(
         recordings, tracks, tiles, output,
         filters=kept, clocks=known, reporter=reporter, **options,
     )  # fmt: skip
+
+
+def follow_vehicles(
+    recordings: Sequence[Path], tracks: Sequence[PoseTrack], tile_file: Path, map_path: Path,
+    output: Path, *, clocks: str | Path | None, reporter: Reporter, **options: Any,
+) -> Vehicles:  # fmt: skip
+    """Follow the vehicles in recordings; clocks are those of a file, or `auto`.
+
+    Options are those of :func:`gis_radar.find_vehicles`.
+    """
+    tiles = read_tiles(tile_file)
+    known = {} if clocks is None else _clocks(clocks, recordings, tracks, tiles, reporter)
+    return find_vehicles(
+        recordings, tracks, tiles, map_path, output, clocks=known, reporter=reporter, **options
+    )
 
 
 def _clocks(

@@ -310,6 +310,10 @@ class VehiclesWriter:
         self._writers["covered"].add(COVERED.typed(covered))
         self._writers["visible"].add(VISIBLE.typed(visible))
 
+    def name_sources(self, sources: list[dict[str, Any]]) -> None:
+        """Say what was read, where that is known only at the end."""
+        self._provenance = replace(self._provenance, sources=sources)
+
     def finish(self) -> None:
         """Write what is known only at the end: the last block, vehicles, passages, manifest."""
         self._flush()
@@ -430,7 +434,7 @@ def _read_manifest(folder: Path) -> Provenance:
         if not (folder / file).is_file():
             raise InputError(
                 f"{folder}: not a folder of vehicles: lacks {file}",
-                hint="a folder that gis_radar.vehicles.folder.write_vehicles wrote is needed",
+                hint="a folder that gis-radar vehicles wrote is needed",
             )
     try:
         known = json.loads(path.read_text(encoding="utf-8"))

@@ -12,11 +12,52 @@ import numpy as np
 import shapely
 
 from gis_radar.crs import name_of
-from gis_radar.errors import InputError
-from gis_radar.lanelets import LaneletMap
+from gis_radar.errors import InputError, UsageError
+from gis_radar.lanelets import LaneletMap, read_map
+from gis_radar.progress import QUIET, Reporter
 from gis_radar.tiles.tiles import quads
 
+HINT = "give the map that the tiles were made from, with the same CRS and origin"
 SAME_PLACE_M = 0.01  # how far bounds of one map may be apart, by rounding
+
+
+def map_of_tiles(
+    path: str | Path, tiles: gpd.GeoDataFrame, reporter: Reporter = QUIET
+) -> tuple[LaneletMap, dict[str, Any]]:
+    """Read the map that tiles were made from, where they lie, and describe it for a manifest.
+
+    Latitudes and longitudes may be empty or false: the tiles tell the system and the place of the
+    map's local (0, 0).
+
+    Raises
+    ------
+    InputError
+        If it is another map.
+    """
+    try:
+        roads = read_map(path, crs=tiles.crs, reporter=reporter)
+        return roads, describe_map(path, roads, tiles)
+    except InputError as error:
+        try:
+            local = read_map(path, crs=tiles.crs, origin=(0.0, 0.0))
+        except (InputError, UsageError):
+            raise error from None
+    origin = _origin(local, tiles)
+    if origin is None:
+        raise InputError(f"{path}: has none of the lanelets of the tiles", hint=HINT)
+    roads = read_map(path, crs=tiles.crs, origin=origin, reporter=reporter)
+    return roads, describe_map(path, roads, tiles, origin=origin)
+
+
+def _origin(local: LaneletMap, tiles: gpd.GeoDataFrame) -> tuple[float, float] | None:
+    """Return how far the first tile of a lanelet lies from its begin, to a millimetre."""
+    first = tiles[tiles["index"] == 0]
+    starts = dict(zip(first["lanelet_id"].tolist(), quads(first)[:, 0].tolist(), strict=True))
+    for ref, bound in zip(local.lanelets["lanelet_id"], local.lanelets["right"], strict=True):
+        if int(ref) in starts:
+            shift = np.array(starts[int(ref)]) - np.array(bound.coords[0][:2])
+            return round(float(shift[0]), 3), round(float(shift[1]), 3)
+    return None
 
 
 def describe_map(
@@ -56,10 +97,9 @@ def describe_map(
     ids, first = np.unique(lanelet[order], return_index=True)
     last = np.append(first[1:], len(order)) - 1
     known = roads.lanelets.set_index("lanelet_id")
-    hint = "give the map that the tiles were made from, with the same CRS and origin"
     missing = ids[~np.isin(ids, known.index.to_numpy())]
     if len(missing):
-        raise InputError(f"{path}: lacks lanelet {missing[0]} of the tiles", hint=hint)
+        raise InputError(f"{path}: lacks lanelet {missing[0]} of the tiles", hint=HINT)
     known = known.loc[ids]
     for side, begin, end in (("right", 0, 1), ("left", 3, 2)):
         bound = known[side].to_numpy()
@@ -69,7 +109,7 @@ def describe_map(
             far = int(apart.argmax())
             if not apart[far] <= SAME_PLACE_M:
                 raise InputError(
-                    f"{path}: lanelet {ids[far]} lies {apart[far]:.2f} m from its tiles", hint=hint
+                    f"{path}: lanelet {ids[far]} lies {apart[far]:.2f} m from its tiles", hint=HINT
                 )
     digest = hashlib.blake2b(Path(path).read_bytes(), digest_size=16).hexdigest()
     place_of_zero = None if origin is None else [float(each) for each in origin]

@@ -222,7 +222,7 @@ def check_file(kind: TableKind, path: Path, fingerprint: str) -> None:
     if not path.is_file():
         raise InputError(
             f"{path.parent}: not a folder of vehicles: lacks {path.name}",
-            hint="a folder that gis_radar.vehicles.folder.write_vehicles wrote is needed",
+            hint="a folder that gis-radar vehicles wrote is needed",
         )
     with damaged_as_input_error(path):
         schema = pq.read_schema(path)

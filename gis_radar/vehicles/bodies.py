@@ -1,0 +1,248 @@
+"""Bodies: which detections are of one vehicle while it moves.
+
+The filter follows detections as time runs and against it; where both agree, a vehicle is followed
+whole. What it took for several vehicles are often ends of one long vehicle, or what two sensors see
+of it: they keep their places in the frame that moves along with it, as no other vehicle does.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pandas as pd
+
+from gis_radar.arrays import Floats, Integers
+from gis_radar.vehicles.echoes import Echoes
+from gis_radar.vehicles.forward import NONE
+from gis_radar.vehicles.motion import Motion, fit_motion
+from gis_radar.vehicles.settings import BodySettings, MotionSettings
+
+
+def rows_by_number(number: Integers) -> list[Integers]:
+    """Return the rows of each number in ascending order; rows of `NONE` are left out."""
+    rows = np.flatnonzero(number != NONE)
+    rows = rows[np.argsort(number[rows], kind="stable")]
+    return np.split(rows, np.flatnonzero(np.diff(number[rows])) + 1) if len(rows) else []
+
+
+def join_directions(number: Integers, against: Integers, time: Floats) -> Integers:
+    """Return one number for each detection from those of both directions of time.
+
+    A detection that only the direction against time claims goes with what is next to it there. Two
+    vehicles that one of the other direction follows one after the other are one.
+
+    Parameters
+    ----------
+    number, against : (n,) int64 arrays
+        As the filter numbers detections as time runs, and against it.
+    time : (n,) array
+        Of the detections, seconds.
+    """
+    rows = rows_by_number(number)
+    if not rows:
+        return against.copy()
+    spans = {int(number[r[0]]): (float(time[r].min()), float(time[r].max())) for r in rows}
+    sizes = {int(number[r[0]]): len(r) for r in rows}
+    groups = _Groups(spans)
+    joined, fresh = number.copy(), int(number.max()) + 1
+    for part in rows_by_number(against):
+        known = np.flatnonzero(number[part] != NONE)
+        if len(known) == 0:
+            joined[part] = fresh
+            fresh += 1
+            continue
+        free = np.flatnonzero(number[part] == NONE)
+        joined[part[free]] = number[part[known[_nearest(time[part[known]], time[part[free]])]]]
+        values, counts = np.unique(number[part[known]], return_counts=True)
+        strong = [
+            value for value, count in zip(values.tolist(), counts.tolist(), strict=True)
+            if count >= max(4, 0.3 * sizes[value])
+        ]  # fmt: skip
+        strong.sort(key=lambda value: spans[value])
+        for one, other in pairwise(strong):
+            groups.join(one, other)
+    mapped = np.arange(fresh)
+    for value in spans:
+        mapped[value] = groups.of(value)
+    return np.where(joined == NONE, NONE, mapped[joined])
+
+
+def _nearest(known: Floats, wanted: Floats) -> Integers:
+    """Return the position in `known`, in any order, of the value nearest to each wanted one."""
+    order = np.argsort(known, kind="stable")
+    at = np.clip(np.searchsorted(known[order], wanted), 1, max(len(known) - 1, 1))
+    if len(known) == 1:
+        return np.zeros(len(wanted), np.int64)
+    earlier = wanted - known[order[at - 1]] <= known[order[at]] - wanted
+    return order[np.where(earlier, at - 1, at)]
+
+
+class _Groups:
+    """Vehicles that are one, by the spans of time in which they are followed."""
+
+    MOST_BOTH_S = 0.7  # a vehicle is followed twice for so long at most, where one ends
+
+    def __init__(self, spans: dict[int, tuple[float, float]]) -> None:
+        self._head = {value: value for value in spans}
+        self._spans = {value: [span] for value, span in spans.items()}
+
+    def of(self, value: int) -> int:
+        """Return the head of a vehicle's group."""
+        while self._head[value] != value:
+            self._head[value] = self._head[self._head[value]]
+            value = self._head[value]
+        return value
+
+    def join(self, one: int, other: int) -> None:
+        """Join two groups, unless both were followed at a time."""
+        one, other = self.of(one), self.of(other)
+        if one == other:
+            return
+        both = max(
+            min(a[1], b[1]) - max(a[0], b[0]) for a in self._spans[one] for b in self._spans[other]
+        )
+        if both < self.MOST_BOTH_S:
+            self._spans[one] += self._spans.pop(other)
+            self._head[other] = one
+
+
+def absorb(
+    echoes: Echoes,
+    parts: list[Integers],
+    states: Floats,
+    settings: BodySettings,
+    motion: MotionSettings,
+) -> list[Motion]:
+    """Join parts that are of one body, the strongest first; return the motion of each vehicle.
+
+    Parameters
+    ----------
+    echoes : Echoes
+        All detections.
+    parts : list of int64 arrays
+        Rows that were followed as one vehicle.
+    states : (n, 6) array
+        Of the vehicle, for every detection.
+    settings : BodySettings
+        What speaks for one body.
+    motion : MotionSettings
+        Of the smoothing.
+    """
+    found = [fit_motion(echoes, rows, states, motion) for rows in parts]
+    boxes = [_box(echoes, each.rows) for each in found]
+    gone: set[int] = set()
+    for strong in sorted(range(len(found)), key=lambda k: -len(found[k].rows)):
+        again = strong not in gone
+        while again:
+            again = False
+            for other in range(len(found)):
+                weaker = len(found[other].rows) <= len(found[strong].rows)
+                if other == strong or other in gone or not weaker:
+                    continue
+                if (boxes[other][0] > boxes[strong][1]).any() or (
+                    boxes[other][1] < boxes[strong][0]
+                ).any():
+                    continue
+                if log_odds(echoes, found[strong], found[other], settings) > settings.least_odds:
+                    rows = np.concatenate([found[strong].rows, found[other].rows])
+                    found[strong] = fit_motion(echoes, rows, states, motion)
+                    boxes[strong] = _box(echoes, rows)
+                    gone.add(other)
+                    again = True
+    return [each for k, each in enumerate(found) if k not in gone]
+
+
+def _box(echoes: Echoes, rows: Integers) -> Floats:
+    """Return the least and most of time, easting and northing, widened by a long body."""
+    table = np.column_stack([echoes.time[rows], echoes.points[rows]])
+    reach = np.array([0.1, 20.0, 20.0])
+    return np.stack([table.min(axis=0) - reach, table.max(axis=0) + reach])
+
+
+def log_odds(echoes: Echoes, body: Motion, other: Motion, settings: BodySettings) -> float:
+    """Return how much speaks for two being one body, as the logarithm of odds.
+
+    In the frame that moves with the first, the second keeps its place if it is of the same body;
+    another vehicle drifts, and keeps its distance: time gaps between drivers are log-normal, with a
+    median of 1.8 s (Treiber and Kesting, *Traffic Flow Dynamics*, 2013, ch. 4).
+    """
+    rows = other.rows[np.abs(echoes.range_rate[other.rows]) > settings.moving_mps]
+    own = echoes.time[body.rows]
+    rows = rows[(echoes.time[rows] > own[0] - 0.2) & (echoes.time[rows] < own[-1] + 0.2)]
+    if len(rows) < 3:
+        return -np.inf
+    # only while the first is seen too is its frame known well
+    near = _nearest(own, echoes.time[rows])
+    rows = rows[np.abs(own[near] - echoes.time[rows]) < settings.seen_s]
+    if len(rows) < 3 or np.ptp(echoes.time[rows]) < 0.1:
+        return -np.inf
+    along, left, rate = body.frame(echoes, rows)
+    _, speed = body.at(echoes.time[rows])
+    fits = (np.abs(left) < settings.left_m) & (np.abs(rate) < 0.8 + 0.08 * speed)
+    if fits.mean() < settings.least_fit or fits.sum() < 3:
+        return -np.inf
+    return _odds_of_places(echoes.time[rows][fits], along[fits], speed[fits], body, settings)
+
+
+def _odds_of_places(
+    time: Floats, along: Floats, speed: Floats, body: Motion, settings: BodySettings
+) -> float:
+    """Return the log odds from places in a moving frame: whether they stay, and are too near."""
+    span = float(np.ptp(time))
+    away = abs(float(np.median(along)))
+    if away > settings.longest_m:
+        return -np.inf
+    stays = 0.0
+    if span > 0.3:
+        centred = time - time.mean()
+        drift = float(centred @ (along - along.mean()) / (centred @ centred))
+        rest = np.abs(along - np.median(along) - drift * centred)
+        if np.median(rest) > settings.scatter_m:
+            return -np.inf
+        # of the slope of places that are independent every half a second
+        sigma = np.hypot(settings.place_m * np.sqrt(12.0) / (span * np.sqrt(max(2 * span, 1))), 0.1)
+        wide = np.hypot(1.0, sigma)  # 1 m/s: by how much drivers differ
+        stays = 0.5 * (drift / wide) ** 2 - 0.5 * (drift / sigma) ** 2 + np.log(wide / sigma)
+    front, rear = np.quantile(body.along_m, [0.98, 0.02])
+    within = (along < max(front, 1.5) + 1.0) & (along > min(rear, -1.5) - 1.0)
+    if within.mean() > 0.6:
+        return 5.0 + min(stays, 0.0)
+    pace = max(float(np.quantile(speed, 0.8)), 2.0)
+    gap_s = max(away - settings.car_m, 0.05) / pace
+    z = np.log(gap_s / settings.gap_s) / settings.gap_spread
+    follows = -0.5 * z * z - np.log(gap_s * settings.gap_spread * 2.5066 * pace)
+    return float(stays + np.log(settings.long_share / 12.0) - follows)
+
+
+def merge_states(number: Integers, states: tuple[Floats, Floats], joined: Integers) -> Floats:
+    """Return the states as time runs, and those against it where only that claims a detection."""
+    return np.where(((number == NONE) & (joined != NONE))[:, None], states[1], states[0])
+
+
+def is_person(echoes: Echoes, motions: list[Motion], settings: BodySettings) -> list[bool]:
+    """Tell of each motion whether it is of a walker or a cyclist: slow, and weaker than vehicles.
+
+    What vehicles return is taken from those that drive fast in the same recordings, since radars
+    state cross sections on scales of their own.
+    """
+    table = pd.DataFrame(
+        {
+            "rcs": [float(np.nanmedian(echoes.rcs[each.rows])) for each in motions],
+            "fast": [_fast(each) for each in motions],
+        }
+    )
+    driven = table["rcs"][table["fast"] > settings.driven_mps]
+    usual = float(driven.median()) if len(driven) else np.nan
+    weak = table["rcs"] < usual - settings.person_db
+    weaker = table["rcs"] < usual - settings.walker_db
+    person = (weak & (table["fast"] < settings.cyclist_mps)) | (
+        weaker & (table["fast"] < settings.walker_mps)
+    )
+    return [bool(each) for each in person]
+
+
+def _fast(motion: Motion) -> float:
+    """Return the speed that a vehicle exceeds a tenth of the time in which it moves."""
+    moving = motion.speed[motion.speed > 0.2]
+    return float(np.quantile(moving, 0.9)) if len(moving) else 0.0

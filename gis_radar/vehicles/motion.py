@@ -1,0 +1,471 @@
+"""Motion of a vehicle: the path that it took, how far along it was when, and how long it is.
+
+All detections of a vehicle, of its whole life, tell its motion together (fixed-interval smoothing,
+Rauch, Tung and Striebel 1965). In the frame that moves along with it, detections of one body stay
+where they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from gis_radar.arrays import Floats, Integers, compiled
+from gis_radar.steps import STEP_S, STEPS_PER_SECOND
+from gis_radar.vehicles.echoes import Echoes
+from gis_radar.vehicles.settings import MotionSettings
+
+STILL_COS = 0.05  # under it a range rate says nothing at all of the speed along the path
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """A polyline in the map that goes on straight beyond its ends.
+
+    Parameters
+    ----------
+    points : (n, 2) array
+        Its vertices, metres, two at least.
+    """
+
+    points: Floats
+
+    @cached_property
+    def s_m(self) -> Floats:
+        """Distance of each vertex from the first, metres."""
+        return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(self.points, axis=0).T))])
+
+    @cached_property
+    def heading(self) -> Floats:
+        """Direction of each segment, radians, without jumps."""
+        return np.unwrap(np.arctan2(*np.diff(self.points, axis=0).T[::-1]))
+
+    def at(self, s_m: Floats) -> tuple[Floats, Floats]:
+        """Return places (k, 2) and headings (k,) at distances along the path."""
+        last = len(self.s_m) - 2
+        k = np.clip(np.searchsorted(self.s_m, s_m, side="right") - 1, 0, last)
+        middle = 0.5 * (self.s_m[1:] + self.s_m[:-1])
+        turned = np.interp(s_m, middle, self.heading)
+        way = np.column_stack([np.cos(self.heading), np.sin(self.heading)])[k]
+        return self.points[k] + (s_m - self.s_m[k])[:, None] * way, turned
+
+    def project(self, points: Floats, guess: Floats, reach_m: float) -> tuple[Floats, Floats]:
+        """Return how far along and how far left of the path points are, near a guess of the first.
+
+        Parameters
+        ----------
+        points : (k, 2) array
+            Metres.
+        guess : (k,) array
+            About where along the path, metres.
+        reach_m : float
+            How far the guess may be off.
+        """
+        return _project(np.ascontiguousarray(points), guess, self.points, self.s_m, reach_m)
+
+
+@compiled
+def _project(
+    points: Floats, guess: Floats, line: Floats, s_m: Floats, reach_m: float
+) -> tuple[Floats, Floats]:  # pragma: no cover - compiled
+    along, left = np.empty(len(points)), np.empty(len(points))
+    last = len(s_m) - 2
+    for i in range(len(points)):
+        low = max(min(np.searchsorted(s_m, guess[i] - reach_m) - 1, last), 0)
+        high = max(min(np.searchsorted(s_m, guess[i] + reach_m), last + 1), low + 1)
+        best = 1e18
+        for k in range(low, high):
+            bx, by = line[k + 1, 0] - line[k, 0], line[k + 1, 1] - line[k, 1]
+            dx, dy = points[i, 0] - line[k, 0], points[i, 1] - line[k, 1]
+            length = np.sqrt(bx * bx + by * by)
+            t = (dx * bx + dy * by) / (length * length)
+            if k > 0:
+                t = max(t, 0.0)
+            if k < last:
+                t = min(t, 1.0)
+            ex, ey = dx - t * bx, dy - t * by
+            if ex * ex + ey * ey < best:
+                best = ex * ex + ey * ey
+                along[i] = s_m[k] + t * length
+                left[i] = (bx * dy - by * dx) / length
+    return along, left
+
+
+def path_through(states: Floats, spacing_m: float) -> Path:
+    """Return the path through states (x, y, heading) in the order of time, smoothed.
+
+    Only progress counts: states of the rear end of a body lie behind those of its front.
+    """
+    kept = _progress(np.ascontiguousarray(states[:, :3]), spacing_m)
+    ends = states[kept[[0, -1]], 2]
+    way = np.column_stack([np.cos(ends), np.sin(ends)])
+    places = states[kept, :2]
+    # straight ends of a body's length, for what is of it beyond its first and last place
+    before = places[0] - np.arange(20.0, 0.0, -1.0)[:, None] * way[0]
+    after = places[-1] + np.arange(1.0, 21.0)[:, None] * way[1]
+    line = _bridged(states[kept, :3])
+    return _smoothed(np.vstack([before, line, after]))
+
+
+@compiled
+def _progress(states: Floats, spacing_m: float) -> Integers:  # pragma: no cover - compiled
+    """Return the rows at which so much way has been made since the last of them."""
+    kept = np.empty(len(states), np.int64)
+    kept[0], count = 0, 1
+    for k in range(1, len(states)):
+        last = kept[count - 1]
+        dx, dy = states[k, 0] - states[last, 0], states[k, 1] - states[last, 1]
+        if dx * np.cos(states[k, 2]) + dy * np.sin(states[k, 2]) >= spacing_m:
+            kept[count] = k
+            count += 1
+    return kept[:count]
+
+
+def _bridged(states: Floats) -> Floats:
+    """Return the places of states, with a cubic curve (Hermite) over gaps of more than 3 m."""
+    parts = [states[:1, :2]]
+    for a, b in pairwise(states):
+        gap = float(np.hypot(*(b - a)[:2]))
+        if gap > 3.0:
+            t = np.linspace(0.0, 1.0, int(gap) + 2)[1:-1, None]
+            begin, end = (gap * np.array([np.cos(x[2]), np.sin(x[2])]) for x in (a, b))
+            parts.append(
+                (2 * t**3 - 3 * t**2 + 1) * a[:2] + (t**3 - 2 * t**2 + t) * begin
+                + (3 * t**2 - 2 * t**3) * b[:2] + (t**3 - t**2) * end
+            )  # fmt: skip
+        parts.append(b[None, :2])
+    return np.vstack(parts)
+
+
+def _smoothed(line: Floats, window_m: int = 3) -> Path:
+    """Return a line with a vertex a metre, smoothed by a bell of that sigma, twice."""
+    reach = 3 * window_m
+    bell = np.exp(-0.5 * (np.arange(-reach, reach + 1) / window_m) ** 2)
+    bell /= bell.sum()
+    for _ in range(2):
+        s = Path(line).s_m
+        every = np.arange(0.0, s[-1], 1.0)
+        line = np.column_stack([np.interp(every, s, line[:, k]) for k in range(2)])
+        padded = np.vstack(
+            [2 * line[0] - line[reach:0:-1], line, 2 * line[-1] - line[-2 : -reach - 2 : -1]]
+        )
+        line = np.column_stack([np.convolve(padded[:, k], bell, "valid") for k in range(2)])
+    return Path(line)
+
+
+@dataclass(kw_only=True, eq=False)
+class Motion:
+    """A vehicle through its life.
+
+    Parameters
+    ----------
+    rows : (k,) int64 array
+        Its detections, in the order of time.
+    path : Path
+        Of its middle.
+    first_step : int
+        Of the states.
+    s_m, speed : (n,) arrays
+        How far its middle is along the path, and m/s, a step each.
+    var_s : (n,) array
+        Variance of `s_m`.
+    length_m, width_m, length_sigma_m, p_heavy : float
+        Its size, and the probability that it is longer than 7 m.
+    along_m, left_m : (k,) arrays
+        Where on the body each detection lies: from the middle forward, from the path to the left.
+    """
+
+    rows: Integers
+    path: Path
+    first_step: int
+    s_m: Floats
+    speed: Floats
+    var_s: Floats
+    length_m: float
+    width_m: float
+    length_sigma_m: float
+    p_heavy: float
+    along_m: Floats
+    left_m: Floats
+
+    @property
+    def last_step(self) -> int:
+        """Last step of the states."""
+        return self.first_step + len(self.s_m) - 1
+
+    @cached_property
+    def places(self) -> tuple[Floats, Floats]:
+        """Middle (n, 2) and heading (n,) at each step."""
+        return self.path.at(self.s_m)
+
+    def at(self, time: Floats) -> tuple[Floats, Floats]:
+        """Return how far along it is at times, and its speed; beyond its life at its last speed."""
+        place = time * STEPS_PER_SECOND - self.first_step
+        inside = np.clip(place, 0.0, len(self.s_m) - 1.0)
+        steps = np.arange(len(self.s_m))
+        speed = np.interp(inside, steps, self.speed)
+        return np.interp(inside, steps, self.s_m) + (place - inside) * STEP_S * speed, speed
+
+    def frame(self, echoes: Echoes, rows: Integers) -> tuple[Floats, Floats, Floats]:
+        """Return detections in the frame that moves along.
+
+        Returns
+        -------
+        along_m, left_m : (k,) arrays
+            From the middle of the vehicle forward, from its path to the left.
+        rate_mps : (k,) array
+            By how much the range rate exceeds that of the vehicle.
+        """
+        s, speed = self.at(echoes.time[rows])
+        along, left = self.path.project(echoes.points[rows], s, 25.0)
+        _, heading = self.path.at(along)
+        cos = np.cos(heading) * echoes.sight[rows, 0] + np.sin(heading) * echoes.sight[rows, 1]
+        return along - s, left, echoes.range_rate[rows] - speed * cos
+
+
+def fit_motion(echoes: Echoes, rows: Integers, states: Floats, settings: MotionSettings) -> Motion:
+    """Smooth the motion of a vehicle over all its detections.
+
+    Parameters
+    ----------
+    echoes : Echoes
+        All detections.
+    rows : (k,) int64 array
+        Those of the vehicle.
+    states : (n, 6) array
+        For all detections, what the filter said of the vehicle then.
+    settings : MotionSettings
+        Noise.
+    """
+    rows = rows[np.argsort(echoes.time[rows], kind="stable")]
+    path, guess = _fitted_path(echoes, rows, states[rows], settings)
+    s, left = path.project(echoes.points[rows], guess, 30.0)
+    time = echoes.time[rows]
+    first = int(np.floor(time[0] * STEPS_PER_SECOND))
+    count = int(np.ceil(time[-1] * STEPS_PER_SECOND)) - first + 1
+    step = np.clip(np.round(time * STEPS_PER_SECOND).astype(np.int64) - first, 0, count - 1)
+    _, heading = path.at(s)
+    sight = echoes.sight[rows]
+    cos = np.cos(heading) * sight[:, 0] + np.sin(heading) * sight[:, 1]
+    sin = np.abs(np.cos(heading) * sight[:, 1] - np.sin(heading) * sight[:, 0])
+    noise = np.hypot(settings.along_m, settings.azimuth_rad * echoes.range_m[rows] * sin)
+    rate = echoes.range_rate[rows] / np.where(np.abs(cos) < STILL_COS, STILL_COS, cos)
+    rate_var = (settings.range_rate_mps / np.maximum(np.abs(cos), STILL_COS)) ** 2
+    together = np.bincount(step, minlength=count)[step]
+    ends = np.column_stack([-np.sign(cos), np.abs(cos), sin])  # the end that is seen, and how much
+    size, shift = Size(), 0.0
+    for _ in range(2):
+        share = settings.end_share * size.width_m * ends[:, 1]
+        share /= size.width_m * ends[:, 1] + size.length_m * sin + 1e-9
+        half = 0.5 * size.length_m
+        spread = noise**2 + (1.0 - share) * half**2 / 3.0 + share * (1.0 - share) * half**2
+        # scatterers last: what one frame shows the next shows again
+        spread *= settings.repeats * np.sqrt(together)
+        middle = s - ends[:, 0] * share * half
+        smoothed = _smooth(
+            count, step, rate, rate_var, middle, spread, float(middle[:5].mean()),
+            max(float(states[rows[0], 3]), 0.0), settings.accel_var,
+        )  # fmt: skip
+        along = s - np.interp(time * STEPS_PER_SECOND - first, np.arange(count), smoothed[0])
+        size, shift = _size(along, ends, noise, settings)
+    return Motion(
+        rows=rows, path=path, first_step=first,
+        s_m=np.maximum.accumulate(smoothed[0] + shift), speed=np.maximum(smoothed[1], 0.0),
+        var_s=smoothed[2], length_m=size.length_m, width_m=size.width_m,
+        length_sigma_m=size.sigma_m, p_heavy=size.p_heavy, along_m=along - shift, left_m=left,
+    )  # fmt: skip
+
+
+def _fitted_path(
+    echoes: Echoes, rows: Integers, states: Floats, settings: MotionSettings
+) -> tuple[Path, Floats]:
+    """Return the path of the states, moved sideways to the detections, and a guess along it."""
+    path = path_through(states, settings.spacing_m)
+    gaps = np.diff(states[:, :2], axis=0)
+    forward = np.einsum(
+        "ij,ij->i", gaps, np.column_stack([np.cos(states[1:, 2]), np.sin(states[1:, 2])])
+    )
+    way = 20.0 + np.concatenate([[0.0], np.cumsum(np.maximum(forward, 0.0))])
+    way = 20.0 + (way - 20.0) * min((path.s_m[-1] - 40.0) / max(way[-1] - 20.0, 1.0), 1.0)
+    guess, _ = path.project(states[:, :2], way, 40.0)
+    s, left = path.project(echoes.points[rows], guess, 30.0)
+    weight = 1.0 / (0.5**2 + (settings.azimuth_rad * echoes.range_m[rows]) ** 2)
+    cell = np.clip((s / 2.0).astype(np.int64), 0, int(path.s_m[-1] / 2.0))
+    count = int(path.s_m[-1] / 2.0) + 1
+    total = np.bincount(cell, weight, count)
+    drift = np.bincount(cell, weight * np.clip(left, -2.0, 2.0), count)
+    # a scatterer that lasts is no better than its bias, however often it returns
+    cap = np.minimum(total, settings.most_weight) / np.maximum(total, 1e-9)
+    bell = np.exp(-0.5 * (np.arange(-10, 11) / 4.0) ** 2)
+    near = np.convolve(total * cap, bell, "full")[10:-10]
+    shift = np.convolve(drift * cap, bell, "full")[10:-10] / (near + 1.0)
+    left_of = np.interp(path.s_m, 1.0 + 2.0 * np.arange(count), shift)
+    _, heading = path.at(path.s_m)
+    moved = path.points + left_of[:, None] * np.column_stack([-np.sin(heading), np.cos(heading)])
+    better = Path(moved)
+    guess, _ = better.project(states[:, :2], guess, 15.0)
+    return better, guess
+
+
+@compiled
+def _smooth(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - compiled
+    count: int,
+    step: Integers,
+    rate: Floats,
+    rate_var: Floats,
+    middle: Floats,
+    middle_var: Floats,
+    s: float,
+    v: float,
+    accel_var: float,
+) -> tuple[Floats, Floats, Floats]:
+    """Smooth place and speed over steps; measurements in their order (Rauch, Tung, Striebel)."""
+    dt = 1.0 / 20.0
+    q_ss, q_sv, q_vv = accel_var * dt**3 / 3.0, accel_var * dt**2 / 2.0, accel_var * dt
+    mean, kept = np.empty((count, 2)), np.empty((count, 3))
+    ahead, wide = np.empty((count, 2)), np.empty((count, 3))
+    a, b, c = 25.0, 0.0, 9.0
+    k = 0
+    for i in range(count):
+        if i > 0:
+            s += v * dt
+            a += 2.0 * dt * b + dt * dt * c + q_ss
+            b += dt * c + q_sv
+            c += q_vv
+        ahead[i, 0], ahead[i, 1] = s, v
+        wide[i, 0], wide[i, 1], wide[i, 2] = a, b, c
+        while k < len(step) and step[k] == i:
+            gap, total = rate[k] - v, c + rate_var[k]
+            if gap * gap < 16.0 * total:
+                s += b / total * gap
+                v += c / total * gap
+                a -= b * b / total
+                b -= b * c / total
+                c -= c * c / total
+            gap, total = middle[k] - s, a + middle_var[k]
+            if gap * gap < 25.0 * total:
+                s += a / total * gap
+                v += b / total * gap
+                c -= b * b / total
+                b -= a * b / total
+                a -= a * a / total
+            k += 1
+        if v < 0.0:
+            total = c + 0.01
+            s -= b / total * v
+            a -= b * b / total
+            v -= c / total * v
+            b -= b * c / total
+            c -= c * c / total
+        mean[i, 0], mean[i, 1] = s, v
+        kept[i, 0], kept[i, 1], kept[i, 2] = a, b, c
+    _look_back(mean, kept, ahead, wide)
+    return mean[:, 0].copy(), mean[:, 1].copy(), kept[:, 0].copy()
+
+
+@compiled
+def _look_back(
+    mean: Floats, kept: Floats, ahead: Floats, wide: Floats
+) -> None:  # pragma: no cover - compiled
+    """Smooth filtered states (s, v) and covariances (ss, sv, vv), given what was predicted."""
+    dt = 1.0 / 20.0
+    for i in range(len(mean) - 2, -1, -1):
+        a, b, c = kept[i]
+        pa, pb, pc = wide[i + 1]
+        det = pa * pc - pb * pb
+        # covariance with the state ahead: P F^T
+        f00, f01, f10, f11 = a + dt * b, b, b + dt * c, c
+        g00, g01 = (f00 * pc - f01 * pb) / det, (f01 * pa - f00 * pb) / det
+        g10, g11 = (f10 * pc - f11 * pb) / det, (f11 * pa - f10 * pb) / det
+        ds, dv = mean[i + 1, 0] - ahead[i + 1, 0], mean[i + 1, 1] - ahead[i + 1, 1]
+        mean[i, 0] += g00 * ds + g01 * dv
+        mean[i, 1] += g10 * ds + g11 * dv
+        da, db, dc = kept[i + 1, 0] - pa, kept[i + 1, 1] - pb, kept[i + 1, 2] - pc
+        kept[i, 0] = a + g00 * (g00 * da + g01 * db) + g01 * (g00 * db + g01 * dc)
+        kept[i, 1] = b + g10 * (g00 * da + g01 * db) + g11 * (g00 * db + g01 * dc)
+        kept[i, 2] = c + g10 * (g10 * da + g11 * db) + g11 * (g10 * db + g11 * dc)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Size:
+    """Length, width, their doubt: at first of a car."""
+
+    length_m: float = 4.5
+    width_m: float = 1.8
+    sigma_m: float = 1.0
+    p_heavy: float = 0.1
+
+
+LENGTHS = np.concatenate([np.arange(2.0, 7.1, 0.5), np.arange(8.0, 19.1, 1.0)])
+SHIFTS = np.arange(-6.0, 6.1, 0.5)
+
+
+def _prior(lengths: Floats) -> Floats:
+    """Return the log density of lengths in traffic: motorcycles, cars, vans, lorries, trailers."""
+    groups = ((0.03, 2.2, 0.25), (0.72, 4.5, 0.4), (0.10, 5.6, 0.5))
+    density = np.full(len(lengths), 1e-4)
+    for share, mean, sigma in groups:
+        density += share * np.exp(-0.5 * ((lengths - mean) / sigma) ** 2) / (sigma * 2.5066)
+    density += np.where((lengths >= 7.0) & (lengths <= 12.6), 0.11 / 5.6, 0.0)
+    density += np.where(lengths > 12.6, 0.04 / 6.0, 0.0)
+    return np.asarray(np.log(density))
+
+
+def _size(
+    along: Floats, ends: Floats, noise: Floats, settings: MotionSettings
+) -> tuple[Size, float]:
+    """Return size and where the middle is, from where on the body detections lie."""
+    pick = slice(None, None, max(len(along) // settings.most_rows, 1))
+    along, ends, noise = along[pick], ends[pick], noise[pick]
+    weight = settings.weight
+    coarse = _likelihood(along, ends, noise, LENGTHS, SHIFTS, settings.end_share)
+    coarse = weight * coarse + _prior(LENGTHS)[:, None] - 0.5 * (SHIFTS / 3.0) ** 2
+    top = np.unravel_index(int(coarse.argmax()), coarse.shape)
+    fine_l = np.maximum(LENGTHS[top[0]] + np.arange(-0.75, 0.76, 0.25), 1.5)
+    fine_d = SHIFTS[top[1]] + np.arange(-0.5, 0.51, 0.125)
+    fine = _likelihood(along, ends, noise, fine_l, fine_d, settings.end_share)
+    fine = weight * fine + _prior(fine_l)[:, None] - 0.5 * (fine_d / 3.0) ** 2
+    share = np.exp(coarse - coarse.max())
+    cells = np.gradient(LENGTHS)
+    by_length = share.sum(axis=1) * cells
+    by_length /= by_length.sum()
+    mean = float(by_length @ LENGTHS)
+    sigma = float(np.sqrt(by_length @ (LENGTHS - mean) ** 2))
+    near = np.exp(fine - fine.max())
+    near /= near.sum()
+    length = float(near.sum(axis=1) @ fine_l)
+    p_heavy = float(by_length[LENGTHS > 7.0].sum())
+    width = 2.5 if length > 7.0 else (0.8 if length < 2.8 else 1.85)
+    size = Size(length_m=length, width_m=width, sigma_m=max(sigma, 0.1), p_heavy=p_heavy)
+    return size, float(near.sum(axis=0) @ fine_d)
+
+
+@compiled
+def _likelihood(
+    along: Floats, ends: Floats, noise: Floats, lengths: Floats, shifts: Floats, end_share: float
+) -> Floats:  # pragma: no cover - compiled
+    """Return the log likelihood of lengths and shifts: returns of the end in view, and of sides."""
+    out = np.zeros((len(lengths), len(shifts)))
+    for a in range(len(lengths)):
+        half = 0.5 * lengths[a]
+        width = 2.5 if lengths[a] > 7.0 else 1.8
+        for i in range(len(along)):
+            share = end_share * width * ends[i, 1]
+            share /= width * ends[i, 1] + lengths[a] * ends[i, 2] + 1e-9
+            sigma = noise[i]
+            for b in range(len(shifts)):
+                z = along[i] - shifts[b]
+                e = (z - ends[i, 0] * half) / sigma
+                end = np.exp(-0.5 * e * e) / (sigma * 2.5066) if abs(e) < 5.0 else 0.0
+                near = abs(z) - half
+                if near > 3.0 * sigma:
+                    side = 0.0
+                elif near < -3.0 * sigma:
+                    side = 1.0 / lengths[a]
+                else:
+                    side = 1.0 / (lengths[a] * (1.0 + np.exp(1.7 * near / sigma)))
+                out[a, b] += np.log(share * end + (1.0 - share) * side + 0.004)
+    return out

@@ -1,0 +1,268 @@
+"""Settings of the search for vehicles: every constant of its algorithms, with unit and reason."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True, kw_only=True)
+class EchoSettings:
+    """Which detections can come from a vehicle on a lane.
+
+    Parameters
+    ----------
+    low_m, high_m : float
+        Height over the road between which vehicles scatter, metres: reflections at the road seem
+        lower, the highest trucks are 4 m.
+    height_rad : float
+        How much farther off a detection may seem by its elevation: 2 sigma of a recorded ARS548.
+    moving_mps : float
+        Least absolute range rate of a moving detection: seven sigma of a recorded ARS548.
+    """
+
+    low_m: float = -1.0
+    high_m: float = 4.5
+    height_rad: float = 0.035
+    moving_mps: float = 0.15
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForwardSettings:
+    """The forward filter: a state a vehicle, corrected frame by frame.
+
+    Parameters
+    ----------
+    accel_mps2 : float
+        1 sigma of the acceleration that drivers choose.
+    sideways_mps : float
+        1 sigma of the drift across the lane.
+    range_rate_mps : float
+        1 sigma of a range rate, with what a turning body adds.
+    least_cos : float
+        Under it a range rate says nothing of the speed along the lane.
+    along_m, across_m : float
+        How far outside of the body a detection may lie.
+    azimuth_rad : float
+        1 sigma of the bearing, with its bias a target.
+    birth_s, births : float, int
+        A vehicle begins with so many detections within that time whose places and range rates
+        agree: beyond 150 m a car returns once in half a second; false moving returns are one a
+        frame or less, anywhere. A vehicle of under six detections is followed so long.
+    coast_s, stand_s : float
+        Without a detection a vehicle is followed so long: then it may be 3 m off; and where it
+        stood, whose detections are not for this filter.
+    standing_mps : float
+        Under it a vehicle may stand.
+    car_m : float
+        Length of a car, which all are at first.
+    """
+
+    accel_mps2: float = 1.5
+    sideways_mps: float = 0.3
+    range_rate_mps: float = 0.25
+    least_cos: float = 0.3
+    along_m: float = 1.2
+    across_m: float = 0.7
+    azimuth_rad: float = 0.004
+    birth_s: float = 1.5
+    births: int = 3
+    coast_s: float = 2.0
+    stand_s: float = 20.0
+    standing_mps: float = 0.7
+    car_m: float = 4.6
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionSettings:
+    """Smoothing of a motion, and the size of a vehicle.
+
+    Parameters
+    ----------
+    spacing_m : float
+        Way between the places that a path is laid through.
+    along_m, azimuth_rad : float
+        1 sigma of a detection along the road, and of its bearing with its bias a target.
+    range_rate_mps : float
+        1 sigma of a range rate, with what wheels and turning add.
+    accel_var : float
+        Variance of the speed that a driver's choice adds a second, m2/s3.
+    end_share : float
+        Of the returns of an end that is looked at squarely, so many come from that end; the rest
+        from anywhere along the body.
+    repeats : float
+        So many times wider counts a place, since a scatterer of a body lasts for frames.
+    most_weight : float
+        Most that the detections of two metres of a path weigh sideways, 1/m2.
+    most_rows : int
+        About so many detections tell a length.
+    weight : float
+        Of each of them: one in so many tells anything new.
+    """
+
+    spacing_m: float = 1.0
+    along_m: float = 0.3
+    azimuth_rad: float = 0.004
+    range_rate_mps: float = 0.4
+    accel_var: float = 2.0
+    end_share: float = 0.75
+    repeats: float = 4.0
+    most_weight: float = 8.0
+    most_rows: int = 120
+    weight: float = 0.25
+
+
+@dataclass(frozen=True, kw_only=True)
+class BodySettings:
+    """Which parts are of one body, and who is no vehicle.
+
+    Parameters
+    ----------
+    moving_mps : float
+        Least absolute range rate of a moving detection.
+    seen_s : float
+        A frame is known so long before and after a detection of its vehicle.
+    left_m : float
+        Half the width of a truck, with the bearing's error at 100 m.
+    least_fit : float
+        Share of the detections whose places and range rates have to fit.
+    scatter_m : float
+        Most median scatter of places: scatterers change along a body.
+    place_m : float
+        1 sigma of a mean place, for which scatterers last.
+    longest_m : float
+        From the middle of what is seen to any part: a truck with trailer of 18.75 m.
+    car_m : float
+        Length of a car.
+    gap_s, gap_spread : float
+        Median of the time gap between drivers, and the sigma of its logarithm.
+    long_share : float
+        Share of vehicles over 7 m in traffic.
+    least_odds : float
+        Logarithm of the odds from which two are one.
+    least_rows : int
+        Parts of fewer detections are none.
+    least_moving, least_way_m : int, float
+        A vehicle has so many moving detections and made so much way, or is a false return.
+    driven_mps : float
+        Who is faster drives.
+    cyclist_mps, walker_mps : float
+        Cyclists and walkers are slower.
+    person_db, walker_db : float
+        By how much they return less than vehicles: cyclists and walkers are 7 to 12 dB weaker;
+        creeping cars are as strong as cars.
+    """
+
+    moving_mps: float = 0.15
+    seen_s: float = 0.35
+    left_m: float = 1.7
+    least_fit: float = 0.7
+    scatter_m: float = 2.5
+    place_m: float = 0.4
+    longest_m: float = 16.5
+    car_m: float = 4.7
+    gap_s: float = 1.8
+    gap_spread: float = 0.6
+    long_share: float = 0.12
+    least_odds: float = 0.5
+    least_rows: int = 5
+    least_moving: int = 6
+    least_way_m: float = 4.0
+    driven_mps: float = 8.0
+    cyclist_mps: float = 7.5
+    walker_mps: float = 2.5
+    person_db: float = 5.0
+    walker_db: float = 3.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class RouteSettings:
+    """Which lanelet a vehicle follows.
+
+    Parameters
+    ----------
+    left_m, turn_rad : float
+        1 sigma of the front's distance from the centre of its lanelet, and of its heading from it.
+    most_rad : float
+        Who is turned farther does not follow the lanelet.
+    off_lane : float
+        What a step off all lanelets costs: that of three sigma beside one.
+    change : float
+        What a change to a lanelet that does not follow costs: half a second beside the lane.
+    """
+
+    left_m: float = 1.0
+    turn_rad: float = 0.3
+    most_rad: float = 1.0
+    off_lane: float = 9.0
+    change: float = 30.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlockSettings:
+    """In which blocks recordings are read.
+
+    Parameters
+    ----------
+    steps : int
+        Steps of a block, at whole multiples: five minutes.
+    margin_steps : int
+        So many steps before and after a block help to know its vehicles: a vehicle that stands is
+        hidden for 25 s in one case of ten.
+    """
+
+    steps: int = 6000
+    margin_steps: int = 1200
+
+
+@dataclass(frozen=True, kw_only=True)
+class PieceSettings:
+    """What is written of a motion.
+
+    Parameters
+    ----------
+    seen_s : float
+        A state is seen within so many seconds of a detection (the contract).
+    unseen_steps : int
+        So many steps a vehicle goes on before its first and after its last detection: into and out
+        of the view, and while a radar misses it.
+    driving_mps : float
+        Who is slower does not.
+    """
+
+    seen_s: float = 0.5
+    unseen_steps: int = 20
+    driving_mps: float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class VehicleSettings:
+    """All settings of the search for vehicles.
+
+    Parameters
+    ----------
+    echoes : EchoSettings
+        Which detections can come from vehicles.
+    forward : ForwardSettings
+        Following them forward in time.
+    motion : MotionSettings
+        Smoothing over their lives.
+    bodies : BodySettings
+        Which parts are of one body.
+    routes : RouteSettings
+        Which lanelets they follow.
+    blocks : BlockSettings
+        How recordings are read.
+    pieces : PieceSettings
+        What is written of them.
+    """
+
+    echoes: EchoSettings = field(default_factory=EchoSettings)
+    forward: ForwardSettings = field(default_factory=ForwardSettings)
+    motion: MotionSettings = field(default_factory=MotionSettings)
+    bodies: BodySettings = field(default_factory=BodySettings)
+    routes: RouteSettings = field(default_factory=RouteSettings)
+    blocks: BlockSettings = field(default_factory=BlockSettings)
+    pieces: PieceSettings = field(default_factory=PieceSettings)
+
+
+DEFAULTS = VehicleSettings()

@@ -1,0 +1,52 @@
+"""Vehicles in the detections of a span of time: from detections to smoothed motions."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gis_radar.lanelets.graph import LaneGraph
+from gis_radar.vehicles.bodies import (
+    absorb,
+    is_person,
+    join_directions,
+    merge_states,
+    rows_by_number,
+)
+from gis_radar.vehicles.echoes import Echoes
+from gis_radar.vehicles.forward import follow_both_ways
+from gis_radar.vehicles.motion import Motion
+from gis_radar.vehicles.settings import VehicleSettings
+from gis_radar.vehicles.standing import with_standing
+
+
+def vehicles_in(echoes: Echoes, graph: LaneGraph, settings: VehicleSettings) -> list[Motion]:
+    """Return the vehicles that detections tell of, each with its motion.
+
+    Parameters
+    ----------
+    echoes : Echoes
+        Of all sensors, in the order of time.
+    graph : LaneGraph
+        The lanes.
+    settings : VehicleSettings
+        Of all stages.
+    """
+    if len(echoes) == 0:
+        return []
+    numbers, both = follow_both_ways(echoes, graph, settings.forward, settings.echoes.moving_mps)
+    joined = join_directions(*numbers, echoes.time)
+    states = merge_states(numbers[0], both, joined)
+    parts = [rows for rows in rows_by_number(joined) if len(rows) >= settings.bodies.least_rows]
+    motions = absorb(echoes, parts, states, settings.bodies, settings.motion)
+    persons = is_person(echoes, motions, settings.bodies)
+    driven = [each for each, person in zip(motions, persons, strict=True) if not person]
+    free = np.flatnonzero((joined < 0) & (np.abs(echoes.range_rate) < settings.echoes.moving_mps))
+    found = with_standing(echoes, graph, driven, states, free, settings)
+    return [each for each in found if _moved(each, echoes, settings)]
+
+
+def _moved(motion: Motion, echoes: Echoes, settings: VehicleSettings) -> bool:
+    """Tell whether a motion has way and moving detections enough to be more than false returns."""
+    moving = np.abs(echoes.range_rate[motion.rows]) > settings.echoes.moving_mps
+    way = float(motion.s_m[-1] - motion.s_m[0])
+    return int(moving.sum()) >= settings.bodies.least_moving and way > settings.bodies.least_way_m

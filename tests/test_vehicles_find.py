@@ -1,0 +1,123 @@
+"""The search for vehicles, on the sample: whole, cut, and with inputs that do not fit."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from maps import Listener
+
+import gis_radar as gr
+from gis_radar.vehicles.settings import BlockSettings, VehicleSettings
+
+SAMPLE = gr.sample_folder()
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    roads = gr.read_map(SAMPLE / "junction.osm")
+    return gr.make_tiles(roads), tmp_path_factory.mktemp("vehicles")
+
+
+def found(site, name, recordings=None, **options):
+    tiles, folder = site
+    given = recordings or [SAMPLE / "R1.parquet", SAMPLE / "R2.parquet"]
+    poses = [gr.read_pose(SAMPLE / f"{path.stem[:2]}.json") for path in given]
+    return gr.find_vehicles(given, poses, tiles, SAMPLE / "junction.osm", folder / name, **options)
+
+
+@pytest.fixture(scope="module")
+def whole(site):
+    return found(site, "whole")
+
+
+def covered_s(vehicles, tiles):
+    seconds = np.zeros(len(tiles))
+    for block in vehicles.blocks():
+        steps = block.covered["last_step"] - block.covered["first_step"] + 1
+        np.add.at(seconds, block.covered["tile_id"].to_numpy(), steps.to_numpy() / 20.0)
+    return seconds
+
+
+def test_most_moving_vehicles_near_the_sensors_are_followed(whole):
+    truth = pd.read_parquet(SAMPLE / "vehicles.parquet")
+    eyes = [gr.read_pose(SAMPLE / f"{name}.json").position[:2] for name in ("R1", "R2")]
+    places = truth[["easting", "northing"]].to_numpy()
+    near = np.min([np.hypot(*(places - eye).T) for eye in eyes], axis=0) < 80.0
+    vehicle = ~truth["kind"].isin(["walker", "cyclist"])
+    rows = truth[near & vehicle & (truth["speed"] > 3.0)].iloc[::20]
+    by_step = dict(iter(pd.concat(whole.tracks()).groupby("step")))
+    hit = []
+    for row in rows.itertuples():
+        at = by_step.get(round(row.t * 20))
+        apart = np.inf if at is None else np.hypot(
+            at["easting"] - row.easting, at["northing"] - row.northing
+        ).min()  # fmt: skip
+        hit.append(apart < 4.0)
+    assert len(hit) > 200
+    assert np.mean(hit) > 0.7
+
+
+def test_blocks_neither_lose_nor_double_coverage(site, whole):
+    settings = VehicleSettings(blocks=BlockSettings(steps=500, margin_steps=300))
+    cut = found(site, "cut", settings=settings)
+    tiles, _ = site
+    uncut, in_blocks = covered_s(whole, tiles), covered_s(cut, tiles)
+    assert in_blocks.sum() == pytest.approx(uncut.sum(), rel=0.1)
+    assert np.corrcoef(in_blocks, uncut)[0, 1] > 0.9
+    assert len(cut.vehicles) < 1.3 * len(whole.vehicles)
+
+
+def test_two_recordings_of_the_same_time_count_once(site, whole, tmp_path):
+    table = pd.read_parquet(SAMPLE / "R1.parquet")
+    middle = table["time"].mean()
+    first, second = tmp_path / "R1-a.parquet", tmp_path / "R1-b.parquet"
+    table[table["time"] < middle + 10.0].to_parquet(first, index=False)
+    table[table["time"] > middle - 10.0].to_parquet(second, index=False)
+    heard = Listener()
+    again = found(site, "twice", [first, second, SAMPLE / "R2.parquet"], reporter=heard)
+    tiles, _ = site
+    assert np.array_equal(covered_s(again, tiles), covered_s(whole, tiles))
+    assert any("R1-b.parquet" in text and "left out" in text for _, text in heard.messages)
+
+
+def test_without_range_rates_it_is_refused(site, tmp_path):
+    table = pd.read_parquet(SAMPLE / "R1.parquet").assign(range_rate=np.float32(np.nan))
+    table.to_parquet(tmp_path / "R1.parquet", index=False)
+    with pytest.raises(gr.InputError, match="no range rates"):
+        found(site, "no-rates", [tmp_path / "R1.parquet"])
+
+
+def test_where_nothing_moves_coverage_is_zero_with_a_warning(site, tmp_path):
+    table = pd.read_parquet(SAMPLE / "R1.parquet")
+    still = table[table["range_rate"].abs() < 0.05]
+    still.to_parquet(tmp_path / "R1.parquet", index=False)
+    heard = Listener()
+    none = found(site, "still", [tmp_path / "R1.parquet"], reporter=heard)
+    assert len(none.vehicles) == 0
+    assert any("coverage is zero" in text for rank, text in heard.messages if rank == "warning")
+
+
+def test_another_map_is_refused(site, tmp_path):
+    tiles, folder = site
+    pose = gr.read_pose(SAMPLE / "R1.json")
+    other = (SAMPLE / "junction.osm").read_text().replace("<relation id='", "<relation id='9")
+    other = other.replace('<relation id="', '<relation id="9')
+    (tmp_path / "other.osm").write_text(other)
+    with pytest.raises(gr.InputError, match="of the tiles"):
+        gr.find_vehicles(
+            [SAMPLE / "R1.parquet"], [pose], tiles, tmp_path / "other.osm", folder / "other"
+        )
+
+
+def test_the_command_writes_a_folder(site, tmp_path, run):
+    tiles, _ = site
+    problems = gr.read_map(SAMPLE / "junction.osm").problems
+    gr.write_tiles(tiles, tmp_path / "tiles.gpkg", problems=problems)
+    code, _, _ = run(
+        "vehicles", SAMPLE / "R1.parquet", "--pose", SAMPLE / "R1.json", "--tiles",
+        tmp_path / "tiles.gpkg", "--map", SAMPLE / "junction.osm", "-o", tmp_path / "vehicles",
+    )  # fmt: skip
+    assert code == 0
+    read = gr.read_vehicles(tmp_path / "vehicles")
+    assert len(read.vehicles) > 10
+    assert read.provenance.sources[0]["recording"] == "R1.parquet"
+    assert read.provenance.sight == "view only"
