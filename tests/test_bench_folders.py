@@ -161,14 +161,14 @@ def test_figures_are_collected_and_become_tables(tmp_path, monkeypatch):
     score = {"true_mean": 0.053, "rank": 0.9512, "scale": math.inf, "mae_percent": math.nan}
     command.keep("scenes", "town", "hits", {"coverage": score})
     command.keep("scenes", "town", "oracle association", {"coverage": score | {"scale": 0.98}})
-    command.keep("bad input", "half of a file", None,
-                 {"code": 3, "good": True, "false": 0, "said": "a|b"})  # fmt: skip
+    ended = {"code": 3, "good": True, "false": 0, "doubled": 2, "said": "/x/y/a|b"}
+    command.keep("bad input", "half of a file", None, ended)
     kept = json.loads((tmp_path / "bench.json").read_text())
     assert kept["scenes"]["town"]["hits"]["coverage"]["scale"] is None
     lines = tables.readme(kept).splitlines()
     assert lines[0].split(" | ")[2:4] == ["hits", "best possible"]
     assert lines[2].startswith("| town | 5.3% | 0.95 / - / - | 0.95 / 0.98 / - | >= .95")
-    assert "| half of a file | 3 | yes | 0 | a/b |" in tables.bad_input(kept)
+    assert "| half of a file | 3 | yes | 0 | 2 | a/b |" in tables.bad_input(kept)
 
 
 def test_lanelets_without_shared_nodes_follow_each_other():

@@ -28,8 +28,8 @@ def causes(site: SceneFiles, scored: Scored) -> dict[str, float]:
     false = given[given["due"] & (given["match"] < 0)]
     missed = true[true["due"] & (true["match"] < 0)]
     claimed, due = max(int(given["due"].sum()), 1), max(int(true["due"].sum()), 1)
-    double = _near(false, true, DOUBLE_M)
-    person = ~double & _near(false, _persons(site), PERSON_M)
+    double = near(false, true, DOUBLE_M)
+    person = ~double & near(false, _persons(site), PERSON_M)
     parked = ~double & ~person & _parked(site, false)
     silent = _silent(site, missed)
     hidden = missed["hidden"].to_numpy()
@@ -44,7 +44,7 @@ def causes(site: SceneFiles, scored: Scored) -> dict[str, float]:
     }
 
 
-def _near(rows: pd.DataFrame, others: pd.DataFrame, within_m: float) -> Booleans:
+def near(rows: pd.DataFrame, others: pd.DataFrame, within_m: float) -> Booleans:
     """Return which rows have one of the others near them in the same step."""
     found = np.zeros(len(rows), np.bool_)
     by_step = dict(iter(others.groupby("step")[["easting", "northing"]]))
