@@ -33,6 +33,7 @@ from gis_radar.steps import STEP_S
 
 LASTS_S = 10.0
 MOVING_MPS = 0.15
+BESIDE_M = 5.0  # a radar as recorded sees vehicles so far from where they are
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -206,7 +207,7 @@ def _without_vehicles(site: SceneFiles, given: Inputs, folder: Path) -> Inputs:
     states, made = site.traffic().states, []
     for path in given.recordings:
         table = pd.read_parquet(path)
-        blank = beside_vehicles(table, poses[path.stem], states)
+        blank = beside_vehicles(table, poses[path.stem], states, BESIDE_M)
         table.loc[blank, ["x", "y", "z", "range_rate", "rcs"]] = np.float32("nan")
         first = ~table["time"].duplicated() | table["x"].notna()
         table[first].to_parquet(folder / path.name)

@@ -95,8 +95,10 @@ def steps_with_detections(site: SceneFiles, states: pd.DataFrame) -> pd.DataFram
     return hit.sort_values("at", ignore_index=True).assign(hit=lambda t: t["at"])
 
 
-def beside_vehicles(table: pd.DataFrame, pose: gr.Pose, states: pd.DataFrame) -> Booleans:
-    """Return which rows of a recording lie on a true vehicle, or half a metre beside it."""
+def beside_vehicles(
+    table: pd.DataFrame, pose: gr.Pose, states: pd.DataFrame, within_m: float
+) -> Booleans:
+    """Return which rows of a recording lie on a true vehicle, or so far beside it."""
     states = states.sort_values("step", kind="stable")
     steps, heard = states["step"].to_numpy(), step_of(table["time"].to_numpy())
     boxes = states[["easting", "northing", "heading", "length", "width"]].to_numpy(np.float64)
@@ -105,16 +107,17 @@ def beside_vehicles(table: pd.DataFrame, pose: gr.Pose, states: pd.DataFrame) ->
     for step in np.unique(heard):
         low, high = np.searchsorted(steps, [step, step + 1])
         begin, end = np.searchsorted(heard, [step, step + 1])
-        found[begin:end] = _inside(places[begin:end], boxes[low:high]).any(axis=1)
+        on = _inside(places[begin:end], boxes[low:high], within_m)
+        found[begin:end] = on.any(axis=1)
     return found
 
 
-def _inside(places: Floats, boxes: Floats) -> Booleans:
-    """Return (places, boxes): whether a place is in a footprint, or half a metre beside it."""
+def _inside(places: Floats, boxes: Floats, within_m: float = BESIDE_M) -> Booleans:
+    """Return (places, boxes): whether a place is in a footprint, or so far beside it."""
     away = places[:, None] - boxes[:, :2]
     cos, sin = np.cos(boxes[:, 2]), np.sin(boxes[:, 2])
     along = np.abs(cos * away[..., 0] + sin * away[..., 1])
     aside = np.abs(cos * away[..., 1] - sin * away[..., 0])
     return np.asarray(
-        (along < boxes[:, 3] / 2.0 + BESIDE_M) & (aside < boxes[:, 4] / 2.0 + BESIDE_M)
+        (along < boxes[:, 3] / 2.0 + within_m) & (aside < boxes[:, 4] / 2.0 + within_m)
     )
