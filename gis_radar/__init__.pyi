@@ -35,7 +35,16 @@ from .scans.roads import Roads, read_roads
 from .scans.scan import read_road, road_crs
 from .second_look import SecondLook, require_scans_near, second_look
 from .second_look.picture import draw_second_look
-from .sight import Sight, SightScan, SightTiles, find_sight, report_uncovered, write_sights
+from .sight import (
+    Sight,
+    SightFile,
+    SightScan,
+    SightTiles,
+    find_sight,
+    open_sight,
+    report_uncovered,
+    write_sights,
+)
 from .site.run import SiteRun, run_site
 from .site.settings import Site, read_site, site_template
 from .tiles import (
@@ -74,6 +83,7 @@ __all__ = [
     "SecondLook",
     "SensorClock",
     "Sight",
+    "SightFile",
     "SightScan",
     "SightTiles",
     "Site",
@@ -106,6 +116,7 @@ __all__ = [
     "moved_position",
     "name_of",
     "open_recording",
+    "open_sight",
     "project",
     "quads",
     "read_clocks",

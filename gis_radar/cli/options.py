@@ -137,6 +137,10 @@ sight_scans = click.option(
     "--scan", "scans", metavar="SCAN.laz", type=FILE, multiple=True,
     help="What stands in it hides tiles (LAS, LAZ, COPC); whole, not masked; repeatable.",
 )  # fmt: skip
+sight_file = click.option(
+    "--sight", metavar="SIGHT.gpkg", type=FILE,
+    help="What sensors see, from gis-radar sight, in place of --scan.",
+)  # fmt: skip
 lanes = click.option(
     "--map", "map_path", metavar="MAP.osm", type=FILE, required=True, help="The lanes."
 )

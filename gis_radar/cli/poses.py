@@ -164,36 +164,38 @@ def sensors(*, poses: tuple[Path, ...], output: Path, reporter: Reporter) -> Res
 
 
 @command(
-    example="gis-radar sight --pose R1.json --tiles tiles.gpkg --scan scan.laz -o sight.gpkg",
+    example="gis-radar sight --pose R1.json --tiles tiles.gpkg --scan scan.laz "
+    "--recording R1.parquet -o sight.gpkg",
 )
-@click.option(
-    "--pose", "poses", type=FILE, multiple=True, required=True,
-    help="Of each sensor; of a track, its last pose.",
-)  # fmt: skip
+@click.option("--pose", "poses", type=FILE, multiple=True, required=True, help="Of each sensor.")
 @tile_file
 @sight_scans
 @scan_crs
+@click.option(
+    "--recording", "recordings", type=FILE, multiple=True,
+    help="One a pose, in order: what it contradicts is listed, and sight is corrected.",
+)  # fmt: skip
 @output
 def sight(
     *,
     poses: tuple[Path, ...],
     tiles_path: Path,
     scans: tuple[Path, ...],
-    scan_crs: str | None,
+    recordings: tuple[Path, ...],
     output: Path,
     reporter: Reporter,
+    **options: Any,
 ) -> Result:
-    """Show which tiles sensors see from their poses, and which something hides (GeoPackage)."""
-    refuse_inputs(output, *poses, tiles_path, *scans)
+    """Find which tiles sensors see from their poses, and which something hides (GeoPackage)."""
+    from gis_radar.site.recipes import see_tiles  # noqa: PLC0415 - --help needs no NumPy
+
+    refuse_inputs(output, *poses, tiles_path, *scans, *recordings)
     if not scans:
         raise UsageError("no scan is given", hint="name one with --scan; see --help")
-    tiles = gr.read_tiles(tiles_path)
-    road = gr.SightTiles.of(tiles)
-    scan = gr.SightScan(scans, road, scan_crs=scan_crs, reporter=reporter)
-    found = [gr.find_sight(gr.read_track(path).poses[-1], road, scan) for path in poses]
-    gr.report_uncovered(found, reporter)
-    gr.write_sights(found, tiles, output)
-    figures = {each.pose.sensor: each.figures() for each in found}
+    tracks = [gr.read_track(path) for path in poses]
+    figures = see_tiles(
+        tracks, tiles_path, output, scans=scans, recordings=recordings, reporter=reporter, **options
+    )
     return Result(outputs=[output], summary={"sensors": figures})
 
 

@@ -21,6 +21,7 @@ from gis_radar.cli.options import (
     poses,
     recordings,
     scan_crs,
+    sight_file,
     sight_scans,
     tile_file,
 )  # fmt: skip
@@ -80,6 +81,7 @@ def convert(*, inputs: tuple[str, ...], output: Path, reporter: Reporter, **opti
 )  # fmt: skip
 @sight_scans
 @scan_crs
+@sight_file
 @click.option("--engine", type=click.Choice(sorted(ENGINES)), default="grid", show_default=True)
 @click.option("--pairs", is_flag=True, help="Also write hits.parquet: each pair of step and tile.")
 def occupancy(
@@ -94,6 +96,7 @@ def occupancy(
     pairs: bool,
     scans: tuple[Path, ...],
     scan_crs: str | None,
+    sight: Path | None,
     reporter: Reporter,
     **options: Any,
 ) -> Result:
@@ -101,13 +104,14 @@ def occupancy(
     from gis_radar.site.recipes import AUTO, join_recordings  # noqa: PLC0415 - --help needs no NumPy
 
     clock_files = [] if clocks in {None, AUTO} else [str(clocks)]
-    refuse_inputs(output, *recordings, *poses, tiles_path, *clock_files, *scans)
+    sight_files = [] if sight is None else [sight]
+    refuse_inputs(output, *recordings, *poses, tiles_path, *clock_files, *scans, *sight_files)
     view = {name: options.pop(name) for name in ("azimuth_deg", "elevation_deg", "max_range_m")}
     tracks = [_seeing(gr.read_track(pose), view, reporter) for pose in poses]
     result = join_recordings(
         recordings, tracks, tiles_path, output, filters=options, clocks=clocks, cycles=cycles,
         engine=getattr(gr, ENGINES[engine]), pairs=pairs, scans=scans, scan_crs=scan_crs,
-        reporter=reporter,
+        sight=sight, reporter=reporter,
     )  # fmt: skip
     for line in gr.measure_quality(result).warnings():
         reporter.log(line, "warning")

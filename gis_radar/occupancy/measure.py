@@ -44,12 +44,20 @@ from gis_radar.occupancy.frame_steps import (
 )
 from gis_radar.occupancy.hits import HITS, Rows, SortedTableWriter, distinct, merge_rows
 from gis_radar.occupancy.settings import DEFAULTS, Filters, OccupancySettings
-from gis_radar.occupancy.views import ViewBook
+from gis_radar.occupancy.views import ViewBook, places_of
 from gis_radar.poses.files import PoseTrack, as_track
 from gis_radar.poses.pose import Pose, View
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Detections, RangeCounts, Recording, as_recording
-from gis_radar.sight import SightScan, SightTiles, describe_sight
+from gis_radar.sight import (
+    MovementCounter,
+    MovingHits,
+    SightTiles,
+    describe_sight,
+    find_contradictions,
+    open_sight,
+    report_contradictions,
+)
 from gis_radar.steps import STEP_US, iso_from_step, step_of
 from gis_radar.tiles.lookup import TileEngine, TileGrid
 
@@ -69,6 +77,7 @@ def measure_occupancy(
     pairs: bool = False,
     scans: Sequence[str | Path] = (),
     scan_crs: Any = None,
+    sight: str | Path | None = None,
     settings: OccupancySettings = DEFAULTS,
     reporter: Reporter = QUIET,
 ) -> Occupancy:
@@ -105,6 +114,8 @@ def measure_occupancy(
         Without them, all in the view counts as seen.
     scan_crs : CRS, str or int, optional
         The scans' coordinate system, for files without one.
+    sight : str or Path, optional
+        A file of :func:`gis_radar.write_sights`, in place of scans.
     settings : OccupancySettings
         Constants of the algorithm; written to the manifest.
     reporter : Reporter
@@ -117,7 +128,7 @@ def measure_occupancy(
     Raises
     ------
     UsageError
-        If there are not as many poses as recordings.
+        If there are not as many poses as recordings, or both scans and a file of sight.
     InputError
         If a recording is damaged, a CRS differs, or heights are asked for and unknown.
     NoAnswerError
@@ -136,9 +147,9 @@ def measure_occupancy(
         raise UsageError(f"{len(recordings)} recordings, but {len(poses)} poses")
     tracks = [as_track(pose) for pose in poses]
     target = _target(tiles, tracks, filters or Filters(), engine, settings)
-    if scans:
-        scan = SightScan(scans, target.views.road, scan_crs=scan_crs, reporter=reporter)
-        target.views.scan = scan
+    target.views.scan = open_sight(
+        target.views.road, scans=scans, scan_crs=scan_crs, sight=sight, reporter=reporter
+    )
     views = target.views.enter_all(tracks, reporter)
     opened = [as_recording(recording) for recording in recordings]
     _refuse_clearance(opened, target.filters)
@@ -164,6 +175,9 @@ def measure_occupancy(
         for each in passes:
             each.log.path.unlink()
     target.views.report(reporter)
+    report_contradictions(
+        find_contradictions(_moving_hits(passes, target), target.views.road), reporter
+    )
     for line in _warnings(passes, target.views, settings):
         reporter.log(line, "warning")
     return read_occupancy(folder)
@@ -227,6 +241,9 @@ class RecordingPass:
         Rows read.
     level : bool
         Whether the sensor measures no elevation.
+    movement : dict
+        What moves on the tiles, by the view that the sensor had first where it stood; empty where
+        sight is the view alone.
     """
 
     source: Source
@@ -237,6 +254,7 @@ class RecordingPass:
     ranges: RangeCounts = field(default_factory=RangeCounts)
     rows: int = 0
     level: bool = False
+    movement: dict[str, MovementCounter] = field(default_factory=dict)
 
     def frames(self) -> pd.DataFrame:
         """Return the runs of steps with a frame, by view."""
@@ -291,6 +309,7 @@ def _hits(
     """Yield the hits of frames as (step, tile, sensor); add all else to `found` on the way."""
     source = found.source
     clock = source.clock or SensorClock(offset_s=0.0)
+    places = places_of(source.track.poses)
     for read in whole_frames(source.recording.read()):
         piece = replace(read, time=clock.corrected(read.time))
         shift_us = np.rint((piece.time - read.time) * 1e6).astype(np.int64)
@@ -304,6 +323,12 @@ def _hits(
             step = step_of(frames.time)
             tiles_hit = np.bincount(frame, minlength=len(step))
             tiles_seen = np.full(len(step), len(target.views.tiles[view]))
+            if target.views.scan is not None:
+                first = source.views[places[index]]
+                counter = MovementCounter(tiles=target.views.road, engine=target.engine)
+                found.movement.setdefault(first, counter).add(
+                    part, pose, road_m=target.views.road_m[view]
+                )
             found.log.add(
                 frame_rows(part, frames, tiles_hit, tiles_seen, shift_us[now], target.settings)
             )
@@ -368,6 +393,22 @@ def _target(
         filters=filters,
         settings=settings,
     )
+
+
+def _moving_hits(passes: list[RecordingPass], target: Target) -> list[MovingHits]:
+    """Return what moved on the tiles in each view, of all recordings of a sensor together."""
+    together: dict[str, list[MovementCounter]] = {}
+    for each in passes:
+        for view, counter in each.movement.items():
+            together.setdefault(view, []).append(counter)
+    return [
+        MovingHits(
+            sight=target.views.sights[view],
+            count=np.sum([each.count for each in counters], axis=0),
+            frames=sum(each.frames for each in counters),
+        )
+        for view, counters in together.items()
+    ]
 
 
 def _warnings(

@@ -25,7 +25,7 @@ from gis_radar.sight import (
     OUT_OF_VIEW,
     VIEW_ONLY,
     Sight,
-    SightScan,
+    SightSource,
     SightTiles,
     find_sight,
     report_uncovered,
@@ -45,7 +45,7 @@ class ViewBook:
     ----------
     road : SightTiles
         All tiles.
-    scan : SightScan, optional
+    scan : SightScan or SightFile, optional
         What hides tiles; without it, a view is all that is within range and angles.
     settings : OccupancySettings
         Which poses share a view.
@@ -58,7 +58,7 @@ class ViewBook:
     """
 
     road: SightTiles
-    scan: SightScan | None = None
+    scan: SightSource | None = None
     settings: OccupancySettings = DEFAULTS
     tiles: dict[str, Integers] = field(default_factory=dict)
     road_m: dict[str, float] = field(default_factory=dict)
@@ -157,3 +157,20 @@ def standing_for(poses: Sequence[Pose], settings: OccupancySettings = DEFAULTS) 
         heads = [*(each for each in heads if each != head), head][-settings.views_compared :]
         found[index] = head
     return found
+
+
+def places_of(poses: Sequence[Pose]) -> Integers:
+    """Return for each pose of a track the first one where the sensor stood then: it may move.
+
+    Parameters
+    ----------
+    poses : sequence of Pose
+        In order of time.
+
+    Returns
+    -------
+    (n,) int64 array
+        Indices into `poses`.
+    """
+    moved = [k == 0 or pose.evidence.get("event") == "moved" for k, pose in enumerate(poses)]
+    return np.maximum.accumulate(np.where(moved, np.arange(len(poses)), 0))

@@ -1,6 +1,13 @@
 """Sight: which tiles a sensor sees from one pose, and what hides the others."""
 
-from gis_radar.sight.layers import write_sights
+from gis_radar.sight.layers import SightFile, open_sight, write_sights
+from gis_radar.sight.recorded import (
+    Contradiction,
+    MovementCounter,
+    MovingHits,
+    find_contradictions,
+    report_contradictions,
+)
 from gis_radar.sight.settings import SightSettings
 from gis_radar.sight.sight import (
     HIDDEN,
@@ -9,6 +16,7 @@ from gis_radar.sight.sight import (
     VIEW_ONLY,
     Sight,
     SightScan,
+    SightSource,
     SightTiles,
     describe_sight,
     find_sight,
@@ -20,12 +28,20 @@ __all__ = [
     "IN_SIGHT",
     "OUT_OF_VIEW",
     "VIEW_ONLY",
+    "Contradiction",
+    "MovementCounter",
+    "MovingHits",
     "Sight",
+    "SightFile",
     "SightScan",
     "SightSettings",
+    "SightSource",
     "SightTiles",
     "describe_sight",
+    "find_contradictions",
     "find_sight",
+    "open_sight",
+    "report_contradictions",
     "report_uncovered",
     "write_sights",
 ]

@@ -63,6 +63,29 @@ class SightSettings:
         one vertical system, metres.
     windows_kept : int
         Windows of the scan that are kept in memory, 10 MB each.
+    pose_apart_m, pose_apart_deg : float
+        A file of sight serves poses so near the one it was made for, metres and degrees: a tile,
+        and half a metre at 60 m.
+    moving_mps : float
+        Least absolute range rate of what moves, m/s: leaves and walkers stay below.
+    level_m : float
+        A detection more than this from 1 m over a tile's road is of another level, metres.
+    sector_deg, ring_m : float
+        Recorded movement is compared with sight in cells of this direction and distance: wider than
+        a radar's error of bearing, narrower than a house; the least driveway between two walls.
+    sectors_in_row : int
+        A contradiction is so many sectors wide: one alone is an edge, smeared by bearing errors.
+    empty_share : float
+        A cell is empty where less than this share of the expected movement is there: ghosts of
+        facades come to a tenth at most.
+    least_in_sector : float
+        Frames of movement missed in a sector before it counts as empty.
+    least_frames : float
+        Frames of movement missed, or seen though hidden, in a run of sectors before it counts:
+        half a dozen vehicles, each seen in several frames of several sectors.
+    moving_share : float
+        Least share of the expected movement there: ghosts and lorries that look over a wall give
+        less.
     """
 
     target_m: float = 0.6
@@ -89,6 +112,17 @@ class SightSettings:
     least_covered: float = 0.9
     offset_m: float = 2.0
     windows_kept: int = 8
+    pose_apart_m: float = 0.5
+    pose_apart_deg: float = 0.5
+    moving_mps: float = 1.0
+    level_m: float = 2.5
+    sector_deg: float = 1.0
+    ring_m: float = 10.0
+    sectors_in_row: int = 3
+    empty_share: float = 0.1
+    least_in_sector: float = 2.0
+    least_frames: float = 100.0
+    moving_share: float = 0.3
 
 
 DEFAULTS = SightSettings()

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import geopandas as gpd
 import numpy as np
@@ -41,8 +41,8 @@ from gis_radar.tiles.tiles import fingerprint, quads
 
 OUT_OF_VIEW, IN_SIGHT, HIDDEN = 0, 1, 2
 STATES = ("out of view", "in sight", "hidden")
-NOTHING, STANDING, GROUND, DECK = 0, 1, 2, 3
-HIDERS = ("", "something that stands", "the ground", "a deck")
+NOTHING, STANDING, GROUND, DECK, NOT_IN_SCAN = 0, 1, 2, 3, 4
+HIDERS = ("", "something that stands", "the ground", "a deck", "something not in the scan")
 VIEW_ONLY = "view only"
 
 
@@ -52,8 +52,8 @@ class SightTiles:
 
     Parameters
     ----------
-    tile_id : (n,) int64 array
-        Their ids.
+    tile_id, lanelet_id : (n,) int64 array
+        Their ids, and of what they are slices.
     quads : (n, 4, 2) array
         Their vertices in the map, metres.
     height : (n,) array
@@ -65,6 +65,7 @@ class SightTiles:
     """
 
     tile_id: Integers = field(repr=False)
+    lanelet_id: Integers = field(repr=False)
     quads: Floats = field(repr=False)
     height: Floats = field(repr=False)
     crs: CRS
@@ -75,6 +76,7 @@ class SightTiles:
         """Take them from a table as :func:`gis_radar.read_tiles` returns it."""
         return cls(
             tile_id=tiles["tile_id"].to_numpy(np.int64),
+            lanelet_id=tiles["lanelet_id"].to_numpy(np.int64),
             quads=quads(tiles),
             height=tiles["height_m"].to_numpy(np.float64),
             crs=metric_crs(tiles.crs, what="tiles"),
@@ -101,7 +103,8 @@ class Sight:
     state : (n,) uint8 array
         `OUT_OF_VIEW`, `IN_SIGHT` or `HIDDEN` for each.
     hider : (n,) uint8 array
-        What hides a tile: `NOTHING`, `STANDING`, `GROUND` or `DECK`.
+        What hides a tile: `NOTHING`, `STANDING`, `GROUND`, `DECK`, or `NOT_IN_SCAN`, as a
+        recording shows.
     hidden_at_m : (n,) array
         Distance from the sensor in the plane at which that begins, metres; NaN where nothing does.
     uncovered : (n,) bool array
@@ -146,6 +149,21 @@ class Sight:
             f"Sight({self.pose.sensor}: {counts[IN_SIGHT]} tiles in sight, "
             f"{counts[HIDDEN]} hidden, {counts[OUT_OF_VIEW]} out of view)"
         )
+
+
+class SightSource(Protocol):
+    """Where sight comes from: a scan, or a file of sight."""
+
+    settings: SightSettings
+
+    def read(self, poses: Sequence[Pose]) -> None:
+        """Read in one go what these poses need."""
+
+    def find(self, pose: Pose) -> Sight:
+        """Return what a sensor sees from a pose."""
+
+    def describe(self) -> dict[str, Any]:
+        """Return what a manifest holds about it."""
 
 
 class SightScan:
@@ -217,6 +235,24 @@ class SightScan:
             self.read([pose])
         return self._kept[box]
 
+    def find(self, pose: Pose) -> Sight:
+        """Return what a sensor sees from a pose.
+
+        Raises
+        ------
+        InputError
+            As of :meth:`around`.
+        """
+        return _find(pose, self.tiles, self.around(pose), self.digest, self.settings)
+
+    def describe(self) -> dict[str, Any]:
+        """Return digest and files of the scans, and the settings, as a manifest holds them."""
+        return {
+            "scan": self.digest,
+            "files": sorted(each.path.name for each in self.scans),
+            "settings": asdict(self.settings),
+        }
+
     def _window(self, pose: Pose) -> Grid:
         """Return the cells around a pose that its view may reach."""
         view, side = pose.view or View(), self.settings.window_m
@@ -275,13 +311,7 @@ class SightScan:
         )
 
 
-def find_sight(
-    pose: Pose,
-    tiles: SightTiles,
-    scan: SightScan | None = None,
-    *,
-    settings: SightSettings = DEFAULTS,
-) -> Sight:
+def find_sight(pose: Pose, tiles: SightTiles, source: SightSource | None = None) -> Sight:
     """Find which tiles a sensor sees from one pose.
 
     A tile is in sight where its centre, `target_m` over the road, lies within range, azimuth and
@@ -294,10 +324,8 @@ def find_sight(
     tiles : SightTiles
         The tiles, in the pose's CRS. Where the road's height is not known, that of the scan's
         ground counts; without a scan, any elevation is in view.
-    scan : SightScan, optional
-        What stands around; without it, sight is the view alone.
-    settings : SightSettings
-        Choices of the algorithm; with a scan, the scan's count.
+    source : SightScan or SightFile, optional
+        What stands around, or a file that holds sight; without it, sight is the view alone.
 
     Returns
     -------
@@ -306,11 +334,22 @@ def find_sight(
     Raises
     ------
     InputError
-        If no scan has a point near the sensor.
+        If no scan has a point near the sensor, or the file is of another pose.
     """
-    settings = settings if scan is None else scan.settings
+    if source is None:
+        return _find(pose, tiles, None, VIEW_ONLY, DEFAULTS)
+    return source.find(pose)
+
+
+def _find(
+    pose: Pose,
+    tiles: SightTiles,
+    obstacles: Obstacles | None,
+    scan: str,
+    settings: SightSettings,
+) -> Sight:
+    """Return what a sensor sees among obstacles; without them, all that is in the view."""
     place = tiles.centres.copy()
-    obstacles = None if scan is None else scan.around(pose)
     unknown = np.isnan(place[:, 2])
     if obstacles is not None and unknown.any():
         place[unknown, 2] = obstacles.ground[cells_of(obstacles.grid, place[unknown])]
@@ -327,7 +366,7 @@ def find_sight(
         hider=np.zeros(len(state), np.uint8),
         hidden_at_m=np.full(len(state), np.nan),
         uncovered=np.zeros(len(state), np.bool_),
-        scan=VIEW_ONLY if scan is None else scan.digest,
+        scan=scan,
     )
     if obstacles is not None:
         _hide(sight, np.flatnonzero(in_view), place, obstacles, settings)
@@ -427,12 +466,6 @@ def _follow_rays(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cove
     return begin_m, hider, unknown_m
 
 
-def describe_sight(scan: SightScan | None) -> dict[str, Any] | str:
-    """Return what a manifest holds about sight: `view only`, or scan and settings."""
-    if scan is None:
-        return VIEW_ONLY
-    return {
-        "scan": scan.digest,
-        "files": sorted(each.path.name for each in scan.scans),
-        "settings": asdict(scan.settings),
-    }
+def describe_sight(source: SightSource | None) -> dict[str, Any] | str:
+    """Return what a manifest holds about sight: `view only`, or where it comes from."""
+    return VIEW_ONLY if source is None else source.describe()

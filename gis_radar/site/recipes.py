@@ -5,22 +5,40 @@ Further options go to the function of the library that has them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import geopandas as gpd
+import numpy as np
 
 from gis_radar.clocks import SensorClock, measure_clocks, read_clocks
-from gis_radar.crs import name_of
+from gis_radar.crs import name_of, require_same
+from gis_radar.errors import UsageError
 from gis_radar.lanelets import read_map
 from gis_radar.occupancy import Filters, Occupancy, measure_occupancy
+from gis_radar.occupancy.frame_log import rows_of, whole_frames
+from gis_radar.occupancy.views import places_of, standing_for
 from gis_radar.poses.files import PoseTrack
+from gis_radar.poses.pose import Pose
 from gis_radar.progress import Reporter
+from gis_radar.recordings.recording import open_recording
 from gis_radar.scans.mask import mask_road, require_road_name
 from gis_radar.scans.roads import read_roads
 from gis_radar.scans.scan import read_road
-from gis_radar.tiles.lookup import with_road_heights
+from gis_radar.sight import (
+    MovementCounter,
+    MovingHits,
+    Sight,
+    SightTiles,
+    find_contradictions,
+    find_sight,
+    open_sight,
+    report_contradictions,
+    report_uncovered,
+    write_sights,
+)
+from gis_radar.tiles.lookup import TileGrid, with_road_heights
 from gis_radar.tiles.tiles import fingerprint, make_tiles, read_tiles, write_tiles
 from gis_radar.vehicles import Vehicles, find_vehicles
 
@@ -98,6 +116,72 @@ def follow_vehicles(
     return find_vehicles(
         recordings, tracks, tiles, map_path, output, clocks=known, reporter=reporter, **options
     )
+
+
+def see_tiles(
+    tracks: Sequence[PoseTrack], tile_file: Path, output: Path, *, scans: Sequence[Path],
+    scan_crs: str | None, recordings: Sequence[Path], reporter: Reporter,
+) -> dict[str, Any]:  # fmt: skip
+    """Write what sensors see, corrected by a recording of each where there are any.
+
+    The figures are returned, by sensor those of its last pose.
+
+    Raises
+    ------
+    UsageError
+        If there are recordings, but not one a pose.
+    """
+    if recordings and len(recordings) != len(tracks):
+        raise UsageError(f"{len(recordings)} recordings, but {len(tracks)} poses")
+    tiles = read_tiles(tile_file)
+    for track in tracks:
+        what = f"the pose of {track.sensor}"
+        require_same(track.poses[0].crs, tiles.crs, what=what, other_what="the tiles")
+    road = SightTiles.of(tiles)
+    source = open_sight(road, scans=scans, scan_crs=scan_crs, reporter=reporter)
+    found: list[Sight] = []
+    place_of: list[Pose] = []  # of each sight, the first pose where the sensor stood then
+    for track in tracks:
+        heads, first = np.unique(standing_for(track.poses)).tolist(), places_of(track.poses)
+        found += [find_sight(track.poses[head], road, source) for head in heads]
+        place_of += [track.poses[first[head]] for head in heads]
+    report_uncovered(found, reporter)
+    sight_of = {id(sight.pose): sight for sight in found}
+    hits = [
+        MovingHits(sight=sight_of[id(pose)], count=counter.count, frames=counter.frames)
+        for recording, track in zip(recordings, tracks if recordings else (), strict=True)
+        for pose, counter in _movement(recording, track, road, reporter)
+    ]
+    compared = find_contradictions(hits, road)
+    report_contradictions(compared, reporter)
+    by_place = {id(each.sight.pose): each for each in compared}
+    written = [
+        by_place[id(place)].corrected(sight) if id(place) in by_place else sight
+        for sight, place in zip(found, place_of, strict=True)
+    ]
+    write_sights(written, tiles, output, contradictions=compared)
+    figures = {each.pose.sensor: each.figures() for each in written}
+    for each in compared:
+        figures[each.sight.pose.sensor]["contradicted"] = each.tiles
+    return figures
+
+
+def _movement(
+    recording: Path, track: PoseTrack, road: SightTiles, reporter: Reporter
+) -> Iterator[tuple[Pose, MovementCounter]]:
+    """Yield what moves on the tiles, with the first pose of each place where the sensor stood."""
+    engine, opened, done = TileGrid(road.quads), open_recording(recording), 0
+    first, counters = places_of(track.poses), dict[int, MovementCounter]()
+    for piece in whole_frames(opened.read()):
+        pose_of_row = track.at(piece.time)
+        for index in np.unique(pose_of_row).tolist():
+            counter = MovementCounter(tiles=road, engine=engine)
+            part = rows_of(piece, pose_of_row == index)
+            counters.setdefault(int(first[index]), counter).add(part, track.poses[index])
+        done += len(piece)
+        reporter.progress("comparing with the recording", done, opened.rows)
+    for index, counter in counters.items():
+        yield track.poses[index], counter
 
 
 def _clocks(
