@@ -130,9 +130,15 @@ def test_the_whole_way(small):
     # The same by hand.
     tiles = gr.read_tiles(out / "tiles.gpkg")
     parts = [gr.read_occupancy(out / "occupancy" / name) for name in ("R1", "R2")]
-    heat = gr.make_heatmap(gr.merge_occupancies(parts), tiles, interval="10s")
+    vehicles = gr.read_vehicles(out / "vehicles")
+    heat = gr.make_heatmap(gr.merge_occupancies(parts), tiles, interval="10s", vehicles=vehicles)
     wide = gpd.read_parquet(out / "heatmap" / "heatmap.parquet")
-    assert wide["occupied_s"].to_numpy() == pytest.approx(heat.wide()["occupied_s"].to_numpy())
+    for column in ("occupied_s", "visible_s", "coverage"):
+        assert wide[column].to_numpy() == pytest.approx(heat.wide()[column].to_numpy(), nan_ok=True)
+    assert wide["covered_s"].sum() > 0
+    stages = json.loads((out / "run.json").read_text())["stages"]
+    (stage,) = [stage for stage in stages if stage["name"] == "vehicles"]
+    assert stage["figures"]["vehicles"] == len(vehicles.vehicles) > 0
     names = {"road.laz", "tiles.gpkg", "run.json", "summary.md", "sensors/R1/localization.png",
              "heatmap/heatmap.gpkg", "heatmap/heatmap.tif", "heatmap/heatmap.png",
              "sensors.gpkg", "site.qgz", "report.html", "report.pdf", "lanes.csv",
@@ -397,7 +403,7 @@ def test_what_is_changed_is_done_again_and_what_is_taken_out_is_gone(copied):
     done = gr.run_site(path, out, jobs=1, reporter=heard)
     assert done.failure is None
     assert {name for name, state in states(done).items() if state == "done"} == {
-        "heat map", "QGIS project", "report",
+        "vehicles", "heat map", "QGIS project", "report",
     }  # fmt: skip
     assert not (out / "occupancy" / "R2").exists()
     assert not (out / "sensors" / "R2").exists()
@@ -411,6 +417,31 @@ def test_what_is_changed_is_done_again_and_what_is_taken_out_is_gone(copied):
     assert (out / "sensors" / "R1" / "pose.json").exists()
 
 
+def test_vehicles_that_are_not_followed_leave_heat_maps_of_hits(copied):
+    path, out = copied
+    change(path, "[heatmap]", "[vehicles]\nfollow = false\n\n[heatmap]")
+    done = gr.run_site(path, out)
+    assert "vehicles" not in states(done)
+    assert not (out / "vehicles").exists()
+    assert gr.read_heatmap(out / "heatmap").measure == "occupancy"
+    assert not (out / "heatmap" / "occupancy.tif").exists()
+
+
+def test_recordings_without_range_rates_leave_heat_maps_of_hits(copied):
+    path, out = copied
+    for each in path.parent.glob("R2_*.parquet"):
+        pd.read_parquet(each).assign(range_rate=np.float32(np.nan)).to_parquet(each)
+    done = gr.run_site(path, out)
+    assert done.failure is None
+    assert not (out / "vehicles").exists()
+    assert gr.read_heatmap(out / "heatmap").measure == "occupancy"
+    summary = (out / "summary.md").read_text(encoding="utf-8")
+    assert "- vehicles: the heat maps show hits, not coverage: " in summary
+    assert "has no range rates" in summary
+    again = gr.run_site(path, out)  # known, so not tried again
+    assert set(states(again).values()) == {"kept"}
+
+
 def test_a_changed_view_repeats_no_localization(copied):
     """A stage depends on what it reads and on its own settings, on no others."""
     path, out = copied
@@ -419,7 +450,8 @@ def test_a_changed_view_repeats_no_localization(copied):
     done = gr.run_site(path, out)
     again = {name for name, state in states(done).items() if state == "done"}
     assert again == {
-        "pose R1", "occupancy R1", "occupancy R2", "heat map", "QGIS project", "report",
+        "pose R1", "occupancy R1", "occupancy R2", "vehicles", "heat map", "QGIS project",
+        "report",
     }  # fmt: skip
     assert gr.read_pose(out / "sensors" / "R1" / "pose.json").view.max_range_m == 120.0
 

@@ -14,8 +14,8 @@ from gis_radar.site.settings import ConvertTable, Sensor, Site
 from gis_radar.site.together import FOUND, RECORDED, SEVERAL
 
 OWNED = (
-    "road.", "tiles.gpkg", "sensors", "occupancy", "heatmap", "site.qgz", "site_", "run.json",
-    "summary.md", "pose_errors.csv", "together.json", *REPORT_FILES,
+    "road.", "tiles.gpkg", "sensors", "occupancy", "vehicles", "heatmap", "site.qgz", "site_",
+    "run.json", "summary.md", "pose_errors.csv", "together.json", *REPORT_FILES,
 )  # fmt: skip
 
 
@@ -142,6 +142,7 @@ def stages_of(site: Site, folder: Path) -> list[Stage]:
         *(_pose(site, each, folder) for each in sensors),
         _tiles(site, folder),
         *(_occupancy(site, each, folder) for each in sensors),
+        *_vehicles(site, folder),
         *_products(site, folder),
     ]
 
@@ -227,10 +228,7 @@ def _together(site: Site, folder: Path) -> Iterator[Stage]:
         return
     places = [folder / "sensors" / each.name for each in tied]
     clocks = site.occupancy.clocks
-    ours = {each.name: [p for p in each.recordings if p not in each.foreign] for each in tied}
-    converted = [
-        path for each in tied if each.foreign for path in _conversion(each, folder).outputs
-    ]
+    ours, converted = _all_recordings(tied, folder)
     yield Stage(
         name="poses together",
         work=stages.together_stage,
@@ -248,6 +246,15 @@ def _together(site: Site, folder: Path) -> Iterator[Stage]:
         outputs=(folder / "together.json",),
         phases=2,
     )
+
+
+def _all_recordings(
+    sensors: Sequence[Sensor], folder: Path
+) -> tuple[dict[str, list[Path]], list[Path]]:
+    """Return the recordings of sensors that are ours by name, and those that are converted."""
+    ours = {each.name: [p for p in each.recordings if p not in each.foreign] for each in sensors}
+    foreign = [each for each in sensors if each.foreign]
+    return ours, [path for each in foreign for path in _conversion(each, folder).outputs]
 
 
 def _pose(site: Site, sensor: Sensor, folder: Path) -> Stage:
@@ -300,13 +307,12 @@ def _occupancy(site: Site, sensor: Sensor, folder: Path) -> Stage:
             "pose": pose,
             "tile_file": folder / "tiles.gpkg",
             **({"clocks": clocks} if clocks else {}),
-            **({"scans": site.scan.files} if site.scan and site.scan.files else {}),
+            **_scans(site),
         },
         options={
             "sensor": sensor.name,
             "scan_crs": site.scan.crs if site.scan else None,
-            # a pose has its view already, a track as it was given
-            "view": _view(sensor) if pose.suffix == ".csv" else None,
+            "view": _view_of_track(sensor, pose),
             "filters": filters,
             "cycle": sensor.cycle,
         },
@@ -315,16 +321,65 @@ def _occupancy(site: Site, sensor: Sensor, folder: Path) -> Stage:
     )
 
 
+def _scans(site: Site) -> dict[str, tuple[Path, ...]]:
+    return {"scans": site.scan.files} if site.scan and site.scan.files else {}
+
+
+def _view_of_track(sensor: Sensor, pose: Path) -> dict[str, float] | None:
+    """Return the view to give a pose track; a pose has its view already."""
+    return _view(sensor) if pose.suffix == ".csv" else None
+
+
+def _vehicles(site: Site, folder: Path) -> Iterator[Stage]:
+    """Yield the stage that follows the vehicles of all sensors that have an occupancy."""
+    if not site.vehicles.follow:
+        return
+    ours, converted = _all_recordings(site.sensor, folder)
+    poses = {each.name: _pose(site, each, folder).outputs[0] for each in site.sensor}
+    clocks = site.occupancy.clocks
+    yield Stage(
+        name="vehicles",
+        work=stages.vehicles_stage,
+        inputs={
+            "map_file": site.map.file,
+            "tile_file": folder / "tiles.gpkg",
+            "recordings": tuple(path for paths in ours.values() for path in paths),
+            **({"clocks": clocks} if clocks else {}),
+            **_scans(site),
+        },
+        parts={"occupancies": _occupancies(site, folder)},
+        beside=((*poses.values(), *converted),),
+        options={
+            "sensors": {
+                each.name: {
+                    "recordings": len(ours[each.name]),
+                    "pose": poses[each.name].name,
+                    "view": _view_of_track(each, poses[each.name]),
+                    "cycle": each.cycle,
+                }
+                for each in site.sensor
+            },
+            "scan_crs": site.scan.crs if site.scan else None,
+        },
+        outputs=(folder / "vehicles",),
+    )
+
+
+def _occupancies(site: Site, folder: Path) -> tuple[Path, ...]:
+    return tuple(folder / "occupancy" / each.name for each in site.sensor)
+
+
 def _products(site: Site, folder: Path) -> Iterator[Stage]:
     """Yield the stages of all sensors together: heat maps, project, report."""
-    occupancies = tuple(folder / "occupancy" / each.name for each in site.sensor)
+    occupancies = _occupancies(site, folder)
+    vehicles = {"vehicles": (folder / "vehicles",)} if site.vehicles.follow else {}
     for number, interval in enumerate(site.heatmap.intervals or (None,)):
         end = f"_{interval}" if number else ""
         yield Stage(
             name=f"heat map{end.replace('_', ' ')}",
             work=stages.heatmap_stage,
             inputs={"tile_file": folder / "tiles.gpkg"},
-            parts={"occupancies": occupancies},
+            parts={"occupancies": occupancies, **vehicles},
             options={"interval": interval},
             outputs=(folder / f"heatmap{end}",),
             phases=4,

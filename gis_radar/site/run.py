@@ -112,6 +112,11 @@ class SiteRun:
             "heat_maps_show": _sensors_in(self.outcomes) if heat else [],
             **({"tiles": tiles["tiles"]} if tiles else {}),
             **{k: value for k, value in (heat or {}).items() if k not in {"sensors", "tiles"}},
+            **{
+                k: value
+                for k, value in (by_work.get(work.vehicles_stage) or {}).items()
+                if k in {"vehicles", "heavy", "passages"}
+            },
             "warnings": len(_warnings(self.outcomes)),
             "stages": len(self.outcomes),
             "stages_done_before": sum(each.state == "kept" for each in self.outcomes),

@@ -114,6 +114,13 @@ class OccupancyTable(TomlTable):
     """How far sensors' clocks are ahead, from `gis-radar clocks`: times are corrected."""
 
 
+class VehiclesTable(TomlTable):
+    """The vehicles, whose coverage the heat maps show."""
+
+    follow: Switch = key("false", True, "true")
+    """Whether vehicles are followed; without, the heat maps show hits."""
+
+
 class HeatmapTable(TomlTable):
     """The heat maps."""
 
@@ -226,6 +233,8 @@ class Site(TomlTable):
     """The unit of all statistics."""
     occupancy: OccupancyTable = OccupancyTable()
     """Which detections count."""
+    vehicles: VehiclesTable = VehiclesTable()
+    """The vehicles, whose coverage the heat maps show."""
     heatmap: HeatmapTable = HeatmapTable()
     """The heat maps."""
     sensor: Annotated[tuple[Sensor, ...], Field(min_length=1)]

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from gis_radar.crs import name_of
-from gis_radar.errors import InputError
+from gis_radar.errors import InputError, NoAnswerError
 from gis_radar.files import whole_file
 from gis_radar.heatmap import make_heatmap
 from gis_radar.localization import AmbiguousError, localize_files
@@ -26,7 +26,7 @@ from gis_radar.qgis import write_site_project
 from gis_radar.recordings import convert as convert_recordings
 from gis_radar.report import write_report
 from gis_radar.scans.scan import read_road, road_crs
-from gis_radar.site.recipes import join_recordings, mask_scans, split_map
+from gis_radar.site.recipes import follow_vehicles, join_recordings, mask_scans, split_map
 from gis_radar.site.together import (
     RECORDED,
     read_together,
@@ -36,6 +36,7 @@ from gis_radar.site.together import (
     write_together,
 )
 from gis_radar.tiles.tiles import read_tiles
+from gis_radar.vehicles import read_vehicles
 
 Figures = dict[str, Any]
 Paths = Sequence[Path]
@@ -104,12 +105,8 @@ def together_stage(
     `recordings` are those of all sensors, of each as many as `sensors` has; what was converted is
     beside the sensors' poses.
     """
-    folder, left = outputs[0].parent / "sensors", list(recordings)
-    paths = {}
-    for name, number in sensors.items():
-        paths[name], left = left[:number], left[number:]
-        if (converted := folder / name / RECORDED).exists():
-            paths[name].append(converted)
+    folder = outputs[0].parent / "sensors"
+    paths = _by_sensor(recordings, sensors, folder)
     found = solve_together(
         paths, folder, map_file, road, clocks=clocks, reporter=reporter, **options
     )
@@ -117,6 +114,16 @@ def together_stage(
     for name, entry in found.items():
         reporter.log(f"{name}: {entry['line']}")
     return {name: entry["line"] for name, entry in found.items()}
+
+
+def _by_sensor(recordings: Paths, numbers: dict[str, int], folder: Path) -> dict[str, list[Path]]:
+    """Return the recordings of each sensor, of which so many are given, with what was converted."""
+    left, paths = list(recordings), {}
+    for name, number in numbers.items():
+        paths[name], left = left[:number], left[number:]
+        if (converted := folder / name / RECORDED).exists():
+            paths[name].append(converted)
+    return paths
 
 
 def tied_pose_stage(
@@ -187,13 +194,49 @@ def occupancy_stage(
     ).figures()
 
 
+def vehicles_stage(
+    *, occupancies: Paths, recordings: Paths, sensors: dict[str, dict[str, Any]], map_file: Path,
+    tile_file: Path, outputs: Paths, reporter: Reporter, clocks: Path | None = None,
+    **options: Any,
+) -> Figures:  # fmt: skip
+    """Follow the vehicles of the sensors that have an occupancy, in one likelihood.
+
+    Recordings are as :func:`together_stage` takes them. Where vehicles cannot be followed, the
+    heat maps show hits: a map without lanes for vehicles, a recording without range rates.
+    """
+    place = outputs[0].parent / "sensors"
+    numbers = {name: int(each["recordings"]) for name, each in sensors.items()}
+    paths = _by_sensor(recordings, numbers, place)
+    chosen = {each.name: sensors[each.name] for each in occupancies}
+    tracks = [
+        _seeing(read_track(place / name / each["pose"]), name, each["view"])
+        for name, each in chosen.items()
+        for _ in paths[name]
+    ]
+    try:
+        found = follow_vehicles(
+            [path for name in chosen for path in paths[name]], tracks, tile_file, map_file,
+            outputs[0], clocks=clocks, reporter=reporter,
+            cycles={name: each["cycle"] for name, each in chosen.items() if each["cycle"]},
+            **options,
+        )  # fmt: skip
+    except (InputError, NoAnswerError) as error:
+        shutil.rmtree(outputs[0], ignore_errors=True)  # of an earlier run
+        reporter.log(f"the heat maps show hits, not coverage: {error.message}", "warning")
+        return {"not_followed": error.message}
+    return found.figures()
+
+
 def heatmap_stage(
     *, occupancies: Paths, tile_file: Path, outputs: Paths, reporter: Reporter,
-    interval: str | None,
+    interval: str | None, vehicles: Paths = (),
 ) -> Figures:  # fmt: skip
-    """Merge the occupancies and make the heat map."""
+    """Merge the occupancies and make the heat map; where vehicles are known, of their coverage."""
     merged = merge_occupancies([read_occupancy(each, reporter=reporter) for each in occupancies])
-    heat = make_heatmap(merged, read_tiles(tile_file), interval=interval, reporter=reporter)
+    heat = make_heatmap(
+        merged, read_tiles(tile_file), interval=interval, reporter=reporter,
+        vehicles=read_vehicles(vehicles[0]) if vehicles else None,
+    )  # fmt: skip
     heat.write(outputs[0], reporter=reporter)
     return {**merged.figures(), **heat.figures()}
 
