@@ -1,5 +1,6 @@
 """Each algorithm in a real QGIS: run, progress, cancel, crash, missing worker, odd layers."""
 
+import json
 import shutil
 import time
 from pathlib import Path
@@ -39,6 +40,7 @@ def parameters_of(name, site, out):
         "occupancy": ({"RECORDINGS": [SAMPLE / "R1.parquet", SAMPLE / "R2.parquet"],
                        "POSES": [SAMPLE / "R2.json", SAMPLE / "R1.json"],
                        "TILES": f"{site}/tiles.gpkg|layername=tiles", "CLEARANCE": "-0.5,4.5",
+                       "SCANS": [SAMPLE / "scan.laz"],
                        "OUTPUT": out / "occ"}, "occ/frames.parquet"),
         "heatmap": ({"OCCUPANCY": site / "occupancy", "INTERVAL": "20s",
                      "TILES": f"{site}/tiles.gpkg|layername=tiles", "OUTPUT": out / "map"},
@@ -79,6 +81,9 @@ def test_run(run, site, tmp_path, name):
     results, heard = run(name, parameters, load=True)
     assert heard.errors == []
     assert made.is_file()
+    if name == "occupancy":
+        (source, _) = json.loads((made.parent / "manifest.json").read_text())["sources"]
+        assert source["sight"]["files"] == ["scan.laz"]
     assert results["OUTPUT"] in (str(made), str(made.parent))
     assert heard.percents, "no progress"
     assert heard.percents[-1] <= 100
@@ -268,6 +273,18 @@ def test_parts_of_tiles(run, site, tmp_path, kind):
     _, heard = run("heatmap", parameters, load=True)
     assert heard.errors == []
     assert layer_called("Occupancy, whole time").featureCount() == count
+
+
+def test_scans_and_sight_reach_the_worker(run, site, tmp_path, fake_worker):
+    heard_words = tmp_path / "words.json"
+    fake_worker(f"open({str(heard_words)!r}, 'w').write(json.dumps(words))\nsys.exit(3)")
+    parameters, _ = parameters_of("occupancy", site, tmp_path)
+    run("occupancy", parameters | {"SIGHT": str(tmp_path / "sight.gpkg"), "SCAN_CRS": "EPSG:25832"})
+    words = json.loads(heard_words.read_text())
+    given = dict(zip(words, words[1:]))
+    assert given["--scan"] == str(SAMPLE / "scan.laz")
+    assert given["--sight"] == str(tmp_path / "sight.gpkg")
+    assert given["--scan-crs"] == "EPSG:25832"
 
 
 @pytest.mark.parametrize("kind", ["memory", "filtered"])

@@ -11,7 +11,9 @@ from qgis.core import (
     QgsProcessingContext,
     QgsProcessingException,
     QgsProcessingFeedback,
+    QgsProcessingParameterCrs,
     QgsProcessingParameterFeatureSource,
+    QgsProcessingParameterFile,
     QgsProcessingParameterFolderDestination,
     QgsProcessingParameterMultipleLayers,
     QgsProcessingParameterNumber,
@@ -21,6 +23,7 @@ from qgis.core import (
 from ..base import TRAFFIC, WorkerAlgorithm, option
 from ..inputs import TILE_FIELDS, TILES, layer_file
 from ..words import tr
+from .tiles import crs_words
 
 
 class MeasureOccupancy(WorkerAlgorithm):
@@ -56,6 +59,23 @@ class MeasureOccupancy(WorkerAlgorithm):
             about="From 'Split lanelets into tiles'.",
         )
         self.add(
+            QgsProcessingParameterMultipleLayers(
+                "SCANS", tr("Airborne scans"), files, optional=True
+            ),
+            about="LAS or LAZ, whole and not masked: what stands in them hides tiles, which then "
+            "are not observed. Without them all that is within the view counts as seen.",
+        )  # fmt: skip
+        self.add(
+            QgsProcessingParameterFile(
+                "SIGHT", tr("Sight"), optional=True, fileFilter=tr("GeoPackages") + " (*.gpkg)"
+            ),
+            about="What sensors see, from gis-radar sight, in place of the scans.", advanced=True,
+        )  # fmt: skip
+        self.add(
+            QgsProcessingParameterCrs("SCAN_CRS", tr("CRS of the scans"), optional=True),
+            about="Only for scans without one.", advanced=True,
+        )  # fmt: skip
+        self.add(
             QgsProcessingParameterRange(
                 "CLEARANCE", tr("Height over the road that counts, m"),
                 QgsProcessingParameterNumber.Type.Double, optional=True,
@@ -90,6 +110,12 @@ class MeasureOccupancy(WorkerAlgorithm):
         words = ["occupancy", *recordings, "--tiles", tiles, "-o", dest]
         for pose in poses:
             words += ["--pose", pose]
+        for scan in self.files(parameters, "SCANS", context):
+            words += ["--scan", scan]
+        words += option("--sight", self.parameterAsFile(parameters, "SIGHT", context))
+        words += option(
+            "--scan-crs", crs_words(self.parameterAsCrs(parameters, "SCAN_CRS", context))
+        )
         words += option("--clearance", self._clearance(parameters, context))
         for flag, name in (
             ("--min-speed", "MIN_SPEED"), ("--min-rcs", "MIN_RCS"),
