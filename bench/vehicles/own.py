@@ -25,7 +25,13 @@ ONE_CORE = dict.fromkeys(
     ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
 )
 GUESS_M, GUESS_DEG = 6.0, 8.0  # what a user is off by who reads map and compass
-MOST_S = 1200.0
+STARTER = """
+import json, resource, subprocess, sys
+code = subprocess.run(sys.argv[1:]).returncode
+used = resource.getrusage(resource.RUSAGE_CHILDREN)
+cpu_s = used.ru_utime + used.ru_stime
+print("\\n" + json.dumps({"code": code, "cpu_s": cpu_s, "peak_kb": used.ru_maxrss}), flush=True)
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,26 +62,26 @@ class Ran:
 def run(*arguments: object) -> Ran:
     """Run a command of the package on one core, as a process of its own."""
     command = [sys.executable, "-m", "gis_radar", *map(str, arguments), "--json"]
-    environment = {**os.environ, **ONE_CORE, "PYTHONPATH": str(ROOT)}
     begin = time.perf_counter()
     with tempfile.TemporaryFile("w+", encoding="utf-8") as out:
-        process = subprocess.Popen(
-            command, stdout=out, stderr=subprocess.DEVNULL, stdin=subprocess.DEVNULL,
-            env=environment, cwd=ROOT,
+        # started by a small process: the peak of a child begins with the memory of its parent
+        subprocess.run(
+            [sys.executable, "-I", "-S", "-c", STARTER, *command], check=False,
+            stdout=out, stderr=subprocess.DEVNULL, stdin=subprocess.DEVNULL, cwd=ROOT,
+            env={**os.environ, **ONE_CORE, "PYTHONPATH": str(ROOT)},
         )  # fmt: skip
-        _, status, used = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
+        wall_s = time.perf_counter() - begin
         out.seek(0)
-        events = [json.loads(line) for line in out if line.startswith("{")]
+        *events, used = [json.loads(line) for line in out if line.startswith("{")]
     logged = [event for event in events if event["event"] == "log"]
     results = [event for event in events if event["event"] == "result"]
     return Ran(
-        code=process.returncode,
+        code=used["code"],
         warnings=[event["message"] for event in logged if event["level"] == "warning"],
         errors=[event["message"] for event in events if event["event"] == "error"],
-        cpu_s=used.ru_utime + used.ru_stime,
-        wall_s=time.perf_counter() - begin,
-        peak_mb=used.ru_maxrss / 1024.0,
+        cpu_s=used["cpu_s"],
+        wall_s=wall_s,
+        peak_mb=used["peak_kb"] / 1024.0,
         summary=results[-1]["summary"] if results else {},
     )
 

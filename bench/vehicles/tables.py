@@ -146,14 +146,19 @@ def readme(report: Report) -> str:
         ("costs", "times_occupancy"): ("times decoding + occupancy", ".1f"),
     }
     second = table(
-        ["`vehicles`, found poses", *(head for head, _ in heads.values())],
+        ["`vehicles`, found poses", "poses off by, m", *(head for head, _ in heads.values())],
         (
-            [name, *(shown(row.get(part, {}).get(key), form)
+            [name, _poses(row.get("pose_errors", {})), *(shown(row.get(part, {}).get(key), form)
                      for (part, key), (_, form) in heads.items())]
             for name, row in own.items()
         ),
     )  # fmt: skip
     return f"{first}\n\n{second}"
+
+
+def _poses(errors: Mapping[str, Sequence[float]]) -> str:
+    """Return how far the poses are off; a sensor whose pose cannot be found is surveyed."""
+    return ", ".join(f"{apart:.2f}" if apart else "surveyed" for apart, _ in errors.values())
 
 
 def _mean(rows: Mapping[str, Report]) -> object:
@@ -188,7 +193,7 @@ def bad_input(report: Report) -> str:
         ["input", "exit", "as it should be", "false over 10 s", "doubled", "what was said"],
         (
             [name, str(row["code"]), "yes" if row["good"] else "NO", str(row["false"]),
-             str(row["doubled"]), re.sub(r"/\S*/", "", str(row["said"])).replace("|", "/")]
+             str(row.get("doubled", "-")), re.sub(r"/\S*/", "", str(row["said"])).replace("|", "/")]
             for name, row in rows.items()
         ),
     )  # fmt: skip
