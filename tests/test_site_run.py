@@ -417,6 +417,28 @@ def test_what_is_changed_is_done_again_and_what_is_taken_out_is_gone(copied):
     assert (out / "sensors" / "R1" / "pose.json").exists()
 
 
+def test_the_report_shows_coverage_and_hits_beside_it(small):
+    _, out, _ = small
+    wide = gpd.read_parquet(out / "heatmap" / "heatmap.parquet")
+    lanes = pd.read_csv(out / "lanes.csv")
+    sums = {name: wide[name].sum() for name in ("covered_s", "visible_s", "occupied_s")}
+    for name, total in sums.items():
+        column = name.replace("_s", "_tile_s")
+        assert lanes[column].sum() == pytest.approx(total, abs=0.01 * len(lanes))
+    top = wide["coverage"].idxmax()
+    assert lanes["busiest_spot"].max() == pytest.approx(wide["coverage"][top], abs=1e-6)
+    best = lanes.loc[lanes["busiest_spot"].idxmax(), "busiest_spot_se"]
+    assert best == pytest.approx(wide["coverage_se"][top], abs=1e-6)
+    by_interval = pd.read_csv(out / "lanes_by_interval.csv")
+    assert by_interval["covered_tile_s"].sum() == pytest.approx(sums["covered_s"], abs=0.5)
+    assert by_interval["occupied_tile_s"].sum() == pytest.approx(sums["occupied_s"], abs=0.5)
+    text = (out / "report.html").read_text(encoding="utf-8")
+    named = ("Traffic coverage report", "Diagnosis: radar hits", "Seen and inferred")
+    for words in (*named, "Vehicles followed", "a vehicle stands on a tile", "Map of occupancy"):
+        assert words in text
+    assert f"{100 * wide['coverage'][top]:.1f}\u202f% ± " in text
+
+
 def test_vehicles_that_are_not_followed_leave_heat_maps_of_hits(copied):
     path, out = copied
     change(path, "[heatmap]", "[vehicles]\nfollow = false\n\n[heatmap]")

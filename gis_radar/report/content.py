@@ -19,6 +19,32 @@ import pandas as pd
 HOW_FOUND = {"lane": "found from traffic on the lanes", "icp": "found by ICP"}
 
 
+class ReportWords(NamedTuple):
+    """How a report calls what its map shows: time it is a share of, of a lane, of a tile."""
+
+    base: str
+    part: str
+    touched: str
+    share: str
+    intro: str
+
+
+WORDS = {
+    "occupancy": ReportWords(
+        "observed", "occupied", "hit", "Occupancy",
+        "The map shows in which share of the observed time radar hit each half metre of lane. "
+        "Compare one place over time; the figures count neither vehicles nor queues",
+    ),
+    "coverage": ReportWords(
+        "visible", "covered", "covered", "Coverage",
+        "The map shows coverage: for each half metre of lane the estimated share of time in which "
+        "a vehicle stood on it, moving or waiting. 20 % means 12 seconds of every minute. Vehicles "
+        "are followed by radar, also for moments while others hide them; each estimate has a "
+        "standard error. Hatched is not visible, which is not 0 %",
+    ),
+}  # fmt: skip
+
+
 class Column(NamedTuple):
     """A column of a table.
 
@@ -174,6 +200,8 @@ class Content:
         What follows.
     made_by : str
         The software.
+    measure : str
+        What the map shows: `coverage` or `occupancy`.
     """
 
     title: str
@@ -186,6 +214,7 @@ class Content:
     map: MapSeries
     chapters: Sequence[Chapter]
     made_by: str
+    measure: str = "occupancy"
 
 
 NOTHING, MINUS = "\u2013", "\u2212"  # a dash; a minus as wide as a plus

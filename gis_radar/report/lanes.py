@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import geopandas as gpd
 import numpy as np
@@ -13,12 +14,39 @@ from scipy.spatial import cKDTree
 
 from gis_radar.arrays import Floats, Integers
 from gis_radar.heatmap import HeatMap
-from gis_radar.heatmap.counting import Shares
 from gis_radar.report.content import Clock, direction, utc, write_csv
 from gis_radar.tiles.tiles import quads
 
 TOUCH_M = 0.05  # between the ends of lanelets that follow each other
 BUSY = 0.2  # a class break of all heat maps
+
+
+class TileShares(NamedTuple):
+    """What a report shows of tiles: coverage where vehicles are known, else hits.
+
+    Parameters
+    ----------
+    part_s, base_s, share : (tiles,) float64 arrays
+        Seconds covered (or hit), seconds visible (or observed), and their quotient: NaN where the
+        seconds below are 0.
+    """
+
+    part_s: Floats
+    base_s: Floats
+    share: Floats
+
+
+def shown_of(heat: HeatMap, interval: int | slice | None = None) -> TileShares:
+    """Return what a report shows of the whole time, or of intervals."""
+    known = heat.coverage_shares(interval)
+    if known is None:
+        return hits_of(heat, interval)
+    return TileShares(known.covered_s, known.visible_s, known.coverage)
+
+
+def hits_of(heat: HeatMap, interval: int | slice | None = None) -> TileShares:
+    """Return the hit occupancy of the whole time, or of intervals."""
+    return TileShares(*heat.shares(interval))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,17 +127,17 @@ class LaneSums:
         Which.
     lane_of_tile : (tiles,) int64 array
         Position of each tile's lane in `lanes`.
-    occupied_s, observed_s : (intervals, lanes) float64 arrays
-        Tile-seconds.
+    part_s, base_s : (intervals, lanes) float64 arrays
+        Tile-seconds: covered and visible, of hits occupied and observed.
     """
 
     lanes: Sequence[Lane]
     lane_of_tile: Integers
-    occupied_s: Floats
-    observed_s: Floats
+    part_s: Floats
+    base_s: Floats
 
-    def of(self, shares: Shares) -> tuple[Floats, Floats]:
-        """Return the tile-seconds of each lane, occupied and observed, at another time."""
+    def of(self, shares: TileShares) -> tuple[Floats, Floats]:
+        """Return the tile-seconds of each lane, of other tiles' shares."""
         return _by_lane(shares, self.lane_of_tile, len(self.lanes))
 
 
@@ -119,41 +147,45 @@ def sum_by_lane(heat: HeatMap) -> LaneSums:
     lane_of_tile = np.empty(len(heat.tiles), np.int64)
     for i, lane in enumerate(lanes):
         lane_of_tile[lane.rows] = i
-    sums = [_by_lane(heat.shares(i), lane_of_tile, len(lanes)) for i in range(len(heat.timeline))]
-    occupied_s, observed_s = np.stack(sums, axis=1)
-    return LaneSums(
-        lanes=lanes, lane_of_tile=lane_of_tile, occupied_s=occupied_s, observed_s=observed_s
-    )
+    sums = [
+        _by_lane(shown_of(heat, i), lane_of_tile, len(lanes)) for i in range(len(heat.timeline))
+    ]
+    part_s, base_s = np.stack(sums, axis=1)
+    return LaneSums(lanes=lanes, lane_of_tile=lane_of_tile, part_s=part_s, base_s=base_s)
 
 
-def _by_lane(shares: Shares, lane_of_tile: Integers, size: int) -> tuple[Floats, Floats]:
-    occupied, observed = (
+def _by_lane(shares: TileShares, lane_of_tile: Integers, size: int) -> tuple[Floats, Floats]:
+    part, base = (
         np.bincount(lane_of_tile, np.nan_to_num(seconds), size).astype(np.float64)
-        for seconds in (shares.occupied_s, shares.observed_s)
+        for seconds in (shares.part_s, shares.base_s)
     )
-    return occupied, observed
+    return part, base
 
 
 def lane_table(heat: HeatMap, sums: LaneSums) -> pd.DataFrame:
-    """Return one row a lane, busiest first, those that were not observed last.
+    """Return one row a lane, busiest first, those that were not visible (observed) last.
 
     Returns
     -------
     DataFrame
         `lane`, `lanelets`, `subtype`, `east_m` and `north_m` from begin to end, `length_m`;
-        `observed_m`, the length of its observed tiles; `occupied_s`, `observed_s`, tile-seconds;
-        `occupancy`, their quotient, NaN where not observed; `busiest_spot`, the highest occupancy
-        of a tile, and `busiest_spot_m`, where along the lane; `busy_m`, the length of tiles with
-        an occupancy of 20 % or more; `busiest_begin`, `busiest_end`, `busiest_occupancy` of the
-        busiest interval, of those with at least half as much observed as in the best observed.
+        `base_m`, the length of its tiles with a share; `part_s`, `base_s`, tile-seconds covered and
+        visible, of hits occupied and observed; `share`, their quotient, NaN where there is none;
+        `busiest_spot`, the highest share of a tile, its standard error `busiest_spot_se` (NaN for
+        hits), and `busiest_spot_m`, where along the lane; `busy_m`, the length of tiles with a
+        share of 20 % or more; `busiest_begin`, `busiest_end`, `busiest_share` of the busiest
+        interval, of those with at least half as much seen as in the best seen; `occupied_s`,
+        `observed_s`, `occupancy`: its hits.
     """
-    whole, tiles = heat.shares(), heat.tiles
-    occupied, observed = sums.of(whole)
+    whole, tiles, known = shown_of(heat), heat.tiles, heat.coverage_shares()
+    error = np.full(len(tiles), np.nan) if known is None else known.coverage_se
+    part, base = sums.of(whole)
+    occupied, observed = sums.of(hits_of(heat))
     length = tiles["length_m"].to_numpy(np.float64)
     centre = quads(tiles).mean(axis=1)
     rows = []
     for i, lane in enumerate(sums.lanes):
-        mine, long = whole.occupancy[lane.rows], length[lane.rows]
+        mine, long = whole.share[lane.rows], length[lane.rows]
         seen = np.isfinite(mine)
         top = int(np.nanargmax(mine)) if seen.any() else -1
         east, north = centre[lane.rows[-1]] - centre[lane.rows[0]]
@@ -165,11 +197,15 @@ def lane_table(heat: HeatMap, sums: LaneSums) -> pd.DataFrame:
                 "east_m": float(east),
                 "north_m": float(north),
                 "length_m": float(long.sum()),
-                "observed_m": float(long[seen].sum()),
-                "occupied_s": float(occupied[i]) if seen.any() else np.nan,
+                "base_m": float(long[seen].sum()),
+                "part_s": float(part[i]) if seen.any() else np.nan,
+                "base_s": float(base[i]),
+                "share": part[i] / base[i] if seen.any() else np.nan,
+                "occupied_s": float(occupied[i]) if observed[i] else np.nan,
                 "observed_s": float(observed[i]),
-                "occupancy": occupied[i] / observed[i] if seen.any() else np.nan,
+                "occupancy": occupied[i] / observed[i] if observed[i] else np.nan,
                 "busiest_spot": float(mine[top]) if seen.any() else np.nan,
+                "busiest_spot_se": float(error[lane.rows[top]]) if seen.any() else np.nan,
                 "busiest_spot_m": float(long[: top + 1].sum() - long[top] / 2)
                 if seen.any()
                 else np.nan,
@@ -179,37 +215,47 @@ def lane_table(heat: HeatMap, sums: LaneSums) -> pd.DataFrame:
         )
     table = pd.DataFrame(rows)
     return table.sort_values(
-        ["occupancy", "lane"], ascending=[False, True], na_position="last", ignore_index=True
+        ["share", "lane"], ascending=[False, True], na_position="last", ignore_index=True
     )
 
 
 def _busiest(heat: HeatMap, sums: LaneSums, lane: int) -> dict[str, object]:
-    """Return the busiest interval of a lane; nothing where there is but one, or no hit."""
-    occupied, observed = sums.occupied_s[:, lane], sums.observed_s[:, lane]
-    fair = (observed > 0) & (observed >= 0.5 * observed.max(initial=0.0))
-    if len(heat.timeline) < 2 or not occupied[fair].any():
-        return {"busiest_begin": pd.NaT, "busiest_end": pd.NaT, "busiest_occupancy": np.nan}
-    share = np.divide(occupied, observed, out=np.full(len(fair), -1.0), where=fair)
+    """Return the busiest interval of a lane; nothing where there is but one, or nothing in any."""
+    part, base = sums.part_s[:, lane], sums.base_s[:, lane]
+    fair = (base > 0) & (base >= 0.5 * base.max(initial=0.0))
+    if len(heat.timeline) < 2 or not part[fair].any():
+        return {"busiest_begin": pd.NaT, "busiest_end": pd.NaT, "busiest_share": np.nan}
+    share = np.divide(part, base, out=np.full(len(fair), -1.0), where=fair)
     best = int(share.argmax())
     begin, end = heat.timeline.span(best)
     return {
         "busiest_begin": pd.Timestamp(begin),
         "busiest_end": pd.Timestamp(end),
-        "busiest_occupancy": float(share[best]),
+        "busiest_share": float(share[best]),
     }
 
 
-def write_lanes(path: Path, table: pd.DataFrame, clock: Clock) -> None:
-    """Write all lanes: one row each, shares from 0 to 1, empty where not observed."""
+# The tables: of coverage, with hits as the last columns; of hits where no vehicles are known.
+
+_HITS = ("occupied_tile_s", "observed_tile_s", "occupancy")
+_COVERED = ("covered_tile_s", "visible_tile_s", "coverage")
+
+
+def write_lanes(path: Path, table: pd.DataFrame, clock: Clock, measure: str) -> None:
+    """Write all lanes: one row each, shares from 0 to 1, empty where there is none."""
+    covered = measure == "coverage"
     header = (
-        "lane", "lanelets", "subtype", "leads_to", "length_m", "observed_m", "occupied_tile_s",
-        "observed_tile_s", "occupancy", "busiest_spot", "busiest_spot_m", "over_20_percent_m",
-        "busiest_begin_utc", "busiest_begin_local", "busiest_end_utc", "busiest_occupancy",
+        "lane", "lanelets", "subtype", "leads_to", "length_m",
+        "visible_m" if covered else "observed_m", *(_COVERED if covered else _HITS),
+        "busiest_spot", *(("busiest_spot_se",) if covered else ()), "busiest_spot_m",
+        "over_20_percent_m", "busiest_begin_utc", "busiest_begin_local", "busiest_end_utc",
+        f"busiest_{measure}", *(_HITS if covered else ()),
     )  # fmt: skip
     digits = {
-        "length_m": 2, "observed_m": 2, "occupied_s": 2, "observed_s": 2,
-        "occupancy": 6, "busiest_spot": 6, "busiest_spot_m": 2, "busy_m": 2,
+        "length_m": 2, "base_m": 2, "part_s": 2, "base_s": 2, "share": 6, "busiest_spot": 6,
+        **({"busiest_spot_se": 6} if covered else {}), "busiest_spot_m": 2, "busy_m": 2,
     }  # fmt: skip
+    hits = {"occupied_s": 2, "observed_s": 2, "occupancy": 6} if covered else {}
     rows = []
     for _, row in table.iterrows():
         begin, end, lanelets = row["busiest_begin"], row["busiest_end"], row["lanelets"]
@@ -222,27 +268,32 @@ def write_lanes(path: Path, table: pd.DataFrame, clock: Clock) -> None:
                 direction(row["east_m"], row["north_m"]),
                 *(round(float(row[name]), number) for name, number in digits.items()),
                 *times,
-                round(float(row["busiest_occupancy"]), 6),
+                round(float(row["busiest_share"]), 6),
+                *(round(float(row[name]), number) for name, number in hits.items()),
             )
         )
     write_csv(path, header, rows)
 
 
 def write_lane_intervals(path: Path, heat: HeatMap, sums: LaneSums, clock: Clock) -> None:
-    """Write one row a lane and interval, also where nothing was hit or observed."""
+    """Write one row a lane and interval, also where nothing was hit or seen."""
+    covered = heat.measure == "coverage"
     header = (
         "lane", "begin_utc", "end_utc", "begin_local",
-        "occupied_tile_s", "observed_tile_s", "occupancy",
+        *(_COVERED if covered else ()), *_HITS,
     )  # fmt: skip
     rows = (
-        (lane.number, *times, *cells)
-        for (begin, end), occupied, observed in zip(
-            heat.timeline.spans(), sums.occupied_s, sums.observed_s, strict=True
-        )
+        (lane.number, *times, *(cell for part, base in pairs for cell in _cells(part[k], base[k])))
+        for i, (begin, end) in enumerate(heat.timeline.spans())
         for times in [(utc(begin), utc(end), clock.iso(begin))]
-        for lane, hit, seen in zip(sums.lanes, occupied.tolist(), observed.tolist(), strict=True)
-        for cells in [
-            (round(hit, 2), round(seen, 2), round(hit / seen, 6)) if seen else ("", 0.0, "")
-        ]
+        for shown in [(sums.part_s[i], sums.base_s[i])]
+        for pairs in [(shown, sums.of(hits_of(heat, i))) if covered else (shown,)]
+        for k, lane in enumerate(sums.lanes)
     )
     write_csv(path, header, rows)
+
+
+def _cells(part_s: float, base_s: float) -> tuple[float | str, float, float | str]:
+    if not base_s:
+        return "", 0.0, ""
+    return round(float(part_s), 2), round(float(base_s), 2), round(float(part_s / base_s), 6)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from io import BytesIO
 
 import geopandas as gpd
 import matplotlib as mpl
@@ -15,7 +17,6 @@ from PIL import Image
 from gis_radar.arrays import Floats
 from gis_radar.crs import name_of
 from gis_radar.heatmap import HeatMap
-from gis_radar.heatmap.counting import Shares
 from gis_radar.heatmap.picture import (
     HALO,
     INK,
@@ -32,8 +33,8 @@ from gis_radar.heatmap.picture import (
 )
 from gis_radar.notebooks import FONTS
 from gis_radar.progress import Reporter
-from gis_radar.report.content import Clock, Figure, MapSeries, count, percent
-from gis_radar.report.lanes import Lane, LaneSums
+from gis_radar.report.content import WORDS, Clock, Figure, MapSeries, count, percent
+from gis_radar.report.lanes import Lane, LaneSums, TileShares, hits_of, shown_of
 from gis_radar.report.results import Results
 from gis_radar.tiles.tiles import quads
 
@@ -42,6 +43,11 @@ MOST_FRAMES = 96  # pictures in time: a day of quarter hours
 MOST_PIXELS = 2_200_000  # of a picture
 ALL_PIXELS = 70_000_000  # of all together: a browser holds four bytes of each
 STAGE = "drawing the maps"
+HITS = (
+    "For diagnosis, not for planning: in which share of the observed time radar hit each tile, in "
+    "the colours of the map (hit occupancy, the measure of the paper). A lane that carries "
+    "vehicles on the map and hardly a hit here is one that the sensors see badly."
+)
 
 PLAN_IN = 6.0  # width of the figure of lanes: the narrower, the larger its words
 MOST_LABELS = 60
@@ -82,7 +88,8 @@ def draw_maps(
     for done, group in enumerate(groups, start=1):
         begin, end = heat.timeline.span(group.start)[0], heat.timeline.span(group.stop - 1)[1]
         if len(heat.timeline) > 1:
-            frames.append(_map(picture, heat.shares(group), sums, clock.span(begin, end)))
+            label = clock.span(begin, end)
+            frames.append(_map(picture, shown_of(heat, group), sums, label, heat.measure))
         reporter.progress(STAGE, done, len(groups))
     size, note = groups[0].stop, ""
     if size > 1:
@@ -95,7 +102,7 @@ def draw_maps(
     with mpl.rc_context(FONTS):
         overlay = png(picture.overlay(poses))
     return MapSeries(
-        whole=_map(picture, heat.shares(), sums, "Whole time"),
+        whole=_map(picture, shown_of(heat), sums, "Whole time", heat.measure),
         frames=frames,
         overlay=overlay,
         caption=(
@@ -113,31 +120,48 @@ def _groups(heat: HeatMap) -> list[slice]:
     return [slice(first, min(first + size, total)) for first in range(0, total, size)]
 
 
-def _map(picture: MapPicture, shares: Shares, sums: LaneSums, label: str) -> Figure:
-    text = _sentence(shares, sums)
+def draw_hits(results: Results, picture: MapPicture, sums: LaneSums) -> Figure:
+    """Draw what radar hit over the whole time, for diagnosis beside the map of coverage."""
+    figure = _map(picture, hits_of(results.heat), sums, "Whole time", "occupancy")
+    with Image.open(BytesIO(figure.png)) as tiles:
+        whole = tiles.convert("RGBA")
+    with mpl.rc_context(FONTS):
+        whole.alpha_composite(picture.overlay(results.poses).resize(whole.size))
+    return replace(
+        figure,
+        png=png(whole.convert("RGB").quantize(128, dither=Image.Dither.NONE)),
+        caption=f"{HITS} {figure.caption}",
+    )
+
+
+def _map(
+    picture: MapPicture, shares: TileShares, sums: LaneSums, label: str, measure: str
+) -> Figure:
+    text = _sentence(shares, sums, measure)
     return Figure(
-        png=png(image_of_pixels(picture.paint(shares.occupancy))),
+        png=png(image_of_pixels(picture.paint(shares.share))),
         width=picture.grid.width,
         height=picture.grid.height,
         title=label,
         caption=text,
-        alt=f"Map of occupancy, {label}. {text}",
+        alt=f"Map of {measure}, {label}. {text}",
     )
 
 
-def _sentence(shares: Shares, sums: LaneSums) -> str:
-    """Describe a map: the busiest lane, and how much was observed and hit."""
-    seen, hit = int((shares.observed_s > 0).sum()), int((shares.occupied_s > 0).sum())
+def _sentence(shares: TileShares, sums: LaneSums, measure: str) -> str:
+    """Describe a map: the busiest lane, and how much was seen and hit or covered."""
+    words = WORDS[measure]
+    seen, hit = int((shares.base_s > 0).sum()), int((shares.part_s > 0).sum())
     if not seen:
-        return "Nothing was observed."
+        return f"Nothing was {words.base}."
     if not hit:
-        return f"No tile was hit; {count(seen, 'tile')} observed."
-    occupied, observed = sums.of(shares)
-    of_lanes = np.divide(occupied, observed, out=np.zeros(len(observed)), where=observed > 0)
+        return f"No tile was {words.touched}; {count(seen, 'tile')} {words.base}."
+    part, base = sums.of(shares)
+    of_lanes = np.divide(part, base, out=np.zeros(len(base)), where=base > 0)
     top = int(of_lanes.argmax())
-    busiest = f"Busiest is lane {sums.lanes[top].number}, occupied {percent(of_lanes[top])}"
-    facts = f"{percent(hit / seen, 0)} of {count(seen, 'observed tile')} hit."
-    return f"{busiest} of the observed time; {facts}"
+    busiest = f"Busiest is lane {sums.lanes[top].number}, {words.part} {percent(of_lanes[top])}"
+    facts = f"{percent(hit / seen, 0)} of {count(seen, f'{words.base} tile')} {words.touched}."
+    return f"{busiest} of the {words.base} time; {facts}"
 
 
 def draw_plan(
@@ -163,7 +187,7 @@ def draw_plan(
     place = (centres - corner) / size
     inside = ((place > 0.0) & (place < 1.0)).all(axis=1)
     shown = [lane for lane in lanes if inside[lane.rows].any()]
-    named = set(table.loc[table["occupancy"].notna(), "lane"].tolist()[:MOST_LABELS])
+    named = set(table.loc[table["share"].notna(), "lane"].tolist()[:MOST_LABELS])
     with mpl.rc_context(FONTS):
         figure, ax = picture.blank(PLAN_IN)
         ways = [centres[lane.rows] for lane in shown]

@@ -33,14 +33,15 @@ Box = tuple[float, float, float, float]  # left, top, width, height, millimetres
 
 def page_of(content: Content) -> str:
     """Return the page; all text of others is escaped, and the policy lets nothing else in."""
-    colours = [colour for colour, _ in style.legend()[:-1]]
+    legend, words = style.legend(content.measure), style.WORDS[content.measure]
+    colours = [colour for colour, _ in legend[:-1]]
     classes = "".join(f".class-{i} {{ background: {each}; }}\n" for i, each in enumerate(colours))
     css, script = _part("page.css") + classes + _map_css(content.map), _part("page.js")
     return _template().render(
         report=content,
-        legend=style.legend(),
-        legend_title=style.LEGEND_TITLE,
-        legend_subtitle=style.LEGEND_SUBTITLE,
+        legend=legend,
+        legend_title=words.title,
+        legend_subtitle=words.subtitle,
         css=Markup(css),  # noqa: S704 - our own file
         script=Markup(script),  # noqa: S704 - our own file
         policy=_policy(css, script),
@@ -99,7 +100,7 @@ class Paper(FPDF):
 
     def __init__(self, content: Content) -> None:
         super().__init__(format="A4")
-        self._running = f"{content.title}: traffic occupancy"
+        self._running = f"{content.title}: traffic {content.measure}"
         self._foot = f"Times: {content.zone}. Made by {content.made_by}."
         fonts = Path(mpl.get_data_path()) / "fonts" / "ttf"
         self.add_font(FONT, "", fonts / "DejaVuSans.ttf")
@@ -108,7 +109,7 @@ class Paper(FPDF):
         self.set_margins(MARGIN, TOP, MARGIN)
         self.set_auto_page_break(auto=True, margin=FOOT)
         self.set_lang("en")
-        self.set_title(f"{content.title}: traffic occupancy, {content.subtitle}")
+        self.set_title(f"{content.title}: traffic {content.measure}, {content.subtitle}")
         self.set_creator(content.made_by)
         self.set_subject("Occupancy of lanes, from roadside radar")
         self.viewer_preferences = ViewerPreferences(display_doc_title=True)
@@ -281,7 +282,9 @@ def write_pdf(content: Content, path: Path) -> None:
 
 def _add_title(paper: Paper, content: Content) -> None:
     paper.start_section("In short")
-    paper.write_paragraph("TRAFFIC OCCUPANCY REPORT", size=8, bold=True, colour=SENSOR)
+    paper.write_paragraph(
+        f"TRAFFIC {content.measure.upper()} REPORT", size=8, bold=True, colour=SENSOR
+    )
     paper.ln(0.5)
     paper.write_paragraph(content.title, size=22, bold=True)
     paper.ln(1)
@@ -333,17 +336,17 @@ def _add_map(paper: Paper, content: Content) -> None:
     top = paper.get_y()
     image = _composed(figure.png, part.overlay, MAP_PIXELS)
     _add_picture(paper, image, figure.alt, (MARGIN, top, height / shape, height))
-    _add_legend(paper, MARGIN + height / shape + GAP, top)
+    _add_legend(paper, MARGIN + height / shape + GAP, top, content.measure)
     paper.set_xy(MARGIN, top + height + 2)
     paper.write_paragraph(figure.caption, size=8.5)
     paper.write_paragraph(part.caption, size=7.5, colour=SOFT)
 
 
-def _add_legend(paper: Paper, left: float, top: float) -> None:
+def _add_legend(paper: Paper, left: float, top: float, measure: str) -> None:
     """Draw the classes of the map, highest first."""
-    paper.write_line(left, top, style.LEGEND_TITLE, 7.5, bold=True)
-    paper.write_line(left, top + 4, style.LEGEND_SUBTITLE, 7.5, colour=SOFT)
-    for i, (colour, label) in enumerate(style.legend()):
+    paper.write_line(left, top, style.WORDS[measure].title, 7.5, bold=True)
+    paper.write_line(left, top + 4, style.WORDS[measure].subtitle, 7.5, colour=SOFT)
+    for i, (colour, label) in enumerate(style.legend(measure)):
         y = top + 10 + i * 6
         paper.set_draw_color(SOFT)
         paper.set_fill_color(colour)

@@ -22,6 +22,7 @@ from gis_radar.quality.quality import GOOD
 from gis_radar.report.content import (
     NOTHING,
     THIN,
+    WORDS,
     Chapter,
     Clock,
     Column,
@@ -34,6 +35,7 @@ from gis_radar.report.content import (
     direction,
     figure_text,
     percent,
+    plus_minus,
     text_rows,
     utc,
     write_csv,
@@ -41,11 +43,12 @@ from gis_radar.report.content import (
 from gis_radar.report.lanes import (
     LaneSums,
     lane_table,
+    shown_of,
     sum_by_lane,
     write_lane_intervals,
     write_lanes,
 )
-from gis_radar.report.maps import draw_maps, draw_plan, lay_out
+from gis_radar.report.maps import draw_hits, draw_maps, draw_plan, lay_out
 from gis_radar.report.pages import page_of, write_pdf
 from gis_radar.report.results import (
     NOT_KNOWN,
@@ -66,10 +69,6 @@ SENSORS, QUALITY = "sensors.csv", "quality.csv"
 REPORT_FILES = (PAGE, PAPER, LANES, LANES_BY_INTERVAL, SENSORS, QUALITY)
 
 MOST_LANES, MOST_HOURS = 150, 168  # rows of tables as read; the CSV files hold all
-INTRO = (
-    "The map shows in which share of the observed time radar hit each half metre of lane. "
-    "Compare one place over time; the figures count neither vehicles nor queues"
-)
 
 
 class _Findings(NamedTuple):
@@ -167,7 +166,8 @@ def write_report(
         table=table,
     )
     maps = draw_maps(results, picture, sums, clock, reporter)
-    content = _content(found, maps, draw_plan(heat.tiles, picture, sums.lanes, table))
+    hits = [draw_hits(results, picture, sums)] if heat.measure == "coverage" else []
+    content = _content(found, maps, draw_plan(heat.tiles, picture, sums.lanes, table), hits)
     outputs = _write(folder if output is None else Path(output), found, content, reporter)
     return Report(outputs=outputs, summary=_summary(found, content))
 
@@ -218,7 +218,7 @@ def _writers(found: _Findings, content: Content) -> dict[str, Callable[[Path], o
     writers: dict[str, Callable[[Path], object]] = {
         PAGE: lambda path: path.write_text(page_of(content), encoding="utf-8", newline="\n"),
         PAPER: lambda path: write_pdf(content, path),
-        LANES: lambda path: write_lanes(path, found.table, clock),
+        LANES: lambda path: write_lanes(path, found.table, clock, heat.measure),
         LANES_BY_INTERVAL: lambda path: write_lane_intervals(path, heat, found.lanes, clock),
         SENSORS: lambda path: write_sensor_table(path, found.results),
     }
@@ -251,7 +251,7 @@ def _summary(found: _Findings, content: Content) -> dict[str, Any]:
     }
 
 
-def _content(found: _Findings, maps: MapSeries, plan: Figure) -> Content:
+def _content(found: _Findings, maps: MapSeries, plan: Figure, hits: Sequence[Figure]) -> Content:
     """Put the findings into words."""
     results, clock = found.results, found.clock
     begin, end = results.heat.whole.span()
@@ -260,22 +260,22 @@ def _content(found: _Findings, maps: MapSeries, plan: Figure) -> Content:
         subtitle=clock.whole(begin, end),
         zone=clock.name,
         until=end,
-        intro=INTRO,
+        intro=WORDS[results.heat.measure].intro,
         facts=_facts(found),
         remarks=_remarks(results, found.quality),
         map=maps,
-        chapters=_chapters(found, plan),
+        chapters=_chapters(found, plan, hits),
         made_by=made_by(),
+        measure=results.heat.measure,
     )
 
 
-def _chapters(found: _Findings, plan: Figure) -> list[Chapter]:
+def _chapters(found: _Findings, plan: Figure, hits: Sequence[Figure]) -> list[Chapter]:
     """Return what follows the map."""
     results, clock = found.results, found.clock
     intervals = len(results.heat.timeline) > 1
-    words = files("gis_radar.report").joinpath("definitions.toml").read_text(encoding="utf-8")
     figures = pose_figures(results)
-    lanes = _lanes(found.table, clock, intervals=intervals)
+    lanes = _lanes(found.table, clock, results.heat.measure, intervals=intervals)
     sensors = sensor_table(results, figures=len(figures))
     quality = _quality_table(found.quality, clock)
     sources = [settings_of(results), sources_of(results)]
@@ -283,47 +283,75 @@ def _chapters(found: _Findings, plan: Figure) -> list[Chapter]:
         Chapter("lanes", "Lanes", [plan, lanes], 190.0),
         Chapter("sensors", "Sensors", [sensors, *figures], 60.0),
         Chapter("quality", "What the numbers rest on", [quality]),
+        *([Chapter("hits", "Diagnosis: radar hits", hits, 150.0)] if hits else []),
         Chapter("settings", "Settings and sources", sources, 70.0),
-        Chapter("words", "What the words mean", [Terms(tuple(tomllib.loads(words).items()))]),
+        Chapter("words", "What the words mean", [_terms(results.heat.measure)]),
     ]
 
 
+def _terms(measure: str) -> Terms:
+    """Return what the words of a report mean, of coverage only where it shows that."""
+    text = files("gis_radar.report").joinpath("definitions.toml").read_text(encoding="utf-8")
+    groups = tomllib.loads(text)
+    chosen = [name for name in groups if measure == "coverage" or name != "coverage"]
+    return Terms(tuple(pair for name in chosen for pair in groups[name].items()))
+
+
 def _totals(found: _Findings) -> dict[str, Any]:
-    """Count the totals of the whole time; the busiest lane is None where none was hit."""
-    heat, table = found.results.heat, found.table
-    shares = heat.shares()
-    seen = shares.observed_s > 0
-    length_m = heat.tiles["length_m"].to_numpy(np.float64)
-    hit = not table.empty and table["occupancy"].iloc[0] > 0  # the busiest stands first
-    return {
+    """Count the totals of the whole time; the busiest lane is None where nothing was in any."""
+    heat, table, measure = found.results.heat, found.table, found.results.heat.measure
+    shares, length_m = shown_of(heat), heat.tiles["length_m"].to_numpy(np.float64)
+    seen, words = shares.base_s > 0, WORDS[measure]
+    hit = not table.empty and table["share"].iloc[0] > 0  # the busiest stands first
+    totals = {
         "lanes": len(table),
-        "lanes_observed": int(table["occupancy"].notna().sum()),
+        f"lanes_{words.base}": int(table["share"].notna().sum()),
         "lane_length_m": round(float(length_m.sum()), 2),
-        "lane_length_observed_m": round(float(length_m[seen].sum()), 2),
-        "tiles_observed": int(seen.sum()),
-        "tiles_hit": int(np.count_nonzero(shares.occupied_s[seen])),
+        f"lane_length_{words.base}_m": round(float(length_m[seen].sum()), 2),
+        f"tiles_{words.base}": int(seen.sum()),
+        f"tiles_{words.touched}": int(np.count_nonzero(shares.part_s[seen])),
         "busiest_lane": int(table["lane"].iloc[0]) if hit else None,
-        "busiest_lane_occupancy": round(float(table["occupancy"].iloc[0]), 6) if hit else None,
+        f"busiest_lane_{measure}": round(float(table["share"].iloc[0]), 6) if hit else None,
+    }
+    known = heat.coverage_shares()
+    if known is None or not seen.any():
+        return totals
+    top = int(np.nanargmax(known.coverage))
+    return totals | {
+        "mean_coverage": round(float(np.nansum(known.covered_s) / known.visible_s.sum()), 6),
+        "highest_coverage": round(float(known.coverage[top]), 6),
+        "highest_coverage_se": round(float(known.coverage_se[top]), 6),
+        **found.results.traffic,
     }
 
 
 def _facts(found: _Findings) -> list[tuple[str, str]]:
     """Return the figures at the top."""
-    total, sensors = _totals(found), found.results.sensors
+    total, sensors, measure = _totals(found), found.results.sensors, found.results.heat.measure
+    words = WORDS[measure]
     shown = {name: figure_text(value) for name, value in total.items() if value is not None}
-    busiest = "none was hit"
+    busiest = f"none was {words.touched}"
     if total["busiest_lane"] is not None:
-        busiest = f"No. {total['busiest_lane']}: {percent(total['busiest_lane_occupancy'])}"
-    return [
+        busiest = f"No. {total['busiest_lane']}: {percent(total[f'busiest_lane_{measure}'])}"
+    facts = [
         ("Sensors", str(len(sensors)) if sensors else NOT_KNOWN),
-        ("Lanes observed", f"{total['lanes_observed']} of {total['lanes']}"),
+        (f"Lanes {words.base}", f"{total[f'lanes_{words.base}']} of {total['lanes']}"),
         (
-            "Lane length observed",
-            f"{shown['lane_length_observed_m']} of {shown['lane_length_m']}{THIN}m",
+            f"Lane length {words.base}",
+            f"{shown[f'lane_length_{words.base}_m']} of {shown['lane_length_m']}{THIN}m",
         ),
-        ("Tiles hit", f"{shown['tiles_hit']} of {shown['tiles_observed']}"),
+        (f"Tiles {words.touched}",
+         f"{shown[f'tiles_{words.touched}']} of {shown[f'tiles_{words.base}']}"),
         ("Busiest lane", busiest),
-    ]
+    ]  # fmt: skip
+    if "mean_coverage" not in total:
+        return facts
+    error = plus_minus(100 * total["highest_coverage_se"], 1, f"{THIN}%")
+    facts[3] = ("Mean coverage", percent(total["mean_coverage"]))
+    facts += [("Highest coverage", f"{percent(total['highest_coverage'])} {error}")]
+    if "vehicles" in total:
+        facts += [("Vehicles followed", f"{shown['vehicles']}, {shown['heavy']} heavy")]
+    return facts
 
 
 def _remarks(results: Results, quality: Quality | None) -> list[str]:
@@ -334,19 +362,19 @@ def _remarks(results: Results, quality: Quality | None) -> list[str]:
     return [*remarks, *results.warnings, *results.missing]
 
 
-def _lanes(table: pd.DataFrame, clock: Clock, *, intervals: bool) -> Table:
-    """Return the observed lanes as they are read, from what `lane_table` returns."""
-    seen = table[table["occupancy"].notna()]
+def _lanes(table: pd.DataFrame, clock: Clock, measure: str, *, intervals: bool) -> Table:
+    """Return the lanes with a share as they are read, from what `lane_table` returns."""
+    seen, base = table[table["share"].notna()], WORDS[measure].base
     shown = seen.head(MOST_LANES)
-    columns = _lane_columns(clock)
+    columns = _lane_columns(clock, measure)
     columns = columns if intervals else columns[:-2]
     note = "Where lanes cross, their tiles overlap, and a vehicle there counts on each."
     unseen = len(table) - len(seen)
     if len(seen) > len(shown):
-        note = f"The busiest {len(shown)} of {count(len(seen), 'observed lane')}. {note}"
+        note = f"The busiest {len(shown)} of {count(len(seen), f'{base} lane')}. {note}"
     if unseen:
         were = "was" if unseen == 1 else "were"
-        note = f"{count(unseen, 'lane')} of the map {were} not observed. {note}"
+        note = f"{count(unseen, 'lane')} of the map {were} not {base}. {note}"
     if len(table) > len(shown):
         note = f"{note} All lanes are in lanes.csv."
     rows = text_rows((row for _, row in shown.iterrows()), columns)
@@ -354,30 +382,33 @@ def _lanes(table: pd.DataFrame, clock: Clock, *, intervals: bool) -> Table:
     return Table(name="lanes", caption=caption, columns=columns, rows=rows, note=note)
 
 
-def _lane_columns(clock: Clock) -> list[Column]:
+def _lane_columns(clock: Clock, measure: str) -> list[Column]:
     """Return how a lane is read; the last two are of its busiest interval."""
+    words = WORDS[measure]
 
     def interval(row: pd.Series) -> str:
         if pd.isna(row["busiest_begin"]):
             return NOTHING
         return clock.span(row["busiest_begin"].to_pydatetime(), row["busiest_end"].to_pydatetime())
 
-    def observed(row: pd.Series) -> str:
-        return percent(row["observed_m"] / row["length_m"], 0)
+    def visible(row: pd.Series) -> str:
+        return percent(row["base_m"] / row["length_m"], 0)
 
     def spot(row: pd.Series) -> str:
-        return f"{percent(row['busiest_spot'], 0)}, {figure_text(row['busiest_spot_m'])}"
+        error = row["busiest_spot_se"]
+        error = "" if pd.isna(error) else f" {plus_minus(100 * error, 0)}"
+        return f"{percent(row['busiest_spot'], 0)}{error}, {figure_text(row['busiest_spot_m'])}"
 
     return [
         Column("Lane", "", 0.8, lambda row: str(row["lane"])),
         Column("Leads to", "", 1.4, lambda row: direction(row["east_m"], row["north_m"]), False),
         Column("Length", "m", 0.9, lambda row: figure_text(row["length_m"])),
-        Column("Observed", "of its length", 1.5, observed),
-        Column("Occupancy", "of observed time", 1.5, lambda row: percent(row["occupancy"])),
-        Column("Busiest spot", "occupancy, at m", 1.6, spot),
+        Column(words.base.capitalize(), "of its length", 1.5, visible),
+        Column(words.share, f"of {words.base} time", 1.5, lambda row: percent(row["share"])),
+        Column("Busiest spot", f"{measure}, at m", 1.6, spot),
         Column("Over 20 %", "m of its length", 1.3, lambda row: figure_text(row["busy_m"], 1)),
         Column("Busiest interval", "", 2.4, interval, False),
-        Column("Occupancy", "then", 1.4, lambda row: percent(row["busiest_occupancy"])),
+        Column(words.share, "then", 1.4, lambda row: percent(row["busiest_share"])),
     ]
 
 

@@ -93,6 +93,13 @@ class Results:
         return list(self.run.get("stages") or [])
 
     @property
+    def traffic(self) -> dict[str, int]:
+        """How many vehicles the run followed; empty where that is not known."""
+        found = (each.get("figures") or {} for each in self.stages if each["name"] == "vehicles")
+        names = ("vehicles", "heavy", "passages")
+        return {n: int(each[n]) for each in found for n in names if n in each}
+
+    @property
     def lost(self) -> dict[str, str]:
         """The sensors of the site that the heat map does not show, and why."""
         shown = self.run.get("sensors_in_heat_maps") or []
