@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, ClassVar
 
 from qgis.core import (
@@ -23,6 +24,26 @@ from .words import speaks_german, tr
 SHAVED_MS = 10  # as in the style that gis_radar stores
 INTERVALS = "occupancy_by_interval"
 Finish = Callable[[QgsMapLayer], None]
+
+
+def shows_coverage(folder: Path) -> bool:
+    """Return whether a heat map was made with vehicles: it then shows coverage, hits beside it."""
+    return (folder / "occupancy.tif").is_file()
+
+
+def heatmap_titles(folder: Path) -> dict[str, str]:
+    """Return what the layers of a heat map are called, by table, and its raster as `raster`."""
+    if shows_coverage(folder):
+        return {
+            "heatmap": tr("Coverage, whole time"),
+            INTERVALS: tr("Coverage by interval"),
+            "raster": tr("Coverage, raster"),
+        }
+    return {
+        "heatmap": tr("Occupancy, whole time"),
+        INTERVALS: tr("Occupancy by interval"),
+        "raster": tr("Occupancy, raster"),
+    }
 
 
 class Finisher(QgsProcessingLayerPostProcessorInterface):  # type: ignore[misc]

@@ -18,8 +18,8 @@ from qgis.core import (
 )
 
 IDS = (
-    "splitlanelets", "maskroad", "localizeradar", "convertrecordings", "occupancy", "heatmap",
-    "runsite", "exportreport", "setupworker", "samplesite",
+    "splitlanelets", "maskroad", "localizeradar", "convertrecordings", "occupancy", "vehicles",
+    "heatmap", "runsite", "exportreport", "setupworker", "samplesite",
 )  # fmt: skip
 BY_WORKER = tuple(name for name in IDS if name not in ("exportreport", "setupworker"))
 
@@ -42,6 +42,12 @@ def parameters_of(name, site, out):
                        "TILES": f"{site}/tiles.gpkg|layername=tiles", "CLEARANCE": "-0.5,4.5",
                        "SCANS": [SAMPLE / "scan.laz"],
                        "OUTPUT": out / "occ"}, "occ/frames.parquet"),
+        "vehicles": ({"RECORDINGS": [SAMPLE / "R1.parquet", SAMPLE / "R2.parquet"],
+                      "POSES": [site / "sensors" / "R1" / "pose.json",
+                                site / "sensors" / "R2" / "pose.json"],
+                      "TILES": f"{site}/tiles.gpkg|layername=tiles", "MAP": SAMPLE / "junction.osm",
+                      "SCANS": [SAMPLE / "scan.laz"], "OUTPUT": out / "veh"},
+                     "veh/covered.parquet"),
         "heatmap": ({"OCCUPANCY": site / "occupancy", "INTERVAL": "20s",
                      "TILES": f"{site}/tiles.gpkg|layername=tiles", "OUTPUT": out / "map"},
                     "map/heatmap.gpkg"),
@@ -202,6 +208,16 @@ def test_words_of_convert(run, site, tmp_path, fake_worker):
     assert "frames: 2" in heard.infos
 
 
+def test_a_heat_map_with_vehicles_shows_coverage(run, site, tmp_path):
+    parameters, made = parameters_of("heatmap", site, tmp_path)
+    _, heard = run("heatmap", parameters | {"VEHICLES": str(site / "vehicles")}, load=True)
+    assert heard.errors == []
+    assert (made.parent / "occupancy.tif").is_file()
+    layer = layer_called("Coverage by interval")
+    assert layer.renderer().classAttribute() == "coverage"
+    assert layer.renderer().ranges()[0].label() == "0 %, no vehicle"
+
+
 def test_run_of_a_site_loads_all(run, site, tmp_path):
     """The real worker goes on from what a run of the same site has left."""
     parameters, made = parameters_of("runsite", site, tmp_path)
@@ -212,12 +228,12 @@ def test_run_of_a_site_loads_all(run, site, tmp_path):
     assert f"Project that is ready to present: {made}" in heard.infos
     names = {layer.name() for layer in QgsProject.instance().mapLayers().values()}
     assert names == {
-        "Sensors", "Views", "Uncertainty (95 %)", "Occupancy by interval",
-        "Occupancy, whole time", "Occupancy, raster", "Road, not observed",
+        "Sensors", "Views", "Uncertainty (95 %)", "Coverage by interval",
+        "Coverage, whole time", "Coverage, raster", "Road, not observed",
     }  # fmt: skip
     tree = QgsProject.instance().layerTreeRoot().findGroup("Sample junction")
     order = [node.name() for node in tree.findLayers()]
-    assert order.index("Sensors") < order.index("Occupancy by interval")
+    assert order.index("Sensors") < order.index("Coverage by interval")
 
 
 def tiles_layer(site):

@@ -24,7 +24,7 @@ def test_the_project_of_a_run_opens(qgis_new_project, project):
     layers = {layer.name(): layer for layer in shown.mapLayers().values()}
     assert set(layers) == {
         "Sensors", "Uncertainty (95 %)", "Views",
-        "Occupancy by interval", "Occupancy, whole time", "Occupancy, raster",
+        "Coverage by interval", "Coverage, whole time", "Coverage, raster",
         "Road, not observed",
     }  # fmt: skip
     assert all(layer.isValid() for layer in layers.values())
@@ -33,11 +33,11 @@ def test_the_project_of_a_run_opens(qgis_new_project, project):
     tree = shown.layerTreeRoot()
     assert [group.name() for group in tree.findGroups()] == [
         "Sensors",
-        "Share of the observed time",
+        "Share of the visible time",
     ]
     on = {node.name() for node in tree.findLayers() if node.isVisible()}
     assert on == {
-        "Sensors", "Uncertainty (95 %)", "Views", "Occupancy by interval", "Road, not observed",
+        "Sensors", "Uncertainty (95 %)", "Views", "Coverage by interval", "Road, not observed",
     }  # fmt: skip
     assert all(node.layer() is not None for node in tree.findLayers())
 
@@ -45,18 +45,20 @@ def test_the_project_of_a_run_opens(qgis_new_project, project):
 def test_the_project_has_style_and_time(qgis_new_project, project):
     shown = QgsProject.instance()
     assert shown.read(str(project))
-    layer = layer_called("Occupancy by interval")
+    layer = layer_called("Coverage by interval")
     assert layer.temporalProperties().isActive()
     assert [step.label() for step in layer.renderer().ranges()] == [
-        level.label for level in STYLE["colour_classes"]()
+        level.label for level in STYLE["colour_classes"]("coverage")
     ]
-    assert isinstance(layer_called("Occupancy, raster"), QgsRasterLayer)
+    assert isinstance(layer_called("Coverage, raster"), QgsRasterLayer)
     span = shown.timeSettings().temporalRange()
     assert span.begin().toString(Qt.DateFormat.ISODate) == "2025-06-12T07:30:00Z"
     assert span.end().toString(Qt.DateFormat.ISODate) == "2025-06-12T07:31:40Z"
     assert shown.readNumEntry("TemporalControllerWidget", "/NavigationMode")[0] == 1
     assert layer_called("Sensors").labelsEnabled()
-    assert colours(drawn(layer, seconds=20)) & {level.colour for level in STYLE["colour_classes"]()}
+    assert colours(drawn(layer, seconds=20)) & {
+        level.colour for level in STYLE["colour_classes"]("coverage")
+    }
     extent = shown.viewSettings().defaultViewExtent()
     assert extent.contains(690400.0, 5336200.0)
 
@@ -69,12 +71,12 @@ def test_the_project_prints_at_once(qgis_new_project, project, tmp_path):
     items = {type(item): item for item in layout.items()}
     chart, legend = items[QgsLayoutItemMap], items[QgsLayoutItemLegend]
     assert {layer.name() for layer in chart.layers()} == {
-        "Sensors", "Uncertainty (95 %)", "Views", "Occupancy, whole time", "Road, not observed",
+        "Sensors", "Uncertainty (95 %)", "Views", "Coverage, whole time", "Road, not observed",
     }  # fmt: skip
     assert chart.extent().contains(690400.0, 5336200.0)
     assert 100.0 < chart.scale() < 5000.0
     nodes = legend.model().rootGroup().findLayers()
-    assert [node.name() for node in nodes][:2] == ["Occupancy, whole time", "Road, not observed"]
+    assert [node.name() for node in nodes][:2] == ["Coverage, whole time", "Road, not observed"]
     assert all(node.layer() is not None for node in nodes)
     assert items[QgsLayoutItemScaleBar].linkedMap() is chart
     assert items[QgsLayoutItemPicture].linkedMap() is chart
@@ -88,7 +90,7 @@ def test_the_project_prints_at_once(qgis_new_project, project, tmp_path):
     done = QgsLayoutExporter(layout).exportToImage(path, settings)
     assert done == QgsLayoutExporter.ExportResult.Success
     found = colours(QImage(path))
-    assert len(found & {level.colour for level in STYLE["colour_classes"]()}) > 5
+    assert len(found & {level.colour for level in STYLE["colour_classes"]("coverage")}) > 5
     assert STYLE["NOT_OBSERVED"] in found
 
 

@@ -10,6 +10,7 @@ from .run_site import RunSite
 from .sample import SampleSite
 from .set_up import SetUpWorker
 from .tiles import SplitLanelets
+from .vehicles import FollowVehicles
 
 ALGORITHMS = (
     SplitLanelets,
@@ -17,6 +18,7 @@ ALGORITHMS = (
     LocalizeRadar,
     ConvertRecordings,
     MeasureOccupancy,
+    FollowVehicles,
     MakeHeatMap,
     RunSite,
     ExportReport,

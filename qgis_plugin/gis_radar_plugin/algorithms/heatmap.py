@@ -1,4 +1,4 @@
-"""Heat map of occupancy."""
+"""Heat map of coverage and occupancy."""
 
 from __future__ import annotations
 
@@ -23,28 +23,30 @@ from qgis.core import (
 
 from ..base import TRAFFIC, WorkerAlgorithm, option
 from ..inputs import TILE_FIELDS, TILES, layer_file
-from ..loading import INTERVALS, as_ground, load
+from ..loading import INTERVALS, as_ground, heatmap_titles, load
 from ..words import tr
 
 INTERVAL = re.compile(r"\d+(\.\d+)?\s*(ms|s|min|h|d)")
 
 
 class MakeHeatMap(WorkerAlgorithm):
-    """An algorithm that makes layers of occupancy which compare over places and times."""
+    """An algorithm that makes layers of shares of time which compare over places and times."""
 
     NAME = "heatmap"
     TITLE = "Heat map"
     GROUP = TRAFFIC
     HELP = (
-        "Makes maps of occupancy: the share of the observed time in which a tile was hit. What was "
-        "never observed is left out, not 0.\n"
+        "Makes maps of coverage: the estimated share of time that a vehicle stands on a tile. That "
+        "needs the vehicles; without them the map shows occupancy: the share of the observed time "
+        "in which radar hit a tile, which is several times lower. What was never observed is left "
+        "out, not 0.\n"
         "The result is a GeoPackage (the whole time, and by interval), a GeoTIFF with a band an "
         "interval, a GeoParquet and a picture. Colours are the same on every map, so that maps "
         "compare.\n"
         "The layer 'by interval' is animated by the temporal controller as it is loaded. Times are "
         "UTC in the data; the clock on the map shows the local time."
     )
-    KEYWORDS = ("occupancy", "raster", "animation")
+    KEYWORDS = ("occupancy", "coverage", "raster", "animation")
 
     def initAlgorithm(self, _configuration: Any = None) -> None:  # noqa: N802
         self.add(
@@ -59,6 +61,14 @@ class MakeHeatMap(WorkerAlgorithm):
             ),
             about="The tiles that the occupancy was made with.",
         )
+        self.add(
+            QgsProcessingParameterFile(
+                "VEHICLES", tr("Vehicles"), QgsProcessingParameterFile.Behavior.Folder,
+                optional=True,
+            ),
+            about="A folder from 'Vehicles from recordings', made with the same recordings, poses, "
+            "tiles and scans: the maps then show coverage.",
+        )  # fmt: skip
         self.add(
             QgsProcessingParameterString("INTERVAL", tr("Interval"), "15min", optional=True),
             about="Length of the intervals: 20s, 15min, 1h; empty for the whole time only.",
@@ -78,9 +88,9 @@ class MakeHeatMap(WorkerAlgorithm):
         self.add(
             QgsProcessingParameterFolderDestination("OUTPUT", tr("Heat map")), about="A folder."
         )
-        self.addOutput(QgsProcessingOutputVectorLayer("HEATMAP", tr("Occupancy, whole time")))
-        self.addOutput(QgsProcessingOutputVectorLayer("INTERVALS", tr("Occupancy by interval")))
-        self.addOutput(QgsProcessingOutputRasterLayer("RASTER", tr("Occupancy, raster")))
+        self.addOutput(QgsProcessingOutputVectorLayer("HEATMAP", tr("Heat map, whole time")))
+        self.addOutput(QgsProcessingOutputVectorLayer("INTERVALS", tr("Heat map by interval")))
+        self.addOutput(QgsProcessingOutputRasterLayer("RASTER", tr("Heat map, raster")))
         self.addOutput(QgsProcessingOutputFile("PICTURE", tr("Picture")))
 
     def processAlgorithm(  # noqa: N802
@@ -99,7 +109,9 @@ class MakeHeatMap(WorkerAlgorithm):
             self, parameters, "TILES", context, layer_name=TILES, fields=TILE_FIELDS
         )
         interval = self.parameterAsString(parameters, "INTERVAL", context).strip()
-        words = ["heatmap", *folders, "--tiles", tiles, "-o", dest, *option("--interval", interval)]
+        vehicles = self.parameterAsFile(parameters, "VEHICLES", context)
+        words = ["heatmap", *folders, "--tiles", tiles, "-o", dest]
+        words += [*option("--interval", interval), *option("--vehicles", vehicles)]
         self.work(words, [dest], feedback)
         if self.parameterAsBoolean(parameters, "LOAD", context):
             load_heatmap(context, Path(dest), Path(dest).name)
@@ -127,12 +139,10 @@ def layers_of(folder: Path) -> dict[str, str]:
 
 def load_heatmap(context: QgsProcessingContext, folder: Path, group: str) -> None:
     """Have QGIS load a heat map as a group, the layer by interval on top and switched on."""
-    layers = layers_of(folder)
-    load(context, layers["INTERVALS"], tr("Occupancy by interval"), group=group, order=3)
-    whole = tr("Occupancy, whole time")
-    load(context, layers["HEATMAP"], whole, group=group, order=2, visible=False)
-    raster = tr("Occupancy, raster")
-    load(context, layers["RASTER"], raster, group=group, order=1, visible=False)
+    layers, titles = layers_of(folder), heatmap_titles(folder)
+    load(context, layers["INTERVALS"], titles[INTERVALS], group=group, order=3)
+    load(context, layers["HEATMAP"], titles["heatmap"], group=group, order=2, visible=False)
+    load(context, layers["RASTER"], titles["raster"], group=group, order=1, visible=False)
     ground = tr("Road, not observed")
     # In other words, as Processing loads a source once.
     source = f"{layers['HEATMAP']}|geometrytype=Polygon"

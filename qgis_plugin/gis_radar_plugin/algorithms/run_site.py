@@ -28,7 +28,7 @@ class RunSite(WorkerAlgorithm):
     GROUP = TRAFFIC
     HELP = (
         "Goes the whole way for all sensors of a site, as its site file (TOML) sets out: road, "
-        "tiles, poses, occupancy, heat map.\n"
+        "tiles, poses, occupancy, vehicles, heat map.\n"
         "The folder also holds a QGIS project that is ready to present."
     )
     KEYWORDS = ("batch", "nightly", "project")

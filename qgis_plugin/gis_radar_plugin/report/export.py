@@ -24,7 +24,7 @@ from qgis.core import (
 )
 from qgis.PyQt.QtCore import QMetaType, QTimeZone, QVariant
 
-from ..loading import INTERVALS, as_ground, switch_time_on, translate_legend
+from ..loading import as_ground, heatmap_titles, switch_time_on, translate_legend
 from ..words import tr
 from .pages import Page, local_time
 
@@ -42,7 +42,8 @@ def heat_layer(package: Path, name: str) -> QgsVectorLayer:
     QgsProcessingException
         If it is not there.
     """
-    layer = QgsVectorLayer(f"{package}|layername={name}", _title(name), "ogr")
+    title = heatmap_titles(package.parent).get(name, name)
+    layer = QgsVectorLayer(f"{package}|layername={name}", title, "ogr")
     if not layer.isValid():
         raise QgsProcessingException(
             tr("{folder} is no heat map: it has no layer '{layer}'.").format(
@@ -59,11 +60,6 @@ def ground_layer(package: Path) -> QgsVectorLayer:
     layer = QgsVectorLayer(f"{package}|layername=heatmap", tr("Road, not observed"), "ogr")
     as_ground(layer)
     return layer
-
-
-def _title(name: str) -> str:
-    titles = {"heatmap": tr("Occupancy, whole time"), INTERVALS: tr("Occupancy by interval")}
-    return titles.get(name, name)
 
 
 def refuse_no_sensors(package: Path) -> None:
@@ -88,11 +84,14 @@ def sensor_layers(package: Path | None) -> list[QgsMapLayer]:
 def explained(project: QgsProject) -> dict[str, QgsMapLayer]:
     """Return the layers that the legend explains, by the ids of the template, top to bottom."""
     names = {
-        "gis_radar_heatmap": _title("heatmap"),
-        "gis_radar_ground": tr("Road, not observed"),
-        **{f"gis_radar_{table}": tr(name) for name, table in SENSOR_TABLES.items()},
+        "gis_radar_heatmap": [tr("Coverage, whole time"), tr("Occupancy, whole time")],
+        "gis_radar_ground": [tr("Road, not observed")],
+        **{f"gis_radar_{table}": [tr(name)] for name, table in SENSOR_TABLES.items()},
     }
-    found = {key: project.mapLayersByName(name) for key, name in names.items()}
+    found = {
+        key: [layer for name in each for layer in project.mapLayersByName(name)]
+        for key, each in names.items()
+    }
     return {key: layers[0] for key, layers in found.items() if layers}
 
 

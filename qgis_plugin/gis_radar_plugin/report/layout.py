@@ -93,7 +93,11 @@ def _drive_map(chart: QgsLayoutItemMap, pages: QgsVectorLayer) -> None:
 
 def _fill_legend(legend: QgsLayoutItemLegend, layers: Mapping[str, QgsMapLayer]) -> None:
     """Put the layers in the place of the template's, with the properties that it has for each."""
-    legend.setTitle(_wrapped(tr("Share of the observed time")))
+    renderers = [getattr(layer, "renderer", lambda: None)() for layer in layers.values()]
+    shown = {getattr(each, "classAttribute", str)() for each in renderers}
+    covered = tr("Share of the visible time"), tr("that a vehicle stands on a tile")
+    title = " ".join(covered) if "coverage" in shown else tr("Share of the observed time")
+    legend.setTitle(_wrapped(title))
     legend.setAutoUpdateModel(False)
     tree = legend.model().rootGroup()
     patterns = {node.layerId(): node.clone() for node in tree.findLayers()}
