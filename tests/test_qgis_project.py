@@ -108,6 +108,8 @@ def results(tmp_path_factory):
     known = gr.read_pose(sample / "R1.json")
     gr.write_pose(known, folder / "sensors" / "R1" / "pose.json")
     tiles = gr.make_tiles(gr.read_map(sample / "junction.osm"))
+    problems = tiles.iloc[:0][["lanelet_id", "geometry"]].assign(action="", reason="")
+    gr.write_tiles(tiles, folder / "tiles.gpkg", problems=problems)
     place = folder / "occupancy" / "R1"
     occupancy = gr.measure_occupancy([sample / "R1.parquet"], [known], tiles, place)
     gr.make_heatmap(occupancy, tiles, interval="20s").write(folder / "heatmap")
@@ -124,6 +126,7 @@ def read_project(path):
 def test_a_project_of_a_site(results):
     assert gr.write_site_project(results, title="Knoten 7") == [
         results / "sensors.gpkg",
+        results / "sight.gpkg",
         results / "site.qgz",
     ]
     root = read_project(results / "site.qgz")
@@ -132,6 +135,7 @@ def test_a_project_of_a_site(results):
     sources = [layer.findtext("datasource") for layer in layers]
     assert sources[0] == "./sensors.gpkg|layername=sensors"
     assert "./heatmap/heatmap.gpkg|layername=occupancy_by_interval" in sources
+    assert "./sight.gpkg|layername=sight" in sources
     assert all((results / source.split("|")[0]).exists() for source in sources)
     ids = [layer.findtext("id") for layer in layers]
     leaves = root.findall("layer-tree-group/layer-tree-group/layer-tree-layer")
@@ -143,6 +147,14 @@ def test_a_project_of_a_site(results):
     step = root.find("ProjectTimeSettings")
     assert (step.get("timeStep"), step.get("timeStepUnit")) == ("20", "s")
     assert root.findtext("projectCrs/spatialrefsys/authid") == "EPSG:25832"
+
+
+def test_the_sight_of_a_site_is_what_its_occupancy_observes(results):
+    layer = gpd.read_file(results / "sight.gpkg", layer="sight")
+    views = gr.read_occupancy(results / "occupancy" / "R1").views
+    in_sight = layer["state"] == "in sight"
+    assert sorted(layer.loc[in_sight, "tile_id"]) == sorted(views["tile_id"])
+    assert in_sight.all()  # without a scan nothing is hidden
 
 
 def test_the_same_results_give_the_same_project(results, tmp_path):
@@ -197,14 +209,14 @@ def test_a_project_that_somebody_edited_stays(results, tmp_path):
         archive.writestr("site.qgs", text)
     edited, heard = project.read_bytes(), Listener()
     for title in ("New", "Newer"):
-        assert gr.write_site_project(folder, title=title, reporter=heard)[1] == second
+        assert gr.write_site_project(folder, title=title, reporter=heard)[-1] == second
         assert read_project(second).findtext("title") == title
     assert project.read_bytes() == edited
     assert "site.qgz was edited" in str(heard.messages)
     with pytest.raises(gr.OutputError, match="edited"):
         gr.write_qgis_project(project, heatmap=folder / "heatmap")
     second.write_bytes(b"no archive")
-    assert gr.write_site_project(folder)[1].name == "site_3.qgz"
+    assert gr.write_site_project(folder)[-1].name == "site_3.qgz"
     assert second.read_bytes() == b"no archive"
     assert project.read_bytes() == edited
 

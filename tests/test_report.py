@@ -119,6 +119,14 @@ def test_the_zone_of_the_call_wins(results, tmp_path):
     assert "20:36:40" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
+def test_the_page_shows_what_sensors_see(page):
+    alts = [each["alt"] for each in page.all("img") if "in sight" in each.get("alt", "")]
+    (alt,) = alts
+    assert re.match(
+        r"Maps of the tiles in sight of each sensor: R1 \d+ tiles in sight, \d+ hid", alt
+    )
+
+
 def test_sensors_have_their_sigma(page, made):
     rows = pd.read_csv(made / "sensors.csv")
     assert rows["sensor"].tolist() == ["R1", "R2"]

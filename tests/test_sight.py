@@ -7,11 +7,13 @@ import geopandas as gpd
 import numpy as np
 import pytest
 from maps import Listener
+from matplotlib.figure import Figure
 from scans import ground, hidden, strewn, write_points
 from sites import EAST, NORTH, START, lane_quads, pose, recording, tiles_of
 
 from gis_radar.errors import InputError
 from gis_radar.occupancy import measure_occupancy
+from gis_radar.occupancy.views import sight_of_views
 from gis_radar.poses.pose import View
 from gis_radar.sight import (
     HIDDEN,
@@ -23,6 +25,7 @@ from gis_radar.sight import (
     report_uncovered,
     write_sights,
 )
+from gis_radar.sight.picture import draw_sight
 
 ROAD_M = 372.0
 AREA = (-20.0, -80.0, 160.0, 80.0)
@@ -210,3 +213,27 @@ def test_the_layer_has_a_row_a_tile_in_view_and_names_what_hides_it(tmp_path):
     assert set(behind["hidden_by"]) == {"something that stands"}
     middles = layer.geometry.centroid.y - NORTH
     np.testing.assert_allclose(middles, left_m(SightTiles.of(tiles)), atol=1e-6)
+
+
+def test_a_picture_shows_each_tile_near_by_its_state(tmp_path):
+    tiles = across()
+    sight = sight_over(tmp_path, flat((HOUSE, ROOF_M)), tiles)
+    ax = Figure().add_subplot()
+    draw_sight(ax, sight, tiles)
+    drawn = {each.get_label(): each for each in ax.collections}
+    for state, name in ((IN_SIGHT, "in sight"), (HIDDEN, "hidden")):
+        assert len(drawn[name].get_paths()) == (sight.state == state).sum()
+    assert ax.get_xlim()[0] < EAST
+    assert ax.get_xlim()[1] > EAST + 100.0
+
+
+def test_an_occupancy_has_the_sight_that_it_was_measured_with(tmp_path):
+    """What a report draws: hidden is what a scan took from the view."""
+    path = write_points(tmp_path / "scan.laz", flat((HOUSE, ROOF_M)))
+    table = tiles_of([lane_quads(EAST + 100.0, NORTH - 60.0, 90.0, count=240)], height_m=ROAD_M)
+    road = SightTiles.of(table)
+    track = recording(tmp_path / "r.parquet", [START], [[100.0, 0, -6.0]])
+    found = measure_occupancy([track], [SENSOR], table, tmp_path / "occ", scans=[path])
+    sight = sight_of_views(found.views, SENSOR, road)
+    true = find_sight(SENSOR, road, SightScan([path], road))
+    np.testing.assert_array_equal(sight.state, true.state)

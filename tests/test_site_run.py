@@ -141,7 +141,7 @@ def test_the_whole_way(small):
     assert stage["figures"]["vehicles"] == len(vehicles.vehicles) > 0
     names = {"road.laz", "tiles.gpkg", "run.json", "summary.md", "sensors/R1/localization.png",
              "heatmap/heatmap.gpkg", "heatmap/heatmap.tif", "heatmap/heatmap.png",
-             "sensors.gpkg", "site.qgz", "report.html", "report.pdf", "lanes.csv",
+             "sensors.gpkg", "sight.gpkg", "site.qgz", "report.html", "report.pdf", "lanes.csv",
              "lanes_by_interval.csv", "sensors.csv", "quality.csv"}  # fmt: skip
     assert names <= set(results(out))
 
@@ -151,7 +151,7 @@ def test_the_project_shows_the_sensors_of_the_heat_map(small, tmp_path):
     assert list(gpd.read_file(out / "sensors.gpkg", layer="sensors")["sensor"]) == ["R1", "R2"]
     stages = json.loads((out / "run.json").read_text())["stages"]
     (stage,) = [stage for stage in stages if stage["name"] == "QGIS project"]
-    assert stage["outputs"] == ["sensors.gpkg", "site.qgz"]
+    assert stage["outputs"] == ["sensors.gpkg", "sight.gpkg", "site.qgz"]
     moved = shutil.copytree(out, tmp_path / "moved")
     project = (moved / "site.qgz").read_bytes()
     shutil.rmtree(moved / "occupancy" / "R2")

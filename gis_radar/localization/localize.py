@@ -30,10 +30,14 @@ from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import open_recording
 from gis_radar.recordings.units import compare_speeds
 from gis_radar.scans.scan import read_road, road_crs
+from gis_radar.sight import Sight, SightScan, SightTiles, find_sight
+from gis_radar.tiles.lookup import with_road_heights
+from gis_radar.tiles.tiles import make_tiles
 
 if TYPE_CHECKING:  # its image filters are loaded by those who have a scan
     from gis_radar.second_look import SecondLook
 
+FIGURE_TILE_M = 2.0  # length of the tiles in the figure of what a sensor sees
 MOST_TRIES = 5  # recordings tried for a pose, the newest first: a quiet day or two in between
 METHODS: dict[str, Callable[[Problem, Moving, Reporter, LocalizationSettings], Localization]] = {
     "lane": by_lanes,
@@ -238,8 +242,26 @@ def localize_files(
         look = second_look(recording, pose, scans, scan_crs=scan_crs, reporter=reporter)
         found = found.with_second_look(look)
     if figure is not None:
-        draw_localization(found, roads, points, figure, look=look)
+        seen = _sight(found.pose, roads, points, scans, scan_crs, reporter) if scans else None
+        draw_localization(found, roads, points, figure, look=look, seen=seen)
     return found
+
+
+def _sight(
+    pose: Pose,
+    roads: LaneletMap,
+    points: Floats,
+    scans: Sequence[str | Path],
+    scan_crs: Any,
+    reporter: Reporter,
+) -> tuple[Sight, SightTiles] | None:
+    """Return what a sensor sees of the lanes, for the figure; a scan that does not fit is named."""
+    tiles = SightTiles.of(with_road_heights(make_tiles(roads, length_m=FIGURE_TILE_M), points))
+    try:
+        return find_sight(pose, tiles, SightScan(scans, tiles, scan_crs=scan_crs)), tiles
+    except InputError as error:
+        reporter.log(f"the figure does not show what {pose.sensor} sees: {error}", "warning")
+        return None
 
 
 def _first_answer(

@@ -17,6 +17,7 @@ from gis_radar.localization.state import State
 from gis_radar.localization.traces import Moving
 from gis_radar.notebooks import axes_or_new, card, label_map, picture_file, small_picture
 from gis_radar.poses.pose import COMPONENTS, Pose, View, draw_sensor, ellipse
+from gis_radar.sight import Sight, SightTiles
 from gis_radar.steps import iso_from_step, step_of
 
 if TYPE_CHECKING:  # what it takes to make one is loaded by those who do
@@ -187,6 +188,7 @@ def draw_localization(
     path: str | Path,
     *,
     look: SecondLook | None = None,
+    seen: tuple[Sight, SightTiles] | None = None,
 ) -> None:
     """Draw the traces at the found pose over lanes and scanned road (PNG).
 
@@ -202,16 +204,27 @@ def draw_localization(
         The picture; appears whole or not at all.
     look : SecondLook, optional
         Drawn beside it: what stands, over canopy, roofs and walls.
+    seen : (Sight, SightTiles), optional
+        Drawn beside it: which tiles the sensor sees from there, and which something hides.
     """
     # not at the top: whoever draws nothing does not wait for matplotlib
     from gis_radar.second_look.picture import draw_surroundings  # noqa: PLC0415
+    from gis_radar.sight.picture import draw_sight  # noqa: PLC0415
 
     width, height = SIZE_IN
-    panels = 1 if look is None else 2
+    panels = 1 + (look is not None) + (seen is not None)
     with picture_file(path, (panels * width, height), DPI, tight=True) as figure:
         found.plot(roads, road_points, ax=figure.add_subplot(1, panels, 1))
         if look is not None:
             draw_surroundings(figure.add_subplot(1, panels, 2), look)
+        if seen is not None:
+            ax = figure.add_subplot(1, panels, panels)
+            draw_sight(ax, *seen)
+            label_map(ax)
+            counts = seen[0].figures()
+            share = counts["hidden"] / max(counts["in_sight"] + counts["hidden"], 1)
+            ax.set_title(f"Lanes in its view: {1 - share:.0%} in sight, {share:.0%} hidden")
+            ax.legend(loc="best", framealpha=0.9)
 
 
 def _trace_extent(traces: Floats, place: Floats) -> Extent:

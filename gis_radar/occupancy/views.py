@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from gis_radar.arrays import Integers
@@ -22,6 +23,8 @@ from gis_radar.poses.files import PoseTrack
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import Reporter
 from gis_radar.sight import (
+    HIDDEN,
+    IN_SIGHT,
     OUT_OF_VIEW,
     VIEW_ONLY,
     Sight,
@@ -174,3 +177,24 @@ def places_of(poses: Sequence[Pose]) -> Integers:
     """
     moved = [k == 0 or pose.evidence.get("event") == "moved" for k, pose in enumerate(poses)]
     return np.maximum.accumulate(np.where(moved, np.arange(len(poses)), 0))
+
+
+def sight_of_views(views: pd.DataFrame, pose: Pose, road: SightTiles) -> Sight:
+    """Return what an occupancy has as a sensor's sight: hidden is what lies in the view alone.
+
+    Parameters
+    ----------
+    views : DataFrame
+        The table of views of an occupancy.
+    pose : Pose
+        The sensor's last pose, with the view in effect; its latest view counts.
+    road : SightTiles
+        The occupancy's tiles.
+    """
+    own = views[views["sensor"] == pose.sensor]
+    latest = own.loc[own["last_step"] == own["last_step"].max(), "tile_id"]
+    seen = np.isin(road.tile_id, latest)
+    found = find_sight(pose, road)
+    in_view = seen | (found.state != OUT_OF_VIEW)
+    state = np.where(seen, IN_SIGHT, np.where(in_view, HIDDEN, OUT_OF_VIEW))
+    return replace(found, state=state.astype(np.uint8))

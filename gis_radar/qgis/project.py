@@ -26,10 +26,16 @@ from gis_radar.errors import InputError, OutputError, UsageError
 from gis_radar.files import whole_file
 from gis_radar.heatmap import style
 from gis_radar.heatmap.step_table import LONG, TIMES, WIDE
+from gis_radar.occupancy import read_occupancy
+from gis_radar.occupancy.views import sight_of_views
 from gis_radar.poses.files import read_track
 from gis_radar.poses.layers import SENSORS, UNCERTAINTY, VIEWS, read_style, write_sensors
+from gis_radar.poses.pose import pose_from_dict
 from gis_radar.progress import QUIET, Reporter
+from gis_radar.sight import SightTiles, write_sights
+from gis_radar.sight.layers import SIGHT_LAYER
 from gis_radar.steps import seconds_from_iso, zone_of
+from gis_radar.tiles.tiles import read_tiles
 
 MAP_MARGIN = 0.05
 """Around what was observed, as a share of its size: the road goes on a little to each side."""
@@ -43,6 +49,7 @@ def write_qgis_project(
     *,
     heatmap: str | Path,
     sensors: str | Path | None = None,
+    sight: str | Path | None = None,
     title: str = "",
     time_zone: str = "UTC",
     source: str = "",
@@ -59,6 +66,8 @@ def write_qgis_project(
         Folder of a heat map.
     sensors : str or Path, optional
         GeoPackage of :func:`gis_radar.write_sensors`.
+    sight : str or Path, optional
+        GeoPackage of :func:`gis_radar.write_sights`: what the sensors see, off at first.
     title : str
         Of the project and the layout; by default the file's name.
     time_zone : str
@@ -87,6 +96,9 @@ def write_qgis_project(
     layers = _heatmap_layers(Path(heatmap).resolve(), step_s, measure)
     if sensors is not None:
         layers |= _sensor_layers(Path(sensors).resolve())
+    if sight is not None:
+        qml = files("gis_radar.sight").joinpath("sight.qml").read_text(encoding="utf-8")
+        layers["gis_radar_sight"] = _LayerSource(Path(sight).resolve(), qml, SIGHT_LAYER)
     content = _ProjectContent(
         title=title or path.stem, time=_local_time(played, time_zone) if played else "",
         source=source, crs=crs, box=box, layers=layers, played=played, measure=measure,
@@ -122,13 +134,15 @@ def write_site_project(
     Returns
     -------
     list of Path
-        `sensors.gpkg`, where there is a pose, and `site.qgz`; `site_2.qgz` where that was edited.
+        `sensors.gpkg`, where there is a pose, `sight.gpkg`, where there are occupancies, and
+        `site.qgz`; `site_2.qgz` where that was edited.
     """
     folder = Path(folder)
     poses = _poses(folder)
     sensors = folder / "sensors.gpkg" if poses else None
     if sensors is not None:
         write_sensors([read_track(path).poses[-1] for path in poses], sensors)
+    sight = _write_sight(folder)
     numbered = (folder / f"site_{number}.qgz" for number in itertools.count(2))
     names = itertools.chain([folder / "site.qgz"], numbered)
     project = next(name for name in names if not was_edited(name))
@@ -137,10 +151,29 @@ def write_site_project(
             f"site.qgz was edited and stays as it is; the new project is {project.name}", "warning"
         )
     write_qgis_project(
-        project, heatmap=folder / "heatmap", sensors=sensors,
+        project, heatmap=folder / "heatmap", sensors=sensors, sight=sight,
         title=title or folder.resolve().name, time_zone=time_zone, source=source,
     )  # fmt: skip
-    return [path for path in (sensors, project) if path is not None]
+    return [path for path in (sensors, sight, project) if path is not None]
+
+
+def _write_sight(folder: Path) -> Path | None:
+    """Write what the sensors see, as their occupancies have it; None where there are none."""
+    found = [
+        read_occupancy(path.parent) for path in sorted(folder.glob("occupancy/*/manifest.json"))
+    ]
+    if not found or not (folder / "tiles.gpkg").is_file():
+        return None
+    tiles = read_tiles(folder / "tiles.gpkg")
+    road = SightTiles.of(tiles)
+    sights = [
+        sight_of_views(
+            each.views, pose_from_dict(each.sources[-1]["poses"][-1], what=each.place), road
+        )
+        for each in found
+    ]
+    write_sights(sights, tiles, folder / "sight.gpkg")
+    return folder / "sight.gpkg"
 
 
 def _poses(folder: Path) -> list[Path]:

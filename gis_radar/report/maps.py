@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from io import BytesIO
@@ -12,6 +13,8 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure as MplFigure
+from matplotlib.patches import Patch
 from PIL import Image
 
 from gis_radar.arrays import Floats
@@ -32,10 +35,13 @@ from gis_radar.heatmap.picture import (
     rgb,
 )
 from gis_radar.notebooks import FONTS
+from gis_radar.occupancy.views import sight_of_views
 from gis_radar.progress import Reporter
 from gis_radar.report.content import WORDS, Clock, Figure, MapSeries, count, percent
 from gis_radar.report.lanes import Lane, LaneSums, TileShares, hits_of, shown_of
 from gis_radar.report.results import Results
+from gis_radar.sight import HIDDEN, IN_SIGHT, VIEW_ONLY, SightTiles
+from gis_radar.sight.picture import COLOURS, NAMES, draw_sight
 from gis_radar.tiles.tiles import quads
 
 ASPECT = (0.55, 1.25)  # height by width: lowest, which the scale needs, and highest
@@ -52,6 +58,7 @@ HITS = (
 PLAN_IN = 6.0  # width of the figure of lanes: the narrower, the larger its words
 MOST_LABELS = 60
 TRIES = (0.5, 0.4, 0.6, 0.3, 0.7, 0.2, 0.8, 0.1, 0.9)  # where on a lane its number may stand
+MOST_SIGHTS = 6  # sensors of which it is drawn what they see
 LABEL_ROOM = 0.03  # from one number to the next, of the width
 # Four tints that neighbours can take in turn, told apart without colour by their numbers.
 TINTS = ("#cfe3f5", "#f7dfb2", "#d8ead0", "#ead6ea")
@@ -251,3 +258,44 @@ def _add_number(
         fontsize=7.5, fontweight="bold", color=INK,
         ha="center", va="center", rotation=turn, path_effects=HALO, zorder=4,
     )  # fmt: skip
+
+
+def draw_sights(results: Results) -> list[Figure]:
+    """Draw what each sensor sees, side by side; nothing where that is not known."""
+    occupancy, tiles = results.occupancy, SightTiles.of(results.heat.tiles)
+    poses = [] if occupancy is None else list(results.poses)[:MOST_SIGHTS]
+    if occupancy is None or not poses:
+        return []
+    sights = [sight_of_views(occupancy.views, pose, tiles) for pose in poses]
+    columns = min(len(sights), 3)
+    rows = math.ceil(len(sights) / columns)
+    with mpl.rc_context(FONTS):
+        figure = MplFigure(figsize=(3.6 * columns, 3.6 * rows), dpi=150, layout="constrained")
+        for number, sight in enumerate(sights, start=1):
+            ax = figure.add_subplot(rows, columns, number)
+            draw_sight(ax, sight, tiles)
+            ax.set_title(sight.pose.sensor, fontsize=9)
+            ax.axis("off")
+        handles = [Patch(color=COLOURS[state], label=NAMES[state]) for state in NAMES]
+        figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
+        picture = image_of_figure(figure).convert("RGB")
+    how = (
+        "what stands in the airborne scan hides the tiles behind it"
+        if occupancy.sight != VIEW_ONLY
+        else "without an airborne scan, houses hide nothing here"
+    )
+    shares = "; ".join(
+        f"{sight.pose.sensor} {count(int((sight.state == IN_SIGHT).sum()), 'tile')} in sight, "
+        f"{int((sight.state == HIDDEN).sum())} hidden"
+        for sight in sights
+    )
+    return [
+        Figure(
+            png=png(picture.quantize(64, dither=Image.Dither.NONE)),
+            width=picture.width,
+            height=picture.height,
+            tallest_mm=120.0,
+            caption=f"What each sensor sees of the lanes; {how}. {shares}.",
+            alt=f"Maps of the tiles in sight of each sensor: {shares}.",
+        )
+    ]

@@ -48,7 +48,7 @@ from gis_radar.report.lanes import (
     write_lane_intervals,
     write_lanes,
 )
-from gis_radar.report.maps import draw_hits, draw_maps, draw_plan, lay_out
+from gis_radar.report.maps import draw_hits, draw_maps, draw_plan, draw_sights, lay_out
 from gis_radar.report.pages import page_of, write_pdf
 from gis_radar.report.results import (
     NOT_KNOWN,
@@ -281,7 +281,7 @@ def _chapters(found: _Findings, plan: Figure, hits: Sequence[Figure]) -> list[Ch
     sources = [settings_of(results), sources_of(results)]
     return [
         Chapter("lanes", "Lanes", [plan, lanes], 190.0),
-        Chapter("sensors", "Sensors", [sensors, *figures], 60.0),
+        Chapter("sensors", "Sensors", [sensors, *draw_sights(results), *figures], 60.0),
         Chapter("quality", "What the numbers rest on", [quality]),
         *([Chapter("hits", "Diagnosis: radar hits", hits, 150.0)] if hits else []),
         Chapter("settings", "Settings and sources", sources, 70.0),

@@ -1,13 +1,13 @@
 <!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>
 <qgis version="3.34" styleCategories="Symbology" labelsEnabled="0">
-  <renderer-v2 type="categorizedSymbol" attr="state" symbollevels="0" forceraster="0" enableorderby="0">
+  <renderer-v2 type="categorizedSymbol" attr="state" symbollevels="1" forceraster="0" enableorderby="0">
     <categories>
       <category symbol="0" value="in sight" label="in sight" render="true" />
       <category symbol="1" value="hidden" label="hidden" render="true" />
     </categories>
     <symbols>
       <symbol type="fill" name="0" alpha="1" clip_to_extent="1" force_rhr="0">
-        <layer class="SimpleFill" enabled="1" pass="0">
+        <layer class="SimpleFill" enabled="1" pass="1">
           <Option type="Map">
             <Option name="style" type="QString" value="solid" />
             <Option name="color" type="QString" value="86,180,233,255" />

@@ -393,7 +393,7 @@ def _products(site: Site, folder: Path) -> Iterator[Stage]:
         inputs={},
         beside=((folder / "heatmap",), poses, occupancies),
         options={"title": site.title, "time_zone": site.time_zone, "source": source},
-        outputs=(folder / "sensors.gpkg", folder / "site.qgz"),
+        outputs=(folder / "sensors.gpkg", folder / "sight.gpkg", folder / "site.qgz"),
     )
     yield Stage(
         name="report",
