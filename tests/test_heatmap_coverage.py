@@ -159,6 +159,21 @@ def test_the_error_follows_its_formula():
     assert ERRORS.least_s == 0.1
 
 
+def test_hidden_time_adds_to_the_error_and_does_not_cut_runs():
+    tiles = lane_tiles(12).assign(index=np.tile(np.arange(6), 2), s_m=np.tile(np.arange(6), 2) / 2)
+    span = set(range(BEGIN - 200, BEGIN + 60))
+    hidden = set(range(BEGIN - 60, BEGIN))  # from the middle of the run on
+    every = {(tile, True): set(range(BEGIN - 100, BEGIN - 20)) for tile in range(12)}
+    visible = {(tile, True): span - hidden for tile in range(12)}
+    visible |= {(tile, False): hidden for tile in range(12)}
+    vehicles = vehicles_in(tiles, span, every, visible)
+    got = make_heatmap(occupancy_in(tiles, span), tiles, vehicles=vehicles).coverage_shares()
+    run, share = 10.0**2 + (0.3 * 80) ** 2, 80 / 260
+    unknown = (0.7 * 60) ** 2 * share * (1 - share)
+    assert got.visible_s[3] == pytest.approx(13.0)
+    assert got.coverage_se[3] == pytest.approx(np.sqrt(run + unknown) / 260, rel=1e-5)
+
+
 @pytest.mark.parametrize(
     ("changed", "what"),
     [

@@ -297,6 +297,34 @@ def test_a_hidden_tile_stays_visible_for_ten_seconds():
     assert runs[2] == [(0, 99), (150, 499)]  # before the truck
     assert runs[15] == [(0, 99), (150, 499)]  # under it
     assert runs[40] == [(0, 99), (150, 249), (400, 499)]  # behind it, until it is gone
+    seen = visible.groupby("tile_id")["seen"].agg(list)
+    assert (seen[15], seen[40]) == ([True, True], [False, False, True])
+
+
+@pytest.mark.parametrize(
+    ("stays", "runs"),
+    [
+        (19, [(0, 99, True)]),
+        (
+            21,
+            [(0, 29, True), (30, 50, False), (51, 99, True)],
+        ),
+    ],
+)
+def test_runs_are_told_apart_where_a_tile_is_hidden_for_a_second(stays, runs):
+    """A truck stands before the tiles for some steps."""
+    tiles = straight_tiles(60)
+    views = tower_views(tiles, [((-20.0, 0.0, 3.0), slice(None))])
+    first = (FIRST // 4 + 1) * 4
+    tracks = drive(0, first + 30, np.full(stays, 12.0), speed=0.0, length=10.0)
+    rows = rows_of(tracks, length=10.0, width=2.5, p_heavy=1.0)
+    held = held_by(views, first, first + 99)
+    _, _, visible = run_engine(
+        tiles, tracks, rows, views=views, held=held, span=(first, first + 100)
+    )
+    mine = visible[visible["tile_id"] == 40]
+    found = zip(mine["first_step"] - first, mine["last_step"] - first, mine["seen"], strict=True)
+    assert list(found) == runs
 
 
 def test_a_second_sensor_sees_behind_the_truck():

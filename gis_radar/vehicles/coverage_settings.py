@@ -25,6 +25,9 @@ class CoverageSettings:
         off the arc.
     hidden_s : float
         A tile stays visible for so long while other vehicles hide it, seconds (the contract).
+    unseen_s : float
+        Runs of visible steps are told apart where other vehicles hide the tile for so long,
+        seconds: a vehicle's passing hides for less, and tracks bridge that.
     look_steps : int
         Lines of sight are looked along once in so many steps, and where the sensors change: a
         vehicle at 15 m/s goes 3 m in 0.2 s, which 10 s of hiding do not depend on.
@@ -47,6 +50,7 @@ class CoverageSettings:
     strip_m: float = 12.0
     path_step_m: float = 1.0
     hidden_s: float = 10.0
+    unseen_s: float = 1.0
     look_steps: int = 4
     target_m: float = 0.6
     car_height_m: float = 1.5

@@ -151,7 +151,7 @@ PASSAGES = TableKind(
     order=("step", "vehicle", "lanelet_id"),
 )
 COVERED = TableKind(name="covered", columns=_RUN | {"seen": _FLAG})
-VISIBLE = TableKind(name="visible", columns=_RUN)
+VISIBLE = TableKind(name="visible", columns=_RUN | {"seen": _FLAG})
 FRAMES = TableKind(
     name="frames",
     columns={"sensor": pa.string(), "view": pa.string(), "first_step": _STEP, "last_step": _STEP},

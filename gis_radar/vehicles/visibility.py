@@ -129,6 +129,7 @@ class Visibility:
         count = len(tiles)
         self._hidden = np.zeros(count, np.int64)  # steps on end
         self._begun = np.full(count, -1)  # first step of an open run
+        self._seen = np.ones(count, np.bool_)  # whether it is of steps that are not hidden
         self._stamps = np.full((count, 3), -1)
         self._reached = -1
         self._looked = -1  # step of the latest lines of sight, as long as the same views are held
@@ -205,8 +206,9 @@ class Visibility:
                 np.concatenate([each.tile for each in rays]),
                 np.concatenate([each.ends for each in rays]),
                 np.array([each.lowest_m for each in rays]),
-                observed, np.flatnonzero(observed), self._hidden, self._begun, self._stamps,
-                round(self._settings.hidden_s * STEPS_PER_SECOND), self._settings.overlap_m,
+                observed, np.flatnonzero(observed), self._hidden, self._begun, self._seen,
+                self._stamps, round(self._settings.hidden_s * STEPS_PER_SECOND),
+                round(self._settings.unseen_s * STEPS_PER_SECOND), self._settings.overlap_m,
                 every, self._looked, *queries,
             )
         )  # fmt: skip
@@ -214,16 +216,20 @@ class Visibility:
         self._looked = max(first_look, (after - 1) // every * every)
 
     def flush(self) -> Integers:
-        """End all runs at the last step so far; return those since the last time, (n, 3)."""
+        """End all runs at the last step so far; return those since the last time, (n, 4).
+
+        Tile, first and last step, and whether nothing hid the tile in them.
+        """
         self._end_runs(np.flatnonzero(self._begun >= 0))
-        found = np.concatenate([np.empty((0, 3), np.int64), *self._ended])
+        found = np.concatenate([np.empty((0, 4), np.int64), *self._ended])
         self._ended = []
         return found
 
     def _end_runs(self, tile: Integers) -> None:
         begun = self._begun[tile]
-        self._ended.append(np.column_stack([tile, begun, np.full(len(tile), self._reached)]))
-        self._begun[tile] = -1
+        reached = np.full(len(tile), self._reached)
+        self._ended.append(np.column_stack([tile, begun, reached, self._seen[tile]]))
+        self._begun[tile], self._seen[tile] = -1, True
 
     def _rays_of(self, name: tuple[str, str]) -> Rays:
         if name not in self._rays:
@@ -337,12 +343,12 @@ def _watch_steps(  # noqa: C901, PLR0912, PLR0917 - calls between compiled funct
     begin: int, after: int, step: Integers, boxes: Floats, level_m: Floats, height_m: Floats,
     path: Integers, points: Floats, begins: Booleans, lines: Floats, eyes: Floats,
     first: Integers, ray_tile: Integers, ends: Floats, lowest_m: Floats, observed: Integers,
-    watched: Integers, hidden: Integers, begun: Integers, stamps: Integers, most: int,
-    overlap_m: float, every: int, looked: int, query_step: Integers, query_tile: Integers,
-    answers: Booleans,
+    watched: Integers, hidden: Integers, begun: Integers, seen: Booleans, stamps: Integers,
+    most: int, least: int, overlap_m: float, every: int, looked: int, query_step: Integers,
+    query_tile: Integers, answers: Booleans,
 ) -> Integers:  # pragma: no cover - compiled  # fmt: skip
     """Go through steps in which the same views are held; return the runs that ended."""
-    out = np.empty((1024, 3), np.int64)
+    out = np.empty((1024, 4), np.int64)
     shares = np.empty((2 * MOST_PARTS, 2))
     done = state = query = 0
     for now in range(begin, after):
@@ -363,17 +369,26 @@ def _watch_steps(  # noqa: C901, PLR0912, PLR0917 - calls between compiled funct
                 hidden[tile] += 1
             else:
                 hidden[tile] = 0
-            if hidden[tile] <= most:
-                if begun[tile] < 0:
-                    begun[tile] = now
-            elif begun[tile] >= 0:
+            if begun[tile] < 0:
+                if hidden[tile] <= most:
+                    begun[tile], seen[tile] = now, hidden[tile] < least
+                continue
+            if seen[tile] and hidden[tile] >= least:
+                change = max(now + 1 - least, begun[tile])
+            elif hidden[tile] > most or (not seen[tile] and hidden[tile] == 0):
+                change = now
+            else:
+                continue
+            if change > begun[tile]:
                 if done == len(out):
-                    wider = np.empty((2 * len(out), 3), np.int64)
+                    wider = np.empty((2 * len(out), 4), np.int64)
                     wider[:done] = out
                     out = wider
-                out[done, 0], out[done, 1], out[done, 2] = tile, begun[tile], now - 1
-                begun[tile] = -1
+                out[done, 0], out[done, 1], out[done, 2] = tile, begun[tile], change - 1
+                out[done, 3] = seen[tile]
                 done += 1
+            begun[tile] = -1 if hidden[tile] > most else change
+            seen[tile] = hidden[tile] == 0
         while query < len(query_step) and query_step[query] == now:
             answers[query] = begun[query_tile[query]] >= 0
             query += 1
