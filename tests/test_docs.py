@@ -146,7 +146,7 @@ def test_the_tutorial_runs_as_it_stands(tmp_path, monkeypatch):
     names = {}
     for code in blocks(DOCS / "tutorial.md", "python"):
         exec(compile(code, "tutorial.md", "exec"), names)  # noqa: S102 - our own example
-    assert names["by_lane"]["occupancy"].between(0.0, 1.0).all()
+    assert names["by_lane"]["coverage"].between(0.0, 1.0).all()
     assert pd.read_csv("quality.csv")["verdict"].eq("good").all()
 
 

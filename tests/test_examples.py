@@ -29,7 +29,7 @@ def test_the_python_of_the_readme(elsewhere, capsys):
     exec(compile(code, "README.md", "exec"), {})  # noqa: S102 - our own example
     printed = capsys.readouterr().out
     assert "HeatMap" in printed
-    assert "occupancy" in printed
+    assert "coverage" in printed
     assert (elsewhere / "occupancy" / "hits_by_sensor.parquet").is_file()
 
 
