@@ -129,7 +129,7 @@ def absorb(
     motion : MotionSettings
         Of the smoothing.
     """
-    found = [fit_motion(echoes, rows, states, motion) for rows in parts]
+    found = [each for rows in parts for each in purified(echoes, rows, states, settings, motion)]
     boxes = [_box(echoes, each.rows) for each in found]
     gone: set[int] = set()
     for strong in sorted(range(len(found)), key=lambda k: -len(found[k].rows)):
@@ -179,10 +179,40 @@ def log_odds(echoes: Echoes, body: Motion, other: Motion, settings: BodySettings
         return -np.inf
     along, left, rate = body.frame(echoes, rows)
     _, speed = body.at(echoes.time[rows])
-    fits = (np.abs(left) < settings.left_m) & (np.abs(rate) < 0.8 + 0.08 * speed)
+    beside = settings.left_m + settings.bearing_rad * echoes.range_m[rows]
+    fits = (np.abs(left) < beside) & (np.abs(rate) < _slack(body, along, speed, settings))
     if fits.mean() < settings.least_fit or fits.sum() < 3:
         return -np.inf
     return _odds_of_places(echoes.time[rows][fits], along[fits], speed[fits], body, settings)
+
+
+def _slack(body: Motion, along: Floats, speed: Floats, settings: BodySettings) -> Floats:
+    """Return how far range rates of a body may be off: in a bend its ends swing."""
+    bend = (
+        float(np.abs(np.gradient(body.path.heading)).max()) if len(body.path.heading) > 1 else 0.0
+    )
+    swing = settings.swing * min(bend, 0.1) * speed * np.abs(along)
+    return np.asarray(settings.rate_mps + settings.wheel_share * speed + swing)
+
+
+def purified(
+    echoes: Echoes, rows: Integers, states: Floats, settings: BodySettings, motion: MotionSettings
+) -> list[Motion]:
+    """Return the motion of a part, and apart from it what was followed as one and cannot be."""
+    found: list[Motion] = []
+    while len(rows) >= settings.least_rows and len(found) < settings.most_split:
+        body = fit_motion(echoes, rows, states, motion)
+        along, left, rate = body.frame(echoes, body.rows)
+        _, speed = body.at(echoes.time[body.rows])
+        own = np.abs(along) < 0.5 * settings.longest_m + 1.0
+        own &= np.abs(left) < 2.0 * settings.left_m
+        own &= np.abs(rate) < 2.0 * _slack(body, along, speed, settings) + speed
+        if own.mean() >= settings.least_pure or own.sum() < settings.least_rows:
+            return [*found, body]
+        kept = fit_motion(echoes, body.rows[own], states, motion)
+        found.append(kept)
+        rows = body.rows[~own]
+    return found
 
 
 def _odds_of_places(

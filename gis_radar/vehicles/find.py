@@ -121,7 +121,7 @@ def find_vehicles(
         writer.name_sources(reader.records())
     if makes.found == 0:
         reporter.log("no vehicle moves in these recordings: the coverage is zero", "warning")
-    for line in reader.warnings():
+    for line in [*reader.warnings(), *makes.warnings(sensors)]:
         reporter.log(line, "warning")
     return read_vehicles(folder)
 

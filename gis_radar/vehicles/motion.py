@@ -279,6 +279,27 @@ def fit_motion(echoes: Echoes, rows: Integers, states: Floats, settings: MotionS
     )  # fmt: skip
 
 
+def side_seen(path: Path, s_m: Floats, sight: Floats) -> Floats:
+    """Return how far left of a car's middle its returns lie: on the side that the sensor sees.
+
+    Parameters
+    ----------
+    path : Path
+        Of the car's middle.
+    s_m : (k,) array
+        How far along it the detections lie, metres.
+    sight : (k, 2) array
+        Unit vectors from the sensor.
+    """
+    _, heading = path.at(s_m)
+    cos = np.cos(heading) * sight[:, 0] + np.sin(heading) * sight[:, 1]
+    sin = np.cos(heading) * sight[:, 1] - np.sin(heading) * sight[:, 0]
+    car = Size()
+    side = car.length_m * np.abs(sin)
+    share = side / (side + car.width_m * np.abs(cos) + 1e-9)
+    return np.asarray(-np.sign(sin) * share * 0.5 * car.width_m)
+
+
 def _fitted_path(
     echoes: Echoes, rows: Integers, states: Floats, settings: MotionSettings
 ) -> tuple[Path, Floats]:
@@ -292,6 +313,7 @@ def _fitted_path(
     way = 20.0 + (way - 20.0) * min((path.s_m[-1] - 40.0) / max(way[-1] - 20.0, 1.0), 1.0)
     guess, _ = path.project(states[:, :2], way, 40.0)
     s, left = path.project(echoes.points[rows], guess, 30.0)
+    left = left - side_seen(path, s, echoes.sight[rows])
     weight = 1.0 / (0.5**2 + (settings.azimuth_rad * echoes.range_m[rows]) ** 2)
     cell = np.clip((s / 2.0).astype(np.int64), 0, int(path.s_m[-1] / 2.0))
     count = int(path.s_m[-1] / 2.0) + 1

@@ -17,6 +17,9 @@ from gis_radar.vehicles.routes import route_of
 from gis_radar.vehicles.settings import VehicleSettings
 from gis_radar.vehicles.tables import TRACKS, VEHICLES
 
+DRIVES_MPS = 3.0  # who is slower may turn in, park or load
+POSE_HINT = ": its pose may be off (gis-radar track, gis-radar localize)"
+
 
 class PieceMaker:
     """Makes the pieces of a folder from what was found in each block.
@@ -33,6 +36,7 @@ class PieceMaker:
         self._graph, self._settings = graph, settings
         self._known: pd.DataFrame | None = None  # detections of vehicles at the edge: key, vehicle
         self._edge = -1
+        self._off_lanes: list[pd.DataFrame] = []
         self.found = 0
 
     def piece(self, block: Block, motions: list[Motion]) -> VehiclePiece:
@@ -48,6 +52,7 @@ class PieceMaker:
         rows = []
         for number, motion, each in zip(numbers, motions, states, strict=True):
             table, lanelets = self._tables(each, motion)
+            self._off_lanes.append(_off_lanes(table, motion, block.echoes))
             tables.append(table.assign(vehicle=number))
             cut = (block.begins and each.step[0] == block.first_step) or (
                 block.ends and each.step[-1] == block.last_step
@@ -66,6 +71,19 @@ class PieceMaker:
             first_step=block.first_step, last_step=block.last_step, tracks=tracks,
             vehicles=vehicles, frames=block.frames,
         )  # fmt: skip
+
+    def warnings(self, sensors: list[str]) -> list[str]:
+        """Return a line for each sensor whose vehicles follow no lanelets."""
+        if not self._off_lanes:
+            return []
+        limits, lines = self._settings.pieces, []
+        seen = pd.concat(self._off_lanes, ignore_index=True)
+        for number, name in enumerate(sensors):
+            mine = seen[seen["sensor"] == number]
+            off = float(mine["off"].mean()) if len(mine) >= limits.least_judged else 0.0
+            if off > limits.most_off_lane:
+                lines.append(f"{name}: {off:.0%} of its vehicles follow no lanelet{POSE_HINT}")
+        return lines
 
     def _numbers(self, block: Block, motions: list[Motion], states: list[_States]) -> list[int]:
         """Return the number of each vehicle: that of the block before where it goes on."""
@@ -130,6 +148,17 @@ class PieceMaker:
             }
         )
         return table, route.lanelets(graph)
+
+
+def _off_lanes(table: pd.DataFrame, motion: Motion, echoes: Echoes) -> pd.DataFrame:
+    """Return for each sensor that sees a vehicle whether it drives mostly on no lanelet."""
+    step = (echoes.time[motion.rows] / STEP_S).astype(np.int64) - int(table["step"].iloc[0])
+    inside = (step >= 0) & (step < len(table))
+    step, rows = step[inside], motion.rows[inside]
+    off = table["lanelet_id"].isna().to_numpy()[step]
+    found = pd.DataFrame({"sensor": echoes.sensor[rows], "off": off})
+    drives = table["speed"].to_numpy()[step] > DRIVES_MPS
+    return (found[drives].groupby("sensor")["off"].mean() > 0.5).reset_index()
 
 
 class _States:

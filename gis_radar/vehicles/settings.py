@@ -121,8 +121,13 @@ class BodySettings:
         Least absolute range rate of a moving detection.
     seen_s : float
         A frame is known so long before and after a detection of its vehicle.
-    left_m : float
-        Half the width of a truck, with the bearing's error at 100 m.
+    left_m, bearing_rad : float
+        Half the width of a truck, and the error of a bearing, for what lies beside.
+    rate_mps, wheel_share, swing : float
+        How far a range rate may be off: by noise, by a share of the speed, and by how much of the
+        turning the ends of a body swing.
+    least_pure, most_split : float, int
+        A part of which a smaller share keeps its place in the moving frame is split, so often.
     least_fit : float
         Share of the detections whose places and range rates have to fit.
     scatter_m : float
@@ -155,6 +160,12 @@ class BodySettings:
     moving_mps: float = 0.15
     seen_s: float = 0.35
     left_m: float = 1.7
+    bearing_rad: float = 0.006
+    rate_mps: float = 0.8
+    wheel_share: float = 0.08
+    swing: float = 0.6
+    least_pure: float = 0.95
+    most_split: int = 3
     least_fit: float = 0.7
     scatter_m: float = 2.5
     place_m: float = 0.4
@@ -227,11 +238,17 @@ class PieceSettings:
         of the view, and while a radar misses it.
     driving_mps : float
         Who is slower does not.
+    least_judged : int
+        A pose is judged by so many vehicles.
+    most_off_lane : float
+        A pose is doubtful if a larger share of a sensor's vehicles follows no lanelet.
     """
 
     seen_s: float = 0.5
     unseen_steps: int = 20
     driving_mps: float = 1.0
+    least_judged: int = 8
+    most_off_lane: float = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
