@@ -306,25 +306,36 @@ def lanes_at(
 
 
 @compiled
+def _share(x: float, y: float, i: int, samples: Floats) -> float:  # pragma: no cover - compiled
+    """Return how far along a segment a point is, as a share of its length; NaN of none."""
+    bx, by = samples[i + 1, 0] - samples[i, 0], samples[i + 1, 1] - samples[i, 1]
+    length2 = bx * bx + by * by
+    if length2 <= 0.0:
+        return np.nan
+    return ((x - samples[i, 0]) * bx + (y - samples[i, 1]) * by) / length2
+
+
+@compiled
 def _on_segment(
     x: float, y: float, i: int, lane_of: Integers, samples: Floats
 ) -> tuple[float, float]:  # pragma: no cover - compiled
     """Return how far along a segment, as a share, and how far left of it a point is; or NaN."""
     nothing = (np.nan, np.nan)
+    t = _share(x, y, i, samples)
+    if t < 0.0:
+        # before it, and on the segment before or before the lane
+        if i == 0 or lane_of[i - 1] != lane_of[i] or _share(x, y, i - 1, samples) <= 1.0:
+            return nothing
+    elif t > 1.0:
+        last = i + 2 >= len(lane_of) or lane_of[i + 2] != lane_of[i]
+        if last or _share(x, y, i + 1, samples) >= 0.0:
+            return nothing
+    elif np.isnan(t):
+        return nothing
     ax, ay = samples[i, 0], samples[i, 1]
     bx, by = samples[i + 1, 0] - ax, samples[i + 1, 1] - ay
-    length2 = bx * bx + by * by
-    if length2 <= 0.0:
-        return nothing
-    t = ((x - ax) * bx + (y - ay) * by) / length2
-    if t < -0.5 or t > 1.5:  # another segment of the bend is nearer
-        return nothing
-    if t < 0.0 and (i == 0 or lane_of[i - 1] != lane_of[i]):
-        return nothing
-    if t > 1.0 and (i + 2 >= len(lane_of) or lane_of[i + 2] != lane_of[i]):
-        return nothing
     t = min(max(t, 0.0), 1.0)
-    d = (bx * (y - ay) - by * (x - ax)) / np.sqrt(length2)
+    d = (bx * (y - ay) - by * (x - ax)) / np.hypot(bx, by)
     half = samples[i, 5] + t * (samples[i + 1, 5] - samples[i, 5])
     return (t, d) if abs(d) <= half + 1.0 else nothing
 

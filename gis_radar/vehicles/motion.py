@@ -425,13 +425,13 @@ LENGTHS = np.concatenate([np.arange(2.0, 7.1, 0.5), np.arange(8.0, 19.1, 1.0)])
 SHIFTS = np.arange(-6.0, 6.1, 0.5)
 
 
-def _prior(lengths: Floats) -> Floats:
+def length_prior(lengths: Floats) -> Floats:
     """Return the log density of lengths in traffic: motorcycles, cars, vans, lorries, trailers."""
     groups = ((0.03, 2.2, 0.25), (0.72, 4.5, 0.4), (0.10, 5.6, 0.5))
     density = np.full(len(lengths), 1e-4)
     for share, mean, sigma in groups:
         density += share * np.exp(-0.5 * ((lengths - mean) / sigma) ** 2) / (sigma * 2.5066)
-    density += np.where((lengths >= 7.0) & (lengths <= 12.6), 0.11 / 5.6, 0.0)
+    density += np.where((lengths >= 6.0) & (lengths <= 12.6), 0.11 / 6.6, 0.0)
     density += np.where(lengths > 12.6, 0.04 / 6.0, 0.0)
     return np.asarray(np.log(density))
 
@@ -444,12 +444,12 @@ def _size(
     along, ends, noise = along[pick], ends[pick], noise[pick]
     weight = settings.weight
     coarse = _likelihood(along, ends, noise, LENGTHS, SHIFTS, settings.end_share)
-    coarse = weight * coarse + _prior(LENGTHS)[:, None] - 0.5 * (SHIFTS / 3.0) ** 2
+    coarse = weight * coarse + length_prior(LENGTHS)[:, None] - 0.5 * (SHIFTS / 3.0) ** 2
     top = np.unravel_index(int(coarse.argmax()), coarse.shape)
     fine_l = np.maximum(LENGTHS[top[0]] + np.arange(-0.75, 0.76, 0.25), 1.5)
     fine_d = SHIFTS[top[1]] + np.arange(-0.5, 0.51, 0.125)
     fine = _likelihood(along, ends, noise, fine_l, fine_d, settings.end_share)
-    fine = weight * fine + _prior(fine_l)[:, None] - 0.5 * (fine_d / 3.0) ** 2
+    fine = weight * fine + length_prior(fine_l)[:, None] - 0.5 * (fine_d / 3.0) ** 2
     share = np.exp(coarse - coarse.max())
     cells = np.gradient(LENGTHS)
     by_length = share.sum(axis=1) * cells

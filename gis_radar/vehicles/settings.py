@@ -146,8 +146,6 @@ class BodySettings:
         Logarithm of the odds from which two are one.
     least_rows : int
         Parts of fewer detections are none.
-    least_moving, least_way_m : int, float
-        A vehicle has so many moving detections and made so much way, or is a false return.
     driven_mps : float
         Who is faster drives.
     cyclist_mps, walker_mps : float
@@ -176,13 +174,137 @@ class BodySettings:
     long_share: float = 0.12
     least_odds: float = 0.5
     least_rows: int = 5
-    least_moving: int = 6
-    least_way_m: float = 4.0
     driven_mps: float = 8.0
     cyclist_mps: float = 7.5
     walker_mps: float = 2.5
     person_db: float = 5.0
     walker_db: float = 3.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class StandingSettings:
+    """What stands on a lane and is a vehicle.
+
+    Parameters
+    ----------
+    inside_m : float
+        Detections of vehicles that stand lie so far inside of the lane's edge: kerbs, signs and
+        parked cars do not.
+    high_m : float
+        What is higher over the road by its median hangs above it.
+    cell_m : float
+        Length of the cells of a strip: the scatter of a scatterer.
+    silence_s : float
+        After so long without a detection a scatterer counts anew: a vehicle that stands is silent
+        for 9 to 25 s in one case of ten.
+    slice_s : float
+        So often it is asked which vehicles stand.
+    sweep_mps, sweep_seen_s, sweep_edge_m : float
+        Who drives over a place is so fast at least, was seen so shortly before or after, and its
+        middle lies so far inside of the lane.
+    fast_mps, after_s : float, (float, float)
+        So soon before and after one drives over a place so fast, nobody stands there.
+    least_built, built_share : int, float
+        What is seen there nevertheless, so often and at that share of the drives, is of the road.
+    gap_m, easy_m, tight : float
+        Least room between vehicles in a queue; from there on drivers leave it easily; what it costs
+        to leave less, by metre squared.
+    shortest_m : float
+        A shorter vehicle than the shortest car is not told from a sign.
+    power : float
+        Many detections of one scatterer weigh as their number to this power.
+    window_m, most_weight : float
+        Detections within so many metres weigh so much together at most.
+    new_cost : float
+        What a vehicle has to gain over nothing standing there, as a logarithm of odds.
+    stick : float
+        What one gains that stood so before.
+    clutter : float
+        Density of returns that are of no vehicle, a metre.
+    end_m, end_share : float
+        1 sigma of the returns of an end, and their share where it is looked at squarely.
+    least_echoes, least_s, rate_share : int, float, float
+        Fewer detections, in less time, or at a smaller share of the rate at which vehicles of the
+        same recordings are seen at that range, are no vehicle.
+    """
+
+    inside_m: float = 0.5
+    high_m: float = 3.2
+    cell_m: float = 0.25
+    silence_s: float = 10.0
+    slice_s: float = 1.0
+    sweep_mps: float = 1.5
+    sweep_seen_s: float = 0.75
+    sweep_edge_m: float = 0.3
+    fast_mps: float = 4.0
+    after_s: tuple[float, float] = (0.7, 2.5)
+    least_built: int = 2
+    built_share: float = 0.5
+    gap_m: float = 1.0
+    easy_m: float = 2.0
+    tight: float = 4.0
+    shortest_m: float = 3.4
+    power: float = 0.5
+    window_m: float = 5.0
+    most_weight: float = 24.0
+    new_cost: float = 10.0
+    stick: float = 12.0
+    clutter: float = 0.012
+    end_m: float = 0.35
+    end_share: float = 0.6
+    least_echoes: int = 6
+    least_s: float = 2.0
+    rate_share: float = 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class LifeSettings:
+    """How parts of the life of a vehicle follow each other.
+
+    Parameters
+    ----------
+    moving_mps : float
+        Least absolute range rate of a moving detection.
+    slow_mps : float
+        Under it a vehicle may stand.
+    left_m : float
+        Half the width of a vehicle with the error of its place.
+    driven_mps, weaker_db : float
+        What stands returns at most so much less than the vehicles that drive so fast.
+    near_m, same_share : float
+        Of two bodies within that distance that lie on each other by that share, one is.
+    unseen_s : float
+        A vehicle that drives is missed so long at most.
+    wait_cost : float
+        What a second of waiting unseen costs: two minutes cost as much as an end.
+    end_cost : float
+        What it costs that a life ends, or begins, in view.
+    least_moving, least_way_m : int, float
+        A vehicle has so many moving detections and made so much way, or is a false return.
+    alone_s, alone_rows : float, int
+        One that never moves is seen so long and often.
+    silence_s : float
+        It stands from the first or until the last detection if it is seen so near to it.
+    place_m : float
+        1 sigma of where it stands.
+    """
+
+    moving_mps: float = 0.15
+    slow_mps: float = 0.7
+    left_m: float = 1.1
+    driven_mps: float = 8.0
+    weaker_db: float = 6.0
+    near_m: float = 15.0
+    same_share: float = 0.4
+    unseen_s: float = 6.0
+    wait_cost: float = 0.03
+    end_cost: float = 8.0
+    least_moving: int = 6
+    least_way_m: float = 4.0
+    alone_s: float = 3.0
+    alone_rows: int = 10
+    silence_s: float = 10.0
+    place_m: float = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -265,6 +387,10 @@ class VehicleSettings:
         Smoothing over their lives.
     bodies : BodySettings
         Which parts are of one body.
+    standing : StandingSettings
+        What stands on lanes and is a vehicle.
+    lives : LifeSettings
+        How what moves and what stands are joined.
     routes : RouteSettings
         Which lanelets they follow.
     blocks : BlockSettings
@@ -277,6 +403,8 @@ class VehicleSettings:
     forward: ForwardSettings = field(default_factory=ForwardSettings)
     motion: MotionSettings = field(default_factory=MotionSettings)
     bodies: BodySettings = field(default_factory=BodySettings)
+    standing: StandingSettings = field(default_factory=StandingSettings)
+    lives: LifeSettings = field(default_factory=LifeSettings)
     routes: RouteSettings = field(default_factory=RouteSettings)
     blocks: BlockSettings = field(default_factory=BlockSettings)
     pieces: PieceSettings = field(default_factory=PieceSettings)

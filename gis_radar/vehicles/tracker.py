@@ -14,9 +14,9 @@ from gis_radar.vehicles.bodies import (
 )
 from gis_radar.vehicles.echoes import Echoes
 from gis_radar.vehicles.forward import follow_both_ways
+from gis_radar.vehicles.lives import with_standing
 from gis_radar.vehicles.motion import Motion
 from gis_radar.vehicles.settings import VehicleSettings
-from gis_radar.vehicles.standing import with_standing
 
 
 def vehicles_in(echoes: Echoes, graph: LaneGraph, settings: VehicleSettings) -> list[Motion]:
@@ -40,13 +40,7 @@ def vehicles_in(echoes: Echoes, graph: LaneGraph, settings: VehicleSettings) -> 
     motions = absorb(echoes, parts, states, settings.bodies, settings.motion)
     persons = is_person(echoes, motions, settings.bodies)
     driven = [each for each, person in zip(motions, persons, strict=True) if not person]
-    free = np.flatnonzero((joined < 0) & (np.abs(echoes.range_rate) < settings.echoes.moving_mps))
-    found = with_standing(echoes, graph, driven, states, free, settings)
-    return [each for each in found if _moved(each, echoes, settings)]
-
-
-def _moved(motion: Motion, echoes: Echoes, settings: VehicleSettings) -> bool:
-    """Tell whether a motion has way and moving detections enough to be more than false returns."""
-    moving = np.abs(echoes.range_rate[motion.rows]) > settings.echoes.moving_mps
-    way = float(motion.s_m[-1] - motion.s_m[0])
-    return int(moving.sum()) >= settings.bodies.least_moving and way > settings.bodies.least_way_m
+    free = np.abs(echoes.range_rate) < settings.echoes.moving_mps
+    for each in motions:
+        free[each.rows] = False
+    return with_standing(echoes, graph, driven, states, free, settings)

@@ -1,0 +1,200 @@
+"""The stages of the search for vehicles, each on a road made for it."""
+
+import geopandas as gpd
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import gis_radar as gr
+from gis_radar.lanelets.graph import lane_graph
+from gis_radar.vehicles.bodies import join_directions
+from gis_radar.vehicles.echoes import Echoes
+from gis_radar.vehicles.forward import ForwardFilter
+from gis_radar.vehicles.motion import Path
+from gis_radar.vehicles.settings import StandingSettings, VehicleSettings
+from gis_radar.vehicles.standing import pack
+from gis_radar.vehicles.strips import NONE, Strips
+from gis_radar.vehicles.tracker import vehicles_in
+
+SETTINGS = VehicleSettings()
+
+
+def lanelets(*rows):
+    """Return lanelets of (id, centre points, width, successors)."""
+    table = []
+    for number, points, width, after in rows:
+        line = shapely.LineString([(*point, 0.0) for point in points])
+        left, right = (
+            shapely.force_3d(shapely.offset_curve(line, side * width / 2), 0.0) for side in (1, -1)
+        )
+        table.append((number, left, right, ["vehicle"], True, list(after)))
+    names = ["lanelet_id", "left", "right", "participants", "one_way", "successors"]
+    return gpd.GeoDataFrame(table, columns=names, geometry="left", crs="EPSG:25832")
+
+
+@pytest.fixture(scope="module")
+def straight():
+    """Return two lanelets one after the other without a common node, and one beside them."""
+    return lane_graph(
+        lanelets(
+            (1, [(0, 0), (100, 0)], 3.5, []),
+            (2, [(100.4, 0.1), (200, 0)], 3.5, []),
+            (3, [(200, 3.5), (0, 3.5)], 3.5, []),
+        )
+    )
+
+
+def echoes_at(time, points, rate, eye=(-50.0, 0.0)):
+    time, points = np.asarray(time, float), np.asarray(points, float)
+    away = points - eye
+    range_m = np.hypot(*away.T)
+    return Echoes(
+        time=time, points=points, height_m=np.full(len(time), 0.8), range_rate=np.asarray(rate),
+        sight=away / range_m[:, None], range_m=range_m, sensor=np.zeros(len(time), np.int64),
+        rcs=np.zeros(len(time)),
+    )  # fmt: skip
+
+
+def driving(speed, begin_s, end_s, start_m, rng, left_m=0.0, length_m=4.5):
+    """Return detections of the rear of a vehicle that drives east: times, places, range rates."""
+    time = np.arange(begin_s, end_s, 0.05) + 1e9
+    x = start_m + speed * (time - 1e9 - begin_s) - length_m / 2 + rng.normal(0, 0.1, len(time))
+    points = np.column_stack([x, left_m + rng.normal(0, 0.2, len(time))])
+    return time, points, speed + rng.normal(0, 0.03, len(time))
+
+
+def test_lanelets_that_share_no_nodes_follow_each_other(straight):
+    assert [each.tolist() for each in straight.successors] == [[1], [], []]
+    assert [each.tolist() for each in straight.reversed().successors] == [[], [0], []]
+
+
+@settings(deadline=None)
+@given(x=st.floats(-5, 205), y=st.floats(-6, 8))
+def test_lanes_at_a_point_as_shapely_finds_them(straight, x, y):
+    found = straight.field.lanes(np.array([[x, y]]) - straight.origin)
+    shapes = {
+        0: shapely.LineString([(0, 0), (100, 0)]),
+        1: shapely.LineString([(100.4, 0.1), (200, 0)]),
+        2: shapely.LineString([(200, 3.5), (0, 3.5)]),
+    }
+    wide = 3.5 / 2 + 1.0
+    for lane, line in shapes.items():
+        s = line.project(shapely.Point(x, y))
+        inside = 0.01 < s < line.length - 0.01
+        apart = line.distance(shapely.Point(x, y))
+        row = found[found["lane"] == lane]
+        if inside and apart < wide - 0.01:
+            assert row["s_m"].item() == pytest.approx(s, abs=0.05)
+            assert abs(row["d_m"].item()) == pytest.approx(apart, abs=0.02)
+        elif apart > wide + 0.01:
+            assert row.empty
+
+
+def test_the_filter_follows_one_vehicle_from_end_to_end(straight):
+    rng = np.random.default_rng(1)
+    time, points, rate = driving(12.0, 0.0, 15.0, 5.0, rng)
+    keep = rng.random(len(time)) < 0.5
+    echoes = echoes_at(time[keep], points[keep] - straight.origin, rate[keep])
+    number, state = ForwardFilter(straight, SETTINGS.forward).push(echoes)
+    assert set(number.tolist()) <= {NONE, 0}
+    assert (number == 0).mean() > 0.95
+    assert state[number == 0][50:, 3] == pytest.approx(12.0, abs=0.5)
+
+
+def test_numbers_of_both_directions_become_one():
+    time = np.arange(8.0)
+    number = np.array([0, 0, 0, 0, NONE, 1, 1, 1])
+    against = np.array([5, 5, 5, 5, 5, 5, 5, 5])
+    number = np.repeat(number, 4)
+    joined = join_directions(number, np.repeat(against, 4), np.repeat(time, 4))
+    assert len(set(joined.tolist())) == 1
+
+
+def test_two_that_drive_beside_each_other_in_time_stay_two():
+    time = np.tile(np.arange(0.0, 4.0, 0.1), 2)
+    number = np.repeat([0, 1], 40)
+    joined = join_directions(number, np.zeros(80, np.int64), time)
+    assert set(joined.tolist()) == {0, 1}
+
+
+def test_speed_place_and_length_of_a_vehicle_that_stops_and_goes(straight):
+    rng = np.random.default_rng(2)
+    time = np.arange(0.0, 32.0, 0.05)
+    speed = np.interp(time, [0.0, 4.0, 9.0, 20.0, 25.0, 32.0], [10.0, 10.0, 0.0, 0.0, 10.0, 10.0])
+    middle = 5.0 + np.cumsum(speed) * 0.05
+    points = np.column_stack([middle - 2.25, np.zeros(len(time))])
+    points += rng.normal(0.0, (0.1, 0.2), points.shape)
+    rate = speed + rng.normal(0, 0.02, len(time))
+    rate[speed == 0.0] = 0.0
+    (one,) = vehicles_in(echoes_at(time + 1e9, points - straight.origin, rate), straight, SETTINGS)
+    own = np.arange(one.first_step, one.last_step + 1) / 20.0 - 1e9
+    assert own[[0, -1]] == pytest.approx([0.0, 32.0], abs=0.3)
+    standing = (own > 10.0) & (own < 19.0)
+    assert one.speed[standing].max() < 0.2
+    place, _ = one.places
+    assert place[standing, 0] + straight.origin[0] == pytest.approx(70.0, abs=1.0)
+    assert one.length_m == pytest.approx(4.5, abs=1.0)
+
+
+def test_a_sign_at_the_edge_of_a_lane_is_no_vehicle(straight):
+    rng = np.random.default_rng(3)
+    time = np.arange(0.0, 60.0, 0.05) + 1e9
+    points = np.column_stack([rng.normal(60, 0.1, len(time)), rng.normal(-1.7, 0.05, len(time))])
+    echoes = echoes_at(time, points - straight.origin, np.zeros(len(time)))
+    assert vehicles_in(echoes, straight, SETTINGS) == []
+
+
+def test_what_others_drive_over_does_not_stand(straight):
+    rng = np.random.default_rng(4)
+    plate_t = np.arange(0.0, 60.0, 0.1) + 1e9
+    plate = np.column_stack([rng.normal(60, 0.1, len(plate_t)), rng.normal(0, 0.1, len(plate_t))])
+    parts = [(plate_t, plate, np.zeros(len(plate_t)))]
+    parts += [driving(12.0, at, at + 12.0, 5.0, rng) for at in (3.0, 12.0, 21.0, 30.0, 39.0, 48.0)]
+    order = np.argsort(np.concatenate([each[0] for each in parts]), kind="stable")
+    time, points, rate = (np.concatenate([each[k] for each in parts])[order] for k in range(3))
+    found = vehicles_in(echoes_at(time, points - straight.origin, rate), straight, SETTINGS)
+    standing_s = sum(float((each.speed < 0.5).sum()) / 20.0 for each in found)
+    assert sum(each.speed.max() > 5.0 for each in found) == 6
+    assert standing_s < 30.0
+
+
+@settings(deadline=None)
+@given(gap_m=st.floats(1.5, 6.0), count=st.integers(1, 4))
+def test_a_queue_is_packed_into_its_vehicles(gap_m, count):
+    limits = StandingSettings()
+    weights = np.zeros((3, 400))
+    rears = [10.0 + k * (4.5 + gap_m) for k in range(count)]
+    for rear in rears:
+        for place, kind in ((rear + 0.1, 1), (rear + 4.4, 0)):
+            weights[kind, int(place / limits.cell_m)] = 8.0
+    found = pack(weights, np.full(401, NONE, np.int64), limits) * limits.cell_m
+    assert len(found) == count
+    assert np.sort(found[:, 0]) == pytest.approx(rears, abs=0.6)
+    assert np.sort(found[:, 1]) == pytest.approx(np.add(rears, 4.5), abs=0.6)
+
+
+def test_strips_go_on_over_lanelets(straight):
+    strips = Strips.of(straight)
+    assert strips.number[0] == strips.number[1] != strips.number[2]
+    at = strips.lay(np.array([[150.0, 0.0]]) - straight.origin)
+    place, heading = strips.place(int(at.strip[0]), float(at.s_m[0]))
+    assert place + straight.origin == pytest.approx([150.0, 0.0], abs=0.2)
+    assert heading == pytest.approx(0.0, abs=0.01)
+
+
+@settings(deadline=None)
+@given(s=st.floats(-3, 30), left=st.floats(-2, 2))
+def test_a_path_gives_back_what_is_laid_on_it(s, left):
+    path = Path(np.column_stack([np.arange(0.0, 26.0), np.zeros(26)]))
+    along, beside = path.project(np.array([[s, left]]), np.array([s]), 10.0)
+    assert along[0] == pytest.approx(s, abs=1e-9)
+    assert beside[0] == pytest.approx(left, abs=1e-9)
+
+
+def test_a_map_without_lanes_for_vehicles_is_refused():
+    table = lanelets((1, [(0, 0), (10, 0)], 2.0, []))
+    table["participants"] = [["pedestrian"]]
+    with pytest.raises(gr.NoAnswerError, match="no lanelet for vehicles"):
+        lane_graph(table)
