@@ -312,7 +312,7 @@ def _share(x: float, y: float, i: int, samples: Floats) -> float:  # pragma: no 
     length2 = bx * bx + by * by
     if length2 <= 0.0:
         return np.nan
-    return ((x - samples[i, 0]) * bx + (y - samples[i, 1]) * by) / length2
+    return float(((x - samples[i, 0]) * bx + (y - samples[i, 1]) * by) / length2)
 
 
 @compiled

@@ -286,7 +286,8 @@ def _on_strip(
             local = window * uniform_filter1d(weights.sum(axis=0), window, mode="constant")
             share = np.minimum(1.0, settings.most_weight / np.maximum(local, 1e-9))
             cells = pack(weights * share, held, settings)
-            found, previous = (cells + low) * settings.cell_m, active
+            found = np.asarray((cells + low) * settings.cell_m, np.float64)
+            previous = active
             held[:] = NONE
             held[cells[:, 1]] = cells[:, 0]
         book.follow(found, now)

@@ -40,6 +40,8 @@ def vehicles_in(echoes: Echoes, graph: LaneGraph, settings: VehicleSettings) -> 
     motions = absorb(echoes, parts, states, settings.bodies, settings.motion)
     persons = is_person(echoes, motions, settings.bodies)
     driven = [each for each, person in zip(motions, persons, strict=True) if not person]
+    if not driven:
+        return []  # where nothing drives, nothing tells a vehicle that stands from what is built
     free = np.abs(echoes.range_rate) < settings.echoes.moving_mps
     for each in motions:
         free[each.rows] = False
