@@ -4,14 +4,16 @@ Minutes of the sample junction are simulated detection by detection, with radars
 recorded, walkers and cyclists. From these:
 
 - *noticed*: the same detections as a sensor gives them that was moved by 0.3 m in eight directions
-  or turned by half a degree, after what there is of an hour: how often within ten minutes;
-- *false*: hours at the level of tracks. Runs of minutes are drawn anew from those simulated; what
-  each vehicle does in its lane about the mean of all is mirrored at random, a run as a whole (a
-  wild cluster bootstrap: spread, correlation along a track, broken tracks and platoons stay as they
-  are). `day` adds what changes: traffic from night to rush hour, habits by stretch, of all drivers
-  and of trucks, obstacles that all go round, and a mast that drifts as far as the settings allow.
-  The rate of false alarms comes from a generalised Pareto tail of the largest score of each half
-  an hour. `steady` has none of that and is compared with the detections' own scores.
+  or turned by half a degree, after what there is of an hour: how often within ten minutes, by which
+  of both witnesses;
+- *rest*: hours drawn anew from those minutes (`alarm_hours.py`). `day` adds what changes: traffic
+  from night to rush hour, habits by stretch, of all drivers and of trucks, obstacles that all go
+  round, still targets that wander for hours, parked cars that leave, rain, a mast that drifts as
+  far as the settings allow and sways in the wind. The rate of false alarms comes from a generalised
+  Pareto tail of the largest score of each half an hour. `steady` has none of that and is compared
+  with the detections' own scores. In hours of either kind the sensor is moved, too, with all of its
+  still targets and with few of them;
+- *knocks*: what the test of the newest 20 and 60 s reports in the same detections at rest.
 """
 
 from __future__ import annotations
@@ -22,13 +24,13 @@ import json
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
+from alarm_hours import APART, CHANGING, STEADY, Day, Hours, Minute, halves, tail
 from scipy.spatial.transform import Rotation
-from scipy.stats import genpareto
 from simulated import ROOT
 
 import gis_radar as gr
@@ -36,9 +38,10 @@ from gis_radar.arrays import Floats
 from gis_radar.localization.lanes import sample_lanes
 from gis_radar.localization.state import State
 from gis_radar.localization.traces import Moving
-from gis_radar.tracking.alarm import Alarm, Displacement, Witness, witnesses
+from gis_radar.tracking.alarm import Alarm, Witness, witnesses
 from gis_radar.tracking.lane_places import Cells, LanePlaces, cells_along, lane_places
-from gis_radar.tracking.settings import DEFAULTS, HOUR_S
+from gis_radar.tracking.settings import DEFAULTS
+from gis_radar.tracking.still_targets import StillTargets, by_move
 from simulation.demand import ALL_KINDS, Flow
 from simulation.driving import DrivenRoads, LaneKeeping
 from simulation.network import RoadNetwork, build_network, read_network
@@ -58,14 +61,8 @@ MINUTES = 10  # a piece of simulation; streets hold the same habits in all of th
 STREETS_SEED = 77
 WINDOW_S = 100.0
 FIRST_MOVED = 3  # pieces before the first move
-ALARM = DEFAULTS.alarm
-RUN = 3  # minutes that stay together
-MONTH_H = 720.0
-APART = 30  # minutes between independent exceedances: the longest part that is tested
-SHARES = (  # of the traffic by day, hour by hour
-    0.06, 0.04, 0.04, 0.05, 0.1, 0.3, 0.7, 1.0, 1.0, 0.8, 0.7, 0.7,
-    0.75, 0.75, 0.8, 0.9, 1.0, 1.0, 0.85, 0.6, 0.45, 0.3, 0.2, 0.1,
-)  # fmt: skip
+FEW = (24, 16, 12)  # still targets
+ALARM, STILL, TRACES = DEFAULTS.alarm, DEFAULTS.still, DEFAULTS.localization.traces
 
 
 class SameStreets(LaneKeeping):
@@ -83,10 +80,11 @@ def main() -> None:
     parser.add_argument("--pieces", type=int, default=7, help="of ten minutes, ordinary traffic")
     parser.add_argument("--light", type=int, default=9, help="of ten minutes, a quarter of it")
     parser.add_argument("--days", type=int, default=5, help="of each sensor and kind")
+    parser.add_argument("--seed", type=int, default=2, help="of the days; the gate is from 1")
     parser.add_argument("--json", type=Path, default=ROOT / "out" / "bench-alarm.json")
     arguments = parser.parse_args()
-    report: dict[str, object] = {"gate": ALARM.gate}
-    still: list[Floats] = []
+    report: dict[str, object] = {"gate": ALARM.gate, "still_gate": STILL.gate}
+    days: dict[str, list[Floats]] = {}
     for name, first, count, share, masts in (
         ("ordinary", 0, arguments.pieces, 1.0, (0, 1)),
         ("light", 100, arguments.light, 0.25, (0,)),
@@ -97,12 +95,13 @@ def main() -> None:
             print(f"{name}, {sensor.name}: {count * MINUTES} minutes", flush=True)
             report[f"{name}, {sensor.name}, noticed"] = noticed(sensor, made)
             if name == "ordinary":
-                report[f"{sensor.name}, false"], largest = false_alarms(
-                    sensor, made, arguments.days
-                )
-                still.append(largest)
-    report["false, all"] = tail(np.concatenate(still))
-    print(f"all sensors, day: {json.dumps(report['false, all'])}", flush=True)
+                figures, largest = rest(sensor, made, arguments.days, arguments.seed)
+                report[f"{sensor.name}, rest"] = figures
+                for who, parts in largest.items():
+                    days.setdefault(who, []).append(parts)
+    for who, every in days.items():
+        report[f"false, all, {who}"] = tail(np.concatenate(every))
+        print(f"all sensors, day, {who}: {json.dumps(report[f'false, all, {who}'])}", flush=True)
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
     arguments.json.write_text(json.dumps(report, indent=1) + "\n")
 
@@ -111,9 +110,9 @@ def main() -> None:
 
 
 def _piece(name: str, number: int, share: float, mast: int) -> Path:
-    """Return the moving detections of ten minutes, simulated once and kept."""
+    """Return the detections of ten minutes, simulated once and kept."""
     sensor = make_samples.MASTS[mast].sensor
-    path = OUT / name / f"{sensor}_{number:03d}.npz"
+    path = OUT / name / f"{sensor}_{number:03d}_all.npz"
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
         begin = time.process_time()
@@ -121,22 +120,24 @@ def _piece(name: str, number: int, share: float, mast: int) -> Path:
         stand, model = make_samples.MASTS[mast], RADARS[make_samples.MASTS[mast].radar]
         place = np.random.default_rng([make_samples.SEED, mast]).spawn(1)[0]
         moments, noise = np.random.default_rng([number, mast]).spawn(2)
-        # what stands still is of no use here
-        few = replace(model, static_per_frame=2.0)
-        radar = place_radar(stand.pose(), site.scene, rng=place, model=few)
+        radar = place_radar(stand.pose(), site.scene, rng=place, model=model)
+        begin_s = _begin(number)
         frames = frame_times(
-            make_samples.START, 60.0 * MINUTES, rng=moments, cycle_s=model.cycle_s,
-            jitter_s=model.jitter_s,
-        )  # fmt: skip
+            begin_s, 60.0 * MINUTES, rng=moments, cycle_s=model.cycle_s, jitter_s=model.jitter_s
+        )
         table = simulate_recording(radar, site.traffic, frames, rng=noise)
-        table = table[table["range_rate"].abs() > DEFAULTS.localization.traces.min_speed_mps]
         np.savez_compressed(
-            path, time=table["time"] - make_samples.START, xyz=table[["x", "y", "z"]],
+            path, time=table["time"] - begin_s, xyz=table[["x", "y", "z"]],
             rate=table["range_rate"],
         )  # fmt: skip
         spent = (time.process_time() - begin) / MINUTES
         print(f"{path.name}: {spent:.1f} s of processor a minute", flush=True)
     return path
+
+
+def _begin(number: int) -> float:
+    """Return when a piece begins, so that each sees other moments of what wanders."""
+    return make_samples.START + 60.0 * MINUTES * number
 
 
 def _site(seed: int, duration_s: float, share: float) -> make_samples.Site:
@@ -154,13 +155,47 @@ def _site(seed: int, duration_s: float, share: float) -> make_samples.Site:
             for way, count in make_samples.PER_HOUR.items()
         ]
         traffic = simulate_traffic(
-            net, network, flows=flows, kinds=ALL_KINDS, start=make_samples.START,
+            net, network, flows=flows, kinds=ALL_KINDS, start=_begin(seed),
             duration_s=duration_s, warm_up_s=100.0, seed=seed, keeping=keeping,
         )  # fmt: skip
     furniture = np.random.default_rng(make_samples.SEED)
     scene = furnish(network, make_samples.TERRAIN, rng=furniture)
     people = simulate_people(network, scene.road, traffic, make_samples.PEOPLE, seed=seed)
     return make_samples.Site(network=network, scene=scene, traffic=traffic.joined(people))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Detected:
+    """Detections in the sensor's frame."""
+
+    time: Floats
+    points: Floats
+    rate: Floats
+
+    def between(self, begin: float, end: float) -> Detected:
+        """Return those of a time, its end not included."""
+        low, high = np.searchsorted(self.time, [begin, end])
+        return Detected(
+            time=self.time[low:high], points=self.points[low:high], rate=self.rate[low:high]
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scores:
+    """The largest scores of a minute, in parts of their gates.
+
+    `sees` and `unmoved` are as of :class:`gis_radar.tracking.watch.Watch`.
+    """
+
+    still: float
+    vehicles: float
+    sees: bool
+    unmoved: bool
+
+    @property
+    def whole(self) -> float:
+        """What the alarm goes by, as :func:`gis_radar.tracking.watch.decided`."""
+        return self.still if self.sees else max(self.still, self.vehicles)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,31 +223,85 @@ class Sensor:
         state = State(position=place, R_map_sensor=turn, reflection=0.5)
         return cls(name=pose.sensor, cells=cells_along(lanes), state=state)
 
-    def minutes(self, path: Path, step: Floats | None = None) -> list[LanePlaces]:
-        """Return where vehicles drove in a piece, by minute, if the sensor was moved before it."""
+    def load(self, path: Path) -> Detected:
+        """Return a piece."""
         with np.load(path) as file:
-            when, rate = file["time"], np.asarray(file["rate"], dtype=np.float64)
-            xyz = np.asarray(file["xyz"], dtype=np.float64)
-        if step is not None:
-            moved = self.state.moved(np.append(step, 0.0))
-            xyz = (self.state.to_map(xyz) - moved.position) @ moved.R_map_sensor
-        found = []
-        for now in 60.0 * np.arange(1, MINUTES + 1):
-            low, high = np.searchsorted(when, [now - WINDOW_S, now])
-            window = Moving(
-                time=when[low:high], points=xyz[low:high], range_rate=rate[low:high],
-                frames=2000, detections=high - low, begin=now - WINDOW_S, end=now,
+            return Detected(
+                time=file["time"], points=np.asarray(file["xyz"], dtype=np.float64),
+                rate=np.asarray(file["rate"], dtype=np.float64),
             )  # fmt: skip
-            since, until = now - 60.0 - ALARM.settle_s, now - ALARM.settle_s
-            found.append(
-                lane_places(window, self.cells, self.state, since=since, until=until,
-                         traces=DEFAULTS.localization.traces)
-            )  # fmt: skip
-        return found
 
-    def alarm(self) -> Alarm:
-        """Return an alarm that has seen nothing."""
-        return Alarm(self.cells, self.state.position[:2])
+    def moved(self, piece: Detected, step: Floats) -> Detected:
+        """Return a piece as the sensor gives it that was moved, and is not known to be."""
+        moved = self.state.moved(np.append(step, 0.0))
+        points = (self.state.to_map(piece.points) - moved.position) @ moved.R_map_sensor
+        return replace(piece, points=points)
+
+    def driven(self, piece: Detected, minute: int) -> LanePlaces:
+        """Return where vehicles drove in a minute of a piece."""
+        now = 60.0 * (minute + 1)
+        window = piece.between(now - WINDOW_S, now)
+        drives = np.abs(window.rate) > TRACES.min_speed_mps
+        moving = Moving(
+            time=window.time[drives], points=window.points[drives], range_rate=window.rate[drives],
+            frames=2000, detections=len(drives), begin=now - WINDOW_S, end=now,
+        )  # fmt: skip
+        since, until = now - 60.0 - ALARM.settle_s, now - ALARM.settle_s
+        return lane_places(moving, self.cells, self.state, since=since, until=until, traces=TRACES)
+
+    def witnesses(self) -> tuple[Witness, Witness]:
+        """Return how vehicles show moves."""
+        return witnesses(self.cells, self.state.position[:2], ALARM)
+
+
+class Both:
+    """Both witnesses of a sensor, asked as the track asks them.
+
+    Parameters
+    ----------
+    sensor : Sensor
+        Whose.
+    known : (StillTargets, array of int) or None
+        Of which still targets these are taken as they are, and no others looked for.
+    """
+
+    def __init__(
+        self, sensor: Sensor, known: tuple[StillTargets, np.ndarray] | None = None
+    ) -> None:
+        self.vehicles = Alarm(sensor.cells, sensor.state.position[:2])
+        fixed = replace(DEFAULTS, still=replace(STILL, search_blocks=2**62))
+        self.still = StillTargets(DEFAULTS if known is None else fixed)
+        if known is not None:
+            self.still.know(known[0].place[known[1]], known[0].rate[known[1]])
+
+    def piece(self, sensor: Sensor, piece: Detected, clock: float) -> list[Scores]:
+        """Take a piece of detections; return the scores minute by minute."""
+        scores = []
+        for minute in range(MINUTES):
+            places, seen = sensor.driven(piece, minute), self.summaries(piece, minute)
+            scores.append(self.minute(places, seen, clock + 60.0 * (minute + 1)))
+        return scores
+
+    def summaries(self, piece: Detected, minute: int) -> Iterator[Floats]:
+        """Yield where still targets are in the blocks of a minute; to be taken one by one."""
+        for begin in 60.0 * minute + np.arange(0.0, 60.0, STILL.block_s):
+            part = piece.between(begin, begin + STILL.block_s)
+            self.still.push(part.time, part.points, part.rate)
+            yield self.still.summary()
+
+    def minute(self, places: LanePlaces | None, still: Iterable[Floats], now: float) -> Scores:
+        """Take a minute; return the largest scores in it, in parts of their gates."""
+        largest, sees, newest = 0.0, False, True
+        for part in still:
+            self.still.take(part)
+            first, *longer = (self.still.verdict(number) for number in STILL.blocks)
+            told = [each for each in longer if each is not None]
+            sees = any(each.sees for each in told)
+            newest &= first is not None and first.rests
+            largest = max([largest, *(each.found.score / STILL.gate for each in told)])
+        driven = None if places is None else self.vehicles.push(places, now)
+        by_vehicles = 0.0 if driven is None else driven.score / ALARM.gate
+        return Scores(still=largest, vehicles=by_vehicles, sees=sees, unmoved=newest)
 
 
 def moves() -> dict[str, Floats]:
@@ -231,221 +320,111 @@ def moves() -> dict[str, Floats]:
 
 def noticed(sensor: Sensor, pieces: Sequence[Path]) -> dict[str, object]:
     """Move the sensor at the begin of each later piece: how often is it noticed, and when?"""
-    taught, clock = sensor.alarm(), 0.0
-    found: dict[str, list[tuple[float, float]]] = {}
-    for number, piece in enumerate(pieces):
+    taught, found = Both(sensor), dict[str, list[list[Scores]]]()
+    for number, path in enumerate(pieces):
+        piece, clock = sensor.load(path), 60.0 * MINUTES * number
         for name, step in moves().items() if number >= FIRST_MOVED else ():
-            alarm = copy.deepcopy(taught)
-            scores = [
-                _score(alarm.push(seen, clock + 60.0 * (k + 1)))
-                for k, seen in enumerate(sensor.minutes(piece, step))
-            ]
-            late = np.flatnonzero(np.array(scores) > ALARM.gate)
-            delay = float(late[0] + 1) if len(late) else np.inf
-            found.setdefault(name.split(" ")[0], []).append((max(scores), delay))
-        for seen in sensor.minutes(piece):
-            clock += 60.0
-            taught.push(seen, clock)
-    report: dict[str, object] = {}
-    for name, results in found.items():
-        scores, delays = np.array(results).T
-        report[name] = {
-            "trials": len(results), "noticed": float((delays <= MINUTES).mean()),
-            "minutes": float(np.median(delays)), "score_median": float(np.median(scores)),
-            "score_low": float(np.quantile(scores, 0.1)),
-            "scores": np.sort(scores).round(1).tolist(),
+            scores = copy.deepcopy(taught).piece(sensor, sensor.moved(piece, step), clock)
+            found.setdefault(name.split(" ")[0], []).append(scores)
+        rest = taught.piece(sensor, piece, clock)
+        found.setdefault("rest", []).append(rest)
+    report = {name: summary(trials) for name, trials in found.items()}
+    for name, figures in report.items():
+        print(f"  {name:6s} {json.dumps(figures)}", flush=True)
+    return dict(report)
+
+
+def summary(trials: Sequence[Sequence[Scores]]) -> dict[str, object]:
+    """Return how many trials were noticed within the minutes of a piece, by whom, and when."""
+    figures: dict[str, object] = {"trials": len(trials)}
+    for name in ("whole", "still", "vehicles"):
+        scores = np.array([[getattr(each, name) for each in trial] for trial in trials])
+        delay = np.where((scores > 1.0).any(axis=1), np.argmax(scores > 1.0, axis=1) + 1.0, np.inf)
+        largest = scores.max(axis=1)
+        figures[name] = {
+            "noticed": int(np.isfinite(delay).sum()), "minutes": float(np.median(delay)),
+            "score_median": float(np.median(largest)), "score_least": float(largest.min()),
+            "score_most": float(largest.max()),
         }  # fmt: skip
-        print(f"  {name:6s} {json.dumps(report[name])}", flush=True)
-    return report
+    return figures
 
 
-def _score(found: Displacement | None) -> float:
-    return 0.0 if found is None else found.score
+def learnt(sensor: Sensor, pieces: Sequence[Path]) -> tuple[StillTargets, list[Minute]]:
+    """Return the still targets of all pieces, and what both witnesses see in each minute."""
+    first, parts = Both(sensor), [sensor.load(path) for path in pieces]
+    for piece in parts:
+        for minute in range(MINUTES):
+            for seen in first.summaries(piece, minute):
+                first.still.take(seen)
+    again = Both(sensor, (first.still, np.arange(len(first.still))))
+    minutes = [
+        Minute(places=sensor.driven(piece, minute), still=list(again.summaries(piece, minute)))
+        for piece in parts
+        for minute in range(MINUTES)
+    ]
+    return first.still, minutes
 
 
-# tracks
-
-
-@dataclass(frozen=True, kw_only=True)
-class Day:
-    """What changes in a day; standard deviations, as slow random processes of some hours.
-
-    Parameters
-    ----------
-    shares : tuple of float
-        Of the traffic, hour by hour.
-    stretch_m, common_m, breadth_m : float
-        Habits by stretch, of all drivers, and where vehicles reflect.
-    obstacles : float
-        An hour: on a stretch all keep aside by 0.3 to 1 m, for 5 to 60 minutes.
-    drift : float
-        Of the mast, times what the settings allow.
-    """
-
-    shares: tuple[float, ...] = (1.0,)
-    stretch_m: float = 0.0
-    common_m: float = 0.0
-    breadth_m: float = 0.0
-    obstacles: float = 0.0
-    drift: float = 0.0
-
-
-STEADY = Day()
-CHANGING = Day(
-    shares=SHARES, stretch_m=0.05, common_m=0.03, breadth_m=0.02, obstacles=0.5, drift=1.0
-)
-SLOW_H = 2.0
-
-
-class Tracks:
-    """Traffic at the level of tracks, from minutes of simulated detections."""
-
-    def __init__(self, sensor: Sensor, minutes: Sequence[LanePlaces], seed: int) -> None:
-        self.sensor, self.minutes = sensor, minutes
-        self.rng = np.random.default_rng(seed)
-        self.witnesses = witnesses(sensor.cells, sensor.state.position[:2], ALARM)
-        self.mean = [_means([(m.cell, _values(m)[k]) for m in minutes], len(sensor.cells))
-                     for k in range(2)]  # fmt: skip
-
-    def hours(self, hours: float, day: Day) -> Iterator[LanePlaces]:
-        """Yield where vehicles drive in each minute."""
-        rng, count = self.rng, round(60.0 * hours)
-        begin = int(rng.integers(24 * 60))
-        across, over = self.witnesses
-        slow = _Slow(rng, day, across)
-        place, signs = 0, np.ones(2)
-        used: list[int] = []
-        for minute in range(count):
-            if minute % RUN == 0:
-                place = self._draw(used)
-                used = [*used, place][-APART // RUN :]
-                signs = rng.choice([-1.0, 1.0], 2)
-            seen = self.minutes[place + minute % RUN]
-            share = day.shares[(begin + minute) // 60 % len(day.shares)]
-            kept = rng.random(seen.vehicles)[seen.vehicle] < share
-            slow.step()
-            values = []
-            for k, (witness, value) in enumerate(zip((across, over), _values(seen), strict=True)):
-                mean = self.mean[k]
-                own = signs[k] * (value - mean[seen.cell])
-                values.append((mean + slow.change(witness))[seen.cell] + own)
-            kept &= np.abs(values[0]) < ALARM.within_m
-            yield LanePlaces(
-                vehicle=np.unique(seen.vehicle[kept], return_inverse=True)[1],
-                cell=seen.cell[kept], across_m=values[0][kept], over_m=values[1][kept],
-                count=seen.count[kept],
-            )  # fmt: skip
-
-    def _draw(self, used: Sequence[int]) -> int:
-        """Return where a run begins: no minute comes twice in half an hour, as none ever does."""
-        places = np.arange(len(self.minutes) - RUN + 1)
-        free = [k for k in places if all(abs(k - other) >= RUN for other in used)]
-        return int(self.rng.choice(free or places))
-
-
-def _values(seen: LanePlaces) -> tuple[Floats, Floats]:
-    return seen.across_m, seen.over_m
-
-
-def _means(parts: Sequence[tuple[np.ndarray, Floats]], cells: int) -> Floats:
-    cell, value = (np.concatenate(part) for part in zip(*parts, strict=True))
-    count = np.bincount(cell, minlength=cells)
-    return np.asarray(np.bincount(cell, value, minlength=cells) / np.maximum(count, 1))
-
-
-class _Slow:
-    """What changes slowly, minute by minute."""
-
-    def __init__(self, rng: np.random.Generator, day: Day, across: Witness) -> None:
-        self._rng, self._day = rng, day
-        self._stretches = int(across.stretch.max()) + 1
-        sigma = np.full(self._stretches + 2, day.stretch_m)
-        sigma[-2:] = day.common_m, day.breadth_m
-        self._sigma, self._habits = sigma, sigma * rng.normal(size=len(sigma))
-        self._drift = np.zeros(6)
-        self._obstacles: list[tuple[int, float, int]] = []
-
-    def step(self) -> None:
-        """Go on by a minute."""
-        rng, keep = self._rng, np.exp(-1.0 / 60.0 / SLOW_H)
-        noise = np.sqrt(1.0 - keep**2) * rng.normal(size=len(self._sigma))
-        self._habits = keep * self._habits + self._sigma * noise
-        hourly = self._day.drift * np.array(DEFAULTS.drift)
-        self._drift = self._drift + hourly * rng.normal(size=6) * np.sqrt(60.0 / HOUR_S)
-        self._obstacles = [(s, by, left - 1) for s, by, left in self._obstacles if left > 1]
-        if rng.random() < self._day.obstacles / 60.0:
-            by = float(rng.choice([-1.0, 1.0]) * rng.uniform(0.3, 1.0))
-            stretch, lasts = int(rng.integers(self._stretches)), int(rng.integers(5, 61))
-            self._obstacles.append((stretch, by, lasts))
-
-    def change(self, witness: Witness) -> Floats:
-        """Return how far the mean of each cell is changed."""
-        changed = witness.by_move @ self._drift[list(witness.moved)]
-        if len(witness.moved) == 2:  # heights: habits of the same size, and no obstacles
-            return np.asarray(changed + self._habits[witness.stretch] + self._habits[-2])
-        changed = changed + self._habits[witness.stretch] + witness.by_habit @ self._habits[-2:]
-        for stretch, by, _ in self._obstacles:
-            changed = changed + by * (witness.stretch == stretch)
-        return np.asarray(changed)
-
-
-def false_alarms(
-    sensor: Sensor, pieces: Sequence[Path], days: int
-) -> tuple[dict[str, object], Floats]:
-    """Let days pass in which the sensor stands still; return figures, and half-hourly maxima."""
-    minutes = [each for path in pieces for each in sensor.minutes(path)]
-    own = sensor.alarm()
-    detections = [_score(own.push(each, 60.0 * k)) for k, each in enumerate(minutes)]
-    whole = np.array(detections[3 * ALARM.warm_up :])
-    report: dict[str, object] = {"detections": _quantiles(whole)}
-    tracks = Tracks(sensor, minutes, seed=len(minutes))
-    largest: dict[str, Floats] = {}
-    for name, day, count in (("day", CHANGING, days), ("steady", STEADY, (days + 1) // 2)):
-        halves: list[float] = []
-        every: list[float] = []
+def rest(
+    sensor: Sensor, pieces: Sequence[Path], days: int, seed: int
+) -> tuple[dict[str, object], dict[str, Floats]]:
+    """Let days pass in which the sensor stands still; and move it in them, with fewer targets."""
+    targets, minutes = learnt(sensor, pieces)
+    hours = Hours(minutes, sensor.witnesses(), sensor.state.R_map_sensor, seed)
+    every = np.arange(len(targets))
+    report: dict[str, object] = {"targets": len(targets)}
+    kept: dict[str, Floats] = {}
+    for name, day, count in (("day", CHANGING, days), ("steady", STEADY, 1)):
+        largest: dict[str, list[Floats]] = {"whole": [], "still": [], "vehicles": []}
+        sees, unmoved = [], []
         for _ in range(count):
-            alarm = sensor.alarm()
-            scores = [
-                _score(alarm.push(each, 60.0 * k)) for k, each in enumerate(tracks.hours(24.0, day))
+            both = Both(sensor, (targets, every))
+            drawn = [
+                both.minute(each.places, each.still, 60.0 * k)
+                for k, (each, _) in enumerate(hours.drawn(24.0, day))
             ]
-            every += scores[3 * ALARM.warm_up : len(minutes)] if name == "steady" else scores
-            halves += np.array(scores).reshape(-1, APART).max(axis=1).tolist()
-        largest[name] = np.array(halves)
-        report[name] = {**_quantiles(np.array(every)), **tail(largest[name])}
+            for who, parts in largest.items():
+                parts.append(halves([getattr(each, who) for each in drawn]))
+            sees += [each.sees for each in drawn[APART:]]
+            unmoved += [each.unmoved for each in drawn[APART:]]
+        joined = {who: np.concatenate(parts) for who, parts in largest.items()}
+        kept = kept or joined  # of the changing days
+        report[name] = {
+            "sees": float(np.mean(sees)), "unmoved": float(np.mean(unmoved)),
+            **{who: tail(parts) for who, parts in joined.items()},
+        }  # fmt: skip
         print(f"  {name:10s} {json.dumps(report[name])}", flush=True)
-    print(f"  detections {json.dumps(report['detections'])}", flush=True)
-    return report, largest["day"]
+    for day, count in ((STEADY, len(every)), *((CHANGING, n) for n in (len(every), *FEW))):
+        chosen = hours.rng.permutation(every)[:count]
+        name = f"{'steady' if day is STEADY else 'changing'}, {count} targets"
+        report[name] = moved_by_day(sensor, hours, targets, chosen, day)
+        print(f"  {name}: {json.dumps(report[name])}", flush=True)
+    return report, kept
 
 
-def _quantiles(scores: Floats) -> dict[str, float]:
-    return {f"q{q}": float(np.quantile(scores, q / 100.0)) for q in (50, 75, 90, 95, 99)}
-
-
-def tail(halves: Floats, *, seed: int = 0) -> dict[str, object]:
-    """Return the false alarms a month at the gate, by the tail of half-hourly maxima.
-
-    Neighbouring half hours share tested blocks: of neighbours above the threshold the largest
-    counts. The interval is that of 500 draws of the exceedances with replacement.
-    """
-    level = float(np.quantile(halves, 0.9))
-    above = halves > level
-    groups = np.cumsum(np.append(True, ~above[:-1]))[above]
-    peaks = np.array([halves[above][groups == g].max() for g in np.unique(groups)])
-    excess, hours = peaks - level, len(halves) * APART / 60.0
-    rng = np.random.default_rng(seed)
-
-    def monthly(sample: Floats) -> float:
-        shape, _, scale = genpareto.fit(sample, floc=0.0)
-        rate = len(sample) / hours * MONTH_H
-        return float(rate * genpareto.sf(ALARM.gate - level, shape, scale=scale))
-
-    draws = [monthly(rng.choice(excess, max(int(rng.poisson(len(excess))), 5))) for _ in range(500)]
-    low, high = np.quantile(draws, [0.025, 0.975])
+def moved_by_day(
+    sensor: Sensor, hours: Hours, targets: StillTargets, chosen: np.ndarray, day: Day
+) -> dict[str, object]:
+    """Move a sensor on a day, on and on, with a part of its still targets: how often is it seen?"""
+    both, found = Both(sensor, (targets, chosen)), dict[str, list[list[Scores]]]()
+    minutes = [each for each, _ in hours.drawn(24.0, day)]
+    turn, design = np.kron(np.eye(2), sensor.state.R_map_sensor.T), by_move(hours.middle)
+    every = list(moves().items())
+    for k, minute in enumerate(minutes):
+        if k >= 60 and k % 30 == 0 and k + MINUTES <= len(minutes):
+            for pick in hours.rng.permutation(len(every))[:4]:
+                name, step = every[pick]
+                shift, other = design @ (turn @ step), copy.deepcopy(both)
+                scores = [
+                    other.minute(None, [(part + shift)[chosen] for part in each.still], 0.0)
+                    for each in minutes[k : k + MINUTES]
+                ]
+                found.setdefault(name.split(" ")[0], []).append(scores)
+        both.minute(None, [part[chosen] for part in minute.still], 0.0)
     return {
-        "hours": hours, "largest": float(halves.max()), "alarms": int((peaks > ALARM.gate).sum()),
-        "monthly": monthly(excess), "monthly_95": [float(low), float(high)],
-        "tail": [level, len(excess), *map(float, genpareto.fit(excess, floc=0.0))],
-    }  # fmt: skip
+        name: {"trials": len(trials), **summary(trials)["still"]}  # type: ignore[dict-item]
+        for name, trials in sorted(found.items())
+    }
 
 
 if __name__ == "__main__":

@@ -14,11 +14,12 @@ from gis_radar.localization.traces import Moving
 from gis_radar.progress import Reporter
 from gis_radar.steps import seconds_from_iso
 from gis_radar.tracking import track
-from gis_radar.tracking.alarm import Alarm, Displacement, Memory, Watch, habits_of, witnesses
+from gis_radar.tracking.alarm import Alarm, Displacement, Memory, habits_of, witnesses
 from gis_radar.tracking.lane_places import LanePlaces, cells_along, lane_places
-from gis_radar.tracking.moves import Scatter
+from gis_radar.tracking.moves import MoveTest, Scatter
 from gis_radar.tracking.settings import ALARM, DEFAULTS
 from gis_radar.tracking.track import MOVED
+from gis_radar.tracking.watch import Watch
 from gis_radar.tracking.windows import WindowTraffic
 
 STREET = Street()
@@ -155,7 +156,7 @@ def test_the_move_is_that_of_least_squares_over_all_vehicles_at_once(cells, taug
     memory = Memory(witness, settings)
     for k, seen in enumerate(taught):
         memory.push(seen, seen.across_m, 60.0 * k)
-    found = {each.blocks: each for each in memory.displacements(2400.0)}[9]
+    found = {each.seconds: each for each in memory.displacements(2400.0)}[540.0]
     parts = [habits_of(s, s.across_m, sigma=witness.sigma, time=0.0) for s in taught]
     known = np.unique(np.concatenate([part.cell for part in parts]))
     effects = np.eye(cells.stretches)[cells.stretch]
@@ -294,14 +295,21 @@ def test_a_move_noticed_by_the_watch_moves_the_track(tmp_path, monkeypatch):
     asked, poses = [], []
 
     def look(self, traffic, state, time):
+        if traffic is None:
+            return None
         asked.append(time)
         poses.append(state.position)
-        move = Displacement(score=30.0, blocks=2, move=step, covariance=spread)
+        move = Displacement(score=30.0, seconds=4.0, move=step, covariance=spread)
         return move if len(asked) == 3 else None
 
-    restarts = []
+    restarts, again = [], Watch.restart
+
+    def restart(self):
+        restarts.append(1)
+        again(self)
+
     monkeypatch.setattr(Watch, "look", look)
-    monkeypatch.setattr(Watch, "restart", lambda _: restarts.append(1))
+    monkeypatch.setattr(Watch, "restart", restart)
     heard = Heard()
     found = track(tmp_path / "R1.parquet", STREET.roads(), STREET.road_points(), start,
                   settings=settings, reporter=heard)  # fmt: skip
@@ -317,6 +325,22 @@ def test_a_move_noticed_by_the_watch_moves_the_track(tmp_path, monkeypatch):
     assert len(restarts) == 2  # at the beginning, and at the move
     (line,) = [text for level, text in heard.lines if level == "warning"]
     assert "R1 was moved by about 0.27 m and 0.40 deg around 2023-11-14T22:13:" in line
+
+
+def test_while_still_targets_rest_traffic_is_not_asked_for_blows(tmp_path, monkeypatch):
+    STREET.record(tmp_path / "R1.parquet", POSE, frames=500, vehicles=40)
+    sigma = dict.fromkeys(("easting", "northing", "height"), 0.1)
+    start = replace(POSE, evidence={"sigma": sigma | dict.fromkeys(("yaw", "pitch", "roll"), 0.1)})
+    traces = replace(TRACES, frames=300)
+    localization = replace(DEFAULTS.localization, traces=traces)
+    asked = []
+    monkeypatch.setattr(MoveTest, "suspected", lambda *_: asked.append(1))
+    for rests in (False, True):
+        monkeypatch.setattr(Watch, "unmoved", rests)
+        before = len(asked)
+        track(tmp_path / "R1.parquet", STREET.roads(), STREET.road_points(), start,
+              settings=replace(DEFAULTS, localization=localization))  # fmt: skip
+        assert (len(asked) > before) is not rests
 
 
 def test_a_sensor_whose_windows_differ_much_needs_more_for_a_move():

@@ -20,10 +20,8 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.localization.state import State
-from gis_radar.tracking.lane_places import Cells, LanePlaces, cells_along, lane_places
+from gis_radar.tracking.lane_places import Cells, LanePlaces
 from gis_radar.tracking.settings import DEFAULTS, HOUR_S, AlarmSettings, TrackingSettings
-from gis_radar.tracking.windows import WindowFitter, WindowTraffic
 
 FREE = RIDGE = 1e-6  # information on what is not known beforehand, 1/m^2
 MOVE = 6
@@ -142,10 +140,10 @@ class Displacement:
     Parameters
     ----------
     score : float
-        How far it is beyond chance: like chi2 of the moved components, tails of few vehicles
-        taken off.
-    blocks : int
-        How many of the newest blocks show it.
+        How far it is beyond chance: like chi2 of the moved components, tails of few vehicles or
+        targets taken off.
+    seconds : float
+        How much of the newest time shows it.
     move : (6,) array
         Metres, and a turn about the map's axes in radians; zeros where nothing is known.
     covariance : (6, 6) array
@@ -153,9 +151,14 @@ class Displacement:
     """
 
     score: float
-    blocks: int
+    seconds: float
     move: Floats
     covariance: Floats
+
+    def turned(self, turn: Floats) -> Displacement:
+        """Return a displacement in a sensor's axes in those of the map, by `R_map_sensor`."""
+        both = np.kron(np.eye(2), turn)
+        return replace(self, move=both @ self.move, covariance=both @ self.covariance @ both.T)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -355,7 +358,8 @@ class Memory:
         move, every = np.zeros(MOVE), np.zeros((MOVE, MOVE))
         move[moved] = mean
         every[np.ix_(moved, moved)] = covariance
-        return Displacement(score=score, blocks=blocks, move=move, covariance=every)
+        seconds = blocks * self._settings.alarm.block_s
+        return Displacement(score=score, seconds=seconds, move=move, covariance=every)
 
     def _solved(self, whole: Habits, newest: Habits) -> tuple[Floats, Floats]:
         """Return the move and its covariance, cells and habits eliminated."""
@@ -415,56 +419,3 @@ class Alarm:
             memory.push(seen, value, time)
             found += memory.displacements(time)
         return max(found, key=lambda shift: shift.score, default=None)
-
-
-class Watch:
-    """Watches a sensor for small moves while its pose is followed.
-
-    Parameters
-    ----------
-    fitter : WindowFitter
-        The lanes.
-    settings : TrackingSettings
-        Of the alarm.
-    """
-
-    def __init__(self, fitter: WindowFitter, settings: TrackingSettings = DEFAULTS) -> None:
-        self._fitter, self._settings = fitter, settings
-        self.restart()
-
-    def restart(self) -> None:
-        """Forget what was learnt: the sensor stands elsewhere now."""
-        self._cells: Cells | None = None
-        self._since = np.nan
-
-    def look(self, traffic: WindowTraffic, state: State, time: float) -> Displacement | None:
-        """Take the newest traffic at the end of a block; return the move noticed in it, if any.
-
-        Parameters
-        ----------
-        traffic : WindowTraffic
-            The window, up to now.
-        state : State
-            The pose; what counts is the first one since the start.
-        time : float
-            UNIX seconds: now.
-        """
-        alarm = self._settings.alarm
-        if self._cells is None:
-            self._cells = cells_along(self._fitter.lanes(traffic.samples()), alarm)
-            self._state, self._since = state, time
-            self._alarm = Alarm(self._cells, state.position[:2], self._settings)
-        if time - self._since < alarm.block_s:
-            return None
-        seen = lane_places(
-            traffic.moving,
-            self._cells,
-            self._state,
-            since=self._since - alarm.settle_s,
-            until=time - alarm.settle_s,
-            traces=self._settings.localization.traces,
-            settings=alarm,
-        )
-        self._since = time
-        found = self._alarm.push(seen, time)
-        return found if found is not None and found.score > alarm.gate else None

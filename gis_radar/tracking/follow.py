@@ -24,7 +24,7 @@ from gis_radar.poses.pose import COMPONENTS, Evidence, Pose
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Detections, Recording, as_recording
 from gis_radar.steps import STEP_S, iso_from_step, seconds_from_iso, step_of
-from gis_radar.tracking.alarm import Displacement, Watch
+from gis_radar.tracking.alarm import Displacement
 from gis_radar.tracking.filter import (
     Estimate,
     Measurement,
@@ -39,6 +39,7 @@ from gis_radar.tracking.filter import (
 from gis_radar.tracking.moves import Change, MoveTest, Scatter, SuspectedMove
 from gis_radar.tracking.settings import DEFAULTS, TrackingSettings
 from gis_radar.tracking.track import MOVED, NOTHING, REJECTED, Row, Track, track_of
+from gis_radar.tracking.watch import Watch
 from gis_radar.tracking.windows import WindowFit, WindowFitter, WindowTraffic
 
 STAGE = "following the pose"
@@ -240,7 +241,7 @@ class Follower:
         self._fitter = fitter
         self._settings = settings
         self._name, self._reporter = name, reporter
-        self._watch, self._scatter = Watch(fitter, settings), Scatter(settings)
+        self.watch, self.scatter = Watch(fitter, settings), Scatter(settings)
         traces = settings.localization.traces
         self._window = MovingWindow(frames=traces.frames, min_speed=traces.min_speed_mps)
         self._past: deque[Estimate] = deque([start])
@@ -264,6 +265,7 @@ class Follower:
         """Take the next detections, if there are any."""
         if len(piece):
             self._window.push(piece)
+            self.watch.push(piece)
 
     def cycle(self, time: float) -> None:
         """Correct the pose from all frames so far.
@@ -288,21 +290,22 @@ class Follower:
             )
             self._keep(row if suspected is None else _allowing(row, suspected.move))
         self._give_up_if_lost(time)
-        if self.confirmed and self._full and traffic.tracks:
-            noticed = self._watch.look(traffic, self.now.state(self._like), time)
-            if noticed is not None:
-                self._move(noticed, time)
+        whole = traffic if self.confirmed and self._full and traffic.tracks else None
+        noticed = self.watch.look(whole, self.now.state(self._like), time)
+        if noticed is not None and self.confirmed:
+            self._move(noticed, time)
         self._vehicles = max(self._vehicles, traffic.tracks)
         if not self.confirmed and self._full and self._seen:
             self._refuse_start(self._seen)
 
     def _suspected_move(self, traffic: WindowTraffic, time: float) -> SuspectedMove | None:
         """Return the move that the newest data suggest, or none."""
-        if not self.confirmed or traffic.tracks < self._settings.localization.answer.least_tracks:
+        least = self._settings.localization.answer.least_tracks
+        if not self.confirmed or traffic.tracks < least or self.watch.unmoved:
             return None
         expected = partial(self._expected, time=time)
         test = MoveTest(
-            fitter=self._fitter, traffic=traffic, now=time, expected=expected, scatter=self._scatter
+            fitter=self._fitter, traffic=traffic, now=time, expected=expected, scatter=self.scatter
         )
         return test.suspected(self._like)
 
@@ -362,15 +365,14 @@ class Follower:
 
     def _move(self, noticed: Displacement, time: float) -> None:
         """Move the pose as the alarm states, since when it states, and watch from there."""
-        alarm = self._settings.alarm
-        since = time - alarm.settle_s - noticed.blocks * alarm.block_s
+        since = time - self._settings.alarm.settle_s - noticed.seconds
         earlier = [row.estimate for row in self.rows if row.estimate.time <= since]
         before = self._later((earlier or [self.rows[0].estimate])[-1], since)
         new = displaced(before, noticed.move, noticed.covariance)
         self._replace_since(Row(estimate=new, vehicles=self.rows[-1].vehicles, event=MOVED))
         self._window.forget(since)
         self._past, self._rejected_since = deque([new]), None
-        self._watch.restart()
+        self.watch.restart()
         self._warn(new, noticed.move)
 
     def _warn(self, new: Estimate, move: Floats) -> None:
@@ -383,7 +385,7 @@ class Follower:
 
     def _restart(self, change: Change, time: float) -> None:
         """Restart at a change, and replace the poses since then."""
-        self._watch.restart()
+        self.watch.restart()
         before = self._expected(change.time, change.time)
         start = self._knocked(before)
         new = corrected(start, change.found.measurement)
@@ -413,7 +415,7 @@ class Follower:
         self._window.forget(lost.time)
         self._replace_since(Row(estimate=lost, event=MOVED), REJECTED)
         self._past, self._rejected_since = deque([lost]), None
-        self._watch.restart()
+        self.watch.restart()
 
     def _replace_since(self, row: Row, event: str = NOTHING) -> None:
         """Put a row in, and what follows from it in the place of all later ones."""

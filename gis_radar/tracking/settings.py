@@ -144,6 +144,91 @@ class AlarmSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
+class StillTargetSettings:
+    """Settings of the second witness: what stands still around the sensor.
+
+    *Recorded* is on recordings of an ARS548 (a target repeats to 0.01 m, 0.05 and 0.1 to 2 degrees;
+    over seconds it wanders by 0.1 m, 0.15 and 1 degree), *measured* on `bench/alarm.py`.
+
+    Parameters
+    ----------
+    block_s : float
+        The place of a target is its median over so long: a shake is shorter, and four cycles.
+    reach_m, cell_m, cell_rad : float
+        Hits are mapped by range and azimuth, up to there and in such cells: finer than a target's
+        wander.
+    search_blocks : int
+        New targets are looked for after so many blocks.
+    least_rate : float
+        Hits a frame that make a target. Recorded: cells hit in half of the frames or more hold 46
+        to 84 % of the still returns.
+    gate_m, gate_rad : float
+        How far from its mean a return is still of a target: three times its wander and the wanted
+        move, to either side; across it is `wanted_m` more.
+    apart_m : float
+        Targets stand at least so far apart: gates do not overlap at 100 m, and a parked car is
+        two targets at most.
+    least_share : float
+        A target is seen in a block with that share of its usual hits.
+    gone_blocks : int
+        A target that was not seen for so many blocks, an hour, is dropped.
+    reference_blocks : int
+        The mean forgets within so many blocks, 10 minutes: twice what is tested; over an hour the
+        drift allowed to a mast would hide half a degree.
+    least_age : int
+        Blocks in a mean that counts.
+    blocks : tuple of int
+        Newest blocks that are tested: one, whether there was a blow; six, longer than any gust; and
+        fifteen, for turns as small as half a degree.
+    least_targets, least_present : int, float
+        Fewer targets, or a smaller share of all, contradict nothing: in snow, or after a blow that
+        puts all beyond their gates.
+    wander_m, wander_rad : float, (float, float)
+        Recorded; only where the search for the common move begins.
+    least_scatter : (float, float, float)
+        No target repeats better than that, range, azimuth and elevation; what is recorded is stored
+        in steps of that size.
+    outlier : float
+        From so many times the scatter on a target counts less (Cauchy's weight): a car that came
+        where another left.
+    rounds : int
+        Of weights and scatter; both are settled after seven.
+    wanted_m, wanted_rad, sure : float
+        The move to be noticed; where a standard deviation is over that share of it, in the plane or
+        of an angle, vehicles are asked, too.
+    gate : float
+        Score beyond which a move is noticed, from 120 hours of changing days of one radar
+        (`bench/alarm.py --seed 1`); false alarms on other hours are in docs/limits.md.
+    """
+
+    block_s: float = 20.0
+    reach_m: float = 300.0
+    cell_m: float = 0.2
+    cell_rad: float = radians(0.4)
+    search_blocks: int = 15
+    least_rate: float = 0.3
+    gate_m: float = 0.7
+    gate_rad: float = radians(1.0)
+    apart_m: float = 3.0
+    least_share: float = 0.5
+    gone_blocks: int = 180
+    reference_blocks: int = 30
+    least_age: int = 15
+    blocks: tuple[int, ...] = (1, 6, 15)
+    least_targets: int = 12
+    least_present: float = 0.5
+    wander_m: float = 0.1
+    wander_rad: tuple[float, float] = (radians(0.15), radians(1.0))
+    least_scatter: tuple[float, float, float] = (0.004, radians(0.005), radians(0.02))
+    outlier: float = 2.0
+    rounds: int = 10
+    wanted_m: float = 0.3
+    wanted_rad: float = radians(0.5)
+    sure: float = 0.34
+    gate: float = 34.0
+
+
+@dataclass(frozen=True, kw_only=True)
 class TrackingSettings:
     """All settings of the tracking.
 
@@ -210,6 +295,8 @@ class TrackingSettings:
         `moved` with unknown pose after so many seconds of rejected fits: a whole window.
     alarm : AlarmSettings
         Of small moves.
+    still : StillTargetSettings
+        Of what stands still.
     localization : LocalizationSettings
         Of window, traces, lanes and fits.
     """
@@ -244,6 +331,7 @@ class TrackingSettings:
     farthest: float = 4.0
     lost_s: float = 100.0
     alarm: AlarmSettings = field(default_factory=AlarmSettings)
+    still: StillTargetSettings = field(default_factory=StillTargetSettings)
     localization: LocalizationSettings = field(default_factory=LocalizationSettings)
 
     @property

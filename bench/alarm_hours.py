@@ -1,0 +1,320 @@
+"""Hours in which a sensor stands still: its vehicles and still targets drawn anew from minutes.
+
+Runs of minutes are drawn from those simulated detection by detection; what each vehicle does in
+its lane about the mean of all, and each still target about its mean place, is mirrored at random, a
+run as a whole (a wild cluster bootstrap: spread, correlation along a track and over time, broken
+tracks, platoons and queues before targets stay as they are). To these a :class:`Day` adds what
+changes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import genpareto
+
+from gis_radar.arrays import Booleans, Floats
+from gis_radar.tracking.alarm import Witness
+from gis_radar.tracking.lane_places import LanePlaces
+from gis_radar.tracking.settings import DEFAULTS, HOUR_S
+from gis_radar.tracking.still_targets import by_move
+
+ALARM, STILL = DEFAULTS.alarm, DEFAULTS.still
+RUN = 3  # minutes that stay together
+MONTH_H = 720.0
+APART = 30  # minutes between independent exceedances: the longest part that is tested
+SHARES = (  # of the traffic by day, hour by hour
+    0.06, 0.04, 0.04, 0.05, 0.1, 0.3, 0.7, 1.0, 1.0, 0.8, 0.7, 0.7,
+    0.75, 0.75, 0.8, 0.9, 1.0, 1.0, 0.85, 0.6, 0.45, 0.3, 0.2, 0.1,
+)  # fmt: skip
+SLOW_H = 2.0
+SWAY_S = 120.0
+SWAY = (0.005, 0.005, 0.002, np.radians(0.03), np.radians(0.03), np.radians(0.02))
+WET_H = 1.0
+CAR_M = 5.0
+# where another car's target is, 1 sigma, and where it is still taken for the one that left
+BESIDE = np.array([0.5, STILL.gate_rad / 2.0, STILL.wander_rad[1]])
+GATE = np.array([STILL.gate_m, STILL.gate_rad, np.inf])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Minute:
+    """What both witnesses see in a minute.
+
+    Parameters
+    ----------
+    places : LanePlaces
+        Where vehicles drove.
+    still : sequence of (targets, 3) arrays
+        Where each still target was, by block; NaN where it was not seen.
+    """
+
+    places: LanePlaces
+    still: Sequence[Floats]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Day:
+    """What changes in a day; standard deviations, as slow random processes of some hours.
+
+    Parameters
+    ----------
+    shares : tuple of float
+        Of the traffic, hour by hour.
+    stretch_m, common_m, breadth_m : float
+        Habits by stretch, of all drivers, and where vehicles reflect.
+    obstacles : float
+        An hour: on a stretch all keep aside by 0.3 to 1 m, for 5 to 60 minutes.
+    drift, sway : float
+        Of the mast: times what the settings allow; and times `SWAY`, within minutes, in the wind.
+    wander : (3,) tuple
+        Of each still target, range (m), azimuth and elevation (rad).
+    parked : float
+        Share of the still targets that are of parked cars.
+    stay_h : float
+        How long a car stays, in the mean; a third of that later another comes.
+    wet : float
+        An hour: all targets wander elsewhere at once, and for an hour four in ten are lost.
+    """
+
+    shares: tuple[float, ...] = (1.0,)
+    stretch_m: float = 0.0
+    common_m: float = 0.0
+    breadth_m: float = 0.0
+    obstacles: float = 0.0
+    drift: float = 0.0
+    sway: float = 0.0
+    wander: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    parked: float = 0.0
+    stay_h: float = 1.5
+    wet: float = 0.0
+
+
+STEADY = Day()
+CHANGING = Day(
+    shares=SHARES, stretch_m=0.05, common_m=0.03, breadth_m=0.02, obstacles=0.5, drift=1.0,
+    sway=1.0, wander=(STILL.wander_m, *STILL.wander_rad), parked=0.33, wet=0.1,
+)  # fmt: skip
+
+
+class Hours:
+    """Draws minutes anew from those simulated detection by detection.
+
+    Parameters
+    ----------
+    minutes : sequence of Minute
+        The latter.
+    witnesses : (Witness, Witness)
+        Of vehicles.
+    turn : (3, 3) array
+        R_map_sensor.
+    seed : int
+        Of all that is random.
+    """
+
+    def __init__(
+        self,
+        minutes: Sequence[Minute],
+        witnesses: tuple[Witness, Witness],
+        turn: Floats,
+        seed: int,
+    ) -> None:
+        self.minutes, self.witnesses, self.turn = minutes, witnesses, turn
+        self.rng = np.random.default_rng(seed)
+        cells = len(witnesses[0].stretch)
+        places = [minute.places for minute in minutes]
+        self.mean = [_means([(m.cell, _values(m)[k]) for m in places], cells) for k in range(2)]
+        self.middle = np.nanmedian([part for minute in minutes for part in minute.still], axis=0)
+
+    def drawn(self, hours: float, day: Day) -> Iterator[tuple[Minute, Floats]]:
+        """Yield minutes, and how far the mast has drifted (map axes, m and rad)."""
+        rng, slow = self.rng, _Slow(self.rng, day, self.witnesses[0], self.middle)
+        first = int(rng.integers(24 * 60))
+        used: list[int] = []
+        place, signs = 0, np.ones(3)
+        for minute in range(round(60.0 * hours)):
+            if minute % RUN == 0:
+                place = self._draw(used)
+                used = [*used, place][-APART // RUN :]
+                signs = rng.choice([-1.0, 1.0], 3)
+            seen = self.minutes[place + minute % RUN]
+            share = day.shares[(first + minute) // 60 % len(day.shares)]
+            slow.step()
+            shift = np.kron(np.eye(2), self.turn.T) @ slow.moved
+            common = by_move(self.middle) @ shift
+            still = [
+                self.middle + signs[2] * (part - self.middle) + common + slow.targets()
+                for part in seen.still
+            ]
+            yield Minute(places=self._driven(seen.places, share, signs, slow), still=still), shift
+
+    def _driven(self, seen: LanePlaces, share: float, signs: Floats, slow: _Slow) -> LanePlaces:
+        kept = self.rng.random(seen.vehicles)[seen.vehicle] < share
+        values = []
+        for mean, sign, witness, value in zip(
+            self.mean, signs, self.witnesses, _values(seen), strict=False
+        ):
+            own = sign * (value - mean[seen.cell])
+            values.append((mean + slow.change(witness))[seen.cell] + own)
+        kept &= np.abs(values[0]) < ALARM.within_m
+        return LanePlaces(
+            vehicle=np.unique(seen.vehicle[kept], return_inverse=True)[1],
+            cell=seen.cell[kept], across_m=values[0][kept], over_m=values[1][kept],
+            count=seen.count[kept],
+        )  # fmt: skip
+
+    def _draw(self, used: Sequence[int]) -> int:
+        """Return where a run begins: no minute comes twice in half an hour, as none ever does."""
+        places = np.arange(len(self.minutes) - RUN + 1)
+        free = [k for k in places if all(abs(k - other) >= RUN for other in used)]
+        return int(self.rng.choice(free or places))
+
+
+def _values(seen: LanePlaces) -> tuple[Floats, Floats]:
+    return seen.across_m, seen.over_m
+
+
+def _means(parts: Sequence[tuple[np.ndarray, Floats]], cells: int) -> Floats:
+    cell, value = (np.concatenate(part) for part in zip(*parts, strict=True))
+    count = np.bincount(cell, minlength=cells)
+    return np.asarray(np.bincount(cell, value, minlength=cells) / np.maximum(count, 1))
+
+
+class _Slow:
+    """What changes slowly, minute by minute."""
+
+    def __init__(self, rng: np.random.Generator, day: Day, across: Witness, still: Floats) -> None:
+        self._rng, self._day = rng, day
+        self._stretches = int(across.stretch.max()) + 1
+        sigma = np.full(self._stretches + 2, day.stretch_m)
+        sigma[-2:] = day.common_m, day.breadth_m
+        self._habits, self._sway = (
+            _Wander(rng, sigma, SLOW_H),
+            _Wander(rng, day.sway * np.array(SWAY), SWAY_S / HOUR_S),
+        )
+        self._still = _Wander(rng, np.tile(day.wander, (len(still), 1)), SLOW_H)
+        self._drift = np.zeros(6)
+        self._obstacles: list[tuple[int, float, int]] = []
+        self._cars = _cars(still, day.parked, rng)
+        self._parked = np.zeros_like(still)
+        self._until = rng.exponential(60.0 * day.stay_h, len(self._cars))
+        self._away = np.zeros(len(self._cars), dtype=bool)
+        self._wet_left, self._lost = 0, np.zeros(len(still), dtype=bool)
+
+    @property
+    def moved(self) -> Floats:
+        """How far drift and wind have moved the mast."""
+        return self._drift + self._sway.value
+
+    def step(self) -> None:
+        """Go on by a minute."""
+        rng, day = self._rng, self._day
+        for each in (self._habits, self._sway, self._still):
+            each.step()
+        hourly = day.drift * np.array(DEFAULTS.drift)
+        self._drift = self._drift + hourly * rng.normal(size=6) * np.sqrt(60.0 / HOUR_S)
+        self._obstacles = [(s, by, left - 1) for s, by, left in self._obstacles if left > 1]
+        if rng.random() < day.obstacles / 60.0:
+            by = float(rng.choice([-1.0, 1.0]) * rng.uniform(0.3, 1.0))
+            stretch, lasts = int(rng.integers(self._stretches)), int(rng.integers(5, 61))
+            self._obstacles.append((stretch, by, lasts))
+        self._park()
+        self._wet_left -= 1
+        if rng.random() < day.wet / 60.0:
+            self._wet_left = round(60.0 * WET_H)
+            self._lost = rng.random(len(self._lost)) < 0.4
+            self._still.draw()
+
+    def _park(self) -> None:
+        """Let cars leave, and others come beside their places, or not where they can be seen."""
+        rng, day = self._rng, self._day
+        self._until -= 1.0
+        for number in np.flatnonzero(self._until <= 0.0):
+            rows, away = self._cars[number], not self._away[number]
+            self._away[number] = away
+            self._until[number] = rng.exponential(60.0 * day.stay_h * (1.0 / 3.0 if away else 1.0))
+            offset = BESIDE * rng.normal(size=(len(rows), 3))
+            gone: Booleans = np.less(GATE, np.abs(offset)).any(axis=1) | away
+            self._parked[rows] = np.where(gone[:, None], np.nan, offset)
+
+    def targets(self) -> Floats:
+        """Return how far each still target is from its middle; NaN where there is none."""
+        lost = self._lost & (self._wet_left > 0)
+        return np.where(lost[:, None], np.nan, self._still.value + self._parked)
+
+    def change(self, witness: Witness) -> Floats:
+        """Return how far the mean of each cell is changed."""
+        changed = witness.by_move @ self.moved[list(witness.moved)]
+        habits = self._habits.value
+        if len(witness.moved) == 2:  # heights: habits of the same size, and no obstacles
+            return np.asarray(changed + habits[witness.stretch] + habits[-2])
+        changed = changed + habits[witness.stretch] + witness.by_habit @ habits[-2:]
+        for stretch, by, _ in self._obstacles:
+            changed = changed + by * (witness.stretch == stretch)
+        return np.asarray(changed)
+
+
+class _Wander:
+    """Random processes about zero with a standard deviation and a time."""
+
+    def __init__(self, rng: np.random.Generator, sigma: Floats, hours: float) -> None:
+        self._rng, self._sigma, self._keep = rng, sigma, np.exp(-1.0 / 60.0 / hours)
+        self.draw()
+
+    def draw(self) -> None:
+        """Begin anew."""
+        self.value = self._sigma * self._rng.normal(size=self._sigma.shape)
+
+    def step(self) -> None:
+        """Go on by a minute."""
+        noise = np.sqrt(1.0 - self._keep**2) * self._rng.normal(size=self._sigma.shape)
+        self.value = self._keep * self.value + self._sigma * noise
+
+
+def _cars(still: Floats, share: float, rng: np.random.Generator) -> list[np.ndarray]:
+    """Return groups of neighbouring targets that are parked cars."""
+    plane = still[:, :1] * np.column_stack([np.cos(still[:, 1]), np.sin(still[:, 1])])
+    free, groups = np.ones(len(still), dtype=bool), []
+    while len(still) and free.mean() > 1.0 - share:
+        middle = plane[int(rng.choice(np.flatnonzero(free)))]
+        near: Booleans = free & (np.hypot(*(plane - middle).T) < CAR_M)
+        groups.append(np.flatnonzero(near))
+        free &= ~near
+    return groups
+
+
+def halves(scores: Sequence[float]) -> Floats:
+    """Return the largest score of each half hour."""
+    whole = len(scores) - len(scores) % APART
+    return np.asarray(np.array(scores[:whole]).reshape(-1, APART).max(axis=1))
+
+
+def tail(
+    largest: Floats, *, gate: float = 1.0, part_min: float = APART, seed: int = 0
+) -> dict[str, object]:
+    """Return the false alarms a month at the gate, by the tail of half-hourly maxima.
+
+    Neighbouring half hours share tested blocks: of neighbours above the threshold the largest
+    counts. The interval is that of 500 draws of the exceedances with replacement.
+    """
+    level = float(np.quantile(largest, 0.9))
+    above = largest > level
+    groups = np.cumsum(np.append(True, ~above[:-1]))[above]
+    peaks = np.array([largest[above][groups == g].max() for g in np.unique(groups)])
+    excess, hours = peaks - level, len(largest) * part_min / 60.0
+    rng = np.random.default_rng(seed)
+
+    def monthly(sample: Floats) -> float:
+        shape, _, scale = genpareto.fit(sample, floc=0.0)
+        rate = len(sample) / hours * MONTH_H
+        return float(rate * genpareto.sf(gate - level, shape, scale=scale))
+
+    draws = [monthly(rng.choice(excess, max(int(rng.poisson(len(excess))), 5))) for _ in range(500)]
+    low, high = np.quantile(draws, [0.025, 0.975])
+    return {
+        "hours": hours, "largest": float(largest.max()), "alarms": int((peaks > gate).sum()),
+        "monthly": monthly(excess), "monthly_95": [float(low), float(high)],
+        "tail": [level, len(excess), *map(float, genpareto.fit(excess, floc=0.0))],
+    }  # fmt: skip

@@ -1,0 +1,181 @@
+"""Small moves of a sensor from what stands still around it, with a known truth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy.spatial.transform import Rotation
+
+from gis_radar.tracking.alarm import Displacement
+from gis_radar.tracking.settings import DEFAULTS
+from gis_radar.tracking.still_targets import StillTargets, Verdict, by_move, polar_of
+from gis_radar.tracking.watch import decided
+
+OF = DEFAULTS.still
+FRAME_S, FRAMES = 0.5, 40  # one frame of ten
+SETTLED = 60  # blocks
+
+
+class Yard:
+    """Still targets whose places wander by as much as recorded ones do, and stay so for a block."""
+
+    def __init__(self, count=45, seed=0):
+        self.rng = np.random.default_rng(seed)
+        reach = self.rng.uniform(8.0, 90.0, count)
+        azimuth = self.rng.uniform(-1.0, 1.0, count)
+        over = self.rng.uniform(-6.0, 4.0, count)
+        self.points = np.column_stack([reach * np.cos(azimuth), reach * np.sin(azimuth), over])
+        self.blocks = 0
+
+    def feed(self, targets, blocks=1, move=None, points=None):
+        """Push blocks as a sensor sees them that was moved, metres and a turn in its own axes."""
+        rng, points = self.rng, self.points if points is None else points
+        for _ in range(blocks):
+            own = polar_of(points) + rng.normal(size=points.shape) * [0.03, 0.001, 0.006]
+            frame, target = np.nonzero(rng.random((FRAMES, len(points))) < 0.9)
+            polar = own[target] + rng.normal(size=(len(target), 3)) * [0.01, 0.0008, 0.005]
+            seen = cartesian(polar)
+            if move is not None:
+                seen = Rotation.from_rotvec(move[3:]).inv().apply(seen - move[:3])
+            time = FRAME_S * (frame + FRAMES * self.blocks)
+            targets.push(time, seen, rng.normal(0.0, 0.02, len(seen)))
+            targets.end_block()
+            self.blocks += 1
+        return targets
+
+
+def cartesian(polar):
+    reach, azimuth, elevation = polar.T
+    level = np.cos(elevation)
+    way = [level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)]
+    return reach[:, None] * np.column_stack(way)
+
+
+@given(
+    arrays(float, 3, elements=st.floats(-50.0, 50.0)), arrays(float, 6, elements=st.floats(-1, 1))
+)
+def test_places_change_by_a_move_as_their_derivatives_say(point, way):
+    point = point + [80.0, 0.0, 0.0]
+    step = 1e-5 * way
+    moved = Rotation.from_rotvec(step[3:]).inv().apply(point - step[:3])
+    change = polar_of(moved[None])[0] - polar_of(point[None])[0]
+    told = by_move(polar_of(point[None]))[0] @ step
+    assert change == pytest.approx(told, abs=1e-7)
+
+
+MOVES = {
+    "ahead": [0.3, 0, 0, 0, 0, 0],
+    "aside": [0, -0.3, 0, 0, 0, 0],
+    "roll": [0, 0, 0, np.radians(0.5), 0, 0],
+    "pitch": [0, 0, 0, 0, np.radians(-0.5), 0],
+    "yaw": [0, 0, 0, 0, 0, np.radians(0.5)],
+}
+
+
+@pytest.fixture(scope="module")
+def taught():
+    yard = Yard()
+    return yard, yard.feed(StillTargets(), SETTLED)
+
+
+def again(taught, seed):
+    """A copy of what was learnt, and the same yard with other noise."""
+    yard, targets = taught
+    other = Yard()
+    other.rng = np.random.default_rng(seed)
+    other.blocks = yard.blocks
+    copied = StillTargets()
+    copied.__dict__.update({k: v.copy() if hasattr(v, "copy") else v
+                            for k, v in targets.__dict__.items()})  # fmt: skip
+    return other, copied
+
+
+@pytest.mark.parametrize("name", MOVES)
+def test_a_small_move_is_noticed_within_two_minutes_with_its_size(taught, name):
+    yard, targets = again(taught, 1)
+    step = np.array(MOVES[name])
+    yard.feed(targets, 6, step)
+    told = targets.verdict(OF.blocks[1])
+    assert told.sees
+    assert told.found.score > OF.gate
+    assert told.found.seconds == 120.0
+    error = told.found.move - step
+    assert error @ np.linalg.solve(told.found.covariance, error) < 22.5  # 0.1 % of chi2, 6
+    assert np.abs(error)[[0, 1]].max() < 0.05
+
+
+def test_a_sensor_at_rest_is_not_moved_whatever_is_parked(taught):
+    """A third of the targets leave, others come beside their places, in the same few minutes."""
+    yard, targets = again(taught, 2)
+    points = yard.points.copy()
+    points[:15, 0] += 60.0
+    points[15:22, :2] += yard.rng.normal(0.3, 0.3, (7, 2))
+    worst = 0.0
+    for _ in range(30):
+        yard.feed(targets, points=points)
+        told = [targets.verdict(number) for number in OF.blocks]
+        worst = max(worst, *(each.found.score for each in told))
+    assert worst < OF.gate
+    assert told[1].sees
+
+
+def test_targets_are_learnt_again_after_others_have_left(taught):
+    yard, targets = again(taught, 3)
+    points = yard.points.copy()
+    points[:30, 1] += 9.0
+    yard.feed(targets, 6, points=points)
+    assert targets.verdict(OF.blocks[1]) is None  # most have gone: nothing is said
+    yard.feed(targets, OF.gone_blocks + 40, points=points)
+    told = targets.verdict(OF.blocks[1])
+    assert told.sees
+    assert told.found.score < OF.gate
+    assert targets._hits.shape == (1500, 900)
+    assert len(targets._recent) == OF.blocks[-1]
+    assert len(targets) < 60
+
+
+@pytest.mark.parametrize(
+    ("move", "count"),
+    [([3.0, -2.0, 0, 0, 0, 0], 45), ([0, 0, 0, 0, 0, 0.1], 45), ([0.0] * 6, 0), ([0.0] * 6, 9)],
+)
+def test_nothing_is_said_after_a_blow_in_snow_or_of_few_targets(taught, move, count):
+    yard, targets = again(taught, 4)
+    yard.feed(targets, 6, np.array(move), yard.points[:count])
+    assert [targets.verdict(number) for number in OF.blocks[:2]] == [None, None]
+
+
+def test_without_still_returns_or_frames_there_is_no_target():
+    targets = StillTargets()
+    for block in range(40):
+        targets.push(np.array([20.0 * block]), np.full((1, 3), np.nan), np.array([np.nan]))
+        targets.end_block()
+    targets.end_block()
+    assert len(targets) == 0
+    assert [targets.verdict(number) for number in OF.blocks] == [None] * 3
+
+
+def test_what_drives_or_stands_for_a_while_is_no_target():
+    yard, targets = Yard(3), StillTargets()
+    queue = np.array([[30.0, 2.0, -4.0]])
+    for block in range(30):
+        points = np.vstack([yard.points, queue + [0.4 * block, 0, 0]]) if block % 6 == 0 else None
+        yard.feed(targets, points=points)
+    assert len(targets) == 3
+
+
+def test_what_stands_decides_where_it_sees_and_vehicles_elsewhere():
+    def shift(score):
+        return Displacement(score=score, seconds=60.0, move=np.zeros(6), covariance=np.eye(6))
+
+    driven = shift(40.0)
+    still, moved = shift(3.0), shift(35.0)
+    sees = [Verdict(found=still, targets=40, sees=True, rests=True)]
+    assert decided(sees, driven) is None
+    blind = [replace(sees[0], sees=False)]
+    assert decided(blind, driven) is driven
+    assert decided([], driven) is driven
+    assert decided([], None) is None
+    assert decided([*sees, replace(sees[0], found=moved)], driven) is moved
