@@ -61,8 +61,14 @@ MINUTES = 10  # a piece of simulation; streets hold the same habits in all of th
 STREETS_SEED = 77
 WINDOW_S = 100.0
 FIRST_MOVED = 3  # pieces before the first move
-FEW = (24, 16, 12)  # still targets
+FEW = (24, 12)  # still targets
 ALARM, STILL, TRACES = DEFAULTS.alarm, DEFAULTS.still, DEFAULTS.localization.traces
+
+
+NOBODY = LanePlaces(
+    vehicle=np.empty(0, dtype=np.int64), cell=np.empty(0, dtype=np.int64), across_m=np.empty(0),
+    over_m=np.empty(0), count=np.empty(0, dtype=np.int64),
+)  # fmt: skip
 
 
 class SameStreets(LaneKeeping):
@@ -80,9 +86,11 @@ def main() -> None:
     parser.add_argument("--pieces", type=int, default=7, help="of ten minutes, ordinary traffic")
     parser.add_argument("--light", type=int, default=9, help="of ten minutes, a quarter of it")
     parser.add_argument("--days", type=int, default=5, help="of each sensor and kind")
+    parser.add_argument("--still", action="store_true", help="vehicles are not asked: faster")
     parser.add_argument("--seed", type=int, default=2, help="of the days; the gate is from 1")
     parser.add_argument("--json", type=Path, default=ROOT / "out" / "bench-alarm.json")
     arguments = parser.parse_args()
+    Both.asks_vehicles = not arguments.still
     report: dict[str, object] = {"gate": ALARM.gate, "still_gate": STILL.gate}
     days: dict[str, list[Floats]] = {}
     for name, first, count, share, masts in (
@@ -182,15 +190,11 @@ class Detected:
 
 @dataclass(frozen=True, kw_only=True)
 class Scores:
-    """The largest scores of a minute, in parts of their gates.
-
-    `sees` and `unmoved` are as of :class:`gis_radar.tracking.watch.Watch`.
-    """
+    """The largest scores of a minute, in parts of their gates; whether still targets see."""
 
     still: float
     vehicles: float
     sees: bool
-    unmoved: bool
 
     @property
     def whole(self) -> float:
@@ -265,6 +269,8 @@ class Both:
         Of which still targets these are taken as they are, and no others looked for.
     """
 
+    asks_vehicles = True
+
     def __init__(
         self, sensor: Sensor, known: tuple[StillTargets, np.ndarray] | None = None
     ) -> None:
@@ -278,7 +284,8 @@ class Both:
         """Take a piece of detections; return the scores minute by minute."""
         scores = []
         for minute in range(MINUTES):
-            places, seen = sensor.driven(piece, minute), self.summaries(piece, minute)
+            places = sensor.driven(piece, minute) if self.asks_vehicles else None
+            seen = self.summaries(piece, minute)
             scores.append(self.minute(places, seen, clock + 60.0 * (minute + 1)))
         return scores
 
@@ -291,17 +298,17 @@ class Both:
 
     def minute(self, places: LanePlaces | None, still: Iterable[Floats], now: float) -> Scores:
         """Take a minute; return the largest scores in it, in parts of their gates."""
-        largest, sees, newest = 0.0, False, True
+        largest, sees = 0.0, False
         for part in still:
             self.still.take(part)
-            first, *longer = (self.still.verdict(number) for number in STILL.blocks)
-            told = [each for each in longer if each is not None]
+            told = self.still.tested
             sees = any(each.sees for each in told)
-            newest &= first is not None and first.rests
             largest = max([largest, *(each.found.score / STILL.gate for each in told)])
-        driven = None if places is None else self.vehicles.push(places, now)
+        driven = None
+        if places is not None and self.asks_vehicles:
+            driven = self.vehicles.push(places, now)
         by_vehicles = 0.0 if driven is None else driven.score / ALARM.gate
-        return Scores(still=largest, vehicles=by_vehicles, sees=sees, unmoved=newest)
+        return Scores(still=largest, vehicles=by_vehicles, sees=sees)
 
 
 def moves() -> dict[str, Floats]:
@@ -358,7 +365,10 @@ def learnt(sensor: Sensor, pieces: Sequence[Path]) -> tuple[StillTargets, list[M
                 first.still.take(seen)
     again = Both(sensor, (first.still, np.arange(len(first.still))))
     minutes = [
-        Minute(places=sensor.driven(piece, minute), still=list(again.summaries(piece, minute)))
+        Minute(
+            places=sensor.driven(piece, minute) if Both.asks_vehicles else NOBODY,
+            still=list(again.summaries(piece, minute)),
+        )
         for piece in parts
         for minute in range(MINUTES)
     ]
@@ -376,7 +386,7 @@ def rest(
     kept: dict[str, Floats] = {}
     for name, day, count in (("day", CHANGING, days), ("steady", STEADY, 1)):
         largest: dict[str, list[Floats]] = {"whole": [], "still": [], "vehicles": []}
-        sees, unmoved = [], []
+        sees: list[bool] = []
         for _ in range(count):
             both = Both(sensor, (targets, every))
             drawn = [
@@ -386,11 +396,10 @@ def rest(
             for who, parts in largest.items():
                 parts.append(halves([getattr(each, who) for each in drawn]))
             sees += [each.sees for each in drawn[APART:]]
-            unmoved += [each.unmoved for each in drawn[APART:]]
         joined = {who: np.concatenate(parts) for who, parts in largest.items()}
         kept = kept or joined  # of the changing days
         report[name] = {
-            "sees": float(np.mean(sees)), "unmoved": float(np.mean(unmoved)),
+            "sees": float(np.mean(sees)),
             **{who: tail(parts) for who, parts in joined.items()},
         }  # fmt: skip
         print(f"  {name:10s} {json.dumps(report[name])}", flush=True)
@@ -407,7 +416,7 @@ def moved_by_day(
 ) -> dict[str, object]:
     """Move a sensor on a day, on and on, with a part of its still targets: how often is it seen?"""
     both, found = Both(sensor, (targets, chosen)), dict[str, list[list[Scores]]]()
-    minutes = [each for each, _ in hours.drawn(24.0, day)]
+    minutes = [each for each, _ in hours.drawn(12.0, day)]
     turn, design = np.kron(np.eye(2), sensor.state.R_map_sensor.T), by_move(hours.middle)
     every = list(moves().items())
     for k, minute in enumerate(minutes):

@@ -301,9 +301,12 @@ def tail(
     """
     level = float(np.quantile(largest, 0.9))
     above = largest > level
+    hours = len(largest) * part_min / 60.0
+    if not above.any():
+        return {"hours": hours, "largest": level, "alarms": 0, "monthly": 0.0}
     groups = np.cumsum(np.append(True, ~above[:-1]))[above]
     peaks = np.array([largest[above][groups == g].max() for g in np.unique(groups)])
-    excess, hours = peaks - level, len(largest) * part_min / 60.0
+    excess = peaks - level
     rng = np.random.default_rng(seed)
 
     def monthly(sample: Floats) -> float:

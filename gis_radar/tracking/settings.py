@@ -157,8 +157,8 @@ class StillTargetSettings:
     reach_m, cell_m, cell_rad : float
         Hits are mapped by range and azimuth, up to there and in such cells: finer than a target's
         wander.
-    search_blocks : int
-        New targets are looked for after so many blocks.
+    first_search, search_blocks : int
+        Targets are looked for after two minutes, and new ones every five.
     least_rate : float
         Hits a frame that make a target. Recorded: cells hit in half of the frames or more hold 46
         to 84 % of the still returns.
@@ -176,10 +176,14 @@ class StillTargetSettings:
         The mean forgets within so many blocks, 10 minutes: twice what is tested; over an hour the
         drift allowed to a mast would hide half a degree.
     least_age : int
-        Blocks in a mean that counts.
+        Blocks in a mean that counts; no verdict before seven minutes.
     blocks : tuple of int
-        Newest blocks that are tested: one, whether there was a blow; six, longer than any gust; and
-        fifteen, for turns as small as half a degree.
+        Newest blocks that are tested for a move, longer than any gust.
+    blow_blocks, latest_blocks : int
+        The newest ones that exclude a blow; and those that show how far a move went.
+    lasting_blocks : int
+        So many tests in a row find a move that is one; the scatter of some dozen targets is a
+        rough figure, and in one test in some thousands far too small.
     least_targets, least_present : int, float
         Fewer targets, or a smaller share of all, contradict nothing: in snow, or after a blow that
         puts all beyond their gates.
@@ -205,6 +209,7 @@ class StillTargetSettings:
     reach_m: float = 300.0
     cell_m: float = 0.2
     cell_rad: float = radians(0.4)
+    first_search: int = 6
     search_blocks: int = 15
     least_rate: float = 0.3
     gate_m: float = 0.7
@@ -213,8 +218,11 @@ class StillTargetSettings:
     least_share: float = 0.5
     gone_blocks: int = 180
     reference_blocks: int = 30
-    least_age: int = 15
-    blocks: tuple[int, ...] = (1, 6, 15)
+    least_age: int = 6
+    blocks: tuple[int, ...] = (6, 15)
+    blow_blocks: int = 1
+    latest_blocks: int = 3
+    lasting_blocks: int = 3
     least_targets: int = 12
     least_present: float = 0.5
     wander_m: float = 0.1
@@ -225,7 +233,7 @@ class StillTargetSettings:
     wanted_m: float = 0.3
     wanted_rad: float = radians(0.5)
     sure: float = 0.34
-    gate: float = 34.0
+    gate: float = 28.0
 
 
 @dataclass(frozen=True, kw_only=True)

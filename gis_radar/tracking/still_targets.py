@@ -14,7 +14,7 @@ targets.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import maximum_filter, uniform_filter
@@ -95,6 +95,8 @@ class StillTargets:
         cells = (round(self._of.reach_m / self._of.cell_m), round(2 * np.pi / self._of.cell_rad))
         self._hits = np.zeros(cells, dtype=np.int64)
         self._recent: deque[Floats] = deque()
+        self.tested: list[Verdict] = []  # at the end of the last block
+        self._scores = {n: deque[float](maxlen=self._of.lasting_blocks) for n in self._of.blocks}
         self.know(np.empty((0, 3)), np.empty(0))
 
     def know(self, place: Floats, rate: Floats) -> None:
@@ -153,10 +155,13 @@ class StillTargets:
         there = np.isfinite(seen[:, 0])
         self._absent = np.where(there, 0.0, self._absent + 1.0)
         self._recent.append(seen)
-        while len(self._recent) > self._of.blocks[-1]:
-            self._learn(self._recent.popleft())
         self._blocks += 1
-        if self._blocks % self._of.search_blocks == 0:
+        held = max(self._blocks // 3, self._of.blocks[0])
+        while len(self._recent) > min(held, self._of.blocks[-1]):
+            self._learn(self._recent.popleft())
+        self.tested = [each for each in map(self._lasting, self._of.blocks) if each is not None]
+        first = self._blocks == self._of.first_search
+        if first or self._blocks % self._of.search_blocks == 0:
             self._search()
 
     def _cells(self, polar: Floats) -> tuple[Integers, Integers]:
@@ -207,6 +212,16 @@ class StillTargets:
             label[max(row - high, 0) : row + high + 1, beside] = number
         return label
 
+    def _lasting(self, blocks: int) -> Verdict | None:
+        """Return the verdict of the newest blocks with the least of its last scores."""
+        found, scores = self.verdict(blocks), self._scores[blocks]
+        if found is None:
+            scores.clear()
+            return None
+        scores.append(found.found.score)
+        least = min(scores) if len(scores) == scores.maxlen else 0.0
+        return replace(found, found=replace(found.found, score=least))
+
     def verdict(self, blocks: int) -> Verdict | None:
         """Return the likeliest move behind the newest blocks, or none where targets are too few.
 
@@ -235,8 +250,9 @@ class StillTargets:
         sigma = np.sqrt(np.diag(covariance))[PLANE_AND_ANGLES]
         wanted = np.repeat([self._of.wanted_m, self._of.wanted_rad], [2, 3])
         blow = np.array(self._settings.knock)[PLANE_AND_ANGLES]
+        score = count * float(np.log1p(chi2 / count))
         found = Displacement(
-            score=count * float(np.log1p(chi2 / count)),
+            score=score,
             seconds=blocks * self._of.block_s,
             move=move,
             covariance=covariance,
@@ -245,7 +261,7 @@ class StillTargets:
             found=found,
             targets=count,
             sees=bool((sigma < self._of.sure * wanted).all()),
-            rests=found.score < self._of.gate and bool((sigma < self._of.sure * blow).all()),
+            rests=score < self._of.gate and bool((sigma < self._of.sure * blow).all()),
         )
 
     def _move(self, place: Floats, gap: Floats) -> tuple[Floats, Floats]:

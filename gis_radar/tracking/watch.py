@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -65,7 +66,6 @@ class Watch:
         self._still = StillTargets(self._settings)
         self._block_since = np.nan
         self._newest: Verdict | None = None
-        self._verdicts: list[Verdict] = []
 
     def push(self, piece: Detections) -> None:
         """Take the next detections, those that stand still, too."""
@@ -92,9 +92,13 @@ class Watch:
         driven = self._by_vehicles(traffic, state, time) if traffic is not None else None
         if not ended and driven is None:
             return None
-        found = decided(self._verdicts, driven, self._settings)
+        found = decided(self._still.tested, driven, self._settings)
         if found is None or found is driven:
             return found
+        # blocks from before the move make it too small where it has just begun
+        latest = self._still.verdict(self._settings.still.latest_blocks)
+        if latest is not None:
+            found = replace(found, move=latest.found.move, covariance=latest.found.covariance)
         return found.turned(state.R_map_sensor)
 
     def _still_block(self, time: float) -> bool:
@@ -106,8 +110,7 @@ class Watch:
             return False
         self._block_since = time
         self._still.end_block()
-        newest, *longer = (self._still.verdict(number) for number in of.blocks)
-        self._newest, self._verdicts = newest, [each for each in longer if each is not None]
+        self._newest = self._still.verdict(of.blow_blocks)
         return True
 
     def _by_vehicles(
