@@ -242,19 +242,19 @@ class StandingSettings:
     built_share: float = 0.5
     gap_m: float = 1.0
     easy_m: float = 2.0
-    tight: float = 4.0
+    tight: float = 8.0
     shortest_m: float = 3.4
     power: float = 0.5
     window_m: float = 5.0
     most_weight: float = 24.0
-    new_cost: float = 10.0
+    new_cost: float = 7.0
     stick: float = 12.0
-    clutter: float = 0.012
+    clutter: float = 0.02
     end_m: float = 0.35
     end_share: float = 0.6
     least_echoes: int = 6
     least_s: float = 2.0
-    rate_share: float = 0.05
+    rate_share: float = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
