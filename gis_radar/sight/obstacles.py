@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from scipy import ndimage
@@ -124,24 +125,26 @@ def find_obstacles(
         for side in (columns.low, columns.top)
     )
     surface = _opened(low, settings.crown_m / settings.cell_m)
-    wide = ground_under(
-        columns.ground if classified else columns.low,
+    ask = partial(
+        ground_under,
         cell_m=settings.cell_m,
         coarse_cells=settings.ground_cells,
         widest_roof_m=settings.widest_roof_m,
-        classified=classified,
     )
+    wide = ask(columns.ground if classified else columns.low, classified=classified)
     wide = np.fmin(wide, surface)
     ground = _opened(low, settings.ground_m / settings.cell_m)
     stands = surface - wide > settings.tall_m
     by_class = np.isfinite(columns.deck)
+    # banks and the decks between them may bear the class of ground: bare of them, levels differ
+    bare = np.fmin(wide, ask(columns.low, classified=False)) if classified else wide
     level, deck, below = _decks(
-        top, np.where(by_class, columns.deck, np.nan), roads, wide, settings
+        top, np.where(by_class, columns.deck, np.nan), roads, bare, settings
     )
     slab_low, slab_high = _slabs(level, deck, roads, surface, settings)
     under = np.isfinite(slab_low)
     stands &= ~under & ~roads.road
-    base = np.where(under, np.fmin(np.fmin(wide, below), roads.lowest), ground)
+    base = np.where(under, np.fmin(np.fmin(bare, below), roads.lowest), ground)
     base = np.where(roads.road & ~under, roads.lowest, base)
     floor = np.where(known, base - settings.sunk_m, -np.inf)
     return Obstacles(
