@@ -428,7 +428,8 @@ def test_the_report_shows_coverage_and_hits_beside_it(small):
     top = wide["coverage"].idxmax()
     assert lanes["busiest_spot"].max() == pytest.approx(wide["coverage"][top], abs=1e-6)
     best = lanes.loc[lanes["busiest_spot"].idxmax(), "busiest_spot_se"]
-    assert best == pytest.approx(wide["coverage_se"][top], abs=1e-6)
+    tops = wide.loc[wide["coverage"] == wide["coverage"][top], "coverage_se"]  # two may be equal
+    assert np.abs(tops - best).min() < 1e-6
     by_interval = pd.read_csv(out / "lanes_by_interval.csv")
     assert by_interval["covered_tile_s"].sum() == pytest.approx(sums["covered_s"], abs=0.5)
     assert by_interval["occupied_tile_s"].sum() == pytest.approx(sums["occupied_s"], abs=0.5)
