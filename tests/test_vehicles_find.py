@@ -121,3 +121,20 @@ def test_the_command_writes_a_folder(site, tmp_path, run):
     assert len(read.vehicles) > 10
     assert read.provenance.sources[0]["recording"] == "R1.parquet"
     assert read.provenance.sight == "view only"
+
+
+def test_a_file_of_sight_stands_for_the_scan(site):
+    tiles, folder = site
+    road = gr.SightTiles.of(tiles)
+    scan = gr.SightScan([SAMPLE / "scan.laz"], road)
+    pose = gr.read_pose(SAMPLE / "R1.json")
+    gr.write_sights([gr.find_sight(pose, road, scan)], tiles, folder / "sight.gpkg")
+    given = [SAMPLE / "R1.parquet"]
+    by_file = found(site, "by-file", given, sight=folder / "sight.gpkg")
+    by_scan = found(site, "by-scan", given, scans=[SAMPLE / "scan.laz"])
+    visible = [
+        pd.concat([block.visible for block in each.blocks()])["tile_id"].nunique()
+        for each in (by_file, by_scan)
+    ]
+    assert visible[0] == visible[1] > 0
+    assert by_file.provenance.sight["file"] == "sight.gpkg"

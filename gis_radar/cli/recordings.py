@@ -155,6 +155,7 @@ def _seeing(
 )  # fmt: skip
 @sight_scans
 @scan_crs
+@sight_file
 def vehicles(
     *,
     recordings: tuple[Path, ...],
@@ -165,17 +166,21 @@ def vehicles(
     clocks: str | None,
     reporter: Reporter,
     scans: tuple[Path, ...],
+    sight: Path | None,
     **options: Any,
 ) -> Result:
     """Follow the vehicles in recordings: which tiles they covered, and for how long."""
     from gis_radar.site.recipes import AUTO, follow_vehicles  # noqa: PLC0415 - --help needs no NumPy
 
     clock_files = [] if clocks in {None, AUTO} else [str(clocks)]
-    refuse_inputs(output, *recordings, *poses, tiles_path, map_path, *clock_files, *scans)
+    sight_files = [] if sight is None else [sight]
+    refuse_inputs(
+        output, *recordings, *poses, tiles_path, map_path, *clock_files, *scans, *sight_files
+    )
     view = {name: options.pop(name) for name in ("azimuth_deg", "elevation_deg", "max_range_m")}
     tracks = [_seeing(gr.read_track(pose), view, reporter) for pose in poses]
     found = follow_vehicles(
-        recordings, tracks, tiles_path, map_path, output, clocks=clocks, scans=scans,
+        recordings, tracks, tiles_path, map_path, output, clocks=clocks, scans=scans, sight=sight,
         reporter=reporter, **options,
     )  # fmt: skip
     return Result(outputs=[output], summary=found.figures())

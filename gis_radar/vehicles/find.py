@@ -18,7 +18,7 @@ from gis_radar.poses.files import PoseTrack, as_track
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Recording, as_recording
-from gis_radar.sight import SightScan, SightTiles, describe_sight
+from gis_radar.sight import SightTiles, describe_sight, open_sight
 from gis_radar.tiles.tiles import fingerprint
 from gis_radar.vehicles.blocks import PlacedRecording, SourceReader
 from gis_radar.vehicles.folder import Provenance, Vehicles, read_vehicles, write_vehicles
@@ -38,6 +38,7 @@ def find_vehicles(
     *,
     scans: Sequence[str | Path] = (),
     scan_crs: Any = None,
+    sight: str | Path | None = None,
     cycles: Mapping[str, float] | None = None,
     clocks: Mapping[str, SensorClock] | None = None,
     settings: VehicleSettings = DEFAULTS,
@@ -65,6 +66,8 @@ def find_vehicles(
         Airborne scans, whole and not masked: what stands in them hides tiles.
     scan_crs : CRS, str or int, optional
         The scans' coordinate system, for files without one.
+    sight : str or Path, optional
+        A file of :func:`gis_radar.write_sights`, in place of scans.
     cycles : mapping, optional
         Seconds from frame to frame, of sensors slower than 10 Hz.
     clocks : mapping, optional
@@ -94,8 +97,9 @@ def find_vehicles(
     roads, described = map_of_tiles(map_path, tiles, reporter)
     graph = lane_graph(roads.lanelets)
     book = ViewBook(road=SightTiles.of(tiles))
-    if scans:
-        book.scan = SightScan(scans, book.road, scan_crs=scan_crs, reporter=reporter)
+    book.scan = open_sight(
+        book.road, scans=scans, scan_crs=scan_crs, sight=sight, reporter=reporter
+    )
     views = book.enter_all(tracks, reporter)
     book.report(reporter)
     sensors = sorted({track.sensor for track in tracks})
