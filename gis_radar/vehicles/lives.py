@@ -22,6 +22,7 @@ from gis_radar.vehicles.standing import Stand, Sweeps, find_stands
 from gis_radar.vehicles.strips import NONE, Strips
 
 END_STEPS = 10  # half a second tells the speed at an end
+BESIDE_M = 1.5  # less than the width of two cars: middles are not so near
 
 
 def with_standing(
@@ -340,3 +341,50 @@ def _cost_of_driving(speed: float, to: _Ends, b: int) -> float:
         return np.inf
     likely = 0.5 * ((mean - middle) / (0.7 * lapse + 1.0 + 1.0 / lapse)) ** 2
     return float(miss**2 + likely + 0.15 * np.sqrt(lapse) + 0.03 * to.apart[b])
+
+
+def without_doubles(motions: Sequence[Motion], settings: LifeSettings) -> list[Motion]:
+    """Return the motions but those that lie on a better supported one for most of their lives.
+
+    Two vehicles are never in one place; one that two sensors see, or whose ends are seen apart, may
+    be followed twice.
+    """
+    order = sorted(range(len(motions)), key=lambda k: -len(motions[k].rows))
+    samples = [_samples(each) for each in motions]
+    steps = [set(each[0].tolist()) for each in samples]
+    boxes = [np.stack([each[1].min(axis=0), each[1].max(axis=0)]) for each in samples]
+    kept: list[int] = []
+    for k in order:
+        lies = 0.0
+        for other in kept:
+            apart = np.maximum(boxes[k][0] - boxes[other][1], boxes[other][0] - boxes[k][1])
+            if (apart > settings.near_m).any() or steps[k].isdisjoint(steps[other]):
+                continue
+            lies += _share_on(motions[k], samples[k], motions[other], samples[other])
+        if lies < settings.double_share:
+            kept.append(k)
+    return [motions[k] for k in sorted(kept)]
+
+
+def _samples(motion: Motion) -> tuple[Integers, Floats, Floats]:
+    """Return (half second, place, heading) of a motion, twice a second."""
+    place, heading = motion.places
+    half = STEPS_PER_SECOND // 2
+    every = np.arange(-motion.first_step % half, len(heading), half)
+    if len(every) == 0:
+        every = np.zeros(1, np.int64)
+    return (motion.first_step + every) // half, place[every], heading[every]
+
+
+def _share_on(
+    motion: Motion, mine: tuple[Integers, Floats, Floats],
+    other: Motion, others: tuple[Integers, Floats, Floats],
+) -> float:  # fmt: skip
+    """Return for which share of its life the middle of a vehicle lies on another one."""
+    _, own, theirs = np.intersect1d(mine[0], others[0], return_indices=True)
+    apart = mine[1][own] - others[1][theirs]
+    c, s = np.cos(others[2][theirs]), np.sin(others[2][theirs])
+    along, left = apart[:, 0] * c + apart[:, 1] * s, apart[:, 1] * c - apart[:, 0] * s
+    reach = 0.5 * other.length_m + 0.25 * motion.length_m
+    on = (np.abs(along) < reach) & (np.abs(left) < BESIDE_M)
+    return float(on.sum() / len(mine[0]))

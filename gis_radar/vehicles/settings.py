@@ -273,6 +273,8 @@ class LifeSettings:
         What stands returns at most so much less than the vehicles that drive so fast.
     near_m, same_share : float
         Of two bodies within that distance that lie on each other by that share, one is.
+    double_share : float
+        Who lies on another vehicle for such a share of its life is that one.
     unseen_s : float
         A vehicle that drives is missed so long at most.
     wait_cost : float
@@ -296,6 +298,7 @@ class LifeSettings:
     weaker_db: float = 6.0
     near_m: float = 15.0
     same_share: float = 0.4
+    double_share: float = 0.5
     unseen_s: float = 6.0
     wait_cost: float = 0.03
     end_cost: float = 8.0

@@ -14,7 +14,7 @@ from gis_radar.vehicles.bodies import (
 )
 from gis_radar.vehicles.echoes import Echoes
 from gis_radar.vehicles.forward import follow_both_ways
-from gis_radar.vehicles.lives import with_standing
+from gis_radar.vehicles.lives import with_standing, without_doubles
 from gis_radar.vehicles.motion import Motion
 from gis_radar.vehicles.settings import VehicleSettings
 
@@ -45,4 +45,5 @@ def vehicles_in(echoes: Echoes, graph: LaneGraph, settings: VehicleSettings) -> 
     free = np.abs(echoes.range_rate) < settings.echoes.moving_mps
     for each in motions:
         free[each.rows] = False
-    return with_standing(echoes, graph, driven, states, free, settings)
+    found = with_standing(echoes, graph, driven, states, free, settings)
+    return without_doubles(found, settings.lives)
