@@ -232,7 +232,7 @@ def rebuilt(tmp_path, monkeypatch):
     gr.write_tiles(table, tmp_path / "tiles.gpkg", problems=problems)
     write_points(tmp_path / "scan.laz", flat())
     gr.write_pose(SENSOR, tmp_path / "R1.json")
-    traffic(tmp_path / "R1.parquet", unseen=(BEHIND_THE_HOUSE,))
+    traffic(tmp_path / "R1.parquet", unseen=(BEHIND_THE_HOUSE,), seconds=900)
     return table
 
 
@@ -257,6 +257,13 @@ def test_the_corrected_sight_serves_occupancy(rebuilt, run, tmp_path):
     digest = SightFile("sight.gpkg", road).digest
     assert found.sources[0]["sight"] == {"file": "sight.gpkg", "digest": digest}
     assert found.sight == "with a scan"
+
+
+def test_occupancy_says_nothing_of_sight_after_a_short_recording(rebuilt, run, tmp_path):
+    traffic(tmp_path / "R1.parquet", unseen=(BEHIND_THE_HOUSE,), seconds=200)
+    given = ("R1.parquet", "--pose", "R1.json", "--tiles", "tiles.gpkg")
+    code, _, err = run("occupancy", *given, "--scan", "scan.laz", "-o", "plain")
+    assert (code, "contradicts" in err) == (0, False)
 
 
 def test_recordings_of_sight_are_one_a_pose(rebuilt, run):

@@ -408,6 +408,7 @@ def _moving_hits(passes: list[RecordingPass], target: Target) -> list[MovingHits
             frames=sum(each.frames for each in counters),
         )
         for view, counters in together.items()
+        if sum(each.frames for each in counters) >= counters[0].settings.judged_frames
     ]
 
 

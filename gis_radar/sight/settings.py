@@ -83,6 +83,9 @@ class SightSettings:
     least_frames : float
         Frames of movement missed, or seen though hidden, in a run of sectors before it counts:
         half a dozen vehicles, each seen in several frames of several sectors.
+    judged_frames : int
+        Occupancy warns from so many frames of a sensor on: five minutes at 20 Hz, three cycles of a
+        signal. In less time ways stay empty by chance.
     moving_share : float
         Least share of the expected movement there: ghosts and lorries that look over a wall give
         less.
@@ -122,6 +125,7 @@ class SightSettings:
     empty_share: float = 0.1
     least_in_sector: float = 2.0
     least_frames: float = 100.0
+    judged_frames: int = 6000
     moving_share: float = 0.3
 
 
