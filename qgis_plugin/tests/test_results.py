@@ -68,17 +68,17 @@ def colours(image):
 
 
 def test_the_style_is_the_one_of_all_maps(heatmap):
-    layer = layer_called("Occupancy by interval")
+    layer = layer_called("Coverage by interval")
     renderer = layer.renderer()
     assert isinstance(renderer, QgsGraduatedSymbolRenderer)
-    assert renderer.classAttribute() == "occupancy"
+    assert renderer.classAttribute() == "coverage"
     shown = [(step.symbol().color().name(), step.label()) for step in renderer.ranges()]
-    assert shown == [(level.colour, level.label) for level in STYLE["colour_classes"]()]
-    assert shown[0][1] == "0 %, never hit"
-    raster = layer_called("Occupancy, raster")
+    assert shown == [(level.colour, level.label) for level in STYLE["colour_classes"]("coverage")]
+    assert shown[0][1] == "0 %, no vehicle"
+    raster = layer_called("Coverage, raster")
     items = raster.renderer().shader().rasterShaderFunction().colorRampItemList()
     assert [item.color.name() for item in items] == [
-        level.colour for level in STYLE["colour_classes"]()
+        level.colour for level in STYLE["colour_classes"]("coverage")
     ]
 
 
@@ -86,7 +86,7 @@ def test_the_list_of_layers_speaks_german(heatmap, monkeypatch):
     """Its legend was made as the layer was loaded, before the labels were translated."""
     from gis_radar_plugin import loading, words
 
-    layer = layer_called("Occupancy by interval")
+    layer = layer_called("Coverage by interval")
     model = QgsLayerTreeModel(QgsProject.instance().layerTreeRoot())
 
     def labels():
@@ -94,29 +94,29 @@ def test_the_list_of_layers_speaks_german(heatmap, monkeypatch):
         said = [part.data(Qt.ItemDataRole.DisplayRole) for part in model.layerLegendNodes(node)]
         return [label for label in said if "%" in label]
 
-    assert "0 %, never hit" in labels()
+    assert "0 %, no vehicle" in labels()
     monkeypatch.setattr(words, "language", lambda: "de")
     loading.dress(layer)
-    assert labels()[:3] == ["0 %, nie getroffen", "bis 0,5 %", "0,5 bis 1 %"]
+    assert labels()[:3] == ["0 %, kein Fahrzeug", "bis 0,5 %", "0,5 bis 1 %"]
 
 
-def test_not_observed_is_transparent(heatmap):
-    """A tile that no radar sees is drawn with nothing; one never hit has a colour."""
-    layer = layer_called("Occupancy, whole time")
+def test_not_visible_is_transparent(heatmap):
+    """A tile that no radar sees is drawn with nothing; a busy one has the darkest colour."""
+    layer = layer_called("Coverage, whole time")
     unseen = QgsVectorLayer(layer.source(), "unseen", "ogr")
-    unseen.setSubsetString('"observed_s" = 0')
+    unseen.setSubsetString('"visible_s" = 0')
     assert unseen.featureCount() > 100
     image = drawn(unseen)
     assert not any(
         image.pixelColor(x, y).alpha() for x in range(image.width()) for y in range(image.height())
     )
-    never = QgsVectorLayer(layer.source(), "never hit", "ogr")
-    never.setSubsetString('"occupancy" = 0')
-    assert STYLE["NEVER_HIT"] in colours(drawn(never))
+    busy = QgsVectorLayer(layer.source(), "busy", "ogr")
+    busy.setSubsetString('"coverage" > 0.6')
+    assert STYLE["colour_classes"]("coverage")[-1].colour in colours(drawn(busy))
 
 
 def test_time_is_on_at_once(heatmap):
-    layer = layer_called("Occupancy by interval")
+    layer = layer_called("Coverage by interval")
     time = layer.temporalProperties()
     assert time.isActive()
     assert time.mode() == Qgis.VectorTemporalMode.FeatureDateTimeInstantFromField
@@ -145,7 +145,7 @@ def begins_shown(layer, after_s, length_s):
 def test_a_moment_shows_its_interval_alone(heatmap, project, way):
     if way == "project":
         assert QgsProject.instance().read(str(project))
-    layer = layer_called("Occupancy by interval")
+    layer = layer_called("Coverage by interval")
     rows = layer.featureCount() / 5
     for number, clock in enumerate(("07:30:00", "07:30:20", "07:30:40", "07:31:00", "07:31:20")):
         assert begins_shown(layer, 20 * number, 20) == ({clock}, rows)
@@ -154,9 +154,9 @@ def test_a_moment_shows_its_interval_alone(heatmap, project, way):
 
 
 def test_two_moments_differ(heatmap):
-    layer = layer_called("Occupancy by interval")
+    layer = layer_called("Coverage by interval")
     first, second = drawn(layer, seconds=0), drawn(layer, seconds=60)
-    assert colours(first) & {level.colour for level in STYLE["colour_classes"]()}
+    assert colours(first) & {level.colour for level in STYLE["colour_classes"]("coverage")}
     assert first != second
 
 
@@ -164,12 +164,12 @@ def test_layers_of_a_heat_map_are_a_group(heatmap):
     group = QgsProject.instance().layerTreeRoot().findGroup("map")
     shown = {node.name(): node.itemVisibilityChecked() for node in group.findLayers()}
     assert shown == {
-        "Occupancy by interval": True,
-        "Occupancy, whole time": False,
-        "Occupancy, raster": False,
+        "Coverage by interval": True,
+        "Coverage, whole time": False,
+        "Coverage, raster": False,
         "Road, not observed": True,
     }
-    assert group.findLayers()[0].name() == "Occupancy by interval"
+    assert group.findLayers()[0].name() == "Coverage by interval"
 
 
 NO_SHIFT = """
