@@ -11,15 +11,27 @@ from gis_radar.vehicles.settings import BlockSettings, VehicleSettings
 SAMPLE = gr.sample_folder()
 
 
+SECONDS = 40.0  # of the sample's hundred: enough traffic
+
+
+def begin_of(path):
+    """Read the first seconds of a recording of the sample."""
+    table = pd.read_parquet(path)
+    return table[table["time"] < table["time"].iloc[0] + SECONDS]
+
+
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
     roads = gr.read_map(SAMPLE / "junction.osm")
-    return gr.make_tiles(roads), tmp_path_factory.mktemp("vehicles")
+    folder = tmp_path_factory.mktemp("vehicles")
+    for name in ("R1", "R2"):
+        begin_of(SAMPLE / f"{name}.parquet").to_parquet(folder / f"{name}.parquet", index=False)
+    return gr.make_tiles(roads), folder
 
 
 def found(site, name, recordings=None, **options):
     tiles, folder = site
-    given = recordings or [SAMPLE / "R1.parquet", SAMPLE / "R2.parquet"]
+    given = recordings or [folder / "R1.parquet", folder / "R2.parquet"]
     poses = [gr.read_pose(SAMPLE / f"{path.stem[:2]}.json") for path in given]
     return gr.find_vehicles(given, poses, tiles, SAMPLE / "junction.osm", folder / name, **options)
 
@@ -39,6 +51,7 @@ def covered_s(vehicles, tiles):
 
 def test_most_moving_vehicles_near_the_sensors_are_followed(whole):
     truth = pd.read_parquet(SAMPLE / "vehicles.parquet")
+    truth = truth[truth["t"] < truth["t"].iloc[0] + SECONDS]
     eyes = [gr.read_pose(SAMPLE / f"{name}.json").position[:2] for name in ("R1", "R2")]
     places = truth[["easting", "northing"]].to_numpy()
     near = np.min([np.hypot(*(places - eye).T) for eye in eyes], axis=0) < 80.0
@@ -52,12 +65,12 @@ def test_most_moving_vehicles_near_the_sensors_are_followed(whole):
             at["easting"] - row.easting, at["northing"] - row.northing
         ).min()  # fmt: skip
         hit.append(apart < 4.0)
-    assert len(hit) > 200
+    assert len(hit) > 100
     assert np.mean(hit) > 0.7
 
 
 def test_blocks_neither_lose_nor_double_coverage(site, whole):
-    settings = VehicleSettings(blocks=BlockSettings(steps=500, margin_steps=300))
+    settings = VehicleSettings(blocks=BlockSettings(steps=300, margin_steps=300))
     cut = found(site, "cut", settings=settings)
     tiles, _ = site
     uncut, in_blocks = covered_s(whole, tiles), covered_s(cut, tiles)
@@ -67,27 +80,27 @@ def test_blocks_neither_lose_nor_double_coverage(site, whole):
 
 
 def test_two_recordings_of_the_same_time_count_once(site, whole, tmp_path):
-    table = pd.read_parquet(SAMPLE / "R1.parquet")
+    table = begin_of(SAMPLE / "R1.parquet")
     middle = table["time"].mean()
     first, second = tmp_path / "R1-a.parquet", tmp_path / "R1-b.parquet"
-    table[table["time"] < middle + 10.0].to_parquet(first, index=False)
-    table[table["time"] > middle - 10.0].to_parquet(second, index=False)
+    table[table["time"] < middle + 5.0].to_parquet(first, index=False)
+    table[table["time"] > middle - 5.0].to_parquet(second, index=False)
     heard = Listener()
-    again = found(site, "twice", [first, second, SAMPLE / "R2.parquet"], reporter=heard)
+    again = found(site, "twice", [first, second, site[1] / "R2.parquet"], reporter=heard)
     tiles, _ = site
     assert np.array_equal(covered_s(again, tiles), covered_s(whole, tiles))
     assert any("R1-b.parquet" in text and "left out" in text for _, text in heard.messages)
 
 
 def test_without_range_rates_it_is_refused(site, tmp_path):
-    table = pd.read_parquet(SAMPLE / "R1.parquet").assign(range_rate=np.float32(np.nan))
+    table = begin_of(SAMPLE / "R1.parquet").assign(range_rate=np.float32(np.nan))
     table.to_parquet(tmp_path / "R1.parquet", index=False)
     with pytest.raises(gr.InputError, match="no range rates"):
         found(site, "no-rates", [tmp_path / "R1.parquet"])
 
 
 def test_where_nothing_moves_coverage_is_zero_with_a_warning(site, tmp_path):
-    table = pd.read_parquet(SAMPLE / "R1.parquet")
+    table = begin_of(SAMPLE / "R1.parquet")
     still = table[table["range_rate"].abs() < 0.05]
     still.to_parquet(tmp_path / "R1.parquet", index=False)
     heard = Listener()
@@ -113,7 +126,7 @@ def test_the_command_writes_a_folder(site, tmp_path, run):
     problems = gr.read_map(SAMPLE / "junction.osm").problems
     gr.write_tiles(tiles, tmp_path / "tiles.gpkg", problems=problems)
     code, _, _ = run(
-        "vehicles", SAMPLE / "R1.parquet", "--pose", SAMPLE / "R1.json", "--tiles",
+        "vehicles", site[1] / "R1.parquet", "--pose", SAMPLE / "R1.json", "--tiles",
         tmp_path / "tiles.gpkg", "--map", SAMPLE / "junction.osm", "-o", tmp_path / "vehicles",
     )  # fmt: skip
     assert code == 0
@@ -129,7 +142,7 @@ def test_a_file_of_sight_stands_for_the_scan(site):
     scan = gr.SightScan([SAMPLE / "scan.laz"], road)
     pose = gr.read_pose(SAMPLE / "R1.json")
     gr.write_sights([gr.find_sight(pose, road, scan)], tiles, folder / "sight.gpkg")
-    given = [SAMPLE / "R1.parquet"]
+    given = [folder / "R1.parquet"]
     by_file = found(site, "by-file", given, sight=folder / "sight.gpkg")
     by_scan = found(site, "by-scan", given, scans=[SAMPLE / "scan.laz"])
     visible = [
