@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from functools import cached_property, update_wrapper
+from pathlib import Path
 from types import FunctionType
 from typing import Any, Generic, ParamSpec, TypeAlias, TypeVar, cast
 
@@ -28,10 +30,11 @@ def compiled(function: Callable[Given, Answer]) -> Callable[Given, Answer]:
     """Return a function of numbers and arrays that numba compiles at its first call.
 
     Numba itself is imported then, too: it takes longer than all the modules that use it. The
-    function may call other compiled functions of its module by their names.
+    function may call other compiled functions, of its module or others, by their names.
 
-    The machine code is kept beside the module or in the user's cache; where neither can be
-    written (a shared installation, a service without a home), each process compiles anew.
+    The machine code is kept beside the module or in the user's cache until the source of the
+    function, or of one that it calls, changes; where neither can be written (a shared
+    installation, a service without a home), each process compiles anew.
     """
     return _Compiled(function)
 
@@ -51,16 +54,36 @@ class _Compiled(Generic[Given, Answer]):
         """Dispatcher of numba."""
         import numba  # noqa: PLC0415 - 0.3 s
 
-        plain = self.function
         # Numba calls what it made itself, so names of other compiled functions stand for that.
-        names = {
-            name: value.machine_code
-            for name in plain.__code__.co_names
-            if isinstance(value := plain.__globals__.get(name), _Compiled)
-        }
-        if names:
-            plain = FunctionType(plain.__code__, {**plain.__globals__, **names}, plain.__name__)
+        names = {name: called.machine_code for name, called in self._called.items()}
+        globals_ = {**self.function.__globals__, **names}
+        plain = FunctionType(self.function.__code__, globals_, self.function.__name__)
+        # Numba's cache asks for the date of one file and the name, so the name tells the rest.
+        plain.__qualname__ = f"{self.function.__qualname__}_{self._sources_digest()}"
         try:
             return numba.njit(cache=True, nogil=True)(plain)
         except RuntimeError:
             return numba.njit(nogil=True)(plain)
+
+    @property
+    def _known(self) -> dict[str, Any]:
+        """What stands behind the names that the function uses."""
+        of = self.function.__globals__
+        return {name: of[name] for name in self.function.__code__.co_names if name in of}
+
+    @property
+    def _called(self) -> dict[str, _Compiled[Any, Any]]:
+        """Compiled functions that this one calls, by the names it knows them by."""
+        return {name: it for name, it in self._known.items() if isinstance(it, _Compiled)}
+
+    def made_of(self) -> set[str]:
+        """Return the sources and constants that become machine code, also of all that is called."""
+        constants = {repr(it) for it in self._known.items() if isinstance(it[1], int | float)}
+        called = (each.made_of() for each in self._called.values())
+        return {Path(self.function.__code__.co_filename).read_text("utf-8")}.union(
+            constants, *called
+        )
+
+    def _sources_digest(self) -> str:
+        """Name for all of that: code and constants may come from other modules."""
+        return hashlib.sha256("".join(sorted(self.made_of())).encode()).hexdigest()[:16]

@@ -52,3 +52,19 @@ def test_nowhere_to_keep_the_code_is_no_failure(monkeypatch):
     monkeypatch.setattr(numba, "njit", without_place)
     assert compiled(total)(np.arange(5.0)) == 10.0
     assert [bool(options.get("cache")) for options in asked] == [True, False]
+
+
+HEAD = "from gis_radar.arrays import compiled\n"
+OWN = "from called import plus, FACTOR\n@compiled\ndef own(x):\n    return plus(x) * FACTOR\n"
+CALLED = "FACTOR = {}\n@compiled\ndef plus(x):\n    return x + {}\n"
+ASK = "from own import own; print(own(10), sum(own.machine_code.stats.cache_hits.values()))"
+
+
+def test_kept_code_is_made_anew_when_what_it_is_made_of_changes(tmp_path):
+    (tmp_path / "own.py").write_text(HEAD + OWN)
+    answers = []
+    for factor, more in ((1, 1), (1, 1), (1, 3), (2, 3)):
+        (tmp_path / "called.py").write_text(HEAD + CALLED.format(factor, more))
+        asked = [sys.executable, "-B", "-c", ASK]
+        answers.append(subprocess.check_output(asked, cwd=tmp_path, text=True).split())
+    assert answers == [["11", "0"], ["11", "1"], ["13", "0"], ["26", "0"]]
