@@ -110,16 +110,21 @@ def write(folder, tiles, tracks, cuts=(), *, last=None, frames=None, **options):
     edges = [first, *cuts, last + 1]
     tracks = tracks.sort_values(["step", "vehicle"], ignore_index=True)
     rows = rows_of(tracks, **options)
+    frames = frames_of_span(first, last) if frames is None else frames
     with write_vehicles(
         folder, tiles=tiles, views=[view_of(tiles)], provenance=provenance_of(tiles)
     ) as writer:
         for begin, after in pairwise(edges):
             part = tracks[tracks["step"].between(begin, after - 1)]
+            here = frames.assign(
+                first_step=frames["first_step"].clip(lower=begin),
+                last_step=frames["last_step"].clip(upper=after - 1),
+            )
             writer.add(
                 VehiclePiece(
                     first_step=begin, last_step=after - 1, tracks=part,
                     vehicles=rows[rows["vehicle"].isin(part["vehicle"])],
-                    frames=frames_of_span(begin, after - 1),
+                    frames=here[here["first_step"] <= here["last_step"]],
                 )
             )  # fmt: skip
     return read_vehicles(folder)
@@ -160,6 +165,16 @@ def test_the_folder_does_not_depend_on_the_pieces(tmp_path, cuts):
     write(tmp_path / "cut", tiles, tracks, [FIRST + cut for cut in cuts])
     for path in sorted((tmp_path / "whole").iterdir()):
         assert path.read_bytes() == (tmp_path / "cut" / path.name).read_bytes(), path.name
+
+
+def test_a_slow_frame_before_the_edge_of_a_piece_covers_up_to_the_edge(tmp_path):
+    tiles, tracks = straight_tiles(), drive(3, FIRST, np.arange(21.0))
+    slow = pd.concat([frames_of_span(step, step) for step in range(FIRST, FIRST + 21, 2)])
+    whole = write(tmp_path / "whole", tiles, tracks, frames=slow)
+    write(tmp_path / "cut", tiles, tracks, [FIRST + 8, FIRST + 12], frames=slow)
+    assert (next(whole.blocks()).visible["last_step"] == FIRST + 20).all()
+    for name in ("visible.parquet", "frames.parquet", "passages.parquet"):
+        assert (tmp_path / "whole" / name).read_bytes() == (tmp_path / "cut" / name).read_bytes()
 
 
 @pytest.mark.parametrize(

@@ -104,7 +104,7 @@ class VehiclePiece:
     Parameters
     ----------
     first_step, last_step : int
-        The span, inclusive; after that of the piece before.
+        The span, inclusive; after that of the piece before. The last piece ends with a frame.
     tracks : DataFrame
         The columns of `TRACKS`, by step and vehicle: all states in the span, one for each step from
         a vehicle's first to its last. `easting` and `northing` are the middle of the rectangle of
@@ -188,7 +188,8 @@ class Vehicles:
 
     def covered_frames(self) -> Runs:
         """Return the steps that frames of any sensor cover, to the last step with a frame."""
-        return steps_in(hold_frames(self.frames, self.provenance.hold_s))
+        end = int(self.frames["last_step"].max()) if len(self.frames) else 0
+        return steps_in(hold_frames(self.frames, self.provenance.hold_s, end))
 
     def figures(self) -> dict[str, Any]:
         """Return sensors, time span, and how many vehicles and passages there are."""
@@ -211,9 +212,9 @@ class Vehicles:
         return card("Vehicles", self.figures())
 
 
-def hold_frames(frames: pd.DataFrame, hold_s: dict[str, float]) -> pd.DataFrame:
-    """Return a table of frames with the runs of steps that they cover, to the last with a frame."""
-    covered, end = [frames[:0]], frames["last_step"].max()
+def hold_frames(frames: pd.DataFrame, hold_s: dict[str, float], end: int) -> pd.DataFrame:
+    """Return a table of frames with the runs of steps that they cover, none after `end`."""
+    covered = [frames[:0]]
     for sensor, rows in frames.groupby("sensor", sort=True):
         last = rows["last_step"].to_numpy(np.int64)
         until = covered_until(last, steps_in(rows), hold_s[str(sensor)])
@@ -267,7 +268,7 @@ class VehiclesWriter:
         self._recent = pd.concat([self._recent, frames], ignore_index=True)
         late = self._recent["last_step"] >= piece.first_step - BLOCK_STEPS
         self._recent = self._recent[late].reset_index(drop=True)
-        held = hold_frames(self._recent, self._provenance.hold_s)
+        held = hold_frames(self._recent, self._provenance.hold_s, piece.last_step)
         edges = range(piece.first_step // BLOCK_STEPS + 1, piece.last_step // BLOCK_STEPS + 1)
         begins = [piece.first_step, *(edge * BLOCK_STEPS for edge in edges)]
         for begin, after in zip(begins, [*begins[1:], piece.last_step + 1], strict=True):
