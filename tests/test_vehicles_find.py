@@ -26,7 +26,9 @@ def site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("vehicles")
     for name in ("R1", "R2"):
         begin_of(SAMPLE / f"{name}.parquet").to_parquet(folder / f"{name}.parquet", index=False)
-    return gr.make_tiles(roads), folder
+    tiles = gr.make_tiles(roads)
+    gr.write_tiles(tiles, folder / "tiles.gpkg", problems=roads.problems)
+    return tiles, folder
 
 
 def found(site, name, recordings=None, **options):
@@ -79,6 +81,25 @@ def test_blocks_neither_lose_nor_double_coverage(site, whole):
     assert len(cut.vehicles) < 1.3 * len(whole.vehicles)
 
 
+def test_frames_missing_around_the_edge_of_a_block_part_no_vehicle(site, tmp_path):
+    table = begin_of(SAMPLE / "R1.parquet")
+    step = (table["time"] * 20.0).round().astype(int)
+    edge, gap = -(-int(step.min()) // 240) * 240, 12
+    kept = table[(step < edge + 160) & ~step.between(edge - gap, edge + gap)]
+    kept.to_parquet(tmp_path / "R1.parquet", index=False)
+    around = (edge - gap, edge + gap)
+    states = []
+    for name, steps in (("gap-whole", 6000), ("gap-cut", 240)):
+        settings = VehicleSettings(blocks=BlockSettings(steps=steps, margin_steps=240))
+        made = found(site, name, [tmp_path / "R1.parquet"], settings=settings)
+        states.append(pd.concat(made.tracks(around)))
+    whole, cut = (each.groupby("vehicle").size() for each in states)
+    through = 2 * gap + 1  # steps
+    assert (whole == through).sum() > 3
+    assert (cut == through).sum() == (whole == through).sum()
+    assert len(states[1]) == pytest.approx(len(states[0]), rel=0.05)
+
+
 def test_two_recordings_of_the_same_time_count_once(site, whole, tmp_path):
     table = begin_of(SAMPLE / "R1.parquet")
     middle = table["time"].mean()
@@ -109,6 +130,21 @@ def test_where_nothing_moves_coverage_is_zero_with_a_warning(site, tmp_path):
     assert any("coverage is zero" in text for rank, text in heard.messages if rank == "warning")
 
 
+def test_a_quiet_recording_has_coverage_zero(site, tmp_path, run):
+    columns = dict.fromkeys(["x", "y", "z", "range_rate", "rcs"], np.float32(np.nan))
+    quiet = pd.DataFrame({"time": 1.7e9 + 0.05 * np.arange(200)}).assign(**columns)
+    quiet.to_parquet(tmp_path / "R1.parquet", index=False)
+    code, out, _ = run(
+        "vehicles", tmp_path / "R1.parquet", "--pose", SAMPLE / "R1.json", "--tiles",
+        site[1] / "tiles.gpkg", "--map", SAMPLE / "junction.osm", "-o", tmp_path / "v", "--json",
+    )  # fmt: skip
+    assert code == 0
+    assert "no vehicle moves in these recordings: the coverage is zero" in out
+    made = gr.read_vehicles(tmp_path / "v")
+    assert covered_s(made, site[0]).sum() == 0.0
+    assert sum(len(block.visible) for block in made.blocks()) > 0
+
+
 def test_another_map_is_refused(site, tmp_path):
     tiles, folder = site
     pose = gr.read_pose(SAMPLE / "R1.json")
@@ -122,12 +158,9 @@ def test_another_map_is_refused(site, tmp_path):
 
 
 def test_the_command_writes_a_folder(site, tmp_path, run):
-    tiles, _ = site
-    problems = gr.read_map(SAMPLE / "junction.osm").problems
-    gr.write_tiles(tiles, tmp_path / "tiles.gpkg", problems=problems)
     code, _, _ = run(
         "vehicles", site[1] / "R1.parquet", "--pose", SAMPLE / "R1.json", "--tiles",
-        tmp_path / "tiles.gpkg", "--map", SAMPLE / "junction.osm", "-o", tmp_path / "vehicles",
+        site[1] / "tiles.gpkg", "--map", SAMPLE / "junction.osm", "-o", tmp_path / "vehicles",
     )  # fmt: skip
     assert code == 0
     read = gr.read_vehicles(tmp_path / "vehicles")

@@ -44,11 +44,11 @@ from gis_radar.occupancy.frame_steps import (
 )
 from gis_radar.occupancy.hits import HITS, Rows, SortedTableWriter, distinct, merge_rows
 from gis_radar.occupancy.settings import DEFAULTS, Filters, OccupancySettings
-from gis_radar.occupancy.views import ViewBook, places_of
+from gis_radar.occupancy.views import PlacedRecording, ViewBook, place_recordings, places_of
 from gis_radar.poses.files import PoseTrack, as_track
 from gis_radar.poses.pose import Pose, View
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.recordings.recording import Detections, RangeCounts, Recording, as_recording
+from gis_radar.recordings.recording import Detections, RangeCounts, Recording
 from gis_radar.sight import (
     MovementCounter,
     MovingHits,
@@ -150,14 +150,9 @@ def measure_occupancy(
     target.views.scan = open_sight(
         target.views.road, scans=scans, scan_crs=scan_crs, sight=sight, reporter=reporter
     )
-    views = target.views.enter_all(tracks, reporter)
-    opened = [as_recording(recording) for recording in recordings]
-    _refuse_clearance(opened, target.filters)
+    sources = place_recordings(recordings, tracks, target.views, clocks, reporter)
+    _refuse_clearance([source.recording for source in sources], target.filters)
     holds = holds_of(cycles, sorted({track.sensor for track in tracks}), settings)
-    sources = [
-        Source(recording, track, seen, holds[track.sensor], (clocks or {}).get(track.sensor))
-        for recording, track, seen in zip(opened, tracks, views, strict=True)
-    ]
     with whole_folder(Path(folder), owned=OWNED, reporter=reporter) as part:
         passes = _read_all(sources, target, part, reporter)
         frames = frames_table(pd.concat([each.frames() for each in passes]))
@@ -178,7 +173,7 @@ def measure_occupancy(
     report_contradictions(
         find_contradictions(_moving_hits(passes, target), target.views.road), reporter
     )
-    for line in _warnings(passes, target.views, settings):
+    for line in _warnings(passes, target.views, holds, settings):
         reporter.log(line, "warning")
     return read_occupancy(folder)
 
@@ -196,36 +191,13 @@ class Target:
     settings: OccupancySettings
 
 
-@dataclass(frozen=True)
-class Source:
-    """A recording with what is known of its sensor.
-
-    Parameters
-    ----------
-    recording, track : Recording, PoseTrack
-        What is read, and where its sensor stood.
-    views : sequence of str
-        The view of each pose of the track.
-    hold_s : float
-        How long a frame holds, seconds.
-    clock : SensorClock, optional
-        How far the sensor's clock is ahead.
-    """
-
-    recording: Recording
-    track: PoseTrack
-    views: Sequence[str]
-    hold_s: float
-    clock: SensorClock | None
-
-
 @dataclass(kw_only=True)
 class RecordingPass:
     """What one pass over a recording gives beside its hits.
 
     Parameters
     ----------
-    source : Source
+    source : PlacedRecording
         What was read.
     log : SortedTableWriter
         One row a frame, on disk.
@@ -246,7 +218,7 @@ class RecordingPass:
         sight is the view alone.
     """
 
-    source: Source
+    source: PlacedRecording
     log: SortedTableWriter
     runs: dict[str, list[Runs]] = field(default_factory=dict)
     poses: set[int] = field(default_factory=set)
@@ -263,22 +235,17 @@ class RecordingPass:
 
     def record(self, target: Target) -> dict[str, Any]:
         """Return the entry of the manifest for this recording, with the poses that it met."""
-        source, met = self.source, slice(min(self.poses), max(self.poses) + 1)
         return {
-            "recording": source.recording.path.name,
-            "rows": self.rows,
-            "sensor": source.track.sensor,
+            **self.source.record(self.rows, self.poses),
             "filters": asdict(target.filters),
             "settings": asdict(target.settings),
             "sight": describe_sight(target.views.scan),
-            "poses": [pose.as_dict() for pose in source.track.poses[met]],
-            **({} if source.clock is None else {"clock": source.clock.as_dict()}),
             **({"elevation": False} if self.level else {}),
         }
 
 
 def _read_all(
-    sources: list[Source], target: Target, folder: Path, reporter: Reporter
+    sources: list[PlacedRecording], target: Target, folder: Path, reporter: Reporter
 ) -> list[RecordingPass]:
     """Read all recordings side by side; write their merged hits, return all else."""
     known = [source.recording.rows for source in sources]
@@ -413,8 +380,9 @@ def _moving_hits(passes: list[RecordingPass], target: Target) -> list[MovingHits
 
 
 def _warnings(
-    passes: list[RecordingPass], book: ViewBook, settings: OccupancySettings
-) -> Iterator[str]:
+    passes: list[RecordingPass], book: ViewBook, holds: Mapping[str, float],
+    settings: OccupancySettings,
+) -> Iterator[str]:  # fmt: skip
     """Yield what does not fit in views, cycles and clocks, given what was recorded."""
     spans: dict[str, tuple[int, int]] = {}
     for each in passes:
@@ -427,12 +395,12 @@ def _warnings(
                 f"{reached_m:.0f} m, but the view of {sensor} reaches {view.max_range_m:g} m: what "
                 "lies beyond reads as observed and empty; set the view's max_range_m or --max-range"
             )
-        covered_us = (1 + steps_held(each.source.hold_s)) * STEP_US
+        covered_us = (1 + steps_held(holds[sensor])) * STEP_US
         if settings.slow_cycle * covered_us < cycle_us < np.inf:
             cycle_ms, empty = round(cycle_us / 1000), 100.0 * (1.0 - covered_us / cycle_us)
             yield (
                 f"{file}: {sensor} delivers every {cycle_ms} ms, and a frame holds "
-                f"{1000 * each.source.hold_s:g} ms: {empty:.0f} % of the 50 ms steps read as not "
+                f"{1000 * holds[sensor]:g} ms: {empty:.0f} % of the 50 ms steps read as not "
                 f"observed by it; --cycle {sensor}={cycle_ms}ms lets a frame cover its whole cycle"
             )
         if each.level:

@@ -1,4 +1,4 @@
-"""Views: which tiles a sensor sees from where it stands.
+"""Views: which tiles a sensor sees from where it stands, and the recordings made there.
 
 A pose track corrects a pose by centimetres, and each correction adds or removes a tile at the rim
 of the view. So a pose shares the view of an earlier one of its track that is near enough, unless a
@@ -9,19 +9,23 @@ detections are moved to the map by the poses as they are.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from gis_radar.arrays import Integers
+from gis_radar.clocks import SensorClock
 from gis_radar.errors import NoAnswerError
 from gis_radar.occupancy.settings import DEFAULTS, OccupancySettings
 from gis_radar.poses.files import PoseTrack
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import Reporter
+from gis_radar.recordings.recording import Recording, as_recording
 from gis_radar.sight import (
     HIDDEN,
     IN_SIGHT,
@@ -127,6 +131,72 @@ class ViewBook:
             return float("nan")
         near = np.argsort(np.hypot(*(centres[:, :2] - sight.pose.position[:2]).T), kind="stable")
         return float(np.median(centres[near[: self.settings.road_tiles], 2]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlacedRecording:
+    """A recording with what is known of its sensor.
+
+    Parameters
+    ----------
+    recording, track : Recording, PoseTrack
+        What is read, and where its sensor stood.
+    views : sequence of str
+        The view of each pose of the track.
+    clock : SensorClock, optional
+        How far the sensor's clock is ahead.
+    """
+
+    recording: Recording
+    track: PoseTrack
+    views: Sequence[str]
+    clock: SensorClock | None
+
+    def record(self, rows: int, met: Collection[int]) -> dict[str, Any]:
+        """Return the entry of a manifest.
+
+        Parameters
+        ----------
+        rows : int
+            How many were read.
+        met : collection of int
+            Poses of the track that were in force at a frame; where there are none, the first one
+            is named.
+        """
+        poses = self.track.poses[min(met, default=0) : max(met, default=0) + 1]
+        return {
+            "recording": self.recording.path.name,
+            "rows": rows,
+            "sensor": self.track.sensor,
+            "poses": [pose.as_dict() for pose in poses],
+            **({} if self.clock is None else {"clock": self.clock.as_dict()}),
+        }
+
+
+def place_recordings(
+    recordings: Sequence[str | Path | Recording],
+    tracks: Sequence[PoseTrack],
+    book: ViewBook,
+    clocks: Mapping[str, SensorClock] | None,
+    reporter: Reporter,
+) -> list[PlacedRecording]:
+    """Return recordings with their tracks, clocks, and views, which are entered into the book.
+
+    Raises
+    ------
+    InputError
+        If a recording cannot be opened.
+    NoAnswerError
+        If no sensor sees any tile.
+    """
+    views = book.enter_all(tracks, reporter)
+    return [
+        PlacedRecording(
+            recording=as_recording(recording), track=track, views=names,
+            clock=(clocks or {}).get(track.sensor),
+        )
+        for recording, track, names in zip(recordings, tracks, views, strict=True)
+    ]  # fmt: skip
 
 
 def standing_for(poses: Sequence[Pose], settings: OccupancySettings = DEFAULTS) -> Integers:

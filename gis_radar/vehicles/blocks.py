@@ -4,20 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeAlias
+from itertools import chain
+from operator import itemgetter
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from gis_radar.clocks import SensorClock
 from gis_radar.errors import InputError
 from gis_radar.lanelets.graph import LaneGraph
 from gis_radar.occupancy.folder import frames_of, frames_table
 from gis_radar.occupancy.frame_log import rows_of, whole_frames
 from gis_radar.occupancy.frame_steps import Runs, union
-from gis_radar.poses.files import PoseTrack
+from gis_radar.occupancy.views import PlacedRecording
 from gis_radar.progress import Reporter
-from gis_radar.recordings.recording import Detections, Recording
+from gis_radar.recordings.recording import Detections
 from gis_radar.steps import STEPS_PER_SECOND, step_of
 from gis_radar.vehicles.echoes import Echoes, echoes_of
 from gis_radar.vehicles.settings import BlockSettings, VehicleSettings
@@ -27,36 +28,14 @@ STAGE = "vehicles"
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlacedRecording:
-    """A recording with what is known of its sensor.
-
-    Parameters
-    ----------
-    recording, track : Recording, PoseTrack
-        What is read, and where its sensor stood.
-    views : sequence of str
-        The view of each pose of the track.
-    number : int
-        Of the sensor.
-    clock : SensorClock, optional
-        How far the sensor's clock is ahead.
-    """
-
-    recording: Recording
-    track: PoseTrack
-    views: Sequence[str]
-    number: int
-    clock: SensorClock | None
-
-
-@dataclass(frozen=True, kw_only=True)
 class Block:
     """Detections around a span of steps, with the frames in it.
 
     Parameters
     ----------
     first_step, last_step : int
-        The span, inclusive.
+        The span, inclusive: whole, but that the first block begins at the first frame and the last
+        one ends at the last frame.
     echoes : Echoes
         Of the span and so much before and after as vehicles need to be known by.
     frames : DataFrame
@@ -81,23 +60,16 @@ class _Read:
     rows: int = 0
     unread: int = 0
     poses: set[int] = field(default_factory=set)
+    detections: int = 0
     rates: int = 0
 
-    def record(self) -> dict[str, Any]:
-        """Return the entry of the manifest, with the poses that it met."""
-        track, met = self.source.track, sorted(self.poses)
-        poses = track.poses[met[0] : met[-1] + 1] if met else track.poses[:1]
-        clock = self.source.clock
-        return {
-            "recording": self.source.recording.path.name,
-            "rows": self.rows,
-            "sensor": track.sensor,
-            "poses": [pose.as_dict() for pose in poses],
-            **({} if clock is None else {"clock": clock.as_dict()}),
-        }
-
-
-_Opened: TypeAlias = tuple[float, int, _Read, Detections, Iterator[Detections]]
+    def refuse_without_rates(self) -> None:
+        """Refuse detections of which none has a range rate."""
+        if self.detections and not self.rates:
+            raise InputError(
+                f"{self.source.recording.path}: has no range rates: without them nothing says "
+                "what moves"
+            )
 
 
 class SourceReader:
@@ -128,13 +100,14 @@ class SourceReader:
     ) -> None:
         self._road_m = road_m
         self._read = [_Read(source=source) for source in sources]
+        self.sensors = sorted({source.track.sensor for source in sources})
         self._graph, self._settings, self._reporter = graph, settings, reporter
         known = [source.recording.rows for source in sources]
         self._total = None if None in known else sum(rows for rows in known if rows is not None)
 
     def records(self) -> list[dict[str, Any]]:
         """Return the entries of the manifest."""
-        return [each.record() for each in self._read]
+        return [each.source.record(each.rows, each.poses) for each in self._read]
 
     def warnings(self) -> list[str]:
         """Return what was noticed on the way, a line each."""
@@ -147,74 +120,59 @@ class SourceReader:
 
     def blocks(self) -> Iterator[Block]:
         """Read all recordings side by side, block by block."""
-        streams = [_Stream(self._of_sensor(number)) for number in self._sensors()]
+        streams = [_Stream(self._of_sensor(sensor)) for sensor in self.sensors]
         limits = self._settings.blocks
+        first: int | None = min(each.begin for each in streams)
         begins = True
-        begin = int(min(each.begin for each in streams)) // limits.steps * limits.steps
-        while True:
+        while first is not None:
+            begin = first // limits.steps * limits.steps
             end = begin + limits.steps
             for each in streams:
-                each.read_to(end + limits.margin_steps)
-            following = min(each.next_step(end) for each in streams)
-            block = _block(streams, begin, end, limits)
-            ends = following is None or following == np.inf
-            yield replace(block, begins=begins, ends=bool(ends))
-            if ends:
-                return
-            begins = False
-            begin = max(end, int(following) // limits.steps * limits.steps)
-            for each in streams:
                 each.forget(begin - limits.margin_steps)
+                each.read_to(end + limits.margin_steps)
+            later = [step for each in streams if (step := each.next_step(end)) is not None]
+            first = min(later, default=None)
+            yield _block(streams, begin, limits, begins=begins, ends=first is None)
+            begins = False
 
-    def _sensors(self) -> list[int]:
-        return sorted({each.source.number for each in self._read})
-
-    def _of_sensor(self, number: int) -> Iterator[_Piece]:
+    def _of_sensor(self, sensor: str) -> Iterator[_Piece]:
         """Read the recordings of one sensor, one after the other in the order of their begins."""
-        waiting: list[_Opened] = []
+        opened: list[tuple[float, _Read, Detections, Iterator[Detections]]] = []
         for read in self._read:
-            if read.source.number == number:
+            if read.source.track.sensor == sensor:
                 pieces = whole_frames(read.source.recording.read())
-                first = next(pieces, None)
-                if first is not None and len(first):
-                    waiting.append((float(first.time[0]), len(waiting), read, first, pieces))
-        if not waiting:
-            return
+                first = next(pieces)  # a recording without rows is refused in there
+                opened.append((float(first.time[0]), read, first, pieces))
         until = -np.inf
-        for _, _, read, first, pieces in sorted(waiting, key=lambda each: each[:2]):
-            for piece in _chained(first, pieces):
+        for _, read, first, pieces in sorted(opened, key=itemgetter(0)):
+            for piece in chain([first], pieces):
                 fresh = piece.time > until
                 read.unread += int((~fresh).sum())
                 read.rows += len(piece)
                 self._reporter.progress(STAGE, sum(x.rows for x in self._read), self._total)
                 if fresh.any():
                     yield from self._in_map(read, piece if fresh.all() else rows_of(piece, fresh))
-            if len(piece):
-                until = max(until, float(piece.time[-1]))
-            if read.rates == 0:
-                raise InputError(
-                    f"{read.source.recording.path}: has no range rates: without them nothing says "
-                    "what moves"
-                )
+            until = max(until, float(piece.time[-1]))
+            read.refuse_without_rates()
 
     def _in_map(self, read: _Read, piece: Detections) -> Iterator[_Piece]:
-        source = read.source
+        source, sensor = read.source, read.source.track.sensor
         time = piece.time if source.clock is None else source.clock.corrected(piece.time)
         held = source.track.at(time)
         for index in np.unique(held).tolist():
             now = held == index
             read.poses.add(index)
-            read.rates += int(np.isfinite(piece.range_rate[now]).sum())
-            pose = source.track.poses[index]
-            here = rows_of(piece, now & piece.present)
+            here = now & piece.present
+            read.detections += int(here.sum())
+            read.rates += int(np.isfinite(piece.range_rate[here]).sum())
             echoes = echoes_of(
-                replace(here, time=time[now & piece.present]), pose, source.number, self._graph,
-                self._settings.echoes, road_m=self._road_m[source.views[index]],
+                replace(rows_of(piece, here), time=time[here]), source.track.poses[index],
+                self.sensors.index(sensor), self._graph, self._settings.echoes,
+                road_m=self._road_m[source.views[index]],
             )  # fmt: skip
             steps = np.unique(step_of(time[now]))
-            frames = frames_of(
-                source.track.sensor, source.views[index], union([Runs(first=steps, last=steps)])
-            )
+            runs = union([Runs(first=steps, last=steps)])
+            frames = frames_of(sensor, source.views[index], runs)
             yield _Piece(echoes=echoes, frames=frames, last_step=int(steps[-1]))
 
 
@@ -225,45 +183,31 @@ class _Piece:
     last_step: int
 
 
-def _chained(first: Detections, rest: Iterator[Detections]) -> Iterator[Detections]:
-    yield first
-    yield from rest
-
-
 class _Stream:
     """What one sensor saw, read as far as it is needed."""
 
     def __init__(self, pieces: Iterator[_Piece]) -> None:
+        first = next(pieces)
         self._pieces = pieces
-        self._held: list[_Piece] = []
-        self._reached: float = -np.inf
-        self._fetch()
-        begins = [int(each.frames["first_step"].min()) for each in self._held]
-        self.begin: float = min(begins) if begins else np.inf
-
-    def _fetch(self) -> None:
-        piece = next(self._pieces, None)
-        if piece is None:
-            self._reached = np.inf
-        else:
-            self._held.append(piece)
-            self._reached = piece.last_step
+        self._held = [first]
+        self._reached: float = first.last_step
+        self.begin = int(first.frames["first_step"].min())
 
     def read_to(self, step: int) -> None:
         """Read until all before a step is held."""
         while self._reached < step:
-            self._fetch()
+            piece = next(self._pieces, None)
+            self._reached = np.inf if piece is None else piece.last_step
+            self._held += [] if piece is None else [piece]
 
-    def next_step(self, step: int) -> float:
-        """Return the first step of a frame from a step on, or infinity; that step if unknown."""
+    def next_step(self, step: int) -> int | None:
+        """Return the first step of a frame from a step on; None where there is none."""
+        self.read_to(step)
         for piece in self._held:
             late = piece.frames["last_step"].to_numpy() >= step
             if late.any():
                 return max(step, int(piece.frames["first_step"].to_numpy()[late].min()))
-        if self._reached < np.inf:
-            self.read_to(step)
-            return self.next_step(step)
-        return np.inf
+        return None
 
     def forget(self, step: int) -> None:
         """Forget what is before a step."""
@@ -274,8 +218,11 @@ class _Stream:
         return self._held
 
 
-def _block(streams: Sequence[_Stream], begin: int, end: int, limits: BlockSettings) -> Block:
-    """Return the block of the steps from `begin` to the one before `end`."""
+def _block(
+    streams: Sequence[_Stream], begin: int, limits: BlockSettings, *, begins: bool, ends: bool
+) -> Block:
+    """Return the block of the steps from `begin` on."""
+    end = begin + limits.steps
     held = [piece for stream in streams for piece in stream.held()]
     from_s = (begin - limits.margin_steps) / STEPS_PER_SECOND
     to_s = (end + limits.margin_steps) / STEPS_PER_SECOND
@@ -288,9 +235,8 @@ def _block(streams: Sequence[_Stream], begin: int, end: int, limits: BlockSettin
     frames["first_step"] = frames["first_step"].clip(lower=begin)
     frames["last_step"] = frames["last_step"].clip(upper=end - 1)
     frames = frames_table(frames[frames["first_step"] <= frames["last_step"]])
-    last = int(frames["last_step"].max()) if len(frames) else end - 1
-    first = int(frames["first_step"].min()) if len(frames) else begin
     return Block(
-        first_step=first, last_step=last, echoes=Echoes.join(parts), frames=frames,
-        begins=False, ends=False,
+        first_step=int(frames["first_step"].min()) if begins else begin,
+        last_step=int(frames["last_step"].max()) if ends else end - 1,
+        echoes=Echoes.join(parts), frames=frames, begins=begins, ends=ends,
     )  # fmt: skip

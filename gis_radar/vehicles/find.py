@@ -13,14 +13,14 @@ from gis_radar.clocks import SensorClock
 from gis_radar.errors import UsageError
 from gis_radar.lanelets.graph import lane_graph
 from gis_radar.occupancy.frame_steps import holds_of
-from gis_radar.occupancy.views import ViewBook
+from gis_radar.occupancy.views import PlacedRecording, ViewBook, place_recordings
 from gis_radar.poses.files import PoseTrack, as_track
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.recordings.recording import Recording, as_recording
+from gis_radar.recordings.recording import Recording
 from gis_radar.sight import SightTiles, describe_sight, open_sight
 from gis_radar.tiles.tiles import fingerprint
-from gis_radar.vehicles.blocks import PlacedRecording, SourceReader
+from gis_radar.vehicles.blocks import SourceReader
 from gis_radar.vehicles.folder import Provenance, Vehicles, read_vehicles, write_vehicles
 from gis_radar.vehicles.map_check import map_of_tiles
 from gis_radar.vehicles.pieces import PieceMaker
@@ -100,21 +100,14 @@ def find_vehicles(
     book.scan = open_sight(
         book.road, scans=scans, scan_crs=scan_crs, sight=sight, reporter=reporter
     )
-    views = book.enter_all(tracks, reporter)
+    sources = place_recordings(recordings, tracks, book, clocks, reporter)
     book.report(reporter)
-    sensors = sorted({track.sensor for track in tracks})
-    sources = [
-        PlacedRecording(
-            recording=as_recording(recording), track=track, views=names,
-            number=sensors.index(track.sensor), clock=(clocks or {}).get(track.sensor),
-        )
-        for recording, track, names in zip(recordings, tracks, views, strict=True)
-    ]  # fmt: skip
+    reader = SourceReader(sources, graph, book.road_m, settings, reporter)
     provenance = Provenance(
         fingerprint=fingerprint(tiles), map=described, sight=describe_sight(book.scan),
-        hold_s=holds_of(cycles, sensors), settings={"vehicles": asdict(settings)}, sources=[],
+        hold_s=holds_of(cycles, reader.sensors), settings={"vehicles": asdict(settings)},
+        sources=[],
     )  # fmt: skip
-    reader = SourceReader(sources, graph, book.road_m, settings, reporter)
     makes = PieceMaker(graph, settings)
     with write_vehicles(
         folder, tiles=tiles, views=_sensor_views(sources, book), provenance=provenance,
@@ -125,7 +118,7 @@ def find_vehicles(
         writer.name_sources(reader.records())
     if makes.found == 0:
         reporter.log("no vehicle moves in these recordings: the coverage is zero", "warning")
-    for line in [*reader.warnings(), *makes.warnings(sensors)]:
+    for line in [*reader.warnings(), *makes.warnings(reader.sensors)]:
         reporter.log(line, "warning")
     return read_vehicles(folder)
 
