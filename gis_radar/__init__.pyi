@@ -60,6 +60,7 @@ from .tiles import (
 from .tracking import Track, track
 from .tracking.track import draw_track
 from .vehicles import Vehicles, find_vehicles, merge_vehicles, read_vehicles
+from .vehicles.layer import write_footprints
 
 __all__ = [
     "Clocks",
@@ -143,6 +144,7 @@ __all__ = [
     "to_xarray",
     "track",
     "with_road_heights",
+    "write_footprints",
     "write_pose",
     "write_projection",
     "write_qgis_project",

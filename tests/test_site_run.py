@@ -35,11 +35,11 @@ from test_site_execution import soon_gone
 import gis_radar as gr
 from gis_radar.cli import group
 from gis_radar.demo import pose_errors
-from gis_radar.files import only_writer
+from gis_radar.files import only_writer, refuse_foreign
 from gis_radar.site import run as product
 from gis_radar.site import stages as stage_functions
 from gis_radar.site.execution import RunState, discard
-from gis_radar.site.plan import stages_of
+from gis_radar.site.plan import OWNED, stages_of
 
 TIMES = {"last_change", "update_time", "timestamp"}
 
@@ -158,6 +158,22 @@ def test_the_project_shows_the_sensors_of_the_heat_map(small, tmp_path):
     gr.write_site_project(moved, **stage["options"])
     assert list(gpd.read_file(moved / "sensors.gpkg", layer="sensors")["sensor"]) == ["R1"]
     assert (moved / "site.qgz").read_bytes() == project
+
+
+def test_single_vehicles_are_shown_by_choice(copied):
+    path, out = copied
+    text = path.read_text(encoding="utf-8")
+    for chosen in (True, False):
+        given = f"{text}\n[vehicles]\nfootprints = {str(chosen).lower()}\n"
+        path.write_text(given, encoding="utf-8")
+        done = gr.run_site(path, out)
+        assert states(done)["vehicles"] == "kept"
+        assert (out / "footprints.gpkg").exists() == chosen
+        assert (out / "footprints.gpkg" in done.outputs) == chosen
+    # Without its state, a folder is still a result, which is made again.
+    (out / "footprints.gpkg").touch()
+    shutil.rmtree(out / ".gis-radar")
+    refuse_foreign(out, OWNED)
 
 
 def test_a_run_leaves_a_project_that_was_edited(copied):

@@ -17,7 +17,7 @@ def group() -> None:
 
 
 for verb in (
-    *(maps.tiles, maps.mask, maps.heatmap, maps.project),
+    *(maps.tiles, maps.mask, maps.heatmap, maps.footprints, maps.project),
     *(recordings.convert, recordings.occupancy, recordings.vehicles),
     *(recordings.clocks, recordings.quality),
     *(poses.localize, poses.track, poses.sensors, poses.sight),

@@ -1,4 +1,4 @@
-"""The commands that make maps: tiles, mask, heatmap, project."""
+"""The commands that make maps: tiles, mask, heatmap, footprints, project."""
 
 from __future__ import annotations
 
@@ -86,6 +86,19 @@ def heatmap(
     heat = gr.make_heatmap(merged, gr.read_tiles(tiles_path), reporter=reporter, **options)
     outputs = heat.write(output, reporter=reporter)
     return Result(outputs=outputs, summary=heat.figures())
+
+
+@command(example="gis-radar footprints vehicles/ -o footprints.gpkg")
+@click.argument("vehicles", metavar="VEHICLES", type=FILE)
+@output
+def footprints(*, vehicles: Path, output: Path, reporter: Reporter) -> Result:
+    """Write single vehicles as a layer that moves with the time of QGIS (.gpkg).
+
+    A row a vehicle and half second: a working file, not to be published.
+    """
+    refuse_inputs(output, vehicles)
+    count = gr.write_footprints(gr.read_vehicles(vehicles), output, reporter=reporter)
+    return Result(outputs=[output], summary={"rows": count})
 
 
 @command(example="gis-radar project R1.parquet --pose R1.json -o hits.gpkg")

@@ -67,6 +67,9 @@ def report(*, folder: Path, reporter: Reporter, **options: Any) -> Result:
 @click.argument("heatmap", metavar="HEATMAP", type=FILE)
 @click.option("--sensors", type=FILE, help="From gis-radar sensors.")
 @click.option("--sight", type=FILE, help="From gis-radar sight.")
+@click.option(
+    "--footprints", type=FILE, help="From gis-radar footprints: the project plays vehicles."
+)
 @click.option("--title", default="", help="Of the project; by default the file's name.")
 @click.option(
     "--timezone", "time_zone", default="UTC", show_default=True, help="Of the time on its layout."
@@ -74,12 +77,14 @@ def report(*, folder: Path, reporter: Reporter, **options: Any) -> Result:
 @click.option("--source", default="", help="Where the data come from, as its layout shows it.")
 @output
 def qgis(
-    *, heatmap: Path, sensors: Path | None, sight: Path | None, output: Path, reporter: Reporter,
-    **options: Any,
+    *, heatmap: Path, sensors: Path | None, sight: Path | None, footprints: Path | None,
+    output: Path, reporter: Reporter, **options: Any,
 ) -> Result:  # fmt: skip
     """Write a QGIS project that shows a heat map ready to present, with a print layout."""
-    refuse_inputs(output, heatmap, *[path for path in (sensors, sight) if path])
-    gr.write_qgis_project(output, heatmap=heatmap, sensors=sensors, sight=sight, **options)
+    refuse_inputs(output, heatmap, *[path for path in (sensors, sight, footprints) if path])
+    gr.write_qgis_project(
+        output, heatmap=heatmap, sensors=sensors, sight=sight, footprints=footprints, **options
+    )
     reporter.progress("writing the project", 1, 1)
     return Result(outputs=[output])
 

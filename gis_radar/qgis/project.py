@@ -36,6 +36,13 @@ from gis_radar.sight import SightTiles, write_sights
 from gis_radar.sight.layers import SIGHT_LAYER
 from gis_radar.steps import seconds_from_iso, zone_of
 from gis_radar.tiles.tiles import read_tiles
+from gis_radar.vehicles import read_vehicles
+from gis_radar.vehicles.layer import (
+    FOOTPRINTS,
+    LAYER_DEFAULTS,
+    footprint_style,
+    write_footprints,
+)
 
 MAP_MARGIN = 0.05
 """Around what was observed, as a share of its size: the road goes on a little to each side."""
@@ -50,6 +57,7 @@ def write_qgis_project(
     heatmap: str | Path,
     sensors: str | Path | None = None,
     sight: str | Path | None = None,
+    footprints: str | Path | None = None,
     title: str = "",
     time_zone: str = "UTC",
     source: str = "",
@@ -68,6 +76,9 @@ def write_qgis_project(
         GeoPackage of :func:`gis_radar.write_sensors`.
     sight : str or Path, optional
         GeoPackage of :func:`gis_radar.write_sights`: what the sensors see, off at first.
+    footprints : str or Path, optional
+        GeoPackage of :func:`gis_radar.write_footprints`: the project then plays single vehicles,
+        half second by half second.
     title : str
         Of the project and the layout; by default the file's name.
     time_zone : str
@@ -92,13 +103,18 @@ def write_qgis_project(
     package = Path(heatmap) / "heatmap.gpkg"
     crs, box = _observed_box(package)
     played = _time_range(package)
-    measure, step_s = _measure(package), played.step_s if played else 0.0
-    layers = _heatmap_layers(Path(heatmap).resolve(), step_s, measure)
+    measure, interval_s = _measure(package), played.step_s if played else 0.0
+    layers = _heatmap_layers(Path(heatmap).resolve(), interval_s, measure)
     if sensors is not None:
         layers |= _sensor_layers(Path(sensors).resolve())
     if sight is not None:
         qml = files("gis_radar.sight").joinpath("sight.qml").read_text(encoding="utf-8")
         layers["gis_radar_sight"] = _LayerSource(Path(sight).resolve(), qml, SIGHT_LAYER)
+    if footprints is not None:
+        layers["gis_radar_footprints"] = _LayerSource(
+            Path(footprints).resolve(), footprint_style(), FOOTPRINTS
+        )
+        played = played and played._replace(step_s=LAYER_DEFAULTS.shown_s)
     content = _ProjectContent(
         title=title or path.stem, time=_local_time(played, time_zone) if played else "",
         source=source, crs=crs, box=box, layers=layers, played=played, measure=measure,
@@ -109,6 +125,7 @@ def write_qgis_project(
 def write_site_project(
     folder: str | Path,
     *,
+    footprints: bool = False,
     title: str = "",
     time_zone: str = "UTC",
     source: str = "",
@@ -124,6 +141,9 @@ def write_site_project(
         Holds `heatmap/`, the poses as `sensors/NAME/pose.json` or `track.csv`, of which the last
         pose counts, and `occupancy/NAME/` of the sensors that the heat map shows; without any
         `occupancy/`, all sensors are shown.
+    footprints : bool
+        Whether the single vehicles of `vehicles/` are written as a layer that the project plays;
+        without it, an earlier such layer is deleted.
     title : str
         Of the project; by default the folder's name.
     time_zone, source : str
@@ -134,8 +154,9 @@ def write_site_project(
     Returns
     -------
     list of Path
-        `sensors.gpkg`, where there is a pose, `sight.gpkg`, where there are occupancies, and
-        `site.qgz`; `site_2.qgz` where that was edited.
+        `sensors.gpkg`, where there is a pose, `sight.gpkg`, where there are occupancies,
+        `footprints.gpkg`, where they are asked for and there are vehicles, and `site.qgz`;
+        `site_2.qgz` where that was edited.
     """
     folder = Path(folder)
     poses = _poses(folder)
@@ -143,6 +164,7 @@ def write_site_project(
     if sensors is not None:
         write_sensors([read_track(path).poses[-1] for path in poses], sensors)
     sight = _write_sight(folder)
+    vehicles = _write_footprints(folder, asked=footprints, reporter=reporter)
     numbered = (folder / f"site_{number}.qgz" for number in itertools.count(2))
     names = itertools.chain([folder / "site.qgz"], numbered)
     project = next(name for name in names if not was_edited(name))
@@ -151,10 +173,10 @@ def write_site_project(
             f"site.qgz was edited and stays as it is; the new project is {project.name}", "warning"
         )
     write_qgis_project(
-        project, heatmap=folder / "heatmap", sensors=sensors, sight=sight,
+        project, heatmap=folder / "heatmap", sensors=sensors, sight=sight, footprints=vehicles,
         title=title or folder.resolve().name, time_zone=time_zone, source=source,
     )  # fmt: skip
-    return [path for path in (sensors, sight, project) if path is not None]
+    return [path for path in (sensors, sight, vehicles, project) if path is not None]
 
 
 def _write_sight(folder: Path) -> Path | None:
@@ -174,6 +196,16 @@ def _write_sight(folder: Path) -> Path | None:
     ]
     write_sights(sights, tiles, folder / "sight.gpkg")
     return folder / "sight.gpkg"
+
+
+def _write_footprints(folder: Path, *, asked: bool, reporter: Reporter) -> Path | None:
+    """Write the layer of single vehicles; None where it is not asked for, or there are none."""
+    path, vehicles = folder / f"{FOOTPRINTS}.gpkg", folder / "vehicles"
+    if not asked or not vehicles.is_dir():
+        path.unlink(missing_ok=True)
+        return None
+    write_footprints(read_vehicles(vehicles), path, reporter=reporter)
+    return path
 
 
 def _poses(folder: Path) -> list[Path]:
@@ -255,6 +287,7 @@ def _mark(content: bytes) -> bytes:
 # The project as XML.
 
 _DOCTYPE = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>"
+_FRAMES_A_SECOND = "2"  # vehicles move as fast as they drove
 _LIMITS = ("xmin", "ymin", "xmax", "ymax")
 
 
@@ -267,7 +300,7 @@ class _LayerSource(NamedTuple):
 
 
 class _TimeRange(NamedTuple):
-    """The time that a project plays: ISO 8601 in UTC, and the length of an interval, seconds."""
+    """The time that a project plays: ISO 8601 in UTC, and the length of its steps, seconds."""
 
     begin: str
     end: str
@@ -326,6 +359,8 @@ def _project_xml(content: _ProjectContent, home: Path) -> str:
     _find(root, "Layouts").append(_sheet(content))
     _fill_layers(root, content.layers, home)
     _fill_time(root, content.played)
+    if "gis_radar_footprints" in content.layers:
+        _find(root, "ProjectTimeSettings").set("frameRate", _FRAMES_A_SECOND)
     _fill_place(root, content.crs, content.box)
     if content.measure != "occupancy":
         _rename_layers(root, content.measure)

@@ -14,8 +14,9 @@ from gis_radar.site.settings import ConvertTable, Sensor, Site
 from gis_radar.site.together import FOUND, RECORDED, SEVERAL
 
 OWNED = (
-    "road.", "tiles.gpkg", "sensors", "occupancy", "vehicles", "heatmap", "site.qgz", "site_",
-    "run.json", "summary.md", "pose_errors.csv", "together.json", *REPORT_FILES,
+    "road.", "tiles.gpkg", "sensors", "occupancy", "vehicles", "heatmap", "sight.gpkg",
+    "footprints.gpkg", "site.qgz", "site_", "run.json", "summary.md", "pose_errors.csv",
+    "together.json", *REPORT_FILES,
 )  # fmt: skip
 
 
@@ -391,9 +392,19 @@ def _products(site: Site, folder: Path) -> Iterator[Stage]:
         name="QGIS project",
         work=stages.project_stage,
         inputs={},
-        beside=((folder / "heatmap",), poses, occupancies),
-        options={"title": site.title, "time_zone": site.time_zone, "source": source},
-        outputs=(folder / "sensors.gpkg", folder / "sight.gpkg", folder / "site.qgz"),
+        beside=((folder / "heatmap",), poses, (*occupancies, *vehicles.get("vehicles", ()))),
+        options={
+            "title": site.title,
+            "time_zone": site.time_zone,
+            "source": source,
+            "footprints": site.vehicles.footprints,
+        },
+        outputs=(
+            folder / "sensors.gpkg",
+            folder / "sight.gpkg",
+            folder / "footprints.gpkg",
+            folder / "site.qgz",
+        ),
     )
     yield Stage(
         name="report",

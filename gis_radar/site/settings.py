@@ -119,6 +119,8 @@ class VehiclesTable(TomlTable):
 
     follow: Switch = key("false", True, "true")
     """Whether vehicles are followed; without, the heat maps show hits."""
+    footprints: Switch = key("true", False, "false")
+    """Whether the QGIS project plays single vehicles, of a file that is not to be published."""
 
 
 class HeatmapTable(TomlTable):

@@ -242,7 +242,7 @@ def heatmap_stage(
 
 
 def project_stage(*, outputs: Paths, **options: Any) -> Figures:
-    """Write the sensors as layers, and the project that shows them on the heat map."""
+    """Write sensors, and vehicles where asked, as layers; and the project that shows them."""
     write_site_project(outputs[0].parent, **options)
     return {}
 

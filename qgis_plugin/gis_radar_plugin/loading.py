@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 from qgis.core import (
     Qgis,
+    QgsCategorizedSymbolRenderer,
     QgsGraduatedSymbolRenderer,
     QgsMapLayer,
     QgsProcessingContext,
@@ -124,12 +125,18 @@ def dress(layer: QgsMapLayer) -> None:
 
     Processing loads layers without the style that their file holds.
     """
+    dress_only(layer)
+    if isinstance(layer, QgsVectorLayer) and layer.temporalProperties().isActive():
+        show_time(layer)
+
+
+def dress_only(layer: QgsMapLayer) -> None:
+    """Show a layer as :func:`dress` does, but leave the project's time as it is."""
     layer.reload()
     layer.loadDefaultStyle()
     if isinstance(layer, QgsVectorLayer):
         translate_legend(layer)
-        if switch_time_on(layer):
-            show_time(layer)
+        switch_time_on(layer)
     elif isinstance(layer, QgsRasterLayer):
         _translate_raster(layer)
     layer.legendChanged.emit()  # the list of layers shows the labels as they were before
@@ -147,6 +154,10 @@ def as_ground(layer: QgsVectorLayer) -> None:
 def translate_legend(layer: QgsVectorLayer) -> None:
     """Put the classes' labels in the user's language."""
     renderer = layer.renderer()
+    if isinstance(renderer, QgsCategorizedSymbolRenderer):
+        for place, category in enumerate(renderer.categories()):
+            renderer.updateCategoryLabel(place, tr(category.label()))
+        layer.emitStyleChanged()
     if not isinstance(renderer, QgsGraduatedSymbolRenderer):
         return
     for place, step in enumerate(renderer.ranges()):

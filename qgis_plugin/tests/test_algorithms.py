@@ -19,7 +19,7 @@ from qgis.core import (
 
 IDS = (
     "splitlanelets", "maskroad", "localizeradar", "convertrecordings", "occupancy", "vehicles",
-    "heatmap", "runsite", "exportreport", "setupworker", "samplesite",
+    "heatmap", "footprints", "runsite", "exportreport", "setupworker", "samplesite",
 )  # fmt: skip
 BY_WORKER = tuple(name for name in IDS if name not in ("exportreport", "setupworker"))
 
@@ -51,6 +51,8 @@ def parameters_of(name, site, out):
         "heatmap": ({"OCCUPANCY": site / "occupancy", "INTERVAL": "20s",
                      "TILES": f"{site}/tiles.gpkg|layername=tiles", "OUTPUT": out / "map"},
                     "map/heatmap.gpkg"),
+        "footprints": ({"VEHICLES": site / "vehicles", "OUTPUT": out / "moving.gpkg"},
+                       "moving.gpkg"),
         "runsite": ({"SITE": SAMPLE / "SITE.toml", "OUTPUT": out / "run"}, "run/site.qgz"),
         "samplesite": ({"OUTPUT": out / "sample"}, "sample/junction.osm"),
     }  # fmt: skip

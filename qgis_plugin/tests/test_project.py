@@ -4,16 +4,24 @@ import zipfile
 
 from helpers import layer_called
 from qgis.core import (
+    Qgis,
+    QgsDateTimeRange,
+    QgsFeatureRequest,
     QgsLayoutExporter,
     QgsLayoutItemLabel,
     QgsLayoutItemLegend,
     QgsLayoutItemMap,
     QgsLayoutItemPicture,
     QgsLayoutItemScaleBar,
+    QgsMapRendererSequentialJob,
+    QgsMapSettings,
     QgsProject,
     QgsRasterLayer,
+    QgsRectangle,
+    QgsRenderContext,
+    QgsVectorLayerTemporalContext,
 )
-from qgis.PyQt.QtCore import Qt
+from qgis.PyQt.QtCore import QDateTime, QSize, Qt
 from qgis.PyQt.QtGui import QImage
 from test_results import STYLE, colours, drawn
 
@@ -99,3 +107,53 @@ def test_the_project_names_no_absolute_path(project):
         text = archive.read("site.qgs").decode()
     assert str(project.parent) not in text
     assert "file:" not in text
+
+
+def frame(seconds, layers):
+    """Draw a frame of half a second, so long after the begin of the sample."""
+    settings = QgsMapSettings()
+    settings.setLayers(layers)
+    settings.setDestinationCrs(layers[0].crs())
+    settings.setOutputSize(QSize(500, 400))
+    settings.setExtent(QgsRectangle(690330, 5336140, 690480, 5336260))
+    begin = QDateTime(2025, 6, 12, 7, 30, 0, 0, Qt.TimeSpec.UTC).addMSecs(round(seconds * 1000))
+    settings.setIsTemporal(True)
+    settings.setTemporalRange(QgsDateTimeRange(begin, begin.addMSecs(500), True, False))
+    job = QgsMapRendererSequentialJob(settings)
+    job.start()
+    job.waitForFinished()
+    return job.renderedImage()
+
+
+def shown_at(layer, seconds):
+    """Return state and number of the vehicles that QGIS shows in a frame."""
+    begin = QDateTime(2025, 6, 12, 7, 30, 0, 0, Qt.TimeSpec.UTC).addMSecs(round(seconds * 1000))
+    context = QgsVectorLayerTemporalContext()
+    context.setLayer(layer)
+    span = QgsDateTimeRange(begin, begin.addMSecs(500), True, False)
+    text = layer.temporalProperties().createFilterString(context, span)
+    return [(row["vehicle"], row["state"], row["begin"].toUTC()) for row in
+            layer.getFeatures(QgsFeatureRequest().setFilterExpression(text))]  # fmt: skip
+
+
+def test_vehicles_and_coverage_move_with_the_time(qgis_new_project, site):
+    """The project of the demo, whose site file asks for vehicles: a queue builds and dissolves."""
+    shown = QgsProject.instance()
+    assert shown.read(str(site / "site.qgz"))
+    moving, map_of_interval = layer_called("Vehicles"), layer_called("Coverage by interval")
+    assert moving.temporalProperties().isActive()
+    times = shown.timeSettings()
+    assert (times.timeStep(), times.timeStepUnit()) == (0.5, Qgis.TemporalUnit.Seconds)
+    assert times.framesPerSecond() == 2
+    standing = []
+    for seconds in range(0, 100, 5):
+        rows = shown_at(moving, seconds)
+        assert len({number for number, _, _ in rows}) == len(rows) > 5  # each once
+        assert {begin.time().second() for _, _, begin in rows} == {seconds % 60}
+        standing.append(sum(state == "standing" for _, state, _ in rows))
+    assert max(standing) >= min(standing) + 8  # red and green
+    symbols = moving.renderer().symbols(QgsRenderContext())
+    light = {symbols[place].color().name() for place in (0, 1)}
+    assert light & colours(frame(40, [moving]))
+    same, later = (frame(seconds, [map_of_interval]) for seconds in (39.5, 40))
+    assert same == frame(25, [map_of_interval]) != later  # the map changes with its interval

@@ -1,6 +1,7 @@
 """The algorithms of the toolbox, one a file."""
 
 from .convert import ConvertRecordings
+from .footprints import ShowVehicles
 from .heatmap import MakeHeatMap
 from .localize import LocalizeRadar
 from .mask import MaskRoad
@@ -20,6 +21,7 @@ ALGORITHMS = (
     MeasureOccupancy,
     FollowVehicles,
     MakeHeatMap,
+    ShowVehicles,
     RunSite,
     ExportReport,
     SetUpWorker,

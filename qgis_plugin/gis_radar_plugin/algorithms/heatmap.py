@@ -23,7 +23,7 @@ from qgis.core import (
 
 from ..base import TRAFFIC, WorkerAlgorithm, option
 from ..inputs import TILE_FIELDS, TILES, layer_file
-from ..loading import INTERVALS, as_ground, heatmap_titles, load
+from ..loading import INTERVALS, as_ground, dress, dress_only, heatmap_titles, load
 from ..words import tr
 
 INTERVAL = re.compile(r"\d+(\.\d+)?\s*(ms|s|min|h|d)")
@@ -137,10 +137,16 @@ def layers_of(folder: Path) -> dict[str, str]:
     }
 
 
-def load_heatmap(context: QgsProcessingContext, folder: Path, group: str) -> None:
-    """Have QGIS load a heat map as a group, the layer by interval on top and switched on."""
+def load_heatmap(
+    context: QgsProcessingContext, folder: Path, group: str, *, sets_time: bool = True
+) -> None:
+    """Have QGIS load a heat map as a group, the layer by interval on top and switched on.
+
+    The project steps by its intervals, unless `sets_time` is false.
+    """
     layers, titles = layers_of(folder), heatmap_titles(folder)
-    load(context, layers["INTERVALS"], titles[INTERVALS], group=group, order=3)
+    finish = dress if sets_time else dress_only
+    load(context, layers["INTERVALS"], titles[INTERVALS], group=group, order=3, finish=finish)
     load(context, layers["HEATMAP"], titles["heatmap"], group=group, order=2, visible=False)
     load(context, layers["RASTER"], titles["raster"], group=group, order=1, visible=False)
     ground = tr("Road, not observed")

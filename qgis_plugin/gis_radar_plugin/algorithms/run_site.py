@@ -78,5 +78,11 @@ def load_site(context: QgsProcessingContext, folder: Path, group: str) -> None:
              ("sensors", tr("Sensors"))), start=10,
         ):  # fmt: skip
             load(context, f"{sensors}|layername={layer}", name, group=group, order=order)
+    footprints = folder / "footprints.gpkg"
+    if footprints.is_file():
+        source = f"{footprints}|layername=footprints"
+        load(context, source, tr("Vehicles"), group=group, order=5)
     if (folder / "heatmap" / "heatmap.gpkg").is_file():
-        load_heatmap(context, folder / "heatmap", group)
+        # Vehicles move in shorter steps than the map.
+        sets_time = not footprints.is_file()
+        load_heatmap(context, folder / "heatmap", group, sets_time=sets_time)
