@@ -14,7 +14,6 @@ from qgis.core import (
     QgsProcessingOutputRasterLayer,
     QgsProcessingOutputVectorLayer,
     QgsProcessingParameterBoolean,
-    QgsProcessingParameterFeatureSource,
     QgsProcessingParameterFile,
     QgsProcessingParameterFolderDestination,
     QgsProcessingParameterMultipleLayers,
@@ -22,8 +21,8 @@ from qgis.core import (
 )
 
 from ..base import TRAFFIC, WorkerAlgorithm, option
-from ..inputs import TILE_FIELDS, TILES, layer_file
 from ..loading import INTERVALS, as_ground, dress, dress_only, heatmap_titles, load
+from ..parameters import add_tiles, tile_file
 from ..words import tr
 
 INTERVAL = re.compile(r"\d+(\.\d+)?\s*(ms|s|min|h|d)")
@@ -55,12 +54,7 @@ class MakeHeatMap(WorkerAlgorithm):
             ),
             about="A folder from 'Occupancy from recordings', or the one of all sensors of a site.",
         )
-        self.add(
-            QgsProcessingParameterFeatureSource(
-                "TILES", tr("Tiles"), [QgsProcessing.SourceType.TypeVectorPolygon]
-            ),
-            about="The tiles that the occupancy was made with.",
-        )
+        add_tiles(self, about="The tiles that the occupancy was made with.")
         self.add(
             QgsProcessingParameterFile(
                 "VEHICLES", tr("Vehicles"), QgsProcessingParameterFile.Behavior.Folder,
@@ -105,9 +99,7 @@ class MakeHeatMap(WorkerAlgorithm):
             *occupancies_in(self.parameterAsFile(parameters, "OCCUPANCY", context)),
             *[str(Path(manifest).parent) for manifest in manifests],
         ]
-        tiles, _ = layer_file(
-            self, parameters, "TILES", context, layer_name=TILES, fields=TILE_FIELDS
-        )
+        tiles = tile_file(self, parameters, context)
         interval = self.parameterAsString(parameters, "INTERVAL", context).strip()
         vehicles = self.parameterAsFile(parameters, "VEHICLES", context)
         words = ["heatmap", *folders, "--tiles", tiles, "-o", dest]

@@ -27,8 +27,8 @@ from qgis.core import (
 
 from ..base import SITE, WorkerAlgorithm, option, readable
 from ..loading import finish_output, load
+from ..parameters import add_map, add_origin, add_road
 from ..words import tr
-from .tiles import ORIGIN_HELP
 
 METHODS = ("lane", "icp")
 WEB_MERCATOR = "EPSG:3857"
@@ -52,19 +52,14 @@ class LocalizeRadar(WorkerAlgorithm):
     KEYWORDS = ("pose", "calibration", "georeference")
 
     def initAlgorithm(self, _configuration: Any = None) -> None:  # noqa: N802
-        clouds = tr("Point clouds") + " (*.laz *.las)"
         recordings = tr("Recordings") + " (*.parquet *.csv)"
-        maps = tr("Lanelet2 maps") + " (*.osm *.xml)"
         self.add(QgsProcessingParameterFile("RECORDING", tr("Recording"), fileFilter=recordings))
         self.add(
             QgsProcessingParameterPoint("GUESS", tr("Where the radar stands")),
             about="Click it on the map (the button with three dots), within 15 m.",
         )
-        self.add(QgsProcessingParameterFile("MAP", tr("Lanelet2 map"), fileFilter=maps))
-        self.add(
-            QgsProcessingParameterFile("ROAD", tr("Scanned road"), fileFilter=clouds),
-            about="From 'Mask road from airborne scan'.",
-        )
+        add_map(self)
+        add_road(self, about="From 'Mask road from airborne scan'.")
         self.add(
             QgsProcessingParameterString("COMPASS", tr("Compass bearing"), optional=True),
             about="Where the radar looks, if known: degrees clockwise from true north, or a word "
@@ -84,10 +79,7 @@ class LocalizeRadar(WorkerAlgorithm):
             ),
             advanced=True,
         )  # fmt: skip
-        self.add(
-            QgsProcessingParameterString("ORIGIN", tr("Origin of the map"), optional=True),
-            about=ORIGIN_HELP, advanced=True,
-        )  # fmt: skip
+        add_origin(self)
         poses, pictures = tr("Poses") + " (*.json)", tr("Pictures") + " (*.png)"
         self.add(QgsProcessingParameterFileDestination("POSE", tr("Pose"), poses))
         self.add(QgsProcessingParameterFileDestination("FIGURE", tr("Figure"), pictures))

@@ -9,18 +9,15 @@ from qgis.core import (
     QgsProcessingContext,
     QgsProcessingException,
     QgsProcessingFeedback,
-    QgsProcessingParameterCrs,
     QgsProcessingParameterFeatureSource,
-    QgsProcessingParameterFile,
     QgsProcessingParameterFileDestination,
     QgsProcessingParameterMultipleLayers,
-    QgsProcessingParameterString,
 )
 
 from ..base import SITE, WorkerAlgorithm, option
 from ..inputs import layer_file
+from ..parameters import add_crs, add_map, add_origin, add_scan_crs, crs_words
 from ..words import tr
-from .tiles import CRS_HELP, ORIGIN_HELP, crs_words
 
 
 class MaskRoad(WorkerAlgorithm):
@@ -45,13 +42,7 @@ class MaskRoad(WorkerAlgorithm):
             ),
             about="One or more LAS or LAZ files of the site.",
         )
-        self.add(
-            QgsProcessingParameterFile(
-                "MAP", tr("Lanelet2 map"), optional=True,
-                fileFilter=tr("Lanelet2 maps") + " (*.osm *.xml)",
-            ),
-            about="The HD map; or choose road polygons below.",
-        )  # fmt: skip
+        add_map(self, about="The HD map; or choose road polygons below.", optional=True)
         self.add(
             QgsProcessingParameterFeatureSource(
                 "ROADS", tr("Road polygons"), [QgsProcessing.SourceType.TypeVectorPolygon],
@@ -59,18 +50,9 @@ class MaskRoad(WorkerAlgorithm):
             ),
             about="A layer of polygons, in place of the map.",
         )  # fmt: skip
-        self.add(
-            QgsProcessingParameterCrs("SCAN_CRS", tr("CRS of the scans"), optional=True),
-            about="Only for scans without one.", advanced=True,
-        )  # fmt: skip
-        self.add(
-            QgsProcessingParameterCrs("CRS", tr("Coordinate system"), optional=True),
-            about=CRS_HELP, advanced=True,
-        )  # fmt: skip
-        self.add(
-            QgsProcessingParameterString("ORIGIN", tr("Origin of the map"), optional=True),
-            about=ORIGIN_HELP, advanced=True,
-        )  # fmt: skip
+        add_scan_crs(self)
+        add_crs(self)
+        add_origin(self)
         self.add(
             QgsProcessingParameterFileDestination(
                 "OUTPUT", tr("Road"), tr("Point clouds") + " (*.laz)"
@@ -85,12 +67,11 @@ class MaskRoad(WorkerAlgorithm):
         feedback: QgsProcessingFeedback,
     ) -> dict[str, Any]:
         dest = self.parameterAsFileOutput(parameters, "OUTPUT", context)
-        crs = crs_words(self.parameterAsCrs(parameters, "CRS", context))
+        crs = crs_words(self, parameters, "CRS", context)
         words = [
             "mask", *self.files(parameters, "SCANS", context), "-o", dest,
             *self._roads(parameters, context, reprojected=bool(crs)),
-            *option("--crs", crs),
-            *option("--scan-crs", crs_words(self.parameterAsCrs(parameters, "SCAN_CRS", context))),
+            *crs, *crs_words(self, parameters, "SCAN_CRS", context),
             *option("--origin", self.parameterAsString(parameters, "ORIGIN", context)),
         ]  # fmt: skip
         self.work(words, [dest], feedback)

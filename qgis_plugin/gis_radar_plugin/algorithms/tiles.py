@@ -7,8 +7,6 @@ from typing import Any
 from qgis.core import (
     QgsProcessingContext,
     QgsProcessingFeedback,
-    QgsProcessingParameterCrs,
-    QgsProcessingParameterFile,
     QgsProcessingParameterNumber,
     QgsProcessingParameterString,
     QgsProcessingParameterVectorDestination,
@@ -16,13 +14,8 @@ from qgis.core import (
 
 from ..base import SITE, WorkerAlgorithm, option
 from ..loading import finish_output, load
+from ..parameters import add_crs, add_map, add_origin, add_road, crs_words
 from ..words import tr
-
-CRS_HELP = "A projected system in metres; without one the UTM zone of the site is taken."
-ORIGIN_HELP = (
-    "Only for maps whose latitudes and longitudes are empty or false: easting and northing "
-    "of the map's local (0, 0), with a comma between them."
-)
 
 
 class SplitLanelets(WorkerAlgorithm):
@@ -39,18 +32,10 @@ class SplitLanelets(WorkerAlgorithm):
     KEYWORDS = ("hd map", "osm", "lanes")
 
     def initAlgorithm(self, _configuration: Any = None) -> None:  # noqa: N802
-        self.add(
-            QgsProcessingParameterFile(
-                "MAP", tr("Lanelet2 map"), fileFilter=tr("Lanelet2 maps") + " (*.osm *.xml)"
-            ),
-            about="The HD map as an OSM file.",
-        )
-        self.add(
-            QgsProcessingParameterFile(
-                "ROAD", tr("Scanned road"), optional=True,
-                fileFilter=tr("Point clouds") + " (*.laz *.las)",
-            ),
-            about="Gives the tiles' heights; needed to filter by height over the road.",
+        add_map(self, about="The HD map as an OSM file.")
+        add_road(
+            self, about="Gives the tiles' heights; needed to filter by height over the road.",
+            optional=True,
         )  # fmt: skip
         self.add(
             QgsProcessingParameterNumber(
@@ -59,19 +44,13 @@ class SplitLanelets(WorkerAlgorithm):
             ),
             advanced=True,
         )  # fmt: skip
-        self.add(
-            QgsProcessingParameterCrs("CRS", tr("Coordinate system"), optional=True),
-            about=CRS_HELP, advanced=True,
-        )  # fmt: skip
+        add_crs(self)
         self.add(
             QgsProcessingParameterString("SUBTYPE", tr("Lanelets of subtype"), optional=True),
             about="Such as road,highway; without it all but those for pedestrians and bicycles.",
             advanced=True,
         )
-        self.add(
-            QgsProcessingParameterString("ORIGIN", tr("Origin of the map"), optional=True),
-            about=ORIGIN_HELP, advanced=True,
-        )  # fmt: skip
+        add_origin(self)
         self.add(
             QgsProcessingParameterVectorDestination("OUTPUT", tr("Tiles")),
             about="GeoPackage with the layers 'tiles' and 'problems'.",
@@ -84,11 +63,10 @@ class SplitLanelets(WorkerAlgorithm):
         feedback: QgsProcessingFeedback,
     ) -> dict[str, Any]:
         dest = self.parameterAsOutputLayer(parameters, "OUTPUT", context)
-        crs = self.parameterAsCrs(parameters, "CRS", context)
         words = [
             "tiles", self.parameterAsFile(parameters, "MAP", context), "-o", dest,
             "--length", str(self.parameterAsDouble(parameters, "LENGTH", context)),
-            *option("--crs", crs_words(crs)),
+            *crs_words(self, parameters, "CRS", context),
             *option("--road", self.parameterAsFile(parameters, "ROAD", context)),
             *option("--subtype", self.parameterAsString(parameters, "SUBTYPE", context)),
             *option("--origin", self.parameterAsString(parameters, "ORIGIN", context)),
@@ -98,10 +76,3 @@ class SplitLanelets(WorkerAlgorithm):
         if finish_output(context, dest) and mended:
             load(context, f"{dest}|layername=problems", tr("Problems of the map"), visible=False)
         return {"OUTPUT": dest, "TILES": answer.summary.get("tiles", 0)}
-
-
-def crs_words(crs: Any) -> str:
-    """Return a coordinate system as the worker reads it, empty where there is none."""
-    if not crs.isValid():
-        return ""
-    return str(crs.authid() or crs.toWkt())

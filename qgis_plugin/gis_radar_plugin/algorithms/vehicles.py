@@ -5,21 +5,21 @@ from __future__ import annotations
 from typing import Any
 
 from qgis.core import (
-    QgsProcessing,
     QgsProcessingContext,
     QgsProcessingFeedback,
-    QgsProcessingParameterCrs,
-    QgsProcessingParameterFeatureSource,
-    QgsProcessingParameterFile,
     QgsProcessingParameterFolderDestination,
-    QgsProcessingParameterMultipleLayers,
 )
 
-from ..base import TRAFFIC, WorkerAlgorithm, option
-from ..inputs import TILE_FIELDS, TILES, layer_file
+from ..base import TRAFFIC, WorkerAlgorithm
+from ..parameters import (
+    add_hiding_scans,
+    add_map,
+    add_recordings,
+    add_scan_crs,
+    add_tiles,
+    recording_words,
+)
 from ..words import tr
-from .occupancy import paired
-from .tiles import crs_words
 
 
 class FollowVehicles(WorkerAlgorithm):
@@ -39,38 +39,11 @@ class FollowVehicles(WorkerAlgorithm):
     KEYWORDS = ("tracks", "coverage", "sensors")
 
     def initAlgorithm(self, _configuration: Any = None) -> None:  # noqa: N802
-        files = QgsProcessing.SourceType.TypeFile
-        self.add(
-            QgsProcessingParameterMultipleLayers("RECORDINGS", tr("Recordings"), files),
-            about="Of one or more sensors (Parquet or CSV), with range rates.",
-        )
-        self.add(
-            QgsProcessingParameterMultipleLayers("POSES", tr("Poses"), files),
-            about="As many pose files (JSON) or pose tracks (CSV) as recordings.",
-        )
-        self.add(
-            QgsProcessingParameterFeatureSource(
-                "TILES", tr("Tiles"), [QgsProcessing.SourceType.TypeVectorPolygon]
-            ),
-            about="From 'Split lanelets into tiles', all of them.",
-        )
-        self.add(
-            QgsProcessingParameterFile(
-                "MAP", tr("Lanelet2 map"), fileFilter=tr("Lanelet2 maps") + " (*.osm *.xml)"
-            ),
-            about="The map that the tiles were made from.",
-        )
-        self.add(
-            QgsProcessingParameterMultipleLayers(
-                "SCANS", tr("Airborne scans"), files, optional=True
-            ),
-            about="LAS or LAZ, whole and not masked: what stands in them hides tiles, which then "
-            "are not observed. Without them all that is within the view counts as seen.",
-        )  # fmt: skip
-        self.add(
-            QgsProcessingParameterCrs("SCAN_CRS", tr("CRS of the scans"), optional=True),
-            about="Only for scans without one.", advanced=True,
-        )  # fmt: skip
+        add_recordings(self, about="Of one or more sensors (Parquet or CSV), with range rates.")
+        add_tiles(self, about="From 'Split lanelets into tiles', all of them.")
+        add_map(self, about="The map that the tiles were made from.")
+        add_hiding_scans(self)
+        add_scan_crs(self)
         self.add(
             QgsProcessingParameterFolderDestination("OUTPUT", tr("Vehicles")),
             about="A folder for 'Heat map'.",
@@ -83,19 +56,9 @@ class FollowVehicles(WorkerAlgorithm):
         feedback: QgsProcessingFeedback,
     ) -> dict[str, Any]:
         dest = self.parameterAsString(parameters, "OUTPUT", context)
-        recordings = self.files(parameters, "RECORDINGS", context)
-        poses = paired(recordings, self.files(parameters, "POSES", context))
-        tiles, _ = layer_file(
-            self, parameters, "TILES", context, layer_name=TILES, fields=TILE_FIELDS
-        )
-        lanes = self.parameterAsFile(parameters, "MAP", context)
-        words = ["vehicles", *recordings, "--tiles", tiles, "--map", lanes, "-o", dest]
-        for pose in poses:
-            words += ["--pose", pose]
-        for scan in self.files(parameters, "SCANS", context):
-            words += ["--scan", scan]
-        words += option(
-            "--scan-crs", crs_words(self.parameterAsCrs(parameters, "SCAN_CRS", context))
-        )
+        words = [
+            "vehicles", "-o", dest, *recording_words(self, parameters, context, feedback),
+            "--map", self.parameterAsFile(parameters, "MAP", context),
+        ]  # fmt: skip
         self.work(words, [dest], feedback)
         return {"OUTPUT": dest}
