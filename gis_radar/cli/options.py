@@ -9,13 +9,14 @@ import math
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import click
 
 from gis_radar.errors import UsageError
 
 FILE = click.Path(path_type=Path)
+Verb = TypeVar("Verb", bound=Callable[..., Any])
 
 
 class Parsed(click.ParamType):  # type: ignore[type-arg]
@@ -128,6 +129,17 @@ def numbers(names: str) -> Parsed:
     return Parsed(names, partial(_numbers, names))
 
 
+def in_order(*options: Callable[[Verb], Verb]) -> Callable[[Verb], Verb]:
+    """Return a decorator that adds several options, in the order of the help."""
+
+    def add(verb: Verb) -> Verb:
+        for option in reversed(options):
+            verb = option(verb)
+        return verb
+
+    return add
+
+
 output = click.option("-o", "--output", type=FILE, required=True, help="Where the result goes.")
 origin = click.option(
     "--origin", type=numbers("E,N"), help="Map-frame position of the map's local (0, 0)."
@@ -137,9 +149,32 @@ sight_scans = click.option(
     "--scan", "scans", metavar="SCAN.laz", type=FILE, multiple=True,
     help="What stands in it hides tiles (LAS, LAZ, COPC); whole, not masked; repeatable.",
 )  # fmt: skip
-sight_file = click.option(
-    "--sight", metavar="SIGHT.gpkg", type=FILE,
-    help="What sensors see, from gis-radar sight, in place of --scan.",
+sight = in_order(
+    sight_scans,
+    scan_crs,
+    click.option(
+        "--sight", metavar="SIGHT.gpkg", type=FILE,
+        help="What sensors see, from gis-radar sight, in place of --scan.",
+    ),
+)  # fmt: skip
+view = in_order(
+    click.option(
+        "--max-range", "max_range_m", type=float, help="Range of poses without a view, m."
+    ),
+    click.option("--azimuth", "azimuth_deg", type=float, help="Full azimuth of such poses, deg."),
+    click.option(
+        "--elevation", "elevation_deg", type=float, help="Full elevation of such poses, deg."
+    ),
+)
+frame_times = in_order(
+    click.option(
+        "--cycle", "cycles", type=CYCLES,
+        help="Of sensors slower than 10 Hz, the time from frame to frame: a frame holds 1.5 of it.",
+    ),
+    click.option(
+        "--clocks", metavar="auto|FILE",
+        help="Correct the sensors' clocks: by a file from gis-radar clocks, or as found here.",
+    ),
 )  # fmt: skip
 lanes = click.option(
     "--map", "map_path", metavar="MAP.osm", type=FILE, required=True, help="The lanes."

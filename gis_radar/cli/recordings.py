@@ -10,20 +10,19 @@ import click
 import gis_radar as gr
 from gis_radar.cli.console import Result, command
 from gis_radar.cli.options import (
-    CYCLES,
     DURATION,
     FILE,
     PAIRS,
+    frame_times,
     lanes,
     numbers,
     occupancies,
     output,
     poses,
     recordings,
-    scan_crs,
-    sight_file,
-    sight_scans,
+    sight,
     tile_file,
+    view,
 )  # fmt: skip
 from gis_radar.files import refuse_inputs
 from gis_radar.progress import Reporter
@@ -61,9 +60,7 @@ def convert(*, inputs: tuple[str, ...], output: Path, reporter: Reporter, **opti
 @poses
 @tile_file
 @output
-@click.option("--max-range", "max_range_m", type=float, help="Range of poses without a view, m.")
-@click.option("--azimuth", "azimuth_deg", type=float, help="Full azimuth of such poses, deg.")
-@click.option("--elevation", "elevation_deg", type=float, help="Full elevation of such poses, deg.")
+@view
 @click.option("--min-speed", type=float, help="Least absolute range rate, m/s; off by default.")
 @click.option("--min-rcs", type=float, help="Least radar cross section, dBm2; off by default.")
 @click.option("--clearance", type=numbers("LOW,HIGH"), help="Heights over the road that count, m.")
@@ -71,17 +68,8 @@ def convert(*, inputs: tuple[str, ...], output: Path, reporter: Reporter, **opti
     "--elevation-error", "elevation_error_deg", type=float, default=0.5, show_default=True,
     help="The radar's elevation error, deg (1 sigma): widens the clearance with range.",
 )  # fmt: skip
-@click.option(
-    "--cycle", "cycles", type=CYCLES,
-    help="Of sensors slower than 10 Hz, the time from frame to frame: a frame holds 1.5 of it.",
-)  # fmt: skip
-@click.option(
-    "--clocks", metavar="auto|FILE",
-    help="Correct the sensors' clocks: by a file from gis-radar clocks, or as found here.",
-)  # fmt: skip
-@sight_scans
-@scan_crs
-@sight_file
+@frame_times
+@sight
 @click.option("--engine", type=click.Choice(sorted(ENGINES)), default="grid", show_default=True)
 @click.option("--pairs", is_flag=True, help="Also write hits.parquet: each pair of step and tile.")
 def occupancy(
@@ -90,10 +78,10 @@ def occupancy(
     poses: tuple[Path, ...],
     tiles_path: Path,
     output: Path,
-    cycles: dict[str, float] | None,
     clocks: str | None,
     engine: str,
     pairs: bool,
+    cycles: dict[str, float] | None,
     scans: tuple[Path, ...],
     scan_crs: str | None,
     sight: Path | None,
@@ -101,13 +89,10 @@ def occupancy(
     **options: Any,
 ) -> Result:
     """Join recordings to tiles: which tile was hit in which 50 ms step."""
-    from gis_radar.site.recipes import AUTO, join_recordings  # noqa: PLC0415 - --help needs no NumPy
+    from gis_radar.site.recipes import join_recordings  # noqa: PLC0415 - --help needs no NumPy
 
-    clock_files = [] if clocks in {None, AUTO} else [str(clocks)]
-    sight_files = [] if sight is None else [sight]
-    refuse_inputs(output, *recordings, *poses, tiles_path, *clock_files, *scans, *sight_files)
-    view = {name: options.pop(name) for name in ("azimuth_deg", "elevation_deg", "max_range_m")}
-    tracks = [_seeing(gr.read_track(pose), view, reporter) for pose in poses]
+    refuse_inputs(output, *recordings, *poses, tiles_path, *scans, *_files(clocks, sight))
+    tracks = _tracks(poses, options, reporter)
     result = join_recordings(
         recordings, tracks, tiles_path, output, filters=options, clocks=clocks, cycles=cycles,
         engine=getattr(gr, ENGINES[engine]), pairs=pairs, scans=scans, scan_crs=scan_crs,
@@ -116,6 +101,19 @@ def occupancy(
     for line in gr.measure_quality(result).warnings():
         reporter.log(line, "warning")
     return Result(outputs=[output], summary=result.figures())
+
+
+def _files(clocks: str | None, sight: Path | None) -> list[Path]:
+    """Return the files among these options."""
+    return [Path(each) for each in (clocks, sight) if each not in {None, "auto"}]
+
+
+def _tracks(
+    poses: tuple[Path, ...], options: dict[str, Any], reporter: Reporter
+) -> list[gr.PoseTrack]:
+    """Read poses; take the view of those without one out of the options."""
+    known = {name: options.pop(name) for name in ("azimuth_deg", "elevation_deg", "max_range_m")}
+    return [_seeing(gr.read_track(pose), known, reporter) for pose in poses]
 
 
 def _seeing(
@@ -142,20 +140,9 @@ def _seeing(
 @tile_file
 @lanes
 @output
-@click.option("--max-range", "max_range_m", type=float, help="Range of poses without a view, m.")
-@click.option("--azimuth", "azimuth_deg", type=float, help="Full azimuth of such poses, deg.")
-@click.option("--elevation", "elevation_deg", type=float, help="Full elevation of such poses, deg.")
-@click.option(
-    "--cycle", "cycles", type=CYCLES,
-    help="Of sensors slower than 10 Hz, the time from frame to frame: a frame holds 1.5 of it.",
-)  # fmt: skip
-@click.option(
-    "--clocks", metavar="auto|FILE",
-    help="Correct the sensors' clocks: by a file from gis-radar clocks, or as found here.",
-)  # fmt: skip
-@sight_scans
-@scan_crs
-@sight_file
+@view
+@frame_times
+@sight
 def vehicles(
     *,
     recordings: tuple[Path, ...],
@@ -170,15 +157,11 @@ def vehicles(
     **options: Any,
 ) -> Result:
     """Follow the vehicles in recordings: which tiles they covered, and for how long."""
-    from gis_radar.site.recipes import AUTO, follow_vehicles  # noqa: PLC0415 - --help needs no NumPy
+    from gis_radar.site.recipes import follow_vehicles  # noqa: PLC0415 - --help needs no NumPy
 
-    clock_files = [] if clocks in {None, AUTO} else [str(clocks)]
-    sight_files = [] if sight is None else [sight]
-    refuse_inputs(
-        output, *recordings, *poses, tiles_path, map_path, *clock_files, *scans, *sight_files
-    )
-    view = {name: options.pop(name) for name in ("azimuth_deg", "elevation_deg", "max_range_m")}
-    tracks = [_seeing(gr.read_track(pose), view, reporter) for pose in poses]
+    files = _files(clocks, sight)
+    refuse_inputs(output, *recordings, *poses, tiles_path, map_path, *scans, *files)
+    tracks = _tracks(poses, options, reporter)
     found = follow_vehicles(
         recordings, tracks, tiles_path, map_path, output, clocks=clocks, scans=scans, sight=sight,
         reporter=reporter, **options,
