@@ -266,10 +266,24 @@ def test_an_interruption_leaves_nothing_and_says_130(site, signal_name):
     child.send_signal(getattr(signal, signal_name))
     out, err = child.communicate(timeout=60)
     assert child.returncode == 130, err
-    assert json.loads(out.splitlines()[-1])["event"] == "error"
+    event = json.loads(out.splitlines()[-1])
+    assert (event["event"], event["code"]) == ("error", 130)
     assert "Traceback" not in err
     names = sorted(path.name for path in site.iterdir())
     assert names == ["R1.json", "R1.parquet", "tiles.gpkg"]
+
+
+def test_an_interruption_of_compiled_code_is_one(site, run, monkeypatch):
+    """Numba reports an error of its own for an interruption that reaches it."""
+
+    def interrupted(*_, **__):
+        raise SystemError("a result with an exception set") from KeyboardInterrupt()
+
+    monkeypatch.setattr("gis_radar.read_track", interrupted)
+    code, out, err = run(*occupancy_words(site), "--json")
+    event = json.loads(out.splitlines()[-1])
+    assert (code, event["code"], err) == (130, 130, "")
+    assert event["message"] == "interrupted; nothing was left half-written"
 
 
 def test_as_a_module_it_is_the_same_command(site):

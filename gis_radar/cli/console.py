@@ -178,8 +178,13 @@ def _readable(value: Any) -> str:
 
 
 INTERRUPTED = 130
+INTERRUPTION = "interrupted; nothing was left half-written"
 
 Verb = Callable[..., Result]
+
+
+class _InterruptedError(GisRadarError):
+    exit_code = INTERRUPTED
 
 
 def command(*, example: str) -> Callable[[Verb], click.Command]:
@@ -234,7 +239,11 @@ def run_group(group: click.Group) -> NoReturn:
     except GisRadarError as error:
         _fail(console, error)
     except (KeyboardInterrupt, click.Abort):
-        _fail(console, GisRadarError("interrupted; nothing was left half-written"), INTERRUPTED)
+        _fail(console, _InterruptedError(INTERRUPTION))
+    except SystemError as error:
+        if not isinstance(error.__cause__, KeyboardInterrupt):  # in compiled code
+            raise
+        _fail(console, _InterruptedError(INTERRUPTION))
     except OSError as error:
         if not _output_is_open():
             _exit_without_output()
@@ -243,12 +252,12 @@ def run_group(group: click.Group) -> NoReturn:
     sys.exit(0)
 
 
-def _fail(console: Console, error: GisRadarError, code: int | None = None) -> NoReturn:
+def _fail(console: Console, error: GisRadarError) -> NoReturn:
     try:
         console.error(error)
     except BrokenPipeError:
         _exit_without_output()
-    sys.exit(error.exit_code if code is None else code)
+    sys.exit(error.exit_code)
 
 
 def _output_is_open() -> bool:
