@@ -1,10 +1,13 @@
 """The folder of vehicles: its tables, streamed writing, refusals."""
 
+import json
 from itertools import pairwise
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 import gis_radar as gr
@@ -214,3 +217,34 @@ def test_frames_of_an_unknown_view_are_refused(tmp_path):
     with pytest.raises(InputError, match="name the view other of R1, which is"), writing as one:
         one.add(piece)
     assert given.settings == {}  # inputs stay as they are
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"hold_s": None}, "damaged"),
+        ({"hold_s": {}}, "damaged: has no frame hold of R1"),
+        ({"hold_s": {"R1": "long"}}, "damaged"),
+        ({"sources": 3}, "damaged"),
+        ({"sources": ["a"]}, "damaged"),
+        ({"map": "a"}, "damaged"),
+    ],
+)
+def test_a_manifest_of_other_content_is_refused(tmp_path, changed, said):
+    write(tmp_path / "v", straight_tiles(), drive(3, FIRST, np.arange(10.0)))
+    path = tmp_path / "v" / "manifest.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | changed))
+    with pytest.raises(InputError, match=rf"manifest\.json: {said}"):
+        read_vehicles(tmp_path / "v")
+
+
+@pytest.mark.parametrize("shift", [0, 3])
+def test_runs_of_a_tile_that_overlap_are_refused(tmp_path, shift):
+    write(tmp_path / "v", straight_tiles(), drive(3, FIRST, np.arange(10.0)))
+    path = tmp_path / "v" / "covered.parquet"
+    runs = pq.read_table(path)
+    again = runs.to_pandas().assign(last_step=lambda t: t["last_step"] + shift)
+    both = pd.concat([runs.to_pandas(), again]).sort_values(["tile_id", "first_step"])
+    pq.write_table(pa.Table.from_pandas(both, runs.schema, preserve_index=False), path)
+    with pytest.raises(InputError, match=r"covered\.parquet: runs of tile \d+ overlap"):
+        list(read_vehicles(tmp_path / "v").blocks())

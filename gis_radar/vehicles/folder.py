@@ -418,9 +418,12 @@ def read_vehicles(folder: str | Path) -> Vehicles:
     provenance = _read_manifest(folder)
     for kind in _TABLES:
         check_file(kind, folder / kind.file, provenance.fingerprint)
+    frames = read_whole(FRAMES, folder / FRAMES.file)
+    if lacking := set(frames["sensor"]) - set(provenance.hold_s):
+        raise InputError(f"{folder / MANIFEST}: damaged: has no frame hold of {min(lacking)}")
     return Vehicles(
         provenance=provenance,
-        frames=read_whole(FRAMES, folder / FRAMES.file),
+        frames=frames,
         vehicles=read_whole(VEHICLES, folder / VEHICLES.file),
         passages=read_whole(PASSAGES, folder / PASSAGES.file),
         read_tracks=lambda span: read_pieces(TRACKS, folder / TRACKS.file, span),
@@ -442,6 +445,12 @@ def _read_manifest(folder: Path) -> Provenance:
         rules = int(known["rules"])
         names = Provenance.__dataclass_fields__
         provenance = Provenance(**{name: known[name] for name in names})
+        provenance = replace(
+            provenance,
+            map=dict(provenance.map),
+            hold_s={str(name): float(s) for name, s in provenance.hold_s.items()},
+            sources=[dict(source) for source in provenance.sources],
+        )
     except (ValueError, OSError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{path}: damaged: {error!r}") from error
     if rules != RULES:
@@ -472,4 +481,9 @@ def _numbered(kind: TableKind, path: Path) -> Iterator[tuple[int, pd.DataFrame]]
         if len(blocks) != 1 or (last is not None and blocks[0] <= last):
             raise InputError(f"{path}: its runs are not ordered by blocks of {BLOCK_STEPS} steps")
         last = int(blocks[0])
+        tile, first, end = rows[["tile_id", "first_step", "last_step"]].to_numpy(np.int64).T
+        bad = (tile[1:] < tile[:-1]) | ((tile[1:] == tile[:-1]) & (first[1:] <= end[:-1]))
+        if bad.any():
+            where = int(tile[1:][bad][0])
+            raise InputError(f"{path}: runs of tile {where} overlap or are out of order")
         yield last, rows
