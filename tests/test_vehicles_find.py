@@ -1,9 +1,12 @@
 """The search for vehicles, on the sample: whole, cut, and with inputs that do not fit."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
 from maps import Listener
+from pyproj import CRS
 
 import gis_radar as gr
 from gis_radar.vehicles.settings import BlockSettings, VehicleSettings
@@ -143,6 +146,22 @@ def test_a_quiet_recording_has_coverage_zero(site, tmp_path, run):
     made = gr.read_vehicles(tmp_path / "v")
     assert covered_s(made, site[0]).sum() == 0.0
     assert sum(len(block.visible) for block in made.blocks()) > 0
+
+
+def test_without_cross_sections_vehicles_are_followed_all_the_same(site, tmp_path):
+    table = begin_of(SAMPLE / "R1.parquet")
+    table = table[table["time"] < table["time"].iloc[0] + 8.0]
+    for value in (np.nan, np.inf):
+        table.assign(rcs=np.float32(value)).to_parquet(tmp_path / "R1.parquet", index=False)
+        assert len(found(site, "no-rcs", [tmp_path / "R1.parquet"]).vehicles) > 3
+
+
+@pytest.mark.parametrize("crs", ["EPSG:25833", "EPSG:32632"])
+def test_a_pose_in_another_system_than_the_tiles_is_refused(site, crs):
+    pose = replace(gr.read_pose(SAMPLE / "R1.json"), crs=CRS.from_user_input(crs))
+    given = [site[1] / "R1.parquet"], [pose], site[0], SAMPLE / "junction.osm"
+    with pytest.raises(gr.CrsError, match=f"the pose of R1 is in {crs}, but the tiles in"):
+        gr.find_vehicles(*given, site[1] / "other-crs")
 
 
 def test_another_map_is_refused(site, tmp_path):

@@ -15,7 +15,6 @@ import pandas as pd
 
 from gis_radar.arrays import Floats, Integers
 from gis_radar.clocks import SensorClock
-from gis_radar.crs import metric_crs, require_same
 from gis_radar.errors import InputError, UsageError
 from gis_radar.files import whole_folder
 from gis_radar.occupancy.folder import (
@@ -146,7 +145,7 @@ def measure_occupancy(
     if len(recordings) != len(poses) or not recordings:
         raise UsageError(f"{len(recordings)} recordings, but {len(poses)} poses")
     tracks = [as_track(pose) for pose in poses]
-    target = _target(tiles, tracks, filters or Filters(), engine, settings)
+    target = _target(tiles, filters or Filters(), engine, settings)
     target.views.scan = open_sight(
         target.views.road, scans=scans, scan_crs=scan_crs, sight=sight, reporter=reporter
     )
@@ -338,13 +337,9 @@ def _refuse_clearance(recordings: Sequence[Recording], filters: Filters) -> None
 
 
 def _target(
-    tiles: gpd.GeoDataFrame, tracks: list[PoseTrack], filters: Filters,
-    engine: Callable[[Floats], TileEngine], settings: OccupancySettings,
+    tiles: gpd.GeoDataFrame, filters: Filters, engine: Callable[[Floats], TileEngine],
+    settings: OccupancySettings,
 ) -> Target:  # fmt: skip
-    crs = metric_crs(tiles.crs, what="tiles")
-    for track in tracks:
-        what = f"the pose of {track.sensor}"
-        require_same(track.poses[0].crs, crs, what=what, other_what="the tiles")
     road = SightTiles.of(tiles)
     if filters.clearance is not None and np.isnan(road.height).all():
         raise InputError(

@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from gis_radar.arrays import Integers
 from gis_radar.clocks import SensorClock
+from gis_radar.crs import require_same
 from gis_radar.errors import NoAnswerError
 from gis_radar.occupancy.settings import DEFAULTS, OccupancySettings
 from gis_radar.poses.files import PoseTrack
@@ -185,10 +186,13 @@ def place_recordings(
     Raises
     ------
     InputError
-        If a recording cannot be opened.
+        If a recording cannot be opened, or a pose is not in the tiles' coordinate system.
     NoAnswerError
         If no sensor sees any tile.
     """
+    for track in tracks:
+        what = f"the pose of {track.sensor}"
+        require_same(track.poses[0].crs, book.road.crs, what=what, other_what="the tiles")
     views = book.enter_all(tracks, reporter)
     return [
         PlacedRecording(

@@ -258,7 +258,7 @@ def is_person(echoes: Echoes, motions: list[Motion], settings: BodySettings) -> 
     """
     table = pd.DataFrame(
         {
-            "rcs": [float(np.nanmedian(echoes.rcs[each.rows])) for each in motions],
+            "rcs": [_usual(echoes.rcs[each.rows]) for each in motions],
             "fast": [_fast(each) for each in motions],
         }
     )
@@ -270,6 +270,12 @@ def is_person(echoes: Echoes, motions: list[Motion], settings: BodySettings) -> 
         weaker & (table["fast"] < settings.walker_mps)
     )
     return [bool(each) for each in person]
+
+
+def _usual(rcs: Floats) -> float:
+    """Return the median of the cross sections that are known, NaN where none is."""
+    known = rcs[np.isfinite(rcs)]
+    return float(np.median(known)) if len(known) else np.nan
 
 
 def _fast(motion: Motion) -> float:

@@ -38,7 +38,7 @@ class Echoes:
     sensor : (n,) int64 array
         Number of the sensor.
     rcs : (n,) array
-        dBm2.
+        dBm2; NaN where it is not known.
     """
 
     time: Floats
@@ -128,7 +128,7 @@ def echoes_of(
         sight=away / flat[:, None],
         range_m=range_m[kept],
         sensor=np.full(len(kept), number, np.int64),
-        rcs=read.rcs[kept],
+        rcs=np.where(np.isfinite(read.rcs), read.rcs, np.nan)[kept],
     )
 
 
