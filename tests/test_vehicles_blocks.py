@@ -64,7 +64,7 @@ def test_a_long_gap_belongs_to_no_block():
     assert spans(placed([3, 105, 106])) == [(3, 19), (100, 106)]
 
 
-@settings(max_examples=30)
+@settings(max_examples=30, deadline=None)
 @given(st.sets(st.integers(0, 200), min_size=1), st.sets(st.integers(0, 200), min_size=1))
 def test_blocks_hold_each_frame_once_and_leave_out_no_step_between_neighbours(one, other):
     sources = placed(sorted(one)), placed(sorted(other), name="R2", sensor="R2")
