@@ -275,7 +275,7 @@ def test_a_qgis_project_of_it_shows_coverage(written, tmp_path):
     assert 'attr="coverage"' in text
     assert 'attr="occupancy"' not in text
     assert "Coverage by interval" in text
-    assert "Share of the visible time" in text
+    assert "Coverage|share of time with a vehicle" in text
     assert "Occupancy" not in text
 
 

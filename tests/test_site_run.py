@@ -451,7 +451,7 @@ def test_the_report_shows_coverage_and_hits_beside_it(small):
     assert by_interval["occupied_tile_s"].sum() == pytest.approx(sums["occupied_s"], abs=0.5)
     text = (out / "report.html").read_text(encoding="utf-8")
     named = ("Traffic coverage report", "Diagnosis: radar hits", "Seen and inferred")
-    for words in (*named, "Vehicles followed", "a vehicle stands on a tile", "Map of occupancy"):
+    for words in (*named, "Vehicles followed", "share of time with a vehicle", "Map of occupancy"):
         assert words in text
     assert f"{100 * wide['coverage'][top]:.1f}\u202f% ± " in text
 

@@ -49,8 +49,8 @@ MEANINGS = {
         "views count once."
     ),
     "coverage": (
-        "A tile is covered in a step of 50 ms when a tracked vehicle stands on it; what others "
-        "hide for over 10 s is not visible."
+        "20 % are 12 seconds of every minute with a vehicle on the tile, moving or waiting. Not "
+        "visible: no sensor sees it."
     ),
 }
 PLOT_PIXELS, SMALL_PIXELS = 1_100_000, 400_000  # of a plot: 180 an inch; of a notebook card
@@ -229,12 +229,13 @@ def _facts(tally: Tally) -> list[tuple[str, str]]:
     ]
     shares = tally.coverage_shares()
     if shares is not None:
-        facts[2] = ("Tiles visible", f"{known['tiles_visible']:,}".replace(",", " "))
+        tiles = f"{known['tiles_visible']:,} of {len(tally.tiles):,}"
+        facts[1:] = [("Tiles visible", tiles.replace(",", " "))]
         facts.append(("Mean coverage", f"{known['mean_coverage'] * 100:.1f} %"))
         if np.any(shares.coverage > 0):
             top = int(np.nanargmax(shares.coverage))
             best = 100 * shares.coverage[top], 100 * shares.coverage_se[top]
-            facts.append(("Highest coverage", f"{best[0]:.1f} % ± {best[1]:.1f} %"))
+            facts.append(("Busiest tile", f"{best[0]:.1f} % ± {best[1]:.1f} %"))
     elif "busiest_tile" in known:
         occupied_s, observed_s = known["busiest_occupied_s"], known["busiest_observed_s"]
         share = f"{known['busiest_occupancy'] * 100:.1f} %"

@@ -43,7 +43,7 @@ class MeasureWords(NamedTuple):
 WORDS = {
     "occupancy": MeasureWords(LEGEND_TITLE, LEGEND_SUBTITLE, "never hit", "not observed"),
     "coverage": MeasureWords(
-        "Share of the visible time", "that a vehicle stands on a tile", "no vehicle", "not visible"
+        "Coverage", "share of time with a vehicle", "no vehicle", "not visible"
     ),
 }
 

@@ -9,6 +9,7 @@ import hashlib
 import itertools
 import os
 import sqlite3
+import textwrap
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import closing
@@ -288,6 +289,7 @@ def _mark(content: bytes) -> bytes:
 
 _DOCTYPE = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>"
 _FRAMES_A_SECOND = "2"  # vehicles move as fast as they drove
+_LEGEND_WIDTH = 28  # letters that fit beside the map
 _LIMITS = ("xmin", "ymin", "xmax", "ymax")
 
 
@@ -382,7 +384,9 @@ def _sheet(content: _ProjectContent) -> Element:
     layout = _template("sheet.qpt")
     _item(layout, "title").set("labelText", content.title)
     _item(layout, "time").set("labelText", content.time)
-    _item(layout, "legend").set("title", style.WORDS[content.measure].title)
+    words = style.WORDS[content.measure]
+    lines = [words.title, *textwrap.wrap(words.subtitle, _LEGEND_WIDTH)]
+    _item(layout, "legend").set("title", "|".join(lines))  # the wrap character of the legend
     if content.source:
         _item(layout, "source").set("labelText", f"Source: {content.source}")
     else:
@@ -456,6 +460,8 @@ def _fill_time(root: Element, played: _TimeRange | None) -> None:
     label = _find(clock, "Label")
     minutes = played.step_s % 60 == 0
     label.text = (label.text or "").replace("CLOCK", "HH:mm" if minutes else "HH:mm:ss")
+    if played.step_s < 1.0:  # the clock of the begin and that of the end would be the same
+        label.text = (label.text or "").partition(" || ' - '")[0] + ", '') %]"
     step = played.step_s / 60 if minutes else played.step_s
     settings.attrib |= {"timeStep": f"{step:g}", "timeStepUnit": "min" if minutes else "s"}
 

@@ -38,9 +38,9 @@ WORDS = {
     "coverage": ReportWords(
         "visible", "covered", "covered", "Coverage",
         "The map shows coverage: for each half metre of lane the estimated share of time in which "
-        "a vehicle stood on it, moving or waiting. 20 % means 12 seconds of every minute. Vehicles "
-        "are followed by radar, also for moments while others hide them; each estimate has a "
-        "standard error. Hatched is not visible, which is not 0 %",
+        "a vehicle was on it, moving or waiting. 20 % means 12 seconds of every minute. It is an "
+        "estimate: radar follows the vehicles, also for moments while others hide them; "
+        "± is its standard error. Hatched is road that no radar saw, which is not 0 %",
     ),
 }  # fmt: skip
 

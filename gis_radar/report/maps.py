@@ -167,7 +167,8 @@ def _sentence(shares: TileShares, sums: LaneSums, measure: str) -> str:
     of_lanes = np.divide(part, base, out=np.zeros(len(base)), where=base > 0)
     top = int(of_lanes.argmax())
     busiest = f"Busiest is lane {sums.lanes[top].number}, {words.part} {percent(of_lanes[top])}"
-    facts = f"{percent(hit / seen, 0)} of {count(seen, f'{words.base} tile')} {words.touched}."
+    tiles = count(seen, f"{words.base} tile")
+    facts = f"{percent(hit / seen, 0)} of {tiles} {words.touched} at some time."
     return f"{busiest} of the {words.base} time; {facts}"
 
 

@@ -348,9 +348,10 @@ def _facts(found: _Findings) -> list[tuple[str, str]]:
         return facts
     error = plus_minus(100 * total["highest_coverage_se"], 1, f"{THIN}%")
     facts[3] = ("Mean coverage", percent(total["mean_coverage"]))
-    facts += [("Highest coverage", f"{percent(total['highest_coverage'])} {error}")]
+    facts += [("Busiest spot", f"{percent(total['highest_coverage'])} {error}")]
     if "vehicles" in total:
-        facts += [("Vehicles followed", f"{shown['vehicles']}, {shown['heavy']} heavy")]
+        tracks = count(total["vehicles"], "track")
+        facts += [("Vehicles followed", f"{tracks}, {shown['heavy']} heavy")]
     return facts
 
 
@@ -397,7 +398,8 @@ def _lane_columns(clock: Clock, measure: str) -> list[Column]:
     def spot(row: pd.Series) -> str:
         error = row["busiest_spot_se"]
         error = "" if pd.isna(error) else f" {plus_minus(100 * error, 0)}"
-        return f"{percent(row['busiest_spot'], 0)}{error}, {figure_text(row['busiest_spot_m'])}"
+        place = f"{figure_text(row['busiest_spot_m'])}{THIN}m"
+        return f"{percent(row['busiest_spot'], 0)}{error}, {place}"
 
     return [
         Column("Lane", "", 0.8, lambda row: str(row["lane"])),
@@ -405,7 +407,7 @@ def _lane_columns(clock: Clock, measure: str) -> list[Column]:
         Column("Length", "m", 0.9, lambda row: figure_text(row["length_m"])),
         Column(words.base.capitalize(), "of its length", 1.5, visible),
         Column(words.share, f"of {words.base} time", 1.5, lambda row: percent(row["share"])),
-        Column("Busiest spot", f"{measure}, at m", 1.6, spot),
+        Column("Busiest spot", f"{measure}, at", 1.8, spot),
         Column("Over 20 %", "m of its length", 1.3, lambda row: figure_text(row["busy_m"], 1)),
         Column("Busiest interval", "", 2.4, interval, False),
         Column(words.share, "then", 1.4, lambda row: percent(row["busiest_share"])),

@@ -41,7 +41,7 @@ def test_the_project_of_a_run_opens(qgis_new_project, project):
     tree = shown.layerTreeRoot()
     assert [group.name() for group in tree.findGroups()] == [
         "Sensors",
-        "Share of the visible time",
+        "Coverage",
     ]
     on = {node.name() for node in tree.findLayers() if node.isVisible()}
     assert on == {

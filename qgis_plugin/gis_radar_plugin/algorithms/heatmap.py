@@ -35,10 +35,10 @@ class MakeHeatMap(WorkerAlgorithm):
     TITLE = "Heat map"
     GROUP = TRAFFIC
     HELP = (
-        "Makes maps of coverage: the estimated share of time that a vehicle stands on a tile. That "
-        "needs the vehicles; without them the map shows occupancy: the share of the observed time "
-        "in which radar hit a tile, which is several times lower. What was never observed is left "
-        "out, not 0.\n"
+        "Makes maps of coverage: the estimated share of time that a vehicle is on a tile, moving "
+        "or waiting. That needs the vehicles; without them the map shows occupancy: the share of "
+        "the observed time in which radar hit a tile, which is several times lower. What was never "
+        "observed is left out, not 0.\n"
         "The result is a GeoPackage (the whole time, and by interval), a GeoTIFF with a band an "
         "interval, a GeoParquet and a picture. Colours are the same on every map, so that maps "
         "compare.\n"

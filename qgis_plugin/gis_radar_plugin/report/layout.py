@@ -95,8 +95,8 @@ def _fill_legend(legend: QgsLayoutItemLegend, layers: Mapping[str, QgsMapLayer])
     """Put the layers in the place of the template's, with the properties that it has for each."""
     renderers = [getattr(layer, "renderer", lambda: None)() for layer in layers.values()]
     shown = {getattr(each, "classAttribute", str)() for each in renderers}
-    covered = tr("Share of the visible time"), tr("that a vehicle stands on a tile")
-    title = " ".join(covered) if "coverage" in shown else tr("Share of the observed time")
+    covered = tr("Coverage"), tr("share of time with a vehicle")
+    title = ": ".join(covered) if "coverage" in shown else tr("Share of the observed time")
     legend.setTitle(_wrapped(title))
     legend.setAutoUpdateModel(False)
     tree = legend.model().rootGroup()

@@ -1,0 +1,119 @@
+"""The demo's true coverage beside the estimated one and the difference, and how far it is off.
+
+    gis-radar demo -o demo
+    python bench/vehicles/demo_picture.py demo docs/coverage.png --into docs/limits.md
+
+Both maps have the colours of all heat maps. With `--into`, the figures are put below the picture in
+a page, between its marks.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from scenes import SceneFiles
+from score import CoverageScore, coverage_of_folder, score_coverage, with_coverage
+
+import gis_radar as gr
+from gis_radar.arrays import Floats
+from gis_radar.heatmap.style import BREAKS, NEVER_HIT, NOT_OBSERVED, RAMP, legend
+
+MARKS = ("<!-- demo coverage -->", "<!-- end of demo coverage -->")
+OFF = 25.0  # percentage points at which the colours of errors end
+AROUND = (690_335.0, 690_505.0, 5_336_110.0, 5_336_262.0)  # of its far ends little is in sight
+WIDTH_PX = 1600
+
+
+def main() -> None:
+    """Draw, print, and put the figures into a page."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("demo", type=Path, help="results of gis-radar demo")
+    parser.add_argument("picture", type=Path, metavar="PNG")
+    parser.add_argument("--into", type=Path, metavar="MD", help=f"put them between {MARKS[0]} ...")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as kept:
+        site = SceneFiles(name="sample", folder=gr.sample_folder(), kept=Path(kept))
+        truth = site.truth()
+        tiles = site.tiles()
+        table = coverage_of_folder(options.demo / "vehicles", tiles)
+        text = caption(score_coverage(truth, table))
+        quads = pd.Series(list(gr.quads(tiles)), index=tiles["tile_id"])
+    true = truth.table().set_index("tile_id")["coverage"].dropna()
+    given = with_coverage(table).set_index("tile_id")["coverage"].dropna()
+    figure = draw(quads, true, given[given.index.isin(true.index)])
+    figure.savefig(options.picture, dpi=WIDTH_PX / figure.get_figwidth())
+    print(text)
+    if options.into is not None:
+        put(text, options.into)
+
+
+def caption(score: CoverageScore) -> str:
+    """Return what the picture is off by, in words."""
+    return (
+        f"*Over {score.tiles:,} tiles in sight and 100 s: rank correlation {score.rank:.2f}, "
+        f"sum of the estimates\nover the sum of the truth {score.scale:.2f}, mean error "
+        f"{score.mae_percent:.1f} percentage points where the true mean is\n"
+        f"{100 * score.true_mean:.1f} %; {100 * score.within_2_se:.0f} % of the tiles are within "
+        "two of their standard errors.*"
+    )
+
+
+def put(text: str, page: Path) -> None:
+    """Put a text between the marks of a page."""
+    before, _, rest = page.read_text(encoding="utf-8").partition(MARKS[0])
+    _, mark, after = rest.partition(MARKS[1])
+    if not mark:
+        sys.exit(f"{page}: lacks {MARKS[0]} ... {MARKS[1]}")
+    page.write_text(f"{before}{MARKS[0]}\n{text}\n{mark}{after}", encoding="utf-8")
+
+
+def draw(quads: pd.Series, true: pd.Series, given: pd.Series) -> Figure:
+    """Return the three maps, of tiles by their number."""
+    figure = Figure(figsize=(16, 5.0), layout="constrained")
+    axes = figure.subplots(1, 3)
+    shares = (ListedColormap([NEVER_HIT, *RAMP]), BoundaryNorm([-1.0, *BREAKS[:-1], 1.001], 9))
+    for ax, values, title in zip(
+        axes, (true, given), ("true coverage", "estimated by the demo"), strict=False
+    ):
+        # The least above a break belongs to the class below, and 0 to its own.
+        below = pd.Series(np.nextafter(values, -1.0), index=values.index)
+        _add(ax, quads, below, cmap=shares[0], norm=shares[1])
+        ax.set_title(title)
+    handles = [Patch(facecolor=colour, label=label) for colour, label in legend("coverage")[:-1]]
+    handles.append(Patch(facecolor=NOT_OBSERVED, label="not in sight"))
+    axes[0].legend(handles=handles, loc="lower right", fontsize="small", frameon=False)
+    off = 100.0 * (given - true).dropna()
+    drawn = _add(axes[2], quads, off, cmap="RdBu_r", clim=(-OFF, OFF))
+    axes[2].set_title("estimated less true, percentage points")
+    figure.colorbar(drawn, ax=axes[2], shrink=0.7, extend="both", format="%+d")
+    return figure
+
+
+def _add(ax: Axes, quads: pd.Series, values: pd.Series, **colours: Any) -> PolyCollection:
+    """Draw tiles by value over the road."""
+    order = values.abs().sort_values().index  # the largest on top where tiles overlap
+    ground: list[Floats] = list(quads)
+    ax.add_collection(PolyCollection(ground, facecolor=NOT_OBSERVED, edgecolor="none"))
+    drawn = PolyCollection(list(quads.loc[order]), array=values.loc[order].to_numpy(), **colours)
+    drawn.set(edgecolor="face", linewidth=0.2)
+    ax.add_collection(drawn)
+    west, east, south, north = AROUND
+    ax.set(xlim=(west, east), ylim=(south, north), aspect="equal", xticks=[], yticks=[])
+    return drawn
+
+
+if __name__ == "__main__":
+    main()

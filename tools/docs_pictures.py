@@ -1,0 +1,224 @@
+"""Take the pictures of the documentation again, from the results of a demo.
+
+    gis-radar demo -o demo
+    python tools/docs_pictures.py demo              all
+    python tools/docs_pictures.py demo qgis report  some
+
+heatmap, localize: from the demo's own files; report: in Chromium; coverage: beside the truth; qgis:
+the desktop on a virtual screen with its toolbox and a dialog at work, and a sheet of its report.
+Needs Chromium, and QGIS with Xvfb, openbox and ImageMagick (tools/get_browser_and_qgis.sh). Look at
+each afterwards.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from PIL import Image
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+SCREEN = (1440, 860)
+WAIT_S = 300
+FLAGS = ("--headless=new", "--no-sandbox", "--hide-scrollbars", "--force-device-scale-factor=1")
+
+DESKTOP = """
+import os, subprocess, traceback
+from qgis.PyQt.QtCore import Qt, QTimer
+from qgis.PyQt.QtWidgets import QDockWidget, QProgressBar
+from qgis.core import QgsRectangle
+from qgis.utils import iface, loadPlugin, plugins, startPlugin
+SHOTS, DEMO, SITE, OUT = {shots!r}, {demo!r}, {site!r}, {out!r}
+steps = []
+
+def shot(name, widget=None):
+    window = "root" if widget is None else str(int(widget.winId()))
+    subprocess.run(["import", "-window", window, os.path.join(SHOTS, name)], check=True)
+
+def after(seconds):
+    return lambda step: steps.append((seconds, step))
+
+def go():
+    if not steps:
+        os._exit(0)
+    seconds, step = steps.pop(0)
+    def do():
+        try:
+            step()
+        except Exception:
+            traceback.print_exc()
+            os._exit(1)
+        go()
+    QTimer.singleShot(int(seconds * 1000), do)
+
+def docks():
+    return {{dock.objectName(): dock for dock in iface.mainWindow().findChildren(QDockWidget)}}
+
+@after(1)
+def project():
+    if "gis_radar_plugin" not in plugins:
+        assert loadPlugin("gis_radar_plugin") and startPlugin("gis_radar_plugin")
+    assert iface.addProject(DEMO + "/site.qgz")
+    iface.mainWindow().showMaximized()
+    for name in ("Browser", "MessageLog", "ProcessingToolbox"):
+        if name in docks():
+            docks()[name].hide()
+    docks()["Temporal Controller"].show()
+
+@after(3)
+def moment():
+    canvas = iface.mapCanvas()
+    canvas.temporalController().setCurrentFrameNumber(80)  # 40 s: the east and the west wait
+    canvas.setExtent(QgsRectangle(690340, 5336125, 690500, 5336255))
+    iface.mainWindow().resizeDocks([docks()["Layers"]], [330], Qt.Horizontal)
+
+@after(10)
+def map_and_toolbox():
+    shot("map.png")
+    docks()["Temporal Controller"].hide()
+    dock = docks()["ProcessingToolbox"]
+    dock.show()
+    dock.setFloating(True)
+    dock.resize(400, 470)
+    dock.searchBox.setText("gisradar")
+
+@after(3)
+def dialog():
+    shot("toolbox.png", docks()["ProcessingToolbox"])
+    docks()["ProcessingToolbox"].hide()
+    import processing
+    global box
+    box = processing.createAlgorithmDialog("gisradar:runsite", {{"SITE": SITE, "OUTPUT": OUT}})
+    box.resize(750, 560)
+    box.show()
+    box.runButton().click()
+
+def at_work():
+    bar = max(box.findChildren(QProgressBar), key=lambda each: each.value())
+    if bar.value() < 50:
+        steps.insert(0, (0.5, at_work))
+    else:
+        shot("dialog.png", box)
+steps.append((5, at_work))
+
+iface.initializationCompleted.connect(go)
+"""
+
+
+def main() -> None:
+    """Take the pictures that are asked for, all by default."""
+    demo, *chosen = sys.argv[1:] or sys.exit(__doc__)
+    for name in chosen or list(PICTURES):
+        PICTURES[name](Path(demo).resolve())
+
+
+def heatmap(demo: Path) -> None:
+    """Take the demo's own picture."""
+    keep(Image.open(demo / "heatmap" / "heatmap.png"), "heatmap", 2000)
+
+
+def localize(demo: Path) -> None:
+    """Take the figure of a pose."""
+    keep(Image.open(demo / "sensors" / "R1" / "localization.png"), "localize", 2000)
+
+
+def report(demo: Path) -> None:
+    """Take the head of the report, in Chromium."""
+    with tempfile.TemporaryDirectory() as place:
+        path = Path(place) / "report.png"
+        run("chromium", *FLAGS, f"--user-data-dir={place}/profile", "--window-size=1180,1180",
+            f"--screenshot={path}", (demo / "report.html").as_uri())  # fmt: skip
+        keep(Image.open(path), "report", 1180)
+
+
+def coverage(demo: Path) -> None:
+    """Draw the truth beside the estimate, and put the figures below it."""
+    tool, page = ROOT / "bench" / "vehicles" / "demo_picture.py", DOCS / "limits.md"
+    run(sys.executable, tool, demo, DOCS / "coverage.png", "--into", page)
+    keep(Image.open(DOCS / "coverage.png"), "coverage", 1600)
+
+
+def qgis(demo: Path) -> None:
+    """Take the desktop, the toolbox, a dialog at work, and a sheet of the report."""
+    with tempfile.TemporaryDirectory() as name:
+        place = Path(name)
+        shutil.copytree(ROOT / "sample_maps", place / "junction")
+        code = DESKTOP.format(
+            shots=name, demo=str(demo), site=str(place / "junction" / "SITE.toml"),
+            out=str(place / "results"),
+        )  # fmt: skip
+        (place / "startup.py").write_text(code)
+        with screen(place) as around:
+            run("qgis", "--nologo", "--noversioncheck", "--profiles-path", place,
+                "--code", place / "startup.py", around=around)  # fmt: skip
+            run("qgis_process", "plugins", "enable", "gis_radar_plugin", around=around)
+            run("qgis_process", "run", "gisradar:exportreport", "--", f"HEATMAP={demo}/heatmap",
+                f"SENSORS={demo}/sensors.gpkg", "TITLE=Sample junction", "SOURCE=City",
+                "TIME_ZONE=Europe/Berlin", "DPI=103", f"OUTPUT={place}/report",
+                around=around)  # fmt: skip
+        for part, wide in (("map", SCREEN[0]), ("toolbox", 400), ("dialog", 750)):
+            keep(Image.open(place / f"{part}.png"), f"qgis-{part}", wide)
+        keep(Image.open(place / "report" / "Junction_1_whole.png"), "qgis-sheet", 1200)
+
+
+PICTURES = {
+    "heatmap": heatmap, "localize": localize, "report": report, "coverage": coverage, "qgis": qgis
+}  # fmt: skip
+
+
+@contextmanager
+def screen(place: Path) -> Iterator[dict[str, str]]:
+    """Yield the surroundings of programs on a virtual screen with a window manager."""
+    display = f":{90 + os.getpid() % 900}"
+    around = {
+        "HOME": os.environ["HOME"], "LANG": "C.UTF-8", "TZ": "Europe/Berlin", "DISPLAY": display,
+        "PATH": "/usr/sbin:/usr/bin:/sbin:/bin", "XDG_RUNTIME_DIR": str(place),
+        "QGIS_CUSTOM_CONFIG_PATH": str(place), "QGIS_PLUGINPATH": str(ROOT / "qgis_plugin"),
+        "GIS_RADAR_PYTHON": sys.executable, "PYTHONPATH": str(ROOT),
+    }  # fmt: skip
+    size = f"{SCREEN[0]}x{SCREEN[1]}x24"
+    commands = (["Xvfb", display, "-screen", "0", size, "-nolisten", "tcp"], ["openbox"])
+    started: list[subprocess.Popen[bytes]] = []
+    try:
+        for command in commands:
+            started.append(subprocess.Popen(command, env=around, stderr=subprocess.DEVNULL))
+            time.sleep(1.0)
+        yield around
+    finally:
+        for process in reversed(started):
+            process.terminate()
+            process.wait(timeout=10)
+
+
+def run(*words: str | Path, around: dict[str, str] | None = None) -> None:
+    """Run a program; show what it wrote where it fails."""
+    done = subprocess.run(
+        [str(word) for word in words], env=around, capture_output=True, text=True, check=False,
+        timeout=WAIT_S,
+    )  # fmt: skip
+    if done.returncode:
+        sys.exit(f"{words[0]} failed:\n{done.stdout[-3000:]}{done.stderr[-3000:]}")
+
+
+def keep(picture: Image.Image, name: str, wide: int) -> None:
+    """Keep a picture in a palette of its own, no wider than so many pixels."""
+    shown = picture.convert("RGB")
+    if shown.width > wide:
+        high = round(shown.height * wide / shown.width)
+        shown = shown.resize((wide, high), Image.Resampling.LANCZOS)
+    path = DOCS / f"{name}.png"
+    few = shown.quantize(255, dither=Image.Dither.NONE)
+    few.save(path, optimize=True)
+    print(f"{path}: {few.width} x {few.height}, {path.stat().st_size / 1000:.0f} kB")
+
+
+if __name__ == "__main__":
+    main()
