@@ -265,7 +265,7 @@ def test_plots_browser_map_and_cube_show_coverage(written):
         for name, values in heat.coverage_shares(i)._asdict().items():
             np.testing.assert_array_equal(cube[name][:, i], values.astype(np.float32))
     assert cube["covered_s"].attrs["units"] == "s"
-    assert "vehicle stood on it" in cube["covered_s"].attrs["long_name"]
+    assert "vehicle was on it" in cube["covered_s"].attrs["long_name"]
 
 
 def test_a_qgis_project_of_it_shows_coverage(written, tmp_path):

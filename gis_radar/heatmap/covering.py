@@ -1,6 +1,6 @@
 """Count in how many steps each tile was visible and covered, with the error of the share.
 
-Coverage is an estimate of the share of time that a vehicle stands on a tile. Its error is that of a
+Coverage is an estimate of the share of time with a vehicle on a tile. Its error is that of a
 finite number of runs of steps, each of which may be too long, too short, or not there at all:
 
 - the ends of a run are known as well as the ends of a vehicle: `end_share` of its length of time,
@@ -45,7 +45,7 @@ COVERAGE_DEFINITIONS = {
         "seconds in which the tile was visible: 0.05 s for each step of 50 ms in which it was "
         "observed and not hidden by other vehicles for more than 10 s on end"
     ),
-    "covered_s": "seconds in which the tile was visible and a vehicle stood on it",
+    "covered_s": "seconds in which the tile was visible and a vehicle was on it",
     "coverage": "covered_s / visible_s, 0 to 1; no data where not visible",
     "coverage_se": "standard error of coverage as an estimate for this period",
 }

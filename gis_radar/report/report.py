@@ -399,17 +399,17 @@ def _lane_columns(clock: Clock, measure: str) -> list[Column]:
         error = row["busiest_spot_se"]
         error = "" if pd.isna(error) else f" {plus_minus(100 * error, 0)}"
         place = f"{figure_text(row['busiest_spot_m'])}{THIN}m"
-        return f"{percent(row['busiest_spot'], 0)}{error}, {place}"
+        return f"{percent(row['busiest_spot'], 0)}{error} at {place}"
 
     return [
         Column("Lane", "", 0.8, lambda row: str(row["lane"])),
         Column("Leads to", "", 1.4, lambda row: direction(row["east_m"], row["north_m"]), False),
-        Column("Length", "m", 0.9, lambda row: figure_text(row["length_m"])),
-        Column(words.base.capitalize(), "of its length", 1.5, visible),
+        Column("Length", "m", 1.0, lambda row: figure_text(row["length_m"])),
+        Column(words.base.capitalize(), "of its length", 1.4, visible),
         Column(words.share, f"of {words.base} time", 1.5, lambda row: percent(row["share"])),
-        Column("Busiest spot", f"{measure}, at", 1.8, spot),
+        Column("Busiest spot", f"{measure}, place", 2.1, spot),
         Column("Over 20 %", "m of its length", 1.3, lambda row: figure_text(row["busy_m"], 1)),
-        Column("Busiest interval", "", 2.4, interval, False),
+        Column("Busiest interval", "", 2.2, interval, False),
         Column(words.share, "then", 1.4, lambda row: percent(row["busiest_share"])),
     ]
 
