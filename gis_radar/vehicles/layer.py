@@ -117,8 +117,6 @@ def write_footprints(
             dataset_options={"VERSION": GPKG_VERSION},
         )  # fmt: skip
         with closing(sqlite3.connect(part)) as database, database:
-            # QGIS asks for the rows of each moment by their begin.
-            database.execute(f'CREATE INDEX "footprints_begin" ON "{FOOTPRINTS}" ("begin")')
             styles = {FOOTPRINTS: (footprint_style(), "")}
             add_styles(database, styles, name="vehicles", about="vehicles, moved by the time")
     return rows.count

@@ -230,12 +230,15 @@ def test_run_of_a_site_loads_all(run, site, tmp_path):
     assert f"Project that is ready to present: {made}" in heard.infos
     names = {layer.name() for layer in QgsProject.instance().mapLayers().values()}
     assert names == {
-        "Sensors", "Views", "Uncertainty (95 %)", "Coverage by interval",
+        "Sensors", "Views", "Uncertainty (95 %)", "Vehicles", "Coverage by interval",
         "Coverage, whole time", "Coverage, raster", "Road, not observed",
     }  # fmt: skip
+    assert layer_called("Vehicles").temporalProperties().isActive()
+    assert QgsProject.instance().timeSettings().timeStep() == 0.5  # of the vehicles, not the map
     tree = QgsProject.instance().layerTreeRoot().findGroup("Sample junction")
     order = [node.name() for node in tree.findLayers()]
-    assert order.index("Sensors") < order.index("Coverage by interval")
+    above = [order.index(name) for name in ("Sensors", "Vehicles", "Coverage by interval")]
+    assert above == sorted(above)
 
 
 def tiles_layer(site):

@@ -100,6 +100,22 @@ def test_the_list_of_layers_speaks_german(heatmap, monkeypatch):
     assert labels()[:3] == ["0 %, kein Fahrzeug", "bis 0,5 %", "0,5 bis 1 %"]
 
 
+def test_vehicles_are_named_in_german(run, site, tmp_path, monkeypatch):
+    from gis_radar_plugin import loading, words
+
+    parameters = {"VEHICLES": str(site / "vehicles"), "OUTPUT": str(tmp_path / "moving.gpkg")}
+    run("footprints", parameters, load=True)
+    layer = layer_called("Footprints")
+
+    def labels():
+        return [category.label() for category in layer.renderer().categories()]
+
+    assert labels()[1] == "light vehicle, standing"
+    monkeypatch.setattr(words, "language", lambda: "de")
+    loading.dress(layer)
+    assert labels()[1] == "leichtes Fahrzeug, steht"
+
+
 def test_not_visible_is_transparent(heatmap):
     """A tile that no radar sees is drawn with nothing; a busy one has the darkest colour."""
     layer = layer_called("Coverage, whole time")
