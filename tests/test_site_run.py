@@ -369,6 +369,30 @@ def test_ctrl_c_ends_with_130_and_leaves_no_process(small, tmp_path):
     assert soon_gone(children)
 
 
+@pytest.mark.parametrize("again", [False, True])
+def test_a_worker_ended_while_it_follows_vehicles_leaves_nothing_half_written(copied, again):
+    path, out = copied
+    before = results(out / "vehicles")
+    if not again:
+        shutil.rmtree(out / "vehicles")
+
+    class Ending(Listener):
+        """Ends the stage as a worker's signal handler does, while its folder is being written."""
+
+        def progress(self, stage, done, total):
+            super().progress(stage, done, total)
+            if list(out.glob(".vehicles.*.part/**/tracks.parquet")):
+                raise SystemExit(143)
+
+    (stage,) = [
+        each for each in product.stages_of(gr.read_site(path), out) if each.name == "vehicles"
+    ]
+    with pytest.raises(SystemExit):
+        stage.work(outputs=list(stage.outputs), reporter=Ending(), **stage.arguments)
+    assert results(out / "vehicles") == (before if again else {})
+    assert not list(out.glob(".vehicles*"))
+
+
 def children_of(pid):
     """The processes that a process has started."""
     found = set()
