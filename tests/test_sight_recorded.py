@@ -3,7 +3,10 @@
 import geopandas as gpd
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 import pytest
+from geopandas.testing import assert_geodataframe_equal
 from maps import Listener
 from scans import write_points
 from sites import EAST, NORTH, START, lane_quads, pose, recording, tiles_of
@@ -11,7 +14,11 @@ from test_sight import HOUSE, ROAD_M, ROOF_M, SENSOR, across, flat, left_m, sigh
 
 import gis_radar as gr
 from gis_radar.errors import InputError, UsageError
+from gis_radar.occupancy.settings import OccupancySettings
+from gis_radar.occupancy.views import ViewBook
+from gis_radar.poses.files import as_track
 from gis_radar.poses.pose import View
+from gis_radar.progress import QUIET
 from gis_radar.recordings.recording import Detections, open_recording
 from gis_radar.sight import (
     HIDDEN,
@@ -264,6 +271,43 @@ def test_occupancy_says_nothing_of_sight_after_a_short_recording(rebuilt, run, t
     given = ("R1.parquet", "--pose", "R1.json", "--tiles", "tiles.gpkg")
     code, _, err = run("occupancy", *given, "--scan", "scan.laz", "-o", "plain")
     assert (code, "contradicts" in err) == (0, False)
+
+
+def test_recordings_from_one_pose_correct_sight_together(rebuilt, run, tmp_path):
+    table = pq.read_table("R1.parquet")
+    middle = pc.less(table["time"], START + 450.0)
+    pq.write_table(table.filter(middle), "R1-a.parquet")
+    pq.write_table(table.filter(pc.invert(middle)), "R1-b.parquet")
+    given = ("--pose", "R1.json", "--tiles", "tiles.gpkg", "--scan", "scan.laz")
+    run("sight", *given, "--recording", "R1.parquet", "-o", "whole.gpkg")
+    both = ("--recording", "R1-a.parquet", "--pose", "R1.json", "--recording", "R1-b.parquet")
+    code, _, _ = run("sight", *given, *both, "-o", "halves.gpkg")
+    assert code == 0
+    for layer in ("sight", "contradicted"):
+        whole, halves = (gpd.read_file(f"{name}.gpkg", layer=layer) for name in ("whole", "halves"))
+        assert len(whole) > 0
+        assert_geodataframe_equal(whole, halves)
+
+
+def test_a_short_recording_corrects_no_sight(rebuilt, run, tmp_path):
+    traffic(tmp_path / "R1.parquet", unseen=(BEHIND_THE_HOUSE,), seconds=200)
+    given = ("--pose", "R1.json", "--tiles", "tiles.gpkg", "--scan", "scan.laz")
+    code, _, err = run("sight", *given, "--recording", "R1.parquet", "-o", "sight.gpkg")
+    said = " ".join(err.split())
+    assert (code, "are too few to correct its sight by, 6000 are needed" in said) == (0, True)
+    assert "contradicts" not in said
+    assert (gpd.read_file("sight.gpkg", layer="sight")["state"] == "in sight").all()
+
+
+def test_sensors_that_see_the_same_tiles_keep_their_own_sight():
+    lanes = [lane_quads(EAST + 20.0, NORTH - 10.0, 90.0), lane_quads(EAST + 60.0, NORTH, 90.0)]
+    road = SightTiles.of(tiles_of(lanes, height_m=[370.0, 374.0]))
+    book = ViewBook(road=road, settings=OccupancySettings(road_tiles=20))
+    near, far = pose(), pose(sensor="R2", easting=EAST + 80.0, yaw=180.0)
+    (one,), (other,) = book.enter_all([as_track(near), as_track(far)], QUIET)
+    assert one == other
+    assert [book.sights[name, one].pose for name in ("R1", "R2")] == [near, far]
+    assert [book.road_m[name, one] for name in ("R1", "R2")] == [370.0, 374.0]
 
 
 def test_recordings_of_sight_are_one_a_pose(rebuilt, run):

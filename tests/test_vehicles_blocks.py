@@ -46,7 +46,9 @@ def placed(steps, *, name="R1", sensor="R1", detections=False, rate=1.0):
 
 
 def reader_of(*sources):
-    return SourceReader(sources, graph(), {"view": np.nan}, SETTINGS, QUIET)
+    return SourceReader(
+        sources, graph(), dict.fromkeys([("R1", "view"), ("R2", "view")], np.nan), SETTINGS, QUIET
+    )
 
 
 def spans(*sources):

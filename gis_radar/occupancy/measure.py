@@ -57,6 +57,7 @@ from gis_radar.sight import (
     open_sight,
     report_contradictions,
 )
+from gis_radar.sight.settings import DEFAULTS as SIGHT_DEFAULTS
 from gis_radar.steps import STEP_US, iso_from_step, step_of
 from gis_radar.tiles.lookup import TileEngine, TileGrid
 
@@ -285,16 +286,15 @@ def _hits(
             part = piece if now.all() else rows_of(piece, now)
             frames = FrameIndex.of(part.time)
             pose, view = source.track.poses[index], source.views[index]
-            frame, tile = _tiles_hit(part, frames, pose, target, target.views.road_m[view])
+            road_m = target.views.road_m[source.track.sensor, view]
+            frame, tile = _tiles_hit(part, frames, pose, target, road_m)
             step = step_of(frames.time)
             tiles_hit = np.bincount(frame, minlength=len(step))
             tiles_seen = np.full(len(step), len(target.views.tiles[view]))
             if target.views.scan is not None:
                 first = source.views[places[index]]
                 counter = MovementCounter(tiles=target.views.road, engine=target.engine)
-                found.movement.setdefault(first, counter).add(
-                    part, pose, road_m=target.views.road_m[view]
-                )
+                found.movement.setdefault(first, counter).add(part, pose, road_m=road_m)
             found.log.add(
                 frame_rows(part, frames, tiles_hit, tiles_seen, shift_us[now], target.settings)
             )
@@ -359,19 +359,12 @@ def _target(
 
 def _moving_hits(passes: list[RecordingPass], target: Target) -> list[MovingHits]:
     """Return what moved on the tiles in each view, of all recordings of a sensor together."""
-    together: dict[str, list[MovementCounter]] = {}
+    together: dict[tuple[str, str], list[MovementCounter]] = {}
     for each in passes:
         for view, counter in each.movement.items():
-            together.setdefault(view, []).append(counter)
-    return [
-        MovingHits(
-            sight=target.views.sights[view],
-            count=np.sum([each.count for each in counters], axis=0),
-            frames=sum(each.frames for each in counters),
-        )
-        for view, counters in together.items()
-        if sum(each.frames for each in counters) >= counters[0].settings.judged_frames
-    ]
+            together.setdefault((each.source.track.sensor, view), []).append(counter)
+    hits = [MovingHits.of(target.views.sights[key], found) for key, found in together.items()]
+    return [each for each in hits if each.frames >= SIGHT_DEFAULTS.judged_frames]
 
 
 def _warnings(
@@ -400,7 +393,7 @@ def _warnings(
             )
         if each.level:
             roads = {each.source.views[index] for index in each.poses}
-            heights = sorted({f"{book.road_m[name]:.1f}" for name in roads})
+            heights = sorted({f"{book.road_m[sensor, name]:.1f}" for name in roads})
             yield (
                 f"{file}: {sensor} measures no elevation: its detections are placed at the height "
                 f"of the road near it ({', '.join(heights)} m)"

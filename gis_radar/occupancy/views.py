@@ -60,17 +60,18 @@ class ViewBook:
     tiles : dict
         By view, the ids of its tiles.
     road_m : dict
-        By view, the height of the road near the sensor, metres; NaN where it is not known.
+        By sensor and view, the height of the road near the sensor, metres; NaN where it is not
+        known.
     sights : dict
-        By view, the sight that it was made from.
+        By sensor and view, the sight that it was made from.
     """
 
     road: SightTiles
     scan: SightSource | None = None
     settings: OccupancySettings = DEFAULTS
     tiles: dict[str, Integers] = field(default_factory=dict)
-    road_m: dict[str, float] = field(default_factory=dict)
-    sights: dict[str, Sight] = field(default_factory=dict)
+    road_m: dict[tuple[str, str], float] = field(default_factory=dict)
+    sights: dict[tuple[str, str], Sight] = field(default_factory=dict)
 
     def enter(self, track: PoseTrack) -> tuple[str, ...]:
         """Return the name of what each pose of a track sees, and remember the tiles."""
@@ -122,16 +123,28 @@ class ViewBook:
         sight = find_sight(pose, self.road, self.scan)
         name = name_of_view(sight.seen)
         self.tiles[name] = sight.seen
-        self.sights[name] = sight
-        self.road_m[name] = self._road_m(sight)
+        self.sights[pose.sensor, name] = sight
+        self.road_m[pose.sensor, name] = road_near(sight, self.road, self.settings)
         return name
 
-    def _road_m(self, sight: Sight) -> float:
-        centres = self.road.centres[(sight.state != OUT_OF_VIEW) & np.isfinite(self.road.height)]
-        if len(centres) == 0:
-            return float("nan")
-        near = np.argsort(np.hypot(*(centres[:, :2] - sight.pose.position[:2]).T), kind="stable")
-        return float(np.median(centres[near[: self.settings.road_tiles], 2]))
+
+def road_near(sight: Sight, road: SightTiles, settings: OccupancySettings = DEFAULTS) -> float:
+    """Return the height of the road near a sensor, metres; NaN where it is not known.
+
+    Parameters
+    ----------
+    sight : Sight
+        What the sensor sees: tiles in its view count.
+    road : SightTiles
+        All tiles.
+    settings : OccupancySettings
+        How many of the nearest tiles count.
+    """
+    centres = road.centres[(sight.state != OUT_OF_VIEW) & np.isfinite(road.height)]
+    if len(centres) == 0:
+        return float("nan")
+    near = np.argsort(np.hypot(*(centres[:, :2] - sight.pose.position[:2]).T), kind="stable")
+    return float(np.median(centres[near[: settings.road_tiles], 2]))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeAlias
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 
@@ -56,6 +56,12 @@ class MovingHits:
     sight: Sight
     count: Integers = field(repr=False)
     frames: int
+
+    @classmethod
+    def of(cls, sight: Sight, counters: Sequence[MovementCounter]) -> Self:
+        """Add up what was counted from one place, at least once."""
+        count = np.sum([each.count for each in counters], axis=0)
+        return cls(sight=sight, count=count, frames=sum(each.frames for each in counters))
 
 
 @dataclass(kw_only=True)

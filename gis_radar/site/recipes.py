@@ -5,7 +5,8 @@ Further options go to the function of the library that has them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from gis_radar.errors import UsageError
 from gis_radar.lanelets import read_map
 from gis_radar.occupancy import Filters, Occupancy, measure_occupancy
 from gis_radar.occupancy.frame_log import rows_of, whole_frames
-from gis_radar.occupancy.views import places_of, standing_for
+from gis_radar.occupancy.views import places_of, road_near, standing_for
 from gis_radar.poses.files import PoseTrack
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import Reporter
@@ -38,10 +39,12 @@ from gis_radar.sight import (
     report_uncovered,
     write_sights,
 )
+from gis_radar.sight.settings import DEFAULTS as SIGHT_DEFAULTS
 from gis_radar.tiles.lookup import TileGrid, with_road_heights
 from gis_radar.tiles.tiles import fingerprint, make_tiles, read_tiles, write_tiles
 from gis_radar.vehicles import Vehicles, find_vehicles
 
+JUDGED = SIGHT_DEFAULTS.judged_frames
 AUTO = "auto"  # clocks: as the recordings themselves show
 
 
@@ -122,9 +125,10 @@ def see_tiles(
     tracks: Sequence[PoseTrack], tile_file: Path, output: Path, *, scans: Sequence[Path],
     scan_crs: str | None, recordings: Sequence[Path], reporter: Reporter,
 ) -> dict[str, Any]:  # fmt: skip
-    """Write what sensors see, corrected by a recording of each where there are any.
+    """Write what sensors see, corrected by recordings where there are any.
 
-    The figures are returned, by sensor those of its last pose.
+    Recordings with equal poses are taken together. The figures are returned, by sensor those of its
+    last pose.
 
     Raises
     ------
@@ -139,19 +143,24 @@ def see_tiles(
         require_same(track.poses[0].crs, tiles.crs, what=what, other_what="the tiles")
     road = SightTiles.of(tiles)
     source = open_sight(road, scans=scans, scan_crs=scan_crs, reporter=reporter)
+    different = [
+        track for k, track in enumerate(tracks)
+        if not any(track.poses == each.poses for each in tracks[:k])
+    ]  # fmt: skip
     found: list[Sight] = []
     place_of: list[Pose] = []  # of each sight, the first pose where the sensor stood then
-    for track in tracks:
+    for track in different:
         heads, first = np.unique(standing_for(track.poses)).tolist(), places_of(track.poses)
         found += [find_sight(track.poses[head], road, source) for head in heads]
         place_of += [track.poses[first[head]] for head in heads]
     report_uncovered(found, reporter)
-    sight_of = {id(sight.pose): sight for sight in found}
-    hits = [
-        MovingHits(sight=sight_of[id(pose)], count=counter.count, frames=counter.frames)
-        for recording, track in zip(recordings, tracks if recordings else (), strict=True)
-        for pose, counter in _movement(recording, track, road, reporter)
-    ]
+    hits = []
+    for track in different if recordings else ():
+        pairs = zip(recordings, tracks, strict=True)
+        mine = [recording for recording, each in pairs if each.poses == track.poses]
+        hits += _moving_hits(
+            mine, track, {id(sight.pose): sight for sight in found}, road, reporter
+        )
     compared = find_contradictions(hits, road)
     report_contradictions(compared, reporter)
     by_place = {id(each.sight.pose): each for each in compared}
@@ -166,22 +175,35 @@ def see_tiles(
     return figures
 
 
-def _movement(
-    recording: Path, track: PoseTrack, road: SightTiles, reporter: Reporter
-) -> Iterator[tuple[Pose, MovementCounter]]:
-    """Yield what moves on the tiles, with the first pose of each place where the sensor stood."""
-    engine, opened, done = TileGrid(road.quads), open_recording(recording), 0
-    first, counters = places_of(track.poses), dict[int, MovementCounter]()
-    for piece in whole_frames(opened.read()):
-        pose_of_row = track.at(piece.time)
-        for index in np.unique(pose_of_row).tolist():
-            counter = MovementCounter(tiles=road, engine=engine)
-            part = rows_of(piece, pose_of_row == index)
-            counters.setdefault(int(first[index]), counter).add(part, track.poses[index])
-        done += len(piece)
-        reporter.progress("comparing with the recording", done, opened.rows)
-    for index, counter in counters.items():
-        yield track.poses[index], counter
+def _moving_hits(
+    recordings: Sequence[Path], track: PoseTrack, sights: Mapping[int, Sight], road: SightTiles,
+    reporter: Reporter,
+) -> list[MovingHits]:  # fmt: skip
+    """Return what moves on the tiles, of each place where the sensor stood for long enough."""
+    engine = TileGrid(road.quads)
+    first, standing = places_of(track.poses), standing_for(track.poses)
+    road_m = {k: road_near(sights[id(track.poses[k])], road) for k in np.unique(standing).tolist()}
+    counters = defaultdict[int, MovementCounter](lambda: MovementCounter(tiles=road, engine=engine))
+    for recording in recordings:
+        opened, done = open_recording(recording), 0
+        for piece in whole_frames(opened.read()):
+            pose_of_row = track.at(piece.time)
+            for index in np.unique(pose_of_row).tolist():
+                counters[int(first[index])].add(
+                    rows_of(piece, pose_of_row == index), track.poses[index],
+                    road_m=road_m[standing[index]],
+                )  # fmt: skip
+            done += len(piece)
+            reporter.progress("comparing with the recording", done, opened.rows)
+    hits = [MovingHits.of(sights[id(track.poses[k])], [each]) for k, each in counters.items()]
+    for each in hits:
+        if each.frames < JUDGED:
+            reporter.log(
+                f"{track.sensor}: {each.frames} frames from one place are too few to correct its "
+                f"sight by, {JUDGED} are needed",
+                "warning",
+            )
+    return [each for each in hits if each.frames >= JUDGED]
 
 
 def _clocks(

@@ -83,7 +83,8 @@ class SourceReader:
     graph : LaneGraph
         The lanes.
     road_m : dict
-        By view, the height of the road near the sensor: where one without elevation looks.
+        By sensor and view, the height of the road near the sensor: where one without elevation
+        looks.
     settings : VehicleSettings
         Of echoes and blocks.
     reporter : Reporter
@@ -94,7 +95,7 @@ class SourceReader:
         self,
         sources: Sequence[PlacedRecording],
         graph: LaneGraph,
-        road_m: Mapping[str, float],
+        road_m: Mapping[tuple[str, str], float],
         settings: VehicleSettings,
         reporter: Reporter,
     ) -> None:
@@ -168,7 +169,7 @@ class SourceReader:
             echoes = echoes_of(
                 replace(rows_of(piece, here), time=time[here]), source.track.poses[index],
                 self.sensors.index(sensor), self._graph, self._settings.echoes,
-                road_m=self._road_m[source.views[index]],
+                road_m=self._road_m[sensor, source.views[index]],
             )  # fmt: skip
             steps = np.unique(step_of(time[now]))
             runs = union([Runs(first=steps, last=steps)])
