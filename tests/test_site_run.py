@@ -22,6 +22,7 @@ import laspy
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+import pypdf
 import pytest
 import scans
 from click.testing import CliRunner
@@ -478,6 +479,8 @@ def test_the_report_shows_coverage_and_hits_beside_it(small):
     for words in (*named, "Vehicles followed", "share of time with a vehicle", "Map of occupancy"):
         assert words in text
     assert f"{100 * wide['coverage'][top]:.1f}\u202f% ± " in text
+    about = pypdf.PdfReader(out / "report.pdf").metadata
+    assert about.subject == "Coverage of lanes, from roadside radar"
 
 
 def test_vehicles_that_are_not_followed_leave_heat_maps_of_hits(copied):

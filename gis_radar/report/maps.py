@@ -186,7 +186,7 @@ def draw_plan(
     lanes : sequence of Lane
         All lanes.
     table : DataFrame
-        From :func:`gis_radar.report.lanes.lane_table`: observed lanes are named, the busiest
+        From :func:`gis_radar.report.lanes.lane_table`: lanes with a share are named, the busiest
         where they are too many.
     """
     west, east, south, north = picture.grid.bounds
@@ -214,7 +214,7 @@ def draw_plan(
         png=png(whole.convert("RGB").quantize(128, dither=Image.Dither.NONE)),
         width=picture.grid.width,
         height=picture.grid.height,
-        caption="The lanes, and the numbers of those observed; arrows show where they lead.",
+        caption="The lanes, and the numbers of those in the table; arrows show where they lead.",
         alt=(
             f"Map of {count(len(lanes), 'lane')} with their numbers. The table has "
             "the direction and length of each."

@@ -111,7 +111,7 @@ class Paper(FPDF):
         self.set_lang("en")
         self.set_title(f"{content.title}: traffic {content.measure}, {content.subtitle}")
         self.set_creator(content.made_by)
-        self.set_subject("Occupancy of lanes, from roadside radar")
+        self.set_subject(f"{content.measure.capitalize()} of lanes, from roadside radar")
         self.viewer_preferences = ViewerPreferences(display_doc_title=True)
         self.alias_nb_pages()
 

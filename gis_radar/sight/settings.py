@@ -84,8 +84,8 @@ class SightSettings:
         Frames of movement missed, or seen though hidden, in a run of sectors before it counts:
         half a dozen vehicles, each seen in several frames of several sectors.
     judged_frames : int
-        Occupancy warns from so many frames of a sensor on: five minutes at 20 Hz, three cycles of a
-        signal. In less time ways stay empty by chance.
+        A recording is compared from so many frames from one place on: five minutes at 20 Hz, three
+        cycles of a signal. In less time ways stay empty by chance.
     moving_share : float
         Least share of the expected movement there: ghosts and lorries that look over a wall give
         less.
