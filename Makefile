@@ -20,11 +20,9 @@ help: ## List the targets
 
 set-up: ## Set up .venv for gis-radar itself
 	@sh tools/set_up.sh run
-	@sh tools/get_pdal.sh
 
 set-up-dev: ## Set up .venv for the checks too
 	@sh tools/set_up.sh dev
-	@sh tools/get_pdal.sh
 
 set-up-bench: set-up-dev ## Set up .venv for bench-localization: Open3D too, 1.5 GB
 	@sh tools/set_up.sh bench

@@ -14,6 +14,7 @@ import sys
 import zipfile
 from contextlib import closing
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -28,6 +29,8 @@ import scans
 from click.testing import CliRunner
 from fake_stages import threads
 from maps import Listener
+from matplotlib.figure import Figure
+from PIL import Image
 from sites import START, recording
 from small_site import write_site
 from streets import errors
@@ -42,6 +45,8 @@ from gis_radar.site import stages as stage_functions
 from gis_radar.site.execution import RunState, discard
 from gis_radar.site.plan import OWNED, stages_of
 
+writing = import_module("gis_radar.report.report")  # of this name there is also a function
+
 TIMES = {"last_change", "update_time", "timestamp"}
 
 
@@ -52,7 +57,9 @@ def small(once):
     def unbroken(folder):
         (folder / "site").mkdir()
         path, poses = write_site(folder / "site")
-        done = gr.run_site(path, folder / "out")
+        with pytest.MonkeyPatch.context() as here:
+            here.setattr(product, "process_pool", in_a_thread)
+            done = gr.run_site(path, folder / "out")
         assert done.failure is None
         return path, folder / "out", poses
 
@@ -67,6 +74,17 @@ def in_this_process(monkeypatch):
 
 def in_a_thread(_jobs, scratch):
     return threads(1, scratch)
+
+
+@pytest.fixture
+def blank_paper(monkeypatch):
+    """Leave pictures and the PDF empty where a test looks at other files: they take most time."""
+
+    def leave_empty(figure, place, **_options):
+        Image.new("RGBA", figure.canvas.get_width_height()).save(place, "PNG")
+
+    monkeypatch.setattr(Figure, "savefig", leave_empty)
+    monkeypatch.setattr(writing, "write_pdf", lambda _, path: path.write_bytes(b"%PDF"))
 
 
 @pytest.fixture
@@ -161,7 +179,7 @@ def test_the_project_shows_the_sensors_of_the_heat_map(small, tmp_path):
     assert (moved / "site.qgz").read_bytes() == project
 
 
-def test_single_vehicles_are_shown_by_choice(copied):
+def test_single_vehicles_are_shown_by_choice(copied, blank_paper):
     path, out = copied
     text = path.read_text(encoding="utf-8")
     for chosen in (True, False):
@@ -177,7 +195,7 @@ def test_single_vehicles_are_shown_by_choice(copied):
     refuse_foreign(out, OWNED)
 
 
-def test_a_run_leaves_a_project_that_was_edited(copied):
+def test_a_run_leaves_a_project_that_was_edited(copied, blank_paper):
     path, out = copied
     project, state = out / "site.qgz", out / ".gis-radar"
     with zipfile.ZipFile(project) as archive:
@@ -244,7 +262,7 @@ def test_what_stands_elsewhere_is_a_warning(small, copied):
     assert picture.shape[1] > 1.5 * picture.shape[0]  # a second panel
 
 
-def test_a_cycle_and_clocks_of_the_site_file_are_used(copied):
+def test_a_cycle_and_clocks_of_the_site_file_are_used(copied, blank_paper):
     path, out = copied
     change(path, 'pose = "R2.json"', 'pose = "R2.json"\ncycle = "150ms"')
     change(path, "[heatmap]", 'clocks = "clocks.json"\n\n[heatmap]')
@@ -436,7 +454,7 @@ def test_a_sensor_without_an_answer_and_one_with_bad_data(small, copied):
     same(out, small[1])
 
 
-def test_what_is_changed_is_done_again_and_what_is_taken_out_is_gone(copied):
+def test_what_is_changed_is_done_again_and_what_is_taken_out_is_gone(copied, blank_paper):
     path, out = copied
     text = path.read_text()
     path.write_text(text[: text.rindex("[[sensor]]")].replace('"10s"', '"15s"'))
@@ -483,7 +501,7 @@ def test_the_report_shows_coverage_and_hits_beside_it(small):
     assert about.subject == "Coverage of lanes, from roadside radar"
 
 
-def test_vehicles_that_are_not_followed_leave_heat_maps_of_hits(copied):
+def test_vehicles_that_are_not_followed_leave_heat_maps_of_hits(copied, blank_paper):
     path, out = copied
     change(path, "[heatmap]", "[vehicles]\nfollow = false\n\n[heatmap]")
     done = gr.run_site(path, out)
@@ -493,7 +511,7 @@ def test_vehicles_that_are_not_followed_leave_heat_maps_of_hits(copied):
     assert not (out / "heatmap" / "occupancy.tif").exists()
 
 
-def test_recordings_without_range_rates_leave_heat_maps_of_hits(copied):
+def test_recordings_without_range_rates_leave_heat_maps_of_hits(copied, blank_paper):
     path, out = copied
     for each in path.parent.glob("R2_*.parquet"):
         pd.read_parquet(each).assign(range_rate=np.float32(np.nan)).to_parquet(each)
@@ -508,7 +526,7 @@ def test_recordings_without_range_rates_leave_heat_maps_of_hits(copied):
     assert set(states(again).values()) == {"kept"}
 
 
-def test_a_changed_view_repeats_no_localization(copied):
+def test_a_changed_view_repeats_no_localization(copied, blank_paper):
     """A stage depends on what it reads and on its own settings, on no others."""
     path, out = copied
     change(path, "max_range_m = 150.0", "max_range_m = 120.0")
@@ -522,7 +540,7 @@ def test_a_changed_view_repeats_no_localization(copied):
     assert gr.read_pose(out / "sensors" / "R1" / "pose.json").view.max_range_m == 120.0
 
 
-def test_a_given_pose_with_a_bad_covariance_stops_its_sensor_alone(copied):
+def test_a_given_pose_with_a_bad_covariance_stops_its_sensor_alone(copied, blank_paper):
     path, out = copied
     pose = path.parent / "R2.json"
     told = json.loads(pose.read_text()) | {"covariance": [[1.0]]}
@@ -534,7 +552,7 @@ def test_a_given_pose_with_a_bad_covariance_stops_its_sensor_alone(copied):
     assert (out / "site.qgz").is_file()
 
 
-def test_a_track_and_a_road_that_are_there(small, tmp_path, in_this_process):
+def test_a_track_and_a_road_that_are_there(small, tmp_path, in_this_process, blank_paper):
     path, out, _ = small
     folder = tmp_path / "site"
     shutil.copytree(path.parent, folder)

@@ -17,10 +17,10 @@ SAMPLE = gr.sample_folder()
 SECONDS = 40.0  # of the sample's hundred: enough traffic
 
 
-def begin_of(path):
+def begin_of(path, seconds=SECONDS):
     """Read the first seconds of a recording of the sample."""
     table = pd.read_parquet(path)
-    return table[table["time"] < table["time"].iloc[0] + SECONDS]
+    return table[table["time"] < table["time"].iloc[0] + seconds]
 
 
 @pytest.fixture(scope="module")
@@ -42,8 +42,12 @@ def found(site, name, recordings=None, **options):
 
 
 @pytest.fixture(scope="module")
-def whole(site):
-    return found(site, "whole")
+def whole(site, once):
+    def search(folder):
+        found(site, folder / "whole")
+        return folder / "whole"
+
+    return gr.read_vehicles(once("vehicles of the sample", search))
 
 
 def covered_s(vehicles, tiles):
@@ -124,7 +128,7 @@ def test_without_range_rates_it_is_refused(site, tmp_path):
 
 
 def test_where_nothing_moves_coverage_is_zero_with_a_warning(site, tmp_path):
-    table = begin_of(SAMPLE / "R1.parquet")
+    table = begin_of(SAMPLE / "R1.parquet", 10.0)
     still = table[table["range_rate"].abs() < 0.05]
     still.to_parquet(tmp_path / "R1.parquet", index=False)
     heard = Listener()
@@ -188,13 +192,14 @@ def test_the_command_writes_a_folder(site, tmp_path, run):
     assert read.provenance.sight == "view only"
 
 
-def test_a_file_of_sight_stands_for_the_scan(site):
+def test_a_file_of_sight_stands_for_the_scan(site, tmp_path):
     tiles, folder = site
     road = gr.SightTiles.of(tiles)
     scan = gr.SightScan([SAMPLE / "scan.laz"], road)
     pose = gr.read_pose(SAMPLE / "R1.json")
     gr.write_sights([gr.find_sight(pose, road, scan)], tiles, folder / "sight.gpkg")
-    given = [folder / "R1.parquet"]
+    given = [tmp_path / "R1.parquet"]
+    begin_of(SAMPLE / "R1.parquet", 10.0).to_parquet(given[0], index=False)
     by_file = found(site, "by-file", given, sight=folder / "sight.gpkg")
     by_scan = found(site, "by-scan", given, scans=[SAMPLE / "scan.laz"])
     visible = [

@@ -5,8 +5,8 @@
 #   tools/set_up.sh dev    and what its checks and its documentation need
 #   tools/set_up.sh bench  and the extra packages that the benchmarks compare with
 #
-# PYTHON=... names the Python to use (3.11 or newer). Where all is in place already,
-# this says nothing and uses no network.
+# PYTHON=... names the Python to use (3.11 or newer). PDAL is fetched meanwhile (tools/get_pdal.sh).
+# Where all is in place already, this says nothing and uses no network.
 set -eu
 cd "$(dirname "$0")/.."
 
@@ -102,9 +102,9 @@ install_packages() {
         fail "the packages could not be installed (see above)."
 }
 
-# Each package is loaded once, which shows what no list foresaw.
+# Each package is loaded once, which shows what no list foresaw. Some have numba compile on loading.
 check_packages() {
-    $venv/bin/python tools/missing_libraries.py "$level" --load ||
+    NUMBA_DISABLE_JIT=1 $venv/bin/python tools/missing_libraries.py "$level" --load ||
         fail "a package does not load on this system (see above)."
 }
 
@@ -112,17 +112,24 @@ case $level in
 run | dev | bench) ;;
 *) fail "what is \"$level\"? Give run, dev or bench." ;;
 esac
+# Beside the rest. In a group of its own a Ctrl-C reaches it only as we end it: at once, with no note
+# that there is no PDAL.
+own_group=$(command -v setsid || true)
+$own_group sh tools/get_pdal.sh &
+pdal=$!
+apt_log=$(mktemp)
+trap 'kill -- -$pdal 2>/dev/null || kill $pdal 2>/dev/null || true; rm -f "$apt_log"' EXIT
+trap 'exit 130' INT TERM HUP
 state=$({
     pwd -P
     cat pyproject.toml constraints.txt tools/set_up.sh tools/missing_libraries.py
 } | cksum)
 if [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$state" ] && venv_is_good; then
+    wait $pdal
     exit 0
 fi
 
 find_python
-apt_log=$(mktemp)
-trap 'rm -f "$apt_log"' EXIT
 missing=$(list_missing)
 # shellcheck disable=SC2086 # one word a package
 install_system $missing
@@ -133,3 +140,4 @@ check_packages
 [ "$level" = run ] || echo "$state" >$venv/.set-up-run
 [ "$level" != bench ] || echo "$state" >$venv/.set-up-dev
 echo "$state" >"$stamp"
+wait $pdal

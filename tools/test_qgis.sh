@@ -29,9 +29,9 @@ fi
 # The results that most tests show, made once for all processes: by `make test`, or here.
 export GIS_RADAR_QGIS_SITE="${GIS_RADAR_DEMO:-$place/site}"
 [ -n "${GIS_RADAR_DEMO:-}" ] || "$GIS_RADAR_PYTHON" -m gis_radar demo -o "$place/site" >/dev/null
-test_with -n 2 --dist worksteal qgis_plugin/tests
-# Once more with QGIS's libraries in front of all others, as the desktop has them.
+test_with -n 2 --dist worksteal -m "not preload" qgis_plugin/tests
+# The rest with QGIS's libraries in front of all others, as the desktop has them.
 core=$(ls /usr/lib/libqgis_core.so.3.*.* /usr/lib/*/libqgis_core.so.3.*.* 2>/dev/null | head -n 1)
-echo "QGIS: again under LD_PRELOAD=$core"
+echo "QGIS: the rest under LD_PRELOAD=$core"
 export LD_PRELOAD="$core"
 test_with -m preload qgis_plugin/tests

@@ -205,6 +205,7 @@ def footprints_of(
     heading = np.radians(states["heading"].to_numpy(float))
     middle = states[["easting", "northing"]].to_numpy(float) - origin
     boxes = np.column_stack([middle, np.cos(heading), np.sin(heading), length / 2, width / 2])
+    boxes = np.ascontiguousarray(boxes)  # another layout would be compiled anew
     path, points, begins = book.extend(number, boxes, length > book.settings.strip_m)
     return Footprints(
         step=states["step"].to_numpy(np.int64), boxes=boxes, level_m=level_m,
