@@ -227,6 +227,7 @@ def test_frames_of_an_unknown_view_are_refused(tmp_path):
         ({"hold_s": {"R1": "long"}}, "damaged"),
         ({"sources": 3}, "damaged"),
         ({"sources": ["a"]}, "damaged"),
+        ({"sources": [{"poses": 3}]}, "damaged"),
         ({"map": "a"}, "damaged"),
     ],
 )
@@ -248,3 +249,15 @@ def test_runs_of_a_tile_that_overlap_are_refused(tmp_path, shift):
     pq.write_table(pa.Table.from_pandas(both, runs.schema, preserve_index=False), path)
     with pytest.raises(InputError, match=r"covered\.parquet: runs of tile \d+ overlap"):
         list(read_vehicles(tmp_path / "v").blocks())
+
+
+def test_a_table_of_other_content_is_refused_by_its_file(tmp_path):
+    write(tmp_path / "v", straight_tiles(), drive(3, FIRST, np.arange(10.0)))
+    path = tmp_path / "v" / "vehicles.parquet"
+    table = pq.read_table(path)
+    text = pa.array(["long"])
+    place = table.schema.get_field_index("length_m")
+    kept = table.set_column(place, "length_m", text).replace_schema_metadata(table.schema.metadata)
+    pq.write_table(kept, path)
+    with pytest.raises(InputError, match=r"vehicles\.parquet: vehicles: length_m holds something"):
+        read_vehicles(tmp_path / "v")

@@ -451,6 +451,7 @@ def _read_manifest(folder: Path) -> Provenance:
             hold_s={str(name): float(s) for name, s in provenance.hold_s.items()},
             sources=[dict(source) for source in provenance.sources],
         )
+        poses_of(provenance.sources)
     except (ValueError, OSError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{path}: damaged: {error!r}") from error
     if rules != RULES:

@@ -251,14 +251,18 @@ def read_pieces(
     Raises
     ------
     InputError
-        If it is damaged.
+        If it is damaged, or its content is not of the kind.
     """
     with damaged_as_input_error(path), pq.ParquetFile(path, **CHECKED) as file:
         for group in range(file.num_row_groups):
             if span is not None and not _holds(file, group, kind, span):
                 continue
             rows = file.read_row_group(group, columns=list(kind.columns), use_threads=False)
-            yield kind.typed(rows.to_pandas(types_mapper={pa.int64(): pd.Int64Dtype()}.get))
+            try:
+                typed = kind.typed(rows.to_pandas(types_mapper={pa.int64(): pd.Int64Dtype()}.get))
+            except InputError as error:
+                raise InputError(f"{path}: {error.message}") from error
+            yield typed
 
 
 def _holds(file: Any, group: int, kind: TableKind, span: tuple[int, int]) -> bool:
