@@ -215,7 +215,7 @@ def keep(picture: Image.Image, name: str, wide: int) -> None:
         high = round(shown.height * wide / shown.width)
         shown = shown.resize((wide, high), Image.Resampling.LANCZOS)
     path = DOCS / f"{name}.png"
-    few = shown.quantize(255, dither=Image.Dither.NONE)
+    few = shown.quantize(255, kmeans=3, dither=Image.Dither.NONE)  # few pixels keep their colour
     few.save(path, optimize=True)
     print(f"{path}: {few.width} x {few.height}, {path.stat().st_size / 1000:.0f} kB")
 

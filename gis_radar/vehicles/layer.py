@@ -17,7 +17,7 @@ import shapely
 
 from gis_radar.arrays import Floats, Integers
 from gis_radar.errors import UsageError
-from gis_radar.files import refuse_inputs, whole_file
+from gis_radar.files import whole_file
 from gis_radar.geopackage import GPKG_VERSION, add_styles, write_stream
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.steps import STEP_S, STEP_US
@@ -103,12 +103,11 @@ def write_footprints(
     UsageError
         If the name does not end in `.gpkg`.
     OutputError
-        If the file cannot be written, or is in the folder of the vehicles.
+        If the file cannot be written.
     """
     path = Path(path)
     if path.suffix.lower() != ".gpkg":
         raise UsageError(f"{path}: footprints are written as GeoPackage", hint="end it in .gpkg")
-    refuse_inputs(path, vehicles.place)
     rows = _Rows(vehicles, settings, reporter)
     with whole_file(path) as part:
         write_stream(
@@ -151,7 +150,7 @@ class _Rows:
                 states.iloc[shown], table.iloc[row], shapely.to_wkb(_shapes(prints, shown))
             )
             done = int(prints.step[-1]) if len(prints.step) else first
-            self._reporter.progress("writing footprints", done - first, last - first)
+            self._reporter.progress("writing footprints", done - first + 1, last - first + 1)
 
     def _batch(
         self, states: pd.DataFrame, vehicles: pd.DataFrame, shapes: np.ndarray
