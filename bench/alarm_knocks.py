@@ -59,18 +59,20 @@ def main() -> None:
     arguments = parser.parse_args()
     report: dict[str, object] = {}
     largest: list[float] = []
-    for kind, mast in (("ordinary", 0), ("ordinary", 1), ("light", 0)):
-        name = make_samples.MASTS[mast].sensor
-        paths = sorted((alarm.OUT / kind).glob(f"{name}_*_all.npz"))[: arguments.pieces]
-        for witness, settings in (("traffic", BY_TRAFFIC), ("both", DEFAULTS)):
+    arguments.json.parent.mkdir(parents=True, exist_ok=True)
+    for witness, settings in (("traffic", BY_TRAFFIC), ("both", DEFAULTS)):
+        for kind, mast in (("ordinary", 0), ("ordinary", 1), ("light", 0)):
+            name = make_samples.MASTS[mast].sensor
+            paths = sorted((alarm.OUT / kind).glob(f"{name}_*_all.npz"))[: arguments.pieces]
+            if not paths:
+                parser.error(f"no pieces in {alarm.OUT / kind}: run bench/alarm.py first")
             figures, parts = rest(mast, paths, settings)
             report[f"{kind}, {name}, {witness}"] = figures
             print(f"{kind}, {name}, {witness}: {json.dumps(figures)}", flush=True)
             largest += parts if witness == "traffic" else []
-    minutes = PART_S / 60.0
-    report["traffic, all"] = tail(np.array(largest), part_min=minutes)
+        report.setdefault("traffic, all", tail(np.array(largest), part_min=PART_S / 60.0))
+        arguments.json.write_text(json.dumps(report, indent=1) + "\n")
     print(f"traffic, all: {json.dumps(report['traffic, all'])}")
-    arguments.json.write_text(json.dumps(report, indent=1) + "\n")
 
 
 def rest(

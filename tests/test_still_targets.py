@@ -1,5 +1,6 @@
 """Small moves of a sensor from what stands still around it, with a known truth."""
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -94,10 +95,7 @@ def again(taught, seed):
     other = Yard()
     other.rng = np.random.default_rng(seed)
     other.blocks = yard.blocks
-    copied = StillTargets()
-    copied.__dict__.update({k: v.copy() if hasattr(v, "copy") else v
-                            for k, v in targets.__dict__.items()})  # fmt: skip
-    return other, copied
+    return other, copy.deepcopy(targets)
 
 
 @pytest.mark.parametrize("name", MOVES)
@@ -163,6 +161,20 @@ def test_seven_minutes_are_enough():
     assert all(each.sees and each.found.score < OF.gate for each in targets.tested)
     yard.feed(targets, 8, np.array(MOVES["pitch"]))
     assert targets.tested[0].found.score > OF.gate
+
+
+def test_targets_that_are_told_later_begin_anew(taught):
+    yard, targets = again(taught, 6)
+    yard.feed(targets, 8, np.array(MOVES["ahead"]))
+    assert targets.tested[0].found.score > OF.gate
+    targets.know(polar_of(yard.points[:30]), np.full(30, 0.9))
+    assert targets.tested == []
+    assert targets.verdict(1) is None
+    yard.feed(targets, OF.blocks[-1] + OF.least_age)
+    assert len(targets) >= 30
+    told = targets.verdict(6)
+    assert told.targets >= 30
+    assert told.found.score < OF.gate
 
 
 def test_without_still_returns_or_frames_there_is_no_target():

@@ -24,23 +24,25 @@ from gis_radar.tracking.alarm import Displacement
 from gis_radar.tracking.settings import DEFAULTS, HOUR_S, StillTargetSettings, TrackingSettings
 
 NONE = -1
-PLANE_AND_ANGLES = [0, 1, 3, 4, 5]
+PLANE_AND_ANGLES = [0, 1, 3, 4, 5]  # of a move: height alone moves nothing off its lane
 
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """What targets say of a move since some blocks.
+    """What targets show of a move between the blocks that were learnt and the newest ones.
 
     Parameters
     ----------
     found : Displacement
-        The likeliest move, in the sensor's frame.
+        The likeliest move, in the sensor's frame: how far it is from no move as score, over how
+        long the newest places were taken.
     targets : int
         How many were compared.
     sees : bool
-        Whether a move of the wanted size, in the plane or by any angle, could not hide.
+        Whether a move of `wanted_m` in the plane or of `wanted_rad` about any axis could not hide.
     rests : bool
-        Whether there was no blow: a move of that size could not hide, and none was found.
+        Whether there was no blow: a move as large as `TrackingSettings.knock` could not hide, and
+        none was found.
     """
 
     found: Displacement
@@ -82,25 +84,32 @@ def by_move(polar: Floats) -> Floats:
 class StillTargets:
     """Learns persistent still targets of one sensor, and compares their newest places with before.
 
+    Detections are pushed; every `block_s` seconds a block ends with the median place of each
+    target. The newest blocks wait, up to the longest that is tested; then they join the mean. What
+    is hit much and belongs to no target is looked for in the map of hits from time to time.
+
     Parameters
     ----------
     settings : TrackingSettings
-        Of targets, and how a mast drifts.
+        Of targets, and how a mast drifts; the drift, nearly the same in all directions, is taken in
+        the sensor's axes.
     """
 
     def __init__(self, settings: TrackingSettings = DEFAULTS) -> None:
         self._settings, self._of = settings, settings.still
-        self._pieces: list[Floats] = []
-        self._frames = self._searched = self._blocks = 0
+        self._pieces: list[Floats] = []  # still detections since the last block: polar
+        self._frames = self._searched = self._blocks = 0  # of this block, of the map, ended
         cells = (round(self._of.reach_m / self._of.cell_m), round(2 * np.pi / self._of.cell_rad))
         self._hits = np.zeros(cells, dtype=np.int64)
-        self._recent: deque[Floats] = deque()
+        self._recent: deque[Floats] = deque()  # places in the newest blocks, not yet in the mean
         self.tested: list[Verdict] = []  # at the end of the last block
         self._scores = {n: deque[float](maxlen=self._of.lasting_blocks) for n in self._of.blocks}
         self.know(np.empty((0, 3)), np.empty(0))
 
     def know(self, place: Floats, rate: Floats) -> None:
         """Take targets as those of this sensor, their mean places still to be learnt.
+
+        What was seen of others is forgotten.
 
         Parameters
         ----------
@@ -109,9 +118,16 @@ class StillTargets:
         rate : (n,) array
             Hits a frame.
         """
-        self.place, self.rate = place.copy(), rate  # before the newest blocks
-        self._age = np.zeros(len(rate))  # blocks that the mean holds
-        self._absent = np.zeros(len(rate))  # blocks since it was last seen
+        self._recent.clear()
+        self.tested = []
+        for scores in self._scores.values():
+            scores.clear()
+        self._hold(place.copy(), rate, np.zeros(len(rate)), np.zeros(len(rate)))
+
+    def _hold(self, place: Floats, rate: Floats, age: Floats, absent: Floats) -> None:
+        self.place, self.rate = place, rate  # the mean before the newest blocks; hits a frame
+        self._age = age  # blocks that the mean holds
+        self._absent = absent  # blocks since it was last seen
         self._label = self._labels()
 
     def __len__(self) -> int:
@@ -141,7 +157,7 @@ class StillTargets:
     def summary(self) -> Floats:
         """Return the median place of each target since the last block, (targets, 3).
 
-        It is NaN where a target is hidden or gone. What is hit elsewhere is mapped for the search.
+        It is NaN where a target is hidden or gone. All hits are mapped for the next search.
         """
         polar = np.vstack([np.empty((0, 3)), *self._pieces])
         frames, self._pieces, self._frames = self._frames, [], 0
@@ -156,6 +172,7 @@ class StillTargets:
         self._absent = np.where(there, 0.0, self._absent + 1.0)
         self._recent.append(seen)
         self._blocks += 1
+        # two thirds of a short past are learnt, so that there is something to compare with
         held = max(self._blocks // 3, self._of.blocks[0])
         while len(self._recent) > min(held, self._of.blocks[-1]):
             self._learn(self._recent.popleft())
@@ -189,15 +206,19 @@ class StillTargets:
     def _search(self) -> None:
         """Drop targets that have left, and take what has been hit much, each apart from others."""
         kept = self._absent < self._of.gone_blocks
-        place, rate = _peaks(self._hits, self._of.least_rate * self._searched, self._of)
-        place, rate = np.vstack([self.place[kept], place]), rate / max(self._searched, 1)
-        free = _apart(place, int(kept.sum()), self._of.apart_m)
-        old, new = int(kept.sum()), free[kept.sum() :]
-        age, absent = self._age[kept], self._absent[kept]
-        nothing = np.full((int(new.sum()), 3), np.nan)
+        old = int(kept.sum())
+        found, hits = _peaks(self._hits, self._of.least_rate * self._searched, self._of)
+        place = np.vstack([self.place[kept], found])
+        free = _apart(place, old, self._of.apart_m)
+        new = free[old:]
+        none, nothing = np.zeros(int(new.sum())), np.full((int(new.sum()), 3), np.nan)
         self._recent = deque(np.vstack([block[kept], nothing]) for block in self._recent)
-        self.know(place[free], np.concatenate([self.rate[kept], rate[new]]))
-        self._age[:old], self._absent[:old] = age, absent
+        self._hold(
+            place[free],
+            np.concatenate([self.rate[kept], hits[new] / max(self._searched, 1)]),
+            np.concatenate([self._age[kept], none]),
+            np.concatenate([self._absent[kept], none]),
+        )
         self._hits[:], self._searched = 0, 0
 
     def _labels(self) -> Integers:
@@ -240,7 +261,7 @@ class StillTargets:
             return None
         gap = np.nanmean(newest[:, good], axis=0) - self.place[good]
         move, covariance = self._move(self.place[good], gap)
-        # from the middle of the newest blocks to that of the mean, and what lies between
+        # from the middle of the newest blocks to that of the mean, which is no older than its age
         waiting = len(self._recent) - blocks
         lag = 0.5 * blocks + waiting + float(np.median(self._age[good]))
         drift = np.square(self._settings.drift) / HOUR_S
