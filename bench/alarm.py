@@ -83,8 +83,8 @@ class SameStreets(LaneKeeping):
 def main() -> None:
     """Simulate, measure, print and keep the figures."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--pieces", type=int, default=7, help="of ten minutes, ordinary traffic")
-    parser.add_argument("--light", type=int, default=9, help="of ten minutes, a quarter of it")
+    parser.add_argument("--pieces", type=int, default=5, help="of ten minutes, ordinary traffic")
+    parser.add_argument("--light", type=int, default=4, help="of ten minutes, a quarter of it")
     parser.add_argument("--days", type=int, default=5, help="of each sensor and kind")
     parser.add_argument("--still", action="store_true", help="vehicles are not asked: faster")
     parser.add_argument("--seed", type=int, default=2, help="of the days; the gate is from 1")
@@ -110,6 +110,7 @@ def main() -> None:
     for who, every in days.items():
         report[f"false, all, {who}"] = tail(np.concatenate(every))
         print(f"all sensors, day, {who}: {json.dumps(report[f'false, all, {who}'])}", flush=True)
+    report["processor minutes"] = time.process_time() / 60.0
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
     arguments.json.write_text(json.dumps(report, indent=1) + "\n")
 

@@ -54,7 +54,7 @@ class Heard(Scatter):
 def main() -> None:
     """Follow, print and keep the figures."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--pieces", type=int, default=7, help="of ten minutes, of each kind")
+    parser.add_argument("--pieces", type=int, default=2, help="of ten minutes, of each kind")
     parser.add_argument("--json", type=Path, default=ROOT / "out" / "bench-alarm-knocks.json")
     arguments = parser.parse_args()
     report: dict[str, object] = {}

@@ -283,6 +283,18 @@ def test_vehicles_vote(scene):
     assert advantage(fit, replace(fit, loss=fit.loss + one), samples) < 1.5
 
 
+def test_a_rival_whose_vehicles_all_drive_aside_is_worse(scene):
+    """Laid aside by less than a lane, vehicles keep their loss by places of their own."""
+    scene, state, _ = scene
+    fit, samples = solve(scene, state, prior_at(state)), scene.samples
+    there = np.unique(samples.track)
+    assert fit.aside == pytest.approx(0.5 * np.square(fit.effects[0] / MODEL.driver))
+    assert fit.aside[there].sum() > 0.0
+    rng = np.random.default_rng(4)
+    aside = replace(fit, aside=fit.aside + rng.uniform(1.0, 2.0, len(fit.aside)))
+    assert advantage(replace(fit, habits=0.0), replace(aside, habits=0.0), samples) > 5.0
+
+
 def test_a_gain_within_the_habits_of_drivers_is_no_lead(scene):
     scene, state, _ = scene
     fit, samples = solve(scene, state, prior_at(state)), scene.samples

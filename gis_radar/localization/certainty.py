@@ -142,9 +142,10 @@ def cluster_robust(inverse: Floats, clusters: Floats, prior: Floats, *, unknowns
 def advantage(fit: Fit, other: Fit, samples: Samples) -> float:
     """Return by how many standard deviations the traffic prefers one fit to another.
 
-    The vehicles are clusters, each with the difference of its losses as score; the sum is compared
-    with its standard error (Vuong 1989). To that comes what the habits of all drivers on a street
-    may do to the loss of either fit.
+    The vehicles are clusters, each with the difference of its losses as score, its own place in the
+    lane included: a pose that is off makes up for it by vehicles that all drive aside. The sum is
+    compared with its standard error (Vuong 1989). To that comes what the habits of all drivers on
+    a street may do to the loss of either fit.
 
     Parameters
     ----------
@@ -154,7 +155,7 @@ def advantage(fit: Fit, other: Fit, samples: Samples) -> float:
         Those.
     """
     gain = np.bincount(samples.track, weights=other.loss - fit.loss, minlength=samples.tracks)
-    gain = gain[np.unique(samples.track)]
+    gain = (gain + other.aside - fit.aside)[np.unique(samples.track)]
     drawn = len(gain) * float(gain.var(ddof=1)) if len(gain) > 1 else 0.0
     spread = float(np.sqrt(drawn + fit.habits + other.habits))
     total = float(gain.sum())

@@ -67,6 +67,8 @@ class Fit:
         Negative logarithm of the likelihood of everything, up to a constant.
     loss : (n,) array
         Lateral loss of each sample, a negative logarithm of likelihood, weighted.
+    aside : (tracks,) array
+        What each vehicle's own place in its lane costs, a negative logarithm of likelihood.
     on_lane : (n,) bool array
         Samples more likely on a vehicle in a lane than not.
     matches : Matches
@@ -88,6 +90,7 @@ class Fit:
     streets: list[Floats]
     cost: float
     loss: Floats
+    aside: Floats
     on_lane: Booleans
     matches: Matches
     converged: bool
@@ -269,6 +272,7 @@ def _described(cost: _Cost, here: _Here, *, converged: bool) -> Fit:
         streets=pulls,
         cost=here.total,
         loss=across.weight * across.loss,
+        aside=0.5 * np.square(effects[0] / across.shared),
         on_lane=across.loss < settings.no_vehicle - np.log(2.0),
         matches=here.matches,
         converged=converged,
