@@ -167,6 +167,9 @@ def advantage(fit: Fit, other: Fit, samples: Samples) -> float:
 def along_valley(scene: Scene, fit: Fit, prior: Prior, model: Model) -> Fit:
     """Widen sigma along the least-known direction in the plane by profile likelihood.
 
+    Where the cost is lower there, the fit had come to rest on a bump, whose curvature shows no
+    sigma: it is begun again from the lowest place.
+
     Along a bend of constant curvature, or a straight road, a recording slides with hardly a
     change of cost, over small dimples that each look like an answer. Several metres away along
     the valley, all else fitted anew, the cost must have risen as the curvature says (profile
@@ -181,19 +184,64 @@ def along_valley(scene: Scene, fit: Fit, prior: Prior, model: Model) -> Fit:
     prior, model : Prior, Model
         With which it was found.
     """
-    hold, way = _weakest(fit, scene.settings.answer)
-    curved_m = float(np.sqrt(hold @ way))
-    sigma_m = max(
-        _deviation(scene, fit, side * way / curved_m**2, hold, prior, model) for side in (-1.0, 1.0)
-    )
-    if sigma_m <= curved_m:
-        return fit
-    lost = (curved_m**-2 - sigma_m**-2) * np.outer(hold, hold)
+    settings = scene.settings.hypotheses
+    for _ in range(settings.looks):
+        hold, way = _weakest(fit, scene.settings.answer)
+        curved_m = float(np.sqrt(hold @ way))
+        sides = [
+            _profile(scene, fit, side * way / curved_m**2, hold, prior, model)
+            for side in (-1.0, 1.0)
+        ]
+        sigma_m = max(_deviation(scene, fit, side) for side in sides)
+        lowest = min((other for side in sides for _, other in side), key=_cost, default=fit)
+        if lowest.cost > fit.cost - settings.look_gain:
+            break
+        again = solve(scene, lowest.state, prior, schedule=settings.fine, model=model)
+        if not again.converged or again.cost > fit.cost - settings.look_gain:
+            break
+        fit = again
+    if sigma_m > curved_m:
+        fit = _along(fit, hold, curved_m**-2, sigma_m**-2)
+    return _excluded(scene, fit, hold, sides)
+
+
+def _along(fit: Fit, hold: Floats, before: float, after: float) -> Fit:
+    """Return a fit with other information along a combination of the state's parts, 1/m^2."""
+    more = (after - before) * np.outer(hold, hold)
     return replace(
         fit,
-        information=fit.information - lost,
-        data_information=fit.data_information - lost,
+        information=fit.information + more,
+        data_information=fit.data_information + more,
     )
+
+
+def _excluded(
+    scene: Scene, fit: Fit, hold: Floats, sides: list[list[tuple[float, Fit]]]
+) -> Fit:
+    """Narrow sigma along a valley to where its walls exclude the pose.
+
+    Curvature holds near the optimum. Where what is not estimated would move the pose farther than
+    a wall of the cost that stands there, the wall decides: the least distance counts at which the
+    mean rise on the way, as curvature, leaves a sigma no longer than that distance.
+    """
+    settings = scene.settings.answer
+    curved = 1.0 / float(hold @ np.linalg.solve(fit.information, hold))
+    for (step_m, one), (_, other) in zip(*sides, strict=True):
+        if _spread(fit, hold, settings) <= step_m:
+            break
+        rise = max(min(one.cost, other.cost) - fit.cost, settings.least_rise)
+        steeper = 2.0 * rise / step_m**2
+        walled = _along(fit, hold, curved, max(steeper, curved))
+        if _spread(walled, hold, settings) <= step_m:
+            return walled
+    return fit
+
+
+def _spread(fit: Fit, hold: Floats, settings: AnswerSettings) -> float:
+    """Return one standard deviation along a combination of the pose's parts, metres."""
+    to_angles = _to_angles(fit.state)
+    way = np.linalg.solve(to_angles.T, hold[POSE])
+    return float(np.sqrt(way @ certainty(fit, settings).covariance @ way))
 
 
 def _weakest(fit: Fit, settings: AnswerSettings) -> tuple[Floats, Floats]:
@@ -206,15 +254,27 @@ def _weakest(fit: Fit, settings: AnswerSettings) -> tuple[Floats, Floats]:
     return hold, covariance @ hold
 
 
-def _deviation(
+def _cost(fit: Fit) -> float:
+    return fit.cost
+
+
+def _profile(
     scene: Scene, fit: Fit, way: Floats, hold: Floats, prior: Prior, model: Model
-) -> float:
-    """Return the largest standard deviation, metres, by the rise of the cost along a valley."""
-    sigma_m, here, at_m, settings = 0.0, fit, 0.0, scene.settings.answer
+) -> list[tuple[float, Fit]]:
+    """Return fits at some distances along a valley, metres, all else fitted anew."""
+    found, here, at_m, settings = list[tuple[float, Fit]](), fit, 0.0, scene.settings.answer
     for step_m in settings.valley_steps_m:
         start = here.state.moved((step_m - at_m) * way)
         here = solve(scene, start, prior, schedule=settings.valley, model=model, hold=hold)
         at_m = step_m
+        found.append((step_m, here))
+    return found
+
+
+def _deviation(scene: Scene, fit: Fit, side: list[tuple[float, Fit]]) -> float:
+    """Return the largest standard deviation, metres, by the rise of the cost along a valley."""
+    sigma_m, settings = 0.0, scene.settings.answer
+    for step_m, here in side:
         rise = max(here.cost - fit.cost, settings.least_rise)
         if rise > settings.clear_rise:
             continue  # this place is out of the question, however far it is
