@@ -215,23 +215,22 @@ def _along(fit: Fit, hold: Floats, before: float, after: float) -> Fit:
     )
 
 
-def _excluded(
-    scene: Scene, fit: Fit, hold: Floats, sides: list[list[tuple[float, Fit]]]
-) -> Fit:
-    """Narrow sigma along a valley to where its walls exclude the pose.
+def _excluded(scene: Scene, fit: Fit, hold: Floats, sides: list[list[tuple[float, Fit]]]) -> Fit:
+    """Narrow sigma along a valley to where the cost excludes the pose, on both sides.
 
     Curvature holds near the optimum. Where what is not estimated would move the pose farther than
-    a wall of the cost that stands there, the wall decides: the least distance counts at which the
-    mean rise on the way, as curvature, leaves a sigma no longer than that distance.
+    to places from which on all are out of the question, these decide: their least rise counts as
+    curvature, and the sigma that it leaves must be no longer than the way there.
     """
     settings = scene.settings.answer
     curved = 1.0 / float(hold @ np.linalg.solve(fit.information, hold))
-    for (step_m, one), (_, other) in zip(*sides, strict=True):
+    for k, (step_m, _) in enumerate(sides[0]):
         if _spread(fit, hold, settings) <= step_m:
             break
-        rise = max(min(one.cost, other.cost) - fit.cost, settings.least_rise)
-        steeper = 2.0 * rise / step_m**2
-        walled = _along(fit, hold, curved, max(steeper, curved))
+        rise = min(other.cost for side in sides for _, other in side[k:]) - fit.cost
+        if rise < settings.clear_rise:
+            continue
+        walled = _along(fit, hold, curved, max(2.0 * rise / step_m**2, curved))
         if _spread(walled, hold, settings) <= step_m:
             return walled
     return fit
