@@ -12,7 +12,14 @@ from streets import CROSSING, Street
 
 from gis_radar.errors import NoAnswerError
 from gis_radar.localization.adaptation import heights
-from gis_radar.localization.certainty import advantage, certainty
+from gis_radar.localization.certainty import (
+    _along,
+    _excluded,
+    _spread,
+    advantage,
+    along_valley,
+    certainty,
+)
 from gis_radar.localization.hypotheses import Hypothesis, look_around, prior_at
 from gis_radar.localization.lanes import Lanes, sample_lanes
 from gis_radar.localization.matching import Scene, match, place
@@ -302,6 +309,41 @@ def test_a_gain_within_the_habits_of_drivers_is_no_lead(scene):
     worse = replace(fit, loss=fit.loss + little)  # alike for all vehicles, so a sure gain
     assert advantage(replace(fit, habits=0.0), replace(worse, habits=0.0), samples) > 5.0
     assert 0.0 < advantage(fit, worse, samples) < 1.0
+
+
+@pytest.mark.parametrize("rise", [60.0, 5.0])
+def test_sigma_ends_where_all_places_beyond_are_excluded(scene, rise):
+    """A curvature of nearly nothing, and a cost that rises 60 nats within a metre: or once, 5."""
+    scene, state, _ = scene
+    fit, settings = solve(scene, state, prior_at(state)), DEFAULTS.answer
+    hold = np.array([1.0, 0, 0, 0, 0, 0, 0])
+    curved = 1.0 / np.linalg.inv(fit.information)[0, 0]
+    flat = _along(fit, hold, curved, 0.02 * curved)
+    assert 1.0 / np.linalg.inv(flat.information)[0, 0] == pytest.approx(0.02 * curved)
+    assert _spread(flat, hold, settings) == pytest.approx(certainty(flat).sigma[0])
+    assert certainty(flat).sigma[0] > 1.0
+    costs = {0.5: 20.0, 1.0: 80.0, 2.0: 400.0, 4.0: 400.0}
+    sides = [
+        [(d, replace(flat, cost=flat.cost + more)) for d, more in changed.items()]
+        for changed in (costs, costs | {4.0: rise})
+    ]
+    walled = _excluded(scene, flat, hold, sides)
+    if rise > settings.clear_rise:
+        assert certainty(walled).sigma[0] <= 1.0
+        assert certainty(walled).sigma[1] <= certainty(flat).sigma[1]
+    else:
+        assert walled is flat
+
+
+def test_a_fit_on_a_bump_begins_again_from_the_lowest_place(scene):
+    scene, state, _ = scene
+    prior = prior_at(state)
+    fit = solve(scene, state, prior)
+    bump = replace(fit, state=fit.state.moved(np.array([0.3, 0.3, 0, 0, 0, 0, 0])),
+                   cost=fit.cost + 30.0)  # fmt: skip
+    again = along_valley(scene, bump, prior, MODEL)
+    assert again.cost == pytest.approx(fit.cost, abs=1.0)
+    assert again.state.position[:2] == pytest.approx(fit.state.position[:2], abs=0.05)
 
 
 def test_a_rival_that_is_the_same_answer_widens_sigma(scene):

@@ -154,8 +154,8 @@ def advantage(fit: Fit, other: Fit, samples: Samples) -> float:
     samples : Samples
         Those.
     """
-    gain = np.bincount(samples.track, weights=other.loss - fit.loss, minlength=samples.tracks)
-    gain = (gain + other.aside - fit.aside)[np.unique(samples.track)]
+    lost = np.bincount(samples.track, weights=other.loss - fit.loss, minlength=samples.tracks)
+    gain: Floats = (lost + other.aside - fit.aside)[np.unique(samples.track)]
     drawn = len(gain) * float(gain.var(ddof=1)) if len(gain) > 1 else 0.0
     spread = float(np.sqrt(drawn + fit.habits + other.habits))
     total = float(gain.sum())
