@@ -21,6 +21,7 @@ MOVES = {
     "yaw": "yaw by 0.5 degrees",
     "tilt": "pitch or roll by 0.5 degrees",
 }
+TRAFFIC = {"ordinary": "2600 vehicles an hour", "light": "650 vehicles an hour"}
 WITNESSES = {
     "whole": "both, as `track` asks them",
     "still": "still returns alone",
@@ -39,6 +40,7 @@ def main() -> None:
     alarm, knocks = (json.loads(p.read_text()) for p in (arguments.alarm, arguments.knocks))
     text = "\n\n".join([noticed(alarm), days(alarm), false_alarms(alarm), blows(knocks)])
     print(text)
+    out.mkdir(exist_ok=True)
     (out / "bench-alarm.md").write_text(text + "\n")
     if arguments.page is not None:
         head, mark, rest = arguments.page.read_text().partition(BEGIN)
@@ -49,24 +51,18 @@ def main() -> None:
 
 
 def noticed(report: Report) -> str:
-    """Return how often a move was noticed within ten minutes, by whom and when."""
-    groups = {"ordinary": "2600 vehicles an hour", "light": "650 vehicles an hour"}
-    columns = {
-        f"{said}, {about}": [v for k, v in report.items() if k.startswith(f"{name},")
-                             and k.endswith("noticed")]
-        for name, about in groups.items() for said in WITNESSES
-    }  # fmt: skip
-    kinds = [who for _ in groups for who in WITNESSES]
+    """Return how often a move was noticed within ten minutes, by which witness."""
     rows = []
-    for move, about in MOVES.items():
-        cells = []
-        for who, made in zip(kinds, columns.values(), strict=True):
+    for traffic, about in TRAFFIC.items():
+        made = [
+            v for k, v in report.items() if k.startswith(f"{traffic},") and k.endswith("noticed")
+        ]
+        for move, size in MOVES.items():
             there = [each[move] for each in made if move in each]
-            seen = sum(each[who]["noticed"] for each in there)
-            cells.append(f"{seen} of {sum(each['trials'] for each in there)}")
-        rows.append([about, *cells])
-    heads = [f"{WITNESSES[c.split(',')[0]]}, {c.split(', ', 1)[1]}" for c in columns]
-    return table(["move", *heads], rows)
+            trials = sum(each["trials"] for each in there)
+            seen = [sum(each[who]["noticed"] for each in there) for who in WITNESSES]
+            rows.append([f"{size}; {about}", *(f"{count} of {trials}" for count in seen)])
+    return table(["move within ten minutes", *WITNESSES.values()], rows)
 
 
 def days(report: Report) -> str:
@@ -91,6 +87,7 @@ def days(report: Report) -> str:
     return table(["targets of a radar", *MOVES.values()], rows)
 
 
+BLOWS = {"traffic": "traffic alone", "both": "with still returns"}
 _WANDER = {"steady": "wandering over seconds", "changing": "wandering for hours"}
 
 
@@ -111,8 +108,10 @@ def false_alarms(report: Report) -> str:
 def blows(report: Report) -> str:
     """Return what the test of the newest 20 and 60 s reports of a sensor at rest."""
     rows = []
-    for who, about in (("traffic", "traffic alone"), ("both", "with still returns")):
+    for who, about in BLOWS.items():
         made = [v for k, v in report.items() if k.endswith(f", {who}")]
+        if not made:
+            continue
         hours, moved = sum(m["hours"] for m in made), sum(m["moved"] for m in made)
         quiet = np.average([m["unmoved"] for m in made], weights=[m["hours"] for m in made])
         rate = monthly(report["traffic, all"]) if who == "traffic" else "-"
