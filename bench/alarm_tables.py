@@ -114,7 +114,7 @@ def blows(report: Report) -> str:
             continue
         hours, moved = sum(m["hours"] for m in made), sum(m["moved"] for m in made)
         quiet = np.average([m["unmoved"] for m in made], weights=[m["hours"] for m in made])
-        rate = monthly(report["traffic, all"]) if who == "traffic" else "-"
+        rate = monthly(report.get("traffic, all", {})) if who == "traffic" else "-"
         rows.append([about, f"{hours:.1f}", f"{quiet:.0%}", str(moved), rate])
     heads = ["test for a blow", "hours at rest", "of these not asked", "reports", "a month (95 %)"]
     return table(heads, rows)
