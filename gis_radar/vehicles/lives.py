@@ -7,7 +7,7 @@ place in between. Ends and begins are matched together, at least cost.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -15,9 +15,10 @@ from scipy.optimize import linear_sum_assignment
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.lanelets.graph import LaneGraph
 from gis_radar.steps import STEPS_PER_SECOND
+from gis_radar.vehicles.detectability import Bodies, Detectability
 from gis_radar.vehicles.echoes import Echoes
 from gis_radar.vehicles.motion import Motion, Path, fit_motion
-from gis_radar.vehicles.settings import LifeSettings, VehicleSettings
+from gis_radar.vehicles.settings import DetectabilitySettings, LifeSettings, VehicleSettings
 from gis_radar.vehicles.standing import Stand, Sweeps, find_stands
 from gis_radar.vehicles.strips import NONE, Strips
 
@@ -48,6 +49,12 @@ def with_standing(
     """
     free, limits = free.copy(), settings.lives
     motions = [_with_still(each, echoes, free, states, settings) for each in motions]
+    seen = Detectability.learned(echoes, motions, settings.detectability)
+    motions = [
+        part for number, each in enumerate(motions)
+        for part in _at_silences(number, each, echoes, states, seen, settings)
+    ]  # fmt: skip
+    seen = replace(seen, bodies=Bodies.of(motions))
     strips = Strips.of(graph)
     sweeps = Sweeps.of(motions, echoes, strips, settings.standing)
     stands = find_stands(echoes, free, motions, sweeps, settings.standing)
@@ -58,7 +65,13 @@ def with_standing(
     for each, (place, heading) in zip(stands, places, strict=True):
         states[each.rows, :2], states[each.rows, 2], states[each.rows, 3] = place, heading, 0.0
     parts = [*map(_part_of_motion, motions), *map(_part_of_stand, stands, places)]
-    following = _following(parts, sweeps, limits)
+    seen = replace(seen, bodies=Bodies.join([seen.bodies, *(
+        Bodies.standing(
+            len(motions) + number, (each.begin, each.end), *place, each.front_m - each.rear_m
+        )
+        for number, (each, place) in enumerate(zip(stands, places, strict=True))
+    )]))  # fmt: skip
+    following = _following(parts, sweeps, seen, settings)
     found = []
     for chain in _chains(following):
         moving = [motions[k] for k in chain if k < len(motions)]
@@ -118,6 +131,30 @@ def _with_still(
     free[rows] = False
     states[rows, :2], states[rows, 2], states[rows, 3] = place[step], heading[step], 0.0
     return fit_motion(echoes, np.concatenate([motion.rows, rows]), states, settings.motion)
+
+
+def _at_silences(
+    number: int, motion: Motion, echoes: Echoes, states: Floats, seen: Detectability,
+    settings: VehicleSettings,
+) -> list[Motion]:  # fmt: skip
+    """Return a motion, cut where it is silent although it would be in plain view."""
+    limits, time = settings.detectability, echoes.time[motion.rows]
+    cuts = []
+    for k in np.flatnonzero(np.diff(time) > limits.silent_s).tolist():
+        s_m, _ = motion.at(time[k : k + 2])
+        places, _ = motion.path.at(s_m)
+        span = (float(time[k]), float(time[k + 1]))
+        ways = (places, places[[0, 0]], places[[1, 1]])
+        due = min(seen.due_between(each, span, (number, NONE)) for each in ways)
+        if due > limits.most_due:
+            cuts.append(k + 1)
+    if not cuts:
+        return [motion]
+    parts = np.split(motion.rows, cuts)
+    return [
+        fit_motion(echoes, rows, states, settings.motion)
+        for rows in parts if len(rows) >= settings.bodies.least_rows
+    ]  # fmt: skip
 
 
 def _as_strong(
@@ -250,10 +287,15 @@ def _standing_only(
     )  # fmt: skip
 
 
-def _following(parts: Sequence[_Part], sweeps: Sweeps, settings: LifeSettings) -> Integers:
+def _following(
+    parts: Sequence[_Part], sweeps: Sweeps, seen: Detectability, every: VehicleSettings
+) -> Integers:
     """Return the part that follows each, or `NONE`: the assignment of least cost."""
-    following = np.full(len(parts), NONE, np.int64)
-    costs = [each for a in range(len(parts)) for each in _costs(a, parts, sweeps, settings)]
+    following, settings = np.full(len(parts), NONE, np.int64), every.lives
+    costs = [
+        each for a in range(len(parts)) for each in _costs(a, parts, sweeps, settings)
+        if not _is_missed(parts, each[0], each[1], seen, every.detectability)
+    ]  # fmt: skip
     if not costs:
         return following
     a, b = np.array([each[:2] for each in costs], np.int64).T
@@ -267,6 +309,17 @@ def _following(parts: Sequence[_Part], sweeps: Sweeps, settings: LifeSettings) -
         if k < len(afters) and matrix[i, k] < settings.end_cost:
             following[befores[i]] = afters[k]
     return following
+
+
+def _is_missed(
+    parts: Sequence[_Part], a: int, b: int, seen: Detectability, settings: DetectabilitySettings
+) -> bool:
+    """Tell whether one that was both parts would have been seen in between."""
+    span = (float(parts[a].time[1]), float(parts[b].time[0]))
+    if span[1] - span[0] < settings.silent_s:
+        return False
+    places = np.stack([parts[a].place[1], parts[b].place[0]])
+    return seen.due_between(places, span, (a, b)) > settings.most_due
 
 
 @dataclass(frozen=True, kw_only=True)

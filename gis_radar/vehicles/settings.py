@@ -182,6 +182,31 @@ class BodySettings:
 
 
 @dataclass(frozen=True, kw_only=True)
+class DetectabilitySettings:
+    """How many detections a vehicle is due where it is in plain view.
+
+    Parameters
+    ----------
+    cell_m : float
+        Size of the cells of the map in which that is learned, together with their neighbours.
+    driving_mps : float
+        Vehicles that drive so fast tell it.
+    least_s : float
+        Where they were for less time all together, nothing is known.
+    silent_s : float
+        Shorter silences mean nothing: a vehicle can be in one for a few frames.
+    most_due : float
+        A vehicle of which so many detections are due and none comes is not there.
+    """
+
+    cell_m: float = 6.0
+    driving_mps: float = 3.0
+    least_s: float = 1.0
+    silent_s: float = 2.0
+    most_due: float = 60.0
+
+
+@dataclass(frozen=True, kw_only=True)
 class StandingSettings:
     """What stands on a lane and is a vehicle.
 
@@ -390,6 +415,8 @@ class VehicleSettings:
         Smoothing over their lives.
     bodies : BodySettings
         Which parts are of one body.
+    detectability : DetectabilitySettings
+        How many detections they are due.
     standing : StandingSettings
         What stands on lanes and is a vehicle.
     lives : LifeSettings
@@ -406,6 +433,7 @@ class VehicleSettings:
     forward: ForwardSettings = field(default_factory=ForwardSettings)
     motion: MotionSettings = field(default_factory=MotionSettings)
     bodies: BodySettings = field(default_factory=BodySettings)
+    detectability: DetectabilitySettings = field(default_factory=DetectabilitySettings)
     standing: StandingSettings = field(default_factory=StandingSettings)
     lives: LifeSettings = field(default_factory=LifeSettings)
     routes: RouteSettings = field(default_factory=RouteSettings)

@@ -1,0 +1,260 @@
+"""How many detections a vehicle is due at a place: what is not seen in plain view is not there.
+
+How often each sensor detects vehicles in a cell of the map is learned from those that drive through
+it, which counts range, aspect and what is built in between. Other vehicles hide what is behind them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import uniform_filter
+
+from gis_radar.arrays import Floats, Integers, compiled
+from gis_radar.steps import STEPS_PER_SECOND
+from gis_radar.vehicles.echoes import Echoes
+from gis_radar.vehicles.motion import Motion
+from gis_radar.vehicles.settings import DetectabilitySettings
+
+HALF_STEPS = STEPS_PER_SECOND // 2
+NOBODY = -1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bodies:
+    """Where vehicles are in each half second, in the order of time.
+
+    Parameters
+    ----------
+    half : (n,) int64 array
+        Number of the half second.
+    owner : (n,) int64 array
+        Number of the vehicle.
+    shape : (n, 5) array
+        Easting and northing of its middle, cosine and sine of its heading, half its length.
+    """
+
+    half: Integers
+    owner: Integers
+    shape: Floats
+
+    @classmethod
+    def of(cls, motions: Sequence[Motion]) -> Bodies:
+        """Take the vehicles that move, numbered as they come."""
+        parts = [cls._of_motion(number, motion) for number, motion in enumerate(motions)]
+        return cls.join(parts)
+
+    @classmethod
+    def _of_motion(cls, number: int, motion: Motion) -> Bodies:
+        place, heading = motion.places
+        every = np.arange(-motion.first_step % HALF_STEPS, len(heading), HALF_STEPS)
+        return cls(
+            half=(motion.first_step + every) // HALF_STEPS,
+            owner=np.full(len(every), number, np.int64),
+            shape=np.column_stack(
+                [
+                    place[every], np.cos(heading[every]), np.sin(heading[every]),
+                    np.full(len(every), 0.5 * motion.length_m),
+                ]
+            ),
+        )  # fmt: skip
+
+    @classmethod
+    def standing(
+        cls, number: int, span: tuple[float, float], place: Floats, heading: float, length_m: float
+    ) -> Bodies:
+        """Take a vehicle that stands from one time to another, UNIX seconds."""
+        first, last = (int(each * STEPS_PER_SECOND) // HALF_STEPS for each in span)
+        half = np.arange(first, last + 1)
+        shape = np.array([*place, np.cos(heading), np.sin(heading), 0.5 * length_m])
+        return cls(
+            half=half, owner=np.full(len(half), number, np.int64),
+            shape=np.tile(shape, (len(half), 1)),
+        )  # fmt: skip
+
+    @classmethod
+    def join(cls, parts: Sequence[Bodies]) -> Bodies:
+        """Return all of several in the order of time."""
+        if not parts:
+            none = np.zeros(0, np.int64)
+            return cls(half=none, owner=none, shape=np.zeros((0, 5)))
+        half = np.concatenate([each.half for each in parts])
+        order = np.argsort(half, kind="stable")
+        return cls(
+            half=half[order], owner=np.concatenate([each.owner for each in parts])[order],
+            shape=np.vstack([each.shape for each in parts])[order],
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Detectability:
+    """How many detections a vehicle is due, by place and time.
+
+    Parameters
+    ----------
+    eyes : (k, 2) array
+        Sensors, in the map.
+    rate : (k, rows, columns) array
+        Detections of a vehicle in a cell, a second.
+    corner : (2,) array
+        Of the first cell.
+    cell_m : float
+        Size of a cell.
+    first_half : int
+        Number of the first half second of `works`.
+    works : (k, n) bool array
+        Whether a sensor detected anything about a half second.
+    bodies : Bodies
+        What hides.
+    """
+
+    eyes: Floats
+    rate: Floats
+    corner: Floats
+    cell_m: float
+    first_half: int
+    works: Floats
+    bodies: Bodies
+
+    @classmethod
+    def learned(
+        cls, echoes: Echoes, motions: Sequence[Motion], settings: DetectabilitySettings
+    ) -> Detectability:
+        """Learn from vehicles that drive how often they are detected where.
+
+        Parameters
+        ----------
+        echoes : Echoes
+            All detections, at least one.
+        motions : sequence of Motion
+            Vehicles.
+        settings : DetectabilitySettings
+            Constants.
+        """
+        count = int(echoes.sensor.max()) + 1
+        away = echoes.points - echoes.sight * echoes.range_m[:, None]
+        eyes = np.zeros((count, 2))
+        for sensor in np.unique(echoes.sensor).tolist():
+            eyes[sensor] = np.median(away[echoes.sensor == sensor], axis=0)
+        corner = echoes.points.min(axis=0) - settings.cell_m
+        size = np.ceil((echoes.points.max(axis=0) - corner) / settings.cell_m).astype(np.int64) + 1
+        seen, spent = np.zeros((count, *size)), np.zeros(tuple(size))
+        for motion in motions:
+            drives = motion.speed > settings.driving_mps
+            if not drives.any():
+                continue
+            cell = _cells(motion.places[0][drives], corner, settings.cell_m, size)
+            np.add.at(spent, tuple(cell.T), 1.0 / STEPS_PER_SECOND)
+            step = np.round(echoes.time[motion.rows] * STEPS_PER_SECOND).astype(np.int64)
+            step = np.clip(step - motion.first_step, 0, len(motion.speed) - 1)
+            rows, step = motion.rows[drives[step]], step[drives[step]]
+            cell = _cells(motion.places[0][step], corner, settings.cell_m, size)
+            np.add.at(seen, (echoes.sensor[rows], *cell.T), 1.0)
+        near = uniform_filter(spent, 3, mode="constant") * 9.0
+        summed = np.stack([uniform_filter(each, 3, mode="constant") * 9.0 for each in seen])
+        known = near > settings.least_s
+        rate = np.where(known, summed / np.maximum(near, 1e-9), 0.0)
+        half = (echoes.time * 2.0).astype(np.int64)
+        first = int(half.min())
+        works = np.zeros((count, int(half.max()) - first + 1))
+        works[echoes.sensor, half - first] = 1.0
+        return cls(
+            eyes=eyes, rate=rate, corner=corner, cell_m=settings.cell_m, first_half=first,
+            works=works, bodies=Bodies.of(motions),
+        )  # fmt: skip
+
+    def due(self, places: Floats, halves: Integers, owners: tuple[int, int]) -> float:
+        """Return how many detections of a vehicle in plain view are due.
+
+        Parameters
+        ----------
+        places : (n, 2) array
+            Where its middle is.
+        halves : (n,) int64 array
+            In which half seconds.
+        owners : (int, int)
+            Bodies that it is itself, which do not hide it.
+        """
+        return float(
+            _due(
+                places, halves, np.array(owners), self.eyes, self.rate, self.corner, self.cell_m,
+                self.first_half, self.works, self.bodies.half, self.bodies.owner,
+                self.bodies.shape,
+            )
+        )  # fmt: skip
+
+    def due_between(
+        self, places: Floats, times: tuple[float, float], owners: tuple[int, int]
+    ) -> float:
+        """Return how many detections are due on the straight way between two places.
+
+        Parameters
+        ----------
+        places : (2, 2) array
+            The places.
+        times : (float, float)
+            UNIX seconds; one half second at either end does not count.
+        owners : (int, int)
+            As of :meth:`due`.
+        """
+        halves = np.arange(int(np.ceil(2.0 * times[0])) + 1, int(2.0 * times[1]) - 1)
+        if len(halves) == 0:
+            return 0.0
+        share = (0.5 * halves - times[0]) / (times[1] - times[0])
+        way = places[0] + share[:, None] * (places[1] - places[0])
+        return self.due(way, halves, owners)
+
+
+def _cells(points: Floats, corner: Floats, cell_m: float, size: Integers) -> Integers:
+    """Return the cell of each point, row and column."""
+    return np.clip(((points - corner) / cell_m).astype(np.int64), 0, size - 1)
+
+
+@compiled
+def _due(  # noqa: PLR0917 - numba takes plain arrays
+    places: Floats,
+    halves: Integers,
+    owners: Integers,
+    eyes: Floats,
+    rate: Floats,
+    corner: Floats,
+    cell_m: float,
+    first_half: int,
+    works: Floats,
+    body_half: Integers,
+    body_owner: Integers,
+    shape: Floats,
+) -> float:  # pragma: no cover - compiled
+    total = 0.0
+    for i in range(len(places)):
+        h = halves[i] - first_half
+        a, b = int((places[i, 0] - corner[0]) / cell_m), int((places[i, 1] - corner[1]) / cell_m)
+        if h < 0 or h >= works.shape[1] or a < 0 or b < 0:
+            continue
+        if a >= rate.shape[1] or b >= rate.shape[2]:
+            continue
+        low = np.searchsorted(body_half, halves[i])
+        high = np.searchsorted(body_half, halves[i], side="right")
+        for k in range(len(eyes)):
+            if rate[k, a, b] <= 0.0 or works[k, h] == 0.0:
+                continue
+            x, y = places[i, 0] - eyes[k, 0], places[i, 1] - eyes[k, 1]
+            far = np.hypot(x, y)
+            if far < 1.0:
+                continue
+            c, s = x / far, y / far
+            hidden = False
+            for j in range(low, high):
+                if body_owner[j] == owners[0] or body_owner[j] == owners[1]:
+                    continue
+                dx, dy = shape[j, 0] - eyes[k, 0], shape[j, 1] - eyes[k, 1]
+                ahead, aside = dx * c + dy * s, dy * c - dx * s
+                across = abs(shape[j, 3] * c - shape[j, 2] * s) * shape[j, 4] + 1.5
+                if abs(aside) < across and 0.0 < ahead < far - 1.0:
+                    hidden = True
+                    break
+            if not hidden:
+                total += 0.5 * rate[k, a, b]
+    return total
