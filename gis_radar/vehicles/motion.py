@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from gis_radar.arrays import Floats, Integers, compiled
+from gis_radar.arrays import Booleans, Floats, Integers, compiled
 from gis_radar.steps import STEP_S, STEPS_PER_SECOND
 from gis_radar.vehicles.echoes import Echoes
 from gis_radar.vehicles.settings import MotionSettings
@@ -269,8 +269,12 @@ def fit_motion(echoes: Echoes, rows: Integers, states: Floats, settings: MotionS
             count, step, rate, rate_var, middle, spread, float(middle[:5].mean()),
             max(float(states[rows[0], 3]), 0.0), settings.accel_var,
         )  # fmt: skip
-        along = s - np.interp(time * STEPS_PER_SECOND - first, np.arange(count), smoothed[0])
-        size, shift = _size(along, ends, noise, settings)
+        place = time * STEPS_PER_SECOND - first
+        along = s - np.interp(place, np.arange(count), smoothed[0])
+        speed = np.interp(place, np.arange(count), smoothed[1])
+        off = np.abs(rate - speed) * np.maximum(np.abs(cos), STILL_COS)
+        fits = off < settings.least_off_mps + settings.off_share * speed
+        size, shift = _size(along, ends, noise, time, fits, settings)
     return Motion(
         rows=rows, path=path, first_step=first,
         s_m=np.maximum.accumulate(smoothed[0] + shift), speed=np.maximum(smoothed[1], 0.0),
@@ -436,20 +440,23 @@ def length_prior(lengths: Floats) -> Floats:
     return np.asarray(np.log(density))
 
 
-def _size(
-    along: Floats, ends: Floats, noise: Floats, settings: MotionSettings
-) -> tuple[Size, float]:
+def _size(  # noqa: PLR0917 - one array a property of the detections
+    along: Floats, ends: Floats, noise: Floats, time: Floats, fits: Booleans,
+    settings: MotionSettings,
+) -> tuple[Size, float]:  # fmt: skip
     """Return size and where the middle is, from where on the body detections lie."""
-    pick = slice(None, None, max(len(along) // settings.most_rows, 1))
-    along, ends, noise = along[pick], ends[pick], noise[pick]
-    weight = settings.weight
-    coarse = _likelihood(along, ends, noise, LENGTHS, SHIFTS, settings.end_share)
-    coarse = weight * coarse + length_prior(LENGTHS)[:, None] - 0.5 * (SHIFTS / 3.0) ** 2
+    if not fits.any():
+        return Size(), 0.0
+    along, ends, noise, weight = _scatterers(
+        along[fits], ends[fits], noise[fits], time[fits], settings
+    )
+    coarse = _likelihood(along, ends, noise, weight, LENGTHS, SHIFTS, settings.end_share)
+    coarse += length_prior(LENGTHS)[:, None] - 0.5 * (SHIFTS / 3.0) ** 2
     top = np.unravel_index(int(coarse.argmax()), coarse.shape)
     fine_l = np.maximum(LENGTHS[top[0]] + np.arange(-0.75, 0.76, 0.25), 1.5)
     fine_d = SHIFTS[top[1]] + np.arange(-0.5, 0.51, 0.125)
-    fine = _likelihood(along, ends, noise, fine_l, fine_d, settings.end_share)
-    fine = weight * fine + length_prior(fine_l)[:, None] - 0.5 * (fine_d / 3.0) ** 2
+    fine = _likelihood(along, ends, noise, weight, fine_l, fine_d, settings.end_share)
+    fine += length_prior(fine_l)[:, None] - 0.5 * (fine_d / 3.0) ** 2
     share = np.exp(coarse - coarse.max())
     cells = np.gradient(LENGTHS)
     by_length = share.sum(axis=1) * cells
@@ -465,9 +472,37 @@ def _size(
     return size, float(near.sum(axis=0) @ fine_d)
 
 
+def _scatterers(
+    along: Floats, ends: Floats, noise: Floats, time: Floats, settings: MotionSettings
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return place, end in view, noise and weight of each scatterer: it returns again and again.
+
+    A body shows the same few to one that looks from one side; how often each returns tells nothing
+    of the length. What comes in one half second only may be of another vehicle that passes.
+    """
+    aspect = np.arctan2(ends[:, 2], -ends[:, 0] * ends[:, 1]) / settings.aspect_rad
+    cell = np.clip(np.floor(along / settings.scatterer_m), -400, 400).astype(np.int64)
+    key = np.floor(aspect).astype(np.int64) * 1000 + cell
+    _, which, count = np.unique(key, return_inverse=True, return_counts=True)
+    metre = cell // int(1.0 / settings.scatterer_m)
+    half = (2.0 * (time - time.min())).astype(np.int64)
+    seen = np.bincount(np.unique(np.column_stack([metre, half]), axis=0)[:, 0] + 400, None, 801)
+    lasts = np.minimum(seen[metre + 400] / settings.lasting, 1.0)
+    table = np.column_stack([along, ends, noise])
+    mean = np.stack([np.bincount(which, column) for column in table.T], axis=1) / count[:, None]
+    weight = np.minimum(np.bincount(which, lasts) * settings.weight, 1.0)
+    return mean[:, 0], mean[:, 1:4], mean[:, 4], weight
+
+
 @compiled
-def _likelihood(
-    along: Floats, ends: Floats, noise: Floats, lengths: Floats, shifts: Floats, end_share: float
+def _likelihood(  # noqa: PLR0917 - numba takes plain arrays
+    along: Floats,
+    ends: Floats,
+    noise: Floats,
+    weight: Floats,
+    lengths: Floats,
+    shifts: Floats,
+    end_share: float,
 ) -> Floats:  # pragma: no cover - compiled
     """Return the log likelihood of lengths and shifts: returns of the end in view, and of sides."""
     out = np.zeros((len(lengths), len(shifts)))
@@ -489,5 +524,5 @@ def _likelihood(
                     side = 1.0 / lengths[a]
                 else:
                     side = 1.0 / (lengths[a] * (1.0 + np.exp(1.7 * near / sigma)))
-                out[a, b] += np.log(share * end + (1.0 - share) * side + 0.004)
+                out[a, b] += weight[i] * np.log(share * end + (1.0 - share) * side + 0.004)
     return out

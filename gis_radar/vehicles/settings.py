@@ -93,10 +93,15 @@ class MotionSettings:
         So many times wider counts a place, since a scatterer of a body lasts for frames.
     most_weight : float
         Most that the detections of two metres of a path weigh sideways, 1/m2.
-    most_rows : int
-        About so many detections tell a length.
-    weight : float
-        Of each of them: one in so many tells anything new.
+    scatterer_m, aspect_rad : float
+        Detections so near each other along the body, from sides so near each other, are of one
+        scatterer.
+    weight, lasting : float, float
+        Each of them weighs so much, all of them one at most; less where a metre of the body is seen
+        in fewer half seconds than that.
+    least_off_mps, off_share : float, float
+        A detection whose range rate is off by more, with that share of the speed for what wheels
+        and turning add, tells nothing of the length.
     """
 
     spacing_m: float = 1.0
@@ -107,8 +112,12 @@ class MotionSettings:
     end_share: float = 0.75
     repeats: float = 4.0
     most_weight: float = 8.0
-    most_rows: int = 120
+    scatterer_m: float = 0.5
+    aspect_rad: float = 0.3
     weight: float = 0.25
+    lasting: float = 4.0
+    least_off_mps: float = 0.4
+    off_share: float = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
