@@ -48,15 +48,15 @@ def with_standing(
         Of all stages.
     """
     free, limits = free.copy(), settings.lives
-    motions = [_with_still(each, echoes, free, states, settings) for each in motions]
+    strips = Strips.of(graph)
+    sweeps = Sweeps.of(motions, echoes, strips, settings.standing)
+    motions = [_with_still(each, echoes, free, states, sweeps, settings) for each in motions]
     seen = Detectability.learned(echoes, motions, settings.detectability)
     motions = [
         part for number, each in enumerate(motions)
         for part in _at_silences(number, each, echoes, states, seen, settings)
     ]  # fmt: skip
     seen = replace(seen, bodies=Bodies.of(motions))
-    strips = Strips.of(graph)
-    sweeps = Sweeps.of(motions, echoes, strips, settings.standing)
     stands = find_stands(echoes, free, motions, sweeps, settings.standing)
     stands = _as_strong(stands, echoes, motions, limits)
     places = [strips.place(each.strip, 0.5 * (each.rear_m + each.front_m)) for each in stands]
@@ -98,9 +98,14 @@ def _drove(motion: Motion, echoes: Echoes, settings: LifeSettings) -> bool:
 
 
 def _with_still(
-    motion: Motion, echoes: Echoes, free: Booleans, states: Floats, settings: VehicleSettings
-) -> Motion:
-    """Return a motion with the free still detections on it while it stands, which it takes."""
+    motion: Motion, echoes: Echoes, free: Booleans, states: Floats, sweeps: Sweeps,
+    settings: VehicleSettings,
+) -> Motion:  # fmt: skip
+    """Return a motion with the free still detections on it while it stands, which it takes.
+
+    One that comes to rest stands on until it is silent or another drives over its place, and one
+    that sets off stood there before.
+    """
     limits = settings.lives
     slow = np.flatnonzero(motion.speed < limits.slow_mps)
     place, heading = motion.places
@@ -111,26 +116,42 @@ def _with_still(
     if len(slow) == 0:
         return motion
     ends = (motion.first_step + slow[[0, -1]]) / STEPS_PER_SECOND
+    last = len(motion.speed) - 1
+    if slow[0] == 0:
+        ends[0] = sweeps.before(place[0], float(ends[0]))
+    if slow[-1] == last:
+        ends[1] = sweeps.after(place[-1], float(ends[1]))
     low, high = np.searchsorted(echoes.time, ends)
     rows = low + np.flatnonzero(free[low:high])
     half = 0.5 * max(motion.length_m, 4.0) + 0.5
     reach = 3.0 * half + np.ptp(place[slow], axis=0)
     rows = rows[(np.abs(echoes.points[rows] - place[slow].mean(axis=0)) < reach).all(axis=1)]
     step = np.round(echoes.time[rows] * STEPS_PER_SECOND).astype(np.int64) - motion.first_step
-    step = np.clip(step, 0, len(motion.speed) - 1)
-    rows, step = (
-        rows[motion.speed[step] < limits.slow_mps],
-        step[motion.speed[step] < limits.slow_mps],
-    )
+    step = np.clip(step, 0, last)
+    at_rest = motion.speed[step] < limits.slow_mps
+    rows, step = rows[at_rest], step[at_rest]
     if len(rows):
-        along, left, _ = motion.frame(echoes, rows)
-        on = (np.abs(along) < half) & (np.abs(left) < limits.left_m)
+        along, left = motion.path.project(echoes.points[rows], motion.s_m[step], 25.0)
+        on = (np.abs(along - motion.s_m[step]) < half) & (np.abs(left) < limits.left_m)
         rows, step = rows[on], step[on]
+    kept = _unbroken(echoes.time[rows], (float(time[0]), float(time[-1])), limits.silence_s)
+    rows, step = rows[kept], step[kept]
     if len(rows) == 0:
         return motion
     free[rows] = False
     states[rows, :2], states[rows, 2], states[rows, 3] = place[step], heading[step], 0.0
     return fit_motion(echoes, np.concatenate([motion.rows, rows]), states, settings.motion)
+
+
+def _unbroken(time: Floats, span: tuple[float, float], silence_s: float) -> slice:
+    """Return which of ascending times go on from a span, both ways, without a longer silence."""
+    early = np.append(time[time < span[0]], span[0])
+    late = np.insert(time[time > span[1]], 0, span[1])
+    breaks = np.flatnonzero(np.diff(early) > silence_s)
+    first = int(breaks[-1]) + 1 if len(breaks) else 0
+    breaks = np.flatnonzero(np.diff(late) > silence_s)
+    missing = len(late) - 1 - int(breaks[0]) if len(breaks) else 0
+    return slice(first, len(time) - missing)
 
 
 def _at_silences(

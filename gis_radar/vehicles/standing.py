@@ -112,14 +112,23 @@ class Sweeps:
 
     def after(self, place: Floats, time: float) -> float:
         """Return when a place is driven over next, a second after a time at the soonest."""
-        at = self.strips.lay(place[None])
-        if len(at.row) == 0:
-            return np.inf
-        known = self.times.get(int(at.strip[0]) * CELLS + int(at.s_m[0] / self.cell_m))
-        if known is None:
-            return np.inf
+        known = self._over(place)
         k = int(np.searchsorted(known, time + 1.0))
         return float(known[k]) if k < len(known) else np.inf
+
+    def before(self, place: Floats, time: float) -> float:
+        """Return when a place was driven over last, a second before a time at the latest."""
+        known = self._over(place)
+        k = int(np.searchsorted(known, time - 1.0)) - 1
+        return float(known[k]) if k >= 0 else -np.inf
+
+    def _over(self, place: Floats) -> Floats:
+        """Return when a place is driven over."""
+        at = self.strips.lay(place[None])
+        if len(at.row) == 0:
+            return np.zeros(0)
+        cell = int(at.strip[0]) * CELLS + int(at.s_m[0] / self.cell_m)
+        return self.times.get(cell, np.zeros(0))
 
 
 def _sorted(times: dict[int, list[float]]) -> dict[int, Floats]:
