@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from gis_radar.arrays import Booleans, Floats, Integers, compiled
+from gis_radar.arrays import Floats, Integers, compiled
 from gis_radar.steps import STEP_S, STEPS_PER_SECOND
 from gis_radar.vehicles.echoes import Echoes
 from gis_radar.vehicles.settings import MotionSettings
@@ -274,7 +274,9 @@ def fit_motion(echoes: Echoes, rows: Integers, states: Floats, settings: MotionS
         speed = np.interp(place, np.arange(count), smoothed[1])
         off = np.abs(rate - speed) * np.maximum(np.abs(cos), STILL_COS)
         fits = off < settings.least_off_mps + settings.off_share * speed
-        size, shift = _size(along, ends, noise, time, fits, settings)
+        # who stands may seem as long as all that stands there
+        trust = np.where(speed > settings.driving_mps, 1.0, settings.still_trust) * fits
+        size, shift = _size(along, ends, noise, time, trust, settings)
     return Motion(
         rows=rows, path=path, first_step=first,
         s_m=np.maximum.accumulate(smoothed[0] + shift), speed=np.maximum(smoothed[1], 0.0),
@@ -441,14 +443,15 @@ def length_prior(lengths: Floats) -> Floats:
 
 
 def _size(  # noqa: PLR0917 - one array a property of the detections
-    along: Floats, ends: Floats, noise: Floats, time: Floats, fits: Booleans,
+    along: Floats, ends: Floats, noise: Floats, time: Floats, trust: Floats,
     settings: MotionSettings,
 ) -> tuple[Size, float]:  # fmt: skip
     """Return size and where the middle is, from where on the body detections lie."""
+    fits = trust > 0.0
     if not fits.any():
         return Size(), 0.0
     along, ends, noise, weight = _scatterers(
-        along[fits], ends[fits], noise[fits], time[fits], settings
+        along[fits], ends[fits], noise[fits], time[fits], trust[fits], settings
     )
     coarse = _likelihood(along, ends, noise, weight, LENGTHS, SHIFTS, settings.end_share)
     coarse += length_prior(LENGTHS)[:, None] - 0.5 * (SHIFTS / 3.0) ** 2
@@ -472,9 +475,10 @@ def _size(  # noqa: PLR0917 - one array a property of the detections
     return size, float(near.sum(axis=0) @ fine_d)
 
 
-def _scatterers(
-    along: Floats, ends: Floats, noise: Floats, time: Floats, settings: MotionSettings
-) -> tuple[Floats, Floats, Floats, Floats]:
+def _scatterers(  # noqa: PLR0917 - one array a property of the detections
+    along: Floats, ends: Floats, noise: Floats, time: Floats, trust: Floats,
+    settings: MotionSettings,
+) -> tuple[Floats, Floats, Floats, Floats]:  # fmt: skip
     """Return place, end in view, noise and weight of each scatterer: it returns again and again.
 
     A body shows the same few to one that looks from one side; how often each returns tells nothing
@@ -490,7 +494,9 @@ def _scatterers(
     lasts = np.minimum(seen[metre + 400] / settings.lasting, 1.0)
     table = np.column_stack([along, ends, noise])
     mean = np.stack([np.bincount(which, column) for column in table.T], axis=1) / count[:, None]
-    weight = np.minimum(np.bincount(which, lasts) * settings.weight, 1.0)
+    most = np.zeros(len(count))
+    np.maximum.at(most, which, trust)
+    weight = np.minimum(np.bincount(which, lasts * trust) * settings.weight, most)
     return mean[:, 0], mean[:, 1:4], mean[:, 4], weight
 
 

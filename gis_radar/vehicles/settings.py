@@ -99,6 +99,9 @@ class MotionSettings:
     weight, lasting : float, float
         Each of them weighs so much, all of them one at most; less where a metre of the body is seen
         in fewer half seconds than that.
+    driving_mps, still_trust : float, float
+        Detections of a vehicle that is slower tell its length with that weight: what stands beside
+        it may be among them.
     least_off_mps, off_share : float, float
         A detection whose range rate is off by more, with that share of the speed for what wheels
         and turning add, tells nothing of the length.
@@ -116,6 +119,8 @@ class MotionSettings:
     aspect_rad: float = 0.3
     weight: float = 0.25
     lasting: float = 4.0
+    driving_mps: float = 1.0
+    still_trust: float = 0.3
     least_off_mps: float = 0.4
     off_share: float = 0.05
 
