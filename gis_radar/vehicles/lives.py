@@ -384,7 +384,8 @@ def _costs(
     waits = to.later & (to.lapse > -1.5) & (speed < 5.0) & (to.speed < 5.0)
     waits &= (to.apart < 9.0) & (to.turn < 0.6) & (to.left < 2.0)
     drives = to.later & ~waits & ~to.stands & (to.lapse > -2.0) & (to.lapse < settings.unseen_s)
-    drives &= (to.along - 0.5 * (speed + to.speed) * to.lapse > -3.0) & (to.turn < 1.9)
+    gain = to.along - 0.5 * (speed + to.speed) * to.lapse
+    drives &= (gain > -3.0) & (to.turn < 1.9) & ((to.lapse >= 0.0) | (gain < 3.0))
     bend = 0.5 * np.maximum(to.along, 0.0) * np.sin(np.minimum(to.turn, 1.5))
     drives &= to.left < 1.2 + bend + 0.12 * np.abs(to.along) + 0.2 * to.apart * (to.turn > 0.5)
     if mine.stands:
