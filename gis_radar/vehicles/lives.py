@@ -21,6 +21,7 @@ from gis_radar.vehicles.motion import Motion, Path, fit_motion
 from gis_radar.vehicles.settings import DetectabilitySettings, LifeSettings, VehicleSettings
 from gis_radar.vehicles.standing import Stand, Sweeps, find_stands
 from gis_radar.vehicles.strips import NONE, Strips
+from gis_radar.vehicles.tall import join_tall
 
 END_STEPS = 10  # half a second tells the speed at an end
 BESIDE_M = 1.5  # less than the width of two cars: middles are not so near
@@ -58,6 +59,7 @@ def with_standing(
     ]  # fmt: skip
     seen = replace(seen, bodies=Bodies.of(motions))
     stands = find_stands(echoes, free, motions, sweeps, settings.standing)
+    stands = join_tall(stands, echoes, settings.tall)
     stands = _as_strong(stands, echoes, motions, limits)
     places = [strips.place(each.strip, 0.5 * (each.rear_m + each.front_m)) for each in stands]
     alone = _distinct(stands, places, motions, limits)

@@ -297,6 +297,40 @@ class StandingSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
+class TallSettings:
+    """What heights over the road tell of lengths.
+
+    Parameters
+    ----------
+    car_m, lorry_m : (float, float)
+        Mean height of the returns of a car, of a lorry or a bus, and its sigma from one to the
+        next: the middle of their bodies.
+    bias_rad, elevation_rad : float
+        1 sigma of the elevation, of a target as long as it is seen and from detection to detection.
+    least_rows : int
+        Fewer heights tell nothing.
+    most_odds : float
+        Heights tell no more than that, as a logarithm of odds.
+    least_odds : float
+        Two stands of which more speaks for lorries are one.
+    gap_m, longest_m, both_share : float
+        Two that are one are no farther apart, no longer together, and stand for such a share of
+        their time together.
+    """
+
+    car_m: tuple[float, float] = (0.75, 0.3)
+    lorry_m: tuple[float, float] = (1.6, 0.5)
+    bias_rad: float = 0.006
+    elevation_rad: float = 0.0175
+    least_rows: int = 10
+    most_odds: float = 4.0
+    least_odds: float = 2.0
+    gap_m: float = 5.0
+    longest_m: float = 18.75
+    both_share: float = 0.6
+
+
+@dataclass(frozen=True, kw_only=True)
 class LifeSettings:
     """How parts of the life of a vehicle follow each other.
 
@@ -433,6 +467,8 @@ class VehicleSettings:
         How many detections they are due.
     standing : StandingSettings
         What stands on lanes and is a vehicle.
+    tall : TallSettings
+        What their heights tell of their lengths.
     lives : LifeSettings
         How what moves and what stands are joined.
     routes : RouteSettings
@@ -449,6 +485,7 @@ class VehicleSettings:
     bodies: BodySettings = field(default_factory=BodySettings)
     detectability: DetectabilitySettings = field(default_factory=DetectabilitySettings)
     standing: StandingSettings = field(default_factory=StandingSettings)
+    tall: TallSettings = field(default_factory=TallSettings)
     lives: LifeSettings = field(default_factory=LifeSettings)
     routes: RouteSettings = field(default_factory=RouteSettings)
     blocks: BlockSettings = field(default_factory=BlockSettings)
