@@ -134,7 +134,8 @@ def _with_still(
     rows, step = rows[at_rest], step[at_rest]
     if len(rows):
         along, left = motion.path.project(echoes.points[rows], motion.s_m[step], 25.0)
-        on = (np.abs(along - motion.s_m[step]) < half) & (np.abs(left) < limits.left_m)
+        beside = limits.left_m + settings.motion.azimuth_rad * echoes.range_m[rows]
+        on = (np.abs(along - motion.s_m[step]) < half) & (np.abs(left) < beside)
         rows, step = rows[on], step[on]
     kept = _unbroken(echoes.time[rows], (float(time[0]), float(time[-1])), limits.silence_s)
     rows, step = rows[kept], step[kept]
