@@ -51,8 +51,12 @@ def with_standing(
     free, limits = free.copy(), settings.lives
     strips = Strips.of(graph)
     sweeps = Sweeps.of(motions, echoes, strips, settings.standing)
-    motions = [_with_still(each, echoes, free, states, sweeps, settings) for each in motions]
     seen = Detectability.learned(echoes, motions, settings.detectability)
+    motions = [
+        _with_still(number, each, echoes, free, states, sweeps, seen, settings)
+        for number, each in enumerate(motions)
+    ]  # fmt: skip
+    seen = replace(seen, bodies=Bodies.of(motions))
     motions = [
         part for number, each in enumerate(motions)
         for part in _at_silences(number, each, echoes, states, seen, settings)
@@ -83,7 +87,7 @@ def with_standing(
             one = moving[0] if len(rows) == 1 else fit_motion(
                 echoes, np.concatenate(rows), states, settings.motion
             )  # fmt: skip
-            if standing or _drove(one, echoes, limits):
+            if standing or _drove(one, echoes, limits) or _stood(one, echoes, limits):
                 found.append(one)
         elif made := _standing_only(
             [stands[k] for k in standing], places, standing, echoes, limits
@@ -99,9 +103,16 @@ def _drove(motion: Motion, echoes: Echoes, settings: LifeSettings) -> bool:
     return int(moving.sum()) >= settings.least_moving and way > settings.least_way_m
 
 
-def _with_still(
-    motion: Motion, echoes: Echoes, free: Booleans, states: Floats, sweeps: Sweeps,
-    settings: VehicleSettings,
+def _stood(motion: Motion, echoes: Echoes, settings: LifeSettings) -> bool:
+    """Tell whether a motion has still detections enough, for long enough, to be a vehicle."""
+    still = motion.rows[np.abs(echoes.range_rate[motion.rows]) <= settings.moving_mps]
+    enough = len(still) >= settings.alone_rows
+    return enough and float(np.ptp(echoes.time[still])) >= settings.alone_s
+
+
+def _with_still(  # noqa: PLR0917 - what is known of the surroundings
+    number: int, motion: Motion, echoes: Echoes, free: Booleans, states: Floats, sweeps: Sweeps,
+    seen: Detectability, settings: VehicleSettings,
 ) -> Motion:  # fmt: skip
     """Return a motion with the free still detections on it while it stands, which it takes.
 
@@ -137,8 +148,16 @@ def _with_still(
         beside = limits.left_m + settings.motion.azimuth_rad * echoes.range_m[rows]
         on = (np.abs(along - motion.s_m[step]) < half) & (np.abs(left) < beside)
         rows, step = rows[on], step[on]
-    kept = _unbroken(echoes.time[rows], (float(time[0]), float(time[-1])), limits.silence_s)
+    span = (float(time[0]), float(time[-1]))
+    kept = _unbroken(echoes.time[rows], span, limits.silence_s)
     rows, step = rows[kept], step[kept]
+    for at in (0, -1):
+        side = echoes.time[rows] > span[1] if at else echoes.time[rows] < span[0]
+        if side.any():
+            ends = np.sort([span[at], float(echoes.time[rows[side][at]])])
+            due = seen.due_between(place[[at, at]], (ends[0], ends[1]), (number, NONE))
+            if side.sum() < settings.standing.rate_share * due:
+                rows, step = rows[~side], step[~side]
     if len(rows) == 0:
         return motion
     free[rows] = False
