@@ -1,7 +1,8 @@
 """How many detections a vehicle is due at a place: what is not seen in plain view is not there.
 
-How often each sensor detects vehicles in a cell of the map is learned from those that drive through
-it, which counts range, aspect and what is built in between. Other vehicles hide what is behind them.
+How often each sensor detects vehicles in a cell of the map is learned from those that drive
+through it, which counts range, aspect and what is built in between. Other vehicles hide what is
+behind them.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from gis_radar.vehicles.motion import Motion
 from gis_radar.vehicles.settings import DetectabilitySettings
 
 HALF_STEPS = STEPS_PER_SECOND // 2
-NOBODY = -1
+HALF_WIDTH_M = 1.5  # of what a body hides: half a lorry and the error of its place
+NEAREST_M = 1.0  # a body does not hide itself, nor does a sensor see what is under it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -240,21 +242,25 @@ def _due(  # noqa: PLR0917 - numba takes plain arrays
         for k in range(len(eyes)):
             if rate[k, a, b] <= 0.0 or works[k, h] == 0.0:
                 continue
-            x, y = places[i, 0] - eyes[k, 0], places[i, 1] - eyes[k, 1]
-            far = np.hypot(x, y)
-            if far < 1.0:
-                continue
-            c, s = x / far, y / far
-            hidden = False
-            for j in range(low, high):
-                if body_owner[j] == owners[0] or body_owner[j] == owners[1]:
-                    continue
-                dx, dy = shape[j, 0] - eyes[k, 0], shape[j, 1] - eyes[k, 1]
-                ahead, aside = dx * c + dy * s, dy * c - dx * s
-                across = abs(shape[j, 3] * c - shape[j, 2] * s) * shape[j, 4] + 1.5
-                if abs(aside) < across and 0.0 < ahead < far - 1.0:
-                    hidden = True
-                    break
-            if not hidden:
+            others = np.flatnonzero(
+                (body_owner[low:high] != owners[0]) & (body_owner[low:high] != owners[1])
+            )
+            if not _is_hidden(places[i] - eyes[k], eyes[k], shape[low:high][others]):
                 total += 0.5 * rate[k, a, b]
     return total
+
+
+@compiled
+def _is_hidden(way: Floats, eye: Floats, shape: Floats) -> bool:  # pragma: no cover - compiled
+    """Tell whether a body lies in the way of a sensor to a place."""
+    far = np.hypot(way[0], way[1])
+    if far < NEAREST_M:
+        return True
+    c, s = way[0] / far, way[1] / far
+    for j in range(len(shape)):
+        x, y = shape[j, 0] - eye[0], shape[j, 1] - eye[1]
+        ahead, aside = x * c + y * s, y * c - x * s
+        across = abs(shape[j, 3] * c - shape[j, 2] * s) * shape[j, 4] + HALF_WIDTH_M
+        if abs(aside) < across and 0.0 < ahead < far - NEAREST_M:
+            return True
+    return False

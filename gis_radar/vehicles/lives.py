@@ -19,8 +19,9 @@ from gis_radar.vehicles.detectability import Bodies, Detectability
 from gis_radar.vehicles.echoes import Echoes
 from gis_radar.vehicles.motion import Motion, Path, fit_motion
 from gis_radar.vehicles.settings import DetectabilitySettings, LifeSettings, VehicleSettings
-from gis_radar.vehicles.standing import Stand, Sweeps, find_stands
+from gis_radar.vehicles.standing import Stand, find_stands
 from gis_radar.vehicles.strips import NONE, Strips
+from gis_radar.vehicles.sweeps import Sweeps
 from gis_radar.vehicles.tall import join_tall
 
 END_STEPS = 10  # half a second tells the speed at an end
@@ -110,7 +111,7 @@ def _stood(motion: Motion, echoes: Echoes, settings: LifeSettings) -> bool:
     return enough and float(np.ptp(echoes.time[still])) >= settings.alone_s
 
 
-def _with_still(  # noqa: PLR0917 - what is known of the surroundings
+def _with_still(
     number: int, motion: Motion, echoes: Echoes, free: Booleans, states: Floats, sweeps: Sweeps,
     seen: Detectability, settings: VehicleSettings,
 ) -> Motion:  # fmt: skip

@@ -43,11 +43,6 @@ def tall_odds(height_m: Floats, range_m: Floats, settings: TallSettings) -> floa
     return float(np.clip(odds, -settings.most_odds, settings.most_odds))
 
 
-def longer(lengths: Floats, odds: float) -> Floats:
-    """Return what log odds of a tall vehicle add to the log density of lengths, metres."""
-    return odds * np.clip((lengths - 5.0) / 3.0, 0.0, 1.0)
-
-
 def join_tall(stands: Sequence[Stand], echoes: Echoes, settings: TallSettings) -> list[Stand]:
     """Return the stands, with neighbours that are both of one tall vehicle as one.
 
