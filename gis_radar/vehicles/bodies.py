@@ -234,8 +234,7 @@ def _odds_of_places(
         sigma = np.hypot(settings.place_m * np.sqrt(12.0) / (span * np.sqrt(max(2 * span, 1))), 0.1)
         wide = np.hypot(1.0, sigma)  # 1 m/s: by how much drivers differ
         stays = 0.5 * (drift / wide) ** 2 - 0.5 * (drift / sigma) ** 2 + np.log(wide / sigma)
-    front, rear = np.quantile(body.along_m, [0.98, 0.02])
-    within = (along < max(front, 1.5) + 1.0) & (along > min(rear, -1.5) - 1.0)
+    within = np.abs(along) < 0.5 * max(body.length_m, 3.0) + 1.0
     if within.mean() > 0.6:
         return 5.0 + min(stays, 0.0)
     pace = max(float(np.quantile(speed, 0.8)), 2.0)
