@@ -16,7 +16,13 @@ from gis_radar.arrays import Floats, Integers
 from gis_radar.vehicles.echoes import Echoes
 from gis_radar.vehicles.forward import NONE
 from gis_radar.vehicles.motion import Motion, fit_motion
-from gis_radar.vehicles.settings import BodySettings, MotionSettings
+from gis_radar.vehicles.settings import (
+    BodySettings,
+    MotionSettings,
+    TallSettings,
+    VehicleSettings,
+)
+from gis_radar.vehicles.tall import tall_odds
 
 
 def rows_by_number(number: Integers) -> list[Integers]:
@@ -111,8 +117,7 @@ def absorb(
     echoes: Echoes,
     parts: list[Integers],
     states: Floats,
-    settings: BodySettings,
-    motion: MotionSettings,
+    every: VehicleSettings,
 ) -> list[Motion]:
     """Join parts that are of one body, the strongest first; return the motion of each vehicle.
 
@@ -124,11 +129,10 @@ def absorb(
         Rows that were followed as one vehicle.
     states : (n, 6) array
         Of the vehicle, for every detection.
-    settings : BodySettings
-        What speaks for one body.
-    motion : MotionSettings
-        Of the smoothing.
+    every : VehicleSettings
+        Of all stages.
     """
+    settings, motion = every.bodies, every.motion
     found = [each for rows in parts for each in purified(echoes, rows, states, settings, motion)]
     boxes = [_box(echoes, each.rows) for each in found]
     gone: set[int] = set()
@@ -144,7 +148,8 @@ def absorb(
                     boxes[other][1] < boxes[strong][0]
                 ).any():
                     continue
-                if log_odds(echoes, found[strong], found[other], settings) > settings.least_odds:
+                odds = log_odds(echoes, found[strong], found[other], settings, every.tall)
+                if odds > settings.least_odds:
                     rows = np.concatenate([found[strong].rows, found[other].rows])
                     found[strong] = fit_motion(echoes, rows, states, motion)
                     boxes[strong] = _box(echoes, rows)
@@ -160,7 +165,9 @@ def _box(echoes: Echoes, rows: Integers) -> Floats:
     return np.stack([table.min(axis=0) - reach, table.max(axis=0) + reach])
 
 
-def log_odds(echoes: Echoes, body: Motion, other: Motion, settings: BodySettings) -> float:
+def log_odds(
+    echoes: Echoes, body: Motion, other: Motion, settings: BodySettings, tall: TallSettings
+) -> float:
     """Return how much speaks for two being one body, as the logarithm of odds.
 
     In the frame that moves with the first, the second keeps its place if it is of the same body;
@@ -183,7 +190,9 @@ def log_odds(echoes: Echoes, body: Motion, other: Motion, settings: BodySettings
     fits = (np.abs(left) < beside) & (np.abs(rate) < _slack(body, along, speed, settings))
     if fits.mean() < settings.least_fit or fits.sum() < 3:
         return -np.inf
-    return _odds_of_places(echoes.time[rows][fits], along[fits], speed[fits], body, settings)
+    every = np.concatenate([body.rows, other.rows])
+    long = tall_odds(echoes.height_m[every], echoes.range_m[every], tall)
+    return _odds_of_places(echoes.time[rows][fits], along[fits], speed[fits], body, settings, long)
 
 
 def _slack(body: Motion, along: Floats, speed: Floats, settings: BodySettings) -> Floats:
@@ -216,9 +225,12 @@ def purified(
 
 
 def _odds_of_places(
-    time: Floats, along: Floats, speed: Floats, body: Motion, settings: BodySettings
+    time: Floats, along: Floats, speed: Floats, body: Motion, settings: BodySettings, long: float
 ) -> float:
-    """Return the log odds from places in a moving frame: whether they stay, and are too near."""
+    """Return the log odds from places in a moving frame: whether they stay, and are too near.
+
+    What speaks for a long vehicle otherwise counts for what lies beyond the body.
+    """
     span = float(np.ptp(time))
     away = abs(float(np.median(along)))
     if away > settings.longest_m:
@@ -241,7 +253,7 @@ def _odds_of_places(
     gap_s = max(away - settings.car_m, 0.05) / pace
     z = np.log(gap_s / settings.gap_s) / settings.gap_spread
     follows = -0.5 * z * z - np.log(gap_s * settings.gap_spread * 2.5066 * pace)
-    return float(stays + np.log(settings.long_share / 12.0) - follows)
+    return float(stays + long + np.log(settings.long_share / 12.0) - follows)
 
 
 def merge_states(number: Integers, states: tuple[Floats, Floats], joined: Integers) -> Floats:

@@ -37,7 +37,7 @@ def vehicles_in(echoes: Echoes, graph: LaneGraph, settings: VehicleSettings) -> 
     joined = join_directions(*numbers, echoes.time)
     states = merge_states(numbers[0], both, joined)
     parts = [rows for rows in rows_by_number(joined) if len(rows) >= settings.bodies.least_rows]
-    motions = absorb(echoes, parts, states, settings.bodies, settings.motion)
+    motions = absorb(echoes, parts, states, settings)
     persons = is_person(echoes, motions, settings.bodies)
     driven = [each for each, person in zip(motions, persons, strict=True) if not person]
     if not driven:
