@@ -22,6 +22,15 @@ def ranges(first: Integers, count: Integers) -> Integers:
     return np.arange(count.sum()) + np.repeat(first + count - np.cumsum(count), count)
 
 
+def nearest(known: Floats, wanted: Floats) -> Integers:
+    """Return the position in `known`, one value at least in any order, nearest to each wanted."""
+    order = np.argsort(known, kind="stable")
+    later = np.clip(np.searchsorted(known[order], wanted), 0, len(known) - 1)
+    earlier = np.maximum(later - 1, 0)
+    is_earlier = np.abs(wanted - known[order[earlier]]) <= np.abs(known[order[later]] - wanted)
+    return np.asarray(order[np.where(is_earlier, earlier, later)])
+
+
 Given = ParamSpec("Given")
 Answer = TypeVar("Answer")
 

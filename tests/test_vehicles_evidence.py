@@ -3,11 +3,19 @@
 import numpy as np
 import pytest
 
+from gis_radar.lanelets.graph import LaneGraph
 from gis_radar.vehicles.detectability import Bodies, Detectability
 from gis_radar.vehicles.echoes import Echoes
-from gis_radar.vehicles.lives import _unbroken
+from gis_radar.vehicles.forward import ForwardFilter
+from gis_radar.vehicles.lives import _as_strong, _distinct, _unbroken
 from gis_radar.vehicles.motion import Motion, Path
-from gis_radar.vehicles.settings import DetectabilitySettings, MotionSettings, TallSettings
+from gis_radar.vehicles.settings import (
+    DetectabilitySettings,
+    ForwardSettings,
+    LifeSettings,
+    MotionSettings,
+    TallSettings,
+)
 from gis_radar.vehicles.size import size_of
 from gis_radar.vehicles.standing import Stand
 from gis_radar.vehicles.tall import join_tall, tall_odds
@@ -192,3 +200,72 @@ def test_who_stands_on_does_so_until_a_silence():
     kept = _unbroken(time, (46.0, 51.0), 10.0)
     assert time[kept].tolist() == [40.0, 45.0, 50.0, 52.0, 58.0]
     assert time[_unbroken(time, (100.0, 101.0), 5.0)].tolist() == []
+
+
+def road_of(lanes):
+    """Return so many lanelets beside each other, 0.3 m apart, along x."""
+    s = np.arange(201.0)
+    points = [np.column_stack([s, np.full(201, 0.3 * k), np.zeros(201)]) for k in range(lanes)]
+    return LaneGraph(
+        lanelet_id=np.arange(lanes) + 1,
+        length_m=np.full(lanes, 200.0),
+        first=np.arange(lanes + 1) * 201,
+        points=np.vstack(points),
+        s_m=np.tile(s, lanes),
+        heading=np.zeros(201 * lanes),
+        half_width_m=np.full(201 * lanes, 1.75),
+        two_way=np.zeros(lanes, bool),
+        successors=[np.zeros(0, np.int64)] * lanes,
+        origin=np.zeros(2),
+    )
+
+
+@pytest.mark.parametrize("lanes", [1, 2, 3])
+def test_a_detection_on_lanes_that_overlap_counts_once_for_a_new_vehicle(lanes):
+    x = 50.0 + 0.5 * np.arange(3.0)
+    echoes = echoes_at(0.05 * np.arange(3.0), np.column_stack([x, np.zeros(3)]))
+    two, _ = ForwardFilter(road_of(lanes), ForwardSettings()).push(echoes.take(slice(0, 2)))
+    three, _ = ForwardFilter(road_of(lanes), ForwardSettings()).push(echoes)
+    assert two.tolist() == [-1, -1]
+    assert three.tolist() == [0, 0, 0]
+
+
+def stopping_at(*stops):
+    """Return a vehicle along x that stands for 20 s at each of some places."""
+    parts = [np.full(400, float(stop)) for stop in stops]
+    for k in range(len(stops) - 1, 0, -1):
+        parts.insert(k, np.linspace(stops[k - 1], stops[k], 140))
+    s = np.concatenate(parts)
+    return Motion(
+        rows=np.arange(10),
+        path=Path(np.column_stack([np.arange(301.0), np.zeros(301)])),
+        first_step=0,
+        s_m=s,
+        speed=np.append(np.diff(s) * RATE, 0.0),
+        var_s=np.ones(len(s)),
+        length_m=4.5,
+        width_m=1.8,
+        length_sigma_m=0.5,
+        p_heavy=0.0,
+        along_m=np.zeros(10),
+        left_m=np.zeros(10),
+    )
+
+
+@pytest.mark.parametrize("stops", [(50,), (50, 120), (120, 50)])
+def test_what_lies_on_a_vehicle_at_one_of_its_stops_is_that_one(stops):
+    begin = 27.0 * stops.index(50)
+    on_it = stand(47.7, 52.3, np.arange(5), begin + 1.0, begin + 19.0)
+    beside = stand(67.7, 72.3, np.arange(5), begin + 1.0, begin + 19.0)
+    places = [(np.array([50.0, 0.0]), 0.0), (np.array([70.0, 0.0]), 0.0)]
+    assert _distinct([on_it, beside], places, [stopping_at(*stops)], LifeSettings()) == [1]
+
+
+@pytest.mark.parametrize("unknown", [0, 1, 9])
+def test_a_weak_return_is_refused_though_some_cross_sections_are_unknown(unknown):
+    echoes = echoes_at(np.arange(20.0) / RATE, np.tile([30.0, 0.0], (20, 1)))
+    echoes.rcs[:] = np.repeat([10.0, -20.0], 10)
+    echoes.rcs[:unknown] = np.nan
+    weak, strong = stand(0.0, 4.0, np.arange(10, 20)), stand(0.0, 4.0, np.arange(10))
+    fast = driven(0.0, 2.0, 10.0, np.arange(10))
+    assert _as_strong([weak, strong], echoes, [fast], LifeSettings()) == [strong]

@@ -249,7 +249,7 @@ class LaneField:
             half_width_m=graph.half_width_m,
         )
 
-    @property
+    @cached_property
     def arrays(self) -> FieldArrays:
         """All that :func:`lanes_at` needs."""
         size = np.array([self.columns, self.rows], np.int64)

@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 
-from gis_radar.arrays import Floats, Integers
+from gis_radar.arrays import Floats, Integers, nearest
 from gis_radar.vehicles.echoes import Echoes
 from gis_radar.vehicles.forward import NONE
 from gis_radar.vehicles.motion import Motion, fit_motion
@@ -59,7 +59,7 @@ def join_directions(number: Integers, against: Integers, time: Floats) -> Intege
             fresh += 1
             continue
         free = np.flatnonzero(number[part] == NONE)
-        joined[part[free]] = number[part[known[_nearest(time[part[known]], time[part[free]])]]]
+        joined[part[free]] = number[part[known[nearest(time[part[known]], time[part[free]])]]]
         values, counts = np.unique(number[part[known]], return_counts=True)
         strong = [
             value for value, count in zip(values.tolist(), counts.tolist(), strict=True)
@@ -72,16 +72,6 @@ def join_directions(number: Integers, against: Integers, time: Floats) -> Intege
     for value in spans:
         mapped[value] = groups.of(value)
     return np.where(joined == NONE, NONE, mapped[joined])
-
-
-def _nearest(known: Floats, wanted: Floats) -> Integers:
-    """Return the position in `known`, in any order, of the value nearest to each wanted one."""
-    order = np.argsort(known, kind="stable")
-    at = np.clip(np.searchsorted(known[order], wanted), 1, max(len(known) - 1, 1))
-    if len(known) == 1:
-        return np.zeros(len(wanted), np.int64)
-    earlier = wanted - known[order[at - 1]] <= known[order[at]] - wanted
-    return order[np.where(earlier, at - 1, at)]
 
 
 class _Groups:
@@ -180,7 +170,7 @@ def log_odds(
     if len(rows) < 3:
         return -np.inf
     # only while the first is seen too is its frame known well
-    near = _nearest(own, echoes.time[rows])
+    near = nearest(own, echoes.time[rows])
     rows = rows[np.abs(own[near] - echoes.time[rows]) < settings.seen_s]
     if len(rows) < 3 or np.ptp(echoes.time[rows]) < 0.1:
         return -np.inf
@@ -269,7 +259,7 @@ def is_person(echoes: Echoes, motions: list[Motion], settings: BodySettings) -> 
     """
     table = pd.DataFrame(
         {
-            "rcs": [_usual(echoes.rcs[each.rows]) for each in motions],
+            "rcs": [usual_rcs(echoes.rcs[each.rows]) for each in motions],
             "fast": [_fast(each) for each in motions],
         }
     )
@@ -283,10 +273,10 @@ def is_person(echoes: Echoes, motions: list[Motion], settings: BodySettings) -> 
     return [bool(each) for each in person]
 
 
-def _usual(rcs: Floats) -> float:
-    """Return the median of the cross sections that are known, NaN where none is."""
+def usual_rcs(rcs: Floats, share: float = 0.5) -> float:
+    """Return the quantile of the cross sections that are known, NaN where none is."""
     known = rcs[np.isfinite(rcs)]
-    return float(np.median(known)) if len(known) else np.nan
+    return float(np.quantile(known, share)) if len(known) else np.nan
 
 
 def _fast(motion: Motion) -> float:

@@ -361,7 +361,7 @@ def _agreeing(
     echo: Floats, speed: float, heading: float, waiting: Floats, count: int
 ) -> tuple[int, int]:  # pragma: no cover - compiled
     """Return how many detections agree with one that drives so, itself included; and moments."""
-    matches, moments, last = 1, 1, echo[6]
+    matches, moments, last, counted = 1, 1, echo[6], -1.0
     c, s = np.cos(heading), np.sin(heading)
     for j in range(count - 1, -1, -1):
         wait = waiting[j]
@@ -372,7 +372,9 @@ def _agreeing(
         way = 0.5 * (wait[WAIT_SPEED] + speed) * (echo[6] - wait[WAIT_TIME])
         if abs(dx * c + dy * s - way) > 3.0 or abs(dy * c - dx * s) > 1.8:
             continue
-        matches += 1
+        if wait[WAIT_ROW] != counted:  # it waits once a lane
+            matches += 1
+            counted = wait[WAIT_ROW]
         if wait[WAIT_TIME] < last:
             moments += 1
             last = wait[WAIT_TIME]

@@ -15,6 +15,7 @@ from scipy.optimize import linear_sum_assignment
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.lanelets.graph import LaneGraph
 from gis_radar.steps import STEPS_PER_SECOND
+from gis_radar.vehicles.bodies import usual_rcs
 from gis_radar.vehicles.detectability import Bodies, Detectability
 from gis_radar.vehicles.echoes import Echoes
 from gis_radar.vehicles.motion import Motion, Path, fit_motion
@@ -206,13 +207,14 @@ def _as_strong(
 ) -> list[Stand]:
     """Return the stands whose strong returns are not far below what vehicles that drive return."""
     driven = [
-        float(np.median(echoes.rcs[each.rows])) for each in motions
+        usual_rcs(echoes.rcs[each.rows]) for each in motions
         if np.median(each.speed) > settings.driven_mps
     ]  # fmt: skip
-    if not driven:
-        return list(stands)
-    least = float(np.median(driven)) - settings.weaker_db
-    return [each for each in stands if not np.quantile(echoes.rcs[each.rows], 0.9) < least]
+    least = usual_rcs(np.array(driven)) - settings.weaker_db
+    return [
+        each for each in stands
+        if not usual_rcs(echoes.rcs[each.rows], 0.9) < least  # nor where either is unknown
+    ]  # fmt: skip
 
 
 def _inside(
@@ -242,12 +244,13 @@ def _distinct(
             continue
         middle, heading = motion.places
         when = (motion.first_step + slow) / STEPS_PER_SECOND
-        near = np.hypot(*(place - middle[slow].mean(axis=0)).T) < settings.near_m
-        for k in np.flatnonzero(near & (begin < when[-1]) & (end > when[0]) & alive).tolist():
+        for k in np.flatnonzero((begin < when[-1]) & (end > when[0]) & alive).tolist():
             both = slow[(when >= begin[k]) & (when <= end[k])]
             if len(both) < 0.5 * (end[k] - begin[k]) * STEPS_PER_SECOND or len(both) == 0:
                 continue
             j, reach = both[len(both) // 2], 0.5 * motion.length_m
+            if np.hypot(*(place[k] - middle[j])) > settings.near_m:
+                continue
             share = _inside(place[k], places[k][1], half[k], middle[j], heading[j], reach)
             alive[k] = share <= settings.same_share
     for k in np.argsort(-weight, kind="stable").tolist():

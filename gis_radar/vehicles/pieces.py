@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import linear_sum_assignment
 
-from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.arrays import Booleans, Floats, Integers, nearest
 from gis_radar.lanelets.graph import LaneGraph
 from gis_radar.steps import STEP_S
 from gis_radar.vehicles.blocks import Block
@@ -183,15 +183,8 @@ class _States:
         s_m, speed = motion.at(time)
         middle, heading = motion.path.at(s_m)
         hits = block.echoes.time[motion.rows]
-        return cls(step, middle, heading, speed, _near(time, hits, settings.pieces.seen_s))
-
-
-def _near(time: Floats, hits: Floats, within_s: float) -> Booleans:
-    """Tell of each time whether a hit is within so many seconds; hits ascend."""
-    after = np.searchsorted(hits, time)
-    last = len(hits) - 1
-    earlier, later = hits[np.clip(after - 1, 0, last)], hits[np.clip(after, 0, last)]
-    return np.asarray(np.minimum(np.abs(time - earlier), np.abs(later - time)) <= within_s)
+        seen = np.abs(hits[nearest(hits, time)] - time) <= settings.pieces.seen_s
+        return cls(step, middle, heading, speed, seen)
 
 
 def _keys(echoes: Echoes) -> list[tuple[int, float, float]]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gis_radar.arrays import Floats
+from gis_radar.arrays import Floats, nearest
 from gis_radar.steps import STEPS_PER_SECOND
 from gis_radar.vehicles.echoes import Echoes
 from gis_radar.vehicles.motion import Motion
@@ -48,11 +48,7 @@ class Sweeps:
             every = np.arange(0, len(motion.s_m), 2)
             time = (motion.first_step + every) / STEPS_PER_SECOND
             seen = echoes.time[motion.rows]
-            after = np.searchsorted(seen, time)
-            near = np.minimum(
-                np.abs(time - seen[np.clip(after, 0, len(seen) - 1)]),
-                np.abs(time - seen[np.clip(after - 1, 0, len(seen) - 1)]),
-            )
+            near = np.abs(time - seen[nearest(seen, time)])
             drives = (motion.speed[every] > settings.sweep_mps) & (near < settings.sweep_seen_s)
             if drives.sum() >= 3:
                 places.append(motion.places[0][every[drives]])
