@@ -7,7 +7,7 @@ import pytest
 from sites import EAST, NORTH, lane_quads, tiles_of
 
 import gis_radar as gr
-from gis_radar.report.lanes import lanes_of
+from gis_radar.report.lanes import lanes_of, surest
 
 
 def chains_of(lanes):
@@ -90,3 +90,15 @@ def test_a_ring_is_one_lane():
         quad = np.array([[outward[0], outward[1], ways[1], ways[0]]]) + (EAST, NORTH)
         ring.append(quad)
     assert chains_of(lanes_of(tiles_of(ring))) == [(100, 101, 102, 103)]
+
+
+@pytest.mark.parametrize(
+    ("share", "error", "top"),
+    [
+        ([0.8, 0.85, 0.3], [0.1, 0.55, 0.0], 0),
+        ([0.8, 0.85, 0.3], [np.nan, np.nan, np.nan], 1),
+        ([np.nan, 0.2, 0.1], [np.nan, 0.2, 0.0], 2),
+    ],
+)
+def test_the_busiest_spot_is_not_the_one_of_which_least_is_known(share, error, top):
+    assert surest(np.array(share), np.array(error)) == top

@@ -160,6 +160,11 @@ def test_an_error_names_line_and_key(read, refuse, old, new, parts):
         refuse(text, *parts)
 
 
+def test_an_error_in_the_only_sensor_is_told_as_such(refuse):
+    alone = WHOLE[: WHOLE.index('[[sensor]]\nname = "R2"')]
+    refuse(alone.replace("R1_*", "R9_*").replace("R1_2", "R9_2"), "sensor[0].recordings", "R9_")
+
+
 def test_one_table_is_not_a_list_of_tables(refuse):
     refuse(WHOLE[: WHOLE.index("[[sensor]]")] + "[sensor]\nname = 'R'\n", "[[sensor]]")
     lanes = WHOLE[WHOLE.index("[map]") : WHOLE.index("[scan]")]

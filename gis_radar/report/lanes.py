@@ -19,6 +19,7 @@ from gis_radar.tiles.tiles import quads
 
 TOUCH_M = 0.05  # between the ends of lanelets that follow each other
 BUSY = 0.2  # a class break of all heat maps
+EXIT_M = 5.0  # the last metres of a lane tell where it leads to: it may turn
 
 
 class TileShares(NamedTuple):
@@ -162,20 +163,28 @@ def _by_lane(shares: TileShares, lane_of_tile: Integers, size: int) -> tuple[Flo
     return part, base
 
 
+def surest(share: Floats, error: Floats) -> int:
+    """Return the tile whose share is highest with its standard error taken off.
+
+    The highest share alone would be that of the tile of which least is known.
+    """
+    return int(np.nanargmax(share - np.nan_to_num(error)))
+
+
 def lane_table(heat: HeatMap, sums: LaneSums) -> pd.DataFrame:
     """Return one row a lane, busiest first, those that were not visible (observed) last.
 
     Returns
     -------
     DataFrame
-        `lane`, `lanelets`, `subtype`, `east_m` and `north_m` from begin to end, `length_m`;
+        `lane`, `lanelets`, `subtype`, `east_m` and `north_m` along its last metres, `length_m`;
         `base_m`, the length of its tiles with a share; `part_s`, `base_s`, tile-seconds covered and
         visible, of hits occupied and observed; `share`, their quotient, NaN where there is none;
-        `busiest_spot`, the highest share of a tile, its standard error `busiest_spot_se` (NaN for
-        hits), and `busiest_spot_m`, where along the lane; `busy_m`, the length of tiles with a
-        share of 20 % or more; `busiest_begin`, `busiest_end`, `busiest_share` of the busiest
-        interval, of those with at least half as much seen as in the best seen; `occupied_s`,
-        `observed_s`, `occupancy`: its hits.
+        `busiest_spot`, the share of the tile of :func:`surest`, its standard error
+        `busiest_spot_se` (NaN for hits), and `busiest_spot_m`, where along the lane; `busy_m`, the
+        length of tiles with a share of 20 % or more; `busiest_begin`, `busiest_end`,
+        `busiest_share` of the busiest interval, of those with at least half as much seen as in the
+        best seen; `occupied_s`, `observed_s`, `occupancy`: its hits.
     """
     whole, tiles, known = shown_of(heat), heat.tiles, heat.coverage_shares()
     error = np.full(len(tiles), np.nan) if known is None else known.coverage_se
@@ -187,8 +196,9 @@ def lane_table(heat: HeatMap, sums: LaneSums) -> pd.DataFrame:
     for i, lane in enumerate(sums.lanes):
         mine, long = whole.share[lane.rows], length[lane.rows]
         seen = np.isfinite(mine)
-        top = int(np.nanargmax(mine)) if seen.any() else -1
-        east, north = centre[lane.rows[-1]] - centre[lane.rows[0]]
+        top = surest(mine, error[lane.rows]) if seen.any() else -1
+        before = int(np.searchsorted(np.cumsum(long[::-1]), EXIT_M))
+        east, north = centre[lane.rows[-1]] - centre[lane.rows[max(len(long) - 1 - before, 0)]]
         rows.append(
             {
                 "lane": lane.number,

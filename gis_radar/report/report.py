@@ -45,6 +45,7 @@ from gis_radar.report.lanes import (
     lane_table,
     shown_of,
     sum_by_lane,
+    surest,
     write_lane_intervals,
     write_lanes,
 )
@@ -66,6 +67,7 @@ from gis_radar.steps import zone_of
 PAGE, PAPER = "report.html", "report.pdf"
 LANES, LANES_BY_INTERVAL = "lanes.csv", "lanes_by_interval.csv"
 SENSORS, QUALITY = "sensors.csv", "quality.csv"
+SHORT_S = 900.0  # usual counts are of 15 minutes; shorter ones hold few cycles of a signal
 REPORT_FILES = (PAGE, PAPER, LANES, LANES_BY_INTERVAL, SENSORS, QUALITY)
 
 MOST_LANES, MOST_HOURS = 150, 168  # rows of tables as read; the CSV files hold all
@@ -316,7 +318,7 @@ def _totals(found: _Findings) -> dict[str, Any]:
     known = heat.coverage_shares()
     if known is None or not seen.any():
         return totals
-    top = int(np.nanargmax(known.coverage))
+    top = surest(known.coverage, known.coverage_se)
     return totals | {
         "mean_coverage": round(float(np.nansum(known.covered_s) / known.visible_s.sum()), 6),
         "highest_coverage": round(float(known.coverage[top]), 6),
@@ -357,7 +359,13 @@ def _facts(found: _Findings) -> list[tuple[str, str]]:
 
 def _remarks(results: Results, quality: Quality | None) -> list[str]:
     """Return what to know before reading on."""
+    begin, end = results.heat.whole.span()
+    lasts = (end - begin).total_seconds()
     remarks = [f"No result for sensor {name}: {why}" for name, why in results.lost.items()]
+    if lasts < SHORT_S:
+        remarks.append(
+            f"Measured for {lasts:.0f} seconds only: a few cycles of a signal, and no usual day"
+        )
     if quality is not None:
         remarks += [f"Sensor {line}" for line in quality.warnings()]
     return [*remarks, *results.warnings, *results.missing]

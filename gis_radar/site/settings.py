@@ -330,7 +330,16 @@ def read_site(path: str | Path) -> Site:
 def _first_error(path: Path, text: str, raw: Any, error: ValidationError) -> InputError:
     """Return the first error by line; an unknown key comes first, as others may follow from it."""
     lines = lines_of(text)
-    found = [_described(each, raw) for each in error.errors(include_url=False)]
+    errors = error.errors(include_url=False)
+    # a list whose only item is wrong is also called too short, which hides why
+    inner = [
+        each for each in errors
+        if not any(
+            other["loc"][: len(each["loc"])] == each["loc"] and len(other["loc"]) > len(each["loc"])
+            for other in errors
+        )
+    ]  # fmt: skip
+    found = [_described(each, raw) for each in inner]
 
     def line_of(steps: Steps) -> int:
         return next((lines[steps[:n]] for n in range(len(steps), 0, -1) if steps[:n] in lines), 0)
