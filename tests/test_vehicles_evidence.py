@@ -14,10 +14,13 @@ from gis_radar.vehicles.settings import (
     ForwardSettings,
     LifeSettings,
     MotionSettings,
+    StandingSettings,
     TallSettings,
 )
 from gis_radar.vehicles.size import size_of
-from gis_radar.vehicles.standing import Stand
+from gis_radar.vehicles.standing import Stand, not_built
+from gis_radar.vehicles.strips import Strips
+from gis_radar.vehicles.sweeps import Sweeps
 from gis_radar.vehicles.tall import join_tall, tall_odds
 
 BEGIN = 1_700_000_000.0
@@ -269,3 +272,25 @@ def test_a_weak_return_is_refused_though_some_cross_sections_are_unknown(unknown
     weak, strong = stand(0.0, 4.0, np.arange(10, 20)), stand(0.0, 4.0, np.arange(10))
     fast = driven(0.0, 2.0, 10.0, np.arange(10))
     assert _as_strong([weak, strong], echoes, [fast], LifeSettings()) == [strong]
+
+
+@pytest.mark.parametrize("through", [True, False])
+def test_what_is_seen_while_others_drive_over_it_holds_no_vehicle(through):
+    graph = road_of(1)
+    time = np.arange(0.0, 60.0, 0.1)
+    echoes = echoes_at(time, np.tile([100.0, 0.0], (len(time), 1)))
+    path = Path(np.column_stack([np.arange(201.0), np.full(201, 0.0 if through else 30.0)]))
+    count = 20 * RATE
+    drivers = [
+        Motion(
+            rows=np.arange(len(time)), path=path, first_step=begin * RATE,
+            s_m=10.0 / RATE * np.arange(count), speed=np.full(count, 10.0), var_s=np.ones(count),
+            length_m=4.5, width_m=1.8, length_sigma_m=0.5, p_heavy=0.0,
+            along_m=np.zeros(len(time)), left_m=np.zeros(len(time)),
+        )
+        for begin in (0, 20, 40)
+    ]  # fmt: skip
+    sweeps = Sweeps.of(drivers, echoes, Strips.of(graph), StandingSettings())
+    left = not_built(echoes, np.ones(len(time), bool), sweeps, StandingSettings())
+    assert left.all() != through
+    assert left.any() != through

@@ -20,7 +20,7 @@ from gis_radar.vehicles.detectability import Bodies, Detectability
 from gis_radar.vehicles.echoes import Echoes
 from gis_radar.vehicles.motion import Motion, Path, fit_motion
 from gis_radar.vehicles.settings import DetectabilitySettings, LifeSettings, VehicleSettings
-from gis_radar.vehicles.standing import Stand, find_stands
+from gis_radar.vehicles.standing import Stand, find_stands, not_built
 from gis_radar.vehicles.strips import NONE, Strips
 from gis_radar.vehicles.sweeps import Sweeps
 from gis_radar.vehicles.tall import join_tall
@@ -53,6 +53,7 @@ def with_standing(
     free, limits = free.copy(), settings.lives
     strips = Strips.of(graph)
     sweeps = Sweeps.of(motions, echoes, strips, settings.standing)
+    free = not_built(echoes, free, sweeps, settings.standing)
     seen = Detectability.learned(echoes, motions, settings.detectability)
     motions = [
         _with_still(number, each, echoes, free, states, sweeps, seen, settings)

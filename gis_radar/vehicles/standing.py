@@ -150,6 +150,34 @@ def _still_inside(
     return found.take((median[found.episode] < settings.high_m) & ~built)
 
 
+def not_built(
+    echoes: Echoes, free: Booleans, sweeps: Sweeps, settings: StandingSettings
+) -> Booleans:
+    """Return which still detections are free and of nothing that is part of the road.
+
+    Parameters
+    ----------
+    echoes : Echoes
+        All detections.
+    free : (n,) bool array
+        Which are still, and of no moving vehicle.
+    sweeps : Sweeps
+        Where vehicles drove, and when.
+    settings : StandingSettings
+        Constants.
+    """
+    rows = np.flatnonzero(free)
+    at = sweeps.strips.lay(echoes.points[rows])
+    row = rows[at.row]
+    place = at.strip * CELLS + ((at.s_m / settings.cell_m).astype(np.int64) // 2)
+    order = np.argsort(echoes.time[row], kind="stable")
+    row, place = row[order], place[order]
+    built = _built(place, echoes.sensor[row], echoes.time[row], sweeps.fast, settings)
+    left = free.copy()
+    left[row[built]] = False
+    return left
+
+
 def _built(
     place: Integers, sensor: Integers, time: Floats, fast: dict[int, Floats],
     settings: StandingSettings,
