@@ -9,7 +9,7 @@ from .errors import (
     OutputError,
     UsageError,
 )
-from .heatmap import HeatMap, make_heatmap, read_heatmap, to_xarray
+from .heatmap import HeatMap, MapLabels, make_heatmap, read_heatmap, to_xarray
 from .lanelets import LaneletMap, read_map
 from .localization import Localization, localize, localize_files
 from .localization.result import draw_localization
@@ -72,6 +72,7 @@ __all__ = [
     "InputError",
     "LaneletMap",
     "Localization",
+    "MapLabels",
     "NoAnswerError",
     "Occupancy",
     "OutputError",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,13 @@ def add_styles(
     database.execute(_CONTENTS)
     for layer, (qml, sld) in styles.items():
         database.execute(_STYLE, (name, qml, sld, about, layer))
+
+
+def read_styles(path: Path) -> dict[str, str]:
+    """Return the default styles of a GeoPackage, QML by layer."""
+    query = "SELECT f_table_name, styleQML FROM layer_styles WHERE useAsDefault"
+    with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
+        return dict(database.execute(query).fetchall())
 
 
 def write_stream(

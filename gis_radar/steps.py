@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from functools import cached_property
+from itertools import groupby
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -33,6 +36,7 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _FIRST_S = (datetime(FIRST_YEAR, 1, 1, tzinfo=UTC) - _EPOCH).total_seconds()
 _END_S = (datetime(LAST_YEAR + 1, 1, 1, tzinfo=UTC) - _EPOCH).total_seconds()
 _LONGEST_INTERVAL_S = LONGEST_INTERVAL_YEARS * 365.25 * 86400
+_MINUS = "\u2212"  # as wide as a plus
 _UNITS_S = {"ms": 0.001, "s": 1, "sec": 1, "min": 60, "h": 3600, "d": 86400}
 
 
@@ -163,3 +167,112 @@ def zone_of(name: str) -> ZoneInfo:
         raise UsageError(
             f"there is no time zone {name!r}", hint="a name such as Europe/Berlin or UTC"
         ) from error
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clock:
+    """The clocks of the site: local times as text.
+
+    Parameters
+    ----------
+    zone : ZoneInfo
+        The site's.
+    first, last : datetime
+        All times written are between these; days and offsets are named only where they
+        differ.
+    to_seconds : bool
+        Whether times name their seconds.
+    """
+
+    zone: ZoneInfo
+    first: datetime
+    last: datetime
+    to_seconds: bool = True
+
+    @property
+    def name(self) -> str:
+        """The zone with its offset from UTC, both where clocks change in between."""
+        if str(self.zone) == "UTC":
+            return "UTC"
+        return f"{self.zone}, {' then '.join(self._offsets)}"
+
+    def date(self, moment: datetime) -> str:
+        """Return the day."""
+        local = self._local(moment)
+        return f"{local.day} {local:%B %Y}"
+
+    def time(self, moment: datetime) -> str:
+        """Return day (where there are several), time of day, offset (where it changes)."""
+        local = self._local(moment)
+        text = _finest(local)
+        if not (self.to_seconds or local.second or local.microsecond):
+            text = f"{local:%H:%M}"
+        if self._changes:
+            text += f" {_offset(local)}"
+        return text if self._one_day else f"{local:%a} {self.day(moment)} {text}"
+
+    def day(self, moment: datetime) -> str:
+        """Return the day, short."""
+        return f"{self._local(moment):%Y-%m-%d}"
+
+    def stamp(self, moment: datetime) -> str:
+        """Return day and minute, whatever the others are; the offset where it changes."""
+        local = self._local(moment)
+        return f"{local:%Y-%m-%d %H:%M}" + (f" {_offset(local)}" if self._changes else "")
+
+    def span(self, begin: datetime, end: datetime) -> str:
+        """Return an interval; its end without the day where it ends on the day it begins."""
+        until = self.time(end)
+        last = end - timedelta(microseconds=1)
+        if self._local(begin).date() == self._local(last).date():
+            until = until if self._one_day else until.split(" ", 2)[2]
+            if until.startswith("00:") and self._local(end).date() != self._local(last).date():
+                until = f"24:{until.removeprefix('00:')}"
+        return f"{self.time(begin)} to {until}"
+
+    def whole(self, begin: datetime, end: datetime) -> str:
+        """Return the time of all data in a sentence's words."""
+        since, until = (_finest(self._local(each)) for each in (begin, end))
+        if self._day_of(begin, end):
+            return f"{self.date(begin)}, {since} to {until}"
+        return f"{self.date(begin)}, {since}, to {self.date(end)}, {until}"
+
+    def iso(self, moment: datetime) -> str:
+        """Return local time as ISO 8601, with its offset."""
+        local = self._local(moment)
+        return local.isoformat(timespec="milliseconds" if local.microsecond else "seconds")
+
+    @property
+    def _one_day(self) -> bool:
+        return self._day_of(self.first, self.last)
+
+    def _day_of(self, begin: datetime, end: datetime) -> bool:
+        """Tell whether a span is in one day, which it may fill."""
+        last = end - timedelta(microseconds=1)
+        return self._local(begin).date() == self._local(last).date()
+
+    @cached_property
+    def _offsets(self) -> list[str]:
+        """The offsets from UTC, one after the other: a year has both, and ends as it began."""
+        days = range((self.last - self.first).days + 1)
+        moments = [*(self.first + timedelta(days=day) for day in days), self.last]
+        return [offset for offset, _ in groupby(_offset(self._local(each)) for each in moments)]
+
+    @property
+    def _changes(self) -> bool:
+        return len(self._offsets) > 1
+
+    def _local(self, moment: datetime) -> datetime:
+        return moment.astimezone(self.zone)
+
+
+def _finest(local: datetime) -> str:
+    """Return the time of day to the second, or to the millisecond where it has some."""
+    milliseconds = local.microsecond // 1000
+    return f"{local:%H:%M:%S}" + (f".{milliseconds:03d}" if milliseconds else "")
+
+
+def _offset(local: datetime) -> str:
+    minutes = round((local.utcoffset() or timedelta()).total_seconds() / 60)
+    sign = _MINUS if minutes < 0 else "+"
+    return f"UTC{sign}{abs(minutes) // 60:02d}:{abs(minutes) % 60:02d}"

@@ -1,8 +1,12 @@
 """Coverage in heat maps, against sets of steps counted one by one."""
 
 import json
+import sqlite3
+import xml.etree.ElementTree as ET
 import zipfile
 from collections import defaultdict
+from contextlib import closing
+from dataclasses import replace
 
 import geopandas as gpd
 import numpy as np
@@ -14,17 +18,19 @@ from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
+from PIL import Image
 from test_heatmap import T0, lane_tiles, runs_of
 from test_vehicles_folder import FIRST, drive, straight_tiles, write
 
 import gis_radar as gr
 from gis_radar.cli import group
 from gis_radar.errors import InputError
-from gis_radar.heatmap import make_heatmap, read_heatmap
-from gis_radar.heatmap.covering import ERRORS
+from gis_radar.heatmap import MapLabels, make_heatmap, read_heatmap
+from gis_radar.heatmap.covering import ERRORS, CoverageShares, mean_coverage
 from gis_radar.occupancy import Occupancy
 from gis_radar.occupancy.folder import frames_of, frames_table, views_table
 from gis_radar.occupancy.frame_steps import steps_in
+from gis_radar.tiles.lanes import lanes_of
 from gis_radar.tiles.tiles import fingerprint
 from gis_radar.vehicles.folder import Provenance, RunBlock, Vehicles
 from gis_radar.vehicles.tables import BLOCK_STEPS, COVERED, FRAMES, PASSAGES, VEHICLES, VISIBLE
@@ -258,7 +264,7 @@ def test_plots_browser_map_and_cube_show_coverage(written):
     labels = [
         text.get_text() for text in heat.plot(Figure().add_subplot()).get_legend().get_texts()
     ]
-    assert labels[-2:] == ["0 %, no vehicle", "not visible"]
+    assert labels[-3:] == ["0 %, no vehicle", "uncertain", "not visible"]
     assert "0 %, no vehicle" in heat.explore(tiles=None).get_root().render()
     cube = heat.to_xarray()
     for i in range(len(heat.timeline)):
@@ -277,6 +283,63 @@ def test_a_qgis_project_of_it_shows_coverage(written, tmp_path):
     assert "Coverage by interval" in text
     assert "Coverage|share of time with a vehicle" in text
     assert "Occupancy" not in text
+
+
+def test_maps_and_qgis_hatch_the_same_tiles(written):
+    """The rule of the QGIS style is valid SQL too, so SQLite is asked the same."""
+    heat, folder = written
+    by_interval = np.concatenate([heat.uncertain(i) for i in range(len(heat.timeline))])
+    assert 0 < by_interval.sum() < len(by_interval)
+    with closing(sqlite3.connect(folder / "heatmap.gpkg")) as database:
+        for table, vague in (
+            ("heatmap", heat.uncertain()),
+            ("occupancy_by_interval", by_interval),
+        ):
+            (qml,) = database.execute(
+                "SELECT styleQML FROM layer_styles WHERE f_table_name = ?", (table,)
+            ).fetchone()
+            rules = {
+                option.get("value")
+                for option in ET.fromstring(qml).iterfind(".//Option[@name='expression']")  # noqa: S314
+            }
+            assert len(rules) == 1
+            visible = f"SELECT coverage IS NOT NULL AND ({rules.pop()}) FROM {table}"  # noqa: S608
+            assert [bool(row[0]) for row in database.execute(visible)] == vague.tolist()
+
+
+def test_uncertain_is_what_is_as_wrong_as_it_is_high_or_hardly_seen():
+    shares = CoverageShares(
+        visible_s=np.array([0.0, 100, 100, 100, 100, 49]),
+        covered_s=np.array([np.nan, 0, 0, 3, 10, 10]),
+        coverage=np.array([np.nan, 0, 0, 0.03, 0.1, 0.2]),
+        coverage_se=np.array([np.nan, 0.019, 0.02, 0.03, 0.09, 0.01]),
+    )
+    assert shares.uncertain(50.0).tolist() == [False, False, True, True, False, True]
+
+
+def test_the_error_of_the_mean_adds_up_along_a_lane_but_not_across():
+    shares = CoverageShares(*np.array([[10.0, 30.0], [1, 6], [0.1, 0.2], [0.04, 0.02]]))
+    off_s = (10 * 0.04, 30 * 0.02)
+    for tiles, lanes, whole_s in (
+        (straight_tiles(2), 1, sum(off_s)),
+        (lane_tiles(2), 2, np.hypot(*off_s)),
+    ):
+        assert len(lanes_of(tiles)) == lanes
+        assert mean_coverage(tiles, shares) == pytest.approx((7 / 40, whole_s / 40))
+
+
+def test_a_picture_names_site_zone_and_sources(tmp_path, written):
+    labels = MapLabels(title="A", timezone="Europe/Berlin", sources=("simulated",))
+    heat = replace(written[0], labels=labels)
+    heat.write(tmp_path / "heat")
+    assert read_heatmap(tmp_path / "heat").labels == labels
+    about = Image.open(tmp_path / "heat" / "heatmap.png").text
+    assert (about["Title"], about["Source"]) == ("A, Coverage heat map", "simulated")
+    assert about["Description"] == (
+        "14 November 2023, 23:14:57 to 23:15:17 (Europe/Berlin, UTC+01:00)"
+    )
+    with pytest.raises(gr.UsageError, match="no time zone"):
+        MapLabels(timezone="Europe/Bayern")
 
 
 def test_it_is_read_back_equal(written):

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+from zoneinfo import ZoneInfo
+
 import numpy as np
+import pandas as pd
 import pytest
 from sites import EAST, NORTH, lane_quads, tiles_of
+from test_heatmap import lane_tiles
+from test_heatmap_coverage import both_of
 
 import gis_radar as gr
-from gis_radar.report.lanes import lanes_of, surest
+from gis_radar.heatmap import make_heatmap
+from gis_radar.heatmap.covering import surest
+from gis_radar.report.lanes import lane_table, sum_by_lane, write_lanes
+from gis_radar.steps import Clock
+from gis_radar.tiles.lanes import lanes_of
 
 
 def chains_of(lanes):
@@ -102,3 +111,25 @@ def test_a_ring_is_one_lane():
 )
 def test_the_busiest_spot_is_not_the_one_of_which_least_is_known(share, error, top):
     assert surest(np.array(share), np.array(error)) == top
+
+
+def test_the_error_of_a_lane_is_the_mean_of_its_tiles(tmp_path):
+    """Weighted by visible time; that of the busiest interval too, and both are in the table."""
+    tiles = lane_tiles(14)
+    occupancy, vehicles, _, _ = both_of(tiles, steps=400)
+    heat = make_heatmap(occupancy, tiles, interval="5s", vehicles=vehicles)
+    table = lane_table(heat, sum_by_lane(heat))
+    begins = [begin for begin, _ in heat.timeline.spans()]
+    for _, row in table.iterrows():
+        mine = tiles["lanelet_id"].isin(row["lanelets"]).to_numpy()
+        interval = begins.index(row["busiest_begin"])
+        for which, name in ((None, "share_se"), (interval, "busiest_share_se")):
+            known = heat.coverage_shares(which)
+            seen = mine & (known.visible_s > 0)
+            mean = np.average(known.coverage_se[seen], weights=known.visible_s[seen])
+            assert row[name] == pytest.approx(mean, rel=1e-6)
+    clock = Clock(zone=ZoneInfo("UTC"), first=begins[0], last=begins[-1])
+    write_lanes(tmp_path / "lanes.csv", table, clock, heat.measure)
+    read = pd.read_csv(tmp_path / "lanes.csv")
+    np.testing.assert_allclose(read["coverage_se"], table["share_se"], atol=1e-6)
+    np.testing.assert_allclose(read["busiest_coverage_se"], table["busiest_share_se"], atol=1e-6)

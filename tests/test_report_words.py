@@ -8,7 +8,8 @@ from zoneinfo import ZoneInfo
 
 import pytest
 
-from gis_radar.report.content import Clock, direction, figure_text, listed, percent
+from gis_radar.report.content import direction, figure_text, listed, percent
+from gis_radar.steps import Clock
 
 
 def at(*fields):

@@ -259,7 +259,7 @@ def test_what_stands_elsewhere_is_a_warning(small, copied):
     assert "- localize R1: second look: doubts: " in summary
     assert "| doubts | ok |" in summary
     picture = plt.imread(out / "sensors" / "R1" / "localization.png")
-    assert picture.shape[1] > 1.5 * picture.shape[0]  # a second panel
+    assert picture.shape[0] > 7 * 216  # a second row of panels: alone the traces have 6.6 inches
 
 
 def test_a_cycle_and_clocks_of_the_site_file_are_used(copied, blank_paper):
@@ -494,9 +494,15 @@ def test_the_report_shows_coverage_and_hits_beside_it(small):
     assert by_interval["occupied_tile_s"].sum() == pytest.approx(sums["occupied_s"], abs=0.5)
     text = (out / "report.html").read_text(encoding="utf-8")
     named = ("Traffic coverage report", "Diagnosis: radar hits", "Seen and inferred")
-    for words in (*named, "Vehicles followed", "share of time with a vehicle", "Map of occupancy"):
+    for words in (
+        *named,
+        "no count of vehicles",
+        "share of time with a vehicle",
+        "Map of occupancy",
+    ):
         assert words in text
-    assert f"{100 * wide['coverage'][top]:.1f}\u202f% ± " in text
+    shown, error = (100 * wide[name][top] for name in ("coverage", "coverage_se"))
+    assert f"{shown:.1f}\u202f±\u202f{error:.1f}\u202f%" in text
     about = pypdf.PdfReader(out / "report.pdf").metadata
     assert about.subject == "Coverage of lanes, from roadside radar"
 

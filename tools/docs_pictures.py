@@ -161,8 +161,8 @@ def qgis(demo: Path) -> None:
                 "--code", place / "startup.py", around=around)  # fmt: skip
             run("qgis_process", "plugins", "enable", "gis_radar_plugin", around=around)
             run("qgis_process", "run", "gisradar:exportreport", "--", f"HEATMAP={demo}/heatmap",
-                f"SENSORS={demo}/sensors.gpkg", "TITLE=Sample junction", "SOURCE=City",
-                "TIME_ZONE=Europe/Berlin", "DPI=103", f"OUTPUT={place}/report",
+                f"SENSORS={demo}/sensors.gpkg", "TITLE=Sample junction (simulated)",
+                "SOURCE=gis_radar", "TIME_ZONE=Europe/Berlin", "DPI=103", f"OUTPUT={place}/report",
                 around=around)  # fmt: skip
         for part, wide in (("map", SCREEN[0]), ("toolbox", 400), ("dialog", 750)):
             keep(Image.open(place / f"{part}.png"), f"qgis-{part}", wide)

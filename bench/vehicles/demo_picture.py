@@ -92,7 +92,9 @@ def draw(quads: pd.Series, true: pd.Series, given: pd.Series) -> Figure:
         below = pd.Series(np.nextafter(values, -1.0), index=values.index)
         _add(ax, quads, below, cmap=shares[0], norm=shares[1])
         ax.set_title(title)
-    handles = [Patch(facecolor=colour, label=label) for colour, label in legend("coverage")[:-1]]
+    classes = legend("occupancy")[:-2]
+    handles = [Patch(facecolor=colour, label=label) for colour, label in classes]
+    handles.append(Patch(facecolor=NEVER_HIT, label="0 %, no vehicle"))
     handles.append(Patch(facecolor=NOT_OBSERVED, label="not in sight"))
     axes[0].legend(handles=handles, loc="lower right", fontsize="small", frameon=False)
     off = 100.0 * (given - true).dropna()

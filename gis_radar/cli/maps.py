@@ -67,7 +67,17 @@ def mask(
 @tile_file
 @output
 @click.option("--interval", help="Length of the intervals: 20s, 15min, 1h, ...")
-@click.option("--timezone", help="Whose hours and days the intervals follow: Europe/Berlin.")
+@click.option(
+    "--timezone",
+    help="Whose hours and days the intervals follow, and whose clock the picture: Europe/Berlin.",
+)
+@click.option("--title", default="", help="Of the picture, and of a report of it.")
+@click.option(
+    "--source",
+    "sources",
+    multiple=True,
+    help="Where the data come from, to stand under the picture.",
+)
 @click.option("--at", help="Map of the one 50 ms step at this time (ISO 8601 with Z).")
 @click.option(
     "--vehicles", "vehicle_folders", type=FILE, multiple=True,
@@ -75,13 +85,16 @@ def mask(
 )  # fmt: skip
 def heatmap(
     *, folders: tuple[Path, ...], tiles_path: Path, output: Path,
-    vehicle_folders: tuple[Path, ...], reporter: Reporter, **options: Any,
+    vehicle_folders: tuple[Path, ...], title: str, sources: tuple[str, ...], reporter: Reporter,
+    **options: Any,
 ) -> Result:  # fmt: skip
     """Make heat maps of occupancy and coverage: GeoPackage, GeoTIFF, GeoParquet, picture."""
     refuse_inputs(output, *folders, *vehicle_folders, tiles_path)
     if vehicle_folders:
         read = [gr.read_vehicles(each) for each in vehicle_folders]
         options["vehicles"] = gr.merge_vehicles(read)
+    zone = options.get("timezone") or "UTC"
+    options["labels"] = gr.MapLabels(title=title, timezone=zone, sources=sources)
     merged = gr.merge_occupancies([gr.read_occupancy(each, reporter=reporter) for each in folders])
     heat = gr.make_heatmap(merged, gr.read_tiles(tiles_path), reporter=reporter, **options)
     outputs = heat.write(output, reporter=reporter)

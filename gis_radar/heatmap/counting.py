@@ -11,7 +11,7 @@ never exceeds observed.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple, Self
 
 import geopandas as gpd
@@ -20,7 +20,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from gis_radar.arrays import Floats, Integers
+from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.crs import metric_crs
 from gis_radar.errors import InputError, UsageError
 from gis_radar.heatmap.covering import (
@@ -28,9 +28,10 @@ from gis_radar.heatmap.covering import (
     Coverage,
     CoverageShares,
     count_coverage,
+    mean_coverage,
     require_same_origin,
 )
-from gis_radar.heatmap.intervals import SETTINGS, Timeline
+from gis_radar.heatmap.intervals import SETTINGS, MapLabels, Timeline
 from gis_radar.occupancy import Occupancy
 from gis_radar.occupancy.frame_steps import Runs, common_steps, steps_in, union
 from gis_radar.occupancy.hits import Rows
@@ -52,6 +53,7 @@ DEFINITIONS = {
 }
 
 Counts = NDArray[np.uint32]
+NO_LABELS = MapLabels()
 
 
 class Shares(NamedTuple):
@@ -96,6 +98,8 @@ class Tally:
         Steps in which a group of tiles was observed.
     coverage : Coverage, optional
         Steps in which they were visible and covered, where vehicles are known.
+    labels : MapLabels
+        What stands beside its numbers.
     """
 
     tiles: gpd.GeoDataFrame
@@ -108,6 +112,7 @@ class Tally:
     occupied: Counts
     observed: Integers
     coverage: Coverage | None = None
+    labels: MapLabels = NO_LABELS
 
     @property
     def measure(self) -> str:
@@ -141,6 +146,7 @@ class Tally:
         *,
         chosen: Integers | None = None,
         vehicles: Vehicles | None = None,
+        labels: MapLabels | None = None,
         reporter: Reporter = QUIET,
     ) -> Self:
         """Count the steps in which tiles were observed, and occupied while they were.
@@ -157,6 +163,8 @@ class Tally:
             Positions of the tiles to count, ascending; without it, all.
         vehicles : Vehicles, optional
             Of the same tiles, sensors, poses and sight; only steps that both hold count.
+        labels : MapLabels, optional
+            What stands beside its numbers.
         reporter : Reporter
             Where progress goes.
 
@@ -201,6 +209,7 @@ class Tally:
             occupied=occupied,
             observed=np.stack([timeline.counts(each) for each in runs], axis=1),
             coverage=coverage,
+            labels=labels or NO_LABELS,
         )
 
     def shares(self, interval: int | slice | None = None) -> Shares:
@@ -251,6 +260,23 @@ class Tally:
         known = self.coverage_shares(interval)
         return self.shares(interval).occupancy if known is None else known.coverage
 
+    def least_visible_s(self, interval: int | slice | None = None) -> float:
+        """Return the seconds below which a tile was visible for too short to be certain of it."""
+        return 0.0 if self.coverage is None else self.coverage.least_visible_s(interval)
+
+    def uncertain(self, interval: int | slice | None = None) -> Booleans:
+        """Return for all tiles whether their coverage is uncertain; maps hatch those.
+
+        Parameters
+        ----------
+        interval : int or slice, optional
+            As for :meth:`shares`.
+        """
+        known = self.coverage_shares(interval)
+        if known is None:
+            return np.zeros(len(self.tiles), np.bool_)
+        return known.uncertain(self.least_visible_s(interval))
+
     def steps(self, interval: int | slice | None = None) -> tuple[Integers, Integers]:
         """Return the steps in which each of the `seen` tiles was occupied and observed."""
         part = slice(interval) if interval is None else interval
@@ -277,6 +303,7 @@ class Tally:
             "begin": begin,
             "end": end,
             "definitions": self.definitions,
+            "labels": asdict(self.labels),
         }
 
     def figures(self) -> dict[str, Any]:
@@ -294,9 +321,7 @@ class Tally:
         if known is not None:
             figures["tiles_visible"] = int(np.count_nonzero(known.visible_s))
             figures["covered_s"] = float(np.nansum(known.covered_s))
-            figures["mean_coverage"] = float(
-                np.nansum(known.covered_s) / max(known.visible_s.sum(), 1.0)
-            )
+            figures["mean_coverage"], figures["mean_coverage_se"] = mean_coverage(self.tiles, known)
         if not occupied.any():
             return figures
         share = occupied / np.maximum(observed, 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from gis_radar.crs import name_of
 from gis_radar.errors import NOTEBOOKS, InputError
 from gis_radar.heatmap import style
 from gis_radar.heatmap.counting import Tally
+from gis_radar.heatmap.covering import surest
 from gis_radar.heatmap.picture import (
     INK,
     SOFT,
@@ -29,7 +31,7 @@ from gis_radar.heatmap.picture import (
 )
 from gis_radar.notebooks import FONTS, axes_or_new, label_map
 from gis_radar.progress import Reporter
-from gis_radar.steps import STEPS_PER_SECOND
+from gis_radar.steps import Clock, zone_of
 from gis_radar.tiles.tiles import quads
 
 DPI = 200
@@ -39,9 +41,11 @@ MAP_WIDTH_IN = 7.15
 MAP_HEIGHT_IN = (5.1, 8.6)  # lowest, which the legend needs, and highest
 EDGE_IN = 0.3
 TITLE_IN = 0.85
-FOOT_IN = 0.42
+SMALL, LINE = 8.5, 132  # points of all small words; as many letters of them in a line
+LINE_IN = 0.16
 FRAME = "#9aa1a8"
-HATCH = "////"
+HATCH, UNSURE_HATCH = "////", "\\\\\\"
+APART = {style.NEVER_HIT, style.UNCERTAIN, style.NOT_OBSERVED}  # in the legend
 TITLES = {"occupancy": "Occupancy heat map", "coverage": "Coverage heat map"}
 MEANINGS = {
     "occupancy": (
@@ -49,8 +53,9 @@ MEANINGS = {
         "views count once."
     ),
     "coverage": (
-        "20 % are 12 seconds of every minute with a vehicle on the tile, moving or waiting. Not "
-        "visible: no sensor sees it."
+        "20 % are 12 seconds of every minute with a vehicle on the tile, moving or waiting. "
+        "Uncertain: the standard error (±) is as large as the value, or the tile was visible for "
+        "less than half of the time. Not visible: no sensor sees it."
     ),
 }
 PLOT_PIXELS, SMALL_PIXELS = 1_100_000, 400_000  # of a plot: 180 an inch; of a notebook card
@@ -89,10 +94,10 @@ def draw(
     UsageError
         If there is no such interval.
     """
-    share = tally.shown(interval)
+    share, vague = tally.shown(interval), tally.uncertain(interval)
     ax = axes_or_new(ax, (8.5, 6.0))
     extent = _extent(tally, (0.0, np.inf))
-    map_picture(quads(tally.tiles), extent, most_pixels).show(ax, share)
+    map_picture(quads(tally.tiles), extent, most_pixels).show(ax, share, vague)
     label_map(ax)
     ax.set_title(time_span(tally, interval), fontsize="medium")
     if legend:
@@ -106,8 +111,12 @@ def _extent(tally: Tally, aspect: tuple[float, float]) -> Extent:
 
 
 def _swatch(corner: tuple[float, float], size: tuple[float, float], colour: str) -> Rectangle:
-    """Return a field of a colour of the legend, hatched where it means not observed."""
-    field = Rectangle(corner, *size, facecolor=colour, edgecolor=SOFT, linewidth=0.5)
+    """Return a field of a colour of the legend, hatched where it means not observed or unsure."""
+    field = Rectangle(corner, *size, edgecolor=SOFT, linewidth=0.5)
+    if colour == style.UNCERTAIN:
+        field.set(facecolor=style.NEVER_HIT, hatch=UNSURE_HATCH, edgecolor=style.HATCH_DARK)
+        return field
+    field.set_facecolor(colour)
     if colour == style.NOT_OBSERVED:
         field.set(hatch=HATCH, edgecolor=STRIPE)
     return field
@@ -129,7 +138,10 @@ def write_figure(tally: Tally, path: Path, reporter: Reporter) -> None:
     reporter.progress("drawing the picture", 0, 1)
     with mpl.rc_context(FONTS):
         figure = _figure(tally)
-        about = {"Title": TITLES[tally.measure], "Description": time_span(tally)}
+        named = filter(None, (tally.labels.title, TITLES[tally.measure]))
+        about = {"Title": ", ".join(named), "Description": time_span(tally)}
+        if tally.labels.sources:
+            about["Source"] = "; ".join(tally.labels.sources)
         figure.savefig(path, dpi=DPI, metadata=about)
     reporter.progress("drawing the picture", 1, 1)
 
@@ -137,11 +149,12 @@ def write_figure(tally: Tally, path: Path, reporter: Reporter) -> None:
 def _figure(tally: Tally) -> Figure:
     lowest, highest = (tall / MAP_WIDTH_IN for tall in MAP_HEIGHT_IN)
     extent = _extent(tally, (lowest, highest))
+    foot_in = 0.26 + LINE_IN * len(_foot(tally))
     width_m, height_m = extent[1] - extent[0]
     tall_in = MAP_WIDTH_IN * height_m / width_m
-    figure = Figure(figsize=(WIDTH_IN, tall_in + TITLE_IN + FOOT_IN), dpi=DPI, facecolor="white")
+    figure = Figure(figsize=(WIDTH_IN, tall_in + TITLE_IN + foot_in), dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
-    ax = _axes(figure, EDGE_IN, FOOT_IN, MAP_WIDTH_IN, tall_in)
+    ax = _axes(figure, EDGE_IN, foot_in, MAP_WIDTH_IN, tall_in)
     _add_map(ax, tally, extent, MAP_WIDTH_IN)
     _add_detail(ax, tally, extent)
     _frame(ax, FRAME)
@@ -149,7 +162,7 @@ def _figure(tally: Tally) -> Figure:
     over_in = float(figure.get_size_inches()[1]) - 0.72  # beside the title: it hides no tile
     add_scale_bar(figure, (beside, over_in), MAP_WIDTH_IN / float(width_m))
     _add_titles(figure, tally, EDGE_IN)
-    _add_side(_axes(figure, beside, FOOT_IN, WIDTH_IN - beside, tall_in), tally)
+    _add_side(_axes(figure, beside, foot_in, WIDTH_IN - beside, tall_in), tally)
     return figure
 
 
@@ -164,40 +177,43 @@ def _add_map(ax: Axes, tally: Tally, extent: Extent, width_in: float) -> None:
     width_m, height_m = extent[1] - extent[0]
     most = (width_in * DPI * FINER) ** 2 * float(height_m / width_m)
     picture = map_picture(quads(tally.tiles), extent, int(most))
-    picture.show(ax, tally.shown())
+    picture.show(ax, tally.shown(), tally.uncertain())
     ax.set(xlim=(extent[0][0], extent[1][0]), ylim=(extent[0][1], extent[1][1]))
 
 
 def _add_titles(figure: Figure, tally: Tally, left_in: float) -> None:
-    """Write the title and the time span over the map, and what is meant under it."""
+    """Write title and time span over the map, and what is meant and where it is from under it."""
     width_in, height_in = figure.get_size_inches()
     left = left_in / width_in
-    line: dict[str, Any] = {"ha": "left", "va": "baseline"}
+    line: dict[str, Any] = {"ha": "left", "va": "baseline", "parse_math": False}
+    measure, when = TITLES[tally.measure], time_span(tally)
+    title, below = measure, when
+    if tally.labels.title:
+        title, below = tally.labels.title, f"{measure}, {when}"
     figure.text(
-        left, 1 - 0.42 / height_in, TITLES[tally.measure],
-        fontsize=17, fontweight="bold", color=INK, **line,
-    )  # fmt: skip
-    figure.text(left, 1 - 0.68 / height_in, time_span(tally), fontsize=10, color=SOFT, **line)
-    figure.text(left, 0.2 / height_in, _foot(tally), fontsize=6.5, color=SOFT, **line)
+        left, 1 - 0.42 / height_in, title, fontsize=17, fontweight="bold", color=INK, **line
+    )
+    figure.text(left, 1 - 0.68 / height_in, below, fontsize=SMALL, color=SOFT, **line)
+    for number, text in enumerate(reversed(_foot(tally))):
+        up = (0.2 + number * LINE_IN) / height_in
+        figure.text(left, up, text, fontsize=SMALL, color=SOFT, **line)
 
 
-def _foot(tally: Tally) -> str:
-    return f"{tally.crs.name} ({name_of(tally.crs)[:20]}). {MEANINGS[tally.measure]}"
+def _foot(tally: Tally) -> list[str]:
+    """Return the lines under the map."""
+    crs = f"{tally.crs.name} ({name_of(tally.crs)[:20]})."
+    sources = f" Sources: {'; '.join(tally.labels.sources)}." if tally.labels.sources else ""
+    return textwrap.wrap(f"{MEANINGS[tally.measure]} {crs}{sources}", LINE)
 
 
 def time_span(tally: Tally, interval: int | None = None) -> str:
-    """Return the time span, or that of an interval, in UTC, no longer than needed."""
+    """Return the time span, or that of an interval, by the clocks that the labels name."""
     times, row = (tally.whole, 0) if interval is None else (tally.timeline, interval)
-    first, after = int(times.begin[row]), int(times.end[row])
     begin, end = times.span(row)
-    finest = "milliseconds" if (first % STEPS_PER_SECOND or after % STEPS_PER_SECOND) else "seconds"
-    date, time = begin.date().isoformat(), begin.time().isoformat(timespec=finest)
-    if after - first == 1:
-        return f"{date}  {time} UTC, one step of 50 ms"
-    until = end.time().isoformat(timespec=finest)
-    if begin.date() != end.date():
-        until = f"{end.date().isoformat()}  {until}"
-    return f"{date}  {time} to {until} UTC"
+    clock = Clock(zone=zone_of(tally.labels.timezone), first=begin, last=end)
+    if int(times.end[row] - times.begin[row]) == 1:
+        return f"{clock.date(begin)}, {clock.time(begin)}, one step of 50 ms ({clock.name})"
+    return f"{clock.whole(begin, end)} ({clock.name})"
 
 
 def _add_side(ax: Axes, tally: Tally) -> None:
@@ -207,17 +223,17 @@ def _add_side(ax: Axes, tally: Tally) -> None:
     ax.set_ylim(box.height / DPI, 0)
     ax.axis("off")
     words = style.WORDS[tally.measure]
-    ax.text(0.25, 0.12, words.title, fontsize=9.5, fontweight="bold", color=INK)
-    ax.text(0.25, 0.3, words.subtitle, fontsize=8.5, color=SOFT)
+    ax.text(0.25, 0.12, words.title, fontsize=10, fontweight="bold", color=INK)
+    ax.text(0.25, 0.3, words.subtitle, fontsize=SMALL, color=SOFT)
     y = 0.5
     for colour, label in style.legend(tally.measure):
-        apart = 0.08 if colour in {style.NEVER_HIT, style.NOT_OBSERVED} else 0.0
+        apart = 0.08 if colour in APART else 0.0
         ax.add_patch(_swatch((0.25, y + apart), (0.34, 0.24), colour))
-        ax.text(0.7, y + apart + 0.125, label, fontsize=8.5, color=INK, va="center")
+        ax.text(0.7, y + apart + 0.125, label, fontsize=SMALL, color=INK, va="center")
         y += 0.24 + apart
     for number, (name, value) in enumerate(_facts(tally)):
-        ax.text(0.25, y + 0.46 + number * 0.4, name, fontsize=7, color=SOFT)
-        ax.text(0.25, y + 0.63 + number * 0.4, value, fontsize=8.5, color=INK, parse_math=False)
+        ax.text(0.25, y + 0.46 + number * 0.44, name, fontsize=SMALL, color=SOFT)
+        ax.text(0.25, y + 0.65 + number * 0.44, value, fontsize=10, color=INK, parse_math=False)
 
 
 def _facts(tally: Tally) -> list[tuple[str, str]]:
@@ -231,11 +247,12 @@ def _facts(tally: Tally) -> list[tuple[str, str]]:
     if shares is not None:
         tiles = f"{known['tiles_visible']:,} of {len(tally.tiles):,}"
         facts[1:] = [("Tiles visible", tiles.replace(",", " "))]
-        facts.append(("Mean coverage", f"{known['mean_coverage'] * 100:.1f} %"))
+        mean = 100 * known["mean_coverage"], 100 * known["mean_coverage_se"]
+        facts.append(("Mean coverage", f"{mean[0]:.1f} ± {mean[1]:.1f} %"))
         if np.any(shares.coverage > 0):
-            top = int(np.nanargmax(shares.coverage))
+            top = surest(shares.coverage, shares.coverage_se)
             best = 100 * shares.coverage[top], 100 * shares.coverage_se[top]
-            facts.append(("Busiest tile", f"{best[0]:.1f} % ± {best[1]:.1f} %"))
+            facts.append(("Busiest spot", f"{best[0]:.1f} ± {best[1]:.1f} %"))
     elif "busiest_tile" in known:
         occupied_s, observed_s = known["busiest_occupied_s"], known["busiest_observed_s"]
         share = f"{known['busiest_occupancy'] * 100:.1f} %"
@@ -322,7 +339,7 @@ def _add_detail(ax: Axes, tally: Tally, extent: Extent) -> None:
     )
     inset.text(
         0.03, 0.96, f"busiest place, {(high - low)[0]:.0f} m across",
-        transform=inset.transAxes, fontsize=7, color=INK, va="top",
+        transform=inset.transAxes, fontsize=SMALL, color=INK, va="top",
         bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.88, "pad": 1.5},
     )  # fmt: skip
 

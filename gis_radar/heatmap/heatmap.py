@@ -22,7 +22,14 @@ from gis_radar.files import whole_folder
 from gis_radar.heatmap.counting import Shares, Tally, checked, positions
 from gis_radar.heatmap.covering import CoverageShares
 from gis_radar.heatmap.figure import SMALL_PIXELS, draw, show_in_browser, write_figure
-from gis_radar.heatmap.intervals import Timeline, intervals_of, intervals_with, moment_of, whole_of
+from gis_radar.heatmap.intervals import (
+    MapLabels,
+    Timeline,
+    intervals_of,
+    intervals_with,
+    moment_of,
+    whole_of,
+)
 from gis_radar.heatmap.layers import (
     long_layer,
     read_package,
@@ -145,7 +152,7 @@ class HeatMap(Tally):
             If the folder cannot be written or holds other files.
         """
         folder = Path(folder)
-        style = sidecar_qml(self.measure)
+        style = sidecar_qml(self.measure, least_s=self.least_visible_s())
         writers: dict[str, Callable[[Tally, Path, Reporter], object]] = {
             "heatmap.gpkg": write_package,
             "heatmap.tif": write_raster,
@@ -172,6 +179,7 @@ def make_heatmap(
     at: str | None = None,
     timezone: str | None = None,
     vehicles: Vehicles | None = None,
+    labels: MapLabels | None = None,
     reporter: Reporter = QUIET,
 ) -> HeatMap:
     """Make the heat map of all tiles (the paper's section "Global Occupancy Heat Map").
@@ -188,12 +196,15 @@ def make_heatmap(
     interval : str, optional
         Length of intervals such as `15min`; they begin at multiples of it since the UNIX epoch.
     timezone : str, optional
-        Whose hours and days intervals follow, such as Europe/Berlin; all output stays in UTC.
+        Whose hours and days intervals follow, such as Europe/Berlin, and whose clocks pictures
+        show where `labels` are not given; tables and layers stay in UTC.
     at : str, optional
         ISO 8601 time: the map of the one step that contains it, instead of the whole time.
     vehicles : Vehicles, optional
         Of the same tiles, sensors, poses and sight, as from :func:`gis_radar.read_vehicles`: adds
         coverage, which maps then show. The whole time is what both hold.
+    labels : MapLabels, optional
+        Title, time zone and sources for pictures and reports.
     reporter : Reporter
         Where progress and remarks go.
 
@@ -205,7 +216,7 @@ def make_heatmap(
     ------
     UsageError
         If `interval` is no duration, stands beside `at`, or is too short for this much data;
-        if there is no such time zone, or it stands without `interval`.
+        if there is no such time zone.
     CrsError
         If the tiles' coordinate system is not a projected one in metres.
     InputError
@@ -226,14 +237,15 @@ def make_heatmap(
     """
     if at is not None and interval is not None:
         raise UsageError("at and interval do not go together", hint="give one of them")
-    if timezone is not None and interval is None:
-        raise UsageError("a timezone needs an interval", hint="such as 1h or 1d")
     zone = None if timezone is None else zone_of(timezone)
     tiles, runs = checked(occupancy, tiles, vehicles)
     whole = timeline = whole_of(runs, at)
     if interval is not None:
         timeline = intervals_of(runs, interval, zone, len(tiles), reporter)
-    return HeatMap.count(occupancy, tiles, whole, timeline, vehicles=vehicles, reporter=reporter)
+    return HeatMap.count(
+        occupancy, tiles, whole, timeline, vehicles=vehicles, reporter=reporter,
+        labels=labels or MapLabels(timezone=timezone or "UTC"),
+    )  # fmt: skip
 
 
 def read_heatmap(path: str | Path) -> HeatMap:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, time, timedelta
 from itertools import pairwise
@@ -21,7 +22,32 @@ from gis_radar.steps import (
     seconds_from_iso,
     step_begin,
     step_of,
+    zone_of,
 )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapLabels:
+    """What pictures and reports of a heat map say beside its numbers.
+
+    Parameters
+    ----------
+    title : str
+        Of the site.
+    timezone : str
+        Whose clocks the times in pictures follow, such as Europe/Berlin; files stay in UTC.
+    sources : sequence of str
+        Where map, scan and recordings come from, and whether they are simulated: a line each.
+    """
+
+    title: str = ""
+    timezone: str = "UTC"
+    sources: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse a time zone that there is not; keep sources as a tuple."""
+        zone_of(self.timezone)
+        object.__setattr__(self, "sources", tuple(self.sources))
 
 
 @dataclass(frozen=True, kw_only=True)

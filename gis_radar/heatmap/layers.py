@@ -21,7 +21,7 @@ from gis_radar.geopackage import GPKG_VERSION, add_styles
 from gis_radar.heatmap import style
 from gis_radar.heatmap.counting import Counts, Tally
 from gis_radar.heatmap.covering import Coverage
-from gis_radar.heatmap.intervals import Timeline
+from gis_radar.heatmap.intervals import MapLabels, Timeline
 from gis_radar.heatmap.step_table import (
     BEGIN,
     END,
@@ -131,10 +131,11 @@ def write_package(tally: Tally, path: Path, reporter: Reporter) -> None:
     )  # fmt: skip
     length_s = float(tally.timeline.end[0] - tally.timeline.begin[0]) / STEPS_PER_SECOND
     measure = tally.measure
-    styles = {
-        WIDE: (style.vector_qml(measure=measure), style.sld(WIDE, measure)),
-        LONG: (style.vector_qml(interval_s=length_s, measure=measure), style.sld(LONG, measure)),
-    }
+    styles = {}
+    for layer, interval, shown_s in ((WIDE, None, None), (LONG, 0, length_s)):
+        least_s = tally.least_visible_s(interval)
+        qml = style.vector_qml(interval_s=shown_s, measure=measure, least_s=least_s)
+        styles[layer] = (qml, style.sld(layer, measure, least_s=least_s))
     about = f"fixed classes of {measure}, so that maps compare"
     with closing(sqlite3.connect(path)) as database, database:
         write_steps(database, tally, reporter)
@@ -192,6 +193,7 @@ def read_package(path: Path) -> dict[str, Any]:
         "occupied": occupied[:, seen].astype(np.uint32),
         "observed": observed[:, seen[first]].astype(np.int64),
         "coverage": _coverage_of(counts, seen, errors),
+        "labels": MapLabels(**json.loads(notes.get("labels", "{}"))),
     }
 
 

@@ -35,11 +35,13 @@ LEAST_MARGIN_M = 12.0  # around what was observed: sensors stand beside the road
 MARGIN = 0.05  # of the longer side, where that is more
 FINEST_M = 0.04  # finer pixels show no more of tiles of 0.5 m
 STRIPES = 7  # pixels from one stripe of tiles not observed to the next, at 1000 pixels
-OVERLAY_IN = 8.0  # width of the figure over a picture: the narrower, the larger its words
+OVERLAY_IN = 5.2  # width of the figure over a picture: the narrower, the larger its words
 BAR_IN = 1.4  # the longest scale bar
 
 # Places in the palette; the classes of occupancy follow.
-NO_TILE, OUTLINE, UNSEEN, STRIPED, CLASSES = range(5)
+NO_TILE, OUTLINE, UNSEEN, STRIPED, HATCH_DARK, HATCH_LIGHT, CLASSES = range(7)
+
+_HATCHES = style.hatches()
 
 Pixels = NDArray[np.uint8]
 Extent = tuple[Floats, Floats]  # south-west and north-east, metres
@@ -63,31 +65,38 @@ class MapPicture:
     cover: Cover
     ground: Pixels
 
-    def paint(self, share: Floats) -> Pixels:
+    def paint(self, share: Floats, uncertain: Booleans) -> Pixels:
         """Return the picture as places in the palette: of overlapping tiles the busiest shows.
 
         Parameters
         ----------
         share : (n,) array
             Occupancy of all tiles, NaN where not observed: striped, unlike a 0.
+        uncertain : (n,) bool array
+            Which of them are hatched over their colour.
         """
         breaks = [each.upper for each in style.colour_classes()]
         place = np.where(np.isnan(share), UNSEEN, CLASSES + np.searchsorted(breaks, share))
-        top = self.cover.highest(place.astype(np.uint8))
+        top = self.cover.highest((2 * place + uncertain).astype(np.uint8))
+        top, vague = np.divmod(top, 2)
         row, column = np.divmod(self.cover.pixel, self.grid.width)
         apart = max(4, round(STRIPES * self.grid.width / 1000))
         striped = (top == UNSEEN) & ((row + column) % apart < max(1, apart // 3))
+        hatched = (vague > 0) & ((row - column) % apart < max(1, apart // 4))
+        colours = [HATCH_DARK if each == style.HATCH_DARK else HATCH_LIGHT for each in _HATCHES]
+        lines = np.array([0] * CLASSES + colours, np.uint8)[top]
         picture = self.ground.copy()
-        picture[row, column] = np.where(striped, STRIPED, top)
+        picture[row, column] = np.where(striped, STRIPED, np.where(hatched, lines, top))
         return picture
 
-    def show(self, ax: Axes, share: Floats) -> None:
+    def show(self, ax: Axes, share: Floats, uncertain: Booleans) -> None:
         """Draw the picture on axes in metres of the map, and set their limits."""
         colours = np.array(palette(), np.uint8).reshape(-1, 3)
         west, east, south, north = self.grid.bounds
         ax.imshow(
-            colours[self.paint(share)], extent=(west, east, south, north), interpolation="auto"
-        )
+            colours[self.paint(share, uncertain)], extent=(west, east, south, north),
+            interpolation="auto",
+        )  # fmt: skip
 
     def blank(self, width_in: float = OVERLAY_IN) -> tuple[Figure, Axes]:
         """Return a transparent figure of the same pixels, and axes in metres that fill it."""
@@ -166,7 +175,8 @@ def map_picture(corners: Floats, extent: Extent, most_pixels: int) -> MapPicture
 def palette() -> list[int]:
     """Return red, green, blue of each place in the palette, one after the other."""
     classes = [each.colour for each in style.colour_classes()]
-    return rgb(PAPER, SOFT, style.NOT_OBSERVED, STRIPE, *classes)
+    hatches = style.HATCH_DARK, style.HATCH_LIGHT
+    return rgb(PAPER, SOFT, style.NOT_OBSERVED, STRIPE, *hatches, *classes)
 
 
 def rgb(*colours: str) -> list[int]:

@@ -24,6 +24,11 @@ RAMP = (
 )  # fmt: skip
 NEVER_HIT = "#dce8f1"
 NOT_OBSERVED = "#b9bdc1"  # for pictures; layers leave such tiles transparent
+UNCERTAIN = "uncertain"  # its label; drawn as a hatch over the colour of the class
+UNCERTAIN_FROM = 0.02  # a standard error as large as the coverage, and over this, is uncertain
+UNCERTAIN_SEEN = 0.5  # so is what was visible for a smaller share of the longest visible time
+HATCH_DARK, HATCH_LIGHT = "#6b7278", "#ffffff"  # over pale colours and over deep ones
+_PALE = 4  # classes, from 0 up
 LEGEND_TITLE = "Share of the observed time"
 LEGEND_SUBTITLE = "in which a tile is hit"
 
@@ -67,9 +72,25 @@ def colour_classes(measure: str = "occupancy") -> tuple[ColourClass, ...]:
 
 
 def legend(measure: str = "occupancy") -> tuple[tuple[str, str], ...]:
-    """Return colours with their labels, highest class first, not observed last."""
+    """Return colours with their labels, highest class first, not observed last.
+
+    Of coverage the one before the last is what is uncertain: no colour but a hatch, `UNCERTAIN`.
+    """
     classes = [(each.colour, each.label) for each in reversed(colour_classes(measure))]
-    return (*classes, (NOT_OBSERVED, WORDS[measure].unknown))
+    unsure = ((UNCERTAIN, UNCERTAIN),) if measure == "coverage" else ()
+    return (*classes, *unsure, (NOT_OBSERVED, WORDS[measure].unknown))
+
+
+def hatches() -> tuple[str, ...]:
+    """Return for each class, lowest first, the colour of the hatch of what is uncertain."""
+    classes = range(len(colour_classes()))
+    return tuple(HATCH_DARK if place < _PALE else HATCH_LIGHT for place in classes)
+
+
+def uncertain_rule(least_s: float) -> str:
+    """Return what is uncertain as an expression of QGIS; `least_s` is half the longest time."""
+    vague = f'"coverage_se" >= {UNCERTAIN_FROM} AND "coverage_se" >= "coverage"'
+    return f'{vague} OR "visible_s" < {least_s:.10g}'
 
 
 def _label(lower: float, upper: float) -> str:
@@ -78,7 +99,9 @@ def _label(lower: float, upper: float) -> str:
     return f"{lower * 100:g} to {upper * 100:g} %"
 
 
-def vector_qml(*, interval_s: float | None = None, measure: str = "occupancy") -> str:
+def vector_qml(
+    *, interval_s: float | None = None, measure: str = "occupancy", least_s: float = 0.0
+) -> str:
     """Return the QGIS style of a layer of tiles.
 
     Parameters
@@ -88,6 +111,8 @@ def vector_qml(*, interval_s: float | None = None, measure: str = "occupancy") -
     interval_s : float, optional
         Length of the interval of each row, seconds: the temporal controller shows a row for so
         long from its `begin`. Without it, the layer holds the whole time.
+    least_s : float
+        Coverage of tiles that were visible for less, seconds, is hatched as uncertain.
 
     Returns
     -------
@@ -95,18 +120,18 @@ def vector_qml(*, interval_s: float | None = None, measure: str = "occupancy") -
         QML text. Where tiles overlap, the busiest is on top.
     """
     without = ("pipe",) if interval_s is not None else ("pipe", "temporal")
-    root = _measure_style(measure, without=without)
+    root = _measure_style(measure, least_s, without=without)
     if interval_s is not None:
         _element(root, "temporal").set("fixedDuration", str(_shown_ms(interval_s)))
     return _document(root, _QGIS_DOCTYPE)
 
 
-def sidecar_qml(measure: str = "occupancy") -> str:
+def sidecar_qml(measure: str = "occupancy", least_s: float = 0.0) -> str:
     """Return the QGIS style of files that carry none: a GeoTIFF (first band) or a table.
 
     QGIS loads it by itself where it has the name of the file and the ending `.qml`.
     """
-    root = _measure_style(measure, without=("temporal", "layerGeometryType"))
+    root = _measure_style(measure, least_s, without=("temporal", "layerGeometryType"))
     root.set("styleCategories", "Symbology")
     return _document(root, _QGIS_DOCTYPE)
 
@@ -119,7 +144,7 @@ def ground_qml() -> str:
     return (_HERE / "ground.qml").read_text(encoding="utf-8")
 
 
-def _measure_style(measure: str, *, without: tuple[str, ...]) -> Element:
+def _measure_style(measure: str, least_s: float, *, without: tuple[str, ...]) -> Element:
     """Return `occupancy.qml` with an entry for each class of a measure, without some parts."""
     root = parse(_HERE / "occupancy.qml").getroot()  # noqa: S314 - our own file
     for name in without:
@@ -127,6 +152,8 @@ def _measure_style(measure: str, *, without: tuple[str, ...]) -> Element:
     for parent in ("pipe//colorrampshader", "renderer-v2/ranges", "renderer-v2/symbols"):
         if (entries := root.find(parent)) is not None:
             _repeat_for_each_class(entries, measure)
+    if measure == "coverage":
+        _hatch(_element(root, "renderer-v2"), least_s)
     _element(root, "renderer-v2").set("attr", measure)
     _element(root, "renderer-v2/orderby/orderByClause").text = f'"{measure}"'
     return root
@@ -151,6 +178,35 @@ def _repeat_for_each_class(entries: Element, measure: str) -> None:
                 _element(entry, f".//Option[@name='{name}']").set("value", _rgba(each.colour))
 
 
+def _hatch(renderer: Element, least_s: float) -> None:
+    """Let each class hatch what is uncertain, and add an entry to the legend.
+
+    The entry is a class of its own, above all shares, that no tile is in.
+    """
+    pattern = _element(parse(_HERE / "hatch.qml").getroot(), "symbol")  # noqa: S314 - our own file
+    symbols = _element(renderer, "symbols")
+    for symbol, colour in zip(symbols, hatches(), strict=True):
+        layer = copy.deepcopy(_element(pattern, "layer"))
+        _element(layer, ".//Option[@name='expression']").set("value", uncertain_rule(least_s))
+        _colour_lines(layer, colour)
+        symbol.append(layer)
+    entry = copy.deepcopy(pattern)
+    entry.set("name", str(len(symbols)))
+    layer = _element(entry, "layer")
+    layer.remove(_element(layer, "data_defined_properties"))
+    _colour_lines(layer, HATCH_DARK)
+    symbols.append(entry)
+    bounds = {"lower": "2.000000000000000", "upper": "2.000000000000000"}
+    named = {"symbol": entry.get("name", ""), "render": "true", "label": UNCERTAIN}
+    SubElement(_element(renderer, "ranges"), "range", named | bounds)
+
+
+def _colour_lines(layer: Element, colour: str) -> None:
+    for option in layer.iterfind(".//Option"):
+        if option.get("name") in {"color", "line_color"}:
+            option.set("value", _rgba(colour))
+
+
 def _element(root: Element, path: str) -> Element:
     found = root.find(path)
     if found is None:
@@ -168,8 +224,11 @@ def _shown_ms(interval_s: float) -> int:
     return max(0, round(interval_s * 1000) - 10)
 
 
-def sld(layer: str, measure: str = "occupancy") -> str:
-    """Return the style of a layer as Styled Layer Descriptor 1.0, for map servers."""
+def sld(layer: str, measure: str = "occupancy", *, least_s: float = 0.0) -> str:
+    """Return the style of a layer as Styled Layer Descriptor 1.0, for map servers.
+
+    Coverage of tiles that were visible for less than `least_s` is hatched as uncertain.
+    """
     root = Element("StyledLayerDescriptor", {
         "version": "1.0.0",
         "xmlns": "http://www.opengis.net/sld",
@@ -184,7 +243,26 @@ def sld(layer: str, measure: str = "occupancy") -> str:
         _add_filter(SubElement(rule, "ogc:Filter"), level, measure)
         fill = SubElement(SubElement(rule, "PolygonSymbolizer"), "Fill")
         SubElement(fill, "CssParameter", name="fill").text = level.colour
+    if measure == "coverage":
+        _add_hatch_rule(style, least_s)
     return _document(root, '<?xml version="1.0" encoding="UTF-8"?>')
+
+
+def _add_hatch_rule(style: Element, least_s: float) -> None:
+    rule = SubElement(style, "Rule")
+    SubElement(rule, "Name").text = UNCERTAIN
+    either = SubElement(SubElement(rule, "ogc:Filter"), "ogc:Or")
+    vague, least = SubElement(either, "ogc:And"), "ogc:PropertyIsGreaterThanOrEqualTo"
+    _add_comparison(vague, least, "coverage_se", UNCERTAIN_FROM)
+    beside = SubElement(vague, least)
+    for name in ("coverage_se", "coverage"):
+        SubElement(beside, "ogc:PropertyName").text = name
+    _add_comparison(either, "ogc:PropertyIsLessThan", "visible_s", least_s)
+    fill = SubElement(SubElement(rule, "PolygonSymbolizer"), "Fill")
+    mark = SubElement(SubElement(SubElement(fill, "GraphicFill"), "Graphic"), "Mark")
+    SubElement(mark, "WellKnownName").text = "shape://backslash"
+    stroke = SubElement(mark, "Stroke")
+    SubElement(stroke, "CssParameter", name="stroke").text = HATCH_DARK
 
 
 def _add_filter(parent: Element, level: ColourClass, measure: str) -> None:

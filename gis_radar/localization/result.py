@@ -27,6 +27,11 @@ STAGE = "finding the pose"
 
 DPI = 216
 SIZE_IN = (6.6, 6.6)
+WITH_ONE_IN, WITH_TWO_IN = (
+    (7.8, 4.6),
+    (7.8, 8.6),
+)  # near the width of a page: its words stay legible
+BELOW = (0.5, -0.16)  # a legend, from the axes
 MARGIN_M = 12.0
 ROAD_POINTS = 60_000
 ARROW_EVERY_M = 12.0
@@ -211,20 +216,22 @@ def draw_localization(
     from gis_radar.second_look.picture import draw_surroundings  # noqa: PLC0415
     from gis_radar.sight.picture import draw_sight  # noqa: PLC0415
 
-    width, height = SIZE_IN
-    panels = 1 + (look is not None) + (seen is not None)
-    with picture_file(path, (panels * width, height), DPI, tight=True) as figure:
-        found.plot(roads, road_points, ax=figure.add_subplot(1, panels, 1))
+    beside = [name for name, each in (("look", look), ("sight", seen)) if each is not None]
+    size_in = WITH_ONE_IN if len(beside) == 1 else WITH_TWO_IN if beside else SIZE_IN
+    rows = [["traces", *beside]] if len(beside) < 2 else [["traces", "traces"], beside]
+    with picture_file(path, size_in, DPI, tight=True) as figure:
+        panels = figure.subplot_mosaic(rows)
+        found.plot(roads, road_points, ax=panels["traces"])
         if look is not None:
-            draw_surroundings(figure.add_subplot(1, panels, 2), look)
+            draw_surroundings(panels["look"], look)
         if seen is not None:
-            ax = figure.add_subplot(1, panels, panels)
+            ax = panels["sight"]
             draw_sight(ax, *seen)
             label_map(ax)
             counts = seen[0].figures()
             share = counts["hidden"] / max(counts["in_sight"] + counts["hidden"], 1)
-            ax.set_title(f"Lanes in its view: {1 - share:.0%} in sight, {share:.0%} hidden")
-            ax.legend(loc="best", framealpha=0.9)
+            ax.set_title(f"Lanes in its view:\n{1 - share:.0%} in sight, {share:.0%} hidden")
+            ax.legend(loc="upper center", bbox_to_anchor=BELOW, ncols=2, frameon=False)
 
 
 def _trace_extent(traces: Floats, place: Floats) -> Extent:

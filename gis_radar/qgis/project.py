@@ -25,6 +25,7 @@ from pyproj import CRS
 from gis_radar.crs import Box, metric_crs, name_of
 from gis_radar.errors import InputError, OutputError, UsageError
 from gis_radar.files import whole_file
+from gis_radar.geopackage import read_styles
 from gis_radar.heatmap import style
 from gis_radar.heatmap.step_table import LONG, TIMES, WIDE
 from gis_radar.occupancy import read_occupancy
@@ -104,8 +105,8 @@ def write_qgis_project(
     package = Path(heatmap) / "heatmap.gpkg"
     crs, box = _observed_box(package)
     played = _time_range(package)
-    measure, interval_s = _measure(package), played.step_s if played else 0.0
-    layers = _heatmap_layers(Path(heatmap).resolve(), interval_s, measure)
+    measure = _measure(package)
+    layers = _heatmap_layers(Path(heatmap).resolve(), measure)
     if sensors is not None:
         layers |= _sensor_layers(Path(sensors).resolve())
     if sight is not None:
@@ -336,13 +337,13 @@ def _measure(package: Path) -> str:
     return "coverage" if "coverage" in fields else "occupancy"
 
 
-def _heatmap_layers(folder: Path, interval_s: float, measure: str) -> dict[str, _LayerSource]:
-    """Return the layers of a heat map."""
+def _heatmap_layers(folder: Path, measure: str) -> dict[str, _LayerSource]:
+    """Return the layers of a heat map, as their own file styles them."""
     package, raster = folder / "heatmap.gpkg", folder / "heatmap.tif"
-    by_interval = style.vector_qml(interval_s=interval_s, measure=measure)
+    qml = read_styles(package)
     layers = {
-        "heatmap_by_interval": _LayerSource(package, by_interval, LONG),
-        "heatmap": _LayerSource(package, style.vector_qml(measure=measure), WIDE),
+        "heatmap_by_interval": _LayerSource(package, qml[LONG], LONG),
+        "heatmap": _LayerSource(package, qml[WIDE], WIDE),
         "ground": _LayerSource(package, style.ground_qml(), WIDE),
     }
     if raster.is_file():

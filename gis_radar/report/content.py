@@ -6,13 +6,10 @@ import csv
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime, timedelta
-from functools import cached_property
-from itertools import groupby
+from datetime import datetime
 from numbers import Number
 from pathlib import Path
 from typing import Any, NamedTuple
-from zoneinfo import ZoneInfo
 
 import pandas as pd
 
@@ -40,7 +37,8 @@ WORDS = {
         "The map shows coverage: for each half metre of lane the estimated share of time in which "
         "a vehicle was on it, moving or waiting. 20 % means 12 seconds of every minute. It is an "
         "estimate: radar follows the vehicles, also for moments while others hide them; "
-        "± is its standard error. Hatched is road that no radar saw, which is not 0 %",
+        "± is its standard error. Hatched in colour is uncertain; hatched in grey is road that no "
+        "radar saw, which is not 0 %",
     ),
 }  # fmt: skip
 
@@ -230,8 +228,14 @@ def figure_text(value: float, digits: int = 0) -> str:
     return text.replace("-", MINUS) if float(f"{value:.{digits}f}") else text.replace("-", "")
 
 
-def percent(share: float, digits: int = 1) -> str:
-    """Return a share as percent; what is more than nothing never reads as nothing."""
+def percent(share: float, digits: int = 1, *, off: float = math.nan) -> str:
+    """Return a share as percent, with its standard error where there is one.
+
+    What is more than nothing never reads as nothing.
+    """
+    if math.isfinite(share) and math.isfinite(off):
+        value, error = (figure_text(100 * each, digits) for each in (share, off))
+        return f"{value}{THIN}±{THIN}{error}{THIN}%"
     if math.isfinite(share) and 0.0 < share * 100 < 0.5 * 10.0**-digits:
         return f"under {10.0**-digits:g}{THIN}%"
     return f"{figure_text(share * 100, digits)}{THIN}%" if math.isfinite(share) else NOTHING
@@ -285,110 +289,6 @@ def listed(words: list[str]) -> str:
     if len(words) < 2:
         return "".join(words)
     return f"{', '.join(words[:-1])} and {words[-1]}"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Clock:
-    """The clocks of the site: local times as text.
-
-    Parameters
-    ----------
-    zone : ZoneInfo
-        The site's.
-    first, last : datetime
-        All times written are between these; days and offsets are named only where they
-        differ.
-    to_seconds : bool
-        Whether times name their seconds.
-    """
-
-    zone: ZoneInfo
-    first: datetime
-    last: datetime
-    to_seconds: bool = True
-
-    @property
-    def name(self) -> str:
-        """The zone with its offset from UTC, both where clocks change in between."""
-        if str(self.zone) == "UTC":
-            return "UTC"
-        return f"{self.zone}, {' then '.join(self._offsets)}"
-
-    def date(self, moment: datetime) -> str:
-        """Return the day."""
-        local = self._local(moment)
-        return f"{local.day} {local:%B %Y}"
-
-    def time(self, moment: datetime) -> str:
-        """Return day (where there are several), time of day, offset (where it changes)."""
-        local = self._local(moment)
-        fine = local.microsecond != 0
-        text = f"{local:%H:%M:%S}" + (f".{local.microsecond // 1000:03d}" if fine else "")
-        if not (fine or self.to_seconds or local.second):
-            text = f"{local:%H:%M}"
-        if self._changes:
-            text += f" {_offset(local)}"
-        return text if self._one_day else f"{local:%a} {self.day(moment)} {text}"
-
-    def day(self, moment: datetime) -> str:
-        """Return the day, short."""
-        return f"{self._local(moment):%Y-%m-%d}"
-
-    def stamp(self, moment: datetime) -> str:
-        """Return day and minute, whatever the others are; the offset where it changes."""
-        local = self._local(moment)
-        return f"{local:%Y-%m-%d %H:%M}" + (f" {_offset(local)}" if self._changes else "")
-
-    def span(self, begin: datetime, end: datetime) -> str:
-        """Return an interval; its end without the day where it ends on the day it begins."""
-        until = self.time(end)
-        last = end - timedelta(microseconds=1)
-        if self._local(begin).date() == self._local(last).date():
-            until = until if self._one_day else until.split(" ", 2)[2]
-            if until.startswith("00:") and self._local(end).date() != self._local(last).date():
-                until = f"24:{until.removeprefix('00:')}"
-        return f"{self.time(begin)} to {until}"
-
-    def whole(self, begin: datetime, end: datetime) -> str:
-        """Return the time of all data in a sentence's words."""
-        since, until = self._local(begin), self._local(end)
-        if self._day_of(begin, end):
-            return f"{self.date(begin)}, {since:%H:%M:%S} to {until:%H:%M:%S}"
-        return f"{self.date(begin)}, {since:%H:%M:%S}, to {self.date(end)}, {until:%H:%M:%S}"
-
-    def iso(self, moment: datetime) -> str:
-        """Return local time as ISO 8601, with its offset."""
-        local = self._local(moment)
-        return local.isoformat(timespec="milliseconds" if local.microsecond else "seconds")
-
-    @property
-    def _one_day(self) -> bool:
-        return self._day_of(self.first, self.last)
-
-    def _day_of(self, begin: datetime, end: datetime) -> bool:
-        """Tell whether a span is in one day, which it may fill."""
-        last = end - timedelta(microseconds=1)
-        return self._local(begin).date() == self._local(last).date()
-
-    @cached_property
-    def _offsets(self) -> list[str]:
-        """The offsets from UTC, one after the other: a year has both, and ends as it began."""
-        days = range((self.last - self.first).days + 1)
-        moments = [*(self.first + timedelta(days=day) for day in days), self.last]
-        return [offset for offset, _ in groupby(_offset(self._local(each)) for each in moments)]
-
-    @property
-    def _changes(self) -> bool:
-        return len(self._offsets) > 1
-
-    def _local(self, moment: datetime) -> datetime:
-        return moment.astimezone(self.zone)
-
-
-def _offset(local: datetime) -> str:
-    minutes = round((local.utcoffset() or timedelta()).total_seconds() / 60)
-    sign = MINUS if minutes < 0 else "+"
-    return f"UTC{sign}{abs(minutes) // 60:02d}:{abs(minutes) % 60:02d}"
 
 
 # What makes a spreadsheet take a cell for a formula (OWASP), in ASCII and in full width.

@@ -7,17 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-import geopandas as gpd
 import numpy as np
 import pandas as pd
-from scipy.spatial import cKDTree
 
 from gis_radar.arrays import Floats, Integers
 from gis_radar.heatmap import HeatMap
-from gis_radar.report.content import Clock, direction, utc, write_csv
+from gis_radar.heatmap.covering import surest
+from gis_radar.report.content import direction, utc, write_csv
+from gis_radar.steps import Clock
+from gis_radar.tiles.lanes import Lane, lanes_of
 from gis_radar.tiles.tiles import quads
 
-TOUCH_M = 0.05  # between the ends of lanelets that follow each other
 BUSY = 0.2  # a class break of all heat maps
 EXIT_M = 5.0  # the last metres of a lane tell where it leads to: it may turn
 
@@ -30,11 +30,14 @@ class TileShares(NamedTuple):
     part_s, base_s, share : (tiles,) float64 arrays
         Seconds covered (or hit), seconds visible (or observed), and their quotient: NaN where the
         seconds below are 0.
+    error : (tiles,) float64 array
+        Standard error of the quotient, NaN of hits.
     """
 
     part_s: Floats
     base_s: Floats
     share: Floats
+    error: Floats
 
 
 def shown_of(heat: HeatMap, interval: int | slice | None = None) -> TileShares:
@@ -42,80 +45,12 @@ def shown_of(heat: HeatMap, interval: int | slice | None = None) -> TileShares:
     known = heat.coverage_shares(interval)
     if known is None:
         return hits_of(heat, interval)
-    return TileShares(known.covered_s, known.visible_s, known.coverage)
+    return TileShares(known.covered_s, known.visible_s, known.coverage, known.coverage_se)
 
 
 def hits_of(heat: HeatMap, interval: int | slice | None = None) -> TileShares:
     """Return the hit occupancy of the whole time, or of intervals."""
-    return TileShares(*heat.shares(interval))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Lane:
-    """A chain of lanelets, each the only successor of the last and following nothing else.
-
-    Parameters
-    ----------
-    number : int
-        From 1, in the order of the smallest lanelet id: the same for the same map.
-    lanelets : tuple of int
-        In driving direction.
-    rows : (n,) int64 array
-        Positions of its tiles, in driving direction.
-    """
-
-    number: int
-    lanelets: tuple[int, ...]
-    rows: Integers
-
-
-def lanes_of(tiles: gpd.GeoDataFrame) -> list[Lane]:
-    """Chain lanelets to lanes, by where the tiles of one end and those of another begin.
-
-    Parameters
-    ----------
-    tiles : GeoDataFrame
-        With `lanelet_id`, `index` and the four-vertex polygons of :func:`gis_radar.make_tiles`.
-    """
-    ordered = tiles.reset_index(drop=True).sort_values(["lanelet_id", "index"])
-    rows = {
-        key: part.to_numpy(np.int64) for key, part in ordered.groupby("lanelet_id").groups.items()
-    }
-    ids = list(rows)
-    corners = quads(tiles) - quads(tiles).min(axis=(0, 1))
-    starts = np.array([corners[rows[each][0]][[0, 3]].ravel() for each in ids])
-    ends = np.array([corners[rows[each][-1]][[1, 2]].ravel() for each in ids])
-    following = cKDTree(ends).query_ball_tree(cKDTree(starts), TOUCH_M)
-    after = {i: [k for k in found if k != i] for i, found in enumerate(following)}
-    before: dict[int, list[int]] = {i: [] for i in after}
-    for i, found in after.items():
-        for k in found:
-            before[k].append(i)
-    only = {i: k[0] for i, k in after.items() if len(k) == 1 and len(before[k[0]]) == 1}
-    chains = sorted(_chains(only, len(ids)), key=lambda chain: min(ids[i] for i in chain))
-    return [
-        Lane(
-            number=number,
-            lanelets=tuple(int(ids[i]) for i in chain),
-            rows=np.concatenate([rows[ids[i]] for i in chain]),
-        )
-        for number, chain in enumerate(chains, start=1)
-    ]
-
-
-def _chains(only: dict[int, int], total: int) -> list[list[int]]:
-    """Follow the links from where a chain begins; a ring begins at its first lanelet."""
-    led_to = set(only.values())
-    chains, seen = [], set[int]()
-    for first in [*(i for i in range(total) if i not in led_to), *range(total)]:
-        chain, at = [], first
-        while at not in seen:
-            seen.add(at)
-            chain.append(at)
-            at = only.get(at, at)
-        if chain:
-            chains.append(chain)
-    return chains
+    return TileShares(*heat.shares(interval), np.full(len(heat.tiles), np.nan))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -130,15 +65,19 @@ class LaneSums:
         Position of each tile's lane in `lanes`.
     part_s, base_s : (intervals, lanes) float64 arrays
         Tile-seconds: covered and visible, of hits occupied and observed.
+    error_s : (intervals, lanes) float64 array
+        Standard error of `part_s`, tile-seconds; NaN of hits. The errors of a lane's tiles are
+        taken as one: a vehicle that was missed, or is none, is so all along the lane.
     """
 
     lanes: Sequence[Lane]
     lane_of_tile: Integers
     part_s: Floats
     base_s: Floats
+    error_s: Floats
 
-    def of(self, shares: TileShares) -> tuple[Floats, Floats]:
-        """Return the tile-seconds of each lane, of other tiles' shares."""
+    def of(self, shares: TileShares) -> tuple[Floats, Floats, Floats]:
+        """Return the tile-seconds of each lane and their error, of other tiles' shares."""
         return _by_lane(shares, self.lane_of_tile, len(self.lanes))
 
 
@@ -151,24 +90,22 @@ def sum_by_lane(heat: HeatMap) -> LaneSums:
     sums = [
         _by_lane(shown_of(heat, i), lane_of_tile, len(lanes)) for i in range(len(heat.timeline))
     ]
-    part_s, base_s = np.stack(sums, axis=1)
-    return LaneSums(lanes=lanes, lane_of_tile=lane_of_tile, part_s=part_s, base_s=base_s)
-
-
-def _by_lane(shares: TileShares, lane_of_tile: Integers, size: int) -> tuple[Floats, Floats]:
-    part, base = (
-        np.bincount(lane_of_tile, np.nan_to_num(seconds), size).astype(np.float64)
-        for seconds in (shares.part_s, shares.base_s)
+    part_s, base_s, error_s = np.stack(sums, axis=1)
+    return LaneSums(
+        lanes=lanes, lane_of_tile=lane_of_tile, part_s=part_s, base_s=base_s, error_s=error_s
     )
-    return part, base
 
 
-def surest(share: Floats, error: Floats) -> int:
-    """Return the tile whose share is highest with its standard error taken off.
-
-    The highest share alone would be that of the tile of which least is known.
-    """
-    return int(np.nanargmax(share - np.nan_to_num(error)))
+def _by_lane(
+    shares: TileShares, lane_of_tile: Integers, size: int
+) -> tuple[Floats, Floats, Floats]:
+    seen = shares.base_s > 0
+    error_s = np.where(seen, shares.error * shares.base_s, 0.0)
+    part, base, error = (
+        np.bincount(lane_of_tile, seconds, size).astype(np.float64)
+        for seconds in (np.nan_to_num(shares.part_s), shares.base_s, error_s)
+    )
+    return part, base, error
 
 
 def lane_table(heat: HeatMap, sums: LaneSums) -> pd.DataFrame:
@@ -179,17 +116,18 @@ def lane_table(heat: HeatMap, sums: LaneSums) -> pd.DataFrame:
     DataFrame
         `lane`, `lanelets`, `subtype`, `east_m` and `north_m` along its last metres, `length_m`;
         `base_m`, the length of its tiles with a share; `part_s`, `base_s`, tile-seconds covered and
-        visible, of hits occupied and observed; `share`, their quotient, NaN where there is none;
+        visible, of hits occupied and observed; `share`, their quotient, NaN where there is none,
+        and its standard error `share_se`, NaN for hits;
         `busiest_spot`, the share of the tile of :func:`surest`, its standard error
         `busiest_spot_se` (NaN for hits), and `busiest_spot_m`, where along the lane; `busy_m`, the
         length of tiles with a share of 20 % or more; `busiest_begin`, `busiest_end`,
-        `busiest_share` of the busiest interval, of those with at least half as much seen as in the
-        best seen; `occupied_s`, `observed_s`, `occupancy`: its hits.
+        `busiest_share`, `busiest_share_se` of the busiest interval, of those with at least half as
+        much seen as in the best seen; `occupied_s`, `observed_s`, `occupancy`: its hits.
     """
     whole, tiles, known = shown_of(heat), heat.tiles, heat.coverage_shares()
     error = np.full(len(tiles), np.nan) if known is None else known.coverage_se
-    part, base = sums.of(whole)
-    occupied, observed = sums.of(hits_of(heat))
+    part, base, off = sums.of(whole)
+    occupied, observed, _ = sums.of(hits_of(heat))
     length = tiles["length_m"].to_numpy(np.float64)
     centre = quads(tiles).mean(axis=1)
     rows = []
@@ -211,6 +149,7 @@ def lane_table(heat: HeatMap, sums: LaneSums) -> pd.DataFrame:
                 "part_s": float(part[i]) if seen.any() else np.nan,
                 "base_s": float(base[i]),
                 "share": part[i] / base[i] if seen.any() else np.nan,
+                "share_se": off[i] / base[i] if seen.any() else np.nan,
                 "occupied_s": float(occupied[i]) if observed[i] else np.nan,
                 "observed_s": float(observed[i]),
                 "occupancy": occupied[i] / observed[i] if observed[i] else np.nan,
@@ -234,7 +173,8 @@ def _busiest(heat: HeatMap, sums: LaneSums, lane: int) -> dict[str, object]:
     part, base = sums.part_s[:, lane], sums.base_s[:, lane]
     fair = (base > 0) & (base >= 0.5 * base.max(initial=0.0))
     if len(heat.timeline) < 2 or not part[fair].any():
-        return {"busiest_begin": pd.NaT, "busiest_end": pd.NaT, "busiest_share": np.nan}
+        none = dict.fromkeys(("busiest_share", "busiest_share_se"), np.nan)
+        return {"busiest_begin": pd.NaT, "busiest_end": pd.NaT, **none}
     share = np.divide(part, base, out=np.full(len(fair), -1.0), where=fair)
     best = int(share.argmax())
     begin, end = heat.timeline.span(best)
@@ -242,13 +182,14 @@ def _busiest(heat: HeatMap, sums: LaneSums, lane: int) -> dict[str, object]:
         "busiest_begin": pd.Timestamp(begin),
         "busiest_end": pd.Timestamp(end),
         "busiest_share": float(share[best]),
+        "busiest_share_se": float(sums.error_s[best, lane] / base[best]),
     }
 
 
 # The tables: of coverage, with hits as the last columns; of hits where no vehicles are known.
 
 _HITS = ("occupied_tile_s", "observed_tile_s", "occupancy")
-_COVERED = ("covered_tile_s", "visible_tile_s", "coverage")
+_COVERED = ("covered_tile_s", "visible_tile_s", "coverage", "coverage_se")
 
 
 def write_lanes(path: Path, table: pd.DataFrame, clock: Clock, measure: str) -> None:
@@ -259,12 +200,14 @@ def write_lanes(path: Path, table: pd.DataFrame, clock: Clock, measure: str) -> 
         "visible_m" if covered else "observed_m", *(_COVERED if covered else _HITS),
         "busiest_spot", *(("busiest_spot_se",) if covered else ()), "busiest_spot_m",
         "over_20_percent_m", "busiest_begin_utc", "busiest_begin_local", "busiest_end_utc",
-        f"busiest_{measure}", *(_HITS if covered else ()),
+        f"busiest_{measure}", *(("busiest_coverage_se", *_HITS) if covered else ()),
     )  # fmt: skip
     digits = {
-        "length_m": 2, "base_m": 2, "part_s": 2, "base_s": 2, "share": 6, "busiest_spot": 6,
+        "length_m": 2, "base_m": 2, "part_s": 2, "base_s": 2, "share": 6,
+        **({"share_se": 6} if covered else {}), "busiest_spot": 6,
         **({"busiest_spot_se": 6} if covered else {}), "busiest_spot_m": 2, "busy_m": 2,
     }  # fmt: skip
+    busiest = ("busiest_share", *(("busiest_share_se",) if covered else ()))
     hits = {"occupied_s": 2, "observed_s": 2, "occupancy": 6} if covered else {}
     rows = []
     for _, row in table.iterrows():
@@ -278,7 +221,7 @@ def write_lanes(path: Path, table: pd.DataFrame, clock: Clock, measure: str) -> 
                 direction(row["east_m"], row["north_m"]),
                 *(round(float(row[name]), number) for name, number in digits.items()),
                 *times,
-                round(float(row["busiest_share"]), 6),
+                *(round(float(row[name]), 6) for name in busiest),
                 *(round(float(row[name]), number) for name, number in hits.items()),
             )
         )
@@ -293,17 +236,23 @@ def write_lane_intervals(path: Path, heat: HeatMap, sums: LaneSums, clock: Clock
         *(_COVERED if covered else ()), *_HITS,
     )  # fmt: skip
     rows = (
-        (lane.number, *times, *(cell for part, base in pairs for cell in _cells(part[k], base[k])))
+        (
+            lane.number,
+            *times,
+            *(cell for part in parts for cell in _cells(*(each[k] for each in part))),
+        )
         for i, (begin, end) in enumerate(heat.timeline.spans())
         for times in [(utc(begin), utc(end), clock.iso(begin))]
-        for shown in [(sums.part_s[i], sums.base_s[i])]
-        for pairs in [(shown, sums.of(hits_of(heat, i))) if covered else (shown,)]
+        for shown in [(sums.part_s[i], sums.base_s[i], *((sums.error_s[i],) if covered else ()))]
+        for parts in [(shown, sums.of(hits_of(heat, i))[:2]) if covered else (shown,)]
         for k, lane in enumerate(sums.lanes)
     )
     write_csv(path, header, rows)
 
 
-def _cells(part_s: float, base_s: float) -> tuple[float | str, float, float | str]:
+def _cells(part_s: float, base_s: float, *error_s: float) -> tuple[float | str, ...]:
+    """Return seconds and share, and the error of the share where it is given."""
     if not base_s:
-        return "", 0.0, ""
-    return round(float(part_s), 2), round(float(base_s), 2), round(float(part_s / base_s), 6)
+        return "", 0.0, "", *("" for _ in error_s)
+    shares = (round(float(each / base_s), 6) for each in (part_s, *error_s))
+    return round(float(part_s), 2), round(float(base_s), 2), *shares

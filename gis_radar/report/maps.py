@@ -17,7 +17,7 @@ from matplotlib.figure import Figure as MplFigure
 from matplotlib.patches import Patch
 from PIL import Image
 
-from gis_radar.arrays import Floats
+from gis_radar.arrays import Booleans, Floats
 from gis_radar.crs import name_of
 from gis_radar.heatmap import HeatMap
 from gis_radar.heatmap.picture import (
@@ -37,11 +37,13 @@ from gis_radar.heatmap.picture import (
 from gis_radar.notebooks import FONTS
 from gis_radar.occupancy.views import sight_of_views
 from gis_radar.progress import Reporter
-from gis_radar.report.content import WORDS, Clock, Figure, MapSeries, count, percent
-from gis_radar.report.lanes import Lane, LaneSums, TileShares, hits_of, shown_of
+from gis_radar.report.content import WORDS, Figure, MapSeries, count, percent
+from gis_radar.report.lanes import LaneSums, TileShares, hits_of, shown_of
 from gis_radar.report.results import Results
 from gis_radar.sight import HIDDEN, IN_SIGHT, VIEW_ONLY, SightTiles
 from gis_radar.sight.picture import COLOURS, NAMES, draw_sight
+from gis_radar.steps import Clock
+from gis_radar.tiles.lanes import Lane
 from gis_radar.tiles.tiles import quads
 
 ASPECT = (0.55, 1.25)  # height by width: lowest, which the scale needs, and highest
@@ -96,7 +98,8 @@ def draw_maps(
         begin, end = heat.timeline.span(group.start)[0], heat.timeline.span(group.stop - 1)[1]
         if len(heat.timeline) > 1:
             label = clock.span(begin, end)
-            frames.append(_map(picture, shown_of(heat, group), sums, label, heat.measure))
+            shown = shown_of(heat, group)
+            frames.append(_map(picture, shown, sums, label, heat.measure, heat.uncertain(group)))
         reporter.progress(STAGE, done, len(groups))
     size, note = groups[0].stop, ""
     if size > 1:
@@ -109,7 +112,7 @@ def draw_maps(
     with mpl.rc_context(FONTS):
         overlay = png(picture.overlay(poses))
     return MapSeries(
-        whole=_map(picture, shown_of(heat), sums, "Whole time", heat.measure),
+        whole=_map(picture, shown_of(heat), sums, "Whole time", heat.measure, heat.uncertain()),
         frames=frames,
         overlay=overlay,
         caption=(
@@ -129,7 +132,8 @@ def _groups(heat: HeatMap) -> list[slice]:
 
 def draw_hits(results: Results, picture: MapPicture, sums: LaneSums) -> Figure:
     """Draw what radar hit over the whole time, for diagnosis beside the map of coverage."""
-    figure = _map(picture, hits_of(results.heat), sums, "Whole time", "occupancy")
+    hits, certain = hits_of(results.heat), np.zeros(len(results.heat.tiles), np.bool_)
+    figure = _map(picture, hits, sums, "Whole time", "occupancy", certain)
     with Image.open(BytesIO(figure.png)) as tiles:
         whole = tiles.convert("RGBA")
     with mpl.rc_context(FONTS):
@@ -142,11 +146,12 @@ def draw_hits(results: Results, picture: MapPicture, sums: LaneSums) -> Figure:
 
 
 def _map(
-    picture: MapPicture, shares: TileShares, sums: LaneSums, label: str, measure: str
-) -> Figure:
+    picture: MapPicture, shares: TileShares, sums: LaneSums, label: str, measure: str,
+    uncertain: Booleans,
+) -> Figure:  # fmt: skip
     text = _sentence(shares, sums, measure)
     return Figure(
-        png=png(image_of_pixels(picture.paint(shares.share))),
+        png=png(image_of_pixels(picture.paint(shares.share, uncertain))),
         width=picture.grid.width,
         height=picture.grid.height,
         title=label,
@@ -163,10 +168,11 @@ def _sentence(shares: TileShares, sums: LaneSums, measure: str) -> str:
         return f"Nothing was {words.base}."
     if not hit:
         return f"No tile was {words.touched}; {count(seen, 'tile')} {words.base}."
-    part, base = sums.of(shares)
+    part, base, error = sums.of(shares)
     of_lanes = np.divide(part, base, out=np.zeros(len(base)), where=base > 0)
     top = int(of_lanes.argmax())
-    busiest = f"Busiest is lane {sums.lanes[top].number}, {words.part} {percent(of_lanes[top])}"
+    how_much = percent(of_lanes[top], off=error[top] / base[top])
+    busiest = f"Busiest is lane {sums.lanes[top].number}, {words.part} {how_much}"
     tiles = count(seen, f"{words.base} tile")
     facts = f"{percent(hit / seen, 0)} of {tiles} {words.touched} at some time."
     return f"{busiest} of the {words.base} time; {facts}"

@@ -26,16 +26,34 @@ MARGIN, TOP, FOOT = 16.0, 20.0, 18.0  # of a page, millimetres, as all lengths h
 FONT = "DejaVu"
 LEGEND, GAP = 44.0, 4.0
 TALLEST_MAP = 165.0
-ACROSS, THUMB_PIXELS, MAP_PIXELS = 4, 420, 1500  # small maps side by side; widths of pictures
+TITLE, HEADING, LEAD, BODY, SMALL, CELL = (
+    22.0,
+    14.0,
+    11.0,
+    9.5,
+    8.5,
+    8.0,
+)  # points; no words are smaller
+FACTS_ACROSS = 3
+SIDE_BY_SIDE = {4: 2, 24: 3, 96: 4}  # small maps in a row, up to so many maps
+PIXELS_A_MM, MAP_PIXELS = 10, 1500  # of small maps; width of the large one
 
 Box = tuple[float, float, float, float]  # left, top, width, height, millimetres
 
 
 def page_of(content: Content) -> str:
     """Return the page; all text of others is escaped, and the policy lets nothing else in."""
-    legend, words = style.legend(content.measure), style.WORDS[content.measure]
-    colours = [colour for colour, _ in legend[:-1]]
-    classes = "".join(f".class-{i} {{ background: {each}; }}\n" for i, each in enumerate(colours))
+    words = style.WORDS[content.measure]
+    hatched = {style.NOT_OBSERVED: "unseen", style.UNCERTAIN: "unsure"}
+    legend = [
+        (hatched.get(colour, f"class-{colour[1:]}"), colour, label)
+        for colour, label in style.legend(content.measure)
+    ]
+    classes = "".join(
+        f".{name} {{ background: {colour}; }}\n"
+        for name, colour, _ in legend
+        if colour not in hatched
+    )
     css, script = _part("page.css") + classes + _map_css(content.map), _part("page.js")
     return _template().render(
         report=content,
@@ -120,7 +138,7 @@ class Paper(FPDF):
         if self.page_no() == 1:
             return
         self.set_y(10.0)
-        self.write_paragraph(self._fitting(self._running, self.epw), size=7.5, colour=SOFT)
+        self.write_paragraph(self._fitting(self._running, self.epw), size=SMALL, colour=SOFT)
         self.set_draw_color(LINE)
         self.line(MARGIN, 15.0, self.w - MARGIN, 15.0)
         self.set_y(TOP)
@@ -128,13 +146,13 @@ class Paper(FPDF):
     def footer(self) -> None:
         """Write the page number, and in which zone the times are."""
         self.set_y(-12.0)
-        self.write_with(7.5, colour=SOFT)
+        self.write_with(SMALL, colour=SOFT)
         self.cell(self.epw * 0.8, 4, self._fitting(self._foot, self.epw * 0.78))
         self.cell(self.epw * 0.2, 4, f"Page {self.page_no()} of {{nb}}", align="R")
 
     def _fitting(self, text: str, width: float) -> str:
         """Return a text that fits on one line."""
-        self.set_font(FONT, size=7.5)
+        self.set_font(FONT, size=SMALL)
         if self.get_string_width(text) <= width:
             return text
         while text and self.get_string_width(f"{text}…") > width:
@@ -161,7 +179,7 @@ class Paper(FPDF):
         self,
         text: str,
         *,
-        size: float = 9.0,
+        size: float = BODY,
         bold: bool = False,
         colour: str = INK,
         width: float = 0.0,
@@ -176,7 +194,7 @@ class Paper(FPDF):
             self.add_page()
         self.ln(5)
         self.start_section(title)
-        self.write_paragraph(title, size=14, bold=True)
+        self.write_paragraph(title, size=HEADING, bold=True)
         self.set_draw_color(INK)
         self.set_line_width(0.4)
         self.line(MARGIN, self.get_y() + 1, self.w - MARGIN, self.get_y() + 1)
@@ -198,7 +216,7 @@ def _add_figure(paper: Paper, figure: Figure) -> None:
     top = paper.get_y() + 2
     _add_picture(paper, BytesIO(figure.png), figure.alt, (MARGIN, top, width, height))
     paper.set_xy(MARGIN, top + height + 1.5)
-    paper.write_paragraph(figure.caption, size=8, colour=SOFT)
+    paper.write_paragraph(figure.caption, size=SMALL, colour=SOFT)
     paper.ln(2)
 
 
@@ -206,8 +224,8 @@ def _add_terms(paper: Paper, part: Terms) -> None:
     for term, meaning in part.terms:
         if paper.room < 22:
             paper.add_page()
-        paper.write_paragraph(term, size=8.5, bold=True)
-        paper.write_paragraph(meaning, size=8.5)
+        paper.write_paragraph(term, bold=True)
+        paper.write_paragraph(meaning)
         paper.ln(1.8)
 
 
@@ -216,18 +234,18 @@ def _add_table(paper: Paper, content: Table) -> None:
     if paper.room < 30:
         paper.add_page()
     paper.ln(1)
-    paper.write_paragraph(content.caption, size=9.5, bold=True)
+    paper.write_paragraph(content.caption, bold=True)
     paper.ln(1)
     if content.rows:
         _add_rows(paper, content)
     if content.note:
         paper.ln(1.5)
-        paper.write_paragraph(content.note, size=7.5, colour=SOFT)
+        paper.write_paragraph(content.note, size=SMALL, colour=SOFT)
     paper.ln(2)
 
 
 def _add_rows(paper: Paper, content: Table) -> None:
-    paper.write_with(7.0)
+    paper.write_with(CELL)
     paper.set_draw_color(LINE)
     paper.set_fill_color(255)
     columns = content.columns
@@ -237,7 +255,7 @@ def _add_rows(paper: Paper, content: Table) -> None:
         headings_style=FontFace(emphasis="BOLD", color=INK, fill_color=LINE),
         borders_layout=TableBordersLayout.HORIZONTAL_LINES,
         cell_fill_color=WASH, cell_fill_mode=TableCellFillMode.EVEN_ROWS,
-        line_height=3.6, padding=(0.8, 1.2), repeat_headings=1, v_align="T",
+        line_height=4.0, padding=(0.8, 1.0), repeat_headings=1, v_align="T",
     ) as table:  # fmt: skip
         table.row([f"{each.title}\n{each.unit}" if each.unit else each.title for each in columns])
         for cells in content.rows:
@@ -283,44 +301,45 @@ def write_pdf(content: Content, path: Path) -> None:
 def _add_title(paper: Paper, content: Content) -> None:
     paper.start_section("In short")
     paper.write_paragraph(
-        f"TRAFFIC {content.measure.upper()} REPORT", size=8, bold=True, colour=SENSOR
+        f"TRAFFIC {content.measure.upper()} REPORT", size=SMALL, bold=True, colour=SENSOR
     )
     paper.ln(0.5)
-    paper.write_paragraph(content.title, size=22, bold=True)
+    paper.write_paragraph(content.title, size=TITLE, bold=True)
     paper.ln(1)
-    paper.write_paragraph(content.subtitle, size=11)
-    paper.write_paragraph(f"All times: {content.zone}.", size=9, colour=SOFT)
+    paper.write_paragraph(content.subtitle, size=LEAD)
+    paper.write_paragraph(f"All times: {content.zone}.", colour=SOFT)
     paper.ln(3)
     _add_facts(paper, content)
     paper.write_paragraph(f"{content.intro} (see: What the words mean).")
     if content.remarks:
         paper.ln(2)
-        paper.write_paragraph("Read this first", bold=True, size=9.5)
+        paper.write_paragraph("Read this first", bold=True)
         paper.ln(1)
         for remark in content.remarks:
             _add_remark(paper, remark)
 
 
 def _add_facts(paper: Paper, content: Content) -> None:
-    """Draw the figures side by side."""
-    top, width = paper.get_y(), (paper.epw - 2 * (len(content.facts) - 1)) / len(content.facts)
+    """Draw the figures in rows."""
+    begin, width = paper.get_y(), (paper.epw - 2 * (FACTS_ACROSS - 1)) / FACTS_ACROSS
     for i, (name, value) in enumerate(content.facts):
-        left = MARGIN + i * (width + 2)
+        row, column = divmod(i, FACTS_ACROSS)
+        left, top = MARGIN + column * (width + 2), begin + row * 15.5
         paper.set_fill_color(WASH)
         paper.rect(left, top, width, 13.5, style="F")
         paper.set_fill_color(SENSOR)
         paper.rect(left, top, 0.9, 13.5, style="F")
-        paper.write_line(left + 2, top + 1.5, name, 6.8, colour=SOFT, width=width - 4)
-        paper.write_line(left + 2, top + 6.7, value, 9.0, bold=True, width=width - 4)
-    paper.set_xy(MARGIN, top + 17)
+        paper.write_line(left + 3, top + 1.7, name, SMALL, colour=SOFT, width=width - 5)
+        paper.write_line(left + 3, top + 7.2, value, LEAD, bold=True, width=width - 5)
+    paper.set_xy(MARGIN, begin + -(-len(content.facts) // FACTS_ACROSS) * 15.5 + 2)
 
 
 def _add_remark(paper: Paper, text: str) -> None:
-    paper.write_with(8.0)
+    paper.write_with(BODY)
     paper.set_fill_color(AMBER_WASH)
     paper.set_draw_color(AMBER)
     paper.multi_cell(
-        0, 4.2, text, align="L", fill=True, border="L", padding=(1, 3),
+        0, 4.6, text, align="L", fill=True, border="L", padding=(1, 3),
         new_x=XPos.LMARGIN, new_y=YPos.NEXT,
     )  # fmt: skip
     paper.ln(1)
@@ -329,7 +348,7 @@ def _add_remark(paper: Paper, text: str) -> None:
 def _add_map(paper: Paper, content: Content) -> None:
     part, figure = content.map, content.map.whole
     paper.chapter("Map, whole time", 150)
-    note_room = 22.0
+    note_room = 26.0
     width = paper.epw - LEGEND - GAP
     shape = figure.height / figure.width
     height = min(width * shape, TALLEST_MAP, paper.room - note_room)
@@ -338,24 +357,25 @@ def _add_map(paper: Paper, content: Content) -> None:
     _add_picture(paper, image, figure.alt, (MARGIN, top, height / shape, height))
     _add_legend(paper, MARGIN + height / shape + GAP, top, content.measure)
     paper.set_xy(MARGIN, top + height + 2)
-    paper.write_paragraph(figure.caption, size=8.5)
-    paper.write_paragraph(part.caption, size=7.5, colour=SOFT)
+    paper.write_paragraph(figure.caption)
+    paper.write_paragraph(part.caption, size=SMALL, colour=SOFT)
 
 
 def _add_legend(paper: Paper, left: float, top: float, measure: str) -> None:
     """Draw the classes of the map, highest first."""
-    paper.write_line(left, top, style.WORDS[measure].title, 7.5, bold=True)
-    paper.write_line(left, top + 4, style.WORDS[measure].subtitle, 7.5, colour=SOFT)
+    paper.write_line(left, top, style.WORDS[measure].title, BODY, bold=True)
+    paper.write_line(left, top + 4.4, style.WORDS[measure].subtitle, SMALL, colour=SOFT)
     for i, (colour, label) in enumerate(style.legend(measure)):
-        y = top + 10 + i * 6
+        y = top + 10.5 + i * 6
         paper.set_draw_color(SOFT)
-        paper.set_fill_color(colour)
+        paper.set_fill_color(style.NEVER_HIT if colour == style.UNCERTAIN else colour)
         paper.rect(left, y, 9, 4.6, style="DF")
-        if colour == style.NOT_OBSERVED:
-            paper.set_draw_color(STRIPE)
+        if colour in {style.NOT_OBSERVED, style.UNCERTAIN}:
+            paper.set_draw_color(STRIPE if colour == style.NOT_OBSERVED else style.HATCH_DARK)
+            low, high = (4.5, 0.1) if colour == style.NOT_OBSERVED else (0.1, 4.5)
             for k in range(1, 6):
-                paper.line(left + 1.8 * k - 1.2, y + 4.5, left + 1.8 * k, y + 0.1)
-        paper.write_line(left + 11, y + 0.3, label, 7.5, width=LEGEND - 11)
+                paper.line(left + 1.8 * k - 1.2, y + low, left + 1.8 * k, y + high)
+        paper.write_line(left + 11, y + 0.3, label, SMALL, width=LEGEND - 11)
 
 
 def _add_frames(paper: Paper, content: Content) -> None:
@@ -363,30 +383,31 @@ def _add_frames(paper: Paper, content: Content) -> None:
     part = content.map
     if not part.frames:
         return
-    width = (paper.epw - GAP * (ACROSS - 1)) / ACROSS
+    across = next((n for most, n in SIDE_BY_SIDE.items() if len(part.frames) <= most), 4)
+    width = (paper.epw - GAP * (across - 1)) / across
     height = width * part.whole.height / part.whole.width
-    tall = height + 16.0
+    tall = height + 8.0 + 4.0 * (1 + across)
     paper.chapter("The map through time", tall + 25)
     if part.note:
-        paper.write_paragraph(part.note, size=8, colour=SOFT)
+        paper.write_paragraph(part.note, size=SMALL, colour=SOFT)
         paper.ln(2)
-    for first in range(0, len(part.frames), ACROSS):
+    for first in range(0, len(part.frames), across):
         if paper.room < tall:
             paper.add_page()
         top = paper.get_y()
-        for i, frame in enumerate(part.frames[first : first + ACROSS]):
+        for i, frame in enumerate(part.frames[first : first + across]):
             _add_frame(paper, frame, (MARGIN + i * (width + GAP), top, width, height))
         paper.set_xy(MARGIN, top + tall)
 
 
 def _add_frame(paper: Paper, frame: Figure, box: Box) -> None:
     left, top, width, height = box
-    _add_picture(paper, _composed(frame.png, None, THUMB_PIXELS), frame.alt, box)
+    _add_picture(paper, _composed(frame.png, None, int(PIXELS_A_MM * width)), frame.alt, box)
     paper.set_xy(left, top + height + 1)
-    paper.write_with(6.8, bold=True)
-    paper.multi_cell(width, 3.3, frame.title, align="L", new_x=XPos.LEFT, new_y=YPos.NEXT)
-    paper.write_with(6.0, colour=SOFT)
-    paper.multi_cell(width, 2.9, frame.caption, align="L", new_x=XPos.LEFT, new_y=YPos.NEXT)
+    paper.write_with(SMALL, bold=True)
+    paper.multi_cell(width, 4.0, frame.title, align="L", new_x=XPos.LEFT, new_y=YPos.NEXT)
+    paper.write_with(SMALL, colour=SOFT)
+    paper.multi_cell(width, 3.8, frame.caption, align="L", new_x=XPos.LEFT, new_y=YPos.NEXT)
 
 
 def _composed(picture: bytes, overlay: bytes | None, width: int) -> Image.Image:

@@ -15,6 +15,7 @@ import pandas as pd
 from gis_radar.errors import OutputError, UsageError
 from gis_radar.files import whole_files
 from gis_radar.heatmap import HeatMap
+from gis_radar.heatmap.covering import mean_coverage, surest
 from gis_radar.notebooks import card
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.quality import Quality, measure_quality
@@ -24,7 +25,6 @@ from gis_radar.report.content import (
     THIN,
     WORDS,
     Chapter,
-    Clock,
     Column,
     Content,
     Figure,
@@ -35,7 +35,6 @@ from gis_radar.report.content import (
     direction,
     figure_text,
     percent,
-    plus_minus,
     text_rows,
     utc,
     write_csv,
@@ -45,7 +44,6 @@ from gis_radar.report.lanes import (
     lane_table,
     shown_of,
     sum_by_lane,
-    surest,
     write_lane_intervals,
     write_lanes,
 )
@@ -62,11 +60,12 @@ from gis_radar.report.results import (
     sources_of,
     write_sensor_table,
 )
-from gis_radar.steps import zone_of
+from gis_radar.steps import Clock, zone_of
 
 PAGE, PAPER = "report.html", "report.pdf"
 LANES, LANES_BY_INTERVAL = "lanes.csv", "lanes_by_interval.csv"
 SENSORS, QUALITY = "sensors.csv", "quality.csv"
+NAN = float("nan")
 SHORT_S = 900.0  # usual counts are of 15 minutes; shorter ones hold few cycles of a signal
 REPORT_FILES = (PAGE, PAPER, LANES, LANES_BY_INTERVAL, SENSORS, QUALITY)
 
@@ -129,10 +128,10 @@ def write_report(
     output : str or Path, optional
         Folder that the report goes to; by default `folder`.
     title : str, optional
-        By default that of the site, or the name of the folder.
+        By default that of the site or heat map, or the name of the folder.
     timezone : str, optional
-        Whose clocks the report's times follow, such as Europe/Berlin; by default the site's,
-        or UTC.
+        Whose clocks the report's times follow, such as Europe/Berlin; by default the site's, or
+        those of the heat map's picture.
     occupancies : sequence of str or Path
         Folders that the heat map was made of, where they are not in `folder`.
     reporter : Reporter
@@ -156,12 +155,13 @@ def write_report(
         raise UsageError("the title is empty", hint="leave it out, or give the name of the site")
     results = read_results(folder, [Path(each) for each in occupancies], reporter=reporter)
     heat = results.heat
-    zone = timezone or str(results.site.get("time_zone") or "UTC")
+    zone = timezone or str(results.site.get("time_zone") or heat.labels.timezone)
+    named = str(results.site.get("title") or heat.labels.title or folder.resolve().name)
     clock, sums, picture = _clock(heat, zone), sum_by_lane(heat), lay_out(heat)
     table = lane_table(heat, sums)
     found = _Findings(
         results=results,
-        title=title or str(results.site.get("title") or "") or folder.resolve().name,
+        title=title or named,
         clock=clock,
         quality=_quality(results, zone, reporter),
         lanes=sums,
@@ -279,7 +279,7 @@ def _chapters(found: _Findings, plan: Figure, hits: Sequence[Figure]) -> list[Ch
     figures = pose_figures(results)
     lanes = _lanes(found.table, clock, results.heat.measure, intervals=intervals)
     sensors = sensor_table(results, figures=len(figures))
-    quality = _quality_table(found.quality, clock)
+    quality = _quality_table(found.quality, clock, _tracks(results.traffic))
     sources = [settings_of(results), sources_of(results)]
     return [
         Chapter("lanes", "Lanes", [plan, lanes], 190.0),
@@ -314,13 +314,17 @@ def _totals(found: _Findings) -> dict[str, Any]:
         f"tiles_{words.touched}": int(np.count_nonzero(shares.part_s[seen])),
         "busiest_lane": int(table["lane"].iloc[0]) if hit else None,
         f"busiest_lane_{measure}": round(float(table["share"].iloc[0]), 6) if hit else None,
+        "busiest_lane_se": round(float(table["share_se"].iloc[0]), 6) if hit else None,
     }
     known = heat.coverage_shares()
     if known is None or not seen.any():
+        totals.pop("busiest_lane_se")
         return totals
     top = surest(known.coverage, known.coverage_se)
+    mean, error = mean_coverage(heat.tiles, known)
     return totals | {
-        "mean_coverage": round(float(np.nansum(known.covered_s) / known.visible_s.sum()), 6),
+        "mean_coverage": round(mean, 6),
+        "mean_coverage_se": round(error, 6),
         "highest_coverage": round(float(known.coverage[top]), 6),
         "highest_coverage_se": round(float(known.coverage_se[top]), 6),
         **found.results.traffic,
@@ -334,7 +338,10 @@ def _facts(found: _Findings) -> list[tuple[str, str]]:
     shown = {name: figure_text(value) for name, value in total.items() if value is not None}
     busiest = f"none was {words.touched}"
     if total["busiest_lane"] is not None:
-        busiest = f"No. {total['busiest_lane']}: {percent(total[f'busiest_lane_{measure}'])}"
+        share = total[f"busiest_lane_{measure}"]
+        busiest = (
+            f"No. {total['busiest_lane']}: {percent(share, off=total.get('busiest_lane_se', NAN))}"
+        )
     facts = [
         ("Sensors", str(len(sensors)) if sensors else NOT_KNOWN),
         (f"Lanes {words.base}", f"{total[f'lanes_{words.base}']} of {total['lanes']}"),
@@ -348,13 +355,20 @@ def _facts(found: _Findings) -> list[tuple[str, str]]:
     ]  # fmt: skip
     if "mean_coverage" not in total:
         return facts
-    error = plus_minus(100 * total["highest_coverage_se"], 1, f"{THIN}%")
-    facts[3] = ("Mean coverage", percent(total["mean_coverage"]))
-    facts += [("Busiest spot", f"{percent(total['highest_coverage'])} {error}")]
-    if "vehicles" in total:
-        tracks = count(total["vehicles"], "track")
-        facts += [("Vehicles followed", f"{tracks}, {shown['heavy']} heavy")]
-    return facts
+    highest, mean = "highest_coverage", "mean_coverage"
+    facts[3] = ("Mean coverage", percent(total[mean], off=total[f"{mean}_se"]))
+    return [*facts, ("Busiest spot", percent(total[highest], off=total[f"{highest}_se"]))]
+
+
+def _tracks(traffic: dict[str, int]) -> str:
+    """Return in how many tracks vehicles were followed, and that these are no count of them."""
+    if "vehicles" not in traffic:
+        return ""
+    tracks, heavy = count(traffic["vehicles"], "track"), figure_text(traffic["heavy"])
+    return (
+        f"Coverage comes from {tracks}, {heavy} of them of heavy vehicles. These are no count of "
+        "vehicles: a track may be a piece of a vehicle's way."
+    )
 
 
 def _remarks(results: Results, quality: Quality | None) -> list[str]:
@@ -378,6 +392,8 @@ def _lanes(table: pd.DataFrame, clock: Clock, measure: str, *, intervals: bool) 
     columns = _lane_columns(clock, measure)
     columns = columns if intervals else columns[:-2]
     note = "Where lanes cross, their tiles overlap, and a vehicle there counts on each."
+    if measure == "coverage":
+        note = f"± is the standard error. {note}"
     unseen = len(table) - len(seen)
     if len(seen) > len(shown):
         note = f"The busiest {len(shown)} of {count(len(seen), f'{base} lane')}. {note}"
@@ -404,25 +420,29 @@ def _lane_columns(clock: Clock, measure: str) -> list[Column]:
         return percent(row["base_m"] / row["length_m"], 0)
 
     def spot(row: pd.Series) -> str:
-        error = row["busiest_spot_se"]
-        error = "" if pd.isna(error) else f" {plus_minus(100 * error, 0)}"
         place = f"{figure_text(row['busiest_spot_m'])}{THIN}m"
-        return f"{percent(row['busiest_spot'], 0)}{error} at {place}"
+        return f"{percent(row['busiest_spot'], 0, off=row['busiest_spot_se'])} at {place}"
+
+    def share(name: str) -> Callable[[pd.Series], str]:
+        return lambda row: percent(row[name], off=row[f"{name}_se"])
 
     return [
-        Column("Lane", "", 0.8, lambda row: str(row["lane"])),
-        Column("Leads to", "", 1.4, lambda row: direction(row["east_m"], row["north_m"]), False),
-        Column("Length", "m", 1.0, lambda row: figure_text(row["length_m"])),
-        Column(words.base.capitalize(), "of its length", 1.4, visible),
-        Column(words.share, f"of {words.base} time", 1.5, lambda row: percent(row["share"])),
-        Column("Busiest spot", f"{measure}, place", 2.1, spot),
-        Column("Over 20 %", "m of its length", 1.3, lambda row: figure_text(row["busy_m"], 1)),
-        Column("Busiest interval", "", 2.2, interval, False),
-        Column(words.share, "then", 1.4, lambda row: percent(row["busiest_share"])),
-    ]
+        Column("Lane", "", 0.9, lambda row: str(row["lane"])),
+        Column("Leads to", "", 1.5, lambda row: direction(row["east_m"], row["north_m"]), False),
+        Column("Length", "m", 1.2, lambda row: figure_text(row["length_m"])),
+        Column(words.base.capitalize(), "of length", 1.2, visible),
+        Column(words.share, f"of {words.base} time", 1.75, share("share")),
+        Column("Busiest spot", f"{measure}, place", 2.35, spot),
+        Column(
+            "Busy part", f"m with 20 % {measure} or more", 1.5,
+            lambda row: figure_text(row["busy_m"], 1),
+        ),
+        Column("Busiest interval", "", 1.7, interval, False),
+        Column(words.share, "in that interval", 1.75, share("busiest_share")),
+    ]  # fmt: skip
 
 
-def _quality_table(quality: Quality | None, clock: Clock) -> Table:
+def _quality_table(quality: Quality | None, clock: Clock, tracks: str) -> Table:
     """Return what sensors delivered by hour, those with a fault first where there are many."""
     columns = _hour_columns(clock)
     note, rows = "What sensors delivered is not known.", []
@@ -437,7 +457,7 @@ def _quality_table(quality: Quality | None, clock: Clock) -> Table:
                 "first; all are in quality.csv."
             )
         note, rows = " ".join(lines), text_rows((row for _, row in table.iterrows()), columns)
-    caption = "Measurements by sensor and hour"
+    caption, note = "Measurements by sensor and hour", f"{note} {tracks}".strip()
     return Table(name="quality", caption=caption, columns=columns, rows=rows, note=note)
 
 
@@ -454,13 +474,13 @@ def _hour_columns(clock: Clock) -> list[Column]:
         return clock.stamp(row["begin"].to_pydatetime())
 
     return [
-        Column("Sensor", "", 1.1, lambda row: str(row["sensor"]), False),
-        Column("Hour from", "", 1.8, begin, False),
-        Column("Frames", "received", 1.1, number("frames")),
-        Column("Frames", "expected", 1.1, number("frames_expected")),
-        Column("Detections", "a frame", 1.2, number("detections_per_frame", 1)),
-        Column("Moving", "of them", 1.0, lambda row: percent(row["moving_share"], 0)),
-        Column("Clock", "corrected by s", 1.3, number("clock_offset_s", 3)),
+        Column("Sensor", "", 1.0, lambda row: str(row["sensor"]), False),
+        Column("Hour from", "", 2.2, begin, False),
+        Column("Frames", "received", 1.4, number("frames")),
+        Column("Frames", "expected", 1.4, number("frames_expected")),
+        Column("Detections", "a frame", 1.6, number("detections_per_frame", 1)),
+        Column("Moving", "of them", 1.2, lambda row: percent(row["moving_share"], 0)),
+        Column("Clock", "corrected by s", 1.5, number("clock_offset_s", 3)),
         Column("Pose age", "h", 1.0, age),
         Column("Verdict", "", 2.4, lambda row: str(row["verdict"]), False),
     ]

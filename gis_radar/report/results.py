@@ -42,7 +42,7 @@ RUN = "run.json"
 NOT_KNOWN = "not known here"
 FIGURE_PIXELS, FINE_FIGURES = 1600, 6  # width of a picture; more than that many are coarser
 COARSE_PIXELS, MOST_FIGURES = 1000, 20
-TALLEST_MM = 120.0  # on paper
+TALLEST_MM = 195.0  # on paper: a page each, so that its words can be read
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -124,10 +124,11 @@ class Results:
 
     @property
     def credits(self) -> list[str]:
-        """The sources of map and scan, each once."""
+        """The sources of map and scan and whom to name, each once."""
         parts = [self.site.get("map"), self.site.get("scan")]
         named = [str(part["source"]) for part in parts if part and part.get("source")]
-        return list(dict.fromkeys([*named, *map(str, self.site.get("attribution") or [])]))
+        named += map(str, self.site.get("attribution") or self.heat.labels.sources)
+        return list(dict.fromkeys(named))
 
 
 def read_results(

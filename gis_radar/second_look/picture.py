@@ -14,7 +14,7 @@ from matplotlib.transforms import Affine2D
 
 from gis_radar.arrays import Booleans, Floats
 from gis_radar.grid import CELL_M
-from gis_radar.notebooks import picture_file
+from gis_radar.notebooks import label_map, picture_file
 from gis_radar.second_look.second_look import SecondLook
 from gis_radar.second_look.surroundings import Structure
 
@@ -28,7 +28,8 @@ CANOPY, ROOF, TALL = ("#d3e8c4", "#4f9a51"), ("#e6ddd3", "#a8927e"), ("#dfe5d3",
 WALL = "#6b5c4f"
 RUSTLING = 0.15  # share of a cell's detections
 FITS = 0.3
-LINE = 78  # letters of the title beside each other
+LINE = 46  # letters of the title beside each other
+BELOW = (0.5, -0.12)  # the legend, from the axes
 
 
 def draw_second_look(look: SecondLook, path: str | Path) -> None:
@@ -63,10 +64,12 @@ def draw_surroundings(ax: Axes, look: SecondLook) -> None:
     handles.append(
         ax.scatter([place[0]], [place[1]], s=30, color=SENSOR, marker="^", label="sensor", zorder=5)
     )
-    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
-    ax.ticklabel_format(useOffset=False, style="plain")
-    ax.set(xlabel="easting, m", ylabel="northing, m", title=_title(look))
-    ax.legend(handles=handles, loc="lower left", framealpha=0.9)
+    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    label_map(ax)
+    ax.set_title(_title(look))
+    ax.legend(
+        handles=handles, loc="upper center", bbox_to_anchor=BELOW, ncols=2, frameon=False
+    )  # fmt: skip
     if look.surface.size:
         _draw_surface(ax.inset_axes(_corner(look, low, high)), look)
 

@@ -381,13 +381,18 @@ def _products(site: Site, folder: Path) -> Iterator[Stage]:
             work=stages.heatmap_stage,
             inputs={"tile_file": folder / "tiles.gpkg"},
             parts={"occupancies": occupancies, **vehicles},
-            options={"interval": interval},
+            options={
+                "interval": interval,
+                "labels": {
+                    "title": site.title,
+                    "timezone": site.time_zone,
+                    "sources": site.credits,
+                },
+            },
             outputs=(folder / f"heatmap{end}",),
             phases=4,
         )
     poses = tuple(path for each in site.sensor for path in _pose(site, each, folder).outputs)
-    named = (site.map.source, site.scan.source if site.scan else None, *site.attribution)
-    source = "; ".join(dict.fromkeys(each for each in named if each))
     yield Stage(
         name="QGIS project",
         work=stages.project_stage,
@@ -396,7 +401,7 @@ def _products(site: Site, folder: Path) -> Iterator[Stage]:
         options={
             "title": site.title,
             "time_zone": site.time_zone,
-            "source": source,
+            "source": "; ".join(site.credits),
             "footprints": site.vehicles.footprints,
         },
         outputs=(

@@ -224,7 +224,7 @@ class Site(TomlTable):
     title: Text = key('"Example junction"')
     """What the site is called."""
     time_zone: Zone = key('"Europe/Berlin"', "UTC")
-    """Zone of the times in the summary; files keep UTC."""
+    """Zone of the times in pictures, report and summary; data files keep UTC."""
     attribution: Texts = key('["Recordings: City of Example"]', (), "nobody")
     """Whom to name beside the results."""
     map: MapTable
@@ -273,6 +273,12 @@ class Site(TomlTable):
         return self._path
 
     @property
+    def credits(self) -> list[str]:
+        """The sources of map and scan and whom to name, each once."""
+        named = (self.map.source, self.scan.source if self.scan else None, *self.attribution)
+        return list(dict.fromkeys(str(each) for each in named if each))
+
+    @property
     def inputs(self) -> tuple[Path, ...]:
         """All files that a run reads."""
         scanned = (*self.scan.files, self.scan.road) if self.scan else ()
@@ -304,7 +310,7 @@ def read_site(path: str | Path) -> Site:
     >>> import gis_radar as gr
     >>> site = gr.read_site(gr.sample_folder() / "SITE.toml")
     >>> site.title, [sensor.name for sensor in site.sensor]
-    ('Sample junction', ['R1', 'R2'])
+    ('Sample junction (simulated)', ['R1', 'R2'])
     """
     path = Path(path)
     try:

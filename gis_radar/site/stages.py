@@ -16,7 +16,7 @@ from typing import Any
 from gis_radar.crs import name_of
 from gis_radar.errors import InputError, NoAnswerError
 from gis_radar.files import whole_file
-from gis_radar.heatmap import make_heatmap
+from gis_radar.heatmap import MapLabels, make_heatmap
 from gis_radar.localization import AmbiguousError, localize_files
 from gis_radar.occupancy import merge_occupancies, read_occupancy
 from gis_radar.poses.files import PoseTrack, read_track, write_pose
@@ -229,13 +229,13 @@ def vehicles_stage(
 
 def heatmap_stage(
     *, occupancies: Paths, tile_file: Path, outputs: Paths, reporter: Reporter,
-    interval: str | None, vehicles: Paths = (),
+    interval: str | None, labels: dict[str, Any], vehicles: Paths = (),
 ) -> Figures:  # fmt: skip
     """Merge the occupancies and make the heat map; where vehicles are known, of their coverage."""
     merged = merge_occupancies([read_occupancy(each, reporter=reporter) for each in occupancies])
     heat = make_heatmap(
         merged, read_tiles(tile_file), interval=interval, reporter=reporter,
-        vehicles=read_vehicles(vehicles[0]) if vehicles else None,
+        vehicles=read_vehicles(vehicles[0]) if vehicles else None, labels=MapLabels(**labels),
     )  # fmt: skip
     heat.write(outputs[0], reporter=reporter)
     return {**merged.figures(), **heat.figures()}

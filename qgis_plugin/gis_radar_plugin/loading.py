@@ -178,7 +178,7 @@ def _translate_raster(layer: QgsRasterLayer) -> None:
 
 def legend_words(label: str) -> str:
     """Return a class's label in the user's language: `2 to 5 %` has words in it, too."""
-    for words in ("never hit", "no vehicle", "up to", " to "):
+    for words in ("never hit", "no vehicle", "uncertain", "up to", " to "):
         label = label.replace(words, tr(words))
     return label.replace(".", ",") if speaks_german() else label
 

@@ -235,7 +235,7 @@ def test_run_of_a_site_loads_all(run, site, tmp_path):
     }  # fmt: skip
     assert layer_called("Vehicles").temporalProperties().isActive()
     assert QgsProject.instance().timeSettings().timeStep() == 0.5  # of the vehicles, not the map
-    tree = QgsProject.instance().layerTreeRoot().findGroup("Sample junction")
+    tree = QgsProject.instance().layerTreeRoot().findGroup("Sample junction (simulated)")
     order = [node.name() for node in tree.findLayers()]
     above = [order.index(name) for name in ("Sensors", "Vehicles", "Coverage by interval")]
     assert above == sorted(above)

@@ -55,9 +55,8 @@ def test_the_project_has_style_and_time(qgis_new_project, project):
     assert shown.read(str(project))
     layer = layer_called("Coverage by interval")
     assert layer.temporalProperties().isActive()
-    assert [step.label() for step in layer.renderer().ranges()] == [
-        level.label for level in STYLE["colour_classes"]("coverage")
-    ]
+    labels = [level.label for level in STYLE["colour_classes"]("coverage")]
+    assert [step.label() for step in layer.renderer().ranges()] == [*labels, "uncertain"]
     assert isinstance(layer_called("Coverage, raster"), QgsRasterLayer)
     span = shown.timeSettings().temporalRange()
     assert span.begin().toString(Qt.DateFormat.ISODate) == "2025-06-12T07:30:00Z"

@@ -73,7 +73,10 @@ def test_the_style_is_the_one_of_all_maps(heatmap):
     assert isinstance(renderer, QgsGraduatedSymbolRenderer)
     assert renderer.classAttribute() == "coverage"
     shown = [(step.symbol().color().name(), step.label()) for step in renderer.ranges()]
-    assert shown == [(level.colour, level.label) for level in STYLE["colour_classes"]("coverage")]
+    assert shown[:-1] == [
+        (level.colour, level.label) for level in STYLE["colour_classes"]("coverage")
+    ]
+    assert shown[-1] == (STYLE["HATCH_DARK"], "uncertain")
     assert shown[0][1] == "0 %, no vehicle"
     raster = layer_called("Coverage, raster")
     items = raster.renderer().shader().rasterShaderFunction().colorRampItemList()
@@ -92,12 +95,13 @@ def test_the_list_of_layers_speaks_german(heatmap, monkeypatch):
     def labels():
         node = model.rootGroup().findLayer(layer.id())
         said = [part.data(Qt.ItemDataRole.DisplayRole) for part in model.layerLegendNodes(node)]
-        return [label for label in said if "%" in label]
+        return [label for label in said if "%" in label or label.startswith("un")]
 
     assert "0 %, no vehicle" in labels()
     monkeypatch.setattr(words, "language", lambda: "de")
     loading.dress(layer)
     assert labels()[:3] == ["0 %, kein Fahrzeug", "bis 0,5 %", "0,5 bis 1 %"]
+    assert labels()[-1] == "unsicher"
 
 
 def test_vehicles_are_named_in_german(run, site, tmp_path, monkeypatch):
