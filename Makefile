@@ -7,6 +7,8 @@ BIN := .venv/bin
 DEMO := out/test/demo
 # Checks run side by side: threads of one would wait for those of another.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+# Hundreds of processes start, each faster with what earlier ones compiled.
+unexport PYTHONDONTWRITEBYTECODE
 MADE := .venv .pdal .pdal.part.* .qgis out build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis qgis_plugin/tests/.qgis-settings
 
 .DEFAULT_GOAL := help

@@ -304,7 +304,8 @@ def tail(
     hours = len(largest) * part_min / 60.0
     if not above.any():
         return {"hours": hours, "largest": level, "alarms": 0, "monthly": 0.0}
-    groups = np.cumsum(np.append(True, ~above[:-1]))[above]
+    begins = np.concatenate([[True], ~above[:-1]])
+    groups = np.cumsum(begins)[above]
     peaks = np.array([largest[above][groups == g].max() for g in np.unique(groups)])
     excess = peaks - level
     rng = np.random.default_rng(seed)

@@ -89,7 +89,7 @@ make_venv() {
     uv=${GIS_RADAR_UV:-.venv/bin/uv}
     if [ -x "$uv" ]; then # pip of its own takes ten seconds more
         /usr/bin/python3 -m venv --clear --without-pip --system-site-packages $venv &&
-            "$uv" pip install --quiet --python $venv/bin/python -r $requirements
+            "$uv" pip install --quiet --compile-bytecode --python $venv/bin/python -r $requirements
     else
         /usr/bin/python3 -m venv --clear --system-site-packages $venv &&
             $venv/bin/python -m pip install --quiet --disable-pip-version-check -r $requirements

@@ -3,7 +3,7 @@
 ``missing_libraries.py run`` (or ``dev``, ``bench``) prints what to install for the libraries that
 are known to be needed: Debian's packages where there is apt, else the names of the libraries. It
 runs on a bare Python. With ``--load`` it runs in the finished environment: it loads every package
-and starts every program, and says what fails.
+and all of gis_radar, starts every program, and says what fails.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def is_there(library: str) -> bool:
 def load_all(level: str) -> list[str]:
     """Load the packages and start the programs of a level; return a line for each that fails."""
     failures = []
-    for module in modules_of(requirements(level)):
+    for module in (*modules_of(requirements(level)), *own_modules()):
         try:
             importlib.import_module(module)
         except Exception as error:  # noqa: BLE001 - whatever a package raises is the answer
@@ -110,6 +110,13 @@ def modules_of(packages: set[str]) -> list[str]:
         for module, names in owners.items()
         if packages & {name.lower() for name in names} and re.fullmatch(r"[a-z]\w*", module)
     )
+
+
+def own_modules() -> list[str]:
+    """Return the modules of gis_radar."""
+    root = Path(__file__).parents[1]
+    paths = sorted((root / "gis_radar").rglob("[!_]*.py"))
+    return [".".join(path.relative_to(root).with_suffix("").parts) for path in paths]
 
 
 def start(program: str) -> list[str]:

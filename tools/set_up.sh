@@ -96,15 +96,17 @@ install_packages() {
         --constraint constraints.txt uv || fail "pip could not install uv (see above)."
     # Without a home to write to, downloads are kept beside what they become.
     [ -w "${HOME:-/nonexistent}" ] || export UV_CACHE_DIR=$venv/cache
-    # Compiled now, the packages start at once also where Python may not write.
-    $venv/bin/uv pip install --quiet --compile-bytecode --python $venv/bin/python \
+    $venv/bin/uv pip install --quiet --python $venv/bin/python \
         --constraints constraints.txt --build-constraints constraints.txt "$@" ||
         fail "the packages could not be installed (see above)."
 }
 
-# Each package is loaded once, which shows what no list foresaw. Some have numba compile on loading.
+# Each package is loaded once, which shows what no list foresaw, and our own modules: what Python
+# compiles thereby is kept, so that they start at once also where it may not write. To compile all
+# that is installed takes ten times as long. Some packages have numba compile on loading.
 check_packages() {
-    NUMBA_DISABLE_JIT=1 $venv/bin/python tools/missing_libraries.py "$level" --load ||
+    PYTHONDONTWRITEBYTECODE= NUMBA_DISABLE_JIT=1 \
+        $venv/bin/python tools/missing_libraries.py "$level" --load ||
         fail "a package does not load on this system (see above)."
 }
 

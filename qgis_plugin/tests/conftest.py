@@ -110,7 +110,8 @@ def profiles(tmp_path_factory):
 
 
 def environment(profiles, **more):
-    clean = {name: os.environ[name] for name in ("HOME", "LANG", "TZ") if name in os.environ}
+    kept = ("HOME", "LANG", "TZ", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+    clean = {name: os.environ[name] for name in kept if name in os.environ}
     return clean | {
         "PATH": "/usr/sbin:/usr/bin:/sbin:/bin",
         "QT_QPA_PLATFORM": "offscreen",
