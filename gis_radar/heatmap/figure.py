@@ -177,7 +177,9 @@ def _add_map(ax: Axes, tally: Tally, extent: Extent, width_in: float) -> None:
     width_m, height_m = extent[1] - extent[0]
     most = (width_in * DPI * FINER) ** 2 * float(height_m / width_m)
     picture = map_picture(quads(tally.tiles), extent, int(most))
-    picture.show(ax, tally.shown(), tally.uncertain())
+    box = ax.get_window_extent()
+    dots = round(box.width), round(box.height)
+    picture.show(ax, tally.shown(), tally.uncertain(), dots=dots)
     ax.set(xlim=(extent[0][0], extent[1][0]), ylim=(extent[0][1], extent[1][1]))
 
 

@@ -89,13 +89,22 @@ class MapPicture:
         picture[row, column] = np.where(striped, STRIPED, np.where(hatched, lines, top))
         return picture
 
-    def show(self, ax: Axes, share: Floats, uncertain: Booleans) -> None:
-        """Draw the picture on axes in metres of the map, and set their limits."""
-        colours = np.array(palette(), np.uint8).reshape(-1, 3)
+    def show(
+        self, ax: Axes, share: Floats, uncertain: Booleans, *, dots: tuple[int, int] | None = None
+    ) -> None:
+        """Draw the picture on axes in metres of the map, and set their limits.
+
+        With `dots`, width and height of the axes in pixels, it is resampled to them here:
+        matplotlib, which works with floating numbers and masks, takes several times as long.
+        """
+        colours = np.array(palette(), np.uint8).reshape(-1, 3)[self.paint(share, uncertain)]
         west, east, south, north = self.grid.bounds
+        if dots is not None:
+            smooth = Image.fromarray(colours).resize(dots, Image.Resampling.HAMMING)
+            colours = np.asarray(smooth)
         ax.imshow(
-            colours[self.paint(share, uncertain)], extent=(west, east, south, north),
-            interpolation="auto",
+            colours, extent=(west, east, south, north),
+            interpolation="auto" if dots is None else "nearest",
         )  # fmt: skip
 
     def blank(self, width_in: float = OVERLAY_IN) -> tuple[Figure, Axes]:
