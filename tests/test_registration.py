@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import block_diag
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from streets import CROSSING, Street
 
 from gis_radar.errors import NoAnswerError
-from gis_radar.localization.adaptation import heights
+from gis_radar.localization.adaptation import adapted, heights
 from gis_radar.localization.certainty import (
     _along,
     _excluded,
@@ -29,6 +30,7 @@ from gis_radar.localization.residuals import (
     assemble,
     at_least,
     height,
+    height_covariance,
     height_over_road,
     lateral,
 )
@@ -67,7 +69,7 @@ def matched(scene, scale_m):
         model=replace(MODEL, hidden_share=1e-9), scale_m=scale_m,
         settings=DEFAULTS.solver,
     )  # fmt: skip
-    return compared, state, np.zeros(samples.tracks)
+    return compared, state, [np.zeros((samples.tracks, 1)), np.zeros_like(samples.spell_reach)]
 
 
 def at(compared, state):
@@ -81,6 +83,7 @@ def at(compared, state):
 )
 def test_derivatives_are_those_of_the_loss(scene, family, column):
     compared, state, own = matched(scene, 0.5)
+    own = own[[lateral, height].index(family)]
     rows = family(compared, own)
     gradient = rows.jacobian[:, column] * rows.precision * rows.value
     step = np.zeros(SIZE)
@@ -94,6 +97,7 @@ def test_derivatives_are_those_of_the_loss(scene, family, column):
 @pytest.mark.parametrize("family", [lateral, height])
 def test_curvatures_are_second_derivatives_of_the_loss(scene, family):
     compared, _, own = matched(scene, 0.1)
+    own = own[[lateral, height].index(family)]
     rows = family(compared, own)
     plus, minus = (family(compared, own + d).loss for d in (1e-3, -1e-3))
     numeric = (plus - 2.0 * rows.loss + minus) / 1e-6
@@ -102,12 +106,13 @@ def test_curvatures_are_second_derivatives_of_the_loss(scene, family):
 
 
 def test_heights_are_a_mixture_of_two_bells_and_strays(scene):
-    compared, state, own = matched(scene, 0.1)
+    compared, state, (_, own) = matched(scene, 0.1)
+    own[:] = np.random.default_rng(1).normal(0.0, 0.3, own.shape)
     model, settings, samples = compared.model, compared.settings, compared.placed.samples
     rows = height(compared, own)
     over = height_over_road(compared.lanes, compared.placed, compared.matches, settings.view_edge)
     noise = np.hypot(model.elevation * samples.reach, compared.scale_m)
-    away = over - state.reflection - own[samples.track]
+    away = over - state.reflection - own.ravel()[samples.spells]
     tall = model.body_share
     bells = [
         share * np.exp(-0.5 * (value / sigma) ** 2) / sigma
@@ -121,26 +126,75 @@ def test_heights_are_a_mixture_of_two_bells_and_strays(scene):
     assert np.allclose(rows.loss, np.where(np.isfinite(over), loss, 0.0), rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.parametrize("family", [lateral, height])
 @pytest.mark.parametrize("curved", [False, True])
-def test_the_random_effects_are_eliminated_from_the_normal_equations(scene, curved):
+def test_the_random_effects_are_eliminated_from_the_normal_equations(scene, family, curved):
     compared, _, own = matched(scene, 0.3)
-    track, effect = compared.placed.samples.track, own + 0.1
-    rows = lateral(compared, effect)
-    normal = assemble([rows], effect[None], track, curved=curved)
-    of_track = -(track[:, None] == np.arange(len(own))).astype(float)
-    whole = np.hstack([rows.jacobian, of_track])
+    effect = own[[lateral, height].index(family)] + 0.1
+    rows = family(compared, effect)
+    normal = assemble([rows], [effect], curved=curved)
+    of_effect = -(rows.group[:, None] == np.arange(effect.size)).astype(float)
+    whole = np.hstack([rows.jacobian, of_effect])
     p = rows.curvature if curved else rows.precision
-    mass = -of_track.T @ (rows.weight * p)
-    p = rows.weight * np.where(mass[track] > 0.0, p, 0.0)
+    mass = -of_effect.T @ (rows.weight * p)
+    p = rows.weight * np.where(mass[rows.group] > 0.0, p, 0.0)
+    stiffness = block_diag(*rows.stiffness)
     dense = whole.T @ (p[:, None] * whole)
-    dense[SIZE:, SIZE:] += np.eye(len(own)) * rows.shared**-2
+    dense[SIZE:, SIZE:] += stiffness
     pull = whole.T @ (rows.weight * rows.precision * rows.value)
-    pull[SIZE:] += effect * rows.shared**-2
+    pull[SIZE:] += stiffness @ effect.ravel()
     out = dense[:SIZE, SIZE:] @ np.linalg.inv(dense[SIZE:, SIZE:])
     expected = dense[:SIZE, :SIZE] - out @ dense[SIZE:, :SIZE]
     assert np.allclose(normal.information, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
     gradient = pull[:SIZE] - out @ pull[SIZE:]
     assert np.allclose(normal.gradient, gradient, rtol=1e-9, atol=1e-9 * np.abs(gradient).max())
+    # a metre more on all rows
+    raised = -whole.T @ p
+    shift = raised[:SIZE] - out @ raised[SIZE:]
+    found = normal.offsets[0].sum(axis=0)
+    assert np.allclose(found, shift, rtol=1e-9, atol=1e-9 * np.abs(shift).max())
+
+
+def test_how_much_higher_a_vehicle_appears_lasts_for_seconds_and_grows_with_the_range(scene):
+    samples = scene[0].samples
+    model = replace(MODEL, vehicle=0.3, bent=0.02, lasting=4.0)
+    covariance, reach = height_covariance(samples, model), samples.spell_reach
+    k = int((reach > 0.0).sum(axis=1).argmax())
+    seen = np.flatnonzero(reach[k] > 0.0)
+    assert len(seen) > 3
+    for i in seen:
+        for j in seen:
+            apart = np.sqrt(3.0) * abs(i - j) * samples.spell_s / 4.0
+            common = 0.3**2 + 0.02**2 * reach[k, i] * reach[k, j] * (1 + apart) * np.exp(-apart)
+            assert covariance[k, i, j] == pytest.approx(common, abs=1e-3)
+    assert np.linalg.eigvalsh(covariance).min() > 0.0
+    assert not covariance[k][np.ix_(seen, np.flatnonzero(reach[k] == 0.0))].any()
+
+
+@pytest.mark.parametrize("bent_deg", [0.0, 1.0])
+def test_an_error_of_elevation_that_lasts_is_told_from_noise(scene, bent_deg):
+    """And the tilt of the sensor is then known less well than from independent returns."""
+    scene, state, _ = scene
+    rng, samples = np.random.default_rng(6), scene.samples
+    bias, noise = np.radians([bent_deg, 0.3])
+    angle = bias * rng.normal(size=samples.tracks)[samples.track]
+    angle += noise * rng.normal(size=len(samples))
+    x, y, z = samples.points.T
+    flat = np.hypot(x, y)
+    bent_up = np.column_stack([x, y, z + flat * np.tan(angle)])
+    recorded = scene.of(replace(samples, points=bent_up))
+    fit = solve(recorded, state, prior_at(state))
+    _, model = adapted(recorded, fit, prior_at(state), MODEL)
+    if bent_deg:
+        assert np.degrees(model.bent) == pytest.approx(bent_deg, rel=0.4)
+    assert (model.bent > model.elevation) == bool(bent_deg)
+    white = replace(model, elevation=np.hypot(model.elevation, model.bent), bent=0.0)
+    known, sure = (
+        solve(recorded, state, prior_at(state), model=m).information for m in (model, white)
+    )
+    if bent_deg:
+        tilt = [np.linalg.inv(i)[3, 3] for i in (known, sure)]
+        assert tilt[0] > 1.1 * tilt[1]
 
 
 def test_a_start_beside_the_truth_comes_back(scene):
@@ -295,7 +349,8 @@ def test_a_rival_whose_vehicles_all_drive_aside_is_worse(scene):
     scene, state, _ = scene
     fit, samples = solve(scene, state, prior_at(state)), scene.samples
     there = np.unique(samples.track)
-    assert fit.aside == pytest.approx(0.5 * np.square(fit.effects[0] / MODEL.driver))
+    own = fit.effects[0][:, 0]
+    assert fit.aside == pytest.approx(0.5 * np.square(own / MODEL.driver))
     assert fit.aside[there].sum() > 0.0
     rng = np.random.default_rng(4)
     aside = replace(fit, aside=fit.aside + rng.uniform(1.0, 2.0, len(fit.aside)))
@@ -367,7 +422,7 @@ def test_few_vehicles_that_agree_suffice(scene):
 def test_samples_of_a_vehicle_side_by_side_share_their_weight(scene):
     samples, (compared, _, own) = scene[0].samples, matched(scene, 0.0)
     scene, state, _ = scene
-    weight = lateral(compared, own).weight
+    weight = lateral(compared, own[0]).weight
     assert (weight <= 1.0).all()
     assert weight[samples.crowd == 1].min() > weight[samples.crowd > 4].max()
     twice = replace(
@@ -375,6 +430,7 @@ def test_samples_of_a_vehicle_side_by_side_share_their_weight(scene):
         points=np.tile(samples.points, (2, 1)),
         range_rate=np.tile(samples.range_rate, 2),
         track=np.tile(samples.track, 2),
+        spell=np.tile(samples.spell, 2),
     )
     once = solve(scene, state, prior_at(state)).data_information
     again = solve(scene.of(twice), state, prior_at(state)).data_information

@@ -11,10 +11,11 @@ from scipy.special import gammaincinv, ndtr
 from gis_radar.arrays import Floats, Integers
 from gis_radar.localization.matching import Scene, place
 from gis_radar.localization.model import Model
-from gis_radar.localization.residuals import Comparison, height_over_road, lateral
+from gis_radar.localization.residuals import Comparison, assemble, height, height_over_road, lateral
 from gis_radar.localization.settings import AdaptationSettings
 from gis_radar.localization.solver import Fit, Prior
 from gis_radar.localization.state import REFLECTION
+from gis_radar.localization.traces import Samples
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,11 +51,64 @@ def adapted(scene: Scene, fit: Fit, prior: Prior, model: Model) -> tuple[Prior, 
     found = heights(scene, fit)
     if found is None:
         return prior, model
-    information = prior.information.copy()
-    information[REFLECTION, REFLECTION] = found.sigma_m**-2
-    mean = replace(prior.mean, reflection=found.mean_m)
+    model = bent(scene, fit, replace(model, elevation=found.elevation))
+    found = heights(scene, fit, alone=_alone(scene.samples, model)) or found
+    information, known = prior.information.copy(), prior.information[REFLECTION, REFLECTION]
+    information[REFLECTION, REFLECTION] = known + found.sigma_m**-2
+    both = known * prior.mean.reflection + found.mean_m * found.sigma_m**-2
+    mean = replace(prior.mean, reflection=float(both / information[REFLECTION, REFLECTION]))
     prior = Prior(mean=mean, information=information)
-    return prior, replace(model, elevation=found.elevation)
+    return prior, model
+
+
+def bent(scene: Scene, fit: Fit, model: Model) -> Model:
+    """Return the model with that part of the elevation's noise set apart that lasts for seconds.
+
+    The variance is split as is likeliest with the random effects of the vehicles integrated out
+    (by Laplace's method): where the returns of one agree better than those of different ones, they
+    share an error, and do not count as many.
+
+    Parameters
+    ----------
+    scene : Scene
+        The map and the traces.
+    fit : Fit
+        Near the answer.
+    model : Model
+        With the elevation's noise in all.
+    """
+    placed, settings = place(scene.samples, fit.state), scene.settings.adaptation
+    models = [
+        replace(
+            model,
+            elevation=model.elevation * float(np.sqrt(1.0 - share)),
+            bent=model.elevation * float(np.sqrt(share)),
+        )
+        for share in settings.bent_shares
+    ]
+
+    def cost(tried: Model) -> float:
+        compared = Comparison(
+            lanes=scene.lanes,
+            placed=placed,
+            matches=fit.matches,
+            model=tried,
+            scale_m=0.0,
+            settings=scene.settings.solver,
+        )
+        effect = np.zeros_like(fit.effects[1])
+        for _ in range(settings.bent_rounds):
+            rows = height(compared, effect)
+            normal = assemble([rows], [effect])
+            ((gradient, _, covariance),) = normal.shared
+            effect = effect - np.einsum("kij,kj->ki", covariance, gradient)
+        rows = height(compared, effect)
+        _, _, covariance = assemble([rows], [effect], curved=True).shared[0]
+        own = np.einsum("ki,kij,kj", effect, rows.stiffness, effect)
+        spread = np.linalg.slogdet(rows.stiffness)[1] + np.linalg.slogdet(covariance)[1]
+        return float(rows.loss.sum() + 0.5 * own - 0.5 * spread.sum())
+
+    return min(models, key=cost)
 
 
 def side_strength(scene: Scene, fit: Fit, model: Model) -> float:
@@ -89,7 +143,18 @@ def side_strength(scene: Scene, fit: Fit, model: Model) -> float:
     return float(model.side_strength * min(factors, key=cost))
 
 
-def heights(scene: Scene, fit: Fit) -> Heights | None:
+def _alone(samples: Samples, model: Model) -> Floats:
+    """Return how much each sample counts beside those of its vehicle with the same error."""
+    longest, together = samples.spell_reach.shape[1], round(model.lasting / samples.spell_s)
+    spell = samples.spells % longest // max(together, 1)
+    key = samples.track * longest + spell
+    _, whose, count = np.unique(key, return_inverse=True, return_counts=True)
+    lasting = np.square(model.bent * samples.reach)
+    own = np.square(model.elevation * samples.reach) + model.low**2
+    return np.asarray(1.0 / (1.0 + (count[whose] - 1) * lasting / (lasting + own)))
+
+
+def heights(scene: Scene, fit: Fit, *, alone: Floats | None = None) -> Heights | None:
     """Estimate at which heights vehicles reflect, from the shape of what a fit shows.
 
     The height of a sensor and that of the reflections look alike but for one thing: no vehicle
@@ -104,6 +169,8 @@ def heights(scene: Scene, fit: Fit) -> Heights | None:
         The map and the traces.
     fit : Fit
         Near the answer.
+    alone : (n,) array, optional
+        How much each sample counts; without it one.
 
     Returns
     -------
@@ -118,9 +185,10 @@ def heights(scene: Scene, fit: Fit) -> Heights | None:
         return None
     usable = np.random.default_rng(0).permutation(usable)[: settings.most]
     over, reach = over[usable], reach[usable]
+    weight = np.ones(len(over)) if alone is None else alone[usable]
 
     def cost(parameters: Floats) -> float:
-        return -float(_log_density(parameters, over, reach, settings).sum())
+        return -float(weight @ _log_density(parameters, over, reach, settings))
 
     start, low, high = (
         np.array([edge, np.log(scale), np.log(noise)])
@@ -128,7 +196,8 @@ def heights(scene: Scene, fit: Fit) -> Heights | None:
     )
     fitted = minimize(cost, start, method="L-BFGS-B", bounds=Bounds(low, high))
     found: Floats = np.asarray(fitted.x)
-    error = _sandwich(found, over, reach, samples.track[usable], settings)
+    clusters = samples.track[usable]
+    error = _sandwich(found, over, reach, clusters, weight, settings)
     shift = found[0] - settings.edge_m
     return Heights(
         mean_m=float(fit.state.reflection - shift),
@@ -154,7 +223,12 @@ def _log_density(
 
 
 def _sandwich(
-    parameters: Floats, over: Floats, reach: Floats, track: Integers, settings: AdaptationSettings
+    parameters: Floats,
+    over: Floats,
+    reach: Floats,
+    track: Integers,
+    weight: Floats,
+    settings: AdaptationSettings,
 ) -> float:
     """Return the standard error of the edge, with the vehicles as clusters."""
 
@@ -163,7 +237,8 @@ def _sandwich(
 
     shifts = settings.step * np.eye(len(parameters))
     scores = np.column_stack([(density(d) - density(-d)) / (2.0 * settings.step) for d in shifts])
-    bread = np.linalg.inv(scores.T @ scores + 1e-9 * np.eye(len(parameters)))
+    weighted = weight[:, None] * scores
+    bread = np.linalg.inv(scores.T @ weighted + 1e-9 * np.eye(len(parameters)))
     _, number = np.unique(track, return_inverse=True)
-    clusters = np.column_stack([np.bincount(number, weights=column) for column in scores.T])
+    clusters = np.column_stack([np.bincount(number, weights=column) for column in weighted.T])
     return float(np.sqrt((bread @ (clusters.T @ clusters) @ bread)[0, 0]))

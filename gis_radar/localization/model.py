@@ -45,6 +45,11 @@ class Model:
         How reflections from bumpers, sills and wheels scatter up and down.
     vehicle : float
         How vehicles differ in the height at which they reflect.
+    bent : float
+        By which angle neighbours and the ground bend all returns of a vehicle up or down, one
+        standard deviation.
+    lasting : float
+        For how many seconds: those of a Matern covariance of order 3/2.
     body_share, body_over, body : float
         Share of reflections from the rest of the body, how much higher, how widely spread.
     """
@@ -61,6 +66,8 @@ class Model:
     elevation: float = _known(float(np.radians(0.6)), within=1.3)
     low: float = _known(0.25, within=1.4)
     vehicle: float = _known(0.3, within=1.3)
+    bent: float = _known(float(np.radians(0.5)), within=1.5)
+    lasting: float = _known(4.0, within=1.5)
     body_share: float = _known(0.3, within=1.5)
     body_over: float = _known(1.0, within=1.3)
     body: float = _known(0.8, within=1.3)

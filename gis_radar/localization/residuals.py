@@ -18,6 +18,9 @@ from gis_radar.localization.matching import Matches, Placed
 from gis_radar.localization.model import Model
 from gis_radar.localization.settings import SolverSettings
 from gis_radar.localization.state import SIZE
+from gis_radar.localization.traces import Samples
+
+SPELL_M = 0.02  # of each spell by itself, which keeps covariances regular
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,8 +35,10 @@ class Residuals:
         Metres.
     jacobian : (n, 7) array
         By the state, in the order of `gis_radar.localization.state.NAMES`.
-    shared : float
-        Standard deviation of what a vehicle adds to all its rows, metres.
+    group : (n,) array
+        Number of the random effect that each row takes, vehicle by vehicle.
+    stiffness : (tracks, k, k) array
+        Inverse covariance of the k random effects of each vehicle, 1/m^2.
     precision : (n,) array
         Inverse variances, as if the faces were known.
     curvature : (n,) array
@@ -47,7 +52,8 @@ class Residuals:
     name: str
     value: Floats
     jacobian: Floats
-    shared: float
+    group: Integers
+    stiffness: Floats
     precision: Floats
     curvature: Floats
     loss: Floats
@@ -90,7 +96,7 @@ def lateral(compared: Comparison, effect: Floats) -> Residuals:
     ----------
     compared : Comparison
         What to compare.
-    effect : (tracks,) array
+    effect : (tracks, 1) array
         Random effect: how far each vehicle drives to the left of where drivers do, metres.
     """
     lanes, placed, matches = compared.lanes, compared.placed, compared.matches
@@ -112,23 +118,25 @@ def lateral(compared: Comparison, effect: Floats) -> Residuals:
         placed.flat,
         placed.sight,
         samples.track,
-        effect,
+        effect[:, 0],
     )
     # many samples of a vehicle on a few metres share its swaying there: v / (v + n wander^2)
     own_m = model.half_width / 2.0
     weight: Floats = np.asarray(1.0 / (1.0 + samples.crowd * (model.wander / own_m) ** 2))
-    return _residuals("lateral", rows, jacobian, model.driver, weight)
+    stiffness = np.full((samples.tracks, 1, 1), model.driver**-2)
+    return _residuals("lateral", rows, jacobian, samples.track, stiffness, weight)
 
 
 def _residuals(
-    name: str, rows: Floats, jacobian: Floats, shared: float, weight: Floats
+    name: str, rows: Floats, jacobian: Floats, group: Integers, stiffness: Floats, weight: Floats
 ) -> Residuals:
     value, precision, curvature, loss = rows
     return Residuals(
         name=name,
         value=value,
         jacobian=jacobian,
-        shared=shared,
+        group=group,
+        stiffness=stiffness,
         precision=precision,
         curvature=curvature,
         loss=loss,
@@ -218,8 +226,8 @@ def height(compared: Comparison, effect: Floats) -> Residuals:
     ----------
     compared : Comparison
         What to compare.
-    effect : (tracks,) array
-        Random effect: how much higher than others each vehicle reflects, metres.
+    effect : (tracks, spells) array
+        Random effect: how much higher than others each vehicle appears in each spell, metres.
     """
     lanes, placed, matches = compared.lanes, compared.placed, compared.matches
     samples, model, settings = placed.samples, compared.model, compared.settings
@@ -230,12 +238,48 @@ def height(compared: Comparison, effect: Floats) -> Residuals:
     rows, jacobian = _height(
         np.array(constants),
         height_over_road(lanes, placed, matches, settings.view_edge),
-        placed.state.reflection + effect[samples.track],
+        placed.state.reflection + effect.ravel()[samples.spells],
         lanes.slope[matches.lane, None] * lanes.along[matches.lane],
         placed.arms,
         samples.reach,
     )
-    return _residuals("height", rows, jacobian, model.vehicle, np.ones(len(samples)))
+    differ = model.vehicle, model.bent, model.lasting
+    if differ not in samples.kept:
+        samples.kept[differ] = np.asarray(np.linalg.inv(height_covariance(samples, model)))
+    stiffness = samples.kept[differ]
+    return _residuals("height", rows, jacobian, samples.spells, stiffness, np.ones(len(samples)))
+
+
+def height_covariance(samples: Samples, model: Model) -> Floats:
+    """Return the covariance of how much higher each vehicle appears, spell by spell.
+
+    It reflects from higher than others all the time, and all its returns are bent up or down by an
+    angle that changes over seconds.
+
+    Parameters
+    ----------
+    samples : Samples
+        Which vehicles are seen when, and how far off.
+    model : Model
+        How vehicles differ.
+
+    Returns
+    -------
+    (tracks, spells, spells) array
+        Square metres; unseen spells have a variance of one and nothing in common with others.
+    """
+    reach = samples.spell_reach
+    number = np.arange(reach.shape[1])
+    apart = np.sqrt(3.0) * np.abs(number[:, None] - number) * samples.spell_s / model.lasting
+    alike = (1.0 + apart) * np.exp(-apart)
+    angle = model.bent * reach
+    covariance = model.vehicle**2 + angle[:, :, None] * angle[:, None, :] * alike
+    seen = reach > 0.0
+    own = np.where(seen, SPELL_M**2, 1.0)
+    return np.asarray(
+        np.where(seen[:, :, None] & seen[:, None, :], covariance, 0.0)
+        + own[:, :, None] * np.eye(len(number))
+    )
 
 
 @compiled
@@ -302,45 +346,62 @@ class Normal:
         Of the cost by the state.
     scores : (tracks, 7) array
         Each vehicle's part of the gradient.
-    shared : list of (gradient, coupling, variance)
+    shared : list of (gradient, coupling, covariance)
         For each family, to recover the random effects.
+    offsets : list of (tracks, 7) arrays
+        For each family what a metre more on all rows of a vehicle does to the gradient, less what
+        its random effects take up.
     """
 
     information: Floats
     gradient: Floats
     scores: Floats
     shared: list[tuple[Floats, Floats, Floats]]
+    offsets: list[Floats]
 
 
-def assemble(
-    families: list[Residuals], effects: Floats, track: Integers, *, curved: bool = False
-) -> Normal:
+def assemble(families: list[Residuals], effects: list[Floats], *, curved: bool = False) -> Normal:
     """Sum up the families of residuals; `curved` by curvatures, not by precisions.
 
-    For rows with weights p and a term b_k ~ N(0, tau^2) of vehicle k the information is
-    `sum p J J' - sum_k g_k g_k' / (1 / tau^2 + sum_k p)` with `g_k = -sum_k p J`.
+    For rows with weights p and terms b_k ~ N(0, Q_k^-1) of vehicle k the information is
+    `sum p J J' - sum_k G_k' (Q_k + P_k)^-1 G_k`, with the sums `G_k = -sum p J` and `P_k = sum p`
+    of the rows that take each term.
     """
-    tracks = effects.shape[1]
+    tracks = len(effects[0])
     information, scores = np.zeros((SIZE, SIZE)), np.zeros((tracks, SIZE))
-    shared = []
+    shared, offsets = [], []
     for family, b in zip(families, effects, strict=True):
-        p = family.weight * (_curvature(family, track, tracks) if curved else family.precision)
+        p = family.weight * (_curvature(family, b.size) if curved else family.precision)
         force = family.weight * family.precision * family.value
-        squares, coupled, mass, pull, pulls = _summed(p, force, family.jacobian, track, tracks)
-        g, variance = -coupled, 1.0 / (family.shared**-2 + mass)
-        gradient = b * family.shared**-2 - pull
-        information += squares - g.T @ (variance[:, None] * g)
-        scores += pulls - g * (variance * gradient)[:, None]
-        shared.append((gradient, g, variance))
+        squares, coupled, mass, pull, pulls = _summed(
+            p, force, family.jacobian, family.group, b.size
+        )
+        g = -coupled.reshape(*b.shape, SIZE)
+        mass, pull = mass.reshape(b.shape), pull.reshape(b.shape)
+        stiff = family.stiffness + mass[:, :, None] * np.eye(b.shape[1])
+        covariance: Floats = np.asarray(np.linalg.inv(stiff), dtype=np.float64)
+        gradient = np.einsum("kij,kj->ki", family.stiffness, b) - pull
+        taken = covariance @ g
+        information += squares - np.einsum("kia,kib->ab", g, taken)
+        scores += pulls.reshape(*b.shape, SIZE).sum(axis=1) - np.einsum(
+            "kia,ki->ka", taken, gradient
+        )
+        shared.append((gradient, g, covariance))
+        offsets.append(g.sum(axis=1) - np.einsum("kia,ki->ka", taken, mass))
     return Normal(
-        information=information, gradient=scores.sum(axis=0), scores=scores, shared=shared
+        information=information,
+        gradient=scores.sum(axis=0),
+        scores=scores,
+        shared=shared,
+        offsets=offsets,
     )
 
 
-def _curvature(family: Residuals, track: Integers, tracks: int) -> Floats:
-    """Return the curvatures of a family; drop vehicles of non-positive total curvature."""
-    mass = np.bincount(track, weights=family.weight * family.curvature, minlength=tracks)
-    return np.where(mass[track] > 0.0, family.curvature, 0.0)
+def _curvature(family: Residuals, groups: int) -> Floats:
+    """Return the curvatures of a family; drop groups of non-positive total curvature."""
+    curvature = family.weight * family.curvature
+    mass = np.bincount(family.group, weights=curvature, minlength=groups)
+    return np.where(mass[family.group] > 0.0, family.curvature, 0.0)
 
 
 @compiled

@@ -68,6 +68,9 @@ class TraceSettings:
         Samples in all; cost grows in proportion.
     crowd_m : float
         Length over which the samples of a vehicle share its swaying (`Model.wander`).
+    spell_s : float
+        Time over which they share an error of elevation (`Model.bent`), much shorter than the time
+        in which it changes.
     """
 
     frames: int = 2000
@@ -88,6 +91,7 @@ class TraceSettings:
     per_voxel: int = 8
     most: int = 6000
     crowd_m: float = 10.0
+    spell_s: float = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -324,6 +328,8 @@ class AdaptationSettings:
         1 sigma of the logarithm of that factor in the prior.
     step : float
         Of numerical derivatives.
+    bent_shares, bent_rounds : tuple of float, int
+        Shares of the elevation's variance that may last, and rounds in which the effects settle.
     """
 
     edge_m: float = 0.2
@@ -344,6 +350,8 @@ class AdaptationSettings:
     factors: int = 17
     factor_sigma: float = log(2.0)
     step: float = 1e-4
+    bent_shares: tuple[float, ...] = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9)
+    bent_rounds: int = 4
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -75,8 +75,8 @@ class Fit:
         The lane of each sample.
     converged : bool
         Whether the last steps were small.
-    effects : (2, tracks) array
-        Random effect of each vehicle on the residuals of each family, metres.
+    effects : list of (tracks, k) arrays
+        Random effects of each vehicle on the residuals of each family, metres.
     considered : callable
         Returns a (constants, 7) array: for each constant of the model how much its standard
         deviation changes the gradient.
@@ -94,7 +94,7 @@ class Fit:
     on_lane: Booleans
     matches: Matches
     converged: bool
-    effects: Floats
+    effects: list[Floats]
     considered: Callable[[], Floats]
 
     @property
@@ -133,7 +133,7 @@ def solve(
         A combination of the state's parts that stays as it is at the start.
     """
     schedule, settings = schedule or scene.settings.solver.far, scene.settings.solver
-    point = _Point(start, np.zeros((len(FAMILIES), scene.samples.tracks)))
+    point = _at_rest(scene, start)
     converged, lever_m = False, np.repeat([1.0, scene.settings.answer.lever_m], 3)
     for scale_m in schedule.scales_m:
         cost = _Cost(scene, prior, model, scale_m, hold)
@@ -143,7 +143,8 @@ def solve(
             there, share = None, 1.0
             while share > settings.least_share and (there is None or there.total > here.total):
                 moved = _Point(
-                    here.point.state.moved(share * step), here.point.effects + share * effects
+                    here.point.state.moved(share * step),
+                    [b + share * more for b, more in zip(here.point.effects, effects, strict=True)],
                 )
                 there, share = cost.at(moved), share / settings.shrink
             length_m = float(np.abs(step[:6] * lever_m).max())
@@ -173,14 +174,20 @@ def cost_at(scene: Scene, state: State, *, model: Model = MODEL, scale_m: float 
         Widening of all spreads (root of squares).
     """
     flat = Prior(mean=state, information=np.zeros((SIZE, SIZE)))
-    point = _Point(state, np.zeros((len(FAMILIES), scene.samples.tracks)))
+    point = _at_rest(scene, state)
     return _Cost(scene, flat, model, scale_m, None).at(point).total
 
 
 @dataclass(frozen=True)
 class _Point:
     state: State
-    effects: Floats
+    effects: list[Floats]
+
+
+def _at_rest(scene: Scene, state: State) -> _Point:
+    """Return a state where all random effects are zero: of the vehicles, and of their spells."""
+    samples = scene.samples
+    return _Point(state, [np.zeros((samples.tracks, 1)), np.zeros_like(samples.spell_reach)])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,7 +216,7 @@ class _Cost:
         families = self.families(placed, matches, point.effects)
         away = point.state.difference(self.prior.mean)
         total = sum(
-            float(f.weight @ f.loss + 0.5 * np.sum((effect / f.shared) ** 2))
+            float(f.weight @ f.loss + 0.5 * np.einsum("ki,kij,kj", effect, f.stiffness, effect))
             for f, effect in zip(families, point.effects, strict=True)
         )
         return _Here(
@@ -220,7 +227,7 @@ class _Cost:
             total=total + 0.5 * float(away @ self.prior.information @ away),
         )
 
-    def families(self, placed: Placed, matches: Matches, effects: Floats) -> list[Residuals]:
+    def families(self, placed: Placed, matches: Matches, effects: list[Floats]) -> list[Residuals]:
         """Return all residuals of samples that lie on their lanes."""
         compared = Comparison(
             lanes=self.scene.lanes,
@@ -232,9 +239,9 @@ class _Cost:
         )
         return [family(compared, effect) for family, effect in zip(FAMILIES, effects, strict=True)]
 
-    def step(self, here: _Here) -> tuple[Floats, Floats, float]:
+    def step(self, here: _Here) -> tuple[Floats, list[Floats], float]:
         """Return the steps of the state and the random effects, and the first in sigmas."""
-        normal = assemble(here.families, here.point.effects, self.scene.samples.track)
+        normal = assemble(here.families, here.point.effects)
         information = normal.information + self.prior.information
         away = here.point.state.difference(self.prior.mean)
         gradient = normal.gradient + self.prior.information @ away
@@ -242,27 +249,23 @@ class _Cost:
         if self.hold is not None:
             way = np.linalg.solve(information, self.hold)
             step -= way * (self.hold @ step) / (self.hold @ way)
-        effects = np.array([-(r + g @ step) * a for r, g, a in normal.shared])
+        effects = [-np.einsum("kij,kj->ki", a, r + g @ step) for r, g, a in normal.shared]
         return step, effects, float(np.sqrt(step @ information @ step))
 
 
 def _described(cost: _Cost, here: _Here, *, converged: bool) -> Fit:
     """Return the evidence at a point."""
     across, settings = here.families[0], cost.scene.settings.solver
-    track, effects = cost.scene.samples.track, here.point.effects
-    normal = assemble(here.families, effects, track, curved=True)
+    effects = here.point.effects
+    normal = assemble(here.families, effects, curved=True)
     # where the curvature is no minimum's, a small part of the information of known faces counts
-    known = assemble(here.families, effects, track).information + cost.prior.information
+    known = assemble(here.families, effects).information + cost.prior.information
     information = at_least(
         normal.information + cost.prior.information,
         settings.least_curvature * known + settings.floor * np.eye(len(known)),
     )
     street, count = _streets(cost.scene, here.matches)
-    pulls = []
-    for family, (_, g, variance) in zip(here.families, normal.shared, strict=True):
-        # the random effect of a vehicle takes up most of its bias
-        felt = g * (variance * family.shared**-2)[:, None]
-        pulls.append(sums(street, felt, count))
+    pulls = [sums(street, offsets, count) for offsets in normal.offsets]
     return Fit(
         state=here.point.state,
         information=information,
@@ -272,7 +275,7 @@ def _described(cost: _Cost, here: _Here, *, converged: bool) -> Fit:
         streets=pulls,
         cost=here.total,
         loss=across.weight * across.loss,
-        aside=0.5 * np.square(effects[0] / across.shared),
+        aside=0.5 * np.square(effects[0][:, 0]) * across.stiffness[:, 0, 0],
         on_lane=across.loss < settings.no_vehicle - np.log(2.0),
         matches=here.matches,
         converged=converged,
@@ -287,10 +290,10 @@ def _habits(cost: _Cost, here: _Here, normal: Normal, street: Integers) -> float
     With the vehicles' own effects at their optimum the loss changes with the offset c of a street
     as `c sum b_k / tau^2 + c^2 / 2 sum 1 / (tau^2 + 1 / P_k)`; c is normal.
     """
-    own, tau = here.point.effects[0], here.families[0].shared
-    variance, sigma_m = normal.shared[0][2], cost.scene.settings.answer.street_sigma_m[0]
-    linear = np.bincount(street, weights=own * tau**-2)
-    square = np.bincount(street, weights=(1.0 - variance * tau**-2) * tau**-2)
+    own, stiff = here.point.effects[0][:, 0], here.families[0].stiffness[:, 0, 0]
+    variance, sigma_m = normal.shared[0][2][:, 0, 0], cost.scene.settings.answer.street_sigma_m[0]
+    linear = np.bincount(street, weights=own * stiff)
+    square = np.bincount(street, weights=(1.0 - variance * stiff) * stiff)
     return float(np.sum((sigma_m * linear) ** 2 + 0.5 * (sigma_m**2 * square) ** 2))
 
 
@@ -301,9 +304,7 @@ def _considered(cost: _Cost, here: _Here) -> Floats:
         families = replace(cost, model=model).families(
             here.placed, here.matches, here.point.effects
         )
-        return assemble(
-            families, here.point.effects, cost.scene.samples.track, curved=True
-        ).gradient
+        return assemble(families, here.point.effects, curved=True).gradient
 
     return np.array(
         [(gradient(more) - gradient(less)) / 2.0 for less, more in cost.model.variations()]

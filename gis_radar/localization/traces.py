@@ -149,6 +149,10 @@ class Samples:
         How far the view reaches up and down, radians: what hardly any detection exceeds.
     crowd_m : float
         Over which length the samples of an object share its swaying.
+    spell : (n,) array, optional
+        In which spell of its object each was seen, counted from 0; without it in one.
+    spell_s : float
+        How long a spell is.
     """
 
     points: Floats
@@ -157,6 +161,8 @@ class Samples:
     tracks: int
     elevation: float
     crowd_m: float = DEFAULTS.traces.crowd_m
+    spell: Integers | None = None
+    spell_s: float = DEFAULTS.traces.spell_s
 
     @cached_property
     def crowd(self) -> Integers:
@@ -165,6 +171,26 @@ class Samples:
         keys = np.column_stack([self.track, cells])
         _, number, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
         return np.asarray(count[number.ravel()])
+
+    @cached_property
+    def kept(self) -> dict[tuple[float, ...], Floats]:
+        """What was computed for these samples, by constants: the solver asks again and again."""
+        return {}
+
+    @cached_property
+    def spells(self) -> Integers:
+        """The spell of each, and of its object: `track * longest + spell`."""
+        spell = np.zeros(len(self), dtype=np.int64) if self.spell is None else self.spell
+        return np.asarray(self.track * (int(spell.max(initial=0)) + 1) + spell)
+
+    @cached_property
+    def spell_reach(self) -> Floats:
+        """How far off each object is in each of its spells, (tracks, longest), metres; or 0."""
+        longest = 1 if self.spell is None else int(self.spell.max(initial=0)) + 1
+        size = self.tracks * longest
+        count = np.bincount(self.spells, minlength=size)
+        reach = np.bincount(self.spells, weights=self.reach, minlength=size)
+        return np.asarray((reach / np.maximum(count, 1)).reshape(self.tracks, longest))
 
     @cached_property
     def reach(self) -> Floats:
@@ -187,6 +213,7 @@ class Samples:
             points=self.points[keep],
             range_rate=self.range_rate[keep],
             track=self.track[keep],
+            spell=None if self.spell is None else self.spell[keep],
         )
 
 
@@ -300,7 +327,16 @@ def thin(
         tracks=int(tracks.max(initial=NONE)) + 1,
         elevation=_elevation(moving.points),
         crowd_m=settings.crowd_m,
+        spell=_spells(moving.time[keep], tracks[keep], settings.spell_s),
+        spell_s=settings.spell_s,
     )
+
+
+def _spells(time: Floats, track: Integers, spell_s: float) -> Integers:
+    """Return in which spell of its track each sample was seen, counted from 0; time ascends."""
+    first = np.full(int(track.max(initial=NONE)) + 1, np.inf)
+    np.minimum.at(first, track, time)
+    return np.asarray(np.floor((time - first[track]) / spell_s), dtype=np.int64)
 
 
 def _elevation(points: Floats) -> float:
