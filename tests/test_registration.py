@@ -446,6 +446,43 @@ def test_the_models_constants_widen_the_answer(scene):
     assert (certainty(fit).sigma > certainty(sure).sigma).all()
 
 
+def test_each_constant_of_the_model_changes_one_family_alone(scene):
+    scene, state, _ = scene
+    fit = solve(scene, state, prior_at(state))
+    compared = replace(
+        matched((scene, fit.state, None), 0.0)[0], matches=fit.matches, model=MODEL
+    )  # fmt: skip
+
+    def gradient(model):
+        families = [
+            family(replace(compared, model=model), effect)
+            for family, effect in zip((lateral, height), fit.effects, strict=True)
+        ]
+        return assemble(families, fit.effects, curved=True).gradient
+
+    whole = np.array([(gradient(b) - gradient(a)) / 2.0 for _, a, b in MODEL.variations()])
+    assert (np.abs(whole).max(axis=1) > 1e-3).all()
+    assert np.allclose(fit.considered(), whole, rtol=1e-6, atol=1e-6 * np.abs(whole).max())
+
+
+def test_heights_over_the_road_follow_its_slope_and_end_with_the_view(scene):
+    scene, state, _ = scene
+    placed = place(scene.samples, state)
+    matches = match(scene.lanes, placed)
+    lanes = replace(scene.lanes, slope=np.linspace(-0.1, 0.1, len(scene.lanes.slope)))
+    off = placed.points - lanes.points[matches.lane]
+    ahead = np.einsum("ij,ij->i", off[:, :2], lanes.along[matches.lane])
+    over = off[:, 2] - lanes.slope[matches.lane] * ahead
+    found = height_over_road(lanes, placed, matches, 0.0)
+    seen = ~np.isnan(found)
+    assert np.allclose(found[seen], over[seen], atol=1e-9)
+    up, flat, upward = placed.arms[:, 2], placed.flat, scene.samples.upward
+    lower = np.abs(np.arctan2(up - off[:, 2], flat) - np.arctan2(up, flat))
+    in_view = np.abs(upward + np.sign(upward) * lower) < scene.samples.elevation
+    assert (seen == (matches.found & np.isfinite(over) & in_view)).all()
+    assert 0.2 < seen.mean() < 1.0
+
+
 @pytest.mark.parametrize("higher_m", [-0.2, 0.0, 0.2])
 def test_the_height_of_reflections_is_told_by_their_lower_edge(scene, higher_m):
     scene, state, _ = scene

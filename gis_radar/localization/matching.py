@@ -77,18 +77,27 @@ def place(samples: Samples, state: State) -> Placed:
     state : State
         Where the sensor is thought to be.
     """
-    arms = samples.points @ state.R_map_sensor.T
-    flat = np.hypot(arms[:, 0], arms[:, 1])
-    sight = arms[:, :2] / np.maximum(flat, NO_WAY_M)[:, None]
-    sight[flat <= NO_WAY_M] = [1.0, 0.0]
-    return Placed(
-        samples=samples,
-        state=state,
-        points=arms + state.position,
-        arms=arms,
-        flat=flat,
-        sight=sight,
-    )
+    turn = np.ascontiguousarray(state.R_map_sensor)  # other layouts would be compiled anew
+    points, arms, flat, sight = _placed(samples.points, turn, state.position)
+    return Placed(samples=samples, state=state, points=points, arms=arms, flat=flat, sight=sight)
+
+
+@compiled
+def _placed(  # pragma: no cover - compiled
+    seen: Floats, turn: Floats, position: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return points, arms, distances and directions of sight, as in `Placed`."""
+    points, arms = np.empty((len(seen), 3)), np.empty((len(seen), 3))
+    flat, sight = np.empty(len(seen)), np.empty((len(seen), 2))
+    for i in range(len(seen)):
+        for j in range(3):
+            arms[i, j] = turn[j, 0] * seen[i, 0] + turn[j, 1] * seen[i, 1] + turn[j, 2] * seen[i, 2]
+            points[i, j] = arms[i, j] + position[j]
+        flat[i] = np.hypot(arms[i, 0], arms[i, 1])
+        sight[i, 0], sight[i, 1] = 1.0, 0.0
+        if flat[i] > NO_WAY_M:
+            sight[i, 0], sight[i, 1] = arms[i, 0] / flat[i], arms[i, 1] / flat[i]
+    return points, arms, flat, sight
 
 
 @dataclass(frozen=True, kw_only=True)

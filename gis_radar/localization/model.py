@@ -72,8 +72,8 @@ class Model:
     body_over: float = _known(1.0, within=1.3)
     body: float = _known(0.8, within=1.3)
 
-    def variations(self) -> Iterator[tuple[Model, Model]]:
-        """Yield for each constant the models with it a standard deviation lower and higher."""
+    def variations(self) -> Iterator[tuple[str, Model, Model]]:
+        """Yield each constant's name and the models with it a standard deviation lower, higher."""
         for constant in fields(self):
             value = getattr(self, constant.name)
             sigma, within = (
@@ -81,6 +81,7 @@ class Model:
                 constant.metadata.get("within", 1.0),
             )
             yield (
+                constant.name,
                 replace(self, **{constant.name: value / within - sigma}),
                 replace(self, **{constant.name: value * within + sigma}),
             )

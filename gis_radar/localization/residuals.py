@@ -319,19 +319,38 @@ def height_over_road(lanes: Lanes, placed: Placed, matches: Matches, view_edge: 
     NaN where there is no lane below, where its height is unknown, and where the road itself is
     out of view: there only the tall are seen.
     """
-    off = placed.points - lanes.points[matches.lane]
-    along = lanes.along[matches.lane]
-    ahead = off[:, 0] * along[:, 0] + off[:, 1] * along[:, 1]
-    over = off[:, 2] - lanes.slope[matches.lane] * ahead
-    return np.where(matches.found & _in_view(placed, off[:, 2], view_edge), over, np.nan)
+    samples = placed.samples
+    return _over_road(
+        samples.elevation - view_edge, samples.upward, placed.points, placed.arms, placed.flat,
+        matches.lane, matches.found, lanes.points, lanes.along, lanes.slope,
+    )  # fmt: skip
 
 
-def _in_view(placed: Placed, over_m: Floats, view_edge: float) -> Booleans:
-    """Return where the road itself would be in view; beyond, only tall vehicles are seen."""
-    up, flat, upward = placed.arms[:, 2], placed.flat, placed.samples.upward
-    lower = np.arctan2(up - np.nan_to_num(over_m), flat) - np.arctan2(up, flat)
-    angle = np.abs(upward + np.sign(upward) * np.abs(lower))
-    return np.asarray(angle < placed.samples.elevation - view_edge)
+@compiled
+def _over_road(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - compiled
+    widest: float,
+    upward: Floats,
+    points: Floats,
+    arms: Floats,
+    flat: Floats,
+    lane: Integers,
+    found: Booleans,
+    lane_points: Floats,
+    along: Floats,
+    slope: Floats,
+) -> Floats:
+    """Return the heights over the road where that is less than `widest` up or down in the view."""
+    over = np.full(len(lane), np.nan)
+    for i in range(len(lane)):
+        k, up = lane[i], arms[i, 2]
+        z = points[i, 2] - lane_points[k, 2]
+        if not found[i] or np.isnan(z):
+            continue
+        x, y = points[i, 0] - lane_points[k, 0], points[i, 1] - lane_points[k, 1]
+        drop = np.arctan2(up - z, flat[i]) - np.arctan2(up, flat[i])
+        if abs(upward[i] + np.sign(upward[i]) * abs(drop)) < widest:
+            over[i] = z - slope[k] * (x * along[k, 0] + y * along[k, 1])
+    return over
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -26,6 +26,10 @@ from gis_radar.localization.settings import Schedule
 from gis_radar.localization.state import SIZE, State
 
 FAMILIES = (lateral, height)
+# Constants of the model; the others are of the lateral family.
+OF_HEIGHT = {
+    "elevation", "low", "vehicle", "bent", "lasting", "body_share", "body_over", "body",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -229,7 +233,12 @@ class _Cost:
 
     def families(self, placed: Placed, matches: Matches, effects: list[Floats]) -> list[Residuals]:
         """Return all residuals of samples that lie on their lanes."""
-        compared = Comparison(
+        compared = self.compared(placed, matches)
+        return [family(compared, effect) for family, effect in zip(FAMILIES, effects, strict=True)]
+
+    def compared(self, placed: Placed, matches: Matches) -> Comparison:
+        """Return what the residuals compare."""
+        return Comparison(
             lanes=self.scene.lanes,
             placed=placed,
             matches=matches,
@@ -237,7 +246,6 @@ class _Cost:
             scale_m=self.scale_m,
             settings=self.scene.settings.solver,
         )
-        return [family(compared, effect) for family, effect in zip(FAMILIES, effects, strict=True)]
 
     def step(self, here: _Here) -> tuple[Floats, list[Floats], float]:
         """Return the steps of the state and the random effects, and the first in sigmas."""
@@ -298,17 +306,22 @@ def _habits(cost: _Cost, here: _Here, normal: Normal, street: Integers) -> float
 
 
 def _considered(cost: _Cost, here: _Here) -> Floats:
-    """Return how the gradient changes by a standard deviation of each constant of the model."""
+    """Return how the gradient changes by a standard deviation of each constant of the model.
 
-    def gradient(model: Model) -> Floats:
-        families = replace(cost, model=model).families(
-            here.placed, here.matches, here.point.effects
-        )
-        return assemble(families, here.point.effects, curved=True).gradient
+    The gradient is the sum over the families, and each constant belongs to one of them.
+    """
+    effects = here.point.effects
 
-    return np.array(
-        [(gradient(more) - gradient(less)) / 2.0 for less, more in cost.model.variations()]
-    )
+    def gradient(model: Model, which: int) -> Floats:
+        compared = replace(cost, model=model).compared(here.placed, here.matches)
+        family = FAMILIES[which](compared, effects[which])
+        return assemble([family], [effects[which]], curved=True).gradient
+
+    changes = []
+    for name, less, more in cost.model.variations():
+        which = FAMILIES.index(height if name in OF_HEIGHT else lateral)
+        changes.append((gradient(more, which) - gradient(less, which)) / 2.0)
+    return np.array(changes)
 
 
 def _streets(scene: Scene, matches: Matches) -> tuple[Integers, int]:
