@@ -17,50 +17,20 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 from PIL import Image
+from qgis_desktop import WAIT_S, desktop_script, run_desktop, virtual_screen
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 SCREEN = (1440, 860)
-WAIT_S = 300
 FLAGS = ("--headless=new", "--no-sandbox", "--hide-scrollbars", "--force-device-scale-factor=1")
 
 DESKTOP = """
-import os, subprocess, traceback
-from qgis.PyQt.QtCore import Qt, QTimer
-from qgis.PyQt.QtWidgets import QDockWidget, QProgressBar
+from qgis.PyQt.QtWidgets import QProgressBar
 from qgis.core import QgsRectangle
-from qgis.utils import iface, loadPlugin, plugins, startPlugin
-SHOTS, DEMO, SITE, OUT = {shots!r}, {demo!r}, {site!r}, {out!r}
-steps = []
-
-def shot(name, widget=None):
-    window = "root" if widget is None else str(int(widget.winId()))
-    subprocess.run(["import", "-window", window, os.path.join(SHOTS, name)], check=True)
-
-def after(seconds):
-    return lambda step: steps.append((seconds, step))
-
-def go():
-    if not steps:
-        os._exit(0)
-    seconds, step = steps.pop(0)
-    def do():
-        try:
-            step()
-        except Exception:
-            traceback.print_exc()
-            os._exit(1)
-        go()
-    QTimer.singleShot(int(seconds * 1000), do)
-
-def docks():
-    return {{dock.objectName(): dock for dock in iface.mainWindow().findChildren(QDockWidget)}}
+from qgis.utils import loadPlugin, startPlugin
 
 @after(1)
 def project():
@@ -96,7 +66,7 @@ def dialog():
     docks()["ProcessingToolbox"].hide()
     import processing
     global box
-    box = processing.createAlgorithmDialog("gisradar:runsite", {{"SITE": SITE, "OUTPUT": OUT}})
+    box = processing.createAlgorithmDialog("gisradar:runsite", {"SITE": SITE, "OUTPUT": OUT})
     box.resize(750, 560)
     box.show()
     box.runButton().click()
@@ -108,8 +78,6 @@ def at_work():
     else:
         shot("dialog.png", box)
 steps.append((5, at_work))
-
-iface.initializationCompleted.connect(go)
 """
 
 
@@ -151,14 +119,12 @@ def qgis(demo: Path) -> None:
     with tempfile.TemporaryDirectory() as name:
         place = Path(name)
         shutil.copytree(ROOT / "sample_maps", place / "junction")
-        code = DESKTOP.format(
-            shots=name, demo=str(demo), site=str(place / "junction" / "SITE.toml"),
-            out=str(place / "results"),
+        script = desktop_script(
+            DESKTOP, SHOTS=name, DEMO=str(demo), OUT=str(place / "results"),
+            SITE=str(place / "junction" / "SITE.toml"),
         )  # fmt: skip
-        (place / "startup.py").write_text(code)
-        with screen(place) as around:
-            run("qgis", "--nologo", "--noversioncheck", "--profiles-path", place,
-                "--code", place / "startup.py", around=around)  # fmt: skip
+        with virtual_screen(*SCREEN, _around(place)) as around:
+            checked(run_desktop(script, place, place, around))
             run("qgis_process", "plugins", "enable", "gis_radar_plugin", around=around)
             run("qgis_process", "run", "gisradar:exportreport", "--", f"HEATMAP={demo}/heatmap",
                 f"SENSORS={demo}/sensors.gpkg", "TITLE=Sample junction (simulated)",
@@ -174,38 +140,34 @@ PICTURES = {
 }  # fmt: skip
 
 
-@contextmanager
-def screen(place: Path) -> Iterator[dict[str, str]]:
-    """Yield the surroundings of programs on a virtual screen with a window manager."""
-    display = f":{90 + os.getpid() % 900}"
-    around = {
-        "HOME": os.environ["HOME"], "LANG": "C.UTF-8", "TZ": "Europe/Berlin", "DISPLAY": display,
+def _around(place: Path) -> dict[str, str]:
+    """Return the surroundings of a QGIS with the plugin and profiles of its own."""
+    return {
+        "HOME": os.environ["HOME"], "LANG": "C.UTF-8", "TZ": "Europe/Berlin",
         "PATH": "/usr/sbin:/usr/bin:/sbin:/bin", "XDG_RUNTIME_DIR": str(place),
         "QGIS_CUSTOM_CONFIG_PATH": str(place), "QGIS_PLUGINPATH": str(ROOT / "qgis_plugin"),
         "GIS_RADAR_PYTHON": sys.executable, "PYTHONPATH": str(ROOT),
     }  # fmt: skip
-    size = f"{SCREEN[0]}x{SCREEN[1]}x24"
-    commands = (["Xvfb", display, "-screen", "0", size, "-nolisten", "tcp"], ["openbox"])
-    started: list[subprocess.Popen[bytes]] = []
-    try:
-        for command in commands:
-            started.append(subprocess.Popen(command, env=around, stderr=subprocess.DEVNULL))
-            time.sleep(1.0)
-        yield around
-    finally:
-        for process in reversed(started):
-            process.terminate()
-            process.wait(timeout=10)
 
 
 def run(*words: str | Path, around: dict[str, str] | None = None) -> None:
     """Run a program; show what it wrote where it fails."""
-    done = subprocess.run(
-        [str(word) for word in words], env=around, capture_output=True, text=True, check=False,
-        timeout=WAIT_S,
-    )  # fmt: skip
+    checked(
+        subprocess.run(
+            [str(word) for word in words],
+            env=around,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=WAIT_S,
+        )
+    )
+
+
+def checked(done: subprocess.CompletedProcess[str]) -> None:
+    """Stop with what a program wrote where it failed."""
     if done.returncode:
-        sys.exit(f"{words[0]} failed:\n{done.stdout[-3000:]}{done.stderr[-3000:]}")
+        sys.exit(f"{done.args[0]} failed:\n{done.stdout[-3000:]}{done.stderr[-3000:]}")
 
 
 def keep(picture: Image.Image, name: str, wide: int) -> None:

@@ -187,14 +187,16 @@ def _hatch(renderer: Element, least_s: float) -> None:
     symbols = _element(renderer, "symbols")
     for symbol, colour in zip(symbols, hatches(), strict=True):
         layer = copy.deepcopy(_element(pattern, "layer"))
-        _element(layer, ".//Option[@name='expression']").set("value", uncertain_rule(least_s))
+        shown = f"if({uncertain_rule(least_s)}, 'solid', 'no')"
+        _element(layer, ".//Option[@name='expression']").set("value", shown)
         _colour_lines(layer, colour)
         symbol.append(layer)
     entry = copy.deepcopy(pattern)
     entry.set("name", str(len(symbols)))
-    layer = _element(entry, "layer")
-    layer.remove(_element(layer, "data_defined_properties"))
-    _colour_lines(layer, HATCH_DARK)
+    line = _element(entry, "layer/symbol/layer")
+    line.remove(_element(line, "data_defined_properties"))
+    _element(line, ".//Option[@name='line_style']").set("value", "solid")
+    _colour_lines(_element(entry, "layer"), HATCH_DARK)
     symbols.append(entry)
     bounds = {"lower": "2.000000000000000", "upper": "2.000000000000000"}
     named = {"symbol": entry.get("name", ""), "render": "true", "label": UNCERTAIN}

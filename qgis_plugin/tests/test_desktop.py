@@ -1,65 +1,26 @@
 """The zip in an empty profile: the desktop of a planner, on a virtual screen."""
 
-import os
 import shutil
-import signal
-import subprocess
-import time
+import sys
 
-import pytest
 from conftest import ROOT, environment
+
+sys.path.append(str(ROOT / "tools"))
+
+from qgis_desktop import desktop_script, run_desktop, virtual_screen
 
 SHOTS = ROOT / "out" / "qgis"
 
-STARTUP = """
-import os, subprocess, sys, traceback
-from qgis.PyQt.QtCore import QTimer
-from qgis.core import Qgis, QgsApplication, QgsProject
-from qgis.utils import iface, plugins
-SHOTS, SITE, OUT = {shots!r}, {site!r}, {out!r}
-steps = []
-
-def shot(name):
-    subprocess.run(["import", "-window", "root", os.path.join(SHOTS, name)], check=False)
-
-def say(*words):
-    print("SAID", *words, flush=True)
-
-def after(seconds):
-    def keep(step):
-        steps.append((seconds, step))
-        return step
-    return keep
-
-def go():
-    if not steps:
-        os._exit(0)
-    seconds, step = steps.pop(0)
-    def do():
-        try:
-            step()
-        except Exception:
-            traceback.print_exc()
-            os._exit(1)
-        go()
-    QTimer.singleShot(int(seconds * 1000), do)
-
-{body}
-iface.initializationCompleted.connect(go)
-"""
-
 BODY = """
+from qgis.core import QgsProject
 @after(1)
 def toolbox():
     assert "gis_radar_plugin" in plugins, plugins
     iface.mainWindow().showMaximized()
-    from qgis.PyQt.QtWidgets import QDockWidget, QTreeView
-    for dock in iface.mainWindow().findChildren(QDockWidget):
-        if dock.objectName() in ("Browser", "MessageLog"):
-            dock.hide()
-        if dock.objectName() == "ProcessingToolbox":
-            dock.show()
-            dock.searchBox.setText("gisradar")
+    for name in ("Browser", "MessageLog"):
+        docks()[name].hide()
+    docks()["ProcessingToolbox"].show()
+    docks()["ProcessingToolbox"].searchBox.setText("gisradar")
 
 @after(2)
 def dialog():
@@ -110,43 +71,17 @@ def second():
 """
 
 
-@pytest.fixture
-def screen(profiles):
-    """A virtual screen with a window manager; QGIS's desktop dies on Qt's own."""
-    display = f":{90 + os.getpid() % 900}"
-    server = subprocess.Popen(
-        ["Xvfb", display, "-screen", "0", "1600x950x24", "-nolisten", "tcp"],
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-    time.sleep(1.0)
-    manager = subprocess.Popen(
-        ["openbox"], env=environment(profiles, DISPLAY=display),
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-    yield display
-    for process in (manager, server):
-        process.send_signal(signal.SIGTERM)
-        process.wait(timeout=10)
-
-
-def test_the_desktop(profiles, site, screen, tmp_path):
+def test_the_desktop(profiles, site, tmp_path):
     """A heat map made in the dialog comes up styled, animated, with a clock of local time."""
     SHOTS.mkdir(parents=True, exist_ok=True)
     names = ("toolbox.png", "dialog.png", "moment1.png", "moment2.png")
     for name in names:
         (SHOTS / name).unlink(missing_ok=True)
-    startup = tmp_path / "startup.py"
-    startup.write_text(
-        STARTUP.format(shots=str(SHOTS), site=str(site), out=str(tmp_path), body=BODY)
-    )
     desktop = tmp_path / "profiles"
     shutil.copytree(profiles / "profiles", desktop / "profiles")
-    done = subprocess.run(
-        ["qgis", "--nologo", "--noversioncheck", "--profiles-path", str(desktop),
-         "--profile", "default", "--code", str(startup)],
-        capture_output=True, text=True, timeout=350, check=False,
-        env=environment(profiles, DISPLAY=screen, QT_QPA_PLATFORM="xcb", TZ="Europe/Berlin"),
-    )  # fmt: skip
+    script = desktop_script(BODY, SHOTS=str(SHOTS), SITE=str(site), OUT=str(tmp_path))
+    with virtual_screen(1600, 950, environment(profiles, TZ="Europe/Berlin")) as around:
+        done = run_desktop(script, tmp_path, desktop, around, "--profile", "default")
     said = [line[5:] for line in done.stdout.splitlines() if line.startswith("SAID ")]
     assert done.returncode == 0, done.stdout + done.stderr
     assert said == [

@@ -67,6 +67,11 @@ def colours(image):
     return {QColor(pixel).name() for pixel in pixels if pixel >> 24 >= 254}
 
 
+def icon_colours(symbol):
+    image = symbol.asImage(QSize(24, 24))
+    return {QColor(image.pixel(x, y)).name() for x in range(6, 18) for y in range(6, 18)}
+
+
 def test_the_style_is_the_one_of_all_maps(heatmap):
     layer = layer_called("Coverage by interval")
     renderer = layer.renderer()
@@ -78,6 +83,9 @@ def test_the_style_is_the_one_of_all_maps(heatmap):
     ]
     assert shown[-1] == (STYLE["HATCH_DARK"], "uncertain")
     assert shown[0][1] == "0 %, no vehicle"
+    plain = {len(icon_colours(step.symbol().clone())) for step in renderer.ranges()[:-1]}
+    assert plain == {1}  # the hatch is in the last entry of the legend alone
+    assert len(icon_colours(renderer.ranges()[-1].symbol().clone())) > 1
     raster = layer_called("Coverage, raster")
     items = raster.renderer().shader().rasterShaderFunction().colorRampItemList()
     assert [item.color.name() for item in items] == [
