@@ -5,18 +5,20 @@
     python tools/docs_pictures.py demo qgis report  some
 
 heatmap, localize: from the demo's own files; report: in Chromium; coverage: beside the truth; qgis:
-the desktop on a virtual screen with its toolbox and a dialog at work, and a sheet of its report.
-Needs Chromium, and QGIS with Xvfb, openbox and ImageMagick (tools/get_browser_and_qgis.sh). Look at
+the desktop on a virtual screen with its toolbox and a dialog at work, and a sheet of its report;
+readme: what README's first command and its Python print. Needs Chromium, and QGIS with Xvfb, openbox and ImageMagick (tools/get_browser_and_qgis.sh). Look at
 each afterwards.
 """
 
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 from PIL import Image
@@ -25,6 +27,10 @@ from qgis_desktop import WAIT_S, desktop_script, run_desktop, virtual_screen
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 SCREEN = (1440, 860)
+PRINTED = (
+    "tiles visible", "mean coverage", "wrote out/demo/heatmap", "wrote out/demo/site.qgz",
+    "wrote out/demo/report.html",
+)  # fmt: skip
 FLAGS = ("--headless=new", "--no-sandbox", "--hide-scrollbars", "--force-device-scale-factor=1")
 
 DESKTOP = """
@@ -135,8 +141,33 @@ def qgis(demo: Path) -> None:
         keep(Image.open(place / "report" / "Junction_1_whole.png"), "qgis-sheet", 1200)
 
 
+def readme(demo: Path) -> None:
+    """Put what README's first commands and its Python print into README."""
+    page, around = ROOT / "README.md", {**os.environ, "PYTHONPATH": str(ROOT)}
+    printed = run(sys.executable, "-m", "gis_radar", "demo", "-o", demo, around=around)
+    lines = printed.replace(str(demo), "out/demo").splitlines()
+    at = next(i for i, line in enumerate(lines) if line.startswith("errors of the poses"))
+    shown = [line.rstrip() for line in lines if line.startswith(PRINTED)]
+    put("printed by the demo", [*lines[at : at + 3], *shown], page)
+    (code,) = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    with tempfile.TemporaryDirectory() as place:
+        program = f"import os\nos.chdir({place!r})\n{code}"
+        printed = run(sys.executable, "-c", program, around=around)
+    at = printed.index("HeatMap(")
+    put("printed by Python", printed[at:].splitlines(), page)
+
+
+def put(mark: str, lines: Sequence[str], page: Path) -> None:
+    """Put lines into a page between its marks, as text."""
+    before, _, rest = page.read_text(encoding="utf-8").partition(f"<!-- {mark} -->")
+    _, end, after = rest.partition(f"<!-- end of {mark} -->")
+    body = "\n".join(["```text", *lines, "```"])
+    page.write_text(f"{before}<!-- {mark} -->\n{body}\n{end}{after}", encoding="utf-8")
+
+
 PICTURES = {
-    "heatmap": heatmap, "localize": localize, "report": report, "coverage": coverage, "qgis": qgis
+    "heatmap": heatmap, "localize": localize, "report": report, "coverage": coverage, "qgis": qgis,
+    "readme": readme,
 }  # fmt: skip
 
 
@@ -150,9 +181,9 @@ def _around(place: Path) -> dict[str, str]:
     }  # fmt: skip
 
 
-def run(*words: str | Path, around: dict[str, str] | None = None) -> None:
-    """Run a program; show what it wrote where it fails."""
-    checked(
+def run(*words: str | Path, around: dict[str, str] | None = None) -> str:
+    """Run a program and return what it prints; show that where it fails."""
+    return checked(
         subprocess.run(
             [str(word) for word in words],
             env=around,
@@ -164,10 +195,11 @@ def run(*words: str | Path, around: dict[str, str] | None = None) -> None:
     )
 
 
-def checked(done: subprocess.CompletedProcess[str]) -> None:
-    """Stop with what a program wrote where it failed."""
+def checked(done: subprocess.CompletedProcess[str]) -> str:
+    """Return what a program printed, or stop with what it wrote where it failed."""
     if done.returncode:
         sys.exit(f"{done.args[0]} failed:\n{done.stdout[-3000:]}{done.stderr[-3000:]}")
+    return done.stdout
 
 
 def keep(picture: Image.Image, name: str, wide: int) -> None:
