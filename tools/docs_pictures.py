@@ -6,8 +6,8 @@
 
 heatmap, localize: from the demo's own files; report: in Chromium; coverage: beside the truth; qgis:
 the desktop on a virtual screen with its toolbox and a dialog at work, and a sheet of its report;
-readme: what README's first command and its Python print. Needs Chromium, and QGIS with Xvfb, openbox and ImageMagick (tools/get_browser_and_qgis.sh). Look at
-each afterwards.
+readme: what README's first command and its Python print. Needs Chromium, and QGIS with Xvfb,
+openbox and ImageMagick (tools/get_browser_and_qgis.sh). Look at each afterwards.
 """
 
 from __future__ import annotations
