@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.arrays import Booleans, Floats, Integers, compiled
 from simulation.movement import Vehicles
 from simulation.scene import Scene
 
@@ -42,26 +42,43 @@ class Boxes:
         own : (n,) int array
             The box that a point belongs to, which does not hide it; -1 for none.
         """
-        cos, sin = np.cos(self.heading), np.sin(self.heading)
-        start = self._turn(eye - self.centre, cos, sin)
-        way = self._turn(points[:, None] - eye, cos, sin)
         half = self.size * np.array([0.5, 0.5, 1.0]) * 0.94
-        low = np.column_stack([-half[:, :2], np.zeros(len(half))])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            one, other = (low - start) / way, (half - start) / way
-        enter = np.fmax.reduce(np.minimum(one, other), axis=-1)
-        leave = np.fmin.reduce(np.maximum(one, other), axis=-1)
         before = 1.0 - _SKIN_M / np.maximum(np.linalg.norm(points - eye, axis=1), 1.0)
-        hidden = (enter < leave) & (leave > 0.0) & (enter < before[:, None])
-        hidden[own >= 0, own[own >= 0]] = False
-        return np.asarray(hidden.any(axis=1))
+        cos, sin = np.cos(self.heading), np.sin(self.heading)
+        return _behind_boxes(
+            np.asarray(eye, np.float64), np.ascontiguousarray(points, np.float64), before,
+            np.asarray(own, np.int64), self.centre, cos, sin, half,
+        )  # fmt: skip
 
-    @staticmethod
-    def _turn(vectors: Floats, cos: Floats, sin: Floats) -> Floats:
-        """Return map vectors in each box's own axes."""
-        x, y, z = np.moveaxis(vectors, -1, 0)
-        turned = np.broadcast_arrays(cos * x + sin * y, cos * y - sin * x, z)
-        return np.stack(turned, axis=-1)
+
+@compiled
+def _behind_boxes(
+    eye: Floats, points: Floats, before: Floats, own: Integers,
+    centre: Floats, cos: Floats, sin: Floats, half: Floats,
+) -> Booleans:  # fmt: skip
+    """Return which points a box hides: where the line of sight enters it, before the point."""
+    hidden = np.zeros(len(points), np.bool_)
+    start, way = np.empty(3), np.empty(3)
+    for j in range(len(centre)):
+        x, y = eye[0] - centre[j, 0], eye[1] - centre[j, 1]
+        start[0], start[1] = cos[j] * x + sin[j] * y, cos[j] * y - sin[j] * x
+        start[2] = eye[2] - centre[j, 2]
+        for i in range(len(points)):
+            if hidden[i] or own[i] == j:
+                continue
+            x, y = points[i, 0] - eye[0], points[i, 1] - eye[1]
+            way[0], way[1] = cos[j] * x + sin[j] * y, cos[j] * y - sin[j] * x
+            way[2] = points[i, 2] - eye[2]
+            enter, leave = -np.inf, np.inf
+            for k in range(3):
+                low, high = (0.0 if k == 2 else -half[j, k]) - start[k], half[j, k] - start[k]
+                if way[k] != 0.0:
+                    one, other = low / way[k], high / way[k]
+                    enter, leave = max(enter, min(one, other)), min(leave, max(one, other))
+                elif low > 0.0 or high < 0.0:
+                    leave = -np.inf  # beside the box, and along it
+            hidden[i] = enter < leave and leave > 0.0 and enter < before[i]
+    return hidden
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,15 +105,28 @@ class Walls:
 
     def crossing(self, eye: Floats, points: Floats) -> Floats:
         """Return where each line of sight crosses each wall, as its share; NaN where not."""
-        way = points[:, None, :2] - eye[:2]
-        along = self.end - self.begin
-        gap = self.begin - eye[:2]
-        cross = way[..., 0] * along[:, 1] - way[..., 1] * along[:, 0]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            share = (gap[:, 0] * along[:, 1] - gap[:, 1] * along[:, 0]) / cross
-            place = (gap[:, 0] * way[..., 1] - gap[:, 1] * way[..., 0]) / cross
-        hit = (share > 0.0) & (share < 0.995) & (place >= 0.0) & (place <= 1.0)
-        return np.where(hit, share, np.nan)
+        return _crossings(
+            np.asarray(eye, np.float64), np.ascontiguousarray(points, np.float64),
+            self.begin, self.end - self.begin,
+        )  # fmt: skip
+
+
+@compiled
+def _crossings(eye: Floats, points: Floats, begin: Floats, along: Floats) -> Floats:
+    """Return the share of each line of sight at which it crosses each wall; NaN where not."""
+    shares = np.full((len(points), len(begin)), np.nan)
+    for i in range(len(points)):
+        x, y = points[i, 0] - eye[0], points[i, 1] - eye[1]
+        for j in range(len(begin)):
+            cross = x * along[j, 1] - y * along[j, 0]
+            if cross == 0.0:
+                continue
+            east, north = begin[j, 0] - eye[0], begin[j, 1] - eye[1]
+            share = (east * along[j, 1] - north * along[j, 0]) / cross
+            place = (east * y - north * x) / cross
+            if 0.0 < share < 0.995 and 0.0 <= place <= 1.0:
+                shares[i, j] = share
+    return shares
 
 
 def vehicle_boxes(vehicles: Vehicles, scene: Scene) -> Boxes:
