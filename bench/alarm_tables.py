@@ -101,7 +101,7 @@ def false_alarms(report: Report) -> str:
         )
     heads = ["false alarms", "hours", "alarms", "largest score of the gate", "a month (95 %)"]
     sees = np.mean([v["day"]["sees"] for k, v in report.items() if k.endswith(", rest")])
-    said = f"Still returns alone decided in {sees:.0%} of the minutes of these days."
+    said = f"In {sees:.0%} of the minutes of these days the still returns decided alone."
     return f"{table(heads, rows)}\n\n{said}"
 
 
