@@ -38,12 +38,12 @@ class MakeHeatMap(WorkerAlgorithm):
         "Makes maps of coverage: the estimated share of time that a vehicle is on a tile, moving "
         "or waiting. That needs the vehicles; without them the map shows occupancy: the share of "
         "the observed time in which radar hit a tile, which is several times lower. What was never "
-        "observed is left out, not 0.\n"
+        "observed is left out, not 0; coverage that is uncertain is hatched.\n"
         "The result is a GeoPackage (the whole time, and by interval), a GeoTIFF with a band an "
         "interval, a GeoParquet and a picture. Colours are the same on every map, so that maps "
         "compare.\n"
         "The layer 'by interval' is animated by the temporal controller as it is loaded. Times are "
-        "UTC in the data; the clock on the map shows the local time."
+        "UTC in the data and in the picture; the clock on the map shows the local time."
     )
     KEYWORDS = ("occupancy", "coverage", "raster", "animation")
 
