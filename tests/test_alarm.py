@@ -1,6 +1,7 @@
 """The alarm: small moves of a sensor, from traffic with a known truth."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,8 +16,9 @@ from gis_radar.progress import Reporter
 from gis_radar.steps import seconds_from_iso
 from gis_radar.tracking import track
 from gis_radar.tracking.alarm import Alarm, Displacement, Memory, habits_of, witnesses
+from gis_radar.tracking.filter import Estimate, Innovation, Measurement
 from gis_radar.tracking.lane_places import LanePlaces, cells_along, lane_places
-from gis_radar.tracking.moves import MoveTest, Scatter
+from gis_radar.tracking.moves import MoveTest, Scatter, score
 from gis_radar.tracking.settings import ALARM, DEFAULTS
 from gis_radar.tracking.track import MOVED
 from gis_radar.tracking.watch import Watch
@@ -355,3 +357,52 @@ def test_a_sensor_whose_windows_differ_much_needs_more_for_a_move():
     for _ in range(5):  # a knock
         scatter.add(500.0)
     assert scatter.ratio < 4.2
+
+
+def stub_fit(move, *, cost, vehicles=50, noise=1.0):
+    """A fit of so many vehicles that all say the same of the first component."""
+    scores = np.zeros((vehicles, 7))
+    scores[:, 0] = 1.0
+    measured = Measurement(
+        position=np.array([move, 0.0, 0.0]), quaternion=np.array([0.0, 0.0, 0.0, 1.0]),
+        covariance=0.01 * np.eye(6), noise=0.01 * noise * np.eye(6),
+    )  # fmt: skip
+    fit = SimpleNamespace(scores=scores, information=np.eye(7), cost=cost, state=None)
+    return SimpleNamespace(measurement=measured, fit=fit, trusted=True, on_lanes=True)
+
+
+@pytest.mark.parametrize(("vehicles", "noise"), [(5, 1.0), (5, 0.25), (10_000, 1.0)])
+def test_few_vehicles_are_beyond_chance_later(vehicles, noise):
+    """With all variance from n alike vehicles n degrees of freedom; from a quarter of it 16 n."""
+    gap = Innovation(gap=np.array([0.8, 0, 0, 0, 0, 0]), covariance=0.01 * np.eye(6))
+    freedom = vehicles / noise**2
+    expected = freedom * np.log1p(64.0 / freedom)
+    assert score(gap, stub_fit(0.8, cost=0.0, vehicles=vehicles, noise=noise)) == pytest.approx(
+        expected
+    )
+
+
+@pytest.mark.parametrize(("gain", "suspected"), [(-5.0, False), (3.0, False), (60.0, True)])
+def test_a_fit_far_away_that_is_no_likelier_is_no_move(gain, suspected, monkeypatch):
+    """Where traffic fixes a direction poorly, a fit is carried far along it."""
+    monkeypatch.setattr(MoveTest, "_change", lambda *_: None)
+    seen, rest = stub_fit(2.0, cost=100.0), stub_fit(0.0, cost=100.0 + gain)
+    held = Estimate(
+        time=0.0, position=np.zeros(3), quaternion=np.array([0.0, 0.0, 0.0, 1.0]),
+        covariance=0.01 * np.eye(6),
+    )  # fmt: skip
+    far = DEFAULTS.knock
+
+    def fit(_part, _held, _like, *, near, schedule):
+        assert schedule is DEFAULTS.far
+        return seen if tuple(near) == far else rest
+
+    part = SimpleNamespace(moving=SimpleNamespace(begin=70.0), tracks=40)
+    traffic = SimpleNamespace(moving=SimpleNamespace(begin=0.0), between=lambda *_: part)
+    test = MoveTest(
+        fitter=SimpleNamespace(settings=DEFAULTS, fit=fit), traffic=traffic, now=100.0,
+        expected=lambda _: held, scatter=Scatter(DEFAULTS),
+    )  # fmt: skip
+    found = test.suspected(None)
+    assert (found is not None and found.certain) == suspected
+    assert (found is None) == (not suspected)

@@ -516,3 +516,24 @@ def test_a_look_around_finds_the_better_optimum_beside_one(scene):
     assert stuck.fit.cost > best.cost + 50.0
     assert found.fit.cost < best.cost + 5.0
     assert np.abs(found.fit.state.difference(best.state)[:2]).max() < 0.2
+
+
+def test_tracks_of_one_vehicle_are_one_cluster(scene):
+    """Each vehicle twice, as two tracks, whose errors are the same."""
+    scene, state, _ = scene
+    samples = scene.samples
+    twice = replace(
+        samples,
+        points=np.tile(samples.points, (2, 1)),
+        range_rate=np.tile(samples.range_rate, 2),
+        track=np.concatenate([samples.track, samples.track + samples.tracks]),
+        tracks=2 * samples.tracks,
+        spell=np.tile(samples.spell, 2),
+        vehicle=None,
+    )
+    joined = replace(twice, vehicle=np.tile(np.arange(samples.tracks), 2))
+    apart, together = (
+        solve(scene.of(each), state, prior_at(state)).scores for each in (twice, joined)
+    )
+    assert np.allclose(together[: samples.tracks], apart.reshape(2, samples.tracks, -1).sum(axis=0))
+    assert not together[samples.tracks :].any()

@@ -18,6 +18,7 @@ from gis_radar.localization.traces import (
     link_tracks,
     read_moving,
     thin,
+    vehicles_of,
     voxels,
 )
 from gis_radar.recordings.recording import Detections
@@ -165,3 +166,41 @@ def test_thinning_keeps_tracks_and_a_limit(passing):
     assert samples.tracks == tracks.max() + 1
     again = thin(moving, tracks, replace(DEFAULTS.traces, most=50))
     assert np.array_equal(samples.points, again.points)
+
+
+def driven_past(begin, end, *, x, y, speed, step=0.05):
+    """Return time, place and range rate of what drives along x, 30 m beside the sensor."""
+    time = np.arange(begin, end, step)
+    place = np.column_stack([x + speed * time, np.full(len(time), y), np.zeros(len(time))])
+    return time, place, speed * place[:, 0] / np.hypot(place[:, 0], y)
+
+
+def test_tracks_of_one_vehicle_are_told_from_those_of_others():
+    tracks = [
+        driven_past(0.0, 2.0, x=-40.0, y=30.0, speed=10.0),  # hidden for 1.5 s
+        driven_past(3.5, 6.0, x=-40.0, y=30.0, speed=10.0),
+        driven_past(4.0, 7.0, x=-43.0, y=30.8, speed=10.0),  # its rear, linked apart
+        driven_past(1.0, 6.0, x=-70.0, y=30.0, speed=10.0),  # 30 m behind it
+        driven_past(1.0, 6.0, x=30.0, y=33.5, speed=-10.0),  # comes the other way
+        driven_past(9.0, 10.0, x=120.0, y=30.0, speed=10.0),
+    ]
+    time, points, rate = (np.concatenate(part) for part in zip(*tracks, strict=True))
+    number = np.repeat(np.arange(len(tracks)), [len(part[0]) for part in tracks])
+    order = np.argsort(time, kind="stable")
+    moving = Moving(
+        time=time[order], points=points[order], range_rate=rate[order], frames=200,
+        detections=len(time), begin=0.0, end=10.0,
+    )  # fmt: skip
+    assert vehicles_of(moving, number[order]).tolist() == [0, 0, 0, 1, 2, 3]
+    alone = vehicles_of(moving, np.where(number[order] == 4, 0, -1))
+    assert alone.tolist() == [0]
+    samples = thin(moving, number[order])
+    assert samples.vehicles.tolist() == [0, 0, 0, 1, 2, 3]
+
+
+def test_no_tracks_are_no_vehicles():
+    moving = Moving(
+        time=np.empty(0), points=np.empty((0, 3)), range_rate=np.empty(0), frames=9, detections=0,
+        begin=0.0, end=1.0,
+    )  # fmt: skip
+    assert len(vehicles_of(moving, link_tracks(moving))) == 0

@@ -196,7 +196,7 @@ def heights(scene: Scene, fit: Fit, *, alone: Floats | None = None) -> Heights |
     )
     fitted = minimize(cost, start, method="L-BFGS-B", bounds=Bounds(low, high))
     found: Floats = np.asarray(fitted.x)
-    clusters = samples.track[usable]
+    clusters = samples.vehicles[samples.track[usable]]
     error = _sandwich(found, over, reach, clusters, weight, settings)
     shift = found[0] - settings.edge_m
     return Heights(

@@ -68,6 +68,12 @@ class TraceSettings:
         Samples in all; cost grows in proportion.
     crowd_m : float
         Length over which the samples of a vehicle share its swaying (`Model.wander`).
+    hidden_s, vehicle_m, stray_mps : float
+        A track that begins where the last one of a hidden vehicle would be by then, within its
+        length and a growing error, is of the same vehicle.
+    pace_s, pace_mps : float
+        Where a track begins and how it goes is taken over so long; of one vehicle's tracks the
+        range rates differ by no more: more than `rate_mps`, as it may turn while it is hidden.
     spell_s : float
         Time over which they share an error of elevation (`Model.bent`), much shorter than the time
         in which it changes.
@@ -91,6 +97,11 @@ class TraceSettings:
     per_voxel: int = 8
     most: int = 6000
     crowd_m: float = 10.0
+    hidden_s: float = 6.0
+    vehicle_m: float = 5.0
+    stray_mps: float = 1.0
+    pace_s: float = 0.5
+    pace_mps: float = 3.0
     spell_s: float = 1.0
 
 

@@ -61,7 +61,7 @@ class Fit:
     data_information : (7, 7) array
         Of the samples alone, without the prior.
     scores : (tracks, 7) array
-        Gradient of each vehicle's rows, for the cluster-robust covariance.
+        Gradient of each vehicle's rows, for the cluster-robust covariance; zeros beyond the last.
     habits : float
         Variance of the loss by where the drivers of each street keep in their lanes, all alike.
     streets : list of (streets, 7) arrays
@@ -278,7 +278,7 @@ def _described(cost: _Cost, here: _Here, *, converged: bool) -> Fit:
         state=here.point.state,
         information=information,
         data_information=information - cost.prior.information,
-        scores=normal.scores,
+        scores=sums(cost.scene.samples.vehicles, normal.scores, cost.scene.samples.tracks),
         habits=_habits(cost, here, normal, street),
         streets=pulls,
         cost=here.total,

@@ -153,6 +153,8 @@ class Samples:
         In which spell of its object each was seen, counted from 0; without it in one.
     spell_s : float
         How long a spell is.
+    vehicle : (tracks,) array, optional
+        Number of the vehicle of each track, from 0; without it each is one.
     """
 
     points: Floats
@@ -163,6 +165,7 @@ class Samples:
     crowd_m: float = DEFAULTS.traces.crowd_m
     spell: Integers | None = None
     spell_s: float = DEFAULTS.traces.spell_s
+    vehicle: Integers | None = None
 
     @cached_property
     def crowd(self) -> Integers:
@@ -171,6 +174,11 @@ class Samples:
         keys = np.column_stack([self.track, cells])
         _, number, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
         return np.asarray(count[number.ravel()])
+
+    @cached_property
+    def vehicles(self) -> Integers:
+        """The vehicle of each track."""
+        return np.arange(self.tracks) if self.vehicle is None else self.vehicle
 
     @cached_property
     def kept(self) -> dict[tuple[float, ...], Floats]:
@@ -329,6 +337,113 @@ def thin(
         crowd_m=settings.crowd_m,
         spell=_spells(moving.time[keep], tracks[keep], settings.spell_s),
         spell_s=settings.spell_s,
+        vehicle=vehicles_of(moving, tracks, settings),
+    )
+
+
+def vehicles_of(
+    moving: Moving, tracks: Integers, settings: TraceSettings = DEFAULTS.traces
+) -> Integers:
+    """Return which tracks are of one vehicle: hidden for a while, or with faces linked apart.
+
+    A track that begins where another one is at that time, or would be by then, and goes away as
+    fast, is of the same vehicle.
+
+    Parameters
+    ----------
+    moving : Moving
+        Of one window.
+    tracks : (n,) array
+        As from :func:`link_tracks`.
+    settings : TraceSettings
+        How far a vehicle reaches.
+
+    Returns
+    -------
+    (tracks,) int64 array
+        Number of the vehicle of each track, from 0.
+    """
+    rows = np.flatnonzero(tracks != NONE)
+    rows = rows[np.argsort(tracks[rows], kind="stable")]
+    first = np.unique(tracks[rows], return_index=True)[1]
+    if len(first) == 0:
+        return np.empty(0, dtype=np.int64)
+    limits = np.array(
+        [
+            settings.hidden_s,
+            settings.vehicle_m,
+            settings.stray_mps,
+            settings.pace_s,
+            settings.pace_mps,
+        ]
+    )
+    parent = _join(
+        limits, np.append(first, len(rows)), moving.time[rows], moving.points[rows, :2],
+        moving.range_rate[rows],
+    )  # fmt: skip
+    return np.asarray(np.unique(parent, return_inverse=True)[1], dtype=np.int64)
+
+
+@compiled
+def _join(  # pragma: no cover - compiled
+    limits: Floats, first: Integers, time: Floats, points: Floats, rate: Floats
+) -> Integers:
+    """Return the first track of the vehicle of each; rows are sorted by track, then time."""
+    hidden_s, vehicle_m, stray_mps, pace_s, pace_mps = limits
+    count = len(first) - 1
+    parent = np.arange(count)
+    for j in np.argsort(time[first[:-1]]):
+        begin = time[first[j]]
+        _, now, x, y, _, _, slow = _line(
+            time, points, rate, first[j], first[j + 1], begin, begin + pace_s
+        )
+        best = vehicle_m
+        for i in range(count):
+            ended = time[first[i + 1] - 1]
+            if i == j or time[first[i]] > begin or ended < begin - hidden_s:
+                continue
+            # how it went about that time, or last of all
+            until = min(ended, begin + pace_s)
+            known, then, a, b, east, north, pace = _line(
+                time, points, rate, first[i], first[i + 1], until - 2.0 * pace_s, until
+            )
+            c, d = a + east * (now - then), b + north * (now - then)
+            off = np.hypot(c - x, d - y) - stray_mps * max(begin - ended, 0.0)
+            # as it passes the sensor its range rate changes
+            pace += (east * c + north * d) / max(np.hypot(c, d), 1.0)
+            pace -= (east * a + north * b) / max(np.hypot(a, b), 1.0)
+            if known > 2.0 and off < best and abs(pace - slow) < pace_mps:
+                best = off
+                parent[j] = parent[i]
+    return parent
+
+
+@compiled
+def _line(  # pragma: no cover - compiled
+    time: Floats, points: Floats, rate: Floats, low: int, high: int, since: float, until: float
+) -> tuple[float, float, float, float, float, float, float]:
+    """Return the straight line through the rows of some time.
+
+    That is how many there are, their mean time and place, velocity, and mean range rate.
+    """
+    n, t, x, y, w, tt, tx, ty = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(low, high):
+        if time[k] < since or time[k] > until:
+            continue
+        d = time[k] - since
+        n, t, x, y, w = n + 1.0, t + d, x + points[k, 0], y + points[k, 1], w + rate[k]
+        tt, tx, ty = tt + d * d, tx + d * points[k, 0], ty + d * points[k, 1]
+    if n == 0.0:
+        return 0.0, since, 0.0, 0.0, 0.0, 0.0, 0.0
+    spread = max(tt - t * t / n, 1e-2)  # of one moment no velocity is known
+    return (
+        n,
+        since + t / n,
+        x / n,
+        y / n,
+        (tx - t * x / n) / spread,
+        (ty - t * y / n) / spread,
+        w / n,
     )
 
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gis_radar.arrays import Floats
-from gis_radar.localization.state import State
-from gis_radar.tracking.filter import Estimate, innovation, likeliest_move
+from gis_radar.localization.state import POSE, State
+from gis_radar.tracking.filter import Estimate, Innovation, innovation, likeliest_move
 from gis_radar.tracking.settings import TrackingSettings
 from gis_radar.tracking.windows import WindowFit, WindowFitter, WindowTraffic
 
@@ -54,6 +54,29 @@ class SuspectedMove:
     change: Change | None = None
 
 
+def score(gap: Innovation, seen: WindowFit) -> float:
+    """Return how far a fit is beyond chance: chi2 with the tail of few vehicles taken off.
+
+    Along the gap the noise of a fit is known from as many vehicles as share it; the rest of its
+    variance is no estimate (Welch and Satterthwaite's degrees of freedom).
+
+    Parameters
+    ----------
+    gap : Innovation
+        Of the fit and a pose.
+    seen : WindowFit
+        The fit.
+    """
+    chi2, along = gap.chi2, np.linalg.solve(gap.covariance, gap.gap)
+    pulls = seen.fit.scores @ np.linalg.inv(seen.fit.information)[:, POSE] @ along
+    squares = np.square(pulls)
+    if chi2 <= 0.0 or not squares.any():
+        return chi2
+    variance = float(along @ seen.measurement.noise @ along) * squares / squares.sum()
+    freedom = chi2**2 / float(np.square(variance).sum())
+    return freedom * float(np.log1p(chi2 / freedom))
+
+
 class Scatter:
     """By how much pieces of traffic differ more than their covariances state, at this sensor.
 
@@ -86,7 +109,10 @@ class MoveTest:
     """A window of traffic, tested for a move of its sensor.
 
     What all windows have in common is the same before and after: a move is held against the noise
-    of the vehicles alone (:func:`gis_radar.tracking.filter.innovation`).
+    of the vehicles alone (:func:`gis_radar.tracking.filter.innovation`). It must be beyond chance
+    in two ways: by how far the pose of the newest data is from the one before, and by how much
+    likelier they are there. In some seconds traffic fixes not all directions: a fit that is not
+    quite right in one of them is carried metres away, without being any likelier.
 
     Parameters
     ----------
@@ -133,11 +159,15 @@ class MoveTest:
                     return SuspectedMove(certain=True, move=np.zeros(6))
                 seen = found
             gap = innovation(held, seen.measurement)
-            self.scatter.add(gap.chi2)
-            if gap.chi2 < ratio * settings.suspect_chi2:
+            beyond = score(gap, seen)
+            self.scatter.add(beyond)
+            if beyond < ratio * settings.suspect_chi2:
+                continue
+            beyond = min(beyond, self._likelier(part, held, seen))
+            if beyond < ratio * settings.suspect_chi2:
                 continue
             suspected = SuspectedMove(
-                certain=gap.chi2 >= ratio * settings.gate,
+                certain=beyond >= ratio * settings.gate,
                 move=likeliest_move(gap, settings.knock),
                 change=self._change(held, seen),
             )
@@ -176,10 +206,18 @@ class MoveTest:
         latest = traffic.between(self.now - settings.latest_s, np.inf).samples()
         if len(latest) and fitter.cost(latest, seen.fit.state) > fitter.cost(latest, old):
             return None
-        contradiction = innovation(held, seen.measurement).chi2
+        gap = innovation(held, seen.measurement)
+        contradiction = min(score(gap, seen), self._likelier(part, held, seen))
         if contradiction < self.scatter.ratio * settings.gate:
             return None
         return Change(time=since, found=seen, chi2=contradiction)
+
+    def _likelier(self, part: WindowTraffic, held: Estimate, seen: WindowFit) -> float:
+        """Return twice the log likelihood ratio of a fit to the best one as good as at rest."""
+        near = np.sqrt(np.diag(held.covariance)).tolist()
+        schedule, like = self.fitter.settings.far, seen.fit.state
+        rest = self.fitter.fit(part, held, like, near=near, schedule=schedule)
+        return np.inf if rest is None else 2.0 * (rest.fit.cost - seen.fit.cost)
 
     def change_time(self, old: State, new: State) -> float:
         """Estimate since when the new pose explains the data better than the old one.
