@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 
 from gis_radar.lanelets.graph import LaneGraph
-from gis_radar.vehicles.detectability import Bodies, Detectability
+from gis_radar.vehicles.detectability import Detectability, Occluders
+from gis_radar.vehicles.doubles import distinct_stands, join_tall
 from gis_radar.vehicles.echoes import Echoes
 from gis_radar.vehicles.forward import ForwardFilter
-from gis_radar.vehicles.lives import _as_strong, _distinct, _unbroken
+from gis_radar.vehicles.lives import _as_strong
 from gis_radar.vehicles.motion import Motion, Path
+from gis_radar.vehicles.resting import unbroken
 from gis_radar.vehicles.settings import (
     DetectabilitySettings,
     ForwardSettings,
@@ -16,12 +18,13 @@ from gis_radar.vehicles.settings import (
     MotionSettings,
     StandingSettings,
     TallSettings,
+    VehicleSettings,
 )
 from gis_radar.vehicles.size import size_of
 from gis_radar.vehicles.standing import Stand, not_built
 from gis_radar.vehicles.strips import Strips
 from gis_radar.vehicles.sweeps import Sweeps
-from gis_radar.vehicles.tall import join_tall, tall_odds
+from gis_radar.vehicles.tall import tall_odds
 
 BEGIN = 1_700_000_000.0
 RATE = 20
@@ -94,10 +97,10 @@ def test_nothing_is_due_while_the_sensor_is_off(learned):
 
 
 def test_nothing_is_due_behind_another_vehicle(learned):
-    in_the_way = Bodies.standing(
-        7, (BEGIN, BEGIN + 10.0), np.array([25.0, 15.0]), np.arctan2(30.0, 50.0), 4.5
+    in_the_way = Occluders.standing(
+        7, (BEGIN, BEGIN + 10.0), 25.0, 15.0, np.arctan2(30.0, 50.0), 4.5
     )
-    hidden = Detectability(**{**vars(learned), "bodies": in_the_way})
+    hidden = Detectability(**{**vars(learned), "occluders": in_the_way})
     places = np.tile([50.0, 30.0], (8, 1))
     assert hidden.due(places, halves(BEGIN, 4.0), (0, -1)) == 0.0
     assert hidden.due(places, halves(BEGIN, 4.0), (7, -1)) > 40.0
@@ -200,9 +203,9 @@ def test_lorries_that_stand_one_after_the_other_are_two():
 
 def test_who_stands_on_does_so_until_a_silence():
     time = np.array([0.0, 2.0, 40.0, 45.0, 50.0, 52.0, 58.0, 90.0])
-    kept = _unbroken(time, (46.0, 51.0), 10.0)
+    kept = unbroken(time, (46.0, 51.0), 10.0)
     assert time[kept].tolist() == [40.0, 45.0, 50.0, 52.0, 58.0]
-    assert time[_unbroken(time, (100.0, 101.0), 5.0)].tolist() == []
+    assert time[unbroken(time, (100.0, 101.0), 5.0)].tolist() == []
 
 
 def road_of(lanes):
@@ -261,7 +264,7 @@ def test_what_lies_on_a_vehicle_at_one_of_its_stops_is_that_one(stops):
     on_it = stand(47.7, 52.3, np.arange(5), begin + 1.0, begin + 19.0)
     beside = stand(67.7, 72.3, np.arange(5), begin + 1.0, begin + 19.0)
     places = [(np.array([50.0, 0.0]), 0.0), (np.array([70.0, 0.0]), 0.0)]
-    assert _distinct([on_it, beside], places, [stopping_at(*stops)], LifeSettings()) == [1]
+    assert distinct_stands([on_it, beside], places, [stopping_at(*stops)], LifeSettings()) == [1]
 
 
 @pytest.mark.parametrize("unknown", [0, 1, 9])
@@ -271,7 +274,7 @@ def test_a_weak_return_is_refused_though_some_cross_sections_are_unknown(unknown
     echoes.rcs[:unknown] = np.nan
     weak, strong = stand(0.0, 4.0, np.arange(10, 20)), stand(0.0, 4.0, np.arange(10))
     fast = driven(0.0, 2.0, 10.0, np.arange(10))
-    assert _as_strong([weak, strong], echoes, [fast], LifeSettings()) == [strong]
+    assert _as_strong([weak, strong], echoes, [fast], VehicleSettings()) == [strong]
 
 
 @pytest.mark.parametrize("through", [True, False])

@@ -19,7 +19,6 @@ from gis_radar.vehicles.motion import Motion, fit_motion
 from gis_radar.vehicles.settings import (
     BodySettings,
     MotionSettings,
-    TallSettings,
     VehicleSettings,
 )
 from gis_radar.vehicles.tall import tall_odds
@@ -138,7 +137,7 @@ def absorb(
                     boxes[other][1] < boxes[strong][0]
                 ).any():
                     continue
-                odds = log_odds(echoes, found[strong], found[other], settings, every.tall)
+                odds = log_odds(echoes, found[strong], found[other], every)
                 if odds > settings.least_odds:
                     rows = np.concatenate([found[strong].rows, found[other].rows])
                     found[strong] = fit_motion(echoes, rows, states, motion)
@@ -155,16 +154,15 @@ def _box(echoes: Echoes, rows: Integers) -> Floats:
     return np.stack([table.min(axis=0) - reach, table.max(axis=0) + reach])
 
 
-def log_odds(
-    echoes: Echoes, body: Motion, other: Motion, settings: BodySettings, tall: TallSettings
-) -> float:
+def log_odds(echoes: Echoes, body: Motion, other: Motion, every: VehicleSettings) -> float:
     """Return how much speaks for two being one body, as the logarithm of odds.
 
     In the frame that moves with the first, the second keeps its place if it is of the same body;
     another vehicle drifts, and keeps its distance: time gaps between drivers are log-normal, with a
     median of 1.8 s (Treiber and Kesting, *Traffic Flow Dynamics*, 2013, ch. 4).
     """
-    rows = other.rows[np.abs(echoes.range_rate[other.rows]) > settings.moving_mps]
+    settings = every.bodies
+    rows = other.rows[np.abs(echoes.range_rate[other.rows]) > every.echoes.moving_mps]
     own = echoes.time[body.rows]
     rows = rows[(echoes.time[rows] > own[0] - 0.2) & (echoes.time[rows] < own[-1] + 0.2)]
     if len(rows) < 3:
@@ -180,8 +178,8 @@ def log_odds(
     fits = (np.abs(left) < beside) & (np.abs(rate) < _slack(body, along, speed, settings))
     if fits.mean() < settings.least_fit or fits.sum() < 3:
         return -np.inf
-    every = np.concatenate([body.rows, other.rows])
-    long = tall_odds(echoes.height_m[every], echoes.range_m[every], tall)
+    both = np.concatenate([body.rows, other.rows])
+    long = tall_odds(echoes.height_m[both], echoes.range_m[both], every.tall)
     return _odds_of_places(echoes.time[rows][fits], along[fits], speed[fits], body, settings, long)
 
 
@@ -203,7 +201,7 @@ def purified(
         body = fit_motion(echoes, rows, states, motion)
         along, left, rate = body.frame(echoes, body.rows)
         _, speed = body.at(echoes.time[body.rows])
-        own = np.abs(along) < 0.5 * settings.longest_m + 1.0
+        own = np.abs(along) < 0.5 * settings.reach_m + 1.0
         own &= np.abs(left) < 2.0 * settings.left_m
         own &= np.abs(rate) < 2.0 * _slack(body, along, speed, settings) + speed
         if own.mean() >= settings.least_pure or own.sum() < settings.least_rows:
@@ -223,7 +221,7 @@ def _odds_of_places(
     """
     span = float(np.ptp(time))
     away = abs(float(np.median(along)))
-    if away > settings.longest_m:
+    if away > settings.reach_m:
         return -np.inf
     stays = 0.0
     if span > 0.3:

@@ -16,17 +16,16 @@ from scipy.ndimage import uniform_filter
 from gis_radar.arrays import Floats, Integers, compiled
 from gis_radar.steps import STEPS_PER_SECOND
 from gis_radar.vehicles.echoes import Echoes
-from gis_radar.vehicles.motion import Motion
+from gis_radar.vehicles.motion import HALF_STEPS, Motion
 from gis_radar.vehicles.settings import DetectabilitySettings
 
-HALF_STEPS = STEPS_PER_SECOND // 2
 HALF_WIDTH_M = 1.5  # of what a body hides: half a lorry and the error of its place
 NEAREST_M = 1.0  # a body does not hide itself, nor does a sensor see what is under it
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bodies:
-    """Where vehicles are in each half second, in the order of time.
+class Occluders:
+    """Where vehicles, which hide what is behind them, are in each half second.
 
     Parameters
     ----------
@@ -43,41 +42,32 @@ class Bodies:
     shape: Floats
 
     @classmethod
-    def of(cls, motions: Sequence[Motion]) -> Bodies:
+    def of(cls, motions: Sequence[Motion]) -> Occluders:
         """Take the vehicles that move, numbered as they come."""
-        parts = [cls._of_motion(number, motion) for number, motion in enumerate(motions)]
+        parts = []
+        for number, motion in enumerate(motions):
+            half, place, heading = motion.halves()
+            reach = np.full(len(half), 0.5 * motion.length_m)
+            shape = np.column_stack([place, np.cos(heading), np.sin(heading), reach])
+            parts.append(cls(half=half, owner=np.full(len(half), number), shape=shape))
         return cls.join(parts)
 
     @classmethod
-    def _of_motion(cls, number: int, motion: Motion) -> Bodies:
-        place, heading = motion.places
-        every = np.arange(-motion.first_step % HALF_STEPS, len(heading), HALF_STEPS)
-        return cls(
-            half=(motion.first_step + every) // HALF_STEPS,
-            owner=np.full(len(every), number, np.int64),
-            shape=np.column_stack(
-                [
-                    place[every], np.cos(heading[every]), np.sin(heading[every]),
-                    np.full(len(every), 0.5 * motion.length_m),
-                ]
-            ),
-        )  # fmt: skip
-
-    @classmethod
     def standing(
-        cls, number: int, span: tuple[float, float], place: Floats, heading: float, length_m: float
-    ) -> Bodies:
+        cls, number: int, span: tuple[float, float], x: float, y: float, heading: float,
+        length_m: float,
+    ) -> Occluders:  # fmt: skip
         """Take a vehicle that stands from one time to another, UNIX seconds."""
         first, last = (int(each * STEPS_PER_SECOND) // HALF_STEPS for each in span)
         half = np.arange(first, last + 1)
-        shape = np.array([*place, np.cos(heading), np.sin(heading), 0.5 * length_m])
+        shape = np.array([x, y, np.cos(heading), np.sin(heading), 0.5 * length_m])
         return cls(
             half=half, owner=np.full(len(half), number, np.int64),
             shape=np.tile(shape, (len(half), 1)),
         )  # fmt: skip
 
     @classmethod
-    def join(cls, parts: Sequence[Bodies]) -> Bodies:
+    def join(cls, parts: Sequence[Occluders]) -> Occluders:
         """Return all of several in the order of time."""
         if not parts:
             none = np.zeros(0, np.int64)
@@ -106,9 +96,9 @@ class Detectability:
         Size of a cell.
     first_half : int
         Number of the first half second of `works`.
-    works : (k, n) bool array
-        Whether a sensor detected anything about a half second.
-    bodies : Bodies
+    works : (k, n) array
+        1 in half seconds in which a sensor detected anything, else 0.
+    occluders : Occluders
         What hides.
     """
 
@@ -118,7 +108,7 @@ class Detectability:
     cell_m: float
     first_half: int
     works: Floats
-    bodies: Bodies
+    occluders: Occluders
 
     @classmethod
     def learned(
@@ -164,7 +154,7 @@ class Detectability:
         works[echoes.sensor, half - first] = 1.0
         return cls(
             eyes=eyes, rate=rate, corner=corner, cell_m=settings.cell_m, first_half=first,
-            works=works, bodies=Bodies.of(motions),
+            works=works, occluders=Occluders.of(motions),
         )  # fmt: skip
 
     def due(self, places: Floats, halves: Integers, owners: tuple[int, int]) -> float:
@@ -177,13 +167,13 @@ class Detectability:
         halves : (n,) int64 array
             In which half seconds.
         owners : (int, int)
-            Bodies that it is itself, which do not hide it.
+            Occluders that it is itself, which do not hide it.
         """
         return float(
             _due(
                 places, halves, np.array(owners), self.eyes, self.rate, self.corner, self.cell_m,
-                self.first_half, self.works, self.bodies.half, self.bodies.owner,
-                self.bodies.shape,
+                self.first_half, self.works, self.occluders.half, self.occluders.owner,
+                self.occluders.shape,
             )
         )  # fmt: skip
 

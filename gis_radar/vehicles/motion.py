@@ -19,6 +19,7 @@ from gis_radar.vehicles.echoes import Echoes
 from gis_radar.vehicles.settings import MotionSettings
 from gis_radar.vehicles.size import Size, size_of
 
+HALF_STEPS = STEPS_PER_SECOND // 2
 STILL_COS = 0.05  # under it a range rate says nothing at all of the speed along the path
 
 
@@ -209,6 +210,13 @@ class Motion:
         steps = np.arange(len(self.s_m))
         speed = np.interp(inside, steps, self.speed)
         return np.interp(inside, steps, self.s_m) + (place - inside) * STEP_S * speed, speed
+
+    def halves(self) -> tuple[Integers, Floats, Floats]:
+        """Return (half second, place, heading) where its steps are whole half seconds."""
+        place, heading = self.places
+        every = np.arange(-self.first_step % HALF_STEPS, len(heading), HALF_STEPS)
+        every = every if len(every) else np.zeros(1, np.int64)
+        return (self.first_step + every) // HALF_STEPS, place[every], heading[every]
 
     def frame(self, echoes: Echoes, rows: Integers) -> tuple[Floats, Floats, Floats]:
         """Return detections in the frame that moves along.

@@ -1,4 +1,4 @@
-"""Settings of the search for vehicles: every constant of its algorithms, with unit and reason."""
+"""Settings of the search for vehicles: constants of its stages, with unit and reason."""
 
 from __future__ import annotations
 
@@ -131,8 +131,6 @@ class BodySettings:
 
     Parameters
     ----------
-    moving_mps : float
-        Least absolute range rate of a moving detection.
     seen_s : float
         A frame is known so long before and after a detection of its vehicle.
     left_m, bearing_rad : float
@@ -148,8 +146,8 @@ class BodySettings:
         Most median scatter of places: scatterers change along a body.
     place_m : float
         1 sigma of a mean place, for which scatterers last.
-    longest_m : float
-        From the middle of what is seen to any part: a truck with trailer of 18.75 m.
+    reach_m : float
+        From the middle of what is seen to any part of a truck with trailer.
     car_m : float
         Length of a car.
     gap_s, gap_spread : float
@@ -169,7 +167,6 @@ class BodySettings:
         creeping cars are as strong as cars.
     """
 
-    moving_mps: float = 0.15
     seen_s: float = 0.35
     left_m: float = 1.7
     bearing_rad: float = 0.006
@@ -181,7 +178,7 @@ class BodySettings:
     least_fit: float = 0.7
     scatter_m: float = 2.5
     place_m: float = 0.4
-    longest_m: float = 16.5
+    reach_m: float = 16.5
     car_m: float = 4.7
     gap_s: float = 1.8
     gap_spread: float = 0.6
@@ -235,7 +232,8 @@ class StandingSettings:
         Length of the cells of a strip: the scatter of a scatterer.
     silence_s : float
         After so long without a detection a scatterer counts anew: a vehicle that stands is silent
-        for 9 to 25 s in one case of ten.
+        for 9 to 25 s in one case of ten. One seen so soon after the first or before the last
+        detection of all stood before, or stands on.
     slice_s : float
         So often it is asked which vehicles stand.
     sweep_mps, sweep_seen_s, sweep_edge_m : float
@@ -313,9 +311,8 @@ class TallSettings:
         Heights tell no more than that, as a logarithm of odds.
     least_odds : float
         Two stands of which more speaks for lorries are one.
-    gap_m, longest_m, both_share : float
-        Two that are one are no farther apart, no longer together, and stand for such a share of
-        their time together.
+    gap_m, both_share : float, float
+        Two that are one are no farther apart, and stand for such a share of their time together.
     """
 
     car_m: tuple[float, float] = (0.75, 0.3)
@@ -326,7 +323,6 @@ class TallSettings:
     most_odds: float = 4.0
     least_odds: float = 2.0
     gap_m: float = 5.0
-    longest_m: float = 18.75
     both_share: float = 0.6
 
 
@@ -336,14 +332,12 @@ class LifeSettings:
 
     Parameters
     ----------
-    moving_mps : float
-        Least absolute range rate of a moving detection.
     slow_mps : float
         Under it a vehicle may stand.
     left_m : float
         Half the width of a vehicle with the error of its place.
-    driven_mps, weaker_db : float
-        What stands returns at most so much less than the vehicles that drive so fast.
+    weaker_db : float
+        What stands returns at most so much less than vehicles that drive.
     near_m, same_share : float
         Of two bodies within that distance that lie on each other by that share, one is.
     double_share : float
@@ -358,16 +352,12 @@ class LifeSettings:
         A vehicle has so many moving detections and made so much way, or is a false return.
     alone_s, alone_rows : float, int
         One that never moves is seen so long and often.
-    silence_s : float
-        It stands from the first or until the last detection if it is seen so near to it.
     place_m : float
         1 sigma of where it stands.
     """
 
-    moving_mps: float = 0.15
     slow_mps: float = 0.7
     left_m: float = 1.1
-    driven_mps: float = 8.0
     weaker_db: float = 6.0
     near_m: float = 15.0
     same_share: float = 0.4
@@ -379,7 +369,6 @@ class LifeSettings:
     least_way_m: float = 4.0
     alone_s: float = 3.0
     alone_rows: int = 10
-    silence_s: float = 10.0
     place_m: float = 0.5
 
 

@@ -20,6 +20,7 @@ class Size:
     p_heavy: float = 0.1
 
 
+LONGEST_M = 18.75  # a lorry with trailer (directive 96/53/EC, annex I)
 LENGTHS = np.concatenate([np.arange(2.0, 7.1, 0.5), np.arange(8.0, 19.1, 1.0)])
 SHIFTS = np.arange(-6.0, 6.1, 0.5)
 

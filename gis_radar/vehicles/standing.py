@@ -20,7 +20,7 @@ from gis_radar.arrays import Booleans, Floats, Integers, compiled
 from gis_radar.vehicles.echoes import Echoes
 from gis_radar.vehicles.motion import Motion
 from gis_radar.vehicles.settings import StandingSettings
-from gis_radar.vehicles.size import length_prior
+from gis_radar.vehicles.size import LONGEST_M, length_prior
 from gis_radar.vehicles.strips import NONE
 from gis_radar.vehicles.sweeps import CELLS, Sweeps
 
@@ -313,7 +313,7 @@ def pack(weights: Floats, held: Integers, settings: StandingSettings) -> Integer
     settings : StandingSettings
         Constants.
     """
-    metres = np.arange(int(18.5 / settings.cell_m) + 1, dtype=np.float64) * settings.cell_m
+    metres = np.arange(int(LONGEST_M / settings.cell_m) + 1, dtype=np.float64) * settings.cell_m
     prior = np.where(metres < settings.shortest_m, -np.inf, length_prior(metres))
     gains = _gains(
         weights, settings.cell_m, settings.end_m, settings.end_share, np.log(settings.clutter)

@@ -12,9 +12,10 @@ from gis_radar.vehicles.bodies import (
     merge_states,
     rows_by_number,
 )
+from gis_radar.vehicles.doubles import without_doubles
 from gis_radar.vehicles.echoes import Echoes
 from gis_radar.vehicles.forward import follow_both_ways
-from gis_radar.vehicles.lives import with_standing, without_doubles
+from gis_radar.vehicles.lives import with_standing
 from gis_radar.vehicles.motion import Motion
 from gis_radar.vehicles.settings import VehicleSettings
 

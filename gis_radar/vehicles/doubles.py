@@ -1,0 +1,155 @@
+"""Doubles: what was found twice, or in two parts side by side, and is one vehicle."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from gis_radar.arrays import Floats, Integers
+from gis_radar.steps import STEPS_PER_SECOND
+from gis_radar.vehicles.echoes import Echoes
+from gis_radar.vehicles.motion import Motion
+from gis_radar.vehicles.settings import LifeSettings, TallSettings
+from gis_radar.vehicles.size import LONGEST_M
+from gis_radar.vehicles.standing import Stand
+from gis_radar.vehicles.tall import tall_odds
+
+BESIDE_M = 1.5  # less than the width of two cars: middles are not so near
+
+
+def join_tall(stands: Sequence[Stand], echoes: Echoes, settings: TallSettings) -> list[Stand]:
+    """Return the stands, with neighbours that are both of one tall vehicle as one.
+
+    Parameters
+    ----------
+    stands : sequence of Stand
+        In any order.
+    echoes : Echoes
+        All detections.
+    settings : TallSettings
+        Constants.
+    """
+    order = sorted(stands, key=lambda each: (each.strip, each.rear_m))
+    odds = [_odds(each.rows, echoes, settings) for each in order]
+    joined: list[Stand] = []
+    gone: set[int] = set()
+    for k, one in enumerate(order):
+        if k in gone:
+            continue
+        best, total = -1, settings.least_odds
+        for j in range(k + 1, len(order)):
+            other = order[j]
+            if other.strip != one.strip or other.rear_m > one.front_m + settings.gap_m:
+                break
+            if j not in gone and _may_be_one(one, other, settings) and odds[k] + odds[j] > total:
+                best, total = j, odds[k] + odds[j]
+        if best < 0:
+            joined.append(one)
+            continue
+        gone.add(best)
+        other = order[best]
+        joined.append(
+            replace(
+                one, front_m=max(one.front_m, other.front_m), begin=min(one.begin, other.begin),
+                end=max(one.end, other.end), rows=np.union1d(one.rows, other.rows),
+            )
+        )  # fmt: skip
+    return joined
+
+
+def _odds(rows: Integers, echoes: Echoes, settings: TallSettings) -> float:
+    return tall_odds(echoes.height_m[rows], echoes.range_m[rows], settings)
+
+
+def _may_be_one(one: Stand, other: Stand, settings: TallSettings) -> bool:
+    """Tell whether two stands are at a time, and together no longer than a vehicle."""
+    both = min(one.end, other.end) - max(one.begin, other.begin)
+    least = settings.both_share * max(one.end - one.begin, other.end - other.begin)
+    return both > least and other.front_m - one.rear_m < LONGEST_M
+
+
+def distinct_stands(
+    stands: Sequence[Stand], places: Sequence[tuple[Floats, float]], motions: Sequence[Motion],
+    settings: LifeSettings,
+) -> list[int]:  # fmt: skip
+    """Return the stands that no better supported one, nor a motion that stands, lies on."""
+    begin, end = np.array([x.begin for x in stands]), np.array([x.end for x in stands])
+    place = np.array([each for each, _ in places]).reshape(-1, 2)
+    half = np.array([0.5 * (x.front_m - x.rear_m) for x in stands])
+    weight = np.array([len(x.rows) for x in stands])
+    alive = np.ones(len(stands), np.bool_)
+    for motion in motions:
+        slow = np.flatnonzero(motion.speed < settings.slow_mps)
+        if len(slow) < STEPS_PER_SECOND:
+            continue
+        middle, heading = motion.places
+        when = (motion.first_step + slow) / STEPS_PER_SECOND
+        for k in np.flatnonzero((begin < when[-1]) & (end > when[0]) & alive).tolist():
+            both = slow[(when >= begin[k]) & (when <= end[k])]
+            if len(both) < 0.5 * (end[k] - begin[k]) * STEPS_PER_SECOND or len(both) == 0:
+                continue
+            j, reach = both[len(both) // 2], 0.5 * motion.length_m
+            if np.hypot(*(place[k] - middle[j])) > settings.near_m:
+                continue
+            share = _inside(place[k], places[k][1], half[k], middle[j], heading[j], reach)
+            alive[k] = share <= settings.same_share
+    for k in np.argsort(-weight, kind="stable").tolist():
+        if not alive[k]:
+            continue
+        near = alive & (np.hypot(*(place - place[k]).T) < settings.near_m) & (weight <= weight[k])
+        near &= np.minimum(end, end[k]) - np.maximum(begin, begin[k]) > 0.5 * (end - begin)
+        near[k] = False
+        for j in np.flatnonzero(near).tolist():
+            share = _inside(place[j], places[j][1], half[j], place[k], places[k][1], half[k])
+            alive[j] = share <= settings.same_share
+    return np.flatnonzero(alive).tolist()
+
+
+def _inside(
+    place: Floats, heading: float, half: float, other: Floats, turned: float, reach: float
+) -> float:
+    """Return which share of the middle line of one body lies within another, widened."""
+    way = np.array([np.cos(heading), np.sin(heading)])
+    apart = place + np.linspace(-1.0, 1.0, 9)[:, None] * max(half - 0.3, 0.1) * way - other
+    c, s = np.cos(turned), np.sin(turned)
+    along, left = apart[:, 0] * c + apart[:, 1] * s, apart[:, 1] * c - apart[:, 0] * s
+    return float(((np.abs(along) < reach) & (np.abs(left) < 1.2)).mean())
+
+
+def without_doubles(motions: Sequence[Motion], settings: LifeSettings) -> list[Motion]:
+    """Return the motions but those that lie on a better supported one for most of their lives.
+
+    Two vehicles are never in one place; one that two sensors see, or whose ends are seen apart, may
+    be followed twice.
+    """
+    order = sorted(range(len(motions)), key=lambda k: -len(motions[k].rows))
+    samples = [each.halves() for each in motions]
+    steps = [set(each[0].tolist()) for each in samples]
+    boxes = [np.stack([each[1].min(axis=0), each[1].max(axis=0)]) for each in samples]
+    kept: list[int] = []
+    for k in order:
+        lies = 0.0
+        for other in kept:
+            apart = np.maximum(boxes[k][0] - boxes[other][1], boxes[other][0] - boxes[k][1])
+            if (apart > settings.near_m).any() or steps[k].isdisjoint(steps[other]):
+                continue
+            lies += _share_on(motions[k], samples[k], motions[other], samples[other])
+        if lies < settings.double_share:
+            kept.append(k)
+    return [motions[k] for k in sorted(kept)]
+
+
+def _share_on(
+    motion: Motion, mine: tuple[Integers, Floats, Floats],
+    other: Motion, others: tuple[Integers, Floats, Floats],
+) -> float:  # fmt: skip
+    """Return for which share of its life the middle of a vehicle lies on another one."""
+    _, own, theirs = np.intersect1d(mine[0], others[0], return_indices=True)
+    apart = mine[1][own] - others[1][theirs]
+    c, s = np.cos(others[2][theirs]), np.sin(others[2][theirs])
+    along, left = apart[:, 0] * c + apart[:, 1] * s, apart[:, 1] * c - apart[:, 0] * s
+    reach = 0.5 * other.length_m + 0.25 * motion.length_m
+    on = (np.abs(along) < reach) & (np.abs(left) < BESIDE_M)
+    return float(on.sum() / len(mine[0]))

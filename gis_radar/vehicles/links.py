@@ -1,0 +1,190 @@
+"""Links from part to part of the lives of vehicles, moving or standing.
+
+Who ends somewhere may be the one that begins there later, unless another one drove over the place
+in between, or it would have been seen. Ends and begins are matched together, at least cost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.steps import STEPS_PER_SECOND
+from gis_radar.vehicles.detectability import Detectability
+from gis_radar.vehicles.motion import Motion
+from gis_radar.vehicles.settings import DetectabilitySettings, LifeSettings, VehicleSettings
+from gis_radar.vehicles.standing import Stand
+from gis_radar.vehicles.strips import NONE
+from gis_radar.vehicles.sweeps import Sweeps
+
+END_STEPS = 10  # half a second tells the speed at an end
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """A part of a life: time, place, heading and speed at its begin and end."""
+
+    time: Floats
+    place: Floats
+    heading: Floats
+    speed: Floats
+    stands: bool
+
+    @classmethod
+    def of_motion(cls, motion: Motion) -> Part:
+        """Take a vehicle while it moves."""
+        place, heading = motion.places
+        speeds = [np.median(motion.speed[:END_STEPS]), np.median(motion.speed[-END_STEPS:])]
+        steps = np.array([motion.first_step, motion.last_step])
+        return cls(
+            time=steps / STEPS_PER_SECOND, place=place[[0, -1]], heading=heading[[0, -1]],
+            speed=np.array(speeds), stands=False,
+        )  # fmt: skip
+
+    @classmethod
+    def of_stand(cls, stand: Stand, place: tuple[Floats, float]) -> Part:
+        """Take a vehicle while it stands, and where its middle is."""
+        return cls(
+            time=np.array([stand.begin, stand.end]), place=np.stack([place[0]] * 2),
+            heading=np.full(2, place[1]), speed=np.zeros(2), stands=True,
+        )  # fmt: skip
+
+
+def chains(
+    parts: Sequence[Part], sweeps: Sweeps, seen: Detectability, settings: VehicleSettings
+) -> list[list[int]]:
+    """Return the parts of each life in their order.
+
+    Parameters
+    ----------
+    parts : sequence of Part
+        Of all lives.
+    sweeps : Sweeps
+        When vehicles drove over which place.
+    seen : Detectability
+        How many detections are due; its occluders are numbered as the parts.
+    settings : VehicleSettings
+        Of links and of detections that are due.
+    """
+    following = _following(parts, sweeps, seen, settings)
+    found = []
+    for head in np.setdiff1d(np.arange(len(parts)), following).tolist():
+        chain = [head]
+        while following[chain[-1]] != NONE:
+            chain.append(int(following[chain[-1]]))
+        found.append(chain)
+    return found
+
+
+def _following(
+    parts: Sequence[Part], sweeps: Sweeps, seen: Detectability, every: VehicleSettings
+) -> Integers:
+    """Return the part that follows each, or `NONE`: the assignment of least cost."""
+    following, settings = np.full(len(parts), NONE, np.int64), every.lives
+    costs = [
+        each for a in range(len(parts)) for each in _costs(a, parts, sweeps, settings)
+        if not _is_missed(parts, each[0], each[1], seen, every.detectability)
+    ]  # fmt: skip
+    if not costs:
+        return following
+    a, b = np.array([each[:2] for each in costs], np.int64).T
+    befores, row = np.unique(a, return_inverse=True)
+    afters, column = np.unique(b, return_inverse=True)
+    matrix = np.full((len(befores), len(afters) + len(befores)), 1e6)
+    matrix[row, column] = [each[2] for each in costs]
+    own = np.arange(len(befores))
+    matrix[own, len(afters) + own] = settings.end_cost
+    for i, k in zip(*linear_sum_assignment(matrix), strict=True):
+        if k < len(afters) and matrix[i, k] < settings.end_cost:
+            following[befores[i]] = afters[k]
+    return following
+
+
+def _is_missed(
+    parts: Sequence[Part], a: int, b: int, seen: Detectability, settings: DetectabilitySettings
+) -> bool:
+    """Tell whether one that was both parts would have been seen in between."""
+    span = (float(parts[a].time[1]), float(parts[b].time[0]))
+    if span[1] - span[0] < settings.silent_s:
+        return False
+    places = np.stack([parts[a].place[1], parts[b].place[0]])
+    return seen.due_between(places, span, (a, b)) > settings.most_due
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Ends:
+    """Begins of all parts, as seen from the end of one: lapse, along, left, way, turn, speed."""
+
+    lapse: Floats
+    along: Floats
+    left: Floats
+    apart: Floats
+    turn: Floats
+    speed: Floats
+    later: Booleans
+    stands: Booleans
+
+    @classmethod
+    def of(cls, a: int, parts: Sequence[Part]) -> _Ends:
+        """Take the begins as seen from the end of part `a`."""
+        mine = parts[a]
+        begin, end = (np.array([each.time[k] for each in parts]) for k in (0, 1))
+        gap = np.array([each.place[0] for each in parts]) - mine.place[1]
+        heading = float(mine.heading[1])
+        c, s = np.cos(heading), np.sin(heading)
+        turned = np.array([each.heading[0] for each in parts]) - heading
+        later = (begin > mine.time[0]) & (end > mine.time[1]) & (np.arange(len(parts)) != a)
+        return cls(
+            lapse=begin - mine.time[1], along=gap @ np.array([c, s]),
+            left=np.abs(gap @ np.array([-s, c])), apart=np.hypot(*gap.T),
+            turn=np.abs(np.angle(np.exp(1j * turned))),
+            speed=np.array([each.speed[0] for each in parts]), later=later,
+            stands=np.array([each.stands for each in parts]),
+        )  # fmt: skip
+
+
+def _costs(
+    a: int, parts: Sequence[Part], sweeps: Sweeps, settings: LifeSettings
+) -> Iterator[tuple[int, int, float]]:
+    """Yield (a, b, cost) of the parts b that may follow part a."""
+    mine, to = parts[a], _Ends.of(a, parts)
+    speed = float(mine.speed[1])
+    waits = to.later & (to.lapse > -1.5) & (speed < 5.0) & (to.speed < 5.0)
+    waits &= (to.apart < 9.0) & (to.turn < 0.6) & (to.left < 2.0)
+    drives = to.later & ~waits & ~to.stands & (to.lapse > -2.0) & (to.lapse < settings.unseen_s)
+    gain = to.along - 0.5 * (speed + to.speed) * to.lapse
+    drives &= (gain > -3.0) & (to.turn < 1.9) & ((to.lapse >= 0.0) | (gain < 3.0))
+    bend = 0.5 * np.maximum(to.along, 0.0) * np.sin(np.minimum(to.turn, 1.5))
+    drives &= to.left < 1.2 + bend + 0.12 * np.abs(to.along) + 0.2 * to.apart * (to.turn > 0.5)
+    if mine.stands:
+        drives[:] = False
+    free_until = sweeps.after(mine.place[1], float(mine.time[1])) if waits.any() else np.inf
+    for b in np.flatnonzero(waits | drives).tolist():
+        cost = np.inf
+        if drives[b]:
+            cost = _cost_of_driving(speed, to, b)
+        if waits[b] and mine.time[1] + to.lapse[b] < free_until + 0.5:
+            creep = (speed**2 + to.speed[b] ** 2) / 6.0  # braking and starting at 3 m/s2
+            off = max(abs(to.along[b] - creep) - 1.0, 0.0) / 1.5
+            cost = min(cost, off**2 + 0.5 + settings.wait_cost * max(to.lapse[b], 0.05))
+        cost += (to.left[b] / (1.0 + 0.1 * to.apart[b])) ** 2 + 0.5 * (to.turn[b] / 0.6) ** 2
+        if cost < settings.end_cost:
+            yield a, b, float(cost)
+
+
+def _cost_of_driving(speed: float, to: _Ends, b: int) -> float:
+    """Return what it costs to be one that drove on unseen: by its mean speed between two others."""
+    lapse = max(float(to.lapse[b]), 0.05)
+    mean, middle = to.apart[b] * np.sign(to.along[b]) / lapse, 0.5 * (speed + to.speed[b])
+    slowest = max(min(speed, to.speed[b]) - 1.2 * lapse, 0.0) if lapse < 3.0 else 0.0
+    low = min(slowest, max(middle - 0.6 * lapse, 0.0))
+    high = max(speed, to.speed[b]) + 0.5 * lapse
+    miss = max(low - mean, mean - high, 0.0) / (0.5 + 1.0 / lapse)
+    if miss >= 3.0:
+        return np.inf
+    likely = 0.5 * ((mean - middle) / (0.7 * lapse + 1.0 + 1.0 / lapse)) ** 2
+    return float(miss**2 + likely + 0.15 * np.sqrt(lapse) + 0.03 * to.apart[b])

@@ -1,0 +1,80 @@
+"""Vehicles that come to rest, or set off: their still detections before and after they move."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gis_radar.arrays import Booleans, Floats
+from gis_radar.steps import STEPS_PER_SECOND
+from gis_radar.vehicles.detectability import Detectability
+from gis_radar.vehicles.echoes import Echoes
+from gis_radar.vehicles.motion import Motion, fit_motion
+from gis_radar.vehicles.settings import VehicleSettings
+from gis_radar.vehicles.strips import NONE
+from gis_radar.vehicles.sweeps import Sweeps
+
+
+def with_rest(
+    number: int, motion: Motion, echoes: Echoes, free: Booleans, states: Floats, sweeps: Sweeps,
+    seen: Detectability, settings: VehicleSettings,
+) -> Motion:  # fmt: skip
+    """Return a motion with the free still detections on it while it stands, which it takes.
+
+    One that comes to rest stands on until it is silent or another drives over its place, and one
+    that sets off stood there before.
+    """
+    limits = settings.lives
+    slow = np.flatnonzero(motion.speed < limits.slow_mps)
+    place, heading = motion.places
+    time = echoes.time[motion.rows]
+    s_m, speed = motion.at(time)
+    states[motion.rows, :2], states[motion.rows, 2] = motion.path.at(s_m)
+    states[motion.rows, 3] = speed
+    if len(slow) == 0:
+        return motion
+    ends = (motion.first_step + slow[[0, -1]]) / STEPS_PER_SECOND
+    last = len(motion.speed) - 1
+    if slow[0] == 0:
+        ends[0] = sweeps.before(place[0], float(ends[0]))
+    if slow[-1] == last:
+        ends[1] = sweeps.after(place[-1], float(ends[1]))
+    low, high = np.searchsorted(echoes.time, ends)
+    rows = low + np.flatnonzero(free[low:high])
+    half = 0.5 * max(motion.length_m, 4.0) + 0.5
+    reach = 3.0 * half + np.ptp(place[slow], axis=0)
+    rows = rows[(np.abs(echoes.points[rows] - place[slow].mean(axis=0)) < reach).all(axis=1)]
+    step = np.round(echoes.time[rows] * STEPS_PER_SECOND).astype(np.int64) - motion.first_step
+    step = np.clip(step, 0, last)
+    at_rest = motion.speed[step] < limits.slow_mps
+    rows, step = rows[at_rest], step[at_rest]
+    if len(rows):
+        along, left = motion.path.project(echoes.points[rows], motion.s_m[step], 25.0)
+        beside = limits.left_m + settings.motion.azimuth_rad * echoes.range_m[rows]
+        on = (np.abs(along - motion.s_m[step]) < half) & (np.abs(left) < beside)
+        rows, step = rows[on], step[on]
+    span = (float(time[0]), float(time[-1]))
+    kept = unbroken(echoes.time[rows], span, settings.standing.silence_s)
+    rows, step = rows[kept], step[kept]
+    for at in (0, -1):
+        side = echoes.time[rows] > span[1] if at else echoes.time[rows] < span[0]
+        if side.any():
+            ends = np.sort([span[at], float(echoes.time[rows[side][at]])])
+            due = seen.due_between(place[[at, at]], (ends[0], ends[1]), (number, NONE))
+            if side.sum() < settings.standing.rate_share * due:
+                rows, step = rows[~side], step[~side]
+    if len(rows) == 0:
+        return motion
+    free[rows] = False
+    states[rows, :2], states[rows, 2], states[rows, 3] = place[step], heading[step], 0.0
+    return fit_motion(echoes, np.concatenate([motion.rows, rows]), states, settings.motion)
+
+
+def unbroken(time: Floats, span: tuple[float, float], silence_s: float) -> slice:
+    """Return which of ascending times go on from a span, both ways, without a longer silence."""
+    early = np.append(time[time < span[0]], span[0])
+    late = np.insert(time[time > span[1]], 0, span[1])
+    breaks = np.flatnonzero(np.diff(early) > silence_s)
+    first = int(breaks[-1]) + 1 if len(breaks) else 0
+    breaks = np.flatnonzero(np.diff(late) > silence_s)
+    missing = len(late) - 1 - int(breaks[0]) if len(breaks) else 0
+    return slice(first, len(time) - missing)
