@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gis_radar.arrays import Booleans, Floats
+from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.steps import STEPS_PER_SECOND
 from gis_radar.vehicles.detectability import Detectability
 from gis_radar.vehicles.echoes import Echoes
@@ -38,8 +38,7 @@ def with_rest(
         ends[0] = sweeps.before(place[0], float(ends[0]))
     if slow[-1] == last:
         ends[1] = sweeps.after(place[-1], float(ends[1]))
-    low, high = np.searchsorted(echoes.time, ends)
-    rows = low + np.flatnonzero(free[low:high])
+    rows = _in_span(echoes, free, ends)
     half = 0.5 * max(motion.length_m, 4.0) + 0.5
     reach = 3.0 * half + np.ptp(place[slow], axis=0)
     rows = rows[(np.abs(echoes.points[rows] - place[slow].mean(axis=0)) < reach).all(axis=1)]
@@ -47,11 +46,8 @@ def with_rest(
     step = np.clip(step, 0, last)
     at_rest = motion.speed[step] < limits.slow_mps
     rows, step = rows[at_rest], step[at_rest]
-    if len(rows):
-        along, left = motion.path.project(echoes.points[rows], motion.s_m[step], 25.0)
-        beside = limits.left_m + settings.motion.azimuth_rad * echoes.range_m[rows]
-        on = (np.abs(along - motion.s_m[step]) < half) & (np.abs(left) < beside)
-        rows, step = rows[on], step[on]
+    on = _on_body(motion, motion.s_m[step], echoes, rows, settings)
+    rows, step = rows[on], step[on]
     span = (float(time[0]), float(time[-1]))
     kept = unbroken(echoes.time[rows], span, settings.standing.silence_s)
     rows, step = rows[kept], step[kept]
@@ -60,13 +56,52 @@ def with_rest(
         if side.any():
             ends = np.sort([span[at], float(echoes.time[rows[side][at]])])
             due = seen.due_between(place[[at, at]], (ends[0], ends[1]), (number, NONE))
-            if side.sum() < settings.standing.rate_share * due:
+            fixed = (ends[1] - ends[0]) * _rate_without(motion, at, echoes, free, settings)
+            own, count = side.sum() - fixed, side.sum()
+            if own < settings.standing.rate_share * due or own < limits.own_share * count:
                 rows, step = rows[~side], step[~side]
     if len(rows) == 0:
         return motion
     free[rows] = False
     states[rows, :2], states[rows, 2], states[rows, 3] = place[step], heading[step], 0.0
     return fit_motion(echoes, np.concatenate([motion.rows, rows]), states, settings.motion)
+
+
+def _in_span(echoes: Echoes, free: Booleans, ends: Floats) -> Integers:
+    """Return the free detections between two times."""
+    low, high = np.searchsorted(echoes.time, ends)
+    return np.asarray(low + np.flatnonzero(free[low:high]))
+
+
+def _on_body(
+    motion: Motion, s_m: Floats, echoes: Echoes, rows: Integers, settings: VehicleSettings
+) -> Booleans:
+    """Tell which detections lie on a vehicle whose middle is so far along its path."""
+    if len(rows) == 0:
+        return np.zeros(0, np.bool_)
+    along, left = motion.path.project(echoes.points[rows], s_m, 25.0)
+    beside = settings.lives.left_m + settings.motion.azimuth_rad * echoes.range_m[rows]
+    half = 0.5 * max(motion.length_m, 4.0) + 0.5
+    return np.asarray((np.abs(along - s_m) < half) & (np.abs(left) < beside))
+
+
+def _rate_without(
+    motion: Motion, at: int, echoes: Echoes, free: Booleans, settings: VehicleSettings
+) -> float:
+    """Return how often a second its place is detected just before it came, or after it left.
+
+    What stands there then is of the road, or of what is parked beside it.
+    """
+    limits = settings.lives
+    away = np.abs(motion.s_m - motion.s_m[at]) > motion.length_m + limits.away_m
+    if not away.any():
+        return 0.0
+    near = np.flatnonzero(away)[at]
+    when = (motion.first_step + near) / STEPS_PER_SECOND
+    ends = np.array([when - limits.empty_s, when] if at else [when, when + limits.empty_s])
+    rows = _in_span(echoes, free, ends)
+    s_m = np.full(len(rows), motion.s_m[at])
+    return float(_on_body(motion, s_m, echoes, rows, settings).sum() / limits.empty_s)
 
 
 def unbroken(time: Floats, span: tuple[float, float], silence_s: float) -> slice:
