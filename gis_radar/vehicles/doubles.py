@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from gis_radar.arrays import Floats, Integers
+from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.steps import STEPS_PER_SECOND
 from gis_radar.vehicles.echoes import Echoes
-from gis_radar.vehicles.motion import Motion
-from gis_radar.vehicles.settings import LifeSettings, TallSettings
+from gis_radar.vehicles.motion import HALF_STEPS, Motion
+from gis_radar.vehicles.settings import LifeSettings, TallSettings, VehicleSettings
 from gis_radar.vehicles.size import LONGEST_M
 from gis_radar.vehicles.standing import Stand
 from gis_radar.vehicles.tall import tall_odds
@@ -118,38 +118,74 @@ def _inside(
     return float(((np.abs(along) < reach) & (np.abs(left) < 1.2)).mean())
 
 
-def without_doubles(motions: Sequence[Motion], settings: LifeSettings) -> list[Motion]:
-    """Return the motions but those that lie on a better supported one for most of their lives.
+def without_doubles(
+    motions: Sequence[Motion], echoes: Echoes, settings: VehicleSettings
+) -> list[Motion]:
+    """Return the motions without what lies on a better supported one.
 
     Two vehicles are never in one place; one that two sensors see, or whose ends are seen apart, may
-    be followed twice.
+    be followed twice. One that lies on others for most of its life goes, of another the stretches.
+
+    Parameters
+    ----------
+    motions : sequence of Motion
+        In any order.
+    echoes : Echoes
+        All detections.
+    settings : VehicleSettings
+        Of lives, and how few detections are none.
     """
+    limits = settings.lives
     order = sorted(range(len(motions)), key=lambda k: -len(motions[k].rows))
     samples = [each.halves() for each in motions]
     steps = [set(each[0].tolist()) for each in samples]
     boxes = [np.stack([each[1].min(axis=0), each[1].max(axis=0)]) for each in samples]
-    kept: list[int] = []
+    kept: list[tuple[int, Motion]] = []
+    heads: list[int] = []
     for k in order:
-        lies = 0.0
-        for other in kept:
+        on = np.zeros(len(samples[k][0]), np.bool_)
+        for other in heads:
             apart = np.maximum(boxes[k][0] - boxes[other][1], boxes[other][0] - boxes[k][1])
-            if (apart > settings.near_m).any() or steps[k].isdisjoint(steps[other]):
+            if (apart > limits.near_m).any() or steps[k].isdisjoint(steps[other]):
                 continue
-            lies += _share_on(motions[k], samples[k], motions[other], samples[other])
-        if lies < settings.double_share:
-            kept.append(k)
-    return [motions[k] for k in sorted(kept)]
+            on |= _lies_on(motions[k], samples[k], motions[other], samples[other])
+        if on.mean() >= limits.double_share:
+            continue
+        heads.append(k)
+        kept += [(k, each) for each in _apart(motions[k], samples[k][0], on, echoes, settings)]
+    return [each for _, each in sorted(kept, key=lambda pair: pair[0])]
 
 
-def _share_on(
+def _lies_on(
     motion: Motion, mine: tuple[Integers, Floats, Floats],
     other: Motion, others: tuple[Integers, Floats, Floats],
-) -> float:  # fmt: skip
-    """Return for which share of its life the middle of a vehicle lies on another one."""
+) -> Booleans:  # fmt: skip
+    """Tell in which half seconds the middle of a vehicle lies on another one."""
     _, own, theirs = np.intersect1d(mine[0], others[0], return_indices=True)
     apart = mine[1][own] - others[1][theirs]
     c, s = np.cos(others[2][theirs]), np.sin(others[2][theirs])
     along, left = apart[:, 0] * c + apart[:, 1] * s, apart[:, 1] * c - apart[:, 0] * s
     reach = 0.5 * other.length_m + 0.25 * motion.length_m
-    on = (np.abs(along) < reach) & (np.abs(left) < BESIDE_M)
-    return float(on.sum() / len(mine[0]))
+    found = np.zeros(len(mine[0]), np.bool_)
+    found[own] = (np.abs(along) < reach) & (np.abs(left) < BESIDE_M)
+    return found
+
+
+def _apart(
+    motion: Motion, half: Integers, on: Booleans, echoes: Echoes, settings: VehicleSettings
+) -> list[Motion]:
+    """Return a motion without the longer stretches in which it lies on another one."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], on.astype(np.int64), [0]])))
+    spans = [
+        (half[a], half[b - 1]) for a, b in edges.reshape(-1, 2).tolist()
+        if half[b - 1] - half[a] >= settings.lives.double_halves
+    ]  # fmt: skip
+    if not spans:
+        return [motion]
+    first, parts = motion.first_step, []
+    for begin, end in [*spans, (motion.last_step // HALF_STEPS + 1, 0)]:
+        part = motion.between(first, min(begin * HALF_STEPS - 1, motion.last_step), echoes.time)
+        if part is not None and len(part.rows) >= settings.bodies.least_rows:
+            parts.append(part)
+        first = (end + 1) * HALF_STEPS
+    return parts

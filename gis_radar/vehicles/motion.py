@@ -7,7 +7,7 @@ where they are.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -217,6 +217,27 @@ class Motion:
         every = np.arange(-self.first_step % HALF_STEPS, len(heading), HALF_STEPS)
         every = every if len(every) else np.zeros(1, np.int64)
         return (self.first_step + every) // HALF_STEPS, place[every], heading[every]
+
+    def between(self, first: int, last: int, time: Floats) -> Motion | None:
+        """Return the motion from one step to another, where it has detections.
+
+        Parameters
+        ----------
+        first, last : int
+            Steps.
+        time : (n,) array
+            UNIX seconds of all detections.
+        """
+        step = time[self.rows] * STEPS_PER_SECOND
+        mine = (step >= first - 0.5) & (step < last + 0.5)
+        if not mine.any():
+            return None
+        span = slice(max(first - self.first_step, 0), last + 1 - self.first_step)
+        return replace(
+            self, rows=self.rows[mine], first_step=max(first, self.first_step),
+            s_m=self.s_m[span], speed=self.speed[span], var_s=self.var_s[span],
+            along_m=self.along_m[mine], left_m=self.left_m[mine],
+        )  # fmt: skip
 
     def frame(self, echoes: Echoes, rows: Integers) -> tuple[Floats, Floats, Floats]:
         """Return detections in the frame that moves along.

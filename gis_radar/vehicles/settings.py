@@ -346,6 +346,8 @@ class LifeSettings:
         Of two bodies within that distance that lie on each other by that share, one is.
     double_share : float
         Who lies on another vehicle for such a share of its life is that one.
+    double_halves : int
+        So many half seconds at a time of another's life are that one's: places are off for less.
     unseen_s : float
         A vehicle that drives is missed so long at most.
     wait_cost : float
@@ -369,6 +371,7 @@ class LifeSettings:
     near_m: float = 15.0
     same_share: float = 0.4
     double_share: float = 0.5
+    double_halves: int = 3
     unseen_s: float = 6.0
     wait_cost: float = 0.03
     end_cost: float = 8.0

@@ -47,4 +47,4 @@ def vehicles_in(echoes: Echoes, graph: LaneGraph, settings: VehicleSettings) -> 
     for each in motions:
         free[each.rows] = False
     found = with_standing(echoes, graph, driven, states, free, settings)
-    return without_doubles(found, settings.lives)
+    return without_doubles(found, echoes, settings)
