@@ -13,8 +13,8 @@ import numpy as np
 import pandas as pd
 
 from gis_radar.arrays import Floats, Integers, nearest
+from gis_radar.vehicles.columns import NONE
 from gis_radar.vehicles.echoes import Echoes
-from gis_radar.vehicles.forward import NONE
 from gis_radar.vehicles.motion import Motion, fit_motion
 from gis_radar.vehicles.settings import (
     BodySettings,

@@ -11,37 +11,76 @@ vehicle anywhere. What stands is left to `standing`: here it would draw bodies t
 from __future__ import annotations
 
 from dataclasses import astuple
+from typing import TypeAlias
 
 import numpy as np
 
 from gis_radar.arrays import Floats, Integers, compiled
 from gis_radar.lanelets.graph import FieldArrays, LaneGraph, lanes_at
+from gis_radar.vehicles.births import begin, turn
+from gis_radar.vehicles.columns import (
+    ACCEL,
+    ACROSS,
+    ALIVE,
+    ALONG,
+    ALONG_LANE,
+    AZIMUTH,
+    BASE,
+    BEGUN,
+    BIRTH_S,
+    BRANCH,
+    BRANCHES,
+    COAST_S,
+    COLUMNS,
+    COUNTS,
+    COV_SV,
+    FOLLOWED,
+    FRONT,
+    HALF,
+    HEADING,
+    HITS,
+    KEPT,
+    LANE,
+    LAST,
+    LEAST_COS,
+    LEFT,
+    MISFIT,
+    MOVING,
+    NONE,
+    NUMBER,
+    PASSED,
+    RATE,
+    REAR,
+    SIDEWAYS,
+    SPEED,
+    STAND_S,
+    STANDING,
+    TIME,
+    TOWARDS,
+    VAR_D,
+    VAR_S,
+    VAR_V,
+    WAIT_COLUMNS,
+    X,
+    Y,
+)  # fmt: skip
 from gis_radar.vehicles.echoes import Echoes
 from gis_radar.vehicles.settings import EchoSettings, ForwardSettings
+from gis_radar.vehicles.size import LONGEST_M
 
-NONE = -1
 CAPACITY = 1024  # vehicles at a time
 WAITING = 2048  # detections at a time that no vehicle claims
-
-# Columns of a body.
-X, Y, HEADING, SPEED, FRONT, REAR = range(6)
-VAR_S, COV_SV, VAR_V, VAR_D, LAST, TIME, NUMBER, HITS, FOLLOWED, MISFIT, COLUMNS = range(6, 17)
-# Columns of a waiting detection: place, speed along a lane, its heading, time, row.
-WAIT_SPEED, WAIT_HEADING, WAIT_TIME, WAIT_ROW, WAIT_COLUMNS = range(2, 7)
-# Columns of what lanes_at finds.
-LANE, ALONG_LANE, LEFT, TOWARDS, HALF = range(5)
-# Of the settings as an array: moving_mps, then the fields of ForwardSettings in their order.
-(
-    MOVING, ACCEL, SIDEWAYS, RATE, LEAST_COS, ALONG, ACROSS, AZIMUTH, BIRTH_S, BIRTHS, COAST_S,
-    STAND_S, STANDING, CAR_M,
-) = range(14)  # fmt: skip
-
+SPARE = 1024  # branches more than detections
 MOST_M = 30.0  # from the point of a body to any part of it, and what it may be off
-LONGEST_M = 18.75  # a truck with trailer (EU directive 96/53)
-FASTEST_MPS = 60.0
 WIDE_M = 1.0  # half a vehicle
 FORK_M = 3.0  # from the begin of a lane: those that begin here are branches of a fork
-MOST_MISFIT = 6.0  # by which a branch may fit worse than another, as a logarithm of odds
+# By how much a branch may fit worse than another one, and a detection count: squares of sigma.
+MOST_MISFIT, LEAST_TOLD = 24.0, 4.0
+
+
+# The branch of each detection; of each branch the one before it and the detection at which it left
+# that; rows (detection, branch, state) where there are several branches.
+Past: TypeAlias = tuple[Integers, Integers, Floats]
 
 
 class ForwardFilter:
@@ -68,7 +107,7 @@ class ForwardFilter:
         self._limits = np.array([moving_mps, *map(float, astuple(settings))])
         self._bodies = np.zeros((CAPACITY, COLUMNS))
         self._waiting = np.zeros((WAITING, WAIT_COLUMNS))
-        self._counts = np.zeros(4, np.int64)  # alive, waiting, begun, detections so far
+        self._counts = np.zeros(COUNTS, np.int64)
 
     def push(self, echoes: Echoes) -> tuple[Integers, Floats]:
         """Take the next detections; return the vehicle of each and its state then.
@@ -91,17 +130,21 @@ class ForwardFilter:
         seen = np.column_stack(
             [echoes.points, echoes.range_rate, echoes.sight, echoes.range_m, echoes.time]
         )
+        count = len(echoes) + SPARE
+        past = (np.full(count, NONE), np.full((count, 2), NONE), np.zeros((count, 8)))
+        self._counts[BASE], self._counts[KEPT] = self._counts[BRANCHES], 0
         _follow(
-            seen, self._limits, self._bodies, self._waiting, self._counts, number, state,
+            seen, self._limits, self._bodies, self._waiting, self._counts, (number, state), past,
             self._field,
         )  # fmt: skip
-        self._counts[3] += len(echoes)
+        _take_last(number, state, past, self._counts)
+        self._counts[PASSED] += len(echoes)
         return number, state
 
     @property
     def bodies(self) -> Floats:
         """States of the vehicles that are followed now, a row each: of branches the best."""
-        alive = self._bodies[: int(self._counts[0])]
+        alive = self._bodies[: int(self._counts[ALIVE])]
         alive = alive[np.lexsort((alive[:, MISFIT], alive[:, NUMBER]))]
         _, best = np.unique(alive[:, NUMBER], return_index=True)
         return np.asarray(alive[best, : REAR + 1])
@@ -127,30 +170,33 @@ def _follow(
     bodies: Floats,
     waiting: Floats,
     counts: Integers,
-    number: Integers,
-    state: Floats,
+    found: tuple[Integers, Floats],
+    past: Past,
     field: FieldArrays,
 ) -> None:
     """Go through detections (x, y, range rate, sight, range, time), frame by frame."""
     lanes, born = np.empty((8, 6)), np.empty(len(waiting), np.int64)
+    number, state = found
+    branch, _, kept = past
     for i in range(len(seen)):
         now = seen[i, 6]
         if i == 0 or now > seen[i - 1, 6]:
-            _go_on(bodies, counts, now, limits, lanes, field)
-        chosen = _choose(seen[i], bodies, counts[0], limits)
+            _go_on(i, past, bodies, counts, now, limits, lanes, field)
+        chosen = _choose(seen[i], bodies, counts[ALIVE], limits)
         if chosen >= 0:
             number[i] = int(bodies[chosen, NUMBER])
-            state[i] = _correct_branches(chosen, bodies, counts[0], seen[i], limits)
+            best = _correct_branches(i, chosen, bodies, counts, seen[i], limits, kept)
+            state[i], branch[i] = bodies[best, : REAR + 1], int(bodies[best, BRANCH])
         elif abs(seen[i, 2]) >= limits[MOVING]:
-            before = counts[0]
-            begun = _begin(i, seen[i], limits, bodies, waiting, counts, born, lanes, field)
+            before = counts[ALIVE]
+            begun = begin(i, seen[i], limits, bodies, waiting, counts, born, lanes, field)
             if begun == 0:
                 continue
             body = bodies[before]
             for k in range(begun):
                 row = born[k]
                 lapse = now - seen[row, 6]
-                number[row] = int(body[NUMBER])
+                number[row], branch[row] = int(body[NUMBER]), int(body[BRANCH])
                 state[row] = body[: REAR + 1]
                 state[row, X] -= body[SPEED] * lapse * np.cos(body[HEADING])
                 state[row, Y] -= body[SPEED] * lapse * np.sin(body[HEADING])
@@ -158,26 +204,33 @@ def _follow(
 
 @compiled
 def _go_on(
-    bodies: Floats, counts: Integers, now: float, limits: Floats, lanes: Floats, field: FieldArrays
+    row: int,
+    past: Past,
+    bodies: Floats,
+    counts: Integers,
+    now: float,
+    limits: Floats,
+    lanes: Floats,
+    field: FieldArrays,
 ) -> None:
     """Move all bodies on to a time; forget those not seen for too long."""
     k = 0
-    while k < counts[0]:
+    while k < counts[ALIVE]:
         body = bodies[k]
         patience = limits[STAND_S] if body[SPEED] < limits[STANDING] else limits[COAST_S]
         if now - body[LAST] > (limits[BIRTH_S] if body[HITS] < 6.0 else patience):
-            counts[0] -= 1
-            bodies[k] = bodies[counts[0]]
+            counts[ALIVE] -= 1
+            bodies[k] = bodies[counts[ALIVE]]
             continue
         found = _predict(body, now, limits, lanes, field)
-        _fork(k, bodies, counts, lanes, found)
+        _fork(k, row, past[1], bodies, counts, lanes, found)
         k += 1
     _forget_branches(bodies, counts)
 
 
 @compiled
 def _fork(
-    k: int, bodies: Floats, counts: Integers, lanes: Floats, found: int
+    k: int, row: int, lineage: Integers, bodies: Floats, counts: Integers, lanes: Floats, found: int
 ) -> None:  # pragma: no cover - compiled
     """Let a branch of a body follow each other lane that begins where it comes to its own."""
     body = bodies[k]
@@ -186,26 +239,30 @@ def _fork(
             continue
         if (
             abs(lanes[j, LEFT]) > lanes[j, HALF]
-            or abs(_turn(lanes[j, TOWARDS], body[HEADING])) > 0.5
+            or abs(turn(lanes[j, TOWARDS], body[HEADING])) > 0.5
         ):
             continue
-        known = counts[0] >= len(bodies)
-        for other in range(counts[0]):
+        new = counts[BRANCHES] - counts[BASE]
+        known = counts[ALIVE] >= len(bodies) or new >= len(lineage)
+        for other in range(counts[ALIVE]):
             same = bodies[other, NUMBER] == body[NUMBER]
             known = known or (same and bodies[other, FOLLOWED] == lanes[j, LANE])
         if not known:
-            bodies[counts[0]] = body
-            bodies[counts[0], FOLLOWED] = lanes[j, LANE]
-            counts[0] += 1
+            bodies[counts[ALIVE]] = body
+            bodies[counts[ALIVE], FOLLOWED] = lanes[j, LANE]
+            bodies[counts[ALIVE], BRANCH] = counts[BRANCHES]
+            lineage[new, 0], lineage[new, 1] = int(body[BRANCH]), row
+            counts[BRANCHES] += 1
+            counts[ALIVE] += 1
 
 
 @compiled
 def _forget_branches(bodies: Floats, counts: Integers) -> None:  # pragma: no cover - compiled
     """Forget branches that fit much worse than another one, or are on its lane again."""
     k = 0
-    while k < counts[0]:
+    while k < counts[ALIVE]:
         worse = False
-        for other in range(counts[0]):
+        for other in range(counts[ALIVE]):
             if other == k or bodies[other, NUMBER] != bodies[k, NUMBER]:
                 continue
             more = bodies[k, MISFIT] - bodies[other, MISFIT]
@@ -216,8 +273,8 @@ def _forget_branches(bodies: Floats, counts: Integers) -> None:  # pragma: no co
                 or (same and (more > 0.0 or (more == 0.0 and k > other)))
             )
         if worse:
-            counts[0] -= 1
-            bodies[k] = bodies[counts[0]]
+            counts[ALIVE] -= 1
+            bodies[k] = bodies[counts[ALIVE]]
         else:
             k += 1
 
@@ -239,9 +296,9 @@ def _predict(
     if here >= 0.0 and abs(step) > 0.0:
         there, ahead, found = _lane_of(body[X], body[Y], way, here, lanes, field)
         if there >= 0.0:
-            body[HEADING] += _turn(ahead, way)
+            body[HEADING] += turn(ahead, way)
             # towards the lane's direction, within the way in which a driver straightens up
-            body[HEADING] += _turn(ahead, body[HEADING]) * min(abs(step) / 15.0, 1.0)
+            body[HEADING] += turn(ahead, body[HEADING]) * min(abs(step) / 15.0, 1.0)
         new = found if there >= 0.0 and there != body[FOLLOWED] else 0
         body[FOLLOWED] = there
     accel = limits[ACCEL]
@@ -254,12 +311,6 @@ def _predict(
 
 
 @compiled
-def _turn(to: float, since: float) -> float:  # pragma: no cover - compiled
-    """Return a turn between two headings, within half a circle."""
-    return (to - since + np.pi) % (2.0 * np.pi) - np.pi
-
-
-@compiled
 def _lane_of(
     x: float, y: float, heading: float, before: float, lanes: Floats, field: FieldArrays
 ) -> tuple[float, float, int]:
@@ -267,11 +318,11 @@ def _lane_of(
     best, lane, towards = 1e9, -1.0, heading
     found = lanes_at(x, y, field, lanes)
     for k in range(found):
-        turn = abs(_turn(lanes[k, TOWARDS], heading))
-        cost = turn / 0.25 + abs(lanes[k, LEFT]) / 1.5
+        off = abs(turn(lanes[k, TOWARDS], heading))
+        cost = off / 0.25 + abs(lanes[k, LEFT]) / 1.5
         if lanes[k, LANE] == before:
             cost -= 2.0
-        if turn < 0.8 and cost < best:
+        if off < 0.8 and cost < best:
             best, lane, towards = cost, lanes[k, LANE], lanes[k, TOWARDS]
     return lane, towards, found
 
@@ -323,20 +374,51 @@ def _misfit(echo: Floats, body: Floats, limits: Floats) -> float:  # pragma: no 
 
 @compiled
 def _correct_branches(
-    chosen: int, bodies: Floats, alive: int, echo: Floats, limits: Floats
-) -> Floats:  # pragma: no cover - compiled
-    """Correct all branches of a body that a detection fits; return the state of the best."""
-    best = chosen
-    for k in range(alive):
+    row: int, chosen: int, bodies: Floats, counts: Integers, echo: Floats, limits: Floats,
+    kept: Floats,
+) -> int:  # fmt: skip  # pragma: no cover - compiled
+    """Correct all branches of a body that a detection fits, keep their states; return the best."""
+    best, first = chosen, counts[KEPT]
+    for k in range(counts[ALIVE]):
         if bodies[k, NUMBER] != bodies[chosen, NUMBER]:
             continue
         cost = _misfit(echo, bodies[k], limits)
-        bodies[k, MISFIT] += 0.5 * min(cost, 9.0)
+        bodies[k, MISFIT] += min(cost, LEAST_TOLD)
         if cost < np.inf:
             _correct(bodies[k], echo, limits)
             if bodies[k, MISFIT] < bodies[best, MISFIT]:
                 best = k
-    return bodies[best, : REAR + 1].copy()
+        if counts[KEPT] < len(kept):
+            kept[counts[KEPT], 0], kept[counts[KEPT], 1] = row, bodies[k, BRANCH]
+            kept[counts[KEPT], 2:] = bodies[k, : REAR + 1]
+            counts[KEPT] += 1
+    if counts[KEPT] == first + 1:
+        counts[KEPT] = first  # there is one branch only
+    return best
+
+
+@compiled
+def _take_last(
+    number: Integers, state: Floats, past: Past, counts: Integers
+) -> None:  # pragma: no cover - compiled
+    """Give each detection the state of the branch that its vehicle took in the end."""
+    branch, lineage, kept = past
+    last = np.full(counts[BEGUN], NONE)
+    k, base = counts[KEPT] - 1, counts[BASE]
+    for i in range(len(number) - 1, -1, -1):
+        if number[i] == NONE:
+            continue
+        taken = branch[i] if last[number[i]] == NONE else last[number[i]]
+        while taken >= base and lineage[taken - base, 1] > i:
+            taken = lineage[taken - base, 0]
+        last[number[i]] = taken
+        while k >= 0 and kept[k, 0] > i:
+            k -= 1
+        j = k
+        while j >= 0 and kept[j, 0] == i:
+            if int(kept[j, 1]) == taken:
+                state[i] = kept[j, 2:]
+            j -= 1
 
 
 @compiled
@@ -382,110 +464,3 @@ def _correct(body: Floats, echo: Floats, limits: Floats) -> None:  # pragma: no 
         body[HEADING] += 0.02 * gain * w
     body[LAST] = body[TIME]
     body[HITS] += 1.0
-
-
-@compiled
-def _begin(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - compiled
-    row: int,
-    echo: Floats,
-    limits: Floats,
-    bodies: Floats,
-    waiting: Floats,
-    counts: Integers,
-    born: Integers,
-    lanes: Floats,
-    field: FieldArrays,
-) -> int:
-    """Let a moving detection wait, or begin a body where several agree; return of how many rows."""
-    kept = 0
-    for k in range(counts[1]):
-        if echo[6] - waiting[k, WAIT_TIME] <= limits[BIRTH_S]:
-            waiting[kept] = waiting[k]
-            kept += 1
-    counts[1] = kept
-    found = lanes_at(echo[0], echo[1], field, lanes)
-    first = counts[0]
-    for k in range(found):
-        cos = np.cos(lanes[k, TOWARDS]) * echo[3] + np.sin(lanes[k, TOWARDS]) * echo[4]
-        speed = echo[2] / cos if abs(cos) >= limits[LEAST_COS] else -1.0
-        if not 0.3 <= speed <= FASTEST_MPS or abs(lanes[k, LEFT]) > lanes[k, HALF] + 0.5:
-            continue
-        matches, moments = _agreeing(echo, speed, lanes[k, TOWARDS], waiting, counts[1])
-        if matches >= limits[BIRTHS] and moments >= 2 and counts[0] < len(bodies):
-            body = bodies[counts[0]]
-            body[:] = 0.0
-            body[X], body[Y], body[HEADING], body[SPEED] = (
-                echo[0],
-                echo[1],
-                lanes[k, TOWARDS],
-                speed,
-            )
-            body[FRONT] = body[REAR] = 0.5 * limits[CAR_M]
-            body[VAR_S], body[VAR_V], body[VAR_D] = 2.0, 1.0, 0.5
-            body[LAST] = body[TIME] = echo[6]
-            body[NUMBER], body[HITS], body[FOLLOWED] = counts[2], matches, lanes[k, LANE]
-            body[MISFIT] = (lanes[k, LEFT] / lanes[k, HALF]) ** 2 - matches
-            counts[0] += 1
-    if counts[0] > first:
-        counts[2] += 1
-        return _claim(row, echo, bodies[first : counts[0]], waiting, counts, born)
-    for k in range(found):
-        cos = np.cos(lanes[k, TOWARDS]) * echo[3] + np.sin(lanes[k, TOWARDS]) * echo[4]
-        speed = echo[2] / cos if abs(cos) >= limits[LEAST_COS] else -1.0
-        if 0.3 <= speed <= FASTEST_MPS and counts[1] < len(waiting):
-            wait = waiting[counts[1]]
-            wait[X], wait[Y], wait[WAIT_SPEED] = echo[0], echo[1], speed
-            wait[WAIT_HEADING], wait[WAIT_TIME] = lanes[k, TOWARDS], echo[6]
-            wait[WAIT_ROW] = row + counts[3]
-            counts[1] += 1
-    return 0
-
-
-@compiled
-def _agreeing(
-    echo: Floats, speed: float, heading: float, waiting: Floats, count: int
-) -> tuple[int, int]:  # pragma: no cover - compiled
-    """Return how many detections agree with one that drives so, itself included; and moments."""
-    matches, moments, last, counted = 1, 1, echo[6], -1.0
-    c, s = np.cos(heading), np.sin(heading)
-    for j in range(count - 1, -1, -1):
-        wait = waiting[j]
-        turned = abs(_turn(wait[WAIT_HEADING], heading)) > 0.5
-        if turned or abs(wait[WAIT_SPEED] - speed) > 1.0 + 0.08 * speed:
-            continue
-        dx, dy = echo[0] - wait[X], echo[1] - wait[Y]
-        way = 0.5 * (wait[WAIT_SPEED] + speed) * (echo[6] - wait[WAIT_TIME])
-        if abs(dx * c + dy * s - way) > 3.0 or abs(dy * c - dx * s) > 1.8:
-            continue
-        if wait[WAIT_ROW] != counted:  # it waits once a lane
-            matches += 1
-            counted = wait[WAIT_ROW]
-        if wait[WAIT_TIME] < last:
-            moments += 1
-            last = wait[WAIT_TIME]
-    return matches, moments
-
-
-@compiled
-def _claim(
-    row: int, echo: Floats, begun: Floats, waiting: Floats, counts: Integers, born: Integers
-) -> int:
-    """Take what waits and agrees with a new body out; return how many rows are of it now."""
-    born[0], taken, kept = row, 1, 0
-    for j in range(counts[1]):
-        wait = waiting[j]
-        agrees = False
-        for k in range(len(begun)):
-            c, s = np.cos(begun[k, HEADING]), np.sin(begun[k, HEADING])
-            way = begun[k, SPEED] * (echo[6] - wait[WAIT_TIME])
-            dx, dy = echo[0] - wait[X], echo[1] - wait[Y]
-            agrees = agrees or (abs(dx * c + dy * s - way) <= 3.0 and abs(dy * c - dx * s) <= 1.8)
-        old = int(wait[WAIT_ROW] - counts[3])
-        if agrees and old >= 0 and taken < len(born):
-            born[taken] = old
-            taken += 1
-        elif not agrees:
-            waiting[kept] = wait
-            kept += 1
-    counts[1] = kept
-    return taken

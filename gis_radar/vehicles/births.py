@@ -1,0 +1,160 @@
+"""Births of vehicles: moving detections wait until several of them agree on one that drives."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gis_radar.arrays import Floats, Integers, compiled
+from gis_radar.lanelets.graph import FieldArrays, lanes_at
+from gis_radar.vehicles.columns import (
+    ALIVE,
+    BEGUN,
+    BIRTH_S,
+    BIRTHS,
+    BRANCH,
+    BRANCHES,
+    CAR_M,
+    FOLLOWED,
+    FRONT,
+    HALF,
+    HEADING,
+    HITS,
+    LANE,
+    LAST,
+    LEAST_COS,
+    LEFT,
+    MISFIT,
+    NUMBER,
+    PASSED,
+    REAR,
+    SPEED,
+    TIME,
+    TOWARDS,
+    VAR_D,
+    VAR_S,
+    VAR_V,
+    WAIT_HEADING,
+    WAIT_ROW,
+    WAIT_SPEED,
+    WAIT_TIME,
+    WAITS,
+    X,
+    Y,
+)  # fmt: skip
+
+FASTEST_MPS = 60.0
+
+
+@compiled
+def turn(to: float, since: float) -> float:  # pragma: no cover - compiled
+    """Return a turn between two headings, within half a circle."""
+    return (to - since + np.pi) % (2.0 * np.pi) - np.pi
+
+
+@compiled
+def begin(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - compiled
+    row: int,
+    echo: Floats,
+    limits: Floats,
+    bodies: Floats,
+    waiting: Floats,
+    counts: Integers,
+    born: Integers,
+    lanes: Floats,
+    field: FieldArrays,
+) -> int:
+    """Let a moving detection wait, or begin a body where several agree; return of how many rows."""
+    kept = 0
+    for k in range(counts[WAITS]):
+        if echo[6] - waiting[k, WAIT_TIME] <= limits[BIRTH_S]:
+            waiting[kept] = waiting[k]
+            kept += 1
+    counts[WAITS] = kept
+    found = lanes_at(echo[0], echo[1], field, lanes)
+    first = counts[ALIVE]
+    for k in range(found):
+        cos = np.cos(lanes[k, TOWARDS]) * echo[3] + np.sin(lanes[k, TOWARDS]) * echo[4]
+        speed = echo[2] / cos if abs(cos) >= limits[LEAST_COS] else -1.0
+        if not 0.3 <= speed <= FASTEST_MPS or abs(lanes[k, LEFT]) > lanes[k, HALF] + 0.5:
+            continue
+        matches, moments = _agreeing(echo, speed, lanes[k, TOWARDS], waiting, counts[WAITS])
+        if matches >= limits[BIRTHS] and moments >= 2 and counts[ALIVE] < len(bodies):
+            body = bodies[counts[ALIVE]]
+            body[:] = 0.0
+            body[X], body[Y], body[HEADING], body[SPEED] = (
+                echo[0],
+                echo[1],
+                lanes[k, TOWARDS],
+                speed,
+            )
+            body[FRONT] = body[REAR] = 0.5 * limits[CAR_M]
+            body[VAR_S], body[VAR_V], body[VAR_D] = 2.0, 1.0, 0.5
+            body[LAST] = body[TIME] = echo[6]
+            body[NUMBER], body[HITS], body[FOLLOWED] = counts[BEGUN], matches, lanes[k, LANE]
+            body[MISFIT] = (lanes[k, LEFT] / lanes[k, HALF]) ** 2 - matches
+            body[BRANCH] = counts[BRANCHES]
+            counts[BRANCHES] += 1
+            counts[ALIVE] += 1
+    if counts[ALIVE] > first:
+        counts[BEGUN] += 1
+        return _claim(row, echo, bodies[first : counts[ALIVE]], waiting, counts, born)
+    for k in range(found):
+        cos = np.cos(lanes[k, TOWARDS]) * echo[3] + np.sin(lanes[k, TOWARDS]) * echo[4]
+        speed = echo[2] / cos if abs(cos) >= limits[LEAST_COS] else -1.0
+        if 0.3 <= speed <= FASTEST_MPS and counts[WAITS] < len(waiting):
+            wait = waiting[counts[WAITS]]
+            wait[X], wait[Y], wait[WAIT_SPEED] = echo[0], echo[1], speed
+            wait[WAIT_HEADING], wait[WAIT_TIME] = lanes[k, TOWARDS], echo[6]
+            wait[WAIT_ROW] = row + counts[PASSED]
+            counts[WAITS] += 1
+    return 0
+
+
+@compiled
+def _agreeing(
+    echo: Floats, speed: float, heading: float, waiting: Floats, count: int
+) -> tuple[int, int]:  # pragma: no cover - compiled
+    """Return how many detections agree with one that drives so, itself included; and moments."""
+    matches, moments, last, counted = 1, 1, echo[6], -1.0
+    c, s = np.cos(heading), np.sin(heading)
+    for j in range(count - 1, -1, -1):
+        wait = waiting[j]
+        turned = abs(turn(wait[WAIT_HEADING], heading)) > 0.5
+        if turned or abs(wait[WAIT_SPEED] - speed) > 1.0 + 0.08 * speed:
+            continue
+        dx, dy = echo[0] - wait[X], echo[1] - wait[Y]
+        way = 0.5 * (wait[WAIT_SPEED] + speed) * (echo[6] - wait[WAIT_TIME])
+        if abs(dx * c + dy * s - way) > 3.0 or abs(dy * c - dx * s) > 1.8:
+            continue
+        if wait[WAIT_ROW] != counted:  # it waits once a lane
+            matches += 1
+            counted = wait[WAIT_ROW]
+        if wait[WAIT_TIME] < last:
+            moments += 1
+            last = wait[WAIT_TIME]
+    return matches, moments
+
+
+@compiled
+def _claim(
+    row: int, echo: Floats, begun: Floats, waiting: Floats, counts: Integers, born: Integers
+) -> int:
+    """Take what waits and agrees with a new body out; return how many rows are of it now."""
+    born[0], taken, kept = row, 1, 0
+    for j in range(counts[WAITS]):
+        wait = waiting[j]
+        agrees = False
+        for k in range(len(begun)):
+            c, s = np.cos(begun[k, HEADING]), np.sin(begun[k, HEADING])
+            way = begun[k, SPEED] * (echo[6] - wait[WAIT_TIME])
+            dx, dy = echo[0] - wait[X], echo[1] - wait[Y]
+            agrees = agrees or (abs(dx * c + dy * s - way) <= 3.0 and abs(dy * c - dx * s) <= 1.8)
+        old = int(wait[WAIT_ROW] - counts[PASSED])
+        if agrees and old >= 0 and taken < len(born):
+            born[taken] = old
+            taken += 1
+        elif not agrees:
+            waiting[kept] = wait
+            kept += 1
+    counts[WAITS] = kept
+    return taken
