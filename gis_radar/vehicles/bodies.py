@@ -21,7 +21,7 @@ from gis_radar.vehicles.settings import (
     MotionSettings,
     VehicleSettings,
 )
-from gis_radar.vehicles.tall import tall_odds
+from gis_radar.vehicles.tall import one_tall_odds, tall_odds
 
 
 def rows_by_number(number: Integers) -> list[Integers]:
@@ -178,8 +178,11 @@ def log_odds(echoes: Echoes, body: Motion, other: Motion, every: VehicleSettings
     fits = (np.abs(left) < beside) & (np.abs(rate) < _slack(body, along, speed, settings))
     if fits.mean() < settings.least_fit or fits.sum() < 3:
         return -np.inf
-    both = np.concatenate([body.rows, other.rows])
-    long = tall_odds(echoes.height_m[both], echoes.range_m[both], every.tall)
+    tall = (
+        tall_odds(echoes.height_m[each.rows], echoes.range_m[each.rows], every.tall)
+        for each in (body, other)
+    )
+    long = one_tall_odds((next(tall), next(tall)), every.tall)
     return _odds_of_places(echoes.time[rows][fits], along[fits], speed[fits], body, settings, long)
 
 

@@ -14,7 +14,7 @@ from gis_radar.vehicles.motion import HALF_STEPS, Motion
 from gis_radar.vehicles.settings import LifeSettings, TallSettings, VehicleSettings
 from gis_radar.vehicles.size import LONGEST_M
 from gis_radar.vehicles.standing import Stand
-from gis_radar.vehicles.tall import tall_odds
+from gis_radar.vehicles.tall import one_tall_odds, tall_odds
 
 BESIDE_M = 1.5  # less than the width of two cars: middles are not so near
 
@@ -43,8 +43,9 @@ def join_tall(stands: Sequence[Stand], echoes: Echoes, settings: TallSettings) -
             other = order[j]
             if other.strip != one.strip or other.rear_m > one.front_m + settings.gap_m:
                 break
-            if j not in gone and _may_be_one(one, other, settings) and odds[k] + odds[j] > total:
-                best, total = j, odds[k] + odds[j]
+            both = one_tall_odds((odds[k], odds[j]), settings)
+            if j not in gone and _may_be_one(one, other, settings) and both > total:
+                best, total = j, both
         if best < 0:
             joined.append(one)
             continue

@@ -309,8 +309,10 @@ class TallSettings:
         Fewer heights tell nothing.
     most_odds : float
         Heights tell no more than that, as a logarithm of odds.
+    lorry_share : float
+        Share of lorries and buses in traffic.
     least_odds : float
-        Two stands of which more speaks for lorries are one.
+        Two stands of which more speaks for one lorry than for two vehicles are one.
     gap_m, both_share : float, float
         Two that are one are no farther apart, and stand for such a share of their time together.
     """
@@ -321,6 +323,7 @@ class TallSettings:
     elevation_rad: float = 0.0175
     least_rows: int = 10
     most_odds: float = 4.0
+    lorry_share: float = 0.12
     least_odds: float = 2.0
     gap_m: float = 5.0
     both_share: float = 0.6

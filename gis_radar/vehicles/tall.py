@@ -36,3 +36,17 @@ def tall_odds(height_m: Floats, range_m: Floats, settings: TallSettings) -> floa
         variance = spread**2 + noise * range_**2
         odds += sign * (-0.5 * (mean - middle) ** 2 / variance - 0.5 * np.log(variance))
     return float(np.clip(odds, -settings.most_odds, settings.most_odds))
+
+
+def one_tall_odds(odds: tuple[float, float], settings: TallSettings) -> float:
+    """Return how much heights of two parts speak for one lorry, over two vehicles of any kind.
+
+    Parameters
+    ----------
+    odds : (float, float)
+        Of each part, as of :func:`tall_odds`.
+    settings : TallSettings
+        How many vehicles are lorries.
+    """
+    share = settings.lorry_share
+    return float(-np.log((1.0 - share) * np.exp(-np.array(odds)) + share).sum())
