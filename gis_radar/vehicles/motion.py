@@ -20,6 +20,8 @@ from gis_radar.vehicles.settings import MotionSettings
 from gis_radar.vehicles.size import Size, size_of
 
 HALF_STEPS = STEPS_PER_SECOND // 2
+TIGHTEST_M = 5.0  # radius of the turning circle of a small car
+FREE_TURN = 0.35  # by which headings of two states may be off, radians
 STILL_COS = 0.05  # under it a range rate says nothing at all of the speed along the path
 
 
@@ -96,10 +98,24 @@ def _project(
     return along, left
 
 
-def path_through(states: Floats, spacing_m: float) -> Path:
-    """Return the path through states (x, y, heading) in the order of time, smoothed.
+def path_through(states: Floats, spacing_m: float) -> tuple[Path, Floats]:
+    """Return the path through states in the order of time, smoothed, and about where each is.
 
     Only progress counts: states of the rear end of a body lie behind those of its front.
+
+    Parameters
+    ----------
+    states : (n, 3) array
+        East, north, heading.
+    spacing_m : float
+        Way between the states that count.
+
+    Returns
+    -------
+    path : Path
+        It goes on for 20 m before the first and after the last state.
+    along_m : (n,) array
+        How far along it the last state that counts is by then.
     """
     kept = _progress(np.ascontiguousarray(states[:, :3]), spacing_m)
     ends = states[kept[[0, -1]], 2]
@@ -108,8 +124,11 @@ def path_through(states: Floats, spacing_m: float) -> Path:
     # straight ends of a body's length, for what is of it beyond its first and last place
     before = places[0] - np.arange(20.0, 0.0, -1.0)[:, None] * way[0]
     after = places[-1] + np.arange(1.0, 21.0)[:, None] * way[1]
-    line = _bridged(states[kept, :3])
-    return _smoothed(np.vstack([before, line, after]))
+    path = _smoothed(np.vstack([before, _bridged(states[kept, :3]), after]))
+    way_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(places, axis=0).T))])
+    way_m *= (path.s_m[-1] - 40.0) / max(way_m[-1], 1.0)
+    counts = np.searchsorted(kept, np.arange(len(states)), side="right") - 1
+    return path, 20.0 + way_m[counts]
 
 
 @compiled
@@ -120,7 +139,10 @@ def _progress(states: Floats, spacing_m: float) -> Integers:  # pragma: no cover
     for k in range(1, len(states)):
         last = kept[count - 1]
         dx, dy = states[k, 0] - states[last, 0], states[k, 1] - states[last, 1]
-        if dx * np.cos(states[k, 2]) + dy * np.sin(states[k, 2]) >= spacing_m:
+        forward = dx * np.cos(states[k, 2]) + dy * np.sin(states[k, 2])
+        turned = abs((states[k, 2] - states[last, 2] + np.pi) % (2.0 * np.pi) - np.pi)
+        # no vehicle turns in less than that, so the state is off its way
+        if forward >= spacing_m and turned < FREE_TURN + np.hypot(dx, dy) / TIGHTEST_M:
             kept[count] = k
             count += 1
     return kept[:count]
@@ -340,14 +362,8 @@ def _fitted_path(
     echoes: Echoes, rows: Integers, states: Floats, settings: MotionSettings
 ) -> tuple[Path, Floats]:
     """Return the path of the states, moved sideways to the detections, and a guess along it."""
-    path = path_through(states, settings.spacing_m)
-    gaps = np.diff(states[:, :2], axis=0)
-    forward = np.einsum(
-        "ij,ij->i", gaps, np.column_stack([np.cos(states[1:, 2]), np.sin(states[1:, 2])])
-    )
-    way = 20.0 + np.concatenate([[0.0], np.cumsum(np.maximum(forward, 0.0))])
-    way = 20.0 + (way - 20.0) * min((path.s_m[-1] - 40.0) / max(way[-1] - 20.0, 1.0), 1.0)
-    guess, _ = path.project(states[:, :2], way, 40.0)
+    path, way = path_through(states[:, :3], settings.spacing_m)
+    guess, _ = path.project(states[:, :2], way, 25.0)
     s, left = path.project(echoes.points[rows], guess, 30.0)
     left = left - side_seen(path, s, echoes.sight[rows])
     weight = 1.0 / (0.5**2 + (settings.azimuth_rad * echoes.range_m[rows]) ** 2)
