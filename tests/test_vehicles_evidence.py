@@ -8,18 +8,16 @@ from gis_radar.vehicles.detectability import Detectability, Occluders
 from gis_radar.vehicles.doubles import distinct_stands, join_tall
 from gis_radar.vehicles.echoes import Echoes
 from gis_radar.vehicles.forward import ForwardFilter
+from gis_radar.vehicles.life_settings import (
+    DetectabilitySettings,
+    LifeSettings,
+    StandingSettings,
+    TallSettings,
+)
 from gis_radar.vehicles.lives import _as_strong
 from gis_radar.vehicles.motion import Motion, Path
 from gis_radar.vehicles.resting import unbroken
-from gis_radar.vehicles.settings import (
-    DetectabilitySettings,
-    ForwardSettings,
-    LifeSettings,
-    MotionSettings,
-    StandingSettings,
-    TallSettings,
-    VehicleSettings,
-)
+from gis_radar.vehicles.settings import ForwardSettings, MotionSettings, VehicleSettings
 from gis_radar.vehicles.size import size_of
 from gis_radar.vehicles.standing import Stand, not_built
 from gis_radar.vehicles.strips import Strips

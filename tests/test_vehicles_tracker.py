@@ -12,8 +12,9 @@ from gis_radar.lanelets.graph import lane_graph
 from gis_radar.vehicles.bodies import join_directions
 from gis_radar.vehicles.echoes import Echoes
 from gis_radar.vehicles.forward import ForwardFilter
+from gis_radar.vehicles.life_settings import StandingSettings
 from gis_radar.vehicles.motion import Path
-from gis_radar.vehicles.settings import StandingSettings, VehicleSettings
+from gis_radar.vehicles.settings import VehicleSettings
 from gis_radar.vehicles.standing import pack
 from gis_radar.vehicles.strips import NONE, Strips
 from gis_radar.vehicles.tracker import vehicles_in

@@ -16,8 +16,8 @@ from scipy.ndimage import uniform_filter
 from gis_radar.arrays import Floats, Integers, compiled
 from gis_radar.steps import STEPS_PER_SECOND
 from gis_radar.vehicles.echoes import Echoes
+from gis_radar.vehicles.life_settings import DetectabilitySettings
 from gis_radar.vehicles.motion import HALF_STEPS, Motion
-from gis_radar.vehicles.settings import DetectabilitySettings
 
 HALF_WIDTH_M = 1.5  # of what a body hides: half a lorry and the error of its place
 NEAREST_M = 1.0  # a body does not hide itself, nor does a sensor see what is under it

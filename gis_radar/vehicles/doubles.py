@@ -10,8 +10,9 @@ import numpy as np
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.steps import STEPS_PER_SECOND
 from gis_radar.vehicles.echoes import Echoes
+from gis_radar.vehicles.life_settings import LifeSettings, TallSettings
 from gis_radar.vehicles.motion import HALF_STEPS, Motion
-from gis_radar.vehicles.settings import LifeSettings, TallSettings, VehicleSettings
+from gis_radar.vehicles.settings import VehicleSettings
 from gis_radar.vehicles.size import LONGEST_M
 from gis_radar.vehicles.standing import Stand
 from gis_radar.vehicles.tall import one_tall_odds, tall_odds

@@ -15,8 +15,9 @@ from scipy.optimize import linear_sum_assignment
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.steps import STEPS_PER_SECOND
 from gis_radar.vehicles.detectability import Detectability
+from gis_radar.vehicles.life_settings import DetectabilitySettings, LinkSettings
 from gis_radar.vehicles.motion import Motion
-from gis_radar.vehicles.settings import DetectabilitySettings, LifeSettings, VehicleSettings
+from gis_radar.vehicles.settings import VehicleSettings
 from gis_radar.vehicles.standing import Stand
 from gis_radar.vehicles.strips import NONE
 from gis_radar.vehicles.sweeps import Sweeps
@@ -84,7 +85,7 @@ def _following(
     parts: Sequence[Part], sweeps: Sweeps, seen: Detectability, every: VehicleSettings
 ) -> Integers:
     """Return the part that follows each, or `NONE`: the assignment of least cost."""
-    following, settings = np.full(len(parts), NONE, np.int64), every.lives
+    following, settings = np.full(len(parts), NONE, np.int64), every.links
     costs = [
         each for a in range(len(parts)) for each in _costs(a, parts, sweeps, settings)
         if not _is_missed(parts, each[0], each[1], seen, every.detectability)
@@ -148,43 +149,49 @@ class _Ends:
 
 
 def _costs(
-    a: int, parts: Sequence[Part], sweeps: Sweeps, settings: LifeSettings
+    a: int, parts: Sequence[Part], sweeps: Sweeps, settings: LinkSettings
 ) -> Iterator[tuple[int, int, float]]:
-    """Yield (a, b, cost) of the parts b that may follow part a."""
+    """Yield (a, b, cost) of the parts b that may follow part a: it waited, or drove on unseen."""
     mine, to = parts[a], _Ends.of(a, parts)
     speed = float(mine.speed[1])
-    waits = to.later & (to.lapse > -1.5) & (speed < 5.0) & (to.speed < 5.0)
-    waits &= (to.apart < 9.0) & (to.turn < 0.6) & (to.left < 2.0)
-    drives = to.later & ~waits & ~to.stands & (to.lapse > -2.0) & (to.lapse < settings.unseen_s)
+    slow = (speed < settings.waiting_mps) & (to.speed < settings.waiting_mps)
+    waits = to.later & slow & (to.lapse > -settings.overlap_s) & (to.apart < settings.waiting_m)
+    waits &= (to.turn < settings.waiting_rad) & (to.left < settings.beside_m)
+    drives = to.later & ~to.stands & (to.lapse > -settings.overlap_s)
+    drives &= (to.lapse < settings.unseen_s) & (to.turn < settings.turning_rad)
     gain = to.along - 0.5 * (speed + to.speed) * to.lapse
-    drives &= (gain > -3.0) & (to.turn < 1.9) & ((to.lapse >= 0.0) | (gain < 3.0))
-    bend = 0.5 * np.maximum(to.along, 0.0) * np.sin(np.minimum(to.turn, 1.5))
-    drives &= to.left < 1.2 + bend + 0.12 * np.abs(to.along) + 0.2 * to.apart * (to.turn > 0.5)
+    drives &= (gain > -settings.back_m) & ((to.lapse >= 0.0) | (gain < settings.back_m))
+    bend = 0.5 * np.maximum(to.along, 0.0) * np.sin(np.minimum(to.turn, 0.5 * np.pi))
+    drives &= to.left < settings.beside_m + bend + settings.drift * to.apart
     if mine.stands:
         drives[:] = False
     free_until = sweeps.after(mine.place[1], float(mine.time[1])) if waits.any() else np.inf
     for b in np.flatnonzero(waits | drives).tolist():
-        cost = np.inf
-        if drives[b]:
-            cost = _cost_of_driving(speed, to, b)
+        cost = _cost_of_driving(speed, to, b, settings) if drives[b] else np.inf
         if waits[b] and mine.time[1] + to.lapse[b] < free_until + 0.5:
-            creep = (speed**2 + to.speed[b] ** 2) / 6.0  # braking and starting at 3 m/s2
-            off = max(abs(to.along[b] - creep) - 1.0, 0.0) / 1.5
-            cost = min(cost, off**2 + 0.5 + settings.wait_cost * max(to.lapse[b], 0.05))
-        cost += (to.left[b] / (1.0 + 0.1 * to.apart[b])) ** 2 + 0.5 * (to.turn[b] / 0.6) ** 2
+            cost = min(cost, _cost_of_waiting(speed, to, b, settings))
+        cost += (to.left[b] / (1.0 + 0.1 * to.apart[b])) ** 2
+        cost += 0.5 * (to.turn[b] / settings.waiting_rad) ** 2
         if cost < settings.end_cost:
             yield a, b, float(cost)
 
 
-def _cost_of_driving(speed: float, to: _Ends, b: int) -> float:
+def _cost_of_waiting(speed: float, to: _Ends, b: int, settings: LinkSettings) -> float:
+    """Return what it costs to be one that came to rest and set off: by its way between the two."""
+    creep = (speed**2 + to.speed[b] ** 2) / (2.0 * settings.braking_mps2)
+    off = max(abs(to.along[b] - creep) - settings.place_m, 0.0) / (1.5 * settings.place_m)
+    return float(off**2 + settings.stop_cost + settings.wait_cost * max(to.lapse[b], 0.05))
+
+
+def _cost_of_driving(speed: float, to: _Ends, b: int, settings: LinkSettings) -> float:
     """Return what it costs to be one that drove on unseen: by its mean speed between two others."""
     lapse = max(float(to.lapse[b]), 0.05)
     mean, middle = to.apart[b] * np.sign(to.along[b]) / lapse, 0.5 * (speed + to.speed[b])
     slowest = max(min(speed, to.speed[b]) - 1.2 * lapse, 0.0) if lapse < 3.0 else 0.0
     low = min(slowest, max(middle - 0.6 * lapse, 0.0))
     high = max(speed, to.speed[b]) + 0.5 * lapse
-    miss = max(low - mean, mean - high, 0.0) / (0.5 + 1.0 / lapse)
+    miss = max(low - mean, mean - high, 0.0) / (0.5 + settings.place_m / lapse)
     if miss >= 3.0:
         return np.inf
-    likely = 0.5 * ((mean - middle) / (0.7 * lapse + 1.0 + 1.0 / lapse)) ** 2
+    likely = 0.5 * ((mean - middle) / (0.7 * lapse + 1.0 + settings.place_m / lapse)) ** 2
     return float(miss**2 + likely + 0.15 * np.sqrt(lapse) + 0.03 * to.apart[b])

@@ -14,10 +14,9 @@ from gis_radar.vehicles.echoes import Echoes
 from gis_radar.vehicles.folder import VehiclePiece
 from gis_radar.vehicles.motion import Motion
 from gis_radar.vehicles.routes import route_of
-from gis_radar.vehicles.settings import VehicleSettings
+from gis_radar.vehicles.settings import PieceSettings, VehicleSettings
 from gis_radar.vehicles.tables import TRACKS, VEHICLES
 
-DRIVES_MPS = 3.0  # who is slower may turn in, park or load
 POSE_HINT = ": its pose may be off (gis-radar track, gis-radar localize)"
 
 
@@ -42,7 +41,7 @@ class PieceMaker:
     def piece(self, block: Block, motions: list[Motion]) -> VehiclePiece:
         """Return the states of the vehicles in the span of a block.
 
-        A vehicle is one of the block before if it has most of its detections in both.
+        A vehicle is the one of the block before with which it shares most detections.
         """
         states = [_States.of(each, block, self._settings) for each in motions]
         inside = [k for k, each in enumerate(states) if len(each.step)]
@@ -52,7 +51,7 @@ class PieceMaker:
         rows = []
         for number, motion, each in zip(numbers, motions, states, strict=True):
             table, lanelets = self._tables(each, motion)
-            self._off_lanes.append(_off_lanes(table, motion, block.echoes))
+            self._off_lanes.append(_off_lanes(table, motion, block.echoes, self._settings.pieces))
             tables.append(table.assign(vehicle=number))
             cut = (block.begins and each.step[0] == block.first_step) or (
                 block.ends and each.step[-1] == block.last_step
@@ -150,14 +149,16 @@ class PieceMaker:
         return table, route.lanelets(graph)
 
 
-def _off_lanes(table: pd.DataFrame, motion: Motion, echoes: Echoes) -> pd.DataFrame:
+def _off_lanes(
+    table: pd.DataFrame, motion: Motion, echoes: Echoes, settings: PieceSettings
+) -> pd.DataFrame:
     """Return for each sensor that sees a vehicle whether it drives mostly on no lanelet."""
     step = (echoes.time[motion.rows] / STEP_S).astype(np.int64) - int(table["step"].iloc[0])
     inside = (step >= 0) & (step < len(table))
     step, rows = step[inside], motion.rows[inside]
     off = table["lanelet_id"].isna().to_numpy()[step]
     found = pd.DataFrame({"sensor": echoes.sensor[rows], "off": off})
-    drives = table["speed"].to_numpy()[step] > DRIVES_MPS
+    drives = table["speed"].to_numpy()[step] > settings.through_mps
     return (found[drives].groupby("sensor")["off"].mean() > 0.5).reset_index()
 
 

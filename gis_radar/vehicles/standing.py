@@ -18,8 +18,8 @@ from scipy.ndimage import uniform_filter1d
 
 from gis_radar.arrays import Booleans, Floats, Integers, compiled
 from gis_radar.vehicles.echoes import Echoes
+from gis_radar.vehicles.life_settings import StandingSettings
 from gis_radar.vehicles.motion import Motion
-from gis_radar.vehicles.settings import StandingSettings
 from gis_radar.vehicles.size import LONGEST_M, length_prior
 from gis_radar.vehicles.strips import NONE
 from gis_radar.vehicles.sweeps import CELLS, Sweeps

@@ -10,8 +10,8 @@ import numpy as np
 from gis_radar.arrays import Floats, nearest
 from gis_radar.steps import STEPS_PER_SECOND
 from gis_radar.vehicles.echoes import Echoes
+from gis_radar.vehicles.life_settings import StandingSettings
 from gis_radar.vehicles.motion import Motion
-from gis_radar.vehicles.settings import StandingSettings
 from gis_radar.vehicles.strips import Strips
 
 CELLS = 100_000  # of a strip, more than the longest has

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from gis_radar.arrays import Floats
-from gis_radar.vehicles.settings import TallSettings
+from gis_radar.vehicles.life_settings import TallSettings
 
 
 def tall_odds(height_m: Floats, range_m: Floats, settings: TallSettings) -> float:
