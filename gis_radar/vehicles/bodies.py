@@ -271,6 +271,7 @@ def is_person(echoes: Echoes, motions: list[Motion], settings: BodySettings) -> 
     person = (weak & (table["fast"] < settings.cyclist_mps)) | (
         weaker & (table["fast"] < settings.walker_mps)
     )
+    person |= table["rcs"] < usual - settings.faint_db
     return [bool(each) for each in person]
 
 

@@ -173,6 +173,8 @@ class BodySettings:
     person_db, walker_db : float
         By how much they return less than vehicles: cyclists and walkers are 7 to 12 dB weaker;
         creeping cars are as strong as cars.
+    faint_db : float
+        What returns so much less is no vehicle, however fast: persons followed with a passing one.
     """
 
     seen_s: float = 0.35
@@ -198,6 +200,7 @@ class BodySettings:
     walker_mps: float = 2.5
     person_db: float = 5.0
     walker_db: float = 3.0
+    faint_db: float = 9.0
 
 
 @dataclass(frozen=True, kw_only=True)
