@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from gis_radar.lanelets.graph import LaneGraph
 from gis_radar.vehicles.detectability import Detectability, Occluders
-from gis_radar.vehicles.doubles import distinct_stands, join_tall
+from gis_radar.vehicles.doubles import distinct_stands, join_tall, without_doubles
 from gis_radar.vehicles.echoes import Echoes
 from gis_radar.vehicles.forward import ForwardFilter
 from gis_radar.vehicles.life_settings import (
@@ -14,15 +16,16 @@ from gis_radar.vehicles.life_settings import (
     StandingSettings,
     TallSettings,
 )
+from gis_radar.vehicles.links import Part, chains
 from gis_radar.vehicles.lives import _as_strong
-from gis_radar.vehicles.motion import Motion, Path
-from gis_radar.vehicles.resting import unbroken
+from gis_radar.vehicles.motion import Motion, Path, fit_motion
+from gis_radar.vehicles.resting import unbroken, with_rest
 from gis_radar.vehicles.settings import ForwardSettings, MotionSettings, VehicleSettings
 from gis_radar.vehicles.size import size_of
 from gis_radar.vehicles.standing import Stand, not_built
 from gis_radar.vehicles.strips import Strips
 from gis_radar.vehicles.sweeps import Sweeps
-from gis_radar.vehicles.tall import tall_odds
+from gis_radar.vehicles.tall import one_tall_odds, tall_odds
 
 BEGIN = 1_700_000_000.0
 RATE = 20
@@ -232,6 +235,124 @@ def test_a_detection_on_lanes_that_overlap_counts_once_for_a_new_vehicle(lanes):
     three, _ = ForwardFilter(road_of(lanes), ForwardSettings()).push(echoes)
     assert two.tolist() == [-1, -1]
     assert three.tolist() == [0, 0, 0]
+
+
+def setting_off(fixed):
+    """Return detections of one that sets off after 40 s along x = 50 m, or of what is fixed there.
+
+    Detections of the place come all 60 s if they are fixed, else until it has left.
+    """
+    still = np.arange(0.0, 60.0 if fixed else 40.0, 0.2)
+    moving = np.arange(40.05, 50.0, 0.05)
+    time = np.concatenate([still, moving])
+    x = np.concatenate([np.full(len(still), 50.0), 50.0 + (moving - 40.0) ** 2])
+    order = np.argsort(time, kind="stable")
+    echoes = echoes_at(time[order], np.column_stack([x[order], np.zeros(len(time))]))
+    drives = (order >= len(still)).nonzero()[0]
+    echoes.range_rate[:] = 0.0
+    echoes.range_rate[drives] = 2.0 * (echoes.time[drives] - 40.0)
+    return echoes, drives
+
+
+@pytest.mark.parametrize("fixed", [False, True])
+def test_who_sets_off_stood_before_unless_its_place_returns_without_it(fixed):
+    echoes, drives = setting_off(fixed)
+    states = np.zeros((len(echoes), 6))
+    states[:, 0], states[:, 3] = echoes.points[:, 0], echoes.range_rate
+    motion = fit_motion(echoes, drives, states, MotionSettings())
+    free = np.abs(echoes.range_rate) < 0.15
+    free[drives] = False
+    sweeps = Sweeps.of([], echoes, Strips.of(road_of(1)), StandingSettings())
+    seen = Detectability.learned(echoes, [], DetectabilitySettings())
+    whole = with_rest(0, motion, echoes, free, states, sweeps, seen, VehicleSettings())
+    begin = whole.first_step / RATE
+    assert begin > 39.0 if fixed else begin < 1.0
+
+
+def lasting(x, seconds, rows, begin=0.0):
+    """Return a vehicle that drives along y = 0 from x at 10 m/s, with so many detections."""
+    count = int(seconds * RATE)
+    return Motion(
+        rows=np.arange(rows), path=Path(np.column_stack([np.arange(-200.0, 600.0), np.zeros(800)])),
+        first_step=int(begin * RATE), s_m=200.0 + x + 0.5 * np.arange(count),
+        speed=np.full(count, 10.0), var_s=np.ones(count), length_m=4.5, width_m=1.8,
+        length_sigma_m=0.5, p_heavy=0.0, along_m=np.zeros(rows), left_m=np.zeros(rows),
+    )  # fmt: skip
+
+
+def test_a_stretch_of_a_life_on_another_vehicle_is_that_ones():
+    time = np.arange(0.0, 30.0, 0.05)
+    echoes = echoes_at(time, np.zeros((len(time), 2)) + 1.0)
+    strong, weak = lasting(0.0, 10.0, 200), lasting(1.0, 30.0, 600)
+    weak.rows = np.arange(0, 600, 6)
+    weak.along_m = weak.left_m = np.zeros(100)
+    one, other = without_doubles([strong, weak], echoes, VehicleSettings())
+    assert one is strong
+    assert other.first_step == pytest.approx(10.0 * RATE, abs=RATE // 2)
+    assert other.last_step == weak.last_step
+    assert echoes.time[other.rows].min() >= 9.9
+    apart = lasting(20.0, 30.0, 100)
+    assert without_doubles([strong, apart], echoes, VehicleSettings()) == [strong, apart]
+
+
+@given(step=st.tuples(st.integers(-50, 700), st.integers(-50, 700)))
+def test_a_part_of_a_motion_is_where_the_whole_is(step):
+    time = np.arange(0.0, 30.0, 0.05)
+    whole = lasting(0.0, 30.0, 600)
+    first, last = min(step), max(step)
+    part = whole.between(first, last, time)
+    inside = (np.arange(600) >= first) & (np.arange(600) <= last)
+    if not inside.any():
+        assert part is None
+        return
+    assert part.rows.tolist() == np.flatnonzero(inside).tolist()
+    assert part.at(time[inside])[0] == pytest.approx(whole.at(time[inside])[0])
+
+
+@given(odds=st.tuples(st.floats(-4.0, 4.0), st.floats(-4.0, 4.0)), more=st.floats(0.0, 2.0))
+def test_one_lorry_needs_two_tall_parts(odds, more):
+    settings = TallSettings()
+    given = one_tall_odds(odds, settings)
+    assert one_tall_odds((odds[1], odds[0]), settings) == pytest.approx(given)
+    assert one_tall_odds((odds[0] + more, odds[1]), settings) >= given
+    assert one_tall_odds((4.0, -3.0), settings) < 0.0 < one_tall_odds((2.0, 2.0), settings)
+
+
+def part(begin, end, places, speeds, *, stands=False):
+    return Part(
+        time=np.array([begin, end]), place=np.array([[x, 0.0] for x in places]),
+        heading=np.zeros(2), speed=np.array(speeds, float), stands=stands,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("other", "follows"),
+    [
+        (part(12.0, 20.0, (70.0, 150.0), (10.0, 10.0)), True),  # drove on for 2 s
+        (part(12.0, 20.0, (56.0, 150.0), (10.0, 10.0)), False),  # 6 m in 2 s between 10 m/s
+        (part(18.0, 20.0, (130.0, 150.0), (10.0, 10.0)), False),  # missed for too long
+        (part(12.0, 20.0, (40.0, 150.0), (10.0, 10.0)), False),  # behind
+        (part(12.0, 20.0, (70.0, 70.0), (0.0, 0.0), stands=True), False),  # from 10 m/s to none
+    ],
+)
+def test_who_drove_on_unseen_is_one(other, follows, learned):
+    sweeps = Sweeps.of([], echoes_at(np.zeros(1), np.ones((1, 2))), Strips.of(road_of(1)),
+                       StandingSettings())  # fmt: skip
+    one = part(0.0, 10.0, (0.0, 50.0), (10.0, 10.0))
+    found = chains([one, other], sweeps, learned, VehicleSettings())
+    assert found == ([[0, 1]] if follows else [[0], [1]])
+
+
+@pytest.mark.parametrize(("driven_over", "follows"), [(False, True), (True, False)])
+def test_who_waited_is_one_unless_its_place_was_driven_over(driven_over, follows, learned):
+    one = part(0.0, 10.0, (0.0, 50.0), (10.0, 0.5))
+    other = part(40.0, 50.0, (51.0, 150.0), (0.5, 10.0))
+    time = np.arange(0.0, 60.0, 0.05)
+    over = [lasting(-150.0, 30.0, 600)] if driven_over else []
+    echoes = echoes_at(time, np.ones((len(time), 2)))
+    sweeps = Sweeps.of(over, echoes, Strips.of(road_of(1)), StandingSettings())
+    found = chains([one, other], sweeps, learned, VehicleSettings())
+    assert found == ([[0, 1]] if follows else [[0], [1]])
 
 
 def stopping_at(*stops):

@@ -79,19 +79,20 @@ def test_most_moving_vehicles_near_the_sensors_are_followed(whole):
     rows = truth[near & vehicle & (truth["speed"] > 3.0)].iloc[::20]
     by_step = dict(iter(pd.concat(whole.tracks()).groupby("step")))
     seen = moving_detections()
-    hit = []
+    hit, detected = [], []
     for row in rows.itertuples():
         place = np.array([row.easting, row.northing])
         now = seen[np.abs(seen[:, 0] - row.t) < 0.25, 1:]
-        if (np.hypot(*(now - place).T) < 0.5 * row.length + 1.0).sum() < 3:
-            continue  # behind a house, or missed by both
+        # else it is behind a house, or missed by both
+        detected.append((np.hypot(*(now - place).T) < 0.5 * row.length + 1.0).sum() >= 3)
         at = by_step.get(round(row.t * 20))
         apart = np.inf if at is None else np.hypot(
             at["easting"] - row.easting, at["northing"] - row.northing
         ).min()  # fmt: skip
         hit.append(apart < 4.0)
-    assert len(hit) > 200
-    assert np.mean(hit) > 0.85
+    assert sum(detected) > 200
+    assert np.mean(hit) > 0.7
+    assert np.mean(np.array(hit)[detected]) > 0.85
 
 
 def test_blocks_neither_lose_nor_double_coverage(site, whole):

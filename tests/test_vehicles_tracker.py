@@ -13,7 +13,7 @@ from gis_radar.vehicles.bodies import join_directions
 from gis_radar.vehicles.echoes import Echoes
 from gis_radar.vehicles.forward import ForwardFilter
 from gis_radar.vehicles.life_settings import StandingSettings
-from gis_radar.vehicles.motion import Path
+from gis_radar.vehicles.motion import Path, path_through
 from gis_radar.vehicles.settings import VehicleSettings
 from gis_radar.vehicles.standing import pack
 from gis_radar.vehicles.strips import NONE, Strips
@@ -102,6 +102,67 @@ def test_the_filter_follows_one_vehicle_from_end_to_end(straight):
     assert set(number.tolist()) <= {NONE, 0}
     assert (number == 0).mean() > 0.95
     assert state[number == 0][50:, 3] == pytest.approx(12.0, abs=0.5)
+
+
+@pytest.fixture(scope="module")
+def fork():
+    """Return a lanelet that goes on straight, and to the left through a quarter of a circle."""
+    bend = np.linspace(0.0, np.pi / 2, 30)
+    left = [(100 + 15 * np.sin(a), 15 - 15 * np.cos(a)) for a in bend]
+    return lane_graph(
+        lanelets(
+            (1, [(0, 0), (100, 0)], 3.5, [2, 3]),
+            (2, [(100, 0), (200, 0)], 3.5, []),
+            (3, [*left, (115, 115)], 3.5, []),
+        )
+    )
+
+
+@pytest.mark.parametrize("turns", [False, True])
+def test_where_lanes_fork_the_filter_follows_the_branch_that_was_taken(fork, turns):
+    rng = np.random.default_rng(3)
+    s = np.arange(60.0, 160.0, 0.4)  # 8 m/s
+    angle = np.clip((s - 100.0) / 15.0, 0.0, np.pi / 2) * turns
+    after = np.maximum(s - 100.0 - 15.0 * np.pi / 2, 0.0) * turns
+    east = np.minimum(s, 100.0) + 15.0 * np.sin(angle) if turns else s
+    true = np.column_stack([east, 15.0 * (1.0 - np.cos(angle)) + after])
+    way = np.column_stack([np.cos(angle), np.sin(angle)])
+    eye = np.array([20.0, -20.0])
+    sight = (true - eye) / np.hypot(*(true - eye).T)[:, None]
+    rate = 8.0 * (sight * way).sum(axis=1)
+    points = true + rng.normal(0.0, 0.2, true.shape) - fork.origin
+    echoes = echoes_at(1e9 + (s - 60.0) / 8.0, points, rate, eye - fork.origin)
+    number, state = ForwardFilter(fork, SETTINGS.forward).push(echoes)
+    assert set(number[10:].tolist()) == {0}
+    away = state[10:, :2] + fork.origin - true[10:]
+    assert np.hypot(*away.T).max() < 2.0  # also where the lanes still lie on each other
+    off = np.angle(np.exp(1j * (state[10:, 2] - angle[10:])))
+    assert np.abs(off).max() < 0.4
+
+
+def test_of_branches_only_the_best_is_a_body(fork):
+    s = np.arange(60.0, 104.0, 0.4)
+    points = np.column_stack([s, np.zeros(len(s))]) - fork.origin
+    eye = np.array([-50.0, 0.0]) - fork.origin
+    echoes = echoes_at(1e9 + (s - 60.0) / 8.0, points, np.full(len(s), 8.0), eye)
+    forward = ForwardFilter(fork, SETTINGS.forward)
+    forward.push(echoes)
+    assert forward.bodies.shape == (1, 6)
+
+
+@settings(deadline=None, max_examples=30)
+@given(k=st.integers(5, 95), heading=st.floats(0.8, 5.4))
+def test_a_state_off_the_way_that_a_vehicle_can_turn_makes_no_loop(k, heading):
+    x = np.arange(0.0, 100.0)
+    states = np.column_stack([x, np.zeros(100), np.zeros(100)])
+    way = np.array([np.cos(heading), np.sin(heading)])
+    states[k] = [*(states[k - 1, :2] + 1.5 * way), heading]
+    path, along = path_through(states, 1.0)
+    places, headings = path.at(np.arange(15.0, path.s_m[-1] - 15.0))
+    assert np.abs(places[:, 1]).max() < 0.5
+    assert np.abs(headings).max() < 0.3
+    assert np.all(np.diff(along) >= 0.0)
+    assert path.at(along)[0][:, 0] == pytest.approx(x, abs=2.5)
 
 
 def test_numbers_of_both_directions_become_one():

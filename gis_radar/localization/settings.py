@@ -1,8 +1,4 @@
-"""Settings of the localization: every constant of its algorithms, with unit and reason.
-
-What is assumed of vehicles and radars is not here but in :mod:`gis_radar.localization.model`: those
-constants carry an uncertainty that enters an answer's covariance.
-"""
+"""Settings of the localization: constants of its algorithms; those of the world are in `model`."""
 
 from __future__ import annotations
 

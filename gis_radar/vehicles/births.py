@@ -46,7 +46,7 @@ FASTEST_MPS = 60.0
 
 
 @compiled
-def turn(to: float, since: float) -> float:  # pragma: no cover - compiled
+def turned(to: float, since: float) -> float:  # pragma: no cover - compiled
     """Return a turn between two headings, within half a circle."""
     return (to - since + np.pi) % (2.0 * np.pi) - np.pi
 
@@ -119,8 +119,8 @@ def _agreeing(
     c, s = np.cos(heading), np.sin(heading)
     for j in range(count - 1, -1, -1):
         wait = waiting[j]
-        turned = abs(turn(wait[WAIT_HEADING], heading)) > 0.5
-        if turned or abs(wait[WAIT_SPEED] - speed) > 1.0 + 0.08 * speed:
+        away = abs(turned(wait[WAIT_HEADING], heading)) > 0.5
+        if away or abs(wait[WAIT_SPEED] - speed) > 1.0 + 0.08 * speed:
             continue
         dx, dy = echo[0] - wait[X], echo[1] - wait[Y]
         way = 0.5 * (wait[WAIT_SPEED] + speed) * (echo[6] - wait[WAIT_TIME])

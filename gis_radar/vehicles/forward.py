@@ -17,7 +17,7 @@ import numpy as np
 
 from gis_radar.arrays import Floats, Integers, compiled
 from gis_radar.lanelets.graph import FieldArrays, LaneGraph, lanes_at
-from gis_radar.vehicles.births import begin, turn
+from gis_radar.vehicles.births import begin, turned
 from gis_radar.vehicles.columns import (
     ACCEL,
     ACROSS,
@@ -239,7 +239,7 @@ def _fork(
             continue
         if (
             abs(lanes[j, LEFT]) > lanes[j, HALF]
-            or abs(turn(lanes[j, TOWARDS], body[HEADING])) > 0.5
+            or abs(turned(lanes[j, TOWARDS], body[HEADING])) > 0.5
         ):
             continue
         new = counts[BRANCHES] - counts[BASE]
@@ -296,9 +296,9 @@ def _predict(
     if here >= 0.0 and abs(step) > 0.0:
         there, ahead, found = _lane_of(body[X], body[Y], way, here, lanes, field)
         if there >= 0.0:
-            body[HEADING] += turn(ahead, way)
+            body[HEADING] += turned(ahead, way)
             # towards the lane's direction, within the way in which a driver straightens up
-            body[HEADING] += turn(ahead, body[HEADING]) * min(abs(step) / 15.0, 1.0)
+            body[HEADING] += turned(ahead, body[HEADING]) * min(abs(step) / 15.0, 1.0)
         new = found if there >= 0.0 and there != body[FOLLOWED] else 0
         body[FOLLOWED] = there
     accel = limits[ACCEL]
@@ -318,7 +318,7 @@ def _lane_of(
     best, lane, towards = 1e9, -1.0, heading
     found = lanes_at(x, y, field, lanes)
     for k in range(found):
-        off = abs(turn(lanes[k, TOWARDS], heading))
+        off = abs(turned(lanes[k, TOWARDS], heading))
         cost = off / 0.25 + abs(lanes[k, LEFT]) / 1.5
         if lanes[k, LANE] == before:
             cost -= 2.0
