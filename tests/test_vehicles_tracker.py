@@ -10,13 +10,14 @@ from hypothesis import strategies as st
 import gis_radar as gr
 from gis_radar.lanelets.graph import lane_graph
 from gis_radar.vehicles.bodies import join_directions
+from gis_radar.vehicles.columns import NONE
 from gis_radar.vehicles.echoes import Echoes
 from gis_radar.vehicles.forward import ForwardFilter
 from gis_radar.vehicles.life_settings import StandingSettings
 from gis_radar.vehicles.motion import Path, path_through
 from gis_radar.vehicles.settings import VehicleSettings
 from gis_radar.vehicles.standing import pack
-from gis_radar.vehicles.strips import NONE, Strips
+from gis_radar.vehicles.strips import Strips
 from gis_radar.vehicles.tracker import vehicles_in
 
 SETTINGS = VehicleSettings()

@@ -14,12 +14,12 @@ from scipy.optimize import linear_sum_assignment
 
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.steps import STEPS_PER_SECOND
+from gis_radar.vehicles.columns import NONE
 from gis_radar.vehicles.detectability import Detectability
 from gis_radar.vehicles.life_settings import DetectabilitySettings, LinkSettings
 from gis_radar.vehicles.motion import Motion
 from gis_radar.vehicles.settings import VehicleSettings
 from gis_radar.vehicles.standing import Stand
-from gis_radar.vehicles.strips import NONE
 from gis_radar.vehicles.sweeps import Sweeps
 
 END_STEPS = 10  # half a second tells the speed at an end

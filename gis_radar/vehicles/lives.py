@@ -15,6 +15,7 @@ from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.lanelets.graph import LaneGraph
 from gis_radar.steps import STEPS_PER_SECOND
 from gis_radar.vehicles.bodies import usual_rcs
+from gis_radar.vehicles.columns import NONE
 from gis_radar.vehicles.detectability import Detectability, Occluders
 from gis_radar.vehicles.doubles import distinct_stands, join_tall
 from gis_radar.vehicles.echoes import Echoes
@@ -23,7 +24,7 @@ from gis_radar.vehicles.motion import Motion, Path, fit_motion
 from gis_radar.vehicles.resting import with_rest
 from gis_radar.vehicles.settings import VehicleSettings
 from gis_radar.vehicles.standing import Stand, find_stands, not_built
-from gis_radar.vehicles.strips import NONE, Strips
+from gis_radar.vehicles.strips import Strips
 from gis_radar.vehicles.sweeps import Sweeps
 
 

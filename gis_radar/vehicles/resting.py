@@ -6,11 +6,11 @@ import numpy as np
 
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.steps import STEPS_PER_SECOND
+from gis_radar.vehicles.columns import NONE
 from gis_radar.vehicles.detectability import Detectability
 from gis_radar.vehicles.echoes import Echoes
 from gis_radar.vehicles.motion import Motion, fit_motion
 from gis_radar.vehicles.settings import VehicleSettings
-from gis_radar.vehicles.strips import NONE
 from gis_radar.vehicles.sweeps import Sweeps
 
 

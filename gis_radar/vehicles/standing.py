@@ -17,11 +17,11 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from gis_radar.arrays import Booleans, Floats, Integers, compiled
+from gis_radar.vehicles.columns import NONE
 from gis_radar.vehicles.echoes import Echoes
 from gis_radar.vehicles.life_settings import StandingSettings
 from gis_radar.vehicles.motion import Motion
 from gis_radar.vehicles.size import LONGEST_M, length_prior
-from gis_radar.vehicles.strips import NONE
 from gis_radar.vehicles.sweeps import CELLS, Sweeps
 
 FRONT, REAR, SIDE = range(3)  # what of a vehicle a sensor looks at

@@ -8,8 +8,8 @@ import numpy as np
 
 from gis_radar.arrays import Floats, Integers
 from gis_radar.lanelets.graph import LaneGraph
+from gis_radar.vehicles.columns import NONE
 
-NONE = -1
 ROOM_M = 0.6  # a point so far from the edge of a lane is well inside of it
 
 
