@@ -12,7 +12,8 @@ from scipy.spatial import cKDTree
 
 from gis_radar.arrays import Booleans, Floats, Integers, compiled
 from gis_radar.errors import NoAnswerError
-from gis_radar.localization.settings import DEFAULTS, LaneSettings
+from gis_radar.localization.settings import DEFAULTS
+from gis_radar.localization.trace_settings import LaneSettings
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,8 @@ import numpy as np
 import pandas as pd
 
 from gis_radar.arrays import Booleans, Floats, Integers, compiled
-from gis_radar.localization.settings import DEFAULTS, TraceSettings
+from gis_radar.localization.settings import DEFAULTS
+from gis_radar.localization.trace_settings import TraceSettings
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import RollingWindow, open_recording
 

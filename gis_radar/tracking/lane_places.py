@@ -9,8 +9,8 @@ from scipy.spatial import cKDTree
 
 from gis_radar.arrays import Booleans, Floats, Integers, compiled
 from gis_radar.localization.lanes import Lanes, direction_bin
-from gis_radar.localization.settings import TraceSettings
 from gis_radar.localization.state import State
+from gis_radar.localization.trace_settings import TraceSettings
 from gis_radar.localization.traces import NONE, Moving, link_tracks
 from gis_radar.tracking.settings import ALARM, AlarmSettings
 

@@ -18,9 +18,10 @@ from gis_radar.localization.lanes import Lanes
 from gis_radar.localization.matching import Scene
 from gis_radar.localization.model import MODEL
 from gis_radar.localization.result import Problem
-from gis_radar.localization.settings import Schedule, TraceSettings
+from gis_radar.localization.settings import Schedule
 from gis_radar.localization.solver import Fit, Prior, cost_at, solve
 from gis_radar.localization.state import POSE, REFLECTION, SIZE, State
+from gis_radar.localization.trace_settings import TraceSettings
 from gis_radar.localization.traces import Moving, Samples, link_tracks, thin
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.tracking.filter import Estimate, Measurement, covariance_from_angles
