@@ -253,7 +253,7 @@ def merge_states(number: Integers, states: tuple[Floats, Floats], joined: Intege
 
 
 def is_person(echoes: Echoes, motions: list[Motion], settings: BodySettings) -> list[bool]:
-    """Tell of each motion whether it is of a walker or a cyclist: slow, and weaker than vehicles.
+    """Tell of each motion whether it is of a walker or a cyclist: slow and weaker, or far weaker.
 
     What vehicles return is taken from those that drive fast in the same recordings, since radars
     state cross sections on scales of their own.

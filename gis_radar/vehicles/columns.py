@@ -7,7 +7,7 @@ NONE = -1
 # Of a body: of several branches where lanes fork, a row each.
 X, Y, HEADING, SPEED, FRONT, REAR = range(6)
 VAR_S, COV_SV, VAR_V, VAR_D, LAST, TIME, NUMBER, HITS = range(6, 14)
-FOLLOWED, BRANCH, MISFIT, COLUMNS = range(14, 18)
+FOLLOWED, BRANCH, MISFIT, SINCE_M, COLUMNS = range(14, 19)  # SINCE_M: way since it forked
 # Of a waiting detection: place, speed along a lane, its heading, time, row.
 WAIT_SPEED, WAIT_HEADING, WAIT_TIME, WAIT_ROW, WAIT_COLUMNS = range(2, 7)
 # Of what lanes_at finds.

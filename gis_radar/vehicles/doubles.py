@@ -126,7 +126,8 @@ def without_doubles(
     """Return the motions without what lies on a better supported one.
 
     Two vehicles are never in one place; one that two sensors see, or whose ends are seen apart, may
-    be followed twice. One that lies on others for most of its life goes, of another the stretches.
+    be followed twice. One that lies on others for most of its life goes; of another its begin or
+    end, if that does.
 
     Parameters
     ----------
@@ -143,19 +144,37 @@ def without_doubles(
     steps = [set(each[0].tolist()) for each in samples]
     boxes = [np.stack([each[1].min(axis=0), each[1].max(axis=0)]) for each in samples]
     kept: list[tuple[int, Motion]] = []
-    heads: list[int] = []
+    own: dict[int, Booleans] = {}  # of those before: in which half seconds they lie on none
     for k in order:
         on = np.zeros(len(samples[k][0]), np.bool_)
-        for other in heads:
+        for other, left in own.items():
             apart = np.maximum(boxes[k][0] - boxes[other][1], boxes[other][0] - boxes[k][1])
             if (apart > limits.near_m).any() or steps[k].isdisjoint(steps[other]):
                 continue
-            on |= _lies_on(motions[k], samples[k], motions[other], samples[other])
+            theirs = (samples[other][0][left], samples[other][1][left], samples[other][2][left])
+            on |= _lies_on(motions[k], samples[k], motions[other], theirs)
         if on.mean() >= limits.double_share:
             continue
-        heads.append(k)
-        kept += [(k, each) for each in _apart(motions[k], samples[k][0], on, echoes, settings)]
+        first, last = _alone(on, limits.double_halves)
+        half = samples[k][0]
+        own[k] = (half >= half[first]) & (half <= half[last])
+        part = motions[k]
+        if first > 0 or last < len(half) - 1:
+            begin = half[first] * HALF_STEPS if first > 0 else part.first_step
+            end = (half[last] + 1) * HALF_STEPS - 1 if last < len(half) - 1 else part.last_step
+            cut = part.between(int(begin), min(int(end), part.last_step), echoes.time)
+            if cut is None or len(cut.rows) < settings.bodies.least_rows:
+                continue
+            part = cut
+        kept.append((k, part))
     return [each for _, each in sorted(kept, key=lambda pair: pair[0])]
+
+
+def _alone(on: Booleans, least: int) -> tuple[int, int]:
+    """Return the first and last place that is left without longer runs at either end."""
+    off = np.flatnonzero(~on)
+    first, last = int(off[0]), int(off[-1])
+    return first if first >= least else 0, last if len(on) - 1 - last >= least else len(on) - 1
 
 
 def _lies_on(
@@ -171,23 +190,3 @@ def _lies_on(
     found = np.zeros(len(mine[0]), np.bool_)
     found[own] = (np.abs(along) < reach) & (np.abs(left) < BESIDE_M)
     return found
-
-
-def _apart(
-    motion: Motion, half: Integers, on: Booleans, echoes: Echoes, settings: VehicleSettings
-) -> list[Motion]:
-    """Return a motion without the longer stretches in which it lies on another one."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], on.astype(np.int64), [0]])))
-    spans = [
-        (half[a], half[b - 1]) for a, b in edges.reshape(-1, 2).tolist()
-        if half[b - 1] - half[a] >= settings.lives.double_halves
-    ]  # fmt: skip
-    if not spans:
-        return [motion]
-    first, parts = motion.first_step, []
-    for begin, end in [*spans, (motion.last_step // HALF_STEPS + 1, 0)]:
-        part = motion.between(first, min(begin * HALF_STEPS - 1, motion.last_step), echoes.time)
-        if part is not None and len(part.rows) >= settings.bodies.least_rows:
-            parts.append(part)
-        first = (end + 1) * HALF_STEPS
-    return parts

@@ -52,6 +52,7 @@ from gis_radar.vehicles.columns import (
     RATE,
     REAR,
     SIDEWAYS,
+    SINCE_M,
     SPEED,
     STAND_S,
     STANDING,
@@ -74,8 +75,10 @@ SPARE = 1024  # branches more than detections
 MOST_M = 30.0  # from the point of a body to any part of it, and what it may be off
 WIDE_M = 1.0  # half a vehicle
 FORK_M = 3.0  # from the begin of a lane: those that begin here are branches of a fork
-# By how much a branch may fit worse than another one, and a detection count: squares of sigma.
-MOST_MISFIT, LEAST_TOLD = 24.0, 4.0
+ONE_WAY_M, NEAR_M = 30.0, 1.0  # branches so near each other so long after are of one way
+# By how much a branch may fit worse than another one, and what one detection counts at most, both
+# squares of sigma: six outliers do not end a branch.
+MOST_MISFIT, MOST_TOLD = 24.0, 4.0
 
 
 # The branch of each detection; of each branch the one before it and the detection at which it left
@@ -124,7 +127,7 @@ class ForwardFilter:
             that a vehicle began with carry its number where they are among these.
         state : (n, 6) array
             East, north, heading, speed, and the reach to front and rear of that vehicle, corrected
-            by this detection.
+            by this detection: of the branch that it took by the end of these detections.
         """
         number, state = np.full(len(echoes), NONE, np.int64), np.zeros((len(echoes), 6))
         seen = np.column_stack(
@@ -192,7 +195,8 @@ def _follow(
             begun = begin(i, seen[i], limits, bodies, waiting, counts, born, lanes, field)
             if begun == 0:
                 continue
-            body = bodies[before]
+            born_as = bodies[before : counts[ALIVE]]
+            body = born_as[np.argmin(born_as[:, MISFIT])]
             for k in range(begun):
                 row = born[k]
                 lapse = now - seen[row, 6]
@@ -252,6 +256,7 @@ def _fork(
             bodies[counts[ALIVE], FOLLOWED] = lanes[j, LANE]
             bodies[counts[ALIVE], BRANCH] = counts[BRANCHES]
             lineage[new, 0], lineage[new, 1] = int(body[BRANCH]), row
+            body[SINCE_M] = bodies[counts[ALIVE], SINCE_M] = 0.0
             counts[BRANCHES] += 1
             counts[ALIVE] += 1
 
@@ -266,7 +271,8 @@ def _forget_branches(bodies: Floats, counts: Integers) -> None:  # pragma: no co
             if other == k or bodies[other, NUMBER] != bodies[k, NUMBER]:
                 continue
             more = bodies[k, MISFIT] - bodies[other, MISFIT]
-            same = bodies[k, FOLLOWED] == bodies[other, FOLLOWED]
+            same = bodies[k, FOLLOWED] >= 0.0 and bodies[k, FOLLOWED] == bodies[other, FOLLOWED]
+            same = same or _is_one_way(bodies[k], bodies[other])
             worse = (
                 worse
                 or more > MOST_MISFIT
@@ -280,6 +286,13 @@ def _forget_branches(bodies: Floats, counts: Integers) -> None:  # pragma: no co
 
 
 @compiled
+def _is_one_way(one: Floats, other: Floats) -> bool:  # pragma: no cover - compiled
+    """Tell whether two branches still lie on each other, long after they forked."""
+    apart = np.hypot(one[X] - other[X], one[Y] - other[Y])
+    return bool(min(one[SINCE_M], other[SINCE_M]) > ONE_WAY_M and apart < NEAR_M)
+
+
+@compiled
 def _predict(
     body: Floats, time: float, limits: Floats, lanes: Floats, field: FieldArrays
 ) -> int:  # pragma: no cover - compiled
@@ -289,6 +302,7 @@ def _predict(
         return 0
     body[TIME] = time
     step = body[SPEED] * lapse
+    body[SINCE_M] += abs(step)
     here, way, _ = _lane_of(body[X], body[Y], body[HEADING], body[FOLLOWED], lanes, field)
     body[X] += step * np.cos(body[HEADING])
     body[Y] += step * np.sin(body[HEADING])
@@ -378,16 +392,16 @@ def _correct_branches(
     kept: Floats,
 ) -> int:  # fmt: skip  # pragma: no cover - compiled
     """Correct all branches of a body that a detection fits, keep their states; return the best."""
-    best, first = chosen, counts[KEPT]
+    best, least, first = chosen, np.inf, counts[KEPT]
     for k in range(counts[ALIVE]):
         if bodies[k, NUMBER] != bodies[chosen, NUMBER]:
             continue
         cost = _misfit(echo, bodies[k], limits)
-        bodies[k, MISFIT] += min(cost, LEAST_TOLD)
+        bodies[k, MISFIT] += min(cost, MOST_TOLD)
         if cost < np.inf:
             _correct(bodies[k], echo, limits)
-            if bodies[k, MISFIT] < bodies[best, MISFIT]:
-                best = k
+            if bodies[k, MISFIT] < least:
+                best, least = k, bodies[k, MISFIT]
         if counts[KEPT] < len(kept):
             kept[counts[KEPT], 0], kept[counts[KEPT], 1] = row, bodies[k, BRANCH]
             kept[counts[KEPT], 2:] = bodies[k, : REAR + 1]
@@ -409,7 +423,7 @@ def _take_last(
         if number[i] == NONE:
             continue
         taken = branch[i] if last[number[i]] == NONE else last[number[i]]
-        while taken >= base and lineage[taken - base, 1] > i:
+        while base <= taken < base + len(lineage) and lineage[taken - base, 1] > i:
             taken = lineage[taken - base, 0]
         last[number[i]] = taken
         while k >= 0 and kept[k, 0] > i:

@@ -163,7 +163,8 @@ class LifeSettings:
     double_share : float
         Who lies on another vehicle for such a share of its life is that one.
     double_halves : int
-        So many half seconds at a time of another's life are that one's: places are off for less.
+        Who lies on another for so many half seconds at its begin or end is that one then: places
+        are off for less.
     least_moving, least_way_m : int, float
         A vehicle has so many moving detections and made so much way, or is a false return.
     alone_s, alone_rows : float, int

@@ -118,7 +118,7 @@ def _is_missed(
 
 @dataclass(frozen=True, kw_only=True)
 class _Ends:
-    """Begins of all parts, as seen from the end of one: lapse, along, left, way, turn, speed."""
+    """Begins of all parts, as seen from the end of one: lapse, along, left, apart, turn, speed."""
 
     lapse: Floats
     along: Floats

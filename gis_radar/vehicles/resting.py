@@ -56,7 +56,9 @@ def with_rest(
         if side.any():
             ends = np.sort([span[at], float(echoes.time[rows[side][at]])])
             due = seen.due_between(place[[at, at]], (ends[0], ends[1]), (number, NONE))
-            fixed = (ends[1] - ends[0]) * _rate_without(motion, at, echoes, free, settings)
+            fixed = (ends[1] - ends[0]) * _rate_without(
+                number, motion, at, echoes, free, seen, settings
+            )
             own, count = side.sum() - fixed, side.sum()
             if own < settings.standing.rate_share * due or own < limits.own_share * count:
                 rows, step = rows[~side], step[~side]
@@ -86,11 +88,12 @@ def _on_body(
 
 
 def _rate_without(
-    motion: Motion, at: int, echoes: Echoes, free: Booleans, settings: VehicleSettings
-) -> float:
+    number: int, motion: Motion, at: int, echoes: Echoes, free: Booleans, seen: Detectability,
+    settings: VehicleSettings,
+) -> float:  # fmt: skip
     """Return how often a second its place is detected just before it came, or after it left.
 
-    What stands there then is of the road, or of what is parked beside it.
+    What stands there then, and is no other vehicle, is of the road or is parked beside it.
     """
     limits = settings.lives
     away = np.abs(motion.s_m - motion.s_m[at]) > motion.length_m + limits.away_m
@@ -101,7 +104,15 @@ def _rate_without(
     ends = np.array([when - limits.empty_s, when] if at else [when, when + limits.empty_s])
     rows = _in_span(echoes, free, ends)
     s_m = np.full(len(rows), motion.s_m[at])
-    return float(_on_body(motion, s_m, echoes, rows, settings).sum() / limits.empty_s)
+    rows = rows[_on_body(motion, s_m, echoes, rows, settings)]
+    halves = np.arange(int(2.0 * ends[0]), int(2.0 * ends[1]) + 1)
+    others = seen.occluders.near(motion.places[0][at], halves, number, motion.length_m)
+    empty = np.setdiff1d(halves, others)
+    if len(empty) == 0:
+        return 0.0
+    return float(
+        2.0 * np.isin((2.0 * echoes.time[rows]).astype(np.int64), empty).sum() / len(empty)
+    )
 
 
 def unbroken(time: Floats, span: tuple[float, float], silence_s: float) -> slice:
