@@ -227,6 +227,17 @@ def road_of(lanes):
     )
 
 
+def test_branches_that_stay_on_each_other_are_one_way():
+    count = 5000
+    s = 0.03 * np.arange(count)
+    echoes = echoes_at(0.003 * np.arange(count), np.column_stack([10.0 + s, np.zeros(count)]))
+    forward = ForwardFilter(road_of(2), ForwardSettings())
+    number, _ = forward.push(echoes)
+    assert set(number[10:].tolist()) == {0}
+    assert len(forward.bodies) == 1
+    assert forward.branches == 1
+
+
 @pytest.mark.parametrize("lanes", [1, 2, 3])
 def test_a_detection_on_lanes_that_overlap_counts_once_for_a_new_vehicle(lanes):
     x = 50.0 + 0.5 * np.arange(3.0)
@@ -269,6 +280,21 @@ def test_who_sets_off_stood_before_unless_its_place_returns_without_it(fixed):
     assert begin > 39.0 if fixed else begin < 1.0
 
 
+def test_a_follower_that_takes_the_place_is_not_of_the_road():
+    echoes, drives = setting_off(fixed=True)
+    states = np.zeros((len(echoes), 6))
+    states[:, 0], states[:, 3] = echoes.points[:, 0], echoes.range_rate
+    motion = fit_motion(echoes, drives, states, MotionSettings())
+    free = np.abs(echoes.range_rate) < 0.15
+    free[drives] = False
+    sweeps = Sweeps.of([], echoes, Strips.of(road_of(1)), StandingSettings())
+    follower = Occluders.standing(1, (41.0, 60.0), 50.0, 0.0, 0.0, 4.5)
+    seen = Detectability.learned(echoes, [], DetectabilitySettings())
+    seen = Detectability(**{**vars(seen), "occluders": follower})
+    whole = with_rest(0, motion, echoes, free, states, sweeps, seen, VehicleSettings())
+    assert whole.first_step / RATE < 1.0
+
+
 def lasting(x, seconds, rows, begin=0.0):
     """Return a vehicle that drives along y = 0 from x at 10 m/s, with so many detections."""
     count = int(seconds * RATE)
@@ -280,7 +306,7 @@ def lasting(x, seconds, rows, begin=0.0):
     )  # fmt: skip
 
 
-def test_a_stretch_of_a_life_on_another_vehicle_is_that_ones():
+def test_the_begin_of_a_life_on_another_vehicle_is_that_ones():
     time = np.arange(0.0, 30.0, 0.05)
     echoes = echoes_at(time, np.zeros((len(time), 2)) + 1.0)
     strong, weak = lasting(0.0, 10.0, 200), lasting(1.0, 30.0, 600)
@@ -293,6 +319,23 @@ def test_a_stretch_of_a_life_on_another_vehicle_is_that_ones():
     assert echoes.time[other.rows].min() >= 9.9
     apart = lasting(20.0, 30.0, 100)
     assert without_doubles([strong, apart], echoes, VehicleSettings()) == [strong, apart]
+
+
+def test_who_lies_on_another_vehicle_in_between_stays_one():
+    time = np.arange(0.0, 30.0, 0.05)
+    echoes = echoes_at(time, np.zeros((len(time), 2)) + 1.0)
+    whole, over = lasting(0.0, 30.0, 100), lasting(100.0, 5.0, 400, begin=10.0)
+    assert without_doubles([whole, over], echoes, VehicleSettings()) == [whole, over]
+
+
+def test_what_was_cut_away_hides_no_other():
+    time = np.arange(0.0, 30.0, 0.05)
+    echoes = echoes_at(time, np.zeros((len(time), 2)) + 1.0)
+    first, second, third = lasting(0.0, 8.0, 600), lasting(3.0, 30.0, 500), lasting(6.2, 8.0, 400)
+    kept = without_doubles([first, second, third], echoes, VehicleSettings())
+    assert kept[0] is first
+    assert kept[1].first_step >= 7.5 * RATE
+    assert kept[2] is third
 
 
 @given(step=st.tuples(st.integers(-50, 700), st.integers(-50, 700)))

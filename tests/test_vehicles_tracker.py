@@ -119,26 +119,59 @@ def fork():
     )
 
 
-@pytest.mark.parametrize("turns", [False, True])
-def test_where_lanes_fork_the_filter_follows_the_branch_that_was_taken(fork, turns):
+def through(fork, *, turns, strays=False):
+    """Return detections of one at 8 m/s through a fork, and where it truly is and heads to.
+
+    One that strays drives to the left at first and comes back to the lane that goes on straight.
+    """
     rng = np.random.default_rng(3)
-    s = np.arange(60.0, 160.0, 0.4)  # 8 m/s
+    s = np.arange(60.0, 160.0, 0.4)
     angle = np.clip((s - 100.0) / 15.0, 0.0, np.pi / 2) * turns
     after = np.maximum(s - 100.0 - 15.0 * np.pi / 2, 0.0) * turns
     east = np.minimum(s, 100.0) + 15.0 * np.sin(angle) if turns else s
-    true = np.column_stack([east, 15.0 * (1.0 - np.cos(angle)) + after])
+    left = np.minimum(np.maximum(s - 100.0, 0.0) ** 2 / 30.0, 0.2 * np.maximum(118.0 - s, 0.0))
+    aside = left * strays
+    true = np.column_stack([east, 15.0 * (1.0 - np.cos(angle)) + after + aside])
     way = np.column_stack([np.cos(angle), np.sin(angle)])
     eye = np.array([20.0, -20.0])
     sight = (true - eye) / np.hypot(*(true - eye).T)[:, None]
     rate = 8.0 * (sight * way).sum(axis=1)
     points = true + rng.normal(0.0, 0.2, true.shape) - fork.origin
-    echoes = echoes_at(1e9 + (s - 60.0) / 8.0, points, rate, eye - fork.origin)
+    return echoes_at(1e9 + (s - 60.0) / 8.0, points, rate, eye - fork.origin), true, angle
+
+
+@pytest.mark.parametrize("turns", [False, True])
+def test_where_lanes_fork_the_filter_follows_the_branch_that_was_taken(fork, turns):
+    echoes, true, angle = through(fork, turns=turns)
     number, state = ForwardFilter(fork, SETTINGS.forward).push(echoes)
     assert set(number[10:].tolist()) == {0}
     away = state[10:, :2] + fork.origin - true[10:]
     assert np.hypot(*away.T).max() < 2.0  # also where the lanes still lie on each other
     off = np.angle(np.exp(1j * (state[10:, 2] - angle[10:])))
     assert np.abs(off).max() < 0.4
+
+
+def test_what_comes_later_tells_which_branch_was_taken(fork):
+    echoes, _, _ = through(fork, turns=False, strays=True)
+    number, state = ForwardFilter(fork, SETTINGS.forward).push(echoes)
+    alone = ForwardFilter(fork, SETTINGS.forward)
+    singly = [alone.push(echoes.take(slice(k, k + 1))) for k in range(len(echoes))]
+    then = np.vstack([each for _, each in singly])
+    own = number[10:] == 0
+    assert own.mean() > 0.95
+    off, before = (np.abs(each[10:, 2][own]).max() for each in (state, then))
+    assert off < 0.15 < before
+    assert np.concatenate([each for each, _ in singly])[10:].tolist() == number[10:].tolist()
+
+
+@pytest.mark.parametrize("size", [1, 3, 50])
+def test_detections_in_chunks_are_of_the_same_vehicles(fork, size):
+    echoes, _, _ = through(fork, turns=True)
+    whole, state = ForwardFilter(fork, SETTINGS.forward).push(echoes)
+    chunked = ForwardFilter(fork, SETTINGS.forward)
+    parts = [chunked.push(echoes.take(slice(k, k + size))) for k in range(0, len(echoes), size)]
+    assert np.concatenate([each for each, _ in parts])[50:].tolist() == whole[50:].tolist()
+    assert parts[-1][1][-1] == pytest.approx(state[-1])
 
 
 def test_of_branches_only_the_best_is_a_body(fork):

@@ -145,6 +145,11 @@ class ForwardFilter:
         return number, state
 
     @property
+    def branches(self) -> int:
+        """How many branches of all vehicles are followed now."""
+        return int(self._counts[ALIVE])
+
+    @property
     def bodies(self) -> Floats:
         """States of the vehicles that are followed now, a row each: of branches the best."""
         alive = self._bodies[: int(self._counts[ALIVE])]
