@@ -96,3 +96,9 @@ class _Compiled(Generic[Given, Answer]):
     def _sources_digest(self) -> str:
         """Name for all of that: code and constants may come from other modules."""
         return hashlib.sha256("".join(sorted(self.made_of())).encode()).hexdigest()[:16]
+
+
+@compiled
+def turned(to: float, since: float) -> float:  # pragma: no cover - compiled
+    """Return a turn between two headings, radians, within half a circle."""
+    return (to - since + np.pi) % (2.0 * np.pi) - np.pi

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sqlite3
 from contextlib import closing
+from xml.etree import ElementTree as ET
 
 import geopandas as gpd
 import numpy as np
@@ -18,8 +20,8 @@ from matplotlib import image
 from matplotlib.figure import Figure
 from test_heatmap import EAST, NORTH, T0, lane_tiles, make_site, two_sensors
 
-from gis_radar.errors import OutputError
-from gis_radar.heatmap import make_heatmap
+from gis_radar.errors import InputError, OutputError
+from gis_radar.heatmap import make_heatmap, read_heatmap
 from gis_radar.progress import Reporter
 
 FILES = ["heatmap.gpkg", "heatmap.parquet", "heatmap.png", "heatmap.qml", "heatmap.tif"]
@@ -98,6 +100,22 @@ def test_wide_layer_reads_back_equal(heatmap, folder):
         pd.DataFrame(wide.drop(columns="geometry")),
         check_dtype=False,
     )
+
+
+@pytest.mark.parametrize(
+    "labels", ["nonsense", "[1]", '{"x": 1}', '{"sources": 5}', '{"timezone": "Mars/Base"}']
+)
+def test_damaged_labels_are_refused_by_name(folder, tmp_path, labels):
+    shutil.copytree(folder, tmp_path / "map")
+    package = tmp_path / "map" / "heatmap.gpkg"
+    with closing(sqlite3.connect(package)) as database, database:
+        (text,) = database.execute("SELECT metadata FROM gpkg_metadata").fetchone()
+        root = ET.fromstring(text)  # noqa: S314 - our own file
+        root.find(".//MDI[@key='labels']").text = labels
+        changed = ET.tostring(root, encoding="unicode")
+        database.execute("UPDATE gpkg_metadata SET metadata = ?", (changed,))
+    with pytest.raises(InputError, match=r"heatmap\.gpkg: its labels cannot be read"):
+        read_heatmap(tmp_path / "map")
 
 
 def test_long_layer_reads_back_equal(heatmap, folder):

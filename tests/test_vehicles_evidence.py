@@ -19,7 +19,7 @@ from gis_radar.vehicles.life_settings import (
 from gis_radar.vehicles.links import Part, chains
 from gis_radar.vehicles.lives import _as_strong
 from gis_radar.vehicles.motion import Motion, Path, fit_motion
-from gis_radar.vehicles.resting import unbroken, with_rest
+from gis_radar.vehicles.resting import _rate_without, unbroken, with_rest
 from gis_radar.vehicles.settings import ForwardSettings, MotionSettings, VehicleSettings
 from gis_radar.vehicles.size import size_of
 from gis_radar.vehicles.standing import Stand, not_built
@@ -280,6 +280,20 @@ def test_who_sets_off_stood_before_unless_its_place_returns_without_it(fixed):
     assert begin > 39.0 if fixed else begin < 1.0
 
 
+def test_a_place_is_judged_by_the_seconds_that_were_recorded():
+    echoes, _ = setting_off(fixed=True)
+    echoes = echoes.take(echoes.time < 44.0)
+    drives = np.flatnonzero(echoes.range_rate > 0.0)
+    states = np.zeros((len(echoes), 6))
+    states[:, 0], states[:, 3] = echoes.points[:, 0], echoes.range_rate
+    motion = fit_motion(echoes, drives, states, MotionSettings())
+    free = np.abs(echoes.range_rate) < 0.15
+    free[drives] = False
+    seen = Detectability.learned(echoes, [], DetectabilitySettings())
+    rate = _rate_without(0, motion, 0, echoes, free, seen, VehicleSettings())
+    assert rate == pytest.approx(5.0, rel=0.2)
+
+
 def test_a_follower_that_takes_the_place_is_not_of_the_road():
     echoes, drives = setting_off(fixed=True)
     states = np.zeros((len(echoes), 6))
@@ -326,6 +340,17 @@ def test_who_lies_on_another_vehicle_in_between_stays_one():
     echoes = echoes_at(time, np.zeros((len(time), 2)) + 1.0)
     whole, over = lasting(0.0, 30.0, 100), lasting(100.0, 5.0, 400, begin=10.0)
     assert without_doubles([whole, over], echoes, VehicleSettings()) == [whole, over]
+
+
+def test_one_of_which_too_little_is_left_hides_no_other():
+    time = np.arange(0.0, 30.0, 0.05)
+    echoes = echoes_at(time, np.zeros((len(time), 2)) + 1.0)
+    strong, weak, third = lasting(0.0, 8.0, 600), lasting(3.0, 20.0, 500), lasting(6.2, 20.0, 400)
+    weak.rows = np.arange(160)  # all while it lies on the first
+    third.rows = np.arange(200, 300)
+    third.along_m = third.left_m = np.zeros(100)
+    weak.along_m = weak.left_m = np.zeros(160)
+    assert without_doubles([strong, weak, third], echoes, VehicleSettings()) == [strong, third]
 
 
 def test_what_was_cut_away_hides_no_other():

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pyogrio.errors import DataLayerError, DataSourceError
 
 from gis_radar.arrays import Integers
-from gis_radar.errors import InputError
+from gis_radar.errors import InputError, UsageError
 from gis_radar.geopackage import GPKG_VERSION, add_styles
 from gis_radar.heatmap import style
 from gis_radar.heatmap.counting import Counts, Tally
@@ -193,8 +193,16 @@ def read_package(path: Path) -> dict[str, Any]:
         "occupied": occupied[:, seen].astype(np.uint32),
         "observed": observed[:, seen[first]].astype(np.int64),
         "coverage": _coverage_of(counts, seen, errors),
-        "labels": MapLabels(**json.loads(notes.get("labels", "{}"))),
+        "labels": _labels_of(notes.get("labels", "{}"), path),
     }
+
+
+def _labels_of(text: str, path: Path) -> MapLabels:
+    """Return what was kept of labels; refuse what is none."""
+    try:
+        return MapLabels(**json.loads(text))
+    except (TypeError, ValueError, UsageError) as error:
+        raise InputError(f"{path}: its labels cannot be read: {error}", hint=_HINT) from error
 
 
 def _coverage_of(counts: Counted, seen: Integers, errors: pd.DataFrame) -> Coverage | None:

@@ -9,7 +9,7 @@ from scipy.optimize import Bounds, minimize
 from scipy.special import gammaincinv, ndtr
 
 from gis_radar.arrays import Floats, Integers
-from gis_radar.localization.matching import Scene, place
+from gis_radar.localization.matching import Placed, Scene, place
 from gis_radar.localization.model import Model
 from gis_radar.localization.residuals import Comparison, assemble, height, height_over_road, lateral
 from gis_radar.localization.settings import AdaptationSettings
@@ -88,14 +88,7 @@ def bent(scene: Scene, fit: Fit, model: Model) -> Model:
     ]
 
     def cost(tried: Model) -> float:
-        compared = Comparison(
-            lanes=scene.lanes,
-            placed=placed,
-            matches=fit.matches,
-            model=tried,
-            scale_m=0.0,
-            settings=scene.settings.solver,
-        )
+        compared = _compared(scene, fit, placed, tried)
         effect = np.zeros_like(fit.effects[1])
         for _ in range(settings.bent_rounds):
             rows = height(compared, effect)
@@ -109,6 +102,18 @@ def bent(scene: Scene, fit: Fit, model: Model) -> Model:
         return float(rows.loss.sum() + 0.5 * own - 0.5 * spread.sum())
 
     return min(models, key=cost)
+
+
+def _compared(scene: Scene, fit: Fit, placed: Placed, model: Model) -> Comparison:
+    """Return what residuals of a model compare, near an answer."""
+    return Comparison(
+        lanes=scene.lanes,
+        placed=placed,
+        matches=fit.matches,
+        model=model,
+        scale_m=0.0,
+        settings=scene.settings.solver,
+    )
 
 
 def side_strength(scene: Scene, fit: Fit, model: Model) -> float:
@@ -127,14 +132,7 @@ def side_strength(scene: Scene, fit: Fit, model: Model) -> float:
 
     def cost(factor: float) -> float:
         tried = replace(model, side_strength=model.side_strength * factor)
-        compared = Comparison(
-            lanes=scene.lanes,
-            placed=placed,
-            matches=fit.matches,
-            model=tried,
-            scale_m=0.0,
-            settings=scene.settings.solver,
-        )
+        compared = _compared(scene, fit, placed, tried)
         prior = (np.log(factor) / settings.factor_sigma) ** 2
         rows = lateral(compared, fit.effects[0])
         return float(rows.weight @ rows.loss + 0.5 * prior)

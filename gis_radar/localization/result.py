@@ -27,10 +27,7 @@ STAGE = "finding the pose"
 
 DPI = 216
 SIZE_IN = (6.6, 6.6)
-WITH_ONE_IN, WITH_TWO_IN = (
-    (7.8, 4.6),
-    (7.8, 8.6),
-)  # near the width of a page: its words stay legible
+WITH_ONE_IN, WITH_TWO_IN = (7.8, 4.6), (7.8, 8.6)  # as wide as a page: words stay legible
 BELOW = (0.5, -0.16)  # a legend, from the axes
 MARGIN_M = 12.0
 ROAD_POINTS = 60_000

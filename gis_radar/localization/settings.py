@@ -1,4 +1,9 @@
-"""Settings of the localization: constants of its algorithms; those of the world are in `model`."""
+"""Settings of the localization: every constant of its algorithms, with unit and reason.
+
+Those of traces and lanes are in `trace_settings`. What is assumed of vehicles and radars is not
+here but in :mod:`gis_radar.localization.model`: those constants carry an uncertainty that enters an
+answer's covariance.
+"""
 
 from __future__ import annotations
 

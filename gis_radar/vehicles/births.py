@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gis_radar.arrays import Floats, Integers, compiled
+from gis_radar.arrays import Floats, Integers, compiled, turned
 from gis_radar.lanelets.graph import FieldArrays, lanes_at
 from gis_radar.vehicles.columns import (
     ALIVE,
@@ -43,12 +43,6 @@ from gis_radar.vehicles.columns import (
 )  # fmt: skip
 
 FASTEST_MPS = 60.0
-
-
-@compiled
-def turned(to: float, since: float) -> float:  # pragma: no cover - compiled
-    """Return a turn between two headings, within half a circle."""
-    return (to - since + np.pi) % (2.0 * np.pi) - np.pi
 
 
 @compiled

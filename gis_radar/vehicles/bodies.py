@@ -16,11 +16,7 @@ from gis_radar.arrays import Floats, Integers, nearest
 from gis_radar.vehicles.columns import NONE
 from gis_radar.vehicles.echoes import Echoes
 from gis_radar.vehicles.motion import Motion, fit_motion
-from gis_radar.vehicles.settings import (
-    BodySettings,
-    MotionSettings,
-    VehicleSettings,
-)
+from gis_radar.vehicles.settings import BodySettings, MotionSettings, VehicleSettings
 from gis_radar.vehicles.tall import one_tall_odds, tall_odds
 
 
@@ -178,11 +174,11 @@ def log_odds(echoes: Echoes, body: Motion, other: Motion, every: VehicleSettings
     fits = (np.abs(left) < beside) & (np.abs(rate) < _slack(body, along, speed, settings))
     if fits.mean() < settings.least_fit or fits.sum() < 3:
         return -np.inf
-    tall = (
+    one, two = (
         tall_odds(echoes.height_m[each.rows], echoes.range_m[each.rows], every.tall)
         for each in (body, other)
     )
-    long = one_tall_odds((next(tall), next(tall)), every.tall)
+    long = one_tall_odds((one, two), every.tall)
     return _odds_of_places(echoes.time[rows][fits], along[fits], speed[fits], body, settings, long)
 
 

@@ -156,9 +156,7 @@ def without_doubles(
         if on.mean() >= limits.double_share:
             continue
         first, last = _alone(on, limits.double_halves)
-        half = samples[k][0]
-        own[k] = (half >= half[first]) & (half <= half[last])
-        part = motions[k]
+        half, part = samples[k][0], motions[k]
         if first > 0 or last < len(half) - 1:
             begin = half[first] * HALF_STEPS if first > 0 else part.first_step
             end = (half[last] + 1) * HALF_STEPS - 1 if last < len(half) - 1 else part.last_step
@@ -166,6 +164,7 @@ def without_doubles(
             if cut is None or len(cut.rows) < settings.bodies.least_rows:
                 continue
             part = cut
+        own[k] = (half >= half[first]) & (half <= half[last])
         kept.append((k, part))
     return [each for _, each in sorted(kept, key=lambda pair: pair[0])]
 

@@ -15,9 +15,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from gis_radar.arrays import Floats, Integers, compiled
+from gis_radar.arrays import Floats, Integers, compiled, turned
 from gis_radar.lanelets.graph import FieldArrays, LaneGraph, lanes_at
-from gis_radar.vehicles.births import begin, turned
+from gis_radar.vehicles.births import begin
 from gis_radar.vehicles.columns import (
     ACCEL,
     ACROSS,

@@ -208,6 +208,16 @@ class LinkSettings:
         What a stop and each second of it cost: two minutes cost half as much as an end.
     unseen_s, turning_rad : float
         Who drives is missed so long and turns so much at most.
+    slowing_mps2, gaining_mps2 : float
+        By how much slower than both ends' mean, and faster than the faster one, the mean speed of
+        who drives unseen may be, for each second: stops and starts in between.
+    braked_mps2, briefly_s : float
+        For so short a time it is no slower than the slower end after braking so.
+    usual_mps2, unseen_cost, way_cost : float
+        How the mean speed scatters about that of both ends, for each second; what the root of a
+        second unseen costs, and a metre of way.
+    sure_mps, most_sigma : float
+        1 sigma of a speed at an end; what is more sigmas off is another one.
     back_m, beside_m, drift : float
         How far behind, or beside the way straight on it may come out, and beside by how much more
         for each metre of way.
@@ -225,6 +235,15 @@ class LinkSettings:
     wait_cost: float = 0.03
     unseen_s: float = 6.0
     turning_rad: float = 1.9
+    slowing_mps2: float = 0.6
+    gaining_mps2: float = 0.5
+    braked_mps2: float = 1.2
+    briefly_s: float = 3.0
+    usual_mps2: float = 0.7
+    unseen_cost: float = 0.15
+    way_cost: float = 0.03
+    sure_mps: float = 0.5
+    most_sigma: float = 3.0
     back_m: float = 3.0
     beside_m: float = 1.6
     drift: float = 0.15

@@ -187,11 +187,15 @@ def _cost_of_driving(speed: float, to: _Ends, b: int, settings: LinkSettings) ->
     """Return what it costs to be one that drove on unseen: by its mean speed between two others."""
     lapse = max(float(to.lapse[b]), 0.05)
     mean, middle = to.apart[b] * np.sign(to.along[b]) / lapse, 0.5 * (speed + to.speed[b])
-    slowest = max(min(speed, to.speed[b]) - 1.2 * lapse, 0.0) if lapse < 3.0 else 0.0
-    low = min(slowest, max(middle - 0.6 * lapse, 0.0))
-    high = max(speed, to.speed[b]) + 0.5 * lapse
-    miss = max(low - mean, mean - high, 0.0) / (0.5 + settings.place_m / lapse)
-    if miss >= 3.0:
+    slowest = 0.0
+    if lapse < settings.briefly_s:
+        slowest = max(min(speed, to.speed[b]) - settings.braked_mps2 * lapse, 0.0)
+    low = min(slowest, max(middle - settings.slowing_mps2 * lapse, 0.0))
+    high = max(speed, to.speed[b]) + settings.gaining_mps2 * lapse
+    place = settings.place_m / lapse
+    miss = max(low - mean, mean - high, 0.0) / (settings.sure_mps + place)
+    if miss >= settings.most_sigma:
         return np.inf
-    likely = 0.5 * ((mean - middle) / (0.7 * lapse + 1.0 + settings.place_m / lapse)) ** 2
-    return float(miss**2 + likely + 0.15 * np.sqrt(lapse) + 0.03 * to.apart[b])
+    usual = settings.usual_mps2 * lapse + 2.0 * settings.sure_mps + place
+    unseen = settings.unseen_cost * np.sqrt(lapse) + settings.way_cost * to.apart[b]
+    return float(miss**2 + 0.5 * ((mean - middle) / usual) ** 2 + unseen)

@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from gis_radar.arrays import Floats, Integers, compiled
+from gis_radar.arrays import Floats, Integers, compiled, turned
 from gis_radar.steps import STEP_S, STEPS_PER_SECOND
 from gis_radar.vehicles.echoes import Echoes
 from gis_radar.vehicles.settings import MotionSettings
@@ -140,9 +140,9 @@ def _progress(states: Floats, spacing_m: float) -> Integers:  # pragma: no cover
         last = kept[count - 1]
         dx, dy = states[k, 0] - states[last, 0], states[k, 1] - states[last, 1]
         forward = dx * np.cos(states[k, 2]) + dy * np.sin(states[k, 2])
-        turned = abs((states[k, 2] - states[last, 2] + np.pi) % (2.0 * np.pi) - np.pi)
+        turn = abs(turned(states[k, 2], states[last, 2]))
         # no vehicle turns in less than that, so the state is off its way
-        if forward >= spacing_m and turned < FREE_TURN + np.hypot(dx, dy) / TIGHTEST_M:
+        if forward >= spacing_m and turn < FREE_TURN + np.hypot(dx, dy) / TIGHTEST_M:
             kept[count] = k
             count += 1
     return kept[:count]

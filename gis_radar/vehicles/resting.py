@@ -39,8 +39,7 @@ def with_rest(
     if slow[-1] == last:
         ends[1] = sweeps.after(place[-1], float(ends[1]))
     rows = _in_span(echoes, free, ends)
-    half = 0.5 * max(motion.length_m, 4.0) + 0.5
-    reach = 3.0 * half + np.ptp(place[slow], axis=0)
+    reach = 3.0 * _half_m(motion) + np.ptp(place[slow], axis=0)
     rows = rows[(np.abs(echoes.points[rows] - place[slow].mean(axis=0)) < reach).all(axis=1)]
     step = np.round(echoes.time[rows] * STEPS_PER_SECOND).astype(np.int64) - motion.first_step
     step = np.clip(step, 0, last)
@@ -69,6 +68,11 @@ def with_rest(
     return fit_motion(echoes, np.concatenate([motion.rows, rows]), states, settings.motion)
 
 
+def _half_m(motion: Motion) -> float:
+    """Return how far from its middle detections of a vehicle may lie: half of it and an error."""
+    return 0.5 * max(motion.length_m, 4.0) + 0.5
+
+
 def _in_span(echoes: Echoes, free: Booleans, ends: Floats) -> Integers:
     """Return the free detections between two times."""
     low, high = np.searchsorted(echoes.time, ends)
@@ -83,8 +87,7 @@ def _on_body(
         return np.zeros(0, np.bool_)
     along, left = motion.path.project(echoes.points[rows], s_m, 25.0)
     beside = settings.lives.left_m + settings.motion.azimuth_rad * echoes.range_m[rows]
-    half = 0.5 * max(motion.length_m, 4.0) + 0.5
-    return np.asarray((np.abs(along - s_m) < half) & (np.abs(left) < beside))
+    return np.asarray((np.abs(along - s_m) < _half_m(motion)) & (np.abs(left) < beside))
 
 
 def _rate_without(
@@ -105,6 +108,7 @@ def _rate_without(
     rows = _in_span(echoes, free, ends)
     s_m = np.full(len(rows), motion.s_m[at])
     rows = rows[_on_body(motion, s_m, echoes, rows, settings)]
+    ends = np.clip(ends, echoes.time[0], echoes.time[-1])
     halves = np.arange(int(2.0 * ends[0]), int(2.0 * ends[1]) + 1)
     others = seen.occluders.near(motion.places[0][at], halves, number, motion.length_m)
     empty = np.setdiff1d(halves, others)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gis_radar.arrays import Floats, Integers, compiled
+from gis_radar.arrays import Floats, Integers, compiled, turned
 from gis_radar.lanelets.graph import FieldArrays, LaneGraph, lanes_at
 from gis_radar.vehicles.settings import RouteSettings
 
@@ -81,7 +81,7 @@ def _likeliest(
                 here = weights[2]
                 known[i, j, 0] = -1.0
             elif j < number:
-                turn = abs((found[j, 3] - heading[i] + np.pi) % (2.0 * np.pi) - np.pi)
+                turn = abs(turned(found[j, 3], heading[i]))
                 if turn > weights[4]:
                     continue
                 here = (found[j, 2] / weights[0]) ** 2 + (turn / weights[1]) ** 2
