@@ -330,9 +330,12 @@ def _streets(scene: Scene, matches: Matches) -> tuple[Integers, int]:
     lane = matches.lane[matches.found]
     way = direction_bin(lanes.along[lane], lanes.settings.bins) // 2
     cell = np.floor(lanes.points[lane, :2] / scene.settings.answer.street_m).astype(np.int64)
-    keys = np.column_stack([cell, way])
-    _, number = np.unique(keys, axis=0, return_inverse=True)
-    count = int(number.max(initial=-1)) + 1
-    votes = np.zeros((samples.tracks, count + 1))
-    np.add.at(votes, (samples.track[matches.found], number.ravel()), 1.0)
-    return votes.argmax(axis=1), count + 1
+    low = cell.min(axis=0, initial=0)
+    span = cell.max(axis=0, initial=0) - low + 1
+    keys = np.ravel_multi_index((*(cell - low).T, way), (*span, lanes.settings.bins))
+    _, number = np.unique(keys, return_inverse=True)
+    count = int(number.max(initial=-1)) + 2
+    votes = np.bincount(
+        samples.track[matches.found] * count + number, minlength=samples.tracks * count
+    )
+    return votes.reshape(samples.tracks, count).argmax(axis=1), count
