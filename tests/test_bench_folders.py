@@ -3,9 +3,9 @@
 import json
 import math
 import sys
-from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
-from types import SimpleNamespace
+from types import CodeType, SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -16,19 +16,22 @@ sys.path.append(str(Path(__file__).parents[1] / "bench" / "vehicles"))
 
 import causes
 import command
+import components
 import tables
 from bad_input import _lasting
 from breakdown import by_group, step_errors
-from components import switched_off
+from components import COMPONENTS, ROOM, Off, changed, replaced
 from folders import Ground, write_states
 from passages import Lanes, joined
 from score import coverage_of_folder
 from tracks import Scored
 from true_coverage import TrueCoverage
 
-from gis_radar.vehicles import read_vehicles
+from gis_radar.vehicles import forward, motion, read_vehicles
+from gis_radar.vehicles.settings import VehicleSettings
 
 COUNT = 100  # steps
+ROOM_MODULES = [path.stem for path in Path(motion.__file__).parent.glob("*.py")]
 
 
 def ground():
@@ -138,22 +141,100 @@ def test_false_vehicles_count_where_they_last():
     assert _lasting(rows).tolist() == [1]
 
 
-@dataclass(frozen=True)
-class Inner:
-    order: bool = True
-    limit: float = 2.0
+def used_names(module):
+    """Return the names that the functions of a module of the room use."""
+    left = [compile(Path(import_module(ROOM + module).__file__).read_text("utf-8"), module, "exec")]
+    names = set()
+    while left:
+        code = left.pop()
+        names |= set(code.co_names)
+        left += [each for each in code.co_consts if isinstance(each, CodeType)]
+    return names
 
 
-@dataclass(frozen=True)
-class Outer:
-    inner: Inner = field(default_factory=Inner)
-    smooth: bool = True
-    odd: bool = False
+@pytest.mark.parametrize("name", COMPONENTS)
+def test_each_component_is_one_that_the_package_has(name):
+    off, whole = COMPONENTS[name], VehicleSettings()
+    assert off.settings or off.replaced or off.sensors
+    for place in off.settings:
+        assert changed(whole, {place: off.settings[place]}) != whole
+    for place, new in off.replaced.items():
+        module, _, path = place.partition(":")
+        owner = import_module(ROOM + module)
+        for each in path.split("."):
+            owner = getattr(owner, each)
+        assert owner is not new
+        # what nothing uses can be replaced without effect
+        within = ROOM_MODULES if "." in path else [module]
+        assert any(path.split(".")[-1] in used_names(each) for each in within)
 
 
-def test_each_switch_goes_off_alone():
-    found = switched_off(Outer())
-    assert found == {"inner.order": Outer(inner=Inner(order=False)), "smooth": Outer(smooth=False)}
+def test_what_is_replaced_works_in_compiled_code_and_is_put_back():
+    given = (40, np.array([0, 39]), np.array([5.0, 5.0]), np.full(2, 0.01),
+             np.array([0.0, 9.75]), np.full(2, 0.01), 0.0, 5.0, 2.0)  # fmt: skip
+    before = motion._look_back
+    with replaced(COMPONENTS["smoothing over later detections"].replaced):
+        filtered = motion._smooth(*given)[2]
+    assert motion._look_back is before
+    smoothed = motion._smooth(*given)[2]
+    assert filtered[-1] == pytest.approx(smoothed[-1])
+    assert filtered[-2] > 2.0 * smoothed[-2]
+
+
+def test_a_constant_is_put_back_though_what_is_done_with_it_fails():
+    with pytest.raises(KeyError), replaced({"forward:FORK_M": -1.0}):
+        assert forward.FORK_M == -1.0
+        raise KeyError
+    assert forward.FORK_M > 0.0
+
+
+def test_the_second_sensor_is_judged_by_what_the_first_sees(monkeypatch):
+    site = SimpleNamespace(
+        recordings=["R1", "R2"], truth=lambda: "both", tiles=list, sensors=lambda: ["A", "B"],
+        traffic=list,
+    )  # fmt: skip
+    monkeypatch.setattr(components, "true_coverage", lambda _, sensors, __: sensors)
+    monkeypatch.setattr(components, "_found", lambda _, off, __, ___, truth: (off, truth))
+    monkeypatch.setattr(components, "_figures", lambda _, __, truth, count: (count, truth))
+    names = ("links", tables.SECOND)
+    assert list(components.ablate(site, names)) == [
+        (tables.NOTHING, (Off(), "both")), ("links", (COMPONENTS["links"], "both")),
+        (tables.NOTHING_FIRST, (1, ["A"])), (tables.SECOND, (Off(sensors=1), ["A"])),
+    ]  # fmt: skip
+    site.recordings = ["R1"]
+    assert [name for name, _ in components.ablate(site, names)] == [tables.NOTHING, "links"]
+
+
+def test_changes_without_a_component_become_tables():
+    def figures(rank, recall):
+        coverage = {"rank": rank, "scale": 1.0, "mae_percent": 2.0}
+        vehicles = {"recall": recall, "precision": 0.8}
+        return {"coverage": coverage, "vehicles": vehicles, "passages": {"count_error": None}}
+
+    report = {
+        "ablation": {
+            "town": {tables.NOTHING: figures(0.9, 0.7), "links": figures(0.85, 0.7),
+                     "forks": figures(0.9, 0.7), tables.NOTHING_FIRST: figures(0.5, 0.5),
+                     tables.SECOND: figures(0.4, 0.6)},
+            "light": {tables.NOTHING: figures(0.8, 0.6), "links": figures(0.8, 0.65)},
+        }
+    }  # fmt: skip
+    coverage, vehicles = tables.ablation(report).split("\n\n")
+    assert coverage.splitlines()[2:] == [
+        "| nothing | 0.90 / 1.00 / 2.00 | 0.80 / 1.00 / 2.00 |",
+        "| links | -0.05 / +0.00 / +0.00 | - |",
+        "| forks | - |  |",
+        "| second sensor | -0.10 / +0.00 / +0.00 |  |",
+    ]
+    assert vehicles.splitlines()[3] == "| links | - | +5% / +0% / - |"
+
+
+def test_tables_go_between_the_marks_of_a_page():
+    parts = {"vehicles": "V", "components": "C"}
+    page = "a\n<!-- components -->\nold\n<!-- end of components -->\nb\n"
+    assert command.put(parts, page, "x.md") == page.replace("old", "C")
+    with pytest.raises(SystemExit, match="has no"):
+        command.put(parts, "nothing here", "x.md")
 
 
 def test_figures_are_collected_and_become_tables(tmp_path, monkeypatch):

@@ -3,7 +3,7 @@
     python bench/vehicles --scene town --score-only vehicles/    a vehicles folder, or a table
     python bench/vehicles --make town,light                      only make scenes
     python bench/vehicles --scene town --methods hits,true       some methods on some scenes
-    python bench/vehicles --scene town --ablation                what each component is worth
+    python bench/vehicles --ablation                             what each component is worth
     python bench/vehicles --bad-input                            how bad input is treated
     python bench/vehicles --tables                               README's tables, from the JSON
     python bench/vehicles                                        all methods, development scenes
@@ -11,7 +11,8 @@
 From Python, with bench/vehicles in the path: `from scenes import scene`, `from score import
 score_coverage`; `score_coverage(scene("town").truth(), table)`. A scene has `.map`, `.scan`,
 `.recordings`, `.poses` (true ones), `.tiles()`, `.truth()`, `.traffic()`. Figures are collected in
-out/bench-vehicles/bench.json. Needs Eclipse SUMO to make scenes.
+out/bench-vehicles/bench.json, those of components in ablation.json. Needs Eclipse SUMO to make
+scenes.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import json
 import math
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -35,14 +37,14 @@ from score import coverage_of_folder
 
 HELD_OUT = "-held"
 BAD_INPUT_ONLY = "parked"
-KEPT = OUT / "bench.json"
-MARKS = ("<!-- vehicles -->", "<!-- end of vehicles -->")
+ABLATED = ("town", "light", "harsh", "gridlock", "motorway", "wide", "wide-light")
+KEPT, COMPONENTS = OUT / "bench.json", OUT / "ablation.json"
 
 
 def main() -> None:
     """Make scenes, run what is asked for, print tables, keep figures."""
     options = _options()
-    chosen = [name for name in (options.make or options.scene).split(",") if is_there(name)]
+    chosen = [name for name in _scenes(options).split(",") if is_there(name)]
     if options.tables:
         print_kept(options.into)
     elif options.make:
@@ -63,11 +65,10 @@ def main() -> None:
 
 def _options() -> argparse.Namespace:
     names = [*RECIPES, *SHARED]
-    development = [n for n in names if not n.endswith(HELD_OUT) and n != BAD_INPUT_ONLY]
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--scene", default=",".join(development), help=f"of {', '.join(names)}")
+    parser.add_argument("--scene", help=f"of {', '.join(names)}")
     parser.add_argument("--make", metavar="SCENES", help="only make these")
     parser.add_argument("--score-only", type=Path, metavar="DIR", help="vehicles folder, or table")
     parser.add_argument("--picture", type=Path, metavar="PNG", help="with --score-only: draw it")
@@ -75,17 +76,25 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--ablation", action="store_true", help="each component off in turn")
     parser.add_argument("--bad-input", action="store_true", help="scenes that go wrong")
     parser.add_argument("--tables", action="store_true", help="only print what is kept")
-    parser.add_argument("--into", type=Path, metavar="MD", help=f"put them between {MARKS[0]} ...")
+    parser.add_argument("--into", type=Path, metavar="MD", help="put them where it has marks")
     options = parser.parse_args()
-    for given, known in ((options.make or options.scene, names), (options.methods, SHORT)):
+    for given, known in ((_scenes(options), names), (options.methods, SHORT)):
         if unknown := [name for name in given.split(",") if name not in known]:
             parser.error(f"{unknown[0]} is none of {', '.join(known)}")
     if options.score_only and not options.score_only.exists():
         parser.error(f"{options.score_only} is not there")
-    for name in (options.make or options.scene).split(","):
+    for name in _scenes(options).split(","):
         if not is_there(name):
             print(f"left out: {name}: not there")
     return options
+
+
+def _scenes(options: argparse.Namespace) -> str:
+    """Return the scenes that are asked for: those of development where none is named."""
+    names = [*RECIPES, *SHARED]
+    development = [n for n in names if not n.endswith(HELD_OUT) and n != BAD_INPUT_ONLY]
+    usual = ABLATED if options.ablation else development
+    return str(options.make or options.scene or ",".join(usual))
 
 
 def make(name: str) -> None:
@@ -125,13 +134,10 @@ def compare(names: list[str], methods: list[str]) -> None:
 def run_ablation(names: list[str]) -> None:
     """Run the tracker with each component off, print and keep what that costs."""
     for name in names:
-        try:
-            for without, figures in ablate(scene(name)):
-                keep("ablation", name, without, figures)
-                print(f"{name}, without {without}: done", flush=True)
-        except NotThereError as error:
-            print(f"{name}: left out: {error}")
-    print(tables.ablation(kept()))
+        for without, figures in ablate(scene(name)):
+            keep("ablation", name, without, figures, COMPONENTS)
+            print(f"{name}, without {without}: done", flush=True)
+    print(tables.ablation(kept(COMPONENTS)))
 
 
 def run_bad_input() -> None:
@@ -146,21 +152,25 @@ def run_bad_input() -> None:
     print(tables.bad_input(kept()))
 
 
-def kept() -> dict[str, Any]:
+def kept(path: Path | None = None) -> dict[str, Any]:
     """Return all figures so far."""
-    return dict(json.loads(KEPT.read_text())) if KEPT.exists() else {}
+    path = path or KEPT
+    return dict(json.loads(path.read_text())) if path.exists() else {}
 
 
-def keep(part: str, name: str, row: str | None, figures: dict[str, Any]) -> None:
+def keep(
+    part: str, name: str, row: str | None, figures: dict[str, Any], path: Path | None = None
+) -> None:
     """Add figures to those kept."""
-    report = kept()
+    path = path or KEPT
+    report = kept(path)
     place = report.setdefault(part, {})
     if row is None:
         place[name] = figures
     else:
         place.setdefault(name, {})[row] = figures
-    KEPT.parent.mkdir(parents=True, exist_ok=True)
-    KEPT.write_text(json.dumps(_finite(report), indent=1, allow_nan=False) + "\n")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(_finite(report), indent=1, allow_nan=False) + "\n")
 
 
 def _finite(value: Any) -> Any:
@@ -173,20 +183,28 @@ def _finite(value: Any) -> Any:
 
 
 def print_kept(into: Path | None = None) -> None:
-    """Print the tables of what is kept; put README's into a page, between its marks."""
-    report = kept()
-    parts = [tables.readme(report)]
+    """Print the tables of what is kept; put them into a page, between its marks."""
+    report = kept() | kept(COMPONENTS)
+    parts = {"vehicles": tables.readme(report)}
+    if "ablation" in report:
+        parts["components"] = tables.ablation(report)
     if into is not None:
         text = into.read_text(encoding="utf-8")
-        before, _, rest = text.partition(MARKS[0])
-        _, mark, after = rest.partition(MARKS[1])
-        if not mark:
-            sys.exit(f"{into}: lacks {MARKS[0]} ... {MARKS[1]}")
-        made = f"{before}{MARKS[0]}\n{parts[0]}\n{mark}{after}"
-        into.write_text(made, encoding="utf-8")
-    parts += [tables.ablation(report)] if "ablation" in report else []
-    parts += [tables.bad_input(report)] if "bad input" in report else []
-    print("\n\n".join(parts))
+        into.write_text(put(parts, text, str(into)), encoding="utf-8")
+    bad = [tables.bad_input(report)] if "bad input" in report else []
+    print("\n\n".join([*parts.values(), *bad]))
+
+
+def put(parts: Mapping[str, str], text: str, where: str) -> str:
+    """Return a page with tables between those of their marks that it has."""
+    there = [name for name in parts if f"<!-- end of {name} -->" in text]
+    if not there:
+        sys.exit(f"{where}: has no <!-- {' --> nor <!-- '.join(parts)} -->")
+    for name in there:
+        begin, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
+        before, _, rest = text.partition(begin)
+        text = f"{before}{begin}\n{parts[name]}\n{end}{rest.partition(end)[2]}"
+    return text
 
 
 def draw(name: str, given: Path, path: Path) -> None:

@@ -1,55 +1,286 @@
-"""What each component of the tracker is worth: the figures of a scene with it switched off."""
+"""What each component of the tracker is worth: the figures of a scene with it turned off.
+
+A component is turned off from outside: by the settings of `gis_radar.vehicles`, or by a function or
+constant of its modules that is replaced in this process. All run with true poses and on the same
+detections, which are read once.
+"""
 
 from __future__ import annotations
 
-import dataclasses
 import tempfile
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from methods import MISSING, Figures, NotThereError, figures_of_folder
+import numpy as np
+import pandas as pd
+from methods import Figures
+from passages import score_passages
 from scenes import SceneFiles
+from score import coverage_of_folder, score_coverage
+from tables import NOTHING, NOTHING_FIRST, SECOND
+from tracks import compared, estimated_states, score_tracks
+from true_coverage import TrueCoverage, true_coverage
 
 import gis_radar as gr
+from gis_radar.arrays import Floats, Integers, compiled
+from gis_radar.lanelets.graph import LaneGraph
+from gis_radar.vehicles.blocks import Block, SourceReader
+from gis_radar.vehicles.bodies import rows_by_number
+from gis_radar.vehicles.columns import NONE
+from gis_radar.vehicles.echoes import Echoes
+from gis_radar.vehicles.forward import ForwardFilter
+from gis_radar.vehicles.motion import Motion, fit_motion
+from gis_radar.vehicles.settings import ForwardSettings, VehicleSettings
+from gis_radar.vehicles.size import Size
+from gis_radar.vehicles.sweeps import Sweeps
 
-NOTHING = "nothing"
+ROOM = "gis_radar.vehicles."
+FAR = 1e9  # of any unit: what no value reaches
 
 
-def ablate(site: SceneFiles) -> Iterator[tuple[str, Figures]]:
+@dataclass(frozen=True, kw_only=True)
+class Off:
+    """How a component is turned off.
+
+    Parameters
+    ----------
+    settings : mapping
+        New values by their places in `VehicleSettings`, such as ``links.end_cost``.
+    replaced : mapping
+        New functions and constants by module and name, such as ``lives:find_stands``.
+    sensors : int or None
+        Only so many sensors; all where None. Figures are then those of what these see.
+    """
+
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    replaced: Mapping[str, Any] = field(default_factory=dict)
+    sensors: int | None = None
+
+
+def _as_time_runs(
+    echoes: Echoes, graph: LaneGraph, settings: ForwardSettings, moving_mps: float
+) -> tuple[tuple[Integers, Integers], tuple[Floats, Floats]]:
+    """Follow vehicles as time runs only."""
+    number, state = ForwardFilter(graph, settings, moving_mps=moving_mps).push(echoes)
+    return (number, np.full_like(number, NONE)), (state, state)
+
+
+def _filter_alone(echoes: Echoes, graph: LaneGraph, settings: VehicleSettings) -> list[Motion]:
+    """Return the vehicles that the filter follows as time runs, as it follows them."""
+    (number, _), (state, _) = _as_time_runs(
+        echoes, graph, settings.forward, settings.echoes.moving_mps
+    )
+    return [
+        fit_motion(echoes, rows, state, settings.motion)
+        for rows in rows_by_number(number)
+        if len(rows) >= settings.bodies.least_rows
+    ]
+
+
+@compiled
+def _no_look_back(
+    mean: Floats, kept: Floats, ahead: Floats, wide: Floats
+) -> None:  # pragma: no cover - compiled
+    """Leave filtered states as they are."""
+
+
+def _swept_without(*names: str) -> Any:
+    """Return a maker of sweeps that lacks some of its tables."""
+    made, none = Sweeps.of, dict[str, Any].fromkeys(names, {})
+    return classmethod(lambda _, *given: replace(made(*given), **none))
+
+
+SMOOTHING = {"motion:_look_back": _no_look_back}
+COMPONENTS: Mapping[str, Off] = {
+    "all but the filter as time runs": Off(
+        replaced={**SMOOTHING, "find:vehicles_in": _filter_alone}
+    ),
+    "filter against time": Off(replaced={"tracker:follow_both_ways": _as_time_runs}),
+    "smoothing over later detections": Off(replaced=SMOOTHING),
+    "range rates in the smoothing": Off(settings={"motion.range_rate_mps": FAR}),
+    "branches at forks": Off(replaced={"forward:FORK_M": -1.0}),
+    "three detections for a birth": Off(settings={"forward.births": 1}),
+    "way and returns of one that drove": Off(
+        settings={"lives.least_moving": 0, "lives.least_way_m": -1.0}
+    ),
+    "heights of detections": Off(settings={"echoes.low_m": -FAR, "echoes.high_m": FAR}),
+    "joining parts of one body": Off(settings={"bodies.least_odds": FAR}),
+    "splitting parts that do not fit": Off(settings={"bodies.least_pure": 0.0}),
+    "walkers and cyclists told apart": Off(
+        replaced={"tracker:is_person": lambda _, motions, __: [False] * len(motions)}
+    ),
+    "lengths of vehicles": Off(replaced={"motion:size_of": lambda *_: (Size(), 0.0)}),
+    "two parts of one tall lorry": Off(settings={"tall.most_odds": 0.0}),
+    "standing on before and after moving": Off(
+        replaced={"resting:_in_span": lambda *_: np.zeros(0, np.int64)}
+    ),
+    "what a place returns while empty": Off(replaced={"resting:_rate_without": lambda *_: 0.0}),
+    "standing vehicles on lanes": Off(replaced={"lives:find_stands": lambda *_: []}),
+    "those that never move": Off(replaced={"lives:_standing_only": lambda *_: None}),
+    "order in the lane: driven over": Off(
+        replaced={"sweeps:Sweeps.of": _swept_without("times")}
+    ),
+    "order in the lane: room in a queue": Off(
+        settings={"standing.gap_m": 0.0, "standing.easy_m": 0.0, "standing.tight": 0.0}
+    ),
+    "order in the lane: standing as before": Off(settings={"standing.stick": 0.0}),
+    "built into the road": Off(replaced={"sweeps:Sweeps.of": _swept_without("fast")}),
+    "hanging above the road": Off(settings={"standing.high_m": FAR}),
+    "inside of the lane only": Off(settings={"standing.inside_m": 0.0}),
+    "standing as often seen as others": Off(settings={"standing.rate_share": 0.0}),
+    "standing as strong as others": Off(settings={"lives.weaker_db": FAR}),
+    "hidden by other vehicles": Off(
+        replaced={
+            "detectability:Occluders.join": classmethod(
+                lambda cls, _: cls(
+                    half=np.zeros(0, np.int64), owner=np.zeros(0, np.int64), shape=np.zeros((0, 5))
+                )
+            )
+        }
+    ),
+    "detections that are due": Off(
+        replaced={"detectability:Detectability.due": lambda *_: 0.0}
+    ),
+    "due while silent: a life ends": Off(
+        replaced={"lives:_at_silences": lambda _, motion, *__: [motion]}
+    ),
+    "due between parts: no link": Off(replaced={"links:_is_missed": lambda *_: False}),
+    "links": Off(settings={"links.end_cost": 0.0}),
+    "links of who waits": Off(settings={"links.waiting_mps": -1.0}),
+    "links of who drives unseen": Off(settings={"links.unseen_s": -FAR}),
+    "doubles: stands": Off(
+        replaced={"lives:distinct_stands": lambda stands, *_: list(range(len(stands)))}
+    ),
+    "doubles: lives": Off(replaced={"tracker:without_doubles": lambda motions, *_: list(motions)}),
+    "lane changes: drift across the lane": Off(settings={"forward.sideways_mps": 0.0}),
+    "lane changes: between lanelets": Off(settings={"routes.change": FAR}),
+    "likeliest lanelets": Off(settings={"routes.change": 0.0, "routes.off_lane": FAR}),
+    "a second beyond either end": Off(settings={"pieces.unseen_steps": 0}),
+    SECOND: Off(sensors=1),
+}  # fmt: skip
+
+
+def ablate(
+    site: SceneFiles, names: Sequence[str] = tuple(COMPONENTS)
+) -> Iterator[tuple[str, Figures]]:
     """Yield the name of each component and the figures without it; first those of the whole.
 
-    With true poses, so that nothing but the component differs.
+    Parameters
+    ----------
+    site : SceneFiles
+        A scene.
+    names : sequence of str
+        Of `COMPONENTS`.
     """
-    find: Any = getattr(gr, "find_vehicles", None)
-    if find is None:
-        raise NotThereError(MISSING)
-    settings = import_module("gis_radar.vehicles.settings")
+    read = _ReadOnce()
+    truth = site.truth()
+    with tempfile.TemporaryDirectory() as folder:
+        whole = Path(folder) / "whole"
+        yield NOTHING, _found(site, Off(), read, whole, truth)
+        for number, name in enumerate(names):
+            off = COMPONENTS[name]
+            if off.sensors is None:
+                yield name, _found(site, off, read, Path(folder) / str(number), truth)
+            elif off.sensors < len(site.recordings):
+                tiles, sensors = site.tiles(), site.sensors()[: off.sensors]
+                seen = true_coverage(tiles, sensors, site.traffic())
+                yield NOTHING_FIRST, _figures(site, whole, seen, off.sensors)
+                yield name, _found(site, off, read, Path(folder) / str(number), seen)
 
-    whole = settings.VehicleSettings()
-    for name, changed in {NOTHING: whole, **switched_off(whole)}.items():
-        with tempfile.TemporaryDirectory() as folder:
-            made = Path(folder) / "vehicles"
-            find(
-                site.recordings, site.poses, site.tiles(), site.map, made, scans=[site.scan],
-                settings=changed,
-            )  # fmt: skip
-            yield name, figures_of_folder(site, made)
+
+def _found(
+    site: SceneFiles, off: Off, read: _ReadOnce, folder: Path, truth: TrueCoverage
+) -> Figures:
+    """Find vehicles without a component, into a folder; return the figures."""
+    settings, count = changed(VehicleSettings(), off.settings), off.sensors
+    with replaced({**off.replaced, "blocks:SourceReader.blocks": read.blocks}):
+        begin = time.process_time()
+        gr.find_vehicles(
+            site.recordings[:count], site.poses[:count], site.tiles(), site.map, folder,
+            scans=[site.scan], settings=settings,
+        )  # fmt: skip
+        cpu_s = time.process_time() - begin
+    return _figures(site, folder, truth, count) | {"cpu_s": cpu_s}
 
 
-def switched_off(settings: Any) -> dict[str, Any]:
-    """Return settings by the name of the one switch that is off in them.
+def _figures(site: SceneFiles, folder: Path, truth: TrueCoverage, count: int | None) -> Figures:
+    """Return the figures of coverage, vehicles and passages."""
+    tiles, traffic = site.tiles(), site.traffic()
+    scored = compared(tiles, truth, site.poses[:count], traffic, estimated_states(folder))
+    vehicles = score_tracks(scored, traffic.kinds)
+    del vehicles["by"]
+    passed = pd.read_parquet(folder / "passages.parquet")
+    passed = passed[passed["lanelet_id"].isin(site.lanelets_in_sight())]
+    return {
+        "coverage": asdict(score_coverage(truth, coverage_of_folder(folder))),
+        "vehicles": vehicles,
+        "passages": score_passages(site.passages(), passed) if count is None else {},
+    }
 
-    Switches are the fields that are True, of the record itself and of the records in it.
+
+def changed(settings: VehicleSettings, values: Mapping[str, Any]) -> VehicleSettings:
+    """Return settings with new values, by their places in it."""
+    for place, value in values.items():
+        room, name = place.split(".")
+        inner = replace(getattr(settings, room), **{name: value})
+        settings = replace(settings, **{room: inner})
+    return settings
+
+
+@contextmanager
+def replaced(values: Mapping[str, Any]) -> Iterator[None]:
+    """Replace functions and constants of the room's modules by others for a while.
+
+    Compiled functions of the modules are compiled anew, where they stand on what is replaced.
     """
-    found: dict[str, Any] = {}
-    for field in dataclasses.fields(settings):
-        value = getattr(settings, field.name)
-        if value is True:
-            found[field.name] = dataclasses.replace(settings, **{field.name: False})
-        elif dataclasses.is_dataclass(value):
-            for name, inner in switched_off(value).items():
-                changed = dataclasses.replace(settings, **{field.name: inner})
-                found[f"{field.name}.{name}"] = changed
-    return found
+    old = {place: _owner(place)[0].__dict__[_owner(place)[1]] for place in values}
+    try:
+        _put(values)
+        yield
+    finally:
+        _put(old)
+
+
+def _owner(place: str) -> tuple[Any, str]:
+    """Return the module or class that holds a name, and the name in it."""
+    module, _, path = place.partition(":")
+    *within, name = path.split(".")
+    owner = import_module(ROOM + module)
+    for each in within:
+        owner = getattr(owner, each)
+    return owner, name
+
+
+def _put(values: Mapping[str, Any]) -> None:
+    for place, value in values.items():
+        owner, name = _owner(place)
+        setattr(owner, name, value)
+        module = import_module(ROOM + place.partition(":")[0])
+        for each in vars(module).values():
+            if isinstance(each, type(_no_look_back)):
+                vars(each).pop("machine_code", None)
+
+
+class _ReadOnce:
+    """Blocks of detections, kept: reading them takes longer than anything else."""
+
+    def __init__(self) -> None:
+        self._kept: dict[Any, list[Block]] = {}
+        self._read: Callable[[SourceReader], Iterator[Block]] = SourceReader.blocks
+
+    @property
+    def blocks(self) -> Callable[[SourceReader], Iterator[Block]]:
+        """What stands for the method of `SourceReader`."""
+
+        def blocks(reader: SourceReader) -> Iterator[Block]:
+            key = (tuple(reader.sensors), reader._settings.echoes)  # noqa: SLF001
+            if key not in self._kept:
+                self._kept[key] = list(self._read(reader))
+            yield from self._kept[key]
+
+        return blocks

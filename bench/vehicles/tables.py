@@ -56,6 +56,19 @@ READERS = {
     "oracle association": "best possible",
 }
 
+NOTHING, SECOND = "nothing", "second sensor"
+NOTHING_FIRST = "nothing, where the first sensor sees"
+CHANGES = {
+    "rank / scale / mean error, without": {
+        ("coverage", "rank"): ".2f", ("coverage", "scale"): ".2f",
+        ("coverage", "mae_percent"): ".2f",
+    },
+    "recall / precision / passages off, without": {
+        ("vehicles", "recall"): ".0%", ("vehicles", "precision"): ".0%",
+        ("passages", "count_error"): ".0%",
+    },
+}  # fmt: skip
+
 
 def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Return a Markdown table."""
@@ -167,23 +180,41 @@ def _mean(rows: Mapping[str, Report]) -> object:
 
 
 def ablation(report: Report) -> str:
-    """Return what each component of the tracker is worth, scene by scene."""
-    made = []
-    for name, rows in report.get("ablation", {}).items():
-        heads = {"coverage": ("rank", "scale", "mae_percent"),
-                 "vehicles": ("recall", "precision", "hota"),
-                 "passages": ("count_error",)}  # fmt: skip
-        made.append(
-            table(
-                [f"{name}, without", *(key for keys in heads.values() for key in keys)],
-                (
-                    [row, *(shown(figures.get(part, {}).get(key), PARTS[part][key])
-                            for part, keys in heads.items() for key in keys)]
-                    for row, figures in rows.items()
-                ),
-            )
-        )  # fmt: skip
-    return "\n\n".join(made)
+    """Return what each component of the tracker is worth: how figures change without it.
+
+    Two tables, a row a component and a column a scene: coverage, vehicles. A dash where nothing
+    changes.
+    """
+    scenes: Mapping[str, Report] = report.get("ablation", {})
+    names = dict.fromkeys(name for rows in scenes.values() for name in rows)
+    return "\n\n".join(
+        table(
+            [what, *scenes],
+            (
+                [name, *(_change(rows, name, forms) for rows in scenes.values())]
+                for name in names
+                if name != NOTHING_FIRST
+            ),
+        )
+        for what, forms in CHANGES.items()
+    )
+
+
+def _change(rows: Report, name: str, forms: Mapping[tuple[str, str], str]) -> str:
+    """Return how figures change without a component; of the whole the figures."""
+    figures = rows.get(name)
+    if figures is None:
+        return ""
+    base = rows[NOTHING_FIRST if name == SECOND else NOTHING]
+    values = [figures[part].get(key) for part, key in forms]
+    if name == NOTHING:
+        return " / ".join(map(shown, values, forms.values()))
+    whole = [base[part].get(key) for part, key in forms]
+    pairs = list(zip(values, whole, strict=True))
+    if all(one == other for one, other in pairs):
+        return "-"
+    more = [None if None in pair else pair[0] - pair[1] for pair in pairs]
+    return " / ".join(shown(x, f"+{form}") for x, form in zip(more, forms.values(), strict=True))
 
 
 def bad_input(report: Report) -> str:
