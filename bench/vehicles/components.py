@@ -91,7 +91,8 @@ def _no_look_back(
 
 def _swept_without(*names: str) -> Any:
     """Return a maker of sweeps that lacks some of its tables."""
-    made, none = Sweeps.of, dict[str, Any].fromkeys(names, {})
+    made = Sweeps.of
+    none: dict[str, Any] = {name: {} for name in names}
     return classmethod(lambda _, *given: replace(made(*given), **none))
 
 
