@@ -84,6 +84,7 @@ def blank_paper(monkeypatch):
         Image.new("RGBA", figure.canvas.get_width_height()).save(place, "PNG")
 
     monkeypatch.setattr(Figure, "savefig", leave_empty)
+    monkeypatch.setattr(Figure, "draw", lambda *_: None)
     monkeypatch.setattr(writing, "write_pdf", lambda _, path: path.write_bytes(b"%PDF"))
 
 

@@ -202,11 +202,9 @@ def image_of_pixels(pixels: Pixels, colours: Sequence[int] | None = None) -> Ima
 
 def image_of_figure(figure: Figure) -> Image.Image:
     """Return a figure as an image."""
-    buffer = BytesIO()
-    figure.savefig(buffer, format="png", facecolor=figure.get_facecolor())
-    image = Image.open(buffer)
-    image.load()
-    return image
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return Image.fromarray(np.asarray(canvas.buffer_rgba()))
 
 
 def png(image: Image.Image) -> bytes:

@@ -412,8 +412,10 @@ def _add_frame(paper: Paper, frame: Figure, box: Box) -> None:
 
 def _composed(picture: bytes, overlay: bytes | None, width: int) -> Image.Image:
     """Return a map with its overlay, no wider than that."""
-    image = Image.open(BytesIO(picture)).convert("RGBA")
+    image: Image.Image = Image.open(BytesIO(picture))
     if overlay is not None:
-        image = Image.alpha_composite(image, Image.open(BytesIO(overlay)).convert("RGBA"))
+        over = Image.open(BytesIO(overlay)).convert("RGBA")
+        image = Image.alpha_composite(image.convert("RGBA"), over)
+    image = image.convert("RGB")
     image.thumbnail((width, 4 * width), Image.Resampling.LANCZOS)
-    return image.convert("RGB")
+    return image

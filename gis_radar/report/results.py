@@ -390,8 +390,9 @@ def _flat_picture(path: Path, width: int) -> Image.Image | None:
             whole = image.convert("RGBA")
     except (OSError, ValueError):
         return None
-    white = Image.new("RGBA", whole.size, "white")
-    flat = Image.alpha_composite(white, whole).convert("RGB")
+    if whole.getchannel("A").getextrema() != (255, 255):
+        whole = Image.alpha_composite(Image.new("RGBA", whole.size, "white"), whole)
+    flat = whole.convert("RGB")
     flat.thumbnail((width, width * 4))
     return flat
 

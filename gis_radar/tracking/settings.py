@@ -15,6 +15,7 @@ HOUR_S = 3600.0
 
 Six = tuple[float, float, float, float, float, float]
 _WINDOW = Schedule(scales_m=(0.3, 0.1, 0.0), rounds=12)
+_LANE_OFF = Schedule(scales_m=(0.75, 0.3), rounds=3)
 _FAR = replace(LOCALIZATION.solver.far, rounds=12)
 
 
@@ -268,6 +269,9 @@ class TrackingSettings:
     other_lane, other_lane_m : float
         A pose a lane off refutes the start where the vehicles prefer it by so many standard
         deviations (one more than separates two answers of a localization), and it is so far off.
+    lane_off : Schedule
+        Of a first fit from a lane off: most come back, half of `other_lane_m` near, and are fitted
+        no further.
     lengths_s : tuple of float
         Newest parts of the window that are tested for a move: a short one soon shows a blow, but
         holds few vehicles; a long one shows a shift of some decimetres.
@@ -322,6 +326,7 @@ class TrackingSettings:
     reach_grows: float = 1.2
     other_lane: float = 3.5
     other_lane_m: float = 1.0
+    lane_off: Schedule = _LANE_OFF
     lengths_s: tuple[float, ...] = (20.0, 60.0)
     false_alarms: float = 0.01
     suspect: float = 0.95

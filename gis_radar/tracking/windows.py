@@ -295,17 +295,26 @@ class WindowFitter:
             If the vehicles prefer a pose that is a lane off.
         """
         part, here = rough(self.scene(found.samples)), found.fit.state
-        fits = [
-            solve(part, state, replace(prior_at(state, self.settings.localization), mean=state))
-            for state in (here, *_a_lane_off(part, found.fit))
-        ]
-        for other in fits[1:]:
-            away = other.state.difference(fits[0].state)[:2]
-            lead = advantage(other, fits[0], part.samples)
-            if lead > self.settings.other_lane and np.hypot(*away) > self.settings.other_lane_m:
+        settings = self.settings
+
+        def at(state: State, schedule: Schedule | None = None) -> Fit:
+            prior = replace(prior_at(state, settings.localization), mean=state)
+            return solve(part, state, prior, schedule=schedule)
+
+        def apart_m(one: Fit, other: Fit) -> float:
+            return float(np.hypot(*one.state.difference(other.state)[:2]))
+
+        back = at(here, settings.lane_off)
+        tried = [(state, at(state, settings.lane_off)) for state in _a_lane_off(part, found.fit)]
+        away = [state for state, fit in tried if apart_m(fit, back) > settings.other_lane_m / 2.0]
+        first = at(here) if away else back
+        for other in map(at, away):
+            away_m = apart_m(other, first)
+            lead = advantage(other, first, part.samples)
+            if lead > settings.other_lane and away_m > settings.other_lane_m:
                 raise NoAnswerError(
                     f"{self._problem.name}: the traffic fits clearly better with the sensor "
-                    f"{np.hypot(*away):.1f} m from its start pose",
+                    f"{away_m:.1f} m from its start pose",
                     hint="find the pose with gis-radar localize",
                 )
 
