@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from affine import Affine
 
 from gis_radar.arrays import Booleans, Floats, Integers
+
+if TYPE_CHECKING:
+    from affine import Affine
 
 CELL_M = 0.5
 """Side of the cells of a road, of what stands, and of the pixels of a heat map (the contract)."""
@@ -63,6 +65,8 @@ class Grid:
     @property
     def transform(self) -> Affine:
         """From (column, row) to the south-west corner of a cell, metres; rows go north."""
+        from affine import Affine  # noqa: PLC0415 - most commands need none
+
         west_m, south_m = self.corner
         return Affine(self.cell_m, 0.0, west_m, 0.0, self.cell_m, south_m)
 

@@ -12,7 +12,7 @@ import sqlite3
 import subprocess
 import sys
 import zipfile
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -76,16 +76,34 @@ def in_a_thread(_jobs, scratch):
     return threads(1, scratch)
 
 
+@contextmanager
+def only_pictures(looked_at=""):
+    """Leave all pictures but one and the PDF empty: they take most time."""
+    save = Figure.savefig
+
+    def leave_empty(figure, place, **options):
+        if looked_at and looked_at in str(place):
+            here.undo()
+            save(figure, place, **options)
+            blank()
+        else:
+            Image.new("RGBA", figure.canvas.get_width_height()).save(place, "PNG")
+
+    def blank():
+        here.setattr(Figure, "savefig", leave_empty)
+        here.setattr(Figure, "draw", lambda *_: None)
+        here.setattr(writing, "write_pdf", lambda _, path: path.write_bytes(b"%PDF"))
+
+    with pytest.MonkeyPatch.context() as here:
+        blank()
+        yield
+
+
 @pytest.fixture
-def blank_paper(monkeypatch):
-    """Leave pictures and the PDF empty where a test looks at other files: they take most time."""
-
-    def leave_empty(figure, place, **_options):
-        Image.new("RGBA", figure.canvas.get_width_height()).save(place, "PNG")
-
-    monkeypatch.setattr(Figure, "savefig", leave_empty)
-    monkeypatch.setattr(Figure, "draw", lambda *_: None)
-    monkeypatch.setattr(writing, "write_pdf", lambda _, path: path.write_bytes(b"%PDF"))
+def blank_paper():
+    """Leave pictures and the PDF empty where a test looks at other files."""
+    with only_pictures():
+        yield
 
 
 @pytest.fixture
@@ -251,7 +269,8 @@ def test_what_stands_elsewhere_is_a_warning(small, copied):
     xyz = np.vstack([scan.xyz, crowns]) - [scans.EAST, scans.NORTH, 0.0]
     kinds = np.r_[np.asarray(scan.classification), np.full(len(crowns), 5, np.uint8)]
     scans.write_points(path.parent / "scan_1.laz", xyz, category=kinds)
-    done = gr.run_site(path, out)
+    with only_pictures("localization.png"):
+        done = gr.run_site(path, out)
     assert done.failure is None
     look = gr.read_pose(out / "sensors" / "R1" / "pose.json").evidence["second_look"]
     assert look["verdict"] == "doubts", look
@@ -434,7 +453,8 @@ def test_a_sensor_without_an_answer_and_one_with_bad_data(small, copied):
     third = '\n[[sensor]]\nname = "R3"\nrecordings = "R3.parquet"\nguess = [677990, 5403610]\n'
     path.write_text(text + third)
     words = ["run", str(path), "-o", str(out), "--jobs", "1", "--json"]
-    answer = CliRunner().invoke(group, words)
+    with only_pictures():
+        answer = CliRunner().invoke(group, words)
     assert isinstance(answer.exception, gr.NoAnswerError)
     assert "no result for R3; the heat maps show R1, R2 only" in answer.exception.message
     assert "moving vehicles" in answer.exception.message
@@ -444,7 +464,8 @@ def test_a_sensor_without_an_answer_and_one_with_bad_data(small, copied):
     assert not (out / "sensors" / "R3").exists()
     assert list(gpd.read_file(out / "sensors.gpkg", layer="sensors")["sensor"]) == ["R1", "R2"]
     path.write_text(text + third + third.replace("R3", "R4"))
-    done = gr.run_site(path, out, jobs=1)
+    with only_pictures():
+        done = gr.run_site(path, out, jobs=1)
     assert type(done.failure) is gr.InputError
     assert "R4.parquet" in done.failure.message
     assert set(done.missing) == {"R3", "R4"}

@@ -202,7 +202,7 @@ def image_of_pixels(pixels: Pixels, colours: Sequence[int] | None = None) -> Ima
 
 def image_of_figure(figure: Figure) -> Image.Image:
     """Return a figure as an image."""
-    canvas = FigureCanvasAgg(figure)
+    canvas: Any = FigureCanvasAgg(figure)
     canvas.draw()
     return Image.fromarray(np.asarray(canvas.buffer_rgba()))
 

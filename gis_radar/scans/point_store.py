@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from rasterio.features import rasterize
 from scipy import ndimage
 
 from gis_radar.arrays import Booleans, Floats, Integers
@@ -145,10 +144,16 @@ def cut_into_blocks(roads: Roads) -> RoadBlocks:
 def centres_in(shapes: Any, cells: Grid) -> Booleans:
     """Return which cells have their centre in any shape; rows run from the south."""
     some = [shape for shape in np.atleast_1d(shapes) if not shapely.is_empty(shape)]
+    return _burnt(some, cells) if some else np.zeros((cells.rows, cells.columns), bool)
+
+
+def _burnt(shapes: list[Any], cells: Grid, *, touched: bool = False) -> Booleans:
+    """Return which cells have their centre in any shape, or are touched by one."""
+    from rasterio.features import rasterize  # noqa: PLC0415 - most commands need none
+
     size = (cells.rows, cells.columns)
-    if not some:
-        return np.zeros(size, bool)
-    return np.asarray(rasterize(some, size, transform=cells.transform, dtype="uint8")).astype(bool)
+    burnt = rasterize(shapes, size, transform=cells.transform, all_touched=touched, dtype="uint8")
+    return np.asarray(burnt).astype(bool)
 
 
 def _pieces(shapes: Any, boxes: list[Box]) -> list[Any]:
@@ -161,11 +166,7 @@ def _pieces(shapes: Any, boxes: list[Box]) -> list[Any]:
 
 def _states(shape: Any, cells: Grid) -> NDArray[np.uint8]:
     inside = centres_in(shape, cells)
-    touched = rasterize(
-        [shapely.boundary(shape)], inside.shape, transform=cells.transform, all_touched=True,
-        dtype="uint8",
-    )  # fmt: skip
-    edge = np.asarray(touched).astype(bool)
+    edge = _burnt([shapely.boundary(shape)], cells, touched=True)
     # A cell whose neighbour is on the other side is on the edge, however the line was rounded.
     cross = ndimage.generate_binary_structure(2, 1)
     edge |= ndimage.morphological_gradient(inside.astype(np.uint8), footprint=cross) > 0
