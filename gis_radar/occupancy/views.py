@@ -77,9 +77,13 @@ class ViewBook:
         """Return the name of what each pose of a track sees, and remember the tiles."""
         standing = standing_for(track.poses, self.settings)
         if self.scan is not None:
-            self.scan.read([track.poses[index] for index in np.unique(standing)])
+            self.scan.read(self._looked_from(track))
         names = {index: self._name(track.poses[index]) for index in np.unique(standing).tolist()}
         return tuple(names[index] for index in standing.tolist())
+
+    def _looked_from(self, track: PoseTrack) -> list[Pose]:
+        """Return the poses of a track that stand for all of them."""
+        return [track.poses[index] for index in np.unique(standing_for(track.poses, self.settings))]
 
     def enter_all(self, tracks: Sequence[PoseTrack], reporter: Reporter) -> list[tuple[str, ...]]:
         """Return the views of each track's poses; warn of sensors that see no tile.
@@ -90,6 +94,9 @@ class ViewBook:
             If no sensor sees any tile.
         """
         different = {id(track): track for track in tracks}
+        looks = [pose for track in different.values() for pose in self._looked_from(track)]
+        if self.scan is not None and len(looks) <= self.scan.settings.windows_kept:
+            self.scan.read(looks)  # in one pass
         views = {key: self.enter(track) for key, track in different.items()}
         blind = [
             track.sensor
