@@ -184,10 +184,7 @@ def log_odds(echoes: Echoes, body: Motion, other: Motion, every: VehicleSettings
 
 def _slack(body: Motion, along: Floats, speed: Floats, settings: BodySettings) -> Floats:
     """Return how far range rates of a body may be off: in a bend its ends swing."""
-    bend = (
-        float(np.abs(np.gradient(body.path.heading)).max()) if len(body.path.heading) > 1 else 0.0
-    )
-    swing = settings.swing * min(bend, 0.1) * speed * np.abs(along)
+    swing = settings.swing * min(body.path.most_bend, 0.1) * speed * np.abs(along)
     return np.asarray(settings.rate_mps + settings.wheel_share * speed + swing)
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 
@@ -51,10 +50,24 @@ class Path:
         """Return places (k, 2) and headings (k,) at distances along the path."""
         last = len(self.s_m) - 2
         k = np.clip(np.searchsorted(self.s_m, s_m, side="right") - 1, 0, last)
-        middle = 0.5 * (self.s_m[1:] + self.s_m[:-1])
-        turned = np.interp(s_m, middle, self.heading)
-        way = np.column_stack([np.cos(self.heading), np.sin(self.heading)])[k]
-        return self.points[k] + (s_m - self.s_m[k])[:, None] * way, turned
+        return self.points[k] + (s_m - self.s_m[k])[:, None] * self._way[k], self.heading_at(s_m)
+
+    def heading_at(self, s_m: Floats) -> Floats:
+        """Return headings (k,) at distances along the path."""
+        return np.interp(s_m, self._middle, self.heading)
+
+    @cached_property
+    def most_bend(self) -> float:
+        """The most that its heading changes from one segment to the next, radians."""
+        return float(np.abs(np.gradient(self.heading)).max()) if len(self.heading) > 1 else 0.0
+
+    @cached_property
+    def _middle(self) -> Floats:
+        return np.asarray(0.5 * (self.s_m[1:] + self.s_m[:-1]))
+
+    @cached_property
+    def _way(self) -> Floats:
+        return np.column_stack([np.cos(self.heading), np.sin(self.heading)])
 
     def project(self, points: Floats, guess: Floats, reach_m: float) -> tuple[Floats, Floats]:
         """Return how far along and how far left of the path points are, near a guess of the first.
@@ -77,6 +90,10 @@ def _project(
 ) -> tuple[Floats, Floats]:  # pragma: no cover - compiled
     along, left = np.empty(len(points)), np.empty(len(points))
     last = len(s_m) - 2
+    lengths = np.empty(last + 1)
+    for k in range(last + 1):
+        bx, by = line[k + 1, 0] - line[k, 0], line[k + 1, 1] - line[k, 1]
+        lengths[k] = np.sqrt(bx * bx + by * by)
     for i in range(len(points)):
         low = max(min(np.searchsorted(s_m, guess[i] - reach_m) - 1, last), 0)
         high = max(min(np.searchsorted(s_m, guess[i] + reach_m), last + 1), low + 1)
@@ -84,7 +101,7 @@ def _project(
         for k in range(low, high):
             bx, by = line[k + 1, 0] - line[k, 0], line[k + 1, 1] - line[k, 1]
             dx, dy = points[i, 0] - line[k, 0], points[i, 1] - line[k, 1]
-            length = np.sqrt(bx * bx + by * by)
+            length = lengths[k]
             t = (dx * bx + dy * by) / (length * length)
             if k > 0:
                 t = max(t, 0.0)
@@ -150,18 +167,19 @@ def _progress(states: Floats, spacing_m: float) -> Integers:  # pragma: no cover
 
 def _bridged(states: Floats) -> Floats:
     """Return the places of states, with a cubic curve (Hermite) over gaps of more than 3 m."""
-    parts = [states[:1, :2]]
-    for a, b in pairwise(states):
-        gap = float(np.hypot(*(b - a)[:2]))
-        if gap > 3.0:
-            t = np.linspace(0.0, 1.0, int(gap) + 2)[1:-1, None]
-            begin, end = (gap * np.array([np.cos(x[2]), np.sin(x[2])]) for x in (a, b))
-            parts.append(
-                (2 * t**3 - 3 * t**2 + 1) * a[:2] + (t**3 - 2 * t**2 + t) * begin
-                + (3 * t**2 - 2 * t**3) * b[:2] + (t**3 - t**2) * end
-            )  # fmt: skip
-        parts.append(b[None, :2])
-    return np.vstack(parts)
+    parts, begin = list[Floats](), 0
+    gaps = np.hypot(*np.diff(states[:, :2], axis=0).T)
+    for k in np.flatnonzero(gaps > 3.0).tolist():
+        a, b, gap = states[k], states[k + 1], float(gaps[k])
+        t = np.linspace(0.0, 1.0, int(gap) + 2)[1:-1, None]
+        out, back = (gap * np.array([np.cos(x[2]), np.sin(x[2])]) for x in (a, b))
+        curve = (
+            (2 * t**3 - 3 * t**2 + 1) * a[:2] + (t**3 - 2 * t**2 + t) * out
+            + (3 * t**2 - 2 * t**3) * b[:2] + (t**3 - t**2) * back
+        )  # fmt: skip
+        parts += [states[begin : k + 1, :2], curve]
+        begin = k + 1
+    return np.vstack([*parts, states[begin:, :2]])
 
 
 def _smoothed(line: Floats, window_m: int = 3) -> Path:
@@ -273,7 +291,7 @@ class Motion:
         """
         s, speed = self.at(echoes.time[rows])
         along, left = self.path.project(echoes.points[rows], s, 25.0)
-        _, heading = self.path.at(along)
+        heading = self.path.heading_at(along)
         cos = np.cos(heading) * echoes.sight[rows, 0] + np.sin(heading) * echoes.sight[rows, 1]
         return along - s, left, echoes.range_rate[rows] - speed * cos
 
@@ -299,7 +317,7 @@ def fit_motion(echoes: Echoes, rows: Integers, states: Floats, settings: MotionS
     first = int(np.floor(time[0] * STEPS_PER_SECOND))
     count = int(np.ceil(time[-1] * STEPS_PER_SECOND)) - first + 1
     step = np.clip(np.round(time * STEPS_PER_SECOND).astype(np.int64) - first, 0, count - 1)
-    _, heading = path.at(s)
+    heading = path.heading_at(s)
     sight = echoes.sight[rows]
     cos = np.cos(heading) * sight[:, 0] + np.sin(heading) * sight[:, 1]
     sin = np.abs(np.cos(heading) * sight[:, 1] - np.sin(heading) * sight[:, 0])
@@ -349,7 +367,7 @@ def side_seen(path: Path, s_m: Floats, sight: Floats) -> Floats:
     sight : (k, 2) array
         Unit vectors from the sensor.
     """
-    _, heading = path.at(s_m)
+    heading = path.heading_at(s_m)
     cos = np.cos(heading) * sight[:, 0] + np.sin(heading) * sight[:, 1]
     sin = np.cos(heading) * sight[:, 1] - np.sin(heading) * sight[:, 0]
     car = Size()
@@ -377,7 +395,7 @@ def _fitted_path(
     near = np.convolve(total * cap, bell, "full")[10:-10]
     shift = np.convolve(drift * cap, bell, "full")[10:-10] / (near + 1.0)
     left_of = np.interp(path.s_m, 1.0 + 2.0 * np.arange(count), shift)
-    _, heading = path.at(path.s_m)
+    heading = path.heading_at(path.s_m)
     moved = path.points + left_of[:, None] * np.column_stack([-np.sin(heading), np.cos(heading)])
     better = Path(moved)
     guess, _ = better.project(states[:, :2], guess, 15.0)

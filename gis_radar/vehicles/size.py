@@ -105,7 +105,8 @@ def _scatterers(
     _, which, count = np.unique(key, return_inverse=True, return_counts=True)
     metre = cell // int(1.0 / settings.scatterer_m)
     half = (2.0 * (time - time.min())).astype(np.int64)
-    seen = np.bincount(np.unique(np.column_stack([metre, half]), axis=0)[:, 0] + 400, None, 801)
+    halves = int(half.max()) + 1
+    seen = np.bincount(np.unique(metre * halves + half) // halves + 400, None, 801)
     lasts = np.minimum(seen[metre + 400] / settings.lasting, 1.0)
     table = np.column_stack([along, ends, noise])
     mean = np.stack([np.bincount(which, column) for column in table.T], axis=1) / count[:, None]
