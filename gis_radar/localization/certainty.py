@@ -10,7 +10,7 @@ from gis_radar.arrays import Floats
 from gis_radar.localization.matching import Scene
 from gis_radar.localization.model import Model
 from gis_radar.localization.settings import DEFAULTS, AnswerSettings
-from gis_radar.localization.solver import Fit, Prior, solve
+from gis_radar.localization.solver import Fit, Prior, Rest, settle, solve
 from gis_radar.localization.state import POSE, SIZE, State, angles_from_turn
 from gis_radar.localization.traces import Samples
 
@@ -215,7 +215,7 @@ def _along(fit: Fit, hold: Floats, before: float, after: float) -> Fit:
     )
 
 
-def _excluded(scene: Scene, fit: Fit, hold: Floats, sides: list[list[tuple[float, Fit]]]) -> Fit:
+def _excluded(scene: Scene, fit: Fit, hold: Floats, sides: list[list[tuple[float, Rest]]]) -> Fit:
     """Narrow sigma along a valley to where the cost excludes the pose, on both sides.
 
     Curvature holds near the optimum. Where what is not estimated would move the pose farther than
@@ -253,24 +253,24 @@ def _weakest(fit: Fit, settings: AnswerSettings) -> tuple[Floats, Floats]:
     return hold, covariance @ hold
 
 
-def _cost(fit: Fit) -> float:
+def _cost(fit: Fit | Rest) -> float:
     return fit.cost
 
 
 def _profile(
     scene: Scene, fit: Fit, way: Floats, hold: Floats, prior: Prior, model: Model
-) -> list[tuple[float, Fit]]:
+) -> list[tuple[float, Rest]]:
     """Return fits at some distances along a valley, metres, all else fitted anew."""
-    found, here, at_m, settings = list[tuple[float, Fit]](), fit, 0.0, scene.settings.answer
+    found, state, at_m, settings = list[tuple[float, Rest]](), fit.state, 0.0, scene.settings.answer
     for step_m in settings.valley_steps_m:
-        start = here.state.moved((step_m - at_m) * way)
-        here = solve(scene, start, prior, schedule=settings.valley, model=model, hold=hold)
-        at_m = step_m
+        start = state.moved((step_m - at_m) * way)
+        here = settle(scene, start, prior, schedule=settings.valley, model=model, hold=hold)
+        state, at_m = here.state, step_m
         found.append((step_m, here))
     return found
 
 
-def _deviation(scene: Scene, fit: Fit, side: list[tuple[float, Fit]]) -> float:
+def _deviation(scene: Scene, fit: Fit, side: list[tuple[float, Rest]]) -> float:
     """Return the largest standard deviation, metres, by the rise of the cost along a valley."""
     sigma_m, settings = 0.0, scene.settings.answer
     for step_m, here in side:

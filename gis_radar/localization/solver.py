@@ -136,7 +136,45 @@ def solve(
     hold : (7,) array, optional
         A combination of the state's parts that stays as it is at the start.
     """
-    schedule, settings = schedule or scene.settings.solver.far, scene.settings.solver
+    schedule = schedule or scene.settings.solver.far
+    return _described(*_descended(scene, start, prior, schedule, model, hold))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rest:
+    """Where a fit came to rest.
+
+    Parameters
+    ----------
+    state : State
+        A local optimum.
+    cost : float
+        As of a :class:`Fit`.
+    """
+
+    state: State
+    cost: float
+
+
+def settle(
+    scene: Scene, start: State, prior: Prior, *, schedule: Schedule, model: Model, hold: Floats
+) -> Rest:
+    """Find a pose as :func:`solve` does, where nothing but its cost is asked for.
+
+    Parameters
+    ----------
+    scene, start, prior, schedule, model, hold
+        As of :func:`solve`.
+    """
+    _, here, _ = _descended(scene, start, prior, schedule, model, hold)
+    return Rest(state=here.point.state, cost=here.total)
+
+
+def _descended(
+    scene: Scene, start: State, prior: Prior, schedule: Schedule, model: Model, hold: Floats | None
+) -> tuple[_Cost, _Here, bool]:
+    """Return the cost in the last stage, where it came to rest, and whether it did."""
+    settings = scene.settings.solver
     point = _at_rest(scene, start)
     converged, lever_m = False, np.repeat([1.0, scene.settings.answer.lever_m], 3)
     for scale_m in schedule.scales_m:
@@ -160,7 +198,7 @@ def solve(
             if converged:
                 break
         point = here.point
-    return _described(cost, here, converged=converged)
+    return cost, here, converged
 
 
 def cost_at(scene: Scene, state: State, *, model: Model = MODEL, scale_m: float = 0.0) -> float:
@@ -261,7 +299,7 @@ class _Cost:
         return step, effects, float(np.sqrt(step @ information @ step))
 
 
-def _described(cost: _Cost, here: _Here, *, converged: bool) -> Fit:
+def _described(cost: _Cost, here: _Here, converged: bool) -> Fit:  # noqa: FBT001
     """Return the evidence at a point."""
     across, settings = here.families[0], cost.scene.settings.solver
     effects = here.point.effects
