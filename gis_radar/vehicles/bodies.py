@@ -10,9 +10,8 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-import pandas as pd
 
-from gis_radar.arrays import Floats, Integers, nearest
+from gis_radar.arrays import Booleans, Floats, Integers, nearest
 from gis_radar.vehicles.columns import NONE
 from gis_radar.vehicles.echoes import Echoes
 from gis_radar.vehicles.motion import Motion, fit_motion
@@ -245,27 +244,72 @@ def merge_states(number: Integers, states: tuple[Floats, Floats], joined: Intege
     return np.where(((number == NONE) & (joined != NONE))[:, None], states[1], states[0])
 
 
-def is_person(echoes: Echoes, motions: list[Motion], settings: BodySettings) -> list[bool]:
+def is_person(echoes: Echoes, motions: list[Motion], every: VehicleSettings) -> list[bool]:
     """Tell of each motion whether it is of a walker or a cyclist: slow and weaker, or far weaker.
 
     What vehicles return is taken from those that drive fast in the same recordings, since radars
-    state cross sections on scales of their own.
+    state cross sections on scales of their own. What stands returns about as much: who is far
+    weaker is no vehicle, and where nobody drives fast that alone decides.
     """
-    table = pd.DataFrame(
-        {
-            "rcs": [usual_rcs(echoes.rcs[each.rows]) for each in motions],
-            "fast": [_fast(each) for each in motions],
-        }
-    )
-    driven = table["rcs"][table["fast"] > settings.driven_mps]
-    usual = float(driven.median()) if len(driven) else np.nan
-    weak = table["rcs"] < usual - settings.person_db
-    weaker = table["rcs"] < usual - settings.walker_db
-    person = (weak & (table["fast"] < settings.cyclist_mps)) | (
-        weaker & (table["fast"] < settings.walker_mps)
-    )
-    person |= table["rcs"] < usual - settings.faint_db
-    return [bool(each) for each in person]
+    settings = every.bodies
+    rcs = np.array([usual_rcs(echoes.rcs[each.rows]) for each in motions])
+    fast = np.array([_fast(each) for each in motions])
+    faint = rcs < _still_rcs(echoes, every) - settings.faint_db
+    usual = _driven_rcs(rcs, fast, faint, settings)
+    person = (rcs < usual - settings.person_db) & (fast < settings.cyclist_mps)
+    person |= (rcs < usual - settings.walker_db) & (fast < settings.walker_mps)
+    person |= rcs < usual - settings.faint_db
+    return list((faint if np.isnan(usual) else person).tolist())
+
+
+def _still_rcs(echoes: Echoes, every: VehicleSettings) -> float:
+    """Return what still things return."""
+    return usual_rcs(echoes.rcs[np.abs(echoes.range_rate) < every.echoes.moving_mps])
+
+
+def _driven_rcs(rcs: Floats, fast: Floats, faint: Booleans, settings: BodySettings) -> float:
+    """Return what those that drive fast return, NaN where there are none."""
+    return usual_rcs(rcs[(fast > settings.driven_mps) & ~faint])
+
+
+def without_faint_ends(
+    echoes: Echoes, motions: list[Motion], states: Floats, every: VehicleSettings
+) -> list[Motion]:
+    """Return the motions without begins and ends in which a person was followed with them.
+
+    Nearly all returns of a person are faint, of a vehicle few: where the sum of their log odds is
+    highest is the cut. Those of which less than a body is left are none.
+
+    Parameters
+    ----------
+    echoes : Echoes
+        All detections.
+    motions : list of Motion
+        Of vehicles.
+    states : (n, 6) array
+        Of the vehicle, for every detection.
+    every : VehicleSettings
+        Of all stages.
+    """
+    settings, found = every.bodies, []
+    rcs = np.array([usual_rcs(echoes.rcs[each.rows]) for each in motions])
+    fast = np.array([_fast(each) for each in motions])
+    usual = _driven_rcs(rcs, fast, np.zeros(len(rcs), np.bool_), settings)
+    odds = np.log(settings.faint_share / (1.0 - settings.faint_share))
+    for each in motions:
+        faint = echoes.rcs[each.rows] < usual - settings.faint_db
+        tells = np.where(faint, -odds, odds)
+        ends = []
+        for way in (tells, tells[::-1]):
+            summed = np.cumsum(way)
+            most = int(summed.argmax())
+            ends.append(most + 1 if summed[most] > settings.faint_odds else 0)
+        rows = each.rows[ends[0] : len(faint) - ends[1]]
+        if len(rows) == len(faint):
+            found.append(each)
+        elif len(rows) >= settings.least_rows:
+            found.append(fit_motion(echoes, rows, states, every.motion))
+    return found
 
 
 def usual_rcs(rcs: Floats, share: float = 0.5) -> float:

@@ -55,6 +55,10 @@ def with_standing(
     free = not_built(echoes, free, sweeps, settings.standing)
     seen = Detectability.learned(echoes, motions, settings.detectability)
     motions = [
+        part for each in motions
+        for part in _at_drives(each, echoes, states, free, sweeps, settings)
+    ]  # fmt: skip
+    motions = [
         with_rest(number, each, echoes, free, states, sweeps, seen, settings)
         for number, each in enumerate(motions)
     ]  # fmt: skip
@@ -121,10 +125,7 @@ def _at_silences(
     number: int, motion: Motion, echoes: Echoes, states: Floats, free: Booleans,
     seen: Detectability, settings: VehicleSettings,
 ) -> list[Motion]:  # fmt: skip
-    """Return a motion, cut where it is silent although it would be in plain view.
-
-    Still detections of parts that are too small become free.
-    """
+    """Return a motion, cut where it is silent although it would be in plain view."""
     limits, time = settings.detectability, echoes.time[motion.rows]
     cuts = []
     for k in np.flatnonzero(np.diff(time) > limits.silent_s).tolist():
@@ -135,6 +136,37 @@ def _at_silences(
         due = min(seen.due_between(each, span, (number, NONE)) for each in ways)
         if due > limits.most_due:
             cuts.append(k + 1)
+    return _parts(motion, cuts, echoes, states, free, settings)
+
+
+def _at_drives(
+    motion: Motion, echoes: Echoes, states: Floats, free: Booleans, sweeps: Sweeps,
+    settings: VehicleSettings,
+) -> list[Motion]:  # fmt: skip
+    """Return a motion, cut where it was silent and others drove over its place.
+
+    So is one that was silent for long and is elsewhere then: links join it, if it is one.
+    """
+    time = echoes.time[motion.rows]
+    cuts = []
+    for k in np.flatnonzero(np.diff(time) > settings.detectability.silent_s).tolist():
+        s_m, _ = motion.at(time[k : k + 2])
+        places, _ = motion.path.at(s_m)
+        stayed = np.ptp(s_m) < settings.lives.away_m
+        if stayed:
+            lost = sweeps.after(places[0], float(time[k])) < time[k + 1] - 1.0
+        else:
+            lost = time[k + 1] - time[k] > settings.standing.silence_s
+        if lost:
+            cuts.append(k + 1)
+    return _parts(motion, cuts, echoes, states, free, settings)
+
+
+def _parts(
+    motion: Motion, cuts: list[int], echoes: Echoes, states: Floats, free: Booleans,
+    settings: VehicleSettings,
+) -> list[Motion]:  # fmt: skip
+    """Return a motion cut in parts; still detections of those that are too small become free."""
     if not cuts:
         return [motion]
     parts = []
@@ -149,12 +181,17 @@ def _at_silences(
 def _as_strong(
     stands: Sequence[Stand], echoes: Echoes, motions: Sequence[Motion], settings: VehicleSettings
 ) -> list[Stand]:
-    """Return the stands whose strong returns are not far below what vehicles that drive return."""
+    """Return the stands whose strong returns are not far below what vehicles that drive return.
+
+    Where nobody drives, what stands returns about as much.
+    """
     driven = [
         usual_rcs(echoes.rcs[each.rows]) for each in motions
         if np.median(each.speed) > settings.bodies.driven_mps
     ]  # fmt: skip
-    least = usual_rcs(np.array(driven)) - settings.lives.weaker_db
+    still = np.abs(echoes.range_rate) < settings.echoes.moving_mps
+    usual = usual_rcs(np.array(driven)) if driven else usual_rcs(echoes.rcs[still])
+    least = usual - settings.lives.weaker_db
     return [
         each for each in stands
         if not usual_rcs(echoes.rcs[each.rows], 0.9) < least  # nor where either is unknown

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pandas as pd
 from scipy.optimize import linear_sum_assignment
@@ -17,6 +19,11 @@ from gis_radar.vehicles.routes import route_of
 from gis_radar.vehicles.settings import PieceSettings, VehicleSettings
 from gis_radar.vehicles.tables import TRACKS, VEHICLES
 
+WAY_RAD = np.pi / 9.0
+BEND_M, BEND_RAD = 5.0, 0.1  # who turns is where it suits
+LEAST_ROWS = 5  # detections of a vehicle on a lane, of which the median tells its side
+DRAWN = 0.75  # who is off by a smaller share of the worst is drawn along by that one
+SIDES = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
 POSE_HINT = ": its pose may be off (gis-radar track, gis-radar localize)"
 
 
@@ -35,7 +42,7 @@ class PieceMaker:
         self._graph, self._settings = graph, settings
         self._known: pd.DataFrame | None = None  # detections of vehicles at the edge: key, vehicle
         self._edge = -1
-        self._off_lanes: list[pd.DataFrame] = []
+        self._on_lanes: list[pd.DataFrame] = []
         self.found = 0
 
     def piece(self, block: Block, motions: list[Motion]) -> VehiclePiece:
@@ -51,7 +58,9 @@ class PieceMaker:
         rows = []
         for number, motion, each in zip(numbers, motions, states, strict=True):
             table, lanelets = self._tables(each, motion)
-            self._off_lanes.append(_off_lanes(table, motion, block.echoes, self._settings.pieces))
+            self._on_lanes.append(
+                _on_lanes(number, table, motion, block.echoes, self._settings.pieces)
+            )
             tables.append(table.assign(vehicle=number))
             cut = (block.begins and each.step[0] == block.first_step) or (
                 block.ends and each.step[-1] == block.last_step
@@ -72,17 +81,12 @@ class PieceMaker:
         )  # fmt: skip
 
     def warnings(self, sensors: list[str]) -> list[str]:
-        """Return a line for each sensor whose vehicles follow no lanelets."""
-        if not self._off_lanes:
+        """Return a line for each sensor whose vehicles do not drive where the lanes are."""
+        if not self._on_lanes:
             return []
-        limits, lines = self._settings.pieces, []
-        seen = pd.concat(self._off_lanes, ignore_index=True)
-        for number, name in enumerate(sensors):
-            mine = seen[seen["sensor"] == number]
-            off = float(mine["off"].mean()) if len(mine) >= limits.least_judged else 0.0
-            if off > limits.most_off_lane:
-                lines.append(f"{name}: {off:.0%} of its vehicles follow no lanelet{POSE_HINT}")
-        return lines
+        return pose_warnings(
+            pd.concat(self._on_lanes, ignore_index=True), sensors, self._settings.pieces
+        )
 
     def _numbers(self, block: Block, motions: list[Motion], states: list[_States]) -> list[int]:
         """Return the number of each vehicle: that of the block before where it goes on."""
@@ -133,6 +137,14 @@ class PieceMaker:
         route = route_of(fronts, states.heading, graph, self._settings.routes)
         on = route.lane >= 0
         lanelet = pd.Series(graph.lanelet_id[np.maximum(route.lane, 0)], dtype="Int64")
+        towards = np.full(len(on), np.nan)
+        for lane in np.unique(route.lane[on]).tolist():
+            here = np.flatnonzero(route.lane == lane)
+            before, now, after = (
+                graph.place(lane, route.s_m[here] + more)[1] for more in (-BEND_M, 0.0, BEND_M)
+            )
+            straight = np.abs(after - before) < BEND_RAD
+            towards[here[straight]] = np.angle(np.exp(1j * now[straight]))
         table = pd.DataFrame(
             {
                 "step": states.step,
@@ -144,22 +156,95 @@ class PieceMaker:
                 "s_m": route.s_m,
                 "d_m": route.d_m,
                 "seen": states.seen,
+                "towards": towards,  # of the lane where it is straight, for the check of poses
             }
         )
         return table, route.lanelets(graph)
 
 
-def _off_lanes(
-    table: pd.DataFrame, motion: Motion, echoes: Echoes, settings: PieceSettings
+def _on_lanes(
+    number: int, table: pd.DataFrame, motion: Motion, echoes: Echoes, settings: PieceSettings
 ) -> pd.DataFrame:
-    """Return for each sensor that sees a vehicle whether it drives mostly on no lanelet."""
+    """Return where each sensor sees a vehicle drive: how far left of its lane, by heading."""
     step = (echoes.time[motion.rows] / STEP_S).astype(np.int64) - int(table["step"].iloc[0])
     inside = (step >= 0) & (step < len(table))
-    step, rows = step[inside], motion.rows[inside]
-    off = table["lanelet_id"].isna().to_numpy()[step]
-    found = pd.DataFrame({"sensor": echoes.sensor[rows], "off": off})
-    drives = table["speed"].to_numpy()[step] > settings.through_mps
-    return (found[drives].groupby("sensor")["off"].mean() > 0.5).reset_index()
+    states = table.iloc[step[inside]]
+    towards = states["towards"].to_numpy()
+    left_m = states["d_m"].to_numpy(np.float64, na_value=np.nan)
+    found = pd.DataFrame(
+        {
+            "vehicle": number,
+            "sensor": echoes.sensor[motion.rows[inside]],
+            "way": np.round(np.nan_to_num(towards) / WAY_RAD).astype(np.int64),
+            "towards": towards,
+            "on": states["lanelet_id"].notna().to_numpy(),
+            "left_m": np.where(np.isfinite(towards), left_m, np.nan),
+        }
+    )
+    drives = states["speed"].to_numpy() > settings.through_mps
+    groups = found[drives].groupby(["vehicle", "sensor", "way"])
+    return groups.agg(
+        towards=("towards", "mean"), size=("on", "size"), on=("on", "sum"),
+        count=("left_m", "count"), left_m=("left_m", "median"),
+    ).reset_index()  # fmt: skip
+
+
+def pose_warnings(seen: pd.DataFrame, sensors: Sequence[str], settings: PieceSettings) -> list[str]:
+    """Return a line for each sensor whose vehicles drive beside the lanes: its pose may be off.
+
+    Parameters
+    ----------
+    seen : DataFrame
+        ``vehicle sensor way towards size on count left_m``: how often each sensor detected a
+        vehicle while it drove, how often on a lanelet, how often where that is straight in a
+        direction (steps of 20 degrees, and the mean, radians), and how far left of its centre.
+    sensors : sequence of str
+        Names, by number.
+    settings : PieceSettings
+        What is too far.
+    """
+    judged: dict[int, tuple[float, float, Floats]] = {}
+    for number in np.unique(seen["sensor"]).tolist():
+        mine = seen[seen["sensor"] == number]
+        if mine["vehicle"].nunique() >= settings.least_judged:
+            counts = mine.groupby("vehicle")[["size", "on"]].sum()
+            off = float((counts["on"] < 0.5 * counts["size"]).mean())
+            left = mine[mine["count"] >= LEAST_ROWS]
+            judged[number] = off, float(left["left_m"].abs().median()), _shift(left, settings)
+    shifts = {number: float(np.hypot(*shift)) for number, (_, _, shift) in judged.items()}
+    lines = []
+    for number, (off, beside, shift) in judged.items():
+        others = [each[1] for other, each in judged.items() if other != number]
+        apart = beside - float(np.median(others)) if others else 0.0
+        if off > settings.most_off_lane:
+            what = f"{off:.0%} of its vehicles follow no lanelet"
+        elif shifts[number] > max(settings.most_beside_m, DRAWN * max(shifts.values())):
+            side = SIDES[round(float(np.arctan2(shift[1], shift[0])) / (0.25 * np.pi)) % 8]
+            what = f"its vehicles drive {shifts[number]:.1f} m {side} of the lanes"
+        elif apart > settings.most_beside_m:
+            what = f"its vehicles drive {apart:.1f} m farther from their lanes' centres than others"
+        else:
+            continue
+        lines.append(f"{sensors[number]}: {what}{POSE_HINT}")
+    return lines
+
+
+def _shift(left: pd.DataFrame, settings: PieceSettings) -> Floats:
+    """Return by how much all vehicles of a sensor are beside their lanes, east and north, metres.
+
+    Vehicles of one direction show it across that. Those of a lane are off alike, so that many count
+    little more than a few; a prior holds the direction in which nobody drives.
+    """
+    ways = left.groupby("way").agg(
+        towards=("towards", "mean"), left_m=("left_m", "median"), count=("left_m", "size")
+    )
+    way = ways["towards"].to_numpy(np.float64)
+    normal = np.column_stack([-np.sin(way), np.cos(way)])
+    var = settings.lane_m**2 + settings.beside_m**2 / ways["count"].to_numpy(np.float64)
+    weighted = normal / var[:, None]
+    prior = np.eye(2) / settings.shift_m**2
+    beside = ways["left_m"].to_numpy(np.float64)
+    return np.asarray(np.linalg.solve(normal.T @ weighted + prior, weighted.T @ beside))
 
 
 class _States:

@@ -94,26 +94,27 @@ def _rate_without(
     number: int, motion: Motion, at: int, echoes: Echoes, free: Booleans, seen: Detectability,
     settings: VehicleSettings,
 ) -> float:  # fmt: skip
-    """Return how often a second its place is detected just before it came, or after it left.
+    """Return how often a second its place is detected before it came, or after it left.
 
-    What stands there then, and is no other vehicle, is of the road or is parked beside it.
+    What stands there then, and is no other vehicle, is of the road or is parked beside it. The
+    nearest seconds count in which no other vehicle is there.
     """
     limits = settings.lives
     away = np.abs(motion.s_m - motion.s_m[at]) > motion.length_m + limits.away_m
     if not away.any():
         return 0.0
-    near = np.flatnonzero(away)[at]
-    when = (motion.first_step + near) / STEPS_PER_SECOND
-    ends = np.array([when - limits.empty_s, when] if at else [when, when + limits.empty_s])
-    rows = _in_span(echoes, free, ends)
-    s_m = np.full(len(rows), motion.s_m[at])
-    rows = rows[_on_body(motion, s_m, echoes, rows, settings)]
+    when = (motion.first_step + np.flatnonzero(away)[at]) / STEPS_PER_SECOND
+    ends = np.array([when - limits.search_s, when] if at else [when, when + limits.search_s])
     ends = np.clip(ends, echoes.time[0], echoes.time[-1])
     halves = np.arange(int(2.0 * ends[0]), int(2.0 * ends[1]) + 1)
     others = seen.occluders.near(motion.places[0][at], halves, number, motion.length_m)
-    empty = np.setdiff1d(halves, others)
+    empty, count = np.setdiff1d(halves, others), round(2.0 * limits.empty_s)
+    empty = empty[-count:] if at else empty[:count]
     if len(empty) == 0:
         return 0.0
+    rows = _in_span(echoes, free, np.array([0.5 * empty[0], 0.5 * empty[-1] + 0.5]))
+    s_m = np.full(len(rows), motion.s_m[at])
+    rows = rows[_on_body(motion, s_m, echoes, rows, settings)]
     return float(
         2.0 * np.isin((2.0 * echoes.time[rows]).astype(np.int64), empty).sum() / len(empty)
     )

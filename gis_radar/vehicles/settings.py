@@ -175,6 +175,10 @@ class BodySettings:
         creeping cars are as strong as cars.
     faint_db : float
         What returns so much less is no vehicle, however fast: persons followed with a passing one.
+    faint_share, faint_odds : float, float
+        Such a share of the returns of a vehicle is so faint, and of those of a person all but that:
+        a tenth of a car's, a fifth of a lorry's or a motorcycle's; nine tenths of a walker's, two
+        thirds of a cyclist's. From which logarithm of odds an end is of a person: eight in a row.
     """
 
     seen_s: float = 0.35
@@ -201,6 +205,8 @@ class BodySettings:
     person_db: float = 5.0
     walker_db: float = 3.0
     faint_db: float = 9.0
+    faint_share: float = 0.2
+    faint_odds: float = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -262,6 +268,12 @@ class PieceSettings:
         A pose is judged by so many vehicles.
     most_off_lane : float
         A pose is doubtful if a larger share of a sensor's vehicles follows no lanelet.
+    most_beside_m : float
+        It is, too, if they all are off to one side by more, or farther from their lanes' centres
+        than those of other sensors.
+    lane_m, beside_m, shift_m : float, float, float
+        1 sigma of where drivers of a lane all are beside its centre, as recorded at three
+        junctions, of where one is found beside that, and of a pose.
     """
 
     seen_s: float = 0.5
@@ -270,6 +282,10 @@ class PieceSettings:
     through_mps: float = 3.0
     least_judged: int = 8
     most_off_lane: float = 0.2
+    most_beside_m: float = 0.6
+    lane_m: float = 0.25
+    beside_m: float = 0.7
+    shift_m: float = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -436,7 +436,9 @@ def _usual_rate(motions: Sequence[Motion], echoes: Echoes) -> float:
 def _heard_parts(
     stand: Stand, echoes: Echoes, usual: float, settings: StandingSettings
 ) -> list[Stand]:
-    """Split a stand at silences; keep what is seen often enough."""
+    """Split a stand at silences; keep what is seen often enough, none where that is unknown."""
+    if usual <= 0.0:
+        return []
     cuts = np.flatnonzero(np.diff(echoes.time[stand.rows]) > settings.silence_s) + 1
     found = []
     for rows in np.split(stand.rows, cuts):

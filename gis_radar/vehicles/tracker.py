@@ -11,6 +11,7 @@ from gis_radar.vehicles.bodies import (
     join_directions,
     merge_states,
     rows_by_number,
+    without_faint_ends,
 )
 from gis_radar.vehicles.doubles import without_doubles
 from gis_radar.vehicles.echoes import Echoes
@@ -38,12 +39,14 @@ def vehicles_in(echoes: Echoes, graph: LaneGraph, settings: VehicleSettings) -> 
     joined = join_directions(*numbers, echoes.time)
     states = merge_states(numbers[0], both, joined)
     parts = [rows for rows in rows_by_number(joined) if len(rows) >= settings.bodies.least_rows]
-    motions = absorb(echoes, parts, states, settings)
-    persons = is_person(echoes, motions, settings.bodies)
+    free = np.abs(echoes.range_rate) < settings.echoes.moving_mps
+    followed = absorb(echoes, parts, states, settings)
+    motions = [each for each in followed if (~free[each.rows]).sum() >= settings.forward.births]
+    persons = is_person(echoes, motions, settings)
     driven = [each for each, person in zip(motions, persons, strict=True) if not person]
+    driven = without_faint_ends(echoes, driven, states, settings)
     if not driven:
         return []  # where nothing drives, nothing tells a vehicle that stands from what is built
-    free = np.abs(echoes.range_rate) < settings.echoes.moving_mps
     for each in motions:
         free[each.rows] = False
     found = with_standing(echoes, graph, driven, states, free, settings)

@@ -1,0 +1,164 @@
+"""What is no vehicle, and which pose is off: inputs that mislead."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from test_vehicles_evidence import driven, echoes_at, road_of, setting_off
+
+from gis_radar.vehicles.bodies import is_person, without_faint_ends
+from gis_radar.vehicles.detectability import Detectability, Occluders
+from gis_radar.vehicles.life_settings import StandingSettings
+from gis_radar.vehicles.lives import _at_drives
+from gis_radar.vehicles.motion import fit_motion
+from gis_radar.vehicles.pieces import pose_warnings
+from gis_radar.vehicles.resting import _rate_without
+from gis_radar.vehicles.settings import PieceSettings, VehicleSettings
+from gis_radar.vehicles.standing import Stand, _heard_parts
+from gis_radar.vehicles.strips import Strips
+from gis_radar.vehicles.sweeps import Sweeps
+
+RATE = 20
+
+
+def followed(rcs, speeds):
+    """Motions of so many dBm2 and m/s, twenty detections each, beside a hundred still ones."""
+    count = 20 * len(rcs)
+    echoes = echoes_at(
+        np.tile(np.arange(20.0) / RATE, len(rcs) + 5), np.full((count + 100, 2), 30.0)
+    )
+    echoes.rcs[:count] = np.repeat(rcs, 20)
+    echoes.range_rate[count:] = 0.0
+    motions = [driven(0.0, 1.0, v, 20 * k + np.arange(20)) for k, v in enumerate(speeds)]
+    return echoes, motions
+
+
+@pytest.mark.parametrize("ghosts", [0, 2])
+def test_where_no_vehicle_drives_walkers_are_none(ghosts):
+    rcs, speeds = [-17.0, -16.0, -3.0] + ghosts * [-18.0], [1.4, 4.0, 3.0] + ghosts * [12.0]
+    echoes, motions = followed(rcs, speeds)  # what stands returns 0 dBm2
+    persons = is_person(echoes, motions, VehicleSettings())
+    assert persons == [True, True, False] + ghosts * [True]
+
+
+def test_persons_are_weaker_than_who_drives_fast():
+    echoes, motions = followed([-6.0, -1.0, 0.0], [1.4, 12.0, 10.0])
+    assert is_person(echoes, motions, VehicleSettings()) == [True, False, False]
+
+
+def seen_by(sensor, shift, ways, rng, on=1.0):
+    """Vehicles of a sensor that drives beside its lanes by a shift, in directions of 20 degrees."""
+    count = 100
+    way = rng.choice(ways, count)
+    turn = np.radians(20.0 * way)
+    left = shift[1] * np.cos(turn) - shift[0] * np.sin(turn) + rng.normal(0.0, 0.2, count)
+    size = np.full(count, 30)
+    hits = np.where(rng.random(count) < on, 30, 0)
+    return pd.DataFrame(
+        {
+            "vehicle": np.arange(count) + 100 * sensor, "sensor": sensor, "way": way,
+            "towards": np.radians(20.0 * way), "size": size, "on": hits, "count": hits,
+            "left_m": np.where(hits > 0, left, np.nan),
+        }
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("shift", "said"),
+    [((0.3, -0.2), []), ((1.0, 0.0), ["0.9 m east of"]), ((-0.7, 0.7), ["m north-west of"])],
+)
+def test_a_pose_that_is_off_is_named(shift, said):
+    rng = np.random.default_rng(1)
+    seen = pd.concat(
+        [seen_by(0, (0.0, 0.2), [0, 9, -4], rng), seen_by(1, shift, [0, 4, 9, -4], rng)]
+    )
+    lines = pose_warnings(seen, ["R1", "R2"], PieceSettings())
+    assert len(lines) == len(said)
+    for line, part in zip(lines, said, strict=True):
+        assert line.startswith("R2: ")
+        assert part in line
+
+
+def test_across_one_road_only_a_pose_is_judged_across_it():
+    rng = np.random.default_rng(2)
+    along, across = (seen_by(0, shift, [0, 9], rng) for shift in ((9.0, 0.0), (0.0, 1.2)))
+    assert pose_warnings(along, ["R1"], PieceSettings()) == []
+    assert "1.2 m north" in pose_warnings(across, ["R1"], PieceSettings())[0]
+
+
+def test_a_pose_whose_vehicles_follow_no_lane_is_named():
+    seen = seen_by(0, (0.0, 0.0), [0, 9], np.random.default_rng(3), on=0.7)
+    (line,) = pose_warnings(seen, ["R1"], PieceSettings())
+    assert "follow no lanelet" in line
+
+
+def test_a_pose_turned_off_is_named_by_what_others_measure():
+    rng = np.random.default_rng(4)
+    right, turned = (seen_by(k, (0.0, 0.0), [0, 4, 9, -4], rng) for k in (0, 1))
+    turned["left_m"] += 1.2 * (turned.groupby("way").cumcount() % 3 - 1)
+    (line,) = pose_warnings(pd.concat([right, turned]), ["R1", "R2"], PieceSettings())
+    assert line.startswith("R2: ")
+    assert "farther from their lanes' centres" in line
+
+
+def test_few_vehicles_judge_no_pose():
+    seen = seen_by(0, (2.0, 0.0), [0, 4], np.random.default_rng(5)).head(7)
+    assert pose_warnings(seen, ["R1"], PieceSettings()) == []
+
+
+def test_a_person_followed_with_a_vehicle_is_cut_off():
+    echoes, (motion,) = followed([0.0], [10.0])
+    motion.rows[:] = np.arange(20)
+    echoes.rcs[:10] = -15.0
+    states = np.zeros((len(echoes), 6))
+    states[:, :2], states[:, 3] = echoes.points, 10.0
+    _, fast = followed([0.0, 0.0], [10.0, 10.0])
+    fast = [each for each in fast if each.rows[0] == 20]
+    (cut, whole) = without_faint_ends(echoes, [motion, *fast], states, VehicleSettings())
+    assert cut.rows.tolist() == list(range(10, 20))
+    assert whole is fast[0]
+
+
+def test_a_few_faint_returns_are_of_the_vehicle():
+    echoes, (motion,) = followed([0.0], [10.0])
+    echoes.rcs[:4] = -15.0
+    (whole,) = without_faint_ends(echoes, [motion], np.zeros((len(echoes), 6)), VehicleSettings())
+    assert whole is motion
+
+
+@pytest.mark.parametrize(
+    ("silent_s", "moved_m", "parts"), [(3.0, 8.0, 1), (12.0, 8.0, 2), (12.0, 0.0, 1)]
+)
+def test_who_is_elsewhere_after_a_long_silence_is_joined_by_links(silent_s, moved_m, parts):
+    time = np.concatenate([np.arange(20.0) / RATE, silent_s + 1.0 + np.arange(20.0) / RATE])
+    points = np.column_stack([30.0 + np.repeat([0.0, moved_m], 20), np.full(40, 0.5)])
+    echoes = echoes_at(time, points)
+    echoes.range_rate[:] = 0.0
+    states = np.zeros((40, 6))
+    states[:, :2] = echoes.points
+    motion = fit_motion(echoes, np.arange(40), states, VehicleSettings().motion)
+    sweeps = Sweeps.of([], echoes, Strips.of(road_of(1)), StandingSettings())
+    free = np.zeros(40, bool)
+    found = _at_drives(motion, echoes, states, free, sweeps, VehicleSettings())
+    assert len(found) == parts
+
+
+def test_where_no_rate_is_known_nothing_stands():
+    stand = Stand(strip=0, rear_m=0.0, front_m=4.0, begin=0.0, end=9.0, rows=np.arange(60))
+    echoes = echoes_at(np.arange(60.0) / 6.0, np.tile([30.0, 0.0], (60, 1)))
+    assert _heard_parts(stand, echoes, 0.0, StandingSettings()) == []
+    assert len(_heard_parts(stand, echoes, 900.0, StandingSettings())) == 1
+
+
+def test_what_is_there_once_the_followers_have_gone_is_of_the_road():
+    echoes, drives = setting_off(fixed=True)  # until 60 s
+    states = np.zeros((len(echoes), 6))
+    states[:, 0] = echoes.points[:, 0]
+    motion = fit_motion(echoes, drives, states, VehicleSettings().motion)
+    free = echoes.range_rate == 0.0
+    seen = Detectability.learned(echoes, [], VehicleSettings().detectability)
+    follower = Occluders.standing(1, (41.0, 50.0), 50.0, 0.0, 0.0, 4.5)
+    seen = replace(seen, occluders=follower)
+    rate = _rate_without(0, motion, 0, echoes, free, seen, VehicleSettings())
+    assert rate == pytest.approx(5.0, rel=0.2)
