@@ -138,9 +138,16 @@ def test_a_strip_overlaps_as_the_buffer_of_its_path(turns, line, length, driven)
         np.empty((2 * MOST_PARTS, 2)),
     )  # fmt: skip
     taken = shapely.LineString(np.concatenate([[[-60.0, 0.0]], fronts]))
-    strip = shapely.ops.substring(taken, taken.length - length, taken.length)
-    buffer = strip.buffer(1.25, cap_style="flat", join_style="round", quad_segs=64)
-    assert got == pytest.approx(ends.intersection(buffer).length, abs=0.02)
+    beyond = shapely.LineString([*taken.coords, fronts[-1] + move[-1]])
+    # a line on the very edge may count or not
+    least, most = (
+        ends.intersection(
+            shapely.ops.substring(beyond, taken.length - length - e, taken.length + e)
+            .buffer(1.25 + e, cap_style="flat", join_style="round", quad_segs=64)
+        ).length
+        for e in (-1e-6, 1e-6)
+    )  # fmt: skip
+    assert least - 0.02 < got < most + 0.02
 
 
 def test_the_strip_of_a_truck_bends_and_goes_on_from_piece_to_piece():

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from gis_radar.lanelets.graph import LaneGraph
 from gis_radar.vehicles.detectability import Detectability, Occluders
 from gis_radar.vehicles.doubles import distinct_stands, join_tall, without_doubles
-from gis_radar.vehicles.echoes import Echoes
+from gis_radar.vehicles.echoes import Echoes, still_rate
 from gis_radar.vehicles.forward import ForwardFilter
 from gis_radar.vehicles.life_settings import (
     DetectabilitySettings,
@@ -20,7 +20,12 @@ from gis_radar.vehicles.links import Part, chains
 from gis_radar.vehicles.lives import _as_strong
 from gis_radar.vehicles.motion import Motion, Path, fit_motion
 from gis_radar.vehicles.resting import _rate_without, unbroken, with_rest
-from gis_radar.vehicles.settings import ForwardSettings, MotionSettings, VehicleSettings
+from gis_radar.vehicles.settings import (
+    EchoSettings,
+    ForwardSettings,
+    MotionSettings,
+    VehicleSettings,
+)
 from gis_radar.vehicles.size import size_of
 from gis_radar.vehicles.standing import Stand, not_built
 from gis_radar.vehicles.strips import Strips
@@ -484,3 +489,66 @@ def test_what_is_seen_while_others_drive_over_it_holds_no_vehicle(through):
     left = not_built(echoes, np.ones(len(time), bool), sweeps, StandingSettings())
     assert left.all() != through
     assert left.any() != through
+
+
+def test_what_comes_more_often_than_the_road_returns_is_none_of_it():
+    """The road returns all the time; one stands on it between the second and the third driver."""
+    rng = np.random.default_rng(3)
+    begins, graph = (0, 20, 60, 80), road_of(1)
+    road, stands = np.sort(rng.uniform(0.0, 100.0, 4000)), np.sort(rng.uniform(30.0, 55.0, 1500))
+    time = np.concatenate([road, stands])
+    order = np.argsort(time)
+    places = rng.uniform([97.0, -1.0], [103.0, 1.0], (len(time), 2))
+    echoes = echoes_at(time[order], places[order])
+    path = Path(np.column_stack([np.arange(201.0), np.zeros(201)]))
+    count = 20 * RATE
+    drivers = [
+        Motion(
+            rows=np.arange(len(time)), path=path, first_step=begin * RATE,
+            s_m=10.0 / RATE * np.arange(count), speed=np.full(count, 10.0), var_s=np.ones(count),
+            length_m=4.5, width_m=1.8, length_sigma_m=0.5, p_heavy=0.0,
+            along_m=np.zeros(len(time)), left_m=np.zeros(len(time)),
+        )
+        for begin in begins
+    ]  # fmt: skip
+    sweeps = Sweeps.of(drivers, echoes, Strips.of(graph), StandingSettings())
+    left = echoes.time[not_built(echoes, np.ones(len(time), bool), sweeps, StandingSettings())]
+    inside = (left > 29.0) & (left < 56.0)
+    assert inside.mean() > 0.97
+    assert inside.sum() > 0.9 * len(stands)
+
+
+def test_a_radar_with_more_noise_needs_more_to_seem_to_move():
+    rng = np.random.default_rng(1)
+    settings = EchoSettings()
+    quiet, noisy = (rng.normal(0.0, sigma, 50_000) for sigma in (0.016, 0.05))
+    driven = rng.uniform(-20.0, 20.0, 5_000)
+    assert still_rate(np.append(quiet, driven), settings) == settings.moving_mps
+    limit = still_rate(np.append(noisy, driven), settings)
+    assert limit == pytest.approx(0.25, rel=0.05)
+    assert (np.abs(noisy) > limit).mean() < 1e-4
+    # where nothing stands, nothing tells how much it would scatter
+    assert still_rate(driven, settings) == settings.moving_mps
+
+
+def test_fixed_returns_do_not_hold_one_who_drives_across_the_view():
+    """Seen from the side it has the range rate of what stands beside the lane, and drives on."""
+    time = np.arange(0.0, 8.0, 0.05)
+    car = np.column_stack([60.0 + 10.0 * time, np.zeros(len(time))])
+    points = np.concatenate([car, np.tile([101.0, 1.5], (len(time), 1))])
+    when = np.tile(time, 2)
+    order = np.argsort(when, kind="stable")
+    away = points - [100.0, -30.0]
+    sight = away / np.hypot(*away.T)[:, None]
+    rate = np.append(10.0 * sight[: len(time), 0], np.zeros(len(time)))
+    echoes = Echoes(
+        time=when[order], points=points[order], height_m=np.full(len(when), 0.7),
+        range_rate=rate[order], sight=sight[order], range_m=np.hypot(*away.T)[order],
+        sensor=np.zeros(len(when), np.int64), rcs=np.zeros(len(when)),
+    )  # fmt: skip
+    number, state = ForwardFilter(road_of(1), ForwardSettings()).push(echoes)
+    fixed = order >= len(time)
+    assert (number[fixed] < 0).all()
+    moving = ~fixed & (np.abs(echoes.range_rate) > 0.15)
+    assert len(np.unique(number[moving])) == 1
+    assert state[moving][-1, 3] == pytest.approx(10.0, abs=0.5)

@@ -20,7 +20,7 @@ from gis_radar.occupancy.views import PlacedRecording
 from gis_radar.progress import Reporter
 from gis_radar.recordings.recording import Detections
 from gis_radar.steps import STEPS_PER_SECOND, step_of
-from gis_radar.vehicles.echoes import Echoes, echoes_of
+from gis_radar.vehicles.echoes import Echoes, echoes_of, still_rate
 from gis_radar.vehicles.settings import BlockSettings, VehicleSettings
 from gis_radar.vehicles.tables import FRAMES
 
@@ -62,6 +62,7 @@ class _Read:
     poses: set[int] = field(default_factory=set)
     detections: int = 0
     rates: int = 0
+    still_mps: float | None = None
 
     def refuse_without_rates(self) -> None:
         """Refuse detections of which none has a range rate."""
@@ -160,6 +161,8 @@ class SourceReader:
         source, sensor = read.source, read.source.track.sensor
         time = piece.time if source.clock is None else source.clock.corrected(piece.time)
         held = source.track.at(time)
+        if read.still_mps is None:
+            read.still_mps = still_rate(piece.range_rate[piece.present], self._settings.echoes)
         for index in np.unique(held).tolist():
             now = held == index
             read.poses.add(index)
@@ -169,7 +172,7 @@ class SourceReader:
             echoes = echoes_of(
                 replace(rows_of(piece, here), time=time[here]), source.track.poses[index],
                 self.sensors.index(sensor), self._graph, self._settings.echoes,
-                road_m=self._road_m[sensor, source.views[index]],
+                road_m=self._road_m[sensor, source.views[index]], still_mps=read.still_mps,
             )  # fmt: skip
             steps = np.unique(step_of(time[now]))
             runs = union([Runs(first=steps, last=steps)])

@@ -92,6 +92,7 @@ def echoes_of(
     settings: EchoSettings,
     *,
     road_m: float = np.nan,
+    still_mps: float = 0.0,
 ) -> Echoes:
     """Return the detections that lie on lanes, in the map.
 
@@ -109,6 +110,8 @@ def echoes_of(
         Which heights over the road count.
     road_m : float
         Height of the road near the sensor, for one that measures no elevation.
+    still_mps : float
+        Up to which range rate a return of this sensor may be of what stands: :func:`still_rate`.
     """
     points = pose.to_map(read.points, road_m=road_m) - [*graph.origin, 0.0]
     points[np.isnan(read.points[:, 2]), 2] = np.nan
@@ -120,16 +123,34 @@ def echoes_of(
     away = points[kept, :2] - eye[:2]
     flat = np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-6)
     level = np.maximum(flat / np.maximum(range_m[kept], 1e-6), LEAST_LEVEL)
+    rate = read.range_rate[kept]
     return Echoes(
         time=read.time[kept],
         points=points[kept, :2].copy(),
         height_m=height[kept],
-        range_rate=read.range_rate[kept] / level,
+        range_rate=np.where(np.abs(rate) < still_mps, 0.0, rate) / level,
         sight=away / flat[:, None],
         range_m=range_m[kept],
         sensor=np.full(len(kept), number, np.int64),
         rcs=np.where(np.isfinite(read.rcs), read.rcs, np.nan)[kept],
     )
+
+
+def still_rate(range_rate: Floats, settings: EchoSettings) -> float:
+    """Return up to which absolute range rate returns of a sensor may be of what stands, m/s.
+
+    Parameters
+    ----------
+    range_rate : (n,) array
+        Of all detections of a while: most of those near zero are of fixed things.
+    settings : EchoSettings
+        How many sigma of their noise.
+    """
+    slow = np.abs(range_rate[np.abs(range_rate) < settings.slow_mps])
+    if len(slow) < settings.least_slow:
+        return settings.moving_mps
+    sigma = float(np.median(slow)) / 0.6745  # the median of a normal's absolute value
+    return float(np.clip(settings.still_sigmas * sigma, settings.moving_mps, settings.slow_mps))
 
 
 @compiled

@@ -372,7 +372,7 @@ def _misfit(echo: Floats, body: Floats, limits: Floats) -> float:  # pragma: no 
     beside = max(abs(w) - WIDE_M, 0.0)
     cos = c * echo[3] + s * echo[4]
     expected = body[SPEED] * cos
-    if abs(rate) < limits[MOVING] and (body[SPEED] < 1.5 or abs(expected) > 0.6):
+    if abs(rate) < limits[MOVING]:
         return np.inf
     gap = abs(rate - expected)
     noise = np.sqrt(limits[RATE] ** 2 + body[VAR_V] * cos * cos)

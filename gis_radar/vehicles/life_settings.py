@@ -56,6 +56,9 @@ class StandingSettings:
         So soon before and after one drives over a place so fast, nobody stands there.
     least_built, built_share : int, float
         What is seen there nevertheless, so often and at that share of the drives, is of the road.
+    more_sigmas, car_m : float, float
+        But for what comes more often, by so many sigma of a count, than usual then, from as
+        much of the lane as a car takes.
     gap_m, easy_m, tight : float
         Least room between vehicles in a queue; from there on drivers leave it easily; what it costs
         to leave less, by metre squared.
@@ -90,6 +93,8 @@ class StandingSettings:
     after_s: tuple[float, float] = (0.7, 2.5)
     least_built: int = 2
     built_share: float = 0.5
+    more_sigmas: float = 3.0
+    car_m: float = 4.5
     gap_m: float = 1.0
     easy_m: float = 2.0
     tight: float = 8.0

@@ -26,12 +26,21 @@ class EchoSettings:
         How much farther off a detection may seem by its elevation: 2 sigma of a recorded ARS548.
     moving_mps : float
         Least absolute range rate of a moving detection: seven sigma of a recorded ARS548.
+    still_sigmas : float
+        A radar with more noise needs more: so many sigma, with which 500 fixed returns a frame
+        seem to move once in three minutes.
+    slow_mps, least_slow : float, int
+        The noise is that of detections slower than this, of so many at least; never is more needed
+        than this.
     """
 
     low_m: float = -1.0
     high_m: float = 4.5
     height_rad: float = 0.035
     moving_mps: float = 0.15
+    still_sigmas: float = 5.0
+    slow_mps: float = 0.3
+    least_slow: int = 1000
 
 
 @dataclass(frozen=True, kw_only=True)

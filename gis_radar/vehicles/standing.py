@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import uniform_filter, uniform_filter1d
 
 from gis_radar.arrays import Booleans, Floats, Integers, compiled
 from gis_radar.vehicles.columns import NONE
@@ -26,6 +26,7 @@ from gis_radar.vehicles.sweeps import CELLS, Sweeps
 
 FRONT, REAR, SIDE = range(3)  # what of a vehicle a sensor looks at
 SQUARE_COS = 0.5  # within 60 degrees of it
+SLOT_S = 0.5  # of counts of what is built
 CHANGE_M = 1.5  # by how much the ends of one vehicle may seem to move from second to second
 
 
@@ -182,22 +183,44 @@ def _built(
     place: Integers, sensor: Integers, time: Floats, fast: dict[int, Floats],
     settings: StandingSettings,
 ) -> Booleans:  # fmt: skip
-    """Tell what is part of the road: seen a moment before or after vehicles drive over it fast."""
+    """Tell what is part of the road: seen a moment before or after vehicles drive over it fast.
+
+    What comes clearly more often than usual then, from as much road as a car takes, is not.
+    """
     built = np.zeros(len(place), np.bool_)
-    key = place * 64 + sensor
-    order = np.lexsort((time, key))
-    for part in np.split(order, np.flatnonzero(np.diff(key[order])) + 1):
-        over = fast.get(int(place[part[0]])) if len(part) else None
-        if over is None:
-            continue
-        over = over[np.concatenate([[True], np.diff(over) > settings.after_s[1]])]
-        seen = np.zeros(len(over), np.bool_)
-        for way in (1.0, -1.0):
-            ends = np.sort([over + way * each for each in settings.after_s], axis=0)
-            low, high = (np.searchsorted(time[part], each) for each in ends)
-            seen |= high > low
-        built[part] = seen.sum() >= settings.least_built and seen.mean() >= settings.built_share
+    if len(place) == 0:
+        return built
+    near, far = settings.after_s
+    half = 0.5 * (far - near)
+    slot = ((time - time.min()) / SLOT_S).astype(np.int64)
+    line = place // CELLS * 64 + sensor
+    order = np.lexsort((time, place, line))
+    for rows in np.split(order, np.flatnonzero(np.diff(line[order])) + 1):
+        count = _counts(place[rows], slot[rows], settings)
+        lowest = place[rows[0]]
+        for part in np.split(rows, np.flatnonzero(np.diff(place[rows])) + 1):
+            over = fast.get(int(place[part[0]]))
+            if over is None:
+                continue
+            over = over[np.concatenate([[True], np.diff(over) > far])]
+            empty = np.stack([over - half - near, over + half + near])
+            low, high = (np.searchsorted(time[part], empty + way * half) for way in (-1.0, 1.0))
+            seen = (high > low).any(axis=0)
+            if seen.sum() >= settings.least_built and seen.mean() >= settings.built_share:
+                here = count[place[part[0]] - lowest]
+                when = ((empty - time.min()) / SLOT_S).astype(np.int64)
+                usual = float(np.median(here[np.clip(when, 0, len(here) - 1)]))
+                built[part] = here[slot[part]] <= usual + settings.more_sigmas * np.sqrt(usual)
     return built
+
+
+def _counts(place: Integers, slot: Integers, settings: StandingSettings) -> Floats:
+    """Return by cell and half second how many lie within a car's length, in two seconds."""
+    cells, slots = place - place.min(), slot
+    count = np.zeros((int(cells.max()) + 1, int(slots.max()) + 1))
+    np.add.at(count, (cells, slots), 1.0)
+    long = int(settings.car_m / settings.cell_m) // 2
+    return np.asarray(long * 4 * uniform_filter(count, (long, 4), mode="constant"))
 
 
 def _episodes(
