@@ -14,7 +14,7 @@ from gis_radar.vehicles.columns import NONE
 from gis_radar.vehicles.echoes import Echoes
 from gis_radar.vehicles.forward import ForwardFilter
 from gis_radar.vehicles.life_settings import StandingSettings
-from gis_radar.vehicles.motion import Path, path_through
+from gis_radar.vehicles.motion import Path, fit_motion, path_through
 from gis_radar.vehicles.settings import VehicleSettings
 from gis_radar.vehicles.standing import pack
 from gis_radar.vehicles.strips import Strips
@@ -188,15 +188,54 @@ def test_of_branches_only_the_best_is_a_body(fork):
 @given(k=st.integers(5, 95), heading=st.floats(0.8, 5.4))
 def test_a_state_off_the_way_that_a_vehicle_can_turn_makes_no_loop(k, heading):
     x = np.arange(0.0, 100.0)
-    states = np.column_stack([x, np.zeros(100), np.zeros(100)])
+    states = np.column_stack([x, np.zeros(100), np.zeros(100), x / 8.0])
     way = np.array([np.cos(heading), np.sin(heading)])
-    states[k] = [*(states[k - 1, :2] + 1.5 * way), heading]
+    states[k, :3] = [*(states[k - 1, :2] + 1.5 * way), heading]
     path, along = path_through(states, 1.0)
     places, headings = path.at(np.arange(15.0, path.s_m[-1] - 15.0))
     assert np.abs(places[:, 1]).max() < 0.5
     assert np.abs(headings).max() < 0.3
     assert np.all(np.diff(along) >= 0.0)
     assert path.at(along)[0][:, 0] == pytest.approx(x, abs=2.5)
+
+
+@pytest.mark.parametrize("strays", [[0, 1, 2], [50, 51], [97, 98, 99], [20, 40, 60, 80]])
+def test_states_that_no_vehicle_could_reach_in_time_are_no_part_of_its_path(strays):
+    """They lie 70 m ahead, as of one ahead of it that is followed against time."""
+    x = np.arange(0.0, 100.0)
+    states = np.column_stack([x, np.zeros(100), np.zeros(100), x / 8.0])
+    states[strays, 0] += 70.0
+    states[strays, 1] = 8.0
+    path, along = path_through(states, 1.0)
+    places, headings = path.at(np.arange(15.0, path.s_m[-1] - 15.0))
+    assert np.abs(places[:, 1]).max() < 0.5
+    assert np.abs(headings).max() < 0.3
+    assert np.all(np.diff(along) >= 0.0)
+    kept = np.setdiff1d(np.arange(100), strays)
+    assert path.at(along)[0][kept, 0] == pytest.approx(x[kept], abs=5.0)
+
+
+@pytest.mark.parametrize("at", ["begin", "end"])
+def test_a_few_detections_of_something_else_do_not_spoil_a_motion(at):
+    """Three of one who walks behind, before or after a car drives by, 40 m away."""
+    time = np.arange(0.0, 8.0, 0.1)
+    s = 20.0 + 12.0 * time
+    walk = np.arange(3.0) * 0.5 + (-3.5 if at == "begin" else 11.0)
+    all_time = np.concatenate([time, walk])
+    order = np.argsort(all_time)
+    there = -20.0 if at == "begin" else 60.0
+    places = np.concatenate([s, np.full(3, there)])[order]
+    points = np.column_stack([places, np.zeros(len(places))])
+    rates = np.concatenate([np.full(len(time), 12.0), np.full(3, 0.5)])[order]
+    walks = (np.arange(len(order)) >= len(time))[order]
+    eye = np.array([-200.0, -10.0])
+    echoes = echoes_at(1e9 + all_time[order], points, rates, eye)
+    states = np.column_stack([points, np.zeros(len(points)), rates, np.full((len(points), 2), 2.0)])
+    motion = fit_motion(echoes, np.arange(len(points)), states, SETTINGS.motion)
+    s_m, speed = motion.at(echoes.time[~walks])
+    sure = (time > 1.5) & (time < 6.5)
+    assert speed[sure] == pytest.approx(12.0, abs=0.5)
+    assert np.abs(motion.path.at(s_m)[0][:, 0] - places[~walks])[sure].max() < 4.0
 
 
 def test_numbers_of_both_directions_become_one():

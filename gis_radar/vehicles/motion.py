@@ -16,11 +16,14 @@ from gis_radar.arrays import Floats, Integers, compiled, turned
 from gis_radar.steps import STEP_S, STEPS_PER_SECOND
 from gis_radar.vehicles.echoes import Echoes
 from gis_radar.vehicles.settings import MotionSettings
-from gis_radar.vehicles.size import Size, size_of
+from gis_radar.vehicles.size import LONGEST_M, Size, size_of
 
 HALF_STEPS = STEPS_PER_SECOND // 2
 TIGHTEST_M = 5.0  # radius of the turning circle of a small car
+FASTEST_MPS = 70.0  # who drives fast on a motorway
 FREE_TURN = 0.35  # by which headings of two states may be off, radians
+UNKNOWN_S, UNKNOWN_V = 25.0, 9.0  # variances of a place and a speed of which little is known
+LOST = 6  # places in a row that do not fit
 STILL_COS = 0.05  # under it a range rate says nothing at all of the speed along the path
 
 
@@ -122,8 +125,8 @@ def path_through(states: Floats, spacing_m: float) -> tuple[Path, Floats]:
 
     Parameters
     ----------
-    states : (n, 3) array
-        East, north, heading.
+    states : (n, 4) array
+        East, north, heading, and when.
     spacing_m : float
         Way between the states that count.
 
@@ -134,7 +137,7 @@ def path_through(states: Floats, spacing_m: float) -> tuple[Path, Floats]:
     along_m : (n,) array
         How far along it the last state that counts is by then.
     """
-    kept = _progress(np.ascontiguousarray(states[:, :3]), spacing_m)
+    kept = _progress(np.ascontiguousarray(states[:, :4]), spacing_m)
     ends = states[kept[[0, -1]], 2]
     way = np.column_stack([np.cos(ends), np.sin(ends)])
     places = states[kept, :2]
@@ -144,24 +147,43 @@ def path_through(states: Floats, spacing_m: float) -> tuple[Path, Floats]:
     path = _smoothed(np.vstack([before, _bridged(states[kept, :3]), after]))
     way_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(places, axis=0).T))])
     way_m *= (path.s_m[-1] - 40.0) / max(way_m[-1], 1.0)
-    counts = np.searchsorted(kept, np.arange(len(states)), side="right") - 1
+    counts = np.maximum(np.searchsorted(kept, np.arange(len(states)), side="right") - 1, 0)
     return path, 20.0 + way_m[counts]
 
 
+ANCHORS = 5  # states from which progress is followed, one of which is hardly off the way
+
+
+def _progress(states: Floats, spacing_m: float) -> Integers:
+    """Return the rows between which so much way is made, both ways from where most of them are."""
+    last = len(states) - 1
+    ways: list[Integers] = []
+    for anchor in np.unique(np.linspace(0, last, ANCHORS).astype(np.int64)).tolist():
+        after = _onward(states, anchor, 1, spacing_m)
+        before = _onward(states, anchor, -1, spacing_m)
+        ways.append(np.concatenate([before[:0:-1], after]))
+    return max(ways, key=len)
+
+
 @compiled
-def _progress(states: Floats, spacing_m: float) -> Integers:  # pragma: no cover - compiled
-    """Return the rows at which so much way has been made since the last of them."""
+def _onward(
+    states: Floats, first: int, way: int, spacing_m: float
+) -> Integers:  # pragma: no cover - compiled
+    """Return the rows from one on, or back from it, at which so much way has been made."""
     kept = np.empty(len(states), np.int64)
-    kept[0], count = 0, 1
-    for k in range(1, len(states)):
+    kept[0], count, k = first, 1, first + way
+    while 0 <= k < len(states):
         last = kept[count - 1]
         dx, dy = states[k, 0] - states[last, 0], states[k, 1] - states[last, 1]
-        forward = dx * np.cos(states[k, 2]) + dy * np.sin(states[k, 2])
+        forward = way * (dx * np.cos(states[k, 2]) + dy * np.sin(states[k, 2]))
         turn = abs(turned(states[k, 2], states[last, 2]))
-        # no vehicle turns in less than that, so the state is off its way
-        if forward >= spacing_m and turn < FREE_TURN + np.hypot(dx, dy) / TIGHTEST_M:
+        way_m, lapse = np.hypot(dx, dy), abs(states[k, 3] - states[last, 3])
+        # no vehicle turns in less way than that, nor is so fast: the state is off its way
+        able = turn < FREE_TURN + way_m / TIGHTEST_M and way_m < LONGEST_M + FASTEST_MPS * lapse
+        if forward >= spacing_m and able:
             kept[count] = k
             count += 1
+        k += way
     return kept[:count]
 
 
@@ -380,7 +402,8 @@ def _fitted_path(
     echoes: Echoes, rows: Integers, states: Floats, settings: MotionSettings
 ) -> tuple[Path, Floats]:
     """Return the path of the states, moved sideways to the detections, and a guess along it."""
-    path, way = path_through(states[:, :3], settings.spacing_m)
+    when = echoes.time[rows, None]
+    path, way = path_through(np.hstack([states[:, :3], when]), settings.spacing_m)
     guess, _ = path.project(states[:, :2], way, 25.0)
     s, left = path.project(echoes.points[rows], guess, 30.0)
     left = left - side_seen(path, s, echoes.sight[rows])
@@ -419,17 +442,20 @@ def _smooth(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - c
     q_ss, q_sv, q_vv = accel_var * dt**3 / 3.0, accel_var * dt**2 / 2.0, accel_var * dt
     mean, kept = np.empty((count, 2)), np.empty((count, 3))
     ahead, wide = np.empty((count, 2)), np.empty((count, 3))
-    a, b, c = 25.0, 0.0, 9.0
-    k = 0
+    a, b, c = UNKNOWN_S, 0.0, UNKNOWN_V
+    k, misses = 0, 0
     for i in range(count):
         if i > 0:
             s += v * dt
             a += 2.0 * dt * b + dt * dt * c + q_ss
             b += dt * c + q_sv
             c += q_vv
+        if misses >= LOST:  # what it began with was of something else
+            a, c, misses = a + UNKNOWN_S, c + UNKNOWN_V, 0
         ahead[i, 0], ahead[i, 1] = s, v
         wide[i, 0], wide[i, 1], wide[i, 2] = a, b, c
         while k < len(step) and step[k] == i:
+            misses += 1
             gap, total = rate[k] - v, c + rate_var[k]
             if gap * gap < 16.0 * total:
                 s += b / total * gap
@@ -439,6 +465,7 @@ def _smooth(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - c
                 c -= c * c / total
             gap, total = middle[k] - s, a + middle_var[k]
             if gap * gap < 25.0 * total:
+                misses = 0
                 s += a / total * gap
                 v += b / total * gap
                 c -= b * b / total

@@ -220,7 +220,8 @@ def _counts(place: Integers, slot: Integers, settings: StandingSettings) -> Floa
     count = np.zeros((int(cells.max()) + 1, int(slots.max()) + 1))
     np.add.at(count, (cells, slots), 1.0)
     long = int(settings.car_m / settings.cell_m) // 2
-    return np.asarray(long * 4 * uniform_filter(count, (long, 4), mode="constant"))
+    # a running sum leaves traces of what has left it
+    return np.asarray(np.maximum(long * 4 * uniform_filter(count, (long, 4), mode="constant"), 0.0))
 
 
 def _episodes(
