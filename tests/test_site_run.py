@@ -695,16 +695,20 @@ def test_the_options_of_the_command_reach_their_arguments(monkeypatch, tmp_path)
 
 
 @pytest.fixture
-def demo(tmp_path, run):
+def demo(run, once):
     """The folder of the demo and its result: as `make test` has made it, or made here."""
+
+    def made(folder):
+        code, said, _ = run("demo", "-o", folder / "demo", "--json")
+        assert code == 0
+        return folder / "demo", said
+
     ready = os.environ.get("GIS_RADAR_DEMO")
     if ready:
         folder = Path(ready)
         said = folder.with_suffix(".jsonl").read_text(encoding="utf-8")
     else:
-        folder = tmp_path / "demo"
-        code, said, _ = run("demo", "-o", folder, "--json")
-        assert code == 0
+        folder, said = once("demo", made)
     return folder, json.loads(said.splitlines()[-1])
 
 
