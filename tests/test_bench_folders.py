@@ -18,7 +18,7 @@ import causes
 import command
 import components
 import tables
-from bad_input import _lasting
+from bad_input import _lasting, _whole
 from breakdown import by_group, step_errors
 from components import COMPONENTS, ROOM, Off, changed, replaced
 from folders import Ground, write_states
@@ -283,3 +283,12 @@ def test_false_and_missed_vehicles_have_a_cause(tmp_path, monkeypatch):
         "double": 0.25, "person": 0.25, "ghost": 0.25,
         "missed_while_hidden": 1 / 3, "missed_with_data": 1 / 3,
     }  # fmt: skip
+
+
+def test_the_tail_of_a_long_vehicle_is_on_it():
+    true = pd.DataFrame(
+        {"easting": [0.0, 50.0], "northing": 0.0, "heading": np.pi / 2, "length": [16.6, 4.0]}
+    )
+    places = _whole(true)
+    assert np.allclose(sorted(places["northing"]), [-6.0, 0.0, 0.0, 0.0, 0.0, 6.0])
+    assert np.allclose(sorted(places["easting"]), [0.0, 0.0, 0.0, 50.0, 50.0, 50.0])

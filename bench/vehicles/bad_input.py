@@ -1,14 +1,19 @@
 """Bad input: scenes changed so that something is wrong, and what the package makes of them.
 
 Each has what is expected: the exit code, words of a warning or error, and in all cases no false
-vehicle that lasts over ten seconds: one with no true vehicle within eight metres. Second ones on a
-true vehicle are counted beside it; so are those of the scenes as they are, to compare with.
+vehicle that lasts over ten seconds: one with no true vehicle within eight metres, or as far from
+the middle of a long one as its ends are farther than a car's. Second ones on a true vehicle are
+counted beside it; so are those of the scenes as they are, to compare with.
 """
 
 from __future__ import annotations
 
 import re
+import signal
+import subprocess
+import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,7 +27,7 @@ import pandas as pd
 from causes import DOUBLE_M, near
 from methods import MISSING, NotThereError
 from peers import beside_vehicles
-from scenes import SceneFiles, scene
+from scenes import ROOT, SceneFiles, scene
 from tracks import EVERY, compared, estimated_states, matched
 from true_coverage import middle_lines
 
@@ -30,9 +35,13 @@ import gis_radar as gr
 from gis_radar.arrays import Integers
 from gis_radar.poses.files import write_pose
 from gis_radar.steps import STEP_S
+from gis_radar.tiles.lookup import with_road_heights
 
 LASTS_S = 10.0
 MOVING_MPS = 0.15
+CAR_M = 4.6
+MOST_SPARE = 2  # a bound needs two nodes
+HALF_S = 90.0  # of the scene that is cut in two
 BESIDE_M = 5.0  # a radar as recorded sees vehicles so far from where they are
 
 
@@ -44,14 +53,17 @@ class Inputs:
     ----------
     recordings, poses : list of Path
         In order.
-    map, scan : Path
-        The lanes, and what stands beside them.
+    map, tiles : Path
+        The lanes.
+    scan : Path, optional
+        What stands beside them.
     """
 
     recordings: list[Path]
     poses: list[Path]
     map: Path
-    scan: Path
+    tiles: Path
+    scan: Path | None
 
 
 Change = Callable[[SceneFiles, Inputs, Path], Inputs]
@@ -71,12 +83,15 @@ class Case:
         Exit codes that are right.
     said : str
         A pattern that a warning or an error must have; empty where none need be.
+    back : callable, optional
+        Takes the steps of what was found to those of the truth, where the change moved time.
     """
 
     scene: str
     change: Change
     codes: tuple[int, ...] = (0,)
     said: str = ""
+    back: Callable[[SceneFiles, Integers], Integers] | None = None
 
 
 def try_all(names: list[str] | None = None) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -86,6 +101,8 @@ def try_all(names: list[str] | None = None) -> Iterator[tuple[str, dict[str, Any
     for name, case in CASES.items():
         if names is None or name in names:
             yield name, try_case(case)
+    if names is None or KILLED in names:
+        yield KILLED, try_killed()
 
 
 def try_case(case: Case) -> dict[str, Any]:
@@ -95,16 +112,13 @@ def try_case(case: Case) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
         given = case.change(site, inputs_of(site), folder)
-        arguments: list[object] = list(given.recordings)
-        for pose in given.poses:
-            arguments += ["--pose", pose]
-        ended = own.run(
-            "vehicles", *arguments, "--tiles", site.kept / "tiles.gpkg", "--map", given.map,
-            "--scan", given.scan, "-o", folder / "vehicles",
-        )  # fmt: skip
+        ended = own.run(*_command(given, folder / "vehicles"))
         lasting = doubled = 0
         if ended.code == 0:
-            lasting, doubled = lasting_false(site, estimated_states(folder / "vehicles"))
+            found = estimated_states(folder / "vehicles")
+            if case.back is not None:
+                found = found.assign(step=case.back(site, found["step"].to_numpy()))
+            lasting, doubled = lasting_false(site, found)
     lines = [*ended.errors, *ended.warnings]
     told = not case.said or any(re.search(case.said, line, re.IGNORECASE) for line in lines)
     return {
@@ -117,11 +131,42 @@ def try_case(case: Case) -> dict[str, Any]:
     }
 
 
+def _command(given: Inputs, output: Path) -> list[object]:
+    """Return the words of a command."""
+    words: list[object] = ["vehicles", *given.recordings]
+    for pose in given.poses:
+        words += ["--pose", pose]
+    words += ["--tiles", given.tiles, "--map", given.map]
+    words += [] if given.scan is None else ["--scan", given.scan]
+    return [*words, "-o", output]
+
+
+def try_killed() -> dict[str, Any]:
+    """Kill the command midway; return whether it left nothing behind."""
+    site = scene("light")
+    with tempfile.TemporaryDirectory() as made:
+        output = Path(made) / "vehicles"
+        words = [sys.executable, "-m", "gis_radar", *map(str, _command(inputs_of(site), output))]
+        with subprocess.Popen(
+            words, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        ) as started:
+            while started.poll() is None and not any(Path(made).iterdir()):
+                time.sleep(0.05)
+            started.kill()
+        left = output.exists()
+    said = "a folder is left" if left else "no folder is left"
+    return {
+        "code": started.returncode, "said": said, "lines": [said], "false": 0, "doubled": 0,
+        "good": started.returncode == -signal.SIGKILL and not left,
+    }  # fmt: skip
+
+
 def inputs_of(site: SceneFiles) -> Inputs:
     """Return a scene's own files, with its true poses."""
     return Inputs(
-        recordings=site.recordings, poses=own.true_pose_files(site), map=site.map, scan=site.scan
-    )
+        recordings=site.recordings, poses=own.true_pose_files(site), map=site.map,
+        tiles=site.kept / "tiles.gpkg", scan=site.scan,
+    )  # fmt: skip
 
 
 def lasting_false(site: SceneFiles, given: pd.DataFrame) -> tuple[int, int]:
@@ -129,8 +174,19 @@ def lasting_false(site: SceneFiles, given: pd.DataFrame) -> tuple[int, int]:
     scored = compared(site.tiles(), site.truth(), site.poses, site.traffic(), given)
     true, rows, _ = matched(scored)
     false = rows[rows["due"] & (rows["match"] < 0)]
-    on_one = near(false, true, DOUBLE_M)
+    on_one = near(false, _whole(true), DOUBLE_M)
     return len(_lasting(false[~on_one])), len(_lasting(false[on_one]))
+
+
+def _whole(true: pd.DataFrame) -> pd.DataFrame:
+    """Return true vehicles as places each a car's length along them."""
+    heading, length = true["heading"].to_numpy(), true["length"].to_numpy()
+    parts = []
+    for share in (-1.0, 0.0, 1.0):
+        along = share * np.maximum(0.5 * (length - CAR_M), 0.0)
+        east = true["easting"] + along * np.cos(heading)
+        parts.append(true.assign(easting=east, northing=true["northing"] + along * np.sin(heading)))
+    return pd.concat(parts, ignore_index=True)
 
 
 def _lasting(rows: pd.DataFrame) -> Integers:
@@ -261,12 +317,117 @@ def _other_map(_: SceneFiles, given: Inputs, __: Path) -> Inputs:
     return replace(given, map=scene("motorway").map)
 
 
-def _other_scan(_: SceneFiles, given: Inputs, folder: Path) -> Inputs:
-    """Move the scan five kilometres away."""
-    las = laspy.read(given.scan)
+def _scan(change: Callable[[SceneFiles, Any], Any]) -> Change:
+    """Return a change of the scan."""
+
+    def changed(site: SceneFiles, given: Inputs, folder: Path) -> Inputs:
+        change(site, laspy.read(site.scan)).write(folder / "scan.laz")
+        return replace(given, scan=folder / "scan.laz")
+
+    return changed
+
+
+def _far_away(_: SceneFiles, las: Any) -> Any:
+    """Move it five kilometres away."""
     las.x = np.asarray(las.x) + 5000.0
-    las.write(folder / "scan.laz")
-    return replace(given, scan=folder / "scan.laz")
+    return las
+
+
+def _other_datum(_: SceneFiles, las: Any) -> Any:
+    """Give ellipsoidal heights for those over the sea."""
+    las.z = np.asarray(las.z) + 47.0
+    return las
+
+
+def _half(site: SceneFiles, las: Any) -> Any:
+    """Keep what lies left of where the first sensor looks."""
+    pose = site.poses[0]
+    ahead = pose.R_map_sensor[:2, 0]
+    east, north = np.asarray(las.x) - pose.easting, np.asarray(las.y) - pose.northing
+    las.points = las.points[ahead[0] * north - ahead[1] * east > 0.0]
+    return las
+
+
+def _older(site: SceneFiles, las: Any) -> Any:
+    """Leave out what stands high within a hundred metres: it was built since."""
+    x, y, z = (np.asarray(each) for each in (las.x, las.y, las.z))
+    away = np.hypot(x - site.poses[0].easting, y - site.poses[0].northing)
+    las.points = las.points[(away > 100.0) | (z < np.quantile(z, 0.5) + 2.0)]
+    return las
+
+
+def _no_scan(_: SceneFiles, given: Inputs, __: Path) -> Inputs:
+    return replace(given, scan=None)
+
+
+def _one_sensor(_: SceneFiles, given: Inputs, __: Path) -> Inputs:
+    return replace(given, recordings=given.recordings[:1], poses=given.poses[:1])
+
+
+def _no_heights(site: SceneFiles, given: Inputs, folder: Path) -> Inputs:
+    problems = gpd.read_file(given.tiles, layer="problems")
+    flat = site.tiles().assign(height_m=np.nan)
+    gr.write_tiles(flat, folder / "tiles.gpkg", problems=problems)
+    return replace(given, tiles=folder / "tiles.gpkg")
+
+
+def _with_map(site: SceneFiles, given: Inputs, folder: Path, text: str) -> Inputs:
+    """Take another map of the same place, and the tiles of that."""
+    (folder / "map.osm").write_text(text, encoding="utf-8")
+    roads = gr.read_map(folder / "map.osm", crs=site.tiles().crs)
+    tiles = with_road_heights(gr.make_tiles(roads), gr.read_road(site.scan, roads.crs))
+    gr.write_tiles(tiles, folder / "tiles.gpkg", problems=roads.problems)
+    return replace(given, map=folder / "map.osm", tiles=folder / "tiles.gpkg")
+
+
+def _no_successors(site: SceneFiles, given: Inputs, folder: Path) -> Inputs:
+    """Take the last node of each bound away: no lanelet begins where another one ends."""
+
+    def shorter(way: re.Match[str]) -> str:
+        nodes = re.findall(r"<nd [^>]*>", way[0])
+        return way[0].replace(nodes[-1], "", 1) if len(nodes) > MOST_SPARE else way[0]
+
+    text = re.sub(r"<way .*?</way>", shorter, site.map.read_text(encoding="utf-8"), flags=re.DOTALL)
+    return _with_map(site, given, folder, text)
+
+
+def _left_hand(site: SceneFiles, given: Inputs, folder: Path) -> Inputs:
+    """Drive on the left: lanes the other way round, and time runs backward."""
+    text = site.map.read_text(encoding="utf-8")
+    swapped = {"left": "right", "right": "left"}
+    text = re.sub(r"role=(.)(left|right)\1", lambda m: f'role="{swapped[m[2]]}"', text)
+
+    def backward(table: pd.DataFrame) -> pd.DataFrame:
+        first = np.round(2.0 * table["time"].iloc[0])  # an even sum of begin and end
+        back = table.assign(time=first + 500.0 - table["time"], range_rate=-table["range_rate"])
+        return back.iloc[::-1].sort_values("time", kind="stable")
+
+    given = _rewrite(given, folder, (), backward)
+    return _with_map(site, given, folder, text)
+
+
+def _steps_back(site: SceneFiles, step: Integers) -> Integers:
+    """Return steps as time runs, of those that run backward."""
+    begin = pd.read_parquet(site.recordings[0], columns=["time"])["time"].iloc[0]
+    whole = round((np.round(2.0 * begin) + 500.0) / STEP_S)
+    return np.asarray(whole - step)
+
+
+def _hour_missing(_: SceneFiles, given: Inputs, folder: Path) -> Inputs:
+    """Record the second half an hour later."""
+
+    def cut(table: pd.DataFrame) -> pd.DataFrame:
+        late = table["time"] - table["time"].iloc[0] > HALF_S
+        return table.assign(time=table["time"] + 3600.0 * late)
+
+    return _rewrite(given, folder, (), cut)
+
+
+def _without_hour(site: SceneFiles, step: Integers) -> Integers:
+    """Return steps without the hour that is missing."""
+    begin = pd.read_parquet(site.recordings[0], columns=["time"])["time"].iloc[0]
+    late = step * STEP_S > begin + HALF_S + 60.0
+    return np.asarray(step - round(3600.0 / STEP_S) * late)
 
 
 def _cut_file(_: SceneFiles, given: Inputs, folder: Path) -> Inputs:
@@ -276,6 +437,7 @@ def _cut_file(_: SceneFiles, given: Inputs, folder: Path) -> Inputs:
     return replace(given, recordings=[folder / "R1.parquet", *given.recordings[1:]])
 
 
+KILLED = "killed midway"
 CASES: Mapping[str, Case] = {
     "nothing wrong (light)": Case(scene="light", change=_as_it_is),
     "nothing wrong (harsh)": Case(scene="harsh", change=_as_it_is),
@@ -292,6 +454,17 @@ CASES: Mapping[str, Case] = {
     "half a minute missing": Case(scene="light", change=_gap),
     "sensors two hours apart": Case(scene="harsh", change=_hours_apart),
     "the map of another place": Case(scene="light", change=_other_map, codes=(3,), said="map"),
-    "the scan of another place": Case(scene="light", change=_other_scan, codes=(3,)),
+    "the scan of another place": Case(scene="light", change=_scan(_far_away), codes=(3,)),
+    "a scan with other heights": Case(
+        scene="light", change=_scan(_other_datum), codes=(0, 3), said="height|scan"
+    ),
+    "a scan of half of the view": Case(scene="light", change=_scan(_half), said="scan"),
+    "a scan older than buildings": Case(scene="light", change=_scan(_older)),
+    "no scan": Case(scene="light", change=_no_scan),
+    "tiles without heights": Case(scene="light", change=_no_heights, said="height"),
+    "lanes without successors": Case(scene="light", change=_no_successors),
+    "left-hand traffic": Case(scene="light", change=_left_hand, back=_steps_back),
+    "one sensor of two": Case(scene="harsh", change=_one_sensor),
+    "an hour missing": Case(scene="light", change=_hour_missing, back=_without_hour),
     "half of a file": Case(scene="light", change=_cut_file, codes=(3,), said="R1"),
 }
