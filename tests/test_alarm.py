@@ -359,15 +359,17 @@ def test_a_sensor_whose_windows_differ_much_needs_more_for_a_move():
     assert scatter.ratio < 4.2
 
 
-def stub_fit(move, *, cost, vehicles=50, noise=1.0):
-    """A fit of so many vehicles that all say the same of the first component."""
+def stub_fit(move, *, cost, vehicles=50, noise=1.0, alone=False):
+    """A fit of so many vehicles that all say the same of the first component, or one of them."""
     scores = np.zeros((vehicles, 7))
     scores[:, 0] = 1.0
     measured = Measurement(
         position=np.array([move, 0.0, 0.0]), quaternion=np.array([0.0, 0.0, 0.0, 1.0]),
         covariance=0.01 * np.eye(6), noise=0.01 * noise * np.eye(6),
     )  # fmt: skip
-    fit = SimpleNamespace(scores=scores, information=np.eye(7), cost=cost, state=None)
+    costs = np.full(vehicles, 100.0 / vehicles)
+    costs[: 1 if alone else vehicles] += (cost - 100.0) / (1 if alone else vehicles)
+    fit = SimpleNamespace(scores=scores, information=np.eye(7), cost=cost, costs=costs, state=None)
     return SimpleNamespace(measurement=measured, fit=fit, trusted=True, on_lanes=True)
 
 
@@ -382,11 +384,19 @@ def test_few_vehicles_are_beyond_chance_later(vehicles, noise):
     )
 
 
-@pytest.mark.parametrize(("gain", "suspected"), [(-5.0, False), (3.0, False), (60.0, True)])
-def test_a_fit_far_away_that_is_no_likelier_is_no_move(gain, suspected, monkeypatch):
+@pytest.mark.parametrize(
+    ("gain", "alone", "suspected", "certain"),
+    [
+        (-5.0, False, False, False),
+        (3.0, False, False, False),
+        (60.0, False, True, True),
+        (60.0, True, True, False),  # a bus at the edge of its lane
+    ],
+)
+def test_a_move_is_likelier_by_all_vehicles(gain, alone, suspected, certain, monkeypatch):
     """Where traffic fixes a direction poorly, a fit is carried far along it."""
     monkeypatch.setattr(MoveTest, "_change", lambda *_: None)
-    seen, rest = stub_fit(2.0, cost=100.0), stub_fit(0.0, cost=100.0 + gain)
+    seen, rest = stub_fit(2.0, cost=100.0), stub_fit(0.0, cost=100.0 + gain, alone=alone)
     held = Estimate(
         time=0.0, position=np.zeros(3), quaternion=np.array([0.0, 0.0, 0.0, 1.0]),
         covariance=0.01 * np.eye(6),
@@ -397,12 +407,12 @@ def test_a_fit_far_away_that_is_no_likelier_is_no_move(gain, suspected, monkeypa
         assert schedule is DEFAULTS.far
         return seen if tuple(near) == far else rest
 
-    part = SimpleNamespace(moving=SimpleNamespace(begin=70.0), tracks=40)
+    part = SimpleNamespace(moving=SimpleNamespace(begin=70.0), vehicles=40)
     traffic = SimpleNamespace(moving=SimpleNamespace(begin=0.0), between=lambda *_: part)
     test = MoveTest(
         fitter=SimpleNamespace(settings=DEFAULTS, fit=fit), traffic=traffic, now=100.0,
         expected=lambda _: held, scatter=Scatter(DEFAULTS),
     )  # fmt: skip
     found = test.suspected(None)
-    assert (found is not None and found.certain) == suspected
+    assert (found is not None and found.certain) == certain
     assert (found is None) == (not suspected)

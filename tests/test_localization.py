@@ -11,11 +11,11 @@ from streets import CROSSING, STRAIGHT, Street, errors
 from gis_radar.errors import InputError, NoAnswerError, UsageError
 from gis_radar.localization import lane_method, localize
 from gis_radar.localization.certainty import eigenvalues, is_fixed, pose_covariance
-from gis_radar.localization.icp import pose_information
+from gis_radar.localization.icp import pose_information, voxels
 from gis_radar.localization.result import draw_localization
 from gis_radar.localization.settings import DEFAULTS
 from gis_radar.localization.state import State
-from gis_radar.localization.traces import read_moving, voxels
+from gis_radar.localization.traces import read_moving
 from gis_radar.poses.files import read_pose, write_pose
 from gis_radar.progress import Reporter
 

@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 from sites import START, recording, table
 
-from gis_radar.localization.icp import source_voxels
+from gis_radar.localization.icp import source_voxels, voxels
 from gis_radar.localization.settings import DEFAULTS
 from gis_radar.localization.traces import (
     Moving,
@@ -19,7 +19,6 @@ from gis_radar.localization.traces import (
     read_moving,
     thin,
     vehicles_of,
-    voxels,
 )
 from gis_radar.recordings.recording import Detections
 
@@ -156,6 +155,30 @@ def test_walkers_carry_no_weight_but_where_all_traffic_creeps(vehicles, walkers_
     assert (tracks[~walks[order]] >= 0).all()
     assert (tracks[walks[order]] >= 0).all() == walkers_kept
     assert (tracks[walks[order]] >= 0).any() == walkers_kept
+
+
+def test_limbs_that_swing_make_no_vehicle_of_a_walker():
+    """Their feet are two and a half times as fast as they are; a car that sets off is a vehicle."""
+    rng, moment, rows = np.random.default_rng(5), np.arange(0.0, 7.9, 0.05), []
+    sets_off = 0.5 * moment**2
+    ways = [20.0 + 10.0 * moment] * 4 + [20.0 + sets_off] + [60.0 + 1.8 * moment] * 6
+    for k, x in enumerate(ways):
+        points = np.column_stack([x, np.full_like(x, 8.0 * (k - 5)), np.full_like(x, -5.0)])
+        limb = (rng.random(len(x)) < 0.4) & (k > 4)
+        share = np.where(limb, rng.uniform(0.0, 2.5, len(x)), rng.normal(1.0, 0.05, len(x)))
+        speed = np.gradient(x, moment)
+        rows.append((moment, points, share * speed * x / np.linalg.norm(points, axis=1)))
+    time, points, rate = (np.concatenate([row[i] for row in rows]) for i in range(3))
+    order = np.argsort(time, kind="stable")
+    order = order[np.abs(rate[order]) > 0.15]
+    moving = Moving(
+        time=time[order], points=points[order], range_rate=rate[order],
+        frames=158, detections=len(time), begin=0.0, end=7.85,
+    )  # fmt: skip
+    owner = np.repeat(np.arange(len(ways)), len(moment))[order]
+    tracks = link_tracks(moving)
+    assert (tracks[owner > 4] == -1).all()
+    assert np.mean(tracks[owner <= 4] >= 0) > 0.9
 
 
 def test_thinning_keeps_tracks_and_a_limit(passing):

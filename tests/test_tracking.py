@@ -10,12 +10,16 @@ import laspy
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import ttest_1samp
 from sites import START, UTM, lane_quads, recording, tiles_of
 from streets import STRAIGHT, Street, errors
 
 import gis_radar as gr
 from gis_radar.cli import group
 from gis_radar.errors import CrsError, InputError, NoAnswerError
+from gis_radar.localization.traces import Moving
 from gis_radar.poses.files import read_track, write_track
 from gis_radar.progress import Reporter
 from gis_radar.recordings.recording import open_recording
@@ -23,9 +27,10 @@ from gis_radar.steps import seconds_from_iso
 from gis_radar.tracking import track
 from gis_radar.tracking.filter import Measurement
 from gis_radar.tracking.follow import Follower, _cycles, start_estimate
+from gis_radar.tracking.moves import agreement
 from gis_radar.tracking.settings import DEFAULTS
 from gis_radar.tracking.track import draw_track
-from gis_radar.tracking.windows import WindowFitter
+from gis_radar.tracking.windows import WindowFitter, WindowTraffic
 
 STREET = Street()
 FRAMES, VEHICLES = 2000, 140  # 100 s
@@ -245,6 +250,52 @@ def test_occupancy_uses_the_corrected_poses(moved, seen, tmp_path):
         off[pose] = max(np.hypot(centres.x - target[0], centres.y - target[1]))
     assert off["track.csv"] < 0.75
     assert off["fixed.json"] > 1.0
+
+
+def watched(begin, end, *, y, speed, x=-60.0):
+    """Return the returns of what drives along x beside a sensor, of one place on it."""
+    time = np.arange(begin, end, 0.05)
+    place = np.column_stack([x + speed * (time - begin), np.full(len(time), y), 0.0 * time])
+    return time, place, speed * place[:, 0] / np.hypot(place[:, 0], y)
+
+
+def test_a_vehicle_that_is_watched_for_long_counts_once():
+    """Its track is cut every eight seconds, and a bus alone is no traffic."""
+    ways = [watched(0.0, 30.0, y=20.0, speed=4.0), watched(5.0, 15.0, y=30.0, speed=-9.0, x=60.0)]
+    time, points, rate = (np.concatenate(part) for part in zip(*ways, strict=True))
+    order = np.flatnonzero(np.abs(rate) > 0.15)
+    order = order[np.argsort(time[order], kind="stable")]
+    moving = Moving(
+        time=time[order], points=points[order], range_rate=rate[order], frames=600,
+        detections=len(time), begin=0.0, end=30.0,
+    )  # fmt: skip
+    traffic = WindowTraffic.of(moving, DEFAULTS.localization.traces)
+    assert traffic.samples().tracks > 4
+    assert traffic.vehicles == 2
+    assert traffic.between(0.0, 4.0).vehicles == 1
+
+
+@given(
+    st.lists(st.floats(0.5, 20.0), min_size=8, max_size=40),
+    st.floats(30.0, 1e4),
+    st.integers(0, 39),
+)
+def test_one_vehicle_alone_moves_no_sensor(gains, most, which):
+    """Whatever it gains by a move; where all gain, no single one decides."""
+
+    def agreed(gain):
+        nothing = np.zeros(len(gain) + 3)  # numbers without a vehicle
+        rest, moved = nothing + 50.0 * (np.arange(len(nothing)) < len(gain)), nothing.copy()
+        moved[: len(gain)] = 50.0 - np.array(gain)
+        return agreement(SimpleNamespace(costs=rest), SimpleNamespace(costs=moved))
+
+    alone = np.zeros(len(gains))
+    alone[which % len(gains)] = most
+    assert agreed(alone) < 1.2 < DEFAULTS.agreement
+    assert agreed(-np.array(gains)) < 0.0
+    expected = ttest_1samp(gains, 0.0).statistic if np.ptp(gains) > 1e-3 else np.inf
+    assert agreed(gains) == pytest.approx(expected) or expected > 1e5
+    assert agreed(np.full(8, 2.0)) > DEFAULTS.agreement
 
 
 def test_a_shake_is_no_move(seen, tmp_path):

@@ -4,6 +4,7 @@
     python bench/localization --quick     a look, a few minutes
     python bench/localization --only table,straight
     python bench/localization --only calibration --conditions "radar as recorded, walkers"
+    python bench/localization --into README.md      README's table, from the kept JSON
 
 Parts: speed, straight (a road that fixes no place along it), table (sets DY and DO of a town, as in
 Table I), sites (the sample and what lies beside the project), calibration, curves (start, length,
@@ -38,6 +39,8 @@ from trials import METHODS, run_all
 from workers import workers
 
 QUICK_COMBINATIONS = 10
+README_CONDITIONS = ("radar as recorded, walkers", "drivers as recorded")
+MARKS = ("<!-- accuracy -->", "<!-- end of accuracy -->")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -201,7 +204,11 @@ def main() -> None:
     parser.add_argument("--conditions", choices=CONDITIONS, default=TEXTBOOK, help=about)
     about = f"of the table, some of {','.join(METHODS)}"
     parser.add_argument("--methods", default=",".join(METHODS), help=about)
+    parser.add_argument("--into", type=Path, help="put the kept table into this page, run nothing")
     options = parser.parse_args()
+    if options.into:
+        put_table(options.into)
+        return
     methods = tuple(options.methods.split(","))
     if unknown := set(methods) - set(METHODS):
         parser.error(f"--methods: no method is called {', '.join(sorted(unknown))}")
@@ -229,13 +236,35 @@ def main() -> None:
         sys.exit(f"answers that are wrong and are not marked as such: {counts}")
 
 
+def put_table(page: Path) -> None:
+    """Put README's table between its marks, from what is kept of table and sites."""
+    by_conditions: dict[str, dict[str, Any]] = {}
+    for conditions in (TEXTBOOK, *README_CONDITIONS):
+        kept = Effort(quick=False, starts=0, conditions=conditions).out.glob("table*.json")
+        for file in sorted(kept):
+            groups = json.loads(file.read_text())["figures"]["groups"]
+            known = {name: found for name, found in groups.items() if found["starts"]}
+            by_conditions.setdefault(conditions, {}).update(known)
+    kept_sites = OUT / "sites.json"
+    sites = json.loads(kept_sites.read_text())["figures"] if kept_sites.exists() else {}
+    text = page.read_text(encoding="utf-8")
+    before, _, rest = text.partition(MARKS[0])
+    _, mark, after = rest.partition(MARKS[1])
+    if not mark:
+        sys.exit(f"{page}: lacks {MARKS[0]} ... {MARKS[1]}")
+    made = table.readme(by_conditions, sites)
+    page.write_text(f"{before}{MARKS[0]}\n{made}\n{mark}{after}", encoding="utf-8")
+
+
 def _keep(name: str, part: Part, effort: Effort, seconds: float) -> None:
     """Write a part, and the report of all parts that are there, also of earlier runs."""
     how = "quick" if effort.quick else f"up to {effort.starts} starts a sensor"
     kept = dataclasses.asdict(part) | {"how": f"{how}, {seconds / 60.0:.0f} min"}
+    if name == "table" and effort.methods != METHODS:
+        name = f"table-{'-'.join(effort.methods)}"
     (effort.out / f"{name}.json").write_text(json.dumps(kept, indent=1) + "\n")
-    files = [effort.out / f"{other}.json" for other in PARTS]
-    parts = [json.loads(file.read_text()) for file in files if file.exists()]
+    files = [file for other in PARTS for file in sorted(effort.out.glob(f"{other}*.json"))]
+    parts = [json.loads(file.read_text()) for file in files]
     chapters = [f"## {p['title']} ({p['how']})\n\n{p['text']}" for p in parts]
     head = f"# Localization: {effort.conditions}"
     (effort.out / "report.md").write_text("\n\n".join([head, *chapters]) + "\n")

@@ -173,5 +173,51 @@ def _by_sensor(groups: dict[str, Any]) -> list[str]:
     return lines
 
 
+# README's rows: what they are of, and where the figures are from
+ABOUT = {
+    "DY": "the paper, 6 radars, yaw differs (DY)",
+    "DO": "the paper, 6 radars, oriented freely (DO)",
+    "real site": "the paper, real site",
+}
+OF_METHOD = {"icp": "its method as we have it, our town", "lane": "ours, our town"}
+OF_SITE = {
+    "sample_maps": "ours, sample junction as recorded, 2 radars",
+    "town02": "ours, town blocks, 3 radars",
+    "town04": "ours, motorway interchange, 3 radars",
+}
+
+
+def readme(by_conditions: dict[str, dict[str, Any]], sites: dict[str, Any]) -> str:
+    """Return README's table: starts within 10 m and no heading, under each of some conditions."""
+    heads = ("site", "starts", "2D mean, median", "height", "yaw", "roll, pitch", "right")
+    lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
+    for set_name, own in PAPER.items():
+        starts = "near" if set_name in SETS else ""
+        lines.append(_readme_row(ABOUT[set_name], starts, vars(own)))
+        for method in ("icp", "lane") if set_name in SETS else ():
+            for conditions, groups in by_conditions.items():
+                found = groups.get(f"any {set_name} {method}", {"starts": 0})
+                if found["starts"]:
+                    about = f"{OF_METHOD[method]}, {conditions}"
+                    lines.append(_readme_row(about, str(found["starts"]), found))
+    rows = [(OF_SITE.get(name, f"ours, {name}"), found) for name, found in sites.items()]
+    return "\n".join([*lines, *(_readme_row(name, str(f["starts"]), f) for name, f in rows)])
+
+
+def _readme_row(about: str, starts: str, f: dict[str, Any]) -> str:
+    def of(unit: str, *names: str) -> str:
+        values = [_number(f[name]) for name in names if not np.isnan(f[name])]
+        return f"{', '.join(values)} {unit}" if values else ""
+
+    right = ""
+    if "right" in f:
+        rest = {"refused": f["refused"], "wrong": f["wrong"]}
+        others = [f"{share:.0%} {name}" for name, share in rest.items() if share > 0.0]
+        right = ", ".join([f"{f['right']:.0%}", *others])
+    cells = (of("m", "flat_mean", "flat_median"), of("m", "height"), of("deg", "yaw"),
+             of("deg", "roll", "pitch"), right)  # fmt: skip
+    return f"| {about} | {starts} | {' | '.join(cells)} |"
+
+
 def _number(value: float) -> str:
     return "" if np.isnan(value) else f"{value:.2f}"

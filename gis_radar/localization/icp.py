@@ -10,14 +10,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from gis_radar.arrays import Floats
+from gis_radar.arrays import Floats, Integers
 from gis_radar.errors import LOCALIZE, InputError, NoAnswerError
 from gis_radar.localization.certainty import eigenvalues, is_fixed, pose_covariance
 from gis_radar.localization.residuals import at_least
 from gis_radar.localization.result import STAGE, Localization, Problem, common
 from gis_radar.localization.settings import DEFAULTS, IcpSettings, LocalizationSettings
 from gis_radar.localization.state import State
-from gis_radar.localization.traces import Moving, voxels
+from gis_radar.localization.traces import Moving
 from gis_radar.progress import Reporter
 
 
@@ -38,6 +38,20 @@ class IcpFit:
     state: State
     fitness: float
     rmse_m: float
+
+
+def voxels(points: Floats, size_m: float) -> Floats:
+    """Return the centres of the cubes that hold a point, in a fixed order.
+
+    Parameters
+    ----------
+    points : (n, d) array
+        Metres.
+    size_m : float
+        Edge of a cube.
+    """
+    cells: Integers = np.floor(np.asarray(points) / size_m).astype(np.int64)
+    return np.asarray((np.unique(cells, axis=0) + 0.5) * size_m, dtype=np.float64)
 
 
 def source_voxels(moving: Moving, settings: IcpSettings = DEFAULTS.icp) -> Floats:

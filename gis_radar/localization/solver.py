@@ -24,6 +24,7 @@ from gis_radar.localization.residuals import (
 )
 from gis_radar.localization.settings import Schedule
 from gis_radar.localization.state import SIZE, State
+from gis_radar.localization.traces import Samples
 
 FAMILIES = (lateral, height)
 # Constants of the model; the others are of the lateral family.
@@ -73,6 +74,8 @@ class Fit:
         Lateral loss of each sample, a negative logarithm of likelihood, weighted.
     aside : (tracks,) array
         What each vehicle's own place in its lane costs, a negative logarithm of likelihood.
+    costs : (tracks,) array
+        What each vehicle costs in all, numbered as `scores`.
     on_lane : (n,) bool array
         Samples more likely on a vehicle in a lane than not.
     matches : Matches
@@ -95,6 +98,7 @@ class Fit:
     cost: float
     loss: Floats
     aside: Floats
+    costs: Floats
     on_lane: Booleans
     matches: Matches
     converged: bool
@@ -322,12 +326,23 @@ def _described(cost: _Cost, here: _Here, converged: bool) -> Fit:  # noqa: FBT00
         cost=here.total,
         loss=across.weight * across.loss,
         aside=0.5 * np.square(effects[0][:, 0]) * across.stiffness[:, 0, 0],
+        costs=_costs(cost.scene.samples, here),
         on_lane=across.loss < settings.no_vehicle - np.log(2.0),
         matches=here.matches,
         converged=converged,
         effects=here.point.effects,
         considered=cache(partial(_considered, cost, here)),
     )
+
+
+def _costs(samples: Samples, here: _Here) -> Floats:
+    """Return what the rows and random effects of each vehicle cost; zeros beyond the last."""
+    costs = np.zeros(samples.tracks)
+    for rows, effect in zip(here.families, here.point.effects, strict=True):
+        costs += np.bincount(samples.track, rows.weight * rows.loss, minlength=samples.tracks)
+        costs += 0.5 * np.einsum("ki,kij,kj->k", effect, rows.stiffness, effect)
+    joined = np.bincount(samples.vehicles, costs, minlength=samples.tracks)
+    return np.asarray(joined, dtype=np.float64)
 
 
 def _habits(cost: _Cost, here: _Here, normal: Normal, street: Integers) -> float:

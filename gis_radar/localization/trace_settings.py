@@ -46,6 +46,8 @@ class TraceSettings:
     pace_s, pace_mps : float
         Where a track begins and how it goes is taken over so long; of one vehicle's tracks the
         range rates differ by no more: more than `rate_mps`, as it may turn while it is hidden.
+    pace_points : int
+        Fewer returns in `pace_s` are no pace: of three the middle one may be a limb.
     spell_s : float
         Time over which they share an error of elevation (`Model.bent`), much shorter than the time
         in which it changes.
@@ -74,6 +76,7 @@ class TraceSettings:
     stray_mps: float = 1.0
     pace_s: float = 0.5
     pace_mps: float = 3.0
+    pace_points: int = 4
     spell_s: float = 1.0
 
 

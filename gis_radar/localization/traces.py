@@ -1,4 +1,4 @@
-"""Extract the traces of moving vehicles from a recording: window, tracks, samples, voxels."""
+"""Extract the traces of moving vehicles from a recording: window, tracks, samples."""
 
 from __future__ import annotations
 
@@ -113,20 +113,6 @@ def read_moving(
         done += len(piece)
         reporter.progress(STAGE, done, recording.rows)
     return window.moving()
-
-
-def voxels(points: Floats, size_m: float) -> Floats:
-    """Return the centres of the cubes that hold a point, in a fixed order.
-
-    Parameters
-    ----------
-    points : (n, d) array
-        Metres.
-    size_m : float
-        Edge of a cube.
-    """
-    cells: Integers = np.floor(np.asarray(points) / size_m).astype(np.int64)
-    return np.asarray((np.unique(cells, axis=0) + 0.5) * size_m, dtype=np.float64)
 
 
 NONE = -1
@@ -280,11 +266,24 @@ def _goes_somewhere(
     goes = (path >= least_m) & (path >= 0.5 * extent)
     streams = (rows["rate"].median() >= settings.sure_mps) & (extent >= least_m)
     good = (rows.size() >= settings.min_points) & (goes | streams)
-    speed = np.maximum(rows["rate"].quantile(0.9), _steady_speed(number, time, moving, settings))
-    drives = good & (speed > settings.walk_mps)
+    pace, steady = (way(number, time, moving, settings) for way in (_pace, _steady_speed))
+    drives = good & (np.maximum(pace, steady) > settings.walk_mps)
     # walkers keep to kerbs, not to lanes; but in a queue vehicles creep
     walkers = 1.0 - drives.sum() / max(good.sum(), 1)
     return np.asarray(drives if walkers > settings.creeping else good)
+
+
+def _pace(number: Integers, time: Floats, moving: Moving, settings: TraceSettings) -> Floats:
+    """Return the fastest range rate of each track that lasts, m/s: a median over `pace_s`.
+
+    A walker's limbs swing at up to two and a half times his speed, most of him goes on as he does.
+    """
+    rate = pd.Series(np.abs(moving.range_rate))
+    spell = np.floor(time / settings.pace_s).astype(np.int64)
+    by_spell = rate.groupby([number, spell])
+    lasting = by_spell.median().where(by_spell.size() >= settings.pace_points)
+    fastest = lasting.groupby(level=0).max().fillna(rate.groupby(number).median())
+    return np.asarray(fastest, dtype=np.float64)
 
 
 def _steady_speed(

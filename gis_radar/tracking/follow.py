@@ -290,18 +290,18 @@ class Follower:
             )
             self._keep(row if suspected is None else _allowing(row, suspected.move))
         self._give_up_if_lost(time)
-        whole = traffic if self.confirmed and self._full and traffic.tracks else None
+        whole = traffic if self.confirmed and self._full and traffic.vehicles else None
         noticed = self.watch.look(whole, self.now.state(self._like), time)
         if noticed is not None and self.confirmed:
             self._move(noticed, time)
-        self._vehicles = max(self._vehicles, traffic.tracks)
+        self._vehicles = max(self._vehicles, traffic.vehicles)
         if not self.confirmed and self._full and self._seen:
             self._refuse_start(self._seen)
 
     def _suspected_move(self, traffic: WindowTraffic, time: float) -> SuspectedMove | None:
         """Return the move that the newest data suggest, or none."""
         least = self._settings.localization.answer.least_tracks
-        if not self.confirmed or traffic.tracks < least or self.watch.unmoved:
+        if not self.confirmed or traffic.vehicles < least or self.watch.unmoved:
             return None
         expected = partial(self._expected, time=time)
         test = MoveTest(
@@ -310,7 +310,7 @@ class Follower:
         return test.suspected(self._like)
 
     def _corrected(self, traffic: WindowTraffic, time: float, *, suspected: bool) -> Row:
-        held = Row(estimate=self._later(self.now, time), vehicles=traffic.tracks)
+        held = Row(estimate=self._later(self.now, time), vehicles=traffic.vehicles)
         if suspected:
             return replace(held, event=REJECTED)
         prior = self._expected(traffic.moving.begin, time)

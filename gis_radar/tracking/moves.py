@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gis_radar.arrays import Floats
+from gis_radar.localization.solver import Fit
 from gis_radar.localization.state import POSE, State
 from gis_radar.tracking.filter import Estimate, Innovation, innovation, likeliest_move
 from gis_radar.tracking.settings import TrackingSettings
@@ -77,6 +78,23 @@ def score(gap: Innovation, seen: WindowFit) -> float:
     return freedom * float(np.log1p(chi2 / freedom))
 
 
+def agreement(rest: Fit, moved: Fit) -> float:
+    """Return by how many standard errors vehicles prefer a pose to another, each counting as one.
+
+    Student's t of what each gains (Vuong 1989 with the vehicles as clusters): a sensor that has
+    moved has done so for all of them, what one vehicle does otherwise only that one gains.
+
+    Parameters
+    ----------
+    rest, moved : Fit
+        Of the same samples.
+    """
+    gain = (rest.costs - moved.costs)[(rest.costs != 0.0) | (moved.costs != 0.0)]
+    if len(gain) < 2:
+        return 0.0
+    return float(gain.sum() / np.sqrt(max(len(gain) * gain.var(ddof=1), 1e-12)))
+
+
 class Scatter:
     """By how much pieces of traffic differ more than their covariances state, at this sensor.
 
@@ -110,9 +128,10 @@ class MoveTest:
 
     What all windows have in common is the same before and after: a move is held against the noise
     of the vehicles alone (:func:`gis_radar.tracking.filter.innovation`). It must be beyond chance
-    in two ways: by how far the pose of the newest data is from the one before, and by how much
-    likelier they are there. In some seconds traffic fixes not all directions: a fit that is not
-    quite right in one of them is carried metres away, without being any likelier.
+    in three ways: by how far the pose of the newest data is from the one before, by how much
+    likelier they are there, and by how well the vehicles agree in that. In some seconds traffic
+    fixes not all directions: a fit that is not quite right in one of them is carried metres away,
+    without being any likelier.
 
     Parameters
     ----------
@@ -163,11 +182,12 @@ class MoveTest:
             self.scatter.add(beyond)
             if beyond < ratio * settings.suspect_chi2:
                 continue
-            beyond = min(beyond, self._likelier(part, held, seen))
+            likelier, agreed = self._likelier(part, held, seen)
+            beyond = min(beyond, likelier)
             if beyond < ratio * settings.suspect_chi2:
                 continue
             suspected = SuspectedMove(
-                certain=beyond >= ratio * settings.gate,
+                certain=beyond >= ratio * settings.gate and agreed >= settings.agreement,
                 move=likeliest_move(gap, settings.knock),
                 change=self._change(held, seen),
             )
@@ -184,8 +204,8 @@ class MoveTest:
             How much, seconds; more until it holds the least number of vehicles.
         """
         part = self.traffic.between(self.now - length_s, np.inf)
-        least = self.fitter.settings.newest_tracks
-        while part.tracks < least and self.now - length_s > self.traffic.moving.begin:
+        least = self.fitter.settings.newest_vehicles
+        while part.vehicles < least and self.now - length_s > self.traffic.moving.begin:
             length_s *= 1.5
             part = self.traffic.between(self.now - length_s, np.inf)
         return part
@@ -207,17 +227,25 @@ class MoveTest:
         if len(latest) and fitter.cost(latest, seen.fit.state) > fitter.cost(latest, old):
             return None
         gap = innovation(held, seen.measurement)
-        contradiction = min(score(gap, seen), self._likelier(part, held, seen))
-        if contradiction < self.scatter.ratio * settings.gate:
+        likelier, agreed = self._likelier(part, held, seen)
+        contradiction = min(score(gap, seen), likelier)
+        if contradiction < self.scatter.ratio * settings.gate or agreed < settings.agreement:
             return None
         return Change(time=since, found=seen, chi2=contradiction)
 
-    def _likelier(self, part: WindowTraffic, held: Estimate, seen: WindowFit) -> float:
-        """Return twice the log likelihood ratio of a fit to the best one as good as at rest."""
+    def _likelier(
+        self, part: WindowTraffic, held: Estimate, seen: WindowFit
+    ) -> tuple[float, float]:
+        """Return twice the log likelihood ratio of a fit to the best one as good as at rest.
+
+        And by how far the vehicles agree: a bus or a lorry returns as much as ten cars.
+        """
         near = np.sqrt(np.diag(held.covariance)).tolist()
         schedule, like = self.fitter.settings.far, seen.fit.state
         rest = self.fitter.fit(part, held, like, near=near, schedule=schedule)
-        return np.inf if rest is None else 2.0 * (rest.fit.cost - seen.fit.cost)
+        if rest is None:
+            return np.inf, np.inf
+        return 2.0 * (rest.fit.cost - seen.fit.cost), agreement(rest.fit, seen.fit)
 
     def change_time(self, old: State, new: State) -> float:
         """Estimate since when the new pose explains the data better than the old one.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -22,7 +23,7 @@ from gis_radar.localization.settings import Schedule
 from gis_radar.localization.solver import Fit, Prior, cost_at, solve
 from gis_radar.localization.state import POSE, REFLECTION, SIZE, State
 from gis_radar.localization.trace_settings import TraceSettings
-from gis_radar.localization.traces import Moving, Samples, link_tracks, thin
+from gis_radar.localization.traces import Moving, Samples, link_tracks, thin, vehicles_of
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.tracking.filter import Estimate, Measurement, covariance_from_angles
 from gis_radar.tracking.settings import DEFAULTS, TrackingSettings
@@ -122,10 +123,10 @@ class WindowTraffic:
         )
         return replace(self, moving=moving, number=number[:-1] - 1)
 
-    @property
-    def tracks(self) -> int:
-        """How many vehicles there are."""
-        return int(self.number.max(initial=-1)) + 1
+    @cached_property
+    def vehicles(self) -> int:
+        """How many vehicles there are: the parts of a track that is cut count as one."""
+        return len(np.unique(vehicles_of(self.moving, self.number, self.settings)))
 
     def samples(self) -> Samples:
         """Return the detections that a registration works on."""
@@ -231,7 +232,7 @@ class WindowFitter:
             As for :func:`gis_radar.localization.solver.solve`; without it that of a window.
         """
         settings = self.settings
-        if traffic.tracks < settings.localization.answer.least_tracks:
+        if traffic.vehicles < settings.localization.answer.least_tracks:
             return None
         samples = traffic.samples()
         prior = self._prior(centre.state(like), np.array(near or settings.near))
