@@ -119,9 +119,13 @@ RECIPES: Mapping[str, Recipe] = {
     "harsh-held": Recipe(
         plan="town", seed=115, per_hour=2600, radars=("R2", "R4", "R6"), conditions="harsh"
     ),
-    "ideal-held": Recipe(
+    "roundabout": Recipe(
         plan="roundabout", seed=116, per_hour=1100, radars=1, conditions="textbook"
     ),
+    "ideal-held": Recipe(
+        plan="roundabout", seed=216, per_hour=900, radars=1, conditions="textbook"
+    ),
+    "wide-held": Recipe(plan="junction, wide map", seed=150, per_hour=700, radars=2),
 }
 
 
