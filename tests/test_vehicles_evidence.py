@@ -18,7 +18,8 @@ from gis_radar.vehicles.life_settings import (
 )
 from gis_radar.vehicles.links import Part, chains
 from gis_radar.vehicles.lives import _as_strong
-from gis_radar.vehicles.motion import Motion, Path, fit_motion
+from gis_radar.vehicles.motion import Motion, fit_motion
+from gis_radar.vehicles.paths import Path
 from gis_radar.vehicles.resting import _rate_without, unbroken, with_rest
 from gis_radar.vehicles.settings import (
     EchoSettings,

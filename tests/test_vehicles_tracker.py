@@ -14,7 +14,8 @@ from gis_radar.vehicles.columns import NONE
 from gis_radar.vehicles.echoes import Echoes
 from gis_radar.vehicles.forward import ForwardFilter
 from gis_radar.vehicles.life_settings import StandingSettings
-from gis_radar.vehicles.motion import Path, fit_motion, path_through
+from gis_radar.vehicles.motion import fit_motion
+from gis_radar.vehicles.paths import Path, path_through
 from gis_radar.vehicles.settings import VehicleSettings
 from gis_radar.vehicles.standing import pack
 from gis_radar.vehicles.strips import Strips

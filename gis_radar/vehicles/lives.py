@@ -20,7 +20,8 @@ from gis_radar.vehicles.detectability import Detectability, Occluders
 from gis_radar.vehicles.doubles import distinct_stands, join_tall
 from gis_radar.vehicles.echoes import Echoes
 from gis_radar.vehicles.links import Part, chains
-from gis_radar.vehicles.motion import Motion, Path, fit_motion
+from gis_radar.vehicles.motion import Motion, fit_motion
+from gis_radar.vehicles.paths import Path
 from gis_radar.vehicles.resting import with_rest
 from gis_radar.vehicles.settings import VehicleSettings
 from gis_radar.vehicles.standing import Stand, find_stands, not_built
