@@ -102,6 +102,15 @@ def test_a_pose_turned_off_is_named_by_what_others_measure():
     assert "farther from their lanes' centres" in line
 
 
+def test_a_shift_that_few_vehicles_of_one_lane_seem_to_show_is_not_named():
+    """Eight that turn out of a queue, all 0.7 m off to one side, may be drivers of that lane."""
+    seen = seen_by(0, (0.0, 0.0), [0], np.random.default_rng(6)).head(8)
+    few = seen.assign(left_m=[-0.9, -0.8, -0.8, *5 * [np.nan]], count=[9, 9, 9, *5 * [0]])
+    assert pose_warnings(few, ["R1"], PieceSettings()) == []
+    many = pd.concat([seen.assign(vehicle=seen["vehicle"] + 10 * k, left_m=-1.2) for k in range(5)])
+    assert "m south" in pose_warnings(many, ["R1"], PieceSettings())[0]
+
+
 def test_few_vehicles_judge_no_pose():
     seen = seen_by(0, (2.0, 0.0), [0, 4], np.random.default_rng(5)).head(7)
     assert pose_warnings(seen, ["R1"], PieceSettings()) == []

@@ -36,6 +36,7 @@ from gis_radar.arrays import Integers
 from gis_radar.poses.files import write_pose
 from gis_radar.steps import STEP_S
 from gis_radar.tiles.lookup import with_road_heights
+from gis_radar.vehicles.pieces import POSE_HINT
 
 LASTS_S = 10.0
 MOVING_MPS = 0.15
@@ -91,6 +92,7 @@ class Case:
     change: Change
     codes: tuple[int, ...] = (0,)
     said: str = ""
+    pose: bool = True
     back: Callable[[SceneFiles, Integers], Integers] | None = None
 
 
@@ -120,6 +122,7 @@ def try_case(case: Case) -> dict[str, Any]:
                 found = found.assign(step=case.back(site, found["step"].to_numpy()))
             lasting, doubled = lasting_false(site, found)
     lines = [*ended.errors, *ended.warnings]
+    blamed = case.pose and any(POSE_HINT in line for line in lines)
     told = not case.said or any(re.search(case.said, line, re.IGNORECASE) for line in lines)
     return {
         "code": ended.code,
@@ -127,7 +130,7 @@ def try_case(case: Case) -> dict[str, Any]:
         "lines": lines,
         "false": lasting,
         "doubled": doubled,
-        "good": ended.code in case.codes and told and lasting == 0,
+        "good": ended.code in case.codes and told and lasting == 0 and not blamed,
     }
 
 
@@ -441,7 +444,7 @@ KILLED = "killed midway"
 CASES: Mapping[str, Case] = {
     "nothing wrong (light)": Case(scene="light", change=_as_it_is),
     "nothing wrong (harsh)": Case(scene="harsh", change=_as_it_is),
-    "a pose 1 m off": Case(scene="harsh", change=_pose_off, said="R2"),
+    "a pose 1 m off": Case(scene="harsh", change=_pose_off, said="R2", pose=False),
     "a clock 0.2 s off": Case(scene="harsh", change=_clock_off),
     "a start in standing traffic": Case(scene="gridlock", change=_later),
     "parked rows beside the lane": Case(scene="parked", change=_as_it_is),

@@ -22,6 +22,7 @@ from gis_radar.vehicles.tables import TRACKS, VEHICLES
 WAY_RAD = np.pi / 9.0
 BEND_M, BEND_RAD = 5.0, 0.1  # who turns is where it suits
 LEAST_ROWS = 5  # detections of a vehicle on a lane, of which the median tells its side
+SURE = 4.0  # sigma of a shift that is named: of hundreds of sensors hardly one is blamed wrongly
 DRAWN = 0.75  # who is off by a smaller share of the worst is drawn along by that one
 SIDES = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
 POSE_HINT = ": its pose may be off (gis-radar track, gis-radar localize)"
@@ -203,22 +204,23 @@ def pose_warnings(seen: pd.DataFrame, sensors: Sequence[str], settings: PieceSet
     settings : PieceSettings
         What is too far.
     """
-    judged: dict[int, tuple[float, float, Floats]] = {}
+    judged: dict[int, tuple[float, float, Floats, float]] = {}
     for number in np.unique(seen["sensor"]).tolist():
         mine = seen[seen["sensor"] == number]
         if mine["vehicle"].nunique() >= settings.least_judged:
             counts = mine.groupby("vehicle")[["size", "on"]].sum()
             off = float((counts["on"] < 0.5 * counts["size"]).mean())
             left = mine[mine["count"] >= LEAST_ROWS]
-            judged[number] = off, float(left["left_m"].abs().median()), _shift(left, settings)
-    shifts = {number: float(np.hypot(*shift)) for number, (_, _, shift) in judged.items()}
+            judged[number] = off, float(left["left_m"].abs().median()), *_shift(left, settings)
+    shifts = {number: float(np.hypot(*each[2])) for number, each in judged.items()}
     lines = []
-    for number, (off, beside, shift) in judged.items():
+    for number, (off, beside, shift, sigma) in judged.items():
         others = [each[1] for other, each in judged.items() if other != number]
         apart = beside - float(np.median(others)) if others else 0.0
+        least = max(settings.most_beside_m, SURE * sigma, DRAWN * max(shifts.values()))
         if off > settings.most_off_lane:
             what = f"{off:.0%} of its vehicles follow no lanelet"
-        elif shifts[number] > max(settings.most_beside_m, DRAWN * max(shifts.values())):
+        elif shifts[number] > least:
             side = SIDES[round(float(np.arctan2(shift[1], shift[0])) / (0.25 * np.pi)) % 8]
             what = f"its vehicles drive {shifts[number]:.1f} m {side} of the lanes"
         elif apart > settings.most_beside_m:
@@ -229,8 +231,10 @@ def pose_warnings(seen: pd.DataFrame, sensors: Sequence[str], settings: PieceSet
     return lines
 
 
-def _shift(left: pd.DataFrame, settings: PieceSettings) -> Floats:
+def _shift(left: pd.DataFrame, settings: PieceSettings) -> tuple[Floats, float]:
     """Return by how much all vehicles of a sensor are beside their lanes, east and north, metres.
+
+    Beside it the 1 sigma of how much that is.
 
     Vehicles of one direction show it across that. Those of a lane are off alike, so that many count
     little more than a few; a prior holds the direction in which nobody drives.
@@ -244,7 +248,10 @@ def _shift(left: pd.DataFrame, settings: PieceSettings) -> Floats:
     weighted = normal / var[:, None]
     prior = np.eye(2) / settings.shift_m**2
     beside = ways["left_m"].to_numpy(np.float64)
-    return np.asarray(np.linalg.solve(normal.T @ weighted + prior, weighted.T @ beside))
+    spread = np.linalg.inv(normal.T @ weighted + prior)
+    shift = spread @ (weighted.T @ beside)
+    side = shift / max(float(np.hypot(*shift)), 1e-9)
+    return shift, float(np.sqrt(side @ spread @ side))
 
 
 class _States:
