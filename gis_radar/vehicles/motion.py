@@ -21,7 +21,7 @@ from gis_radar.vehicles.size import Size, size_of
 
 HALF_STEPS = STEPS_PER_SECOND // 2
 UNKNOWN_S, UNKNOWN_V = 25.0, 9.0  # variances of a place and a speed of which little is known
-LOST = 6  # places in a row that do not fit
+LOST = 6  # places in a row that do not fit, and no fewer than those that did
 STILL_COS = 0.05  # under it a range rate says nothing at all of the speed along the path
 
 
@@ -176,10 +176,16 @@ def fit_motion(echoes: Echoes, rows: Integers, states: Floats, settings: MotionS
         size, shift = size_of(along, ends, noise, time, trust, settings)
     return Motion(
         rows=rows, path=path, first_step=first,
-        s_m=np.maximum.accumulate(smoothed[0] + shift), speed=np.maximum(smoothed[1], 0.0),
+        s_m=_onward(smoothed[0] + shift), speed=np.maximum(smoothed[1], 0.0),
         var_s=smoothed[2], length_m=size.length_m, width_m=size.width_m,
         length_sigma_m=size.sigma_m, p_heavy=size.p_heavy, along_m=along - shift, left_m=left,
     )  # fmt: skip
+
+
+def _onward(s_m: Floats) -> Floats:
+    """Return places without any way back: held where they went too far, or from where they did."""
+    held, until = np.maximum.accumulate(s_m), np.minimum.accumulate(s_m[::-1])[::-1]
+    return np.asarray(min(held, until, key=lambda each: float(np.abs(each - s_m).sum())))
 
 
 def side_seen(path: Path, s_m: Floats, sight: Floats) -> Floats:
@@ -248,15 +254,15 @@ def _smooth(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - c
     mean, kept = np.empty((count, 2)), np.empty((count, 3))
     ahead, wide = np.empty((count, 2)), np.empty((count, 3))
     a, b, c = UNKNOWN_S, 0.0, UNKNOWN_V
-    k, misses = 0, 0
+    k, misses, fitted = 0, 0, 0
     for i in range(count):
         if i > 0:
             s += v * dt
             a += 2.0 * dt * b + dt * dt * c + q_ss
             b += dt * c + q_sv
             c += q_vv
-        if misses >= LOST:  # what it began with was of something else
-            a, c, misses = a + UNKNOWN_S, c + UNKNOWN_V, 0
+        if misses >= max(LOST, fitted):  # what it began with was of something else
+            a, c, misses, fitted = a + UNKNOWN_S, c + UNKNOWN_V, 0, 0
         ahead[i, 0], ahead[i, 1] = s, v
         wide[i, 0], wide[i, 1], wide[i, 2] = a, b, c
         while k < len(step) and step[k] == i:
@@ -270,7 +276,7 @@ def _smooth(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - c
                 c -= c * c / total
             gap, total = middle[k] - s, a + middle_var[k]
             if gap * gap < 25.0 * total:
-                misses = 0
+                misses, fitted = 0, fitted + 1
                 s += a / total * gap
                 v += b / total * gap
                 c -= b * b / total
