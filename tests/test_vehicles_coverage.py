@@ -138,7 +138,8 @@ def test_a_strip_overlaps_as_the_buffer_of_its_path(turns, line, length, driven)
         np.empty((2 * MOST_PARTS, 2)),
     )  # fmt: skip
     taken = shapely.LineString(np.concatenate([[[-60.0, 0.0]], fronts]))
-    beyond = shapely.LineString([*taken.coords, fronts[-1] + move[-1]])
+    last = np.subtract(taken.coords[-1], taken.coords[-2])
+    beyond = shapely.LineString([*taken.coords, fronts[-1] + last / np.hypot(*last)])
     # a line on the very edge may count or not
     least, most = (
         ends.intersection(
@@ -147,7 +148,8 @@ def test_a_strip_overlaps_as_the_buffer_of_its_path(turns, line, length, driven)
         ).length
         for e in (-1e-6, 1e-6)
     )  # fmt: skip
-    assert least - 0.02 < got < most + 0.02
+    # nor is it the same where it touches a bend, which the oracle rounds
+    assert least - 0.05 < got < most + 0.05
 
 
 def test_the_strip_of_a_truck_bends_and_goes_on_from_piece_to_piece():

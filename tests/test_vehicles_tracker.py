@@ -14,7 +14,7 @@ from gis_radar.vehicles.columns import NONE
 from gis_radar.vehicles.echoes import Echoes
 from gis_radar.vehicles.forward import ForwardFilter
 from gis_radar.vehicles.life_settings import StandingSettings
-from gis_radar.vehicles.motion import fit_motion
+from gis_radar.vehicles.motion import _onward, fit_motion
 from gis_radar.vehicles.paths import Path, path_through
 from gis_radar.vehicles.settings import VehicleSettings
 from gis_radar.vehicles.standing import pack
@@ -237,6 +237,32 @@ def test_a_few_detections_of_something_else_do_not_spoil_a_motion(at):
     sure = (time > 1.5) & (time < 6.5)
     assert speed[sure] == pytest.approx(12.0, abs=0.5)
     assert np.abs(motion.path.at(s_m)[0][:, 0] - places[~walks])[sure].max() < 4.0
+
+
+def test_who_is_followed_for_long_is_not_given_up_for_one_who_comes_behind():
+    """It stands for 10 s and leaves; another one comes to stand 2 m behind for 10 s."""
+    time = np.concatenate([np.arange(0.0, 20.0, 0.1), np.arange(22.0, 30.0, 0.1)])
+    s = np.where(time < 16.0, 40.0, 40.0 + 3.0 * np.clip(time - 16.0, 0.0, None) ** 2)
+    behind = time > 21.0
+    s[behind] = 34.0
+    rate = np.where((time > 16.0) & ~behind, 6.0 * (time - 16.0), 0.0)
+    points = np.column_stack([s, np.zeros(len(s))])
+    echoes = echoes_at(1e9 + time, points, rate, (-200.0, -10.0))
+    states = np.column_stack([points, np.zeros(len(s)), rate, np.full((len(s), 2), 2.0)])
+    motion = fit_motion(echoes, np.arange(len(s)), states, SETTINGS.motion)
+    s_m, speed = motion.at(echoes.time[~behind])
+    assert motion.path.at(s_m)[0][:, 0] == pytest.approx(s[~behind], abs=4.0)
+    assert motion.speed[-1] > 10.0  # as far as its own detections tell
+
+
+def test_places_never_go_back_and_stay_as_near_as_they_can():
+    ahead = np.concatenate([np.arange(50.0), [80.0, 81.0], np.arange(50.0, 100.0)])
+    assert _onward(ahead) == pytest.approx(ahead, abs=32.0)
+    assert np.abs(_onward(ahead) - ahead).sum() < 100.0
+    assert (np.diff(_onward(ahead)) >= 0.0).all()
+    late = np.concatenate([np.arange(50.0), [20.0, 21.0], np.arange(50.0, 100.0)])
+    assert np.abs(_onward(late) - late).sum() < 100.0
+    assert (np.diff(_onward(late)) >= 0.0).all()
 
 
 def test_numbers_of_both_directions_become_one():
