@@ -250,7 +250,7 @@ def test_who_is_followed_for_long_is_not_given_up_for_one_who_comes_behind():
     echoes = echoes_at(1e9 + time, points, rate, (-200.0, -10.0))
     states = np.column_stack([points, np.zeros(len(s)), rate, np.full((len(s), 2), 2.0)])
     motion = fit_motion(echoes, np.arange(len(s)), states, SETTINGS.motion)
-    s_m, speed = motion.at(echoes.time[~behind])
+    s_m, _ = motion.at(echoes.time[~behind])
     assert motion.path.at(s_m)[0][:, 0] == pytest.approx(s[~behind], abs=4.0)
     assert motion.speed[-1] > 10.0  # as far as its own detections tell
 
