@@ -148,7 +148,8 @@ def test_a_strip_overlaps_as_the_buffer_of_its_path(turns, line, length, driven)
         ).length
         for e in (-0.01, 0.01)
     )  # fmt: skip
-    assert least - 0.02 < got < most + 0.02
+    # its rear end is cut across the path's last steps of half a metre
+    assert least - 0.05 < got < most + 0.05
 
 
 def test_the_strip_of_a_truck_bends_and_goes_on_from_piece_to_piece():
