@@ -18,6 +18,9 @@ STEP_US = 50_000  # the nominal cycle of the sensors, 20 Hz
 STEP_S = 0.05
 STEPS_PER_SECOND = 20
 
+SHORTEST_CYCLE_S, LONGEST_CYCLE_S = 0.001, 2.0  # of any radar; beyond, a unit is mistaken
+CYCLE_HINT = "a cycle is stated, such as 150ms, and never measured; without one, frames hold 100 ms"
+
 # Nanosecond time stamps hold 1677 to 2262; the longest interval fits in on either side.
 FIRST_YEAR, LAST_YEAR = 1800, 2150
 LONGEST_INTERVAL_YEARS = 100

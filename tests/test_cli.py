@@ -209,7 +209,7 @@ def test_every_option_reaches_its_argument(site, run, monkeypatch):
         seen.update(options, recordings=recordings, poses=poses, output=output)
         raise gr.NoAnswerError("enough")
 
-    monkeypatch.setattr("gis_radar.site.recipes.measure_occupancy", caught)
+    monkeypatch.setattr("gis_radar.occupancy.measure_occupancy", caught)
     gr.write_pose(pose(view=None), site / "R1.json")
     answer = run(
         *occupancy_words(site), "--max-range", "150", "--azimuth", "90", "--elevation", "20",
@@ -238,8 +238,8 @@ def test_tiles_options_reach_their_arguments(tmp_path, run, monkeypatch):
         raise gr.NoAnswerError("enough")
 
     roads = object()
-    monkeypatch.setattr("gis_radar.site.recipes.read_map", read)
-    monkeypatch.setattr("gis_radar.site.recipes.make_tiles", make)
+    monkeypatch.setattr("gis_radar.lanelets.read_map", read)
+    monkeypatch.setattr("gis_radar.tiles.make_tiles", make)
     run(
         "tiles", "m.osm", "-o", tmp_path / "t.gpkg", "--crs", "EPSG:25832", "--length", "2",
         "--origin", "3.5,4.5", "--subtype", "road,walkway",

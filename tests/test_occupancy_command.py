@@ -49,7 +49,7 @@ def test_cycles_and_clocks_reach_their_arguments(site, monkeypatch, words, cycle
         seen.update(options)
         raise gr.NoAnswerError("enough")
 
-    monkeypatch.setattr("gis_radar.site.recipes.measure_occupancy", caught)
+    monkeypatch.setattr("gis_radar.occupancy.measure_occupancy", caught)
     (site / "clocks.json").write_text('{"clocks": {"R2": {"offset_s": 3.5}}}')
     answer = run("occupancy", *BOTH, "-o", "occ", "--clocks", "clocks.json", *words)
     assert "the clock of R1 is not corrected" in answer.output
@@ -96,7 +96,7 @@ def test_clocks_are_found_or_refused(site, monkeypatch):
         name: gr.SensorClock(offset_s=0.5 * i, at=START) for i, name in enumerate(("R1", "R2"))
     }
     found = gr.Clocks(reference="R1", clocks=clocks, refused={"R3": "with R1: nothing"}, pairs={})
-    for place in ("gis_radar.measure_clocks", "gis_radar.site.recipes.measure_clocks"):
+    for place in ("gis_radar.measure_clocks", "gis_radar.clocks.measure_clocks"):
         monkeypatch.setattr(place, lambda *_, **__: found)
     answer = run("clocks", *BOTH, "-o", "clocks.json", "--reference", "R1")
     assert answer.exit_code == 0

@@ -41,7 +41,6 @@ from gis_radar.cli import group
 from gis_radar.demo import pose_errors
 from gis_radar.files import only_writer, refuse_foreign
 from gis_radar.site import run as product
-from gis_radar.site import stages as stage_functions
 from gis_radar.site.execution import RunState, discard
 from gis_radar.site.plan import OWNED, stages_of
 
@@ -666,14 +665,14 @@ def test_other_formats_are_converted_first(small, tmp_path, monkeypatch):
     for reader in ("localize R1", "occupancy R1"):
         assert stages[reader].inputs["recordings"] == stage.outputs
     recorder = Recorder()
-    monkeypatch.setattr(stage_functions, "convert_recordings", recorder.convert)
+    monkeypatch.setattr("gis_radar.recordings.convert", recorder.convert)
     stage.outputs[0].parent.mkdir(parents=True)
     words = {"outputs": stage.outputs, "reporter": Listener(), **stage.arguments}
     assert stage.work(**words) == {"frames": 3}
     assert stage.outputs[0].read_bytes() == (folder / "R1.bag").read_bytes()
     assert recorder.heard["columns"] == {"x": "-X"}
     assert (recorder.heard["clock"], recorder.heard["sensor"]) == ("sensor", None)
-    monkeypatch.setattr(stage_functions, "convert_recordings", Recorder(("a", "b")).convert)
+    monkeypatch.setattr("gis_radar.recordings.convert", Recorder(("a", "b")).convert)
     with pytest.raises(gr.InputError, match="has several sensors: a, b"):
         stage.work(**words)
 

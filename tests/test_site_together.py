@@ -66,7 +66,7 @@ def run(site, tmp_path, monkeypatch):
                 pose=found, fitness=0.9, observable=True, recording=paths[0].name
             )
 
-        monkeypatch.setattr(work, "localize_files", localize_files)
+        monkeypatch.setattr("gis_radar.localization.localize_files", localize_files)
         path = site.folder / f"{tmp_path.name}.toml"
         sensors = "".join(SENSOR.format(name, options.get(name, "")) for name in alone)
         sensors = sensors.replace(R2, options.get("recordings", R2))

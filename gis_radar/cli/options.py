@@ -99,8 +99,7 @@ def _duration(text: str) -> float:
 
 
 def _cycles(text: str) -> dict[str, float]:
-    from gis_radar.occupancy.frame_steps import CYCLE_HINT  # noqa: PLC0415 - NumPy
-    from gis_radar.steps import duration_s  # noqa: PLC0415 - NumPy
+    from gis_radar.steps import CYCLE_HINT, duration_s  # noqa: PLC0415 - NumPy
 
     if text == "auto":
         raise ValueError(f"'auto' is none: {CYCLE_HINT}")

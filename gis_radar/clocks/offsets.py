@@ -15,10 +15,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import fft
-from scipy.ndimage import uniform_filter1d
-from scipy.spatial import cKDTree
 
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.clocks.lane_detections import LaneDetections
@@ -71,8 +69,8 @@ def _best_lag(
     agreement: Floats, shift_s: Floats, allowed: Booleans, settings: ClockSettings
 ) -> float:
     width, apart = settings.peak_bins, settings.apart_bins
-    smooth = uniform_filter1d(agreement, width, mode="constant") * width
-    around = uniform_filter1d(smooth, settings.around_bins, mode="constant")
+    smooth = scipy.ndimage.uniform_filter1d(agreement, width, mode="constant") * width
+    around = scipy.ndimage.uniform_filter1d(smooth, settings.around_bins, mode="constant")
     score = (smooth - around) / np.sqrt(around + 1.0)
     filled = allowed & (around > 0.0)
     if smooth[allowed].max(initial=0.0) < settings.rough_pairs or filled.sum() < apart:
@@ -102,17 +100,17 @@ def _agreement(
 ) -> Floats:  # fmt: skip
     """Return for each lag in how many cells both had a detection; lag 0 at `bins_one.max()`."""
     room = int(bins_one.max() + bins_other.max() + 1)
-    length = fft.next_fast_len(room, real=True)
+    length = scipy.fft.next_fast_len(room, real=True)
     total = np.zeros(length // 2 + 1, np.complex128)
     at_once = max(VALUES_AT_ONCE // length, 1)
     for begin in range(0, len(common), at_once):
         cells = common[begin : begin + at_once]
         spectra = [
-            fft.rfft(_filled(key, bins, cells, length), axis=1)
+            scipy.fft.rfft(_filled(key, bins, cells, length), axis=1)
             for key, bins in ((key_one, bins_one), (key_other, bins_other))
         ]
         total += np.einsum("ij,ij->j", np.conj(spectra[0]), spectra[1])
-    circular = fft.irfft(total, length)
+    circular = scipy.fft.irfft(total, length)
     return np.maximum(np.roll(circular, int(bins_one.max()))[:room], 0.0)
 
 
@@ -247,7 +245,7 @@ def _pairs(
         "near_s": settings.pair_s,
         "near_mps": settings.pair_mps,
     }
-    tree = cKDTree(other.scaled(time - begin, **near))
+    tree = scipy.spatial.cKDTree(other.scaled(time - begin, **near))
     found = tree.query_ball_point(
         one.scaled(one.time - begin, **near), 1.0, p=np.inf, return_sorted=False
     )
@@ -367,7 +365,7 @@ def _share_seen(
         return np.nan
     mine = mine.take(np.arange(0, len(mine), -(-len(mine) // settings.most_checked)))
     near = {name: getattr(settings, name) for name in ("near_m", "near_s", "near_mps")}
-    tree = cKDTree(other.scaled(time - mine.time[0], **near))
+    tree = scipy.spatial.cKDTree(other.scaled(time - mine.time[0], **near))
     points = mine.scaled(mine.time - mine.time[0], **near)
     apart, _ = tree.query(points, p=np.inf, distance_upper_bound=1.0)
     return float(np.isfinite(apart).mean())

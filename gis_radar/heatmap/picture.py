@@ -13,6 +13,7 @@ from io import BytesIO
 from typing import Any
 
 import numpy as np
+import scipy
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -20,7 +21,6 @@ from matplotlib.patches import Polygon, Rectangle
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 from PIL import Image
-from scipy import ndimage
 
 from gis_radar.arrays import Booleans, Floats
 from gis_radar.heatmap import style
@@ -176,7 +176,7 @@ def map_picture(corners: Floats, extent: Extent, most_pixels: int) -> MapPicture
     covered = cover(grid, corners)
     road = np.zeros((height, width), np.bool_)
     road.ravel()[covered.pixel] = True
-    around = ndimage.binary_dilation(road, iterations=max(1, round(width / 700)))
+    around = scipy.ndimage.binary_dilation(road, iterations=max(1, round(width / 700)))
     ground = np.where(around & ~road, OUTLINE, NO_TILE).astype(np.uint8)
     return MapPicture(grid=grid, cover=covered, ground=ground)
 

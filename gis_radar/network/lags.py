@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from scipy.spatial import cKDTree
+import scipy
 
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.localization.model import MODEL, Model
@@ -141,7 +141,7 @@ def _near(one: Moments, other: Moments, settings: TieSettings) -> tuple[Integers
         at = np.column_stack([
             seen.points[:, FLAT] / settings.lag_place_m, late_s / settings.most_lag_s
         ])  # fmt: skip
-        trees.append(cKDTree(at))
+        trees.append(scipy.spatial.cKDTree(at))
     pairs = trees[0].sparse_distance_matrix(trees[1], 1.0, p=np.inf, output_type="coo_matrix")
     return np.asarray(pairs.row), np.asarray(pairs.col)
 

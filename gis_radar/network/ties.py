@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 import pandas as pd
-from scipy.optimize import linear_sum_assignment
+import scipy
 
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.localization.lanes import Lanes
@@ -372,5 +372,5 @@ def assign(chi2: Floats, tracks: Integers, most: float) -> Integers:
     cost = np.full((a.max() + 1, b.max() + 1), most)
     index = np.full(cost.shape, -1)
     cost[a, b], index[a, b] = chi2[near], near
-    chosen = index[linear_sum_assignment(cost)]
+    chosen = index[scipy.optimize.linear_sum_assignment(cost)]
     return np.asarray(np.sort(chosen[chosen >= 0]))

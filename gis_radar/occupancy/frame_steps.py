@@ -19,9 +19,8 @@ from gis_radar.arrays import Integers, ranges
 from gis_radar.errors import UsageError
 from gis_radar.occupancy.hits import Rows, distinct
 from gis_radar.occupancy.settings import DEFAULTS, OccupancySettings
-from gis_radar.steps import STEP_US
+from gis_radar.steps import CYCLE_HINT, LONGEST_CYCLE_S, SHORTEST_CYCLE_S, STEP_US
 
-SHORTEST_CYCLE_S, LONGEST_CYCLE_S = 0.001, 2.0  # of any radar; beyond, a unit is mistaken
 GAP_US = 100  # resolution of measured cycles: jitter is larger
 MOST_GAPS = round(LONGEST_CYCLE_S * 1e6) // GAP_US
 MOST_ROWS_HELD = 1 << 18  # at once; 2 MiB a column
@@ -64,9 +63,6 @@ def holds_of(
             )
         holds[sensor] = round(settings.cycles_held * cycle_s, 6)
     return holds
-
-
-CYCLE_HINT = "a cycle is stated, such as 150ms, and never measured; without one, frames hold 100 ms"
 
 
 def steps_held(hold_s: float) -> int:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.spatial.transform import Rotation
+import scipy
 
 from gis_radar.arrays import Integers
 from gis_radar.clocks import SensorClock
@@ -239,7 +239,7 @@ def standing_for(poses: Sequence[Pose], settings: OccupancySettings = DEFAULTS) 
         Indices into `poses`.
     """
     position = np.array([pose.position for pose in poses])
-    turn = Rotation.from_quat([pose.quaternion for pose in poses])
+    turn = scipy.spatial.transform.Rotation.from_quat([pose.quaternion for pose in poses])
     found = np.zeros(len(poses), np.int64)
     heads: list[int] = []  # poses with a view of their own, the one in force last
     for index, pose in enumerate(poses):

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import scipy
 import shapely
 from pyproj import CRS
-from scipy.spatial.transform import Rotation
 
 from gis_radar.arrays import Booleans, Floats
 from gis_radar.crs import metric_crs, name_of
@@ -134,8 +134,9 @@ class Pose:
         """The rotation as (x, y, z, w) with w >= 0."""
         return np.asarray(self._rotation().as_quat(canonical=True))
 
-    def _rotation(self) -> Rotation:
-        return Rotation.from_euler("ZYX", [self.yaw, self.pitch, self.roll], degrees=True)
+    def _rotation(self) -> scipy.spatial.transform.Rotation:
+        angles = [self.yaw, self.pitch, self.roll]
+        return scipy.spatial.transform.Rotation.from_euler("ZYX", angles, degrees=True)
 
     def to_map(self, points: Floats, *, road_m: float = math.nan) -> Floats:
         """Move points from the sensor frame to the map.
@@ -336,7 +337,8 @@ def _check_quaternion(pose: Pose, quaternion: Any, what: str) -> None:
     values = [_number(value, f"{what}: quaternion") for value in quaternion]
     if abs(math.hypot(*values) - 1.0) > 1e-3:
         raise InputError(f"{what}: quaternion has length {math.hypot(*values):.4f}, expected 1")
-    turn = Rotation.from_quat(values).inv() * Rotation.from_matrix(pose.R_map_sensor)
+    rotation = scipy.spatial.transform.Rotation
+    turn = rotation.from_quat(values).inv() * rotation.from_matrix(pose.R_map_sensor)
     apart_deg = math.degrees(turn.magnitude())
     if apart_deg > QUATERNION_TOLERANCE_DEG:
         raise InputError(

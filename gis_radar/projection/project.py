@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import geopandas as gpd
-import laspy
+import lazy_loader
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -27,6 +27,8 @@ from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Detections, Recording, as_recording
 from gis_radar.steps import gps_seconds
+
+laspy = lazy_loader.load("laspy")  # 0.2 s, and most files written are no scans
 
 
 def project(
@@ -282,7 +284,7 @@ class _Dimension:
     about: str = ""
     missing: int | None = None
 
-    def params(self) -> laspy.ExtraBytesParams:
+    def params(self) -> Any:
         about = self.about if self.missing is None else f"missing: {self.missing}"
         return laspy.ExtraBytesParams(self.name, self.kind, about)
 
@@ -355,9 +357,7 @@ def _dimension(field: pa.Field, name: str) -> _Dimension:
     return _Dimension(column=field.name, name=name, kind=np.float32 if short else np.float64)
 
 
-def _scan_points(
-    batch: pa.RecordBatch, header: laspy.LasHeader, dimensions: list[_Dimension]
-) -> laspy.ScaleAwarePointRecord:
+def _scan_points(batch: pa.RecordBatch, header: Any, dimensions: list[_Dimension]) -> Any:
     scan = laspy.ScaleAwarePointRecord.zeros(len(batch), header=header)
     places: Floats = shapely.get_coordinates(
         shapely.from_wkb(batch[GEOMETRY].to_numpy(zero_copy_only=False)), include_z=True

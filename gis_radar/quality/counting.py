@@ -12,8 +12,9 @@ import pandas as pd
 from gis_radar.arrays import Integers
 from gis_radar.occupancy import Occupancy
 from gis_radar.occupancy.frame_log import COLUMNS
-from gis_radar.occupancy.frame_steps import LONGEST_CYCLE_S, FrameTimes
+from gis_radar.occupancy.frame_steps import FrameTimes
 from gis_radar.progress import Reporter
+from gis_radar.steps import LONGEST_CYCLE_S
 
 HOUR_S = 3600
 QUARTER_S = 900  # zones differ from UTC by whole quarters of an hour

@@ -15,8 +15,6 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 import pandas as pd
-from matplotlib.colors import ListedColormap
-from matplotlib.patches import Patch
 
 from gis_radar.clocks.settings import CLOCK_SET_S
 from gis_radar.errors import InputError, UsageError
@@ -204,6 +202,9 @@ class Quality:
         -------
         matplotlib Axes
         """
+        from matplotlib.colors import ListedColormap  # noqa: PLC0415 - only who draws waits for it
+        from matplotlib.patches import Patch  # noqa: PLC0415
+
         table, timezone = self.table, self.timezone
         sensors, hours = table["sensor"].unique(), np.sort(table["begin"].unique())
         ax = axes_or_new(ax, (8.0, 1.4 + 0.5 * len(sensors)))

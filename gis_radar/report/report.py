@@ -48,6 +48,15 @@ from gis_radar.report.lanes import (
     write_lanes,
 )
 from gis_radar.report.maps import draw_hits, draw_maps, draw_plan, draw_sights, lay_out
+from gis_radar.report.names import (
+    LANES,
+    LANES_BY_INTERVAL,
+    PAGE,
+    PAPER,
+    QUALITY,
+    REPORT_FILES,
+    SENSORS,
+)
 from gis_radar.report.pages import page_of, write_pdf
 from gis_radar.report.results import (
     NOT_KNOWN,
@@ -62,12 +71,8 @@ from gis_radar.report.results import (
 )
 from gis_radar.steps import Clock, zone_of
 
-PAGE, PAPER = "report.html", "report.pdf"
-LANES, LANES_BY_INTERVAL = "lanes.csv", "lanes_by_interval.csv"
-SENSORS, QUALITY = "sensors.csv", "quality.csv"
 NAN = float("nan")
 SHORT_S = 900.0  # usual counts are of 15 minutes; shorter ones hold few cycles of a signal
-REPORT_FILES = (PAGE, PAPER, LANES, LANES_BY_INTERVAL, SENSORS, QUALITY)
 
 MOST_LANES, MOST_HOURS = 150, 168  # rows of tables as read; the CSV files hold all
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from pyproj import CRS
-from scipy import ndimage
 
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.crs import Box
@@ -127,7 +127,7 @@ def nearest_known(known: Booleans) -> tuple[Floats, tuple[Integers, Integers]]:
     if not known.any():
         nowhere = np.zeros(known.shape, np.int64)
         return np.full(known.shape, np.inf), (nowhere, nowhere)
-    away, index = ndimage.distance_transform_edt(~known, return_indices=True)
+    away, index = scipy.ndimage.distance_transform_edt(~known, return_indices=True)
     return np.asarray(away), (index[0], index[1])
 
 
@@ -161,10 +161,10 @@ def ground_under(
     if not known.any():
         return np.full(low.shape, np.nan)
     away, index = nearest_known(known)
-    coarse = ndimage.median_filter(coarse[index], 3)
+    coarse = scipy.ndimage.median_filter(coarse[index], 3)
     if not classified:
         window = int(widest_roof_m / cell_m / wide)
-        coarse = ndimage.grey_opening(coarse, (window, window))
+        coarse = scipy.ndimage.grey_opening(coarse, (window, window))
     near = away * wide * cell_m < widest_roof_m
     fine = np.where(near, coarse, np.nan).repeat(wide, axis=0).repeat(wide, axis=1)
     return np.asarray(fine[:columns, :rows], np.float64)

@@ -14,10 +14,10 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import pyogrio
+import scipy
 import shapely
 from pyproj import CRS
 from pyproj.exceptions import CRSError as ProjError
-from scipy.spatial import cKDTree
 
 from gis_radar.arrays import Floats, Integers
 from gis_radar.crs import metric_crs, name_of, utm_zone
@@ -64,8 +64,8 @@ class RoadLevel:
         return np.asarray(self.heights[nearest, 2][which])
 
     @cached_property
-    def _samples(self) -> cKDTree:
-        return cKDTree(self.heights[:, :2])
+    def _samples(self) -> scipy.spatial.cKDTree:
+        return scipy.spatial.cKDTree(self.heights[:, :2])
 
 
 def _levels_of(
@@ -120,7 +120,7 @@ def _conflicts(points: Floats, owner: Integers, settings: RoadSettings) -> Integ
     """Return pairs of lanelets that cannot be one surface, (n, 2)."""
     if np.ptp(points[:, 2]) <= settings.step_m:
         return np.empty((0, 2), np.int64)
-    pairs = cKDTree(points[:, :2]).query_pairs(settings.near_m, output_type="ndarray")
+    pairs = scipy.spatial.cKDTree(points[:, :2]).query_pairs(settings.near_m, output_type="ndarray")
     a, b = pairs[owner[pairs[:, 0]] != owner[pairs[:, 1]]].T
     step = np.abs(points[a, 2] - points[b, 2])
     near = np.hypot(*(points[a, :2] - points[b, :2]).T)

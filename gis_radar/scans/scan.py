@@ -10,7 +10,7 @@ from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
-import laspy
+import lazy_loader
 import numpy as np
 from lazrs import LazrsError
 from numpy.typing import NDArray
@@ -22,6 +22,8 @@ from gis_radar.crs import Box, metric_crs, moved_box, name_of, require_same, sam
 from gis_radar.errors import CrsError, InputError
 from gis_radar.scans.settings import DEFAULTS, MaskSettings
 
+laspy = lazy_loader.load("laspy")  # 0.2 s, and most commands read no scan
+
 Days: TypeAlias = tuple[date, date]
 AT_ONCE = 1_000_000
 # ASPRS LAS 1.4, table 17. Road for certain: ground, key points of it, road surface, bridge deck.
@@ -29,10 +31,6 @@ ROAD_CLASSES = (2, 8, 11, 17)
 # Never a road: vegetation, noise, water, wires and pylons, high noise.
 NEVER_CLASSES = (3, 4, 5, 7, 9, 13, 14, 15, 16, 18)
 ROAD_SURFACE = 11
-_DAMAGED = (
-    laspy.LaspyException, LazrsError, MemoryError, OSError, OverflowError, RuntimeError,
-    ValueError,
-)  # fmt: skip
 _VLR_BYTES, _EVLR_BYTES = 54, 60
 _CHUNK_POINTS = 50_000  # of compressed points, one of which is stored in full
 _SMALLEST_SCALE = 1e-12
@@ -115,7 +113,7 @@ class Scan:
                         x, y = transformer(self.crs, crs).transform(piece.x, piece.y)
                         piece = piece._replace(x=x, y=y)
                     yield piece
-        except _DAMAGED as error:
+        except _faults() as error:
             raise _damaged(self.path, error) from error
         if seen != self.points:
             raise InputError(f"{self.path}: cut off: {seen} of {self.points} points are there")
@@ -151,7 +149,7 @@ def open_scan(path: str | Path, *, crs: Any = None) -> Scan:
     )
 
 
-def _read_header(path: Path) -> laspy.LasHeader:
+def _read_header(path: Path) -> Any:
     """Read the header of a scan.
 
     laspy checks that the parts of a header agree with each other. It does not compare them with the
@@ -172,7 +170,7 @@ def _read_header(path: Path) -> laspy.LasHeader:
             with laspy.open(path) as reader:
                 header = reader.header
             fault = _not_in_file(header, size)
-    except _DAMAGED as error:
+    except _faults() as error:
         raise _damaged(path, error) from error
     if fault:
         raise InputError(f"{path}: damaged or cut off: {fault}")
@@ -196,7 +194,7 @@ def _unfit(head: bytes, size: int) -> str:
     return ""
 
 
-def _not_in_file(header: laspy.LasHeader, size: int) -> str:
+def _not_in_file(header: Any, size: int) -> str:
     """Return what laspy accepts in a header and cannot be, or nothing."""
     most = (size - header.offset_to_point_data) // header.point_format.size
     if header.point_count > most * (_CHUNK_POINTS if header.are_points_compressed else 1):
@@ -258,7 +256,7 @@ def read_road(path: str | Path, crs: CRS) -> Floats:
     require_same(road_crs(path), crs, what=str(path), other_what="the map")
     try:
         return np.asarray(laspy.read(path).xyz)
-    except _DAMAGED as error:
+    except _faults() as error:
         raise _damaged(path, error) from error
 
 
@@ -315,11 +313,11 @@ def _inside(record: Any, box: Box) -> Points:
     return Points(x[kept], y[kept], z, category[kept], time, len(kept), ground)
 
 
-def _stated(path: Path, header: laspy.LasHeader, *, hint: str = "") -> CRS | None:
+def _stated(path: Path, header: Any, *, hint: str = "") -> CRS | None:
     """Return the coordinate system that the file states, or None."""
     try:
         crs: CRS | None = header.parse_crs()
-    except (ProjError, *_DAMAGED) as error:
+    except _faults(ProjError) as error:
         reason = str(error).splitlines()[0][:120]
         raise CrsError(
             f"{path}: its coordinate system cannot be read: {reason}", hint=hint
@@ -343,6 +341,14 @@ def _bounds(header: Any) -> Box:
     if not credible:
         return (-np.inf, -np.inf, np.inf, np.inf)
     return float(west), float(south), float(east), float(north)
+
+
+def _faults(*further: type[Exception]) -> tuple[type[Exception], ...]:
+    """Return what reading a damaged file raises."""
+    return (
+        *further, laspy.LaspyException, LazrsError, MemoryError, OSError, OverflowError,
+        RuntimeError, ValueError,
+    )  # fmt: skip
 
 
 def _damaged(path: str | Path, error: BaseException) -> InputError:

@@ -17,7 +17,7 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import pyogrio
-from scipy.spatial.transform import Rotation
+import scipy
 
 from gis_radar.errors import GisRadarError, InputError, UsageError
 from gis_radar.files import whole_file
@@ -228,7 +228,8 @@ class SightFile:
 
 def _apart(one: Pose, other: Pose) -> tuple[float, float]:
     """Return how far two poses are apart, metres and degrees."""
-    turn = Rotation.from_quat(one.quaternion).inv() * Rotation.from_quat(other.quaternion)
+    rotation = scipy.spatial.transform.Rotation
+    turn = rotation.from_quat(one.quaternion).inv() * rotation.from_quat(other.quaternion)
     away_m = float(np.linalg.norm(one.position - other.position))
     return away_m, float(np.degrees(turn.magnitude()))
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.grid import Grid
@@ -162,9 +162,9 @@ def _opened(low: Floats, cells: float) -> Floats:
     """Return the surface without what is narrower than some cells; NaN where not known."""
     size = max(1, 2 * round((cells - 1) / 2) + 1)
     known = np.isfinite(low)
-    eroded = ndimage.minimum_filter(np.where(known, low, np.inf), size)
+    eroded = scipy.ndimage.minimum_filter(np.where(known, low, np.inf), size)
     eroded[~np.isfinite(eroded)] = -np.inf
-    opened = np.asarray(ndimage.maximum_filter(eroded, size))
+    opened = np.asarray(scipy.ndimage.maximum_filter(eroded, size))
     return np.where(known & np.isfinite(opened), opened, np.nan)
 
 
@@ -198,7 +198,7 @@ def _decks(
     near = np.abs(highest - level) < settings.tall_m
     deck = (near & (level - wide > settings.tall_m) & ~(roads.road & ~upper)) | crossing
     cells = round(settings.opening_m / settings.cell_m)
-    opened = ndimage.binary_dilation(crossing, iterations=cells, mask=deck)
+    opened = scipy.ndimage.binary_dilation(crossing, iterations=cells, mask=deck)
     away, index = nearest_known(crossing)
     below = np.where(away <= 2 * cells, roads.lowest[index], np.nan)
     return level, (opened | known) & deck, below

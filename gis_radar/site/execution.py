@@ -21,7 +21,6 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from gis_radar.errors import GisRadarError, InputError, NoAnswerError, OutputError
 from gis_radar.files import whole_file
 from gis_radar.progress import Reporter
-from gis_radar.qgis.project import was_edited
 from gis_radar.site.plan import Ending, Outcome, Stage
 from gis_radar.site.worker import Event, Pool, carry_out
 
@@ -238,8 +237,11 @@ def discard(paths: Sequence[Path]) -> None:
     A QGIS project that somebody has edited is not ours any more and stays.
     """
     for path in paths:
-        if path.suffix == ".qgz" and was_edited(path):
-            continue
+        if path.suffix == ".qgz" and path.exists():
+            from gis_radar.qgis.project import was_edited  # noqa: PLC0415 - 2 s, needed rarely
+
+            if was_edited(path):
+                continue
         if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path)
         else:

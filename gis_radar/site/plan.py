@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from gis_radar.errors import GisRadarError
-from gis_radar.report.report import REPORT_FILES
+from gis_radar.report.names import REPORT_FILES
 from gis_radar.site import stages
 from gis_radar.site.settings import ConvertTable, Sensor, Site
 from gis_radar.site.together import FOUND, RECORDED, SEVERAL

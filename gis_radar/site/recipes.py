@@ -1,6 +1,7 @@
 """Recipes that commands share with the stages of a site, from files to files.
 
-Further options go to the function of the library that has them.
+Further options go to the function of the library that has them. Each recipe imports what it calls,
+so that a command waits for its own rooms only.
 """
 
 from __future__ import annotations
@@ -8,43 +9,24 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import geopandas as gpd
 import numpy as np
 
-from gis_radar.clocks import SensorClock, measure_clocks, read_clocks
 from gis_radar.crs import name_of, require_same
 from gis_radar.errors import UsageError
-from gis_radar.lanelets import read_map
-from gis_radar.occupancy import Filters, Occupancy, measure_occupancy
-from gis_radar.occupancy.frame_log import rows_of, whole_frames
-from gis_radar.occupancy.views import places_of, road_near, standing_for
 from gis_radar.poses.files import PoseTrack
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import Reporter
-from gis_radar.recordings.recording import open_recording
-from gis_radar.scans.mask import mask_road, require_road_name
-from gis_radar.scans.roads import read_roads
-from gis_radar.scans.scan import read_road
-from gis_radar.sight import (
-    MovementCounter,
-    MovingHits,
-    Sight,
-    SightTiles,
-    find_contradictions,
-    find_sight,
-    open_sight,
-    report_contradictions,
-    report_uncovered,
-    write_sights,
-)
-from gis_radar.sight.settings import DEFAULTS as SIGHT_DEFAULTS
-from gis_radar.tiles.lookup import TileGrid, with_road_heights
-from gis_radar.tiles.tiles import fingerprint, make_tiles, read_tiles, write_tiles
-from gis_radar.vehicles import Vehicles, find_vehicles
 
-JUDGED = SIGHT_DEFAULTS.judged_frames
+if TYPE_CHECKING:
+    import geopandas as gpd
+
+    from gis_radar.clocks import SensorClock
+    from gis_radar.occupancy import Occupancy
+    from gis_radar.sight import MovingHits, Sight, SightTiles
+    from gis_radar.vehicles import Vehicles
+
 AUTO = "auto"  # clocks: as the recordings themselves show
 
 
@@ -56,6 +38,10 @@ def split_map(
 
     The figures are returned; options are those of :func:`gis_radar.make_tiles`.
     """
+    from gis_radar.lanelets import read_map
+    from gis_radar.scans.scan import read_road
+    from gis_radar.tiles import fingerprint, make_tiles, with_road_heights, write_tiles
+
     roads = read_map(map_file, crs=crs, origin=origin, reporter=reporter)
     table = make_tiles(roads, reporter=reporter, **options)
     if road is not None:
@@ -84,6 +70,9 @@ def mask_scans(
     What was written and the figures are returned; options are those of
     :func:`gis_radar.read_roads`.
     """
+    from gis_radar.scans.mask import mask_road, require_road_name
+    from gis_radar.scans.roads import read_roads
+
     require_road_name(output)
     roads = read_roads(map_file, reporter=reporter, **options)
     road = mask_road(scans, roads, engine=engine, scan_crs=scan_crs, reporter=reporter)
@@ -98,6 +87,9 @@ def join_recordings(
 
     Options are those of :func:`gis_radar.measure_occupancy`.
     """
+    from gis_radar.occupancy import Filters, measure_occupancy
+    from gis_radar.tiles import read_tiles
+
     kept, tiles = Filters(**filters), read_tiles(tile_file)
     known = {} if clocks is None else _clocks(clocks, recordings, tracks, tiles, reporter)
     return measure_occupancy(
@@ -114,6 +106,9 @@ def follow_vehicles(
 
     Options are those of :func:`gis_radar.find_vehicles`.
     """
+    from gis_radar.tiles import read_tiles
+    from gis_radar.vehicles import find_vehicles
+
     tiles = read_tiles(tile_file)
     known = {} if clocks is None else _clocks(clocks, recordings, tracks, tiles, reporter)
     return find_vehicles(
@@ -135,6 +130,18 @@ def see_tiles(
     UsageError
         If there are recordings, but not one a pose.
     """
+    from gis_radar.occupancy.views import places_of, standing_for
+    from gis_radar.sight import (
+        SightTiles,
+        find_contradictions,
+        find_sight,
+        open_sight,
+        report_contradictions,
+        report_uncovered,
+        write_sights,
+    )
+    from gis_radar.tiles import read_tiles
+
     if recordings and len(recordings) != len(tracks):
         raise UsageError(f"{len(recordings)} recordings, but {len(tracks)} poses")
     tiles = read_tiles(tile_file)
@@ -180,6 +187,13 @@ def _moving_hits(
     reporter: Reporter,
 ) -> list[MovingHits]:  # fmt: skip
     """Return what moves on the tiles, of each place where the sensor stood for long enough."""
+    from gis_radar.occupancy.frame_log import rows_of, whole_frames
+    from gis_radar.occupancy.views import places_of, road_near, standing_for
+    from gis_radar.recordings.recording import open_recording
+    from gis_radar.sight import MovementCounter, MovingHits
+    from gis_radar.sight.settings import DEFAULTS
+    from gis_radar.tiles import TileGrid
+
     engine = TileGrid(road.quads)
     first, standing = places_of(track.poses), standing_for(track.poses)
     road_m = {k: road_near(sights[id(track.poses[k])], road) for k in np.unique(standing).tolist()}
@@ -197,13 +211,13 @@ def _moving_hits(
             reporter.progress("comparing with the recording", done, opened.rows)
     hits = [MovingHits.of(sights[id(track.poses[k])], [each]) for k, each in counters.items()]
     for each in hits:
-        if each.frames < JUDGED:
+        if each.frames < DEFAULTS.judged_frames:
             reporter.log(
                 f"{track.sensor}: {each.frames} frames from one place are too few to correct its "
-                f"sight by, {JUDGED} are needed",
+                f"sight by, {DEFAULTS.judged_frames} are needed",
                 "warning",
             )
-    return [each for each in hits if each.frames >= JUDGED]
+    return [each for each in hits if each.frames >= DEFAULTS.judged_frames]
 
 
 def _clocks(
@@ -211,6 +225,8 @@ def _clocks(
     tiles: gpd.GeoDataFrame, reporter: Reporter,
 ) -> dict[str, SensorClock]:  # fmt: skip
     """Return the clocks of a file, or compare them; warn of those that are not corrected."""
+    from gis_radar.clocks import measure_clocks, read_clocks
+
     if source == AUTO:
         found = measure_clocks(recordings, tracks, tiles, reporter=reporter)
         for sensor, text in found.lines().items():

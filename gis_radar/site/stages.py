@@ -1,7 +1,8 @@
 """The stages of a run as functions, each a call or two of the library, from files to files.
 
 Their arguments are lists of paths and small settings, which every executor can send to a worker;
-options that a stage does not use itself go to the function of the library that has them.
+options that a stage does not use itself go to the function of the library that has them. Each stage
+imports what it calls: a worker waits for the rooms of its own stages only.
 """
 
 from __future__ import annotations
@@ -16,17 +17,9 @@ from typing import Any
 from gis_radar.crs import name_of
 from gis_radar.errors import InputError, NoAnswerError
 from gis_radar.files import whole_file
-from gis_radar.heatmap import MapLabels, make_heatmap
-from gis_radar.localization import AmbiguousError, localize_files
-from gis_radar.occupancy import merge_occupancies, read_occupancy
 from gis_radar.poses.files import PoseTrack, read_track, write_pose
 from gis_radar.poses.pose import COMPONENTS, Pose, View
 from gis_radar.progress import Reporter
-from gis_radar.qgis import write_site_project
-from gis_radar.recordings import convert as convert_recordings
-from gis_radar.report import write_report
-from gis_radar.scans.scan import read_road, road_crs
-from gis_radar.site.recipes import follow_vehicles, join_recordings, mask_scans, split_map
 from gis_radar.site.together import (
     RECORDED,
     read_together,
@@ -35,8 +28,6 @@ from gis_radar.site.together import (
     write_candidates,
     write_together,
 )
-from gis_radar.tiles.tiles import read_tiles
-from gis_radar.vehicles import read_vehicles
 
 Figures = dict[str, Any]
 Paths = Sequence[Path]
@@ -44,11 +35,15 @@ Paths = Sequence[Path]
 
 def mask_stage(*, map_file: Path, scans: Paths, outputs: Paths, **options: Any) -> Figures:
     """Mask the road out of the scans."""
+    from gis_radar.site.recipes import mask_scans
+
     return mask_scans(scans, map_file, outputs[0], **options)[1]
 
 
 def road_stage(*, road: Path, outputs: Paths, reporter: Reporter) -> Figures:
     """Take a road that was masked before."""
+    from gis_radar.scans.scan import read_road, road_crs
+
     crs = road_crs(road)
     points = read_road(road, crs)
     with whole_file(outputs[0]) as part:
@@ -59,13 +54,17 @@ def road_stage(*, road: Path, outputs: Paths, reporter: Reporter) -> Figures:
 
 def tiles_stage(*, map_file: Path, outputs: Paths, **options: Any) -> Figures:
     """Split the lanes into tiles, at the heights of the scanned road where there is one."""
+    from gis_radar.site.recipes import split_map
+
     return split_map(map_file, outputs[0], **options)
 
 
 def convert_stage(*, recordings: Paths, outputs: Paths, **options: Any) -> Figures:
     """Make one recording of what a sensor's own programs have written."""
+    from gis_radar.recordings import convert
+
     with tempfile.TemporaryDirectory() as folder:
-        made = convert_recordings(recordings, Path(folder) / outputs[0].name, **options)
+        made = convert(recordings, Path(folder) / outputs[0].name, **options)
         if len(made.outputs) != 1:
             names = ", ".join(str(each.sensor) for each in made.recordings)
             raise InputError(
@@ -84,6 +83,8 @@ def localize_stage(
 
     Where several poses fit, these are kept: other sensors may know which.
     """
+    from gis_radar.localization import AmbiguousError, localize_files
+
     pose, picture, several = outputs
     for before in outputs:
         before.unlink(missing_ok=True)  # a pose and several are never there both
@@ -187,6 +188,8 @@ def occupancy_stage(
     clocks: Path | None = None, **options: Any,
 ) -> Figures:  # fmt: skip
     """Join a sensor's recordings to the tiles."""
+    from gis_radar.site.recipes import join_recordings
+
     tracks = [_seeing(read_track(pose), sensor, view)] * len(recordings)
     cycles = None if cycle is None else {sensor: cycle}
     return join_recordings(
@@ -204,6 +207,8 @@ def vehicles_stage(
     Recordings are as :func:`together_stage` takes them. Where vehicles cannot be followed, the
     heat maps show hits: a map without lanes for vehicles, a recording without range rates.
     """
+    from gis_radar.site.recipes import follow_vehicles
+
     place = outputs[0].parent / "sensors"
     numbers = {name: int(each["recordings"]) for name, each in sensors.items()}
     paths = _by_sensor(recordings, numbers, place)
@@ -232,6 +237,11 @@ def heatmap_stage(
     interval: str | None, labels: dict[str, Any], vehicles: Paths = (),
 ) -> Figures:  # fmt: skip
     """Merge the occupancies and make the heat map; where vehicles are known, of their coverage."""
+    from gis_radar.heatmap import MapLabels, make_heatmap
+    from gis_radar.occupancy import merge_occupancies, read_occupancy
+    from gis_radar.tiles import read_tiles
+    from gis_radar.vehicles import read_vehicles
+
     merged = merge_occupancies([read_occupancy(each, reporter=reporter) for each in occupancies])
     heat = make_heatmap(
         merged, read_tiles(tile_file), interval=interval, reporter=reporter,
@@ -243,11 +253,15 @@ def heatmap_stage(
 
 def project_stage(*, outputs: Paths, **options: Any) -> Figures:
     """Write sensors, and vehicles where asked, as layers; and the project that shows them."""
+    from gis_radar.qgis import write_site_project
+
     write_site_project(outputs[0].parent, **options)
     return {}
 
 
 def report_stage(*, outputs: Paths, reporter: Reporter) -> Figures:
     """Write the report of all that was made."""
+    from gis_radar.report import write_report
+
     write_report(outputs[0].parent, reporter=reporter)
     return {}

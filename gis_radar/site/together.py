@@ -6,19 +6,17 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from gis_radar.clocks import SensorClock, read_clocks
 from gis_radar.errors import InputError, NoAnswerError
 from gis_radar.files import whole_file
-from gis_radar.lanelets import read_map
-from gis_radar.localization.result import AmbiguousError
-from gis_radar.network.network import CLASH_HINT, Solved
-from gis_radar.network.together import gain_line, tie_poses
 from gis_radar.poses.files import read_pose
 from gis_radar.poses.pose import Pose, pose_from_dict
 from gis_radar.progress import Reporter
-from gis_radar.scans.scan import read_road
+
+if TYPE_CHECKING:
+    from gis_radar.localization import AmbiguousError
+    from gis_radar.network.network import Solved
 
 FOUND, SEVERAL, RECORDED = "localization.json", "candidates.json", "recording.parquet"
 Record = dict[str, Any]
@@ -70,12 +68,18 @@ def solve_together(
         By sensor its `pose`, or the `message` and `hint` of its refusal; `line` is what it gained,
         or why it is not tied.
     """
+    from gis_radar.clocks import read_clocks
+    from gis_radar.lanelets import read_map
+    from gis_radar.network.network import Solved
+    from gis_radar.network.together import tie_poses
+    from gis_radar.scans.scan import read_road
+
     alone = {name: _alone(folder / name) for name in sensors}
     poses = {name: found[0] for name, found in alone.items() if found[0]}
     solved = Solved(poses={}, chosen={}, refused={}, pairs={})
     if len(poses) > 1:
         roads = read_map(map_file, reporter=reporter, **options)
-        known: dict[str, SensorClock] = {} if clocks is None else read_clocks(clocks)
+        known = {} if clocks is None else read_clocks(clocks)
         solved = tie_poses(
             {name: sensors[name] for name in poses}, poses, roads, read_road(road, roads.crs),
             clocks=known, reporter=reporter,
@@ -99,6 +103,9 @@ def _alone(place: Path) -> tuple[tuple[Pose, ...], Record]:
 
 def _entry(name: str, poses: tuple[Pose, ...], solved: Solved, refusal: Record) -> Record:
     """Return what became of a sensor."""
+    from gis_radar.network.network import CLASH_HINT
+    from gis_radar.network.together import gain_line
+
     if name in solved.refused:
         return {"message": solved.refused[name], "hint": CLASH_HINT, "line": "refused"}
     why = solved.untied.get(name, "no other sensor has a pose")

@@ -15,8 +15,14 @@ from pydantic.fields import FieldInfo
 
 from gis_radar.crs import bearing_of, looks_like_degrees, metric_crs
 from gis_radar.errors import GisRadarError
-from gis_radar.occupancy.frame_steps import CYCLE_HINT, LONGEST_CYCLE_S, SHORTEST_CYCLE_S
-from gis_radar.steps import duration_s, interval_steps, zone_of
+from gis_radar.steps import (
+    CYCLE_HINT,
+    LONGEST_CYCLE_S,
+    SHORTEST_CYCLE_S,
+    duration_s,
+    interval_steps,
+    zone_of,
+)
 
 _WILD = frozenset("*?[")
 _NOT_IN_NAMES = frozenset('/\\:*?"<>|')

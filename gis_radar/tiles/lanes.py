@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import geopandas as gpd
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from gis_radar.arrays import Integers
 from gis_radar.tiles.tiles import quads
@@ -49,7 +49,7 @@ def lanes_of(tiles: gpd.GeoDataFrame) -> list[Lane]:
     corners = quads(tiles) - quads(tiles).min(axis=(0, 1))
     starts = np.array([corners[rows[each][0]][[0, 3]].ravel() for each in ids])
     ends = np.array([corners[rows[each][-1]][[1, 2]].ravel() for each in ids])
-    following = cKDTree(ends).query_ball_tree(cKDTree(starts), TOUCH_M)
+    following = scipy.spatial.cKDTree(ends).query_ball_tree(scipy.spatial.cKDTree(starts), TOUCH_M)
     after = {i: [k for k in found if k != i] for i, found in enumerate(following)}
     before: dict[int, list[int]] = {i: [] for i in after}
     for i, found in after.items():

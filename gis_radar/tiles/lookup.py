@@ -19,9 +19,9 @@ from typing import TypeAlias
 import geopandas as gpd
 import numpy as np
 import pandas as pd
+import scipy
 from numpy.typing import NDArray
 from rtree import index as rtree_index
-from scipy.spatial import cKDTree
 
 from gis_radar.arrays import Floats, Integers, compiled
 from gis_radar.errors import InputError
@@ -275,7 +275,7 @@ def with_road_heights(tiles: gpd.GeoDataFrame, road: Floats) -> gpd.GeoDataFrame
     found = inside.reindex(np.arange(len(tiles))).to_numpy(copy=True)
     bare = np.flatnonzero(np.isnan(found))
     centres = tiles.geometry.centroid
-    distance, nearest = cKDTree(road[:, :2]).query(
+    distance, nearest = scipy.spatial.cKDTree(road[:, :2]).query(
         np.column_stack([centres.x, centres.y])[bare], distance_upper_bound=NEAR_M
     )
     near = np.isfinite(distance)

@@ -1,0 +1,3 @@
+from .report import Report, write_report
+
+__all__ = ["Report", "write_report"]

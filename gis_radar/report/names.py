@@ -1,0 +1,6 @@
+"""The files of a report, by name."""
+
+PAGE, PAPER = "report.html", "report.pdf"
+LANES, LANES_BY_INTERVAL = "lanes.csv", "lanes_by_interval.csv"
+SENSORS, QUALITY = "sensors.csv", "quality.csv"
+REPORT_FILES = (PAGE, PAPER, LANES, LANES_BY_INTERVAL, SENSORS, QUALITY)
