@@ -230,3 +230,23 @@ def test_the_commands_are_there_before_numpy():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert "gis_radar.cli.recordings" in done.stdout.split()
     assert "numpy" not in done.stdout.split()
+
+
+@pytest.mark.parametrize(
+    ("first", "not_loaded"),
+    [
+        ("import gis_radar as gr; gr.run_site", {"scipy.spatial", "geopandas", "matplotlib"}),
+        ("import gis_radar.site.recipes", {"scipy.spatial", "geopandas", "gis_radar.vehicles"}),
+        (
+            "import gis_radar as gr; gr.read_occupancy, gr.read_tiles",
+            {"scipy.spatial", "laspy.lib"},
+        ),
+        ("import gis_radar as gr; gr.measure_quality", {"scipy.ndimage", "matplotlib"}),
+    ],
+)
+def test_no_command_waits_for_libraries_of_others(first, not_loaded):
+    code = f"import sys; {first}; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.split())
+    assert "gis_radar" in loaded
+    assert not not_loaded & loaded
