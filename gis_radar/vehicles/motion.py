@@ -176,13 +176,13 @@ def fit_motion(echoes: Echoes, rows: Integers, states: Floats, settings: MotionS
         size, shift = size_of(along, ends, noise, time, trust, settings)
     return Motion(
         rows=rows, path=path, first_step=first,
-        s_m=_onward(smoothed[0] + shift), speed=np.maximum(smoothed[1], 0.0),
+        s_m=_without_way_back(smoothed[0] + shift), speed=np.maximum(smoothed[1], 0.0),
         var_s=smoothed[2], length_m=size.length_m, width_m=size.width_m,
         length_sigma_m=size.sigma_m, p_heavy=size.p_heavy, along_m=along - shift, left_m=left,
     )  # fmt: skip
 
 
-def _onward(s_m: Floats) -> Floats:
+def _without_way_back(s_m: Floats) -> Floats:
     """Return places without any way back: held where they went too far, or from where they did."""
     held, until = np.maximum.accumulate(s_m), np.minimum.accumulate(s_m[::-1])[::-1]
     return np.asarray(min(held, until, key=lambda each: float(np.abs(each - s_m).sum())))
