@@ -111,6 +111,15 @@ def test_a_shift_that_few_vehicles_of_one_lane_seem_to_show_is_not_named():
     assert "m south" in pose_warnings(many, ["R1"], PieceSettings())[0]
 
 
+def test_a_sensor_that_sees_no_straight_lane_hides_no_other():
+    rng = np.random.default_rng(4)
+    right, turned = (seen_by(k, (0.0, 0.0), [0, 4, 9, -4], rng) for k in (0, 1))
+    turned["left_m"] += 1.2 * (turned.groupby("way").cumcount() % 3 - 1)
+    bends = seen_by(2, (0.0, 0.0), [0], rng).assign(count=0, left_m=np.nan)
+    (line,) = pose_warnings(pd.concat([right, turned, bends]), ["R1", "R2", "R3"], PieceSettings())
+    assert line.startswith("R2: ")
+
+
 def test_few_vehicles_judge_no_pose():
     seen = seen_by(0, (2.0, 0.0), [0, 4], np.random.default_rng(5)).head(7)
     assert pose_warnings(seen, ["R1"], PieceSettings()) == []

@@ -1,5 +1,7 @@
 """What speaks for vehicles: detections that are due, heights, and the scatterers of a body."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -528,8 +530,10 @@ def test_a_radar_with_more_noise_needs_more_to_seem_to_move():
     limit = still_rate(np.append(noisy, driven), settings)
     assert limit == pytest.approx(0.25, rel=0.05)
     assert (np.abs(noisy) > limit).mean() < 1e-4
-    # where nothing stands, nothing tells how much it would scatter
+    # where nothing that stands is recorded, nothing tells how much it would scatter
+    creeping = rng.uniform(-2.0, 2.0, 50_000)
     assert still_rate(driven, settings) == settings.moving_mps
+    assert still_rate(np.append(creeping, driven), settings) == settings.moving_mps
 
 
 def test_fixed_returns_do_not_hold_one_who_drives_across_the_view():
@@ -553,3 +557,25 @@ def test_fixed_returns_do_not_hold_one_who_drives_across_the_view():
     moving = ~fixed & (np.abs(echoes.range_rate) > 0.15)
     assert len(np.unique(number[moving])) == 1
     assert state[moving][-1, 3] == pytest.approx(10.0, abs=0.5)
+
+
+@pytest.mark.parametrize("rate", [0.25, 0.5, 5.0])
+def test_a_fixed_thing_that_returns_seldom_is_built_too(rate):
+    rng = np.random.default_rng(4)
+    time = np.sort(rng.uniform(0.0, 300.0, int(300.0 * rate)))
+    echoes = echoes_at(time, np.tile([100.0, 0.0], (len(time), 1)))
+    path = Path(np.column_stack([np.arange(201.0), np.zeros(201)]))
+    count = 20 * RATE
+    drivers = [
+        Motion(
+            rows=np.arange(len(time)), path=path, first_step=begin * RATE,
+            s_m=10.0 / RATE * np.arange(count), speed=np.full(count, 10.0), var_s=np.ones(count),
+            length_m=4.5, width_m=1.8, length_sigma_m=0.5, p_heavy=0.0,
+            along_m=np.zeros(len(time)), left_m=np.zeros(len(time)),
+        )
+        for begin in range(0, 280, 20)
+    ]  # fmt: skip
+    settings = replace(StandingSettings(), built_share=0.2)
+    sweeps = Sweeps.of(drivers, echoes, Strips.of(road_of(1)), settings)
+    left = not_built(echoes, np.ones(len(time), bool), sweeps, settings)
+    assert left.mean() < 0.1

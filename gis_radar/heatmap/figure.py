@@ -54,8 +54,9 @@ MEANINGS = {
     ),
     "coverage": (
         "20 % are 12 seconds of every minute with a vehicle on the tile, moving or waiting. "
-        "Uncertain: the standard error (±) is as large as the value, or the tile was visible for "
-        "less than half of the time. Not visible: no sensor sees it."
+        "Uncertain: the standard error (±) is as large as the value and 2 points or more, or the "
+        "tile was visible for less than half as long as the best seen one. Not visible: no sensor "
+        "sees it. Busiest spot: the highest value once its ± is taken off."
     ),
 }
 PLOT_PIXELS, SMALL_PIXELS = 1_100_000, 400_000  # of a plot: 180 an inch; of a notebook card

@@ -62,7 +62,7 @@ class _Read:
     poses: set[int] = field(default_factory=set)
     detections: int = 0
     rates: int = 0
-    still_mps: float | None = None
+    still_mps: float = 0.0
 
     def refuse_without_rates(self) -> None:
         """Refuse detections of which none has a range rate."""
@@ -144,6 +144,7 @@ class SourceReader:
             if read.source.track.sensor == sensor:
                 pieces = whole_frames(read.source.recording.read())
                 first = next(pieces)  # a recording without rows is refused in there
+                read.still_mps = self._still_rate(read.source)
                 opened.append((float(first.time[0]), read, first, pieces))
         until = -np.inf
         for _, read, first, pieces in sorted(opened, key=itemgetter(0)):
@@ -157,12 +158,22 @@ class SourceReader:
             until = max(until, float(piece.time[-1]))
             read.refuse_without_rates()
 
+    def _still_rate(self, source: PlacedRecording) -> float:
+        """Return up to which range rate a return may be of what stands, by the first seconds."""
+        settings, rates = self._settings.echoes, []
+        begin: float | None = None
+        for piece in source.recording.read():
+            begin = float(piece.time[0]) if begin is None else begin
+            soon = piece.present & (piece.time < begin + settings.noise_s)
+            rates.append(piece.range_rate[soon])
+            if piece.time[-1] >= begin + settings.noise_s:
+                break
+        return still_rate(np.concatenate(rates), settings)
+
     def _in_map(self, read: _Read, piece: Detections) -> Iterator[_Piece]:
         source, sensor = read.source, read.source.track.sensor
         time = piece.time if source.clock is None else source.clock.corrected(piece.time)
         held = source.track.at(time)
-        if read.still_mps is None:
-            read.still_mps = still_rate(piece.range_rate[piece.present], self._settings.echoes)
         for index in np.unique(held).tolist():
             now = held == index
             read.poses.add(index)

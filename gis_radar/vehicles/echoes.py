@@ -142,12 +142,14 @@ def still_rate(range_rate: Floats, settings: EchoSettings) -> float:
     Parameters
     ----------
     range_rate : (n,) array
-        Of all detections of a while: most of those near zero are of fixed things.
+        Of all detections of some seconds, m/s. Where fixed things return, those near zero have a
+        peak, whose width is the noise; where only what moves is recorded there is none.
     settings : EchoSettings
-        How many sigma of their noise.
+        How many sigma of the noise.
     """
     slow = np.abs(range_rate[np.abs(range_rate) < settings.slow_mps])
-    if len(slow) < settings.least_slow:
+    peak = (slow < settings.slow_mps / 3.0).mean() if len(slow) >= settings.least_slow else 0.0
+    if peak < settings.peak_share:
         return settings.moving_mps
     sigma = float(np.median(slow)) / 0.6745  # the median of a normal's absolute value
     return float(np.clip(settings.still_sigmas * sigma, settings.moving_mps, settings.slow_mps))

@@ -59,6 +59,7 @@ def with_standing(
         part for each in motions
         for part in _at_drives(each, echoes, states, free, sweeps, settings)
     ]  # fmt: skip
+    seen = replace(seen, occluders=Occluders.of(motions))  # numbered as the parts now
     motions = [
         with_rest(number, each, echoes, free, states, sweeps, seen, settings)
         for number, each in enumerate(motions)

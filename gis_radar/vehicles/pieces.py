@@ -172,12 +172,14 @@ def _on_lanes(
     states = table.iloc[step[inside]]
     towards = states["towards"].to_numpy()
     left_m = states["d_m"].to_numpy(np.float64, na_value=np.nan)
+    way = np.round(np.nan_to_num(towards) / WAY_RAD).astype(np.int64) % round(2 * np.pi / WAY_RAD)
+    middle = WAY_RAD * way
     found = pd.DataFrame(
         {
             "vehicle": number,
             "sensor": echoes.sensor[motion.rows[inside]],
-            "way": np.round(np.nan_to_num(towards) / WAY_RAD).astype(np.int64),
-            "towards": towards,
+            "way": way,
+            "towards": middle + np.angle(np.exp(1j * (towards - middle))),
             "on": states["lanelet_id"].notna().to_numpy(),
             "left_m": np.where(np.isfinite(towards), left_m, np.nan),
         }
@@ -211,11 +213,15 @@ def pose_warnings(seen: pd.DataFrame, sensors: Sequence[str], settings: PieceSet
             counts = mine.groupby("vehicle")[["size", "on"]].sum()
             off = float((counts["on"] < 0.5 * counts["size"]).mean())
             left = mine[mine["count"] >= LEAST_ROWS]
-            judged[number] = off, float(left["left_m"].abs().median()), *_shift(left, settings)
+            enough = left["vehicle"].nunique() >= settings.least_judged
+            beside = float(left["left_m"].abs().median()) if enough else np.nan
+            judged[number] = off, beside, *_shift(left, settings)
     shifts = {number: float(np.hypot(*each[2])) for number, each in judged.items()}
     lines = []
     for number, (off, beside, shift, sigma) in judged.items():
-        others = [each[1] for other, each in judged.items() if other != number]
+        others = [
+            each[1] for other, each in judged.items() if other != number and np.isfinite(each[1])
+        ]
         apart = beside - float(np.median(others)) if others else 0.0
         least = max(settings.most_beside_m, SURE * sigma, DRAWN * max(shifts.values()))
         if off > settings.most_off_lane:
@@ -224,7 +230,10 @@ def pose_warnings(seen: pd.DataFrame, sensors: Sequence[str], settings: PieceSet
             side = SIDES[round(float(np.arctan2(shift[1], shift[0])) / (0.25 * np.pi)) % 8]
             what = f"its vehicles drive {shifts[number]:.1f} m {side} of the lanes"
         elif apart > settings.most_beside_m:
-            what = f"its vehicles drive {apart:.1f} m farther from their lanes' centres than others"
+            what = (
+                f"its vehicles drive {apart:.1f} m farther from their lanes' centres than those of "
+                "others"
+            )
         else:
             continue
         lines.append(f"{sensors[number]}: {what}{POSE_HINT}")

@@ -29,9 +29,10 @@ class EchoSettings:
     still_sigmas : float
         A radar with more noise needs more: so many sigma, with which 500 fixed returns a frame
         seem to move once in three minutes.
-    slow_mps, least_slow : float, int
-        The noise is that of detections slower than this, of so many at least; never is more needed
-        than this.
+    noise_s, slow_mps, least_slow, peak_share : float, float, int, float
+        The noise is that of detections of the first seconds that are slower than this, of so many
+        at least (a sigma to 3 %), of which such a share is slower than a third of it: evenly
+        spread it would be a third. Never is more needed than this.
     """
 
     low_m: float = -1.0
@@ -39,8 +40,10 @@ class EchoSettings:
     height_rad: float = 0.035
     moving_mps: float = 0.15
     still_sigmas: float = 5.0
+    noise_s: float = 20.0
     slow_mps: float = 0.3
     least_slow: int = 1000
+    peak_share: float = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -196,7 +196,7 @@ def _built(
     line = place // CELLS * 64 + sensor
     order = np.lexsort((time, place, line))
     for rows in np.split(order, np.flatnonzero(np.diff(line[order])) + 1):
-        count = _counts(place[rows], slot[rows], settings)
+        count = _counts(place[rows], slot[rows], int(slot.max()) + 1, settings)
         lowest = place[rows[0]]
         for part in np.split(rows, np.flatnonzero(np.diff(place[rows])) + 1):
             over = fast.get(int(place[part[0]]))
@@ -208,20 +208,24 @@ def _built(
             seen = (high > low).any(axis=0)
             if seen.sum() >= settings.least_built and seen.mean() >= settings.built_share:
                 here = count[place[part[0]] - lowest]
-                when = ((empty - time.min()) / SLOT_S).astype(np.int64)
-                usual = float(np.median(here[np.clip(when, 0, len(here) - 1)]))
-                built[part] = here[slot[part]] <= usual + settings.more_sigmas * np.sqrt(usual)
+                when = np.floor((empty - time.min()) / SLOT_S).astype(np.int64)
+                then = here[when[(when >= 0) & (when < len(here))]]
+                usual = float(np.median(then)) if len(then) else 0.0
+                # of few counts the sigma is that of one
+                more = settings.more_sigmas * np.sqrt(max(usual, 1.0))
+                built[part] = here[slot[part]] <= usual + more
     return built
 
 
-def _counts(place: Integers, slot: Integers, settings: StandingSettings) -> Floats:
-    """Return by cell and half second how many lie within a car's length, in two seconds."""
-    cells, slots = place - place.min(), slot
-    count = np.zeros((int(cells.max()) + 1, int(slots.max()) + 1))
-    np.add.at(count, (cells, slots), 1.0)
-    long = int(settings.car_m / settings.cell_m) // 2
+def _counts(place: Integers, slot: Integers, slots: int, settings: StandingSettings) -> Floats:
+    """Return by cell and half second how many lie within a car's length, in 2.5 seconds."""
+    cells = place - place.min()
+    count = np.zeros((int(cells.max()) + 1, slots))
+    np.add.at(count, (cells, slot), 1.0)
+    size = (int(settings.car_m / settings.cell_m) // 2, 5)
     # a running sum leaves traces of what has left it
-    return np.asarray(np.maximum(long * 4 * uniform_filter(count, (long, 4), mode="constant"), 0.0))
+    counted = size[0] * size[1] * uniform_filter(count, size, mode="constant")
+    return np.asarray(np.maximum(np.round(counted), 0.0))
 
 
 def _episodes(
