@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from test_vehicles_evidence import driven, echoes_at, road_of, setting_off
 
+from gis_radar.vehicles import lives
 from gis_radar.vehicles.bodies import is_person, without_faint_ends
 from gis_radar.vehicles.detectability import Detectability, Occluders
 from gis_radar.vehicles.life_settings import StandingSettings
@@ -127,7 +128,6 @@ def test_few_vehicles_judge_no_pose():
 
 def test_a_person_followed_with_a_vehicle_is_cut_off():
     echoes, (motion,) = followed([0.0], [10.0])
-    motion.rows[:] = np.arange(20)
     echoes.rcs[:10] = -15.0
     states = np.zeros((len(echoes), 6))
     states[:, :2], states[:, 3] = echoes.points, 10.0
@@ -160,6 +160,55 @@ def test_who_is_elsewhere_after_a_long_silence_is_joined_by_links(silent_s, move
     free = np.zeros(40, bool)
     found = _at_drives(motion, echoes, states, free, sweeps, VehicleSettings())
     assert len(found) == parts
+
+
+@pytest.mark.parametrize(("driver_y", "parts"), [(0.5, 2), (40.0, 1)])
+def test_who_is_silent_while_others_drive_over_its_place_has_left(driver_y, parts):
+    time = np.concatenate([np.arange(20.0) / RATE, 13.0 + np.arange(20.0) / RATE])
+    drives = 4.0 + np.arange(120.0) / RATE
+    points = np.column_stack([np.full(40, 60.0), np.full(40, 0.5)])
+    driver = np.column_stack([20.0 + 12.0 * (drives - 4.0), np.full(120, driver_y)])
+    order = np.argsort(np.concatenate([time, drives]), kind="stable")
+    echoes = echoes_at(np.concatenate([time, drives])[order], np.vstack([points, driver])[order])
+    moves = np.flatnonzero(order >= 40)
+    echoes.range_rate[:] = np.where(order >= 40, 12.0, 0.0)
+    states = np.zeros((160, 6))
+    states[:, :2], states[moves, 3] = echoes.points, 12.0
+    stays, other = (
+        fit_motion(echoes, rows, states, VehicleSettings().motion)
+        for rows in (np.flatnonzero(order < 40), moves)
+    )
+    sweeps = Sweeps.of([other], echoes, Strips.of(road_of(1)), StandingSettings())
+    found = _at_drives(stays, echoes, states, np.zeros(160, bool), sweeps, VehicleSettings())
+    assert len(found) == parts
+
+
+def test_who_hides_others_is_numbered_as_the_parts_after_cuts(monkeypatch):
+    """The first of two is cut, where it is elsewhere after ten silent seconds."""
+    time = np.concatenate([np.arange(20.0) / RATE, 13.0 + np.arange(20.0) / RATE])
+    points = np.column_stack([30.0 + np.repeat([0.0, 9.0], 20), np.full(40, 0.5)])
+    later = 30.0 + np.arange(40.0) / RATE
+    ahead = np.column_stack([60.0 + 10.0 * (later - 30.0), np.full(40, 0.5)])
+    echoes = echoes_at(np.concatenate([time, later]), np.vstack([points, ahead]))
+    states = np.zeros((80, 6))
+    states[:, :2], states[40:, 3] = echoes.points, 10.0
+    motions = [
+        fit_motion(echoes, rows, states, VehicleSettings().motion)
+        for rows in (np.arange(40), np.arange(40, 80))
+    ]
+    asked = []
+
+    def record(number, motion, *given):
+        asked.append((number, motion, given[-2].occluders))
+        return motion
+
+    monkeypatch.setattr(lives, "with_rest", record)
+    free = np.zeros(80, np.bool_)
+    lives.with_standing(echoes, road_of(1), motions, states, free, VehicleSettings())
+    assert len(asked) == 3
+    for number, motion, occluders in asked:
+        own = Occluders.of([motion])
+        assert occluders.half[occluders.owner == number].tolist() == own.half.tolist()
 
 
 def test_where_no_rate_is_known_nothing_stands():

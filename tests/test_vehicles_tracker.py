@@ -257,7 +257,6 @@ def test_who_is_followed_for_long_is_not_given_up_for_one_who_comes_behind():
 
 def test_places_never_go_back_and_stay_as_near_as_they_can():
     ahead = np.concatenate([np.arange(50.0), [80.0, 81.0], np.arange(50.0, 100.0)])
-    assert _without_way_back(ahead) == pytest.approx(ahead, abs=32.0)
     assert np.abs(_without_way_back(ahead) - ahead).sum() < 100.0
     assert (np.diff(_without_way_back(ahead)) >= 0.0).all()
     late = np.concatenate([np.arange(50.0), [20.0, 21.0], np.arange(50.0, 100.0)])

@@ -86,13 +86,15 @@ class Case:
         A pattern that a warning or an error must have; empty where none need be.
     back : callable, optional
         Takes the steps of what was found to those of the truth, where the change moved time.
+    poses_true : bool
+        None may be blamed then.
     """
 
     scene: str
     change: Change
     codes: tuple[int, ...] = (0,)
     said: str = ""
-    pose: bool = True
+    poses_true: bool = True
     back: Callable[[SceneFiles, Integers], Integers] | None = None
 
 
@@ -122,7 +124,7 @@ def try_case(case: Case) -> dict[str, Any]:
                 found = found.assign(step=case.back(site, found["step"].to_numpy()))
             lasting, doubled = lasting_false(site, found)
     lines = [*ended.errors, *ended.warnings]
-    blamed = case.pose and any(POSE_HINT in line for line in lines)
+    blamed = case.poses_true and any(POSE_HINT in line for line in lines)
     told = not case.said or any(re.search(case.said, line, re.IGNORECASE) for line in lines)
     return {
         "code": ended.code,
@@ -444,7 +446,7 @@ KILLED = "killed midway"
 CASES: Mapping[str, Case] = {
     "nothing wrong (light)": Case(scene="light", change=_as_it_is),
     "nothing wrong (harsh)": Case(scene="harsh", change=_as_it_is),
-    "a pose 1 m off": Case(scene="harsh", change=_pose_off, said="R2", pose=False),
+    "a pose 1 m off": Case(scene="harsh", change=_pose_off, said="R2", poses_true=False),
     "a clock 0.2 s off": Case(scene="harsh", change=_clock_off),
     "a start in standing traffic": Case(scene="gridlock", change=_later),
     "parked rows beside the lane": Case(scene="parked", change=_as_it_is),

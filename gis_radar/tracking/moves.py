@@ -79,10 +79,11 @@ def score(gap: Innovation, seen: WindowFit) -> float:
 
 
 def agreement(rest: Fit, moved: Fit) -> float:
-    """Return by how many standard errors vehicles prefer a pose to another, each counting as one.
+    """Return by how many standard errors vehicles prefer `moved` to `rest`, each counting as one.
 
-    Student's t of what each gains (Vuong 1989 with the vehicles as clusters): a sensor that has
-    moved has done so for all of them, what one vehicle does otherwise only that one gains.
+    The mean over its standard error of what each gains (Vuong 1989 with the vehicles as clusters):
+    a sensor that has moved has done so for all of them, what one vehicle does otherwise only that
+    one gains.
 
     Parameters
     ----------

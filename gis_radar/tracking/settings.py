@@ -286,7 +286,7 @@ class TrackingSettings:
     newest_vehicles : int
         Least vehicles in a tested part; it grows until it holds them.
     agreement : float
-        Standard errors by which its vehicles must prefer the move, each counting as one (95 %).
+        Standard errors by which its vehicles must prefer the move, each counting as one.
         Measured where both other figures are beyond chance: at rest in light traffic 0.1 to 1.5,
         within 25 s of a turn by a degree 1.9 to 2.2, after a shift of half a metre 2.6 to 3.3.
     mature_s : float

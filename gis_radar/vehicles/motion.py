@@ -20,7 +20,8 @@ from gis_radar.vehicles.settings import MotionSettings
 from gis_radar.vehicles.size import Size, size_of
 
 HALF_STEPS = STEPS_PER_SECOND // 2
-UNKNOWN_S, UNKNOWN_V = 25.0, 9.0  # variances of a place and a speed of which little is known
+# variances of a place, m2, and a speed, m2/s2, of which little is known
+UNKNOWN_S, UNKNOWN_V = 25.0, 9.0
 LOST = 6  # places in a row that do not fit, and no fewer than those that did
 STILL_COS = 0.05  # under it a range rate says nothing at all of the speed along the path
 
@@ -183,7 +184,10 @@ def fit_motion(echoes: Echoes, rows: Integers, states: Floats, settings: MotionS
 
 
 def _without_way_back(s_m: Floats) -> Floats:
-    """Return places without any way back: held where they went too far, or from where they did."""
+    """Return places that never decrease: the highest so far, or the lowest from there on.
+
+    Of both, what changes the places less.
+    """
     held, until = np.maximum.accumulate(s_m), np.minimum.accumulate(s_m[::-1])[::-1]
     return np.asarray(min(held, until, key=lambda each: float(np.abs(each - s_m).sum())))
 

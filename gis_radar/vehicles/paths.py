@@ -11,7 +11,7 @@ from gis_radar.arrays import Floats, Integers, compiled, turned
 from gis_radar.vehicles.size import LONGEST_M
 
 TIGHTEST_M = 5.0  # radius of the turning circle of a small car
-FASTEST_MPS = 70.0  # who drives fast on a motorway
+FASTEST_MPS = 70.0  # over 250 km/h: nobody but racers
 FREE_TURN = 0.35  # by which headings of two states may be off, radians
 ANCHORS = 5  # states from which progress is followed, one of which is hardly off the way
 
@@ -50,7 +50,7 @@ class Path:
 
     @cached_property
     def most_bend(self) -> float:
-        """The most that its heading changes from one segment to the next, radians."""
+        """The most that its heading changes within a metre of way, about, radians."""
         return float(np.abs(np.gradient(self.heading)).max()) if len(self.heading) > 1 else 0.0
 
     @cached_property
