@@ -20,6 +20,7 @@ from gis_radar.notebooks import card
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.quality import Quality, measure_quality
 from gis_radar.quality.quality import GOOD
+from gis_radar.report import names
 from gis_radar.report.content import (
     NOTHING,
     THIN,
@@ -48,15 +49,6 @@ from gis_radar.report.lanes import (
     write_lanes,
 )
 from gis_radar.report.maps import draw_hits, draw_maps, draw_plan, draw_sights, lay_out
-from gis_radar.report.names import (
-    LANES,
-    LANES_BY_INTERVAL,
-    PAGE,
-    PAPER,
-    QUALITY,
-    REPORT_FILES,
-    SENSORS,
-)
 from gis_radar.report.pages import page_of, write_pdf
 from gis_radar.report.results import (
     NOT_KNOWN,
@@ -207,8 +199,8 @@ def _write(place: Path, found: _Findings, content: Content, reporter: Reporter) 
             f"{place}: cannot be written: {reason}", hint="name a folder for the report"
         ) from error
     writers = _writers(found, content)
-    before = [place / name for name in REPORT_FILES] if (place / PAGE).is_file() else []
-    with whole_files(place / PAGE) as (private, places):
+    before = [place / name for name in names.REPORT_FILES] if (place / names.PAGE).is_file() else []
+    with whole_files(place / names.PAGE) as (private, places):
         for done, (name, write) in enumerate(writers.items(), start=1):
             write(private / name)
             places[private / name] = place / name
@@ -223,14 +215,14 @@ def _writers(found: _Findings, content: Content) -> dict[str, Callable[[Path], o
     """Return the writer of each file."""
     clock, heat, quality = found.clock, found.results.heat, found.quality
     writers: dict[str, Callable[[Path], object]] = {
-        PAGE: lambda path: path.write_text(page_of(content), encoding="utf-8", newline="\n"),
-        PAPER: lambda path: write_pdf(content, path),
-        LANES: lambda path: write_lanes(path, found.table, clock, heat.measure),
-        LANES_BY_INTERVAL: lambda path: write_lane_intervals(path, heat, found.lanes, clock),
-        SENSORS: lambda path: write_sensor_table(path, found.results),
+        names.PAGE: lambda path: path.write_text(page_of(content), encoding="utf-8", newline="\n"),
+        names.PAPER: lambda path: write_pdf(content, path),
+        names.LANES: lambda path: write_lanes(path, found.table, clock, heat.measure),
+        names.LANES_BY_INTERVAL: lambda path: write_lane_intervals(path, heat, found.lanes, clock),
+        names.SENSORS: lambda path: write_sensor_table(path, found.results),
     }
     if quality is not None:
-        writers[QUALITY] = lambda path: _write_quality(path, quality)
+        writers[names.QUALITY] = lambda path: _write_quality(path, quality)
     return writers
 
 

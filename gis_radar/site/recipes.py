@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from gis_radar.clocks import SensorClock
     from gis_radar.occupancy import Occupancy
     from gis_radar.sight import MovingHits, Sight, SightTiles
+    from gis_radar.sight.sight import SightSource
     from gis_radar.vehicles import Vehicles
 
 AUTO = "auto"  # clocks: as the recordings themselves show
@@ -130,11 +131,9 @@ def see_tiles(
     UsageError
         If there are recordings, but not one a pose.
     """
-    from gis_radar.occupancy.views import places_of, standing_for
     from gis_radar.sight import (
         SightTiles,
         find_contradictions,
-        find_sight,
         open_sight,
         report_contradictions,
         report_uncovered,
@@ -154,12 +153,7 @@ def see_tiles(
         track for k, track in enumerate(tracks)
         if not any(track.poses == each.poses for each in tracks[:k])
     ]  # fmt: skip
-    found: list[Sight] = []
-    place_of: list[Pose] = []  # of each sight, the first pose where the sensor stood then
-    for track in different:
-        heads, first = np.unique(standing_for(track.poses)).tolist(), places_of(track.poses)
-        found += [find_sight(track.poses[head], road, source) for head in heads]
-        place_of += [track.poses[first[head]] for head in heads]
+    found, place_of = _sights(different, road, source)
     report_uncovered(found, reporter)
     hits = []
     for track in different if recordings else ():
@@ -180,6 +174,22 @@ def see_tiles(
     for each in compared:
         figures[each.sight.pose.sensor]["contradicted"] = each.tiles
     return figures
+
+
+def _sights(
+    tracks: Sequence[PoseTrack], road: SightTiles, source: SightSource | None
+) -> tuple[list[Sight], list[Pose]]:
+    """Return what sensors see from each of their views, and the first pose of its place."""
+    from gis_radar.occupancy.views import places_of, standing_for
+    from gis_radar.sight import find_sight
+
+    found: list[Sight] = []
+    place_of: list[Pose] = []
+    for track in tracks:
+        heads, first = np.unique(standing_for(track.poses)).tolist(), places_of(track.poses)
+        found += [find_sight(track.poses[head], road, source) for head in heads]
+        place_of += [track.poses[first[head]] for head in heads]
+    return found, place_of
 
 
 def _moving_hits(
