@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pages
 from simulated import ROOT
 
 Report = Mapping[str, Any]
-BEGIN, END = "<!-- alarm -->", "<!-- end of alarm -->"
 MOVES = {
     "0.3": "0.3 m, any direction",
     "yaw": "yaw by 0.5 degrees",
@@ -43,11 +43,7 @@ def main() -> None:
     out.mkdir(exist_ok=True)
     (out / "bench-alarm.md").write_text(text + "\n")
     if arguments.page is not None:
-        head, mark, rest = arguments.page.read_text().partition(BEGIN)
-        _, end, tail = rest.partition(END)
-        if not (mark and end):
-            parser.error(f"{arguments.page} has no {BEGIN} ... {END}")
-        arguments.page.write_text(f"{head}{BEGIN}\n{text}\n{END}{tail}")
+        pages.put(arguments.page, {"alarm": text})
 
 
 def noticed(report: Report) -> str:

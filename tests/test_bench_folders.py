@@ -17,6 +17,7 @@ sys.path.append(str(Path(__file__).parents[1] / "bench" / "vehicles"))
 import causes
 import command
 import components
+import pages
 import tables
 from bad_input import _lasting, _whole
 from breakdown import by_group, step_errors
@@ -229,12 +230,37 @@ def test_changes_without_a_component_become_tables():
     assert vehicles.splitlines()[3] == "| links | - | +5% / +0% / - |"
 
 
-def test_tables_go_between_the_marks_of_a_page():
-    parts = {"vehicles": "V", "components": "C"}
-    page = "a\n<!-- components -->\nold\n<!-- end of components -->\nb\n"
-    assert command.put(parts, page, "x.md") == page.replace("old", "C")
-    with pytest.raises(SystemExit, match="has no"):
-        command.put(parts, "nothing here", "x.md")
+def test_texts_go_between_the_marks_of_a_page(tmp_path):
+    page = tmp_path / "x.md"
+    quoted = '- after "<!-- b -->"\n'  # a directive that names a mark is none
+    page.write_text(
+        f"{quoted}<!-- b -->\nold\nlines\n<!-- end of b -->\n<!-- a -->\n<!-- end of a -->"
+    )
+    assert pages.marked(page, ("a", "b", "c")) == ["a", "b"]
+    pages.put(page, {"a": "A", "b": "B\nB"})
+    assert page.read_text() == (
+        f"{quoted}<!-- b -->\nB\nB\n<!-- end of b -->\n<!-- a -->\nA\n<!-- end of a -->"
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a\n<!-- end of b -->\nc\n", "x.md: has the line <!-- b --> 0 times, not once"),
+        ("a\n<!-- b -->\nc\n", "<!-- end of b --> 0 times"),
+        ("<!-- b -->\n<!-- b -->\n<!-- end of b -->\n", "<!-- b --> 2 times"),
+        ("<!-- end of b -->\n<!-- b -->\n", "has <!-- end of b --> before <!-- b -->"),
+    ],
+)
+def test_a_page_whose_marks_are_not_in_order_is_left_as_it_is(tmp_path, text, words):
+    page = tmp_path / "x.md"
+    whole = f"<!-- a -->\n<!-- end of a -->\n{text}"
+    page.write_text(whole)
+    with pytest.raises(SystemExit, match=words):
+        pages.put(page, {"a": "A", "b": "B"})
+    assert page.read_text() == whole
+    with pytest.raises(SystemExit, match="has no line <!-- c --> nor <!-- d -->"):
+        pages.marked(page, ("c", "d"))
 
 
 def test_figures_are_collected_and_become_tables(tmp_path, monkeypatch):

@@ -317,11 +317,12 @@ def test_a_follower_that_takes_the_place_is_not_of_the_road():
     assert whole.first_step / RATE < 1.0
 
 
-def lasting(x, seconds, rows, begin=0.0):
-    """Return a vehicle that drives along y = 0 from x at 10 m/s, with so many detections."""
+def lasting(x, seconds, rows, begin=0.0, left_m=0.0):
+    """Return a vehicle that drives eastward from x at 10 m/s, with so many detections."""
     count = int(seconds * RATE)
+    path = Path(np.column_stack([np.arange(-200.0, 600.0), np.full(800, left_m)]))
     return Motion(
-        rows=np.arange(rows), path=Path(np.column_stack([np.arange(-200.0, 600.0), np.zeros(800)])),
+        rows=np.arange(rows), path=path,
         first_step=int(begin * RATE), s_m=200.0 + x + 0.5 * np.arange(count),
         speed=np.full(count, 10.0), var_s=np.ones(count), length_m=4.5, width_m=1.8,
         length_sigma_m=0.5, p_heavy=0.0, along_m=np.zeros(rows), left_m=np.zeros(rows),
@@ -477,17 +478,8 @@ def test_what_is_seen_while_others_drive_over_it_holds_no_vehicle(through):
     graph = road_of(1)
     time = np.arange(0.0, 60.0, 0.1)
     echoes = echoes_at(time, np.tile([100.0, 0.0], (len(time), 1)))
-    path = Path(np.column_stack([np.arange(201.0), np.full(201, 0.0 if through else 30.0)]))
-    count = 20 * RATE
-    drivers = [
-        Motion(
-            rows=np.arange(len(time)), path=path, first_step=begin * RATE,
-            s_m=10.0 / RATE * np.arange(count), speed=np.full(count, 10.0), var_s=np.ones(count),
-            length_m=4.5, width_m=1.8, length_sigma_m=0.5, p_heavy=0.0,
-            along_m=np.zeros(len(time)), left_m=np.zeros(len(time)),
-        )
-        for begin in (0, 20, 40)
-    ]  # fmt: skip
+    beside_m = 0.0 if through else 30.0
+    drivers = [lasting(0.0, 20.0, len(time), begin, beside_m) for begin in (0, 20, 40)]
     sweeps = Sweeps.of(drivers, echoes, Strips.of(graph), StandingSettings())
     left = not_built(echoes, np.ones(len(time), bool), sweeps, StandingSettings())
     assert left.all() != through
@@ -503,17 +495,7 @@ def test_what_comes_more_often_than_the_road_returns_is_none_of_it():
     order = np.argsort(time)
     places = rng.uniform([97.0, -1.0], [103.0, 1.0], (len(time), 2))
     echoes = echoes_at(time[order], places[order])
-    path = Path(np.column_stack([np.arange(201.0), np.zeros(201)]))
-    count = 20 * RATE
-    drivers = [
-        Motion(
-            rows=np.arange(len(time)), path=path, first_step=begin * RATE,
-            s_m=10.0 / RATE * np.arange(count), speed=np.full(count, 10.0), var_s=np.ones(count),
-            length_m=4.5, width_m=1.8, length_sigma_m=0.5, p_heavy=0.0,
-            along_m=np.zeros(len(time)), left_m=np.zeros(len(time)),
-        )
-        for begin in begins
-    ]  # fmt: skip
+    drivers = [lasting(0.0, 20.0, len(time), begin) for begin in begins]
     sweeps = Sweeps.of(drivers, echoes, Strips.of(graph), StandingSettings())
     left = echoes.time[not_built(echoes, np.ones(len(time), bool), sweeps, StandingSettings())]
     inside = (left > 29.0) & (left < 56.0)
@@ -564,17 +546,7 @@ def test_a_fixed_thing_that_returns_seldom_is_built_too(rate):
     rng = np.random.default_rng(4)
     time = np.sort(rng.uniform(0.0, 300.0, int(300.0 * rate)))
     echoes = echoes_at(time, np.tile([100.0, 0.0], (len(time), 1)))
-    path = Path(np.column_stack([np.arange(201.0), np.zeros(201)]))
-    count = 20 * RATE
-    drivers = [
-        Motion(
-            rows=np.arange(len(time)), path=path, first_step=begin * RATE,
-            s_m=10.0 / RATE * np.arange(count), speed=np.full(count, 10.0), var_s=np.ones(count),
-            length_m=4.5, width_m=1.8, length_sigma_m=0.5, p_heavy=0.0,
-            along_m=np.zeros(len(time)), left_m=np.zeros(len(time)),
-        )
-        for begin in range(0, 280, 20)
-    ]  # fmt: skip
+    drivers = [lasting(0.0, 20.0, len(time), begin) for begin in range(0, 280, 20)]
     settings = replace(StandingSettings(), built_share=0.2)
     sweeps = Sweeps.of(drivers, echoes, Strips.of(road_of(1)), settings)
     left = not_built(echoes, np.ones(len(time), bool), sweeps, settings)

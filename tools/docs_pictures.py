@@ -18,11 +18,13 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
 from pathlib import Path
 
 from PIL import Image
 from qgis_desktop import WAIT_S, desktop_script, run_desktop, virtual_screen
+
+sys.path.append(str(Path(__file__).parents[1] / "bench"))
+import pages
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -148,21 +150,14 @@ def readme(demo: Path) -> None:
     lines = printed.replace(str(demo), "out/demo").splitlines()
     at = next(i for i, line in enumerate(lines) if line.startswith("errors of the poses"))
     shown = [line.rstrip() for line in lines if line.startswith(PRINTED)]
-    put("printed by the demo", [*lines[at : at + 3], *shown], page)
+    by_demo = "\n".join(["```text", *lines[at : at + 3], *shown, "```"])
+    pages.put(page, {"printed by the demo": by_demo})
     (code,) = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
     with tempfile.TemporaryDirectory() as place:
         program = f"import os\nos.chdir({place!r})\n{code}"
         printed = run(sys.executable, "-c", program, around=around)
     at = printed.index("HeatMap(")
-    put("printed by Python", printed[at:].splitlines(), page)
-
-
-def put(mark: str, lines: Sequence[str], page: Path) -> None:
-    """Put lines into a page between its marks, as text."""
-    before, _, rest = page.read_text(encoding="utf-8").partition(f"<!-- {mark} -->")
-    _, end, after = rest.partition(f"<!-- end of {mark} -->")
-    body = "\n".join(["```text", *lines, "```"])
-    page.write_text(f"{before}<!-- {mark} -->\n{body}\n{end}{after}", encoding="utf-8")
+    pages.put(page, {"printed by Python": f"```text\n{printed[at:].strip()}\n```"})
 
 
 PICTURES = {

@@ -38,9 +38,12 @@ from town import SETS, town_folder
 from trials import METHODS, run_all
 from workers import workers
 
+sys.path.append(str(Path(__file__).resolve().parents[1]))  # what all benches share
+import pages
+import sites
+
 QUICK_COMBINATIONS = 10
 README_CONDITIONS = ("radar as recorded, walkers", "drivers as recorded")
-MARKS = ("<!-- accuracy -->", "<!-- end of accuracy -->")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -123,9 +126,6 @@ def make_curves(effort: Effort) -> Part:
 
 def make_sites(effort: Effort) -> Part:
     """Measure the other sites."""
-    sys.path.append(str(Path(__file__).resolve().parents[1]))  # what all benches share
-    import sites  # noqa: PLC0415 - needs it
-
     made = sites.report(run_all(sites.plan(quick=effort.quick), what="sites"))
     wrong = sum(round(f["wrong"] * f["starts"]) for f in made.values())
     return Part(title="Other sites", text=sites.markdown(made), figures=made, wrong=wrong)
@@ -245,15 +245,9 @@ def put_table(page: Path) -> None:
             groups = json.loads(file.read_text())["figures"]["groups"]
             known = {name: found for name, found in groups.items() if found["starts"]}
             by_conditions.setdefault(conditions, {}).update(known)
-    kept_sites = OUT / "sites.json"
-    sites = json.loads(kept_sites.read_text())["figures"] if kept_sites.exists() else {}
-    text = page.read_text(encoding="utf-8")
-    before, _, rest = text.partition(MARKS[0])
-    _, mark, after = rest.partition(MARKS[1])
-    if not mark:
-        sys.exit(f"{page}: lacks {MARKS[0]} ... {MARKS[1]}")
-    made = table.readme(by_conditions, sites)
-    page.write_text(f"{before}{MARKS[0]}\n{made}\n{mark}{after}", encoding="utf-8")
+    of_sites = OUT / "sites.json"
+    others = json.loads(of_sites.read_text())["figures"] if of_sites.exists() else {}
+    pages.put(page, {"accuracy": table.readme(by_conditions, others)})
 
 
 def _keep(name: str, part: Part, effort: Effort, seconds: float) -> None:

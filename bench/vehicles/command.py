@@ -22,7 +22,6 @@ import json
 import math
 import sys
 import time
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +33,9 @@ from methods import METHODS, SHORT, NotThereError, figures_of_folder, figures_of
 from pictures import draw_coverage
 from scenes import OUT, RECIPES, SHARED, is_there, scene
 from score import coverage_of_folder
+
+sys.path.append(str(Path(__file__).parents[1]))  # what all benches share
+import pages
 
 HELD_OUT = "-held"
 BAD_INPUT_ONLY = "parked"
@@ -189,22 +191,9 @@ def print_kept(into: Path | None = None) -> None:
     if "ablation" in report:
         parts["components"] = tables.ablation(report)
     if into is not None:
-        text = into.read_text(encoding="utf-8")
-        into.write_text(put(parts, text, str(into)), encoding="utf-8")
+        pages.put(into, {name: parts[name] for name in pages.marked(into, parts)})
     bad = [tables.bad_input(report)] if "bad input" in report else []
     print("\n\n".join([*parts.values(), *bad]))
-
-
-def put(parts: Mapping[str, str], text: str, where: str) -> str:
-    """Return a page with tables between those of their marks that it has."""
-    there = [name for name in parts if f"<!-- end of {name} -->" in text]
-    if not there:
-        sys.exit(f"{where}: has no <!-- {' --> nor <!-- '.join(parts)} -->")
-    for name in there:
-        begin, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
-        before, _, rest = text.partition(begin)
-        text = f"{before}{begin}\n{parts[name]}\n{end}{rest.partition(end)[2]}"
-    return text
 
 
 def draw(name: str, given: Path, path: Path) -> None:

@@ -29,7 +29,9 @@ import gis_radar as gr
 from gis_radar.arrays import Floats
 from gis_radar.heatmap.style import BREAKS, NEVER_HIT, NOT_OBSERVED, RAMP, legend
 
-MARKS = ("<!-- demo coverage -->", "<!-- end of demo coverage -->")
+sys.path.append(str(Path(__file__).parents[1]))  # what all benches share
+import pages
+
 OFF = 25.0  # percentage points at which the colours of errors end
 AROUND = (690_335.0, 690_505.0, 5_336_110.0, 5_336_262.0)  # of its far ends little is in sight
 WIDTH_PX = 1600
@@ -42,7 +44,7 @@ def main() -> None:
     )
     parser.add_argument("demo", type=Path, help="results of gis-radar demo")
     parser.add_argument("picture", type=Path, metavar="PNG")
-    parser.add_argument("--into", type=Path, metavar="MD", help=f"put them between {MARKS[0]} ...")
+    parser.add_argument("--into", type=Path, metavar="MD", help="put the figures into this page")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as kept:
         site = SceneFiles(name="sample", folder=gr.sample_folder(), kept=Path(kept))
@@ -57,7 +59,7 @@ def main() -> None:
     figure.savefig(options.picture, dpi=WIDTH_PX / figure.get_figwidth())
     print(text)
     if options.into is not None:
-        put(text, options.into)
+        pages.put(options.into, {"demo coverage": text})
 
 
 def caption(score: CoverageScore) -> str:
@@ -69,15 +71,6 @@ def caption(score: CoverageScore) -> str:
         f"{100 * score.true_mean:.1f} %; {100 * score.within_2_se:.0f} % of the tiles are within "
         "two of their standard errors.*"
     )
-
-
-def put(text: str, page: Path) -> None:
-    """Put a text between the marks of a page."""
-    before, _, rest = page.read_text(encoding="utf-8").partition(MARKS[0])
-    _, mark, after = rest.partition(MARKS[1])
-    if not mark:
-        sys.exit(f"{page}: lacks {MARKS[0]} ... {MARKS[1]}")
-    page.write_text(f"{before}{MARKS[0]}\n{text}\n{mark}{after}", encoding="utf-8")
 
 
 def draw(quads: pd.Series, true: pd.Series, given: pd.Series) -> Figure:
