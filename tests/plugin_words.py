@@ -1,9 +1,14 @@
-"""The texts of the QGIS plugin that people read, taken from its source."""
+"""The texts of the QGIS plugin and of QGIS projects that people read, taken from their source."""
 
 import ast
 from pathlib import Path
+from xml.etree.ElementTree import parse
+
+from gis_radar.heatmap import style
 
 FOLDER = Path(__file__).parents[1] / "qgis_plugin" / "gis_radar_plugin"
+PACKAGE = Path(__file__).parents[1] / "gis_radar"
+CATALOGUES = PACKAGE / "languages"
 CLASS_TEXTS = ("TITLE", "HELP")
 CONSTANTS = ("SITE", "TRAFFIC", "RESULTS", "SET_UP", "CRS_HELP", "ORIGIN_HELP")
 
@@ -45,3 +50,20 @@ def _names(target):
 def _is_legend(node):
     """Tell the loop over the words of class labels in loading.py."""
     return isinstance(node.target, ast.Name) and node.target.id == "words"
+
+
+def project_texts():
+    """Return names of layers, of groups and of the layout, and labels of classes, of a project."""
+    found = {"Source", "Made with gis_radar"}
+    for path in (PACKAGE / "qgis" / "project.qgs", PACKAGE / "qgis" / "sheet.qpt"):
+        root = parse(path).getroot()  # noqa: S314 - our own files
+        named = [root, *root.iter("layer-tree-layer"), *root.iter("layer-tree-group")]
+        found |= {element.get("name", "") for element in named}
+        found |= {element.text for element in root.iter("layername")}
+    for words in style.WORDS.values():
+        found |= {words.title, words.subtitle}
+    for path in PACKAGE.glob("*/*.qml"):
+        root = parse(path).getroot()  # noqa: S314 - our own files
+        classes = (*root.iter("category"), *root.iter("rule"), *root.iter("range"))
+        found |= {element.get("label", "") for element in classes}
+    return sorted(found - {""})

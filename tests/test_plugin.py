@@ -15,7 +15,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from plugin_words import FOLDER, texts
+from plugin_words import CATALOGUES, FOLDER, project_texts, texts
 
 ROOT = Path(__file__).parents[1]
 posix = pytest.mark.skipif(os.name == "nt", reason="the stand-in for a worker is a script")
@@ -182,11 +182,12 @@ def test_versions_of_one_series_work_together(plugin):
     assert not same_series("0.8.0", "0.7.9")
 
 
-@pytest.mark.parametrize("path", sorted((FOLDER / "i18n").glob("*.json")), ids=lambda p: p.stem)
+@pytest.mark.parametrize("path", sorted(CATALOGUES.glob("*.json")), ids=lambda p: p.stem)
 def test_a_translation_is_complete(path):
     known = json.loads(path.read_text(encoding="utf-8"))
-    missing = [text for text in texts() if text not in known]
+    missing = [text for text in (*texts(), *project_texts()) if text not in known]
     assert missing == []
+    assert list(known) == sorted(known)  # so that two who add a text rarely meet
     holes = re.compile(r"\{\w+\}")
     for text, translated in known.items():
         assert sorted(holes.findall(text)) == sorted(holes.findall(translated)), text
@@ -195,7 +196,7 @@ def test_a_translation_is_complete(path):
 
 
 def test_german_is_there():
-    assert (FOLDER / "i18n" / "de.json").is_file()
+    assert (CATALOGUES / "de.json").is_file()
 
 
 def test_the_texts_are_found():
@@ -272,10 +273,10 @@ def test_the_zip(tmp_path):
         metadata = archive.read("gis_radar_plugin/metadata.txt").decode()
     assert {name.split("/")[0] for name in names} == {"gis_radar_plugin"}
     assert not [name for name in names if re.search(r"__pycache__|\.pyc$|/\.|tests?/", name)]
-    for name in ("metadata.txt", "LICENSE", "__init__.py", f"worker/{wheel.name}", "i18n/de.json"):
+    for name in ("metadata.txt", "LICENSE", "__init__.py", f"worker/{wheel.name}"):
         assert f"gis_radar_plugin/{name}" in names
     shared = {name.partition("/resources/")[2] for name in names if "/resources/" in name}
-    assert shared == documents_of_the_plugin()
+    assert shared == documents_of_the_plugin() | {"languages/de.json"}
     fields = dict(line.split("=", 1) for line in metadata.splitlines() if re.match(r"\w+=", line))
     assert fields["version"] == builder.project()["version"]
     assert fields["hasProcessingProvider"] == "yes"

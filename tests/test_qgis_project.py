@@ -16,7 +16,7 @@ from maps import Listener
 
 import gis_radar as gr
 from gis_radar.poses.pose import ellipse
-from gis_radar.qgis.project import fit_box
+from gis_radar.qgis.project_xml import fit_box
 
 SIGMA = {"easting": 0.1, "northing": 0.2, "height": 0.1, "yaw": 0.1, "pitch": 0.1, "roll": 0.1}
 
@@ -242,3 +242,27 @@ def test_a_guess_in_another_system(code):
 def test_a_guess_in_degrees_is_refused():
     with pytest.raises(gr.CrsError):
         gr.moved_position((11.5, 48.1), "EPSG:4326", gr.crs.metric_crs(25832, what=""))
+
+
+def test_a_project_in_german(results, tmp_path):
+    """Names of layers, classes, dates and the sheet; what QGIS finds layers by stays."""
+    path = tmp_path / "site.qgz"
+    gr.write_qgis_project(
+        path, heatmap=results / "heatmap", sensors=results / "sensors.gpkg", source="Stadt",
+        language="de",
+    )  # fmt: skip
+    root = read_project(path)
+    names = {layer.findtext("id"): layer.findtext("layername") for layer in root.iter("maplayer")}
+    assert names["gis_radar_heatmap"] == "Trefferbelegung, gesamter Zeitraum"
+    leaves = {leaf.get("id"): leaf.get("name") for leaf in root.iter("layer-tree-layer")}
+    assert {key: leaves[key] for key in names} == names
+    labels = [each.get("label") for each in root.iter("range")]
+    assert labels[:3] == ["0 %, nie getroffen", "bis 0,5 %", "0,5 bis 1 %"]
+    layout = root.find("Layouts/Layout")
+    assert layout.get("name") == "Bericht"
+    texts = [item.get("labelText") or "" for item in layout.iter("LayoutItem")]
+    assert "Quelle: Stadt" in texts
+    assert any("dd.MM.yyyy" in text for text in texts)
+    assert "dd.MM.yyyy" in root.findtext("properties/TitleLabel/Label")
+    with pytest.raises(gr.UsageError, match="'fr', expected one of en, de"):
+        gr.write_qgis_project(path, heatmap=results / "heatmap", language="fr")

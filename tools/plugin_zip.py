@@ -21,7 +21,8 @@ ROOT = Path(__file__).parents[1]
 NAME = "gis_radar_plugin"
 SOURCE = ROOT / "qgis_plugin" / NAME
 KINDS = (".py", ".svg", ".json")
-SHARED = ("heatmap/ground.qml", "qgis/sheet.qpt")  # of the package, used by the plugin too
+# Of the package, used by the plugin too.
+SHARED = ("heatmap/ground.qml", "qgis/sheet.qpt", "languages/de.json")
 REQUIRED = (
     "name", "qgisMinimumVersion", "description", "about", "version", "author", "email",
     "repository", "tracker",

@@ -75,6 +75,10 @@ def report(*, folder: Path, reporter: Reporter, **options: Any) -> Result:
     "--timezone", "time_zone", default="UTC", show_default=True, help="Of the time on its layout."
 )
 @click.option("--source", default="", help="Where the data come from, as its layout shows it.")
+@click.option(
+    "--language", type=click.Choice(["en", "de"]), default="en", show_default=True,
+    help="Of its layers, legends and layout.",
+)  # fmt: skip
 @output
 def qgis(
     *, heatmap: Path, sensors: Path | None, sight: Path | None, footprints: Path | None,

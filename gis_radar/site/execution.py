@@ -238,7 +238,7 @@ def discard(paths: Sequence[Path]) -> None:
     """
     for path in paths:
         if path.suffix == ".qgz" and path.exists():
-            from gis_radar.qgis.project import was_edited  # noqa: PLC0415 - 2 s, needed rarely
+            from gis_radar.qgis.project_file import was_edited  # noqa: PLC0415 - 2 s, needed rarely
 
             if was_edited(path):
                 continue

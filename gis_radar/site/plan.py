@@ -402,6 +402,7 @@ def _products(site: Site, folder: Path) -> Iterator[Stage]:
             "title": site.title,
             "time_zone": site.time_zone,
             "source": "; ".join(site.credits),
+            "language": site.language,
             "footprints": site.vehicles.footprints,
         },
         outputs=(

@@ -225,6 +225,8 @@ class Site(TomlTable):
     """What the site is called."""
     time_zone: Zone = key('"Europe/Berlin"', "UTC")
     """Zone of the times in pictures, report and summary; data files keep UTC."""
+    language: Literal["en", "de"] = key('"de"', "en")
+    """Language of the QGIS project: en or de."""
     attribution: Texts = key('["Recordings: City of Example"]', (), "nobody")
     """Whom to name beside the results."""
     map: MapTable

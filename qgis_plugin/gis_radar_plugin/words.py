@@ -1,4 +1,7 @@
-"""The plugin's words in the language of QGIS: English in the code, others from `i18n`."""
+"""The plugin's words in the language of QGIS: English in the code, others from the catalogue.
+
+The catalogue is that of gis_radar: `languages` in the package, `resources/languages` in the zip.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +9,16 @@ import json
 from functools import cache
 from pathlib import Path
 
-FOLDER = Path(__file__).parent / "i18n"
+HERE = Path(__file__).resolve().parent
 
 
 @cache
 def dictionary(language: str) -> dict[str, str]:
     """Return the translations into a language (`de`), empty where there are none."""
-    path = FOLDER / f"{language}.json"
+    name = f"languages/{language}.json"
+    path = HERE / "resources" / name
+    if not path.is_file():
+        path = HERE.parents[1] / "gis_radar" / name
     if not path.is_file():
         return {}
     words: dict[str, str] = json.loads(path.read_text(encoding="utf-8"))

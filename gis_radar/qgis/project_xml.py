@@ -1,0 +1,225 @@
+"""Fill in the templates of a QGIS project and its print layout: `project.qgs` and `sheet.qpt`."""
+
+from __future__ import annotations
+
+import os
+import textwrap
+from collections.abc import Iterator, Mapping
+from importlib.resources import files
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostring
+
+from pyproj import CRS
+
+from gis_radar.crs import Box, name_of
+from gis_radar.heatmap import style
+from gis_radar.languages import class_label, translated
+
+_DOCTYPE = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>"
+_FRAMES_A_SECOND = "2"  # vehicles move as fast as they drove
+_DATE = {"en": "yyyy-MM-dd", "de": "dd.MM.yyyy"}
+_LEGEND_WIDTH = 28  # letters that fit beside the map
+_LIMITS = ("xmin", "ymin", "xmax", "ymax")
+
+
+class LayerSource(NamedTuple):
+    """Where a layer of the template comes from, and how it looks; a raster has no table."""
+
+    path: Path
+    qml: str
+    table: str = ""
+
+
+class TimeRange(NamedTuple):
+    """The time that a project plays: ISO 8601 in UTC, and the length of its steps, seconds."""
+
+    begin: str
+    end: str
+    step_s: float
+
+
+class ProjectContent(NamedTuple):
+    """What a project shows; its layers are named by their ids in the template."""
+
+    title: str
+    time: str
+    source: str
+    crs: CRS
+    box: Box
+    layers: Mapping[str, LayerSource]
+    played: TimeRange | None
+    measure: str
+    language: str
+
+    def word(self, text: str) -> str:
+        """Return a text in the language of the project."""
+        return translated(text, self.language)
+
+
+def project_xml(content: ProjectContent, home: Path) -> str:
+    """Return a project as text; its files are named from its folder."""
+    root = _template("project.qgs")
+    root.set("projectname", content.title)
+    _find(root, "title").text = content.title
+    _find(root, "layer-tree-group/layer-tree-group[@name='Heat map']").set(
+        "name", style.WORDS[content.measure].title
+    )
+    _find(root, "Layouts").append(_sheet(content))
+    _fill_layers(root, content.layers, home)
+    _fill_time(root, content.played)
+    if "gis_radar_footprints" in content.layers:
+        _find(root, "ProjectTimeSettings").set("frameRate", _FRAMES_A_SECOND)
+    _fill_place(root, content.crs, content.box)
+    if content.measure != "occupancy":
+        _rename_layers(root, content.measure)
+    _translate(root, content.language)
+    indent(root)
+    return f"{_DOCTYPE}\n{tostring(root, encoding='unicode')}\n"
+
+
+def _rename_layers(root: Element, measure: str) -> None:
+    """Call the layers of the template, which are of occupancy, by another measure."""
+    for element in root.iter():
+        if (name := element.get("name", "")).startswith("Occupancy"):
+            element.set("name", name.replace("Occupancy", measure.capitalize()))
+        if element.tag == "layername" and (element.text or "").startswith("Occupancy"):
+            element.text = (element.text or "").replace("Occupancy", measure.capitalize())
+
+
+_NAMED = {"layer-tree-group", "layer-tree-layer"}
+_LABELLED = {"category", "range", "rule", "item"}  # classes of a legend, of vectors and rasters
+
+
+def _translate(root: Element, language: str) -> None:
+    """Put names of layers and groups, labels of classes and dates in a language."""
+    for element in root.iter():
+        if element.tag in _NAMED and "name" in element.attrib:
+            element.set("name", translated(element.attrib["name"], language))
+        elif element.tag == "layername":
+            element.text = translated(element.text or "", language)
+        elif element.tag in _LABELLED and element.get("label"):
+            element.set("label", class_label(element.attrib["label"], language))
+    clock = root.find("properties/TitleLabel/Label")
+    if clock is not None:
+        clock.text = (clock.text or "").replace(_DATE["en"], _DATE[language])
+
+
+def _sheet(content: ProjectContent) -> Element:
+    """Return the print layout; its layers are still to be filled in."""
+    layout = _template("sheet.qpt")
+    _item(layout, "title").set("labelText", content.title)
+    _item(layout, "time").set("labelText", content.time)
+    layout.set("name", content.word(layout.get("name", "")))
+    title, subtitle = (content.word(each) for each in style.WORDS[content.measure][:2])
+    lines = [title, *textwrap.wrap(subtitle, _LEGEND_WIDTH)]
+    _item(layout, "legend").set("title", "|".join(lines))  # the wrap character of the legend
+    today = f"[% format_date(now(), '{_DATE[content.language]}') %]"
+    _item(layout, "made").set("labelText", f"{content.word('Made with gis_radar')}, {today}")
+    if content.source:
+        _item(layout, "source").set("labelText", f"{content.word('Source')}: {content.source}")
+    else:
+        layout.remove(_item(layout, "source"))
+    chart = _item(layout, "map")
+    width, height, _ = chart.attrib["size"].split(",")
+    box = fit_box(content.box, float(width), float(height))
+    _find(chart, "Extent").attrib |= _limits(box)
+    return layout
+
+
+def fit_box(box: Box, width: float, height: float) -> Box:
+    """Return the smallest box around another, with the same middle, that has a given shape."""
+    west, south, east, north = box
+    scale = max((east - west) / width, (north - south) / height)
+    x, y = (west + east) / 2, (south + north) / 2
+    half, high = scale * width / 2, scale * height / 2
+    return x - half, y - high, x + half, y + high
+
+
+def _fill_layers(root: Element, layers: Mapping[str, LayerSource], home: Path) -> None:
+    for parent, element, key in list(_layer_elements(root)):
+        layer = layers.get(key)
+        if layer is None:
+            parent.remove(element)
+        elif element.tag == "maplayer":
+            _find(element, "datasource").text = _source(layer, home)
+            body = layer.qml[layer.qml.index("<qgis") :]
+            parts = fromstring(body)  # noqa: S314 - our own text
+            element.extend(part for part in parts if part.tag != "layerGeometryType")
+        else:
+            element.set("source", _source(layer, home))
+    tree = _find(root, "layer-tree-group")
+    for group in tree.findall("layer-tree-group"):
+        if len(group) == 0:
+            tree.remove(group)
+
+
+def _layer_elements(root: Element) -> Iterator[tuple[Element, Element, str]]:
+    """Yield what stands for a layer, with its parent and its id."""
+    for parent in root.iter():
+        for element in parent:
+            if element.tag == "maplayer":
+                yield parent, element, element.findtext("id", "")
+            elif element.tag == "layer-tree-layer":
+                yield parent, element, element.get("id", "")
+            elif element.tag == "Layer":
+                yield parent, element, element.text or ""
+
+
+def _source(layer: LayerSource, home: Path) -> str:
+    """Return file and table as seen from the project's folder, with forward slashes."""
+    path = Path(os.path.relpath(layer.path, home)).as_posix()
+    named = path if path.startswith("..") else f"./{path}"
+    return f"{named}|layername={layer.table}" if layer.table else named
+
+
+def _fill_time(root: Element, played: TimeRange | None) -> None:
+    settings, properties = _find(root, "ProjectTimeSettings"), _find(root, "properties")
+    controller = _find(properties, "TemporalControllerWidget")
+    clock = _find(properties, "TitleLabel")
+    if played is None:
+        root.remove(settings)
+        properties.remove(controller)
+        properties.remove(clock)
+        return
+    for begin in (_find(settings, "TemporalRange/start"), _find(controller, "StartDateTime")):
+        begin.text = played.begin
+    for end in (_find(settings, "TemporalRange/end"), _find(controller, "EndDateTime")):
+        end.text = played.end
+    label = _find(clock, "Label")
+    minutes = played.step_s % 60 == 0
+    label.text = (label.text or "").replace("CLOCK", "HH:mm" if minutes else "HH:mm:ss")
+    if played.step_s < 1.0:  # the clock of the begin and that of the end would be the same
+        label.text = (label.text or "").partition(" || ' - '")[0] + ", '') %]"
+    step = played.step_s / 60 if minutes else played.step_s
+    settings.attrib |= {"timeStep": f"{step:g}", "timeStepUnit": "min" if minutes else "s"}
+
+
+def _fill_place(root: Element, crs: CRS, box: Box) -> None:
+    for name, value in _limits(box).items():
+        _find(root, f"mapcanvas/extent/{name}").text = value
+    _find(root, "ProjectViewSettings/DefaultViewExtent").attrib |= _limits(box)
+    name = name_of(crs)
+    for system in root.iter("spatialrefsys"):
+        SubElement(system, "wkt").text = crs.to_wkt()
+        SubElement(system, "authid").text = name if name.count(":") == 1 else ""
+
+
+def _limits(box: Box) -> dict[str, str]:
+    return {name: f"{value:.3f}" for name, value in zip(_LIMITS, box, strict=True)}
+
+
+def _template(name: str) -> Element:
+    text = (files(__package__) / name).read_text(encoding="utf-8")
+    return fromstring(text)  # noqa: S314 - our own file
+
+
+def _item(layout: Element, name: str) -> Element:
+    return _find(layout, f"LayoutItem[@id='{name}']")
+
+
+def _find(root: Element, path: str) -> Element:
+    found = root.find(path)
+    if found is None:
+        raise LookupError(f"the template has no {path}")
+    return found
