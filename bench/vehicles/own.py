@@ -9,6 +9,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -84,6 +85,25 @@ def run(*arguments: object) -> Ran:
         peak_mb=used["peak_kb"] / 1024.0,
         summary=results[-1]["summary"] if results else {},
     )
+
+
+def run_and_kill(place: Path, *arguments: object) -> int:
+    """Run a command, kill it when a table below a folder has rows on disk; return its exit code."""
+    command = [sys.executable, "-m", "gis_radar", *map(str, arguments)]
+    with subprocess.Popen(
+        command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    ) as started:
+        while started.poll() is None and not _has_rows(place):
+            time.sleep(0.02)
+        started.kill()
+    return started.returncode
+
+
+def _has_rows(place: Path) -> bool:
+    """Tell whether a table below a folder is longer than Parquet's four bytes of a head."""
+    with suppress(FileNotFoundError):  # it may be moved meanwhile
+        return any(path.stat().st_size > 4 for path in place.rglob("*.parquet"))
+    return False
 
 
 @cache
