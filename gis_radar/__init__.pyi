@@ -10,7 +10,7 @@ from .errors import (
     UsageError,
 )
 from .heatmap import HeatMap, MapLabels, make_heatmap, read_heatmap, to_xarray
-from .lanelets import LaneletMap, read_map
+from .lanelets import LaneletMap, lanes, read_map, stop_lines
 from .localization import Localization, localize, localize_files
 from .localization.result import draw_localization
 from .network import Together, localize_together
@@ -104,6 +104,7 @@ __all__ = [
     "find_sight",
     "find_vehicles",
     "fingerprint",
+    "lanes",
     "localize",
     "localize_files",
     "localize_together",
@@ -142,6 +143,7 @@ __all__ = [
     "sample_folder",
     "second_look",
     "site_template",
+    "stop_lines",
     "to_xarray",
     "track",
     "with_road_heights",

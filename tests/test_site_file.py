@@ -204,6 +204,7 @@ def test_the_template_holds_every_key_and_its_values_fit(read, tmp_path):
     assert said == set(keys(Site))
     for name in (
         "junction.osm",
+        "streets.gpkg",
         "scan_a.laz",
         "road.laz",
         "R1_0.parquet",

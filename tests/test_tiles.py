@@ -15,6 +15,7 @@ from gis_radar.scans.scan import read_road
 from gis_radar.tiles.lookup import with_road_heights
 from gis_radar.tiles.tiles import (
     COLUMNS,
+    LANE,
     fingerprint,
     make_tiles,
     quads,
@@ -34,6 +35,7 @@ def road_map(*bounds, subtypes=None, first_id=9_000_000_000_000_000_000):
         {
             "lanelet_id": first_id + np.arange(len(bounds)),
             "subtype": subtypes or ["road"] * len(bounds),
+            "successors": [()] * len(bounds),
             "left": lefts,
             "right": rights,
         },
@@ -77,7 +79,7 @@ def test_a_straight_lane_is_cut_at_half_metres(length_m, count):
     np.testing.assert_allclose(tiles["width_m"], 3.0)
     np.testing.assert_allclose(tiles.area.sum(), 3.0 * length_m)
     assert tiles["lanelet_id"].iloc[0] == 9_000_000_000_000_000_000
-    assert tuple(tiles.columns) == (*COLUMNS, "geometry")
+    assert tuple(tiles.columns) == (*COLUMNS, LANE, "geometry")
     assert shapely.is_ccw(shapely.get_exterior_ring(tiles.geometry.array)).all()
 
 

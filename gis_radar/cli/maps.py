@@ -24,14 +24,21 @@ MASK_ENGINES = ("auto", "pdal", "laspy")
 @origin
 @click.option("--road", type=FILE, help="Scanned road (LAZ) that gives the tiles' heights.")
 @click.option("--subtype", "subtypes", type=WORDS, help="Lanelets to tile, by subtype.")
+@click.option(
+    "--streets",
+    type=FILE,
+    help="Lines of streets with names, for lanes that the map does not name.",
+)
+@click.option("--street-field", help="Their column of names; by default the first usual one.")
 def tiles(
-    *, map_path: Path, output: Path, road: Path | None, reporter: Reporter, **options: Any
-) -> Result:
-    """Split the lanelets of a Lanelet2 map into tiles (GeoPackage)."""
+    *, map_path: Path, output: Path, road: Path | None, streets: Path | None, reporter: Reporter,
+    **options: Any,
+) -> Result:  # fmt: skip
+    """Split the lanelets of a Lanelet2 map into tiles (GeoPackage), and list its lanes."""
     from gis_radar.site.recipes import split_map  # noqa: PLC0415 - --help needs no NumPy
 
-    refuse_inputs(output, *[path for path in (map_path, road) if path])
-    summary = split_map(map_path, output, road=road, reporter=reporter, **options)
+    refuse_inputs(output, *[path for path in (map_path, road, streets) if path])
+    summary = split_map(map_path, output, road=road, streets=streets, reporter=reporter, **options)
     return Result(outputs=[output], summary=summary)
 
 

@@ -37,7 +37,7 @@ from gis_radar.occupancy.frame_steps import Runs, common_steps, steps_in, union
 from gis_radar.occupancy.hits import Rows
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.steps import STEPS_PER_SECOND, iso_from_step
-from gis_radar.tiles.tiles import COLUMNS, fingerprint
+from gis_radar.tiles.tiles import COLUMNS, fingerprint, own_columns
 from gis_radar.vehicles import Vehicles
 
 DEFINITIONS = {
@@ -468,7 +468,7 @@ def checked(
             f"{occupancy.fingerprint}",
             hint="use the tiles that the occupancy was made with",
         )
-    attributes = tiles[list(COLUMNS)].reset_index(drop=True)
+    attributes = tiles[own_columns(tiles)].reset_index(drop=True)
     shapes = tiles.geometry.reset_index(drop=True)
     own = gpd.GeoDataFrame(attributes, geometry=shapes, crs=tiles.crs)
     steps = steps_in(occupancy.covered_frames())

@@ -35,7 +35,7 @@ from gis_radar.heatmap.step_table import (
 )
 from gis_radar.progress import Reporter
 from gis_radar.steps import STEPS_PER_SECOND, seconds_from_iso, step_begin, step_of
-from gis_radar.tiles.tiles import COLUMNS, fingerprint
+from gis_radar.tiles.tiles import COLUMNS, LANE, fingerprint, own_columns
 
 FILE = "heatmap.gpkg"
 Counted = dict[str, NDArray[Any]]
@@ -162,7 +162,7 @@ def read_package(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise InputError(f"{path}: there is no heat map", hint=_HINT)
     try:
-        tiles = pyogrio.read_dataframe(path, layer=WIDE, columns=list(COLUMNS), use_arrow=True)
+        tiles = pyogrio.read_dataframe(path, layer=WIDE, columns=[*COLUMNS, LANE], use_arrow=True)
         notes = pyogrio.read_info(path, layer=WIDE)["layer_metadata"] or {}
         whole = _checked_whole(tiles, notes, path)
         with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
@@ -183,7 +183,7 @@ def read_package(path: Path) -> dict[str, Any]:
     seen = np.flatnonzero(observed.any(axis=0))
     first, group = _alike(observed[:, seen])
     return {
-        "tiles": tiles[[*COLUMNS, "geometry"]],
+        "tiles": tiles[[*own_columns(tiles), "geometry"]],
         "fingerprint": notes["fingerprint"],
         "sensors": tuple(json.loads(notes["sensors"])),
         "whole": whole,

@@ -31,11 +31,14 @@ from gis_radar.lanelets.mending import Mended, mend, outline
 from gis_radar.lanelets.osm import OsmMap, Relation, read_osm
 from gis_radar.lanelets.positions import place_nodes
 from gis_radar.lanelets.tagging import (
+    STREET,
+    TURN_TAG,
     kmh,
     one_way_of,
     participants_of,
     regulated_kmh,
     regulatory_table,
+    street_of,
     subtype_of,
 )
 from gis_radar.notebooks import card
@@ -52,7 +55,8 @@ class LaneletMap:
     Parameters
     ----------
     lanelets : GeoDataFrame
-        Sorted by `lanelet_id` (int64). `subtype`; `location` (None where not tagged);
+        Sorted by `lanelet_id` (int64). `subtype`; `location`, `street` (its name) and
+        `turn_direction` (None where not tagged);
         `speed_limit_kmh` (NaN where unknown); `one_way`; `participants`, `successors`,
         `predecessors` (tuples); `left`, `right`, `centre` (lines in driving direction, with
         heights where these are known); the outline as geometry.
@@ -252,6 +256,8 @@ def _lanelet_table(osm: OsmMap, lanelets: list[_Lanelet], crs: CRS) -> gpd.GeoDa
             "lanelet_id": np.array([lanelet.id for lanelet in lanelets], dtype=np.int64),
             "subtype": [subtype_of(tag) for tag in tags],
             "location": [tag.get("location") or None for tag in tags],
+            STREET: [street_of(tag) for tag in tags],
+            TURN_TAG: [tag.get(TURN_TAG) or None for tag in tags],
             "speed_limit_kmh": [_speed_limit(osm, lanelet.relation) for lanelet in lanelets],
             "one_way": [one_way_of(tag) for tag in tags],
             "participants": [participants_of(tag) for tag in tags],

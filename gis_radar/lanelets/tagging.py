@@ -34,6 +34,9 @@ USERS: dict[str, tuple[str, ...]] = {
     "crosswalk": (PEDESTRIAN,),
     "stairs": (PEDESTRIAN,),
 }
+# Lanelet2 names none; these are the tags in use, the plainest last.
+STREET, STREET_TAGS = "street", ("street_name", "road_name", "street", "addr:street", "name")
+TURN_TAG = "turn_direction"  # of Autoware and CARLA: left, right, straight
 _YES, _NO = {"yes", "true", "1"}, {"no", "false", "0"}
 ON_FOOT_OR_BICYCLE = ("bicycle_lane", "crosswalk", "shared_walkway", "stairs", "walkway")
 _KMH_PER_UNIT = {
@@ -71,6 +74,11 @@ def subtype_of(tags: dict[str, str]) -> str:
         (BICYCLE, PEDESTRIAN): "shared_walkway",
     }
     return fitting.get(users, "unknown")
+
+
+def street_of(tags: dict[str, str]) -> str | None:
+    """Return the name of the street that a lanelet is tagged with, None where it is not."""
+    return next((name for key in STREET_TAGS if (name := tags.get(key, "").strip())), None)
 
 
 def one_way_of(tags: dict[str, str]) -> bool:

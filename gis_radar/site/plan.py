@@ -288,8 +288,17 @@ def _tiles(site: Site, folder: Path) -> Stage:
     return Stage(
         name="tiles",
         work=stages.tiles_stage,
-        inputs={"map_file": site.map.file} | ({"road": folder / "road.laz"} if site.scan else {}),
-        options={**_map_options(site), "length_m": site.tiles.length, "subtypes": subtypes},
+        inputs={
+            "map_file": site.map.file,
+            **({"streets": site.map.streets} if site.map.streets else {}),
+            **({"road": folder / "road.laz"} if site.scan else {}),
+        },
+        options={
+            **_map_options(site),
+            "street_field": site.map.street_field,
+            "length_m": site.tiles.length,
+            "subtypes": subtypes,
+        },
         outputs=(folder / "tiles.gpkg",),
         phases=2,
     )

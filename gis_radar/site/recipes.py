@@ -33,13 +33,16 @@ AUTO = "auto"  # clocks: as the recordings themselves show
 
 def split_map(
     map_file: Path, output: Path, *, road: Path | None = None, reporter: Reporter,
-    crs: str | None = None, origin: tuple[float, float] | None = None, **options: Any,
+    crs: str | None = None, origin: tuple[float, float] | None = None,
+    streets: Path | None = None, street_field: str | None = None, **options: Any,
 ) -> dict[str, Any]:  # fmt: skip
     """Split the lanes into tiles, at the heights of the scanned road where there is one.
 
+    Lanes take the names of streets that the map has none of from a layer of the city's.
+
     The figures are returned; options are those of :func:`gis_radar.make_tiles`.
     """
-    from gis_radar.lanelets import read_map
+    from gis_radar.lanelets import lanes, read_map, stop_lines
     from gis_radar.scans.scan import read_road
     from gis_radar.tiles import fingerprint, make_tiles, with_road_heights, write_tiles
 
@@ -47,7 +50,10 @@ def split_map(
     table = make_tiles(roads, reporter=reporter, **options)
     if road is not None:
         table = with_road_heights(table, read_road(road, roads.crs))
-    write_tiles(table, output, problems=roads.problems)
+    ways = lanes(roads, streets=streets, street_field=street_field, reporter=reporter)
+    tiled = ways[ways["lane"].isin(table["lane"])]
+    stops = stop_lines(roads)
+    write_tiles(table, output, problems=roads.problems, lanes=tiled, stop_lines=stops)
     actions = roads.problems["action"].value_counts()
     return {
         "crs": name_of(roads.crs),
@@ -56,6 +62,9 @@ def split_map(
         "repaired": int(actions.get("repaired", 0)),
         "left_out": int(actions.get("left out", 0)),
         "problems": len(roads.problems),
+        "lanes": len(tiled),
+        "streets": int(tiled["street"].nunique()),
+        "stop_lines": int(stops["stop_line"].nunique()),
         "tiles": len(table),
         "with_height": int(table["height_m"].notna().sum()),
         "fingerprint": fingerprint(table),

@@ -62,6 +62,10 @@ class MapTable(TomlTable):
     """Map-frame position of the map's local (0, 0), if lat and lon are empty or false."""
     subtypes: Texts | None = key('["road", "highway"]', None, "those for vehicles")
     """Lanelets to tile, by subtype."""
+    streets: File | None = key('"streets.gpkg"', None, "none")
+    """Lines of streets with names, for lanes that the map names none of."""
+    street_field: Text | None = key('"strassenname"', None, "the first usual one")
+    """Their column of names."""
     source: Text | None = key('"City of Example, CC BY 4.0"', None, "none")
     """Where the map is from, and its licence."""
 

@@ -1,4 +1,4 @@
-"""Lanes: chains of lanelets, found from their tiles."""
+"""Lanes of tiles: which tiles are whose, in driving order."""
 
 from __future__ import annotations
 
@@ -6,12 +6,10 @@ from dataclasses import dataclass
 
 import geopandas as gpd
 import numpy as np
-import scipy
 
 from gis_radar.arrays import Integers
-from gis_radar.tiles.tiles import quads
-
-TOUCH_M = 0.05  # between the ends of lanelets that follow each other
+from gis_radar.lanelets.lanes import chain_lanelets
+from gis_radar.tiles.tiles import LANE, quads
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,9 +19,9 @@ class Lane:
     Parameters
     ----------
     number : int
-        From 1, in the order of the smallest lanelet id: the same for the same map.
+        Its smallest lanelet id: the same for the same map.
     lanelets : tuple of int
-        In driving direction.
+        Those with tiles, in driving direction.
     rows : (n,) int64 array
         Positions of its tiles, in driving direction.
     """
@@ -34,7 +32,10 @@ class Lane:
 
 
 def lanes_of(tiles: gpd.GeoDataFrame) -> list[Lane]:
-    """Chain lanelets to lanes, by where the tiles of one end and those of another begin.
+    """Return the lanes of tiles, by number.
+
+    Tiles that carry the number of their lane, as :func:`gis_radar.make_tiles` gives it, are
+    grouped by it; for others lanelets are chained by where their tiles begin and end.
 
     Parameters
     ----------
@@ -43,40 +44,23 @@ def lanes_of(tiles: gpd.GeoDataFrame) -> list[Lane]:
     """
     ordered = tiles.reset_index(drop=True).sort_values(["lanelet_id", "index"])
     rows = {
-        key: part.to_numpy(np.int64) for key, part in ordered.groupby("lanelet_id").groups.items()
+        int(key): part.to_numpy(np.int64)
+        for key, part in ordered.groupby("lanelet_id").groups.items()
     }
-    ids = list(rows)
+    ids = np.fromiter(rows, np.int64, len(rows))
     corners = quads(tiles) - quads(tiles).min(axis=(0, 1))
-    starts = np.array([corners[rows[each][0]][[0, 3]].ravel() for each in ids])
-    ends = np.array([corners[rows[each][-1]][[1, 2]].ravel() for each in ids])
-    following = scipy.spatial.cKDTree(ends).query_ball_tree(scipy.spatial.cKDTree(starts), TOUCH_M)
-    after = {i: [k for k in found if k != i] for i, found in enumerate(following)}
-    before: dict[int, list[int]] = {i: [] for i in after}
-    for i, found in after.items():
-        for k in found:
-            before[k].append(i)
-    only = {i: k[0] for i, k in after.items() if len(k) == 1 and len(before[k[0]]) == 1}
-    chains = sorted(_chains(only, len(ids)), key=lambda chain: min(ids[i] for i in chain))
+    starts = np.array([corners[part[0]][[3, 0]].ravel() for part in rows.values()])
+    ends = np.array([corners[part[-1]][[2, 1]].ravel() for part in rows.values()])
+    if LANE not in tiles:
+        chains = {min(chain): chain for chain in chain_lanelets(ids, starts, ends)}
+    else:
+        numbers = ordered.groupby("lanelet_id")[LANE].first().to_numpy(np.int64)
+        chains = {}
+        for number in np.unique(numbers).tolist():
+            mine = np.flatnonzero(numbers == number)
+            parts = chain_lanelets(ids[mine], starts[mine], ends[mine])
+            chains[number] = tuple(ref for part in parts for ref in part)
     return [
-        Lane(
-            number=number,
-            lanelets=tuple(int(ids[i]) for i in chain),
-            rows=np.concatenate([rows[ids[i]] for i in chain]),
-        )
-        for number, chain in enumerate(chains, start=1)
+        Lane(number=number, lanelets=chain, rows=np.concatenate([rows[ref] for ref in chain]))
+        for number, chain in sorted(chains.items())
     ]
-
-
-def _chains(only: dict[int, int], total: int) -> list[list[int]]:
-    """Follow the links from where a chain begins; a ring begins at its first lanelet."""
-    led_to = set(only.values())
-    chains, seen = [], set[int]()
-    for first in [*(i for i in range(total) if i not in led_to), *range(total)]:
-        chain, at = [], first
-        while at not in seen:
-            seen.add(at)
-            chain.append(at)
-            at = only.get(at, at)
-        if chain:
-            chains.append(chain)
-    return chains

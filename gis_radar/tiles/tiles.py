@@ -23,6 +23,7 @@ from gis_radar.files import whole_file
 from gis_radar.geopackage import GPKG_VERSION
 from gis_radar.lanelets import LaneletMap
 from gis_radar.lanelets.bounds import CannotMendError, slices, sound_rungs
+from gis_radar.lanelets.lanes import LANES, STOP_LINES, lane_numbers
 from gis_radar.lanelets.mending import outline
 from gis_radar.lanelets.tagging import ON_FOOT_OR_BICYCLE
 from gis_radar.progress import QUIET, Reporter
@@ -37,6 +38,7 @@ COLUMNS = (
     "tile_id", "lanelet_id", "index", "s_m", "length_m", "width_m", "height_m", "subtype",
 )  # fmt: skip
 IDS = ("tile_id", "lanelet_id", "index")
+LANE = "lane"  # number of the lane; tiles of older versions have none
 
 
 def make_tiles(
@@ -67,8 +69,9 @@ def make_tiles(
     Returns
     -------
     GeoDataFrame
-        A row a tile in the order of (lanelet_id, index), with the columns `COLUMNS` and the
-        map's CRS. `height_m` is NaN where the map has no heights.
+        A row a tile in the order of (lanelet_id, index), with the columns `COLUMNS`, `lane` (the
+        number of its lane, as :func:`gis_radar.lanes` has it) and the map's CRS. `height_m` is NaN
+        where the map has no heights.
 
     Raises
     ------
@@ -88,7 +91,15 @@ def make_tiles(
         raise UsageError(f"tile length is {length_m} m, expected more than 0")
     lanelets = _chosen(roads.lanelets, subtypes)
     _say_left_out(roads.lanelets, lanelets, reporter)
-    return _table(lanelets, _rungs(lanelets, length_m, reporter), roads.crs)
+    tiles = _table(lanelets, _rungs(lanelets, length_m, reporter), roads.crs)
+    numbers = tiles["lanelet_id"].map(lane_numbers(roads.lanelets)).astype(np.int64)
+    tiles.insert(len(COLUMNS), LANE, numbers)
+    return tiles
+
+
+def own_columns(tiles: gpd.GeoDataFrame) -> list[str]:
+    """Return the columns of tiles that are not somebody else's."""
+    return [*COLUMNS, *((LANE,) if LANE in tiles else ())]
 
 
 def _chosen(lanelets: gpd.GeoDataFrame, subtypes: Collection[str] | None) -> gpd.GeoDataFrame:
@@ -163,13 +174,22 @@ def _digest(tiles: gpd.GeoDataFrame, first: str = "") -> str:
     return digest.hexdigest()
 
 
-def write_tiles(tiles: gpd.GeoDataFrame, path: str | Path, *, problems: gpd.GeoDataFrame) -> None:
-    """Write tiles and the list of problems as the two layers of a GeoPackage.
+def write_tiles(
+    tiles: gpd.GeoDataFrame,
+    path: str | Path,
+    *,
+    problems: gpd.GeoDataFrame,
+    lanes: gpd.GeoDataFrame | None = None,
+    stop_lines: gpd.GeoDataFrame | None = None,
+) -> None:
+    """Write tiles, the list of problems, lanes and stop lines as layers of a GeoPackage.
 
     Parameters
     ----------
     tiles, problems : GeoDataFrame
         As from :func:`make_tiles` and :attr:`LaneletMap.problems`.
+    lanes, stop_lines : GeoDataFrame, optional
+        As from :func:`gis_radar.lanes` and :func:`gis_radar.stop_lines`.
     path : str or Path
         The GeoPackage; it appears whole or not at all.
     """
@@ -178,8 +198,15 @@ def write_tiles(tiles: gpd.GeoDataFrame, path: str | Path, *, problems: gpd.GeoD
         raise UsageError(f"{path}: tiles are written as GeoPackage", hint="end the name in .gpkg")
     # Without the CRS: GeoPackage rewrites the text of one that has no number.
     seal = {_COUNT: str(len(tiles)), _CONTENT: _digest(tiles)}
+    layers = [(LAYER, tiles, "Polygon"), (PROBLEMS, problems, "Unknown")]
+    if lanes is not None:
+        # GeoPackage has no lists
+        texts = lanes["lanelets"].map(lambda refs: " ".join(map(str, refs)))
+        layers.append((LANES, lanes.assign(lanelets=texts), "LineString"))
+    if stop_lines is not None:
+        layers.append((STOP_LINES, stop_lines, "LineString"))
     with whole_file(path) as part:
-        for layer, table, kind in ((LAYER, tiles, "Polygon"), (PROBLEMS, problems, "Unknown")):
+        for layer, table, kind in layers:
             pyogrio.write_dataframe(
                 table, part, layer=layer, driver="GPKG", geometry_type=kind, use_arrow=True,
                 append=part.exists(), dataset_options={"VERSION": GPKG_VERSION},
