@@ -1,18 +1,35 @@
-"""Write layers of a GeoPackage in batches, with styles that QGIS loads by itself."""
+"""Open GeoPackages that are some; write their layers, with styles that QGIS loads by itself."""
 
 from __future__ import annotations
 
 import sqlite3
+import warnings
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import closing
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 import pyogrio
+import shapely
+from pyproj.exceptions import ProjError
+
+from gis_radar.errors import InputError, first_line
+from gis_radar.progress import QUIET, Reporter
 
 GPKG_VERSION = "1.2"
 """The version of the GeoPackages that we write: the GDAL of QGIS 3.40 warns of later ones."""
+
+SQLITE = b"SQLite format 3\0"
+_KINDS = {b"GPKG", b"GP10", b"GP11"}  # application ids of GeoPackage 1.0, 1.1 and later
+_KIND_AT = 68  # bytes, in SQLite's header
+DAMAGE = (
+    pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, sqlite3.Error,
+    shapely.errors.ShapelyError, pa.ArrowException, OSError, ValueError, TypeError, LookupError,
+    OverflowError, RecursionError, ProjError,
+)  # fmt: skip
+"""What libraries raise that read a damaged file."""
+_OTHER = (*DAMAGE[:2], sqlite3.OperationalError)  # another layer, table or format than asked for
 
 # As QGIS itself makes it; GDAL and QGIS look for it by this name.
 _TABLE = """
@@ -44,6 +61,73 @@ INSERT INTO layer_styles (
 SELECT '', '', table_name, column_name, ?, ?, ?, 1, ?, ''
 FROM gpkg_geometry_columns WHERE table_name = ?
 """
+
+
+@contextmanager
+def opened_package(
+    path: str | Path, *, what: str, hint: str = "", reporter: Reporter = QUIET
+) -> Iterator[Path]:
+    """Read a GeoPackage in the block; what libraries raise in it becomes an error of ours.
+
+    GDAL chooses its driver by the content, and some drivers open what the content names: files
+    and addresses. So the content is looked at before GDAL sees it.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    what : str
+        What it should be, for the message: `a heat map`.
+    hint : str
+        How to come by one.
+    reporter : Reporter
+        Receives what the libraries warn of.
+
+    Yields
+    ------
+    Path
+        The absolute path.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, it is no GeoPackage, or it is damaged.
+    """
+    if not Path(path).is_file():
+        raise InputError(f"{path}: no such file", hint=hint)
+    with library_errors(path, what=what, hint=hint, reporter=reporter):
+        with Path(path).open("rb") as file:
+            head = file.read(100)
+        if not head.startswith(SQLITE) or head[_KIND_AT : _KIND_AT + 4] not in _KINDS:
+            raise InputError(f"{path}: not {what}: it is no GeoPackage", hint=hint)
+        yield Path(path).resolve()
+
+
+@contextmanager
+def library_errors(
+    path: str | Path, *, what: str, hint: str = "", reporter: Reporter = QUIET
+) -> Iterator[None]:
+    """Turn what libraries raise while they read a file into an error that names it.
+
+    Parameters
+    ----------
+    path, what, hint, reporter
+        As :func:`opened_package` takes them.
+
+    Raises
+    ------
+    InputError
+        Where the block raises one of :data:`DAMAGE`.
+    """
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            yield
+        except DAMAGE as error:
+            wrong = f"not {what}" if isinstance(error, _OTHER) else "damaged"
+            raise InputError(f"{path}: {wrong}: {first_line(error)}", hint=hint) from error
+    for text in dict.fromkeys(str(each.message).partition("\n")[0] for each in caught):
+        reporter.log(f"{path}: {text}", "warning")
 
 
 def add_styles(

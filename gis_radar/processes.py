@@ -29,7 +29,23 @@ _POLL_S = 0.2  # an interruption reaches Python only between two waits; 5 Hz is 
 STOP_PATIENCE_S = 0.7
 """How long a stopped worker may clear up, seconds: it has files to remove, not work to end."""
 
+OFFLINE = {
+    "CPL_VSIL_CURL_ALLOWED_FILENAME": "none",  # of every file system over curl, S3 and the like too
+    "GDAL_HTTP_PROXY": "none://none",  # of all other requests: GDAL refuses it before any socket
+    "no_proxy": "",
+    "NO_PROXY": "",
+}
+"""Environment variables that keep GDAL, in this process and those it starts, off the network.
+
+A data file can name an address; no command of ours needs one.
+"""
+
 _MEMORY_EACH = 1 << 30  # bytes for one worker: what localizing a sensor takes, rounded up
+
+
+def go_offline() -> None:
+    """Keep GDAL off the network, in this process and all that it starts (:data:`OFFLINE`)."""
+    os.environ.update(OFFLINE)
 
 
 def run_child(

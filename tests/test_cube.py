@@ -203,7 +203,7 @@ def test_a_heat_map_that_was_changed_is_not_read(site, tmp_path):
             database.execute(change)
         with pytest.raises(gr.InputError, match=words):
             gr.read_heatmap(other)
-    with pytest.raises(gr.InputError, match="there is no heat map"):
+    with pytest.raises(gr.InputError, match="no such file"):
         gr.read_heatmap(tmp_path)
     (tmp_path / "text.gpkg").write_text("no")
     with pytest.raises(gr.InputError, match="not a heat map"):

@@ -210,13 +210,13 @@ def test_a_file_of_sight_serves_its_poses_only(tmp_path, sensor, said):
 def test_files_that_hold_no_sight_of_these_tiles_are_refused(tmp_path):
     table = tiles_of([lane_quads(EAST + 100.0, NORTH - 60.0, 90.0, count=240)], height_m=ROAD_M)
     tiles = SightTiles.of(table)
-    with pytest.raises(InputError, match=r"gone.gpkg: there is no such file"):
+    with pytest.raises(InputError, match=r"gone.gpkg: no such file"):
         open_sight(tiles, sight=tmp_path / "gone.gpkg")
     (tmp_path / "text.gpkg").write_text("sight")
-    with pytest.raises(InputError, match=r"text.gpkg: holds no sight"):
+    with pytest.raises(InputError, match=r"text.gpkg: not a file of sight"):
         open_sight(tiles, sight=tmp_path / "text.gpkg")
     table.to_file(tmp_path / "tiles.gpkg", layer="tiles")
-    with pytest.raises(InputError, match=r"tiles.gpkg: holds no sight"):
+    with pytest.raises(InputError, match=r"tiles.gpkg: not a file of sight"):
         open_sight(tiles, sight=tmp_path / "tiles.gpkg")
     table.to_file(tmp_path / "odd.gpkg", layer="sight")
     with pytest.raises(InputError, match=r"layer sight lacks sensor, pose, state"):

@@ -8,6 +8,7 @@ import click
 
 from gis_radar.cli import maps, poses, recordings, sites
 from gis_radar.cli.console import run_group
+from gis_radar.processes import go_offline
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -28,4 +29,5 @@ for verb in (
 
 def main() -> NoReturn:
     """Run the command line."""
+    go_offline()
     run_group(group)

@@ -13,11 +13,10 @@ import numpy as np
 import pandas as pd
 import pyogrio
 from numpy.typing import NDArray
-from pyogrio.errors import DataLayerError, DataSourceError
 
 from gis_radar.arrays import Integers
 from gis_radar.errors import InputError, UsageError
-from gis_radar.geopackage import GPKG_VERSION, add_styles
+from gis_radar.geopackage import GPKG_VERSION, add_styles, opened_package
 from gis_radar.heatmap import style
 from gis_radar.heatmap.counting import Counts, Tally
 from gis_radar.heatmap.covering import Coverage
@@ -159,26 +158,26 @@ def read_package(path: Path) -> dict[str, Any]:
         If there is none, it is damaged, or its tiles were changed since.
     """
     path = path / FILE if path.is_dir() else path
-    if not path.is_file():
-        raise InputError(f"{path}: there is no heat map", hint=_HINT)
-    try:
-        tiles = pyogrio.read_dataframe(path, layer=WIDE, columns=[*COLUMNS, LANE], use_arrow=True)
-        notes = pyogrio.read_info(path, layer=WIDE)["layer_metadata"] or {}
-        whole = _checked_whole(tiles, notes, path)
-        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
-            times = read_times(database)
-            names = step_columns(database)
-        timeline = Timeline(
-            begin=_steps_of([begin for begin, _ in times], path),
-            end=_steps_of([end for _, end in times], path),
-        )
-        counts = _read_counts(path, tiles["tile_id"].to_numpy(np.int64), len(timeline), names)
-        errors = pyogrio.read_dataframe(
-            path, layer=WIDE, columns=["coverage_se"], read_geometry=False, use_arrow=True
-        )
-    except (DataSourceError, DataLayerError, sqlite3.Error, OSError) as error:
-        reason = str(error).splitlines()[0]
-        raise InputError(f"{path}: not a heat map: {reason}", hint=_HINT) from error
+    with opened_package(path, what="a heat map", hint=_HINT) as place:
+        return _fields(place, path)
+
+
+def _fields(place: Path, path: Path) -> dict[str, Any]:
+    """Return the fields of a tally from the GeoPackage at `place`, which messages call `path`."""
+    tiles = pyogrio.read_dataframe(place, layer=WIDE, columns=[*COLUMNS, LANE], use_arrow=True)
+    notes = pyogrio.read_info(place, layer=WIDE)["layer_metadata"] or {}
+    whole = _checked_whole(tiles, notes, path)
+    with closing(sqlite3.connect(f"{place.as_uri()}?mode=ro", uri=True)) as database:
+        times = read_times(database)
+        names = step_columns(database)
+    timeline = Timeline(
+        begin=_steps_of([begin for begin, _ in times], path),
+        end=_steps_of([end for _, end in times], path),
+    )
+    counts = _read_counts(path, tiles["tile_id"].to_numpy(np.int64), len(timeline), names)
+    errors = pyogrio.read_dataframe(
+        place, layer=WIDE, columns=["coverage_se"], read_geometry=False, use_arrow=True
+    )
     occupied, observed = counts["occupied"], counts["observed"]
     seen = np.flatnonzero(observed.any(axis=0))
     first, group = _alike(observed[:, seen])

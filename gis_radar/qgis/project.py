@@ -16,8 +16,8 @@ import pyogrio
 from pyproj import CRS
 
 from gis_radar.crs import Box, metric_crs
-from gis_radar.errors import InputError, OutputError, UsageError
-from gis_radar.geopackage import read_styles
+from gis_radar.errors import OutputError, UsageError
+from gis_radar.geopackage import opened_package, read_styles
 from gis_radar.heatmap import style
 from gis_radar.heatmap.step_table import LONG, TIMES, WIDE
 from gis_radar.languages import LANGUAGES
@@ -102,10 +102,11 @@ def write_qgis_project(
     if was_edited(path):
         raise OutputError(f"{path}: somebody has edited this project", hint="name another output")
     package = Path(heatmap) / "heatmap.gpkg"
-    crs, box = _observed_box(package)
-    played = _time_range(package)
-    measure = _measure(package)
-    layers = _heatmap_layers(Path(heatmap).resolve(), measure)
+    with opened_package(package, what="a heat map", hint="make it with: gis-radar heatmap"):
+        crs, box = _observed_box(package)
+        played = _time_range(package)
+        measure = _measure(package)
+        layers = _heatmap_layers(Path(heatmap).resolve(), measure)
     if sensors is not None:
         layers |= _sensor_layers(Path(sensors).resolve())
     if sight is not None:
@@ -222,13 +223,8 @@ def _poses(folder: Path) -> list[Path]:
 
 def _observed_box(package: Path) -> tuple[CRS, Box]:
     """Return the CRS, and the box around the tiles that were observed, or all where none was."""
-    if not package.is_file():
-        raise InputError(f"{package}: no such file", hint="make it with: gis-radar heatmap")
-    try:
-        info = pyogrio.read_info(package, layer=WIDE, force_total_bounds=True)
-        _, boxes = pyogrio.read_bounds(package, layer=WIDE, where="observed_s > 0")
-    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, ValueError) as error:
-        raise InputError(f"{package}: not a heat map: {str(error).splitlines()[0]}") from error
+    info = pyogrio.read_info(package, layer=WIDE, force_total_bounds=True)
+    _, boxes = pyogrio.read_bounds(package, layer=WIDE, where="observed_s > 0")
     crs = metric_crs(info["crs"], what=str(package))
     west, south, east, north = (float(value) for value in info["total_bounds"])
     if boxes.shape[1]:
@@ -240,10 +236,7 @@ def _observed_box(package: Path) -> tuple[CRS, Box]:
 
 def _time_range(package: Path) -> TimeRange | None:
     with closing(sqlite3.connect(f"{package.resolve().as_uri()}?mode=ro", uri=True)) as database:
-        try:
-            begin, first_end, end = database.execute(_TIMES).fetchone()
-        except sqlite3.Error as error:
-            raise InputError(f"{package}: not a heat map: {error}") from error
+        begin, first_end, end = database.execute(_TIMES).fetchone()
     if begin is None:
         return None
     length_s = seconds_from_iso(first_end, what="end") - seconds_from_iso(begin, what="begin")

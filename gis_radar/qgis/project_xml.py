@@ -108,8 +108,8 @@ def _translate(root: Element, language: str) -> None:
 def _sheet(content: ProjectContent) -> Element:
     """Return the print layout; its layers are still to be filled in."""
     layout = _template("sheet.qpt")
-    _item(layout, "title").set("labelText", content.title)
-    _item(layout, "time").set("labelText", content.time)
+    _item(layout, "title").set("labelText", literal(content.title))
+    _item(layout, "time").set("labelText", literal(content.time))
     layout.set("name", content.word(layout.get("name", "")))
     title, subtitle = (content.word(each) for each in style.WORDS[content.measure][:2])
     lines = [title, *textwrap.wrap(subtitle, _LEGEND_WIDTH)]
@@ -117,7 +117,9 @@ def _sheet(content: ProjectContent) -> Element:
     today = f"[% format_date(now(), '{_DATE[content.language]}') %]"
     _item(layout, "made").set("labelText", f"{content.word('Made with gis_radar')}, {today}")
     if content.source:
-        _item(layout, "source").set("labelText", f"{content.word('Source')}: {content.source}")
+        _item(layout, "source").set(
+            "labelText", f"{content.word('Source')}: {literal(content.source)}"
+        )
     else:
         layout.remove(_item(layout, "source"))
     chart = _item(layout, "map")
@@ -125,6 +127,11 @@ def _sheet(content: ProjectContent) -> Element:
     box = fit_box(content.box, float(width), float(height))
     _find(chart, "Extent").attrib |= _limits(box)
     return layout
+
+
+def literal(text: str) -> str:
+    """Return a text as QGIS prints it: what stands between `[%` and `%]` it would evaluate."""
+    return text.replace("[%", "[% '[' || '%' %]")
 
 
 def fit_box(box: Box, width: float, height: float) -> Box:

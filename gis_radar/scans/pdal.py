@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from gis_radar.errors import GisRadarError, InputError, OutputError
-from gis_radar.processes import run_child
+from gis_radar.processes import OFFLINE, run_child
 from gis_radar.progress import QUIET, Reporter
 
 OLDEST = (2, 2, 0)
@@ -119,7 +119,8 @@ class PdalRunner:
             document.write(json.dumps(pipeline).encode())
             document.seek(0)
             code = run_child(
-                self.command, stdin=document, stderr=messages, environment=self.environment,
+                self.command, stdin=document, stderr=messages,
+                environment={**self.environment, **OFFLINE},
                 waiting=lambda seconds: reporter.progress("running PDAL", int(seconds), None),
             )  # fmt: skip
             messages.seek(0)

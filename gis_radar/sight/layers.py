@@ -21,7 +21,7 @@ import scipy
 
 from gis_radar.errors import GisRadarError, InputError, UsageError
 from gis_radar.files import whole_file
-from gis_radar.geopackage import GPKG_VERSION, add_styles
+from gis_radar.geopackage import GPKG_VERSION, add_styles, opened_package
 from gis_radar.poses.pose import Pose, View, pose_from_dict
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.sight.recorded import MOVEMENT, NO_MOVEMENT, Contradiction
@@ -236,13 +236,9 @@ def _apart(one: Pose, other: Pose) -> tuple[float, float]:
 
 def _read(path: Path) -> tuple[pd.DataFrame, dict[str, str]]:
     """Return the rows of a file of sight and its metadata."""
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such file", hint=MAKE_ONE)
-    try:
-        about = pyogrio.read_info(path, layer=SIGHT_LAYER)["layer_metadata"] or {}
-        rows = pyogrio.read_dataframe(path, layer=SIGHT_LAYER, read_geometry=False)
-    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError) as error:
-        raise InputError(f"{path}: holds no sight: {error}", hint=MAKE_ONE) from error
+    with opened_package(path, what="a file of sight", hint=MAKE_ONE) as place:
+        about = pyogrio.read_info(place, layer=SIGHT_LAYER)["layer_metadata"] or {}
+        rows = pyogrio.read_dataframe(place, layer=SIGHT_LAYER, read_geometry=False)
     lacks = [name for name in COLUMNS if name not in rows.columns]
     lacks += [name for name in ("fingerprint", "poses", "scans") if name not in about]
     if lacks:

@@ -5,6 +5,7 @@ Its record stands beside the results: `run.json` for programs, `summary.md` to r
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
@@ -14,7 +15,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Template
+from jinja2 import Environment
 
 from gis_radar.errors import GisRadarError, InputError, NoAnswerError, UsageError
 from gis_radar.files import (
@@ -333,6 +334,23 @@ def _relative(path: Path, *bases: Path) -> str:
     return str(whole)
 
 
+_MARKS = re.compile(  # what Markdown takes for markup; no underscore within a word
+    r"[\\`*\[\]<>|~]|(?<![^\W_])_|_(?![^\W_])|&(?=#?\w+;)|^[#+=-]|(?<=\d)[.)](?=\s|$)"
+)
+
+
+def _literal(value: object) -> object:
+    """Return a text as Markdown prints it: names and titles are no markup and no HTML."""
+    if not isinstance(value, str):
+        return value
+    return _MARKS.sub(_escaped, " ".join(value.split()))
+
+
+def _escaped(found: re.Match[str]) -> str:
+    text = found.group()
+    return {"<": "&lt;", ">": "&gt;", "&": "&amp;"}.get(text, f"\\{text}")
+
+
 def _summary(site: Site, outcomes: Sequence[Outcome]) -> str:
     """Return the summary of a run, to read."""
     made = (each for each in outcomes if each.has_result)
@@ -346,7 +364,10 @@ def _summary(site: Site, outcomes: Sequence[Outcome]) -> str:
     sources = {"map": site.map.source, "scan": site.scan.source if site.scan else None}
     named = [f"{what}: {source}" for what, source in sources.items() if source]
     text = files("gis_radar.site").joinpath("summary.md.jinja").read_text(encoding="utf-8")
-    template = Template(text, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True)
+    plain = Environment(  # noqa: S701 - Markdown, escaped by `finalize`
+        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, finalize=_literal
+    )
+    template = plain.from_string(text)
     shown: str = template.render(
         title=site.title, time_zone=site.time_zone, span=span, shown=_sensors_in(outcomes),
         columns=("sensor", *_POSE, "fitness", "second look"), sensors=_sensors_of(outcomes, site),

@@ -20,7 +20,7 @@ from types import FrameType
 from typing import Any
 
 from gis_radar.errors import GisRadarError, OutputError
-from gis_radar.processes import stop_workers, watch_parent
+from gis_radar.processes import go_offline, stop_workers, watch_parent
 from gis_radar.progress import Level, Reporter
 
 _REPORT_S = 0.05  # bars move 20 times a second at most: faster is not seen, and costs both ends
@@ -195,6 +195,7 @@ def _begin(events: SimpleQueue[Event], scratch: str) -> None:
     """Begin a worker: it ends with the run, and keeps what libraries print off standard output."""
     global _events  # noqa: PLW0603 - an initializer has no other way
     watch_parent()
+    go_offline()
     signal.signal(signal.SIGTERM, _end)
     os.dup2(2, 1)
     tempfile.tempdir = scratch

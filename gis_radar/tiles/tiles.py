@@ -11,7 +11,6 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 import pyogrio
 import shapely
 from shapely.geometry.base import BaseGeometry
@@ -20,7 +19,7 @@ from gis_radar.arrays import Floats
 from gis_radar.crs import metric_crs, name_of
 from gis_radar.errors import InputError, UsageError
 from gis_radar.files import whole_file
-from gis_radar.geopackage import GPKG_VERSION
+from gis_radar.geopackage import GPKG_VERSION, opened_package
 from gis_radar.lanelets import LaneletMap
 from gis_radar.lanelets.bounds import CannotMendError, slices, sound_rungs
 from gis_radar.lanelets.lanes import LANES, STOP_LINES, lane_numbers
@@ -32,7 +31,6 @@ LENGTH_M = 0.5  # of the contract and the paper
 LAYER = "tiles"
 PROBLEMS = "problems"
 _COUNT, _CONTENT = "gis_radar_tiles", "gis_radar_content"
-_DAMAGE = (shapely.errors.ShapelyError, pa.ArrowException, OSError, UnicodeDecodeError)
 _MAKE_ONE = "make one with: gis-radar tiles"
 COLUMNS = (
     "tile_id", "lanelet_id", "index", "s_m", "length_m", "width_m", "height_m", "subtype",
@@ -242,17 +240,9 @@ def read_tiles(path: str | Path) -> gpd.GeoDataFrame:
 
 def _layer(path: str | Path) -> tuple[gpd.GeoDataFrame, dict[str, str]]:
     """Return the layer of tiles as it is, and what :func:`write_tiles` noted about it."""
-    if not Path(path).is_file():
-        raise InputError(f"{path}: no such file")
-    try:
-        tiles = pyogrio.read_dataframe(path, layer=LAYER, use_arrow=True)
-        seal = pyogrio.read_info(path, layer=LAYER)["layer_metadata"] or {}
-    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError) as error:
-        reason = str(error).splitlines()[0]
-        raise InputError(f"{path}: not a GeoPackage of tiles: {reason}", hint=_MAKE_ONE) from error
-    except _DAMAGE as error:
-        reason = str(error).splitlines()[0]
-        raise InputError(f"{path}: layer {LAYER} is damaged: {reason}", hint=_MAKE_ONE) from error
+    with opened_package(path, what="a GeoPackage of tiles", hint=_MAKE_ONE) as place:
+        tiles = pyogrio.read_dataframe(place, layer=LAYER, use_arrow=True)
+        seal = pyogrio.read_info(place, layer=LAYER)["layer_metadata"] or {}
     return tiles, seal
 
 

@@ -2,6 +2,7 @@
 
 import zipfile
 
+from conftest import worker
 from helpers import layer_called
 from qgis.core import (
     Qgis,
@@ -99,6 +100,20 @@ def test_the_project_prints_at_once(qgis_new_project, project, tmp_path):
     found = colours(QImage(path))
     assert len(found & {level.colour for level in STYLE["colour_classes"]("coverage")}) > 5
     assert STYLE["NOT_OBSERVED"] in found
+
+
+def test_no_text_of_a_project_is_evaluated(qgis_new_project, project, tmp_path):
+    """A title or a source that looks like an expression is printed as it is."""
+    title, source = "Site [% env('PATH') %] [% 1+1 %]", "[%[% 1 %]%] [% [%"
+    heatmap = project.parent / "heatmap"
+    worker("qgis", heatmap, "--title", title, "--source", source, "-o", tmp_path / "p.qgz")
+    shown = QgsProject.instance()
+    assert shown.read(str(tmp_path / "p.qgz"))
+    assert shown.title() == title
+    layout = shown.layoutManager().layoutByName("Report")
+    texts = [item.currentText() for item in layout.items() if isinstance(item, QgsLayoutItemLabel)]
+    assert title in texts
+    assert f"Source: {source}" in texts
 
 
 def test_the_project_names_no_absolute_path(project):

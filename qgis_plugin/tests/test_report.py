@@ -46,7 +46,8 @@ def report(provider, site, tmp_path_factory):
             {
                 "HEATMAP": str(site / "heatmap"), "PLACES": junctions(), "DPI": 60,
                 "SENSORS": str(site / "sensors.gpkg"), "TIME_ZONE": "Europe/Berlin",
-                "TITLE": "Verkehr", "SOURCE": "Stadt", "OUTPUT": str(out),
+                "TITLE": "Verkehr [% 1+1 %]", "SOURCE": "Stadt [% env('PATH') %]",
+                "OUTPUT": str(out),
             },
         )  # fmt: skip
     QgsProject.instance().clear()
@@ -106,8 +107,8 @@ def test_the_layout_has_all_of_a_sheet(report, qgis_new_project):
     assert atlas.first()
     assert atlas.next()
     texts = [item.currentText() for item in layout.items() if isinstance(item, QgsLayoutItemLabel)]
-    assert "Verkehr: Nord/Süd" in texts
-    assert "Source: Stadt" in texts
+    assert "Verkehr [% 1+1 %]: Nord/Süd" in texts  # as typed, not evaluated
+    assert "Source: Stadt [% env('PATH') %]" in texts
     assert any("09:30:00 – 09:30:20 (UTC+2)" in text for text in texts)
     assert any(text.endswith("2 / 12") for text in texts)
     (chart,) = [item for item in layout.items() if isinstance(item, QgsLayoutItemMap)]

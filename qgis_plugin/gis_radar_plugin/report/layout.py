@@ -111,11 +111,16 @@ def _fill_legend(legend: QgsLayoutItemLegend, layers: Mapping[str, QgsMapLayer])
 
 def _fill_texts(layout: QgsPrintLayout, texts: Texts) -> None:
     label: Any = layout.itemById
-    label("title").setText(f'{texts.title}: [% "place" %]')
+    label("title").setText(f'{_literal(texts.title)}: [% "place" %]')
     label("time").setText('[% "time" %][% if("whole", \' · \' || "note", \'\') %]')
-    label("source").setText(f"{tr('Source')}: {texts.source}")
+    label("source").setText(f"{tr('Source')}: {_literal(texts.source)}")
     number = "[% @atlas_featurenumber %] / [% @atlas_totalfeatures %]"
     label("made").setText(f"{texts.made} · {number}")
+
+
+def _literal(text: str) -> str:
+    """Return a text as QGIS prints it: what stands between `[%` and `%]` it would evaluate."""
+    return text.replace("[%", "[% '[' || '%' %]")
 
 
 def _wrapped(text: str) -> str:
