@@ -22,6 +22,7 @@ from gis_radar.geopackage import opened_package
 from gis_radar.heatmap.layers import read_package
 from gis_radar.processes import OFFLINE, go_offline
 from gis_radar.sight.layers import SightFile
+from gis_radar.vector_files import read_vector
 
 BOX = shapely.box(EAST, NORTH, EAST + 60, NORTH + 8)
 
@@ -78,6 +79,8 @@ def test_no_map_calls_the_network(server, tmp_path, kind, name):
     (tmp_path / name).write_text(HOSTILE[kind](server.url))
     with pytest.raises(InputError) as caught:
         gr.read_roads(tmp_path / name)
+    with pytest.raises(InputError, match=name):
+        read_vector(tmp_path / name, what="layer of streets", columns=None)
     assert server.seen == []
     assert name in caught.value.message
     assert "\n" not in caught.value.message

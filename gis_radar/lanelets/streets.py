@@ -9,13 +9,13 @@ from typing import Any
 
 import geopandas as gpd
 import numpy as np
-import pyogrio
 import shapely
 
 from gis_radar.arrays import Floats
 from gis_radar.errors import CrsError, InputError
 from gis_radar.lanelets.tagging import STREET
 from gis_radar.progress import Reporter
+from gis_radar.vector_files import read_vector
 
 NAME_FIELDS = (
     "name", "street", "street_name", "road_name", "strassenname", "straßenname", "str_name",
@@ -82,13 +82,7 @@ def _read(streets: gpd.GeoDataFrame | str | Path, what: str) -> gpd.GeoDataFrame
     """Return the layer of streets; refuse what is none, or states no coordinate system."""
     table: Any = streets
     if isinstance(streets, str | Path):
-        if not Path(streets).is_file():
-            raise InputError(f"{what}: no such file")
-        try:
-            table = pyogrio.read_dataframe(streets, use_arrow=True)
-        except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError) as error:
-            reason = str(error).splitlines()[0]
-            raise InputError(f"{what}: not a layer of streets: {reason}") from error
+        table = read_vector(streets, what="layer of streets", columns=None)
     kinds = set(table.geom_type.dropna()) if isinstance(table, gpd.GeoDataFrame) else set()
     if not kinds & {"LineString", "MultiLineString"}:
         has = ", ".join(sorted(kinds)) or "no geometry"

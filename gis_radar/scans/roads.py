@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import json
-import re
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +13,6 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-import pyogrio
 import scipy
 import shapely
 from pyproj import CRS
@@ -23,13 +21,13 @@ from pyproj.exceptions import CRSError as ProjError
 from gis_radar.arrays import Floats, Integers
 from gis_radar.crs import metric_crs, name_of, utm_zone
 from gis_radar.errors import CrsError, InputError
-from gis_radar.geopackage import SQLITE, library_errors, opened_package
 from gis_radar.grid import Grid
 from gis_radar.lanelets import LaneletMap, read_map
 from gis_radar.lanelets.bounds import at_fractions, length
 from gis_radar.lanelets.tagging import ON_FOOT_OR_BICYCLE
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.scans.settings import DEFAULTS, RoadSettings
+from gis_radar.vector_files import read_vector
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,14 +134,17 @@ _POLYGONAL = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
 def _read_polygons(
     path: Path, crs: Any, layer: str | None, settings: RoadSettings, reporter: Reporter
 ) -> gpd.GeoDataFrame:
-    """Read the polygons of a layer in one of `FORMATS`, or of a CSV.
+    """Read the polygons of a layer of a vector file, or of a CSV.
 
     A polygon that touches itself or repeats points is mended. One that crosses itself, so that
     it is ambiguous which part of it is meant, is refused.
     """
     if not path.is_file():
         raise InputError(f"{path}: no such file")
-    table = _read_table(path, layer, reporter)
+    if path.suffix.lower() in {".csv", ".txt"}:
+        table = _read_csv(path)
+    else:
+        table = read_vector(path, what="map", choose=layer or _only_layer, reporter=reporter)
     shapes = shapely.force_2d(table.geometry.array)
     kept = ~(shapely.is_missing(shapes) | shapely.is_empty(shapes))
     if not np.isin(shapely.get_type_id(shapes[kept]), _POLYGONAL).all() or not kept.any():
@@ -163,64 +164,15 @@ def _given_crs(crs: Any, path: Path) -> CRS:
         raise CrsError(f"--map-crs: {crs!r} is not a known coordinate system") from error
 
 
-FORMATS = "GeoPackage, GeoJSON, shapefile, FlatGeobuf, CSV, or a Lanelet2 map that ends in .osm"
-_SHAPEFILE, _FLATGEOBUF = b"\0\0\x27\x0a", b"fgb\x03fgb"  # how they begin
-# Names of a coordinate system; anything else could be an address or a file.
-_CRS_NAME = re.compile(r"(urn:(ogc|x-ogc):def:crs:|EPSG:|OGC:)[\w:.+]+", re.IGNORECASE | re.ASCII)
-
-
-def _read_table(path: Path, layer: str | None, reporter: Reporter) -> gpd.GeoDataFrame:
-    """Read polygons by the reader that the content asks for; the name alone promises nothing."""
-    if path.suffix.lower() in {".csv", ".txt"}:
-        return _read_csv(path)
-    with library_errors(path, what="a readable map", reporter=reporter):
-        with path.open("rb") as file:
-            head = file.read(512)
-        if head.startswith(SQLITE):
-            with opened_package(path, what="a readable map", reporter=reporter):
-                return _read_layer(path, layer)
-        # GDAL looks for the marks of its drivers up to the first zero byte: one must come early.
-        flat = head.startswith(_FLATGEOBUF) and 0 in head[:12]
-        if flat or (head.startswith(_SHAPEFILE) and path.suffix.lower() == ".shp"):
-            return _read_layer(path, layer)
-        if head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{"):
-            return _read_geojson(path)
-    raise InputError(f"{path}: not a readable map: the format is not known", hint=f"use {FORMATS}")
-
-
-def _read_geojson(path: Path) -> gpd.GeoDataFrame:
-    """Read GeoJSON; GDAL's reader would follow a coordinate system that is given as a link."""
-    document = json.loads(path.read_text(encoding="utf-8-sig"))
-    features = document.get("features", [document])
-    parts = [each["geometry"] if each["type"] == "Feature" else each for each in features]
-    shapes = shapely.from_geojson([json.dumps(part) for part in parts if part is not None])
-    crs: Any = "OGC:CRS84"
-    if (stated := document.get("crs")) is not None:
-        crs = stated["properties"]["name"] if stated["type"] == "name" else ""
-        if not _CRS_NAME.fullmatch(crs):
-            raise CrsError(f"{path}: its coordinate system is a link, or no known name")
-    return gpd.GeoDataFrame(geometry=shapes, crs=crs)
-
-
-def _read_layer(path: Path, layer: str | None) -> gpd.GeoDataFrame:
-    place = path.resolve()
-    table = pyogrio.read_dataframe(place, layer=layer or _only_layer(place), columns=[])
-    if not isinstance(table, gpd.GeoDataFrame):
-        raise InputError(f"{path}: has no geometry, polygons of the roads are needed")
-    return table
-
-
-def _only_layer(path: Path) -> str:
-    layers = pyogrio.list_layers(path)
-    areas = [str(name) for name, kind in layers if kind and "Polygon" in kind]
-    if not layers.size:
-        raise InputError(f"{path}: has no layer")
+def _only_layer(layers: Mapping[str, str], path: Path) -> str:
+    """Return the layer of polygons; several of them are for the user to choose from."""
+    areas = [name for name, kind in layers.items() if "Polygon" in kind]
     if len(areas) > 1:
         raise InputError(
             f"{path}: has {len(areas)} layers with polygons: {', '.join(areas)}",
             hint="choose one: --layer NAME",
         )
-    return areas[0] if areas else str(layers[0][0])
+    return areas[0] if areas else next(iter(layers))
 
 
 def _read_csv(path: Path) -> gpd.GeoDataFrame:
