@@ -9,7 +9,7 @@ from .errors import (
     OutputError,
     UsageError,
 )
-from .heatmap import HeatMap, MapLabels, make_heatmap, read_heatmap, to_xarray
+from .heatmap import HeatMap, MapLabels, make_heatmap, read_heatmap
 from .lanelets import LaneletMap, lanes, read_map, stop_lines
 from .localization import Localization, localize, localize_files
 from .localization.result import draw_localization
@@ -144,7 +144,6 @@ __all__ = [
     "second_look",
     "site_template",
     "stop_lines",
-    "to_xarray",
     "track",
     "with_road_heights",
     "write_footprints",

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from functools import cached_property
 from itertools import groupby
+from typing import Any
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -123,6 +124,42 @@ def seconds_from_iso(text: str, *, what: str) -> float:
     if moment.tzinfo is None:
         raise InputError(f"{what} is {text!r}, which names no time zone", hint="add Z for UTC")
     return (moment - _EPOCH) / timedelta(seconds=1)
+
+
+def moment_in(value: Any, zone: ZoneInfo, *, what: str) -> datetime:
+    """Return a time in UTC; one without an offset is by the clocks of a zone.
+
+    Parameters
+    ----------
+    value : str, datetime or numpy.datetime64
+        Such as `2025-06-12 07:30`, or `2025-06-12T05:30Z`.
+    zone : ZoneInfo
+        Whose clocks.
+    what : str
+        What it is, for messages.
+
+    Raises
+    ------
+    UsageError
+        If it is no time, or by those clocks there are two such times or none.
+    """
+    try:
+        moment = value if isinstance(value, datetime) else datetime.fromisoformat(str(value))
+    except ValueError as error:
+        raise UsageError(
+            f"{what} is {str(value)!r}, expected a time such as 2026-11-20 09:00"
+        ) from error
+    if moment.tzinfo is not None:
+        return moment.astimezone(UTC)
+    both = [moment.replace(tzinfo=zone, fold=fold) for fold in (0, 1)]
+    if both[0].utcoffset() != both[1].utcoffset():
+        there = both[0].astimezone(UTC).astimezone(zone).replace(tzinfo=None) == moment
+        how = "is twice" if there else "is left out"
+        raise UsageError(
+            f"{what} is {moment}, which {how} that day in {zone}",
+            hint=f"add the offset, such as {_offset(both[0]).removeprefix('UTC')}",
+        )
+    return both[0].astimezone(UTC)
 
 
 def duration_s(text: str, *, what: str = "time") -> float:

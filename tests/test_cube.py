@@ -84,9 +84,9 @@ def test_a_heat_map_as_a_cube(site):
 @pytest.mark.parametrize(("interval", "steps"), [("50ms", 1), ("2s", 40)])
 def test_a_series_of_chosen_tiles_and_times(site, interval, steps):
     begin, end = (pd.Timestamp((T0 + k) * 50, unit="ms", tz="UTC") for k in (90, 171))
-    cube = gr.to_xarray(
-        as_occupancy(site), site.tiles, interval=interval, tile_ids=[9, 2, 5], within=(begin, end)
-    )
+    cube = gr.make_heatmap(
+        as_occupancy(site), site.tiles, interval=interval, tile_ids=[9, 2, 5], begin=begin, end=end
+    ).to_xarray()
     assert cube["tile_id"].to_numpy().tolist() == [2, 5, 9]
     assert cube["begin"].to_numpy().max() < end.to_datetime64() <= cube["end"].to_numpy().max()
     expected = counted(site, steps, (T0 + 90, T0 + 171))
@@ -94,14 +94,6 @@ def test_a_series_of_chosen_tiles_and_times(site, interval, steps):
     cut["time"] = cut["time"].clip(lower=begin.tz_localize(None))  # intervals are cut at the ends
     compared(cube, cut.set_index(["tile", "time"]))
     assert float(cube["occupied_s"].sum()) > 0.0
-
-
-def test_the_series_of_all_is_the_heat_map(site):
-    occupancy = as_occupancy(site)
-    one = gr.to_xarray(occupancy, site.tiles, interval="5s")
-    xr.testing.assert_identical(
-        one, gr.make_heatmap(occupancy, site.tiles, interval="5s").to_xarray()
-    )
 
 
 def test_memory_is_that_of_the_result():
@@ -123,21 +115,18 @@ def test_memory_is_that_of_the_result():
         hold_s={"R1": 0.1},
     )  # fmt: skip
     tracemalloc.start()
-    cube = gr.to_xarray(occupancy, tiles, interval="1min")
+    cube = gr.make_heatmap(occupancy, tiles, interval="1min").to_xarray()
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert float(cube["occupied_s"].sum()) == pytest.approx(400 * steps / 20)
     assert peak < 400 * steps * 16 / 40
 
 
-def test_too_large_a_cube_is_refused_before_it_is_counted(site):
-    def never(_):
-        raise AssertionError("the hits were read")
-
-    occupancy = gr.Occupancy(**{**vars(as_occupancy(site)), "hits_by_sensor": never})
+def test_too_large_a_cube_is_refused(site):
+    heat = gr.make_heatmap(as_occupancy(site), site.tiles, interval="50ms")
     with pytest.raises(gr.UsageError, match=r"16 tiles in .* over 0.01 MiB") as error:
-        gr.to_xarray(occupancy, site.tiles, interval="50ms", most_mib=0.01)
-    for way in ("longer interval", "tile_ids", "within"):
+        heat.to_xarray(most_mib=0.01)
+    for way in ("longer interval", "tile_ids", "begin"):
         assert way in error.value.hint
     with pytest.raises(gr.UsageError, match="60000 tiles in 1728000 intervals take 1582031 MiB"):
         require_room(60_000, 1_728_000, 1024.0)
@@ -148,20 +137,27 @@ def test_too_large_a_cube_is_refused_before_it_is_counted(site):
     [
         ({"tile_ids": [3, 99]}, gr.InputError, "tile 99"),
         ({"tile_ids": []}, gr.UsageError, "names no tile"),
-        ({"within": ("2023-11-14T22:13:21Z", "2023-11-14T22:13:20Z")}, gr.UsageError, "ascending"),
-        ({"within": ("2001-01-01T00:00Z", "2001-01-02T00:00Z")}, gr.InputError, "no sensor"),
-        ({"within": ("2001-01-01T00:00", "2001-01-02T00:00")}, gr.UsageError, "no time zone"),
+        ({"begin": "2023-11-14T22:13:21Z", "end": "2023-11-14T22:13:20Z"}, gr.UsageError, "ascend"),
+        ({"begin": "2001-01-01", "end": "2001-01-02"}, gr.InputError, "no sensor"),
+        ({"begin": "noon"}, gr.UsageError, "expected a time such as"),
     ],
-)  # fmt: skip
+)
 def test_what_makes_no_sense_is_refused(site, options, error, words):
     with pytest.raises(error, match=words):
-        gr.to_xarray(as_occupancy(site), site.tiles, interval="1s", **options)
+        gr.make_heatmap(as_occupancy(site), site.tiles, interval="1s", **options)
+
+
+def test_a_map_of_some_tiles_is_not_written(site, tmp_path):
+    heat = gr.make_heatmap(as_occupancy(site), site.tiles, tile_ids=[3])
+    assert len(heat.wide()) == 1
+    with pytest.raises(gr.UsageError, match="a heat map of some tiles is not written"):
+        heat.write(tmp_path / "map")
 
 
 def test_without_xarray_the_install_line_is_given(site, monkeypatch):
     monkeypatch.setitem(sys.modules, "xarray", None)
     with pytest.raises(gr.InputError, match="needs xarray") as error:
-        gr.to_xarray(as_occupancy(site), site.tiles, interval="1s")
+        gr.make_heatmap(as_occupancy(site), site.tiles).to_xarray()
     assert error.value.hint == "pip install gis_radar[notebooks]"
 
 

@@ -67,6 +67,7 @@ def report(*, folder: Path, reporter: Reporter, **options: Any) -> Result:
 @click.argument("heatmap", metavar="HEATMAP", type=FILE)
 @click.option("--sensors", type=FILE, help="From gis-radar sensors.")
 @click.option("--sight", type=FILE, help="From gis-radar sight.")
+@click.option("--lanes", type=FILE, help="From gis-radar tiles: its lanes and stop lines.")
 @click.option(
     "--footprints", type=FILE, help="From gis-radar footprints: the project plays vehicles."
 )
@@ -81,13 +82,20 @@ def report(*, folder: Path, reporter: Reporter, **options: Any) -> Result:
 )  # fmt: skip
 @output
 def qgis(
-    *, heatmap: Path, sensors: Path | None, sight: Path | None, footprints: Path | None,
+    *, heatmap: Path, sensors: Path | None, sight: Path | None, lanes: Path | None,
+    footprints: Path | None,
     output: Path, reporter: Reporter, **options: Any,
 ) -> Result:  # fmt: skip
     """Write a QGIS project that shows a heat map ready to present, with a print layout."""
-    refuse_inputs(output, heatmap, *[path for path in (sensors, sight, footprints) if path])
+    refuse_inputs(output, heatmap, *[path for path in (sensors, sight, lanes, footprints) if path])
     gr.write_qgis_project(
-        output, heatmap=heatmap, sensors=sensors, sight=sight, footprints=footprints, **options
+        output,
+        heatmap=heatmap,
+        sensors=sensors,
+        sight=sight,
+        lanes=lanes,
+        footprints=footprints,
+        **options,
     )
     reporter.progress("writing the project", 1, 1)
     return Result(outputs=[output])

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple, Self
+from zoneinfo import ZoneInfo
 
 import geopandas as gpd
 import numpy as np
@@ -21,23 +22,20 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.crs import metric_crs
-from gis_radar.errors import InputError, UsageError
+from gis_radar.errors import InputError
 from gis_radar.heatmap.covering import (
     COVERAGE_DEFINITIONS,
     Coverage,
     CoverageShares,
     count_coverage,
     mean_coverage,
-    require_same_origin,
 )
-from gis_radar.heatmap.intervals import SETTINGS, MapLabels, Timeline
+from gis_radar.heatmap.intervals import SETTINGS, MapLabels, Timeline, When, intervals_at
 from gis_radar.occupancy import Occupancy
 from gis_radar.occupancy.frame_steps import Runs, common_steps, steps_in, union
 from gis_radar.occupancy.hits import Rows
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.steps import STEPS_PER_SECOND, iso_from_step
-from gis_radar.tiles.tiles import COLUMNS, fingerprint, own_columns
+from gis_radar.steps import STEP_US, STEPS_PER_SECOND, iso_from_step, zone_of
 from gis_radar.vehicles import Vehicles
 
 DEFINITIONS = {
@@ -212,14 +210,45 @@ class Tally:
             labels=labels or NO_LABELS,
         )
 
-    def shares(self, interval: int | slice | None = None) -> Shares:
+    def chosen(
+        self, interval: When = None, *, begin: Any = None, end: Any = None
+    ) -> int | slice | None:
+        """Return the number of an interval, or those of several, that are asked for by time.
+
+        Parameters
+        ----------
+        interval : int, slice, str or datetime, optional
+            Its number, or a time in it, such as `2025-06-12 07:30`. Times without an offset are by
+            the clocks of the site, whose zone the labels name.
+        begin, end : str or datetime, optional
+            In place of one: all between these times.
+
+        Raises
+        ------
+        UsageError
+            If there is none such.
+        """
+        return intervals_at(self.timeline, self.zone, interval, begin, end)
+
+    @property
+    def zone(self) -> ZoneInfo:
+        """The site's time zone."""
+        return zone_of(self.labels.timezone)
+
+    @property
+    def times(self) -> pd.DatetimeIndex:
+        """When the intervals begin, by the clocks of the site."""
+        steps = pd.to_datetime(self.timeline.begin * (STEP_US // 1000), unit="ms", utc=True)
+        return steps.tz_convert(self.zone).rename("begin")
+
+    def shares(self, interval: When = None) -> Shares:
         """Return seconds and occupancy of all tiles.
 
         Parameters
         ----------
-        interval : int or slice, optional
-            Which interval, from 0, negative from the end, or which together; without it, the whole
-            time.
+        interval : int, slice, str or datetime, optional
+            Which interval, from 0, negative from the end, or which together, or a time in it, as
+            for :meth:`chosen`; without it, the whole time.
 
         Raises
         ------
@@ -236,40 +265,41 @@ class Tally:
         share[self.seen[known]] = occupied[known] / observed[known]
         return Shares(occupied_s, observed_s, share)
 
-    def coverage_shares(self, interval: int | slice | None = None) -> CoverageShares | None:
+    def coverage_shares(self, interval: When = None) -> CoverageShares | None:
         """Return visible and covered seconds and coverage of all tiles, where vehicles are known.
 
         Parameters
         ----------
-        interval : int or slice, optional
+        interval : int, slice, str or datetime, optional
             As for :meth:`shares`.
         """
-        self.steps(interval)
+        part = self.chosen(interval)
         if self.coverage is None:
             return None
-        return self.coverage.shares(self.seen, len(self.tiles), interval)
+        return self.coverage.shares(self.seen, len(self.tiles), part)
 
-    def shown(self, interval: int | slice | None = None) -> Floats:
+    def shown(self, interval: When = None) -> Floats:
         """Return for all tiles what maps show: coverage where vehicles are known, else occupancy.
 
         Parameters
         ----------
-        interval : int or slice, optional
+        interval : int, slice, str or datetime, optional
             As for :meth:`shares`.
         """
         known = self.coverage_shares(interval)
         return self.shares(interval).occupancy if known is None else known.coverage
 
-    def least_visible_s(self, interval: int | slice | None = None) -> float:
+    def least_visible_s(self, interval: When = None) -> float:
         """Return the seconds below which a tile was visible for too short to be certain of it."""
-        return 0.0 if self.coverage is None else self.coverage.least_visible_s(interval)
+        part = self.chosen(interval)
+        return 0.0 if self.coverage is None else self.coverage.least_visible_s(part)
 
-    def uncertain(self, interval: int | slice | None = None) -> Booleans:
+    def uncertain(self, interval: When = None) -> Booleans:
         """Return for all tiles whether their coverage is uncertain; maps hatch those.
 
         Parameters
         ----------
-        interval : int or slice, optional
+        interval : int, slice, str or datetime, optional
             As for :meth:`shares`.
         """
         known = self.coverage_shares(interval)
@@ -277,26 +307,24 @@ class Tally:
             return np.zeros(len(self.tiles), np.bool_)
         return known.uncertain(self.least_visible_s(interval))
 
-    def steps(self, interval: int | slice | None = None) -> tuple[Integers, Integers]:
+    def steps(self, interval: When = None) -> tuple[Integers, Integers]:
         """Return the steps in which each of the `seen` tiles was occupied and observed."""
-        part = slice(interval) if interval is None else interval
+        chosen = self.chosen(interval)
+        part = slice(None) if chosen is None else chosen
         if isinstance(part, int):
-            count = len(self.timeline)
-            if not -count <= part < count:
-                raise UsageError(f"interval {part} of {count}", hint=f"from 0 to {count - 1}")
             return self.occupied[part].astype(np.int64), self.observed[part][self.group]
         occupied = self.occupied[part].sum(axis=0, dtype=np.int64)
         return occupied, self.observed[part].sum(axis=0)[self.group]
 
     @property
-    def times(self) -> tuple[str, str]:
-        """Begin and end of the whole time, ISO 8601."""
+    def whole_iso(self) -> tuple[str, str]:
+        """Begin and end of the whole time, ISO 8601, UTC."""
         return iso_from_step(int(self.whole.begin[0])), iso_from_step(int(self.whole.end[0]))
 
     @property
     def metadata(self) -> dict[str, Any]:
         """Sensors, times and definitions that the files of a heat map carry beside their tables."""
-        begin, end = self.times
+        begin, end = self.whole_iso
         return {
             "fingerprint": self.fingerprint,
             "sensors": list(self.sensors),
@@ -309,7 +337,7 @@ class Tally:
     def figures(self) -> dict[str, Any]:
         """Return a few figures worth a look: the time, and how much was observed and hit."""
         occupied, observed = self.steps()
-        begin, end = self.times
+        begin, end = self.whole_iso
         figures: dict[str, Any] = {
             "begin": begin,
             "end": end,
@@ -440,42 +468,3 @@ def _group(position: Integers, code: Integers) -> tuple[Integers, Integers, list
     )
     members = [np.frombuffer(text, np.int64).tolist() for text in numbers]
     return seen, group, members
-
-
-def checked(
-    occupancy: Occupancy, tiles: gpd.GeoDataFrame, vehicles: Vehicles | None = None
-) -> tuple[gpd.GeoDataFrame, Runs]:
-    """Return the tiles with their own columns only, and the steps that any sensor's frames cover.
-
-    With vehicles, these are the steps that both hold.
-
-    Raises
-    ------
-    InputError
-        If there is no frame, the tiles are not those of the occupancy, or the vehicles are of
-        other sensors, poses or sight, or of no common time.
-    """
-    if occupancy.frames.empty:
-        raise InputError("the occupancy holds no frame", hint="was the recording empty?")
-    missing = [name for name in COLUMNS if name not in tiles]
-    if missing:
-        raise InputError(f"the tiles lack the column(s) {', '.join(missing)}")
-    metric_crs(tiles.crs, what="tiles")
-    got = fingerprint(tiles)
-    if got != occupancy.fingerprint:
-        raise InputError(
-            f"the tiles have the fingerprint {got}, the occupancy was made with "
-            f"{occupancy.fingerprint}",
-            hint="use the tiles that the occupancy was made with",
-        )
-    attributes = tiles[own_columns(tiles)].reset_index(drop=True)
-    shapes = tiles.geometry.reset_index(drop=True)
-    own = gpd.GeoDataFrame(attributes, geometry=shapes, crs=tiles.crs)
-    steps = steps_in(occupancy.covered_frames())
-    if vehicles is None:
-        return own, steps
-    require_same_origin(occupancy, vehicles)
-    steps = common_steps(steps, vehicles.covered_frames())
-    if len(steps) == 0:
-        raise InputError(f"{occupancy.place} and {vehicles.place} have no time in common")
-    return own, steps

@@ -20,6 +20,7 @@ from gis_radar.errors import NOTEBOOKS, InputError
 from gis_radar.heatmap import style
 from gis_radar.heatmap.counting import Tally
 from gis_radar.heatmap.covering import surest
+from gis_radar.heatmap.intervals import When
 from gis_radar.heatmap.picture import (
     INK,
     SOFT,
@@ -31,7 +32,7 @@ from gis_radar.heatmap.picture import (
 )
 from gis_radar.notebooks import FONTS, axes_or_new, label_map
 from gis_radar.progress import Reporter
-from gis_radar.steps import Clock, zone_of
+from gis_radar.steps import Clock
 from gis_radar.tiles.tiles import quads
 
 DPI = 200
@@ -66,7 +67,9 @@ def draw(
     tally: Tally,
     ax: Axes | None = None,
     *,
-    interval: int | None = None,
+    interval: When = None,
+    begin: Any = None,
+    end: Any = None,
     legend: bool = True,
     most_pixels: int = PLOT_PIXELS,
 ) -> Axes:
@@ -78,8 +81,11 @@ def draw(
     ----------
     ax : Axes, optional
         Where; without it, on a new figure of pyplot.
-    interval : int, optional
-        Which interval, from 0, negative from the end; without it, the whole time.
+    interval : int, slice, str or datetime, optional
+        Which interval, from 0, negative from the end, or a time in it, such as `2025-06-12 07:30`
+        by the clocks of the site; without it, the whole time.
+    begin, end : str or datetime, optional
+        In place of one: all intervals between these times.
     legend : bool
         Whether the classes stand beside it.
     most_pixels : int
@@ -95,12 +101,13 @@ def draw(
     UsageError
         If there is no such interval.
     """
-    share, vague = tally.shown(interval), tally.uncertain(interval)
+    chosen = tally.chosen(interval, begin=begin, end=end)
+    share, vague = tally.shown(chosen), tally.uncertain(chosen)
     ax = axes_or_new(ax, (8.5, 6.0))
     extent = _extent(tally, (0.0, np.inf))
     map_picture(quads(tally.tiles), extent, most_pixels).show(ax, share, vague)
     label_map(ax)
-    ax.set_title(time_span(tally, interval), fontsize="medium")
+    ax.set_title(time_span(tally, chosen), fontsize="medium")
     if legend:
         _add_legend(ax, tally.measure)
     return ax
@@ -209,12 +216,15 @@ def _foot(tally: Tally) -> list[str]:
     return textwrap.wrap(f"{MEANINGS[tally.measure]} {crs}{sources}", LINE)
 
 
-def time_span(tally: Tally, interval: int | None = None) -> str:
-    """Return the time span, or that of an interval, by the clocks that the labels name."""
-    times, row = (tally.whole, 0) if interval is None else (tally.timeline, interval)
-    begin, end = times.span(row)
-    clock = Clock(zone=zone_of(tally.labels.timezone), first=begin, last=end)
-    if int(times.end[row] - times.begin[row]) == 1:
+def time_span(tally: Tally, interval: int | slice | None = None) -> str:
+    """Return the time span, or that of intervals, by the clocks that the labels name."""
+    times = tally.whole if interval is None else tally.timeline
+    rows = interval if isinstance(interval, slice) else slice(interval or 0, None)
+    first = range(len(times))[rows]
+    last = first[-1] if isinstance(interval, slice) else first[0]
+    begin, end = times.span(first[0])[0], times.span(last)[1]
+    clock = Clock(zone=tally.zone, first=begin, last=end)
+    if int(times.end[last] - times.begin[first[0]]) == 1:
         return f"{clock.date(begin)}, {clock.time(begin)}, one step of 50 ms ({clock.name})"
     return f"{clock.whole(begin, end)} ({clock.name})"
 
@@ -358,13 +368,15 @@ CLASS = "share of the time"
 SHOWN = ("tile_id", "lanelet_id", "s_m", "occupied_s", "observed_s", "occupancy")
 
 
-def show_in_browser(tally: Tally, *, interval: int | None = None, **options: Any) -> Any:
+def show_in_browser(
+    tally: Tally, *, interval: When = None, begin: Any = None, end: Any = None, **options: Any
+) -> Any:
     """Show the observed tiles on a map to move about in (folium, extra `notebooks`).
 
     Parameters
     ----------
-    interval : int, optional
-        Which interval, from 0, negative from the end; without it, the whole time.
+    interval, begin, end : optional
+        Which intervals, as for :meth:`plot`; without them, the whole time.
     **options
         For :meth:`geopandas.GeoDataFrame.explore`; with `tiles=None` nothing is loaded from a map
         server.
@@ -380,8 +392,9 @@ def show_in_browser(tally: Tally, *, interval: int | None = None, **options: Any
     InputError
         If folium is not installed.
     """
-    measure, known = tally.measure, tally.coverage_shares(interval)
-    columns = tally.shares(interval)._asdict() | ({} if known is None else known._asdict())
+    part = tally.chosen(interval, begin=begin, end=end)
+    measure, known = tally.measure, tally.coverage_shares(part)
+    columns = tally.shares(part)._asdict() | ({} if known is None else known._asdict())
     tiles = tally.tiles.assign(**columns).dropna(subset=measure)
     tiles = tiles.sort_values(measure, kind="stable")  # the busiest on top
     levels = style.colour_classes(measure)
@@ -401,7 +414,7 @@ def show_in_browser(tally: Tally, *, interval: int | None = None, **options: Any
         "popup": list(popup),
         "tiles": "CartoDB positron",
         "max_zoom": 21,
-        "legend_kwds": {"caption": time_span(tally, interval)},
+        "legend_kwds": {"caption": time_span(tally, part)},
     }
     try:
         return tiles[[*popup, CLASS, "geometry"]].round(4).explore(**chosen | options)

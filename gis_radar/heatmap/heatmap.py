@@ -7,6 +7,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from zoneinfo import ZoneInfo
 
 import geopandas as gpd
 import numpy as np
@@ -16,18 +17,16 @@ from pyogrio.errors import DataSourceError
 from rasterio.errors import RasterioError
 
 from gis_radar.arrays import Integers
-from gis_radar.crs import name_of
+from gis_radar.crs import metric_crs, name_of
 from gis_radar.errors import NOTEBOOKS, InputError, OutputError, UsageError
 from gis_radar.files import whole_folder
-from gis_radar.heatmap.counting import Shares, Tally, checked, positions
-from gis_radar.heatmap.covering import CoverageShares
+from gis_radar.heatmap.by_lane import table_by_lane
+from gis_radar.heatmap.counting import Shares, Tally, positions
+from gis_radar.heatmap.covering import CoverageShares, require_same_origin
 from gis_radar.heatmap.figure import SMALL_PIXELS, draw, show_in_browser, write_figure
 from gis_radar.heatmap.intervals import (
     MapLabels,
-    Timeline,
     intervals_of,
-    intervals_with,
-    moment_of,
     whole_of,
 )
 from gis_radar.heatmap.layers import (
@@ -41,8 +40,10 @@ from gis_radar.heatmap.raster import write_raster
 from gis_radar.heatmap.style import sidecar_qml
 from gis_radar.notebooks import card, small_picture
 from gis_radar.occupancy import Occupancy
+from gis_radar.occupancy.frame_steps import Runs, common_steps, steps_in
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.steps import STEP_US, interval_steps, step_of, zone_of
+from gis_radar.steps import STEP_US, iso_from_step, moment_in, zone_of
+from gis_radar.tiles.tiles import COLUMNS, fingerprint, own_columns
 from gis_radar.vehicles import Vehicles
 
 if TYPE_CHECKING:
@@ -74,6 +75,7 @@ class HeatMap(Tally):
     long = long_layer
     plot = draw
     explore = show_in_browser
+    by_lane = table_by_lane
 
     def to_xarray(self, *, most_mib: float = MOST_MIB) -> xarray.Dataset:
         """Return the heat map as an xarray Dataset over (tile, time).
@@ -92,8 +94,8 @@ class HeatMap(Tally):
         Raises
         ------
         UsageError
-            If it would take more; :func:`gis_radar.to_xarray` cuts out times and tiles before it
-            counts.
+            If it would take more; :func:`gis_radar.make_heatmap` counts a part of the time or of
+            the tiles alone.
         InputError
             If xarray is not installed.
         """
@@ -150,8 +152,15 @@ class HeatMap(Tally):
         ------
         OutputError
             If the folder cannot be written or holds other files.
+        UsageError
+            If it was made with `tile_ids`.
         """
         folder = Path(folder)
+        if fingerprint(self.tiles) != self.fingerprint:
+            raise UsageError(
+                f"{folder}: a heat map of some tiles is not written",
+                hint="make it without tile_ids; wide() and long() give its tables",
+            )
         style = sidecar_qml(self.measure, least_s=self.least_visible_s())
         writers: dict[str, Callable[[Tally, Path, Reporter], object]] = {
             "heatmap.gpkg": write_package,
@@ -177,6 +186,9 @@ def make_heatmap(
     *,
     interval: str | None = None,
     at: str | None = None,
+    begin: Any = None,
+    end: Any = None,
+    tile_ids: ArrayLike | None = None,
     timezone: str | None = None,
     vehicles: Vehicles | None = None,
     labels: MapLabels | None = None,
@@ -200,6 +212,11 @@ def make_heatmap(
         show where `labels` are not given; tables and layers stay in UTC.
     at : str, optional
         ISO 8601 time: the map of the one step that contains it, instead of the whole time.
+    begin, end : str or datetime, optional
+        Only what is between these times, such as `2025-06-12 07:30`; without an offset they are by
+        the clocks of `timezone`. Intervals are cut at both.
+    tile_ids : array of int, optional
+        Only these tiles.
     vehicles : Vehicles, optional
         Of the same tiles, sensors, poses and sight, as from :func:`gis_radar.read_vehicles`: adds
         coverage, which maps then show. The whole time is what both hold.
@@ -235,17 +252,44 @@ def make_heatmap(
     >>> bool(seen["occupancy"].between(0, 1).all())
     True
     """
-    if at is not None and interval is not None:
-        raise UsageError("at and interval do not go together", hint="give one of them")
+    if at is not None and (interval, begin, end) != (None, None, None):
+        raise UsageError("at and interval, begin, end do not go together", hint="give one of them")
+    labels = labels or MapLabels(timezone=timezone or "UTC")
     zone = None if timezone is None else zone_of(timezone)
     tiles, runs = checked(occupancy, tiles, vehicles)
+    span = [
+        None if time is None else _step_at(time, zone_of(labels.timezone), what)
+        for time, what in ((begin, "begin"), (end, "end"))
+    ]
+    runs = _within(runs, *span)
+    chosen = None if tile_ids is None else _chosen(tiles["tile_id"].to_numpy(np.int64), tile_ids)
     whole = timeline = whole_of(runs, at)
     if interval is not None:
-        timeline = intervals_of(runs, interval, zone, len(tiles), reporter)
+        counted = len(tiles if chosen is None else chosen)
+        timeline = intervals_of(runs, interval, zone, counted, reporter).cut(*span)
     return HeatMap.count(
-        occupancy, tiles, whole, timeline, vehicles=vehicles, reporter=reporter,
-        labels=labels or MapLabels(timezone=timezone or "UTC"),
+        occupancy, tiles, whole, timeline, chosen=chosen, vehicles=vehicles, reporter=reporter,
+        labels=labels,
     )  # fmt: skip
+
+
+def _step_at(time: Any, zone: ZoneInfo, what: str) -> int:
+    """Return the step that begins at a time, or next after it."""
+    return -(round(-moment_in(time, zone, what=what).timestamp() * 1e6) // STEP_US)
+
+
+def _within(runs: Runs, first: int | None, after: int | None) -> Runs:
+    """Return the steps of a set that lie in a span; refuse one without any."""
+    low = int(runs.first[0]) if first is None else first
+    high = int(runs.last[-1]) + 1 if after is None else after
+    if not low < high:
+        begin, end = (iso_from_step(step) for step in (low, high))
+        raise UsageError(f"begin and end are {begin} and {end}, expected ascending times")
+    inside = runs.within(low, high - 1)
+    if len(inside) == 0:
+        begin, end = (iso_from_step(step) for step in (low, high))
+        raise InputError(f"no sensor delivered a frame from {begin} to {end}")
+    return inside
 
 
 def read_heatmap(path: str | Path) -> HeatMap:
@@ -292,7 +336,7 @@ def require_room(tiles: int, intervals: int, most_mib: float) -> None:
     if mib > most_mib:
         raise UsageError(
             f"{tiles} tiles in {intervals} intervals take {mib:.0f} MiB, over {most_mib:g} MiB",
-            hint="take a longer interval, fewer tiles (tile_ids), a part of the time (within), "
+            hint="take a longer interval, fewer tiles (tile_ids), a part of the time (begin, end), "
             "or raise most_mib",
         )
 
@@ -318,73 +362,6 @@ def _coordinates(tally: Tally) -> dict[str, Any]:
     }
 
 
-def to_xarray(
-    occupancy: Occupancy,
-    tiles: gpd.GeoDataFrame,
-    *,
-    interval: str,
-    within: tuple[str, str] | None = None,
-    tile_ids: ArrayLike | None = None,
-    timezone: str | None = None,
-    most_mib: float = MOST_MIB,
-    reporter: Reporter = QUIET,
-) -> xarray.Dataset:
-    """Return occupancy over (tile, time) as an xarray Dataset.
-
-    The hits are read once, piece by piece: memory is that of the result and of one piece, however
-    long the occupancy is. For more than fits, go through the time part by part with `within`.
-
-    Parameters
-    ----------
-    occupancy : Occupancy
-        Hits, frames and views.
-    tiles : GeoDataFrame
-        All tiles that the occupancy was made with.
-    interval : str
-        Length of the intervals such as `1min`; `50ms` gives every step.
-    within : (begin, end), optional
-        ISO 8601 times with their zone; the end is exclusive. Intervals are cut at both.
-    tile_ids : array of int, optional
-        Which tiles; without it, all.
-    timezone : str, optional
-        Whose hours and days intervals follow, as for :func:`gis_radar.make_heatmap`.
-    most_mib : float
-        The memory that the result may take, MiB.
-    reporter : Reporter
-        Where progress goes.
-
-    Returns
-    -------
-    xarray.Dataset
-        As :meth:`gis_radar.HeatMap.to_xarray` gives.
-
-    Raises
-    ------
-    UsageError
-        If it would take more memory than it may; if `interval`, `within` or `timezone` is invalid.
-    InputError
-        If there is no frame in that time, the tiles are not those of the occupancy, a tile is
-        not there, or xarray is not installed.
-    """
-    _require_xarray()
-    tiles, runs = checked(occupancy, tiles)
-    chosen = _chosen(tiles["tile_id"].to_numpy(np.int64), tile_ids)
-    if within is not None:
-        first, after = _steps(within)
-        runs = runs.within(first, after - 1)
-        if len(runs) == 0:
-            raise InputError(f"no sensor delivered a frame from {within[0]} to {within[1]}")
-    require_room(len(chosen), intervals_with(runs, interval_steps(interval)), most_mib)
-    zone = None if timezone is None else zone_of(timezone)
-    timeline = intervals_of(runs, interval, zone, len(chosen), QUIET)
-    if within is not None:
-        begin, end = np.maximum(timeline.begin, first), np.minimum(timeline.end, after)
-        timeline = Timeline(begin=begin, end=end)
-    require_room(len(chosen), len(timeline), most_mib)
-    heat = HeatMap.count(occupancy, tiles, timeline, timeline, chosen=chosen, reporter=reporter)
-    return heat.to_xarray(most_mib=most_mib)
-
-
 def _chosen(all_ids: Integers, tile_ids: ArrayLike | None) -> Integers:
     """Return the positions of the chosen tiles, ascending."""
     if tile_ids is None:
@@ -397,9 +374,40 @@ def _chosen(all_ids: Integers, tile_ids: ArrayLike | None) -> Integers:
     return positions(all_ids, wanted)
 
 
-def _steps(within: tuple[str, str]) -> tuple[int, int]:
-    begin, end = (moment_of(str(time), "within") for time in within)
-    if not begin < end:
-        raise UsageError(f"within goes from {within[0]} to {within[1]}, expected ascending times")
-    first, last = step_of(np.array([begin, end - 1e-6])).tolist()
-    return first, last + 1
+def checked(
+    occupancy: Occupancy, tiles: gpd.GeoDataFrame, vehicles: Vehicles | None = None
+) -> tuple[gpd.GeoDataFrame, Runs]:
+    """Return the tiles with their own columns only, and the steps that any sensor's frames cover.
+
+    With vehicles, these are the steps that both hold.
+
+    Raises
+    ------
+    InputError
+        If there is no frame, the tiles are not those of the occupancy, or the vehicles are of
+        other sensors, poses or sight, or of no common time.
+    """
+    if occupancy.frames.empty:
+        raise InputError("the occupancy holds no frame", hint="was the recording empty?")
+    missing = [name for name in COLUMNS if name not in tiles]
+    if missing:
+        raise InputError(f"the tiles lack the column(s) {', '.join(missing)}")
+    metric_crs(tiles.crs, what="tiles")
+    got = fingerprint(tiles)
+    if got != occupancy.fingerprint:
+        raise InputError(
+            f"the tiles have the fingerprint {got}, the occupancy was made with "
+            f"{occupancy.fingerprint}",
+            hint="use the tiles that the occupancy was made with",
+        )
+    attributes = tiles[own_columns(tiles)].reset_index(drop=True)
+    shapes = tiles.geometry.reset_index(drop=True)
+    own = gpd.GeoDataFrame(attributes, geometry=shapes, crs=tiles.crs)
+    steps = steps_in(occupancy.covered_frames())
+    if vehicles is None:
+        return own, steps
+    require_same_origin(occupancy, vehicles)
+    steps = common_steps(steps, vehicles.covered_frames())
+    if len(steps) == 0:
+        raise InputError(f"{occupancy.place} and {vehicles.place} have no time in common")
+    return own, steps

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, time, timedelta
 from itertools import pairwise
+from operator import index
+from typing import Any, TypeAlias
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -16,9 +18,11 @@ from gis_radar.grid import CELL_M
 from gis_radar.occupancy.frame_steps import Runs, union
 from gis_radar.progress import Reporter
 from gis_radar.steps import (
+    STEP_US,
     STEPS_PER_SECOND,
     interval_steps,
     iso_from_step,
+    moment_in,
     seconds_from_iso,
     step_begin,
     step_of,
@@ -96,6 +100,14 @@ class Timeline:
         """Return begin and end of all intervals, UTC."""
         return [self.span(i) for i in range(len(self))]
 
+    def cut(self, first: int | None, after: int | None) -> Timeline:
+        """Return the parts of intervals from one step until before another."""
+        low = first if first is not None else int(self.begin[0])
+        high = after if after is not None else int(self.end[-1])
+        inside = (self.end > low) & (self.begin < high)
+        begin, end = np.maximum(self.begin[inside], low), np.minimum(self.end[inside], high)
+        return Timeline(begin=begin, end=end)
+
     def counts(self, runs: Runs) -> Integers:
         """Return how many steps of a set fall in each interval."""
         return runs.before(self.end) - runs.before(self.begin)
@@ -144,6 +156,62 @@ def those_with(timeline: Timeline, runs: Runs) -> Timeline:
     """Return only those intervals that hold a step of the set."""
     filled = timeline.counts(runs) > 0
     return Timeline(begin=timeline.begin[filled], end=timeline.end[filled])
+
+
+When: TypeAlias = int | slice | str | datetime | None
+"""Which interval: its number, several, a time in it, or the whole time."""
+
+
+def intervals_at(
+    timeline: Timeline, zone: ZoneInfo, interval: When, begin: Any, end: Any
+) -> int | slice | None:
+    """Return the numbers of intervals that are asked for by number or by time.
+
+    Raises
+    ------
+    UsageError
+        If there is none such, or a number stands beside `begin` or `end`.
+    """
+    if begin is not None or end is not None:
+        if interval is not None:
+            raise UsageError("interval and begin, end do not go together", hint="give one of them")
+        return _between(timeline, zone, begin, end)
+    if interval is None or isinstance(interval, slice):
+        return interval
+    if not isinstance(interval, str | datetime | np.datetime64):
+        number, count = index(interval), len(timeline)
+        if not -count <= number < count:
+            raise UsageError(f"interval {number} of {count}", hint=f"from 0 to {count - 1}")
+        return number
+    moment = moment_in(interval, zone, what="interval")
+    found = int(timeline.find(step_of(np.array([moment.timestamp()])))[0])
+    if found < 0:
+        raise _none_there(timeline, zone, f"no interval holds {moment.astimezone(zone)}")
+    return found
+
+
+def _between(timeline: Timeline, zone: ZoneInfo, begin: Any, end: Any) -> slice:
+    """Return the intervals that lie between two times as a whole."""
+    low, high = (
+        None if time is None else moment_in(time, zone, what=what)
+        for time, what in ((begin, "begin"), (end, "end"))
+    )
+    first, last = 0, len(timeline)
+    if low is not None:
+        step = -(round(-low.timestamp() * 1e6) // STEP_US)  # the next where it is within a step
+        first = int(np.searchsorted(timeline.begin, step, side="left"))
+    if high is not None:
+        step = step_of(np.array([high.timestamp()]))[0]
+        last = int(np.searchsorted(timeline.end, step, side="right"))
+    if first >= last:
+        since, until = (each.astimezone(zone) if each else "..." for each in (low, high))
+        raise _none_there(timeline, zone, f"no interval lies between {since} and {until}")
+    return slice(first, last)
+
+
+def _none_there(timeline: Timeline, zone: ZoneInfo, what: str) -> UsageError:
+    first, last = (each.astimezone(zone) for each in (timeline.span(0)[0], timeline.span(-1)[1]))
+    return UsageError(what, hint=f"they go from {first} to {last} ({zone})")
 
 
 QUARTER = 900 * STEPS_PER_SECOND

@@ -235,7 +235,7 @@ def _write_bands(
             part[place] = values[start:stop]
             raster.write(part, band, window=window)
         if interval is None:
-            about = "whole time, {} to {}".format(*tally.times)
+            about = "whole time, {} to {}".format(*tally.whole_iso)
         else:
             about = iso_from_step(int(tally.timeline.begin[interval]))
         raster.set_band_description(band, about)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,6 +26,7 @@ from gis_radar.progress import QUIET, Reporter
 
 LANES, STOP_LINES = "lanes", "stop_lines"
 TOUCH_M = 0.05  # between the ends of lanelets that follow each other: drawn twice, to the digit
+SHAPE_M = 0.01  # of lines as drawn: far below a pixel, and a tenth of the points
 EXIT_M = 5.0  # the last metres of a lane tell where it leads to: it may turn
 STRAIGHT_RAD = math.radians(35.0)  # turns of the sample and four public maps: 57 degrees or more
 BACK_RAD = math.radians(150.0)
@@ -119,6 +121,11 @@ def lane_chains(lanelets: gpd.GeoDataFrame) -> list[tuple[int, ...]]:
     return chain_lanelets(
         table["lanelet_id"].to_numpy(np.int64), *_ends_of(table), list(table["successors"])
     )
+
+
+def lane_style(layer: str) -> str:
+    """Return the QGIS style of the layer of lanes or of stop lines as QML."""
+    return (files("gis_radar.lanelets") / f"{layer}.qml").read_text(encoding="utf-8")
 
 
 def _by_id(lanelets: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
@@ -233,7 +240,8 @@ def _centre_line(parts: list[shapely.LineString]) -> shapely.LineString:
     """Join centre lines that follow each other, in the plane."""
     points = np.concatenate([shapely.get_coordinates(part) for part in parts])
     apart = np.append(True, np.hypot(*np.diff(points, axis=0).T) > 1e-6)
-    return shapely.LineString(points[apart] if apart.sum() > 1 else points)
+    line = shapely.LineString(points[apart] if apart.sum() > 1 else points)
+    return shapely.simplify(line, SHAPE_M)
 
 
 def _exit_of(line: shapely.LineString) -> tuple[float, float]:

@@ -19,7 +19,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from gis_radar.arrays import Integers
-from gis_radar.errors import InputError
+from gis_radar.errors import InputError, UsageError
 from gis_radar.files import whole_folder
 from gis_radar.notebooks import card
 from gis_radar.occupancy.frame_log import COLUMNS, FILE, FRAME_LOG, merge_frame_logs
@@ -242,13 +242,16 @@ def _typed(table: pd.DataFrame) -> pd.DataFrame:
     return table.astype({n: str if n in ("sensor", "view") else np.int64 for n in table.columns})
 
 
-def read_occupancy(folder: str | Path, *, reporter: Reporter = QUIET) -> Occupancy:
-    """Open an occupancy folder; its hits stay on disk.
+def read_occupancy(
+    folder: str | Path | Sequence[str | Path], *, reporter: Reporter = QUIET
+) -> Occupancy:
+    """Open an occupancy folder, or several as one; hits stay on disk.
 
     Parameters
     ----------
-    folder : str or Path
-        As made by :func:`gis_radar.measure_occupancy`.
+    folder : str or Path, or a sequence of them
+        As made by :func:`gis_radar.measure_occupancy`; several are merged, as
+        :func:`gis_radar.merge_occupancies` does.
     reporter : Reporter
         Receives a warning where the folder was made by older rules.
 
@@ -258,6 +261,10 @@ def read_occupancy(folder: str | Path, *, reporter: Reporter = QUIET) -> Occupan
         If a file is missing, damaged, or made from other tiles than the rest, or the folder follows
         rules that are not known here.
     """
+    if not isinstance(folder, str | Path):
+        if not folder:
+            raise UsageError("there is no occupancy folder to read")
+        return merge_occupancies([read_occupancy(each, reporter=reporter) for each in folder])
     folder = Path(folder)
     manifest = _read_manifest(folder)
     fingerprint, rules = manifest["fingerprint"], manifest["rules"]

@@ -20,6 +20,7 @@ from gis_radar.errors import OutputError, UsageError
 from gis_radar.geopackage import opened_package, read_styles
 from gis_radar.heatmap import style
 from gis_radar.heatmap.step_table import LONG, TIMES, WIDE
+from gis_radar.lanelets.lanes import LANES, STOP_LINES, lane_style
 from gis_radar.languages import LANGUAGES
 from gis_radar.occupancy import read_occupancy
 from gis_radar.occupancy.views import sight_of_views
@@ -53,6 +54,7 @@ def write_qgis_project(
     heatmap: str | Path,
     sensors: str | Path | None = None,
     sight: str | Path | None = None,
+    lanes: str | Path | None = None,
     footprints: str | Path | None = None,
     title: str = "",
     time_zone: str = "UTC",
@@ -73,6 +75,8 @@ def write_qgis_project(
         GeoPackage of :func:`gis_radar.write_sensors`.
     sight : str or Path, optional
         GeoPackage of :func:`gis_radar.write_sights`: what the sensors see, off at first.
+    lanes : str or Path, optional
+        GeoPackage with the layers `lanes` and `stop_lines`, as of :func:`gis_radar.write_tiles`.
     footprints : str or Path, optional
         GeoPackage of :func:`gis_radar.write_footprints`: the project then plays single vehicles,
         half second by half second.
@@ -112,6 +116,8 @@ def write_qgis_project(
     if sight is not None:
         qml = files("gis_radar.sight").joinpath("sight.qml").read_text(encoding="utf-8")
         layers["gis_radar_sight"] = LayerSource(Path(sight).resolve(), qml, SIGHT_LAYER)
+    if lanes is not None:
+        layers |= _lane_layers(Path(lanes).resolve())
     if footprints is not None:
         layers["gis_radar_footprints"] = LayerSource(
             Path(footprints).resolve(), footprint_style(), FOOTPRINTS
@@ -176,12 +182,26 @@ def write_site_project(
         reporter.log(
             f"site.qgz was edited and stays as it is; the new project is {project.name}", "warning"
         )
+    tiles = folder / "tiles.gpkg"
     write_qgis_project(
         project, heatmap=folder / "heatmap", sensors=sensors, sight=sight, footprints=vehicles,
+        lanes=tiles if _lane_layers(tiles.resolve()) else None,
         title=title or folder.resolve().name, time_zone=time_zone, source=source,
         language=language,
     )  # fmt: skip
     return [path for path in (sensors, sight, vehicles, project) if path is not None]
+
+
+def _lane_layers(path: Path) -> dict[str, LayerSource]:
+    """Return the layers of lanes of a file of tiles; none where an older version wrote it."""
+    if not path.is_file():
+        return {}
+    there = {str(name) for name, _ in pyogrio.list_layers(path)}
+    return {
+        f"gis_radar_{table}": LayerSource(path, lane_style(table), table)
+        for table in (LANES, STOP_LINES)
+        if table in there
+    }
 
 
 def _write_sight(folder: Path) -> Path | None:

@@ -92,12 +92,14 @@ _LABELLED = {"category", "range", "rule", "item"}  # classes of a legend, of vec
 
 
 def _translate(root: Element, language: str) -> None:
-    """Put names of layers and groups, labels of classes and dates in a language."""
+    """Put names of layers and fields, labels of classes and dates in a language."""
     for element in root.iter():
         if element.tag in _NAMED and "name" in element.attrib:
             element.set("name", translated(element.attrib["name"], language))
         elif element.tag == "layername":
             element.text = translated(element.text or "", language)
+        elif element.tag == "alias":
+            element.set("name", translated(element.get("name", ""), language))
         elif element.tag in _LABELLED and element.get("label"):
             element.set("label", class_label(element.attrib["label"], language))
     clock = root.find("properties/TitleLabel/Label")

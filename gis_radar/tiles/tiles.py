@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import sqlite3
 from collections import Counter
 from collections.abc import Collection
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +21,10 @@ from gis_radar.arrays import Floats
 from gis_radar.crs import metric_crs, name_of
 from gis_radar.errors import InputError, UsageError
 from gis_radar.files import whole_file
-from gis_radar.geopackage import GPKG_VERSION, opened_package
+from gis_radar.geopackage import GPKG_VERSION, add_styles, opened_package
 from gis_radar.lanelets import LaneletMap
 from gis_radar.lanelets.bounds import CannotMendError, slices, sound_rungs
-from gis_radar.lanelets.lanes import LANES, STOP_LINES, lane_numbers
+from gis_radar.lanelets.lanes import LANES, STOP_LINES, lane_numbers, lane_style
 from gis_radar.lanelets.mending import outline
 from gis_radar.lanelets.tagging import ON_FOOT_OR_BICYCLE
 from gis_radar.progress import QUIET, Reporter
@@ -210,6 +212,9 @@ def write_tiles(
                 append=part.exists(), dataset_options={"VERSION": GPKG_VERSION},
                 layer_metadata=seal if layer == LAYER else None,
             )  # fmt: skip
+        styles = {name: (lane_style(name), "") for name, _, _ in layers[2:]}
+        with closing(sqlite3.connect(part)) as database, database:
+            add_styles(database, styles, name="lanes", about="lanes by number, and stop lines")
 
 
 def read_tiles(path: str | Path) -> gpd.GeoDataFrame:

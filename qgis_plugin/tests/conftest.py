@@ -43,6 +43,7 @@ def project(site, tmp_path_factory):
     place = tmp_path_factory.mktemp("project")
     folder = shutil.copytree(site, place / "moved")
     worker("qgis", folder / "heatmap", "--sensors", folder / "sensors.gpkg",
+           "--lanes", folder / "tiles.gpkg",
            "--title", "Sample", "--timezone", "Europe/Berlin", "--source", "City",
            "-o", folder / "site.qgz")  # fmt: skip
     there = place / "and moved again"

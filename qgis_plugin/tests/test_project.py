@@ -14,6 +14,7 @@ from qgis.core import (
     QgsLayoutItemMap,
     QgsLayoutItemPicture,
     QgsLayoutItemScaleBar,
+    QgsMapRendererParallelJob,
     QgsMapRendererSequentialJob,
     QgsMapSettings,
     QgsProject,
@@ -32,7 +33,7 @@ def test_the_project_of_a_run_opens(qgis_new_project, project):
     assert shown.read(str(project))
     layers = {layer.name(): layer for layer in shown.mapLayers().values()}
     assert set(layers) == {
-        "Sensors", "Uncertainty (95 %)", "Views",
+        "Sensors", "Uncertainty (95 %)", "Views", "Lanes", "Stop lines",
         "Coverage by interval", "Coverage, whole time", "Coverage, raster",
         "Road, not observed",
     }  # fmt: skip
@@ -42,11 +43,13 @@ def test_the_project_of_a_run_opens(qgis_new_project, project):
     tree = shown.layerTreeRoot()
     assert [group.name() for group in tree.findGroups()] == [
         "Sensors",
+        "Road",
         "Coverage",
     ]
     on = {node.name() for node in tree.findLayers() if node.isVisible()}
     assert on == {
-        "Sensors", "Uncertainty (95 %)", "Views", "Coverage by interval", "Road, not observed",
+        "Sensors", "Uncertainty (95 %)", "Views", "Lanes", "Stop lines", "Coverage by interval",
+        "Road, not observed",
     }  # fmt: skip
     assert all(node.layer() is not None for node in tree.findLayers())
 
@@ -79,7 +82,8 @@ def test_the_project_prints_at_once(qgis_new_project, project, tmp_path):
     items = {type(item): item for item in layout.items()}
     chart, legend = items[QgsLayoutItemMap], items[QgsLayoutItemLegend]
     assert {layer.name() for layer in chart.layers()} == {
-        "Sensors", "Uncertainty (95 %)", "Views", "Coverage, whole time", "Road, not observed",
+        "Sensors", "Uncertainty (95 %)", "Views", "Lanes", "Stop lines", "Coverage, whole time",
+        "Road, not observed",
     }  # fmt: skip
     assert chart.extent().contains(690400.0, 5336200.0)
     assert 100.0 < chart.scale() < 5000.0
@@ -171,3 +175,33 @@ def test_vehicles_and_coverage_move_with_the_time(qgis_new_project, site):
     assert light & colours(frame(40, [moving]))
     same, later = (frame(seconds, [map_of_interval]) for seconds in (39.5, 40))
     assert same == frame(25, [map_of_interval]) != later  # the map changes with its interval
+
+
+def test_every_lane_shows_its_number_and_no_two_collide(qgis_new_project, project):
+    shown = QgsProject.instance()
+    assert shown.read(str(project))
+    layer = layer_called("Lanes")
+    assert layer.fields().field("turn").alias() == "Turns"
+    assert "street" in layer.mapTipTemplate()
+    for scale in (1.0, 0.4):
+        settings = QgsMapSettings()
+        settings.setLayers([node.layer() for node in shown.layerTreeRoot().findLayers()
+                            if node.isVisible() and "interval" not in node.name()])  # fmt: skip
+        settings.setDestinationCrs(shown.crs())
+        settings.setOutputSize(QSize(1400, 1200))
+        box = layer.extent()
+        box.scale(1.05 * scale)
+        settings.setExtent(box)
+        job = QgsMapRendererParallelJob(settings)
+        job.start()
+        job.waitForFinished()
+        labels = [
+            label for label in job.takeLabelingResults().allLabels()
+            if label.layerID == layer.id() and not label.isUnplaced
+        ]  # fmt: skip
+        request = QgsFeatureRequest().setFilterRect(settings.visibleExtent())
+        there = {str(feature["lane"]) for feature in layer.getFeatures(request)}
+        assert {label.labelText for label in labels} == there
+        shapes = [label.labelGeometry for label in labels]
+        pairs = ((a, b) for k, a in enumerate(shapes) for b in shapes[k + 1 :])
+        assert not any(a.intersects(b) and a.intersection(b).area() > 0.001 for a, b in pairs)

@@ -1,0 +1,109 @@
+"""Sum a heat map by lane."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+
+from gis_radar.arrays import Floats, Integers
+from gis_radar.heatmap.counting import Tally
+from gis_radar.heatmap.intervals import When
+from gis_radar.tiles.lanes import lanes_of
+from gis_radar.tiles.tiles import LANE
+
+BEGIN = "begin"
+
+
+def table_by_lane(
+    tally: Tally,
+    interval: When = None,
+    *,
+    begin: Any = None,
+    end: Any = None,
+    each: bool = False,
+    lanes: gpd.GeoDataFrame | None = None,
+) -> pd.DataFrame | gpd.GeoDataFrame:
+    """Return coverage and occupancy of each lane.
+
+    Parameters
+    ----------
+    interval : int, slice, str or datetime, optional
+        Which interval, as for :meth:`shares`; without it the whole time.
+    begin, end : str or datetime, optional
+        The intervals between these times, in place of one.
+    each : bool
+        Whether each of the intervals has its own rows, or all are one.
+    lanes : GeoDataFrame, optional
+        From :func:`gis_radar.lanes`: its columns and lines come along.
+
+    Returns
+    -------
+    DataFrame, or GeoDataFrame with lanes
+        By `lane`, its number; with `each` by `begin` (the interval's, in the site's time zone) and
+        `lane`. `length_m` of its tiles; `seen_m`, of those with a share. Where vehicles are known
+        `visible_s` and `covered_s`, seconds, the mean of its tiles; `coverage`, their quotient, NaN
+        where not visible, and its standard error `coverage_se`: the mean of its tiles', by visible
+        time, as a vehicle that was missed, or is none, is so all along a lane. `observed_s`,
+        `occupied_s` and `occupancy`: the same of hits, for which no error is known.
+    """
+    tiled = lanes_of(tally.tiles)
+    lane_of_tile = np.empty(len(tally.tiles), np.int64)
+    for number, lane in enumerate(tiled):
+        lane_of_tile[lane.rows] = number
+    index = pd.Index([lane.number for lane in tiled], name=LANE)
+    chosen = tally.chosen(interval, begin=begin, end=end)
+    if not each:
+        table = _sums(tally, chosen, lane_of_tile, index)
+    else:
+        part = slice(None) if chosen is None else chosen
+        rows = range(len(tally.timeline))[part] if isinstance(part, slice) else [part]
+        table = pd.concat(
+            [_sums(tally, row, lane_of_tile, index) for row in rows],
+            keys=tally.times[list(rows)],
+            names=[BEGIN],
+        )
+    if lanes is None:
+        return table
+    known = lanes.set_index(LANE)
+    known = known[[name for name in known.columns if name not in table.columns]]
+    return gpd.GeoDataFrame(table.join(known, on=LANE), geometry=known.geometry.name, crs=lanes.crs)
+
+
+def _sums(
+    tally: Tally, interval: int | slice | None, lane_of_tile: Integers, index: pd.Index
+) -> pd.DataFrame:
+    """Return one row a lane."""
+
+    def total(values: Floats) -> Floats:
+        sums = np.bincount(lane_of_tile, np.nan_to_num(values), len(index))
+        return np.asarray(sums, np.float64)
+
+    count = total(np.ones(len(lane_of_tile)))
+    length_m = tally.tiles["length_m"].to_numpy(np.float64)
+    hits, known = tally.shares(interval), tally.coverage_shares(interval)
+    shown_s = hits.observed_s if known is None else known.visible_s
+    columns = {"length_m": total(length_m), "seen_m": total(np.where(shown_s > 0, length_m, 0.0))}
+    if known is not None:
+        visible_s, covered_s = total(known.visible_s), total(known.covered_s)
+        error_s = total(known.coverage_se * known.visible_s)
+        columns |= {
+            "visible_s": visible_s / count,
+            "covered_s": np.where(visible_s > 0, covered_s / count, np.nan),
+            "coverage": _share(covered_s, visible_s),
+            "coverage_se": _share(error_s, visible_s),
+        }
+    observed_s, occupied_s = total(hits.observed_s), total(hits.occupied_s)
+    columns |= {
+        "observed_s": observed_s / count,
+        "occupied_s": np.where(observed_s > 0, occupied_s / count, np.nan),
+        "occupancy": _share(occupied_s, observed_s),
+    }
+    return pd.DataFrame(columns, index=index)
+
+
+def _share(part: Floats, whole: Floats) -> Floats:
+    share: Floats = np.divide(part, whole, out=np.full(len(whole), np.nan), where=whole > 0)
+    return share
