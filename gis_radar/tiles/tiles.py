@@ -213,8 +213,9 @@ def write_tiles(
                 layer_metadata=seal if layer == LAYER else None,
             )  # fmt: skip
         styles = {name: (lane_style(name), "") for name, _, _ in layers[2:]}
-        with closing(sqlite3.connect(part)) as database, database:
-            add_styles(database, styles, name="lanes", about="lanes by number, and stop lines")
+        if styles:
+            with closing(sqlite3.connect(part)) as database, database:
+                add_styles(database, styles, name="lanes", about="lanes by number, and stop lines")
 
 
 def read_tiles(path: str | Path) -> gpd.GeoDataFrame:
