@@ -249,7 +249,7 @@ def is_person(echoes: Echoes, motions: list[Motion], every: VehicleSettings) -> 
 
     What vehicles return is taken from those that drive fast in the same recordings, since radars
     state cross sections on scales of their own. What stands returns about as much: who is far
-    weaker is no vehicle, and where nobody drives fast that alone decides.
+    weaker than that is none of them, and where nobody else drives fast is a person.
     """
     settings = every.bodies
     rcs = np.array([usual_rcs(echoes.rcs[each.rows]) for each in motions])

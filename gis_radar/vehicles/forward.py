@@ -190,12 +190,14 @@ def _follow(
         now = seen[i, 6]
         if i == 0 or now > seen[i - 1, 6]:
             _go_on(i, past, bodies, counts, now, limits, lanes, field)
+        if abs(seen[i, 2]) < limits[MOVING]:
+            continue
         chosen = _choose(seen[i], bodies, counts[ALIVE], limits)
         if chosen >= 0:
             number[i] = int(bodies[chosen, NUMBER])
             best = _correct_branches(i, chosen, bodies, counts, seen[i], limits, kept)
             state[i], branch[i] = bodies[best, : REAR + 1], int(bodies[best, BRANCH])
-        elif abs(seen[i, 2]) >= limits[MOVING]:
+        else:
             before = counts[ALIVE]
             begun = begin(i, seen[i], limits, bodies, waiting, counts, born, lanes, field)
             if begun == 0:
@@ -372,8 +374,6 @@ def _misfit(echo: Floats, body: Floats, limits: Floats) -> float:  # pragma: no 
     beside = max(abs(w) - WIDE_M, 0.0)
     cos = c * echo[3] + s * echo[4]
     expected = body[SPEED] * cos
-    if abs(rate) < limits[MOVING]:
-        return np.inf
     gap = abs(rate - expected)
     noise = np.sqrt(limits[RATE] ** 2 + body[VAR_V] * cos * cos)
     side = limits[ACROSS] + limits[AZIMUTH] * echo[5] + np.sqrt(min(body[VAR_D], 1.0))

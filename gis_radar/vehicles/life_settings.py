@@ -159,9 +159,12 @@ class LifeSettings:
         Half the width of a vehicle with the error of its place.
     away_m, empty_s, search_s, own_share : float, float, float, float
         Where a vehicle comes to rest or sets off is empty so long before it is nearer, or after it
-        is farther, than that beyond its length: the nearest such seconds within a cycle of signals.
+        is farther, than that beyond its length: the nearest such seconds within what blocks hold
+        around their span.
         What is detected there then is not of it, and such a share of what is while it stands has to
         be.
+    apart_s : float
+        Who drove over a place was there so long before the next one came to it.
     weaker_db : float
         What stands returns at most so much less than vehicles that drive.
     near_m, same_share : float
@@ -183,8 +186,9 @@ class LifeSettings:
     left_m: float = 1.1
     away_m: float = 2.0
     empty_s: float = 3.0
-    search_s: float = 90.0
+    search_s: float = 60.0
     own_share: float = 0.5
+    apart_s: float = 1.0
     weaker_db: float = 6.0
     near_m: float = 15.0
     same_share: float = 0.4

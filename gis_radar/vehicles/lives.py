@@ -156,7 +156,7 @@ def _at_drives(
         places, _ = motion.path.at(s_m)
         stayed = np.ptp(s_m) < settings.lives.away_m
         if stayed:
-            lost = sweeps.after(places[0], float(time[k])) < time[k + 1] - 1.0
+            lost = sweeps.after(places[0], float(time[k])) < time[k + 1] - settings.lives.apart_s
         else:
             lost = time[k + 1] - time[k] > settings.standing.silence_s
         if lost:

@@ -19,7 +19,7 @@ from gis_radar.vehicles.routes import route_of
 from gis_radar.vehicles.settings import PieceSettings, VehicleSettings
 from gis_radar.vehicles.tables import TRACKS, VEHICLES
 
-WAY_RAD = np.pi / 9.0
+WAY_RAD = np.pi / 9.0  # lanes within it show the same side of a pose
 BEND_M, BEND_RAD = 5.0, 0.1  # who turns is where it suits
 LEAST_ROWS = 5  # detections of a vehicle on a lane, of which the median tells its side
 SURE = 4.0  # sigma of a shift that is named: of hundreds of sensors hardly one is blamed wrongly
