@@ -143,12 +143,11 @@ def _still_inside(
     if len(row) == 0:
         return found
     # what hangs above the lane is no vehicle: by the median height of each episode
-    built = _built(place, echoes.sensor[row], found.time, sweeps.fast, settings)
     height = np.nan_to_num(echoes.height_m[row])
     rank = np.lexsort((height, found.episode))
     bounds = np.searchsorted(found.episode[rank], np.arange(found.episode.max() + 2))
     median = height[rank][(bounds[:-1] + bounds[1:]) // 2]
-    return found.take((median[found.episode] < settings.high_m) & ~built)
+    return found.take(median[found.episode] < settings.high_m)
 
 
 def not_built(
