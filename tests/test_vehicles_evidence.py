@@ -317,6 +317,31 @@ def test_a_follower_that_takes_the_place_is_not_of_the_road():
     assert whole.first_step / RATE < 1.0
 
 
+@pytest.mark.parametrize(("crosses_m", "since"), [(2.0, 20.0), (None, 0.0)])
+def test_nobody_stood_where_another_crossed_the_place_of_its_front(crosses_m, since):
+    """One of 8 m sets off at 40 s; across the lane another drives 2 m ahead of its middle."""
+    echoes, drives = setting_off(fixed=False)
+    states = np.zeros((len(echoes), 6))
+    states[:, 0], states[:, 3] = echoes.points[:, 0], echoes.range_rate
+    motion = replace(fit_motion(echoes, drives, states, MotionSettings()), length_m=8.0)
+    free = np.abs(echoes.range_rate) < 0.15
+    free[drives] = False
+    over = []
+    if crosses_m is not None:
+        time = 18.0 + np.arange(40.0) / RATE
+        front = motion.places[0][0, 0] + crosses_m
+        across = np.column_stack([np.full(40, front), 12.0 * (time - 19.0)])
+        way = np.zeros((40, 6))
+        way[:, :2], way[:, 2], way[:, 3] = across, 0.5 * np.pi, 12.0
+        seen_across = echoes_at(time, across)
+        other = fit_motion(seen_across, np.arange(40), way, MotionSettings())
+        over = [replace(other, rows=np.flatnonzero((echoes.time > 17.9) & (echoes.time < 20.1)))]
+    sweeps = Sweeps.of(over, echoes, Strips.of(road_of(1)), StandingSettings())
+    seen = Detectability.learned(echoes, [], DetectabilitySettings())
+    whole = with_rest(0, motion, echoes, free, states, sweeps, seen, VehicleSettings())
+    assert since - 2.0 < whole.first_step / RATE < since + 2.0
+
+
 def lasting(x, seconds, rows, begin=0.0, left_m=0.0):
     """Return a vehicle that drives eastward from x at 10 m/s, with so many detections."""
     count = int(seconds * RATE)

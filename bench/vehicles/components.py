@@ -89,10 +89,9 @@ def _no_look_back(
     """Leave filtered states as they are."""
 
 
-def _swept_without(*names: str) -> Any:
-    """Return a maker of sweeps that lacks some of its tables."""
+def _swept_without(**none: Any) -> Any:
+    """Return a maker of sweeps of which some parts hold nothing."""
     made = Sweeps.of
-    none: dict[str, Any] = {name: {} for name in names}
     return classmethod(lambda _, *given: replace(made(*given), **none))
 
 
@@ -124,13 +123,13 @@ COMPONENTS: Mapping[str, Off] = {
     "standing vehicles on lanes": Off(replaced={"lives:find_stands": lambda *_: []}),
     "those that never move": Off(replaced={"lives:_standing_only": lambda *_: None}),
     "order in the lane: driven over": Off(
-        replaced={"sweeps:Sweeps.of": _swept_without("times")}
+        replaced={"sweeps:Sweeps.of": _swept_without(times={}, near_m=-1.0)}
     ),
     "order in the lane: room in a queue": Off(
         settings={"standing.gap_m": 0.0, "standing.easy_m": 0.0, "standing.tight": 0.0}
     ),
     "order in the lane: standing as before": Off(settings={"standing.stick": 0.0}),
-    "built into the road": Off(replaced={"sweeps:Sweeps.of": _swept_without("fast")}),
+    "built into the road": Off(replaced={"sweeps:Sweeps.of": _swept_without(fast={})}),
     "hanging above the road": Off(settings={"standing.high_m": FAR}),
     "inside of the lane only": Off(settings={"standing.inside_m": 0.0}),
     "standing as often seen as others": Off(settings={"standing.rate_share": 0.0}),

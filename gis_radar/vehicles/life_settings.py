@@ -49,9 +49,11 @@ class StandingSettings:
         detection of all stood before, or stands on.
     slice_s : float
         So often it is asked which vehicles stand.
-    sweep_mps, sweep_seen_s, sweep_edge_m : float
+    sweep_mps, sweep_seen_s, sweep_near_m : float
         Who drives over a place is so fast at least, was seen so shortly before or after, and its
-        middle lies so far inside of the lane.
+        middle comes so near to the place, or to the middle of the lane: half the width of two cars
+        and the error of where they are; 0.7 and 1.3 m change the shares of time of towns by less
+        than 0.3 %.
     fast_mps, after_s : float, (float, float)
         So soon before and after one drives over a place so fast, nobody stands there.
     least_built, built_share : int, float
@@ -88,7 +90,7 @@ class StandingSettings:
     slice_s: float = 1.0
     sweep_mps: float = 1.5
     sweep_seen_s: float = 0.75
-    sweep_edge_m: float = 0.3
+    sweep_near_m: float = 1.0
     fast_mps: float = 4.0
     after_s: tuple[float, float] = (0.7, 2.5)
     least_built: int = 2

@@ -13,6 +13,8 @@ from gis_radar.vehicles.motion import Motion, fit_motion
 from gis_radar.vehicles.settings import VehicleSettings
 from gis_radar.vehicles.sweeps import Sweeps
 
+END_M = 1.0  # by which an end of a vehicle may be off
+
 
 def with_rest(
     number: int, motion: Motion, echoes: Echoes, free: Booleans, states: Floats, sweeps: Sweeps,
@@ -35,9 +37,9 @@ def with_rest(
     ends = (motion.first_step + slow[[0, -1]]) / STEPS_PER_SECOND
     last = len(motion.speed) - 1
     if slow[0] == 0:
-        ends[0] = sweeps.before(place[0], float(ends[0]))
+        ends[0] = sweeps.before(_inner(motion, 0), float(ends[0]))
     if slow[-1] == last:
-        ends[1] = sweeps.after(place[-1], float(ends[1]))
+        ends[1] = sweeps.after(_inner(motion, -1), float(ends[1]))
     rows = _in_span(echoes, free, ends)
     reach = 3.0 * _half_m(motion) + np.ptp(place[slow], axis=0)
     rows = rows[(np.abs(echoes.points[rows] - place[slow].mean(axis=0)) < reach).all(axis=1)]
@@ -66,6 +68,14 @@ def with_rest(
     free[rows] = False
     states[rows, :2], states[rows, 2], states[rows, 3] = place[step], heading[step], 0.0
     return fit_motion(echoes, np.concatenate([motion.rows, rows]), states, settings.motion)
+
+
+def _inner(motion: Motion, at: int) -> Floats:
+    """Return points (k, 2) along the middle of a vehicle at a step, a metre inside of its ends."""
+    place, heading = (each[at] for each in motion.places)
+    half = max(0.5 * motion.length_m - END_M, 0.0)
+    way = np.array([np.cos(heading), np.sin(heading)])
+    return np.asarray(place + np.linspace(-half, half, 2 * int(half) + 1)[:, None] * way)
 
 
 def _half_m(motion: Motion) -> float:

@@ -75,8 +75,11 @@ class Strips:
             strip += 1
         return cls(graph=graph, number=number, start_m=start)
 
-    def lay(self, points: Floats) -> OnStrips:
-        """Lay points (n, 2) onto strips: each onto the longest one that it is well inside of."""
+    def lay(self, points: Floats, near_m: float | None = None) -> OnStrips:
+        """Lay points (n, 2) onto strips: each onto the longest one that it is well inside of.
+
+        With a distance, onto every strip that is so near.
+        """
         table = self.graph.field.lanes(points)
         lane, point = table["lane"].to_numpy(), table["point"].to_numpy()
         edge = (table["half_width_m"] - table["d_m"].abs()).to_numpy()
@@ -84,7 +87,9 @@ class Strips:
         np.maximum.at(length, self.number, self.start_m + self.graph.length_m)
         rank = np.minimum(edge, ROOM_M) * 1e4 + length[self.number[lane]]
         order = np.lexsort((-rank, point))
-        if len(order):
+        if near_m is not None:
+            order = order[(table["d_m"].abs().to_numpy() < near_m)[order]]
+        elif len(order):
             order = order[np.concatenate([[True], np.diff(point[order]) != 0])]
         return OnStrips(
             row=point[order], strip=self.number[lane[order]],

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from gis_radar.arrays import Floats, nearest
 from gis_radar.steps import STEPS_PER_SECOND
@@ -19,12 +20,16 @@ CELLS = 100_000  # of a strip, more than the longest has
 
 @dataclass(frozen=True, kw_only=True)
 class Sweeps:
-    """When vehicles drove over half-metre cells of strips.
+    """When vehicles drove over half-metre cells of strips, and over any place.
 
     Parameters
     ----------
     strips : Strips
         The strips.
+    tree, when : cKDTree, (n,) array
+        Places (n, 2) of the middles of vehicles that drive, and UNIX seconds.
+    near_m : float
+        A middle so near drives over a place.
     times : dict
         By cell, ascending UNIX seconds.
     cell_m : float
@@ -34,6 +39,9 @@ class Sweeps:
     """
 
     strips: Strips
+    tree: cKDTree
+    when: Floats
+    near_m: float
     times: dict[int, Floats]
     cell_m: float
     fast: dict[int, Floats]
@@ -45,50 +53,49 @@ class Sweeps:
         """Take the middles of vehicles that drive, while they are seen."""
         places, when, pace = [np.zeros((0, 2))], [np.zeros(0)], [np.zeros(0)]
         for motion in motions:
-            every = np.arange(0, len(motion.s_m), 2)
-            time = (motion.first_step + every) / STEPS_PER_SECOND
+            time = (motion.first_step + np.arange(len(motion.s_m))) / STEPS_PER_SECOND
             seen = echoes.time[motion.rows]
             near = np.abs(time - seen[nearest(seen, time)])
-            drives = (motion.speed[every] > settings.sweep_mps) & (near < settings.sweep_seen_s)
+            drives = (motion.speed > settings.sweep_mps) & (near < settings.sweep_seen_s)
             if drives.sum() >= 3:
-                places.append(motion.places[0][every[drives]])
+                places.append(motion.places[0][drives])
                 when.append(time[drives])
-                pace.append(motion.speed[every[drives]])
-        at = strips.lay(np.vstack(places))
+                pace.append(motion.speed[drives])
+        every = np.concatenate(when)
+        at = strips.lay(np.vstack(places), settings.sweep_near_m)
         cell_m = 2.0 * settings.cell_m
         times: dict[int, list[float]] = {}
         fast: dict[int, list[float]] = {}
-        inside = at.edge_m > settings.sweep_edge_m
-        rows = at.row[inside]
         for strip, s, moment, speed in zip(
-            at.strip[inside].tolist(), at.s_m[inside].tolist(),
-            np.concatenate(when)[rows].tolist(), np.concatenate(pace)[rows].tolist(), strict=True,
+            at.strip.tolist(), at.s_m.tolist(), every[at.row].tolist(),
+            np.concatenate(pace)[at.row].tolist(), strict=True,
         ):  # fmt: skip
             for cell in range(int((s - 0.5) / cell_m), int((s + 0.5) / cell_m) + 1):
                 times.setdefault(strip * CELLS + cell, []).append(moment)
                 if speed > settings.fast_mps:
                     fast.setdefault(strip * CELLS + cell, []).append(moment)
-        return cls(strips=strips, times=_sorted(times), cell_m=cell_m, fast=_sorted(fast))
+        return cls(
+            strips=strips, tree=cKDTree(np.vstack(places)), when=every,
+            near_m=settings.sweep_near_m, times=_sorted(times), cell_m=cell_m, fast=_sorted(fast),
+        )  # fmt: skip
 
-    def after(self, place: Floats, time: float) -> float:
-        """Return when a place is driven over next, a second after a time at the soonest."""
-        known = self._over(place)
+    def after(self, body: Floats, time: float) -> float:
+        """Return when points of a body, (k, 2), are driven over next, from a second later on."""
+        known = self._over(body)
         k = int(np.searchsorted(known, time + 1.0))
         return float(known[k]) if k < len(known) else np.inf
 
-    def before(self, place: Floats, time: float) -> float:
-        """Return when a place was driven over last, a second before a time at the latest."""
-        known = self._over(place)
+    def before(self, body: Floats, time: float) -> float:
+        """Return when points of a body were driven over last, a second before at the latest."""
+        known = self._over(body)
         k = int(np.searchsorted(known, time - 1.0)) - 1
         return float(known[k]) if k >= 0 else -np.inf
 
-    def _over(self, place: Floats) -> Floats:
-        """Return when a place is driven over."""
-        at = self.strips.lay(place[None])
-        if len(at.row) == 0:
-            return np.zeros(0)
-        cell = int(at.strip[0]) * CELLS + int(at.s_m[0] / self.cell_m)
-        return self.times.get(cell, np.zeros(0))
+    def _over(self, body: Floats) -> Floats:
+        """Return when points are driven over."""
+        near = self.tree.query_ball_point(np.atleast_2d(body), self.near_m)
+        rows = np.unique(np.concatenate([np.zeros(0), *near])).astype(np.int64)
+        return np.sort(self.when[rows])
 
 
 def _sorted(times: dict[int, list[float]]) -> dict[int, Floats]:
