@@ -45,6 +45,7 @@ from .sight import (
     report_uncovered,
     write_sights,
 )
+from .site.check import SiteCheck, check_site
 from .site.run import SiteRun, run_site
 from .site.settings import Site, read_site, site_template
 from .tiles import (
@@ -89,6 +90,7 @@ __all__ = [
     "SightScan",
     "SightTiles",
     "Site",
+    "SiteCheck",
     "SiteRun",
     "TileGrid",
     "TileTree",
@@ -97,6 +99,7 @@ __all__ = [
     "UsageError",
     "Vehicles",
     "View",
+    "check_site",
     "convert",
     "draw_localization",
     "draw_second_look",

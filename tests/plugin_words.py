@@ -9,8 +9,8 @@ from gis_radar.heatmap import style
 FOLDER = Path(__file__).parents[1] / "qgis_plugin" / "gis_radar_plugin"
 PACKAGE = Path(__file__).parents[1] / "gis_radar"
 CATALOGUES = PACKAGE / "languages"
-CLASS_TEXTS = ("TITLE", "HELP")
-CONSTANTS = ("SITE", "TRAFFIC", "RESULTS", "SET_UP", "CRS_HELP", "ORIGIN_HELP")
+CLASS_TEXTS = ("TITLE", "SUBTITLE", "HELP")
+CONSTANTS = ("SITE", "TRAFFIC", "RESULTS", "SET_UP", "CRS_HELP", "ORIGIN_HELP", "WINDS")
 
 
 def texts():

@@ -22,7 +22,7 @@ for verb in (
     *(recordings.convert, recordings.occupancy, recordings.vehicles),
     *(recordings.clocks, recordings.quality),
     *(poses.localize, poses.track, poses.sensors, poses.sight),
-    *(sites.run, sites.report, sites.qgis, sites.sample, sites.demo),
+    *(sites.run, sites.check, sites.report, sites.qgis, sites.sample, sites.demo),
 ):
     group.add_command(verb)
 

@@ -42,6 +42,17 @@ def run(*, site: Path, output: Path, reporter: Reporter, **options: Any) -> Resu
     return Result(outputs=done.outputs, summary=done.figures(), failure=done.failure)
 
 
+@command(example="gis-radar check SITE.toml")
+@click.argument("site", metavar="SITE.toml", type=FILE)
+def check(*, site: Path, reporter: Reporter) -> Result:
+    """Check a site before its run: its file, and whether map, scans and recordings fit together.
+
+    Shows from when to when each sensor recorded, and the view that its detections show.
+    """
+    found = gr.check_site(site, reporter=reporter)
+    return Result(outputs=[], summary=found.figures())
+
+
 @command(example="gis-radar report results --timezone Europe/Berlin")
 @click.argument("folder", metavar="DIR", type=FILE)
 @click.option("-o", "--output", type=FILE, help="Where the report goes; by default into DIR.")

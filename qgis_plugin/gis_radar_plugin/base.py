@@ -19,7 +19,7 @@ from qgis.PyQt.QtGui import QIcon
 
 from .claims import claimed
 from .runner import Answer, CancelledError, Listener, WorkerError, run_worker
-from .words import tr
+from .words import speaks_german, tr
 from .worker import find_python, plugin_version, same_series, worker_version
 
 PROVIDER = "gisradar"
@@ -241,10 +241,11 @@ def readable(value: Any) -> str:
     if isinstance(value, dict):
         return ", ".join(f"{tr(k.replace('_', ' '))} {readable(v)}" for k, v in value.items())
     if isinstance(value, float):
-        return f"{value:.4g}" if abs(value) < 1000 else f"{value:.2f}"
+        text = f"{value:.4g}" if abs(value) < 1000 else f"{value:.2f}"
+        return text.replace(".", ",") if speaks_german() else text
     if isinstance(value, (list, tuple)):
         return ", ".join(readable(item) for item in value)
-    return str(value)
+    return tr(str(value))
 
 
 def option(flag: str, value: Any) -> list[str]:

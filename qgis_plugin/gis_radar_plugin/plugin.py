@@ -31,6 +31,7 @@ class GisRadarPlugin:
         self._clock: Any = None
         self._live: Any = None
         self._message: Any = None
+        self._wizard: Any = None
 
     def initProcessing(self) -> None:  # noqa: N802
         """Register the algorithms; all that `qgis_process` needs."""
@@ -47,6 +48,7 @@ class GisRadarPlugin:
         canvas = self._iface.mapCanvas()
         self._clock = Clock(canvas)
         self._live = LiveLook(canvas.temporalController(), self._iface.mainWindow())
+        self._iface.addToolBarIcon(self._action(tr("New site..."), "runsite", self.new_site))
         live = self._action(tr("Live look"), "live", self._switch_live)
         live.setCheckable(True)
         live.setToolTip(tr("Read layers anew when their files change"))
@@ -71,6 +73,20 @@ class GisRadarPlugin:
             self._live.start()
         else:
             self._live.stop()
+
+    def new_site(self, *_: Any) -> Any:
+        """Open the site wizard, or bring the one that is open to the front."""
+        from .wizard.wizard import SiteWizard  # noqa: PLC0415 - widgets
+
+        if self._wizard is None:
+            self._wizard = SiteWizard(self._iface)
+            self._wizard.destroyed.connect(self._forget_wizard)
+        self._wizard.show()
+        self._wizard.raise_()
+        return self._wizard
+
+    def _forget_wizard(self, *_: Any) -> None:
+        self._wizard = None
 
     def _set_up(self, *_: Any) -> None:
         import processing  # noqa: PLC0415 - a plugin of QGIS, there once it has started
@@ -106,6 +122,8 @@ class GisRadarPlugin:
 
     def unload(self) -> None:
         """Leave QGIS as it was."""
+        if self._wizard is not None:
+            self._wizard.close()
         if self._live is not None:
             self._live.stop()
             self._live.deleteLater()

@@ -1,0 +1,302 @@
+"""Check a site before its run: open what its file names, and see whether it fits together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import shapely
+from pyproj import CRS
+
+from gis_radar.crs import name_of, transformer
+from gis_radar.errors import InputError
+from gis_radar.lanelets import LaneletMap, read_map
+from gis_radar.poses.files import read_track
+from gis_radar.progress import QUIET, Reporter
+from gis_radar.recordings.recording import RangeCounts, Recording, open_recording
+from gis_radar.scans.scan import open_scan, road_crs
+from gis_radar.site.settings import Sensor, Site, read_site
+from gis_radar.steps import iso_from_step, step_of, zone_of
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckSettings:
+    """Constants of the check of a site.
+
+    Parameters
+    ----------
+    near_map_m : float
+        A sensor farther from all lanes, metres, is not of this map: no radar that sees a road
+        stands so far beside it (the farthest of the view, 300 m).
+    least_s : float
+        Of a sensor whose pose is to be found, recordings shorter than that, seconds, are named:
+        100 s of traffic are a good length, half of it rarely does.
+    zone_hours : float
+        A time zone so many hours from the sun's time at the site is probably another place's:
+        the widest of the world, China's in its west, is 3.2 off.
+    angle_share : float
+        Share of the detections within the measured view, as its range has it.
+    """
+
+    near_map_m: float = 300.0
+    least_s: float = 60.0
+    zone_hours: float = 3.5
+    angle_share: float = 0.999
+
+
+DEFAULTS = CheckSettings()
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorCheck:
+    """What the recordings of a sensor hold.
+
+    Parameters
+    ----------
+    begin, end : float
+        UNIX seconds; NaN where all are converted first.
+    detections : int
+        How many there are.
+    view : dict
+        Measured: `azimuth_deg`, `elevation_deg`, `max_range_m`; empty without detections.
+    """
+
+    begin: float
+    end: float
+    detections: int
+    view: dict[str, float]
+
+    def figures(self) -> dict[str, Any]:
+        """Return figures by name."""
+        if math.isnan(self.begin):
+            return {"recordings": "converted by the run"}
+        begin, end = (iso_from_step(int(step_of(np.array(t)))) for t in (self.begin, self.end))
+        return {"begin": begin, "end": end, "detections": self.detections, **self.view}
+
+
+@dataclass(frozen=True, kw_only=True)
+class SiteCheck:
+    """What a check found: nothing stands in the way of a run, or it had failed.
+
+    Parameters
+    ----------
+    site : Site
+        The site.
+    crs : str
+        The map frame.
+    lanelets : int
+        How many lanelets the map has.
+    sensors : dict
+        What each sensor recorded, by name.
+    warnings : tuple of str
+        What to know before the run.
+    """
+
+    site: Site
+    crs: str
+    lanelets: int
+    sensors: dict[str, SensorCheck]
+    warnings: tuple[str, ...]
+
+    def figures(self) -> dict[str, Any]:
+        """Return figures by name."""
+        return {
+            "site": self.site.title,
+            "crs": self.crs,
+            "lanelets": self.lanelets,
+            "sensors": {name: each.figures() for name, each in self.sensors.items()},
+            "warnings": len(self.warnings),
+        }
+
+
+def check_site(
+    path: str | Path, *, settings: CheckSettings = DEFAULTS, reporter: Reporter = QUIET
+) -> SiteCheck:
+    """Check a site without running it: its file, map, scans, poses and recordings.
+
+    Parameters
+    ----------
+    path : str or Path
+        The site file, see :func:`read_site`.
+    settings : CheckSettings
+        From where on something is odd.
+    reporter : Reporter
+        Receives progress, and a warning for each thing that is odd.
+
+    Returns
+    -------
+    SiteCheck
+        With what each sensor recorded, and the view that its detections show.
+
+    Raises
+    ------
+    InputError
+        If the site file, the map, a scan, a pose or a recording is bad, or a guess is far from
+        all lanes.
+    """
+    site = read_site(path)
+    roads = read_map(site.map.file, crs=site.map.crs, origin=site.map.origin, reporter=reporter)
+    _check_scans(site, roads)
+    for sensor in site.sensor:
+        _check_place(sensor, roads, settings)
+    warnings = list(_zone_warning(site, roads, settings))
+    found = {}
+    for done, sensor in enumerate(site.sensor):
+        reporter.progress("reading recordings", done, len(site.sensor))
+        found[sensor.name] = _read_sensor(sensor, settings, warnings)
+    reporter.progress("reading recordings", len(site.sensor), len(site.sensor))
+    warnings += _time_warnings(found)
+    for line in warnings:
+        reporter.log(line, "warning")
+    return SiteCheck(
+        site=site, crs=name_of(roads.crs), lanelets=len(roads.lanelets), sensors=found,
+        warnings=tuple(warnings),
+    )  # fmt: skip
+
+
+def _check_scans(site: Site, roads: LaneletMap) -> None:
+    """Refuse scans that are bad, or none of which touches the map."""
+    if site.scan is None:
+        return
+    if site.scan.road is not None:
+        road_crs(site.scan.road)
+        return
+    scans = [open_scan(path, crs=site.scan.crs) for path in site.scan.files]
+    west, south, east, north = (float(each) for each in roads.lanelets.total_bounds)
+    if not any(scan.touches((west, south, east, north), roads.crs) for scan in scans):
+        names = ", ".join(scan.path.name for scan in scans)
+        raise InputError(
+            f"{names}: not where the map {site.map.file.name} is",
+            hint="choose the scans of the site, or their CRS with crs in [scan]",
+        )
+
+
+def _check_place(sensor: Sensor, roads: LaneletMap, settings: CheckSettings) -> None:
+    """Refuse a guess or a pose that is far from all lanes."""
+    if sensor.pose is not None:
+        pose = read_track(sensor.pose).poses[0]
+        if name_of(pose.crs) != name_of(roads.crs):
+            raise InputError(
+                f"{sensor.pose}: is in {name_of(pose.crs)}, the map in {name_of(roads.crs)}",
+                hint="give the map the CRS of the pose with crs in [map]",
+            )
+        place = shapely.Point(pose.easting, pose.northing)
+    else:
+        place = shapely.Point((sensor.guess or ())[:2])
+    far_m = float(shapely.distance(place, roads.lanelets.geometry.values).min())
+    if far_m > settings.near_map_m:
+        raise InputError(
+            f"{sensor.name} stands {far_m:,.0f} m from the nearest lane of the map",
+            hint="its position is in the CRS of the map; or this is the map of another place",
+        )
+
+
+def _zone_warning(site: Site, roads: LaneletMap, settings: CheckSettings) -> Iterator[str]:
+    """Yield a warning where the time zone is probably that of another place."""
+    west, south, east, north = roads.lanelets.total_bounds
+    x, y = (west + east) / 2, (south + north) / 2
+    longitude, _ = transformer(roads.crs, CRS.from_epsg(4326)).transform(x, y)
+    offset = zone_of(site.time_zone).utcoffset(datetime(2025, 1, 1))  # noqa: DTZ001 - of the zone
+    hours = (offset.total_seconds() if offset else 0.0) / 3600.0
+    off = (hours - longitude / 15.0 + 12.0) % 24.0 - 12.0
+    if abs(off) > settings.zone_hours:
+        yield (
+            f"time_zone {site.time_zone} is {abs(off):.0f} hours from the sun at the site: "
+            "choose the zone whose clocks people there follow"
+        )
+
+
+def _read_sensor(sensor: Sensor, settings: CheckSettings, warnings: list[str]) -> SensorCheck:
+    """Read the recordings of a sensor; what is odd goes to the warnings."""
+    foreign = set(sensor.foreign)
+    counts = _ViewCounts()
+    spans = [
+        (*counts.add(open_recording(path)), path) for path in sensor.recordings
+        if path not in foreign
+    ]  # fmt: skip
+    if not spans:
+        return SensorCheck(begin=math.nan, end=math.nan, detections=0, view={})
+    warnings += _overlaps(sensor.name, spans)
+    begin, end = min(each[0] for each in spans), max(each[1] for each in spans)
+    longest = max(each[1] - each[0] for each in spans)
+    if sensor.guess is not None and longest < settings.least_s and not foreign:
+        warnings.append(
+            f"{sensor.name}: {longest:.0f} s in one recording rarely suffice to find its pose, "
+            "100 s are a good length"
+        )
+    return SensorCheck(
+        begin=begin, end=end, detections=counts.detections, view=counts.view(settings)
+    )
+
+
+def _overlaps(name: str, spans: Sequence[tuple[float, float, Path]]) -> Iterator[str]:
+    """Yield a warning for each two recordings of a sensor that hold the same time."""
+    ordered = sorted(spans)
+    last = ordered[0]  # of those so far the one that ends last
+    for each in ordered[1:]:
+        if each[0] <= last[1]:
+            yield (
+                f"{name}: {last[2].name} and {each[2].name} overlap in time: "
+                "what both hold counts once"
+            )
+        last = max(last, each, key=lambda span: span[1])
+
+
+def _time_warnings(found: dict[str, SensorCheck]) -> Iterator[str]:
+    """Yield a warning where sensors recorded at times that have nothing in common."""
+    timed = {name: each for name, each in found.items() if not math.isnan(each.begin)}
+    for place, (name, one) in enumerate(timed.items()):
+        for other_name, other in list(timed.items())[place + 1 :]:
+            if one.end < other.begin or other.end < one.begin:
+                yield f"{name} and {other_name} never recorded at the same time"
+
+
+class _ViewCounts:
+    """Histograms of range, azimuth and elevation, counted piece by piece."""
+
+    def __init__(self) -> None:
+        self._range = RangeCounts()
+        self._azimuth = np.zeros(181, np.int64)  # degrees off the x axis, a bin each
+        self._elevation = np.zeros(181, np.int64)
+        self.detections = 0
+
+    def add(self, recording: Recording) -> tuple[float, float]:
+        """Count a recording, and return its first and last time."""
+        first, last = math.nan, math.nan
+        for piece in recording.read():
+            first = float(piece.time[0]) if math.isnan(first) else first
+            last = float(piece.time[-1])
+            self._range.add(piece)
+            x, y, z = piece.points[piece.present].T
+            self.detections += len(x)
+            self._azimuth += _degrees(y, x)
+            self._elevation += _degrees(z[np.isfinite(z)], np.hypot(x, y)[np.isfinite(z)])
+        return first, last
+
+    def view(self, settings: CheckSettings) -> dict[str, float]:
+        """Return full angles and the range that hold nearly all detections."""
+        if not self.detections:
+            return {}
+        seen = {
+            "azimuth_deg": 2.0 * _reached(self._azimuth, settings.angle_share),
+            "max_range_m": self._range.reached_m(),
+        }
+        if self._elevation.any():
+            half = min(90.0, _reached(self._elevation, settings.angle_share))
+            seen["elevation_deg"] = 2.0 * half
+        return seen
+
+
+def _degrees(across: Any, along: Any) -> Any:
+    angle = np.abs(np.degrees(np.arctan2(across, along)))
+    return np.bincount(angle.astype(np.int64), minlength=181)[:181]
+
+
+def _reached(counts: Any, share: float) -> float:
+    """Return within how many whole degrees a share of the detections is."""
+    return min(180.0, float(np.searchsorted(np.cumsum(counts) / counts.sum(), share)) + 1.0)

@@ -1,0 +1,1 @@
+"""The site wizard: from a map and clicks on it to a site file, its check and its run."""

@@ -1,0 +1,256 @@
+"""The site wizard: a site file from a map, clicks on it and recordings; its check; its run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from qgis.core import (
+    QgsApplication,
+    QgsCoordinateReferenceSystem,
+    QgsMessageLog,
+    QgsPointXY,
+    QgsProject,
+    QgsRectangle,
+    QgsVectorLayer,
+)
+from qgis.PyQt.QtCore import Qt, QTemporaryDir
+from qgis.PyQt.QtWidgets import QMessageBox, QWizard
+
+from ..base import WorkerAlgorithm
+from ..loading import as_ground
+from ..runner import Answer
+from ..words import language, tr
+from .canvas import PlaceTool, SensorItem, moved
+from .draft import SensorDraft, SiteDraft
+from .pages import MapPage, RadarPage, ResultPage
+from .run_pages import CheckPage, RunPage
+from .tasks import WorkerTask
+
+LANES = "gis_radar_wizard_lanes"
+_TILE_M = "5"  # of the lanes that are shown: large ones are made in no time
+
+
+class SiteWizard(QWizard):  # type: ignore[misc]
+    """The wizard; it is not modal, as radars are placed on the map of QGIS.
+
+    Parameters
+    ----------
+    iface : QgisInterface
+        The window.
+    """
+
+    def __init__(self, iface: Any) -> None:
+        super().__init__(iface.mainWindow())
+        self._iface = iface
+        self.draft = SiteDraft(language="de" if language() == "de" else "en")
+        self.written: dict[str, str] = {}  # site files that this wizard wrote
+        self.lanes = Lanes(self)
+        self._items: list[SensorItem] = []
+        self._tool: PlaceTool | None = None
+        self._tool_before: Any = None
+        self.setWindowTitle(tr("New site"))
+        self.setWizardStyle(QWizard.WizardStyle.ModernStyle)
+        self.setOption(QWizard.WizardOption.NoBackButtonOnStartPage)
+        self.setOption(QWizard.WizardOption.NoCancelButtonOnLastPage)
+        self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        self.setModal(False)
+        buttons = QWizard.WizardButton
+        for button, text in (
+            (buttons.BackButton, tr("< Back")), (buttons.NextButton, tr("Next >")),
+            (buttons.FinishButton, tr("Close")), (buttons.CancelButton, tr("Cancel")),
+        ):  # fmt: skip
+            self.setButtonText(button, text)
+        self.map_page, self.radar_page = MapPage(), RadarPage()
+        self.result_page, self.check_page, self.run_page = ResultPage(), CheckPage(), RunPage()
+        for page in (
+            self.map_page, self.radar_page, self.result_page, self.check_page, self.run_page,
+        ):  # fmt: skip
+            self.addPage(page)
+        self.resize(860, 700)
+
+    @property
+    def canvas(self) -> Any:
+        """The map of QGIS."""
+        return self._iface.mapCanvas()
+
+    # Radars on the map.
+
+    def place_on_map(self, sensor: SensorDraft | None) -> None:
+        """Let the user click where a radar stands; without one, a new one."""
+        self._tool_before = self.canvas.mapTool()
+        tool = PlaceTool(self.canvas, self.lanes.crs)
+        tool.placed.connect(lambda *place: self._placed(sensor, *place))
+        tool.moved_to.connect(self._draw_on_the_way)
+        tool.left.connect(self._back_from_map)
+        self._tool = tool
+        self.canvas.setMapTool(tool)
+        self.hide()
+        self._iface.messageBar().pushMessage(
+            "gis_radar",
+            tr("Click where the radar stands, and drag to where it looks. Esc goes back."),
+        )
+
+    def _placed(
+        self, sensor: SensorDraft | None, easting: float, northing: float, heading: float | None
+    ) -> None:
+        if sensor is None:
+            self.radar_page.add(easting, northing, heading)
+        else:
+            sensor.easting, sensor.northing, sensor.heading = easting, northing, heading
+            self.radar_page.refresh()
+        self._back_from_map()
+
+    def _draw_on_the_way(self, easting: float, northing: float, heading: float | None) -> None:
+        shown = SensorDraft("", easting=easting, northing=northing, heading=heading)
+        self._draw([*self.draft.sensors, shown], shown)
+
+    def _back_from_map(self) -> None:
+        if self._tool is None:
+            return
+        if self._tool_before is not None:
+            self.canvas.setMapTool(self._tool_before)
+        else:
+            self.canvas.unsetMapTool(self._tool)
+        self._tool = None
+        self._iface.messageBar().clearWidgets()
+        self.draw_sensors(self.radar_page.chosen())
+        self.show()
+        self.raise_()
+
+    def draw_sensors(self, chosen: SensorDraft | None) -> None:
+        """Draw the radars over the map."""
+        self._draw(self.draft.sensors, chosen)
+
+    def _draw(self, sensors: list[SensorDraft], chosen: SensorDraft | None) -> None:
+        if self.lanes.crs is None:
+            return
+        while len(self._items) < len(sensors):
+            self._items.append(SensorItem(self.canvas, self.lanes.crs))
+        while len(self._items) > len(sensors):
+            self.canvas.scene().removeItem(self._items.pop())
+        for item, sensor in zip(self._items, sensors):
+            item.show_sensor(sensor, chosen=sensor is chosen)
+
+    def forget_drawing(self) -> None:
+        """Take the radars off the map."""
+        while self._items:
+            self.canvas.scene().removeItem(self._items.pop())
+
+    # The end.
+
+    def open_project(self, path: Path) -> None:
+        """Open a project in place of the present one, which is saved first if the user likes."""
+        self.forget_drawing()
+        self._iface.addProject(str(path))
+
+    def reject(self) -> None:
+        """Leave; a run that is not done is stopped if the user says so."""
+        if self._may_leave():
+            super().reject()
+
+    def accept(self) -> None:
+        """Close at the end, as :meth:`reject` leaves."""
+        if self._may_leave():
+            super().accept()
+
+    def _may_leave(self) -> bool:
+        if self.run_page.is_running:
+            answer = QMessageBox.question(
+                self, tr("New site"),
+                tr("The run is not done. Stop it? What is done stays done."),
+            )  # fmt: skip
+            if answer != QMessageBox.StandardButton.Yes:
+                return False
+            self.run_page.cancel()
+        return True
+
+    def done(self, result: int) -> None:
+        """Leave the map as it was."""
+        if self._tool is not None:
+            self.canvas.unsetMapTool(self._tool)
+            self._tool = None
+        self.forget_drawing()
+        self.lanes.remove()
+        super().done(result)
+
+
+class Lanes:
+    """The lanes of the chosen map as a layer of QGIS, made by the worker.
+
+    Parameters
+    ----------
+    wizard : SiteWizard
+        Whose map it is.
+    """
+
+    def __init__(self, wizard: SiteWizard) -> None:
+        self._wizard = wizard
+        self.crs: QgsCoordinateReferenceSystem | None = None
+        self._layer_id = ""
+        self._task: WorkerTask | None = None
+        self._number = 0
+        self._folder = QTemporaryDir()  # goes when the wizard goes
+
+    def read(self, draft: SiteDraft) -> None:
+        """Read the map of a draft; what was being read is let go."""
+        can, why = WorkerAlgorithm().canExecute()
+        if not can:
+            self._wizard.map_page.show_status(why, good=False)
+            return
+        if self._task is not None:
+            self._task.cancel()
+        self._number += 1
+        number, place = self._number, Path(self._folder.path()) / f"lanes_{self._number}.gpkg"
+        words = ["tiles", draft.map_file, "-o", str(place), "--length", _TILE_M]
+        words += ["--crs", draft.crs] if draft.crs else []
+        words += ["--origin", draft.origin.replace(" ", "")] if draft.origin else []
+        self.crs = None
+        self._wizard.map_page.show_status(tr("Reading the map..."), good=True)
+        self._task = WorkerTask(
+            tr("Map of the site"), words, lambda answer, _: self._read(number, place, answer)
+        )
+        QgsApplication.taskManager().addTask(self._task)
+
+    def _read(self, number: int, place: Path, answer: Answer | str) -> None:
+        if number != self._number:
+            return  # another map was chosen since
+        self._task = None
+        page = self._wizard.map_page
+        if isinstance(answer, str):
+            page.show_status(answer, good=False)
+            return
+        self._show(place)
+        lanelets = answer.summary.get("lanelets", 0)
+        text = tr("{count} lanelets, {crs}").format(count=lanelets, crs=answer.summary.get("crs"))
+        page.show_status(text, good=True)
+
+    def _show(self, place: Path) -> None:
+        """Put the lanes into the project, and show all of them."""
+        self.remove()
+        layer = QgsVectorLayer(f"{place}|layername=tiles", tr("Lanes of the new site"), "ogr")
+        if not layer.isValid():
+            QgsMessageLog.logMessage(f"{place}: no layer of tiles", "gis_radar")
+            return
+        as_ground(layer)
+        layer.setCustomProperty(LANES, True)
+        project, canvas = QgsProject.instance(), self._wizard.canvas
+        if not project.mapLayers():
+            project.setCrs(layer.crs())
+        project.addMapLayer(layer)
+        self.crs, self._layer_id = layer.crs(), layer.id()
+        box, system = layer.extent(), canvas.mapSettings().destinationCrs()
+        corners = [moved(QgsPointXY(x, y), layer.crs(), system)
+                   for x in (box.xMinimum(), box.xMaximum())
+                   for y in (box.yMinimum(), box.yMaximum())]  # fmt: skip
+        east, north = [each.x() for each in corners], [each.y() for each in corners]
+        shown = QgsRectangle(min(east), min(north), max(east), max(north))
+        shown.scale(1.1)
+        canvas.setExtent(shown)
+        canvas.refresh()
+
+    def remove(self) -> None:
+        """Take the lanes out of the project."""
+        if self._layer_id and QgsProject.instance().mapLayer(self._layer_id) is not None:
+            QgsProject.instance().removeMapLayer(self._layer_id)
+        self._layer_id = ""

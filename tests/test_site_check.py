@@ -1,0 +1,142 @@
+"""The check of a site before its run: what fits together, what is odd, what is refused."""
+
+import json
+import math
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+import pytest
+from click.testing import CliRunner
+
+import gis_radar as gr
+from gis_radar.cli import group
+
+SAMPLE = Path(__file__).parents[1] / "sample_maps"
+
+
+@pytest.fixture
+def place(tmp_path):
+    """Give a function that writes a site file beside the sample's files, with a text changed."""
+
+    def make(*changes):
+        text = (SAMPLE / "SITE.toml").read_text(encoding="utf-8")
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new)
+        for path in SAMPLE.iterdir():
+            if path.suffix in {".osm", ".laz", ".parquet", ".json"}:
+                (tmp_path / path.name).symlink_to(path)
+        site = tmp_path / "SITE.toml"
+        site.write_text(text, encoding="utf-8")
+        return site
+
+    return make
+
+
+def test_what_a_check_finds(place):
+    found = gr.check_site(place())
+    assert (found.crs, found.lanelets, found.warnings) == ("EPSG:25832", 48, ())
+    table = pq.read_table(SAMPLE / "R1.parquet", columns=["time", "x", "y", "z"])
+    time, x, y, z = (table[name].to_numpy().astype(float) for name in table.column_names)
+    seen = np.isfinite(x)
+    one = found.sensors["R1"]
+    assert (one.begin, one.end, one.detections) == (time[0], time[-1], int(seen.sum()))
+    # numpy's percentile as the oracle: the histogram has bins of a degree and a metre
+    azimuth = np.percentile(np.degrees(np.abs(np.arctan2(y[seen], x[seen]))), 99.9)
+    reach = np.percentile(np.sqrt(x * x + y * y + z * z)[seen], 99.9)
+    assert one.view["azimuth_deg"] == 2 * math.ceil(azimuth)
+    assert one.view["max_range_m"] == pytest.approx(reach, abs=1.0)
+    assert 0 < one.view["elevation_deg"] < 60
+
+
+def test_the_command(place):
+    done = CliRunner().invoke(group, ["check", str(place()), "--json"])
+    assert done.exit_code == 0
+    result = json.loads(done.stdout.splitlines()[-1])
+    assert result["summary"]["sensors"]["R2"]["begin"] == "2025-06-12T07:30:00Z"
+    assert result["outputs"] == []
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("690356.0, 5336183.0", "691356.0, 5336183.0"), r"R1 stands \d{3} m from the nearest"),
+        (("690356.0, 5336183.0", "5336183.0, 690356.0"), r"R1 stands [\d,]+ m from the nearest"),
+        (('crs = "EPSG:25832"', 'crs = "EPSG:4326"'), "geographic"),
+        (('"R1.parquet"', '"R9.parquet"'), "no such file"),
+        (("guess = [690383.0, 5336229.0]", 'pose = "other.json"'), r"in EPSG:25833, the map"),
+    ],
+)
+def test_what_is_refused(place, tmp_path, change, words):
+    pose = json.loads((SAMPLE / "R2.json").read_text()) | {"crs": "EPSG:25833"}
+    (tmp_path / "other.json").write_text(json.dumps(pose))
+    with pytest.raises(gr.InputError, match=words) as caught:
+        gr.check_site(place(change))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_scan_of_another_place_is_refused(place, tmp_path):
+    site = place()
+    import laspy
+
+    scan = laspy.read(SAMPLE / "scan.laz")
+    scan.x = scan.x + 5000.0
+    (tmp_path / "scan.laz").unlink()
+    scan.write(tmp_path / "scan.laz")
+    with pytest.raises(gr.InputError, match=r"scan.laz: not where the map junction.osm is"):
+        gr.check_site(site)
+
+
+def test_recordings_that_overlap_are_named(place, tmp_path):
+    site = place(('"R1.parquet"', '"part_*.parquet"'))
+    table = pq.read_table(SAMPLE / "R1.parquet")
+    begin = table["time"][0].as_py()
+    pq.write_table(table.filter(pc.less(table["time"], begin + 70)), tmp_path / "part_a.parquet")
+    pq.write_table(table.filter(pc.greater(table["time"], begin + 50)), tmp_path / "part_b.parquet")
+    found = gr.check_site(site)
+    assert (
+        found.warnings
+        == (
+            "R1: part_a.parquet and part_b.parquet overlap in time: what both hold counts once",
+            "R1: 70 s in one recording rarely suffice to find its pose, 100 s are a good length",
+        )[: len(found.warnings)]
+    )
+    assert found.warnings
+
+
+@pytest.mark.parametrize(
+    ("zone", "odd"),
+    [("Europe/Berlin", False), ("Europe/Lisbon", False), ("America/New_York", True),
+     ("Asia/Tokyo", True), ("Pacific/Kiritimati", True)],
+)  # fmt: skip
+def test_a_time_zone_of_another_place_is_named(place, zone, odd):
+    found = gr.check_site(place(("Europe/Berlin", zone)))
+    assert bool(found.warnings) is odd
+    if odd:
+        assert f"time_zone {zone} is" in found.warnings[0]
+
+
+def test_sensors_that_never_recorded_together_are_named(place, tmp_path):
+    site = place()
+    table = pq.read_table(SAMPLE / "R2.parquet")
+    later = table.set_column(0, "time", pc.add(table["time"], 3600.0))
+    (tmp_path / "R2.parquet").unlink()
+    pq.write_table(later, tmp_path / "R2.parquet")
+    assert gr.check_site(site).warnings == ("R1 and R2 never recorded at the same time",)
+
+
+def test_short_and_foreign_recordings(place, tmp_path):
+    site = place(('recordings = ["R2.parquet"]', 'recordings = ["R2.pcap"]'))
+    shutil.copyfile(SAMPLE / "R2.parquet", tmp_path / "R2.pcap")  # opened by the run only
+    table = pq.read_table(SAMPLE / "R1.parquet")
+    (tmp_path / "R1.parquet").unlink()
+    short = pc.less(table["time"], table["time"][0].as_py() + 30.0)
+    pq.write_table(table.filter(short), tmp_path / "R1.parquet")
+    found = gr.check_site(site)
+    assert found.figures()["sensors"]["R2"] == {"recordings": "converted by the run"}
+    assert [line.partition(" rarely")[0] for line in found.warnings] == [
+        "R1: 30 s in one recording"
+    ]
