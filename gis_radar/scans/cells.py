@@ -261,7 +261,8 @@ def scan_over_map(store: PointStore, settings: MaskSettings) -> float:
     """Return the most frequent height of points over the map's roads, NaN where it has no heights.
 
     Roads are at one offset to within centimetres, while trees, roofs and other levels spread over
-    many: the mode does not need to know which points are road.
+    many: the mode does not need to know which points are road. Where the middle of the first
+    points is beyond the range of the histogram, that is laid around it.
     """
     blocks = store.blocks
     levels = [level for level in blocks.roads.levels if level.has_heights]
@@ -269,15 +270,21 @@ def scan_over_map(store: PointStore, settings: MaskSettings) -> float:
         return float("nan")
     bin_m, most_m = settings.offset_bin_m, settings.offset_max_m
     bins = np.zeros(int(2 * most_m / bin_m) + 1, np.int64)
+    middle_m = None
     for block in range(len(blocks.shapes)):
         xyz, _ = store.points(block)
         xyz = xyz[:: max(1, len(xyz) // settings.offset_points)]
         xy = xyz[:, :2] + blocks.cells(block).corner
         for level in levels:
-            place = np.rint((xyz[:, 2] - level.height_near(xy) + most_m) / bin_m)
+            over_m = xyz[:, 2] - level.height_near(xy)
+            if middle_m is None and np.isfinite(over_m).any():
+                median_m = float(np.nanmedian(over_m))
+                middle_m = 0.0 if abs(median_m) <= most_m else round(median_m / bin_m) * bin_m
+            place = np.rint((over_m - (middle_m or 0.0) + most_m) / bin_m)
             kept = (place >= 0) & (place < len(bins))
             bins += np.bincount(place[kept].astype(np.int64), minlength=len(bins))
-    return float(np.argmax(bins) * bin_m - most_m) if bins.any() else float("nan")
+    found_m = np.argmax(bins) * bin_m - most_m + (middle_m or 0.0)
+    return float(found_m) if bins.any() else float("nan")
 
 
 @dataclass(frozen=True, kw_only=True)

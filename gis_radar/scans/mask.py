@@ -227,6 +227,7 @@ def mask_road(
         points_in=sum(scan.points for scan in touching), points_on_road=statistics.on_road,
         cells=cells, settings=settings,
     )  # fmt: skip
+    _refuse_bare(mask, touching)
     _remark(mask, opened, reporter)
     return mask
 
@@ -260,6 +261,26 @@ def _outside(
     return shapely.MultiPolygon(list(parts[shapely.area(parts) > 0.0]))
 
 
+def _inside_share(mask: RoadMask, scans: Sequence[Scan]) -> float:
+    """Return the share of the road's cells inside the scans' extents that have a point."""
+    extents = [moved_box(scan.bounds, scan.crs, mask.roads.crs) for scan in scans]
+    if not np.isfinite(extents).all():
+        return mask.covered
+    within = shapely.union_all([shapely.box(*extent) for extent in extents])
+    share = shapely.intersection(mask.roads.area, within).area / mask.roads.area.area
+    return mask.covered / share if share > 0.0 else 0.0
+
+
+def _refuse_bare(mask: RoadMask, scans: Sequence[Scan]) -> None:
+    """Refuse a mask with next to nothing of the road that the scans should show."""
+    share = _inside_share(mask, scans)
+    if share < mask.settings.least_covered:
+        raise NoAnswerError(
+            f"{scans[0].path}: only {share:.1%} of the road inside the scans has points",
+            hint="is the scan damaged, very sparse, or of another place?",
+        )
+
+
 def _remark(mask: RoadMask, opened: Sequence[Scan], reporter: Reporter) -> None:
     reporter.log(f"scans read by {mask.engine}")
     skipped = len(opened) - len(mask.pipeline.scans)
@@ -273,9 +294,12 @@ def _remark(mask: RoadMask, opened: Sequence[Scan], reporter: Reporter) -> None:
             f"within {west:.0f} {south:.0f} {east:.0f} {north:.0f} (layer outside)",
             "warning",
         )
+    covered = _inside_share(mask, mask.pipeline.scans)
+    if covered < mask.settings.warn_covered:
+        reporter.log(f"only {covered:.0%} of the road inside the scans has points", "warning")
     offset = mask.cells.offset_m
     if abs(offset) > mask.settings.warn_offset_m:
-        reporter.log(
-            f"the scans lie {offset:.2f} m over the map's heights: another vertical datum?",
-            "warning",
-        )
+        far = abs(offset) > mask.settings.datum_m
+        reason = "no datum is so far off: heights in feet, or of another place?"
+        text = f"the scans lie {offset:.2f} m over the map's heights: "
+        reporter.log(text + (reason if far else "another vertical datum?"), "warning")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, date, datetime, timedelta
@@ -12,7 +11,6 @@ from typing import Any, NamedTuple, TypeAlias
 
 import lazy_loader
 import numpy as np
-from lazrs import LazrsError
 from numpy.typing import NDArray
 from pyproj import CRS
 from pyproj.exceptions import CRSError as ProjError
@@ -20,6 +18,7 @@ from pyproj.exceptions import CRSError as ProjError
 from gis_radar.arrays import Floats
 from gis_radar.crs import Box, metric_crs, moved_box, name_of, require_same, same_plane, transformer
 from gis_radar.errors import CrsError, InputError
+from gis_radar.scans.header import FAULTS, read_header, refuse_outside, scan_errors
 from gis_radar.scans.settings import DEFAULTS, MaskSettings
 
 laspy = lazy_loader.load("laspy")  # 0.2 s, and most commands read no scan
@@ -31,9 +30,6 @@ ROAD_CLASSES = (2, 8, 11, 17)
 # Never a road: vegetation, noise, water, wires and pylons, high noise.
 NEVER_CLASSES = (3, 4, 5, 7, 9, 13, 14, 15, 16, 18)
 ROAD_SURFACE = 11
-_VLR_BYTES, _EVLR_BYTES = 54, 60
-_CHUNK_POINTS = 50_000  # of compressed points, one of which is stored in full
-_SMALLEST_SCALE = 1e-12
 _GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)
 _SAY = "state it: --scan-crs EPSG:25832"
 _WEEK_S = 604_800.0
@@ -104,17 +100,15 @@ class Scan:
         """
         within = moved_box(box, crs, self.crs)
         seen = 0
-        try:
-            with laspy.open(self.path) as reader:
-                for record in reader.chunk_iterator(AT_ONCE):
-                    seen += len(record)
-                    piece = _inside(record, within)
-                    if not same_plane(self.crs, crs):
-                        x, y = transformer(self.crs, crs).transform(piece.x, piece.y)
-                        piece = piece._replace(x=x, y=y)
-                    yield piece
-        except _faults() as error:
-            raise _damaged(self.path, error) from error
+        with scan_errors(self.path), laspy.open(self.path) as reader:
+            for record in reader.chunk_iterator(AT_ONCE):
+                refuse_outside(record, reader.header, self.path)
+                seen += len(record)
+                piece = _inside(record, within)
+                if not same_plane(self.crs, crs):
+                    x, y = transformer(self.crs, crs).transform(piece.x, piece.y)
+                    piece = piece._replace(x=x, y=y)
+                yield piece
         if seen != self.points:
             raise InputError(f"{self.path}: cut off: {seen} of {self.points} points are there")
 
@@ -136,10 +130,11 @@ def open_scan(path: str | Path, *, crs: Any = None) -> Scan:
         gives a projected, metric coordinate system.
     """
     path = Path(path)
-    header = _read_header(path)
+    header = read_header(path)
     stated = crs if crs is not None else _stated(path, header, hint=_SAY)
     if stated is None:
         raise CrsError(f"{path}: has no coordinate system", hint=_SAY)
+    _refuse_feet(CRS.from_user_input(stated), path)
     return Scan(
         path=path,
         crs=metric_crs(stated, what="--scan-crs" if crs is not None else str(path)),
@@ -147,62 +142,6 @@ def open_scan(path: str | Path, *, crs: Any = None) -> Scan:
         points=int(header.point_count),
         bounds=_bounds(header),
     )
-
-
-def _read_header(path: Path) -> Any:
-    """Read the header of a scan.
-
-    laspy checks that the parts of a header agree with each other. It does not compare them with the
-    size of the file, and walks through as many records as the header claims, also through 2^31.
-    """
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
-    size = path.stat().st_size
-    if size == 0:
-        raise InputError(f"{path}: empty file")
-    with path.open("rb") as file:
-        head = file.read(375).ljust(375, b"\0")
-    if head[:4] != b"LASF":
-        raise InputError(f"{path}: not a LAS or LAZ file: it does not begin with LASF")
-    try:
-        fault = _unfit(head, size)
-        if not fault:
-            with laspy.open(path) as reader:
-                header = reader.header
-            fault = _not_in_file(header, size)
-    except _faults() as error:
-        raise _damaged(path, error) from error
-    if fault:
-        raise InputError(f"{path}: damaged or cut off: {fault}")
-    if header.point_count == 0:
-        raise InputError(f"{path}: scan without points")
-    return header
-
-
-def _unfit(head: bytes, size: int) -> str:
-    """Return what in the bytes of a header (ASPRS LAS 1.4, table 3) cannot be, or nothing."""
-    if head[24] != 1 or head[25] > 4:
-        return f"LAS version {head[24]}.{head[25]} is not known"
-    begin, points_at, count = struct.unpack_from("<HII", head, 94)
-    if points_at > size:
-        return f"points begin at byte {points_at} of {size}"
-    if count * _VLR_BYTES > max(points_at - begin, 0):
-        return f"its header claims {count} records, which do not fit before byte {points_at}"
-    begin, count = struct.unpack_from("<QI", head, 235) if head[25] >= 4 else (0, 0)
-    if count and begin + count * _EVLR_BYTES > size:
-        return f"its header claims {count} further records behind the end of the file"
-    return ""
-
-
-def _not_in_file(header: Any, size: int) -> str:
-    """Return what laspy accepts in a header and cannot be, or nothing."""
-    most = (size - header.offset_to_point_data) // header.point_format.size
-    if header.point_count > most * (_CHUNK_POINTS if header.are_points_compressed else 1):
-        return f"its header claims {header.point_count} points, the file has {size} bytes"
-    scales = np.abs(header.scales)
-    if not (np.isfinite(header.offsets).all() and (scales > _SMALLEST_SCALE).all()):
-        return f"scales {header.scales}, offsets {header.offsets}"
-    return ""
 
 
 def write_road(points: Floats, path: Path, *, crs: CRS, settings: MaskSettings = DEFAULTS) -> None:
@@ -254,10 +193,10 @@ def read_road(path: str | Path, crs: CRS) -> Floats:
         If the file is damaged or empty; CrsError if its CRS is missing or another.
     """
     require_same(road_crs(path), crs, what=str(path), other_what="the map")
-    try:
-        return np.asarray(laspy.read(path).xyz)
-    except _faults() as error:
-        raise _damaged(path, error) from error
+    with scan_errors(path):
+        las = laspy.read(path)
+        refuse_outside(las.points, las.header, Path(path))
+        return np.asarray(las.xyz)
 
 
 def road_crs(path: str | Path) -> CRS:
@@ -268,7 +207,7 @@ def road_crs(path: str | Path) -> CRS:
     InputError
         If the file is damaged; CrsError if its CRS is missing or not metric.
     """
-    return metric_crs(_stated(Path(path), _read_header(Path(path))), what=str(path))
+    return metric_crs(_stated(Path(path), read_header(Path(path))), what=str(path))
 
 
 def ground_share(scan: Scan) -> float:
@@ -317,7 +256,7 @@ def _stated(path: Path, header: Any, *, hint: str = "") -> CRS | None:
     """Return the coordinate system that the file states, or None."""
     try:
         crs: CRS | None = header.parse_crs()
-    except _faults(ProjError) as error:
+    except (*FAULTS, ProjError) as error:
         reason = str(error).splitlines()[0][:120]
         raise CrsError(
             f"{path}: its coordinate system cannot be read: {reason}", hint=hint
@@ -335,24 +274,19 @@ def _vertical(crs: CRS) -> str:
     return f"ellipsoidal heights of {crs.name}" if len(crs.axis_info) == 3 else ""
 
 
+def _refuse_feet(crs: CRS, path: Path) -> None:
+    """Refuse heights that are stated in another unit than metres."""
+    for axis in crs.axis_info:
+        if axis.direction in {"up", "down"} and axis.unit_conversion_factor != 1.0:
+            raise CrsError(
+                f"{path}: its heights are in {axis.unit_name}, metres are needed",
+                hint="bring the scan into a system with heights in metres, e.g. with PDAL",
+            )
+
+
 def _bounds(header: Any) -> Box:
     (west, south), (east, north) = header.mins[:2], header.maxs[:2]
     credible = np.isfinite([west, south, east, north]).all() and west < east and south < north
     if not credible:
         return (-np.inf, -np.inf, np.inf, np.inf)
     return float(west), float(south), float(east), float(north)
-
-
-def _faults(*further: type[Exception]) -> tuple[type[Exception], ...]:
-    """Return what reading a damaged file raises."""
-    return (
-        *further, laspy.LaspyException, LazrsError, MemoryError, OSError, OverflowError,
-        RuntimeError, ValueError,
-    )  # fmt: skip
-
-
-def _damaged(path: str | Path, error: BaseException) -> InputError:
-    reason = (str(error).splitlines() or [type(error).__name__])[0][:160]
-    if isinstance(error, laspy.errors.PointFormatNotSupported):
-        reason = f"point format {reason} is not known"
-    return InputError(f"{path}: not a readable LAS or LAZ file, damaged or cut off: {reason}")

@@ -82,6 +82,12 @@ class MaskSettings:
         Share of roads outside the scans from which on a warning is logged.
     warn_offset_m : float
         Height of the scan over the map from which on a warning is logged: as `same_level_m`.
+    datum_m : float
+        Height beyond which that is no vertical datum's: geoid undulations are under 107 m
+        (EGM2008).
+    least_covered, warn_covered : float
+        Share of the road's cells inside the scans' extents below which there is no mask, and
+        below which a warning is logged. A scan of 1 point/m2 fills 0.2 of the cells of 0.5 m.
     """
 
     roads: RoadSettings = field(default_factory=RoadSettings)
@@ -106,6 +112,9 @@ class MaskSettings:
     bare_m2: float = 20.0
     warn_outside: float = 0.001
     warn_offset_m: float = 2.0
+    datum_m: float = 110.0
+    least_covered: float = 0.02
+    warn_covered: float = 0.1
 
 
 DEFAULTS = MaskSettings()

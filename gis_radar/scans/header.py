@@ -1,0 +1,222 @@
+"""Check the headers of scans (LAS, LAZ) before a library acts on what they claim.
+
+laspy checks that the parts of a header agree with each other. It does not compare them with the
+size of the file, and walks through as many records as the header claims, also through 2^31; the
+library below it takes as much memory as the record and the table of the compression ask for, and
+ends the process where there is not as much.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import lazrs
+import lazy_loader
+import numpy as np
+
+from gis_radar.errors import InputError
+
+laspy = lazy_loader.load("laspy")  # 0.2 s, and most commands read no scan
+
+FAULTS = (
+    lazrs.LazrsError, MemoryError, OSError, OverflowError, RuntimeError, ValueError, KeyError,
+    IndexError, TypeError, struct.error,
+)  # fmt: skip
+"""What reading a damaged scan raises, beside laspy's own errors."""
+
+_VLR_BYTES, _EVLR_BYTES = 54, 60
+_LASZIP = b"laszip encoded"
+_LASZIP_RECORD = 22204
+_LASZIP_BYTES, _ITEM_BYTES = 34, 6
+# Sizes of the parts of a compressed point by type (laszip 3.4, "laszip.hpp"); bytes have any.
+_ITEM_SIZES = {6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29}
+_ITEMS_OF_ANY_SIZE = {0, 14}
+_OF_ANY_LENGTH = 0xFFFFFFFF  # chunks of as many points as the table says
+_MOST_CHUNK = 10_000_000  # points; laszip's own chunks have 50,000, COPC's under 100,000
+_SMALLEST_SCALE, _LARGEST_SCALE = 1e-12, 1e3
+_FARTHEST_M = 1e8  # no projected coordinate on earth is larger
+_EXTENT_M = 1.0  # by which points may lie outside the header's extent: programs round it
+
+
+def read_header(path: Path) -> Any:
+    """Read the header of a scan.
+
+    Parameters
+    ----------
+    path : Path
+        LAS, LAZ or COPC.
+
+    Returns
+    -------
+    laspy.LasHeader
+        Of a file that can hold what it claims.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, no scan, damaged or without points.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    size = path.stat().st_size
+    if size == 0:
+        raise InputError(f"{path}: empty file")
+    with scan_errors(path):
+        with path.open("rb") as file:
+            head = file.read(375).ljust(375, b"\0")
+            if head[:4] != b"LASF":
+                raise InputError(f"{path}: not a LAS or LAZ file: it does not begin with LASF")
+            fault = _unfit(head, size) or (
+                _unfit_compression(file, head, size) if head[104] & 0x80 else ""
+            )
+        if not fault:
+            with laspy.open(path) as reader:
+                header = reader.header
+            fault = _not_in_file(header, size)
+    if fault:
+        raise InputError(f"{path}: damaged or cut off: {fault}")
+    if header.point_count == 0:
+        raise InputError(f"{path}: scan without points")
+    return header
+
+
+def refuse_outside(record: Any, header: Any, path: Path) -> None:
+    """Refuse points outside the extent that the header states: bits that flipped on the way.
+
+    Parameters
+    ----------
+    record : laspy point record
+        Some points.
+    header : laspy.LasHeader
+        Of their file.
+    path : Path
+        For the message.
+
+    Raises
+    ------
+    InputError
+        If one lies outside by more than a metre, where the header states an extent.
+    """
+    if len(record) == 0:
+        return
+    for k, axis in enumerate("XYZ"):
+        low, high = float(header.mins[k]), float(header.maxs[k])
+        if not (np.isfinite([low, high]).all() and low < high):
+            continue
+        stored = np.asarray(record[axis])
+        ends = np.array([int(stored.min()), int(stored.max())], np.float64)
+        lowest, highest = np.sort(ends * header.scales[k] + header.offsets[k])
+        off = max(low - lowest, highest - high)
+        if off > _EXTENT_M + abs(header.scales[k]):
+            raise InputError(
+                f"{path}: damaged: points lie {off:.0f} m outside the extent of its header along "
+                f"{axis.lower()}",
+                hint="where only the extent is wrong, `pdal translate IN OUT` writes it anew",
+            )
+
+
+@contextmanager
+def scan_errors(path: str | Path) -> Iterator[None]:
+    """Turn what libraries raise while they read a scan into an error that names it."""
+    try:
+        yield
+    except (laspy.LaspyException, *FAULTS) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0][:160]
+        if isinstance(error, laspy.errors.PointFormatNotSupported):
+            reason = f"point format {reason} is not known"
+        raise InputError(
+            f"{path}: not a readable LAS or LAZ file, damaged or cut off: {reason}"
+        ) from error
+
+
+def _unfit(head: bytes, size: int) -> str:
+    """Return what in the bytes of a header (ASPRS LAS 1.4, table 3) cannot be, or nothing."""
+    if head[24] != 1 or head[25] > 4:
+        return f"LAS version {head[24]}.{head[25]} is not known"
+    begin, points_at, count = struct.unpack_from("<HII", head, 94)
+    if points_at > size:
+        return f"points begin at byte {points_at} of {size}"
+    if count * _VLR_BYTES > max(points_at - begin, 0):
+        return f"its header claims {count} records, which do not fit before byte {points_at}"
+    begin, count = struct.unpack_from("<QI", head, 235) if head[25] >= 4 else (0, 0)
+    if count and begin + count * _EVLR_BYTES > size:
+        return f"its header claims {count} further records behind the end of the file"
+    return ""
+
+
+def _unfit_compression(file: BinaryIO, head: bytes, size: int) -> str:
+    """Return what in the record and the table of the compression cannot be, or nothing."""
+    begin, points_at, count = struct.unpack_from("<HII", head, 94)
+    file.seek(begin)
+    records = file.read(points_at - begin)
+    record, at = b"", 0
+    for _ in range(count):
+        user, number, length = struct.unpack_from("<2x16sHH", records, at)
+        if number == _LASZIP_RECORD and user.rstrip(b"\0") == _LASZIP:
+            record = records[at + _VLR_BYTES : at + _VLR_BYTES + length]
+        at += _VLR_BYTES + length
+    if fault := _unfit_record(record, struct.unpack_from("<H", head, 105)[0]):
+        return f"its record of the compression {fault}"
+    each = struct.unpack_from("<I", record, 12)[0]
+    points = struct.unpack_from("<I", head, 107)[0]
+    if head[25] >= 4:
+        points = struct.unpack_from("<Q", head, 247)[0] or points
+    file.seek(points_at)
+    (table_at,) = struct.unpack("<q", file.read(8))
+    if table_at == -1:  # written as a stream: the place is at the end
+        file.seek(size - 8)
+        (table_at,) = struct.unpack("<q", file.read(8))
+    if not points_at + 8 <= table_at <= size - 8:
+        return f"its table of chunks is at byte {table_at} of {size}"
+    file.seek(table_at)
+    _, chunks = struct.unpack("<II", file.read(8))
+    most = points if each == _OF_ANY_LENGTH else points // each + 2
+    if chunks > min(most, size // struct.unpack_from("<H", head, 105)[0]):
+        return f"its table claims {chunks} chunks for {points} points in {size} bytes"
+    file.seek(points_at)
+    table = lazrs.read_chunk_table(file, lazrs.LazVlr(record))
+    if sum(length for _, length in table) > table_at - points_at - 8:
+        return "its table claims chunks longer than the file"
+    if each == _OF_ANY_LENGTH and sum(held for held, _ in table) != points:
+        return f"its chunks do not hold its {points} points"
+    return ""
+
+
+def _unfit_record(record: bytes, point_bytes: int) -> str:
+    """Return what in laszip's record cannot be, or nothing."""
+    if len(record) < _LASZIP_BYTES:
+        return "is missing or cut"
+    compressor, each, count = (
+        struct.unpack_from(form, record, at)[0] for form, at in (("<H", 0), ("<I", 12), ("<H", 32))
+    )
+    if compressor not in {2, 3}:
+        return f"names the method {compressor}"
+    if each == 0 or _MOST_CHUNK < each < _OF_ANY_LENGTH:
+        return f"claims chunks of {each} points"
+    if len(record) < _LASZIP_BYTES + count * _ITEM_BYTES:
+        return f"claims {count} parts of a point"
+    items = [
+        struct.unpack_from("<HH", record, _LASZIP_BYTES + k * _ITEM_BYTES) for k in range(count)
+    ]
+    wrong = [kind for kind, size in items
+             if kind not in _ITEMS_OF_ANY_SIZE and _ITEM_SIZES.get(kind) != size]  # fmt: skip
+    if wrong or sum(size for _, size in items) != point_bytes:
+        return f"and its points of {point_bytes} bytes do not fit each other"
+    return ""
+
+
+def _not_in_file(header: Any, size: int) -> str:
+    """Return what laspy accepts in a header and cannot be, or nothing."""
+    # One point of each chunk is stored in full, and a chunk of any length has one at least.
+    chunk = _MOST_CHUNK if header.are_points_compressed else 1
+    most = (size - header.offset_to_point_data) // header.point_format.size * chunk
+    if header.point_count > most:
+        return f"its header claims {header.point_count} points, the file has {size} bytes"
+    scales, offsets = np.abs(header.scales), np.abs(header.offsets)
+    if not ((scales > _SMALLEST_SCALE).all() and (scales <= _LARGEST_SCALE).all()):
+        return f"scales {header.scales}"
+    return "" if (offsets <= _FARTHEST_M).all() else f"offsets {header.offsets}"
