@@ -159,8 +159,9 @@ def test_heights_far_from_the_maps_are_named(tmp_path, scan_m, said):
         write_points(tmp_path / "s.laz", xyz), box_roads(ROAD, heights=[level]), reporter=heard
     )
     assert found.figures()["scan_over_map_m"] == float(said.split()[0])
-    assert f"the scans lie {said} over the map's heights: no datum is so far off" in str(
-        heard.messages
+    assert (
+        f"the scans lie {said} over the map's heights: another vertical datum? none is so far off"
+        in str(heard.messages)
     )
 
 

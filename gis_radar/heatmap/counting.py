@@ -51,6 +51,7 @@ DEFINITIONS = {
 }
 
 Counts = NDArray[np.uint32]
+LEAST_COUNTED = 0.5  # of hits on tiles that a sensor sees; what does not count is at edges of views
 NO_LABELS = MapLabels()
 
 
@@ -183,14 +184,21 @@ class Tally:
         column[seen] = np.arange(len(seen))
         observed, shift = _runs_of_groups(runs, timeline)
         occupied = np.zeros((len(timeline), len(seen)), np.uint32)
-        done = 0
-        for step, tile_id in _hits_within(occupancy.held_hits(), timeline):
+        done = found = counted = 0
+        span = None if vehicles is not None else whole
+        outside: list[int] = []
+        hits = _noting_outside(occupancy.held_hits(), span, outside)
+        for step, tile_id in _hits_within(hits, timeline):
             place, row = column[positions(tile_ids, tile_id)], timeline.find(step)
             kept = np.flatnonzero((place >= 0) & (row >= 0))
+            found += len(kept)
             kept = kept[observed.find(step[kept] + shift[group[place[kept]]]) >= 0]
             np.add.at(occupied.reshape(-1), row[kept] * len(seen) + place[kept], 1)
+            counted += len(kept)
             done += len(step)
             reporter.progress("counting hits", done, None)
+        if (doubt := _doubt(found + sum(outside), counted)) and chosen is None:
+            reporter.log(doubt, "warning")
         coverage = None
         if vehicles is not None:
             either = steps_in(occupancy.covered_frames())
@@ -374,6 +382,27 @@ class Tally:
             f"{text}; busiest tile {known['busiest_tile']}: {known['busiest_occupied_s']:g} of "
             f"{known['busiest_observed_s']:g} s, {known['busiest_occupancy']:.1%})"
         )
+
+
+def _noting_outside(
+    hits: Iterator[Rows], whole: Timeline | None, outside: list[int]
+) -> Iterator[Rows]:
+    """Pass hits on; note how many of a piece are outside the time of all frames."""
+    for step, tile in hits:
+        if whole is not None:
+            within = np.searchsorted(step, [whole.begin[0], whole.end[-1]])
+            outside.append(len(step) - int(np.diff(within)[0]))
+        yield step, tile
+
+
+def _doubt(found: int, counted: int) -> str:
+    """Return what to say where hits and observation do not fit each other, or nothing."""
+    if counted == 0:
+        return "no tile was hit while it was observed: the map shows zeros"
+    if counted < LEAST_COUNTED * found:
+        lost = f"{found - counted} of {found} hits"
+        return f"{lost} are in steps in which no frame observes their tile, and do not count"
+    return ""
 
 
 def _observe(

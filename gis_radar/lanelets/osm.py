@@ -73,6 +73,8 @@ class OsmMap:
         By id.
     doubled : tuple of (str, int)
         Kind and id of every element whose id had been used before; the first one counts.
+    odd_heights : tuple of (int, str)
+        Node and text of every tag `ele` that is not empty and no number.
     """
 
     path: Path
@@ -83,6 +85,7 @@ class OsmMap:
     ways: dict[int, Way]
     relations: dict[int, Relation]
     doubled: tuple[tuple[str, int], ...]
+    odd_heights: tuple[tuple[int, str], ...] = ()
 
     @cached_property
     def node_index(self) -> dict[int, int]:
@@ -154,6 +157,7 @@ class _Collector:
             "relation": self.relations,
         }
         self.doubled: list[tuple[str, int]] = []
+        self.odd_heights: list[tuple[int, str]] = []
         self.depth = 0
         self._forget()
 
@@ -178,6 +182,7 @@ class _Collector:
             ways=self.ways,
             relations=self.relations,
             doubled=tuple(self.doubled),
+            odd_heights=tuple(self.odd_heights),
         )
 
     def _forget(self) -> None:
@@ -226,6 +231,8 @@ class _Collector:
             tags = self.tags
             extra = [_number(tags[key]) if key in tags else math.nan for key in NODE_TAGS]
             self.rows[self.id] = (*self.place, *extra)
+            if math.isnan(extra[0]) and tags.get("ele", "").strip().lower() not in {"", "nan"}:
+                self.odd_heights.append((self.id, tags["ele"]))
         elif name == "way":
             self.ways[self.id] = Way(nodes=tuple(self.refs), tags=self.tags)
         else:

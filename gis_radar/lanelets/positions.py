@@ -92,10 +92,21 @@ def place_nodes(
         plane, target, remarks = _without_geographic(osm, target, origin)
     else:
         target = target or _zone(osm.geographic[geographic])
-        plane, remarks = _with_geographic(osm, geographic, local, target, origin)
+        try:
+            plane, remarks = _with_geographic(osm, geographic, local, target, origin)
+        except CrsError as error:
+            if crs is not None:
+                raise
+            wrong = error.message.removeprefix("--crs: ")
+            hint = "are the latitudes and longitudes of its nodes true?"
+            raise CrsError(f"{osm.path}: {wrong}", hint=hint) from error
     if crs is not None:
         remarks += _scale_remarks(target, plane[used])
     heights, more = _heights(osm, used)
+    if osm.odd_heights:
+        node, text = osm.odd_heights[0]
+        count = f"heights of {len(osm.odd_heights)} nodes are not used"
+        more += (f"{count}: ele is no number of metres, such as {text[:20]!r} of node {node}",)
     return Positions(xyz=np.column_stack([plane, heights]), crs=target, remarks=remarks + more)
 
 

@@ -45,7 +45,10 @@ from gis_radar.notebooks import card
 from gis_radar.progress import QUIET, Reporter
 
 STAGE = "reading lanelets"
-REPAIRED, LEFT_OUT = "repaired", "left out"
+REPAIRED, LEFT_OUT, DOUBTFUL = "repaired", "left out", "doubtful"
+WIDE_M = 40.0  # of a lanelet's bounds: the widest squares and turning areas are narrower
+WIDEST_M = 500.0  # beyond that a node is in the wrong place
+STRAY_M = 100_000.0  # from the middle of the map: no site is so large
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +66,8 @@ class LaneletMap:
     regulatory : GeoDataFrame
         A row for each member of a regulatory element, see :func:`regulatory_table`.
     problems : GeoDataFrame
-        `lanelet_id`, `action` (`repaired` or `left out`), `reason`, geometry (or None).
+        `lanelet_id`, `action` (`repaired`, `left out`, or `doubtful` for one that is kept),
+        `reason`, geometry (or None).
     crs : CRS
         The system of all coordinates.
     remarks : tuple of str
@@ -207,7 +211,30 @@ def _assembled(
             reason = "; ".join(reasons)
             problems.append(_Problem(id=ref, action=REPAIRED, reason=reason, shape=shape))
     reporter.progress(STAGE, len(relations), len(relations))
-    return lanelets, problems
+    kept, odd = _plausible(lanelets)
+    return kept, problems + odd
+
+
+def _plausible(lanelets: list[_Lanelet]) -> tuple[list[_Lanelet], list[_Problem]]:
+    """Leave out lanelets that cannot be where they are; name those that hardly can."""
+    begins = np.array([each.bounds.left[0, :2] for each in lanelets]).reshape(-1, 2)
+    away_m = np.hypot(*(begins - np.median(begins, axis=0)).T) if lanelets else begins[:, 0]
+    kept, problems = [], []
+    for lanelet, off_m in zip(lanelets, away_m.tolist(), strict=True):
+        left, right = lanelet.bounds.left, lanelet.bounds.right
+        along = np.linspace(0.0, 1.0, 5)
+        apart = at_fractions(left, along)[:, :2] - at_fractions(right, along)[:, :2]
+        width_m = float(np.median(np.hypot(*apart.T)))
+        out = off_m > STRAY_M or width_m > WIDEST_M
+        if not out:
+            kept.append(lanelet)
+        if out or width_m > WIDE_M:
+            far = f"it lies {off_m / 1000.0:.0f} km from the middle of the map"
+            reason = far if off_m > STRAY_M else f"its bounds are {width_m:.0f} m apart"
+            action = LEFT_OUT if out else DOUBTFUL
+            shape = outline(left, right)
+            problems.append(_Problem(id=lanelet.id, action=action, reason=reason, shape=shape))
+    return kept, problems
 
 
 def _left_out(ref: int, reason: str, drawn: list[Floats]) -> _Problem:
@@ -309,7 +336,7 @@ def _remarks(osm: OsmMap, problems: list[_Problem]) -> tuple[str, ...]:
         "elements skipped whose id had been used before": len(osm.doubled),
     }
     remarks = [f"{what}: {count}" for what, count in skipped.items() if count]
-    for action in (REPAIRED, LEFT_OUT):
+    for action in (REPAIRED, LEFT_OUT, DOUBTFUL):
         count = sum(problem.action == action for problem in problems)
         if count:
             remarks.append(f"{count} lanelet{'s'[: count > 1]} {action}, see layer problems")

@@ -211,6 +211,8 @@ class RecordingPass:
         Ranges of all detections.
     rows : int
         Rows read.
+    hits : int
+        Frames on tiles: how often a tile was hit by a frame.
     level : bool
         Whether the sensor measures no elevation.
     movement : dict
@@ -225,6 +227,7 @@ class RecordingPass:
     times: FrameTimes = field(default_factory=FrameTimes)
     ranges: RangeCounts = field(default_factory=RangeCounts)
     rows: int = 0
+    hits: int = 0
     level: bool = False
     movement: dict[str, MovementCounter] = field(default_factory=dict)
 
@@ -300,6 +303,7 @@ def _hits(
             )
             found.runs.setdefault(view, []).append(union([Runs(first=step, last=step)]))
             found.poses.add(index)
+            found.hits += len(frame)
             found.times.add(frames.time_us)
             yield step[frame], target.tile_id[tile], np.full(len(frame), number)
         found.ranges.add(piece)
@@ -377,6 +381,11 @@ def _warnings(
         file, sensor = each.source.recording.path.name, each.source.track.sensor
         reached_m, cycle_us = each.ranges.reached_m(settings.range_share), each.times.cycle_us
         view = each.source.track.poses[0].view or View()
+        if each.hits == 0:
+            yield (
+                f"{file}: no detection of {sensor} lies on a tile: all reads as observed and "
+                "empty; do pose, tiles and filters fit the recording, and are its positions metres?"
+            )
         if 0 < reached_m < settings.reach_share * view.max_range_m:
             yield (
                 f"{file}: {100 * settings.range_share:g} % of the detections lie within "

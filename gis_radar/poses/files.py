@@ -177,9 +177,7 @@ def read_track(path: str | Path) -> PoseTrack:
     """
     if Path(path).suffix.lower() != ".csv":
         return as_track(read_pose(path))
-    rows = list(csv.DictReader(_text(Path(path)).splitlines()))
-    if not rows:
-        raise InputError(f"{path}: pose track without rows")
+    rows = _rows_of(Path(path))
     shared: dict[str, CRS] = {}
     poses = tuple(
         _pose_of_row(row, f"{path}: row {i}", shared) for i, row in enumerate(rows, start=1)
@@ -196,6 +194,27 @@ def read_track(path: str | Path) -> PoseTrack:
         late = int(np.flatnonzero(np.diff(since) <= 0.0)[0]) + 2
         raise InputError(f"{path}: row {late}: times of a pose track must ascend")
     return PoseTrack(poses=poses, since=since)
+
+
+def _rows_of(path: Path) -> list[dict[str, str]]:
+    """Return the rows of a track; refuse rows of other lengths, and a last row that is cut."""
+    text = _text(path)
+    try:
+        header, *rows = [row for row in csv.reader(text.splitlines()) if row] or [[]]
+    except csv.Error as error:
+        raise InputError(f"{path}: not a pose track: {error}") from error
+    if not rows:
+        raise InputError(f"{path}: pose track without rows")
+    for number, row in enumerate(rows, start=1):
+        if len(row) != len(header):
+            raise InputError(
+                f"{path}: row {number} has {len(row)} cells, the header {len(header)}"
+                + (": cut off?" if number == len(rows) else "")
+            )
+    ours = tuple(header[: len(TRACK_FIELDS)]) == TRACK_FIELDS
+    if ours and not text.endswith("\n"):  # as we write it; the last number may be cut, too
+        raise InputError(f"{path}: row {len(rows)} does not end: cut off?")
+    return [dict(zip(header, row, strict=True)) for row in rows]
 
 
 def _pose_of_row(row: dict[str, Any], what: str, shared: dict[str, CRS]) -> Pose:

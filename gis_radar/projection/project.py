@@ -18,7 +18,7 @@ import pyarrow.parquet as pq
 import shapely
 
 from gis_radar.arrays import Floats
-from gis_radar.crs import name_of
+from gis_radar.crs import name_of, require_true_scale
 from gis_radar.errors import UsageError
 from gis_radar.files import refuse_inputs, whole_file
 from gis_radar.geopackage import GPKG_VERSION, write_stream
@@ -178,6 +178,9 @@ class _PointStream:
         kept = [pa.field(self.names[field.name], _plain(field.type)) for field in further]
         self.schema: pa.Schema = pa.schema([*OWN, *kept, pa.field(GEOMETRY, pa.binary())])
         self.pose: Pose = track.poses[0]
+        for pose in track.poses:  # in degrees, in millimetres, with its axes swapped
+            whose = f"pose of {pose.sensor}"
+            require_true_scale(pose.crs, pose.easting, pose.northing, what=whose)
         self.rows = 0
         self.reporter = reporter
         if not recording.measures_elevation():

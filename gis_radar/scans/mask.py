@@ -299,7 +299,7 @@ def _remark(mask: RoadMask, opened: Sequence[Scan], reporter: Reporter) -> None:
         reporter.log(f"only {covered:.0%} of the road inside the scans has points", "warning")
     offset = mask.cells.offset_m
     if abs(offset) > mask.settings.warn_offset_m:
-        far = abs(offset) > mask.settings.datum_m
-        reason = "no datum is so far off: heights in feet, or of another place?"
-        text = f"the scans lie {offset:.2f} m over the map's heights: "
-        reporter.log(text + (reason if far else "another vertical datum?"), "warning")
+        text = f"the scans lie {offset:.2f} m over the map's heights: another vertical datum?"
+        if abs(offset) > mask.settings.datum_m:
+            text += " none is so far off: are they in feet, or of another place?"
+        reporter.log(text, "warning")

@@ -134,10 +134,11 @@ def open_scan(path: str | Path, *, crs: Any = None) -> Scan:
     stated = crs if crs is not None else _stated(path, header, hint=_SAY)
     if stated is None:
         raise CrsError(f"{path}: has no coordinate system", hint=_SAY)
+    plane = metric_crs(stated, what="--scan-crs" if crs is not None else str(path))
     _refuse_feet(CRS.from_user_input(stated), path)
     return Scan(
         path=path,
-        crs=metric_crs(stated, what="--scan-crs" if crs is not None else str(path)),
+        crs=plane,
         vertical=_vertical(CRS.from_user_input(stated)),
         points=int(header.point_count),
         bounds=_bounds(header),
