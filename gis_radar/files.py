@@ -3,22 +3,40 @@
 from __future__ import annotations
 
 import atexit
+import ctypes
 import errno
 import json
 import math
 import os
+import re
 import secrets
 import shutil
 import sys
+import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from gis_radar.errors import OutputError
+from gis_radar.errors import GisRadarError, OutputError, first_line
+from gis_radar.leftovers import (
+    PLAN,
+    PRIVATE,
+    clear_abandoned,
+    hidden_stem,
+    leftovers,
+    living,
+    private_pattern,
+)
 from gis_radar.progress import QUIET, Reporter
 
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+# Libraries that write our files, by the module of their errors: importing them takes a second.
+_WRITERS = {"pyogrio", "lazrs", "laspy", "rasterio", "sqlite3", "pyarrow", "PIL", "fpdf"}
+_FULL_TEXTS = ("disk is full", "no space left", "file too large", "disk quota", "os error 28")
+_LEAST_FREE = 1 << 16  # bytes: less is a full disk, whatever a library says of its failure
+
+_HERE, _EXCHANGE = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of Linux
 
 _unfinished: set[Path] = set()
 
@@ -121,7 +139,12 @@ def whole_files(path: Path) -> Iterator[tuple[Path, dict[Path, Path]]]:
         for place in places.values():
             if place.is_dir():
                 raise OutputError(f"{place}: is a folder", hint="name a file for the output")
-        for part, place in places.items():
+        # The file that names the others comes last; a killed run's moves are ended by the next.
+        order = sorted(places.items(), key=lambda each: each[1] == path)
+        if len(order) > 1:
+            plan = json.dumps([[part.name, str(place.absolute())] for part, place in order])
+            (private / PLAN).write_text(plan, encoding="utf-8")
+        for part, place in order:
             with output_errors(place):
                 os.replace(part, place)  # noqa: PTH105 - atomic on every platform
 
@@ -158,6 +181,7 @@ def whole_folder(
         _refuse_here(path)
         refuse_foreign(path, owned)
     with _alone(path, reporter), _beside(path) as private:
+        _restore(path)
         fresh = private / path.name
         fresh.mkdir()
         yield fresh
@@ -168,6 +192,8 @@ def _replace_folder(path: Path, fresh: Path, earlier: Path) -> None:
     """Move `fresh` to `path`; until it is there, the earlier result comes back."""
     try:
         with output_errors(path):
+            if path.exists() and _exchanged(fresh, path):
+                return  # the earlier one goes with the private folder
             if path.exists():
                 path.rename(earlier)
             fresh.rename(path)
@@ -176,6 +202,25 @@ def _replace_folder(path: Path, fresh: Path, earlier: Path) -> None:
             earlier.rename(path)
         elif earlier.exists():
             shutil.rmtree(earlier, ignore_errors=True)
+
+
+def _exchanged(one: Path, other: Path) -> bool:
+    """Let two folders change places at once, where the system can: Linux since 3.15."""
+    if not sys.platform.startswith("linux"):
+        return False
+    with suppress(OSError, AttributeError):
+        rename = ctypes.CDLL(None, use_errno=True).renameat2
+        return bool(rename(_HERE, os.fsencode(one), _HERE, os.fsencode(other), _EXCHANGE) == 0)
+    return False
+
+
+def _restore(path: Path) -> None:
+    """Bring back a folder that a run moved aside before it was killed; we hold its lock."""
+    for earlier in leftovers(path, "before"):
+        if path.exists():
+            shutil.rmtree(earlier, ignore_errors=True)
+        else:
+            earlier.rename(path)
 
 
 def _refuse_here(path: Path) -> None:
@@ -192,7 +237,10 @@ def refuse_foreign(path: Path, owned: tuple[str, ...]) -> None:
     """Refuse a folder with files of others, whose names do not begin like our own, or a file."""
     if not path.is_dir():
         raise OutputError(f"{path}: is a file", hint="name a folder for the output")
+    clear_abandoned(path, PRIVATE)
     foreign = sorted(entry.name for entry in path.iterdir() if not entry.name.startswith(owned))
+    if foreign and PRIVATE.fullmatch(foreign[0]):
+        raise OutputError(f"{path}: another run is writing into it", hint="wait for it, or stop it")
     if foreign:
         raise OutputError(
             f"{path}: holds {foreign[0]!r}, which is not part of such a result",
@@ -203,23 +251,83 @@ def refuse_foreign(path: Path, owned: tuple[str, ...]) -> None:
 @contextmanager
 def _beside(path: Path) -> Iterator[Path]:
     """Yield a private folder on the same file system as `path`; it is gone afterwards."""
-    private = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
+    clear_abandoned(path.absolute().parent, private_pattern(path, "part"))
+    private = path.with_name(f"{hidden_stem(path)}.{secrets.token_hex(4)}.part")
     # Entered before it exists: an interruption may come at any moment, in the clearing up too.
     _unfinished.add(private)
     try:
         with output_errors(path):
             private.mkdir(mode=0o700)
-        yield private
-    except OSError as error:
-        # Arrow sets no errno, only the text.
-        if error.errno in FULL or os.strerror(errno.ENOSPC) in str(error):
-            raise OutputError(
-                f"{path}: cannot be written: the disk is full", hint="nothing was left behind"
-            ) from error
-        raise
+        with living(private), writing_errors(path):
+            yield private
     finally:
         shutil.rmtree(private, ignore_errors=True)
         _unfinished.discard(private)
+
+
+@contextmanager
+def scratch_folder() -> Iterator[Path]:
+    """Make a folder for temporary files; what killed runs left of theirs goes first.
+
+    Yields
+    ------
+    Path
+        An empty folder in the system's folder for temporary files.
+
+    Raises
+    ------
+    OutputError
+        If there is no room.
+    """
+    root = Path(tempfile.gettempdir())
+    clear_abandoned(root, re.compile(r"gis_radar_\w+"))
+    with (
+        writing_errors(root),
+        tempfile.TemporaryDirectory(prefix="gis_radar_", ignore_cleanup_errors=True) as name,
+        living(Path(name)),
+    ):
+        yield Path(name)
+
+
+@contextmanager
+def writing_errors(path: Path) -> Iterator[None]:
+    """Turn what libraries raise that write files into an error that names the output.
+
+    Parameters
+    ----------
+    path : Path
+        The output, for the message.
+
+    Raises
+    ------
+    OutputError
+        Where the disk is full, or a library that writes files of ours fails.
+    """
+    try:
+        yield
+    except GisRadarError:
+        raise
+    except Exception as error:
+        reason = first_line(error)
+        number = error.errno if isinstance(error, OSError) else None
+        ours = type(error).__module__.partition(".")[0] in _WRITERS
+        # Arrow, GDAL and SQLite set no errno, only the text; some not even that.
+        told = any(text in str(error).lower() for text in _FULL_TEXTS)
+        if number in FULL or told or (ours and _is_full(path)):
+            raise OutputError(
+                f"{path}: cannot be written: the disk is full", hint="nothing was left behind"
+            ) from error
+        if ours:
+            raise OutputError(f"{path}: cannot be written: {reason}") from error
+        raise
+
+
+def _is_full(path: Path) -> bool:
+    """Return whether next to nothing is free where a file lies."""
+    try:
+        return shutil.disk_usage(path.absolute().parent).free < _LEAST_FREE
+    except OSError:
+        return False
 
 
 @atexit.register
@@ -283,7 +391,7 @@ def only_writer(
     OutputError
         If another run is writing it.
     """
-    lock = lock or path.with_name(f".{path.name}.lock")
+    lock = lock or path.with_name(f"{hidden_stem(path)}.lock")
     handle = _taken(lock, path, reporter)
     try:
         os.truncate(handle, 0)

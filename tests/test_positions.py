@@ -238,4 +238,4 @@ def test_local_metres_keep_their_scale_whatever_the_crs_and_say_so(tmp_path):
     road = read_map(local_map(tmp_path / "a.osm", local_nodes(50.0)), crs="EPSG:3857")
     line = metres(road.lanelets["left"][0])
     np.testing.assert_allclose(line[1] - line[0], [3000.0, 1500.0], rtol=1e-6)
-    assert "1.519 m for each metre" in road.remarks[-1]
+    assert "1.519 m for each metre" in str(road.remarks)

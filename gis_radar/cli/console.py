@@ -6,6 +6,7 @@ import functools
 import os
 import signal
 import sys
+import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,7 +19,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemaining
 from rich.table import Table
 from rich.text import Text
 
-from gis_radar.errors import GisRadarError, OutputError, UsageError
+from gis_radar.errors import GisRadarError, OutputError, UsageError, first_line
 from gis_radar.files import json_text
 from gis_radar.processes import watch_input
 from gis_radar.progress import Level, Reporter
@@ -177,6 +178,9 @@ def _readable(value: Any) -> str:
     return f"{value:,}" if isinstance(value, int) and not isinstance(value, bool) else str(value)
 
 
+TRACEBACK = "GIS_RADAR_TRACEBACK"
+"""The environment variable that shows the traceback of an error that nobody foresaw."""
+UNFORESEEN = "unforeseen"
 INTERRUPTED = 130
 INTERRUPTION = "interrupted; nothing was left half-written"
 
@@ -244,12 +248,29 @@ def run_group(group: click.Group) -> NoReturn:
         if not isinstance(error.__cause__, KeyboardInterrupt):  # in compiled code
             raise
         _fail(console, _InterruptedError(INTERRUPTION))
-    except OSError as error:
+    except Exception as error:  # noqa: BLE001 - a person shall see one line of any error
+        _fail(console, _error_of(error))
+    sys.exit(0)
+
+
+def _error_of(error: Exception) -> GisRadarError:
+    """Return what to say of an error of the system, or of one that nobody foresaw."""
+    if isinstance(error, OSError):
         if not _output_is_open():
             _exit_without_output()
         where = f"{error.filename}: " if error.filename else ""
-        _fail(console, OutputError(f"{where}{error.strerror or error}"))
-    sys.exit(0)
+        return OutputError(f"{where}{error.strerror or error}")
+    if isinstance(error, MemoryError):
+        return OutputError("there is not enough memory", hint="take smaller parts")
+    if os.environ.get(TRACEBACK):
+        raise error
+    place, line = "unknown", 0
+    for frame, number in traceback.walk_tb(error.__traceback__):
+        if frame.f_globals.get("__name__", "").startswith("gis_radar"):
+            place, line = frame.f_globals["__name__"], number
+    hint = f"an input may be damaged; please report it, with what {TRACEBACK}=1 prints"
+    text = f"{UNFORESEEN} {type(error).__name__} in {place}, line {line}: {first_line(error)[:200]}"
+    return GisRadarError(text, hint=hint)
 
 
 def _fail(console: Console, error: GisRadarError) -> NoReturn:

@@ -185,10 +185,8 @@ class Tally:
         observed, shift = _runs_of_groups(runs, timeline)
         occupied = np.zeros((len(timeline), len(seen)), np.uint32)
         done = found = counted = 0
-        span = None if vehicles is not None else whole
         outside: list[int] = []
-        hits = _noting_outside(occupancy.held_hits(), span, outside)
-        for step, tile_id in _hits_within(hits, timeline):
+        for step, tile_id in _hits_within(occupancy.held_hits(), timeline, whole, outside):
             place, row = column[positions(tile_ids, tile_id)], timeline.find(step)
             kept = np.flatnonzero((place >= 0) & (row >= 0))
             found += len(kept)
@@ -197,7 +195,8 @@ class Tally:
             counted += len(kept)
             done += len(step)
             reporter.progress("counting hits", done, None)
-        if (doubt := _doubt(found + sum(outside), counted)) and chosen is None:
+        found += sum(outside) if vehicles is None else 0
+        if chosen is None and (doubt := _doubt(found, counted)):
             reporter.log(doubt, "warning")
         coverage = None
         if vehicles is not None:
@@ -384,25 +383,12 @@ class Tally:
         )
 
 
-def _noting_outside(
-    hits: Iterator[Rows], whole: Timeline | None, outside: list[int]
-) -> Iterator[Rows]:
-    """Pass hits on; note how many of a piece are outside the time of all frames."""
-    for step, tile in hits:
-        if whole is not None:
-            within = np.searchsorted(step, [whole.begin[0], whole.end[-1]])
-            outside.append(len(step) - int(np.diff(within)[0]))
-        yield step, tile
-
-
 def _doubt(found: int, counted: int) -> str:
     """Return what to say where hits and observation do not fit each other, or nothing."""
-    if counted == 0:
+    if found == 0:
         return "no tile was hit while it was observed: the map shows zeros"
-    if counted < LEAST_COUNTED * found:
-        lost = f"{found - counted} of {found} hits"
-        return f"{lost} are in steps in which no frame observes their tile, and do not count"
-    return ""
+    lost = f"{found - counted} of {found} hits are in steps in which no frame observes their tile"
+    return f"{lost}, and do not count" if counted < LEAST_COUNTED * found else ""
 
 
 def _observe(
@@ -438,10 +424,14 @@ def positions(tile_ids: Integers, wanted: Integers) -> Integers:
     return position
 
 
-def _hits_within(hits: Iterator[Rows], timeline: Timeline) -> Iterator[Rows]:
-    """Yield the hits in a span of time; what comes later is not read."""
+def _hits_within(
+    hits: Iterator[Rows], timeline: Timeline, whole: Timeline, outside: list[int]
+) -> Iterator[Rows]:
+    """Yield the hits in a span of time, count those beyond all frames; later ones are not read."""
     first, after = int(timeline.begin[0]), int(timeline.end[-1])
     for step, tile in hits:
+        begin, end = np.searchsorted(step, [whole.begin[0], whole.end[-1]])
+        outside.append(int(len(step) - (end - begin)))
         if len(step) == 0 or step[-1] < first:
             continue
         low, high = np.searchsorted(step, [first, after])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -13,13 +12,11 @@ import geopandas as gpd
 import numpy as np
 import shapely
 from numpy.typing import ArrayLike
-from pyogrio.errors import DataSourceError
-from rasterio.errors import RasterioError
 
 from gis_radar.arrays import Integers
 from gis_radar.crs import metric_crs, name_of
-from gis_radar.errors import NOTEBOOKS, InputError, OutputError, UsageError
-from gis_radar.files import whole_folder
+from gis_radar.errors import NOTEBOOKS, InputError, UsageError
+from gis_radar.files import output_errors, whole_folder, writing_errors
 from gis_radar.heatmap.by_lane import table_by_lane
 from gis_radar.heatmap.counting import Shares, Tally, positions
 from gis_radar.heatmap.covering import CoverageShares, require_same_origin
@@ -173,10 +170,8 @@ class HeatMap(Tally):
             writers["occupancy.tif"] = partial(write_raster, measure="occupancy")
         with whole_folder(folder, owned=OWNED, reporter=reporter) as fresh:
             for name, write in writers.items():
-                try:
+                with output_errors(folder / name), writing_errors(folder / name):
                     write(self, fresh / name, reporter)
-                except (OSError, sqlite3.Error, DataSourceError, RasterioError) as error:
-                    raise OutputError(f"{folder / name}: cannot be written: {error}") from error
         return [folder / name for name in writers]
 
 

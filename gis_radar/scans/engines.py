@@ -6,7 +6,6 @@ stages stream, so its memory does not grow with the points.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -21,6 +20,7 @@ import shapely
 
 from gis_radar.crs import Box, moved_box, name_of, same_plane
 from gis_radar.errors import GisRadarError, UsageError
+from gis_radar.files import scratch_folder
 from gis_radar.geopackage import GPKG_VERSION
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.scans.pdal import INSTALL_HINT, PdalRunner, find_pdal
@@ -281,8 +281,8 @@ def _fill_by_pdal(
     )
     store.classified(0, ground=True)  # whatever the scans were, the pipeline classified them
     times: list[float] = []
-    with tempfile.TemporaryDirectory(prefix="gis_radar_") as name:
-        layer, points = Path(name) / "roads.gpkg", Path(name) / "points.laz"
+    with scratch_folder() as folder:
+        layer, points = folder / "roads.gpkg", folder / "points.laz"
         write_layer(roads, layer)
         parts = _parts(pipeline)
         for done, within in enumerate(parts):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -16,7 +15,7 @@ import shapely
 from gis_radar.arrays import Floats
 from gis_radar.crs import moved_box, name_of
 from gis_radar.errors import InputError, NoAnswerError, UsageError
-from gis_radar.files import whole_files
+from gis_radar.files import scratch_folder, whole_files
 from gis_radar.grid import CELL_M
 from gis_radar.lanelets import LaneletMap
 from gis_radar.notebooks import card
@@ -209,8 +208,8 @@ def mask_road(
     if not touching:
         raise _no_overlap(opened, roads)
     blocks = cut_into_blocks(roads)
-    with tempfile.TemporaryDirectory(prefix="gis_radar_") as folder:
-        store = PointStore(blocks, Path(folder))
+    with scratch_folder() as folder:
+        store = PointStore(blocks, folder)
         statistics = fill(store, touching, settings, reporter)
         if store.total == 0:
             raise _no_overlap(touching, roads)

@@ -8,7 +8,6 @@ imports what it calls: a worker waits for the rooms of its own stages only.
 from __future__ import annotations
 
 import shutil
-import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +15,7 @@ from typing import Any
 
 from gis_radar.crs import name_of
 from gis_radar.errors import InputError, NoAnswerError
-from gis_radar.files import whole_file
+from gis_radar.files import scratch_folder, whole_file
 from gis_radar.poses.files import PoseTrack, read_track, write_pose
 from gis_radar.poses.pose import COMPONENTS, Pose, View
 from gis_radar.progress import Reporter
@@ -63,8 +62,8 @@ def convert_stage(*, recordings: Paths, outputs: Paths, **options: Any) -> Figur
     """Make one recording of what a sensor's own programs have written."""
     from gis_radar.recordings import convert
 
-    with tempfile.TemporaryDirectory() as folder:
-        made = convert(recordings, Path(folder) / outputs[0].name, **options)
+    with scratch_folder() as folder:
+        made = convert(recordings, folder / outputs[0].name, **options)
         if len(made.outputs) != 1:
             names = ", ".join(str(each.sensor) for each in made.recordings)
             raise InputError(

@@ -1,0 +1,265 @@
+"""After `kill -9`: the old result or the new one, nothing in the way, nobody locked out."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from gis_radar import files, leftovers
+from gis_radar.errors import OutputError
+from gis_radar.files import scratch_folder, whole_file, whole_files, whole_folder, writing_errors
+
+ROOT = Path(__file__).parents[1]
+
+
+def killed(code, *words, when="ready"):
+    """Run a program until it prints a line, then kill it with all that it has open."""
+    child = subprocess.Popen(
+        [sys.executable, "-c", code, *map(str, words)], stdout=subprocess.PIPE, cwd=ROOT
+    )
+    with child:
+        assert child.stdout.readline().strip() == when.encode()
+        child.kill()
+    assert child.returncode == -signal.SIGKILL
+
+
+BEGIN = (
+    "import sys, time; from pathlib import Path; from gis_radar import files\n"
+    "place = Path(sys.argv[1])\n"
+    "def stop():\n    print('ready', flush=True); time.sleep(60)\n"
+)
+FILE = BEGIN + "with files.whole_file(place) as part:\n    part.write_text('half'); stop()\n"
+FOLDER = BEGIN + (
+    "with files.whole_folder(place, owned=('a',)) as part:\n    (part / 'a').write_text('half')\n"
+    "    stop()\n"
+)
+BETWEEN = BEGIN + (
+    "files._exchanged = lambda *_: False\nrename = Path.rename\ncalls = []\n"
+    "def stopping(self, target):\n"
+    "    calls.append(1)\n"
+    "    stop() if len(calls) == 2 else rename(self, target)\n"
+    "Path.rename = stopping\n"
+    "with files.whole_folder(place, owned=('a',)) as part:\n    (part / 'a').write_text('new')\n"
+)
+SEVERAL = BEGIN + (
+    "import os\nreplace = os.replace\ncalls = []\n"
+    "def stopping(part, target):\n"
+    "    stop() if len(calls) == int(sys.argv[2]) else replace(part, target)\n"
+    "    calls.append(1)\n"
+    "os.replace = stopping\n"
+    "with files.whole_files(place) as (private, places):\n"
+    "    for name in ('road.laz', 'road.json', 'road.gpkg'):\n"
+    "        (private / name).write_text('new'); places[private / name] = place.with_name(name)\n"
+)
+SCRATCH = BEGIN + (
+    "import tempfile; tempfile.tempdir = str(place)\n"
+    "with files.scratch_folder() as folder:\n    (folder / 'a').write_text('half'); stop()\n"
+)
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_the_next_run_clears_what_a_killed_one_left_of_a_file(tmp_path):
+    killed(FILE, tmp_path / "a.txt")
+    assert len(names(tmp_path)) == 1
+    with whole_file(tmp_path / "a.txt") as part:
+        part.write_text("new")
+    assert names(tmp_path) == ["a.txt"]
+
+
+def test_the_next_run_clears_what_a_killed_one_left_of_a_folder(tmp_path):
+    killed(FOLDER, tmp_path / "o")
+    with whole_folder(tmp_path / "o", owned=("a",)) as part:
+        (part / "a").write_text("new")
+    assert names(tmp_path) == ["o"]
+
+
+def test_what_another_run_is_writing_is_not_cleared(tmp_path):
+    with whole_file(tmp_path / "a.txt") as part:
+        part.write_text("first")
+        with whole_file(tmp_path / "a.txt") as other:
+            other.write_text("second")
+        assert part.read_text() == "first"
+    assert (tmp_path / "a.txt").read_text() == "first"
+    assert names(tmp_path) == ["a.txt"]
+
+
+def test_other_hidden_files_stay(tmp_path):
+    kept = [".a.txt.part", ".a.txt.0000000g.part", ".b.txt.00000000.part", "a.txt.00000000.part"]
+    for name in kept:
+        (tmp_path / name).mkdir()
+    with whole_file(tmp_path / "a.txt") as part:
+        part.write_text("new")
+    assert names(tmp_path) == sorted([*kept, "a.txt"])
+
+
+def test_a_killed_report_does_not_lock_the_folder_of_a_heat_map(tmp_path):
+    (tmp_path / "o").mkdir()
+    (tmp_path / "o" / "a").write_text("old")
+    killed(FILE, tmp_path / "o" / "report.html")
+    with whole_folder(tmp_path / "o", owned=("a",)) as part:
+        (part / "a").write_text("new")
+    assert names(tmp_path / "o") == ["a"]
+
+
+def test_a_folder_into_which_another_run_writes_is_not_replaced(tmp_path):
+    (tmp_path / "o").mkdir()
+    with whole_file(tmp_path / "o" / "report.html") as part:
+        part.write_text("report")
+        with (
+            pytest.raises(OutputError, match="another run is writing into it"),
+            whole_folder(tmp_path / "o", owned=("a",)),
+        ):
+            pass
+    assert names(tmp_path / "o") == ["report.html"]
+
+
+def test_a_kill_between_two_renames_hides_nothing_for_good(tmp_path):
+    """Only where the system cannot let folders change places."""
+    (tmp_path / "o").mkdir()
+    (tmp_path / "o" / "a").write_text("old")
+    killed(BETWEEN, tmp_path / "o")
+    assert not (tmp_path / "o").exists()
+    with pytest.raises(RuntimeError), whole_folder(tmp_path / "o", owned=("a",)):
+        raise RuntimeError
+    assert (tmp_path / "o" / "a").read_text() == "old"
+    assert names(tmp_path) == ["o"]
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="other systems have no such call")
+def test_folders_change_places_at_once(tmp_path, monkeypatch):
+    def refuse(*_):
+        raise AssertionError("two renames, between which there is no folder")
+
+    (tmp_path / "o").mkdir()
+    (tmp_path / "o" / "a").write_text("old")
+    monkeypatch.setattr(Path, "rename", refuse)
+    with whole_folder(tmp_path / "o", owned=("a",)) as part:
+        (part / "a").write_text("new")
+    assert (tmp_path / "o" / "a").read_text() == "new"
+    assert names(tmp_path) == ["o"]
+
+
+@pytest.mark.parametrize("moved", [0, 1, 2])
+@pytest.mark.parametrize("before", [False, True])
+def test_several_files_are_whole_after_the_next_run(tmp_path, moved, before):
+    """The file that is asked for comes last, so that it is there only with those beside it."""
+    trio = ["road.gpkg", "road.json", "road.laz"]
+    for name in trio if before else ():
+        (tmp_path / name).write_text("old")
+    killed(SEVERAL, tmp_path / "road.laz", moved)
+    there = tmp_path / "road.laz"
+    assert (there.read_text() == "old") if before else (not there.exists())
+    with pytest.raises(RuntimeError), whole_files(there):
+        raise RuntimeError
+    assert names(tmp_path) == trio
+    assert {(tmp_path / name).read_text() for name in trio} == {"new"}
+
+
+def test_a_plan_moves_nothing_elsewhere(tmp_path):
+    private = tmp_path / ".a.00000000.part"
+    private.mkdir()
+    (private / "a").write_text("hostile")
+    (private / leftovers._ALIVE).touch()
+    (private / leftovers.PLAN).write_text(json.dumps([["a", str(tmp_path / "sub" / "a")]]))
+    (tmp_path / "sub").mkdir()
+    with whole_file(tmp_path / "a") as part:
+        part.write_text("new")
+    assert names(tmp_path / "sub") == []
+
+
+def test_temporary_files_of_killed_runs_go(tmp_path, monkeypatch):
+    killed(SCRATCH, tmp_path)
+    assert len(names(tmp_path)) == 1
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with scratch_folder() as one, scratch_folder() as other:
+        assert names(tmp_path) == sorted([one.name, other.name])
+    assert names(tmp_path) == []
+
+
+@pytest.mark.parametrize("length", [200, 231, 232, 240, 255])
+def test_names_of_every_legal_length(tmp_path, length):
+    name = "x" * (length - 4) + ".txt"
+    with whole_file(tmp_path / name) as part:
+        part.write_text("new")
+    with whole_folder(tmp_path / f"y{name[1:]}", owned=("a",)) as part:
+        (part / "a").write_text("new")
+    assert names(tmp_path) == [name, f"y{name[1:]}"]
+
+
+LOOP = (
+    "import sys; from pathlib import Path; from gis_radar import files\n"
+    "place = Path(sys.argv[1])\nprint('ready', flush=True)\nnumber = 0\n"
+    "while True:\n"
+    "    number += 1\n"
+    "    with files.whole_folder(place, owned=('a',)) as part:\n"
+    "        for name in ('a1', 'a2', 'a3'):\n"
+    "            (part / name).write_text(str(number) * 1000)\n"
+)
+
+
+def test_kills_at_any_moment(tmp_path):
+    """Kills of a writer that never pauses: its folder is whole, and the next one begins."""
+    chance = random.Random(4)  # noqa: S311 - moments
+    place = tmp_path / "o"
+    for _ in range(8):
+        child = subprocess.Popen(
+            [sys.executable, "-c", LOOP, str(place)], stdout=subprocess.PIPE, cwd=ROOT
+        )
+        with child:
+            child.stdout.readline()
+            time.sleep(chance.uniform(0.0, 0.15))
+            child.kill()
+        if place.exists():
+            texts = {path.read_text() for path in place.iterdir()}
+            assert len(texts) == 1
+            assert len(names(place)) == 3
+    with whole_folder(place, owned=("a",)) as part:
+        (part / "a1").write_text("end")
+    assert names(tmp_path) == ["o"]
+
+
+class OfLibraryError(RuntimeError):
+    pass
+
+
+@pytest.mark.parametrize("module", ["pyogrio.errors", "lazrs", "rasterio._err", "sqlite3"])
+def test_what_libraries_raise_that_write_names_the_output(tmp_path, monkeypatch, module):
+    monkeypatch.setattr(OfLibraryError, "__module__", module)
+    odd = pytest.raises(OutputError, match=r"a: cannot be written: odd$")
+    with odd, whole_file(tmp_path / "a"):
+        raise OfLibraryError("odd\nmore")
+    full = pytest.raises(OutputError, match="a: cannot be written: the disk is full")
+    with full, whole_file(tmp_path / "a"):
+        raise OfLibraryError("sqlite3_exec(...) failed: database or disk is full")
+    monkeypatch.setattr(files, "_LEAST_FREE", 1 << 62)
+    with full, whole_file(tmp_path / "a"):
+        raise OfLibraryError("something went wrong")
+
+
+def test_an_error_of_ours_or_of_a_reader_stays(tmp_path):
+    with pytest.raises(OfLibraryError), writing_errors(tmp_path):
+        raise OfLibraryError("no writer")
+    with pytest.raises(OutputError, match=r"^ours$"), writing_errors(tmp_path):
+        raise OutputError("ours")
+
+
+def test_the_folder_of_a_stranger_is_left_alone(tmp_path):
+    """A private folder without a lock is of an earlier version: it goes after a day."""
+    private = tmp_path / ".a.00000000.part"
+    private.mkdir()
+    with whole_file(tmp_path / "a") as part:
+        part.write_text("new")
+    assert private.exists()
+    os.utime(private, (1.0, 1.0))
+    with whole_file(tmp_path / "a") as part:
+        part.write_text("new")
+    assert names(tmp_path) == ["a"]
