@@ -1,7 +1,9 @@
-"""Vehicles: their tracks, and which tiles they cover in which steps."""
+"""Vehicles: their tracks, and which tiles they cover in which steps.
 
-from gis_radar.vehicles.find import find_vehicles
-from gis_radar.vehicles.folder import Vehicles, read_vehicles
-from gis_radar.vehicles.merging import merge_vehicles
+What the room offers is listed in `__init__.pyi` and loaded when it is first used: who reads a
+folder does not wait for what finds vehicles.
+"""
 
-__all__ = ["Vehicles", "find_vehicles", "merge_vehicles", "read_vehicles"]
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
