@@ -1,5 +1,6 @@
 """What this machine has for the tests: PDAL, with a word on it at the end, and SUMO."""
 
+import gc
 import importlib.util
 import os
 import pickle
@@ -79,6 +80,13 @@ def pytest_collection_modifyitems(items):
     for item in items:
         if {"pdal", "private_pdal"} & set(getattr(item, "fixturenames", ())):
             item.add_marker("pdal")
+
+
+def pytest_collection_finish():
+    """Keep the garbage collector from looking at what lives to the end: modules and all tests."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(50_000, 20, 20)  # a twentieth of the tests' time went into young objects
 
 
 def pytest_terminal_summary(terminalreporter):

@@ -285,7 +285,8 @@ def test_parts_of_tiles(run, site, tmp_path, kind):
             value = QgsProcessingFeatureSourceDefinition(layer.id(), selectedFeaturesOnly=True)
     assert 0 < count < 5387
     parameters, made = parameters_of("occupancy", site, tmp_path)
-    _, heard = run("occupancy", parameters | {"TILES": value})
+    one = {"RECORDINGS": [str(SAMPLE / "R1.parquet")], "POSES": [str(SAMPLE / "R1.json")]}
+    _, heard = run("occupancy", parameters | one | {"TILES": value, "SCANS": []})
     assert heard.errors == []
     if kind != "filtered":
         return  # the heat map takes its tiles by the same way

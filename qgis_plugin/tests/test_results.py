@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import ROOT, SAMPLE
+from conftest import ROOT, SAMPLE, WORKER
 from helpers import layer_called
 from qgis.core import (
     Qgis,
@@ -246,7 +246,17 @@ def test_no_shift_wherever_the_computer_stands(site, monkeypatch, zone, local):
     assert second.endswith(local)
 
 
-def test_the_sensor_comes_with_view_and_ellipse(run, site, tmp_path):
+def test_the_sensor_comes_with_view_and_ellipse(run, site, tmp_path, fake_worker):
+    """Of the pose that a run has found; `test_run` and the night localize for themselves."""
+    fake_worker(
+        f"import shutil\nif words[0] != 'localize':\n"
+        f"    os.execv({WORKER!r}, [{WORKER!r}, *sys.argv[1:]])\n"
+        f"found = {str(site / 'sensors' / 'R1')!r}\n"
+        "assert words[words.index('--heading') + 1] == '20.0', words\n"
+        "shutil.copy(found + '/pose.json', words[words.index('-o') + 1])\n"
+        "shutil.copy(found + '/localization.png', words[words.index('--figure') + 1])\n"
+        "say(event='result', outputs=[], summary={'fitness': 0.97})"
+    )
     parameters = {
         "RECORDING": str(SAMPLE / "R1.parquet"), "MAP": str(SAMPLE / "junction.osm"),
         "ROAD": str(site / "road.laz"), "GUESS": "690356,5336183 [EPSG:25832]", "HEADING": 20,
