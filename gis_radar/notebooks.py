@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from gis_radar.files import whole_file
+from gis_radar.words import tr
 
 MOST_ROWS = 24  # of a table: about a screen
 _CELL = "text-align:left;padding:1px 10px 1px 0"
@@ -110,7 +111,7 @@ def axes_or_new(ax: Any, size_in: tuple[float, float] = (7.0, 6.0)) -> Any:
 def label_map(ax: Any) -> None:
     """Give axes in metres of the map their labels and equal scales."""
     ax.set_aspect("equal")
-    ax.set(xlabel="easting, m", ylabel="northing, m")
+    ax.set(xlabel=tr("easting, m"), ylabel=tr("northing, m"))
     ax.ticklabel_format(useOffset=False, style="plain")
     ax.locator_params(nbins=5)
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.errors import InputError, UsageError
+from gis_radar.words import MINUS, long_day, short_day, tr, weekday
 
 STEP_US = 50_000  # the nominal cycle of the sensors, 20 Hz
 STEP_S = 0.05
@@ -40,7 +41,7 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _FIRST_S = (datetime(FIRST_YEAR, 1, 1, tzinfo=UTC) - _EPOCH).total_seconds()
 _END_S = (datetime(LAST_YEAR + 1, 1, 1, tzinfo=UTC) - _EPOCH).total_seconds()
 _LONGEST_INTERVAL_S = LONGEST_INTERVAL_YEARS * 365.25 * 86400
-_MINUS = "\u2212"  # as wide as a plus
+_UTC_TEXT = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d(?::\d\d(?:\.\d+)?)?Z")
 _UNITS_S = {"ms": 0.001, "s": 1, "sec": 1, "min": 60, "h": 3600, "d": 86400}
 
 
@@ -234,12 +235,11 @@ class Clock:
         """The zone with its offset from UTC, both where clocks change in between."""
         if str(self.zone) == "UTC":
             return "UTC"
-        return f"{self.zone}, {' then '.join(self._offsets)}"
+        return f"{self.zone}, {tr(' then ').join(self._offsets)}"
 
     def date(self, moment: datetime) -> str:
         """Return the day."""
-        local = self._local(moment)
-        return f"{local.day} {local:%B %Y}"
+        return long_day(self._local(moment))
 
     def time(self, moment: datetime) -> str:
         """Return day (where there are several), time of day, offset (where it changes)."""
@@ -249,16 +249,23 @@ class Clock:
             text = f"{local:%H:%M}"
         if self._changes:
             text += f" {_offset(local)}"
-        return text if self._one_day else f"{local:%a} {self.day(moment)} {text}"
+        return text if self._one_day else f"{weekday(local)} {self.day(moment)} {text}"
 
     def day(self, moment: datetime) -> str:
         """Return the day, short."""
-        return f"{self._local(moment):%Y-%m-%d}"
+        return short_day(self._local(moment))
 
     def stamp(self, moment: datetime) -> str:
         """Return day and minute, whatever the others are; the offset where it changes."""
         local = self._local(moment)
-        return f"{local:%Y-%m-%d %H:%M}" + (f" {_offset(local)}" if self._changes else "")
+        return f"{short_day(local)} {local:%H:%M}" + (f" {_offset(local)}" if self._changes else "")
+
+    def tick(self, moment: datetime, first: datetime) -> str:
+        """Return a time below a chart that begins at `first`: the day where it is a new one."""
+        local = self._local(moment)
+        text = _finest(local) if self.to_seconds else f"{local:%H:%M}"
+        new = moment == first or text.startswith("00:00")
+        return f"{text}\n{self.day(moment)}" if new and not self._one_day else text
 
     def span(self, begin: datetime, end: datetime) -> str:
         """Return an interval; its end without the day where it ends on the day it begins."""
@@ -268,14 +275,24 @@ class Clock:
             until = until if self._one_day else until.split(" ", 2)[2]
             if until.startswith("00:") and self._local(end).date() != self._local(last).date():
                 until = f"24:{until.removeprefix('00:')}"
-        return f"{self.time(begin)} to {until}"
+        return tr("{begin} to {end}", begin=self.time(begin), end=until)
 
     def whole(self, begin: datetime, end: datetime) -> str:
         """Return the time of all data in a sentence's words."""
         since, until = (_finest(self._local(each)) for each in (begin, end))
         if self._day_of(begin, end):
-            return f"{self.date(begin)}, {since} to {until}"
-        return f"{self.date(begin)}, {since}, to {self.date(end)}, {until}"
+            return tr("{day}, {begin} to {end}", day=self.date(begin), begin=since, end=until)
+        days = {"day": self.date(begin), "last": self.date(end)}
+        return tr("{day}, {begin}, to {last}, {end}", begin=since, end=until, **days)
+
+    def localised(self, text: str) -> str:
+        """Return a text with the times in it, which are UTC and end in Z, as times of the site."""
+        return _UTC_TEXT.sub(lambda found: self._in_text(found[0]), text)
+
+    def _in_text(self, text: str) -> str:
+        local = self._local(datetime.fromisoformat(text))
+        clock = _finest(local) if text.count(":") > 1 else f"{local:%H:%M}"
+        return f"{short_day(local)} {clock} {_offset(local)}"
 
     def iso(self, moment: datetime) -> str:
         """Return local time as ISO 8601, with its offset."""
@@ -314,5 +331,5 @@ def _finest(local: datetime) -> str:
 
 def _offset(local: datetime) -> str:
     minutes = round((local.utcoffset() or timedelta()).total_seconds() / 60)
-    sign = _MINUS if minutes < 0 else "+"
+    sign = MINUS if minutes < 0 else "+"
     return f"UTC{sign}{abs(minutes) // 60:02d}:{abs(minutes) % 60:02d}"

@@ -113,7 +113,7 @@ def test_a_localization_is_drawn_with_or_without_a_map():
     found = a_localization()
     roads = gr.read_map(gr.sample_folder() / "junction.osm")
     plain, whole = found.plot(), found.plot(roads, np.zeros((0, 3)))
-    assert "97% of the traces fit" in plain.get_title()
+    assert "97\u202f% of the vehicle paths lie on the lanes" in plain.get_title()
     drawn = np.vstack([c.get_offsets() for c in plain.collections[:2]])
     expected = found.pose.to_map(found.traces)[:, :2]
     assert sorted(drawn[:, 0]) == pytest.approx(sorted(expected[:, 0]))

@@ -7,7 +7,6 @@ import shutil
 from itertools import pairwise
 
 import geopandas as gpd
-import numpy as np
 import pandas as pd
 import pypdf
 import pytest
@@ -46,9 +45,7 @@ LANES = {100: [100, 101], 102: [102], 103: [103]}  # by number, the smallest lan
 def test_lanes_are_the_sums_of_their_tiles(results, made):
     rows = long_layer(results)
     table = pd.read_csv(made / "lanes.csv").set_index("lane")
-    assert table.index.tolist() == sorted(
-        LANES, key=lambda lane: -np.nan_to_num(table.loc[lane, "occupancy"], nan=-1.0)
-    )
+    assert table.index.tolist() == sorted(LANES)  # hits rank no lane
     for lane, lanelets in LANES.items():
         mine = rows[rows["lanelet_id"].isin(lanelets)]
         assert str(table.loc[lane, "lanelets"]) == " ".join(map(str, lanelets))
@@ -94,12 +91,14 @@ def test_the_busiest_interval_is_that_of_the_table(made):
 
 def test_the_page_says_what_the_tables_say(made, page):
     lanes = pd.read_csv(made / "lanes.csv")
-    head, *rows = page.tables[0]
-    assert head[0] == "Lane"
+    (table,) = (each for each in page.tables if each[0][0] == "Lane")
+    head, *rows = table
     seen = lanes[lanes["occupancy"].notna()]
     assert [int(row[0]) for row in rows] == seen["lane"].tolist()
     for row, (_, known) in zip(rows, seen.iterrows(), strict=True):
-        shown = row[4].replace("\u202f", "").removesuffix("%")
+        shown = (
+            row[head.index("Occupancy of observed time")].replace("\u202f", "").removesuffix("%")
+        )
         assert float(shown) == pytest.approx(100 * known["occupancy"], abs=0.05)
     assert len(lanes) - len(seen) == 1
     assert "1 lane of the map was not observed." in " ".join(page.words)
@@ -135,7 +134,7 @@ def test_sensors_have_their_sigma(page, made):
     assert [row[0] for row in table[1:]] == ["R1", "R2"]
     assert table[1][1] == "678\u202f000.00 ± 0.25"
     assert table[1][4] == "east, 90.0° ± 0.25°"
-    assert "91\u202f% of the traces fit" in table[1][7]
+    assert "91\u202f% of the vehicle paths lie on the lanes" in table[1][7]
 
 
 def test_quality_is_that_of_the_occupancy(results, page, made):
@@ -153,7 +152,9 @@ def test_the_page_is_closed(made, page):
     (policy,) = (each for each in page.all("meta") if "http-equiv" in each)
     assert policy["content"].startswith("default-src 'none'; img-src data:; style-src 'sha256-")
     assert "unsafe" not in policy["content"]
-    assert not re.search(r"(?:src|href)=\"(?!data:|#)", text)
+    links = re.findall(r"(?:src|href)=\"(?!data:|#)([^\"]*)\"", text)
+    assert sorted(links) == ["lanes.csv", "lanes_by_interval.csv", "quality.csv", "sensors.csv"]
+    assert all((made / name).is_file() for name in links)
     assert "url(" not in text
     assert "@import" not in text
 
@@ -167,13 +168,13 @@ def test_the_page_is_readable_by_machines(page):
     assert all(each.get("scope") in {"row", "col"} for each in page.all("th"))
     pictures = [each["alt"] for each in page.all("img")]
     assert pictures.count("") == 1  # scale and north lie over a picture that is described
-    assert sum("Map of occupancy" in alt for alt in pictures) == 4
+    assert sum("Map of radar hits" in alt for alt in pictures) == 4
 
 
 def test_the_paper(made):
     paper = pypdf.PdfReader(made / "report.pdf")
     text = " ".join(page.extract_text() for page in paper.pages).replace("\n", " ")
-    assert paper.metadata.title.startswith("Kreuzung Münchner Straße \u2013 Süd: traffic occupancy")
+    assert paper.metadata.title.startswith("Kreuzung Münchner Straße \u2013 Süd: radar hits")
     assert "Kreuzung Münchner Straße \u2013 Süd" in text
     assert "All times: Europe/Berlin, UTC+02:00." in text
     assert "678 000.00 ± 0.25" in text.replace("\u202f", " ")
@@ -182,15 +183,18 @@ def test_the_paper(made):
     assert paper.root_object["/Lang"] == "en"
     titles = [each["/Title"] for each in paper.outline]
     assert titles == [
-        "In short", "Map, whole time", "The map through time", "Lanes", "Sensors",
-        "What the numbers rest on", "Settings and sources", "What the words mean",
+        "In short", "What this rests on", "Map, whole time", "Lanes", "The lanes over time",
+        "Sensors", "What sensors delivered", "Settings and sources", "What the words mean",
     ]  # fmt: skip
     described = [
         node["/Alt"]
         for number in range(1, paper.trailer["/Size"])
         if isinstance(node := paper.get_object(number), dict) and "/Alt" in node
     ]
-    assert sum("Map of occupancy" in text for text in described) == 4
+    assert sum("Map of radar hits" in text for text in described) == 1
+    links = {each["/A"]["/URI"] for page in paper.pages for each in page.get("/Annots", ())
+             if "/URI" in each.get("/A", {})}  # fmt: skip
+    assert "lanes.csv" in links
 
 
 def test_the_same_results_give_the_same_report(results, made, tmp_path):

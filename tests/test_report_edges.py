@@ -106,7 +106,7 @@ def test_a_pose_in_another_plane_is_told(results, tmp_path, blank_paper):
     report = gr.write_report(tmp_path / "run")
     told = "The pose of sensor R2 is in EPSG:25833, the map in EPSG:25832: it is left out."
     assert told in report.summary["remarks"]
-    short = [each for each in report.summary["remarks"] if each.startswith("Measured for ")]
+    short = [each for each in report.summary["remarks"] if each.startswith("Recorded were ")]
     assert [each.endswith("and no usual day") for each in short] == [True]
     assert told in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
     assert pd.read_csv(tmp_path / "run" / "sensors.csv")["sensor"].tolist() == ["R1"]
@@ -197,7 +197,7 @@ def test_the_options_of_the_command_reach_their_arguments(monkeypatch, tmp_path)
     monkeypatch.setattr(gr, "write_report", listen)
     words = [
         "report", "results", "-o", "out", "--title", "Main Street", "--timezone", "Europe/Berlin",
-        "--occupancy", "a", "--occupancy", "b", "--json",
+        "--language", "de", "--occupancy", "a", "--occupancy", "b", "--json",
     ]  # fmt: skip
     done = CliRunner().invoke(group, words)
     assert done.exit_code == 0, done.output
@@ -206,7 +206,7 @@ def test_the_options_of_the_command_reach_their_arguments(monkeypatch, tmp_path)
     assert told.pop("reporter") is not None
     assert told == {
         "folder": Path("results"), "output": Path("out"), "title": "Main Street",
-        "timezone": "Europe/Berlin", "occupancies": (Path("a"), Path("b")),
+        "timezone": "Europe/Berlin", "language": "de", "occupancies": (Path("a"), Path("b")),
     }  # fmt: skip
 
 

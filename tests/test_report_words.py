@@ -8,8 +8,8 @@ from zoneinfo import ZoneInfo
 
 import pytest
 
-from gis_radar.report.content import direction, figure_text, listed, percent
 from gis_radar.steps import Clock
+from gis_radar.words import direction, figure_text, listed, percent
 
 
 def at(*fields):

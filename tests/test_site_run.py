@@ -72,7 +72,7 @@ def in_this_process(monkeypatch):
     monkeypatch.setattr(product, "process_pool", in_a_thread)
 
 
-def in_a_thread(_jobs, scratch):
+def in_a_thread(_jobs, scratch, _language):
     return threads(1, scratch)
 
 

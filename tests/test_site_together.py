@@ -115,7 +115,7 @@ def test_two_sensors_gain_by_each_other(site, run):
     assert single.easting == known.easting
     shown = found.done.figures()["sensors"]["R2"]
     assert (shown["easting"], shown["fitness"]) == (round(pose.easting, 3), 0.9)
-    assert "tied by" in how_found(pose.evidence)
+    assert "vehicles that R" in how_found(pose.evidence)
 
 
 def test_a_sensor_that_alone_is_refused_is_placed_by_its_neighbour(site, run):

@@ -79,6 +79,7 @@ def mask(
     help="Whose hours and days the intervals follow, and whose clock the picture: Europe/Berlin.",
 )
 @click.option("--title", default="", help="Of the picture, and of a report of it.")
+@click.option("--language", default="en", show_default=True, help="Of both: en or de.")
 @click.option(
     "--source",
     "sources",
@@ -92,8 +93,8 @@ def mask(
 )  # fmt: skip
 def heatmap(
     *, folders: tuple[Path, ...], tiles_path: Path, output: Path,
-    vehicle_folders: tuple[Path, ...], title: str, sources: tuple[str, ...], reporter: Reporter,
-    **options: Any,
+    vehicle_folders: tuple[Path, ...], title: str, language: str, sources: tuple[str, ...],
+    reporter: Reporter, **options: Any,
 ) -> Result:  # fmt: skip
     """Make heat maps of occupancy and coverage: GeoPackage, GeoTIFF, GeoParquet, picture."""
     refuse_inputs(output, *folders, *vehicle_folders, tiles_path)
@@ -101,7 +102,7 @@ def heatmap(
         read = [gr.read_vehicles(each) for each in vehicle_folders]
         options["vehicles"] = gr.merge_vehicles(read)
     zone = options.get("timezone") or "UTC"
-    options["labels"] = gr.MapLabels(title=title, timezone=zone, sources=sources)
+    options["labels"] = gr.MapLabels(title=title, timezone=zone, sources=sources, language=language)
     merged = gr.merge_occupancies([gr.read_occupancy(each, reporter=reporter) for each in folders])
     heat = gr.make_heatmap(merged, gr.read_tiles(tiles_path), reporter=reporter, **options)
     outputs = heat.write(output, reporter=reporter)

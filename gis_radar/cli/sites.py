@@ -61,6 +61,7 @@ def check(*, site: Path, reporter: Reporter) -> Result:
     "--timezone",
     help="Whose clocks its times follow: Europe/Berlin; by default the site's, or UTC.",
 )
+@click.option("--language", help="en or de; by default the site's, or that of the heat map.")
 @click.option(
     "--occupancy", "occupancies", type=FILE, multiple=True,
     help="What the heat map was made of, where it is not in DIR.",

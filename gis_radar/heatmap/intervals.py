@@ -28,6 +28,7 @@ from gis_radar.steps import (
     step_of,
     zone_of,
 )
+from gis_radar.words import known_language
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,15 +43,19 @@ class MapLabels:
         Whose clocks the times in pictures follow, such as Europe/Berlin; files stay in UTC.
     sources : sequence of str
         Where map, scan and recordings come from, and whether they are simulated: a line each.
+    language : str
+        `en` or `de`: of the picture, and of a report.
     """
 
     title: str = ""
     timezone: str = "UTC"
     sources: Sequence[str] = ()
+    language: str = "en"
 
     def __post_init__(self) -> None:
-        """Refuse a time zone that there is not; keep sources as a tuple."""
+        """Refuse a time zone or language that there is not; keep sources as a tuple."""
         zone_of(self.timezone)
+        known_language(self.language)
         object.__setattr__(self, "sources", tuple(self.sources))
 
 

@@ -25,7 +25,9 @@ from PIL import Image
 from gis_radar.arrays import Booleans, Floats
 from gis_radar.heatmap import style
 from gis_radar.heatmap.raster import Cover, PixelGrid, cover
+from gis_radar.languages import class_label
 from gis_radar.poses.pose import Pose
+from gis_radar.words import current_language
 
 INK, SOFT, SENSOR = "#1d2126", "#59616a", "#00519e"
 PAPER, STRIPE = "#ffffff", "#84898e"
@@ -179,6 +181,12 @@ def map_picture(corners: Floats, extent: Extent, most_pixels: int) -> MapPicture
     around = scipy.ndimage.binary_dilation(road, iterations=max(1, round(width / 700)))
     ground = np.where(around & ~road, OUTLINE, NO_TILE).astype(np.uint8)
     return MapPicture(grid=grid, cover=covered, ground=ground)
+
+
+def legend_in_words(measure: str) -> list[tuple[str, str]]:
+    """Return colours with their labels in the current language, as the legend lists them."""
+    language = current_language()
+    return [(colour, class_label(label, language)) for colour, label in style.legend(measure)]
 
 
 def palette() -> list[int]:

@@ -19,6 +19,7 @@ from gis_radar.notebooks import axes_or_new, card, label_map, picture_file, smal
 from gis_radar.poses.pose import COMPONENTS, Pose, View, draw_sensor, ellipse
 from gis_radar.sight import Sight, SightTiles
 from gis_radar.steps import iso_from_step, step_of
+from gis_radar.words import figure_text, percent, tr
 
 if TYPE_CHECKING:  # what it takes to make one is loaded by those who do
     from gis_radar.second_look import SecondLook
@@ -28,7 +29,7 @@ STAGE = "finding the pose"
 DPI = 216
 SIZE_IN = (6.6, 6.6)
 WITH_ONE_IN, WITH_TWO_IN = (7.8, 4.6), (7.8, 8.6)  # as wide as a page: words stay legible
-BELOW = (0.5, -0.16)  # a legend, from the axes
+BELOW, BESIDE = (0.5, -0.16), (1.01, 1.0)  # a legend, from the axes
 MARGIN_M = 12.0
 ROAD_POINTS = 60_000
 ARROW_EVERY_M = 12.0
@@ -134,13 +135,27 @@ class Localization:
         covariance = self.pose.plane_covariance()
         ring = None if covariance is None else ellipse(place, covariance)
         ahead = self.pose.R_map_sensor[:2, 0] * float((high - low).max()) / 12.0
-        draw_sensor(ax, place, ahead, ring, "sensor")
+        draw_sensor(ax, place, ahead, ring, tr("sensor"))
         label_map(ax)
-        ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), title=self._summary())
-        for handle in ax.legend(loc="best", framealpha=0.9).legend_handles:
+        ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), title=self._title())
+        beside: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": BESIDE, "frameon": False}
+        for handle in ax.legend(**beside).legend_handles:  # on the map it would cover the road
             if hasattr(handle, "set_sizes"):
                 handle.set_sizes([18.0])  # points too small to tell their colours
         return ax
+
+    def _title(self) -> str:
+        sigma, share = self.pose.evidence.get("sigma"), percent(self.fitness, 0)
+        parts = [tr("{share} of the vehicle paths lie on the lanes", share=share)]
+        if sigma:
+            across = float(np.hypot(sigma["easting"], sigma["northing"]))
+            parts.append(tr(
+                "position ± {across} m, yaw ± {yaw}°",
+                across=figure_text(across, 2), yaw=figure_text(sigma["yaw"], 2),
+            ))  # fmt: skip
+        if not self.observable:
+            parts.append(tr("the scene leaves part of it open"))
+        return f"{self.pose.sensor}: {'; '.join(parts)}"
 
     def _summary(self) -> str:
         sigma = self.pose.evidence.get("sigma")
@@ -227,7 +242,8 @@ def draw_localization(
             label_map(ax)
             counts = seen[0].figures()
             share = counts["hidden"] / max(counts["in_sight"] + counts["hidden"], 1)
-            ax.set_title(f"Lanes in its view:\n{1 - share:.0%} in sight, {share:.0%} hidden")
+            text = "Lanes in its view:\n{seen} in sight, {hidden} hidden"
+            ax.set_title(tr(text, seen=percent(1 - share, 0), hidden=percent(share, 0)))
             ax.legend(loc="upper center", bbox_to_anchor=BELOW, ncols=2, frameon=False)
 
 
@@ -243,7 +259,7 @@ def _draw_road(ax: Any, road: Floats, extent: Extent) -> None:
     low, high = extent
     inside = road[((road[:, :2] > low) & (road[:, :2] < high)).all(axis=1)]
     shown = inside[:: max(len(inside) // ROAD_POINTS, 1)]
-    ax.scatter(shown[:, 0], shown[:, 1], s=0.6, color=ROAD, linewidths=0, label="scanned road")
+    ax.scatter(shown[:, 0], shown[:, 1], s=0.6, color=ROAD, linewidths=0, label=tr("scanned road"))
 
 
 def _draw_lanes(ax: Any, roads: LaneletMap, extent: Extent) -> None:
@@ -277,7 +293,7 @@ def _draw_traces(ax: Any, traces: Floats, rate: Floats) -> None:
     for which, colour, label in kinds:
         if which.any():
             x, y = traces[which, :2].T
-            ax.scatter(x, y, s=1.5, color=colour, linewidths=0, label=label)
+            ax.scatter(x, y, s=1.5, color=colour, linewidths=0, label=tr(label))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,6 +16,7 @@ from gis_radar.arrays import Booleans, Floats
 from gis_radar.crs import metric_crs, name_of
 from gis_radar.errors import InputError
 from gis_radar.notebooks import axes_or_new, card, label_map
+from gis_radar.words import tr
 
 ANGLES = ("yaw", "pitch", "roll")
 POSITION = ("easting", "northing", "height")
@@ -395,7 +396,7 @@ def draw_sensor(
     ax.scatter(*place, s=34, color=INK, marker="^", label=label, zorder=6)
     if ring is not None:
         x, y = ring.exterior.xy
-        ax.plot(x, y, color=INK, linewidth=1.0, label="95 % ellipse of the place", zorder=5)
+        ax.plot(x, y, color=INK, linewidth=1.0, label=tr("95 % ellipse of the place"), zorder=5)
 
 
 COMPONENTS = ("easting", "northing", "height", "roll", "pitch", "yaw")  # order of a covariance

@@ -13,32 +13,75 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
+from gis_radar.words import figure_text, listed, percent, plus_minus, tr
+
 HOW_FOUND = {"lane": "found from traffic on the lanes", "icp": "found by ICP"}
+LOOKS = {
+    "confirms": "the airborne scan confirms it",
+    "doubts": "the airborne scan speaks against it",
+    "nothing to compare": "the airborne scan shows nothing to compare",
+}
 
 
 class ReportWords(NamedTuple):
-    """How a report calls what its map shows: time it is a share of, of a lane, of a tile."""
+    """How a report calls what its map shows: in English, for :func:`gis_radar.words.tr`.
 
-    base: str
-    part: str
-    touched: str
+    Parameters
+    ----------
+    kind : str
+        Over the title.
+    title : str
+        After the name of the site.
+    share, base, tile : str
+        Heading of a share, what it is a share of, and that of one tile.
+    seen : str
+        Heading of what a share is known of.
+    intro : str
+        How to read the map.
+    nothing, none : str
+        Where no tile has a share; where no share is over 0.
+    touched : str
+        How many tiles have a share over 0.
+    unseen_one, unseen_many : str
+        How many lanes have no share.
+    """
+
+    kind: str
+    title: str
     share: str
+    base: str
+    tile: str
+    seen: str
     intro: str
+    nothing: str
+    none: str
+    touched: str
+    unseen_one: str
+    unseen_many: str
 
 
 WORDS = {
     "occupancy": ReportWords(
-        "observed", "occupied", "hit", "Occupancy",
+        "Radar hit report", "radar hits", "Occupancy", "of observed time", "occupancy",
+        "Observed",
         "The map shows in which share of the observed time radar hit each half metre of lane. "
-        "Compare one place over time; the figures count neither vehicles nor queues",
+        "Compare one place over time, not places with each other; the figures count neither "
+        "vehicles nor queues",
+        "Nothing was observed.", "No tile was hit; {n} tiles observed.",
+        "Radar hit {share} of {n} observed tiles at some time.",
+        "{n} lane of the map was not observed.", "{n} lanes of the map were not observed.",
     ),
     "coverage": ReportWords(
-        "visible", "covered", "covered", "Coverage",
+        "Traffic coverage report", "traffic coverage", "Coverage", "of visible time", "coverage",
+        "Visible",
         "The map shows coverage: for each half metre of lane the estimated share of time in which "
         "a vehicle was on it, moving or waiting. 20 % means 12 seconds of every minute. It is an "
         "estimate: radar follows the vehicles, also for moments while others hide them; "
         "± is its standard error. Hatched in colour is uncertain; hatched in grey is road that no "
         "radar saw, which is not 0 %",
+        "Nothing was visible.", "No tile was covered; {n} tiles visible.",
+        "A vehicle was on {share} of {n} visible tiles at some time.",
+        "{n} lane of the map was not visible.", "{n} lanes of the map were not visible.",
     ),
 }  # fmt: skip
 
@@ -81,6 +124,8 @@ class Table:
         From top to bottom.
     note : str
         What to know, below it.
+    files : sequence of (name, text)
+        The files beside the report that hold all of it, and what they hold.
     """
 
     name: str
@@ -88,11 +133,28 @@ class Table:
     columns: Sequence[Column]
     rows: Sequence[Sequence[str]]
     note: str = ""
+    files: Sequence[tuple[str, str]] = ()
 
 
 def text_rows(items: Iterable[Any], columns: Sequence[Column]) -> list[list[str]]:
     """Return a row of cells for each item."""
     return [[column.text(item) for column in columns] for item in items]
+
+
+class Fact(NamedTuple):
+    """A figure at the top.
+
+    Parameters
+    ----------
+    name, value : str
+        What it is, and how much.
+    rests : str
+        What it rests on.
+    """
+
+    name: str
+    value: str
+    rests: str = ""
 
 
 class Terms(NamedTuple):
@@ -188,10 +250,12 @@ class Content:
         End of the data.
     intro : str
         How to read the map.
-    facts : sequence of (name, value)
+    facts : sequence of Fact
         The figures worth a look.
     remarks : sequence of str
         What to know before reading on, in sentences.
+    basis : Table
+        What the figures rest on.
     map : MapSeries
         The map.
     chapters : sequence of Chapter
@@ -207,88 +271,43 @@ class Content:
     zone: str
     until: datetime
     intro: str
-    facts: Sequence[tuple[str, str]]
+    facts: Sequence[Fact]
     remarks: Sequence[str]
+    basis: Table
     map: MapSeries
     chapters: Sequence[Chapter]
     made_by: str
     measure: str = "occupancy"
 
 
-NOTHING, MINUS = "\u2013", "\u2212"  # a dash; a minus as wide as a plus
-THIN = "\u202f"  # narrow, and no line ends there
-_WINDS = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
-
-
-def figure_text(value: float, digits: int = 0) -> str:
-    """Return a number with thousands set apart; a dash where there is none."""
-    if not math.isfinite(value):
-        return NOTHING
-    text = f"{value:,.{digits}f}".replace(",", THIN)
-    return text.replace("-", MINUS) if float(f"{value:.{digits}f}") else text.replace("-", "")
-
-
-def percent(share: float, digits: int = 1, *, off: float = math.nan) -> str:
-    """Return a share as percent, with its standard error where there is one.
-
-    What is more than nothing never reads as nothing.
-    """
-    if math.isfinite(share) and math.isfinite(off):
-        value, error = (figure_text(100 * each, digits) for each in (share, off))
-        return f"{value}{THIN}±{THIN}{error}{THIN}%"
-    if math.isfinite(share) and 0.0 < share * 100 < 0.5 * 10.0**-digits:
-        return f"under {10.0**-digits:g}{THIN}%"
-    return f"{figure_text(share * 100, digits)}{THIN}%" if math.isfinite(share) else NOTHING
-
-
-def plus_minus(value: float, digits: int, unit: str = "") -> str:
-    """Return one standard deviation; a dash where it is not known."""
-    return f"± {figure_text(value, digits)}{unit}" if math.isfinite(value) else NOTHING
-
-
 def tie_words(tie: Any) -> str:
-    """Return to which sensors a pose is tied, and how certain it was before, from its evidence."""
+    """Return how many vehicles tie a pose to others, and how certain it is without them."""
     try:
         before = [float(tie["gained"][name]["before"]) for name in ("easting", "northing")]
         others, shared = listed([str(each) for each in tie["sensors"]]), int(tie["pairs"])
     except (KeyError, TypeError, ValueError):
         return ""
-    alone = plus_minus(math.hypot(*before), 2, " m")
-    return f"tied by {count(shared, 'vehicle')} to {others}, alone {alone}"
+    return tr(
+        "{n} vehicles that {others} saw, too, make it more certain (without them {error})",
+        n=figure_text(shared), others=others, error=plus_minus(math.hypot(*before), 2, " m"),
+    )  # fmt: skip
 
 
 def how_found(evidence: Mapping[str, Any]) -> str:
     """Return how a pose was found, and on what evidence, in words."""
-    words = [HOW_FOUND.get(str(evidence.get("method")), "given, not found by gis_radar")]
+    known = HOW_FOUND.get(str(evidence.get("method")), "given, not found by gis_radar")
+    words = [tr(known)]
     fitness = evidence.get("fitness")
     if isinstance(fitness, int | float) and not isinstance(fitness, bool):
-        words.append(f"{percent(float(fitness), 0)} of the traces fit")
+        share = percent(float(fitness), 0)
+        words.append(tr("{share} of the vehicle paths lie on the lanes", share=share))
     if evidence.get("observable") is False:
-        words.append("the scene does not fix all of it")
+        words.append(tr("the scene leaves part of it open"))
     if isinstance(look := evidence.get("second_look"), dict) and look.get("verdict"):
-        words.append(f"second look {look['verdict']}")
+        words.append(tr(LOOKS.get(str(look["verdict"]), str(look["verdict"]))))
     if tie := tie_words(evidence.get("together")):
         words.append(tie)
     return "; ".join(words)
-
-
-def count(amount: int, noun: str) -> str:
-    """Return an amount with its noun."""
-    return f"{figure_text(amount)} {noun}{'' if amount == 1 else 's'}"
-
-
-def direction(east_m: float, north_m: float) -> str:
-    """Return to which of eight winds of the map's grid a way leads."""
-    if math.hypot(east_m, north_m) < 1e-6:
-        return NOTHING
-    return _WINDS[round(math.atan2(north_m, east_m) / (math.pi / 4)) % 8]
-
-
-def listed(words: list[str]) -> str:
-    """Return words as a list in a sentence."""
-    if len(words) < 2:
-        return "".join(words)
-    return f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 # What makes a spreadsheet take a cell for a formula (OWASP), in ASCII and in full width.

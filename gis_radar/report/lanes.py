@@ -13,13 +13,37 @@ import pandas as pd
 from gis_radar.arrays import Floats, Integers
 from gis_radar.heatmap import HeatMap
 from gis_radar.heatmap.covering import surest
-from gis_radar.report.content import direction, utc, write_csv
+from gis_radar.report.content import utc, write_csv
 from gis_radar.steps import Clock
 from gis_radar.tiles.lanes import Lane, lanes_of
 from gis_radar.tiles.tiles import quads
+from gis_radar.vehicles import Vehicles
+from gis_radar.words import compass
 
 BUSY = 0.2  # a class break of all heat maps
 EXIT_M = 5.0  # the last metres of a lane tell where it leads to: it may turn
+
+
+@dataclass(frozen=True, kw_only=True)
+class RankSettings:
+    """Which lanes are compared with each other: those that are known well enough.
+
+    Parameters
+    ----------
+    least_tracks : int
+        Tracks of vehicles that followed the lane: of ten, chance alone moves a share by a third.
+    least_seen : float
+        Share of its length that was visible: less may be its queue alone, or all but its queue.
+    most_error : float
+        Standard error, as a share of the coverage: beyond a half, 0 is within two of them.
+    """
+
+    least_tracks: int = 10
+    least_seen: float = 0.5
+    most_error: float = 0.5
+
+
+RANKS = RankSettings()
 
 
 class TileShares(NamedTuple):
@@ -108,8 +132,23 @@ def _by_lane(
     return part, base, error
 
 
-def lane_table(heat: HeatMap, sums: LaneSums) -> pd.DataFrame:
-    """Return one row a lane, busiest first, those that were not visible (observed) last.
+def tracks_of(vehicles: Vehicles | None, lanes: Sequence[Lane]) -> Integers | None:
+    """Return how many tracks of vehicles followed each lane; None where that is not known."""
+    if vehicles is None:
+        return None
+    lane_of = {lanelet: i for i, lane in enumerate(lanes) for lanelet in lane.lanelets}
+    counts = np.zeros(len(lanes), np.int64)
+    for lanelets in vehicles.vehicles["lanelets"]:
+        for i in {lane_of[int(each)] for each in lanelets if int(each) in lane_of}:
+            counts[i] += 1
+    return counts
+
+
+def lane_table(heat: HeatMap, sums: LaneSums, tracks: Integers | None = None) -> pd.DataFrame:
+    """Return one row a lane: those that are ranked by their coverage, then the others.
+
+    Hits are not ranked: their lanes stay in the order of their numbers. What was not visible
+    (observed) comes last.
 
     Returns
     -------
@@ -122,7 +161,8 @@ def lane_table(heat: HeatMap, sums: LaneSums) -> pd.DataFrame:
         `busiest_spot_se` (NaN for hits), and `busiest_spot_m`, where along the lane; `busy_m`, the
         length of tiles with a share of 20 % or more; `busiest_begin`, `busiest_end`,
         `busiest_share`, `busiest_share_se` of the busiest interval, of those with at least half as
-        much seen as in the best seen; `occupied_s`, `observed_s`, `occupancy`: its hits.
+        much seen as in the best seen; `occupied_s`, `observed_s`, `occupancy`: its hits; `tracks`
+        of vehicles, -1 where not known; `rank`, from 1, 0 of those that are not ranked, and `why`.
     """
     whole, tiles, known = shown_of(heat), heat.tiles, heat.coverage_shares()
     error = np.full(len(tiles), np.nan) if known is None else known.coverage_se
@@ -160,12 +200,45 @@ def lane_table(heat: HeatMap, sums: LaneSums) -> pd.DataFrame:
                 else np.nan,
                 "busy_m": float(long[mine >= BUSY].sum()) if seen.any() else np.nan,
                 **_busiest(heat, sums, i),
+                "tracks": -1 if tracks is None else int(tracks[i]),
             }
         )
-    table = pd.DataFrame(rows)
-    return table.sort_values(
-        ["share", "lane"], ascending=[False, True], na_position="last", ignore_index=True
-    )
+    return _in_order(pd.DataFrame(rows), heat.measure)
+
+
+def _in_order(table: pd.DataFrame, measure: str) -> pd.DataFrame:
+    """Return the lanes in the order in which they are read, with their ranks."""
+    table = table.assign(why=[_why_not(row, measure) for _, row in table.iterrows()])
+    table["place"] = table["share"].isna() * 2 + table["why"].ne("")
+    by_share = measure == "coverage"
+    table = table.sort_values(
+        ["place", "share", "lane"] if by_share else ["place", "lane"],
+        ascending=[True, False, True] if by_share else True, ignore_index=True,
+    )  # fmt: skip
+    rank = np.where(table["why"].eq(""), np.arange(1, len(table) + 1), 0)
+    return table.assign(rank=rank).drop(columns="place")
+
+
+WHY_NOT = {
+    "hits": "",
+    "unseen": "not visible",
+    "tracks": "too few tracks",
+    "length": "too little of it visible",
+    "error": "too uncertain",
+}
+
+
+def _why_not(row: pd.Series, measure: str, ranks: RankSettings = RANKS) -> str:
+    """Return why a lane is not ranked, a key of `WHY_NOT`; nothing where it is."""
+    if measure != "coverage":
+        return "hits"
+    reasons = {
+        "unseen": np.isnan(row["share"]),
+        "length": row["base_m"] < ranks.least_seen * row["length_m"],
+        "tracks": row["tracks"] < ranks.least_tracks,
+        "error": not row["share_se"] <= ranks.most_error * row["share"],
+    }
+    return next((name for name, applies in reasons.items() if applies), "")
 
 
 def _busiest(heat: HeatMap, sums: LaneSums, lane: int) -> dict[str, object]:
@@ -196,7 +269,8 @@ def write_lanes(path: Path, table: pd.DataFrame, clock: Clock, measure: str) -> 
     """Write all lanes: one row each, shares from 0 to 1, empty where there is none."""
     covered = measure == "coverage"
     header = (
-        "lane", "lanelets", "subtype", "leads_to", "length_m",
+        "lane", *(("rank", "tracks") if covered else ()),
+        "lanelets", "subtype", "leads_to", "length_m",
         "visible_m" if covered else "observed_m", *(_COVERED if covered else _HITS),
         "busiest_spot", *(("busiest_spot_se",) if covered else ()), "busiest_spot_m",
         "over_20_percent_m", "busiest_begin_utc", "busiest_begin_local", "busiest_end_utc",
@@ -216,9 +290,14 @@ def write_lanes(path: Path, table: pd.DataFrame, clock: Clock, measure: str) -> 
         rows.append(
             (
                 int(row["lane"]),
+                *(
+                    (row["rank"] or "", row["tracks"] if row["tracks"] >= 0 else "")
+                    if covered
+                    else ()
+                ),
                 lanelets[0] if len(lanelets) == 1 else " ".join(map(str, lanelets)),
                 row["subtype"],
-                direction(row["east_m"], row["north_m"]),
+                compass(row["east_m"], row["north_m"]),
                 *(round(float(row[name]), number) for name, number in digits.items()),
                 *times,
                 *(round(float(row[name]), 6) for name in busiest),

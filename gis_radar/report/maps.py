@@ -20,6 +20,7 @@ from PIL import Image
 from gis_radar.arrays import Booleans, Floats
 from gis_radar.crs import name_of
 from gis_radar.heatmap import HeatMap
+from gis_radar.heatmap.covering import CoverageShares, mean_coverage
 from gis_radar.heatmap.picture import (
     HALO,
     INK,
@@ -37,14 +38,15 @@ from gis_radar.heatmap.picture import (
 from gis_radar.notebooks import FONTS
 from gis_radar.occupancy.views import sight_of_views
 from gis_radar.progress import Reporter
-from gis_radar.report.content import WORDS, Figure, MapSeries, count, percent
-from gis_radar.report.lanes import LaneSums, TileShares, hits_of, shown_of
+from gis_radar.report.content import WORDS, Figure, MapSeries
+from gis_radar.report.lanes import TileShares, hits_of, shown_of
 from gis_radar.report.results import Results
 from gis_radar.sight import HIDDEN, IN_SIGHT, VIEW_ONLY, SightTiles
 from gis_radar.sight.picture import COLOURS, NAMES, draw_sight
 from gis_radar.steps import Clock
 from gis_radar.tiles.lanes import Lane
 from gis_radar.tiles.tiles import quads
+from gis_radar.words import figure_text, percent, tr
 
 ASPECT = (0.55, 1.25)  # height by width: lowest, which the scale needs, and highest
 MOST_FRAMES = 96  # pictures in time: a day of quarter hours
@@ -74,9 +76,7 @@ def lay_out(heat: HeatMap) -> MapPicture:
     return map_picture(corners, extent, min(MOST_PIXELS, ALL_PIXELS // maps))
 
 
-def draw_maps(
-    results: Results, picture: MapPicture, sums: LaneSums, clock: Clock, reporter: Reporter
-) -> MapSeries:
+def draw_maps(results: Results, picture: MapPicture, clock: Clock, reporter: Reporter) -> MapSeries:
     """Draw the map over the whole time and by interval.
 
     Parameters
@@ -85,8 +85,6 @@ def draw_maps(
         With the heat map, the sensors that it shows, and whose data they are.
     picture : MapPicture
         Its pixels.
-    sums : LaneSums
-        Its sums by lane.
     clock : Clock
         For the labels.
     reporter : Reporter
@@ -99,26 +97,27 @@ def draw_maps(
         if len(heat.timeline) > 1:
             label = clock.span(begin, end)
             shown = shown_of(heat, group)
-            frames.append(_map(picture, shown, sums, label, heat.measure, heat.uncertain(group)))
+            frames.append(_map(picture, shown, label, heat, heat.uncertain(group)))
         reporter.progress(STAGE, done, len(groups))
     size, note = groups[0].stop, ""
     if size > 1:
-        note = (
-            f"The heat map has {count(len(heat.timeline), 'interval')}; each picture shows "
-            f"{size} of them together. The tables hold each."
-        )
-    sensors = " Triangles: sensors; dashed: their range and opening angle." if poses else ""
-    given = f" Sources: {'; '.join(sources)}." if sources else ""
+        text = "The heat map has {n} intervals; each picture shows {size} of them together."
+        note = tr(text, n=figure_text(len(heat.timeline)), size=size)
+    caption = [
+        tr("North is up on the grid of {crs}.", crs=f"{heat.crs.name} ({name_of(heat.crs)[:24]})")
+    ]
+    if poses:
+        caption.append(tr("Triangles: sensors; dashed: their range and opening angle."))
+    caption.append(tr("Where tiles overlap, the highest value is on top."))
+    if sources:
+        caption.append(tr("Sources: {sources}.", sources="; ".join(sources)))
     with mpl.rc_context(FONTS):
         overlay = png(picture.overlay(poses))
     return MapSeries(
-        whole=_map(picture, shown_of(heat), sums, "Whole time", heat.measure, heat.uncertain()),
+        whole=_map(picture, shown_of(heat), tr("Whole time"), heat, heat.uncertain()),
         frames=frames,
         overlay=overlay,
-        caption=(
-            f"North is up on the grid of {heat.crs.name} ({name_of(heat.crs)[:24]}).{sensors} "
-            f"Where tiles overlap, the busiest is on top.{given}"
-        ),
+        caption=" ".join(caption),
         note=note,
     )
 
@@ -130,10 +129,10 @@ def _groups(heat: HeatMap) -> list[slice]:
     return [slice(first, min(first + size, total)) for first in range(0, total, size)]
 
 
-def draw_hits(results: Results, picture: MapPicture, sums: LaneSums) -> Figure:
+def draw_hits(results: Results, picture: MapPicture) -> Figure:
     """Draw what radar hit over the whole time, for diagnosis beside the map of coverage."""
     hits, certain = hits_of(results.heat), np.zeros(len(results.heat.tiles), np.bool_)
-    figure = _map(picture, hits, sums, "Whole time", "occupancy", certain)
+    figure = _map(picture, hits, tr("Whole time"), results.heat, certain, measure="occupancy")
     with Image.open(BytesIO(figure.png)) as tiles:
         whole = tiles.convert("RGBA")
     with mpl.rc_context(FONTS):
@@ -141,41 +140,46 @@ def draw_hits(results: Results, picture: MapPicture, sums: LaneSums) -> Figure:
     return replace(
         figure,
         png=png(whole.convert("RGB").quantize(128, dither=Image.Dither.NONE)),
-        caption=f"{HITS} {figure.caption}",
+        caption=f"{tr(HITS)} {figure.caption}",
     )
 
 
 def _map(
-    picture: MapPicture, shares: TileShares, sums: LaneSums, label: str, measure: str,
-    uncertain: Booleans,
+    picture: MapPicture, shares: TileShares, label: str, heat: HeatMap, uncertain: Booleans,
+    *, measure: str = "",
 ) -> Figure:  # fmt: skip
-    text = _sentence(shares, sums, measure)
+    measure = measure or heat.measure
+    text = _sentence(shares, heat, measure)
+    alt = "Map of coverage, {time}. {text}"
+    if measure == "occupancy":
+        alt = "Map of radar hits, {time}. {text}"
     return Figure(
         png=png(image_of_pixels(picture.paint(shares.share, uncertain))),
         width=picture.grid.width,
         height=picture.grid.height,
         title=label,
         caption=text,
-        alt=f"Map of {measure}, {label}. {text}",
+        alt=tr(alt, time=label, text=text),
     )
 
 
-def _sentence(shares: TileShares, sums: LaneSums, measure: str) -> str:
-    """Describe a map: the busiest lane, and how much was seen and hit or covered."""
+def _sentence(shares: TileShares, heat: HeatMap, measure: str) -> str:
+    """Describe a map: the mean of what was seen, and how much was seen and hit or covered."""
     words = WORDS[measure]
     seen, hit = int((shares.base_s > 0).sum()), int((shares.part_s > 0).sum())
     if not seen:
-        return f"Nothing was {words.base}."
+        return tr(words.nothing)
     if not hit:
-        return f"No tile was {words.touched}; {count(seen, 'tile')} {words.base}."
-    part, base, error = sums.of(shares)
-    of_lanes = np.divide(part, base, out=np.zeros(len(base)), where=base > 0)
-    top = int(of_lanes.argmax())
-    how_much = percent(of_lanes[top], off=error[top] / base[top])
-    busiest = f"Busiest is lane {sums.lanes[top].number}, {words.part} {how_much}"
-    tiles = count(seen, f"{words.base} tile")
-    facts = f"{percent(hit / seen, 0)} of {tiles} {words.touched} at some time."
-    return f"{busiest} of the {words.base} time; {facts}"
+        return tr(words.none, n=figure_text(seen))
+    text = tr(words.touched, share=percent(hit / seen, 0), n=figure_text(seen))
+    if measure == "occupancy":
+        return text
+    mean, error = mean_coverage(heat.tiles, CoverageShares(*_as_coverage(shares)))
+    return f"{tr('Mean coverage {share}.', share=percent(mean, off=error))} {text}"
+
+
+def _as_coverage(shares: TileShares) -> tuple[Floats, Floats, Floats, Floats]:
+    return shares.base_s, shares.part_s, shares.share, shares.error
 
 
 def draw_plan(
@@ -220,10 +224,12 @@ def draw_plan(
         png=png(whole.convert("RGB").quantize(128, dither=Image.Dither.NONE)),
         width=picture.grid.width,
         height=picture.grid.height,
-        caption="The lanes, and the numbers of those in the table; arrows show where they lead.",
-        alt=(
-            f"Map of {count(len(lanes), 'lane')} with their numbers. The table has "
-            "the direction and length of each."
+        caption=tr(
+            "The lanes, and the numbers of those in the table; arrows show where they lead."
+        ),
+        alt=tr(
+            "Map of {n} lanes with their numbers. The table has the direction and length of each.",
+            n=figure_text(len(lanes)),
         ),
     )
 
@@ -283,26 +289,27 @@ def draw_sights(results: Results) -> list[Figure]:
             draw_sight(ax, sight, tiles)
             ax.set_title(sight.pose.sensor, fontsize=9)
             ax.axis("off")
-        handles = [Patch(color=COLOURS[state], label=NAMES[state]) for state in NAMES]
+        handles = [Patch(color=COLOURS[state], label=tr(NAMES[state])) for state in NAMES]
         figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
         picture = image_of_figure(figure).convert("RGB")
-    how = (
+    how = tr(
         "what stands in the airborne scan hides the tiles behind it"
         if occupancy.sight != VIEW_ONLY
         else "without an airborne scan, houses hide nothing here"
     )
     shares = "; ".join(
-        f"{sight.pose.sensor} {count(int((sight.state == IN_SIGHT).sum()), 'tile')} in sight, "
-        f"{int((sight.state == HIDDEN).sum())} hidden"
+        tr("{sensor} {n} tiles in sight, {hidden} hidden", sensor=sight.pose.sensor,
+           n=figure_text(int((sight.state == IN_SIGHT).sum())),
+           hidden=figure_text(int((sight.state == HIDDEN).sum())))
         for sight in sights
-    )
+    )  # fmt: skip
     return [
         Figure(
             png=png(picture.quantize(64, dither=Image.Dither.NONE)),
             width=picture.width,
             height=picture.height,
             tallest_mm=120.0,
-            caption=f"What each sensor sees of the lanes; {how}. {shares}.",
-            alt=f"Maps of the tiles in sight of each sensor: {shares}.",
+            caption=tr("What each sensor sees of the lanes; {how}.", how=how) + f" {shares}.",
+            alt=tr("Maps of the tiles in sight of each sensor: {shares}.", shares=shares),
         )
     ]

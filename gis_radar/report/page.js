@@ -35,13 +35,13 @@
   const stop = () => {
     window.clearInterval(timer);
     timer = 0;
-    play.textContent = "Play";
+    play.textContent = play.dataset.play;
     play.setAttribute("aria-pressed", "false");
   };
   const start = () => {
     timer = window.setInterval(
       () => show(at() === frames.length - 1 ? 1 : at() + 1), slow.matches ? 2500 : 900);
-    play.textContent = "Pause";
+    play.textContent = play.dataset.pause;
     play.setAttribute("aria-pressed", "true");
     show(at() === frames.length - 1 ? 1 : at() + 1);
   };

@@ -18,8 +18,9 @@ from markupsafe import Markup
 from PIL import Image
 
 from gis_radar.heatmap import style
-from gis_radar.heatmap.picture import INK, SENSOR, SOFT, STRIPE
-from gis_radar.report.content import Content, Figure, MapSeries, Table, Terms
+from gis_radar.heatmap.picture import INK, SENSOR, SOFT, STRIPE, legend_in_words
+from gis_radar.report.content import WORDS, Content, Figure, MapSeries, Table, Terms
+from gis_radar.words import current_language, tr
 
 LINE, WASH, AMBER, AMBER_WASH = "#d5dade", "#f3f5f7", "#b26a00", "#fff6e0"
 MARGIN, TOP, FOOT = 16.0, 20.0, 18.0  # of a page, millimetres, as all lengths here
@@ -35,19 +36,18 @@ TITLE, HEADING, LEAD, BODY, SMALL, CELL = (
     8.0,
 )  # points; no words are smaller
 FACTS_ACROSS = 3
-SIDE_BY_SIDE = {4: 2, 24: 3, 96: 4}  # small maps in a row, up to so many maps
-PIXELS_A_MM, MAP_PIXELS = 10, 1500  # of small maps; width of the large one
+MAP_PIXELS = 1500  # width of the map
 
 Box = tuple[float, float, float, float]  # left, top, width, height, millimetres
 
 
 def page_of(content: Content) -> str:
     """Return the page; all text of others is escaped, and the policy lets nothing else in."""
-    words = style.WORDS[content.measure]
+    named = style.WORDS[content.measure]
     hatched = {style.NOT_OBSERVED: "unseen", style.UNCERTAIN: "unsure"}
     legend = [
         (hatched.get(colour, f"class-{colour[1:]}"), colour, label)
-        for colour, label in style.legend(content.measure)
+        for colour, label in legend_in_words(content.measure)
     ]
     classes = "".join(
         f".{name} {{ background: {colour}; }}\n"
@@ -58,8 +58,11 @@ def page_of(content: Content) -> str:
     return _template().render(
         report=content,
         legend=legend,
-        legend_title=words.title,
-        legend_subtitle=words.subtitle,
+        legend_title=tr(named.title),
+        legend_subtitle=tr(named.subtitle),
+        words=WORDS[content.measure],
+        language=current_language(),
+        tr=tr,
         css=Markup(css),  # noqa: S704 - our own file
         script=Markup(script),  # noqa: S704 - our own file
         policy=_policy(css, script),
@@ -118,18 +121,20 @@ class Paper(FPDF):
 
     def __init__(self, content: Content) -> None:
         super().__init__(format="A4")
-        self._running = f"{content.title}: traffic {content.measure}"
-        self._foot = f"Times: {content.zone}. Made by {content.made_by}."
+        words = WORDS[content.measure]
+        self._running = f"{content.title}: {tr(words.title)}"
+        text = "Times: {zone}. Made by {software}."
+        self._foot = tr(text, zone=content.zone, software=content.made_by)
         fonts = Path(mpl.get_data_path()) / "fonts" / "ttf"
         self.add_font(FONT, "", fonts / "DejaVuSans.ttf")
         self.add_font(FONT, "B", fonts / "DejaVuSans-Bold.ttf")
         self.c_margin = 0.0  # text and pictures begin at one line
         self.set_margins(MARGIN, TOP, MARGIN)
         self.set_auto_page_break(auto=True, margin=FOOT)
-        self.set_lang("en")
-        self.set_title(f"{content.title}: traffic {content.measure}, {content.subtitle}")
+        self.set_lang(current_language())
+        self.set_title(f"{self._running}, {content.subtitle}")
         self.set_creator(content.made_by)
-        self.set_subject(f"{content.measure.capitalize()} of lanes, from roadside radar")
+        self.set_subject(tr(words.kind))
         self.viewer_preferences = ViewerPreferences(display_doc_title=True)
         self.alias_nb_pages()
 
@@ -148,7 +153,8 @@ class Paper(FPDF):
         self.set_y(-12.0)
         self.write_with(SMALL, colour=SOFT)
         self.cell(self.epw * 0.8, 4, self._fitting(self._foot, self.epw * 0.78))
-        self.cell(self.epw * 0.2, 4, f"Page {self.page_no()} of {{nb}}", align="R")
+        page = tr("Page {n} of {all}", n=self.page_no(), all="{nb}")
+        self.cell(self.epw * 0.2, 4, page, align="R")
 
     def _fitting(self, text: str, width: float) -> str:
         """Return a text that fits on one line."""
@@ -241,6 +247,12 @@ def _add_table(paper: Paper, content: Table) -> None:
     if content.note:
         paper.ln(1.5)
         paper.write_paragraph(content.note, size=SMALL, colour=SOFT)
+    for name, text in content.files:
+        paper.ln(0.5)
+        paper.write_with(SMALL, colour=SENSOR)
+        paper.cell(paper.get_string_width(name) + 0.5, 4.0, name, link=name)
+        paper.write_with(SMALL, colour=SOFT)
+        paper.cell(0, 4.0, f": {text}", new_x=XPos.LMARGIN, new_y=YPos.NEXT)
     paper.ln(2)
 
 
@@ -285,7 +297,6 @@ def write_pdf(content: Content, path: Path) -> None:
     paper.add_page()
     _add_title(paper, content)
     _add_map(paper, content)
-    _add_frames(paper, content)
     for chapter in content.chapters:
         paper.chapter(chapter.title, chapter.least_mm)
         for part in chapter.parts:
@@ -299,39 +310,42 @@ def write_pdf(content: Content, path: Path) -> None:
 
 
 def _add_title(paper: Paper, content: Content) -> None:
-    paper.start_section("In short")
-    paper.write_paragraph(
-        f"TRAFFIC {content.measure.upper()} REPORT", size=SMALL, bold=True, colour=SENSOR
-    )
+    paper.start_section(tr("In short"))
+    kind = tr(WORDS[content.measure].kind).upper()
+    paper.write_paragraph(kind, size=SMALL, bold=True, colour=SENSOR)
     paper.ln(0.5)
     paper.write_paragraph(content.title, size=TITLE, bold=True)
     paper.ln(1)
     paper.write_paragraph(content.subtitle, size=LEAD)
-    paper.write_paragraph(f"All times: {content.zone}.", colour=SOFT)
+    paper.write_paragraph(tr("All times: {zone}.", zone=content.zone), colour=SOFT)
     paper.ln(3)
     _add_facts(paper, content)
-    paper.write_paragraph(f"{content.intro} (see: What the words mean).")
+    see = tr("see: What the words mean")
+    paper.write_paragraph(f"{content.intro} ({see}).")
     if content.remarks:
         paper.ln(2)
-        paper.write_paragraph("Read this first", bold=True)
+        paper.write_paragraph(tr("Read this first"), bold=True)
         paper.ln(1)
         for remark in content.remarks:
             _add_remark(paper, remark)
+    paper.chapter(tr("What this rests on"), 60.0)
+    _add_table(paper, content.basis)
 
 
 def _add_facts(paper: Paper, content: Content) -> None:
     """Draw the figures in rows."""
     begin, width = paper.get_y(), (paper.epw - 2 * (FACTS_ACROSS - 1)) / FACTS_ACROSS
-    for i, (name, value) in enumerate(content.facts):
+    for i, fact in enumerate(content.facts):
         row, column = divmod(i, FACTS_ACROSS)
-        left, top = MARGIN + column * (width + 2), begin + row * 15.5
+        left, top = MARGIN + column * (width + 2), begin + row * 20.0
         paper.set_fill_color(WASH)
-        paper.rect(left, top, width, 13.5, style="F")
+        paper.rect(left, top, width, 18.0, style="F")
         paper.set_fill_color(SENSOR)
-        paper.rect(left, top, 0.9, 13.5, style="F")
-        paper.write_line(left + 3, top + 1.7, name, SMALL, colour=SOFT, width=width - 5)
-        paper.write_line(left + 3, top + 7.2, value, LEAD, bold=True, width=width - 5)
-    paper.set_xy(MARGIN, begin + -(-len(content.facts) // FACTS_ACROSS) * 15.5 + 2)
+        paper.rect(left, top, 0.9, 18.0, style="F")
+        paper.write_line(left + 3, top + 1.7, fact.name, SMALL, colour=SOFT, width=width - 5)
+        paper.write_line(left + 3, top + 7.0, fact.value, LEAD, bold=True, width=width - 5)
+        paper.write_line(left + 3, top + 12.6, fact.rests, SMALL, colour=SOFT, width=width - 5)
+    paper.set_xy(MARGIN, begin + -(-len(content.facts) // FACTS_ACROSS) * 20.0 + 2)
 
 
 def _add_remark(paper: Paper, text: str) -> None:
@@ -347,7 +361,7 @@ def _add_remark(paper: Paper, text: str) -> None:
 
 def _add_map(paper: Paper, content: Content) -> None:
     part, figure = content.map, content.map.whole
-    paper.chapter("Map, whole time", 150)
+    paper.chapter(tr("Map, whole time"), 150)
     note_room = 26.0
     width = paper.epw - LEGEND - GAP
     shape = figure.height / figure.width
@@ -363,51 +377,35 @@ def _add_map(paper: Paper, content: Content) -> None:
 
 def _add_legend(paper: Paper, left: float, top: float, measure: str) -> None:
     """Draw the classes of the map, highest first."""
-    paper.write_line(left, top, style.WORDS[measure].title, BODY, bold=True)
-    paper.write_line(left, top + 4.4, style.WORDS[measure].subtitle, SMALL, colour=SOFT)
-    for i, (colour, label) in enumerate(style.legend(measure)):
+    named = style.WORDS[measure]
+    paper.write_line(left, top, tr(named.title), BODY, bold=True)
+    paper.write_line(left, top + 4.4, tr(named.subtitle), SMALL, colour=SOFT)
+    for i, (colour, label) in enumerate(legend_in_words(measure)):
         y = top + 10.5 + i * 6
-        paper.set_draw_color(SOFT)
-        paper.set_fill_color(style.NEVER_HIT if colour == style.UNCERTAIN else colour)
-        paper.rect(left, y, 9, 4.6, style="DF")
-        if colour in {style.NOT_OBSERVED, style.UNCERTAIN}:
-            paper.set_draw_color(STRIPE if colour == style.NOT_OBSERVED else style.HATCH_DARK)
-            low, high = (4.5, 0.1) if colour == style.NOT_OBSERVED else (0.1, 4.5)
-            for k in range(1, 6):
-                paper.line(left + 1.8 * k - 1.2, y + low, left + 1.8 * k, y + high)
+        _add_swatch(paper, left, y, colour)
         paper.write_line(left + 11, y + 0.3, label, SMALL, width=LEGEND - 11)
 
 
-def _add_frames(paper: Paper, content: Content) -> None:
-    """Lay the intervals out as small maps, row by row."""
-    part = content.map
-    if not part.frames:
-        return
-    across = next((n for most, n in SIDE_BY_SIDE.items() if len(part.frames) <= most), 4)
-    width = (paper.epw - GAP * (across - 1)) / across
-    height = width * part.whole.height / part.whole.width
-    tall = height + 8.0 + 4.0 * (1 + across)
-    paper.chapter("The map through time", tall + 25)
-    if part.note:
-        paper.write_paragraph(part.note, size=SMALL, colour=SOFT)
-        paper.ln(2)
-    for first in range(0, len(part.frames), across):
-        if paper.room < tall:
-            paper.add_page()
-        top = paper.get_y()
-        for i, frame in enumerate(part.frames[first : first + across]):
-            _add_frame(paper, frame, (MARGIN + i * (width + GAP), top, width, height))
-        paper.set_xy(MARGIN, top + tall)
-
-
-def _add_frame(paper: Paper, frame: Figure, box: Box) -> None:
-    left, top, width, height = box
-    _add_picture(paper, _composed(frame.png, None, int(PIXELS_A_MM * width)), frame.alt, box)
-    paper.set_xy(left, top + height + 1)
-    paper.write_with(SMALL, bold=True)
-    paper.multi_cell(width, 4.0, frame.title, align="L", new_x=XPos.LEFT, new_y=YPos.NEXT)
-    paper.write_with(SMALL, colour=SOFT)
-    paper.multi_cell(width, 3.8, frame.caption, align="L", new_x=XPos.LEFT, new_y=YPos.NEXT)
+def _add_swatch(paper: Paper, left: float, top: float, colour: str) -> None:
+    """Draw a field of a colour; what is uncertain is hatched, over pale colours and deep ones."""
+    paper.set_draw_color(SOFT)
+    pale, deep = style.RAMP[0], style.RAMP[4]
+    if colour == style.UNCERTAIN:
+        for x, fill in ((left, pale), (left + 4.5, deep)):
+            paper.set_fill_color(fill)
+            paper.rect(x, top, 4.5, 4.6, style="F")
+    else:
+        paper.set_fill_color(colour)
+        paper.rect(left, top, 9, 4.6, style="F")
+    for k in range(1, 6) if colour in {style.NOT_OBSERVED, style.UNCERTAIN} else ():
+        x, low, high = left + 1.8 * k - 1.2, 4.5, 0.1
+        paper.set_draw_color(STRIPE)
+        if colour == style.UNCERTAIN:
+            low, high = high, low
+            paper.set_draw_color(style.HATCH_DARK if k < 3 else style.HATCH_LIGHT)
+        paper.line(x, top + low, x + 1.2, top + high)
+    paper.set_draw_color(SOFT)
+    paper.rect(left, top, 9, 4.6)
 
 
 def _composed(picture: bytes, overlay: bytes | None, width: int) -> Image.Image:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -21,20 +20,17 @@ from gis_radar.occupancy import Occupancy, merge_occupancies, read_occupancy
 from gis_radar.poses.files import read_track
 from gis_radar.poses.pose import ANGLES, POSITION, Pose, View, pose_from_dict
 from gis_radar.progress import QUIET, Reporter, warnings_once
-from gis_radar.report.content import (
+from gis_radar.report import names
+from gis_radar.report.content import Column, Figure, Table, how_found, text_rows, write_csv
+from gis_radar.vehicles import Vehicles, read_vehicles
+from gis_radar.words import (
     NOTHING,
-    THIN,
-    Column,
-    Figure,
-    Table,
-    count,
     direction,
     figure_text,
-    how_found,
-    listed,
     plus_minus,
-    text_rows,
-    write_csv,
+    speaking,
+    tr,
+    tr_message,
 )
 
 MANIFEST = "manifest.json"
@@ -60,6 +56,8 @@ class Results:
     poses : sequence of Pose
         The last pose of each sensor that the heat map shows, by name, where it is in the map's
         coordinate system.
+    vehicles : Vehicles or None
+        What coverage was made of; None where it is not there.
     figures : mapping
         Picture of how a sensor's pose was found, by its name.
     run : mapping
@@ -72,6 +70,7 @@ class Results:
     heat: HeatMap
     occupancy: Occupancy | None
     poses: Sequence[Pose]
+    vehicles: Vehicles | None
     figures: Mapping[str, Path]
     run: Mapping[str, Any]
     missing: Sequence[str]
@@ -118,8 +117,9 @@ class Results:
     @property
     def warnings(self) -> list[str]:
         """The warnings of the run, each once, after the stages that raised it."""
+        raised = {str(each["name"]): each.get("warnings") or [] for each in self.stages}
         return warnings_once(
-            {str(each["name"]): each.get("warnings") or [] for each in self.stages}
+            {name: [tr_message(each) for each in texts] for name, texts in raised.items()}
         )
 
     @property
@@ -156,7 +156,7 @@ def read_results(
     if occupancy is None:
         missing.append(
             "The occupancy that the heat map was made of is not in the folder: what the sensors "
-            "delivered, their poses and the filters are not known (option --occupancy)."
+            "delivered, their poses and the filters are not known."
         )
     if not run:
         missing.append("The folder is not that of a run: settings are listed only as far as known.")
@@ -173,6 +173,7 @@ def read_results(
         heat=heat,
         occupancy=occupancy,
         poses=[pose for pose in poses if same_plane(pose.crs, heat.crs)],
+        vehicles=_vehicles(folder, heat),
         figures={path.parent.name: path for path in pictures},
         run=run,
         missing=missing,
@@ -215,6 +216,14 @@ def _occupancy(
     return merge_occupancies(fitting) if fitting else None, missing if others else []
 
 
+def _vehicles(folder: Path, heat: HeatMap) -> Vehicles | None:
+    """Return the vehicles of the heat map's tiles."""
+    if heat.measure != "coverage" or not (folder / "vehicles" / MANIFEST).is_file():
+        return None
+    found = read_vehicles(folder / "vehicles")
+    return found if found.provenance.fingerprint == heat.fingerprint else None
+
+
 def _poses(folder: Path, occupancy: Occupancy | None) -> list[Pose]:
     """Return the pose that each sensor had last, by the occupancy, or by the files beside."""
     found: dict[str, Pose] = {}
@@ -248,115 +257,6 @@ def _run(folder: Path) -> dict[str, Any]:
     return document
 
 
-def settings_of(results: Results) -> Table:
-    """Return the settings in effect, as far as the folder holds them."""
-    rows = [
-        ["Coordinates", f"{results.heat.crs.name}, {name_of(results.heat.crs)[:24]}"],
-        ["Intervals", _interval(results)],
-        ["Tiles", _tiles(results)],
-        *([name, text] for name, text in _filters(results)),
-        ["Fingerprint of the tiles", results.heat.fingerprint],
-        ["Software", _software(results)],
-    ]
-    return Table(name="settings", caption="Settings", columns=_named("Setting"), rows=rows)
-
-
-def sources_of(results: Results) -> Table:
-    """Return the data that the heat map was made of."""
-    rows = [
-        [name, text]
-        for name, part in (("Map", results.site.get("map")), ("Scan", results.site.get("scan")))
-        if part and (text := _file(part))
-    ]
-    rows += [
-        [
-            f"Recording of {source.get('sensor')}",
-            f"{source.get('recording')}, {count(int(source.get('rows') or 0), 'detection')}",
-        ]
-        for source in (results.occupancy.sources if results.occupancy else ())
-    ]
-    rows += [["Attribution", str(text)] for text in results.site.get("attribution") or []]
-    if not rows:
-        rows = [["Heat map", f"{results.name}; what it was made of is {NOT_KNOWN}"]]
-    return Table(name="sources", caption="Data sources", columns=_named("Data"), rows=rows)
-
-
-def _named(title: str) -> tuple[Column, Column]:
-    return Column("What", "", 1.0, str, False), Column(title, "", 2.6, str, False)
-
-
-def made_by() -> str:
-    """Return the software that makes the report."""
-    return f"gis_radar {version('gis_radar')}"
-
-
-def _file(part: Mapping[str, Any]) -> str:
-    files = part.get("files") or [part.get("road")] if "files" in part else [part.get("file")]
-    named = listed([str(each) for each in files if each])
-    return f"{named} ({part['source']})" if part.get("source") else named
-
-
-def _interval(results: Results) -> str:
-    timeline = results.heat.timeline
-    if len(timeline) < 2:
-        return "none: the whole time only"
-    begin, end = timeline.span()
-    interval_s = (end - begin).total_seconds()
-    text = f"{figure_text(interval_s)} s"
-    for unit, length_s in (("d", 86400), ("h", 3600), ("min", 60)):
-        if interval_s % length_s == 0:
-            text = f"{figure_text(interval_s / length_s)} {unit}"
-            break
-    return f"{count(len(timeline), 'interval')} of {text}"
-
-
-def _tiles(results: Results) -> str:
-    tiles = results.heat.tiles
-    length = float(tiles["length_m"].median())
-    return f"{count(len(tiles), 'tile')}, most {figure_text(length, 2)} m long"
-
-
-def _filters(results: Results) -> Iterator[tuple[str, str]]:
-    """Yield what was kept of the detections, a line a filter, by sensor where they differ."""
-    if results.occupancy is None:
-        yield "Detections that count", NOT_KNOWN
-        return
-    by_text: dict[str, list[str]] = {}
-    for source in results.occupancy.sources:
-        text = _filters_in_words(source.get("filters") or {})
-        by_text.setdefault(text, []).append(str(source.get("sensor")))
-    for text, sensors in by_text.items():
-        whose = "" if len(by_text) == 1 else f" ({listed(sorted(set(sensors)))})"
-        yield f"Detections that count{whose}", text
-    for sensor, hold_s in sorted(results.occupancy.hold_s.items()):
-        held = f"until its next one, at most {figure_text(1000 * hold_s)} ms"
-        yield f"A frame of {sensor} holds", held
-    for source in results.occupancy.sources:
-        if "clock" in source:
-            clock = json.dumps(source["clock"], sort_keys=True)
-            yield f"Clock of {source['sensor']} corrected", clock.strip("{}").replace('"', "")
-
-
-def _filters_in_words(filters: Mapping[str, Any]) -> str:
-    words = []
-    if filters.get("clearance"):
-        low, high = (figure_text(float(each), 1) for each in filters["clearance"])
-        error = figure_text(float(filters.get("elevation_error_deg") or 0.0), 1)
-        words.append(f"{low} to {high} m over the road (elevation error {error}°)")
-    if filters.get("min_speed") is not None:
-        words.append(f"faster than {figure_text(float(filters['min_speed']), 1)}{THIN}m/s")
-    if filters.get("min_rcs") is not None:
-        words.append(f"cross section over {figure_text(float(filters['min_rcs']), 1)}{THIN}dBm²")
-    return "; ".join(words) or "all, standing and moving"
-
-
-def _software(results: Results) -> str:
-    known = results.run.get("software") or {}
-    if known.get("gis_radar"):
-        return f"gis_radar {known['gis_radar']} (code {known.get('code', NOT_KNOWN)})"
-    return f"report by {made_by()}"
-
-
 def pose_figures(results: Results) -> list[Figure]:
     """Return the pictures of how poses were found, of the sensors that are shown."""
     found: list[Figure] = []
@@ -372,10 +272,12 @@ def pose_figures(results: Results) -> list[Figure]:
                 width=image.width,
                 height=image.height,
                 tallest_mm=TALLEST_MM,
-                caption=f"Sensor {pose.sensor}: {how_found(pose.evidence)}.",
-                alt=(
-                    f"How the pose of {pose.sensor} was found: traces of vehicles on the map's "
-                    f"lanes; {how_found(pose.evidence)}."
+                caption=tr("Sensor {line}", line=f"{pose.sensor}: {how_found(pose.evidence)}."),
+                alt=tr(
+                    "How the pose of {sensor} was found: paths of vehicles on the map's lanes; "
+                    "{how}.",
+                    sensor=pose.sensor,
+                    how=how_found(pose.evidence),
                 ),
             )
         )
@@ -410,18 +312,22 @@ def sensor_table(results: Results, *, figures: int) -> Table:
     columns = _sensor_columns()
     rows = text_rows(results.poses, columns)
     rows += [
-        [name, *[NOTHING] * 6, f"no result: {reason}"] for name, reason in results.lost.items()
+        [name, *[NOTHING] * 6, tr("no result: {why}", why=tr_message(reason))]
+        for name, reason in results.lost.items()
     ]
-    note = (
-        "± is one standard deviation. Bearings count clockwise; pitch over 0 looks down. "
-        "Width is the opening angle."
+    note = tr(
+        "± is one standard deviation. Bearings count clockwise from grid north; pitch over 0 "
+        "looks down. Width is the opening angle."
     )
     if figures < len(results.figures):
-        note += f" Pictures follow of {figures}; there are {len(results.figures)} in sensors/."
+        text = "Pictures follow of {part}; there are {all} in sensors/."
+        note += " " + tr(text, part=figures, all=len(results.figures))
     if not rows:
-        note = "No pose is known here."
-    caption = "Sensors, and where they stand"
-    return Table(name="sensors", caption=caption, columns=columns, rows=rows, note=note)
+        note = tr("No pose is known here.")
+    return Table(
+        name="sensors", caption=tr("Sensors, and where they stand"), columns=columns, rows=rows,
+        note=note, files=[(names.SENSORS, tr("all poses"))],
+    )  # fmt: skip
 
 
 def _sensor_columns() -> list[Column]:
@@ -435,14 +341,14 @@ def _sensor_columns() -> list[Column]:
         return f"{figure_text(view.max_range_m)} m, {figure_text(view.azimuth_deg)}°"
 
     return [
-        Column("Sensor", "", 1.1, lambda pose: str(pose.sensor), False),
-        Column("Easting", "m", 1.9, lambda pose: _measured(pose, "easting", 2)),
-        Column("Northing", "m", 2.1, lambda pose: _measured(pose, "northing", 2)),
-        Column("Height", "m", 1.6, lambda pose: _measured(pose, "height", 2)),
-        Column("Looks to", "from grid north", 2.0, _looks_to),
-        Column("Pitch, roll", "degrees", 1.8, angles),
-        Column("Sees", "range, width", 1.1, sees),
-        Column("How its pose was found", "", 2.6, lambda pose: how_found(pose.evidence), False),
+        Column(tr("Sensor"), "", 0.8, lambda pose: str(pose.sensor), False),
+        Column(tr("Easting"), "m", 1.5, lambda pose: _measured(pose, "easting", 2)),
+        Column(tr("Northing"), "m", 1.6, lambda pose: _measured(pose, "northing", 2)),
+        Column(tr("Height"), "m", 1.3, lambda pose: _measured(pose, "height", 2)),
+        Column(tr("Looks to"), tr("from grid north"), 1.6, _looks_to),
+        Column(tr("Pitch, roll"), tr("degrees"), 1.4, angles),
+        Column(tr("Sees"), tr("range, width"), 1.1, sees),
+        Column(tr("How its pose was found"), "", 3.8, lambda pose: how_found(pose.evidence), False),
     ]
 
 
@@ -472,10 +378,15 @@ def _sigma(pose: Pose) -> dict[str, float]:
 
 
 def write_sensor_table(path: Path, results: Results) -> None:
-    """Write the poses with their standard deviations, and who has none."""
-    names = (*POSITION, *ANGLES)
+    """Write the poses with their standard deviations, and who has none, in English."""
+    with speaking("en"):
+        _write_sensor_table(path, results)
+
+
+def _write_sensor_table(path: Path, results: Results) -> None:
+    parts = (*POSITION, *ANGLES)
     header = (
-        "sensor", "crs", *names, *(f"sigma_{name}" for name in names),
+        "sensor", "crs", *parts, *(f"sigma_{name}" for name in parts),
         "azimuth_deg", "elevation_deg", "min_range_m", "max_range_m", "how_found",
     )  # fmt: skip
     rows = [
@@ -483,7 +394,7 @@ def write_sensor_table(path: Path, results: Results) -> None:
             "sensor": pose.sensor,
             "crs": pose.as_dict()["crs"],
             "how_found": how_found(pose.evidence),
-            **{name: round(getattr(pose, name), 4) for name in names},
+            **{name: round(getattr(pose, name), 4) for name in parts},
             **{f"sigma_{name}": round(value, 4) for name, value in _sigma(pose).items()},
             **asdict(pose.view or View()),
         }

@@ -17,6 +17,7 @@ from gis_radar.grid import CELL_M
 from gis_radar.notebooks import label_map, picture_file
 from gis_radar.second_look.second_look import SecondLook
 from gis_radar.second_look.surroundings import Structure
+from gis_radar.words import tr, tr_message
 
 DPI = 216
 SIZE_IN = (6.6, 6.6)
@@ -62,7 +63,9 @@ def draw_surroundings(ax: Axes, look: SecondLook) -> None:
     tip = place + ahead * float((high - low).max()) / 12.0
     ax.plot(*np.column_stack([place, tip]), color=SENSOR, linewidth=1.5, zorder=5)
     handles.append(
-        ax.scatter([place[0]], [place[1]], s=30, color=SENSOR, marker="^", label="sensor", zorder=5)
+        ax.scatter(
+            [place[0]], [place[1]], s=30, color=SENSOR, marker="^", label=tr("sensor"), zorder=5
+        )
     )
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     label_map(ax)
@@ -75,8 +78,12 @@ def draw_surroundings(ax: Axes, look: SecondLook) -> None:
 
 
 def _title(look: SecondLook) -> str:
-    reason = "\n".join(fill(part, LINE) for part in look.reason.replace("; ", ";\n").splitlines())
-    return f"{look.pose.sensor}, second look: {look.verdict}\n{reason}"
+    parts = (tr_message(part) for part in look.reason.split("; "))
+    reason = ";\n".join(fill(part, LINE) for part in parts)
+    verdict = tr(
+        "{sensor}, second look: {verdict}", sensor=look.pose.sensor, verdict=tr(look.verdict)
+    )
+    return f"{verdict}\n{reason}"
 
 
 def _colours(structure: Structure, tall_m: float) -> Floats:
@@ -100,7 +107,7 @@ def _kinds(structure: Structure) -> list[Patch]:
     )  # fmt: skip
     if structure.classified:
         shown = ((CANOPY[1], "canopy"), (ROOF[1], "roofs"), (WALL, "walls"))
-    return [Patch(color=colour, label=label) for colour, label in shown]
+    return [Patch(color=colour, label=tr(label)) for colour, label in shown]
 
 
 def _draw_standing(ax: Axes, look: SecondLook) -> list[Line2D]:
@@ -111,7 +118,7 @@ def _draw_standing(ax: Axes, look: SecondLook) -> list[Line2D]:
     off = look.closeness < FITS if len(look.closeness) else np.zeros(len(found), bool)
     leaves = ~off & (found.rustles > RUSTLING)
     kinds: tuple[tuple[Booleans, str, str], ...] = (
-        (~off & ~leaves, ON, "stands"), (leaves, LEAVES, "rustles"),
+        (~off & ~leaves, ON, "stands"), (leaves, LEAVES, "moves in place, as leaves do"),
         (off, OFF, "stands where the scan shows nothing"),
     )  # fmt: skip
     handles = []
@@ -119,7 +126,9 @@ def _draw_standing(ax: Axes, look: SecondLook) -> list[Line2D]:
         if which.any():
             ax.scatter(east[which], north[which], s=3.0, color=colour, linewidths=0, zorder=3)
             handles.append(
-                Line2D([], [], color=colour, marker="o", markersize=4, linestyle="", label=label)
+                Line2D(
+                    [], [], color=colour, marker="o", markersize=4, linestyle="", label=tr(label)
+                )
             )
     return handles
 
@@ -162,6 +171,6 @@ def _draw_surface(ax: Axes, look: SecondLook) -> None:
     ax.set(xlim=span, ylim=span, aspect="equal", xticks=(span[0], 0, span[1]), yticks=())
     ax.set_facecolor("black")
     ax.tick_params(labelsize=6, length=2, pad=1)
-    ax.set_title("score if moved, m", fontsize=7, pad=4).set_bbox(
+    ax.set_title(tr("score if moved, m"), fontsize=7, pad=4).set_bbox(
         {"facecolor": "white", "alpha": 0.85, "edgecolor": "none", "pad": 1.5}
     )

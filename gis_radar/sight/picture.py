@@ -9,6 +9,7 @@ import numpy as np
 from gis_radar.arrays import Floats
 from gis_radar.poses.pose import draw_sensor
 from gis_radar.sight.sight import HIDDEN, IN_SIGHT, OUT_OF_VIEW, Sight, SightTiles
+from gis_radar.words import tr
 
 # Of the palette of Okabe and Ito, as the layer `sight` has them.
 COLOURS = {OUT_OF_VIEW: "#d8dade", HIDDEN: "#753d28", IN_SIGHT: "#56b4e9"}
@@ -40,7 +41,7 @@ def draw_sight(ax: Any, sight: Sight, tiles: SightTiles) -> None:
             ax.add_collection(
                 PolyCollection(
                     list(tiles.quads[rows]), facecolors=colour, edgecolors=colour, linewidths=0.2,
-                    label=NAMES[state], zorder=state,
+                    label=tr(NAMES[state]), zorder=state,
                 )
             )  # fmt: skip
     ahead = sight.pose.R_map_sensor[:2, 0] * float((high - low).max()) / 12.0

@@ -21,6 +21,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from gis_radar.errors import GisRadarError, InputError, NoAnswerError, OutputError
 from gis_radar.files import whole_file
 from gis_radar.progress import Reporter
+from gis_radar.site.messages import error_in_site_words, in_site_words
 from gis_radar.site.plan import Ending, Outcome, Stage
 from gis_radar.site.worker import Event, Pool, carry_out
 
@@ -65,12 +66,15 @@ class Execution:
         Where the work is done.
     reporter : Reporter
         Shows progress: a bar for each stage, and one for all.
+    time_zone : str
+        The site's, for times in messages.
     """
 
     stages: Sequence[Stage]
     state: RunState
     pool: Pool
     reporter: Reporter
+    time_zone: str = "UTC"
     outcomes: dict[str, Outcome] = field(default_factory=dict)
     _begun: dict[Future[Mapping[str, Any]], _Begun] = field(default_factory=dict)
     _logged: set[str] = field(default_factory=set)
@@ -172,11 +176,12 @@ class Execution:
         if "worker" in event:
             begun.worker = event["worker"]
         elif "message" in event:
+            message = in_site_words(event["message"], self.time_zone)
             if event["level"] == "warning":
-                begun.warnings.append(event["message"])
-            if event["message"] not in self._logged:  # each stage that reads the map repeats it
-                self._logged.add(event["message"])
-                self.reporter.log(f"{event['stage']}: {event['message']}", event["level"])
+                begun.warnings.append(message)
+            if message not in self._logged:  # each stage that reads the map repeats it
+                self._logged.add(message)
+                self.reporter.log(f"{event['stage']}: {message}", event["level"])
         else:
             if event["phase"] not in begun.phases:
                 begun.phases.append(event["phase"])
@@ -196,7 +201,8 @@ class Execution:
         except OutputError:
             raise  # no other stage could write either
         except GisRadarError as caught:
-            error, state = caught, "refused" if isinstance(caught, NoAnswerError) else "failed"
+            error = error_in_site_words(caught, self.time_zone)
+            state = "refused" if isinstance(caught, NoAnswerError) else "failed"
         del self._begun[future]
         outcome = Outcome(
             stage=begun.stage,

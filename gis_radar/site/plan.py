@@ -395,6 +395,7 @@ def _products(site: Site, folder: Path) -> Iterator[Stage]:
                 "labels": {
                     "title": site.title,
                     "timezone": site.time_zone,
+                    "language": site.language,
                     "sources": site.credits,
                 },
             },

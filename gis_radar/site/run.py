@@ -5,6 +5,7 @@ Its record stands beside the results: `run.json` for programs, `summary.md` to r
 
 from __future__ import annotations
 
+import math
 import re
 import shutil
 from collections.abc import Mapping, Sequence
@@ -34,7 +35,8 @@ from gis_radar.site.execution import Execution, RunState, discard, software
 from gis_radar.site.plan import OWNED, Outcome, Stage, stages_of
 from gis_radar.site.settings import Site, read_site
 from gis_radar.site.worker import process_pool
-from gis_radar.steps import zone_of
+from gis_radar.steps import Clock, zone_of
+from gis_radar.words import NOTHING, direction, figure_text, listed, speaking, tr, tr_message
 
 STATE = ".gis-radar"
 _POSE = ("easting", "northing", "height", "yaw", "pitch", "roll")
@@ -186,9 +188,11 @@ def run_site(
         _forget(kept, stages, fresh=fresh, reporter=reporter)
         _hash_inputs(site, kept, reporter)
         _write_record(site, root, (), kept, finished=False)
-        pool = stack.enter_context(process_pool(jobs or workers_here(), scratch))
+        pool = stack.enter_context(process_pool(jobs or workers_here(), scratch, site.language))
         try:
-            execution = Execution(stages=stages, state=kept, pool=pool, reporter=reporter)
+            execution = Execution(
+                stages=stages, state=kept, pool=pool, reporter=reporter, time_zone=site.time_zone
+            )
             _write_record(site, root, execution.run(-1), kept, finished=False)
             outcomes = execution.run()
         except KeyboardInterrupt:
@@ -352,27 +356,56 @@ def _escaped(found: re.Match[str]) -> str:
 
 
 def _summary(site: Site, outcomes: Sequence[Outcome]) -> str:
-    """Return the summary of a run, to read."""
-    made = (each for each in outcomes if each.has_result)
-    heat = next((each.figures for each in made if each.stage.work is work.heatmap_stage), {})
-    zone = zone_of(site.time_zone)
-    span = [
-        datetime.fromisoformat(heat[name]).astimezone(zone).isoformat(sep=" ", timespec="seconds")
-        for name in ("begin", "end")
-        if name in heat
-    ]
-    sources = {"map": site.map.source, "scan": site.scan.source if site.scan else None}
-    named = [f"{what}: {source}" for what, source in sources.items() if source]
+    """Return the summary of a run, to read: what the report says first, in its language."""
+    by_work = {each.stage.work: each.figures for each in outcomes if each.has_result}
+    heat, told = by_work.get(work.heatmap_stage, {}), by_work.get(work.report_stage, {})
     text = files("gis_radar.site").joinpath("summary.md.jinja").read_text(encoding="utf-8")
     plain = Environment(  # noqa: S701 - Markdown, escaped by `finalize`
         trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, finalize=_literal
     )
     template = plain.from_string(text)
-    shown: str = template.render(
-        title=site.title, time_zone=site.time_zone, span=span, shown=_sensors_in(outcomes),
-        columns=("sensor", *_POSE, "fitness", "second look"), sensors=_sensors_of(outcomes, site),
-        lists={"Poses found together": _together(outcomes), "Warnings": _warnings(outcomes),
-               "Sources": [*named, *site.attribution]},
-        version=software()["gis_radar"],
-    )  # fmt: skip
+    with speaking(site.language):
+        heard = told.get("remarks") or [tr_message(each) for each in _warnings(outcomes)]
+        shown: str = template.render(
+            tr=tr, title=site.title, span=_span(site, heat), shown=listed(_sensors_in(outcomes)),
+            facts=told.get("facts") or {}, heard=heard, version=software()["gis_radar"],
+            tables=[
+                (tr("What this rests on"), told.get("basis")),
+                (tr("Lanes by coverage"), told.get("lanes_named")),
+                (tr("Sensors"), _pose_rows(outcomes, site)),
+            ],
+            lists={
+                tr("Poses found together"): _together(outcomes),
+                tr("Data sources"): site.credits,
+            },
+        )  # fmt: skip
     return shown
+
+
+def _span(site: Site, heat: Mapping[str, Any]) -> str:
+    """Return the time of the heat maps by the site's clock, with its zone."""
+    if not {"begin", "end"} <= set(heat):
+        return ""
+    begin, end = (datetime.fromisoformat(heat[name]) for name in ("begin", "end"))
+    clock = Clock(zone=zone_of(site.time_zone), first=begin, last=end)
+    return f"{clock.whole(begin, end)} ({clock.name})"
+
+
+def _pose_rows(outcomes: Sequence[Outcome], site: Site) -> list[list[str]]:
+    """Return the poses as a table is read: its head, and a row a sensor; bearings as the report."""
+    rows = [[
+        tr("Sensor"), f"{tr('Easting')}, m", f"{tr('Northing')}, m", f"{tr('Height')}, m",
+        f"{tr('Looks to')}, {tr('from grid north')}", tr("Pitch, roll"), tr("State"),
+    ]]  # fmt: skip
+    for name, facts in _sensors_of(outcomes, site).items():
+        state = tr("good") if facts["state"] == "ok" else tr_message(str(facts["state"]))
+        if "yaw" not in facts:
+            rows.append([name, *[NOTHING] * 5, state])
+            continue
+        yaw = math.radians(facts["yaw"])
+        place = [figure_text(facts[each], 2) for each in ("easting", "northing", "height")]
+        bearing = f"{figure_text((90.0 - facts['yaw']) % 360.0, 1)}°"
+        angles = ", ".join(f"{figure_text(facts[each], 1)}°" for each in ("pitch", "roll"))
+        looks = f"{direction(math.cos(yaw), math.sin(yaw))}, {bearing}"
+        rows.append([name, *place, looks, angles, state])
+    return rows

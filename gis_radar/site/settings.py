@@ -230,7 +230,7 @@ class Site(TomlTable):
     time_zone: Zone = key('"Europe/Berlin"', "UTC")
     """Zone of the times in pictures, report and summary; data files keep UTC."""
     language: Literal["en", "de"] = key('"de"', "en")
-    """Language of the QGIS project: en or de."""
+    """Language of report, pictures, summary and QGIS project: en or de."""
     attribution: Texts = key('["Recordings: City of Example"]', (), "nobody")
     """Whom to name beside the results."""
     map: MapTable

@@ -242,8 +242,9 @@ def heatmap_stage(
     from gis_radar.vehicles import read_vehicles
 
     merged = merge_occupancies([read_occupancy(each, reporter=reporter) for each in occupancies])
+    zone = None if labels["timezone"] == "UTC" else labels["timezone"]
     heat = make_heatmap(
-        merged, read_tiles(tile_file), interval=interval, reporter=reporter,
+        merged, read_tiles(tile_file), interval=interval, timezone=zone, reporter=reporter,
         vehicles=read_vehicles(vehicles[0]) if vehicles else None, labels=MapLabels(**labels),
     )  # fmt: skip
     heat.write(outputs[0], reporter=reporter)
@@ -259,8 +260,10 @@ def project_stage(*, outputs: Paths, **options: Any) -> Figures:
 
 
 def report_stage(*, outputs: Paths, reporter: Reporter) -> Figures:
-    """Write the report of all that was made."""
+    """Write the report of all that was made; what it says first, the summary says, too."""
     from gis_radar.report import write_report
 
-    write_report(outputs[0].parent, reporter=reporter)
-    return {}
+    made = write_report(outputs[0].parent, reporter=reporter)
+    for remark in made.summary["found"]:
+        reporter.log(remark)
+    return {name: made.summary[name] for name in ("facts", "basis", "lanes_named", "remarks")}

@@ -22,6 +22,7 @@ from typing import Any
 from gis_radar.errors import GisRadarError, OutputError
 from gis_radar.processes import go_offline, stop_workers, watch_parent
 from gis_radar.progress import Level, Reporter
+from gis_radar.words import speak
 
 _REPORT_S = 0.05  # bars move 20 times a second at most: faster is not seen, and costs both ends
 _ENDED = 128 + signal.SIGTERM  # exit code of a worker that was asked to end
@@ -119,7 +120,7 @@ class Pool:
 
 
 @contextmanager
-def process_pool(jobs: int, scratch: Path) -> Iterator[Pool]:
+def process_pool(jobs: int, scratch: Path, language: str = "en") -> Iterator[Pool]:
     """Provide processes for stages; when the block ends, they and what they started are gone.
 
     Parameters
@@ -128,11 +129,13 @@ def process_pool(jobs: int, scratch: Path) -> Iterator[Pool]:
         How many there may be.
     scratch : Path
         Where their temporary files go.
+    language : str
+        Of the pictures that they draw.
     """
     context = _WorkerContext()
     events: SimpleQueue[Event] = context.SimpleQueue()
     executor = ProcessPoolExecutor(
-        jobs, mp_context=context, initializer=_begin, initargs=(events, str(scratch))
+        jobs, mp_context=context, initializer=_begin, initargs=(events, str(scratch), language)
     )
     try:
         yield Pool(executor=executor, send=_send, events=events, crashes=context.crashes)
@@ -191,7 +194,7 @@ class _WorkerContext(SpawnContext):
 _events: SimpleQueue[Event] | None = None  # of this worker
 
 
-def _begin(events: SimpleQueue[Event], scratch: str) -> None:
+def _begin(events: SimpleQueue[Event], scratch: str, language: str) -> None:
     """Begin a worker: it ends with the run, and keeps what libraries print off standard output."""
     global _events  # noqa: PLW0603 - an initializer has no other way
     watch_parent()
@@ -199,6 +202,7 @@ def _begin(events: SimpleQueue[Event], scratch: str) -> None:
     signal.signal(signal.SIGTERM, _end)
     os.dup2(2, 1)
     tempfile.tempdir = scratch
+    speak(language)
     _events = events
 
 

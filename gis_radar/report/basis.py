@@ -1,0 +1,376 @@
+"""What a report rests on: recorded time, road seen, tracks, poses; and what may be concluded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from gis_radar.heatmap.covering import mean_coverage
+from gis_radar.occupancy.frame_steps import Runs, steps_in
+from gis_radar.quality import Quality
+from gis_radar.quality.quality import GOOD
+from gis_radar.report import names
+from gis_radar.report.content import Column, Fact, Table, text_rows
+from gis_radar.report.lanes import RANKS, LaneSums, shown_of
+from gis_radar.report.results import NOT_KNOWN, Results
+from gis_radar.sight import VIEW_ONLY
+from gis_radar.steps import STEP_S, STEPS_PER_SECOND, Clock
+from gis_radar.words import (
+    NOTHING,
+    figure_text,
+    listed,
+    percent,
+    plural,
+    plus_minus,
+    seconds_text,
+    tr,
+    tr_message,
+)
+
+SHORT_S = 900.0  # usual counts are of 15 minutes; shorter ones hold few cycles of a signal
+DAY_S = 86_400.0
+MOST_HOURS = 168  # rows of the table as read; the CSV file holds all
+
+
+class Findings(NamedTuple):
+    """What page, paper and tables are made of."""
+
+    results: Results
+    title: str
+    clock: Clock
+    quality: Quality | None  # what sensors delivered; None where that is not known
+    lanes: LaneSums
+    table: pd.DataFrame  # the lanes over the whole time, from `lane_table`
+
+
+def recorded_runs(results: Results) -> dict[str, Runs]:
+    """Return the steps that the frames of each sensor cover; none where that is not known."""
+    if results.occupancy is None:
+        return {}
+    covered = results.occupancy.covered_frames()
+    return {str(sensor): steps_in(rows) for sensor, rows in covered.groupby("sensor")}
+
+
+def recorded_s(results: Results) -> float:
+    """Return how long any sensor delivered frames, seconds; NaN where that is not known."""
+    if results.occupancy is None:
+        return float("nan")
+    return steps_in(results.occupancy.covered_frames()).steps * STEP_S
+
+
+def totals_of(found: Findings) -> dict[str, Any]:
+    """Count the totals of the whole time; the highest lane is None where none may be named."""
+    heat, table, measure = found.results.heat, found.table, found.results.heat.measure
+    shares, length_m = shown_of(heat), heat.tiles["length_m"].to_numpy(np.float64)
+    seen = shares.base_s > 0
+    base, touched = ("visible", "covered") if measure == "coverage" else ("observed", "hit")
+    seconds = recorded_s(found.results)
+    totals = {
+        "recorded_s": round(seconds, 2) if np.isfinite(seconds) else None,
+        "lanes": len(table),
+        f"lanes_{base}": int(table["share"].notna().sum()),
+        "lane_length_m": round(float(length_m.sum()), 2),
+        f"lane_length_{base}_m": round(float(length_m[seen].sum()), 2),
+        f"tiles_{base}": int(seen.sum()),
+        f"tiles_{touched}": int(np.count_nonzero(shares.part_s[seen])),
+    }
+    known = heat.coverage_shares()
+    if known is None or not seen.any():
+        return totals
+    mean, error = mean_coverage(heat.tiles, known)
+    top = table.iloc[0] if table["rank"].iloc[0] == 1 else None
+    return totals | {
+        "lanes_ranked": int(table["rank"].gt(0).sum()),
+        "highest_lane": None if top is None else int(top["lane"]),
+        "highest_lane_coverage": None if top is None else round(float(top["share"]), 6),
+        "highest_lane_se": None if top is None else round(float(top["share_se"]), 6),
+        "highest_lane_tracks": None if top is None else int(top["tracks"]),
+        "mean_coverage": round(mean, 6),
+        "mean_coverage_se": round(error, 6),
+        **found.results.traffic,
+    }
+
+
+def facts_of(found: Findings) -> list[Fact]:
+    """Return the figures at the top, each with what it rests on."""
+    total, measure = totals_of(found), found.results.heat.measure
+    base = "visible" if measure == "coverage" else "observed"
+    sensors, lasts = found.results.sensors, total["recorded_s"]
+    length, whole = total[f"lane_length_{base}_m"], total["lane_length_m"]
+    names = listed(sensors) if len(sensors) < 5 else ""
+    facts = [
+        Fact(tr("Recorded"), tr(NOT_KNOWN) if lasts is None else seconds_text(lasts),
+             _span_text(found)),
+        Fact(tr("Sensors"), str(len(sensors)) if sensors else tr(NOT_KNOWN), names),
+        Fact(
+            tr("Lane length visible" if measure == "coverage" else "Lane length observed"),
+            tr("{part} of {all} m", part=figure_text(length), all=figure_text(whole)),
+            tr("{part} of {all} lanes", part=total[f"lanes_{base}"], all=total["lanes"]),
+        ),
+    ]  # fmt: skip
+    if "mean_coverage" not in total:
+        return facts
+    if "vehicles" in total:
+        heavy = tr("{n} of them heavy; no count of vehicles", n=figure_text(total["heavy"]))
+        facts.append(Fact(tr("Tracks of vehicles"), figure_text(total["vehicles"]), heavy))
+    mean = percent(total["mean_coverage"], off=total["mean_coverage_se"])
+    facts.append(Fact(tr("Mean coverage"), mean, tr("of all road that was visible")))
+    return [*facts, _highest(found)]
+
+
+def _span_text(found: Findings) -> str:
+    """Return how long the time is from begin to end."""
+    begin, end = found.results.heat.whole.span()
+    return tr("in {time} from begin to end", time=seconds_text((end - begin).total_seconds()))
+
+
+def _highest(found: Findings) -> Fact:
+    """Return the lane of the highest coverage, where one may be named."""
+    name, top = tr("Highest lane"), found.table.iloc[0]
+    if top["rank"] != 1:
+        return Fact(name, tr("none to be named"), tr("see: Lanes"))
+    rests = tr(
+        "{tracks}, {share} of its length",
+        tracks=plural(int(top["tracks"]), "{n} track", "{n} tracks"),
+        share=percent(top["base_m"] / top["length_m"], 0),
+    )
+    share = percent(top["share"], off=top["share_se"])
+    return Fact(name, tr("No. {lane}: {share}", lane=int(top["lane"]), share=share), rests)
+
+
+def as_high_as(table: pd.DataFrame) -> list[str]:
+    """Return the ranked lanes that may be as high as the first: within the error of both."""
+    ranked = table[table["rank"] > 0]
+    if len(ranked) < 2:
+        return []
+    top, others = ranked.iloc[0], ranked.iloc[1:]
+    apart = top["share"] - others["share"]
+    near = apart <= np.hypot(top["share_se"], others["share_se"].to_numpy(np.float64))
+    return [str(lane) for lane in others.loc[near, "lane"]]
+
+
+def basis_of(found: Findings) -> Table:
+    """Return what the report rests on: a row a thing, with what follows from it."""
+    rows = [
+        _recorded(found), _seen(found), *_tracked(found), *_ranked(found), _placed(found.results),
+        _hidden(found.results), _delivered(found), _made_of(found.results),
+    ]  # fmt: skip
+    columns = (
+        Column(tr("What"), "", 1.0, str, False),
+        Column(tr("Here"), "", 1.7, str, False),
+        Column(tr("What follows"), "", 2.3, str, False),
+    )
+    caption = tr("What the figures of this report rest on")
+    return Table(name="basis", caption=caption, columns=columns, rows=rows)
+
+
+def _recorded(found: Findings) -> list[str]:
+    runs = recorded_runs(found.results)
+    each = [f"{name} {seconds_text(part.steps * STEP_S)}" for name, part in runs.items()]
+    seconds = recorded_s(found.results)
+    if not each:
+        here, follows = tr(NOT_KNOWN), tr("How much was recorded is not known.")
+    else:
+        here = seconds_text(seconds) + (f" ({', '.join(each)})" if len(each) < 13 else "")
+        follows = tr("Holds for this time, and not for other hours or days.")
+        if seconds < SHORT_S:
+            follows = tr("A few cycles of a signal: nothing about a usual hour or day.")
+        elif seconds < DAY_S:
+            follows = tr("Less than a day: nothing about the hours that were not recorded.")
+    return [tr("Recorded"), f"{here}; {found.clock.name}", follows]
+
+
+def _seen(found: Findings) -> list[str]:
+    total, measure = totals_of(found), found.results.heat.measure
+    base = "visible" if measure == "coverage" else "observed"
+    part, whole = total[f"lane_length_{base}_m"], total["lane_length_m"]
+    here = tr(
+        "{part} of {all} m of lane ({share})",
+        part=figure_text(part), all=figure_text(whole), share=percent(part / whole, 0),
+    )  # fmt: skip
+    text = "Road that no sensor saw has no value: it is hatched in grey, and is not 0 %."
+    return [tr("Road seen"), here, tr(text)]
+
+
+def _tracked(found: Findings) -> list[list[str]]:
+    """Return what is known of vehicles, in reports of coverage."""
+    if found.results.heat.measure != "coverage":
+        return []
+    total = totals_of(found)
+    here, follows = tr(NOT_KNOWN), tr("How many vehicles the figures rest on is not known.")
+    if "vehicles" in total:
+        heavy = figure_text(total["heavy"])
+        tracks = plural(total["vehicles"], "{n} track", "{n} tracks")
+        here = tr("{tracks}, {heavy} of heavy vehicles", tracks=tracks, heavy=heavy)
+        follows = tr("No count of vehicles: a track may be a piece of a vehicle's way.")
+    return [[tr("Vehicles followed"), here, follows]]
+
+
+def _ranked(found: Findings) -> list[list[str]]:
+    """Return which lanes are compared, in reports of coverage."""
+    if found.results.heat.measure != "coverage":
+        text = "Hits compare one place over time; lanes are in the order of their numbers."
+        return [[tr("Lanes compared"), tr("none"), tr(text)]]
+    number, all_of_them = int(found.table["rank"].gt(0).sum()), len(found.table)
+    here = tr("{part} of {all} lanes are ranked", part=number, all=all_of_them)
+    rule = tr(
+        "Ranked is a lane with {tracks} tracks or more, {share} of its length visible or more, "
+        "and a standard error of at most half its coverage.",
+        tracks=RANKS.least_tracks, share=percent(RANKS.least_seen, 0),
+    )  # fmt: skip
+    return [[tr("Lanes compared"), here, rule]]
+
+
+def _placed(results: Results) -> list[str]:
+    """Return how well it is known where the sensors stand."""
+    known = []
+    for pose in results.poses:
+        sigma = pose.parsed_evidence().sigma
+        if {"easting", "northing", "yaw"} <= set(sigma):
+            across = float(np.hypot(sigma["easting"], sigma["northing"]))
+            turned = plus_minus(sigma["yaw"], 2, "°")
+            known.append(f"{pose.sensor} {plus_minus(across, 2, ' m')}, {turned}")
+    here = "; ".join(known) or tr(NOT_KNOWN)
+    text = "What was measured may lie aside by that much; an angle of 1° is 1 m at 57 m."
+    return [tr("Where sensors stand"), here, tr(text)]
+
+
+def _hidden(results: Results) -> list[str]:
+    """Return whether what stands beside the road is known to hide it."""
+    if results.occupancy is None:
+        return [tr("What hides road"), tr(NOT_KNOWN), ""]
+    if results.occupancy.sight == VIEW_ONLY:
+        text = "Road behind houses and trees counts as seen and reads as empty."
+        return [tr("What hides road"), tr("not known: no airborne scan"), tr(text)]
+    text = "Road behind houses and trees counts as not seen; other vehicles hide it for moments."
+    return [tr("What hides road"), tr("from an airborne scan"), tr(text)]
+
+
+def _delivered(found: Findings) -> list[str]:
+    """Return in how much of what sensors delivered no test found a fault."""
+    name = tr("What sensors delivered")
+    if found.quality is None:
+        return [name, tr(NOT_KNOWN), ""]
+    table = found.quality.table
+    good, hours = int(table["verdict"].eq(GOOD).sum()), len(table)
+    runs = recorded_runs(found.results).values()
+    recorded = seconds_text(sum(each.steps for each in runs) * STEP_S)
+    text = "no fault found in {part} of {all} hours of sensors, of which {time} were recorded"
+    here = tr(text, part=good, all=hours, time=recorded)
+    text = "An hour counts as soon as some of it was recorded: see the seconds in the table."
+    return [name, here, tr(text)]
+
+
+def _made_of(results: Results) -> list[str]:
+    sources = "; ".join(results.credits) or tr(NOT_KNOWN)
+    return [
+        tr("Map and data"),
+        sources,
+        tr("The lanes are those of the map; an error in it stays."),
+    ]
+
+
+def remarks_of(found: Findings) -> list[str]:
+    """Return what to know before reading on: each a sentence of its own."""
+    results = found.results
+    return [
+        *(tr("No result for sensor {name}: {why}", name=name, why=why)
+          for name, why in results.lost.items()),
+        *own_remarks(found),
+        *results.warnings,
+        *(tr_message(each) for each in results.missing),
+    ]  # fmt: skip
+
+
+def own_remarks(found: Findings) -> list[str]:
+    """Return what this report finds by itself: too short a time, faults of what was delivered."""
+    begin, end = found.results.heat.whole.span()
+    seconds = np.fmin(recorded_s(found.results), (end - begin).total_seconds())
+    remarks = []
+    if seconds < SHORT_S:
+        text = "Recorded were {time} only: a few cycles of a signal, and no usual day"
+        remarks.append(tr(text, time=seconds_text(seconds)))
+    if found.quality is not None:
+        remarks += [tr("Sensor {line}", line=found.clock.localised(line))
+                    for line in found.quality.warnings()]  # fmt: skip
+    return remarks
+
+
+def quality_table(found: Findings) -> Table:
+    """Return what sensors delivered by hour, those with a fault first where there are many."""
+    columns, quality = _hour_columns(found.clock), found.quality
+    note, rows = tr("What sensors delivered is not known."), []
+    if quality is not None:
+        table = quality.table.assign(recorded_s=_recorded_in(quality.table, found.results))
+        lines = [f"{sensor}: {text}." for sensor, text in _hours_in_words(table).items()]
+        if len(table) > MOST_HOURS:
+            faulty = table["verdict"].ne(GOOD).sort_values(ascending=False, kind="stable").index
+            table = table.loc[faulty].head(MOST_HOURS)
+            lines.append(tr(
+                "Here {part} of {all} rows, those with a fault first.",
+                part=MOST_HOURS, all=figure_text(len(quality.table)),
+            ))  # fmt: skip
+        note, rows = " ".join(lines), text_rows((row for _, row in table.iterrows()), columns)
+    return Table(
+        name="quality",
+        caption=tr("Measurements by sensor and hour ({zone})", zone=found.clock.name),
+        columns=columns, rows=rows, note=note,
+        files=[(names.QUALITY, tr("all sensors and hours"))] if quality is not None else [],
+    )  # fmt: skip
+
+
+def _recorded_in(table: pd.DataFrame, results: Results) -> list[float]:
+    """Return for each sensor and hour the seconds that its frames cover."""
+    runs = recorded_runs(results)
+    edges = [
+        (begin.timestamp() * STEPS_PER_SECOND, end.timestamp() * STEPS_PER_SECOND)
+        for begin, end in zip(table["begin"], table["end"], strict=True)
+    ]
+    return [
+        float(np.diff(runs[str(sensor)].before(np.array(edge, np.int64)))[0]) * STEP_S
+        for sensor, edge in zip(table["sensor"], edges, strict=True)
+    ]
+
+
+def _hour_columns(clock: Clock) -> list[Column]:
+    """Return how an hour of a sensor is read."""
+
+    def number(name: str, digits: int = 0) -> Callable[[pd.Series], str]:
+        return lambda row: figure_text(row[name], digits)
+
+    def age(row: pd.Series) -> str:
+        return figure_text(row["pose_age_h"], 1) if row["pose_age_h"] >= 0 else NOTHING
+
+    def begin(row: pd.Series) -> str:
+        return clock.stamp(row["begin"].to_pydatetime())
+
+    def verdict(row: pd.Series) -> str:
+        return "; ".join(tr_message(each) for each in str(row["verdict"]).split("; "))
+
+    return [
+        Column(tr("Sensor"), "", 1.0, lambda row: str(row["sensor"]), False),
+        Column(tr("Hour from"), "", 2.2, begin, False),
+        Column(tr("Recorded"), "", 1.4, lambda row: seconds_text(row["recorded_s"])),
+        Column(tr("Frames"), tr("received"), 1.4, number("frames")),
+        Column(tr("Frames"), tr("expected"), 1.4, number("frames_expected")),
+        Column(tr("Detections"), tr("a frame"), 1.6, number("detections_per_frame", 1)),
+        Column(tr("Moving"), tr("of them"), 1.2, lambda row: percent(row["moving_share"], 0)),
+        Column(tr("Clock"), tr("corrected by s"), 1.5, number("clock_offset_s", 3)),
+        Column(tr("Pose age"), "h", 1.0, age),
+        Column(tr("Verdict"), "", 2.2, verdict, False),
+    ]
+
+
+def _hours_in_words(table: pd.DataFrame) -> dict[str, str]:
+    """Return by sensor in how many hours no test found fault, and how much of them was recorded."""
+    words = {}
+    for sensor, rows in table.groupby("sensor"):
+        good = int(rows["verdict"].eq(GOOD).sum())
+        hours = plural(len(rows), "{n} hour", "{n} hours")
+        recorded = seconds_text(float(rows["recorded_s"].sum()))
+        text = "no fault in {good} of {hours} with {time} recorded"
+        words[str(sensor)] = tr(text, good=figure_text(good), hours=hours, time=recorded)
+    return words

@@ -1,0 +1,189 @@
+"""Words, numbers and days in the language of who reads: of what is written at the moment."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from datetime import datetime
+from functools import cache
+
+from gis_radar.errors import UsageError
+from gis_radar.languages import LANGUAGES, catalogue
+
+NOTHING, MINUS = "\u2013", "\u2212"  # a dash; a minus as wide as a plus
+THIN = "\u202f"  # narrow, and no line ends there
+WINDS = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
+_MONTHS = (
+    "January", "February", "March", "April", "May", "June", "July", "August", "September",
+    "October", "November", "December",
+)  # fmt: skip
+_WEEKDAYS = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
+_HOLE = re.compile(r"\\\{\w*\\\}")  # a hole of a text once it is escaped
+
+# Not an argument of each function: what writes a number is ten calls below who knows the language.
+_CURRENT: ContextVar[str] = ContextVar("language", default="en")
+
+
+@contextmanager
+def speaking(language: str) -> Iterator[None]:
+    """Let texts, numbers and days be in a language for as long as the block runs.
+
+    Raises
+    ------
+    UsageError
+        If there is no such language.
+    """
+    token = _CURRENT.set(known_language(language))
+    try:
+        yield
+    finally:
+        _CURRENT.reset(token)
+
+
+def speak(language: str) -> None:
+    """Let texts, numbers and days be in a language from now on: of a process of its own."""
+    _CURRENT.set(known_language(language))
+
+
+def known_language(language: str) -> str:
+    """Return a language; refuse one that there are no words of."""
+    if language not in LANGUAGES:
+        raise UsageError(
+            f"there is no language {language!r}", hint=f"known are {', '.join(LANGUAGES)}"
+        )
+    return language
+
+
+def current_language() -> str:
+    """Return the language of what is written now, as two letters."""
+    return _CURRENT.get()
+
+
+def tr(text: str, /, **values: object) -> str:
+    """Return a text in the current language, with values in its holes."""
+    found = catalogue(_CURRENT.get()).get(text, text)
+    return found.format(**values) if values else found
+
+
+def plural(amount: int, one: str, many: str) -> str:
+    """Return an amount with its noun: texts with a hole `{n}`."""
+    return tr(one if amount == 1 else many, n=figure_text(amount))
+
+
+def tr_message(text: str) -> str:
+    """Return a finished sentence in the current language, its values taken over.
+
+    The sentences of all rooms are English; those with holes in the catalogue are known again by
+    what stands between their values.
+    """
+    texts = catalogue(_CURRENT.get())
+    if text in texts:
+        return texts[text]
+    for pattern, names, translated in _patterns(_CURRENT.get()):
+        if match := pattern.fullmatch(text):
+            values = {
+                name: tr_message(each) for name, each in zip(names, match.groups(), strict=True)
+            }
+            return translated.format(**values)
+    return text
+
+
+@cache
+def _patterns(language: str) -> list[tuple[re.Pattern[str], list[str], str]]:
+    """Return what knows the texts with holes, those with the most letters of their own first."""
+    with_holes = sorted((each for each in catalogue(language) if "{" in each), key=_own_letters)
+    return [
+        (re.compile(_HOLE.sub("(.+?)", re.escape(text))), re.findall(r"\{(\w+)\}", text),
+         catalogue(language)[text])
+        for text in with_holes
+        if _own_letters(text) <= -_LEAST_LETTERS
+    ]  # fmt: skip
+
+
+_LEAST_LETTERS = 8  # a text with fewer of its own would be seen in others
+
+
+def _own_letters(text: str) -> int:
+    return -len(re.sub(r"\{\w+\}|[^a-z]", "", text))
+
+
+def decimal(text: str) -> str:
+    """Return a number that has a point with the decimal sign of the current language."""
+    return text.replace(".", ",") if _CURRENT.get() == "de" else text
+
+
+def figure_text(value: float, digits: int = 0) -> str:
+    """Return a number with thousands set apart; a dash where there is none."""
+    if not math.isfinite(value):
+        return NOTHING
+    text = decimal(f"{value:,.{digits}f}".replace(",", THIN))
+    return text.replace("-", MINUS) if float(f"{value:.{digits}f}") else text.replace("-", "")
+
+
+def percent(share: float, digits: int = 1, *, off: float = math.nan) -> str:
+    """Return a share as percent, with its standard error where there is one.
+
+    What is more than nothing never reads as nothing.
+    """
+    if math.isfinite(share) and math.isfinite(off):
+        value, error = (figure_text(100 * each, digits) for each in (share, off))
+        return f"{value}{THIN}±{THIN}{error}{THIN}%"
+    if math.isfinite(share) and 0.0 < share * 100 < 0.5 * 10.0**-digits:
+        return tr("under {value}", value=decimal(f"{10.0**-digits:g}{THIN}%"))
+    return f"{figure_text(share * 100, digits)}{THIN}%" if math.isfinite(share) else NOTHING
+
+
+def plus_minus(value: float, digits: int, unit: str = "") -> str:
+    """Return one standard deviation; a dash where it is not known."""
+    return f"± {figure_text(value, digits)}{unit}" if math.isfinite(value) else NOTHING
+
+
+def compass(east_m: float, north_m: float) -> str:
+    """Return in English to which of eight winds of the map's grid a way leads."""
+    if math.hypot(east_m, north_m) < 1e-6:
+        return NOTHING
+    return WINDS[round(math.atan2(north_m, east_m) / (math.pi / 4)) % 8]
+
+
+def direction(east_m: float, north_m: float) -> str:
+    """Return to which of eight winds of the map's grid a way leads."""
+    return tr(compass(east_m, north_m))
+
+
+def listed(words: Sequence[str]) -> str:
+    """Return words as a list in a sentence."""
+    if len(words) < 2:
+        return "".join(words)
+    return f"{', '.join(words[:-1])} {tr('and')} {words[-1]}"
+
+
+def seconds_text(seconds: float) -> str:
+    """Return a duration in its two largest units: `100 s`, `23 h 45 min`."""
+    left = round(seconds)
+    parts: list[tuple[int, str]] = []
+    if left < 120:
+        return f"{figure_text(seconds, 0 if seconds >= 10 else 1)}{THIN}s"
+    for unit, size_s in (("d", 86_400), ("h", 3600), ("min", 60), ("s", 1)):
+        amount, left = divmod(left, size_s)
+        if amount or parts:
+            parts.append((amount, unit))
+    return " ".join(f"{amount}{THIN}{unit}" for amount, unit in parts[:2] if amount)
+
+
+def long_day(moment: datetime) -> str:
+    """Return a day with its month's name: `12 June 2025`."""
+    month, dot = tr(_MONTHS[moment.month - 1]), "." if _CURRENT.get() == "de" else ""
+    return f"{moment.day}{dot} {month} {moment.year}"
+
+
+def short_day(moment: datetime) -> str:
+    """Return a day in figures."""
+    return f"{moment:%d.%m.%Y}" if _CURRENT.get() == "de" else f"{moment:%Y-%m-%d}"
+
+
+def weekday(moment: datetime) -> str:
+    """Return the day of the week, short."""
+    return tr(_WEEKDAYS[moment.weekday()])

@@ -1,0 +1,139 @@
+"""The report's words in German: none is missing, none is left in English."""
+
+from __future__ import annotations
+
+import ast
+import re
+import tomllib
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pypdf
+import pytest
+from report_site import Page, write_results, write_run
+
+import gis_radar as gr
+from gis_radar.heatmap import MapLabels
+from gis_radar.languages import catalogue
+from gis_radar.words import (
+    figure_text,
+    listed,
+    long_day,
+    percent,
+    plural,
+    seconds_text,
+    speaking,
+    tr,
+    tr_message,
+)
+
+PACKAGE = Path(gr.__file__).parent
+PLACES = {"tr": slice(0, 1), "plural": slice(1, 3)}
+# Read as they are in both languages: names of the data, of files and of places, units, signs.
+SAME = re.compile(
+    r".*\.(csv|osm|parquet|laz)\b.*|R\d|Sensors?|Software|Scan|Radar.*|gis_radar.*|[0-9a-f]{32,}|"
+    r"ours & theirs|Town of .*|.*<.?script>.*|Kreuzung Süd.*|Name|.*Europe/Berlin.*|.*ETRS89.*|"
+    r"Pause|(m|s|h|min|UTC|N)|[\W\d]*\d[\W\d]*(m|min|s|h)?[\W\d]*|[\d\W_]*"
+)
+
+
+def asked_for():
+    """Return the texts in calls of `tr` and `plural`, in templates and in the definitions."""
+    found = set()
+    for path in PACKAGE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and getattr(node.func, "id", "") in PLACES:
+                for each in node.args[PLACES[node.func.id]]:
+                    parts = [each.body, each.orelse] if isinstance(each, ast.IfExp) else [each]
+                    found |= {part.value for part in parts if isinstance(part, ast.Constant)}
+    for path in (PACKAGE / "report" / "page.html", PACKAGE / "site" / "summary.md.jinja"):
+        found |= set(re.findall(r'tr\("([^"]+)"', path.read_text(encoding="utf-8")))
+    text = (PACKAGE / "report" / "definitions.toml").read_text(encoding="utf-8")
+    for group in tomllib.loads(text).values():
+        found |= {*group, *group.values()}
+    return found
+
+
+def test_no_text_that_is_asked_for_lacks_its_german():
+    assert len(asked_for()) > 200
+    assert sorted(asked_for() - set(catalogue("de"))) == []
+
+
+@pytest.fixture(scope="module")
+def reports(tmp_path_factory):
+    """Write the same report in both languages."""
+    folder = write_results(tmp_path_factory.mktemp("site"))
+    write_run(folder, title="Kreuzung Süd")
+    places = {name: tmp_path_factory.mktemp(name) for name in ("en", "de")}
+    for name, place in places.items():
+        gr.write_report(folder, output=place, language=name)
+    return places
+
+
+def test_no_words_of_a_german_report_are_english(reports):
+    texts = {}
+    for name, place in reports.items():
+        page = Page((place / "report.html").read_text(encoding="utf-8"))
+        shown = {" ".join(each.split()) for each in page.words}
+        named = {value for _, attributes in page.attributes for key, value in attributes.items()
+                 if key in {"alt", "aria-label", "data-label"} and value}  # fmt: skip
+        texts[name] = {each for each in shown | named if "{" not in each[:3]}
+    css_and_script = {each for each in texts["de"] if "--ink" in each or "use strict" in each}
+    left = texts["en"] & texts["de"] - css_and_script
+    assert sorted(each for each in left if not SAME.fullmatch(each)) == []
+    assert len(texts["de"]) > 100
+
+
+def test_the_paper_is_german(reports):
+    paper = pypdf.PdfReader(reports["de"] / "report.pdf")
+    text = " ".join(page.extract_text() for page in paper.pages)
+    assert paper.root_object["/Lang"] == "de"
+    assert "Alle Zeiten: Europe/Berlin, UTC+02:00." in text
+    assert "15. Juni 2025, 17:06:40 bis 17:07:40" in text
+    assert "678\u202f000,00" in text
+    assert "Seite 1 von" in text
+    for english in ("What", "Lane ", "Recorded", "observed", " to "):
+        assert english not in text, english
+
+
+def test_tables_are_the_same_in_every_language(reports):
+    for name in ("lanes.csv", "lanes_by_interval.csv", "sensors.csv", "quality.csv"):
+        assert (reports["en"] / name).read_bytes() == (reports["de"] / name).read_bytes()
+
+
+def test_german_numbers_and_days():
+    moment = datetime(2025, 3, 12, 9, tzinfo=UTC)
+    with speaking("de"):
+        assert figure_text(1234567.891, 1) == "1\u202f234\u202f567,9"
+        assert percent(0.0004) == "unter 0,1\u202f%"
+        assert long_day(moment) == "12. März 2025"
+        assert listed(["a", "b", "c"]) == "a, b und c"
+        assert plural(1, "{n} track", "{n} tracks") == "1 Spur"
+        assert tr("a text that nobody has put into German") == (
+            "a text that nobody has put into German"
+        )
+    assert percent(0.0004) == "under 0.1\u202f%"
+    assert long_day(moment) == "12 March 2025"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(5.25, "5.2 s"), (100.0, "100 s"), (200.0, "3 min 20 s"), (85_500.0, "23 h 45 min"),
+     (86_400.0, "1 d"), (90_061.0, "1 d 1 h")],
+)  # fmt: skip
+def test_durations(seconds, text):
+    assert seconds_text(seconds).replace("\u202f", " ") == text
+
+
+def test_a_finished_sentence_is_known_again_with_its_values():
+    told = "The pose of sensor R2 is in EPSG:25833, the map in EPSG:25832: it is left out."
+    with speaking("de"):
+        german = "Der Standort von Sensor R2 ist in EPSG:25833 angegeben, die Karte in EPSG:25832:"
+        assert tr_message(told).startswith(german)
+        assert tr_message("no sentence of ours") == "no sentence of ours"
+    assert tr_message(told) == told
+
+
+def test_a_language_that_is_none(tmp_path):
+    with pytest.raises(gr.UsageError, match="'fr'"):
+        MapLabels(language="fr")
