@@ -31,6 +31,7 @@ def _said(node):
         if name in ("tr", "stage"):
             yield from node.args[:1]
         yield from (word.value for word in node.keywords if word.arg == "about")
+        yield from _shared_parameter(name, node.args)
     elif isinstance(node, ast.Assign):
         targets = [name for target in node.targets for name in _names(target)]
         if set(targets) & {*CLASS_TEXTS, *CONSTANTS}:
@@ -39,6 +40,16 @@ def _said(node):
             yield from node.value.keys
     elif isinstance(node, ast.For) and isinstance(node.iter, ast.Tuple):
         yield from (node.iter.elts if _is_legend(node) else ())
+
+
+def _shared_parameter(name, given):
+    """Yield title and help of a parameter that a function of parameters.py adds."""
+    if name in ("add_text", "add_number"):
+        yield from given[2:4]
+    elif name in ("add_file", "add_choice"):
+        yield from (given[2], *given[4:5])
+    elif name == "add_time_zone":
+        yield given[1]
 
 
 def _names(target):

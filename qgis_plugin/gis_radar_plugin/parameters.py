@@ -12,15 +12,22 @@ from qgis.core import (
     QgsProcessingException,
     QgsProcessingFeedback,
     QgsProcessingParameterCrs,
+    QgsProcessingParameterEnum,
     QgsProcessingParameterFeatureSource,
     QgsProcessingParameterFile,
     QgsProcessingParameterMultipleLayers,
+    QgsProcessingParameterNumber,
     QgsProcessingParameterString,
 )
 
 from .base import Algorithm, option
 from .inputs import TILE_FIELDS, TILES, layer_file
 from .words import tr
+
+# Clockwise from north, as the command line takes them.
+WINDS = (
+    "north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west",
+)  # fmt: skip
 
 CRS_HELP = "A projected system in metres; without one the UTM zone of the site is taken."
 ORIGIN_HELP = (
@@ -96,6 +103,123 @@ def add_hiding_scans(algorithm: Algorithm) -> None:
     )
 
 
+def add_text(algorithm: Algorithm, name: str, title: str, about: str = "") -> None:
+    """Add an option that is a text."""
+    text = QgsProcessingParameterString(name, tr(title), optional=True)
+    algorithm.add(text, about=about, advanced=True)
+
+
+def add_number(algorithm: Algorithm, name: str, title: str, about: str = "") -> None:
+    """Add an option that is a number; empty where the command's own default holds."""
+    kind = QgsProcessingParameterNumber.Type.Double
+    number = QgsProcessingParameterNumber(name, tr(title), kind, None, optional=True)
+    algorithm.add(number, about=about, advanced=True)
+
+
+def add_file(algorithm: Algorithm, name: str, title: str, kinds: str, about: str = "") -> None:
+    """Add an option that is a file; its kinds are as `Clocks (*.json)`."""
+    words, _, ends = kinds.partition(" (")
+    file = QgsProcessingParameterFile(
+        name, tr(title), optional=True, fileFilter=f"{tr(words)} ({ends}"
+    )
+    algorithm.add(file, about=about, advanced=True)
+
+
+def add_choice(
+    algorithm: Algorithm, name: str, title: str, choices: tuple[str, ...], about: str = ""
+) -> None:
+    """Add an option that is one of some words; the first is the command's default."""
+    choice = QgsProcessingParameterEnum(
+        name, tr(title), list(choices), defaultValue=choices[0], usesStaticStrings=True
+    )
+    algorithm.add(choice, about=about, advanced=True)
+
+
+def add_views(algorithm: Algorithm) -> None:
+    """Add what sensors see whose poses do not state it."""
+    add_number(algorithm, "MAX_RANGE", "Range of poses without a view, m")
+    add_number(algorithm, "AZIMUTH", "Azimuth of poses without a view, deg")
+    add_number(algorithm, "ELEVATION", "Elevation of poses without a view, deg")
+
+
+def add_sight(algorithm: Algorithm) -> None:
+    """Add what sensors see, as a file in place of scans."""
+    add_file(
+        algorithm, "SIGHT", "Sight", "GeoPackages (*.gpkg)",
+        "What sensors see, from 'What sensors see', in place of the scans.",
+    )  # fmt: skip
+
+
+def add_frame_times(algorithm: Algorithm) -> None:
+    """Add cycles of slow sensors, and clocks that are off."""
+    add_text(
+        algorithm, "CYCLE", "Cycles of slow radars",
+        "Only for radars under 10 Hz: R3=150ms, with a comma between more.",
+    )  # fmt: skip
+    add_text(
+        algorithm, "CLOCKS", "Clocks",
+        "Corrects clocks that are off: a file from 'Compare clocks', or the word auto.",
+    )  # fmt: skip
+
+
+def add_time_zone(algorithm: Algorithm, about: str) -> None:
+    """Add the time zone of what people read."""
+    zone = QgsProcessingParameterString("TIMEZONE", tr("Time zone"), optional=True)
+    algorithm.add(zone, about=about)
+
+
+VIEWS = ("MAX_RANGE", "AZIMUTH", "ELEVATION")
+FRAME_TIMES = ("CYCLE", "CLOCKS")
+
+
+def given_words(
+    algorithm: Algorithm,
+    parameters: dict[str, Any],
+    context: QgsProcessingContext,
+    names: tuple[str, ...],
+) -> list[str]:
+    """Return options of the worker, each named as its parameter, of those that are given.
+
+    A choice is given where it is not the command's own.
+    """
+    words: list[str] = []
+    for name in names:
+        flag = "--" + name.lower().replace("_", "-")
+        definition = algorithm.parameterDefinition(name)
+        kind = definition.type()
+        if kind == "boolean":
+            words += [flag] if algorithm.parameterAsBoolean(parameters, name, context) else []
+        elif kind == "number":
+            if parameters.get(name) not in (None, ""):
+                number = algorithm.parameterAsDouble(parameters, name, context)
+                words += option(flag, f"{number:.12g}")
+        elif kind == "enum":
+            chosen = algorithm.parameterAsEnumString(parameters, name, context)
+            words += option(flag, chosen) if chosen != definition.defaultValue() else []
+        else:
+            words += option(flag, algorithm.parameterAsString(parameters, name, context).strip())
+    return words
+
+
+def scan_words(
+    algorithm: Algorithm, parameters: dict[str, Any], context: QgsProcessingContext
+) -> list[str]:
+    """Return whole scans, and their system, as the worker reads them."""
+    words: list[str] = []
+    for scan in algorithm.files(parameters, "SCANS", context):
+        words += ["--scan", scan]
+    return words + crs_words(algorithm, parameters, "SCAN_CRS", context)
+
+
+def bearing_word(text: str) -> str:
+    """Return a bearing as the worker reads it: a number, or an English word of `WINDS`."""
+    plain = text.strip().casefold().replace("-", "").replace(" ", "")
+    for wind in WINDS:
+        if plain in (tr(wind).casefold().replace("-", ""), wind.replace("-", "")):
+            return wind
+    return text.strip().replace(",", ".")
+
+
 def add_scan_crs(algorithm: Algorithm) -> None:
     """Add the system of scans that do not state theirs."""
     crs = QgsProcessingParameterCrs("SCAN_CRS", tr("CRS of the scans"), optional=True)
@@ -117,7 +241,7 @@ def recording_words(
     context: QgsProcessingContext,
     feedback: QgsProcessingFeedback,
 ) -> list[str]:
-    """Return recordings, their poses, tiles and scans as the worker reads them.
+    """Return recordings, their poses and tiles as the worker reads them.
 
     Raises
     ------
@@ -131,9 +255,7 @@ def recording_words(
     words = [*recordings, "--tiles", tile_file(algorithm, parameters, context)]
     for pose in poses:
         words += ["--pose", pose]
-    for scan in algorithm.files(parameters, "SCANS", context):
-        words += ["--scan", scan]
-    return words + crs_words(algorithm, parameters, "SCAN_CRS", context)
+    return words
 
 
 def paired(recordings: list[str], poses: list[str]) -> list[str]:

@@ -18,8 +18,23 @@ from qgis.core import (
 )
 
 IDS = (
-    "splitlanelets", "maskroad", "localizeradar", "convertrecordings", "occupancy", "vehicles",
-    "heatmap", "footprints", "runsite", "exportreport", "setupworker", "samplesite",
+    "splitlanelets",
+    "maskroad",
+    "localizeradar",
+    "convertrecordings",
+    "occupancy",
+    "vehicles",
+    "heatmap",
+    "footprints",
+    "runsite",
+    "exportreport",
+    "setupworker",
+    "samplesite",
+)
+# Those of one call each, beside the ones above: tests/test_options.py.
+PLAIN = (
+    "trackpose", "sight", "checksite", "clocks", "detections", "quality", "sitereport",
+    "qgisproject",
 )  # fmt: skip
 BY_WORKER = tuple(name for name in IDS if name not in ("exportreport", "setupworker"))
 
@@ -65,10 +80,10 @@ def parameters_of(name, site, out):
 
 
 def test_ids_are_stable(provider):
-    assert sorted(alg.name() for alg in provider.algorithms()) == sorted(IDS)
+    assert sorted(alg.name() for alg in provider.algorithms()) == sorted((*IDS, *PLAIN))
 
 
-@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize("name", [*IDS, *PLAIN])
 def test_each_says_what_it_is(provider, name):
     one = algorithm(name)
     assert one.shortHelpString().startswith("<p>")
@@ -175,7 +190,7 @@ def test_without_a_worker(provider, monkeypatch, tmp_path, name):
     assert "gone is not there: run 'Set up the worker' again." in why
 
 
-@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize("name", [*IDS, *PLAIN])
 def test_with_a_worker(provider, name):
     assert algorithm(name).canExecute() == (True, "")
 

@@ -13,7 +13,10 @@ from qgis.core import (
 )
 
 from ..base import TRAFFIC, WorkerAlgorithm
+from ..parameters import add_choice, add_text, given_words
 from ..words import tr
+
+OPTIONS = ("SENSOR", "COLUMNS", "TIME_UNIT", "CLOCK")
 
 
 class ConvertRecordings(WorkerAlgorithm):
@@ -36,6 +39,19 @@ class ConvertRecordings(WorkerAlgorithm):
             ),
             about="What the radar's driver wrote.",
         )
+        add_text(
+            self, "SENSOR", "Only this sensor",
+            "Where the files have several: its address or topic, such as 10.13.1.113.",
+        )  # fmt: skip
+        add_text(
+            self, "COLUMNS", "Columns of a table",
+            "Ours and those of the table: x=X,range_rate=-doppler; a minus turns the sign.",
+        )  # fmt: skip
+        add_choice(self, "TIME_UNIT", "Unit of the times in a table", ("s", "ms", "us", "ns"))
+        add_choice(
+            self, "CLOCK", "Whose clock counts", ("auto", "sensor", "recorder"),
+            "auto takes the sensor's where it is right.",
+        )  # fmt: skip
         self.add(
             QgsProcessingParameterFileDestination(
                 "OUTPUT", tr("Recording"), tr("Recordings") + " (*.parquet)"
@@ -50,5 +66,6 @@ class ConvertRecordings(WorkerAlgorithm):
     ) -> dict[str, Any]:
         dest = self.parameterAsFileOutput(parameters, "OUTPUT", context)
         files = self.files(parameters, "INPUT", context)
-        self.work(["convert", *files, "-o", dest], [dest], feedback)
+        words = ["convert", *files, "-o", dest, *given_words(self, parameters, context, OPTIONS)]
+        self.work(words, [dest], feedback)
         return {"OUTPUT": dest}

@@ -22,7 +22,7 @@ from qgis.core import (
 
 from ..base import TRAFFIC, WorkerAlgorithm, option
 from ..loading import INTERVALS, as_ground, dress, dress_only, heatmap_titles, load
-from ..parameters import add_tiles, tile_file
+from ..parameters import add_text, add_tiles, add_time_zone, given_words, tile_file
 from ..words import tr
 
 INTERVAL = re.compile(r"\d+(\.\d+)?\s*(ms|s|min|h|d)")
@@ -67,6 +67,15 @@ class MakeHeatMap(WorkerAlgorithm):
             QgsProcessingParameterString("INTERVAL", tr("Interval"), "15min", optional=True),
             about="Length of the intervals: 20s, 15min, 1h; empty for the whole time only.",
         )
+        add_time_zone(
+            self, "Whose hours and days the intervals follow, such as Europe/Berlin; UTC without."
+        )
+        add_text(self, "TITLE", "Title")
+        add_text(self, "SOURCE", "Source", "Where the data come from, to stand under the picture.")
+        add_text(
+            self, "AT", "One moment only",
+            "The map of one step of 50 ms, in UTC: 2025-06-12T07:30:10Z.",
+        )  # fmt: skip
         self.add(
             QgsProcessingParameterMultipleLayers(
                 "MORE", tr("Further occupancy"), QgsProcessing.SourceType.TypeFile, optional=True
@@ -104,6 +113,7 @@ class MakeHeatMap(WorkerAlgorithm):
         vehicles = self.parameterAsFile(parameters, "VEHICLES", context)
         words = ["heatmap", *folders, "--tiles", tiles, "-o", dest]
         words += [*option("--interval", interval), *option("--vehicles", vehicles)]
+        words += given_words(self, parameters, context, ("TIMEZONE", "TITLE", "SOURCE", "AT"))
         self.work(words, [dest], feedback)
         if self.parameterAsBoolean(parameters, "LOAD", context):
             load_heatmap(context, Path(dest), Path(dest).name)

@@ -11,6 +11,7 @@ from qgis.core import (
     QgsCoordinateTransform,
     QgsCsException,
     QgsPointXY,
+    QgsProcessing,
     QgsProcessingContext,
     QgsProcessingException,
     QgsProcessingFeedback,
@@ -18,6 +19,7 @@ from qgis.core import (
     QgsProcessingParameterEnum,
     QgsProcessingParameterFile,
     QgsProcessingParameterFileDestination,
+    QgsProcessingParameterMultipleLayers,
     QgsProcessingParameterNumber,
     QgsProcessingParameterPoint,
     QgsProcessingParameterString,
@@ -27,7 +29,7 @@ from qgis.core import (
 
 from ..base import SITE, WorkerAlgorithm, option, readable
 from ..loading import finish_output, load
-from ..parameters import add_map, add_origin, add_road
+from ..parameters import add_map, add_origin, add_road, add_scan_crs, bearing_word, scan_words
 from ..words import tr
 
 METHODS = ("lane", "icp")
@@ -61,6 +63,13 @@ class LocalizeRadar(WorkerAlgorithm):
         add_map(self)
         add_road(self, about="From 'Mask road from airborne scan'.")
         self.add(
+            QgsProcessingParameterMultipleLayers(
+                "SCANS", tr("Airborne scans"), QgsProcessing.SourceType.TypeFile, optional=True
+            ),
+            about="Whole and not masked, for a second look: what stands around the radar is "
+            "compared with their trees and walls.",
+        )
+        self.add(
             QgsProcessingParameterString("COMPASS", tr("Compass bearing"), optional=True),
             about="Where the radar looks, if known: degrees clockwise from true north, or a word "
             "such as north-east. Without it the direction is searched.",
@@ -80,6 +89,7 @@ class LocalizeRadar(WorkerAlgorithm):
             advanced=True,
         )  # fmt: skip
         add_origin(self)
+        add_scan_crs(self)
         poses, pictures = tr("Poses") + " (*.json)", tr("Pictures") + " (*.png)"
         self.add(QgsProcessingParameterFileDestination("POSE", tr("Pose"), poses))
         self.add(QgsProcessingParameterFileDestination("FIGURE", tr("Figure"), pictures))
@@ -101,7 +111,8 @@ class LocalizeRadar(WorkerAlgorithm):
             "--map", self.parameterAsFile(parameters, "MAP", context),
             "--road", self.parameterAsFile(parameters, "ROAD", context),
             *self._guess(parameters, context), "--method", method,
-            *option("--compass", self.parameterAsString(parameters, "COMPASS", context).strip()),
+            *option("--compass", self._compass(parameters, context)),
+            *scan_words(self, parameters, context),
             *option("--origin", self.parameterAsString(parameters, "ORIGIN", context)),
             "--figure", figure, "-o", pose,
         ]  # fmt: skip
@@ -114,6 +125,9 @@ class LocalizeRadar(WorkerAlgorithm):
                 load(context, f"{dest}|layername={layer}", name)
         report = write_report(figure, answer.summary)
         return {"POSE": pose, "FIGURE": figure, "OUTPUT": dest, "REPORT": report}
+
+    def _compass(self, parameters: dict[str, Any], context: QgsProcessingContext) -> str:
+        return bearing_word(self.parameterAsString(parameters, "COMPASS", context))
 
     def _guess(self, parameters: dict[str, Any], context: QgsProcessingContext) -> list[str]:
         """Return the click in a metric system that has a number; the worker takes it from there."""

@@ -16,7 +16,15 @@ from qgis.core import (
 
 from ..base import SITE, WorkerAlgorithm, option
 from ..inputs import layer_file
-from ..parameters import add_crs, add_map, add_origin, add_scan_crs, crs_words
+from ..parameters import (
+    add_choice,
+    add_crs,
+    add_map,
+    add_origin,
+    add_scan_crs,
+    crs_words,
+    given_words,
+)
 from ..words import tr
 
 
@@ -53,6 +61,10 @@ class MaskRoad(WorkerAlgorithm):
         add_scan_crs(self)
         add_crs(self)
         add_origin(self)
+        add_choice(
+            self, "ENGINE", "Who reads the scans", ("auto", "pdal", "laspy"),
+            "auto takes PDAL where there is one.",
+        )  # fmt: skip
         self.add(
             QgsProcessingParameterFileDestination(
                 "OUTPUT", tr("Road"), tr("Point clouds") + " (*.laz)"
@@ -71,6 +83,7 @@ class MaskRoad(WorkerAlgorithm):
         words = [
             "mask", *self.files(parameters, "SCANS", context), "-o", dest,
             *self._roads(parameters, context, reprojected=bool(crs)),
+            *given_words(self, parameters, context, ("ENGINE",)),
             *crs, *crs_words(self, parameters, "SCAN_CRS", context),
             *option("--origin", self.parameterAsString(parameters, "ORIGIN", context)),
         ]  # fmt: skip

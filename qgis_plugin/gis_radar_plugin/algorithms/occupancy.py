@@ -8,7 +8,7 @@ from qgis.core import (
     QgsProcessingContext,
     QgsProcessingException,
     QgsProcessingFeedback,
-    QgsProcessingParameterFile,
+    QgsProcessingParameterBoolean,
     QgsProcessingParameterFolderDestination,
     QgsProcessingParameterNumber,
     QgsProcessingParameterRange,
@@ -16,11 +16,19 @@ from qgis.core import (
 
 from ..base import TRAFFIC, WorkerAlgorithm, option
 from ..parameters import (
+    FRAME_TIMES,
+    VIEWS,
+    add_frame_times,
     add_hiding_scans,
+    add_number,
     add_recordings,
     add_scan_crs,
+    add_sight,
     add_tiles,
+    add_views,
+    given_words,
     recording_words,
+    scan_words,
 )
 from ..words import tr
 
@@ -45,12 +53,7 @@ class MeasureOccupancy(WorkerAlgorithm):
         add_recordings(self, about="One a sensor (Parquet or CSV).")
         add_tiles(self, about="From 'Split lanelets into tiles'.")
         add_hiding_scans(self)
-        self.add(
-            QgsProcessingParameterFile(
-                "SIGHT", tr("Sight"), optional=True, fileFilter=tr("GeoPackages") + " (*.gpkg)"
-            ),
-            about="What sensors see, from gis-radar sight, in place of the scans.", advanced=True,
-        )  # fmt: skip
+        add_sight(self)
         add_scan_crs(self)
         self.add(
             QgsProcessingParameterRange(
@@ -60,11 +63,22 @@ class MeasureOccupancy(WorkerAlgorithm):
             about="-0.5 to 4.5 keeps vehicles, without the tree crowns over the kerb. "
             "The tiles need heights for it.",
         )  # fmt: skip
-        self.add(_number("MIN_SPEED", tr("Least speed, m/s")), advanced=True,
-                 about="Least absolute range rate; without it what stands counts too.")  # fmt: skip
-        self.add(_number("MIN_RCS", tr("Least radar cross section, dBm2")), advanced=True)
-        self.add(_number("MAX_RANGE", tr("Range of poses without a view, m")), advanced=True)
-        self.add(_number("AZIMUTH", tr("Azimuth of poses without a view, deg")), advanced=True)
+        add_number(
+            self, "MIN_SPEED", "Least speed, m/s",
+            "Least absolute range rate; without it what stands counts too.",
+        )  # fmt: skip
+        add_number(self, "MIN_RCS", "Least radar cross section, dBm2")
+        add_number(
+            self, "ELEVATION_ERROR", "Elevation error of the radars, deg",
+            "One standard deviation, 0.5 without it: widens the heights that count with range.",
+        )  # fmt: skip
+        add_views(self)
+        add_frame_times(self)
+        self.add(
+            QgsProcessingParameterBoolean("PAIRS", tr("Also write each hit"), False),
+            about="hits.parquet: each pair of step and tile, for programs of your own.",
+            advanced=True,
+        )
         self.add(
             QgsProcessingParameterFolderDestination("OUTPUT", tr("Occupancy")),
             about="A folder; folders of any times and sensors go together into a heat map.",
@@ -77,17 +91,13 @@ class MeasureOccupancy(WorkerAlgorithm):
         feedback: QgsProcessingFeedback,
     ) -> dict[str, Any]:
         dest = self.parameterAsString(parameters, "OUTPUT", context)
+        filters = ("MIN_SPEED", "MIN_RCS", "ELEVATION_ERROR", "PAIRS", "SIGHT")
         words = [
             "occupancy", "-o", dest, *recording_words(self, parameters, context, feedback),
-            *option("--sight", self.parameterAsFile(parameters, "SIGHT", context)),
+            *scan_words(self, parameters, context),
+            *given_words(self, parameters, context, (*filters, *VIEWS, *FRAME_TIMES)),
             *option("--clearance", self._clearance(parameters, context)),
         ]  # fmt: skip
-        for flag, name in (
-            ("--min-speed", "MIN_SPEED"), ("--min-rcs", "MIN_RCS"),
-            ("--max-range", "MAX_RANGE"), ("--azimuth", "AZIMUTH"),
-        ):  # fmt: skip
-            if parameters.get(name) is not None:
-                words += option(flag, self.parameterAsDouble(parameters, name, context))
         self.work(words, [dest], feedback)
         return {"OUTPUT": dest}
 
@@ -100,8 +110,3 @@ class MeasureOccupancy(WorkerAlgorithm):
                 tr("Height over the road: give both limits, the lower one first.")
             )
         return f"{low},{high}"
-
-
-def _number(name: str, title: str) -> QgsProcessingParameterNumber:
-    kind = QgsProcessingParameterNumber.Type.Double
-    return QgsProcessingParameterNumber(name, title, kind, None, optional=True)

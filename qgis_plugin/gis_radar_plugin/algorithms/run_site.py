@@ -16,6 +16,7 @@ from qgis.core import (
 
 from ..base import TRAFFIC, WorkerAlgorithm
 from ..loading import load
+from ..parameters import add_number, given_words
 from ..words import tr
 from .heatmap import layers_of, load_heatmap
 
@@ -39,6 +40,11 @@ class RunSite(WorkerAlgorithm):
                 "SITE", tr("Site file"), fileFilter=tr("Site files") + " (*.toml)"
             )
         )
+        add_number(self, "JOBS", "Stages at once", "As cores and memory allow, without it.")
+        self.add(
+            QgsProcessingParameterBoolean("FRESH", tr("Do all again"), False),
+            about="Also what an earlier run has done.", advanced=True,
+        )  # fmt: skip
         self.add(QgsProcessingParameterBoolean("LOAD", tr("Load the layers"), True), advanced=True)
         self.add(QgsProcessingParameterFolderDestination("OUTPUT", tr("Results")))
 
@@ -50,7 +56,8 @@ class RunSite(WorkerAlgorithm):
     ) -> dict[str, Any]:
         dest = self.parameterAsString(parameters, "OUTPUT", context)
         site = self.parameterAsFile(parameters, "SITE", context)
-        self.work(["run", site, "-o", dest], [dest], feedback)
+        more = given_words(self, parameters, context, ("JOBS", "FRESH"))
+        self.work(["run", site, "-o", dest, *more], [dest], feedback)
         folder = Path(dest)
         if self.parameterAsBoolean(parameters, "LOAD", context):
             load_site(context, folder, title_of(folder) or Path(site).stem)

@@ -5,14 +5,18 @@ from __future__ import annotations
 from typing import Any
 
 from qgis.core import (
+    QgsProcessing,
     QgsProcessingContext,
     QgsProcessingFeedback,
+    QgsProcessingParameterFeatureSource,
+    QgsProcessingParameterField,
     QgsProcessingParameterNumber,
     QgsProcessingParameterString,
     QgsProcessingParameterVectorDestination,
 )
 
 from ..base import SITE, WorkerAlgorithm, option
+from ..inputs import layer_file
 from ..loading import finish_output, load
 from ..parameters import add_crs, add_map, add_origin, add_road, crs_words
 from ..words import tr
@@ -51,6 +55,18 @@ class SplitLanelets(WorkerAlgorithm):
             advanced=True,
         )
         add_origin(self)
+        lines = [QgsProcessing.SourceType.TypeVectorLine]
+        self.add(
+            QgsProcessingParameterFeatureSource("STREETS", tr("Streets"), lines, optional=True),
+            about="Lines with names, for lanes that the map does not name.", advanced=True,
+        )  # fmt: skip
+        self.add(
+            QgsProcessingParameterField(
+                "STREET_FIELD", tr("Field with their names"), parentLayerParameterName="STREETS",
+                optional=True,
+            ),
+            advanced=True,
+        )  # fmt: skip
         self.add(
             QgsProcessingParameterVectorDestination("OUTPUT", tr("Tiles")),
             about="GeoPackage with the layers 'tiles' and 'problems'.",
@@ -71,6 +87,12 @@ class SplitLanelets(WorkerAlgorithm):
             *option("--subtype", self.parameterAsString(parameters, "SUBTYPE", context)),
             *option("--origin", self.parameterAsString(parameters, "ORIGIN", context)),
         ]  # fmt: skip
+        if parameters.get("STREETS") not in (None, ""):
+            streets, _ = layer_file(
+                self, parameters, "STREETS", context, layer_name="streets", metric=False
+            )
+            names = self.parameterAsStrings(parameters, "STREET_FIELD", context)
+            words += ["--streets", streets, *option("--street-field", "".join(names[:1]))]
         answer = self.work(words, [dest], feedback)
         mended = answer.summary.get("repaired", 0) + answer.summary.get("left_out", 0)
         if finish_output(context, dest) and mended:

@@ -12,12 +12,19 @@ from qgis.core import (
 
 from ..base import TRAFFIC, WorkerAlgorithm
 from ..parameters import (
+    FRAME_TIMES,
+    VIEWS,
+    add_frame_times,
     add_hiding_scans,
     add_map,
     add_recordings,
     add_scan_crs,
+    add_sight,
     add_tiles,
+    add_views,
+    given_words,
     recording_words,
+    scan_words,
 )
 from ..words import tr
 
@@ -43,7 +50,10 @@ class FollowVehicles(WorkerAlgorithm):
         add_tiles(self, about="From 'Split lanelets into tiles', all of them.")
         add_map(self, about="The map that the tiles were made from.")
         add_hiding_scans(self)
+        add_sight(self)
         add_scan_crs(self)
+        add_views(self)
+        add_frame_times(self)
         self.add(
             QgsProcessingParameterFolderDestination("OUTPUT", tr("Vehicles")),
             about="A folder for 'Heat map'.",
@@ -59,6 +69,8 @@ class FollowVehicles(WorkerAlgorithm):
         words = [
             "vehicles", "-o", dest, *recording_words(self, parameters, context, feedback),
             "--map", self.parameterAsFile(parameters, "MAP", context),
+            *scan_words(self, parameters, context),
+            *given_words(self, parameters, context, ("SIGHT", *VIEWS, *FRAME_TIMES)),
         ]  # fmt: skip
         self.work(words, [dest], feedback)
         return {"OUTPUT": dest}

@@ -27,15 +27,12 @@ from qgis.PyQt.QtWidgets import (
     QWizardPage,
 )
 
+from ..parameters import WINDS
 from ..words import tr
 from .draft import SensorDraft, next_name
 
 ONE_WORLD_M = 1e8
 SEARCHED = -1.0  # of a direction: none is known
-# Clockwise from north, as a compass has them.
-WINDS = (
-    "north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west",
-)  # fmt: skip
 _SEPARATORS = (",", ";")
 
 
