@@ -1,5 +1,5 @@
 from .clocks import Clocks, SensorClock, measure_clocks, read_clocks
-from .crs import moved_position, name_of, yaw_from_compass
+from .crs import yaw_from_compass
 from .demo import run_demo, sample_folder
 from .errors import (
     CrsError,
@@ -26,23 +26,19 @@ from .poses.layers import write_sensors
 from .projection import project, write_projection
 from .qgis import write_qgis_project, write_site_project
 from .quality import Quality, measure_quality
-from .quality.quality import require_table_name
 from .recordings import Conversion, convert
 from .recordings.recording import open_recording
 from .report import Report, write_report
-from .scans.mask import RoadMask, mask_road, require_road_name
+from .scans.mask import RoadMask, mask_road
 from .scans.roads import Roads, read_roads
-from .scans.scan import read_road, road_crs
-from .second_look import SecondLook, require_scans_near, second_look
+from .scans.scan import read_road
+from .second_look import SecondLook, second_look
 from .second_look.picture import draw_second_look
 from .sight import (
     Sight,
-    SightFile,
     SightScan,
     SightTiles,
     find_sight,
-    open_sight,
-    report_uncovered,
     write_sights,
 )
 from .site.check import SiteCheck, check_site
@@ -62,6 +58,7 @@ from .tracking import Track, track
 from .tracking.track import draw_track
 from .vehicles import Vehicles, find_vehicles, merge_vehicles, read_vehicles
 from .vehicles.layer import write_footprints
+from .vehicles.trajectories import to_trajectories, track_points, write_trajectories
 
 __all__ = [
     "Clocks",
@@ -86,7 +83,6 @@ __all__ = [
     "SecondLook",
     "SensorClock",
     "Sight",
-    "SightFile",
     "SightScan",
     "SightTiles",
     "Site",
@@ -119,10 +115,7 @@ __all__ = [
     "measure_quality",
     "merge_occupancies",
     "merge_vehicles",
-    "moved_position",
-    "name_of",
     "open_recording",
-    "open_sight",
     "project",
     "quads",
     "read_clocks",
@@ -136,18 +129,15 @@ __all__ = [
     "read_tiles",
     "read_track",
     "read_vehicles",
-    "report_uncovered",
-    "require_road_name",
-    "require_scans_near",
-    "require_table_name",
-    "road_crs",
     "run_demo",
     "run_site",
     "sample_folder",
     "second_look",
     "site_template",
     "stop_lines",
+    "to_trajectories",
     "track",
+    "track_points",
     "with_road_heights",
     "write_footprints",
     "write_pose",
@@ -159,5 +149,6 @@ __all__ = [
     "write_site_project",
     "write_tiles",
     "write_track",
+    "write_trajectories",
     "yaw_from_compass",
 ]

@@ -55,3 +55,4 @@ def first_line(error: Exception) -> str:
 
 LOCALIZE = "pip install gis_radar[localize]"
 NOTEBOOKS = "pip install gis_radar[notebooks]"
+TRAJECTORIES = "pip install gis_radar[trajectories]"

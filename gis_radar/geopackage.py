@@ -7,7 +7,8 @@ import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+from xml.etree.ElementTree import Element, SubElement, tostring
 
 import pyarrow as pa
 import pyogrio
@@ -128,6 +129,84 @@ def library_errors(
             raise InputError(f"{path}: {wrong}: {first_line(error)}", hint=hint) from error
     for text in dict.fromkeys(str(each.message).partition("\n")[0] for each in caught):
         reporter.log(f"{path}: {text}", "warning")
+
+
+_FIELDS = """
+CREATE TABLE IF NOT EXISTS gpkg_data_columns (
+    table_name TEXT NOT NULL,
+    column_name TEXT NOT NULL,
+    name TEXT,
+    title TEXT,
+    description TEXT,
+    mime_type TEXT,
+    constraint_name TEXT,
+    CONSTRAINT pk_gdc PRIMARY KEY (table_name, column_name),
+    CONSTRAINT gdc_tn UNIQUE (table_name, name)
+)
+"""
+_EXTENSION = """
+INSERT INTO gpkg_extensions (table_name, column_name, extension_name, definition, scope)
+SELECT 'gpkg_data_columns', NULL, 'gpkg_schema',
+    'http://www.geopackage.org/spec121/#extension_schema', 'read-write'
+WHERE NOT EXISTS (SELECT 1 FROM gpkg_extensions WHERE table_name = 'gpkg_data_columns')
+"""
+_DESCRIPTION = """
+INSERT INTO gpkg_metadata (md_scope, md_standard_uri, mime_type, metadata)
+VALUES ('dataset', 'http://mrcc.com/qgis.dtd', 'text/xml', ?)
+"""
+_DESCRIBES = """
+INSERT INTO gpkg_metadata_reference (
+    reference_scope, table_name, column_name, row_id_value, timestamp, md_file_id, md_parent_id
+)
+VALUES ('table', ?, NULL, NULL, strftime('%Y-%m-%dT%H:%M:%fZ', 'now'), ?, NULL)
+"""
+
+
+class LayerNotes(NamedTuple):
+    """What a layer and its fields are, for people: fields by name, each with title and text."""
+
+    title: str
+    abstract: str
+    fields: Mapping[str, tuple[str, str]]
+
+
+def describe_layers(database: sqlite3.Connection, notes: Mapping[str, LayerNotes]) -> None:
+    """Write titles and meaning of layers and fields: QGIS shows them as metadata and aliases.
+
+    Parameters
+    ----------
+    database : sqlite3.Connection
+        A GeoPackage that GDAL has written with metadata of its layers.
+    notes : mapping
+        By layer; fields that a layer has not are passed over.
+    """
+    database.execute(_FIELDS)
+    database.execute(_EXTENSION)
+    for layer, about in notes.items():
+        there = {row[1] for row in database.execute(f'PRAGMA table_xinfo("{layer}")')}
+        rows = [
+            (layer, name, title, title, text)
+            for name, (title, text) in about.fields.items()
+            if name in there
+        ]
+        database.executemany(
+            "INSERT INTO gpkg_data_columns (table_name, column_name, name, title, description) "
+            "VALUES (?, ?, ?, ?, ?)", rows,
+        )  # fmt: skip
+        database.execute(
+            "UPDATE gpkg_contents SET description = ? WHERE table_name = ?", (about.abstract, layer)
+        )
+        row = database.execute(_DESCRIPTION, (_qgis_metadata(about),))
+        database.execute(_DESCRIBES, (layer, row.lastrowid))
+
+
+def _qgis_metadata(about: LayerNotes) -> str:
+    """Return the metadata of a layer as QGIS writes it."""
+    root = Element("qgis", {"version": "3.34"})
+    values = {"type": "dataset", "title": about.title, "abstract": about.abstract}
+    for name, value in values.items():
+        SubElement(root, name).text = value
+    return f"<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n{tostring(root).decode()}"
 
 
 def add_styles(

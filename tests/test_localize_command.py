@@ -19,6 +19,7 @@ from gis_radar.crs import yaw_from_compass
 from gis_radar.localization.localize import METHODS
 from gis_radar.localization.settings import DEFAULTS
 from gis_radar.poses.files import read_pose
+from gis_radar.scans.scan import road_crs
 
 localizing = import_module("gis_radar.localization.localize")  # its function has its name
 
@@ -157,7 +158,7 @@ def test_grid_north_is_not_true_north():
 
 def test_the_crs_of_a_scan_is_read(files):
     _, folder = files
-    assert gr.road_crs(folder / "road.laz") == UTM
+    assert road_crs(folder / "road.laz") == UTM
 
 
 def test_settings_that_are_not_the_defaults_go_into_the_pose(files, monkeypatch):

@@ -148,7 +148,7 @@ def test_polygons_of_each_format_are_read(tmp_path, suffix):
     driver = "GeoJSON" if degrees else None
     (table.to_crs(4326) if degrees else table).to_file(path, driver=driver)
     roads = gr.read_roads(path)
-    assert gr.name_of(roads.crs) == "EPSG:25832"
+    assert roads.crs.to_string() == "EPSG:25832"
     assert roads.area.area == pytest.approx(BOX.buffer(1).area, rel=1e-4)
 
 
@@ -157,7 +157,7 @@ def test_geojson_of_a_named_crs(tmp_path, crs):
     path = tmp_path / "roads.geojson"
     path.write_text(geojson({"type": "name", "properties": {"name": crs}}))
     roads = gr.read_roads(path)
-    assert gr.name_of(roads.crs) == "EPSG:25832"
+    assert roads.crs.to_string() == "EPSG:25832"
     assert roads.area.area == pytest.approx(480.0)
 
 

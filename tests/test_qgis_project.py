@@ -234,14 +234,16 @@ def test_projects_that_are_refused(results, tmp_path):
 
 @pytest.mark.parametrize("code", [31467, 3857])
 def test_a_guess_in_another_system(code):
-    there = gr.moved_position((690356.0, 5336183.0), "EPSG:25832", gr.crs.metric_crs(code, what=""))
-    back = gr.moved_position((*there, 521.0), f"EPSG:{code}", gr.crs.metric_crs(25832, what=""))
+    there = gr.crs.moved_position(
+        (690356.0, 5336183.0), "EPSG:25832", gr.crs.metric_crs(code, what="")
+    )
+    back = gr.crs.moved_position((*there, 521.0), f"EPSG:{code}", gr.crs.metric_crs(25832, what=""))
     assert back == pytest.approx((690356.0, 5336183.0, 521.0), abs=1e-3)
 
 
 def test_a_guess_in_degrees_is_refused():
     with pytest.raises(gr.CrsError):
-        gr.moved_position((11.5, 48.1), "EPSG:4326", gr.crs.metric_crs(25832, what=""))
+        gr.crs.moved_position((11.5, 48.1), "EPSG:4326", gr.crs.metric_crs(25832, what=""))
 
 
 def test_a_project_in_german(results, tmp_path):

@@ -126,7 +126,7 @@ def test_degrees_become_utm(tmp_path, scan):
     ).to_crs(4326)
     layer.to_file(tmp_path / "roads.geojson")
     roads = gr.read_roads(tmp_path / "roads.geojson")
-    assert gr.name_of(roads.crs) == "EPSG:25832"
+    assert roads.crs.to_string() == "EPSG:25832"
     assert mask(scan, roads).covered > 0.9
 
 

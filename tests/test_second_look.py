@@ -24,7 +24,7 @@ from gis_radar.grid import CELL_M
 from gis_radar.localization import Localization
 from gis_radar.localization.result import AmbiguousError
 from gis_radar.scans import scan as scan_files
-from gis_radar.second_look.second_look import Alignment, align
+from gis_radar.second_look.second_look import Alignment, align, require_scans_near
 from gis_radar.second_look.settings import DEFAULTS, SecondLookSettings
 from gis_radar.second_look.surroundings import LevelFrame, read_slow, read_structure
 from simulation.movement import Traffic
@@ -422,7 +422,7 @@ def test_a_scan_of_another_place_is_told_before_the_search(tmp_path, monkeypatch
     done = CliRunner().invoke(group, words)
     assert isinstance(done.exception, gr.InputError)
     assert "far.laz: no point within 300 m of the sensor" in str(done.exception)
-    gr.require_scans_near([far, SCAN], POSE.crs, [690379.0, 5336233.0])  # one that does is enough
+    require_scans_near([far, SCAN], POSE.crs, [690379.0, 5336233.0])  # one that does is enough
 
 
 def test_the_figure_never_replaces_the_scan(tmp_path):

@@ -18,7 +18,8 @@ def group() -> None:
 
 
 for verb in (
-    *(maps.tiles, maps.mask, maps.heatmap, maps.footprints, maps.project),
+    *(maps.tiles, maps.mask, maps.heatmap, maps.footprints, maps.trajectories),
+    maps.project,
     *(recordings.convert, recordings.occupancy, recordings.vehicles),
     *(recordings.clocks, recordings.quality),
     *(poses.localize, poses.track, poses.sensors, poses.sight),

@@ -122,6 +122,21 @@ def footprints(*, vehicles: Path, output: Path, reporter: Reporter) -> Result:
     return Result(outputs=[output], summary={"rows": count})
 
 
+@command(example="gis-radar trajectories vehicles/ -o tracks.json")
+@click.argument("vehicles", metavar="VEHICLES", type=FILE)
+@output
+@click.option("--every", default="500ms", show_default=True, help="How far apart in time.")
+def trajectories(*, vehicles: Path, output: Path, reporter: Reporter, every: str) -> Result:
+    """Write tracks of single vehicles as OGC Moving Features (.json).
+
+    A working file, not to be published.
+    """
+    refuse_inputs(output, vehicles)
+    read = gr.read_vehicles(vehicles)
+    count = gr.write_trajectories(read, output, every=every, reporter=reporter)
+    return Result(outputs=[output], summary={"vehicles": count})
+
+
 @command(example="gis-radar project R1.parquet --pose R1.json -o hits.gpkg")
 @click.argument("recording", metavar="RECORDING", type=FILE)
 @click.option("--pose", type=FILE, required=True, help="Pose (JSON) or pose track (CSV).")

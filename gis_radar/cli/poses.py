@@ -139,8 +139,10 @@ def track(
     if output.suffix.lower() != ".csv":
         raise UsageError(f"{output}: a pose track is a CSV file", hint="name it track.csv")
     _check_outputs(output, figure, recording, map_path, road, pose)
+    from gis_radar.scans.scan import road_crs  # noqa: PLC0415 - --help needs no NumPy
+
     start = gr.read_track(pose)
-    roads = gr.read_map(map_path, crs=gr.road_crs(road), origin=origin, reporter=reporter)
+    roads = gr.read_map(map_path, crs=road_crs(road), origin=origin, reporter=reporter)
     points = gr.read_road(road, roads.crs)
     followed = gr.track(recording, roads, points, start, reporter=reporter)
     outputs = [output]

@@ -212,7 +212,9 @@ def quality(
 ) -> Result:
     """Show what an occupancy rests on: frames, detections, clocks, poses, and a verdict."""
     if output is not None:
-        gr.require_table_name(output)
+        from gis_radar.quality.quality import require_table_name  # noqa: PLC0415 - late as above
+
+        require_table_name(output)
         inside = [file for folder in folders if folder.is_dir() for file in folder.iterdir()]
         refuse_inputs(output, *folders, *(file for file in inside if file.stem != "quality"))
     merged = gr.merge_occupancies([gr.read_occupancy(each, reporter=reporter) for each in folders])

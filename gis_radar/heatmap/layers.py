@@ -16,7 +16,13 @@ from numpy.typing import NDArray
 
 from gis_radar.arrays import Integers
 from gis_radar.errors import InputError, UsageError
-from gis_radar.geopackage import GPKG_VERSION, add_styles, opened_package
+from gis_radar.geopackage import (
+    GPKG_VERSION,
+    LayerNotes,
+    add_styles,
+    describe_layers,
+    opened_package,
+)
 from gis_radar.heatmap import style
 from gis_radar.heatmap.counting import Counts, Tally
 from gis_radar.heatmap.covering import Coverage
@@ -34,7 +40,7 @@ from gis_radar.heatmap.step_table import (
 )
 from gis_radar.progress import Reporter
 from gis_radar.steps import STEPS_PER_SECOND, seconds_from_iso, step_begin, step_of
-from gis_radar.tiles.tiles import COLUMNS, LANE, fingerprint, own_columns
+from gis_radar.tiles.tiles import COLUMNS, FIELDS, LANE, fingerprint, own_columns
 
 FILE = "heatmap.gpkg"
 Counted = dict[str, NDArray[Any]]
@@ -130,15 +136,46 @@ def write_package(tally: Tally, path: Path, reporter: Reporter) -> None:
     )  # fmt: skip
     length_s = float(tally.timeline.end[0] - tally.timeline.begin[0]) / STEPS_PER_SECOND
     measure = tally.measure
-    styles = {}
+    notes, styles = _notes_of(tally), {}
     for layer, interval, shown_s in ((WIDE, None, None), (LONG, 0, length_s)):
         least_s = tally.least_visible_s(interval)
-        qml = style.vector_qml(interval_s=shown_s, measure=measure, least_s=least_s)
+        titles = {name: title for name, (title, _) in notes[layer].fields.items()}
+        qml = style.vector_qml(interval_s=shown_s, measure=measure, least_s=least_s, titles=titles)
         styles[layer] = (qml, style.sld(layer, measure, least_s=least_s))
     about = f"fixed classes of {measure}, so that maps compare"
     with closing(sqlite3.connect(path)) as database, database:
         write_steps(database, tally, reporter)
+        describe_layers(database, notes)
         add_styles(database, styles, name=measure, about=about)
+
+
+_TITLES = {
+    "occupied_s": "Hit (s)",
+    "observed_s": "Observed (s)",
+    "occupancy": "Hit occupancy",
+    "visible_s": "Visible (s)",
+    "covered_s": "Covered (s)",
+    "coverage": "Coverage",
+    "coverage_se": "Coverage, standard error",
+}
+
+
+def _notes_of(tally: Tally) -> dict[str, LayerNotes]:
+    """Return titles and meaning of both layers and their fields."""
+    measured = {name: (_TITLES[name], text) for name, text in tally.definitions.items()}
+    times = {BEGIN: ("Begin (UTC)", "of the interval"), END: ("End (UTC)", "exclusive")}
+    begin, end = tally.whole_iso
+    about = f"{tally.definitions[tally.measure]}. Sensors {', '.join(tally.sensors)}"
+    title = tally.labels.title or "Heat map"
+    return {
+        WIDE: LayerNotes(
+            f"{title}: {tally.measure}", f"{about}, {begin} to {end}", FIELDS | measured
+        ),
+        LONG: LayerNotes(
+            f"{title}: {tally.measure} by interval", f"{about}, {begin} to {end}",
+            FIELDS | times | measured,
+        ),
+    }  # fmt: skip
 
 
 _HINT = "make one with: gis-radar heatmap"

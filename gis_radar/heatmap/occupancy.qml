@@ -1,5 +1,5 @@
 <!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>
-<qgis version="3.34" styleCategories="Symbology|Temporal">
+<qgis version="3.34" styleCategories="Symbology|Temporal|Fields|MapTips">
   <!-- The classes are filled in by style.py: an item, a range and a symbol each, like the ones here. -->
   <pipe>
     <rasterrenderer type="singlebandpseudocolor" band="1" opacity="1" alphaBand="-1" classificationMin="0" classificationMax="1" nodataColor="">
@@ -36,5 +36,8 @@
       <orderByClause asc="1" nullsFirst="1">"occupancy"</orderByClause>
     </orderby>
   </renderer-v2>
+  <!-- Filled in by style.py. -->
+  <aliases />
+  <mapTip enabled="1" />
   <layerGeometryType>2</layerGeometryType>
 </qgis>

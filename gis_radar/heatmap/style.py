@@ -13,8 +13,10 @@ from __future__ import annotations
 
 import copy
 import struct
+from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement, indent, parse, tostring
 
@@ -50,6 +52,17 @@ WORDS = {
     "coverage": MeasureWords(
         "Coverage", "share of time with a vehicle", "no vehicle", "not visible"
     ),
+}
+
+
+_SEEN = """([% format_number("{}_s", 0) %] s)[% coalesce('<br>' || attribute('lane'), '') %]"""
+# What QGIS shows under the cursor, numbers as its language writes them.
+_TIPS = {
+    "occupancy": """<b>[% coalesce(format_number(100 * "occupancy", 1) || ' %', '\u2013') %]</b> """
+    + _SEEN.format("observed"),
+    "coverage": """<b>[% coalesce(format_number(100 * "coverage", 1) || ' \u00b1 ' ||"""
+    """ format_number(100 * "coverage_se", 1) || ' %', '\u2013') %]</b> """
+    + _SEEN.format("visible"),
 }
 
 
@@ -100,7 +113,11 @@ def _label(lower: float, upper: float) -> str:
 
 
 def vector_qml(
-    *, interval_s: float | None = None, measure: str = "occupancy", least_s: float = 0.0
+    *,
+    interval_s: float | None = None,
+    measure: str = "occupancy",
+    least_s: float = 0.0,
+    titles: Mapping[str, str] = MappingProxyType({}),
 ) -> str:
     """Return the QGIS style of a layer of tiles.
 
@@ -113,6 +130,8 @@ def vector_qml(
         long from its `begin`. Without it, the layer holds the whole time.
     least_s : float
         Coverage of tiles that were visible for less, seconds, is hatched as uncertain.
+    titles : mapping
+        Of fields, by name.
 
     Returns
     -------
@@ -123,6 +142,9 @@ def vector_qml(
     root = _measure_style(measure, least_s, without=without)
     if interval_s is not None:
         _element(root, "temporal").set("fixedDuration", str(_shown_ms(interval_s)))
+    aliases = _element(root, "aliases")
+    for number, (name, title) in enumerate(titles.items()):
+        SubElement(aliases, "alias", {"index": str(number), "field": name, "name": title})
     return _document(root, _QGIS_DOCTYPE)
 
 
@@ -154,6 +176,7 @@ def _measure_style(measure: str, least_s: float, *, without: tuple[str, ...]) ->
             _repeat_for_each_class(entries, measure)
     if measure == "coverage":
         _hatch(_element(root, "renderer-v2"), least_s)
+    _element(root, "mapTip").text = _TIPS[measure]
     _element(root, "renderer-v2").set("attr", measure)
     _element(root, "renderer-v2/orderby/orderByClause").text = f'"{measure}"'
     return root

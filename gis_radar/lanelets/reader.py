@@ -158,7 +158,7 @@ def read_map(
     --------
     >>> import gis_radar as gr
     >>> roads = gr.read_map(gr.sample_folder() / "junction.osm")
-    >>> len(roads.lanelets), gr.name_of(roads.crs)
+    >>> len(roads.lanelets), roads.crs.to_string()
     (48, 'EPSG:25832')
     """
     osm = read_osm(path)

@@ -21,7 +21,13 @@ from gis_radar.arrays import Floats
 from gis_radar.crs import metric_crs, name_of
 from gis_radar.errors import InputError, UsageError
 from gis_radar.files import whole_file
-from gis_radar.geopackage import GPKG_VERSION, add_styles, opened_package
+from gis_radar.geopackage import (
+    GPKG_VERSION,
+    LayerNotes,
+    add_styles,
+    describe_layers,
+    opened_package,
+)
 from gis_radar.lanelets import LaneletMap
 from gis_radar.lanelets.bounds import CannotMendError, slices, sound_rungs
 from gis_radar.lanelets.lanes import LANES, STOP_LINES, lane_numbers, lane_style
@@ -95,6 +101,27 @@ def make_tiles(
     numbers = tiles["lanelet_id"].map(lane_numbers(roads.lanelets)).astype(np.int64)
     tiles.insert(len(COLUMNS), LANE, numbers)
     return tiles
+
+
+FIELDS = {
+    "tile_id": ("Tile", "from 0, in the order of lanelet and index"),
+    "lanelet_id": ("Lanelet", "of the map"),
+    "index": ("Place in the lanelet", "0 at the lanelet's start"),
+    "s_m": ("Along the lanelet (m)", "from the lanelet's start to the tile's, along the middle"),
+    "length_m": ("Length (m)", "along the middle"),
+    "width_m": ("Width (m)", "mean of both ends, across"),
+    "height_m": ("Height (m)", "of the road; null where unknown"),
+    "subtype": ("Kind", "subtype of the lanelet"),
+    LANE: ("Lane", "number of the lane: its smallest lanelet id"),
+}
+"""Titles and meaning of the columns of tiles."""
+_LANES: dict[str, Any] = {
+    "title": "Lanes", "abstract": "Chains of lanelets by number, as in report and tables",
+    "fields": {},
+}  # fmt: skip
+_STOPS: dict[str, Any] = {
+    "title": "Stop lines", "abstract": "A row for each lane that a stop line ends", "fields": {},
+}  # fmt: skip
 
 
 def own_columns(tiles: gpd.GeoDataFrame) -> list[str]:
@@ -213,8 +240,11 @@ def write_tiles(
                 layer_metadata=seal if layer == LAYER else None,
             )  # fmt: skip
         styles = {name: (lane_style(name), "") for name, _, _ in layers[2:]}
-        if styles:
-            with closing(sqlite3.connect(part)) as database, database:
+        about = LayerNotes("Tiles", "Slices of lanelets, the unit of all statistics", FIELDS)
+        with closing(sqlite3.connect(part)) as database, database:
+            notes = {LANES: about._replace(**_LANES), STOP_LINES: about._replace(**_STOPS)}
+            describe_layers(database, {LAYER: about} | {name: notes[name] for name in styles})
+            if styles:
                 add_styles(database, styles, name="lanes", about="lanes by number, and stop lines")
 
 
