@@ -22,7 +22,7 @@ from qgis.core import (
 
 from .base import Algorithm, option
 from .inputs import TILE_FIELDS, TILES, layer_file
-from .words import tr
+from .words import speaks_german, tr
 
 # Clockwise from north, as the command line takes them.
 WINDS = (
@@ -135,6 +135,12 @@ def add_choice(
     algorithm.add(choice, about=about, advanced=True)
 
 
+def add_language(algorithm: Algorithm) -> None:
+    """Add the language of what people read; first is the user's."""
+    languages = ("de", "en") if speaks_german() else ("en", "de")
+    add_choice(algorithm, "LANGUAGE", "Language", languages)
+
+
 def add_views(algorithm: Algorithm) -> None:
     """Add what sensors see whose poses do not state it."""
     add_number(algorithm, "MAX_RANGE", "Range of poses without a view, m")
@@ -195,7 +201,8 @@ def given_words(
                 words += option(flag, f"{number:.12g}")
         elif kind == "enum":
             chosen = algorithm.parameterAsEnumString(parameters, name, context)
-            words += option(flag, chosen) if chosen != definition.defaultValue() else []
+            is_own = chosen == definition.defaultValue() and name != "LANGUAGE"
+            words += [] if is_own else [flag, chosen]
         else:
             words += option(flag, algorithm.parameterAsString(parameters, name, context).strip())
     return words

@@ -22,9 +22,10 @@ from qgis.core import (
 
 from ..base import TRAFFIC, WorkerAlgorithm, option
 from ..loading import INTERVALS, as_ground, dress, dress_only, heatmap_titles, load
-from ..parameters import add_text, add_tiles, add_time_zone, given_words, tile_file
+from ..parameters import add_language, add_text, add_tiles, add_time_zone, given_words, tile_file
 from ..words import tr
 
+OPTIONS = ("TIMEZONE", "LANGUAGE", "TITLE", "SOURCE", "AT")
 INTERVAL = re.compile(r"\d+(\.\d+)?\s*(ms|s|min|h|d)")
 
 
@@ -70,6 +71,7 @@ class MakeHeatMap(WorkerAlgorithm):
         add_time_zone(
             self, "Whose hours and days the intervals follow, such as Europe/Berlin; UTC without."
         )
+        add_language(self)
         add_text(self, "TITLE", "Title")
         add_text(self, "SOURCE", "Source", "Where the data come from, to stand under the picture.")
         add_text(
@@ -113,7 +115,7 @@ class MakeHeatMap(WorkerAlgorithm):
         vehicles = self.parameterAsFile(parameters, "VEHICLES", context)
         words = ["heatmap", *folders, "--tiles", tiles, "-o", dest]
         words += [*option("--interval", interval), *option("--vehicles", vehicles)]
-        words += given_words(self, parameters, context, ("TIMEZONE", "TITLE", "SOURCE", "AT"))
+        words += given_words(self, parameters, context, OPTIONS)
         self.work(words, [dest], feedback)
         if self.parameterAsBoolean(parameters, "LOAD", context):
             load_heatmap(context, Path(dest), Path(dest).name)

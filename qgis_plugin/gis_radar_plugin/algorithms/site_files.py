@@ -18,8 +18,8 @@ from qgis.core import (
 )
 
 from ..base import RESULTS, SITE, WorkerAlgorithm, option
-from ..parameters import add_choice, add_file, add_text, add_time_zone, given_words
-from ..words import language, tr
+from ..parameters import add_file, add_language, add_text, add_time_zone, given_words
+from ..words import tr
 
 
 class CheckSite(WorkerAlgorithm):
@@ -72,6 +72,7 @@ class WriteReport(WorkerAlgorithm):
         add_time_zone(
             self, "Whose clocks its times follow, such as Europe/Berlin; the site's without."
         )
+        add_language(self)
         self.add(
             QgsProcessingParameterMultipleLayers(
                 "OCCUPANCY", tr("Occupancy"), QgsProcessing.SourceType.TypeFile, optional=True
@@ -99,7 +100,7 @@ class WriteReport(WorkerAlgorithm):
         words = ["report", results, *option("-o", dest)]
         for manifest in self.files(parameters, "OCCUPANCY", context):
             words += ["--occupancy", str(Path(manifest).parent)]
-        words += given_words(self, parameters, context, ("TITLE", "TIMEZONE"))
+        words += given_words(self, parameters, context, ("TITLE", "TIMEZONE", "LANGUAGE"))
         answer = self.work(words, [dest] if dest else [], feedback)
         page = next((path for path in answer.outputs if path.endswith(".html")), "")
         feedback.pushInfo(page)
@@ -134,8 +135,7 @@ class WriteProject(WorkerAlgorithm):
         add_text(self, "TITLE", "Title")
         add_text(self, "SOURCE", "Source")
         add_time_zone(self, "Of the times on its map, such as Europe/Berlin; UTC without.")
-        others = ("en", "de") if language() != "de" else ("de", "en")
-        add_choice(self, "LANGUAGE", "Language", others)
+        add_language(self)
         kinds = tr("QGIS projects") + " (*.qgz)"
         self.add(QgsProcessingParameterFileDestination("OUTPUT", tr("QGIS project"), kinds))
 
@@ -149,8 +149,7 @@ class WriteProject(WorkerAlgorithm):
         words = ["qgis", self.parameterAsFile(parameters, "HEATMAP", context), "-o", dest]
         words += given_words(
             self, parameters, context,
-            ("SENSORS", "SIGHT", "LANES", "FOOTPRINTS", "TITLE", "SOURCE", "TIMEZONE"),
+            ("SENSORS", "SIGHT", "LANES", "FOOTPRINTS", "TITLE", "SOURCE", "TIMEZONE", "LANGUAGE"),
         )  # fmt: skip
-        words += ["--language", self.parameterAsEnumString(parameters, "LANGUAGE", context)]
         self.work(words, [dest], feedback)
         return {"OUTPUT": dest}
