@@ -56,12 +56,10 @@ class PieceMaker:
         motions, states = [motions[k] for k in inside], [states[k] for k in inside]
         numbers = self._numbers(block, motions, states)
         tables = [TRACKS.empty()]
-        rows = []
+        rows, driven = [], []
         for number, motion, each in zip(numbers, motions, states, strict=True):
             table, lanelets = self._tables(each, motion)
-            self._on_lanes.append(
-                _on_lanes(number, table, motion, block.echoes, self._settings.pieces)
-            )
+            driven.append(_driven(number, table, motion, block.echoes, self._settings.pieces))
             tables.append(table.assign(vehicle=number))
             cut = (block.begins and each.step[0] == block.first_step) or (
                 block.ends and each.step[-1] == block.last_step
@@ -74,6 +72,8 @@ class PieceMaker:
                     "lanelets": lanelets, "continues": cut,
                 }
             )  # fmt: skip
+        if driven:
+            self._on_lanes.append(_on_lanes(driven))
         vehicles = pd.DataFrame(rows, columns=[*VEHICLES.columns]).sort_values("vehicle")
         tracks = pd.concat(tables, ignore_index=True).sort_values(["step", "vehicle"])
         return VehiclePiece(
@@ -163,30 +163,36 @@ class PieceMaker:
         return table, route.lanelets(graph)
 
 
-def _on_lanes(
+def _driven(
     number: int, table: pd.DataFrame, motion: Motion, echoes: Echoes, settings: PieceSettings
 ) -> pd.DataFrame:
-    """Return where each sensor sees a vehicle drive: how far left of its lane, by heading."""
+    """Return the detections of a vehicle while it drives: how far left of its lane it is then."""
     step = (echoes.time[motion.rows] / STEP_S).astype(np.int64) - int(table["step"].iloc[0])
-    inside = (step >= 0) & (step < len(table))
-    states = table.iloc[step[inside]]
-    towards = states["towards"].to_numpy()
-    left_m = states["d_m"].to_numpy(np.float64, na_value=np.nan)
+    inside = np.flatnonzero((step >= 0) & (step < len(table)))
+    drives = inside[table["speed"].to_numpy()[step[inside]] > settings.through_mps]
+    at = step[drives]
+    towards = table["towards"].to_numpy()[at]
+    left_m = table["d_m"].to_numpy(np.float64, na_value=np.nan)[at]
     way = np.round(np.nan_to_num(towards) / WAY_RAD).astype(np.int64) % round(2 * np.pi / WAY_RAD)
     middle = WAY_RAD * way
-    found = pd.DataFrame(
+    return pd.DataFrame(
         {
             "vehicle": number,
-            "sensor": echoes.sensor[motion.rows[inside]],
+            "sensor": echoes.sensor[motion.rows[drives]],
             "way": way,
             "towards": middle + np.angle(np.exp(1j * (towards - middle))),
-            "on": states["lanelet_id"].notna().to_numpy(),
+            "on": table["lanelet_id"].notna().to_numpy()[at],
             "left_m": np.where(np.isfinite(towards), left_m, np.nan),
         }
     )
-    drives = states["speed"].to_numpy() > settings.through_mps
-    groups = found[drives].groupby(["vehicle", "sensor", "way"])
-    return groups.agg(
+
+
+def _on_lanes(driven: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """Return where each sensor sees each vehicle drive: how far left of its lane, by heading.
+
+    All of a block at once: grouping takes as long for one vehicle as for a hundred.
+    """
+    return pd.concat(driven, ignore_index=True).groupby(["vehicle", "sensor", "way"]).agg(
         towards=("towards", "mean"), size=("on", "size"), on=("on", "sum"),
         count=("left_m", "count"), left_m=("left_m", "median"),
     ).reset_index()  # fmt: skip
