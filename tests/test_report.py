@@ -63,6 +63,17 @@ def test_lanes_are_the_sums_of_their_tiles(results, made):
         assert table.loc[lane, "observed_m"] == pytest.approx(0.5 * shares.notna().sum())
 
 
+def test_tables_for_german_spreadsheets_hold_the_same(results, made, tmp_path):
+    gr.write_report(results, output=tmp_path, csv_locale="de")
+    for name in ("lanes.csv", "lanes_by_interval.csv", "sensors.csv", "quality.csv"):
+        assert (tmp_path / name).read_bytes().startswith(b"\xef\xbb\xbf")
+        german = pd.read_csv(tmp_path / name, sep=";", decimal=",", encoding="utf-8-sig")
+        pd.testing.assert_frame_equal(german, pd.read_csv(made / name))
+    assert b"," in (tmp_path / "lanes.csv").read_bytes()
+    with pytest.raises(gr.UsageError, match="csv_locale is 'fr', expected one of en, de"):
+        gr.write_report(results, output=tmp_path, csv_locale="fr")
+
+
 def test_intervals_of_lanes(results, made):
     rows = long_layer(results)
     table = pd.read_csv(made / "lanes_by_interval.csv")

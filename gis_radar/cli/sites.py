@@ -63,6 +63,10 @@ def check(*, site: Path, reporter: Reporter) -> Result:
 )
 @click.option("--language", help="en or de; by default the site's, or that of the heat map.")
 @click.option(
+    "--csv-locale", type=click.Choice(["en", "de"]), default="en", show_default=True,
+    help="de: tables with semicolons and decimal commas, as Excel in Germany opens them.",
+)  # fmt: skip
+@click.option(
     "--occupancy", "occupancies", type=FILE, multiple=True,
     help="What the heat map was made of, where it is not in DIR.",
 )  # fmt: skip

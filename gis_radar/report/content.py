@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from datetime import datetime
 from numbers import Number
@@ -13,6 +15,7 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
+from gis_radar.errors import UsageError
 from gis_radar.words import figure_text, listed, percent, plus_minus, tr
 
 HOW_FOUND = {"lane": "found from traffic on the lanes", "icp": "found by ICP"}
@@ -324,12 +327,44 @@ def safe(cell: Any) -> Any:
     return f"'{text}" if text.lstrip(" ").startswith(FORMULA) else text
 
 
+CSV_LOCALES = ("en", "de")
+_csv_locale: ContextVar[str] = ContextVar("csv_locale", default="en")
+
+
+@contextmanager
+def csv_for(locale: str) -> Iterator[None]:
+    """Write tables as spreadsheets of a country open them at once, `en` or `de`.
+
+    Raises
+    ------
+    UsageError
+        If there is no such locale.
+    """
+    if locale not in CSV_LOCALES:
+        expected = ", ".join(CSV_LOCALES)
+        raise UsageError(f"csv_locale is {locale!r}, expected one of {expected}")
+    token = _csv_locale.set(locale)
+    try:
+        yield
+    finally:
+        _csv_locale.reset(token)
+
+
 def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """Write a table as CSV in UTF-8, with commas and points."""
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\r\n")
+    """Write a table as CSV in UTF-8, with commas and points.
+
+    Within :func:`csv_for` of `de` with semicolons and decimal commas, and the mark by which Excel
+    knows UTF-8.
+    """
+    german = _csv_locale.get() == "de"
+    with path.open("w", encoding="utf-8-sig" if german else "utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\r\n", delimiter=";" if german else ",")
         writer.writerow([safe(name) for name in header])
-        writer.writerows([safe(cell) for cell in row] for row in rows)
+        writer.writerows([_written(safe(cell), german=german) for cell in row] for row in rows)
+
+
+def _written(cell: Any, *, german: bool) -> Any:
+    return str(cell).replace(".", ",") if german and isinstance(cell, float) else cell
 
 
 def utc(moment: datetime) -> str:

@@ -38,6 +38,7 @@ from gis_radar.report.content import (
     MapSeries,
     Table,
     Terms,
+    csv_for,
     text_rows,
     utc,
     write_csv,
@@ -110,6 +111,7 @@ def write_report(
     title: str | None = None,
     timezone: str | None = None,
     language: str | None = None,
+    csv_locale: str = "en",
     occupancies: Sequence[str | Path] = (),
     reporter: Reporter = QUIET,
 ) -> Report:
@@ -132,6 +134,9 @@ def write_report(
     language : str, optional
         `en` or `de`, of all that is read; by default the site's, or that of the heat map's picture.
         The tables as CSV are the same in every language.
+    csv_locale : str
+        `de` writes them as a German spreadsheet opens them: semicolons, decimal commas, and the
+        mark of UTF-8.
     occupancies : sequence of str or Path
         Folders that the heat map was made of, where they are not in `folder`.
     reporter : Reporter
@@ -146,7 +151,7 @@ def write_report(
     InputError
         If the folder holds no heat map, or a damaged one.
     UsageError
-        If there is no such time zone or language.
+        If there is no such time zone, language or locale.
     OutputError
         If the report cannot be written.
     """
@@ -156,7 +161,7 @@ def write_report(
     results = read_results(folder, [Path(each) for each in occupancies], reporter=reporter)
     heat = results.heat
     spoken = language or str(results.site.get("language") or heat.labels.language)
-    with speaking(known_language(spoken)):
+    with csv_for(csv_locale), speaking(known_language(spoken)):
         found = _find(results, title or _named(results, folder), timezone, reporter)
         content = _content(found, _pictures(found, reporter))
         outputs = _write(folder if output is None else Path(output), found, content, reporter)
