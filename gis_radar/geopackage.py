@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import marshal
 import sqlite3
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
@@ -59,7 +61,7 @@ INSERT INTO layer_styles (
     f_table_catalog, f_table_schema, f_table_name, f_geometry_column,
     styleName, styleQML, styleSLD, useAsDefault, description, owner
 )
-SELECT '', '', table_name, column_name, ?, ?, ?, 1, ?, ''
+SELECT '', '', table_name, column_name, ?, ?, ?, 1, ?, ?
 FROM gpkg_geometry_columns WHERE table_name = ?
 """
 
@@ -230,7 +232,88 @@ def add_styles(
     database.execute(_TABLE)
     database.execute(_CONTENTS)
     for layer, (qml, sld) in styles.items():
-        database.execute(_STYLE, (name, qml, sld, about, layer))
+        database.execute(_STYLE, (name, qml, sld, about, _owner(qml), layer))
+
+
+def keep_styles(path: Path, *, earlier: Path) -> None:
+    """Take over the styles that somebody has saved in the file that a new one replaces.
+
+    What was the default of a layer stays its default; a style of ours that nobody touched does not
+    come along.
+
+    Parameters
+    ----------
+    path : Path
+        The new GeoPackage, with styles of ours.
+    earlier : Path
+        The one that it replaces, which need not be there.
+    """
+    if not earlier.is_file():
+        return
+    columns = "f_table_name, styleName, styleQML, styleSLD, description, useAsDefault, owner"
+    query = f"SELECT {columns} FROM layer_styles ORDER BY id"  # noqa: S608 - our own names
+    with closing(sqlite3.connect(path)) as database, database:
+        ours = {row[4] for row in database.execute(query)}
+        try:
+            with closing(sqlite3.connect(f"{_uri(earlier)}?mode=ro", uri=True)) as old:
+                saved = old.execute(query).fetchall()
+        except sqlite3.Error:
+            return
+        for layer, name, qml, sld, about, default, owner in saved:
+            if owner == _owner(str(qml)) or (not owner and about in ours):
+                continue  # as we wrote it, now or before styles were marked
+            if default:
+                database.execute(
+                    "UPDATE layer_styles SET useAsDefault = 0 WHERE f_table_name = ?", (layer,)
+                )
+            database.execute(_STYLE, (name, qml, sld, about, owner, layer))
+            database.execute(
+                "UPDATE layer_styles SET useAsDefault = ? WHERE id = last_insert_rowid()",
+                (bool(default),),
+            )
+
+
+def _owner(qml: str) -> str:
+    """Return the mark of a style as we wrote it."""
+    return f"gis_radar {hashlib.blake2b(qml.encode(), digest_size=8).hexdigest()}"
+
+
+def _uri(path: Path) -> str:
+    return path.resolve().as_uri()
+
+
+_OF_VIEWERS = {"layer_styles", "qgis_projects", "gpkg_ogr_contents"}
+_WITH_TIMES = {"gpkg_contents", "gpkg_metadata_reference"}
+
+
+def content_digest(path: Path) -> str | None:
+    """Return a digest of what tables of a GeoPackage hold; None where it cannot be read.
+
+    It does not cover what viewers write: the pages' order, counters, and styles; nor when the file
+    was written.
+    """
+    digest = hashlib.blake2b(digest_size=16)
+    try:
+        with closing(sqlite3.connect(f"{_uri(path)}?mode=ro", uri=True)) as database:
+            query = "SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name"
+            for (name,) in database.execute(query).fetchall():
+                if name not in _OF_VIEWERS | _WITH_TIMES and not name.startswith(
+                    ("rtree_", "sqlite_")
+                ):
+                    _add_table(digest, database, name)
+    except sqlite3.Error:
+        return None
+    return digest.hexdigest()
+
+
+def _add_table(digest: Any, database: sqlite3.Connection, name: str) -> None:
+    """Add a table's stored columns, row by row."""
+    stored = [row[1] for row in database.execute(f'PRAGMA table_xinfo("{name}")') if not row[6]]
+    listed = ", ".join(f'"{column}"' for column in stored)
+    rows = database.execute(f'SELECT {listed} FROM "{name}"')  # noqa: S608 - of the file itself
+    digest.update(repr((name, stored)).encode())
+    while batch := rows.fetchmany(4096):
+        digest.update(marshal.dumps(batch, 2))  # 2: without references, so that equal is equal
 
 
 def read_styles(path: Path) -> dict[str, str]:

@@ -17,6 +17,7 @@ from gis_radar.arrays import Integers
 from gis_radar.crs import metric_crs, name_of
 from gis_radar.errors import NOTEBOOKS, InputError, UsageError
 from gis_radar.files import output_errors, whole_folder, writing_errors
+from gis_radar.geopackage import keep_styles
 from gis_radar.heatmap.by_lane import table_by_lane
 from gis_radar.heatmap.counting import Shares, Tally, positions
 from gis_radar.heatmap.covering import CoverageShares, require_same_origin
@@ -172,6 +173,7 @@ class HeatMap(Tally):
             for name, write in writers.items():
                 with output_errors(folder / name), writing_errors(folder / name):
                     write(self, fresh / name, reporter)
+            keep_styles(fresh / "heatmap.gpkg", earlier=folder / "heatmap.gpkg")
         return [folder / name for name in writers]
 
 

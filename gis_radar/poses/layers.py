@@ -17,7 +17,7 @@ import shapely
 from gis_radar.crs import require_same
 from gis_radar.errors import UsageError
 from gis_radar.files import whole_file
-from gis_radar.geopackage import GPKG_VERSION, add_styles
+from gis_radar.geopackage import GPKG_VERSION, add_styles, keep_styles
 from gis_radar.poses.pose import ANGLES, POSITION, Pose, View, ellipse
 
 SENSORS, VIEWS, UNCERTAINTY = "sensors", "views", "uncertainty"
@@ -60,6 +60,7 @@ def write_sensors(poses: Sequence[Pose], path: str | Path) -> None:
         with closing(sqlite3.connect(part)) as database, database:
             styles = {name: (read_style(name), "") for name in layers}
             add_styles(database, styles, name="sensor", about="where a sensor stands and looks")
+        keep_styles(part, earlier=path)
 
 
 def read_style(layer: str) -> str:

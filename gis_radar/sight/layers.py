@@ -21,7 +21,7 @@ import scipy
 
 from gis_radar.errors import GisRadarError, InputError, UsageError
 from gis_radar.files import whole_file
-from gis_radar.geopackage import GPKG_VERSION, add_styles, opened_package
+from gis_radar.geopackage import GPKG_VERSION, add_styles, keep_styles, opened_package
 from gis_radar.poses.pose import Pose, View, pose_from_dict
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.sight.recorded import MOVEMENT, NO_MOVEMENT, Contradiction
@@ -106,6 +106,7 @@ def write_sights(
         }
         with closing(sqlite3.connect(part)) as database, database:
             add_styles(database, styles, name="sight", about="what a sensor sees of the tiles")
+        keep_styles(part, earlier=path)
 
 
 def _rows(number: int, sight: Sight) -> pd.DataFrame:

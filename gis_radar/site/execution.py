@@ -399,6 +399,13 @@ def stamp_of(path: Path) -> Stamp:
 
 
 def _hash(path: Path, progress: Callable[[int], None]) -> str:
+    """Return the hash of a file's bytes, of a GeoPackage that of what its tables hold."""
+    if path.suffix.lower() == ".gpkg":
+        from gis_radar.geopackage import content_digest  # noqa: PLC0415 - 1 s, needed rarely
+
+        if (held := content_digest(path)) is not None:
+            progress(path.stat().st_size)
+            return held
     digest = hashlib.blake2b(digest_size=16)
     try:
         with path.open("rb") as file:

@@ -26,6 +26,7 @@ from gis_radar.geopackage import (
     LayerNotes,
     add_styles,
     describe_layers,
+    keep_styles,
     opened_package,
 )
 from gis_radar.lanelets import LaneletMap
@@ -246,6 +247,8 @@ def write_tiles(
             describe_layers(database, {LAYER: about} | {name: notes[name] for name in styles})
             if styles:
                 add_styles(database, styles, name="lanes", about="lanes by number, and stop lines")
+        if styles:
+            keep_styles(part, earlier=path)
 
 
 def read_tiles(path: str | Path) -> gpd.GeoDataFrame:

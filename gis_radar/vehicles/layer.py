@@ -18,7 +18,7 @@ import shapely
 from gis_radar.arrays import Floats, Integers
 from gis_radar.errors import UsageError
 from gis_radar.files import whole_file
-from gis_radar.geopackage import GPKG_VERSION, add_styles, write_stream
+from gis_radar.geopackage import GPKG_VERSION, add_styles, keep_styles, write_stream
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.steps import STEP_S, STEP_US
 from gis_radar.vehicles.coverage_settings import CoverageSettings
@@ -118,6 +118,7 @@ def write_footprints(
         with closing(sqlite3.connect(part)) as database, database:
             styles = {FOOTPRINTS: (footprint_style(), "")}
             add_styles(database, styles, name="vehicles", about="vehicles, moved by the time")
+        keep_styles(part, earlier=path)
     return rows.count
 
 

@@ -1,0 +1,112 @@
+"""Looking at a GeoPackage changes nothing, and styles that people save in it stay."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+from contextlib import closing
+
+import geopandas as gpd
+import pytest
+import shapely
+from test_qgis_project import a_pose
+
+import gis_radar as gr
+from gis_radar.geopackage import content_digest, read_styles
+from gis_radar.site.execution import RunState
+
+MINE = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n<qgis version=\"3.40\"/>"
+
+
+@pytest.fixture
+def path(tmp_path):
+    gr.write_sensors([a_pose()], tmp_path / "sensors.gpkg")
+    return tmp_path / "sensors.gpkg"
+
+
+def change(path, *statements):
+    with closing(sqlite3.connect(path)) as database, database:
+        for text, values in statements:
+            database.execute(text, values)
+
+
+def look(path):
+    """Do to a file what QGIS does while it shows it: another journal, other pages."""
+    with closing(sqlite3.connect(path, isolation_level=None)) as database:
+        database.execute("PRAGMA journal_mode = wal")
+        database.execute("UPDATE gpkg_contents SET last_change = '2030-01-01T00:00:00.000Z'")
+        database.execute("PRAGMA journal_mode = delete")
+        database.execute("VACUUM")
+
+
+def saved(path, layer="sensors", name="mine"):
+    """Save a style as QGIS does, as the layer's default."""
+    others = "UPDATE layer_styles SET useAsDefault = 0 WHERE f_table_name = ?"
+    columns = "f_table_name, f_geometry_column, styleName, styleQML, useAsDefault, description"
+    mine = f"INSERT INTO layer_styles ({columns}, owner) VALUES (?, 'geom', ?, ?, 1, '', '')"  # noqa: S608
+    change(path, (others, (layer,)), (mine, (layer, name, MINE)))
+
+
+def test_looking_and_saving_a_style_leave_the_content(path):
+    before, raw = content_digest(path), path.read_bytes()
+    look(path)
+    saved(path)
+    assert path.read_bytes() != raw
+    assert content_digest(path) == before
+    change(path, ("UPDATE gpkg_spatial_ref_sys SET description = 'another'", ()))
+    assert content_digest(path) != before
+
+
+def test_a_run_takes_it_for_unchanged(path, tmp_path):
+    state = RunState(tmp_path / "state.json", tmp_path)
+    before = state.hash_of(path)
+    look(path)
+    saved(path)
+    assert state.hash_of(path) == before
+    path.write_bytes(b"no GeoPackage")
+    assert state.hash_of(path) not in {before, None}
+
+
+def test_a_style_that_was_saved_survives(path):
+    ours = read_styles(path)
+    saved(path)
+    gr.write_sensors([a_pose(), a_pose("R2", easting=690400.0)], path)
+    assert read_styles(path) == ours | {"sensors": MINE}
+    assert len(gpd.read_file(path, layer="sensors")) == 2
+    with closing(sqlite3.connect(path)) as database:
+        names = "SELECT styleName FROM layer_styles WHERE f_table_name = 'sensors' ORDER BY id"
+        assert [name for (name,) in database.execute(names)] == ["sensor", "mine"]
+    gr.write_sensors([a_pose()], path)  # and again
+    assert read_styles(path) == ours | {"sensors": MINE}
+
+
+def test_our_style_that_was_changed_survives_and_others_are_renewed(path):
+    ours = read_styles(path)
+    change(path, ("UPDATE layer_styles SET styleQML = ? WHERE f_table_name = 'views'", (MINE,)))
+    old = "UPDATE layer_styles SET styleQML = ?, owner = '' WHERE f_table_name = 'uncertainty'"
+    change(path, (old, ("<qgis/>",)))  # as earlier versions wrote it, without a mark
+    gr.write_sensors([a_pose()], path)
+    assert read_styles(path) == ours | {"views": MINE}
+
+
+def test_styles_of_heat_maps_survive(tmp_path):
+    sample = gr.sample_folder()
+    tiles = gr.make_tiles(gr.read_map(sample / "junction.osm"))
+    pose = gr.read_pose(sample / "R1.json")
+    place = tmp_path / "occupancy"
+    heat = gr.make_heatmap(
+        gr.measure_occupancy([sample / "R1.parquet"], [pose], tiles, place), tiles
+    )
+    heat.write(tmp_path / "map")
+    package = tmp_path / "map" / "heatmap.gpkg"
+    saved(package, "heatmap", "grey")
+    heat.write(tmp_path / "map")
+    assert read_styles(package)["heatmap"] == MINE
+    assert gr.read_heatmap(package).figures() == heat.figures()
+
+
+def test_a_file_that_is_no_geopackage_is_replaced(path):
+    shutil.copy(gr.sample_folder() / "junction.osm", path)
+    assert content_digest(path) is None
+    gr.write_sensors([a_pose()], path)
+    assert shapely.get_x(gpd.read_file(path, layer="sensors").geometry[0]) == 690360.0
