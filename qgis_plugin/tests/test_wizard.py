@@ -82,6 +82,12 @@ def drag(wizard, start, end):
     QTest.mouseRelease(view, left, none, pixel(wizard, *end))
 
 
+def colour_at(wizard, radar):
+    """Return the colour of the map where a radar stands."""
+    drawn = wizard.canvas.grab().toImage()
+    return drawn.pixelColor(pixel(wizard, radar.easting, radar.northing)).name()
+
+
 def test_from_the_map_to_a_run(wizard, place):
     """A drag and a click, in a map of another system; the real worker reads, checks, measures."""
     QgsProject.instance().setCrs(QgsCoordinateReferenceSystem("EPSG:3857"))
@@ -115,9 +121,7 @@ def test_from_the_map_to_a_run(wizard, place):
     radars.list.setCurrentRow(0)
     assert radars.wind.text() == "east"  # 68 degrees
     assert len(wizard._items) == 2
-    drawn = wizard.canvas.grab().toImage()
-    assert drawn.pixelColor(pixel(wizard, one.easting, one.northing)).name() == "#1d4ed8"
-    assert drawn.pixelColor(pixel(wizard, other.easting, other.northing)).name() == "#60a5fa"
+    assert [colour_at(wizard, each) for each in (one, other)] == ["#1d4ed8", "#60a5fa"]
     wizard.next()
     wizard.result_page.zone_box.setCurrentText("Nowhere/Land")
     assert not wizard.result_page.isComplete()
