@@ -210,6 +210,25 @@ def zone_of(name: str) -> ZoneInfo:
         ) from error
 
 
+def utc_offsets(zone: ZoneInfo, begin: datetime, end: datetime) -> list[tuple[datetime, int]]:
+    """Return from when on which offset from UTC holds, seconds: the first at `begin`."""
+
+    def offset_at(moment: datetime) -> int:
+        return round((moment.astimezone(zone).utcoffset() or timedelta()).total_seconds())
+
+    found, at = [(begin, offset_at(begin))], begin
+    while at < end:
+        after = min(at + timedelta(hours=6), end)  # no zone changes twice within it
+        if offset_at(after) != found[-1][1]:
+            low, high = at, after
+            while high - low > timedelta(seconds=1):
+                middle = low + (high - low) / 2
+                low, high = (middle, high) if offset_at(middle) == found[-1][1] else (low, middle)
+            found.append((high.replace(microsecond=0), offset_at(after)))
+        at = after
+    return found
+
+
 @dataclass(frozen=True, kw_only=True)
 class Clock:
     """The clocks of the site: local times as text.

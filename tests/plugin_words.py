@@ -71,6 +71,10 @@ def project_texts():
         named = [root, *root.iter("layer-tree-layer"), *root.iter("layer-tree-group")]
         found |= {element.get("name", "") for element in named}
         found |= {element.text for element in root.iter("layername")}
+        found |= {
+            each.get("labelText") for each in root.iter("LayoutItem")
+            if each.get("id", "").startswith("meaning")
+        }  # fmt: skip
     for words in style.WORDS.values():
         found |= {words.title, words.subtitle}
     for path in PACKAGE.glob("*/*.qml"):

@@ -102,7 +102,7 @@ def test_the_busiest_interval_is_that_of_the_table(made):
 
 def test_the_page_says_what_the_tables_say(made, page):
     lanes = pd.read_csv(made / "lanes.csv")
-    (table,) = (each for each in page.tables if each[0][0] == "Lane")
+    (table,) = (each for each in page.tables if each[0][0] == "No.")
     head, *rows = table
     seen = lanes[lanes["occupancy"].notna()]
     assert [int(row[0]) for row in rows] == seen["lane"].tolist()

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import combinations
 from zoneinfo import ZoneInfo
 
 import numpy as np
 import pandas as pd
 import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from sites import EAST, NORTH, lane_quads, tiles_of
 from test_heatmap import lane_tiles
 from test_heatmap_coverage import both_of
@@ -15,6 +19,7 @@ import gis_radar as gr
 from gis_radar.heatmap import make_heatmap
 from gis_radar.heatmap.covering import surest
 from gis_radar.report.lanes import lane_table, sum_by_lane, write_lanes
+from gis_radar.report.plan import place_numbers
 from gis_radar.steps import Clock
 from gis_radar.tiles.lanes import lanes_of
 
@@ -133,3 +138,22 @@ def test_the_error_of_a_lane_is_the_mean_of_its_tiles(tmp_path):
     read = pd.read_csv(tmp_path / "lanes.csv")
     np.testing.assert_allclose(read["coverage_se"], table["share_se"], atol=1e-6)
     np.testing.assert_allclose(read["busiest_coverage_se"], table["busiest_share_se"], atol=1e-6)
+
+
+@given(st.integers(1, 30), st.integers(0, 2**31))
+@settings(max_examples=25, deadline=None)
+def test_no_number_of_the_plan_is_missing_and_none_covers_another(lanes, seed):
+    """Side by side at 3.5 m, as on a wide road, with numbers of six figures."""
+    rng = np.random.default_rng(seed)
+    heading = rng.uniform(0, np.pi)
+    along = np.column_stack([np.cos(heading), np.sin(heading)])[0]
+    across = np.array([-along[1], along[0]])
+    ways = {
+        100_000 + i: (np.arange(0, 60.0)[:, None] - 30.0) * along + (i - lanes / 2) * 3.5 * across
+        for i in range(lanes)
+    }
+    placed = place_numbers(ways, 300.0 / (6 * 72), shapely.box(-150, -150, 150, 150))
+    assert set(placed) == set(ways)
+    boxes = [each.box for each in placed.values()]
+    overlaps = sum(a.intersection(b).area for a, b in combinations(boxes, 2))
+    assert overlaps == pytest.approx(0.0, abs=1e-6)

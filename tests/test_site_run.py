@@ -247,7 +247,9 @@ def test_what_was_in_effect_is_beside_the_results(small):
     assert run["site"]["occupancy"]["clearance"] == [-0.5, 4.5]
     assert {"gis_radar", "numpy", "python"} <= set(run["software"])
     summary = (out / "summary.md").read_text(encoding="utf-8")
-    assert "2023-11-14 23:13:20+01:00" in summary  # 22:13:20 UTC
+    assert (
+        "14 November 2023, 23:13:20 to 23:13:50 (Europe/Berlin, UTC+01:00)" in summary
+    )  # 22:13:20 UTC
     assert "R2_0.parquet: 99.9 %" in summary
 
 
@@ -280,7 +282,7 @@ def test_what_stands_elsewhere_is_a_warning(small, copied):
     assert done.figures()["sensors"]["R1"]["second_look"] == "doubts"
     summary = (out / "summary.md").read_text(encoding="utf-8")
     assert "- localize R1: second look: doubts: " in summary
-    assert "| doubts | ok |" in summary
+    assert "| doubts | good |" in summary
     picture = plt.imread(out / "sensors" / "R1" / "localization.png")
     assert picture.shape[0] > 7 * 216  # a second row of panels: alone the traces have 6.6 inches
 
@@ -524,13 +526,13 @@ def test_the_report_shows_coverage_and_hits_beside_it(small):
         *named,
         "no count of vehicles",
         "share of time with a vehicle",
-        "Map of occupancy",
+        "Map of radar hits",
     ):
         assert words in text
     shown, error = (100 * wide[name][top] for name in ("coverage", "coverage_se"))
-    assert f"{shown:.1f}\u202f±\u202f{error:.1f}\u202f%" in text
+    assert f"{shown:.0f}\u202f±\u202f{error:.0f}\u202f%" in text
     about = pypdf.PdfReader(out / "report.pdf").metadata
-    assert about.subject == "Coverage of lanes, from roadside radar"
+    assert about.subject == "Traffic coverage report"
 
 
 def test_vehicles_that_are_not_followed_leave_heat_maps_of_hits(copied, blank_paper):

@@ -27,6 +27,7 @@ from gis_radar.heatmap.picture import (
     STRIPE,
     Extent,
     add_scale_bar,
+    legend_in_words,
     map_extent,
     map_picture,
 )
@@ -34,6 +35,7 @@ from gis_radar.notebooks import FONTS, axes_or_new, label_map
 from gis_radar.progress import Reporter
 from gis_radar.steps import Clock
 from gis_radar.tiles.tiles import quads
+from gis_radar.words import decimal, figure_text, percent, speaking, tr
 
 DPI = 200
 FINER = 2  # pixels of the picture for each of the figure's, so that edges are smooth
@@ -57,7 +59,7 @@ MEANINGS = {
         "20 % are 12 seconds of every minute with a vehicle on the tile, moving or waiting. "
         "Uncertain: the standard error (±) is as large as the value and 2 points or more, or the "
         "tile was visible for less than half as long as the best seen one. Not visible: no sensor "
-        "sees it. Busiest spot: the highest value once its ± is taken off."
+        "sees it. Highest tile: the highest value once its ± is taken off."
     ),
 }
 PLOT_PIXELS, SMALL_PIXELS = 1_100_000, 400_000  # of a plot: 180 an inch; of a notebook card
@@ -144,9 +146,9 @@ def _add_legend(ax: Axes, measure: str) -> None:
 def write_figure(tally: Tally, path: Path, reporter: Reporter) -> None:
     """Write the picture as PNG, 2000 pixels wide."""
     reporter.progress("drawing the picture", 0, 1)
-    with mpl.rc_context(FONTS):
+    with mpl.rc_context(FONTS), speaking(tally.labels.language):
         figure = _figure(tally)
-        named = filter(None, (tally.labels.title, TITLES[tally.measure]))
+        named = filter(None, (tally.labels.title, tr(TITLES[tally.measure])))
         about = {"Title": ", ".join(named), "Description": time_span(tally)}
         if tally.labels.sources:
             about["Source"] = "; ".join(tally.labels.sources)
@@ -196,7 +198,7 @@ def _add_titles(figure: Figure, tally: Tally, left_in: float) -> None:
     width_in, height_in = figure.get_size_inches()
     left = left_in / width_in
     line: dict[str, Any] = {"ha": "left", "va": "baseline", "parse_math": False}
-    measure, when = TITLES[tally.measure], time_span(tally)
+    measure, when = tr(TITLES[tally.measure]), time_span(tally)
     title, below = measure, when
     if tally.labels.title:
         title, below = tally.labels.title, f"{measure}, {when}"
@@ -212,8 +214,10 @@ def _add_titles(figure: Figure, tally: Tally, left_in: float) -> None:
 def _foot(tally: Tally) -> list[str]:
     """Return the lines under the map."""
     crs = f"{tally.crs.name} ({name_of(tally.crs)[:20]})."
-    sources = f" Sources: {'; '.join(tally.labels.sources)}." if tally.labels.sources else ""
-    return textwrap.wrap(f"{MEANINGS[tally.measure]} {crs}{sources}", LINE)
+    parts = [tr(MEANINGS[tally.measure]), crs]
+    if tally.labels.sources:
+        parts.append(tr("Sources: {sources}.", sources="; ".join(tally.labels.sources)))
+    return textwrap.wrap(" ".join(parts), LINE)
 
 
 def time_span(tally: Tally, interval: int | slice | None = None) -> str:
@@ -225,7 +229,10 @@ def time_span(tally: Tally, interval: int | slice | None = None) -> str:
     begin, end = times.span(first[0])[0], times.span(last)[1]
     clock = Clock(zone=tally.zone, first=begin, last=end)
     if int(times.end[last] - times.begin[first[0]]) == 1:
-        return f"{clock.date(begin)}, {clock.time(begin)}, one step of 50 ms ({clock.name})"
+        return tr(
+            "{day}, {time}, one step of 50 ms ({zone})",
+            day=clock.date(begin), time=clock.time(begin), zone=clock.name,
+        )  # fmt: skip
     return f"{clock.whole(begin, end)} ({clock.name})"
 
 
@@ -236,10 +243,10 @@ def _add_side(ax: Axes, tally: Tally) -> None:
     ax.set_ylim(box.height / DPI, 0)
     ax.axis("off")
     words = style.WORDS[tally.measure]
-    ax.text(0.25, 0.12, words.title, fontsize=10, fontweight="bold", color=INK)
-    ax.text(0.25, 0.3, words.subtitle, fontsize=SMALL, color=SOFT)
+    ax.text(0.25, 0.12, tr(words.title), fontsize=10, fontweight="bold", color=INK)
+    ax.text(0.25, 0.3, tr(words.subtitle), fontsize=SMALL, color=SOFT)
     y = 0.5
-    for colour, label in style.legend(tally.measure):
+    for colour, label in legend_in_words(tally.measure):
         apart = 0.08 if colour in APART else 0.0
         ax.add_patch(_swatch((0.25, y + apart), (0.34, 0.24), colour))
         ax.text(0.7, y + apart + 0.125, label, fontsize=SMALL, color=INK, va="center")
@@ -252,24 +259,26 @@ def _add_side(ax: Axes, tally: Tally) -> None:
 def _facts(tally: Tally) -> list[tuple[str, str]]:
     known, sensors = tally.figures(), tally.sensors
     facts = [
-        ("Sensors", ", ".join(sensors) if len(", ".join(sensors)) < 24 else str(len(sensors))),
-        ("Tiles observed", f"{known['tiles_observed']:,}".replace(",", " ")),
-        ("Tiles hit", f"{known['tiles_hit']:,}".replace(",", " ")),
+        (tr("Sensors"), ", ".join(sensors) if len(", ".join(sensors)) < 24 else str(len(sensors))),
+        (tr("Tiles observed"), figure_text(known["tiles_observed"])),
+        (tr("Tiles hit"), figure_text(known["tiles_hit"])),
     ]
     shares = tally.coverage_shares()
     if shares is not None:
-        tiles = f"{known['tiles_visible']:,} of {len(tally.tiles):,}"
-        facts[1:] = [("Tiles visible", tiles.replace(",", " "))]
-        mean = 100 * known["mean_coverage"], 100 * known["mean_coverage_se"]
-        facts.append(("Mean coverage", f"{mean[0]:.1f} ± {mean[1]:.1f} %"))
+        part, whole = figure_text(known["tiles_visible"]), figure_text(len(tally.tiles))
+        facts[1:] = [(tr("Tiles visible"), tr("{part} of {all}", part=part, all=whole))]
+        mean = percent(known["mean_coverage"], off=known["mean_coverage_se"])
+        facts.append((tr("Mean coverage"), mean))
         if np.any(shares.coverage > 0):
             top = surest(shares.coverage, shares.coverage_se)
-            best = 100 * shares.coverage[top], 100 * shares.coverage_se[top]
-            facts.append(("Busiest spot", f"{best[0]:.1f} ± {best[1]:.1f} %"))
+            best = percent(shares.coverage[top], off=shares.coverage_se[top])
+            facts.append((tr("Highest tile"), best))
     elif "busiest_tile" in known:
         occupied_s, observed_s = known["busiest_occupied_s"], known["busiest_observed_s"]
-        share = f"{known['busiest_occupancy'] * 100:.1f} %"
-        facts.append(("Busiest tile", f"{occupied_s:.6g} of {observed_s:.6g} s, {share}"))
+        share = percent(known["busiest_occupancy"])
+        part, whole = decimal(f"{occupied_s:.6g}"), decimal(f"{observed_s:.6g}")
+        text = tr("{part} of {all} s, {share}", part=part, all=whole, share=share)
+        facts.append((tr("Tile hit most"), text))
     return facts
 
 
@@ -351,7 +360,7 @@ def _add_detail(ax: Axes, tally: Tally, extent: Extent) -> None:
         Rectangle(tuple(low), *(high - low), fill=False, edgecolor=INK, linewidth=0.8, zorder=4)
     )
     inset.text(
-        0.03, 0.96, f"busiest place, {(high - low)[0]:.0f} m across",
+        0.03, 0.96, tr("detail, {length} m across", length=figure_text((high - low)[0])),
         transform=inset.transAxes, fontsize=SMALL, color=INK, va="top",
         bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.88, "pad": 1.5},
     )  # fmt: skip

@@ -32,7 +32,7 @@ from gis_radar.qgis.project_file import was_edited, write_project_file
 from gis_radar.qgis.project_xml import LayerSource, ProjectContent, TimeRange, project_xml
 from gis_radar.sight import SightTiles, write_sights
 from gis_radar.sight.layers import SIGHT_LAYER
-from gis_radar.steps import seconds_from_iso, zone_of
+from gis_radar.steps import Clock, seconds_from_iso, zone_of
 from gis_radar.tiles.tiles import read_tiles
 from gis_radar.vehicles import read_vehicles
 from gis_radar.vehicles.layer import (
@@ -41,6 +41,7 @@ from gis_radar.vehicles.layer import (
     footprint_style,
     write_footprints,
 )
+from gis_radar.words import speaking
 
 MAP_MARGIN = 0.05
 """Around what was observed, as a share of its size: the road goes on a little to each side."""
@@ -83,7 +84,7 @@ def write_qgis_project(
     title : str
         Of the project and the layout; by default the file's name.
     time_zone : str
-        Of the time on the layout, such as `Europe/Berlin`.
+        Of the times on layout and map, such as `Europe/Berlin`.
     source : str
         Where the data come from, for the layout.
     language : str
@@ -123,8 +124,11 @@ def write_qgis_project(
             Path(footprints).resolve(), footprint_style(), FOOTPRINTS
         )
         played = played and played._replace(step_s=LAYER_DEFAULTS.shown_s)
+    played = played and played._replace(time_zone=time_zone)
+    with speaking(language):
+        time = _local_time(played) if played else ""
     content = ProjectContent(
-        title=title or path.stem, time=_local_time(played, time_zone) if played else "",
+        title=title or path.stem, time=time,
         source=source, crs=crs, box=box, layers=layers, played=played, measure=measure,
         language=language,
     )  # fmt: skip
@@ -263,16 +267,11 @@ def _time_range(package: Path) -> TimeRange | None:
     return TimeRange(begin, end, round(length_s, 3))
 
 
-def _local_time(played: TimeRange, time_zone: str) -> str:
-    """Return the time that a project covers in local form."""
-    zone = zone_of(time_zone)
-    begin, end = (
-        datetime.fromisoformat(text).astimezone(zone) for text in (played.begin, played.end)
-    )
-    clock = "%H:%M:%S" if begin.second or end.second else "%H:%M"
-    day = f"%Y-%m-%d {clock}"
-    last = end.strftime(clock if begin.date() == end.date() else day)
-    return f"{begin.strftime(day)} \u2013 {last} ({time_zone})"
+def _local_time(played: TimeRange) -> str:
+    """Return the time that a project covers by the site's clock, with its zone and offset."""
+    begin, end = (datetime.fromisoformat(text) for text in (played.begin, played.end))
+    clock = Clock(zone=zone_of(played.time_zone), first=begin, last=end)
+    return f"{clock.whole(begin, end)} ({clock.name})"
 
 
 def _sensor_layers(path: Path) -> dict[str, LayerSource]:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import textwrap
 from collections.abc import Iterator, Mapping
+from datetime import datetime, timedelta
 from importlib.resources import files
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostring
@@ -15,6 +17,7 @@ from pyproj import CRS
 from gis_radar.crs import Box, name_of
 from gis_radar.heatmap import style
 from gis_radar.languages import class_label, translated
+from gis_radar.steps import utc_offsets, zone_of
 
 _DOCTYPE = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>"
 _FRAMES_A_SECOND = "2"  # vehicles move as fast as they drove
@@ -32,11 +35,12 @@ class LayerSource(NamedTuple):
 
 
 class TimeRange(NamedTuple):
-    """The time that a project plays: ISO 8601 in UTC, and the length of its steps, seconds."""
+    """The time that a project plays: ISO 8601 in UTC, its steps in seconds, whose clock."""
 
     begin: str
     end: str
     step_s: float
+    time_zone: str = "UTC"
 
 
 class ProjectContent(NamedTuple):
@@ -67,7 +71,7 @@ def project_xml(content: ProjectContent, home: Path) -> str:
     )
     _find(root, "Layouts").append(_sheet(content))
     _fill_layers(root, content.layers, home)
-    _fill_time(root, content.played)
+    _fill_time(root, content.played, content.language)
     if "gis_radar_footprints" in content.layers:
         _find(root, "ProjectTimeSettings").set("frameRate", _FRAMES_A_SECOND)
     _fill_place(root, content.crs, content.box)
@@ -102,9 +106,6 @@ def _translate(root: Element, language: str) -> None:
             element.set("name", translated(element.get("name", ""), language))
         elif element.tag in _LABELLED and element.get("label"):
             element.set("label", class_label(element.attrib["label"], language))
-    clock = root.find("properties/TitleLabel/Label")
-    if clock is not None:
-        clock.text = (clock.text or "").replace(_DATE["en"], _DATE[language])
 
 
 def _sheet(content: ProjectContent) -> Element:
@@ -124,11 +125,22 @@ def _sheet(content: ProjectContent) -> Element:
         )
     else:
         layout.remove(_item(layout, "source"))
+    _explain(layout, content)
     chart = _item(layout, "map")
     width, height, _ = chart.attrib["size"].split(",")
     box = fit_box(content.box, float(width), float(height))
     _find(chart, "Extent").attrib |= _limits(box)
     return layout
+
+
+def _explain(layout: Element, content: ProjectContent) -> None:
+    """Leave on the sheet what its measure means, and where it ends, in its language."""
+    for measure in style.WORDS:
+        item = _item(layout, f"meaning {measure}")
+        if measure != content.measure:
+            layout.remove(item)
+        else:
+            item.set("labelText", content.word(item.get("labelText", "")))
 
 
 def literal(text: str) -> str:
@@ -182,7 +194,7 @@ def _source(layer: LayerSource, home: Path) -> str:
     return f"{named}|layername={layer.table}" if layer.table else named
 
 
-def _fill_time(root: Element, played: TimeRange | None) -> None:
+def _fill_time(root: Element, played: TimeRange | None, language: str) -> None:
     settings, properties = _find(root, "ProjectTimeSettings"), _find(root, "properties")
     controller = _find(properties, "TemporalControllerWidget")
     clock = _find(properties, "TitleLabel")
@@ -195,13 +207,58 @@ def _fill_time(root: Element, played: TimeRange | None) -> None:
         begin.text = played.begin
     for end in (_find(settings, "TemporalRange/end"), _find(controller, "EndDateTime")):
         end.text = played.end
-    label = _find(clock, "Label")
     minutes = played.step_s % 60 == 0
-    label.text = (label.text or "").replace("CLOCK", "HH:mm" if minutes else "HH:mm:ss")
-    if played.step_s < 1.0:  # the clock of the begin and that of the end would be the same
-        label.text = (label.text or "").partition(" || ' - '")[0] + ", '') %]"
+    _find(clock, "Label").text = map_clock(played, language)
     step = played.step_s / 60 if minutes else played.step_s
     settings.attrib |= {"timeStep": f"{step:g}", "timeStepUnit": "min" if minutes else "s"}
+
+
+_FIGURES = "yyyy-MM-ddTHH:mm:ss"  # of the map's time: UTC, whatever QGIS takes them for
+_TIMED = ("gis_radar_heatmap_by_interval", "gis_radar_footprints")  # layers that have a time
+
+
+def map_clock(played: TimeRange, language: str) -> str:
+    """Return the text on the map: the time that it shows by the site's clock, with its zone.
+
+    Expressions of QGIS know no zones: the offsets that hold are in it. Nothing stands there while
+    no layer with a time is shown.
+    """
+    zone = zone_of(played.time_zone)
+    begin, end = (datetime.fromisoformat(text) for text in (played.begin, played.end))
+    offsets = utc_offsets(zone, begin, end + timedelta(days=1))
+    clock = "HH:mm" if played.step_s % 60 == 0 else "HH:mm:ss"
+
+    def local(name: str, pattern: str) -> str:
+        utc = f"format_date(@{name}, '{_FIGURES}')"
+        shift = _by_time(utc, [(since, f"{offset} seconds") for since, offset in offsets])
+        moved = f"to_datetime({utc} || 'Z') + to_interval({shift})"
+        return f"format_date({moved}, '{pattern}', '{language}')"
+
+    day = f"ddd {_DATE[language]} {clock}"
+    named = played.time_zone if played.time_zone != "UTC" else ""
+    texts = [(since, _zone_text(named, offset)) for since, offset in offsets]
+    parts = [local("map_start_time", day)]
+    if played.step_s >= 1.0:  # else the clocks of begin and end would be the same
+        parts += ["' - '", local("map_end_time", clock)]
+    parts.append(_by_time(f"format_date(@map_start_time, '{_FIGURES}')", texts))
+    shown = " or ".join(f"array_contains(@map_layer_ids, '{each}')" for each in _TIMED)
+    return f"[% if({shown}, coalesce({' || '.join(parts)}, ''), '') %]"
+
+
+def _zone_text(name: str, offset_s: int) -> str:
+    """Return the end of the text on the map: the zone by name and offset."""
+    if not name:
+        return " (UTC)"
+    minutes = abs(offset_s) // 60
+    return f" ({name}, UTC{'-' if offset_s < 0 else '+'}{minutes // 60:02d}:{minutes % 60:02d})"
+
+
+def _by_time(figures: str, values: list[tuple[datetime, str]]) -> str:
+    """Return an expression of the value that holds at a time, given by its figures in UTC."""
+    text = f"'{values[-1][1]}'"
+    for (_, value), (since, _) in reversed(list(pairwise(values))):
+        text = f"if({figures} < '{since:%Y-%m-%dT%H:%M:%S}', '{value}', {text})"
+    return text
 
 
 def _fill_place(root: Element, crs: CRS, box: Box) -> None:

@@ -75,8 +75,8 @@ WORDS = {
         "{n} lane of the map was not observed.", "{n} lanes of the map were not observed.",
     ),
     "coverage": ReportWords(
-        "Traffic coverage report", "traffic coverage", "Coverage", "of visible time", "coverage",
-        "Visible",
+        "Traffic coverage report", "traffic coverage", "Mean coverage", "of visible time",
+        "coverage", "Visible",
         "The map shows coverage: for each half metre of lane the estimated share of time in which "
         "a vehicle was on it, moving or waiting. 20 % means 12 seconds of every minute. It is an "
         "estimate: radar follows the vehicles, also for moments while others hide them; "

@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from io import BytesIO
 
-import geopandas as gpd
 import matplotlib as mpl
 import numpy as np
-import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure as MplFigure
 from matplotlib.patches import Patch
 from PIL import Image
@@ -22,18 +17,12 @@ from gis_radar.crs import name_of
 from gis_radar.heatmap import HeatMap
 from gis_radar.heatmap.covering import CoverageShares, mean_coverage
 from gis_radar.heatmap.picture import (
-    HALO,
-    INK,
-    PAPER,
-    SOFT,
     MapPicture,
-    add_corner_scale,
     image_of_figure,
     image_of_pixels,
     map_extent,
     map_picture,
     png,
-    rgb,
 )
 from gis_radar.notebooks import FONTS
 from gis_radar.occupancy.views import sight_of_views
@@ -44,7 +33,6 @@ from gis_radar.report.results import Results
 from gis_radar.sight import HIDDEN, IN_SIGHT, VIEW_ONLY, SightTiles
 from gis_radar.sight.picture import COLOURS, NAMES, draw_sight
 from gis_radar.steps import Clock
-from gis_radar.tiles.lanes import Lane
 from gis_radar.tiles.tiles import quads
 from gis_radar.words import figure_text, percent, tr
 
@@ -59,13 +47,7 @@ HITS = (
     "vehicles on the map and hardly a hit here is one that the sensors see badly."
 )
 
-PLAN_IN = 6.0  # width of the figure of lanes: the narrower, the larger its words
-MOST_LABELS = 60
-TRIES = (0.5, 0.4, 0.6, 0.3, 0.7, 0.2, 0.8, 0.1, 0.9)  # where on a lane its number may stand
 MOST_SIGHTS = 6  # sensors of which it is drawn what they see
-LABEL_ROOM = 0.03  # from one number to the next, of the width
-# Four tints that neighbours can take in turn, told apart without colour by their numbers.
-TINTS = ("#cfe3f5", "#f7dfb2", "#d8ead0", "#ead6ea")
 
 
 def lay_out(heat: HeatMap) -> MapPicture:
@@ -180,97 +162,6 @@ def _sentence(shares: TileShares, heat: HeatMap, measure: str) -> str:
 
 def _as_coverage(shares: TileShares) -> tuple[Floats, Floats, Floats, Floats]:
     return shares.base_s, shares.part_s, shares.share, shares.error
-
-
-def draw_plan(
-    tiles: gpd.GeoDataFrame, picture: MapPicture, lanes: Sequence[Lane], table: pd.DataFrame
-) -> Figure:
-    """Draw the lanes with their numbers and where they lead.
-
-    Parameters
-    ----------
-    tiles : GeoDataFrame
-        All tiles.
-    picture : MapPicture
-        The piece of the map.
-    lanes : sequence of Lane
-        All lanes.
-    table : DataFrame
-        From :func:`gis_radar.report.lanes.lane_table`: lanes with a share are named, the busiest
-        where they are too many.
-    """
-    west, east, south, north = picture.grid.bounds
-    corner, size = np.array([west, south]), np.array([east - west, north - south])
-    centres = quads(tiles).mean(axis=1)
-    place = (centres - corner) / size
-    inside = ((place > 0.0) & (place < 1.0)).all(axis=1)
-    shown = [lane for lane in lanes if inside[lane.rows].any()]
-    named = set(table.loc[table["share"].notna(), "lane"].tolist()[:MOST_LABELS])
-    with mpl.rc_context(FONTS):
-        figure, ax = picture.blank(PLAN_IN)
-        ways = [centres[lane.rows] for lane in shown]
-        ax.add_collection(LineCollection(ways, colors=SOFT, linewidths=0.5))
-        taken = [corner + size * (1.0, 0.04)]  # where the scale bar stands
-        for lane, way in zip(shown, ways, strict=True):
-            if inside[lane.rows[-1]]:
-                _add_tip(ax, way)
-            in_sight = np.abs(place[lane.rows] - 0.5).max(axis=1) < 0.48
-            if lane.number in named and in_sight.any():
-                _add_number(ax, way, np.flatnonzero(in_sight), lane.number, taken)
-        add_corner_scale(figure, ax)
-        over = image_of_figure(figure).convert("RGBA")
-    whole = Image.alpha_composite(_tinted(picture, len(tiles), lanes), over)
-    return Figure(
-        png=png(whole.convert("RGB").quantize(128, dither=Image.Dither.NONE)),
-        width=picture.grid.width,
-        height=picture.grid.height,
-        caption=tr(
-            "The lanes, and the numbers of those in the table; arrows show where they lead."
-        ),
-        alt=tr(
-            "Map of {n} lanes with their numbers. The table has the direction and length of each.",
-            n=figure_text(len(lanes)),
-        ),
-    )
-
-
-def _tinted(picture: MapPicture, tiles: int, lanes: Sequence[Lane]) -> Image.Image:
-    """Return the lanes in tints; where they overlap, the shortest is on top."""
-    longest_first = sorted(lanes, key=lambda each: -len(each.rows))
-    place = np.zeros(tiles, np.int64)
-    for i, lane in enumerate(longest_first):
-        place[lane.rows] = i
-    tint = np.array([lane.number % len(TINTS) for lane in longest_first])
-    pixels = picture.ground.copy()  # paper and outline, as on the map
-    pixels.ravel()[picture.cover.pixel] = 2 + tint[picture.cover.highest(place)]
-    return image_of_pixels(pixels, rgb(PAPER, SOFT, *TINTS)).convert("RGBA")
-
-
-def _add_tip(ax: Axes, way: Floats) -> None:
-    """Draw an arrow at a lane's end."""
-    if len(way) < 4:
-        return
-    look = {"arrowstyle": "-|>", "color": INK, "lw": 0.7, "mutation_scale": 7}
-    ax.annotate("", tuple(way[-1]), tuple(way[-4]), arrowprops=look)
-
-
-def _add_number(
-    ax: Axes, way: Floats, in_sight: np.ndarray, number: int, taken: list[Floats]
-) -> None:
-    """Write a lane's number along it, in sight and as far from the others as need be."""
-    west, east = ax.get_xlim()
-    tries = in_sight[(np.array(TRIES) * (len(in_sight) - 1)).astype(int)]
-    room = np.array([min(np.hypot(*(way[at] - each)) for each in taken) for at in tries])
-    enough = room > LABEL_ROOM * (east - west)
-    middle = int(tries[int(enough.argmax()) if enough.any() else int(room.argmax())])
-    taken.append(way[middle])
-    ahead = way[min(middle + 2, len(way) - 1)] - way[max(middle - 2, 0)]
-    turn = (np.degrees(np.arctan2(ahead[1], ahead[0])) + 90.0) % 180.0 - 90.0
-    ax.text(
-        way[middle, 0], way[middle, 1], str(number),
-        fontsize=7.5, fontweight="bold", color=INK,
-        ha="center", va="center", rotation=turn, path_effects=HALO, zorder=4,
-    )  # fmt: skip
 
 
 def draw_sights(results: Results) -> list[Figure]:

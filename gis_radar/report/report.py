@@ -52,8 +52,9 @@ from gis_radar.report.lanes import (
     write_lane_intervals,
     write_lanes,
 )
-from gis_radar.report.maps import draw_hits, draw_maps, draw_plan, draw_sights, lay_out
+from gis_radar.report.maps import draw_hits, draw_maps, draw_sights, lay_out
 from gis_radar.report.pages import page_of, write_pdf
+from gis_radar.report.plan import draw_plan
 from gis_radar.report.results import (
     Results,
     pose_figures,
@@ -335,7 +336,7 @@ def _chapters(found: Findings, drawn: _Pictures) -> list[Chapter]:
         Chapter("lanes", tr("Lanes"), [drawn.plan, lanes], 190.0),
         *([Chapter("time", over_time, drawn.over_time, 236.0)] if drawn.over_time else []),
         Chapter("sensors", tr("Sensors"), [sensors, *draw_sights(results), *figures], 60.0),
-        Chapter("quality", tr("What sensors delivered"), [quality_table(found)]),
+        Chapter("quality", tr("What sensors delivered"), [quality_table(found)], 80.0),
         *([Chapter("hits", hits, drawn.hits, 150.0)] if drawn.hits else []),
         Chapter("settings", tr("Settings and sources"), sources, 70.0),
         Chapter("words", tr("What the words mean"), [_terms(results.heat.measure)]),
@@ -428,15 +429,15 @@ def _lane_columns(clock: Clock, measure: str) -> list[Column]:
         return direction(row["east_m"], row["north_m"])
 
     columns = [
-        Column(tr("Lane"), "", 0.8, lambda row: str(row["lane"])),
-        Column(tr("Rank"), "", 1.5, rank, False),
-        Column(tr("Leads to"), "", 1.7, leads_to, False),
+        Column(tr("No."), "", 0.9, lambda row: str(row["lane"])),
+        Column(tr("Rank"), "", 1.4, rank, False),
+        Column(tr("Leads to"), "", 1.5, leads_to, False),
         Column(tr(words.share), tr(words.base), 1.9,
                lambda row: percent(row["share"], off=row["share_se"])),
-        Column(tr("Tracks"), "", 1.0,
+        Column(tr("Tracks"), "", 1.15,
                lambda row: figure_text(row["tracks"]) if row["tracks"] >= 0 else NOTHING),
         Column(tr("Length"), "m", 1.0, lambda row: figure_text(row["length_m"])),
-        Column(tr(words.seen), tr("of length"), 1.2,
+        Column(tr(words.seen), tr("of length"), 1.45,
                lambda row: percent(row["base_m"] / row["length_m"], 0)),
         Column(tr("Highest tile"), tr("and its place"), 2.0, spot),
         Column(tr("20 % or more"), "m", 1.2, lambda row: figure_text(row["busy_m"], 1)),

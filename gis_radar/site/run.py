@@ -338,8 +338,9 @@ def _relative(path: Path, *bases: Path) -> str:
     return str(whole)
 
 
+_NUMBERS = "|".join(rf"(?<=^{digits})[.)](?=\s|$)" for digits in (r"\d", r"\d\d", r"\d\d\d"))
 _MARKS = re.compile(  # what Markdown takes for markup; no underscore within a word
-    r"[\\`*\[\]<>|~]|(?<![^\W_])_|_(?![^\W_])|&(?=#?\w+;)|^[#+=-]|(?<=\d)[.)](?=\s|$)"
+    r"[\\`*\[\]<>|~]|(?<![^\W_])_|_(?![^\W_])|&(?=#?\w+;)|^[#+=-]|" + _NUMBERS
 )
 
 
@@ -395,17 +396,19 @@ def _pose_rows(outcomes: Sequence[Outcome], site: Site) -> list[list[str]]:
     """Return the poses as a table is read: its head, and a row a sensor; bearings as the report."""
     rows = [[
         tr("Sensor"), f"{tr('Easting')}, m", f"{tr('Northing')}, m", f"{tr('Height')}, m",
-        f"{tr('Looks to')}, {tr('from grid north')}", tr("Pitch, roll"), tr("State"),
+        f"{tr('Looks to')}, {tr('from grid north')}", tr("Pitch, roll"),
+        tr("Second look"), tr("State"),
     ]]  # fmt: skip
     for name, facts in _sensors_of(outcomes, site).items():
         state = tr("good") if facts["state"] == "ok" else tr_message(str(facts["state"]))
         if "yaw" not in facts:
-            rows.append([name, *[NOTHING] * 5, state])
+            rows.append([name, *[NOTHING] * 6, state])
             continue
         yaw = math.radians(facts["yaw"])
         place = [figure_text(facts[each], 2) for each in ("easting", "northing", "height")]
         bearing = f"{figure_text((90.0 - facts['yaw']) % 360.0, 1)}°"
         angles = ", ".join(f"{figure_text(facts[each], 1)}°" for each in ("pitch", "roll"))
         looks = f"{direction(math.cos(yaw), math.sin(yaw))}, {bearing}"
-        rows.append([name, *place, looks, angles, state])
+        look = tr(str(facts.get("second_look") or NOTHING))
+        rows.append([name, *place, looks, angles, look, state])
     return rows

@@ -1,14 +1,15 @@
-"""The clock on the map: the local time of what the temporal controller shows."""
+"""The clock on the map: the site's time of what the temporal controller shows."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from qgis.core import QgsProject, QgsVectorLayer
 from qgis.PyQt.QtCore import QTimeZone
 from qgis.PyQt.QtWidgets import QLabel
 
-from .report.pages import local_time
+from .report.pages import local_time, zone_name
 from .timeline import as_utc
 
 _LOOK = (
@@ -33,10 +34,11 @@ class Clock:
         self._label.move(10, 10)
         self._label.hide()
         canvas.temporalRangeChanged.connect(self.show_time)
+        canvas.layersChanged.connect(self.show_time)
         QgsProject.instance().layersRemoved.connect(self.show_time)
 
     def show_time(self, *_: Any) -> None:
-        """Show the local time of the map, nothing where no layer of ours is animated."""
+        """Show the site's time of the map, nothing where no layer of ours with a time is shown."""
         text = self.text()
         self._label.setText(text)
         self._label.adjustSize()
@@ -47,14 +49,18 @@ class Clock:
         span = self._canvas.temporalRange()
         if not self._canvas.mapSettings().isTemporal() or span.begin().isNull():
             return ""
-        shown, _ = QgsProject.instance().readBoolEntry("TitleLabel", "/Enabled", False)
-        if shown or not any(map(_is_ours, QgsProject.instance().mapLayers().values())):
-            return ""  # a project of a site's run has its own clock
-        return local_time(as_utc(span.begin()), as_utc(span.end()), QTimeZone.systemTimeZone())
+        project, _ = QgsProject.instance().readBoolEntry("TitleLabel", "/Enabled", False)
+        ours = [layer for layer in self._canvas.layers() if _is_ours(layer)]
+        if project or not ours:  # a project of a site's run has its own clock
+            return ""
+        named = zone_name(Path(ours[0].source().partition("|")[0]))
+        zone = QTimeZone(named.encode()) if named else QTimeZone.utc()
+        return local_time(as_utc(span.begin()), as_utc(span.end()), zone)
 
     def remove(self) -> None:
         """Take the label away."""
         self._canvas.temporalRangeChanged.disconnect(self.show_time)
+        self._canvas.layersChanged.disconnect(self.show_time)
         QgsProject.instance().layersRemoved.disconnect(self.show_time)
         self._label.deleteLater()
 

@@ -87,7 +87,7 @@ def test_the_desktop(profiles, site, tmp_path):
     assert said == [
         "mode 1 frames 5",
         "time 2025-06-12 07:30:00",
-        "clock ['Thu 2025-06-12 09:30:00 – 09:30:20 (UTC+2)']",
+        "clock ['Thu 2025-06-12 09:30:00 – 09:30:20 (Europe/Berlin, UTC+02:00)']",
         "layers 4",
     ]
     pictures = [(SHOTS / name).read_bytes() for name in names]

@@ -45,7 +45,7 @@ def report(provider, site, tmp_path_factory):
             "exportreport",
             {
                 "HEATMAP": str(site / "heatmap"), "PLACES": junctions(), "DPI": 60,
-                "SENSORS": str(site / "sensors.gpkg"), "TIME_ZONE": "Europe/Berlin",
+                "SENSORS": str(site / "sensors.gpkg"), "WHAT": 0,
                 "TITLE": "Verkehr [% 1+1 %]", "SOURCE": "Stadt [% env('PATH') %]",
                 "OUTPUT": str(out),
             },
@@ -109,7 +109,9 @@ def test_the_layout_has_all_of_a_sheet(report, qgis_new_project):
     texts = [item.currentText() for item in layout.items() if isinstance(item, QgsLayoutItemLabel)]
     assert "Verkehr [% 1+1 %]: Nord/Süd" in texts  # as typed, not evaluated
     assert "Source: Stadt [% env('PATH') %]" in texts
-    assert any("09:30:00 – 09:30:20 (UTC+2)" in text for text in texts)
+    assert any("09:30:00 – 09:30:20 (Europe/Berlin, UTC+02:00)" in text for text in texts)
+    assert any(text.startswith("Coverage: the estimated share") for text in texts)
+    assert not any(text.startswith("Hit occupancy") for text in texts)
     assert any(text.endswith("2 / 12") for text in texts)
     (chart,) = [item for item in layout.items() if isinstance(item, QgsLayoutItemMap)]
     assert chart.temporalRange().begin().toString("HH:mm:ss") == "07:30:00"

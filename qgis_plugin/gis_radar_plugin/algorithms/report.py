@@ -45,7 +45,7 @@ from ..report.export import (
 )
 from ..report.folder import earlier, move, private_folder
 from ..report.layout import Texts, make_layout
-from ..report.pages import Page, Place, junction_places, pages_of, places_of, time_zone
+from ..report.pages import Page, Place, junction_places, pages_of, places_of, time_zone, zone_name
 from ..timeline import intervals_of
 from ..words import speaks_german, tr
 
@@ -117,18 +117,19 @@ class ExportReport(Algorithm):
             QgsProcessingParameterEnum(
                 "WHAT", tr("Pages"),
                 [tr("whole time and each interval"), tr("whole time"), tr("each interval")],
-                defaultValue=0,
-            )
+                defaultValue=1,
+            ),
+            about="Each interval makes a page for each place: soon dozens.",
         )  # fmt: skip
 
     def _add_texts(self) -> None:
-        self.add(QgsProcessingParameterString("TITLE", tr("Title"), tr("Traffic occupancy")))
+        self.add(QgsProcessingParameterString("TITLE", tr("Title"), tr("Traffic on the lanes")))
         self.add(
             QgsProcessingParameterString("SOURCE", tr("Source"), tr("roadside radar, gis_radar"))
         )
         self.add(
             QgsProcessingParameterString("TIME_ZONE", tr("Time zone"), optional=True),
-            about="Of the times on the sheets, such as Europe/Berlin; without one the computer's.",
+            about="Such as Europe/Berlin; without one that of the heat map.",
         )
 
     def _add_layers(self) -> None:
@@ -170,7 +171,9 @@ class ExportReport(Algorithm):
         feedback: QgsProcessingFeedback,
     ) -> dict[str, Any]:
         dest = Path(self.parameterAsString(parameters, "OUTPUT", context))
-        zone = time_zone(self.parameterAsString(parameters, "TIME_ZONE", context).strip())
+        package = Path(self.parameterAsFile(parameters, "HEATMAP", context)) / "heatmap.gpkg"
+        named = self.parameterAsString(parameters, "TIME_ZONE", context).strip()
+        zone = time_zone(named or zone_name(package))
         with one_sentence(), claimed([str(dest)]):
             self._refuse_foreign(dest)
             # Beside the target first: a report appears whole or not at all.
@@ -192,6 +195,8 @@ class ExportReport(Algorithm):
                 del layout
                 move(folder, dest)
         feedback.pushInfo("\n".join(str(dest / name) for name in names))
+        text = tr("The sheets are in {folder}; the report is {pdf}.")
+        feedback.pushInfo(text.format(folder=dest, pdf=dest / PDF))
         return {"OUTPUT": str(dest), "PDF": str(dest / PDF)}
 
     def _project(

@@ -64,6 +64,7 @@ def make_layout(
     _drive_map(layout.itemById("map"), pages)
     _fill_legend(layout.itemById("legend"), legend)
     _fill_texts(layout, texts)
+    _explain(layout, legend)
     atlas = layout.atlas()
     atlas.setCoverageLayer(pages)
     atlas.setEnabled(True)
@@ -93,10 +94,10 @@ def _drive_map(chart: QgsLayoutItemMap, pages: QgsVectorLayer) -> None:
 
 def _fill_legend(legend: QgsLayoutItemLegend, layers: Mapping[str, QgsMapLayer]) -> None:
     """Put the layers in the place of the template's, with the properties that it has for each."""
-    renderers = [getattr(layer, "renderer", lambda: None)() for layer in layers.values()]
-    shown = {getattr(each, "classAttribute", str)() for each in renderers}
     covered = tr("Coverage"), tr("share of time with a vehicle")
-    title = ": ".join(covered) if "coverage" in shown else tr("Share of the observed time")
+    title = ": ".join(covered)
+    if _measure(layers) != "coverage":
+        title = tr("Share of the observed time")
     legend.setTitle(_wrapped(title))
     legend.setAutoUpdateModel(False)
     tree = legend.model().rootGroup()
@@ -121,6 +122,23 @@ def _fill_texts(layout: QgsPrintLayout, texts: Texts) -> None:
 def _literal(text: str) -> str:
     """Return a text as QGIS prints it: what stands between `[%` and `%]` it would evaluate."""
     return text.replace("[%", "[% '[' || '%' %]")
+
+
+def _measure(layers: Mapping[str, QgsMapLayer]) -> str:
+    """Return which column the layers show: coverage or occupancy."""
+    renderers = [getattr(layer, "renderer", lambda: None)() for layer in layers.values()]
+    shown = {getattr(each, "classAttribute", str)() for each in renderers}
+    return "coverage" if "coverage" in shown else "occupancy"
+
+
+def _explain(layout: QgsPrintLayout, layers: Mapping[str, QgsMapLayer]) -> None:
+    """Leave on the sheet what its measure means, and where it ends, in the language of QGIS."""
+    for measure in ("coverage", "occupancy"):
+        label: Any = layout.itemById(f"meaning {measure}")
+        if measure == _measure(layers):
+            label.setText(tr(label.text()))
+        else:
+            layout.removeLayoutItem(label)
 
 
 def _wrapped(text: str) -> str:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
+from osgeo import ogr
 from qgis.core import (
     QgsCoordinateReferenceSystem,
     QgsCoordinateTransform,
@@ -156,6 +159,17 @@ def pages_of(
                 yield Page(place, begin, end, whole=False)
 
 
+def zone_name(package: Path) -> str:
+    """Return the site's time zone that a heat map was made with; nothing where it holds none."""
+    data = ogr.Open(str(package)) if package.is_file() else None
+    layer = data.GetLayerByName("heatmap") if data is not None else None
+    text = layer.GetMetadataItem("labels") if layer is not None else None
+    try:
+        return str(json.loads(text or "{}").get("timezone", ""))
+    except (ValueError, AttributeError):
+        return ""
+
+
 def time_zone(name: str) -> QTimeZone:
     """Return the time zone of a name such as `Europe/Berlin`; without one the machine's.
 
@@ -181,7 +195,16 @@ def local_time(begin: QDateTime, end: QDateTime, zone: QTimeZone) -> str:
     same_day = first.date() == last.date()
     text = f"{locale.toString(first, day + clock)} \u2013 "
     text += locale.toString(last, clock if same_day else day + clock)
-    hours, minutes = divmod(abs(first.offsetFromUtc()) // 60, 60)
-    sign = "+" if first.offsetFromUtc() >= 0 else "-"
-    offset = f"UTC{sign}{hours}" + (f":{minutes:02d}" if minutes else "")
-    return f"{text} ({'UTC' if first.offsetFromUtc() == 0 else offset})"
+    return f"{text} ({_zone_text(zone, first, last)})"
+
+
+def _zone_text(zone: QTimeZone, first: QDateTime, last: QDateTime) -> str:
+    """Return a zone by name and offset, both offsets where clocks change in between."""
+    name = bytes(zone.id()).decode()
+    if name == "UTC":
+        return name
+    offsets = []
+    for moment in (first, last):
+        hours, minutes = divmod(abs(moment.offsetFromUtc()) // 60, 60)
+        offsets.append(f"UTC{'-' if moment.offsetFromUtc() < 0 else '+'}{hours:02d}:{minutes:02d}")
+    return f"{name}, {tr(' then ').join(dict.fromkeys(offsets))}"
