@@ -154,7 +154,7 @@ def test_the_tutorial_runs_as_it_stands(tmp_path, monkeypatch):
             monkeypatch.chdir("sample")
             for path in Path().glob("R?.parquet"):  # its hundred seconds take longer, no more
                 table = pd.read_parquet(path)
-                table[table["time"] < table["time"].iloc[0] + 40.0].to_parquet(path, index=False)
+                table[table["time"] < table["time"].iloc[0] + 25.0].to_parquet(path, index=False)
     names = {}
     for code in blocks(DOCS / "tutorial.md", "python"):
         exec(compile(code, "tutorial.md", "exec"), names)  # noqa: S102 - our own example

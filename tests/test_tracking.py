@@ -373,7 +373,7 @@ def test_files_that_do_not_belong_together_are_refused(seen, tmp_path):
 
 
 def test_a_track_begins_at_the_pose_that_holds_then(seen, tmp_path):
-    path = record(tmp_path / "R1.parquet", seen, until=30.0)
+    path = record(tmp_path / "R1.parquet", seen, until=20.0)
     poses = (start(seen[3], easting=40.0), start(seen[3]), start(seen[3], easting=40.0))
     known = gr.PoseTrack(poses=poses, since=START + np.array([-900.0, -5.0, 900.0]))
     assert follow(path, known).poses.poses[0].easting == pytest.approx(seen[3].easting)
@@ -437,7 +437,7 @@ def words(folder, *more):
 @pytest.fixture
 def files(seen, tmp_path, monkeypatch):
     """A recording, a pose and a scanned road; the map's lanes come from the scene itself."""
-    record(tmp_path / "R1.parquet", seen, until=30.0)
+    record(tmp_path / "R1.parquet", seen, until=20.0)
     gr.write_pose(start(seen[3]), tmp_path / "R1.json")
     scan = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
     points = STREET.road_points()
@@ -458,8 +458,8 @@ def test_the_command_writes_a_track(files):
     assert done.exit_code == 0
     result = json.loads(done.stdout.splitlines()[-1])
     assert result["outputs"] == [str(files / "track.csv"), str(picture)]
-    assert result["summary"]["poses"] == 7
-    assert len(read_track(files / "track.csv").poses) == 7
+    assert result["summary"]["poses"] == 5
+    assert len(read_track(files / "track.csv").poses) == 5
 
 
 def test_an_interrupted_track_leaves_nothing(files, monkeypatch):
