@@ -15,7 +15,7 @@ from gis_radar.lanelets.osm import read_osm
 from gis_radar.tiles.tiles import make_tiles, quads
 
 # reading a map takes longer than most of what is checked of it
-map_at = cache(read_map)
+map_at, osm_at = cache(read_map), cache(read_osm)
 
 
 @needs_shared_maps
@@ -76,7 +76,7 @@ def test_traffic_rules_are_those_of_lanelet2(lanelet2, path, user):
 
 @cache
 def loaded(lanelet2, path):
-    longitude, latitude = np.nanmedian(read_osm(path).geographic, axis=0)
+    longitude, latitude = np.nanmedian(osm_at(path).geographic, axis=0)
     origin = lanelet2.io.Origin(float(latitude), float(longitude))
     return lanelet2.io.load(str(path), lanelet2.projection.UtmProjector(origin))
 
@@ -85,7 +85,7 @@ class Drawn:
     """Positions of the nodes that Lanelet2 names: projected here, node by node, or local."""
 
     def __init__(self, path, crs):
-        osm = read_osm(path)
+        osm = osm_at(path)
         self.rows = osm.node_index
         self.local = bool(np.isfinite(osm.local).any())
         to_metres = Transformer.from_crs(4326, crs, always_xy=True)
