@@ -31,7 +31,7 @@ def test_real_maps_are_cut_into_sound_slices(path):
         union = shapely.union_all(shapely.polygons(np.stack(corners, axis=1)))
         assert union.symmetric_difference(shape).area < 0.005 * shape.area
     assert shapely.is_valid(road.lanelets.geometry.to_numpy()).all()
-    assert (road.problems["action"] == "repaired").all()
+    assert set(road.problems["action"]) <= {"repaired", "doubtful"}  # none is left out
 
 
 @pytest.fixture(scope="module")
