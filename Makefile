@@ -14,11 +14,13 @@ ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 unexport PYTHONDONTWRITEBYTECODE
 MADE := .venv .pdal .pdal.part.* .qgis out build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis qgis_plugin/tests/.qgis-settings
 
+BENCHES := bench-assignment bench-tiles bench-occupancy bench-memory bench-truth bench-mask \
+	bench-localization bench-vehicles bench-clocks bench-convert bench-alarm bench-sight
+
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
 .PHONY: help set-up set-up-dev set-up-bench pdal demo docs test test-qgis lint format types bench \
-	bench-assignment bench-tiles bench-occupancy bench-memory bench-truth bench-mask \
-	bench-localization bench-vehicles bench-clocks bench-convert bench-alarm bench-sight samples wheel plugin-zip constraints clean
+	$(BENCHES) samples wheel plugin-zip constraints clean
 
 help: ## List the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' Makefile | expand -t 20
@@ -64,7 +66,9 @@ format: set-up-dev ## Mend style and layout
 types: set-up-dev ## Check the types
 	$(BIN)/mypy
 
-bench: bench-assignment bench-tiles bench-occupancy bench-memory bench-truth bench-mask bench-localization bench-vehicles bench-clocks bench-convert bench-alarm bench-sight ## Run every benchmark
+bench: set-up-bench ## Run every benchmark; one table of them, and what got worse
+	-@$(MAKE) --keep-going $(BENCHES)
+	$(BIN)/python bench/summary.py
 
 bench-assignment: set-up-dev ## Measure tile assignment against its targets
 	$(BIN)/python bench/assignment.py
