@@ -88,6 +88,20 @@ def colour_at(wizard, radar):
     return drawn.pixelColor(pixel(wizard, radar.easting, radar.northing)).name()
 
 
+def place_radars(wizard, place):
+    """Place one radar by a drag, the other by a click, and name their recordings."""
+    radars = wizard.radar_page
+    assert not radars.isComplete()
+    radars.place_button.click()
+    assert not wizard.isVisible()  # the map is free
+    drag(wizard, (690356.0, 5336183.0), (690436.0, 5336215.0))
+    assert wizard.isVisible()
+    radars.add_recordings([str(place / "R1.parquet")])
+    radars.place_button.click()
+    drag(wizard, (690383.0, 5336229.0), (690383.0, 5336229.0))
+    radars.add_recordings([str(place / "R2.parquet")] * 2)
+
+
 def test_from_the_map_to_a_run(wizard, place):
     """A drag and a click, in a map of another system; the real worker reads, checks, measures."""
     QgsProject.instance().setCrs(QgsCoordinateReferenceSystem("EPSG:3857"))
@@ -102,16 +116,8 @@ def test_from_the_map_to_a_run(wizard, place):
         "Lanes of the new site"
     ]
     wizard.next()
+    place_radars(wizard, place)
     radars = wizard.radar_page
-    assert not radars.isComplete()
-    radars.place_button.click()
-    assert not wizard.isVisible()  # the map is free
-    drag(wizard, (690356.0, 5336183.0), (690436.0, 5336215.0))
-    assert wizard.isVisible()
-    radars.add_recordings([str(place / "R1.parquet")])
-    radars.place_button.click()
-    drag(wizard, (690383.0, 5336229.0), (690383.0, 5336229.0))
-    radars.add_recordings([str(place / "R2.parquet")] * 2)
     one, other = wizard.draft.sensors
     metres = wizard.canvas.mapUnitsPerPixel()
     assert math.hypot(one.easting - 690356.0, one.northing - 5336183.0) < 2 * metres
