@@ -298,7 +298,10 @@ class Clock:
 
     def whole(self, begin: datetime, end: datetime) -> str:
         """Return the time of all data in a sentence's words."""
-        since, until = (_finest(self._local(each)) for each in (begin, end))
+        since, until = (
+            _finest(local) + (f" {_offset(local)}" if self._changes else "")
+            for local in (self._local(begin), self._local(end))
+        )
         if self._day_of(begin, end):
             return tr("{day}, {begin} to {end}", day=self.date(begin), begin=since, end=until)
         days = {"day": self.date(begin), "last": self.date(end)}

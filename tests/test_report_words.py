@@ -8,7 +8,7 @@ from zoneinfo import ZoneInfo
 
 import pytest
 
-from gis_radar.steps import Clock
+from gis_radar.steps import Clock, utc_offsets
 from gis_radar.words import direction, figure_text, listed, percent
 
 
@@ -72,6 +72,25 @@ def test_an_hour_that_comes_twice_has_its_offset():
     span = long.span(at(2025, 10, 26, 0), at(2025, 10, 26, 1))
     assert span == "Sun 2025-10-26 02:00 UTC+02:00 to 02:00 UTC+01:00"
     assert autumn.iso(at(2025, 10, 26, 1)) == "2025-10-26T02:00:00+01:00"
+
+
+def test_the_time_of_all_data_has_its_offsets_where_clocks_change():
+    night = clock(at(2025, 10, 26, 0, 59, 30), at(2025, 10, 26, 1, 0, 30))
+    text = "26 October 2025, 02:59:30 UTC+02:00 to 02:00:30 UTC+01:00"
+    assert night.whole(night.first, night.last) == text
+
+
+def test_times_in_messages_are_those_of_the_site():
+    summer = clock(at(2025, 6, 12), at(2025, 6, 13))
+    told = "no data from 2025-06-12T07:30Z to 2025-06-12T07:31:40.5Z, 3 times"
+    local = "no data from 2025-06-12 09:30 UTC+02:00 to 2025-06-12 09:31:40.500 UTC+02:00, 3 times"
+    assert summer.localised(told) == local
+
+
+def test_offsets_hold_from_the_second_on_which_clocks_change():
+    found = utc_offsets(ZoneInfo("Europe/Berlin"), at(2025, 3, 1), at(2025, 11, 1))
+    changes = [at(2025, 3, 1), at(2025, 3, 30, 1), at(2025, 10, 26, 1)]
+    assert found == list(zip(changes, [3600, 7200, 3600], strict=True))
 
 
 def test_a_day_of_utc_is_no_local_day():

@@ -124,7 +124,7 @@ def _swatch(corner: tuple[float, float], size: tuple[float, float], colour: str)
     """Return a field of a colour of the legend, hatched where it means not observed or unsure."""
     field = Rectangle(corner, *size, edgecolor=SOFT, linewidth=0.5)
     if colour == style.UNCERTAIN:
-        field.set(facecolor=style.NEVER_HIT, hatch=UNSURE_HATCH, edgecolor=style.HATCH_DARK)
+        field.set(facecolor=style.RAMP[0], hatch=UNSURE_HATCH, edgecolor=style.HATCH_DARK)
         return field
     field.set_facecolor(colour)
     if colour == style.NOT_OBSERVED:
@@ -249,6 +249,10 @@ def _add_side(ax: Axes, tally: Tally) -> None:
     for colour, label in legend_in_words(tally.measure):
         apart = 0.08 if colour in APART else 0.0
         ax.add_patch(_swatch((0.25, y + apart), (0.34, 0.24), colour))
+        if colour == style.UNCERTAIN:  # over pale colours and over deep ones
+            deep = Rectangle((0.42, y + apart), 0.17, 0.24, linewidth=0.5, hatch=UNSURE_HATCH)
+            deep.set(facecolor=style.RAMP[4], edgecolor=style.HATCH_LIGHT)
+            ax.add_patch(deep)
         ax.text(0.7, y + apart + 0.125, label, fontsize=SMALL, color=INK, va="center")
         y += 0.24 + apart
     for number, (name, value) in enumerate(_facts(tally)):

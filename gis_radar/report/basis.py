@@ -351,14 +351,14 @@ def _hour_columns(clock: Clock) -> list[Column]:
         return "; ".join(tr_message(each) for each in str(row["verdict"]).split("; "))
 
     return [
-        Column(tr("Sensor"), "", 1.1, lambda row: str(row["sensor"]), False),
+        Column(tr("Sensor"), "", 1.2, lambda row: str(row["sensor"]), False),
         Column(tr("Hour from"), "", 2.0, begin, False),
         Column(tr("Time recorded"), "", 1.3, lambda row: seconds_text(row["recorded_s"])),
-        Column(tr("Frames"), tr("received"), 1.55, number("frames")),
-        Column(tr("Frames"), tr("expected"), 1.55, number("frames_expected")),
-        Column(tr("Detections"), tr("a frame"), 1.8, number("detections_per_frame", 1)),
-        Column(tr("Moving"), tr("of them"), 1.2, lambda row: percent(row["moving_share"], 0)),
-        Column(tr("Clock"), tr("corrected by s"), 1.6, number("clock_offset_s", 3)),
+        Column(tr("Frames"), tr("received"), 1.8, number("frames")),
+        Column(tr("Frames"), tr("expected"), 1.6, number("frames_expected")),
+        Column(tr("Detections"), tr("a frame"), 2.0, number("detections_per_frame", 1)),
+        Column(tr("Moving"), tr("of them"), 1.35, lambda row: percent(row["moving_share"], 0)),
+        Column(tr("Clock"), tr("corrected by s"), 1.75, number("clock_offset_s", 3)),
         Column(tr("Pose age"), "h", 1.0, age),
         Column(tr("Verdict"), "", 2.0, verdict, False),
     ]

@@ -337,7 +337,7 @@ def _chapters(found: Findings, drawn: _Pictures) -> list[Chapter]:
         *([Chapter("time", over_time, drawn.over_time, 236.0)] if drawn.over_time else []),
         Chapter("sensors", tr("Sensors"), [sensors, *draw_sights(results), *figures], 60.0),
         Chapter("quality", tr("What sensors delivered"), [quality_table(found)], 80.0),
-        *([Chapter("hits", hits, drawn.hits, 150.0)] if drawn.hits else []),
+        *([Chapter("hits", hits, drawn.hits, 205.0)] if drawn.hits else []),
         Chapter("settings", tr("Settings and sources"), sources, 70.0),
         Chapter("words", tr("What the words mean"), [_terms(results.heat.measure)]),
     ]
@@ -437,7 +437,7 @@ def _lane_columns(clock: Clock, measure: str) -> list[Column]:
         Column(tr("Tracks"), "", 1.15,
                lambda row: figure_text(row["tracks"]) if row["tracks"] >= 0 else NOTHING),
         Column(tr("Length"), "m", 1.0, lambda row: figure_text(row["length_m"])),
-        Column(tr(words.seen), tr("of length"), 1.45,
+        Column(tr(words.seen), tr("of length"), 1.6,
                lambda row: percent(row["base_m"] / row["length_m"], 0)),
         Column(tr("Highest tile"), tr("and its place"), 2.0, spot),
         Column(tr("20 % or more"), "m", 1.2, lambda row: figure_text(row["busy_m"], 1)),

@@ -341,13 +341,13 @@ def _sensor_columns() -> list[Column]:
         return f"{figure_text(view.max_range_m)} m, {figure_text(view.azimuth_deg)}°"
 
     return [
-        Column(tr("Sensor"), "", 1.0, lambda pose: str(pose.sensor), False),
-        Column(tr("Easting"), "m", 1.5, lambda pose: _measured(pose, "easting", 2)),
-        Column(tr("Northing"), "m", 1.6, lambda pose: _measured(pose, "northing", 2)),
+        Column(tr("Sensor"), "", 1.15, lambda pose: str(pose.sensor), False),
+        Column(tr("Easting"), "m", 1.65, lambda pose: _measured(pose, "easting", 2)),
+        Column(tr("Northing"), "m", 1.85, lambda pose: _measured(pose, "northing", 2)),
         Column(tr("Height"), "m", 1.2, lambda pose: _measured(pose, "height", 2)),
         Column(tr("Looks to"), tr("from grid north"), 1.7, _looks_to),
         Column(tr("Pitch, roll"), tr("degrees"), 1.5, angles),
-        Column(tr("Sees"), tr("range, width"), 1.5, sees),
+        Column(tr("Sees"), tr("range, width"), 1.75, sees),
         Column(tr("How its pose was found"), "", 3.8, lambda pose: how_found(pose.evidence), False),
     ]
 

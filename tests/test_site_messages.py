@@ -1,0 +1,52 @@
+"""Messages of a run speak of keys of the site file: every option that the library names has one."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import gis_radar as gr
+from gis_radar.site.messages import KEYS, in_site_words
+from gis_radar.site.settings import site_template
+
+PACKAGE = Path(gr.__file__).parent
+# Of `gis-radar run` itself, and of commands that no run calls.
+OTHERS = {"--fresh", "--jobs", "--template", "--layer", "--version", "--stdin"}
+
+
+def options_named():
+    """Return the options in texts of all rooms but the command line."""
+    found = set()
+    for path in PACKAGE.rglob("*.py"):
+        if path.relative_to(PACKAGE).parts[0] in {"cli", "demo.py"} or path.name == "messages.py":
+            continue
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        doc = {id(node.body[0].value) for node in ast.walk(tree)
+               if isinstance(node, ast.Module | ast.FunctionDef | ast.ClassDef)
+               and node.body and isinstance(node.body[0], ast.Expr)}  # fmt: skip
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                found |= (
+                    set() if id(node) in doc else set(re.findall(r"--[a-z][a-z-]+", node.value))
+                )
+    return found
+
+
+def test_every_option_has_a_key_of_the_site_file():
+    assert len(options_named()) > 10
+    assert sorted(options_named() - set(KEYS) - OTHERS) == []
+
+
+def test_every_key_is_one():
+    keys = set(re.findall(r"^#? ?(\w+) = ", site_template(), flags=re.MULTILINE))
+    assert {text.split(" in ")[0] for text in KEYS.values()} <= keys
+
+
+def test_messages_are_in_the_words_of_the_site_file():
+    told = "a frame is not observed by it; --cycle R1=57ms lets a frame cover its whole cycle"
+    text = 'a frame is not observed by it; cycle = "57ms" in [[sensor]] R1 lets a frame cover its'
+    assert in_site_words(told, "UTC").startswith(text)
+    assert in_site_words("state it: --scan-crs EPSG:25832", "UTC") == (
+        "state it: crs in [scan] EPSG:25832"
+    )
