@@ -1,12 +1,14 @@
 import geopandas as gpd
 import laspy
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyogrio
 import pytest
 import shapely
 from sites import EAST, NORTH, START, UTM, pose, recording
 
+import gis_radar as gr
 from gis_radar.errors import InputError, OutputError, UsageError
 from gis_radar.poses.files import PoseTrack
 from gis_radar.progress import Reporter
@@ -258,3 +260,62 @@ def test_gps_time_knows_the_leap_seconds_of_its_day(tmp_path, date, ahead):
     write_projection(path, pose(), tmp_path / "hits.las")
     since = time - np.datetime64("1980-01-06", "s").astype(float)
     assert laspy.read(tmp_path / "hits.las").gps_time[0] == since + ahead - 1e9
+
+
+def test_detections_lie_on_the_lanes_as_shapely_measures_them():
+    sample = gr.sample_folder()
+    known = gr.read_pose(sample / "R1.json")
+    roads = gr.read_map(sample / "junction.osm", crs=known.crs)
+    placed = gr.project(sample / "R1.parquet", known, roads=roads).iloc[::97]
+    on = placed[placed["lanelet_id"].notna()]
+    assert len(on) > 200
+    centres = roads.lanelets.set_index("lanelet_id")["centre"]
+    flat = shapely.force_2d(on.geometry.array)
+    lines = shapely.force_2d(centres.loc[on["lanelet_id"].astype("int64")].array)
+    along = shapely.line_locate_point(lines, flat)
+    middle = (along > 0.5) & (along < shapely.length(lines) - 0.5)
+    np.testing.assert_allclose(on["s_m"][middle], along[middle], atol=0.15)
+    np.testing.assert_allclose(
+        on["d_m"].abs()[middle], shapely.distance(lines, flat)[middle], atol=0.08
+    )
+    off = placed[placed["lanelet_id"].isna()]
+    assert off[["s_m", "d_m", "speed_along"]].isna().all(axis=None)
+    driven = roads.lanelets[roads.lanelets["subtype"].eq("road")].union_all()
+    assert shapely.distance(driven, off.geometry.array)[::5].min() > -1e-9
+    assert not shapely.within(off.geometry.array, driven.buffer(-0.3)).any()
+
+
+def test_the_speed_along_the_lane_is_that_of_the_range_rate():
+    sample = gr.sample_folder()
+    known = gr.read_pose(sample / "R1.json")
+    roads = gr.read_map(sample / "junction.osm", crs=known.crs)
+    placed = gr.project(sample / "R1.parquet", known, roads=roads).dropna(subset=["speed_along"])
+    placed = placed.iloc[::211]
+    centres = roads.lanelets.set_index("lanelet_id")["centre"]
+    for _, row in placed.iterrows():
+        centre = centres[row["lanelet_id"]]
+        at = centre.project(shapely.force_2d(row.geometry))
+        a, b = (centre.interpolate(max(at + off, 0.0)) for off in (-0.5, 0.5))
+        ray = np.array([row.geometry.x, row.geometry.y, row.geometry.z]) - known.position
+        way = np.array([b.x - a.x, b.y - a.y])
+        seen = ray[:2] @ way / np.hypot(*way) / np.linalg.norm(ray)
+        assert row["speed_along"] * seen == pytest.approx(row["range_rate"], abs=0.35)
+
+
+def test_a_file_is_hardly_larger_than_the_recording(tmp_path):
+    sample = gr.sample_folder()
+    known = gr.read_pose(sample / "R1.json")
+    roads = gr.read_map(sample / "junction.osm", crs=known.crs)
+    rng = np.random.default_rng(4)
+    recorded = pd.read_parquet(sample / "R1.parquet")
+    names = ["x", "y", "z", "range_rate"]  # as a sensor's own floats are: no two alike
+    noise = rng.normal(0.0, 0.01, (len(recorded), len(names)))
+    recorded[names] = (recorded[names] + noise).astype(np.float32)
+    recorded.to_parquet(tmp_path / "R1.parquet", compression="zstd")
+    gr.write_projection(
+        tmp_path / "R1.parquet", known, path := tmp_path / "hits.parquet", roads=roads
+    )
+    assert path.stat().st_size < 2.0 * (tmp_path / "R1.parquet").stat().st_size
+    read = gpd.read_parquet(path)
+    exact = gr.project(tmp_path / "R1.parquet", known)
+    assert shapely.distance(read.geometry.array, exact.geometry.array).max() < 0.008

@@ -18,13 +18,15 @@ import pyarrow.parquet as pq
 import shapely
 
 from gis_radar.arrays import Floats
-from gis_radar.crs import name_of, require_true_scale
+from gis_radar.crs import name_of, require_same, require_true_scale
 from gis_radar.errors import UsageError
 from gis_radar.files import refuse_inputs, whole_file
 from gis_radar.geopackage import GPKG_VERSION, write_stream
+from gis_radar.lanelets import LaneletMap
 from gis_radar.poses.files import PoseTrack, as_track
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import QUIET, Reporter
+from gis_radar.projection.on_lanes import LANE_COLUMNS, OnLanes
 from gis_radar.recordings.recording import Detections, Recording, as_recording
 from gis_radar.steps import gps_seconds
 
@@ -32,7 +34,11 @@ laspy = lazy_loader.load("laspy")  # 0.2 s, and most files written are no scans
 
 
 def project(
-    recording: str | Path | Recording, pose: Pose | PoseTrack, *, reporter: Reporter = QUIET
+    recording: str | Path | Recording,
+    pose: Pose | PoseTrack,
+    *,
+    roads: LaneletMap | None = None,
+    reporter: Reporter = QUIET,
 ) -> gpd.GeoDataFrame:
     """Return the detections of a recording as points in the map.
 
@@ -42,6 +48,10 @@ def project(
         What the sensor recorded.
     pose : Pose or PoseTrack
         Where it stood and looked.
+    roads : LaneletMap, optional
+        Adds where each detection lies on the lanes for vehicles: `lanelet_id`, `s_m` along it,
+        `d_m` left of its middle, and `speed_along` it, m/s, by its range rate (null where the lane
+        lies across the line of sight).
     reporter : Reporter
         Receives progress, and which columns are renamed.
 
@@ -52,7 +62,7 @@ def project(
         `utc`, the time as a time stamp. A further column of the recording whose name is taken
         ends in `_recorded`.
     """
-    batches = _PointStream(as_recording(recording), as_track(pose), reporter)
+    batches = _PointStream(as_recording(recording), as_track(pose), reporter, roads)
     table = pa.Table.from_batches(batches, schema=batches.schema)
     frame = table.drop_columns([GEOMETRY]).to_pandas()
     points = shapely.from_wkb(table[GEOMETRY].to_numpy())
@@ -64,17 +74,19 @@ def write_projection(
     pose: Pose | PoseTrack,
     path: str | Path,
     *,
+    roads: LaneletMap | None = None,
     reporter: Reporter = QUIET,
 ) -> int:
     """Write the detections of a recording as points in the map, in bounded memory.
 
     Parameters
     ----------
-    recording, pose, reporter
+    recording, pose, roads, reporter
         As for :func:`project`.
     path : str or Path
         GeoPackage (layer `hits`), LAZ or LAS, or GeoParquet, by its ending. What a format
-        cannot hold is left out with a warning.
+        cannot hold is left out with a warning. GeoParquet holds places to 4 mm, and is by far the
+        smallest.
 
     Returns
     -------
@@ -97,7 +109,7 @@ def write_projection(
         )
     source = as_recording(recording)
     refuse_inputs(path, source.path)
-    points = _PointStream(source, as_track(pose), reporter)
+    points = _PointStream(source, as_track(pose), reporter, roads)
     with whole_file(path) as part:
         WRITERS[path.suffix.lower()](points, part)
     return points.rows
@@ -169,14 +181,20 @@ class _PointStream:
     coordinate system and a place near the points. `rows` counts the points so far.
     """
 
-    def __init__(self, recording: Recording, track: PoseTrack, reporter: Reporter) -> None:
+    def __init__(
+        self, recording: Recording, track: PoseTrack, reporter: Reporter, roads: LaneletMap | None
+    ) -> None:
         self._recording, self._track = recording, track
+        if roads is not None:
+            require_same(track.poses[0].crs, roads.crs, what=track.sensor, other_what="the map")
+        self._lanes = None if roads is None else OnLanes(roads)
+        placed = LANE_COLUMNS if self._lanes else pa.schema([])
         self._pieces = recording.read()
         self._first = next(self._pieces)
         further = self._first.further.schema
-        self.names = _distinct_names(further.names, TAKEN)
+        self.names = _distinct_names(further.names, (*TAKEN, *placed.names))
         kept = [pa.field(self.names[field.name], _plain(field.type)) for field in further]
-        self.schema: pa.Schema = pa.schema([*OWN, *kept, pa.field(GEOMETRY, pa.binary())])
+        self.schema: pa.Schema = pa.schema([*OWN, *placed, *kept, pa.field(GEOMETRY, pa.binary())])
         self.pose: Pose = track.poses[0]
         for pose in track.poses:  # in degrees, in millimetres, with its axes swapped
             whose = f"pose of {pose.sensor}"
@@ -214,16 +232,22 @@ class _PointStream:
                 detections.further.schema.names, detections.further.columns, strict=True
             )
         ]
-        geometry = pa.array(shapely.to_wkb(self._in_map(detections)), pa.binary())
-        return pa.RecordBatch.from_arrays([*own, *further, geometry], schema=self.schema)
+        places, sensors = self._in_map(detections)
+        placed = []
+        if self._lanes is not None:
+            placed = self._lanes.columns(places, sensors, detections.range_rate)
+        geometry = pa.array(shapely.to_wkb(shapely.points(places)), pa.binary())
+        return pa.RecordBatch.from_arrays([*own, *placed, *further, geometry], schema=self.schema)
 
-    def _in_map(self, detections: Detections) -> np.ndarray:
-        places = np.empty_like(detections.points)
+    def _in_map(self, detections: Detections) -> tuple[Floats, Floats]:
+        """Return the places of detections in the map, and those of their sensor."""
+        places, sensors = np.empty_like(detections.points), np.empty_like(detections.points)
         held = self._track.at(detections.time)
         for pose_index in np.unique(held):
             now = held == pose_index
             places[now] = self._track.poses[pose_index].to_map(detections.points[now])
-        return np.asarray(shapely.points(places))
+            sensors[now] = self._track.poses[pose_index].position
+        return places, sensors
 
 
 def _floats(values: np.ndarray) -> pa.Array:
@@ -233,6 +257,7 @@ def _floats(values: np.ndarray) -> pa.Array:
 
 
 LAYER = "hits"
+PLACE_M = 1.0 / 128.0  # of places in GeoParquet: a radar resolves decimetres
 NUMERIC = (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal, pa.types.is_boolean)
 NOT_IN_GEOPACKAGE = (pa.types.is_duration, pa.types.is_interval, pa.types.is_decimal256)
 
@@ -266,9 +291,35 @@ def write_points_geoparquet(points: _PointStream, path: Path) -> None:
     column = {"encoding": "WKB", "geometry_types": ["Point Z"], "crs": crs}
     geo = {"version": "1.1.0", "primary_column": GEOMETRY, "columns": {GEOMETRY: column}}
     schema = points.schema.with_metadata({"geo": json.dumps(geo)})
-    with pq.ParquetWriter(path, schema, compression="zstd", write_page_checksum=True) as writer:
-        for batch in points:
-            writer.write_batch(batch.replace_schema_metadata(schema.metadata))
+    batches = iter(points)
+    first = next(batches, None)
+    singles = [] if first is None else _scattered(first)
+    options: dict[str, Any] = {
+        "compression": "zstd", "compression_level": 9, "write_page_checksum": True,
+        "use_dictionary": [name for name in schema.names if name not in {*singles, GEOMETRY}],
+        "column_encoding": dict.fromkeys(singles, "BYTE_STREAM_SPLIT"),
+    }  # fmt: skip
+    place = schema.get_field_index(GEOMETRY)
+    with pq.ParquetWriter(path, schema, **options) as writer:
+        for batch in chain([] if first is None else [first], batches):
+            columns = [*batch.columns]
+            columns[place] = _rounded(batch[GEOMETRY])
+            writer.write_batch(pa.RecordBatch.from_arrays(columns, schema=schema))
+
+
+def _scattered(batch: pa.RecordBatch) -> list[str]:
+    """Return the columns whose numbers hardly repeat: a dictionary of them would be no smaller."""
+    singles = [field.name for field in batch.schema if pa.types.is_float32(field.type)]
+    return [name for name in singles if 4 * pc.count_distinct(batch[name]).as_py() > len(batch)]
+
+
+def _rounded(geometry: pa.Array) -> pa.Array:
+    """Return points on a grid whose last digits are zeros, which take no room."""
+    points = shapely.from_wkb(geometry.to_numpy(zero_copy_only=False))
+    places = shapely.get_coordinates(points, include_z=True)
+    return pa.array(
+        shapely.to_wkb(shapely.points(np.rint(places / PLACE_M) * PLACE_M)), pa.binary()
+    )
 
 
 SCALE_M = 0.001  # resolution of LAS coordinates; a radar resolves decimetres
