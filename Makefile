@@ -19,7 +19,7 @@ BENCHES := bench-assignment bench-tiles bench-occupancy bench-memory bench-truth
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help set-up set-up-dev set-up-bench pdal demo docs test test-qgis lint format types bench \
+.PHONY: help set-up set-up-dev set-up-bench pdal demo docs test test-qgis lint format types faults bench \
 	$(BENCHES) samples wheel plugin-zip constraints clean
 
 help: ## List the targets
@@ -51,6 +51,9 @@ test: lint ## Run every check: lint, types, tests, the plugin in a real QGIS
 		'$(BESIDE) sh tools/get_browser_and_qgis.sh'
 	GIS_RADAR_DEMO=$(DEMO) GIS_RADAR_DOCS=$(BUILT_DOCS) $(ONE_THREAD) $(BIN)/python tools/side_by_side.py \
 		'$(BIN)/pytest -n 2 --dist worksteal' 'sh tools/test_qgis.sh'
+
+faults: set-up-dev ## Run every input kind with every fault; `make test` runs a sample
+	GIS_RADAR_FAULTS=all $(ONE_THREAD) $(BIN)/pytest -n 2 --dist worksteal tests/faults
 
 test-qgis: set-up ## Test the plugin in a real QGIS, which is installed on Debian 12
 	@sh tools/test_qgis.sh

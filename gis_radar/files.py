@@ -18,7 +18,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from gis_radar.errors import GisRadarError, OutputError, first_line
+from gis_radar.errors import GisRadarError, InputError, OutputError, first_line
 from gis_radar.leftovers import (
     PLAN,
     PRIVATE,
@@ -432,6 +432,34 @@ def _taken(lock: Path, path: Path, reporter: Reporter) -> int:
             if os.path.samestat(lock.stat(), os.fstat(handle)):
                 return handle
         os.close(handle)
+
+
+def read_json(path: str | Path, *, what: str, hint: str = "") -> Any:
+    """Read a file of JSON.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file, in UTF-8.
+    what : str
+        What it should be, for the message: `a pose`.
+    hint : str
+        How to come by one.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or is no JSON that Python can hold.
+    """
+    try:
+        return json.loads(Path(path).read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise InputError(f"{path}: cannot be read: {reason}", hint=hint) from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not {what}: not UTF-8 text", hint=hint) from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: not {what}: not JSON: {first_line(error)}", hint=hint) from error
 
 
 def json_text(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import io
 import os
 import signal
 import sys
@@ -25,6 +26,7 @@ from gis_radar.processes import watch_input
 from gis_radar.progress import Level, Reporter
 
 WIDE = 160
+MOST_LETTERS = 500  # of a message
 NAMES = {"busiest_tile"}  # whole numbers that name something: no thousands set apart
 MOST_BARS = 8  # with more than that, those that are full make way
 
@@ -84,11 +86,14 @@ class JsonConsole(Console):
 
     def error(self, error: GisRadarError) -> None:
         """Write what went wrong; the code is the exit code."""
-        self._write(event="error", code=error.exit_code, message=error.message, hint=error.hint)
+        message = _shortened(error.message)
+        self._write(event="error", code=error.exit_code, message=message, hint=error.hint)
 
     @staticmethod
     def _write(**record: Any) -> None:
-        sys.stdout.write(json_text(record) + "\n")
+        # Names of files need not be UTF-8: what cannot be written is escaped.
+        text = json_text(record).encode("utf-8", "backslashreplace").decode("utf-8")
+        sys.stdout.write(text + "\n")
         sys.stdout.flush()
 
 
@@ -148,8 +153,14 @@ class TerminalConsole(Console):
     def error(self, error: GisRadarError) -> None:
         """Print the error as one line; what to do about it in the same line."""
         hint = f" ({error.hint})" if error.hint else ""
-        text = " ".join(f"gis-radar: {error.message}{hint}".split())
+        text = " ".join(f"gis-radar: {_shortened(error.message)}{hint}".split())
+        text = "".join(each if each.isprintable() else ascii(each)[1:-1] for each in text)
         self._rich.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+def _shortened(text: str) -> str:
+    """Return a message that fits a screen: what a file holds may be long."""
+    return text if len(text) <= MOST_LETTERS else f"{text[:350]} ... {text[-100:]}"
 
 
 def _grid(name: str, rows: Mapping[str, Mapping[str, Any]]) -> Table:
@@ -231,6 +242,8 @@ def run_group(group: click.Group) -> NoReturn:
     """Run a command of the group and exit with its exit code."""
     signal.signal(signal.SIGTERM, _interrupt)
     watch_input()
+    if isinstance(sys.stdout, io.TextIOWrapper):  # names of files need not be UTF-8
+        sys.stdout.reconfigure(errors="backslashreplace")
     console = _console(json_lines="--json" in sys.argv)
     try:
         group(standalone_mode=False)

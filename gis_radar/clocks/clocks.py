@@ -26,7 +26,7 @@ from gis_radar.clocks.offsets import (
 from gis_radar.clocks.settings import DEFAULTS, ClockSettings
 from gis_radar.crs import metric_crs, require_same
 from gis_radar.errors import InputError, NoAnswerError, UsageError
-from gis_radar.files import whole_file
+from gis_radar.files import read_json, whole_file
 from gis_radar.notebooks import card
 from gis_radar.poses.files import PoseTrack, as_track
 from gis_radar.poses.pose import Pose
@@ -159,15 +159,12 @@ def read_clocks(path: str | Path) -> dict[str, SensorClock]:
     InputError
         If it cannot be read, or a clock in it has impossible values.
     """
+    hint = "make one with: gis-radar clocks"
+    record = read_json(path, what="a file of clocks", hint=hint)
     try:
-        record = json.loads(Path(path).read_text(encoding="utf-8-sig"))
         clocks = dict(record["clocks"])
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
     except (ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            f"{path}: not a file of clocks", hint="make one with: gis-radar clocks"
-        ) from error
+        raise InputError(f"{path}: not a file of clocks", hint=hint) from error
     return {str(sensor): _clock_of(entry, f"{path}: {sensor}") for sensor, entry in clocks.items()}
 
 

@@ -20,7 +20,7 @@ import pyarrow.parquet as pq
 
 from gis_radar.arrays import Integers
 from gis_radar.errors import InputError, UsageError
-from gis_radar.files import whole_folder
+from gis_radar.files import read_json, whole_folder
 from gis_radar.notebooks import card
 from gis_radar.occupancy.frame_log import COLUMNS, FILE, FRAME_LOG, merge_frame_logs
 from gis_radar.occupancy.frame_steps import Runs, covered_until, hold_hits, steps_in
@@ -34,6 +34,7 @@ from gis_radar.occupancy.hits import (
 )  # fmt: skip
 from gis_radar.occupancy.settings import DEFAULTS
 from gis_radar.occupancy.views import name_of_view
+from gis_radar.poses.pose import pose_from_dict
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.sight import VIEW_ONLY
 from gis_radar.steps import STEP_S, iso_from_step
@@ -50,6 +51,7 @@ NEEDED = {
     "views.parquet": ("sensor", "tile_id"),
     FILE: COLUMNS,
 }
+MOST_HOLD_S = 90.0  # 1.5 cycles of the slowest sensor that may be stated, a frame a minute
 MEASURE_AGAIN = "measure it again with: gis-radar occupancy"
 NOTHING: Integers = np.empty(0, np.int64)
 RowsOfSensors = Callable[[Sequence[str]], Iterator[Rows]]
@@ -300,22 +302,40 @@ def read_occupancy(
 def _read_manifest(folder: Path) -> dict[str, Any]:
     """Return what the manifest holds, by the names of the fields of an Occupancy."""
     _require(folder / MANIFEST)
+    manifest = read_json(folder / MANIFEST, what="a manifest of an occupancy")
     try:
-        manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
         found: dict[str, Any] = {
             "fingerprint": str(manifest["fingerprint"]),
             "sources": list(manifest["sources"]),
             "rules": int(manifest.get("rules", 1)),
             "hold_s": {str(name): float(s) for name, s in manifest.get("hold_s", {}).items()},
         }
-    except (ValueError, OSError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"{folder / MANIFEST}: damaged: {error!r}") from error
+        _check_sources(found["sources"], str(folder / MANIFEST))
+        odd = [name for name, s in found["hold_s"].items() if not 0.0 <= s <= MOST_HOLD_S]
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
+        raise InputError(f"{folder / MANIFEST}: damaged: {error!r:.200}") from error
+    if odd:
+        hold_s = found["hold_s"][odd[0]]
+        raise InputError(f"{folder / MANIFEST}: damaged: frames of {odd[0]} hold {hold_s:g} s")
     if not 1 <= found["rules"] <= RULES:
         raise InputError(
             f"{folder}: follows rules {found['rules']}, expected {RULES} or less",
             hint="it was made by a newer gis_radar",
         )
     return found
+
+
+def _check_sources(sources: list[Any], what: str) -> None:
+    """Refuse entries of recordings that are not what is written; what reads them relies on it."""
+    for source in sources:
+        poses = source.get("poses", [])
+        if not isinstance(source["sensor"], str) or not isinstance(poses, list):
+            raise TypeError("a source names no sensor, or lists no poses")
+        for pose in poses:
+            pose_from_dict(dict(pose), what=what)
+        for name in ("filters", "settings", "clock"):
+            if not isinstance(source.get(name, {}), dict | None):
+                raise TypeError(f"{name} of {source['sensor']:.40} are no table")
 
 
 def _require(path: Path) -> None:

@@ -16,7 +16,7 @@ from pyproj import CRS
 from gis_radar.arrays import Floats, Integers
 from gis_radar.crs import metric_crs, name_of
 from gis_radar.errors import InputError
-from gis_radar.files import whole_file
+from gis_radar.files import read_json, whole_file
 from gis_radar.notebooks import table_card
 from gis_radar.poses.pose import ANGLES, POSITION, Pose, View, pose_from_dict
 from gis_radar.steps import iso_from_step, seconds_from_iso, step_of
@@ -107,10 +107,7 @@ def read_pose(path: str | Path) -> Pose:
     >>> gr.read_pose(gr.sample_folder() / "R1.json")
     Pose(R1: 690360.11 E 5336178.10 N 520.01 m, yaw 21.70 pitch 3.20 roll -0.80)
     """
-    try:
-        record = json.loads(_text(Path(path)))
-    except ValueError as error:
-        raise InputError(f"{path}: not JSON: {error}") from error
+    record = read_json(path, what="a pose")
     if not isinstance(record, dict):
         raise InputError(f"{path}: not a pose: expected a JSON object with its fields")
     return pose_from_dict(record, what=str(path))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import pkgutil
 import re
+import struct
 from collections import Counter, OrderedDict
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any, Self
 
-from gis_radar.errors import InputError, OutputError, UsageError
+from gis_radar.errors import InputError, OutputError, UsageError, first_line
 from gis_radar.files import refuse_inputs, whole_files
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings import readers
@@ -21,6 +22,12 @@ from gis_radar.recordings.frame_clock import CLOCKS, Clock, FrameClock
 from gis_radar.recordings.frame_order import WINDOW, FrameOrder, merged
 from gis_radar.recordings.frames import Format, Frame, ReaderContext, counted
 from gis_radar.recordings.recording_file import RecordingFile
+
+# What readers and their libraries raise where bytes cannot be what they should.
+DAMAGE = (
+    struct.error, ArithmeticError, AssertionError, AttributeError, EOFError, LookupError,
+    MemoryError, RuntimeError, TypeError, ValueError,
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -367,12 +374,14 @@ def _refuse_options(
 
 
 def _read(form: Format, source: str, context: ReaderContext) -> Generator[Frame]:
-    """Read an input; name it where the system refuses it."""
+    """Read an input; name it where the system refuses it, or a library meets what cannot be."""
     try:
         yield from form.frames(source, context)
     except OSError as error:
         reason = error.strerror or str(error)
         raise InputError(f"{source}: cannot be read: {reason}") from error
+    except DAMAGE as error:
+        raise InputError(f"{source}: damaged: {first_line(error)}") from error
 
 
 def _tell(result: Conversion, reporter: Reporter) -> None:

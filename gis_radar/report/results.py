@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -13,6 +12,7 @@ from PIL import Image
 
 from gis_radar.crs import name_of, same_plane
 from gis_radar.errors import InputError
+from gis_radar.files import read_json
 from gis_radar.heatmap import HeatMap, read_heatmap
 from gis_radar.heatmap.layers import FILE as PACKAGE
 from gis_radar.heatmap.picture import png
@@ -248,10 +248,7 @@ def _run(folder: Path) -> dict[str, Any]:
     path = folder / RUN
     if not path.is_file():
         return {}
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: damaged: {error}", hint="run the site again") from error
+    document = read_json(path, what="the record of a run", hint="run the site again")
     if not isinstance(document, dict):
         raise InputError(f"{path}: damaged: it is no table of settings", hint="run the site again")
     return document

@@ -16,7 +16,7 @@ from pydantic import Field, PrivateAttr, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from gis_radar.errors import InputError
+from gis_radar.errors import InputError, first_line
 from gis_radar.site.values import (
     CompassBearing,
     Crs,
@@ -326,8 +326,8 @@ def read_site(path: str | Path) -> Site:
         raise InputError(f"{path}: cannot be read: {reason}", hint=_HINT) from error
     try:
         raw: dict[str, Any] = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: not TOML: {error}", hint=_HINT) from error
+    except (ValueError, RecursionError) as error:  # numbers of 5,000 digits, deep tables
+        raise InputError(f"{path}: not TOML: {first_line(error)}", hint=_HINT) from error
     try:
         site = Site.model_validate(raw, context={"folder": path.parent})
     except ValidationError as error:

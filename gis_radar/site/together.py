@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gis_radar.errors import InputError, NoAnswerError
-from gis_radar.files import whole_file
+from gis_radar.files import read_json, whole_file
 from gis_radar.poses.files import read_pose
 from gis_radar.poses.pose import Pose, pose_from_dict
 from gis_radar.progress import Reporter
@@ -148,6 +148,6 @@ def _write(path: Path, record: Record) -> None:
 
 def _read(path: Path) -> Record:
     try:
-        return dict(json.loads(path.read_text(encoding="utf-8")))
-    except (OSError, ValueError) as error:
+        return dict(read_json(path, what="the answer of a stage"))
+    except (TypeError, ValueError) as error:
         raise InputError(f"{path}: cannot be read", hint="run again with --fresh") from error

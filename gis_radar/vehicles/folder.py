@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 
 from gis_radar.errors import InputError
-from gis_radar.files import whole_folder
+from gis_radar.files import read_json, whole_folder
 from gis_radar.notebooks import card
 from gis_radar.occupancy.folder import frames_table
 from gis_radar.occupancy.frame_steps import Runs, covered_until, steps_in
@@ -440,8 +440,8 @@ def _read_manifest(folder: Path) -> Provenance:
                 f"{folder}: not a folder of vehicles: lacks {file}",
                 hint="a folder that gis-radar vehicles wrote is needed",
             )
+    known = read_json(path, what="a manifest of vehicles")
     try:
-        known = json.loads(path.read_text(encoding="utf-8"))
         rules = int(known["rules"])
         names = Provenance.__dataclass_fields__
         provenance = Provenance(**{name: known[name] for name in names})
@@ -452,8 +452,8 @@ def _read_manifest(folder: Path) -> Provenance:
             sources=[dict(source) for source in provenance.sources],
         )
         poses_of(provenance.sources)
-    except (ValueError, OSError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"{path}: damaged: {error!r}") from error
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
+        raise InputError(f"{path}: damaged: {error!r:.200}") from error
     if rules != RULES:
         raise InputError(f"{folder}: follows rules {rules}, expected {RULES}", hint=AGAIN)
     return provenance

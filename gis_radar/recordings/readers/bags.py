@@ -148,12 +148,18 @@ def _opened(source: str) -> Iterator[Any]:
     reader = kind.Reader(source)
     try:
         reader.open()
+        if odd := [each.topic for each in reader.connections if not _is_count(each.msgcount)]:
+            raise ValueError(f"the number of messages of {odd[0]} is no number")
     except _unreadable() as error:
         raise _damaged(source, error) from error
     try:
         yield reader
     finally:
         reader.close()
+
+
+def _is_count(value: Any) -> bool:
+    return isinstance(value, int) and value >= 0
 
 
 def _messages(
@@ -189,6 +195,10 @@ def _unreadable() -> tuple[type[Exception], ...]:
         from apsw import Error  # noqa: PLC0415
 
         kinds.append(Error)
+    with suppress(ImportError, AttributeError):  # of Python from 3.14 on, of a package before
+        from rosbags.rosbag2.storage_mcap import zstd  # type: ignore[attr-defined]  # noqa: PLC0415
+
+        kinds.append(zstd.ZstdError)
     return tuple(kinds)
 
 

@@ -118,6 +118,8 @@ def read_packets(path: Path) -> Iterator[tuple[Packet, int]]:
             raise DamagedError("cut off in the middle of a packet") from error
         except zlib.error as error:
             raise DamagedError(f"damaged gzip: {error}") from error
+        except (struct.error, ValueError, ArithmeticError) as error:  # a block too short for itself
+            raise DamagedError(f"a block that cannot be: {error}") from error
 
 
 def _opened(path: Path) -> BinaryIO:

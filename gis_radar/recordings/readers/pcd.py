@@ -28,6 +28,7 @@ from gis_radar.recordings.frames import (
 WHOLE = {10: 1.0, 13: 1e-3, 16: 1e-6, 19: 1e-9}
 LONGEST_HEADER = 1 << 14  # bytes; usual are some hundred
 LARGEST_CLOUD = 1 << 26  # points; a radar has some hundred
+MOST_COUNT = 65_536  # numbers of a field; descriptors of points have some hundred
 _KINDS = {"F": "f", "I": "i", "U": "u"}
 _DATE = re.compile(
     r"(\d{4})-?(\d\d)-?(\d\d)[T_ -]?(\d\d)[-:_h]?(\d\d)[-:_m]?(\d\d)(?:[._,-](\d{1,9}))?Z?"
@@ -164,6 +165,8 @@ def _header(file: Any) -> _Header:
         dtype = np.dtype(fields)
     except (KeyError, ValueError, IndexError, TypeError) as error:
         raise DamagedError(f"the PCD header makes no sense: {error}") from error
+    if any(not 1 <= int(count) <= MOST_COUNT for count in counts):
+        raise DamagedError(f"the PCD header claims fields of {', '.join(counts)[:60]} numbers")
     if not 0 <= points <= LARGEST_CLOUD:
         raise DamagedError(f"the PCD header claims {points:,} points")
     return _Header(dtype=dtype, points=points, data=(words["DATA"] or [""])[0].lower())

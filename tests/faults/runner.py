@@ -1,0 +1,79 @@
+"""Run commands one by one, each in a process of its own with limits; a line in, a line out.
+
+A process is forked from one that has loaded all libraries and done nothing with them, so that a
+case takes a fraction of a second and threads of another case are in nobody's way.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import pkgutil
+import resource
+import signal
+import sys
+import time
+from pathlib import Path
+
+import gis_radar
+
+
+def main() -> None:
+    """Read cases from standard input; write what came of each to standard output."""
+    for module in pkgutil.walk_packages(gis_radar.__path__, "gis_radar."):
+        if module.name != "gis_radar.__main__":
+            importlib.import_module(module.name)
+    for name in ("laspy", "rasterio", "matplotlib.pyplot", "scipy.ndimage", "scipy.spatial"):
+        importlib.import_module(name)
+    from gis_radar.cli import group
+    from gis_radar.cli.console import run_group
+    from gis_radar.processes import go_offline
+
+    go_offline()
+    for line in sys.stdin:
+        case = json.loads(line)
+        start = time.monotonic()
+        child = os.fork()
+        if child == 0:
+            _limit(case)
+            sys.argv = ["gis-radar", *case["words"]]
+            run_group(group)
+        status, late = _waited(child, start + case["seconds"])
+        answer = {
+            "code": os.waitstatus_to_exitcode(status),
+            "seconds": round(time.monotonic() - start, 2),
+            "late": late,
+        }
+        sys.stdout.write(json.dumps(answer) + "\n")
+        sys.stdout.flush()
+
+
+def _limit(case: dict[str, object]) -> None:
+    """Set limits, and send what is printed to files."""
+    os.setsid()
+    for descriptor, name in ((1, "out"), (2, "err")):
+        os.dup2(os.open(Path(str(case[name])), os.O_WRONLY | os.O_CREAT | os.O_TRUNC), descriptor)
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    limits = {resource.RLIMIT_AS: "bytes", resource.RLIMIT_FSIZE: "file_bytes",
+              resource.RLIMIT_NOFILE: "files"}  # fmt: skip
+    for limit, name in limits.items():
+        if case.get(name) is not None:
+            resource.setrlimit(limit, (int(str(case[name])),) * 2)
+
+
+def _waited(child: int, end: float) -> tuple[int, bool]:
+    """Wait for a process, and kill it with all it started at the end of its time."""
+    late = False
+    while True:
+        found, status = os.waitpid(child, os.WNOHANG)
+        if found:
+            return status, late
+        if time.monotonic() > end:
+            late = True
+            os.killpg(child, signal.SIGKILL)
+        time.sleep(0.005)
+
+
+if __name__ == "__main__":
+    main()

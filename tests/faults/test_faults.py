@@ -1,0 +1,153 @@
+"""Input kinds x faults: one line and an exit code, or a right result; never a crash or a bomb.
+
+`make test` runs a sample with a fixed seed, `make faults` all of it. A kind is a line in
+`inputs.py`, a fault a line in `damage.py`, a case that was found is a line in FOUND.
+"""
+
+import json
+import os
+import random
+import shutil
+import subprocess
+import sys
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from faults.damage import faults_of
+from faults.inputs import KINDS, build
+from gis_radar.cli.console import UNFORESEEN
+
+ROOT = Path(__file__).parents[2]
+ALL = os.environ.get("GIS_RADAR_FAULTS") == "all"
+SAMPLE = 60
+SECONDS, BYTES = 60.0, 4 << 30
+CASES = [(kind, fault) for kind in KINDS for fault in faults_of(kind.path)]
+CHOSEN = CASES if ALL else random.Random(16).sample(CASES, SAMPLE)  # noqa: S311 - a sample
+LONGEST_LINE = 700
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="limits of processes are Linux's")
+
+
+class Runner:
+    """Runs commands in processes with limits, one after the other."""
+
+    def __init__(self):
+        environment = dict(os.environ) | {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
+        environment |= {"OPENBLAS_NUM_THREADS": "1", "MPLBACKEND": "agg", "COLUMNS": "200"}
+        environment["PYTHONPATH"] = str(ROOT)
+        self.process = subprocess.Popen(
+            [sys.executable, Path(__file__).with_name("runner.py")],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT, env=environment,
+        )  # fmt: skip
+
+    def run(self, folder, words, **limits):
+        """Run a command in a folder; return its code, seconds and what it printed."""
+        place = folder / "printed"
+        place.mkdir(exist_ok=True)
+        case = {"words": words, "seconds": SECONDS, "bytes": BYTES, **limits}
+        case |= {name: str(place / name) for name in ("out", "err")}
+        self.process.stdin.write(json.dumps(case) + "\n")
+        self.process.stdin.flush()
+        answer = json.loads(self.process.stdout.readline())
+        texts = {name: (place / name).read_text(errors="replace") for name in ("out", "err")}
+        return answer | texts
+
+    def close(self):
+        self.process.stdin.close()
+        self.process.wait(timeout=10)
+        self.process.stdout.close()
+
+
+@pytest.fixture(scope="module")
+def runner():
+    runner = Runner()
+    yield runner
+    runner.close()
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("inputs")
+    build(folder)
+    return folder
+
+
+def words_of(kind, folder):
+    """Return the words of a command with its files in a folder."""
+    verb, *words = kind.words.replace("{}", kind.path).split()
+    ours = [each.startswith("out") or (folder / each).exists() for each in words]
+    places = [str(folder / each) if here else each for each, here in zip(words, ours, strict=True)]
+    return [verb, *places]
+
+
+def complaint(answer, folder):
+    """Return what is wrong with how a command ended, or nothing."""
+    lines = [line for line in answer["err"].splitlines() if line.strip()]
+    errors = [line for line in lines if line.startswith("gis-radar: ")]
+    marks = ("Traceback", UNFORESEEN, "Warning:", "panicked", "not enough memory")
+    left = [path.name for path in folder.rglob(".*.part")]
+    wrong = [(answer["late"], f"took over {SECONDS:.0f} s")]
+    wrong += [(answer["code"] not in {0, 2, 3, 4}, f"ended with {answer['code']}")]
+    wrong += [(mark in answer["err"], f"printed {mark}") for mark in marks]
+    wrong += [(left, f"left {left}")]
+    if answer["code"]:
+        wrong += [(lines[-1:] != errors, f"printed {len(errors)} errors in {len(lines)} lines")]
+        wrong += [(_made(folder), "left a result beside an error")]
+    for line in errors:
+        wrong += [(len(line) > LONGEST_LINE, f"printed a line of {len(line)} letters")]
+        wrong += [(not line.isprintable(), "printed what no terminal shows")]
+    return next((text for is_so, text in wrong if is_so), "")
+
+
+def _made(folder):
+    """Return the files that a command made; a folder for them may be there."""
+    return [path for path in folder.glob("out*") if path.is_file() or list(path.rglob("*"))]
+
+
+def name_of(case):
+    kind, fault = case
+    return f"{kind.name}: {fault}"
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
+def test_what_is_sound_is_read(runner, inputs, tmp_path, kind):
+    folder = shutil.copytree(inputs, tmp_path / "case")
+    answer = runner.run(folder, words_of(kind, folder))
+    assert answer["code"] == 0, answer["err"]
+    assert complaint(answer, folder) == ""
+
+
+@pytest.mark.parametrize("case", CHOSEN, ids=name_of)
+def test_faults(runner, inputs, tmp_path, case):
+    kind, fault = case
+    folder = shutil.copytree(inputs, tmp_path / "case")
+    chance = np.random.default_rng(zlib.crc32(name_of(case).encode()))
+    path = folder / kind.path
+    path.write_bytes(faults_of(kind.path)[fault](path.read_bytes(), chance))
+    answer = runner.run(folder, words_of(kind, folder))
+    wrong = complaint(answer, folder)
+    assert wrong == "", f"{wrong}: {answer['err'][-1500:]}"
+
+
+LIMITS = {
+    "full disk": {"file_bytes": 20_000},
+    "fuller disk": {"file_bytes": 3_000},
+    "16 open files": {"files": 16},
+}
+WRITERS = {kind.words.split()[0] + Path(kind.words.split()[-1]).suffix: kind for kind in KINDS
+           if "-o" in kind.words}  # fmt: skip
+
+
+@pytest.mark.parametrize("limit", LIMITS)
+@pytest.mark.parametrize("verb", WRITERS)
+def test_no_room(runner, inputs, tmp_path, verb, limit):
+    """A file that may not grow is a full disk to who writes it; root meets it, too."""
+    folder = shutil.copytree(inputs, tmp_path / "case")
+    answer = runner.run(folder, words_of(WRITERS[verb], folder), **LIMITS[limit])
+    assert complaint(answer, folder) == "", answer["err"][-1500:]
+    if "disk" in limit and answer["code"]:
+        assert answer["code"] == 3
+        assert "cannot be written" in answer["err"] or "too large" in answer["err"], answer["err"]
