@@ -30,7 +30,15 @@ class Reporter:
         _LOGGER.log(logging.WARNING if level == "warning" else logging.INFO, message)
 
 
+class Silent(Reporter):
+    """A receiver that drops remarks: of work that only a picture is made of."""
+
+    def log(self, message: str, level: Level = "info") -> None:
+        """Drop a remark."""
+
+
 QUIET = Reporter()
+SILENT = Silent()
 
 
 def warnings_once(by_stage: Mapping[str, Sequence[str]]) -> list[str]:

@@ -2,6 +2,7 @@
 
 import doctest
 import importlib
+import importlib.util
 import json
 import os
 import re
@@ -267,3 +268,14 @@ def test_every_notebook_has_a_title_for_the_site():
         first = json.loads(path.read_text(encoding="utf-8"))["cells"][0]
         assert first["cell_type"] == "markdown", path
         assert "".join(first["source"]).startswith("# "), path
+
+
+def test_readme_has_the_accuracy_that_the_benchmarks_measured():
+    """In plain words: after new figures run python tools/plain_accuracy.py."""
+    spec = importlib.util.spec_from_file_location(
+        "plain_accuracy", ROOT / "tools" / "plain_accuracy.py"
+    )
+    tool = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(tool)
+    table = tool.plain_table((ROOT / "docs" / "accuracy.md").read_text(encoding="utf-8"))
+    assert table in (ROOT / "README.md").read_text(encoding="utf-8")

@@ -123,7 +123,9 @@ def main() -> None:
     parser.add_argument("--wheel", type=Path, help="of gis_radar, for 'Set up the worker'")
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "dist")
     given = parser.parse_args()
-    print(build(given.output, given.wheel))
+    made = build(given.output, given.wheel)
+    print("plugin-zip: in QGIS Plugins, Manage and Install Plugins, Install from ZIP:")
+    print(made.resolve())
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@
     python bench/localization --quick     a look, a few minutes
     python bench/localization --only table,straight
     python bench/localization --only calibration --conditions "radar as recorded, walkers"
-    python bench/localization --into README.md      README's table, from the kept JSON
+    python bench/localization --into docs/accuracy.md   its table, from the kept JSON
 
 Parts: speed, straight (a road that fixes no place along it), table (sets DY and DO of a town, as in
 Table I), sites (the sample and what lies beside the project), calibration, curves (start, length,
@@ -237,7 +237,7 @@ def main() -> None:
 
 
 def put_table(page: Path) -> None:
-    """Put README's table between its marks, from what is kept of table and sites."""
+    """Put the table between its marks, from what is kept of table and sites."""
     by_conditions: dict[str, dict[str, Any]] = {}
     for conditions in (TEXTBOOK, *README_CONDITIONS):
         kept = Effort(quick=False, starts=0, conditions=conditions).out.glob("table*.json")

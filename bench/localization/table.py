@@ -173,7 +173,7 @@ def _by_sensor(groups: dict[str, Any]) -> list[str]:
     return lines
 
 
-# README's rows: what they are of, and where the figures are from
+# The page's rows: what they are of, and where the figures are from
 ABOUT = {
     "DY": "the paper, 6 radars, yaw differs (DY)",
     "DO": "the paper, 6 radars, oriented freely (DO)",
@@ -188,7 +188,7 @@ OF_SITE = {
 
 
 def readme(by_conditions: dict[str, dict[str, Any]], sites: dict[str, Any]) -> str:
-    """Return README's table: starts within 10 m and no heading, under each of some conditions."""
+    """Return the page's table: starts within 10 m and no heading, under each of some conditions."""
     heads = ("site", "starts", "2D mean, median", "height", "yaw", "roll, pitch", "right")
     lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
     for set_name, own in PAPER.items():

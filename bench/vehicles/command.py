@@ -5,7 +5,7 @@
     python bench/vehicles --scene town --methods hits,true       some methods on some scenes
     python bench/vehicles --ablation                             what each component is worth
     python bench/vehicles --bad-input                            how bad input is treated
-    python bench/vehicles --tables                               README's tables, from the JSON
+    python bench/vehicles --tables                               tables of docs/accuracy.md
     python bench/vehicles                                        all methods, development scenes
 
 From Python, with bench/vehicles in the path: `from scenes import scene`, `from score import

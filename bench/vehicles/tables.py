@@ -132,7 +132,7 @@ def everything(rows: Mapping[str, Report]) -> str:
 
 
 def readme(report: Report) -> str:
-    """Return the tables of README from the bench's JSON: coverage, then vehicles."""
+    """Return the tables of docs/accuracy.md from the bench's JSON: coverage, then vehicles."""
     scenes: Mapping[str, Report] = report.get("scenes", {})
     names = {m: h for m, h in READERS.items() if any(m in rows for rows in scenes.values())}
     first = table(

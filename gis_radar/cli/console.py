@@ -43,11 +43,14 @@ class Result:
         Figures worth a look, by name; a mapping of mappings is a table.
     failure : GisRadarError, optional
         What is missing, reported as an error after the result.
+    advice : str
+        What to do next; for people only.
     """
 
     outputs: list[Path]
     summary: Mapping[str, Any] = field(default_factory=dict)
     failure: GisRadarError | None = None
+    advice: str = ""
 
 
 class Console(Reporter):
@@ -149,6 +152,8 @@ class TerminalConsole(Console):
         out.print(table)
         for path in result.outputs:
             out.print(f"wrote {path}", markup=False, highlight=False, soft_wrap=True)
+        if result.advice:
+            out.print(result.advice, markup=False, highlight=False, soft_wrap=True)
 
     def error(self, error: GisRadarError) -> None:
         """Print the error as one line; what to do about it in the same line."""

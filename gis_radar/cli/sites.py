@@ -39,7 +39,18 @@ def run(*, site: Path, output: Path, reporter: Reporter, **options: Any) -> Resu
     others.
     """
     done = gr.run_site(site, output, reporter=reporter, **options)
-    return Result(outputs=done.outputs, summary=done.figures(), failure=done.failure)
+    return Result(
+        outputs=done.outputs, summary=done.figures(), failure=done.failure,
+        advice=_to_open(done.outputs),
+    )  # fmt: skip
+
+
+def _to_open(outputs: list[Path]) -> str:
+    """Return what to open of a run, and with what."""
+    pages = [f"{path} in a browser" for path in outputs if path.suffix == ".html"]
+    projects = [f"{path} in QGIS" for path in outputs if path.suffix == ".qgz"]
+    found = [*pages, *projects]
+    return f"open {', or '.join(found)}" if found else ""
 
 
 @command(example="gis-radar check SITE.toml")
@@ -140,4 +151,4 @@ def sample(*, output: Path, reporter: Reporter) -> Result:
 def demo(*, output: Path, reporter: Reporter) -> Result:
     """Go the whole way on the sample junction."""
     outputs, summary = gr.run_demo(output, reporter=reporter)
-    return Result(outputs=outputs, summary=summary)
+    return Result(outputs=outputs, summary=summary, advice=_to_open(outputs))

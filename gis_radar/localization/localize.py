@@ -26,7 +26,7 @@ from gis_radar.localization.result import (
 from gis_radar.localization.settings import DEFAULTS, LocalizationSettings
 from gis_radar.localization.traces import Moving, read_moving
 from gis_radar.poses.pose import Pose, View
-from gis_radar.progress import QUIET, Reporter
+from gis_radar.progress import QUIET, SILENT, Reporter
 from gis_radar.recordings.recording import open_recording
 from gis_radar.recordings.units import compare_speeds
 from gis_radar.scans.scan import read_road, road_crs
@@ -256,7 +256,8 @@ def _sight(
     reporter: Reporter,
 ) -> tuple[Sight, SightTiles] | None:
     """Return what a sensor sees of the lanes, for the figure; a scan that does not fit is named."""
-    tiles = SightTiles.of(with_road_heights(make_tiles(roads, length_m=FIGURE_TILE_M), points))
+    large = make_tiles(roads, length_m=FIGURE_TILE_M, reporter=SILENT)
+    tiles = SightTiles.of(with_road_heights(large, points))
     try:
         return find_sight(pose, tiles, SightScan(scans, tiles, scan_crs=scan_crs)), tiles
     except InputError as error:
