@@ -135,10 +135,14 @@ def add_choice(
     algorithm.add(choice, about=about, advanced=True)
 
 
+def users_languages() -> tuple[str, str]:
+    """Return the languages that there are, the user's first."""
+    return ("de", "en") if speaks_german() else ("en", "de")
+
+
 def add_language(algorithm: Algorithm) -> None:
     """Add the language of what people read; first is the user's."""
-    languages = ("de", "en") if speaks_german() else ("en", "de")
-    add_choice(algorithm, "LANGUAGE", "Language", languages)
+    add_choice(algorithm, "LANGUAGE", "Language", users_languages())
 
 
 def add_views(algorithm: Algorithm) -> None:
@@ -201,7 +205,7 @@ def given_words(
                 words += option(flag, f"{number:.12g}")
         elif kind == "enum":
             chosen = algorithm.parameterAsEnumString(parameters, name, context)
-            is_own = chosen == definition.defaultValue() and name != "LANGUAGE"
+            is_own = chosen == definition.defaultValue() and name not in ("LANGUAGE", "CSV_LOCALE")
             words += [] if is_own else [flag, chosen]
         else:
             words += option(flag, algorithm.parameterAsString(parameters, name, context).strip())

@@ -40,6 +40,7 @@ LEFT_OUT = {
 # Commands without an algorithm, and why.
 NO_ALGORITHM = {
     "sensors": "'Localize a radar' and a site's run make the layer",
+    "trajectories": "files for other programs; 'Vehicles that move on the map' shows them here",
     "demo": "'Get the sample site' and 'Run a site file'",
 }
 _ASK = """
@@ -141,7 +142,8 @@ def test_files_reach_the_worker(run, site, tmp_path, fake_worker):
         "detections": ({"RECORDING": recording, "POSE": pose},
                        ["project", recording, "--pose", pose, "-o", out]),
         "sitereport": ({"RESULTS": str(site), "TIMEZONE": "Europe/Berlin"},
-                       ["report", str(site), "-o", out, "--timezone", "Europe/Berlin"]),
+                       ["report", str(site), "-o", out, "--timezone", "Europe/Berlin",
+                        "--language", "en", "--csv-locale", "en"]),
     }  # fmt: skip
     for name, (call, expected) in calls.items():
         words, _ = words_of(run, fake_worker, tmp_path, name, {**call, "OUTPUT": out})

@@ -18,8 +18,18 @@ from qgis.core import (
 )
 
 from ..base import RESULTS, SITE, WorkerAlgorithm, option
-from ..parameters import add_file, add_language, add_text, add_time_zone, given_words
+from ..parameters import (
+    add_choice,
+    add_file,
+    add_language,
+    add_text,
+    add_time_zone,
+    given_words,
+    users_languages,
+)
 from ..words import tr
+
+REPORT_OPTIONS = ("TITLE", "TIMEZONE", "LANGUAGE", "CSV_LOCALE")
 
 
 class CheckSite(WorkerAlgorithm):
@@ -73,6 +83,10 @@ class WriteReport(WorkerAlgorithm):
             self, "Whose clocks its times follow, such as Europe/Berlin; the site's without."
         )
         add_language(self)
+        add_choice(
+            self, "CSV_LOCALE", "Numbers in tables as in", users_languages(),
+            "de: semicolons and decimal commas, as Excel in Germany opens them.",
+        )  # fmt: skip
         self.add(
             QgsProcessingParameterMultipleLayers(
                 "OCCUPANCY", tr("Occupancy"), QgsProcessing.SourceType.TypeFile, optional=True
@@ -100,7 +114,7 @@ class WriteReport(WorkerAlgorithm):
         words = ["report", results, *option("-o", dest)]
         for manifest in self.files(parameters, "OCCUPANCY", context):
             words += ["--occupancy", str(Path(manifest).parent)]
-        words += given_words(self, parameters, context, ("TITLE", "TIMEZONE", "LANGUAGE"))
+        words += given_words(self, parameters, context, REPORT_OPTIONS)
         answer = self.work(words, [dest] if dest else [], feedback)
         page = next((path for path in answer.outputs if path.endswith(".html")), "")
         feedback.pushInfo(page)
