@@ -89,6 +89,7 @@ class CoverageErrorSettings:
 
 
 ERRORS = CoverageErrorSettings()
+ERROR_UNIT = 1e-6  # of standard errors by interval in tables
 
 
 class CoverageShares(NamedTuple):
@@ -282,9 +283,14 @@ def count_coverage(
     errors = [slopes.error(*each) for each in counted]
     total = visible.sum(axis=0, dtype=np.int64), covered.sum(axis=0, dtype=np.int64)
     return Coverage(
-        visible=visible, covered=covered, error=np.stack(errors).astype(np.float32),
+        visible=visible, covered=covered, error=_rounded(np.stack(errors)),
         error_whole=slopes.error(*total, whole, hidden.sum(axis=0)).astype(np.float32),
     )  # fmt: skip
+
+
+def _rounded(errors: Floats) -> NDArray[np.float32]:
+    """Return standard errors as tables hold them, so that a map read back is the same."""
+    return np.asarray(np.rint(errors / ERROR_UNIT) * ERROR_UNIT, np.float32)
 
 
 def _runs_at(table: pd.DataFrame, tile_ids: Integers, column: Integers) -> pd.DataFrame:

@@ -13,7 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from gis_radar.arrays import Integers
 from gis_radar.heatmap.counting import Tally
+from gis_radar.heatmap.covering import ERROR_UNIT
 from gis_radar.progress import Reporter
 from gis_radar.steps import STEPS_PER_SECOND, step_begin
 
@@ -22,6 +24,7 @@ LONG = "occupancy_by_interval"
 STEPS, TIMES = "steps_by_interval", "intervals"
 BEGIN, END = "begin", "end"
 ERROR = "coverage_se"
+PPM = "coverage_se_ppm"  # a whole number takes 3 bytes, a real one 8
 OCCUPANCY_COLUMNS = ("occupied", "observed")
 COVERAGE_COLUMNS = ("covered", "visible", ERROR)
 
@@ -76,11 +79,13 @@ def write_steps(database: sqlite3.Connection, tally: Tally, reporter: Reporter) 
     """
     columns = [*OCCUPANCY_COLUMNS, *(() if tally.coverage is None else COVERAGE_COLUMNS)]
     database.execute(_TIMES)
-    database.execute(_steps_table(columns))
+    database.execute(_steps_table(columns, tally.tiles["tile_id"].to_numpy(np.int64)))
     times = f'INSERT INTO "{TIMES}" VALUES (?, ?, ?, ?, ?)'  # noqa: S608 - our own names
     database.executemany(times, _times(tally))
-    names = ", ".join(f'"{name}"' for name in ("fid", "interval", "tile_id", *columns))
-    marks = ", ".join("?" * (3 + len(columns)))
+    stored = ["fid", *(("tile_id",) if not _counts_up(tally.tiles["tile_id"]) else ())]
+    stored += [PPM if name == ERROR else name for name in columns]
+    names = ", ".join(f'"{name}"' for name in stored)
+    marks = ", ".join("?" * len(stored))
     insert = f'INSERT INTO "{STEPS}" ({names}) VALUES ({marks})'  # noqa: S608 - our own names
     total = len(tally.timeline) * len(tally.tiles)
     for interval in range(len(tally.timeline)):
@@ -90,9 +95,22 @@ def write_steps(database: sqlite3.Connection, tally: Tally, reporter: Reporter) 
     _add_view(database, columns)
 
 
-def _steps_table(columns: list[str]) -> str:
-    """Return the statement that makes the table of steps."""
-    kinds = ", ".join(f'"{name}" {"REAL" if name == ERROR else "INTEGER"}' for name in columns)
+def _counts_up(tile_ids: Any) -> bool:
+    """Tell whether tiles are numbered from 0 without a gap, so that the row gives the tile."""
+    return bool(np.array_equal(tile_ids, np.arange(len(tile_ids))))
+
+
+def _steps_table(columns: list[str], tile_ids: Integers) -> str:
+    """Return the statement that makes the table of steps: what follows from the row is computed."""
+    count, computed = len(tile_ids), "INTEGER NOT NULL GENERATED ALWAYS AS"
+    interval = f'{computed} (("fid" - 1) / {count}) VIRTUAL'
+    tile = (
+        f'{computed} (("fid" - 1) % {count}) VIRTUAL'
+        if _counts_up(tile_ids)
+        else "INTEGER NOT NULL"
+    )
+    error = f'"{PPM}" INTEGER, "{ERROR}" REAL GENERATED ALWAYS AS ("{PPM}" * {ERROR_UNIT}) VIRTUAL'
+    kinds = ", ".join(error if name == ERROR else f'"{name}" INTEGER' for name in columns)
     measures = [("occupied", "observed", "occupancy")]
     if ERROR in columns:
         measures.append(("covered", "visible", "coverage"))
@@ -101,8 +119,8 @@ def _steps_table(columns: list[str]) -> str:
         for part, whole, share in measures
     )
     return (
-        f'CREATE TABLE "{STEPS}" ("fid" INTEGER PRIMARY KEY NOT NULL, "interval" INTEGER NOT NULL, '
-        f'"tile_id" INTEGER NOT NULL, {kinds}, {shares})'
+        f'CREATE TABLE "{STEPS}" ("fid" INTEGER PRIMARY KEY NOT NULL, "interval" {interval}, '
+        f'"tile_id" {tile}, {kinds}, {shares})'
     )
 
 
@@ -130,11 +148,13 @@ def _rows(tally: Tally, interval: int) -> Iterator[tuple[Any, ...]]:
         covered[tally.seen] = tally.coverage.covered[interval]
         visible[tally.seen] = tally.coverage.visible[interval]
         error[tally.seen] = tally.coverage.error[interval]
-        columns += [_known(covered, visible), visible.tolist(), _known(error, visible)]
+        parts = np.rint(np.nan_to_num(error) / ERROR_UNIT).astype(np.int64)
+        columns += [_known(covered, visible), visible.tolist(), _known(parts, visible)]
     first = interval * count + 1
     numbers = range(first, first + count)
-    ids = tally.tiles["tile_id"].tolist()
-    return zip(numbers, [interval] * count, ids, *columns, strict=True)
+    if _counts_up(tally.tiles["tile_id"]):
+        return zip(numbers, *columns, strict=True)
+    return zip(numbers, tally.tiles["tile_id"].tolist(), *columns, strict=True)
 
 
 def _known(values: Any, whole: Any) -> list[Any]:
@@ -177,5 +197,5 @@ def read_times(database: sqlite3.Connection) -> list[tuple[str, str]]:
 
 def step_columns(database: sqlite3.Connection) -> list[str]:
     """Return the columns of the table of steps that hold what was counted."""
-    known = {row[1] for row in database.execute(f'PRAGMA table_info("{STEPS}")')}
+    known = {row[1] for row in database.execute(f'PRAGMA table_xinfo("{STEPS}")')}
     return [name for name in (*OCCUPANCY_COLUMNS, *COVERAGE_COLUMNS) if name in known]
