@@ -134,6 +134,26 @@ def test_a_finished_sentence_is_known_again_with_its_values():
     assert tr_message(told) == told
 
 
+@pytest.mark.parametrize(
+    ("told", "german"),
+    [
+        ("the scan covers 96% of the view of R2: what it does not cover counts as in sight",
+         "der Scan deckt 96 % des Sichtfelds von R2 ab: Was er nicht abdeckt, zählt als einsehbar"),
+        ("R1: frozen: 3 % of the frames repeat the last (in 2 of its hours, first in that from x)",
+         ("R1: eingefroren: 3 % der Messzyklen wiederholen den vorigen (in 2 seiner Stunden, "
+         "zuerst in der ab x)")),
+        (("a.parquet: 99.9 % of the detections lie within 120 m, but the view of R1 reaches 300 m: "
+         "what lies beyond reads as observed and empty; set max_range_m in [sensor.view]"),
+         ("a.parquet: 99.9 % der Detektionen liegen innerhalb von 120 m, aber das Sichtfeld von R1 "
+         "reicht 300 m weit: Was dahinter liegt, erscheint beobachtet und leer; max_range_m in "
+         "[sensor.view] setzen")),
+    ],
+)  # fmt: skip
+def test_warnings_of_a_run_are_german(told, german):
+    with speaking("de"):
+        assert tr_message(told) == german
+
+
 def test_a_language_that_is_none(tmp_path):
     with pytest.raises(gr.UsageError, match="'fr'"):
         MapLabels(language="fr")

@@ -208,6 +208,21 @@ def test_the_paper(made):
     assert "lanes.csv" in links
 
 
+def test_lanes_have_the_names_of_their_streets(results, tmp_path):
+    """As the layer of lanes beside the tiles has them; without it, as in older folders, none."""
+    shutil.copytree(results, tmp_path / "run")
+    lanes = gpd.GeoDataFrame(
+        {"lane": [100, 102], "street": ["Münchner Straße", None]}, geometry=[None, None], crs=25832
+    )
+    lanes.to_file(tmp_path / "run" / "tiles.gpkg", layer="lanes")
+    gr.write_report(tmp_path / "run")
+    table = pd.read_csv(tmp_path / "run" / "lanes.csv").set_index("lane")
+    assert table.loc[100, "street"] == "Münchner Straße"
+    assert pd.isna(table.loc[102, "street"])
+    text = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    assert ">Münchner Straße, east<" in text
+
+
 def test_the_same_results_give_the_same_report(results, made, tmp_path):
     gr.write_report(results, output=tmp_path)
     for name in FILES:

@@ -294,7 +294,7 @@ def own_remarks(found: Findings) -> list[str]:
         text = "Recorded were {time} only: a few cycles of a signal, and no usual day"
         remarks.append(tr(text, time=seconds_text(seconds)))
     if found.quality is not None:
-        remarks += [tr("Sensor {line}", line=found.clock.localised(line))
+        remarks += [tr("Sensor {line}", line=tr_message(found.clock.localised(line)))
                     for line in found.quality.warnings()]  # fmt: skip
     return remarks
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import datetime
+from textwrap import shorten
 
 import matplotlib as mpl
 import numpy as np
@@ -26,6 +27,7 @@ DPI = 160
 TOPS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0)  # of the scale
 BAND, UNSEEN = "#a8c4e0", "#e3e6e9"
 MOST_TICKS = 7
+STREET_LETTERS = 20  # beside a strip
 
 
 def draw_lanes_over_time(
@@ -66,7 +68,9 @@ def draw_lanes_over_time(
 
 def _named(row: pd.Series) -> str:
     """Return how a strip is called."""
-    return f"{row['lane']} {direction(row['east_m'], row['north_m'])}"
+    street = shorten(str(row.get("street") or ""), STREET_LETTERS, placeholder="\u2026")
+    number = f"{row['lane']} {direction(row['east_m'], row['north_m'])}"
+    return f"{street}\n{number}" if street else number
 
 
 def _chart(

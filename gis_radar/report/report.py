@@ -178,13 +178,15 @@ def _find(results: Results, title: str, timezone: str | None, reporter: Reporter
     heat = results.heat
     zone = timezone or str(results.site.get("time_zone") or heat.labels.timezone)
     sums = sum_by_lane(heat)
+    table = lane_table(heat, sums, tracks_of(results.vehicles, sums.lanes))
+    table["street"] = [results.streets.get(int(lane), "") for lane in table["lane"]]
     return Findings(
         results=results,
         title=title,
         clock=_clock(heat, zone),
         quality=_quality(results, zone, reporter),
         lanes=sums,
-        table=lane_table(heat, sums, tracks_of(results.vehicles, sums.lanes)),
+        table=table,
     )
 
 
@@ -426,7 +428,7 @@ def _lane_columns(clock: Clock, measure: str) -> list[Column]:
         return tr("{share} at {place}", share=share, place=place)
 
     def leads_to(row: pd.Series) -> str:
-        return direction(row["east_m"], row["north_m"])
+        return ", ".join(filter(None, [row["street"], direction(row["east_m"], row["north_m"])]))
 
     columns = [
         Column(tr("No."), "", 0.9, lambda row: str(row["lane"])),

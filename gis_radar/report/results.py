@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import pyogrio
 from PIL import Image
 
 from gis_radar.crs import name_of, same_plane
@@ -16,6 +17,7 @@ from gis_radar.files import read_json
 from gis_radar.heatmap import HeatMap, read_heatmap
 from gis_radar.heatmap.layers import FILE as PACKAGE
 from gis_radar.heatmap.picture import png
+from gis_radar.lanelets.lanes import LANES
 from gis_radar.occupancy import Occupancy, merge_occupancies, read_occupancy
 from gis_radar.poses.files import read_track
 from gis_radar.poses.pose import ANGLES, POSITION, Pose, View, pose_from_dict
@@ -58,6 +60,8 @@ class Results:
         coordinate system.
     vehicles : Vehicles or None
         What coverage was made of; None where it is not there.
+    streets : mapping
+        Name of a lane's street, by the lane's number, where it is known.
     figures : mapping
         Picture of how a sensor's pose was found, by its name.
     run : mapping
@@ -71,6 +75,7 @@ class Results:
     occupancy: Occupancy | None
     poses: Sequence[Pose]
     vehicles: Vehicles | None
+    streets: Mapping[int, str]
     figures: Mapping[str, Path]
     run: Mapping[str, Any]
     missing: Sequence[str]
@@ -174,6 +179,7 @@ def read_results(
         occupancy=occupancy,
         poses=[pose for pose in poses if same_plane(pose.crs, heat.crs)],
         vehicles=_vehicles(folder, heat),
+        streets=_streets(folder),
         figures={path.parent.name: path for path in pictures},
         run=run,
         missing=missing,
@@ -222,6 +228,19 @@ def _vehicles(folder: Path, heat: HeatMap) -> Vehicles | None:
         return None
     found = read_vehicles(folder / "vehicles")
     return found if found.provenance.fingerprint == heat.fingerprint else None
+
+
+def _streets(folder: Path) -> dict[int, str]:
+    """Return the streets of lanes by their numbers, as far as the run's tiles know them."""
+    path = folder / "tiles.gpkg"
+    if not path.is_file():
+        return {}
+    try:
+        table = pyogrio.read_dataframe(path, layer=LANES, read_geometry=False)
+    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError):
+        return {}  # of an older version
+    named = table.dropna(subset=["street"])
+    return dict(zip(named["lane"].astype(int), named["street"].astype(str), strict=True))
 
 
 def _poses(folder: Path, occupancy: Occupancy | None) -> list[Pose]:

@@ -31,6 +31,7 @@ KEYS = {
     "--time-unit": "time_unit in [sensor.convert]",
     "--together": "tied in [[sensor]]",
 }
+_PHRASES = {"set the view's max_range_m or --max-range": "set max_range_m in [sensor.view]"}
 _CYCLE = re.compile(r"--cycle (\S+)=(\S+)")
 _OPTION = re.compile("|".join(sorted(map(re.escape, KEYS), key=len, reverse=True)))
 
@@ -45,6 +46,8 @@ def in_site_words(text: str, time_zone: str) -> str:
     >>> in_site_words("no frame from 2025-06-12T07:30Z on", "Europe/Berlin")
     'no frame from 2025-06-12 09:30 UTC+02:00 on'
     """
+    for phrase, by in _PHRASES.items():
+        text = text.replace(phrase, by)
     text = _CYCLE.sub(r'cycle = "\2" in [[sensor]] \1', text)
     text = _OPTION.sub(lambda found: KEYS[found[0]], text)
     any_time = datetime(1970, 1, 1, tzinfo=UTC)

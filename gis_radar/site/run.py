@@ -309,7 +309,7 @@ def _sensors_of(outcomes: Sequence[Outcome], site: Site) -> dict[str, dict[str, 
 def _together(outcomes: Sequence[Outcome]) -> list[str]:
     """Return what sensors gained by each other, or why they are not tied."""
     solved = (e.figures for e in outcomes if e.has_result and e.stage.work is work.together_stage)
-    return [f"{name}: {line}" for each in solved for name, line in each.items()]
+    return [f"{name}: {tr_message(line)}" for each in solved for name, line in each.items()]
 
 
 def _warnings(outcomes: Sequence[Outcome]) -> list[str]:

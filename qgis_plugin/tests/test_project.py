@@ -7,6 +7,9 @@ from helpers import layer_called
 from qgis.core import (
     Qgis,
     QgsDateTimeRange,
+    QgsExpression,
+    QgsExpressionContext,
+    QgsExpressionContextScope,
     QgsFeatureRequest,
     QgsLayoutExporter,
     QgsLayoutItemLabel,
@@ -94,7 +97,8 @@ def test_the_project_prints_at_once(qgis_new_project, project, tmp_path):
     assert items[QgsLayoutItemPicture].linkedMap() is chart
     texts = [item.currentText() for item in layout.items() if isinstance(item, QgsLayoutItemLabel)]
     assert "Sample" in texts
-    assert "2025-06-12 09:30:00 \u2013 09:31:40 (Europe/Berlin)" in texts
+    assert "12 June 2025, 09:30:00 to 09:31:40 (Europe/Berlin, UTC+02:00)" in texts
+    assert any(text.startswith("Coverage: the estimated share of time") for text in texts)
     assert "Source: City" in texts
     settings = QgsLayoutExporter.ImageExportSettings()
     settings.dpi = 50
@@ -104,6 +108,26 @@ def test_the_project_prints_at_once(qgis_new_project, project, tmp_path):
     found = colours(QImage(path))
     assert len(found & {level.colour for level in STYLE["colour_classes"]("coverage")}) > 5
     assert STYLE["NOT_OBSERVED"] in found
+
+
+def test_the_clock_on_the_map_is_the_sites(qgis_new_project, project):
+    """Whatever the computer's zone; nothing stands there while only the whole time is shown."""
+    shown = QgsProject.instance()
+    assert shown.read(str(project))
+    label, known = shown.readEntry("TitleLabel", "/Label")
+    assert known
+    context = QgsExpressionContext()
+    context.appendScope(QgsExpressionContextScope())  # which it owns from now on
+    for name, clock in (("map_start_time", "07:30:20"), ("map_end_time", "07:30:40")):
+        moment = QDateTime.fromString(f"2025-06-12T{clock}Z", Qt.DateFormat.ISODate)
+        context.lastScope().setVariable(name, moment)
+    written = {}
+    for layer in ("gis_radar_heatmap_by_interval", "gis_radar_heatmap"):
+        context.lastScope().setVariable("map_layer_ids", [layer])
+        written[layer] = QgsExpression.replaceExpressionText(label, context)
+    assert list(written.values()) == [
+        "Thu 2025-06-12 09:30:20 - 09:30:40 (Europe/Berlin, UTC+02:00)", "",
+    ]  # fmt: skip
 
 
 def test_no_text_of_a_project_is_evaluated(qgis_new_project, project, tmp_path):
