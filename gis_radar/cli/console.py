@@ -22,8 +22,10 @@ from rich.text import Text
 
 from gis_radar.errors import GisRadarError, OutputError, UsageError, first_line
 from gis_radar.files import json_text
+from gis_radar.languages import LANGUAGES
 from gis_radar.processes import watch_input
 from gis_radar.progress import Level, Reporter
+from gis_radar.words import speaking, tr_message
 
 WIDE = 160
 MOST_LETTERS = 500  # of a message
@@ -53,6 +55,25 @@ class Result:
     advice: str = ""
 
 
+LANGUAGE = "GIS_RADAR_LANGUAGE"  # of remarks and errors; in QGIS the plugin sets it
+
+
+def in_users_language(text: str) -> str:
+    """Return a remark or an error in the language that the environment names, else in English.
+
+    What stands before a colon may be the name of a file, a stage or a sensor.
+    """
+    language = os.environ.get(LANGUAGE, "en")
+    if language not in LANGUAGES or language == "en":
+        return text
+    with speaking(language):
+        head, rest = "", text
+        while (found := tr_message(rest)) == rest and ": " in rest:
+            before, _, rest = rest.partition(": ")
+            head += f"{before}: "
+    return text if found == rest else head + found
+
+
 class Console(Reporter):
     """Destination of a command's progress, result and errors."""
 
@@ -80,7 +101,7 @@ class JsonConsole(Console):
 
     def log(self, message: str, level: Level = "info") -> None:
         """Write a remark."""
-        self._write(event="log", level=level, message=message)
+        self._write(event="log", level=level, message=in_users_language(message))
 
     def result(self, result: Result) -> None:
         """Write what was done."""
@@ -89,8 +110,9 @@ class JsonConsole(Console):
 
     def error(self, error: GisRadarError) -> None:
         """Write what went wrong; the code is the exit code."""
-        message = _shortened(error.message)
-        self._write(event="error", code=error.exit_code, message=message, hint=error.hint)
+        message = in_users_language(_shortened(error.message))
+        hint = in_users_language(error.hint)
+        self._write(event="error", code=error.exit_code, message=message, hint=hint)
 
     @staticmethod
     def _write(**record: Any) -> None:
@@ -134,7 +156,8 @@ class TerminalConsole(Console):
     def log(self, message: str, level: Level = "info") -> None:
         """Print a remark."""
         prefix = "warning: " if level == "warning" else ""
-        self._rich.print(f"{prefix}{message}", markup=False, highlight=False, soft_wrap=True)
+        text = in_users_language(message)
+        self._rich.print(f"{prefix}{text}", markup=False, highlight=False, soft_wrap=True)
 
     def result(self, result: Result) -> None:
         """Print the figures as a table, then the outputs."""
@@ -157,8 +180,9 @@ class TerminalConsole(Console):
 
     def error(self, error: GisRadarError) -> None:
         """Print the error as one line; what to do about it in the same line."""
-        hint = f" ({error.hint})" if error.hint else ""
-        text = " ".join(f"gis-radar: {_shortened(error.message)}{hint}".split())
+        hint = f" ({in_users_language(error.hint)})" if error.hint else ""
+        message = in_users_language(_shortened(error.message))
+        text = " ".join(f"gis-radar: {message}{hint}".split())
         text = "".join(each if each.isprintable() else ascii(each)[1:-1] for each in text)
         self._rich.print(text, markup=False, highlight=False, soft_wrap=True)
 

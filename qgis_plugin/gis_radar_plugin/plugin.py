@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 from qgis.core import Qgis, QgsApplication
@@ -10,7 +11,7 @@ from qgis.PyQt.QtGui import QIcon
 from .base import ICONS, PROVIDER, chosen_python
 from .provider import GisRadarProvider
 from .runner import WorkerError
-from .words import tr
+from .words import language, tr
 
 MENU = "gis_radar"
 
@@ -35,6 +36,7 @@ class GisRadarPlugin:
 
     def initProcessing(self) -> None:  # noqa: N802
         """Register the algorithms; all that `qgis_process` needs."""
+        os.environ.setdefault("GIS_RADAR_LANGUAGE", language())  # of what the worker reports
         self._provider = GisRadarProvider()
         QgsApplication.processingRegistry().addProvider(self._provider)
 
