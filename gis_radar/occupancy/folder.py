@@ -350,7 +350,12 @@ def _read_table(folder: Path, name: str, fingerprint: str) -> pd.DataFrame:
     path = folder / name
     _check_table(path, fingerprint)
     with damaged_as_input_error(path):
-        return pd.DataFrame(pq.read_table(path, **CHECKED).to_pandas())
+        table = pd.DataFrame(pq.read_table(path, **CHECKED).to_pandas())
+    if {"first_step", "last_step"} <= set(table) and (table.first_step > table.last_step).any():
+        raise InputError(f"{path}: damaged: steps that end before they begin")
+    if table.isna().to_numpy().any():
+        raise InputError(f"{path}: damaged: a value is missing")
+    return table
 
 
 def _check_table(path: Path, fingerprint: str) -> None:
@@ -361,6 +366,9 @@ def _check_table(path: Path, fingerprint: str) -> None:
     missing = [column for column in NEEDED[path.name] if column not in schema.names]
     if missing:
         raise InputError(f"{path}: lacks the column {missing[0]}")
+    for column in {"step", "tile_id", "first_step", "last_step"} & set(schema.names):
+        if not pa.types.is_integer(kind := schema.field(column).type):
+            raise InputError(f"{path}: column {column} is {kind}, expected whole numbers")
     other = (schema.metadata or {}).get(b"fingerprint", fingerprint.encode()).decode()
     if other != fingerprint:
         raise InputError(f"{path}: was made from tiles {other}, its folder from {fingerprint}")

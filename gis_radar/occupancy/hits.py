@@ -138,6 +138,8 @@ class SortedTable:
             pq.ParquetFile(path, read_dictionary=texts, **CHECKED) as file,
         ):
             for batch in file.iter_batches(self.rows_at_once, columns=names, use_threads=False):
+                if empty := [each for each in names if batch.column(each).null_count]:
+                    raise InputError(f"{path}: damaged: a value of {empty[0]} is missing")
                 rows = tuple(
                     _numbers_of(batch.column(field.name), sensors, path)
                     if pa.types.is_string(field.type)

@@ -37,6 +37,7 @@ from gis_radar.lanelets.tagging import ON_FOOT_OR_BICYCLE
 from gis_radar.progress import QUIET, Reporter
 
 LENGTH_M = 0.5  # of the contract and the paper
+LEAST_LENGTH_M = 0.01  # a lane of 100 m has 10,000 of them
 LAYER = "tiles"
 PROBLEMS = "problems"
 _COUNT, _CONTENT = "gis_radar_tiles", "gis_radar_content"
@@ -94,8 +95,8 @@ def make_tiles(
     >>> len(tiles), tiles.geometry.geom_type.unique().tolist()
     (5387, ['Polygon'])
     """
-    if not 0.0 < length_m < np.inf:
-        raise UsageError(f"tile length is {length_m} m, expected more than 0")
+    if not LEAST_LENGTH_M <= length_m < np.inf:
+        raise UsageError(f"tile length is {length_m} m, expected {LEAST_LENGTH_M} m or more")
     lanelets = _chosen(roads.lanelets, subtypes)
     _say_left_out(roads.lanelets, lanelets, reporter)
     tiles = _table(lanelets, _rungs(lanelets, length_m, reporter), roads.crs)
@@ -271,7 +272,10 @@ def read_tiles(path: str | Path) -> gpd.GeoDataFrame:
         raise InputError(f"{path}: layer {LAYER} lacks {', '.join(missing) or 'geometry'}")
     tiles = tiles.set_crs(metric_crs(tiles.crs, what=str(path)), allow_override=True)
     _refuse_odd_tiles(tiles, path)
-    tiles["height_m"] = tiles["height_m"].astype(np.float64)
+    try:
+        tiles["height_m"] = tiles["height_m"].astype(np.float64)
+    except (ValueError, TypeError) as error:
+        raise InputError(f"{path}: column height_m holds something else than metres") from error
     tiles = tiles.sort_values("tile_id", ignore_index=True)
     _refuse_other_tiles(tiles, seal, path)
     return tiles
@@ -311,6 +315,8 @@ def _refuse_odd_tiles(tiles: gpd.GeoDataFrame, path: str | Path) -> None:
         raise InputError(
             f"{path}: tile {tiles['tile_id'].to_numpy()[odd][0]} has not four vertices"
         )
+    if not np.isfinite(shapely.bounds(shapes)).all():
+        raise InputError(f"{path}: a tile has corners that are no numbers")
     if tiles["tile_id"].duplicated().any():
         twice = tiles["tile_id"][tiles["tile_id"].duplicated()].iloc[0]
         raise InputError(f"{path}: tile {twice} is there twice")
