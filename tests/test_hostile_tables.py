@@ -121,9 +121,13 @@ def test_lengths_that_would_fill_the_memory(run, here, length):
 @pytest.mark.parametrize("name", ["a\nb.osm", os.fsdecode(b"\xff\xfe.osm"), "<b>[red].osm"])
 def test_names_of_files_that_no_terminal_shows(run, here, name):
     shutil.copy(here / "map.osm", here / name)
-    code, out, _ = run("tiles", name, "-o", f"{name}.gpkg", "--json")
-    assert code == 0
+    code, out, _ = run("tiles", name, "-o", "out.gpkg", "--json")
+    assert code == 0, out
     assert json.loads(out.splitlines()[-1])["event"] == "result"
+    code, out, _ = run("tiles", "map.osm", "-o", f"{name}.gpkg", "--json")
+    last = json.loads(out.splitlines()[-1])
+    assert last["event"] == ("result" if code == 0 else "error")  # GDAL writes no such names
+    assert UNFORESEEN not in out
     code, _, err = run("tiles", f"{name}x", "-o", "out.gpkg")
     assert code in {2, 3}
     assert len(err.strip().splitlines()) == 1

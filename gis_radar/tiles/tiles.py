@@ -315,7 +315,7 @@ def _refuse_odd_tiles(tiles: gpd.GeoDataFrame, path: str | Path) -> None:
         raise InputError(
             f"{path}: tile {tiles['tile_id'].to_numpy()[odd][0]} has not four vertices"
         )
-    if not np.isfinite(shapely.bounds(shapes)).all():
+    if not np.isfinite(shapely.get_coordinates(shapes)).all():
         raise InputError(f"{path}: a tile has corners that are no numbers")
     if tiles["tile_id"].duplicated().any():
         twice = tiles["tile_id"][tiles["tile_id"].duplicated()].iloc[0]
