@@ -127,6 +127,11 @@ def library_errors(
         try:
             yield
         except DAMAGE as error:
+            if "database is locked" in str(error):
+                raise InputError(
+                    f"{path}: another program has it locked",
+                    hint="end editing it there, or close it, and try again; nothing is lost",
+                ) from error
             wrong = f"not {what}" if isinstance(error, _OTHER) else "damaged"
             raise InputError(f"{path}: {wrong}: {first_line(error)}", hint=hint) from error
     for text in dict.fromkeys(str(each.message).partition("\n")[0] for each in caught):

@@ -352,3 +352,19 @@ def run_sql(path, *commands):
         for command in commands:
             file.execute(command)
     file.close()
+
+
+def test_tiles_that_another_program_has_locked_are_named_and_stay(tmp_path):
+    """As while somebody edits them in QGIS."""
+    path = tmp_path / "tiles.gpkg"
+    write_tiles(crossing(), path, problems=NO_PROBLEMS)
+    before = path.read_bytes()
+    editor = sqlite3.connect(path, isolation_level=None)
+    editor.execute("BEGIN EXCLUSIVE")
+    with pytest.raises(InputError, match=r"tiles\.gpkg: another program has it locked") as caught:
+        read_tiles(path)
+    assert "\n" not in str(caught.value)
+    editor.execute("ROLLBACK")
+    editor.close()
+    assert path.read_bytes() == before
+    assert len(read_tiles(path)) > 0
