@@ -70,6 +70,7 @@ types: set-up-dev ## Check the types
 	$(BIN)/mypy
 
 bench: set-up-bench ## Run every benchmark; one table of them, and what got worse
+	@rm -f out/bench-*.json out/bench-vehicles/bench.json out/bench-localization/*/table-lane.json
 	-@$(MAKE) --keep-going $(BENCHES)
 	$(BIN)/python bench/summary.py
 

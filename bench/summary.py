@@ -26,6 +26,7 @@ ACCEPTED = ROOT / "bench" / "accepted.json"
 MARK = "speed"
 # By so much do figures differ from run to run: processor times of shared machines most.
 TIMES, SHARES, SAME = 0.25, 0.05, 0.02
+LEAST_PERCENT, LEAST_M, LEAST_DEG = 0.1, 0.02, 0.02  # smaller differences tell nothing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,8 +45,10 @@ class Figure:
         What it is set beside: a peer in the same run, or a target.
     more_is_better : bool
         Whether a higher figure is a better one.
-    chance : float
-        By which part of it the figure differs from run to run.
+    chance, least : float
+        By which part of it the figure differs from run to run, and by how much at least.
+    size : str
+        How large the work was.
     """
 
     what: str
@@ -55,16 +58,24 @@ class Figure:
     peer_name: str = ""
     more_is_better: bool = False
     chance: float = SHARES
+    least: float = 0.0
+    size: str = ""
 
     @property
     def ratio(self) -> float | None:
         """Ours over the peer's."""
         return None if not self.peer else self.ours / self.peer
 
+    @property
+    def name(self) -> str:
+        """What is measured, with the size of the work."""
+        return f"{self.what}, {self.size}" if self.size else self.what
+
     def change(self, accepted: float) -> float:
-        """Return by which part the figure got worse; negative where it got better."""
-        part = (self.ours - accepted) / max(abs(accepted), 1e-9)
-        return -part if self.more_is_better else part
+        """Return by how much more than chance the figure got worse; negative where better, or 0."""
+        more = accepted - self.ours if self.more_is_better else self.ours - accepted
+        within = max(self.chance * abs(accepted), self.least)
+        return float(np.sign(more) * max(abs(more) - within, 0.0))
 
 
 def main() -> None:
@@ -98,11 +109,10 @@ def table(figures: Sequence[Figure], accepted: Mapping[str, float]) -> str:
         before, change = "", ""
         if each.what in accepted:
             before = _short(accepted[each.what], each.unit)
-            part = each.change(accepted[each.what])
-            within = abs(part) <= each.chance
-            change = "" if within else f"{'worse' if part > 0.0 else 'better'} by {abs(part):.0%}"
+            more = each.change(accepted[each.what])
+            change = "" if more == 0.0 else ("worse" if more > 0.0 else "better")
         ours = _short(each.ours, each.unit)
-        lines.append(f"| {each.what} | {ours} | {beside} | {ratio} | {before} | {change} |")
+        lines.append(f"| {each.name} | {ours} | {beside} | {ratio} | {before} | {change} |")
     return "\n".join(lines)
 
 
@@ -113,17 +123,18 @@ def speed(figures: Sequence[Figure]) -> str:
         beside = ""
         if each.ratio is not None:
             beside = f"{each.ratio:.3g} x {each.peer_name}"
-        lines.append(f"| {each.what} | {_short(each.ours, each.unit)} | {beside} |")
+        lines.append(f"| {each.name} | {_short(each.ours, each.unit)} | {beside} |")
     return "\n".join(lines)
 
 
 def worse(figures: Sequence[Figure], accepted: Mapping[str, float]) -> list[str]:
-    """Return a line for each figure that got worse by more than chance."""
-    return [
+    """Return a line for each figure that got worse by more than chance, or was not measured."""
+    measured = {each.what for each in figures}
+    return [f"{what}: not measured" for what in accepted if what not in measured] + [
         f"{each.what}: {_short(each.ours, each.unit)}, accepted is "
         f"{_short(accepted[each.what], each.unit)}"
         for each in figures
-        if each.what in accepted and each.change(accepted[each.what]) > each.chance
+        if each.what in accepted and each.change(accepted[each.what]) > 0.0
     ]
 
 
@@ -139,9 +150,9 @@ def _assignment(report: Mapping[str, Any]) -> Iterator[Figure]:
     rates = report["million_points_per_s"]
     for peer in (each for each in rates if each != "grid"):
         yield Figure(
-            what=f"points to tiles, one thread, {report['tiles']:,} tiles, and by {peer}",
-            ours=rates["grid"], unit="M points/s", peer=rates[peer], peer_name=peer,
-            more_is_better=True, chance=TIMES,
+            what=f"points to tiles in one thread, beside {peer}", ours=rates["grid"],
+            unit="M points/s", peer=rates[peer], peer_name=peer, more_is_better=True,
+            chance=TIMES, size=f"{report['tiles']:,} tiles",
         )  # fmt: skip
 
 
@@ -153,14 +164,16 @@ def _tiles(report: Mapping[str, Any]) -> Iterator[Figure]:
 
 
 def _occupancy(report: Mapping[str, Any]) -> Iterator[Figure]:
-    work = f"`occupancy`, Parquet to folder, 500 detections at 20 Hz, {report['hours']:.0f} h"
+    size = f"500 detections at 20 Hz, {report['hours']:.1f} h"
     yield Figure(
-        what=work, ours=report["times_real_time"], unit="x real time", more_is_better=True,
-        chance=TIMES,
+        what="`occupancy`, Parquet to folder", ours=report["times_real_time"], unit="x real time",
+        more_is_better=True, chance=TIMES, size=size,
     )  # fmt: skip
-    yield Figure(what="its memory", ours=report["memory_mib"], unit="MiB", chance=TIMES)
-    disk_mib = sum(report["disk_mib"].values())
-    yield Figure(what="its folder", ours=disk_mib, unit="MiB", chance=TIMES)
+    for what, mib in (
+        ("memory of `occupancy`", report["memory_mib"]),
+        ("folder of `occupancy`", sum(report["disk_mib"].values())),
+    ):
+        yield Figure(what=what, ours=mib, unit="MiB", chance=TIMES, size=size)
 
 
 def _memory(report: Mapping[str, Any]) -> Iterator[Figure]:
@@ -209,7 +222,7 @@ def _sight(report: Mapping[str, Any]) -> Iterator[Figure]:
         for name, target in (("wrongly_seen", 2.0), ("lost", 3.0)):
             yield Figure(
                 what=f"sight, {place}: {name.replace('_', ' ')}", ours=100.0 * row[name], unit="%",
-                peer=target, peer_name="(target)",
+                peer=target, peer_name="(target)", least=LEAST_PERCENT,
             )  # fmt: skip
 
 
@@ -217,7 +230,7 @@ def _alarm(report: Mapping[str, Any]) -> Iterator[Figure]:
     yield Figure(
         what="false alarms of a sensor at rest, a month, 95 % below",
         ours=report["false, all, whole"]["monthly_95"][1], peer=1.0, peer_name="(target)",
-        chance=SHARES,
+        chance=SHARES, least=0.1,
     )  # fmt: skip
 
 
@@ -226,8 +239,12 @@ def _localization(kind: str) -> Any:
         for group, row in report["figures"]["groups"].items():
             if group.endswith(" lane"):
                 where = f"pose, {kind}, {group.removesuffix(' lane')}"
-                yield Figure(what=f"{where}: 2D mean", ours=row["flat_mean"], unit="m")
-                yield Figure(what=f"{where}: yaw mean", ours=row["yaw"], unit="deg")
+                yield Figure(
+                    what=f"{where}: 2D mean", ours=row["flat_mean"], unit="m", least=LEAST_M
+                )
+                yield Figure(
+                    what=f"{where}: yaw mean", ours=row["yaw"], unit="deg", least=LEAST_DEG
+                )
                 yield Figure(
                     what=f"{where}: right", ours=100.0 * row["right"], unit="%",
                     more_is_better=True, chance=SAME,

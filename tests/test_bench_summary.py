@@ -73,3 +73,24 @@ def test_speed_goes_into_a_page(out, monkeypatch):
 def test_without_any_figure_it_says_how_to_get_some(tmp_path, monkeypatch):
     with pytest.raises(SystemExit, match="make bench"):
         run(monkeypatch, tmp_path)
+
+
+def test_what_was_accepted_and_is_not_measured_any_more_is_named(out, monkeypatch):
+    run(monkeypatch, out, "--accept")
+    (out / "bench-sight.json").unlink()
+    with pytest.raises(SystemExit, match="sight, town, classes: lost: not measured"):
+        run(monkeypatch, out)
+
+
+def test_a_tenth_of_a_percent_more_than_none_is_not_worse(out, monkeypatch):
+    none = SIGHT | {"town, classes": {"wrongly_seen": 0.01, "lost": 0.0, "right": 0.99}}
+    (out / "bench-sight.json").write_text(json.dumps(none))
+    run(monkeypatch, out, "--accept")
+    for lost, worse in ((0.0005, False), (0.005, True)):
+        now = none | {"town, classes": {"wrongly_seen": 0.01, "lost": lost, "right": 0.99}}
+        (out / "bench-sight.json").write_text(json.dumps(now))
+        if worse:
+            with pytest.raises(SystemExit, match=r"lost: 0\.5 %, accepted is 0 %"):
+                run(monkeypatch, out)
+        else:
+            run(monkeypatch, out)
