@@ -1,4 +1,6 @@
 import sqlite3
+import subprocess
+import sys
 import warnings
 
 import geopandas as gpd
@@ -359,12 +361,19 @@ def test_tiles_that_another_program_has_locked_are_named_and_stay(tmp_path):
     path = tmp_path / "tiles.gpkg"
     write_tiles(crossing(), path, problems=NO_PROBLEMS)
     before = path.read_bytes()
-    editor = sqlite3.connect(path, isolation_level=None)
-    editor.execute("BEGIN EXCLUSIVE")
-    with pytest.raises(InputError, match=r"tiles\.gpkg: another program has it locked") as caught:
-        read_tiles(path)
+    program = (
+        "import sqlite3, sys\n"
+        "editor = sqlite3.connect(sys.argv[1], isolation_level=None)\n"
+        "editor.execute('BEGIN EXCLUSIVE')\nprint('locked', flush=True)\nsys.stdin.read()"
+    )  # locks of files hold between processes
+    words = [sys.executable, "-c", program, path]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as editor:
+        assert editor.stdout.readline() == b"locked\n"
+        pyogrio.set_gdal_config_options({"SQLITE_BUSY_TIMEOUT": "50"})  # ms; by default 5 s
+        with pytest.raises(InputError, match=r"tiles\.gpkg: another program has it") as caught:
+            read_tiles(path)
+        editor.stdin.close()
+    pyogrio.set_gdal_config_options({"SQLITE_BUSY_TIMEOUT": None})
     assert "\n" not in str(caught.value)
-    editor.execute("ROLLBACK")
-    editor.close()
     assert path.read_bytes() == before
     assert len(read_tiles(path)) > 0
