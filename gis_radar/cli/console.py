@@ -166,7 +166,11 @@ class TerminalConsole(Console):
         for name, value in result.summary.items():
             if name == "settings":
                 continue  # constants in effect: for --json and the files
-            if isinstance(value, Mapping):
+            if isinstance(value, Mapping) and not all(
+                isinstance(row, Mapping) for row in value.values()
+            ):
+                table.add_row(name.replace("_", " "), Text(json_text(value)))
+            elif isinstance(value, Mapping):
                 # A number that is cut short is a wrong number: rather a line too long.
                 rich.console.Console(width=max(out.width, WIDE)).print(_grid(name, value))
             else:
