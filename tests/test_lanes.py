@@ -105,6 +105,16 @@ def test_the_sample_has_stop_lines_where_its_lights_are(junction):
         assert lanes.loc[stop["lane"], "stop_line_m"] == stop["lane_m"]
 
 
+def test_a_stop_line_of_lanelets_that_were_left_out_ends_no_lane(junction):
+    named = {ref for refs in junction.regulatory["lanelet_ids"] for ref in refs}
+    left = junction.lanelets[~junction.lanelets["lanelet_id"].isin(named)].reset_index(drop=True)
+    roads = gr.LaneletMap(**{**vars(junction), "lanelets": left})
+    stops = gr.stop_lines(roads)
+    assert (len(stops), list(stops)) == (0, list(gr.stop_lines(junction)))
+    assert stops.crs == junction.crs
+    assert gr.lanes(roads)["stop_line_m"].isna().all()
+
+
 def two_lanes(folder, apart_m=0.0, stop=None, **tags):
     """Two lanes of 20 m eastward, one beside or behind the other, neither following."""
     nodes, ways, lanelets = {}, {}, {}

@@ -2,14 +2,17 @@
 
 import html
 import re
-from types import SimpleNamespace
 
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
+from gis_radar.errors import InputError
+from gis_radar.site import stages
+from gis_radar.site.plan import Outcome, Stage
 from gis_radar.site.run import _literal, _summary
+from gis_radar.site.settings import Site
 
 HOSTILE = "<script>alert(1)</script> [a](javascript:x) `b` **c** __d__ | e &lt; \\ ~~f~~\n# g"
 
@@ -43,26 +46,49 @@ def test_names_that_are_common_stay_as_they_are():
         assert _literal(name) == name
 
 
-def test_a_hostile_site_makes_no_markup():
-    site = SimpleNamespace(
-        title=HOSTILE, time_zone="UTC", map=SimpleNamespace(source=HOSTILE), scan=None,
-        attribution=[HOSTILE], sensor=[SimpleNamespace(name=HOSTILE)],
+def hostile_site(folder, language):
+    """Return a site whose texts are markup; a sensor's name is a folder's and cannot be."""
+    for name in ("map.osm", "R1.parquet", "R1.json"):
+        (folder / name).touch()
+    line = " ".join(HOSTILE.split())
+    return Site.model_validate(
+        {
+            "title": line, "language": language, "attribution": [line],
+            "map": {"file": "map.osm", "source": line},
+            "sensor": [{"name": "R1", "recordings": ["R1.parquet"], "pose": "R1.json"}],
+        },
+        context={"folder": folder},
     )  # fmt: skip
-    page = _summary(site, [])
-    shown, tags = printed(page)
-    assert tags <= {
-        "h1",
-        "h2",
-        "p",
-        "ul",
-        "li",
-        "table",
-        "thead",
-        "tbody",
-        "tr",
-        "th",
-        "td",
-        "code",
+
+
+def ended(work, sensor="", **end):
+    stage = Stage(name="any", work=work, inputs={}, outputs=(), sensor=sensor)
+    return Outcome(stage=stage, **end)
+
+
+TAGS = {"h1", "h2", "p", "ul", "li", "table", "thead", "tbody", "tr", "th", "td", "code"}
+
+
+@pytest.mark.parametrize("language", ["en", "de"])
+def test_a_hostile_site_makes_no_markup(tmp_path, language):
+    told = {
+        "facts": {HOSTILE: HOSTILE},
+        "basis": [[HOSTILE, "a"], [HOSTILE, "b"]],
+        "lanes_named": [["Lane"], [HOSTILE]],
+        "remarks": [HOSTILE],
     }
-    assert shown.count("<script>alert(1)</script> [a](javascript:x) `b`") == 4
-    assert page.count("\n|---") == 1
+    span = {"begin": "2026-06-01T05:00:00+00:00", "end": "2026-06-01T06:00:00+00:00"}
+    outcomes = [
+        ended(stages.pose_stage, "R1", state="failed", error=InputError(HOSTILE)),
+        ended(stages.together_stage, state="done", figures={HOSTILE: HOSTILE}),
+        ended(stages.heatmap_stage, state="done", figures=span),
+        ended(stages.report_stage, state="done", figures=told),
+    ]
+    page = _summary(hostile_site(tmp_path, language), outcomes)
+    shown, tags = printed(page)
+    assert tags <= TAGS
+    # title, credits (map and attribution are one), 2 of facts, 2 of basis, and one each of lane,
+    # remark and state; 2 of poses found together
+    assert shown.count("<script>alert(1)</script> [a](javascript:x) `b`") == 11
+    assert page.count("\n|---") == 3
+    assert ("Kurz gefasst" if language == "de" else "In short") in shown

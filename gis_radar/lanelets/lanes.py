@@ -350,7 +350,7 @@ def _stopped(
     near = centres.index[shapely.dwithin(centres.array, line, STOP_NEAR_M)].tolist()
     among = [ref for ref in (named or near) if ref in centres.index]
     met = [ref for ref in among if _ends_at(centres[ref], line)]
-    along = [(ref, _meets(centres[ref], line)) for ref in met or sorted(named)]
+    along = [(ref, _meets(centres[ref], line)) for ref in met or sorted(among)]
     # where one lanelet ends at the line and the next begins, the line ends the first
     ended = [(ref, s_m) for ref, s_m in along if s_m > STOP_NEAR_M / 2]
     return sorted(ended or along)
