@@ -8,7 +8,6 @@ import errno
 import json
 import math
 import os
-import re
 import secrets
 import shutil
 import sys
@@ -22,7 +21,9 @@ from gis_radar.errors import GisRadarError, InputError, OutputError, first_line
 from gis_radar.leftovers import (
     PLAN,
     PRIVATE,
+    SCRATCH,
     clear_abandoned,
+    clear_scratch,
     hidden_stem,
     leftovers,
     living,
@@ -282,10 +283,10 @@ def scratch_folder() -> Iterator[Path]:
         If there is no room.
     """
     root = Path(tempfile.gettempdir())
-    clear_abandoned(root, re.compile(r"gis_radar_\w+"))
+    clear_scratch(root)
     with (
         writing_errors(root),
-        tempfile.TemporaryDirectory(prefix="gis_radar_", ignore_cleanup_errors=True) as name,
+        tempfile.TemporaryDirectory(prefix=SCRATCH, ignore_cleanup_errors=True) as name,
         living(Path(name)),
     ):
         yield Path(name)

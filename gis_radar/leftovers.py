@@ -15,6 +15,7 @@ from pathlib import Path
 _LONGEST_NAME = 255  # bytes, of most file systems
 _ALIVE = ".alive"  # locked in a private folder as long as the process that made it lives
 PLAN = ".places.json"  # in a private folder that is whole and about to be moved
+SCRATCH = ".gis_radar-scratch-"  # begins the names of temporary folders: nobody else's do
 PRIVATE = re.compile(r"\..+\.[0-9a-f]{8}\.(part|before)")
 _ABANDONED_S = 86_400.0  # a private folder without a lock is of a file system without locks
 
@@ -48,36 +49,51 @@ def living(private: Path) -> Iterator[None]:
     handle = os.open(private / _ALIVE, os.O_RDWR | os.O_CREAT, 0o600)
     try:
         with suppress(OSError):  # no locks here
-            lock_descriptor(handle, blocking=False)
+            lock_descriptor(handle, blocking=True)  # others hold it for a look only
+            os.write(handle, b"\n")  # from now on the lock counts
         yield
     finally:
         os.close(handle)
 
 
 def clear_abandoned(folder: Path, named: re.Pattern[str]) -> None:
-    """Remove private folders that killed runs left in a folder; end what was being moved."""
-    with suppress(OSError):
-        found = [each for each in folder.iterdir() if named.fullmatch(each.name)]
-        for private in found:
-            if private.suffix == ".before" or private.is_symlink() or not _is_abandoned(private):
-                continue
-            with suppress(OSError, ValueError):
-                for name, place in json.loads((private / PLAN).read_text(encoding="utf-8")):
-                    if (private / Path(name).name).exists() and Path(place).parent == folder:
-                        os.replace(private / Path(name).name, place)  # noqa: PTH105
+    """Remove private folders that killed runs left beside outputs; end what was being moved."""
+    for private in _abandoned(folder, named):
+        with suppress(OSError, ValueError):
+            for name, place in json.loads((private / PLAN).read_text(encoding="utf-8")):
+                if (private / Path(name).name).exists() and Path(place).parent == folder:
+                    os.replace(private / Path(name).name, place)  # noqa: PTH105
+        shutil.rmtree(private, ignore_errors=True)
+
+
+def clear_scratch(folder: Path) -> None:
+    """Remove what killed runs left in the system's folder for temporary files: others use it."""
+    named = re.compile(rf"{re.escape(SCRATCH)}\w+")
+    for private in _abandoned(folder, named):
+        if (private / _ALIVE).is_file():
             shutil.rmtree(private, ignore_errors=True)
+
+
+def _abandoned(folder: Path, named: re.Pattern[str]) -> Iterator[Path]:
+    """Yield the private folders of processes that are gone."""
+    with suppress(OSError):
+        for private in [each for each in folder.iterdir() if named.fullmatch(each.name)]:
+            if private.suffix != ".before" and not private.is_symlink() and _is_abandoned(private):
+                yield private
 
 
 def _is_abandoned(private: Path) -> bool:
     """Return whether the process that made a private folder is gone."""
     from filelock import lock_descriptor  # noqa: PLC0415 - 70 ms
 
+    old = time.time() - private.stat().st_mtime > _ABANDONED_S
     try:
         handle = os.open(private / _ALIVE, os.O_RDWR)
     except OSError:  # being made just now, or of a version without locks
-        return time.time() - private.stat().st_mtime > _ABANDONED_S
+        return old
     try:
-        return lock_descriptor(handle, blocking=False)
+        # Empty: it is being made just now, and the lock will be taken in a moment.
+        return lock_descriptor(handle, blocking=False) and (os.fstat(handle).st_size > 0 or old)
     except OSError:
         return False
     finally:

@@ -6,10 +6,12 @@ import random
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
 import pytest
+from filelock import lock_descriptor
 
 from gis_radar import files, leftovers
 from gis_radar.errors import OutputError
@@ -168,7 +170,7 @@ def test_a_plan_moves_nothing_elsewhere(tmp_path):
     private = tmp_path / ".a.00000000.part"
     private.mkdir()
     (private / "a").write_text("hostile")
-    (private / leftovers._ALIVE).touch()
+    (private / leftovers._ALIVE).write_text("\n")
     (private / leftovers.PLAN).write_text(json.dumps([["a", str(tmp_path / "sub" / "a")]]))
     (tmp_path / "sub").mkdir()
     with whole_file(tmp_path / "a") as part:
@@ -183,6 +185,58 @@ def test_temporary_files_of_killed_runs_go(tmp_path, monkeypatch):
     with scratch_folder() as one, scratch_folder() as other:
         assert names(tmp_path) == sorted([one.name, other.name])
     assert names(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    "name", ["gis_radar_results", "gis_radar_0123abcd", leftovers.SCRATCH + "mine"]
+)
+@pytest.mark.parametrize("held", ["mine.txt", leftovers.PLAN])
+def test_what_others_keep_among_temporary_files_stays(tmp_path, monkeypatch, name, held):
+    (tmp_path / name).mkdir()
+    (tmp_path / name / held).write_text("mine")
+    os.utime(tmp_path / name, (1.0, 1.0))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with scratch_folder():
+        pass
+    assert (tmp_path / name / held).read_text() == "mine"
+
+
+def test_a_plan_among_temporary_files_moves_nothing(tmp_path, monkeypatch):
+    """Anybody may write there."""
+    private = tmp_path / f"{leftovers.SCRATCH}0123abcd"
+    private.mkdir()
+    (tmp_path / "mine").write_text("mine")
+    (private / "mine").write_text("hostile")
+    (private / leftovers._ALIVE).write_text("\n")
+    (private / leftovers.PLAN).write_text(json.dumps([["mine", str(tmp_path / "mine")]]))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with scratch_folder():
+        pass
+    assert (tmp_path / "mine").read_text() == "mine"
+    assert names(tmp_path) == ["mine"]
+
+
+def test_a_folder_that_is_being_made_is_not_cleared(tmp_path):
+    """Another run looks between the two steps: the file is there, its lock is not yet held."""
+    private = tmp_path / ".a.00000000.part"
+    private.mkdir()
+    handle = os.open(private / leftovers._ALIVE, os.O_RDWR | os.O_CREAT)
+    try:
+        leftovers.clear_abandoned(tmp_path, leftovers.PRIVATE)
+        assert private.exists()
+    finally:
+        os.close(handle)
+
+
+def test_a_look_of_another_run_does_not_cost_the_lock(tmp_path):
+    """The look holds the lock for a moment; the owner waits for it."""
+    (tmp_path / leftovers._ALIVE).touch()
+    handle = os.open(tmp_path / leftovers._ALIVE, os.O_RDWR)
+    assert lock_descriptor(handle, blocking=False)
+    threading.Timer(0.1, os.close, [handle]).start()
+    with leftovers.living(tmp_path):
+        assert not leftovers._is_abandoned(tmp_path)
+    assert leftovers._is_abandoned(tmp_path)
 
 
 @pytest.mark.parametrize("length", [200, 231, 232, 240, 255])
