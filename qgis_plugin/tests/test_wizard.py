@@ -2,14 +2,16 @@
 
 import math
 import shutil
+import sys
 
 import pytest
 from conftest import SAMPLE
 from qgis.core import QgsApplication, QgsCoordinateReferenceSystem, QgsPointXY, QgsProject
 from qgis.gui import QgsMapCanvas, QgsMessageBar
-from qgis.PyQt.QtCore import QPoint, Qt
+from qgis.PyQt import sip
+from qgis.PyQt.QtCore import QCoreApplication, QEvent, QPoint, Qt
 from qgis.PyQt.QtTest import QTest
-from qgis.PyQt.QtWidgets import QApplication, QMainWindow
+from qgis.PyQt.QtWidgets import QApplication, QMainWindow, QMessageBox
 
 
 class Window:
@@ -169,6 +171,117 @@ def test_a_map_that_is_none(wizard, place):
     wizard.map_page.map_box.setFilePath(str(place / "no.osm"))
     wait_until(lambda: "no lanelets" in wizard.map_page.status.text())
     assert not wizard.map_page.isComplete()
+
+
+def no_tasks():
+    return not QgsApplication.taskManager().activeTasks()
+
+
+@pytest.mark.parametrize("change", ["draft", "file"])
+def test_a_check_of_what_was_there_before_counts_for_nothing(wizard, place, fake_worker, change):
+    """Back, an edit and Next while a check runs, or another file: the old answer is dropped."""
+    begun = place / "begun"
+    fake_worker(
+        "import pathlib\ntext = pathlib.Path(words[1]).read_text()\n"
+        "if 'good' in text:\n"
+        f"    pathlib.Path({str(begun)!r}).touch()\n    time.sleep(1.5)\n"
+        "    say(event='result', outputs=[], summary={})\n"
+        "else:\n    say(event='error', message='the title is bad', hint='', code=2)\n"
+        "    sys.exit(2)\n"
+    )
+    wizard.draft.title, check = "good", wizard.check_page
+    check.site_box.setFilePath(str(place / "SITE.toml"))
+    check.folder_box.setFilePath(str(place / "results"))
+    check.initializePage()
+    wait_until(begun.exists)
+    if change == "draft":
+        wizard.draft.title = "bad"
+        check.initializePage()
+    else:
+        check.site_box.setFilePath(str(place / "OTHER.toml"))
+    wait_until(no_tasks)
+    found = check.found.toPlainText()
+    assert not check.isComplete()
+    assert "The site can be run." not in found
+    assert ("the title is bad" in found) is (change == "draft")
+    assert check.check_button.isEnabled()
+    assert not check.bar.isVisible()
+
+
+@pytest.mark.parametrize("what", ["map", "check", "run"])
+def test_what_runs_ends_with_the_window(
+    provider, qgis_new_project, place, fake_worker, monkeypatch, what
+):
+    """Nothing goes on, and nothing speaks to boxes that are gone."""
+    from gis_radar_plugin.wizard.wizard import SiteWizard
+
+    begun, failed = place / "begun", []
+    fake_worker(f"open({str(begun)!r}, 'w').close()\ntime.sleep(20)")
+    monkeypatch.setattr(sys, "excepthook", lambda *error: failed.append(error[1]))
+    monkeypatch.setattr(QMessageBox, "question", lambda *_: QMessageBox.StandardButton.Yes)
+    window = Window()
+    wizard = SiteWizard(window)
+    wizard.show()
+    wizard.check_page.site_box.setFilePath(str(place / "SITE.toml"))
+    wizard.check_page.folder_box.setFilePath(str(place / "results"))
+    start = {
+        "map": lambda: wizard.map_page.map_box.setFilePath(str(place / "junction.osm")),
+        "check": wizard.check_page.check,
+        "run": wizard.run_page.run,
+    }
+    start[what]()
+    wait_until(begun.exists)
+    wizard.reject()
+    QCoreApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete)
+    assert sip.isdeleted(wizard)
+    wait_until(no_tasks, seconds=10.0)
+    QApplication.processEvents()
+    assert failed == []
+
+
+def test_radars_stay_where_they_are_in_another_system(wizard, place):
+    """The coordinates of radars follow the system of the map."""
+    from gis_radar_plugin.wizard.canvas import moved
+
+    page = wizard.map_page
+    page.map_box.setFilePath(str(place / "junction.osm"))
+    wait_until(page.isComplete)
+    wizard.radar_page.add(690356.0, 5336183.0, 20.0)
+    wizard.radar_page.add(690383.0, 5336229.0, None)
+    zones = [QgsCoordinateReferenceSystem(f"EPSG:{code}") for code in (25832, 25833)]
+    page.crs_box.setCrs(zones[1])
+    wait_until(page.isComplete)
+    assert wizard.lanes.crs == zones[1]
+    one, other = wizard.draft.sensors
+    for radar, place_before in ((one, (690356.0, 5336183.0)), (other, (690383.0, 5336229.0))):
+        wanted = moved(QgsPointXY(*place_before), *zones)
+        assert (radar.easting, radar.northing) == pytest.approx((wanted.x(), wanted.y()), abs=0.01)
+    assert other.heading is None
+    # Grid norths of zones 6 degrees apart differ by 6 * sin(latitude).
+    assert one.heading == pytest.approx(20.0 - 6.0 * math.sin(math.radians(48.15)), abs=0.1)
+    assert wizard.radar_page.east_box.value() == pytest.approx(other.easting, abs=0.01)
+    assert [colour_at(wizard, each) for each in (one, other)] == ["#60a5fa", "#1d4ed8"]
+
+
+@pytest.mark.parametrize(
+    ("pose", "text", "stated"),
+    [
+        ("", "", True), ("R1.json", '{"view": {"max_range_m": 300.0}}', False),
+        ("R1.json", '{"yaw": 1.0}', True), ("R1.csv", "time,yaw,max_range_m\n", False),
+        ("R1.csv", "time,yaw\n", True), ("gone.json", None, True),
+    ],
+)  # fmt: skip
+def test_a_measured_view_is_not_stated_beside_that_of_a_pose(tmp_path, pose, text, stated):
+    from gis_radar_plugin.wizard.draft import SensorDraft, SiteDraft
+
+    file = str(tmp_path / pose) if pose else ""
+    if text:
+        (tmp_path / pose).write_text(text)
+    radar = SensorDraft("R1", ["R1.parquet"], 1.0, 2.0, pose=file, measured={"max_range_m": 190.0})
+    shown = SiteDraft(sensors=[radar]).text(tmp_path)
+    assert ("view = { max_range_m = 190.0 }" in shown) is stated
+    radar.view = {"max_range_m": 250.0}  # by hand: the user is told that the pose's counts
+    assert "view = { max_range_m = 250.0 }" in SiteDraft(sensors=[radar]).text(tmp_path)
 
 
 @pytest.mark.parametrize("cancelled", [False, True])

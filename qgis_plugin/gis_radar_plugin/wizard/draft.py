@@ -128,9 +128,19 @@ def _sensor(sensor: SensorDraft, folder: Path) -> Iterator[str]:
     })  # fmt: skip
     if placed and sensor.heading is not None:
         yield f"heading = {round(sensor.heading, 1)}"
-    if sensor.seen:
-        inside = ", ".join(f"{key} = {float(value)}" for key, value in sensor.seen.items())
+    seen = sensor.view if sensor.pose and _states_view(Path(sensor.pose)) else sensor.seen
+    if seen:
+        inside = ", ".join(f"{key} = {float(value)}" for key, value in seen.items())
         yield f"view = {{ {inside} }}"
+
+
+def _states_view(pose: Path) -> bool:
+    """Return whether a file of a pose has a view: it counts then, and a measured one does not."""
+    try:
+        text = pose.read_text(encoding="utf-8", errors="replace")
+    except OSError:  # the check says so
+        return False
+    return any(key in text for key in VIEW_KEYS)
 
 
 def _keys(values: Mapping[str, object]) -> Iterator[str]:

@@ -68,6 +68,7 @@ class CheckPage(Page):
         form.addRow(tr("The site file"), self.text)
         self.is_good = False
         self._task: WorkerTask | None = None
+        self._number = 0  # of the check: what an earlier one answers counts for nothing
 
     def initializePage(self) -> None:  # noqa: N802
         """Propose where the files go, and check at once."""
@@ -84,24 +85,37 @@ class CheckPage(Page):
         self.text.setPlainText(self.draft.text(Path(self.site_box.filePath()).parent))
 
     def _stale(self, _path: str) -> None:
-        self.is_good = False
+        self.let_go()
         self._show_text()
+
+    def cleanupPage(self) -> None:  # noqa: N802
+        """Let the check go on the way back; QGIS calls it."""
+        self.let_go()
+
+    def let_go(self) -> None:
+        """Stop a check that runs: what it answers counts for nothing."""
+        if self._task is not None:
+            self._task.cancel()
+        self._task = None
+        self._number += 1
+        self.is_good = False
+        self.check_button.setEnabled(True)
+        self.bar.setVisible(False)
         self.completeChanged.emit()
 
     def check(self) -> None:
         """Write the site file and check it in the worker."""
-        if self._task is not None:
-            return
-        self.is_good = False
-        self.completeChanged.emit()
+        self.let_go()
         if not self._save():
             return
         self.check_button.setEnabled(False)
         self.bar.setVisible(True)
         self.bar.setValue(0)
-        words = ["check", self.site_box.filePath()]
-        self._task = WorkerTask(tr("Check of the site"), words, self._checked)
-        self._task.progressChanged.connect(lambda percent: self.bar.setValue(int(percent)))
+        words, number = ["check", self.site_box.filePath()], self._number
+        self._task = WorkerTask(
+            tr("Check of the site"), words, lambda *answer: self._checked(number, *answer)
+        )
+        self._task.progressChanged.connect(lambda percent: self._progressed(number, percent))
         QgsApplication.taskManager().addTask(self._task)
 
     def _save(self) -> bool:
@@ -125,7 +139,13 @@ class CheckPage(Page):
         self._show_text()
         return True
 
-    def _checked(self, answer: Answer | str, warnings: list[str]) -> None:
+    def _progressed(self, number: int, percent: float) -> None:
+        if number == self._number:
+            self.bar.setValue(int(percent))
+
+    def _checked(self, number: int, answer: Answer | str, warnings: list[str]) -> None:
+        if number != self._number:
+            return  # something was changed since, or the window is closed
         self._task = None
         self.check_button.setEnabled(True)
         self.bar.setVisible(False)
@@ -215,6 +235,7 @@ class RunPage(Page):
         column.addLayout(row)
         self._runner: SiteRunner | None = None
         self._began = 0.0
+        self._is_closed = False
 
     @property
     def folder(self) -> Path:
@@ -235,7 +256,7 @@ class RunPage(Page):
         self.log.clear()
         feedback = RunFeedback()
         feedback.said.connect(self._heard)
-        feedback.progressChanged.connect(lambda percent: self.bar.setValue(int(percent)))
+        feedback.progressChanged.connect(self._progressed)
         site = self.wizard().check_page.site_box.filePath()
         self._began = time.time()
         self.wizard().lanes.remove()  # the result has them, too
@@ -254,7 +275,18 @@ class RunPage(Page):
         """Whether it runs."""
         return self._runner is not None
 
+    def let_go(self) -> None:
+        """Stop a run as the window closes: its end is not shown."""
+        self._is_closed = True
+        self.cancel()
+
+    def _progressed(self, percent: float) -> None:
+        if not self._is_closed:
+            self.bar.setValue(int(percent))
+
     def _heard(self, kind: str, text: str) -> None:
+        if self._is_closed:
+            return
         if kind == "stage":
             self.stage.setText(text)
             return
@@ -263,6 +295,8 @@ class RunPage(Page):
 
     def _ended(self, done: bool) -> None:  # noqa: FBT001 - of a signal
         self._runner = None
+        if self._is_closed:
+            return
         self.bar.setValue(100 if done else 0)
         self.stage.setText(
             tr("Done. Results: {folder}").format(folder=self.folder) if done

@@ -104,6 +104,9 @@ class RunFeedback(QgsProcessingFeedback):  # type: ignore[misc]
         self.said.emit("error", error)
 
 
+_RUNNING: set[SiteRunner] = set()  # QGIS works with what they hold, also when the window is gone
+
+
 class SiteRunner:
     """A run of a site file: the algorithm of the toolbox as a task, its layers loaded at the end.
 
@@ -133,6 +136,7 @@ class SiteRunner:
 
     def start(self) -> None:
         """Begin."""
+        _RUNNING.add(self)
         QgsApplication.taskManager().addTask(self.task)
 
     def cancel(self) -> None:
@@ -141,6 +145,7 @@ class SiteRunner:
         self.task.cancel()
 
     def _executed(self, done: bool, _results: dict[str, Any]) -> None:  # noqa: FBT001
+        _RUNNING.discard(self)
         if done:
             from processing.gui.Postprocessing import (  # noqa: PLC0415 - a plugin of QGIS
                 handleAlgorithmResults,

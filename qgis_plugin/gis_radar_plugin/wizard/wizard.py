@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from ..base import WorkerAlgorithm
 from ..loading import as_ground
 from ..runner import Answer
 from ..words import language, tr
-from .canvas import PlaceTool, SensorItem, moved
+from .canvas import PlaceTool, SensorItem, heading_of, moved
 from .draft import SensorDraft, SiteDraft
 from .pages import MapPage, RadarPage, ResultPage
 from .run_pages import CheckPage, RunPage
@@ -29,6 +30,7 @@ from .tasks import WorkerTask
 
 LANES = "gis_radar_wizard_lanes"
 _TILE_M = "5"  # of the lanes that are shown: large ones are made in no time
+_AHEAD_M = 100.0  # of a point that a radar looks at: near, as maps of both systems bend
 
 
 class SiteWizard(QWizard):  # type: ignore[misc]
@@ -132,6 +134,26 @@ class SiteWizard(QWizard):  # type: ignore[misc]
         for item, sensor in zip(self._items, sensors):
             item.show_sensor(sensor, chosen=sensor is chosen)
 
+    def move_sensors(
+        self, before: QgsCoordinateReferenceSystem, after: QgsCoordinateReferenceSystem
+    ) -> None:
+        """Keep the radars where they are in another system of the map."""
+        for sensor in self.draft.sensors:
+            start = QgsPointXY(sensor.easting, sensor.northing)
+            if math.isnan(start.x() + start.y()):
+                continue
+            place = moved(start, before, after)
+            if sensor.heading is not None:
+                yaw = math.radians(sensor.heading)
+                ahead = QgsPointXY(
+                    start.x() + _AHEAD_M * math.cos(yaw), start.y() + _AHEAD_M * math.sin(yaw)
+                )
+                sensor.heading = heading_of(place, moved(ahead, before, after))
+            sensor.easting, sensor.northing = place.x(), place.y()
+        self.forget_drawing()
+        self.radar_page.refresh()
+        self.draw_sensors(self.radar_page.chosen())
+
     def forget_drawing(self) -> None:
         """Take the radars off the map."""
         while self._items:
@@ -166,7 +188,10 @@ class SiteWizard(QWizard):  # type: ignore[misc]
         return True
 
     def done(self, result: int) -> None:
-        """Leave the map as it was."""
+        """Stop what runs, and leave the map as it was."""
+        self.check_page.let_go()
+        self.run_page.let_go()
+        self.lanes.let_go()
         if self._tool is not None:
             self.canvas.unsetMapTool(self._tool)
             self._tool = None
@@ -187,6 +212,7 @@ class Lanes:
     def __init__(self, wizard: SiteWizard) -> None:
         self._wizard = wizard
         self.crs: QgsCoordinateReferenceSystem | None = None
+        self._crs_before: QgsCoordinateReferenceSystem | None = None  # of the radars so far
         self._layer_id = ""
         self._task: WorkerTask | None = None
         self._number = 0
@@ -198,9 +224,7 @@ class Lanes:
         if not can:
             self._wizard.map_page.show_status(why, good=False)
             return
-        if self._task is not None:
-            self._task.cancel()
-        self._number += 1
+        self.let_go()
         number, place = self._number, Path(self._folder.path()) / f"lanes_{self._number}.gpkg"
         words = ["tiles", draft.map_file, "-o", str(place), "--length", _TILE_M]
         words += ["--crs", draft.crs] if draft.crs else []
@@ -212,9 +236,16 @@ class Lanes:
         )
         QgsApplication.taskManager().addTask(self._task)
 
+    def let_go(self) -> None:
+        """Stop reading: what was read counts for nothing."""
+        if self._task is not None:
+            self._task.cancel()
+        self._task = None
+        self._number += 1
+
     def _read(self, number: int, place: Path, answer: Answer | str) -> None:
         if number != self._number:
-            return  # another map was chosen since
+            return  # another map was chosen since, or the window is closed
         self._task = None
         page = self._wizard.map_page
         if isinstance(answer, str):
@@ -239,6 +270,9 @@ class Lanes:
             project.setCrs(layer.crs())
         project.addMapLayer(layer)
         self.crs, self._layer_id = layer.crs(), layer.id()
+        before, self._crs_before = self._crs_before, self.crs
+        if before is not None and before != self.crs:
+            self._wizard.move_sensors(before, self.crs)
         box, system = layer.extent(), canvas.mapSettings().destinationCrs()
         corners = [moved(QgsPointXY(x, y), layer.crs(), system)
                    for x in (box.xMinimum(), box.xMaximum())
