@@ -14,6 +14,7 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 
 import pyarrow as pa
 import pyogrio
+import pyogrio.util
 import shapely
 from pyproj.exceptions import ProjError
 
@@ -94,7 +95,8 @@ def opened_package(
     Raises
     ------
     InputError
-        If there is no such file, it is no GeoPackage, or it is damaged.
+        If there is no such file, it is no GeoPackage, it is damaged, or its name stands for a file
+        in an archive.
     """
     if not Path(path).is_file():
         raise InputError(f"{path}: no such file", hint=hint)
@@ -103,7 +105,24 @@ def opened_package(
             head = file.read(100)
         if not head.startswith(SQLITE) or head[_KIND_AT : _KIND_AT + 4] not in _KINDS:
             raise InputError(f"{path}: not {what}: it is no GeoPackage", hint=hint)
-        yield Path(path).resolve()
+        yield plain_place(path)
+
+
+def plain_place(path: str | Path) -> Path:
+    """Return the absolute path of a file that GDAL opens as that very file.
+
+    Raises
+    ------
+    InputError
+        If its name makes pyogrio or GDAL open a file within it, or another one.
+    """
+    place = Path(path).resolve()
+    if pyogrio.util.vsi_path(place) != str(place) or place.suffix.lower() == ".zip":
+        raise InputError(
+            f"{path}: cannot be read under this name, which stands for a file in an archive",
+            hint="rename it, or its folder: no .zip at the end, no ! and no ;",
+        )
+    return place
 
 
 @contextmanager

@@ -18,7 +18,7 @@ import pyogrio
 import shapely
 
 from gis_radar.errors import CrsError, InputError
-from gis_radar.geopackage import SQLITE, library_errors, opened_package
+from gis_radar.geopackage import SQLITE, library_errors, opened_package, plain_place
 from gis_radar.progress import QUIET, Reporter
 
 FORMATS = "GeoPackage, GeoJSON, shapefile or FlatGeobuf"
@@ -84,7 +84,7 @@ def read_vector(
 
 
 def _read_by_gdal(path: Path, choose: Any, columns: Sequence[str] | None) -> gpd.GeoDataFrame:
-    place = path.resolve()
+    place = plain_place(path)
     if callable(choose):
         layers = {str(name): str(kind or "") for name, kind in pyogrio.list_layers(place)}
         if not layers:

@@ -6,6 +6,7 @@ import sqlite3
 import subprocess
 import sys
 import threading
+import zipfile
 from contextlib import closing
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
@@ -107,6 +108,38 @@ def test_a_virtual_layer_opens_no_other_file(tmp_path):
     (tmp_path / "roads.gpkg").write_text(virtual(tmp_path / "other.gpkg"))
     with pytest.raises(InputError, match=r"roads\.gpkg"):
         gr.read_roads(tmp_path / "roads.gpkg")
+
+
+@pytest.mark.parametrize(
+    "name", ["roads.zip", "roads.ZIP", "a!roads.gpkg", "a.gpkg;b", "link.gpkg"]
+)
+def test_an_archive_behind_a_layer_opens_no_other_file(tmp_path, name):
+    """A GeoPackage, by its first bytes, and an archive, by its last: pyogrio goes by the name."""
+    gpd.GeoDataFrame(geometry=[BOX], crs=UTM).to_file(tmp_path / "other.gpkg", layer="tiles")
+    place = path = tmp_path / name
+    if name == "link.gpkg":
+        place = tmp_path / "roads.zip"
+        path.symlink_to(place)
+    place.write_bytes((tmp_path / "other.gpkg").read_bytes())
+    with zipfile.ZipFile(place, "a") as archive:
+        archive.writestr("a.vrt", virtual(tmp_path / "other.gpkg"))
+    readers = (
+        lambda: read_vector(path, what="map"),
+        lambda: gr.read_tiles(path),
+        lambda: SightFile(path, None),
+    )
+    for read in readers:
+        with pytest.raises(InputError, match="cannot be read under this name"):
+            read()
+
+
+def test_a_shapefile_and_a_flatgeobuf_under_names_of_archives(tmp_path):
+    for name, kind in (("a!b.shp", "ESRI Shapefile"), ("roads.zip", "FlatGeobuf")):
+        made = tmp_path / f"made.{'shp' if kind[0] == 'E' else 'fgb'}"
+        gpd.GeoDataFrame({"a": [1]}, geometry=[BOX], crs=UTM).to_file(made, driver=kind)
+        (tmp_path / name).write_bytes(made.read_bytes())
+        with pytest.raises(InputError, match="cannot be read under this name"):
+            read_vector(tmp_path / name, what="map")
 
 
 def test_a_geopackage_whose_crs_is_an_address(server, tmp_path):

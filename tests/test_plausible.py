@@ -118,10 +118,20 @@ def test_a_track_that_is_cut_anywhere_in_its_last_row_is_refused(track):
     text = track.read_text()
     begin = text.rindex("\n", 0, -1) + 1
     assert len(gr.read_track(track).poses) == 4
-    for end in range(begin + 1, len(text)):
+    for end in range(begin + 1, len(text) - 1):
         track.write_text(text[:end])
         with pytest.raises(InputError, match=r"track\.csv: row 4 .*cut off|track\.csv: row 4"):
             gr.read_track(track)
+
+
+@pytest.mark.parametrize("view", [None, gr.View()], ids=["no view", "view"])
+def test_a_track_needs_no_line_end_at_its_end(tmp_path, view):
+    """RFC 4180: "The last record in the file may or may not have an ending line break"."""
+    poses = tuple(replace(POSE, easting=EAST + k, view=view) for k in range(2))
+    path = tmp_path / "track.csv"
+    gr.write_track(gr.PoseTrack(poses=poses, since=1.7e9 + np.arange(2.0)), path)
+    path.write_text(path.read_text().rstrip("\n"))
+    assert gr.read_track(path).poses[1].easting == EAST + 1
 
 
 @pytest.mark.parametrize("more", [",", ",1,2", ',"x"'])

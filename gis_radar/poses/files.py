@@ -194,7 +194,7 @@ def read_track(path: str | Path) -> PoseTrack:
 
 
 def _rows_of(path: Path) -> list[dict[str, str]]:
-    """Return the rows of a track; refuse rows of other lengths, and a last row that is cut."""
+    """Return the rows of a track; refuse rows of other lengths, and a last row that may be cut."""
     text = _text(path)
     try:
         header, *rows = [row for row in csv.reader(text.splitlines()) if row] or [[]]
@@ -208,8 +208,11 @@ def _rows_of(path: Path) -> list[dict[str, str]]:
                 f"{path}: row {number} has {len(row)} cells, the header {len(header)}"
                 + (": cut off?" if number == len(rows) else "")
             )
-    ours = tuple(header[: len(TRACK_FIELDS)]) == TRACK_FIELDS
-    if ours and not text.endswith("\n"):  # as we write it; the last number may be cut, too
+    # A line end at the end is not required (RFC 4180), but without it the last number may be cut:
+    # of a view as we write it, which does not change, unless another row has the same.
+    of_view = tuple(header[: len(TRACK_FIELDS)]) == TRACK_FIELDS and header[-1] in VIEW_FIELDS
+    same = any(row[-1] == rows[-1][-1] for row in rows[:-1])
+    if of_view and not same and not text.endswith("\n"):
         raise InputError(f"{path}: row {len(rows)} does not end: cut off?")
     return [dict(zip(header, row, strict=True)) for row in rows]
 

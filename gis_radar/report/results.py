@@ -14,6 +14,7 @@ from PIL import Image
 from gis_radar.crs import name_of, same_plane
 from gis_radar.errors import InputError
 from gis_radar.files import read_json
+from gis_radar.geopackage import opened_package
 from gis_radar.heatmap import HeatMap, read_heatmap
 from gis_radar.heatmap.layers import FILE as PACKAGE
 from gis_radar.heatmap.picture import png
@@ -236,8 +237,9 @@ def _streets(folder: Path) -> dict[int, str]:
     if not path.is_file():
         return {}
     try:
-        table = pyogrio.read_dataframe(path, layer=LANES, read_geometry=False)
-    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError):
+        with opened_package(path, what="a GeoPackage of tiles") as place:
+            table = pyogrio.read_dataframe(place, layer=LANES, read_geometry=False)
+    except InputError:
         return {}  # of an older version
     named = table.dropna(subset=["street"])
     return dict(zip(named["lane"].astype(int), named["street"].astype(str), strict=True))
