@@ -131,7 +131,7 @@ def test_offsets_that_cannot_be(tmp_path, whole, axis, value):
         mask(path)
 
 
-@pytest.mark.parametrize(("axis", "moved"), [(0, 2.0), (1, -3.0), (2, 50.0)])
+@pytest.mark.parametrize(("axis", "moved"), [(0, 102.0), (1, -300.0), (2, 1e4)])
 def test_points_outside_the_extent_of_the_header(tmp_path, whole, axis, moved):
     (offset,) = struct.unpack_from("<d", whole, 155 + 8 * axis)
     path = changed(whole, tmp_path / "s.laz", 155 + 8 * axis, "<d", offset + moved)
@@ -139,9 +139,19 @@ def test_points_outside_the_extent_of_the_header(tmp_path, whole, axis, moved):
         mask(path)
 
 
-def test_an_extent_that_is_rounded_is_no_damage(tmp_path, whole):
+@pytest.mark.parametrize("engine", ["laspy", "auto"])
+@pytest.mark.parametrize(("less", "said"), [(0.9, None), (5.0, "5 m"), (60.0, "60 m")])
+def test_an_extent_that_is_too_small_is_no_damage(tmp_path, whole, less, said, engine):
+    """Programs round it; others crop, shift and merge without writing it anew."""
     (east,) = struct.unpack_from("<d", whole, 179)
-    assert mask(changed(whole, tmp_path / "s.laz", 179, "<d", east - 0.9)).covered > 0.9
+    path = changed(whole, tmp_path / "s.laz", 179, "<d", east - less)
+    heard = Listener()
+    found = gr.mask_road([path], box_roads(ROAD), engine=engine, reporter=heard)
+    assert found.covered > 0.9
+    warned = [text for level, text in heard.messages if level == "warning" and "extent" in text]
+    assert warned == ([] if said is None else [
+        f"{path}: points lie up to {said} outside the extent of its header, which does not count"
+    ])  # fmt: skip
 
 
 def test_heights_in_feet_by_their_own_crs(tmp_path):

@@ -113,7 +113,7 @@ def read_columns(
     for scan in scans:
         if not scan.touches(box, crs):
             continue
-        for piece in scan.pieces(box, crs):
+        for piece in scan.pieces(box, crs, reporter=reporter):
             xyz = np.column_stack([piece.x, piece.y, piece.z])
             for window in windows:
                 window.add(xyz, piece.category)

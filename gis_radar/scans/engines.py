@@ -254,7 +254,7 @@ def _fill_by_laspy(
     passing = passing_classes(roads)
     for number, scan in enumerate(scans):
         ground = 0
-        for piece in scan.pieces(roads.area.bounds, roads.crs):
+        for piece in scan.pieces(roads.area.bounds, roads.crs, reporter=reporter):
             ground += piece.ground
             times += _keep(store, number, piece)
             done += piece.read
@@ -274,7 +274,8 @@ def _fill_by_pdal(
     runner: PdalRunner, store: PointStore, scans: Sequence[Scan], settings: MaskSettings,
     reporter: Reporter,
 ) -> ReadStatistics:  # fmt: skip
-    classified = tuple(ground_share(scan) >= settings.least_ground for scan in scans)
+    shares = [ground_share(scan, reporter=reporter) for scan in scans]
+    classified = tuple(share >= settings.least_ground for share in shares)
     roads = store.blocks.roads
     pipeline = Pipeline(
         scans=tuple(scans), classified=classified, roads=roads, margin_m=settings.filter_margin_m

@@ -39,7 +39,9 @@ _OF_ANY_LENGTH = 0xFFFFFFFF  # chunks of as many points as the table says
 _MOST_CHUNK = 10_000_000  # points; laszip's own chunks have 50,000, COPC's under 100,000
 _SMALLEST_SCALE, _LARGEST_SCALE = 1e-12, 1e3
 _FARTHEST_M = 1e8  # no projected coordinate on earth is larger
-_EXTENT_M = 1.0  # by which points may lie outside the header's extent: programs round it
+_ROUNDED_M = 1.0  # by which points may lie outside the header's extent: programs round it
+# A flipped bit of compressed points moves those after it by kilometres; a stale extent is near.
+_FAR_M, _FAR_SHARE = 100.0, 0.1  # of the extent
 
 
 def read_header(path: Path) -> Any:
@@ -84,8 +86,8 @@ def read_header(path: Path) -> Any:
     return header
 
 
-def refuse_outside(record: Any, header: Any, path: Path) -> None:
-    """Refuse points outside the extent that the header states: bits that flipped on the way.
+def refuse_outside(record: Any, header: Any, path: Path) -> float:
+    """Refuse points far outside the extent that the header states: bits that flipped on the way.
 
     Parameters
     ----------
@@ -96,27 +98,34 @@ def refuse_outside(record: Any, header: Any, path: Path) -> None:
     path : Path
         For the message.
 
+    Returns
+    -------
+    float
+        By how many metres points lie outside at most: programs crop, shift and merge without
+        writing the extent anew. Zero for what rounding makes, and where no extent is stated.
+
     Raises
     ------
     InputError
-        If one lies outside by more than a metre, where the header states an extent.
+        If one lies outside by more than 100 m and a tenth of the extent.
     """
-    if len(record) == 0:
-        return
-    for k, axis in enumerate("XYZ"):
+    most = 0.0
+    for k, axis in enumerate("XYZ" if len(record) else ""):
         low, high = float(header.mins[k]), float(header.maxs[k])
         if not (np.isfinite([low, high]).all() and low < high):
             continue
         stored = np.asarray(record[axis])
         ends = np.array([int(stored.min()), int(stored.max())], np.float64)
         lowest, highest = np.sort(ends * header.scales[k] + header.offsets[k])
-        off = max(low - lowest, highest - high)
-        if off > _EXTENT_M + abs(header.scales[k]):
+        off = float(max(low - lowest, highest - high))
+        if off > max(_FAR_M, _FAR_SHARE * (high - low)):
             raise InputError(
                 f"{path}: damaged: points lie {off:.0f} m outside the extent of its header along "
                 f"{axis.lower()}",
                 hint="where only the extent is wrong, `pdal translate IN OUT` writes it anew",
             )
+        most = max(most, off if off > _ROUNDED_M + abs(header.scales[k]) else 0.0)
+    return most
 
 
 @contextmanager

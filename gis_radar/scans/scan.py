@@ -18,6 +18,7 @@ from pyproj.exceptions import CRSError as ProjError
 from gis_radar.arrays import Floats
 from gis_radar.crs import Box, metric_crs, moved_box, name_of, require_same, same_plane, transformer
 from gis_radar.errors import CrsError, InputError
+from gis_radar.progress import QUIET, Reporter
 from gis_radar.scans.header import FAULTS, read_header, refuse_outside, scan_errors
 from gis_radar.scans.settings import DEFAULTS, MaskSettings
 
@@ -81,7 +82,7 @@ class Scan:
         west, south, east, north = self.bounds
         return west <= within[2] and within[0] <= east and south <= within[3] and within[1] <= north
 
-    def pieces(self, box: Box, crs: CRS) -> Iterator[Points]:
+    def pieces(self, box: Box, crs: CRS, *, reporter: Reporter = QUIET) -> Iterator[Points]:
         """Yield the points in and around a box, a bounded number at a time.
 
         Withheld points are left out. Heights stay as they are in the file.
@@ -92,6 +93,8 @@ class Scan:
             West, south, east, north, metres.
         crs : CRS
             The system of the box, and of the points.
+        reporter : Reporter
+            Receives a warning where the extent of the file's header is too small.
 
         Raises
         ------
@@ -99,10 +102,10 @@ class Scan:
             If the file is damaged or ends early.
         """
         within = moved_box(box, crs, self.crs)
-        seen = 0
+        seen, outside = 0, 0.0
         with scan_errors(self.path), laspy.open(self.path) as reader:
             for record in reader.chunk_iterator(AT_ONCE):
-                refuse_outside(record, reader.header, self.path)
+                outside = max(outside, refuse_outside(record, reader.header, self.path))
                 seen += len(record)
                 piece = _inside(record, within)
                 if not same_plane(self.crs, crs):
@@ -111,6 +114,12 @@ class Scan:
                 yield piece
         if seen != self.points:
             raise InputError(f"{self.path}: cut off: {seen} of {self.points} points are there")
+        if outside > 0.0:
+            reporter.log(
+                f"{self.path}: points lie up to {outside:.0f} m outside the extent of its header, "
+                "which does not count",
+                "warning",
+            )
 
 
 def open_scan(path: str | Path, *, crs: Any = None) -> Scan:
@@ -211,10 +220,11 @@ def road_crs(path: str | Path) -> CRS:
     return metric_crs(_stated(Path(path), read_header(Path(path))), what=str(path))
 
 
-def ground_share(scan: Scan) -> float:
+def ground_share(scan: Scan, *, reporter: Reporter = QUIET) -> float:
     """Return the share of a scan's points that bear a class of ground or road."""
     nowhere = (0.0, 0.0, 0.0, 0.0)
-    return sum(piece.ground for piece in scan.pieces(nowhere, scan.crs)) / scan.points
+    pieces = scan.pieces(nowhere, scan.crs, reporter=reporter)
+    return sum(piece.ground for piece in pieces) / scan.points
 
 
 def days_of(times: Sequence[float]) -> Days | None:
