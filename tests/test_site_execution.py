@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import os
 import signal
+import sqlite3
 import subprocess
 import sys
 import time
 from concurrent.futures import BrokenExecutor, Executor, Future
+from contextlib import closing
 from pathlib import Path
 from queue import SimpleQueue
 
@@ -18,6 +20,7 @@ from maps import Listener
 
 from gis_radar.errors import GisRadarError, InputError, NoAnswerError, OutputError
 from gis_radar.files import only_writer
+from gis_radar.geopackage import content_digest
 from gis_radar.processes import workers_here
 from gis_radar.site import execution
 from gis_radar.site.execution import RunState
@@ -364,6 +367,37 @@ def test_a_file_that_is_still_young_is_read_each_time(tmp_path):
     for _ in range(2):
         state.hash_of(file, read.append)
     assert read == [3, 3]
+
+
+def test_tables_of_a_geopackage_are_read_when_its_bytes_have_changed_only(tmp_path, monkeypatch):
+    """Reading tables takes 15 times as long as reading bytes; a viewer changes the bytes only."""
+    asked = []
+
+    def counted(path):
+        asked.append(path)
+        return content_digest(path)
+
+    monkeypatch.setattr("gis_radar.geopackage.content_digest", counted)
+    file, memory = tmp_path / "a.gpkg", tmp_path / "memory.json"
+    with closing(sqlite3.connect(file)) as database, database:
+        database.execute("CREATE TABLE tiles (id INTEGER)")
+    state = RunState(memory, tmp_path)
+    before = state.hash_of(file)  # still young: its hash is not remembered by its times
+    assert state.hash_of(file) == before == content_digest(file)
+    state.save()
+    state = RunState(memory, tmp_path)
+    os.utime(file, (OLD, OLD))
+    assert state.hash_of(file) == before
+    assert len(asked) == 1
+    with closing(sqlite3.connect(file)) as database, database:
+        database.execute("CREATE TABLE qgis_projects (name TEXT)")
+    assert state.hash_of(file) == before
+    assert len(asked) == 2
+    with closing(sqlite3.connect(file)) as database, database:
+        database.execute("INSERT INTO tiles VALUES (1)")
+    assert state.hash_of(file) != before
+    file.write_text("damaged")
+    assert state.hash_of(file) not in {before, None}
 
 
 def test_the_content_of_a_folder_is_that_of_its_files(tmp_path):
