@@ -126,14 +126,19 @@ def footprints(*, vehicles: Path, output: Path, reporter: Reporter) -> Result:
 @click.argument("vehicles", metavar="VEHICLES", type=FILE)
 @output
 @click.option("--every", default="500ms", show_default=True, help="How far apart in time.")
-def trajectories(*, vehicles: Path, output: Path, reporter: Reporter, every: str) -> Result:
+@click.option("--begin", help="Only from this time on: '2025-06-12 07:30'.")
+@click.option("--end", help="Only before this time.")
+@click.option(
+    "--timezone", default="UTC", show_default=True, help="Whose clocks they are by: Europe/Berlin."
+)
+def trajectories(*, vehicles: Path, output: Path, reporter: Reporter, **options: Any) -> Result:
     """Write tracks of single vehicles as OGC Moving Features (.json).
 
     A working file, not to be published.
     """
     refuse_inputs(output, vehicles)
     read = gr.read_vehicles(vehicles)
-    count = gr.write_trajectories(read, output, every=every, reporter=reporter)
+    count = gr.write_trajectories(read, output, reporter=reporter, **options)
     return Result(outputs=[output], summary={"vehicles": count})
 
 

@@ -10,21 +10,24 @@ from typing import TYPE_CHECKING, Any
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-from pyproj import CRS
+from pyproj import CRS, Transformer
 
+from gis_radar.arrays import Floats
 from gis_radar.crs import transformer
 from gis_radar.errors import TRAJECTORIES, InputError, UsageError
 from gis_radar.files import whole_file
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.steps import STEP_US, interval_steps, moment_in, zone_of
-from gis_radar.vehicles.folder import Vehicles
+from gis_radar.vehicles.folder import Span, Vehicles
 from gis_radar.vehicles.tables import TRACKS
 
 if TYPE_CHECKING:
     import movingpandas
 
 EVERY = "500ms"  # at 50 km/h 7 m apart; between them vehicles move smoothly
+_STATE = ("step", "easting", "northing", "speed", "heading")
 _OF_VEHICLE = ("length_m", "width_m", "p_heavy")
+_FAR = 2**60  # steps, after all times
 _DEGREES = 8  # digits after the point: 1 mm
 _CRS84 = "urn:ogc:def:crs:OGC:1.3:CRS84"
 _ISO_TIME = "urn:ogc:data:time:iso8601"
@@ -59,13 +62,9 @@ def track_points(
     Raises
     ------
     UsageError
-        If a time or `every` is invalid.
+        If a time or `every` is invalid, or the times do not ascend.
     """
-    apart, zone = interval_steps(every), zone_of(timezone)
-    span = None
-    if begin is not None or end is not None:
-        low = -(2**60) if begin is None else _step_at(begin, zone, "begin")
-        span = low, (2**60 if end is None else _step_at(end, zone, "end")) - 1
+    apart, span = interval_steps(every), _span(begin, end, timezone)
     parts = (rows[rows["step"] % apart == 0] for rows in vehicles.tracks(span))
     table = pd.concat([TRACKS.empty(), *(rows for rows in parts if len(rows))])
     about = vehicles.vehicles.set_index("vehicle")[list(_OF_VEHICLE)]
@@ -74,6 +73,18 @@ def track_points(
     shape = gpd.points_from_xy(table["easting"], table["northing"])
     shown = table.drop(columns=["step", "easting", "northing"])
     return gpd.GeoDataFrame(shown, geometry=shape, crs=vehicles.provenance.map["crs"])
+
+
+def _span(begin: Any, end: Any, timezone: str) -> Span:
+    """Return the first and last step between two times, None where neither is given."""
+    zone = zone_of(timezone)
+    if begin is None and end is None:
+        return None
+    low = -_FAR if begin is None else _step_at(begin, zone, "begin")
+    after = _FAR if end is None else _step_at(end, zone, "end")
+    if not low < after:
+        raise UsageError(f"begin and end are {begin} and {end}, expected ascending times")
+    return low, after - 1
 
 
 def _step_at(time: Any, zone: Any, what: str) -> int:
@@ -113,12 +124,14 @@ def to_trajectories(vehicles: Vehicles, **options: Any) -> movingpandas.Trajecto
 
 
 def write_trajectories(
-    vehicles: Vehicles, path: str | Path, *, reporter: Reporter = QUIET, **options: Any
-) -> int:
+    vehicles: Vehicles, path: str | Path, *, every: str = EVERY, begin: Any = None,
+    end: Any = None, timezone: str = "UTC", reporter: Reporter = QUIET,
+) -> int:  # fmt: skip
     """Write tracks as OGC Moving Features JSON (19-045r3): a moving point for each vehicle.
 
-    Places are longitude and latitude, times UTC. It holds tracks of single vehicles, as their
-    folder does: a working file, not to be published.
+    Places are longitude and latitude, times UTC; vehicles follow each other as they end, and memory
+    is that of those on the road at a time. It holds tracks of single vehicles, as their folder
+    does: a working file, not to be published.
 
     Parameters
     ----------
@@ -126,10 +139,10 @@ def write_trajectories(
         From :func:`gis_radar.read_vehicles`.
     path : str or Path
         The file, ending in `.json` or `.mfjson`; it appears whole or not at all.
+    every, begin, end, timezone
+        As for :func:`track_points`.
     reporter : Reporter
         Receives progress.
-    **options
-        As for :func:`track_points`.
 
     Returns
     -------
@@ -139,21 +152,33 @@ def write_trajectories(
     Raises
     ------
     UsageError
-        If the name ends in anything else.
+        If the name ends in anything else, a time or `every` is invalid, or the times do not ascend.
+    InputError
+        If the folder's tables do not fit together.
     OutputError
         If the file cannot be written.
     """
     path = Path(path)
     if path.suffix.lower() not in {".json", ".mfjson"}:
         raise UsageError(f"{path}: Moving Features are written as JSON", hint="end it in .json")
-    points = track_points(vehicles, **options)
-    total, count = points["vehicle"].nunique(), 0
+    apart, span = interval_steps(every), _span(begin, end, timezone)
+    about = vehicles.vehicles.set_index("vehicle")
+    low, high = span or (-_FAR, _FAR)
+    latest = about["last_step"].clip(upper=high) // apart * apart
+    total, count = int((latest >= about["first_step"].clip(lower=low)).sum()), 0
+    known: dict[int, Any] = dict(
+        zip(about.index, about[[*_OF_VEHICLE]].round(3).to_dict("records"), strict=True)
+    )
     named = {"crs": _CRS84, "trs": _ISO_TIME}
     head = {key: {"type": "Name", "properties": {"name": name}} for key, name in named.items()}
+    to_degrees = transformer(
+        CRS.from_user_input(vehicles.provenance.map["crs"]), CRS.from_user_input("OGC:CRS84")
+    )
     with whole_file(path) as part, part.open("w", encoding="utf-8", newline="\n") as file:
         opening = json.dumps({"type": "FeatureCollection", **head, "features": []})
         file.write(opening.removesuffix("]}"))
-        for feature in _features(points):
+        for vehicle, states in _ended(vehicles, apart, span):
+            feature = _feature({"vehicle": vehicle} | known[vehicle], states, to_degrees)
             file.write(f"{',' if count else ''}\n{json.dumps(feature, allow_nan=False)}")
             count += 1
             reporter.progress("writing trajectories", count, total)
@@ -161,36 +186,65 @@ def write_trajectories(
     return count
 
 
-def _features(points: gpd.GeoDataFrame) -> Iterator[dict[str, Any]]:
-    """Yield each vehicle as a feature of Moving Features JSON."""
-    to_degrees = transformer(CRS.from_user_input(points.crs), CRS.from_user_input("OGC:CRS84"))
-    for vehicle, rows in points.groupby("vehicle", sort=True):
-        lon, lat = to_degrees.transform(rows.geometry.x.to_numpy(), rows.geometry.y.to_numpy())
-        moments = rows.index.tz_convert(None).to_numpy().astype("datetime64[ms]")
-        times = [f"{moment}Z" for moment in moments.astype(str)]
-        first = rows.iloc[0]
-        yield {
-            "type": "Feature",
-            "properties": {
-                "vehicle": int(vehicle),
-                **{name: round(float(first[name]), 3) for name in _OF_VEHICLE},
-            },
-            "temporalGeometry": {
-                "type": "MovingPoint",
+def _ended(vehicles: Vehicles, apart: int, span: Span) -> Iterator[tuple[int, Floats]]:
+    """Yield each vehicle with its states (n, 5), `_STATE`, by its last step in the span."""
+    table = vehicles.vehicles
+    ends = dict(zip(table["vehicle"].tolist(), table["last_step"].tolist(), strict=True))
+    waiting: dict[int, list[Floats]] = {}
+
+    def ended_before(step: int) -> Iterator[tuple[int, Floats]]:
+        for _, vehicle in sorted((ends[each], each) for each in waiting if ends[each] < step):
+            yield vehicle, np.concatenate(waiting.pop(vehicle))
+
+    if span is not None:
+        ends = {vehicle: min(end, span[1]) for vehicle, end in ends.items()}
+    for rows in vehicles.tracks(span):
+        for number, states in _by_vehicle(rows[rows["step"] % apart == 0]):
+            if states[-1, 0] > ends.get(number, -_FAR):
+                raise InputError(
+                    f"{vehicles.place}: the tracks of vehicle {number} go on after its end"
+                )
+            waiting.setdefault(number, []).append(states)
+        if len(rows):
+            yield from ended_before(int(rows["step"].max()))
+    yield from ended_before(_FAR)
+
+
+def _by_vehicle(rows: pd.DataFrame) -> Iterator[tuple[int, Floats]]:
+    """Yield each vehicle of a piece with its states, by step."""
+    order = np.argsort(rows["vehicle"].to_numpy(np.int64), kind="stable")
+    numbers, firsts = np.unique(rows["vehicle"].to_numpy(np.int64)[order], return_index=True)
+    states = rows[[*_STATE]].to_numpy(np.float64)[order]
+    parts = np.split(states, firsts[1:]) if len(rows) else []
+    for number, part in zip(numbers.tolist(), parts, strict=True):
+        yield number, part.copy()  # a view would keep the whole piece
+
+
+def _feature(known: dict[str, Any], states: Floats, to_degrees: Transformer) -> dict[str, Any]:
+    """Return a vehicle with its states as a feature of Moving Features JSON."""
+    step, easting, northing, speed, heading = states.T
+    lon, lat = to_degrees.transform(easting, northing)
+    moments = (step.astype(np.int64) * (STEP_US // 1000)).astype("datetime64[ms]")
+    times = [f"{moment}Z" for moment in moments.astype(str)]
+    return {
+        "type": "Feature",
+        "properties": known,
+        "temporalGeometry": {
+            "type": "MovingPoint",
+            "datetimes": times,
+            "coordinates": np.column_stack([lon, lat]).round(_DEGREES).tolist(),
+            "interpolation": "Linear",
+        },
+        "temporalProperties": [
+            {
                 "datetimes": times,
-                "coordinates": np.column_stack([lon, lat]).round(_DEGREES).tolist(),
-                "interpolation": "Linear",
-            },
-            "temporalProperties": [
-                {
-                    "datetimes": times,
-                    "speed": _measure(rows["speed"], "m/s"),
-                    "heading": _measure(rows["heading"], "deg"),
-                }
-            ],
-        }
+                "speed": _measure(speed, "m/s"),
+                "heading": _measure(heading, "deg"),
+            }
+        ],
+    }
 
 
-def _measure(values: pd.Series, unit: str) -> dict[str, Any]:
-    shown = values.to_numpy(np.float64).round(2).tolist()
+def _measure(values: Floats, unit: str) -> dict[str, Any]:
+    shown = values.round(2).tolist()
     return {"type": "Measure", "form": unit, "values": shown, "interpolation": "Linear"}
