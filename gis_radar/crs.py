@@ -11,6 +11,7 @@ from pyproj.exceptions import CRSError as ProjError
 
 from gis_radar.arrays import Floats
 from gis_radar.errors import CrsError
+from gis_radar.words import WINDS
 
 SCALE_TOLERANCE = 0.002  # UTM stays within 0.001 in its zone; web Mercator is off by 0.5 at 48 N
 _OUTSIDE_DEG = 10.0  # beyond the area of use: sites at its edge pass, other continents do not
@@ -19,9 +20,6 @@ _FITTING = "use the UTM zone or the national grid of the site"
 
 Box: TypeAlias = tuple[float, float, float, float]
 """West, south, east, north."""
-
-WINDS = ("north", "north-east", "east", "south-east",
-         "south", "south-west", "west", "north-west")  # fmt: skip
 
 
 def metric_crs(crs: Any, *, what: str) -> CRS:

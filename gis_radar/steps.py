@@ -163,6 +163,11 @@ def moment_in(value: Any, zone: ZoneInfo, *, what: str) -> datetime:
     return both[0].astimezone(UTC)
 
 
+def step_at(value: Any, zone: ZoneInfo, *, what: str) -> int:
+    """Return the step that begins at a time of :func:`moment_in`, or next after it."""
+    return -(round(-moment_in(value, zone, what=what).timestamp() * 1e6) // STEP_US)
+
+
 def duration_s(text: str, *, what: str = "time") -> float:
     """Return the seconds of a duration such as `57ms`, `20s`, `15min` or `1h`.
 

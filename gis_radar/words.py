@@ -15,7 +15,7 @@ from gis_radar.languages import LANGUAGES, catalogue
 
 NOTHING, MINUS = "\u2013", "\u2212"  # a dash; a minus as wide as a plus
 THIN = "\u202f"  # narrow, and no line ends there
-WINDS = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
+WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 _MONTHS = (
     "January", "February", "March", "April", "May", "June", "July", "August", "September",
     "October", "November", "December",
@@ -141,16 +141,16 @@ def plus_minus(value: float, digits: int, unit: str = "") -> str:
     return f"± {figure_text(value, digits)}{unit}" if math.isfinite(value) else NOTHING
 
 
-def compass(east_m: float, north_m: float) -> str:
-    """Return in English to which of eight winds of the map's grid a way leads."""
+def wind_of(east_m: float, north_m: float) -> str:
+    """Return to which of eight winds of the map's grid a way leads; nothing where it has none."""
     if math.hypot(east_m, north_m) < 1e-6:
-        return NOTHING
-    return WINDS[round(math.atan2(north_m, east_m) / (math.pi / 4)) % 8]
+        return ""
+    return WINDS[round(math.atan2(east_m, north_m) / (math.pi / 4)) % 8]
 
 
 def direction(east_m: float, north_m: float) -> str:
-    """Return to which of eight winds of the map's grid a way leads."""
-    return tr(compass(east_m, north_m))
+    """Return the wind of :func:`wind_of` in the reader's language; a dash where there is none."""
+    return tr(wind_of(east_m, north_m) or NOTHING)
 
 
 def listed(words: Sequence[str]) -> str:

@@ -64,6 +64,11 @@ def test_each_interval_by_lane(heat):
         pd.testing.assert_frame_equal(table.loc[begin], heat.by_lane(begin))
 
 
+def test_of_no_interval_the_columns_remain(heat):
+    none, whole = heat.by_lane(slice(0, 0), each=True), heat.by_lane(each=True)
+    pd.testing.assert_frame_equal(none, whole.iloc[:0])
+
+
 def test_streets_and_lines_come_along(heat):
     line = shapely.LineString([(0, 0), (1, 1)])
     lanes = gpd.GeoDataFrame(

@@ -9,7 +9,7 @@ import shapely
 from maps import SHARED, Listener, needs_shared_maps, write_osm
 
 import gis_radar as gr
-from gis_radar.lanelets.lanes import chain_lanelets, wind_of
+from gis_radar.lanelets.lanes import chain_lanelets
 from gis_radar.tiles.lanes import lanes_of
 
 
@@ -143,12 +143,6 @@ def test_the_map_names_streets_by_its_tags(tmp_path):
     assert (
         gr.lanes(two_lanes(tmp_path, road_name="Am Markt"))["street"].tolist() == ["Am Markt"] * 2
     )
-
-
-def test_winds():
-    assert [wind_of(1, 0), wind_of(0, 1), wind_of(-1, -1), wind_of(0, 0)] == [
-        "east", "north", "south-west", "",
-    ]  # fmt: skip
 
 
 # Names of streets.

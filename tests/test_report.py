@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import re
 import shutil
 from itertools import pairwise
 
 import geopandas as gpd
+import numpy as np
 import pandas as pd
 import pypdf
 import pytest
 from report_site import FILES, SIGMA, Page, report_tiles, write_whole_run
 
 import gis_radar as gr
+from gis_radar.report.content import csv_for, write_csv
 
 
 @pytest.fixture(scope="module")
@@ -74,6 +77,14 @@ def test_tables_for_german_spreadsheets_hold_the_same(results, made, tmp_path):
         gr.write_report(results, output=tmp_path, csv_locale="fr")
 
 
+def test_numbers_of_numpy_are_numbers_of_a_spreadsheet(tmp_path):
+    cells = [1.5, np.float32(2.5), np.float64(3.5), np.int64(4), np.float32("nan"), math.nan, "a.b"]
+    with csv_for("de"):
+        write_csv(tmp_path / "a.csv", ["n"] * len(cells), [cells])
+    line = (tmp_path / "a.csv").read_text(encoding="utf-8-sig").splitlines()[1]
+    assert line == "1,5;2,5;3,5;4;;;a.b"
+
+
 def test_intervals_of_lanes(results, made):
     rows = long_layer(results)
     table = pd.read_csv(made / "lanes_by_interval.csv")
@@ -102,7 +113,7 @@ def test_the_busiest_interval_is_that_of_the_table(made):
 
 def test_the_page_says_what_the_tables_say(made, page):
     lanes = pd.read_csv(made / "lanes.csv")
-    (table,) = (each for each in page.tables if each[0][0] == "No.")
+    (table,) = (each for each in page.tables if each[0][0] == "Lane")
     head, *rows = table
     seen = lanes[lanes["occupancy"].notna()]
     assert [int(row[0]) for row in rows] == seen["lane"].tolist()

@@ -206,7 +206,8 @@ def test_the_options_of_the_command_reach_their_arguments(monkeypatch, tmp_path)
     assert told.pop("reporter") is not None
     assert told == {
         "folder": Path("results"), "output": Path("out"), "title": "Main Street",
-        "timezone": "Europe/Berlin", "language": "de", "occupancies": (Path("a"), Path("b")),
+        "timezone": "Europe/Berlin", "language": "de", "csv_locale": "en",
+        "occupancies": (Path("a"), Path("b")),
     }  # fmt: skip
 
 

@@ -6,10 +6,12 @@ import math
 from datetime import UTC, datetime
 from zoneinfo import ZoneInfo
 
+import numpy as np
 import pytest
 
+from gis_radar.crs import bearing_of
 from gis_radar.steps import Clock, utc_offsets
-from gis_radar.words import direction, figure_text, listed, percent
+from gis_radar.words import WINDS, direction, figure_text, listed, percent, wind_of
 
 
 def at(*fields):
@@ -45,6 +47,10 @@ def test_winds():
     assert direction(1.0, 0.1) == "east"
     assert direction(-1.0, -1.0) == "south-west"
     assert direction(0.0, 0.0) == "\u2013"
+    turned = [np.deg2rad(90.0 - 45.0 * k) for k in range(8)]
+    assert tuple(wind_of(np.cos(way), np.sin(way)) for way in turned) == WINDS
+    assert wind_of(0.0, 0.0) == ""
+    assert [bearing_of(wind) for wind in WINDS] == [45.0 * k for k in range(8)]
     assert listed(["a", "b", "c"]) == "a, b and c"
 
 

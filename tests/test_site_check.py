@@ -65,6 +65,11 @@ def test_the_command(place):
     assert result["outputs"] == []
 
 
+def test_a_site_that_can_be_run_is_told_so(place):
+    done = CliRunner().invoke(group, ["check", str(site := place())])
+    assert done.stdout.splitlines()[-1] == f"the site can be run: gis-radar run {site}"
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

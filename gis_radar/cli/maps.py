@@ -79,7 +79,9 @@ def mask(
     help="Whose hours and days the intervals follow, and whose clock the picture: Europe/Berlin.",
 )
 @click.option("--title", default="", help="Of the picture, and of a report of it.")
-@click.option("--language", default="en", show_default=True, help="Of both: en or de.")
+@click.option(
+    "--language", type=click.Choice(["en", "de"]), default="en", show_default=True, help="Of both."
+)
 @click.option(
     "--source",
     "sources",

@@ -66,7 +66,8 @@ def _position(text: str) -> tuple[float, ...]:
 
 
 def _bearing(text: str) -> float:
-    from gis_radar.crs import WINDS, bearing_of  # noqa: PLC0415 - NumPy
+    from gis_radar.crs import bearing_of  # noqa: PLC0415 - NumPy
+    from gis_radar.words import WINDS  # noqa: PLC0415 - only what is used
 
     try:
         return bearing_of(text)

@@ -61,7 +61,9 @@ def check(*, site: Path, reporter: Reporter) -> Result:
     Shows from when to when each sensor recorded, and the view that its detections show.
     """
     found = gr.check_site(site, reporter=reporter)
-    return Result(outputs=[], summary=found.figures())
+    return Result(
+        outputs=[], summary=found.figures(), advice=f"the site can be run: gis-radar run {site}"
+    )
 
 
 @command(example="gis-radar report results --timezone Europe/Berlin")
@@ -72,7 +74,10 @@ def check(*, site: Path, reporter: Reporter) -> Result:
     "--timezone",
     help="Whose clocks its times follow: Europe/Berlin; by default the site's, or UTC.",
 )
-@click.option("--language", help="en or de; by default the site's, or that of the heat map.")
+@click.option(
+    "--language", type=click.Choice(["en", "de"]),
+    help="By default the site's, or that of the heat map.",
+)  # fmt: skip
 @click.option(
     "--csv-locale", type=click.Choice(["en", "de"]), default="en", show_default=True,
     help="de: tables with semicolons and decimal commas, as Excel in Germany opens them.",

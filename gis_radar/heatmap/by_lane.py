@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import geopandas as gpd
@@ -11,10 +12,24 @@ import pandas as pd
 from gis_radar.arrays import Floats, Integers
 from gis_radar.heatmap.counting import Tally
 from gis_radar.heatmap.intervals import When
-from gis_radar.tiles.lanes import lanes_of
+from gis_radar.tiles.lanes import Lane, lanes_of
 from gis_radar.tiles.tiles import LANE
 
 BEGIN = "begin"
+
+
+def lanes_with_tiles(tiles: gpd.GeoDataFrame) -> tuple[Sequence[Lane], Integers]:
+    """Return the lanes of tiles, and of each tile the position of its lane among them."""
+    lanes = lanes_of(tiles)
+    lane_of_tile = np.empty(len(tiles), np.int64)
+    for i, lane in enumerate(lanes):
+        lane_of_tile[lane.rows] = i
+    return lanes, lane_of_tile
+
+
+def lane_totals(values: Floats, lane_of_tile: Integers, size: int) -> Floats:
+    """Return the sum of each lane's tiles."""
+    return np.asarray(np.bincount(lane_of_tile, values, size), np.float64)
 
 
 def table_by_lane(
@@ -49,10 +64,7 @@ def table_by_lane(
         time, as a vehicle that was missed, or is none, is so all along a lane. `observed_s`,
         `occupied_s` and `occupancy`: the same of hits, for which no error is known.
     """
-    tiled = lanes_of(tally.tiles)
-    lane_of_tile = np.empty(len(tally.tiles), np.int64)
-    for number, lane in enumerate(tiled):
-        lane_of_tile[lane.rows] = number
+    tiled, lane_of_tile = lanes_with_tiles(tally.tiles)
     index = pd.Index([lane.number for lane in tiled], name=LANE)
     chosen = tally.chosen(interval, begin=begin, end=end)
     if not each:
@@ -60,11 +72,12 @@ def table_by_lane(
     else:
         part = slice(None) if chosen is None else chosen
         rows = range(len(tally.timeline))[part] if isinstance(part, slice) else [part]
+        shown = list(rows) or [0]  # of no interval the columns remain
         table = pd.concat(
-            [_sums(tally, row, lane_of_tile, index) for row in rows],
-            keys=tally.times[list(rows)],
+            [_sums(tally, row, lane_of_tile, index) for row in shown],
+            keys=tally.times[shown],
             names=[BEGIN],
-        )
+        ).iloc[: len(rows) * len(index)]
     if lanes is None:
         return table
     known = lanes.set_index(LANE)
@@ -78,8 +91,7 @@ def _sums(
     """Return one row a lane."""
 
     def total(values: Floats) -> Floats:
-        sums = np.bincount(lane_of_tile, np.nan_to_num(values), len(index))
-        return np.asarray(sums, np.float64)
+        return lane_totals(np.nan_to_num(values), lane_of_tile, len(index))
 
     count = total(np.ones(len(lane_of_tile)))
     length_m = tally.tiles["length_m"].to_numpy(np.float64)

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from zoneinfo import ZoneInfo
 
 import geopandas as gpd
 import numpy as np
@@ -40,7 +39,7 @@ from gis_radar.notebooks import card, small_picture
 from gis_radar.occupancy import Occupancy
 from gis_radar.occupancy.frame_steps import Runs, common_steps, steps_in
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.steps import STEP_US, iso_from_step, moment_in, zone_of
+from gis_radar.steps import STEP_US, iso_from_step, step_at, zone_of
 from gis_radar.tiles.tiles import COLUMNS, fingerprint, own_columns
 from gis_radar.vehicles import Vehicles
 
@@ -255,7 +254,7 @@ def make_heatmap(
     zone = None if timezone is None else zone_of(timezone)
     tiles, runs = checked(occupancy, tiles, vehicles)
     span = [
-        None if time is None else _step_at(time, zone_of(labels.timezone), what)
+        None if time is None else step_at(time, zone_of(labels.timezone), what=what)
         for time, what in ((begin, "begin"), (end, "end"))
     ]
     runs = _within(runs, *span)
@@ -268,11 +267,6 @@ def make_heatmap(
         occupancy, tiles, whole, timeline, chosen=chosen, vehicles=vehicles, reporter=reporter,
         labels=labels,
     )  # fmt: skip
-
-
-def _step_at(time: Any, zone: ZoneInfo, what: str) -> int:
-    """Return the step that begins at a time, or next after it."""
-    return -(round(-moment_in(time, zone, what=what).timestamp() * 1e6) // STEP_US)
 
 
 def _within(runs: Runs, first: int | None, after: int | None) -> Runs:

@@ -18,12 +18,12 @@ from gis_radar.grid import CELL_M
 from gis_radar.occupancy.frame_steps import Runs, union
 from gis_radar.progress import Reporter
 from gis_radar.steps import (
-    STEP_US,
     STEPS_PER_SECOND,
     interval_steps,
     iso_from_step,
     moment_in,
     seconds_from_iso,
+    step_at,
     step_begin,
     step_of,
     zone_of,
@@ -203,7 +203,7 @@ def _between(timeline: Timeline, zone: ZoneInfo, begin: Any, end: Any) -> slice:
     )
     first, last = 0, len(timeline)
     if low is not None:
-        step = -(round(-low.timestamp() * 1e6) // STEP_US)  # the next where it is within a step
+        step = step_at(low, zone, what="begin")
         first = int(np.searchsorted(timeline.begin, step, side="left"))
     if high is not None:
         step = step_of(np.array([high.timestamp()]))[0]

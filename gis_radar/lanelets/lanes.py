@@ -23,6 +23,7 @@ from gis_radar.lanelets.reader import LaneletMap
 from gis_radar.lanelets.streets import name_streets
 from gis_radar.lanelets.tagging import STREET, TURN_TAG
 from gis_radar.progress import QUIET, Reporter
+from gis_radar.words import wind_of
 
 LANES, STOP_LINES = "lanes", "stop_lines"
 TOUCH_M = 0.05  # between the ends of lanelets that follow each other: drawn twice, to the digit
@@ -33,9 +34,6 @@ BACK_RAD = math.radians(150.0)
 SHARP_M = 50.0  # mean radius of a turn; roads that only bend have more
 STOP_NEAR_M = 2.0  # from the end of a lanelet to the stop line that is drawn behind it
 WAYS = ("left", "straight", "right", "back")
-WINDS = (
-    "east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east",
-)  # fmt: skip
 _STOP_KINDS: dict[str, Any] = {
     "stop_line": np.int64, "lane": np.int64, "lanelet_id": np.int64,
     "s_m": np.float64, "lane_m": np.float64, "sign": object,
@@ -145,13 +143,6 @@ def _ends_of(lanelets: gpd.GeoDataFrame) -> _Ends:
 def lane_numbers(lanelets: gpd.GeoDataFrame) -> dict[int, int]:
     """Return the number of each lanelet's lane: its smallest lanelet id."""
     return {ref: min(chain) for chain in lane_chains(lanelets) for ref in chain}
-
-
-def wind_of(east_m: float, north_m: float) -> str:
-    """Return to which of eight winds of the map's grid a way leads; nothing where it has none."""
-    if math.hypot(east_m, north_m) < 1e-6:
-        return ""
-    return WINDS[round(math.atan2(north_m, east_m) / (math.pi / 4)) % 8]
 
 
 def lanes(

@@ -256,10 +256,14 @@ def _delivered(found: Findings) -> list[str]:
         return [name, tr(NOT_KNOWN), ""]
     table = found.quality.table
     good, hours = int(table["verdict"].eq(GOOD).sum()), len(table)
-    runs = recorded_runs(found.results).values()
-    recorded = seconds_text(sum(each.steps for each in runs) * STEP_S)
-    text = "no fault found in {part} of {all} hours of sensors, of which {time} were recorded"
-    here = tr(text, part=good, all=hours, time=recorded)
+    runs = sorted(recorded_runs(found.results).items())
+    times = [f"{sensor} {seconds_text(each.steps * STEP_S)}" for sensor, each in runs]
+    recorded = listed(times) or tr(NOT_KNOWN)
+    if good == hours:
+        here = tr("no fault in what was recorded: {recorded}", recorded=recorded)
+    else:
+        text = "faults in {bad} of {all} hours of sensors; recorded: {recorded}"
+        here = tr(text, bad=hours - good, all=hours, recorded=recorded)
     text = "An hour counts as soon as some of it was recorded: see the seconds in the table."
     return [name, here, tr(text)]
 

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as MplFigure
+from matplotlib.transforms import ScaledTranslation
 
 from gis_radar.arrays import Floats
 from gis_radar.heatmap import HeatMap
@@ -23,6 +24,7 @@ from gis_radar.words import direction, figure_text, percent, tr
 
 STRIPS, MOST_CHARTS = 14, 4  # lanes of a chart, which fills a page; as many charts
 WIDTH_IN, STRIP_IN, EDGES_IN = 7.0, 0.56, 1.0
+NAMES_IN, BESIDE_IN = 0.9, 0.42  # least room for names; from a name to its strip, for percent
 DPI = 160
 TOPS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0)  # of the scale
 BAND, UNSEEN = "#a8c4e0", "#e3e6e9"
@@ -82,14 +84,13 @@ def _chart(
     with mpl.rc_context(FONTS):
         figure = MplFigure(figsize=(WIDTH_IN, height), dpi=DPI)
         axes = figure.subplots(len(strips), 1, sharex=True, squeeze=False)[:, 0]
-        figure.subplots_adjust(
-            left=1.35 / WIDTH_IN, right=1 - 0.32 / WIDTH_IN, top=1 - 0.32 / height,
-            bottom=0.62 / height, hspace=0.22,
-        )  # fmt: skip
-        for ax, (name, share, error) in zip(axes, strips, strict=True):
+        for ax, (_, share, error) in zip(axes, strips, strict=True):
             _add_strip(ax, seconds, share, error, top)
-            ax.set_ylabel(name, rotation=0, ha="right", va="center", fontsize=8.5, color=INK)
-            ax.yaxis.set_label_coords(-0.09, 0.5)
+        names_in = _add_names(list(axes), [name for name, _, _ in strips])
+        figure.subplots_adjust(
+            left=(names_in + BESIDE_IN) / WIDTH_IN, right=1 - 0.32 / WIDTH_IN,
+            top=1 - 0.32 / height, bottom=0.62 / height, hspace=0.22,
+        )  # fmt: skip
         _add_times(axes[-1], edges, seconds, clock)
         figure.text(
             0.012, 1 - 0.19 / height, _heading(heat.measure), fontsize=8.5, color=SOFT, va="center"
@@ -99,6 +100,17 @@ def _chart(
         png=png(picture), width=picture.width, height=picture.height, tallest_mm=212.0,
         caption=_caption(heat.measure), alt=_described(heat, strips, clock),
     )  # fmt: skip
+
+
+def _add_names(axes: Sequence[Axes], names: Sequence[str]) -> float:
+    """Write the names left of their strips; return the inches that the longest takes."""
+    widest = NAMES_IN
+    for ax, name in zip(axes, names, strict=True):
+        label = ax.set_ylabel(name, rotation=0, ha="right", va="center", fontsize=8.5, color=INK)
+        beside = ScaledTranslation(-BESIDE_IN, 0.0, ax.figure.dpi_scale_trans)
+        ax.yaxis.set_label_coords(0.0, 0.5, transform=ax.transAxes + beside)
+        widest = max(widest, label.get_window_extent().width / DPI + 0.08)
+    return widest
 
 
 def _add_strip(ax: Axes, seconds: Floats, share: Floats, error: Floats, top: float) -> None:

@@ -13,6 +13,7 @@ from numbers import Number
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import pandas as pd
 
 from gis_radar.errors import UsageError
@@ -322,7 +323,7 @@ def safe(cell: Any) -> Any:
     if cell is None or cell is pd.NaT:
         return ""
     if isinstance(cell, Number):
-        return "" if isinstance(cell, float) and math.isnan(cell) else cell
+        return "" if isinstance(cell, float | np.floating) and np.isnan(cell) else cell
     text = str(cell)
     return f"'{text}" if text.lstrip(" ").startswith(FORMULA) else text
 
@@ -364,7 +365,8 @@ def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) 
 
 
 def _written(cell: Any, *, german: bool) -> Any:
-    return str(cell).replace(".", ",") if german and isinstance(cell, float) else cell
+    number = german and isinstance(cell, float | np.floating)
+    return str(cell).replace(".", ",") if number else cell
 
 
 def utc(moment: datetime) -> str:

@@ -12,16 +12,17 @@ import pandas as pd
 
 from gis_radar.arrays import Floats, Integers
 from gis_radar.heatmap import HeatMap
+from gis_radar.heatmap.by_lane import lane_totals, lanes_with_tiles
 from gis_radar.heatmap.covering import surest
+from gis_radar.lanelets.lanes import EXIT_M
 from gis_radar.report.content import utc, write_csv
 from gis_radar.steps import Clock
-from gis_radar.tiles.lanes import Lane, lanes_of
+from gis_radar.tiles.lanes import Lane
 from gis_radar.tiles.tiles import quads
 from gis_radar.vehicles import Vehicles
-from gis_radar.words import compass
+from gis_radar.words import NOTHING, wind_of
 
 BUSY = 0.2  # a class break of all heat maps
-EXIT_M = 5.0  # the last metres of a lane tell where it leads to: it may turn
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,10 +108,7 @@ class LaneSums:
 
 def sum_by_lane(heat: HeatMap) -> LaneSums:
     """Sum the tiles of each lane, interval by interval."""
-    lanes = lanes_of(heat.tiles)
-    lane_of_tile = np.empty(len(heat.tiles), np.int64)
-    for i, lane in enumerate(lanes):
-        lane_of_tile[lane.rows] = i
+    lanes, lane_of_tile = lanes_with_tiles(heat.tiles)
     sums = [
         _by_lane(shown_of(heat, i), lane_of_tile, len(lanes)) for i in range(len(heat.timeline))
     ]
@@ -126,7 +124,7 @@ def _by_lane(
     seen = shares.base_s > 0
     error_s = np.where(seen, shares.error * shares.base_s, 0.0)
     part, base, error = (
-        np.bincount(lane_of_tile, seconds, size).astype(np.float64)
+        lane_totals(seconds, lane_of_tile, size)
         for seconds in (np.nan_to_num(shares.part_s), shares.base_s, error_s)
     )
     return part, base, error
@@ -298,7 +296,7 @@ def write_lanes(path: Path, table: pd.DataFrame, clock: Clock, measure: str) -> 
                 lanelets[0] if len(lanelets) == 1 else " ".join(map(str, lanelets)),
                 row["subtype"],
                 row.get("street", ""),
-                compass(row["east_m"], row["north_m"]),
+                wind_of(row["east_m"], row["north_m"]) or NOTHING,
                 *(round(float(row[name]), number) for name, number in digits.items()),
                 *times,
                 *(round(float(row[name]), 6) for name in busiest),

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import re
 from functools import cache
 from importlib.resources import files
 from io import BytesIO
 from pathlib import Path
 
 import matplotlib as mpl
+import numpy as np
 from fpdf import FPDF, ViewerPreferences
 from fpdf.enums import TableBordersLayout, TableCellFillMode, XPos, YPos
 from fpdf.fonts import FontFace
+from fpdf.line_break import BREAKING_SPACE_SYMBOLS_STR
 from jinja2 import Environment, StrictUndefined, Template
 from markupsafe import Markup
 from PIL import Image
@@ -26,6 +29,7 @@ LINE, WASH, AMBER, AMBER_WASH = "#d5dade", "#f3f5f7", "#b26a00", "#fff6e0"
 MARGIN, TOP, FOOT = 16.0, 20.0, 18.0  # of a page, millimetres, as all lengths here
 FONT = "DejaVu"
 LEGEND, GAP = 44.0, 4.0
+BESIDE = 1.0  # of a cell, on either side of its text
 TALLEST_MAP = 165.0
 TITLE, HEADING, LEAD, BODY, SMALL, CELL = (
     22.0,
@@ -262,16 +266,41 @@ def _add_rows(paper: Paper, content: Table) -> None:
     paper.set_fill_color(255)
     columns = content.columns
     with paper.table(
-        col_widths=tuple(column.width for column in columns),
+        col_widths=_widths(paper, content),
         text_align=tuple("RIGHT" if column.is_number else "LEFT" for column in columns),
         headings_style=FontFace(emphasis="BOLD", color=INK, fill_color=LINE),
         borders_layout=TableBordersLayout.HORIZONTAL_LINES,
         cell_fill_color=WASH, cell_fill_mode=TableCellFillMode.EVEN_ROWS,
-        line_height=4.0, padding=(0.8, 1.0), repeat_headings=1, v_align="T",
+        line_height=4.0, padding=(0.8, BESIDE), repeat_headings=1, v_align="T",
     ) as table:  # fmt: skip
         table.row([f"{each.title}\n{each.unit}" if each.unit else each.title for each in columns])
         for cells in content.rows:
             table.row(list(cells))
+
+
+def _widths(paper: Paper, content: Table) -> tuple[float, ...]:
+    """Return the columns' shares of the page: no word is broken where there is room for it."""
+    columns = content.columns
+    wanted = np.array([column.width for column in columns])
+    wanted *= paper.epw / wanted.sum()
+    paper.write_with(CELL, bold=True)
+    heads = np.array([_longest_word(paper, f"{each.title} {each.unit}") for each in columns])
+    paper.write_with(CELL)
+    cells = [_longest_word(paper, " ".join(texts)) for texts in zip(*content.rows, strict=True)]
+    for least in (np.maximum(heads, cells), heads):
+        over = wanted - least
+        lacking = -over[over < 0].sum()
+        if lacking <= over[over > 0].sum():
+            # what columns lack is taken from the others by what they have to spare
+            spare = np.maximum(over, 0.0)
+            return tuple(least + spare * (1.0 - lacking / max(spare.sum(), 1e-9)))
+    return tuple(wanted)
+
+
+def _longest_word(paper: Paper, text: str) -> float:
+    """Return the width that the longest word of a cell takes, with the room beside it."""
+    words = re.split(f"[\n{BREAKING_SPACE_SYMBOLS_STR}]", text)
+    return max(paper.get_string_width(each) for each in words) + 2 * BESIDE + 0.1
 
 
 def _add_picture(paper: Paper, picture: Image.Image | BytesIO, alt: str, box: Box) -> None:

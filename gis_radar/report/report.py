@@ -431,7 +431,7 @@ def _lane_columns(clock: Clock, measure: str) -> list[Column]:
         return ", ".join(filter(None, [row["street"], direction(row["east_m"], row["north_m"])]))
 
     columns = [
-        Column(tr("No."), "", 0.9, lambda row: str(row["lane"])),
+        Column(tr("Lane"), "", 0.9, lambda row: str(row["lane"])),
         Column(tr("Rank"), "", 1.4, rank, False),
         Column(tr("Leads to"), "", 1.5, leads_to, False),
         Column(tr(words.share), tr(words.base), 1.9,

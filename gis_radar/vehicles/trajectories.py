@@ -17,7 +17,7 @@ from gis_radar.crs import transformer
 from gis_radar.errors import TRAJECTORIES, InputError, UsageError
 from gis_radar.files import whole_file
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.steps import STEP_US, interval_steps, moment_in, zone_of
+from gis_radar.steps import STEP_US, interval_steps, step_at, zone_of
 from gis_radar.vehicles.folder import Span, Vehicles
 from gis_radar.vehicles.tables import TRACKS
 
@@ -80,16 +80,11 @@ def _span(begin: Any, end: Any, timezone: str) -> Span:
     zone = zone_of(timezone)
     if begin is None and end is None:
         return None
-    low = -_FAR if begin is None else _step_at(begin, zone, "begin")
-    after = _FAR if end is None else _step_at(end, zone, "end")
+    low = -_FAR if begin is None else step_at(begin, zone, what="begin")
+    after = _FAR if end is None else step_at(end, zone, what="end")
     if not low < after:
         raise UsageError(f"begin and end are {begin} and {end}, expected ascending times")
     return low, after - 1
-
-
-def _step_at(time: Any, zone: Any, what: str) -> int:
-    """Return the step that begins at a time, or next after it."""
-    return -(round(-moment_in(time, zone, what=what).timestamp() * 1e6) // STEP_US)
 
 
 def to_trajectories(vehicles: Vehicles, **options: Any) -> movingpandas.TrajectoryCollection:
