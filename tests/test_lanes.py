@@ -159,7 +159,7 @@ def streets_of(junction, **names):
 def test_lanes_are_named_by_the_street_that_they_run_along(junction, tmp_path):
     streets = streets_of(junction, l83="Weststraße", l568="Südring").to_crs(4326)
     streets.to_file(path := tmp_path / "streets.gpkg")
-    for given in (streets, path):
+    for given in (streets, path, streets.rename_geometry("geom")):
         lanes = gr.lanes(junction, streets=given).set_index("lane")
         assert lanes.loc[[83, 160, 176, 111], "street"].tolist() == ["Weststraße"] * 4
         assert lanes.loc[[568, 553], "street"].tolist() == ["Südring"] * 2

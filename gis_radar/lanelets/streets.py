@@ -67,7 +67,8 @@ def name_streets(
             "warning",
         )
         return lanes
-    known = table[[name, "geometry"]].rename(columns={name: STREET}).explode(ignore_index=True)
+    named = {STREET: table[name].to_numpy()}
+    known = gpd.GeoDataFrame(named, geometry=table.geometry.array).explode(ignore_index=True)
     texts = known[STREET].map(lambda value: str(value).strip() if isinstance(value, str) else "")
     known = known.assign(**{STREET: texts})
     known = known[(known[STREET] != "") & (known.geometry.geom_type == "LineString")]
