@@ -85,7 +85,9 @@ def tr_message(text: str) -> str:
     for pattern, names, translated in _patterns(_CURRENT.get()):
         if match := pattern.fullmatch(text):
             values = {
-                name: tr_message(each) for name, each in zip(names, match.groups(), strict=True)
+                # a word of its own is a name, as of a sensor; a direction is none
+                name: tr_message(each) if " " in each or each in WINDS else each
+                for name, each in zip(names, match.groups(), strict=True)
             }
             return translated.format(**values)
     return text

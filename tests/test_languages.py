@@ -154,6 +154,12 @@ def test_warnings_of_a_run_are_german(told, german):
         assert tr_message(told) == german
 
 
+def test_names_of_sensors_are_no_words_of_the_catalogue():
+    told = "the scan covers 96% of the view of Map: what it does not cover counts as in sight"
+    with speaking("de"):
+        assert "Sichtfelds von Map ab" in tr_message(told)
+
+
 def test_a_language_that_is_none(tmp_path):
     with pytest.raises(gr.UsageError, match="'fr'"):
         MapLabels(language="fr")
