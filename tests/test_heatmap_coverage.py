@@ -21,6 +21,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 from test_heatmap import T0, lane_tiles, runs_of
 from test_vehicles_folder import FIRST, drive, straight_tiles, write
+from test_vehicles_folder import POSE as WHOLE_POSE
 
 import gis_radar as gr
 from gis_radar.cli import group
@@ -358,7 +359,7 @@ def test_the_command_adds_coverage_of_all_folders(tmp_path):
     gr.write_tiles(tiles, tmp_path / "tiles.gpkg", problems=tiles[:0][["lanelet_id", "geometry"]])
     for name, first in (("a", FIRST), ("b", FIRST + 40)):
         write(tmp_path / name, tiles, drive(0, first, np.arange(0, 10, 0.25), speed=5.0))
-    source = {"recording": "a", "sensor": "R1", "poses": [{"easting": 0.0}]}
+    source = {"recording": "a", "sensor": "R1", "poses": [WHOLE_POSE]}
     occupancy_in(tiles, range(FIRST, FIRST + 100), sources=[source]).write(tmp_path / "occ")
     words = ["heatmap", "occ", "--tiles", "tiles.gpkg", "-o", "map", "--interval", "1s"]
     words = [str(tmp_path / each) if (tmp_path / each).exists() else each for each in words]

@@ -23,6 +23,12 @@ from gis_radar.vehicles.visibility import SensorView
 FIRST = 34_000_000_000
 
 
+# of a sensor at the origin
+POSE = dict.fromkeys(("easting", "northing", "yaw", "pitch", "roll"), 0.0) | {
+    "sensor": "R1", "crs": "EPSG:25832", "height": 5.0
+}  # fmt: skip
+
+
 def straight_tiles(count=40, *, length=0.5, width=3.0, lanelet_id=7, height=np.nan):
     """Lay the tiles of a lanelet that goes east from (0, 0)."""
     x = np.arange(count) * length
@@ -96,7 +102,7 @@ def provenance_of(tiles, **changed):
         "fingerprint": fingerprint(tiles),
         "map": {"digest": "d", "crs": "EPSG:25832", "origin": None},
         "hold_s": {"R1": 0.1},
-        "sources": [{"recording": "a", "sensor": "R1", "poses": [{"easting": 0.0}]}],
+        "sources": [{"recording": "a", "sensor": "R1", "poses": [POSE]}],
     }
     return Provenance(**(known | changed))
 

@@ -123,7 +123,7 @@ def test_older_rules_and_damage_are_told(tmp_path):
     with pytest.raises(InputError, match="follows rules 1, expected 2"):
         gr.read_vehicles(tmp_path / "a")
     manifest.write_text("{")
-    with pytest.raises(InputError, match=r"manifest\.json: damaged"):
+    with pytest.raises(InputError, match=r"manifest\.json: not a manifest of vehicles: not JSON"):
         gr.read_vehicles(tmp_path / "a")
     manifest.write_text(text.replace(one.provenance.fingerprint, "x"))
     with pytest.raises(InputError, match=r"tracks\.parquet: was made from tiles .*, its folder"):
