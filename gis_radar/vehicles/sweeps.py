@@ -32,8 +32,6 @@ class Sweeps:
         A middle so near drives over a place.
     times : dict
         By cell, ascending UNIX seconds.
-    cell_m : float
-        Length of a cell.
     fast : dict
         As `times`, of those only that nobody who stands would follow at once.
     """
@@ -43,7 +41,6 @@ class Sweeps:
     when: Floats
     near_m: float
     times: dict[int, Floats]
-    cell_m: float
     fast: dict[int, Floats]
 
     @classmethod
@@ -76,7 +73,7 @@ class Sweeps:
                     fast.setdefault(strip * CELLS + cell, []).append(moment)
         return cls(
             strips=strips, tree=cKDTree(np.vstack(places)), when=every,
-            near_m=settings.sweep_near_m, times=_sorted(times), cell_m=cell_m, fast=_sorted(fast),
+            near_m=settings.sweep_near_m, times=_sorted(times), fast=_sorted(fast),
         )  # fmt: skip
 
     def after(self, body: Floats, time: float) -> float:

@@ -29,7 +29,7 @@ def dialog():
     global box
     box = processing.createAlgorithmDialog("gisradar:heatmap", {
         "OCCUPANCY": SITE + "/occupancy", "TILES": SITE + "/tiles.gpkg|layername=tiles",
-        "INTERVAL": "20s", "OUTPUT": OUT + "/map"})
+        "INTERVAL": "20s", "TIMEZONE": "Europe/Berlin", "OUTPUT": OUT + "/map"})
     box.show()
     box.runButton().click()
 
@@ -72,7 +72,7 @@ def second():
 
 
 def test_the_desktop(profiles, site, tmp_path):
-    """A heat map made in the dialog comes up styled, animated, with a clock that names its zone."""
+    """A heat map made in the dialog comes up styled, animated, with the clock of the site."""
     SHOTS.mkdir(parents=True, exist_ok=True)
     names = ("toolbox.png", "dialog.png", "moment1.png", "moment2.png")
     for name in names:
@@ -80,14 +80,14 @@ def test_the_desktop(profiles, site, tmp_path):
     desktop = tmp_path / "profiles"
     shutil.copytree(profiles / "profiles", desktop / "profiles")
     script = desktop_script(BODY, SHOTS=str(SHOTS), SITE=str(site), OUT=str(tmp_path))
-    with virtual_screen(1600, 950, environment(profiles, TZ="Europe/Berlin")) as around:
+    with virtual_screen(1600, 950, environment(profiles, TZ="America/New_York")) as around:
         done = run_desktop(script, tmp_path, desktop, around, "--profile", "default")
     said = [line[5:] for line in done.stdout.splitlines() if line.startswith("SAID ")]
     assert done.returncode == 0, done.stdout + done.stderr
     assert said == [
         "mode 1 frames 5",
         "time 2025-06-12 07:30:00",
-        "clock ['Thu 2025-06-12 07:30:00 – 07:30:20 (UTC)']",
+        "clock ['Thu 2025-06-12 09:30:00 – 09:30:20 (Europe/Berlin, UTC+02:00)']",
         "layers 4",
     ]
     pictures = [(SHOTS / name).read_bytes() for name in names]

@@ -34,7 +34,6 @@ LEFT_OUT = {
     "mask": {"map_crs": "a layer of QGIS has its own", "layer": "a layer of QGIS is one"},
     "localize": {"guess_crs": "a click has its own", "together": "the site wizard takes several"},
     "convert": {"duration": "QGIS does not listen to a network"},
-    "project": dict.fromkeys(("map", "origin"), "columns of lanes are for tables"),
     "occupancy": {"engine": "both give the same; for benchmarks"},
     "run": {"template": "the site wizard writes the file"},
 }

@@ -11,8 +11,9 @@ from qgis.core import (
     QgsProcessingParameterFileDestination,
 )
 
-from ..base import TRAFFIC, WorkerAlgorithm
+from ..base import TRAFFIC, WorkerAlgorithm, option
 from ..loading import load
+from ..parameters import add_map, add_origin
 from ..words import tr
 
 
@@ -33,6 +34,12 @@ class ShowDetections(WorkerAlgorithm):
         recordings, poses = tr("Recordings") + " (*.parquet *.csv)", tr("Poses") + " (*.json *.csv)"
         self.add(QgsProcessingParameterFile("RECORDING", tr("Recording"), fileFilter=recordings))
         self.add(QgsProcessingParameterFile("POSE", tr("Pose"), fileFilter=poses))
+        add_map(
+            self, optional=True,
+            about="Adds the lane of each detection, where on it that lies, and how fast it moves "
+            "along it.",
+        )  # fmt: skip
+        add_origin(self)
         kinds = ";;".join(
             f"{tr(words)} ({ends})" for words, ends in
             (("GeoPackages", "*.gpkg"), ("Point clouds", "*.laz"), ("Tables", "*.parquet"))
@@ -49,6 +56,8 @@ class ShowDetections(WorkerAlgorithm):
         words = [
             "project", self.parameterAsFile(parameters, "RECORDING", context),
             "--pose", self.parameterAsFile(parameters, "POSE", context), "-o", dest,
+            *option("--map", self.parameterAsFile(parameters, "MAP", context)),
+            *option("--origin", self.parameterAsString(parameters, "ORIGIN", context)),
         ]  # fmt: skip
         self.work(words, [dest], feedback)
         if dest.lower().endswith(".gpkg"):
