@@ -13,14 +13,16 @@ class TileGridNumpy(TileGrid):
 
     def assign(self, easting: Floats, northing: Floats) -> tuple[Integers, Integers]:
         """Return the pairs (point, tile)."""
-        points = np.column_stack([easting, northing]) - self._origin
-        within = np.flatnonzero(((points >= 0.0) & (points <= self._span)).all(axis=1))
-        column, row = (points[within] * (1.0 / self._cell_m)).astype(np.int64).T
-        cell = row * self._columns + column
-        counts = self._first[cell + 1] - self._first[cell]
+        cells = self.cells
+        points = np.column_stack([easting, northing]) - (cells.west, cells.south)
+        span = (cells.width, cells.height)
+        within = np.flatnonzero(((points >= 0.0) & (points <= span)).all(axis=1))
+        column, row = (points[within] * (1.0 / cells.cell_m)).astype(np.int64).T
+        cell = row * cells.columns + column
+        counts = cells.first[cell + 1] - cells.first[cell]
         begins = np.cumsum(counts) - counts
         point = np.repeat(within, counts)
         nth = np.arange(len(point)) - np.repeat(begins, counts)
-        tile = self._tiles[np.repeat(self._first[cell], counts) + nth].astype(np.int64)
-        inside = inside_quads(self._edges[tile], points[point])
+        tile = cells.tiles[np.repeat(cells.first[cell], counts) + nth].astype(np.int64)
+        inside = inside_quads(cells.edges[tile], points[point])
         return point[inside], tile[inside]

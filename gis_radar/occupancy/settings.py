@@ -110,6 +110,11 @@ class Filters:
         if not 0.0 <= self.elevation_error_deg < 45.0:
             raise UsageError(f"elevation error is {self.elevation_error_deg} deg, expected 0 to 45")
 
+    @property
+    def widening(self) -> float:
+        """By how much the clearance profile widens a metre of range, to either side, metres."""
+        return math.tan(math.radians(self.sigmas * self.elevation_error_deg))
+
     def keep_detections(self, detections: Detections) -> Booleans:
         """Return which detections count, wherever they are; an unknown value does not pass."""
         keep = detections.present
@@ -140,7 +145,7 @@ class Filters:
         low, high = self.clearance
         over_road = height - road_height
         outside = np.maximum(np.maximum(low - over_road, over_road - high), 0.0)
-        widened = range_m * math.tan(math.radians(self.sigmas * self.elevation_error_deg))
+        widened = range_m * self.widening
         fits = outside <= widened
         # Of levels that fit alike, the one nearer to the profile's middle.
         misfit = np.where(fits, outside + 1e-3 * np.abs(over_road - (low + high) / 2), np.inf)

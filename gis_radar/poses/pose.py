@@ -156,9 +156,11 @@ class Pose:
         (n, 3) float64 array
             Easting, northing, height. A point nearer than the road is placed under the sensor.
         """
-        # Not a matrix product: its last digits would depend on how the points are cut into pieces.
+        # Not a matrix product: its last digits would depend on how the points are cut into pieces,
+        # and on the machine. The counting loop adds in the same order.
         points = np.asarray(points, np.float64)
-        turned = np.einsum("nj,ij->ni", points, self.R_map_sensor)
+        x, y, z = points.T
+        turned = np.stack([(x * r[0] + z * r[2]) + y * r[1] for r in self.R_map_sensor], axis=1)
         level = np.isnan(points[:, 2]) & ~np.isnan(points[:, 0])
         if level.any():
             drop_m = 0.0 if math.isnan(road_m) else self.height - road_m
@@ -167,8 +169,9 @@ class Pose:
 
     def _on_plane(self, points: Floats, drop_m: float) -> Floats:
         """Return points at slant ranges on a level plane under the sensor, from the sensor."""
-        ahead = np.einsum("nj,ij->ni", points[:, :2], self.R_map_sensor[:2, :2])
-        range_m = np.hypot(points[:, 0], points[:, 1])
+        x, y = points[:, 0], points[:, 1]
+        ahead = np.stack([x * r[0] + y * r[1] for r in self.R_map_sensor[:2]], axis=1)
+        range_m = np.hypot(x, y)
         flat_m = np.sqrt(np.maximum(range_m**2 - drop_m**2, 0.0))
         length = np.hypot(ahead[:, 0], ahead[:, 1])
         ahead *= np.divide(flat_m, length, out=np.zeros_like(flat_m), where=length > 0.0)[:, None]

@@ -76,21 +76,27 @@ class Detections:
 
 
 class RangeCounts:
-    """Histogram of slant ranges, counted piece by piece."""
+    """Histogram of slant ranges, counted piece by piece.
+
+    Attributes
+    ----------
+    counts : (4096,) int64 array
+        Detections by their range in whole metres; the last place has all beyond.
+    """
 
     def __init__(self) -> None:
-        self._counts = np.zeros(4096, np.int64)  # a metre each; beyond the reach of any radar
+        self.counts = np.zeros(4096, np.int64)  # a metre each; beyond the reach of any radar
 
     def add(self, piece: Detections) -> None:
         """Count the detections of a piece."""
         metres = piece.range_m[piece.present]
-        bins = np.minimum(metres, len(self._counts) - 1).astype(np.int64)
-        self._counts += np.bincount(bins, minlength=len(self._counts))
+        bins = np.minimum(metres, len(self.counts) - 1).astype(np.int64)
+        self.counts += np.bincount(bins, minlength=len(self.counts))
 
     def reached_m(self, share: float = 0.999) -> float:
         """Return within how many whole metres a share of the detections is; 0 without any."""
-        total = int(self._counts.sum())
-        inside = np.cumsum(self._counts) / max(total, 1)
+        total = int(self.counts.sum())
+        inside = np.cumsum(self.counts) / max(total, 1)
         return float(np.searchsorted(inside, share) + 1) if total else 0.0
 
 

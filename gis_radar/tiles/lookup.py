@@ -14,7 +14,7 @@ the paper's R-tree ("Local Sensor Data Processing").
 from __future__ import annotations
 
 import math
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import geopandas as gpd
 import numpy as np
@@ -89,8 +89,38 @@ MOST_CELLS = 16_000_000  # of a grid, 128 MB; wider cells where a map is larger
 Pairs = tuple[Integers, Integers]
 
 
+class TileCells(NamedTuple):
+    """A grid of cells as compiled code takes it; its corner is the origin of what it holds.
+
+    Parameters
+    ----------
+    west, south, width, height : float
+        The rectangle around all tiles; map frame, metres.
+    cell_m : float
+        Side of a cell.
+    columns : int
+        TileCells from west to east.
+    first : (m + 1,) int64 array
+        Where the tiles of each cell begin in `tiles`.
+    tiles : (k,) int32 array
+        The tiles that touch each cell, ascending.
+    edges : (n, 4, 4) array
+        By tile: low end y, high end y, low end x, slope dx/dy of each of four edges.
+    """
+
+    west: float
+    south: float
+    width: float
+    height: float
+    cell_m: float
+    columns: int
+    first: Integers
+    tiles: NDArray[np.int32]
+    edges: Floats
+
+
 class TileGrid:
-    """Cells of half a metre, each with the tiles that touch it; exact test in compiled code.
+    """TileCells of half a metre, each with the tiles that touch it; exact test in compiled code.
 
     Parameters
     ----------
@@ -107,14 +137,21 @@ class TileGrid:
     """
 
     def __init__(self, quads: Floats) -> None:
-        self._origin = _origin(quads)
-        local = quads - self._origin
-        self._edges = _edges(local)
+        origin = _origin(quads)
+        local = quads - origin
         span = local.reshape(-1, 2).max(axis=0) if len(quads) else np.ones(2)
-        self._span = span
-        self._cell_m = max(LENGTH_M, math.sqrt(float(span.prod()) / MOST_CELLS))
-        self._columns, rows = (int(side / self._cell_m) + 1 for side in span)
-        self._first, self._tiles = _fill_cells(local, self._columns, rows, self._cell_m)
+        cell_m = max(LENGTH_M, math.sqrt(float(span.prod()) / MOST_CELLS))
+        columns, rows = (int(side / cell_m) + 1 for side in span)
+        first, tiles = _fill_cells(local, columns, rows, cell_m)
+        (west, south), (width, height) = origin.tolist(), span.tolist()
+        self.cells = TileCells(
+            west, south, width, height, cell_m, columns, first, tiles, _edges(local)
+        )
+
+    @property
+    def most_in_a_cell(self) -> int:
+        """How many tiles touch a cell at most."""
+        return int(np.diff(self.cells.first).max(initial=0))
 
     def assign(self, easting: Floats, northing: Floats) -> Pairs:
         """Return the pairs (point, tile) of points inside tiles.
@@ -134,10 +171,7 @@ class TileGrid:
         point, tile = np.empty(room, np.int64), np.empty(room, np.int64)
         done = found = 0
         while True:
-            done, found = _assign(
-                x, y, self._origin, self._span, self._cell_m, self._columns,
-                self._first, self._tiles, self._edges, point, tile, done, found,
-            )  # fmt: skip
+            done, found = _assign(x, y, self.cells, point, tile, done, found)
             if done == len(x):
                 return point[:found], tile[:found]
             point, tile = (np.concatenate([kept, np.empty_like(kept)]) for kept in (point, tile))
@@ -205,43 +239,52 @@ def inside_quads(edges: Floats, points: Floats) -> NDArray[np.bool_]:
 
 
 @compiled
-def _assign(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - compiled
+def cell_at(x: float, y: float, width: float, height: float, per_m: float, columns: int) -> int:
+    """Return the cell around a point from the corner of :class:`TileCells`; -1 outside of them."""
+    # Not a number compares false, and a point outside must never become a cell.
+    if not (0.0 <= x <= width and 0.0 <= y <= height):
+        return -1
+    return int(y * per_m) * columns + int(x * per_m)
+
+
+@compiled
+def is_inside(  # pragma: no cover - compiled
+    edges: Floats, tile: int, x: float, y: float
+) -> int:
+    """Return 1 where a point is in a tile, else 0; edges and origin as of :class:`TileCells`."""
+    crossings = 0
+    for e in range(4):
+        low, high, x_low, slope = (
+            edges[tile, 0, e], edges[tile, 1, e], edges[tile, 2, e], edges[tile, 3, e],
+        )  # fmt: skip
+        crossings += (low <= y) & (y < high) & (x >= x_low + (y - low) * slope)
+    return crossings & 1
+
+
+@compiled
+def _assign(
     x: Floats,
     y: Floats,
-    origin: Floats,
-    span: Floats,
-    cell_m: float,
-    columns: int,
-    first: Integers,
-    tiles: NDArray[np.int32],
-    edges: Floats,
+    cells: TileCells,
     point_out: Integers,
     tile_out: Integers,
     done: int,
     found: int,
 ) -> tuple[int, int]:
     """Go on at point `done` until the end or until the pairs found fill the room."""
-    per_m = 1.0 / cell_m
-    (west, south), (width, height) = origin, span
+    first, tiles, edges = cells.first, cells.tiles, cells.edges
+    per_m = 1.0 / cells.cell_m
     for i in range(done, len(x)):
-        px, py = x[i] - west, y[i] - south
-        # Not a number compares false, and a point outside must never become a cell.
-        if not (0.0 <= px <= width and 0.0 <= py <= height):
+        px, py = x[i] - cells.west, y[i] - cells.south
+        cell = cell_at(px, py, cells.width, cells.height, per_m, cells.columns)
+        if cell < 0:
             continue
-        cell = int(py * per_m) * columns + int(px * per_m)
-        begin, end = first[cell], first[cell + 1]
-        if found + end - begin > len(point_out):
+        if found + first[cell + 1] - first[cell] > len(point_out):
             return i, found
-        for k in range(begin, end):
-            low, high, x_low, slope = edges[tiles[k]]
-            crossings = 0
-            for e in range(4):
-                crossings += (
-                    (low[e] <= py) & (py < high[e]) & (px >= x_low[e] + (py - low[e]) * slope[e])
-                )
+        for k in range(first[cell], first[cell + 1]):
             point_out[found] = i
             tile_out[found] = tiles[k]
-            found += crossings & 1
+            found += is_inside(edges, tiles[k], px, py)
     return len(x), found
 
 

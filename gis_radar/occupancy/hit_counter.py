@@ -1,0 +1,261 @@
+"""Count hits as rows of detections come: of a whole recording, or of a frame at a sensor."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gis_radar.arrays import Floats, Integers
+from gis_radar.errors import InputError
+from gis_radar.occupancy.counting_loop import (
+    FRAME_COLUMNS,
+    NO_STEP,
+    TIME_US,
+    Found,
+    Ground,
+    Limits,
+    Open,
+    PoseNumbers,
+    RowColumns,
+    Values,
+    count_rows,
+    end_frame,
+    end_step,
+)
+from gis_radar.occupancy.settings import DEFAULTS, Filters, OccupancySettings
+from gis_radar.poses.pose import Pose
+from gis_radar.recordings.recording import Detections, RangeCounts
+from gis_radar.sight import SightTiles
+from gis_radar.sight.recorded import REFLECTION_M
+from gis_radar.sight.settings import DEFAULTS as SIGHT_DEFAULTS
+from gis_radar.steps import STEP_US
+from gis_radar.tiles.lookup import TileGrid
+
+ROOM_FRAMES, ROOM_HITS = 1 << 12, 1 << 16  # filled in at once; 256 KiB, 1 MiB
+NO_TILES: Integers = np.empty(0, np.int64)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Counted:
+    """Frames and steps that are complete.
+
+    Parameters
+    ----------
+    frames : (f, 8) int64 array
+        A row a frame; columns as of :mod:`gis_radar.occupancy.counting_loop`.
+    step, tile : (k,) int64 arrays
+        Tiles hit in a step, each once; ascending by step, then by tile.
+    """
+
+    frames: Integers
+    step: Integers
+    tile: Integers
+
+
+class HitCounter:
+    """Finds which tiles the frames of one sensor hit, as its rows come.
+
+    Parameters
+    ----------
+    tiles : SightTiles
+        All tiles.
+    grid : TileGrid
+        Of the same tiles.
+    filters : Filters
+        Which detections count.
+    settings : OccupancySettings
+        Constants of the frame log.
+    tile_id : (n,) int64 array, optional
+        What stands for each tile in the hits; without it, its position.
+    step_us : int
+        Length of a step, microseconds.
+
+    Attributes
+    ----------
+    ranges : RangeCounts
+        Ranges of all detections so far.
+    """
+
+    def __init__(
+        self,
+        tiles: SightTiles,
+        grid: TileGrid,
+        *,
+        filters: Filters | None = None,
+        settings: OccupancySettings = DEFAULTS,
+        tile_id: Integers | None = None,
+        step_us: int = STEP_US,
+    ) -> None:
+        count = len(tiles.tile_id)
+        ids = np.arange(count) if tile_id is None else tile_id
+        self.ranges = RangeCounts()
+        self._ground = Ground(ids, np.ascontiguousarray(tiles.height), grid.cells)
+        self._limits = limits_of(filters or Filters(), settings, step_us)
+        self._open = Open(
+            counts=np.array([0, 0, NO_STEP, 0], np.int64),
+            time=np.array([math.nan]),
+            frame=np.zeros(FRAME_COLUMNS, np.int64),
+            of_frame=np.zeros(count, np.int64),
+            of_step=np.zeros(count, np.int64),
+            moved=np.zeros(count, np.int64),
+            waiting=np.empty(count, np.int64),
+            inside=np.empty(grid.most_in_a_cell + 1, np.int64),
+            ranges=self.ranges.counts,
+            movement=NO_TILES,
+        )
+        self._found = Found(
+            frames=np.empty((ROOM_FRAMES, FRAME_COLUMNS), np.int64),
+            step=np.empty(max(ROOM_HITS, count), np.int64),
+            tile=np.empty(max(ROOM_HITS, count), np.int64),
+        )
+
+    def add(
+        self,
+        rows: RowColumns,
+        begin: int,
+        end: int,
+        placing: PoseNumbers,
+        *,
+        movement: Integers = NO_TILES,
+    ) -> Iterator[Counted]:
+        """Count rows that follow those so far, seen from one pose; times are finite and ascend.
+
+        Parameters
+        ----------
+        rows : RowColumns
+            Columns of a recording.
+        begin, end : int
+            Which rows of them.
+        placing : PoseNumbers
+            The pose.
+        movement : (n,) int64 array, optional
+            Grows by one a frame for tiles on which something moves.
+
+        Yields
+        ------
+        Counted
+            What is complete so far.
+        """
+        opened = self._open._replace(movement=movement)
+        while begin < end:
+            begin, frames, hits = count_rows(
+                rows, begin, end, placing, self._limits, self._ground, opened, self._found
+            )
+            yield self._copied(frames, hits)
+
+    def end(self) -> Counted:
+        """Return the frame and the step that are open, and close them."""
+        frames = end_frame(self._open, self._found, 0)
+        return self._copied(frames, end_step(self._open, self._found, 0))
+
+    def _copied(self, frames: int, hits: int) -> Counted:
+        return Counted(
+            frames=self._found.frames[:frames].copy(),
+            step=self._found.step[:hits].copy(),
+            tile=self._found.tile[:hits].copy(),
+        )
+
+
+class FrameHits:
+    """Finds the tiles that each frame hits, right when it comes: the edge's side of an occupancy.
+
+    Parameters
+    ----------
+    tiles : SightTiles
+        All tiles; :meth:`SightTiles.of` makes them from a table of tiles.
+    filters : Filters, optional
+        Which detections count; without it, all.
+    """
+
+    def __init__(self, tiles: SightTiles, *, filters: Filters | None = None) -> None:
+        grid = TileGrid(tiles.quads)
+        self._counter = HitCounter(tiles, grid, filters=filters, step_us=1)
+
+    def of(
+        self, detections: Detections, pose: Pose, *, road_m: float = math.nan
+    ) -> list[tuple[int, Integers]]:
+        """Return the tiles that frames hit.
+
+        Parameters
+        ----------
+        detections : Detections
+            One or a few whole frames; a frame without detections is a row of NaN.
+        pose : Pose
+            Where the sensor stands.
+        road_m : float
+            Height of the road near it, for sensors without elevation: as of :meth:`Pose.to_map`.
+
+        Returns
+        -------
+        list of (int, (k,) int64 array)
+            Of each frame its time in microseconds since the UNIX epoch, and the positions of the
+            tiles that it hits, ascending, as :func:`encode_tiles` takes them.
+
+        Raises
+        ------
+        InputError
+            If a time is no number, or times go back.
+        """
+        time = np.ascontiguousarray(detections.time, np.float64)
+        if not (np.isfinite(time).all() and (np.diff(time) >= 0.0).all()):
+            raise InputError("times of frames are not finite, or go back")
+        rows, placing = rows_of_detections(detections), PoseNumbers.of(pose, road_m=road_m)
+        found = [*self._counter.add(rows, 0, len(time), placing), self._counter.end()]
+        step = np.concatenate([each.step for each in found])
+        tile = np.concatenate([each.tile for each in found])
+        times = np.unique(np.concatenate([each.frames[:, TIME_US] for each in found]))
+        begins, ends = np.searchsorted(step, times), np.searchsorted(step, times, side="right")
+        return [
+            (int(time_us), tile[begin:end])
+            for time_us, begin, end in zip(times, begins, ends, strict=True)
+        ]
+
+
+def limits_of(filters: Filters, settings: OccupancySettings, step_us: int) -> Limits:
+    """Return what the counting loop asks of a detection."""
+    lowest_m, highest_m = filters.clearance or (math.nan, math.nan)
+    return Limits(
+        min_speed=_or_nan(filters.min_speed),
+        min_rcs=_or_nan(filters.min_rcs),
+        lowest_m=float(lowest_m),
+        highest_m=float(highest_m),
+        widening=filters.widening,
+        level_m=float(filters.levels_apart_m),
+        moving_mps=float(settings.moving_mps),
+        wild_mps=float(settings.wild_mps),
+        sight_mps=float(SIGHT_DEFAULTS.moving_mps),
+        sight_over_m=REFLECTION_M,
+        sight_level_m=float(SIGHT_DEFAULTS.level_m),
+        step_us=step_us,
+    )
+
+
+def _or_nan(value: float | None) -> float:
+    return math.nan if value is None else float(value)
+
+
+def rows_of_detections(detections: Detections) -> RowColumns:
+    """Return detections as the counting loop takes them."""
+    x, y, z = detections.points.T.astype(np.float64)
+    return rows_of_columns(detections.time, x, y, z, detections.range_rate, detections.rcs)
+
+
+def rows_of_columns(
+    time: Floats, x: Values, y: Values, z: Values, range_rate: Values, rcs: Values,
+    shift_us: Integers = NO_TILES,
+) -> RowColumns:  # fmt: skip
+    """Return columns as the counting loop takes them: arguments as of :class:`RowColumns`."""
+    x_bits, y_bits = (each.astype(np.float32, copy=False).view(np.uint32) for each in (x, y))
+    columns = (time, shift_us, x, y, z, range_rate, rcs, x_bits, y_bits)
+    return RowColumns(*map(_fixed, columns))
+
+
+def _fixed(values: Any) -> Any:
+    """Return values one after the other and read-only: numba compiles anew for any other kind."""
+    values = np.ascontiguousarray(values).view()
+    values.flags.writeable = False
+    return values
