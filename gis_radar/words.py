@@ -7,11 +7,12 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import dataclass
 from datetime import datetime
 from functools import cache
 
 from gis_radar.errors import UsageError
-from gis_radar.languages import LANGUAGES, catalogue
+from gis_radar.languages import LANGUAGES, catalogue, messages
 
 NOTHING, MINUS = "\u2013", "\u2212"  # a dash; a minus as wide as a plus
 THIN = "\u202f"  # narrow, and no line ends there
@@ -21,7 +22,7 @@ _MONTHS = (
     "October", "November", "December",
 )  # fmt: skip
 _WEEKDAYS = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
-_HOLE = re.compile(r"\\\{\w*\\\}")  # a hole of a text once it is escaped
+_HOLE = re.compile(r"\{\w*\}")
 
 # Not an argument of each function: what writes a number is ten calls below who knows the language.
 _CURRENT: ContextVar[str] = ContextVar("language", default="en")
@@ -74,42 +75,120 @@ def plural(amount: int, one: str, many: str) -> str:
 
 
 def tr_message(text: str) -> str:
-    """Return a finished sentence in the current language, its values taken over.
+    """Return a finished message in the current language, its values taken over.
 
-    The sentences of all rooms are English; those with holes in the catalogue are known again by
-    what stands between their values.
+    The messages of all rooms are English; those with holes in the catalogues are known again by
+    what stands between their values. What stands before a colon may be the name of a file, a stage
+    or a sensor; several messages are joined by semicolons.
     """
-    texts = catalogue(_CURRENT.get())
-    if text in texts:
-        return texts[text]
-    for pattern, names, translated in _patterns(_CURRENT.get()):
-        if match := pattern.fullmatch(text):
-            values = {
-                # a word of its own is a name, as of a sensor; a direction is none
-                name: tr_message(each) if " " in each or each in WINDS else each
-                for name, each in zip(names, match.groups(), strict=True)
-            }
-            return translated.format(**values)
-    return text
+    if not messages(_CURRENT.get()):
+        return text
+    parts = text.split("; ")
+    if len(parts) > 1:
+        if found := _after_names(text, most=len(parts) - 1):
+            return found
+        if all(translated := [_after_names(each) for each in parts]):
+            return "; ".join(translated)
+    return _after_names(text) or text
+
+
+def _after_names(text: str, *, most: int = 0) -> str:
+    """Return a message in the current language, names before it kept; nothing if not known.
+
+    With `most` only one that has so many semicolons of its own.
+    """
+    head, rest = "", text
+    while not (found := _known(rest, most)) and ": " in rest:
+        before, _, rest = rest.partition(": ")
+        head += f"{catalogue(_CURRENT.get()).get(before, before) if ' ' in before else before}: "
+    return head + found if found else ""
+
+
+def _known(text: str, semicolons: int = 0) -> str:
+    language = _CURRENT.get()
+    if exact := messages(language).get(text) or catalogue(language).get(text):
+        return exact
+    for each in _with_holes(language):
+        values = each.values_in(text) if each.text.count("; ") >= semicolons else []
+        if values and (each.sure or all(map(_is_ours, values))):
+            return each.filled(values)
+    return ""
+
+
+def _is_ours(value: str) -> bool:
+    return " " not in value or bool(_after_names(value))
+
+
+@dataclass(frozen=True)
+class _Message:
+    """A message with holes, and its translation."""
+
+    text: str
+    translation: str
+
+    @property
+    def sure(self) -> bool:
+        """Whether it is known by its words: `{} and {}` is part of many sentences."""
+        whole = self.text[0] == "{" and self.text[-1] == "}"
+        return not whole or _own_letters(self.text) >= _LEAST_LETTERS
+
+    def values_in(self, text: str) -> list[str]:
+        """Return the values in a finished message; none if it is another."""
+        first, *between, last = _HOLE.split(self.text)
+        # Cheap and sure: few of hundreds are compiled.
+        if not (text.startswith(first) and text.endswith(last) and all(p in text for p in between)):
+            return []
+        match = _pattern(self.text).fullmatch(text)
+        if not match or (not first and ": " in match[1]):  # a name before it is none of its values
+            return []
+        return list(match.groups())
+
+    def filled(self, values: list[str]) -> str:
+        """Return the translation with values in its holes."""
+        names = [hole[1:-1] or str(place) for place, hole in enumerate(_HOLE.findall(self.text))]
+        known = dict(zip(names, map(_own_value, values), strict=True))
+        return _HOLE.sub(
+            lambda hole: _figure(known[hole[0][1:-1]], self.translation[hole.end() :]),
+            self.translation,
+        )
 
 
 @cache
-def _patterns(language: str) -> list[tuple[re.Pattern[str], list[str], str]]:
-    """Return what knows the texts with holes, those with the most letters of their own first."""
-    with_holes = sorted((each for each in catalogue(language) if "{" in each), key=_own_letters)
-    return [
-        (re.compile(_HOLE.sub("(.+?)", re.escape(text))), re.findall(r"\{(\w+)\}", text),
-         catalogue(language)[text])
-        for text in with_holes
-        if _own_letters(text) <= -_LEAST_LETTERS
+def _pattern(text: str) -> re.Pattern[str]:
+    return re.compile("(.*?)".join(map(re.escape, _HOLE.split(text))), re.DOTALL)
+
+
+@cache
+def _with_holes(language: str) -> list[_Message]:
+    """Return the messages with holes, those with the most letters of their own first."""
+    told = [(text, found) for text, found in messages(language).items() if _HOLE.search(text)]
+    told += [
+        (text, found) for text, found in catalogue(language).items()
+        if _HOLE.search(text) and _own_letters(text) >= _LEAST_LETTERS
     ]  # fmt: skip
+    return [_Message(*each) for each in sorted(told, key=lambda each: -_own_letters(each[0]))]
 
 
-_LEAST_LETTERS = 8  # a text with fewer of its own would be seen in others
+_LEAST_LETTERS = 8  # a text that is no message and has fewer of its own would be seen in others
 
 
 def _own_letters(text: str) -> int:
-    return -len(re.sub(r"\{\w+\}|[^a-z]", "", text))
+    return len(re.sub(r"\{\w*\}|[^A-Za-z]", "", text))
+
+
+def _own_value(value: str) -> str:
+    """Return a value in the current language: a word of its own is a name, unless a direction."""
+    return tr_message(value) if " " in value or value in WINDS else value
+
+
+def _figure(value: str, after: str) -> str:
+    """Return a value as numbers are written, where a unit comes after it or it is a share."""
+    if re.fullmatch(r"-?\d+(\.\d+)?%", value):
+        return decimal(f"{value[:-1]}{THIN}%")
+    if re.fullmatch(r"-?\d{1,3}(,\d{3})+", value):
+        return value.replace(",", THIN)
+    measured = re.match(r" (%|m|km|ms|s|h|Grad|ppm|MiB)\b| %", after)
+    return decimal(value) if measured and re.fullmatch(r"-?\d+\.\d+", value) else value
 
 
 def decimal(text: str) -> str:

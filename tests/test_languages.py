@@ -10,11 +10,12 @@ from pathlib import Path
 
 import pypdf
 import pytest
+from message_templates import message_templates, plain
 from report_site import Page, write_results, write_run
 
 import gis_radar as gr
 from gis_radar.heatmap import MapLabels
-from gis_radar.languages import catalogue
+from gis_radar.languages import catalogue, messages
 from gis_radar.words import (
     figure_text,
     listed,
@@ -57,6 +58,50 @@ def asked_for():
 def test_no_text_that_is_asked_for_lacks_its_german():
     assert len(asked_for()) > 200
     assert sorted(asked_for() - set(catalogue("de"))) == []
+
+
+def test_each_error_hint_and_warning_has_its_german_and_no_german_is_left_of_old_ones():
+    asked = message_templates()
+    elsewhere = {plain(re.sub(r"\{\w*\}", "{}", text)) for text in catalogue("de")}
+    german = set(messages("de"))
+    assert len(asked) > 700
+    missing = {each: where for each, where in asked.items() if each not in elsewhere | german}
+    assert missing == {}
+    assert sorted(german - set(asked)) == []
+
+
+def test_each_german_message_is_found_again_with_the_values_of_the_english_one():
+    assert len(messages("de")) > 700
+    wrong = {}
+    with speaking("de"):
+        for text, german in messages("de").items():
+            values = [f"V{place}" for place in range(text.count("{}"))]
+            told, expected = text, german
+            for place, value in enumerate(values):
+                told = told.replace("{}", value, 1)
+                expected = expected.replace(f"{{{place}}}", value)
+            if tr_message(f"R1: {told}") != f"R1: {expected}":
+                wrong[told] = tr_message(f"R1: {told}")
+    assert wrong == {}
+
+
+@pytest.mark.parametrize(
+    ("told", "german"),
+    [
+        ("a/b: c.parquet: recording without rows", "a/b: c.parquet: Aufzeichnung ohne Zeilen"),
+        ("the scans lie 1.25 m over the map's heights: another vertical datum?",
+         "die Laserscans liegen 1,25 m über den Höhen der Karte: ein anderes Höhensystem?"),
+        ("R1: no usable frame in the inputs; R2: 3 frames, at least 20 are needed",
+         ("R1: kein brauchbarer Messzyklus in den Eingaben; "
+          "R2: 3 Messungen, nötig sind mindestens 20")),
+        ("clock of R2: their clocks run apart by 12.5%",
+         "Uhr von R2: ihre Uhren laufen um 12,5\u202f% auseinander"),
+        ("this and that of a library", "this and that of a library"),
+    ],
+)  # fmt: skip
+def test_errors_are_german_wherever_they_stand(told, german):
+    with speaking("de"):
+        assert tr_message(told) == german
 
 
 @pytest.fixture(scope="module")
@@ -144,7 +189,7 @@ def test_a_finished_sentence_is_known_again_with_its_values():
          "zuerst in der ab x)")),
         (("a.parquet: 99.9 % of the detections lie within 120 m, but the view of R1 reaches 300 m: "
          "what lies beyond reads as observed and empty; set max_range_m in [sensor.view]"),
-         ("a.parquet: 99.9 % der Detektionen liegen innerhalb von 120 m, aber das Sichtfeld von R1 "
+         ("a.parquet: 99,9 % der Detektionen liegen innerhalb von 120 m, aber das Sichtfeld von R1 "
          "reicht 300 m weit: Was dahinter liegt, erscheint beobachtet und leer; max_range_m in "
          "[sensor.view] setzen")),
     ],

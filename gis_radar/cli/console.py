@@ -59,19 +59,12 @@ LANGUAGE = "GIS_RADAR_LANGUAGE"  # of remarks and errors; in QGIS the plugin set
 
 
 def in_users_language(text: str) -> str:
-    """Return a remark or an error in the language that the environment names, else in English.
-
-    What stands before a colon may be the name of a file, a stage or a sensor.
-    """
+    """Return a remark or an error in the language that the environment names, else in English."""
     language = os.environ.get(LANGUAGE, "en")
     if language not in LANGUAGES or language == "en":
         return text
     with speaking(language):
-        head, rest = "", text
-        while (found := tr_message(rest)) == rest and ": " in rest:
-            before, _, rest = rest.partition(": ")
-            head += f"{before}: "
-    return text if found == rest else head + found
+        return tr_message(text)
 
 
 class Console(Reporter):
@@ -110,7 +103,7 @@ class JsonConsole(Console):
 
     def error(self, error: GisRadarError) -> None:
         """Write what went wrong; the code is the exit code."""
-        message = in_users_language(_shortened(error.message))
+        message = _shortened(in_users_language(error.message))
         hint = in_users_language(error.hint)
         self._write(event="error", code=error.exit_code, message=message, hint=hint)
 
@@ -185,7 +178,7 @@ class TerminalConsole(Console):
     def error(self, error: GisRadarError) -> None:
         """Print the error as one line; what to do about it in the same line."""
         hint = f" ({in_users_language(error.hint)})" if error.hint else ""
-        message = in_users_language(_shortened(error.message))
+        message = _shortened(in_users_language(error.message))
         text = " ".join(f"gis-radar: {message}{hint}".split())
         text = "".join(each if each.isprintable() else ascii(each)[1:-1] for each in text)
         self._rich.print(text, markup=False, highlight=False, soft_wrap=True)

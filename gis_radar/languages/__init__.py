@@ -1,6 +1,9 @@
 """The words that people read in their language: English in the code, others from a catalogue.
 
 There is one catalogue for the package and the QGIS plugin, `de.json`, by English text and sorted.
+Errors, hints and warnings, which the package alone says, have one of their own,
+`de_messages.json`: by the English text with a hole `{}` for each value; in the translation `{0}`
+is the first of them.
 """
 
 from __future__ import annotations
@@ -12,10 +15,19 @@ from importlib.resources import files
 LANGUAGES = ("en", "de")
 
 
-@cache
 def catalogue(language: str) -> dict[str, str]:
     """Return the translations into a language by English text; none for English itself."""
-    path = files(__package__) / f"{language}.json"
+    return _read(f"{language}.json")
+
+
+def messages(language: str) -> dict[str, str]:
+    """Return the translations of errors, hints and warnings by English text with holes."""
+    return _read(f"{language}_messages.json")
+
+
+@cache
+def _read(name: str) -> dict[str, str]:
+    path = files(__package__) / name
     if not path.is_file():
         return {}
     words: dict[str, str] = json.loads(path.read_text(encoding="utf-8"))

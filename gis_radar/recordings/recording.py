@@ -250,7 +250,7 @@ def _require_columns(names: list[str], path: Path) -> None:
     missing = [name for name in COLUMNS if name not in names]
     if missing:
         raise InputError(
-            f"{path}: recording lacks the column{'s' * (len(missing) > 1)} {', '.join(missing)}",
+            f"{path}: recording lacks the column{'s'[: len(missing) > 1]} {', '.join(missing)}",
             hint=f"a recording has {', '.join(COLUMNS)}",
         )
     twice = next((name for name in names if names.count(name) > 1), None)
