@@ -19,7 +19,7 @@ BENCHES := bench-assignment bench-tiles bench-occupancy bench-memory bench-truth
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help set-up set-up-dev set-up-bench pdal demo docs test test-qgis lint format types faults bench \
+.PHONY: help set-up set-up-dev set-up-bench pdal demo docs test test-qgis lint format types faults fuzz bench \
 	$(BENCHES) samples wheel plugin-zip constraints clean
 
 help: ## List the targets
@@ -54,6 +54,9 @@ test: lint ## Run every check: lint, types, tests, the plugin in a real QGIS
 
 faults: set-up-dev ## Run every input kind with every fault; `make test` runs a sample
 	GIS_RADAR_FAULTS=all $(ONE_THREAD) $(BIN)/pytest -n 2 --dist worksteal tests/faults
+
+fuzz: set-up-dev ## Search for bytes that break a reader, FUZZ_SECONDS long (3600); findings in out/fuzz
+	PYTHONPATH=.:tests $(ONE_THREAD) $(BIN)/python -m fuzz
 
 test-qgis: set-up ## Test the plugin in a real QGIS, which is installed on Debian 12
 	@sh tools/test_qgis.sh

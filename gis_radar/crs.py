@@ -47,7 +47,7 @@ def metric_crs(crs: Any, *, what: str) -> CRS:
         raise CrsError(f"{what}: has no coordinate system", hint="state it, e.g. EPSG:25832")
     try:
         parsed = CRS.from_user_input(crs)
-    except ProjError as error:
+    except (ProjError, UnicodeError) as error:
         raise CrsError(
             f"{what}: {crs!r} is not a known coordinate system", hint="e.g. EPSG:25832"
         ) from error

@@ -11,7 +11,8 @@ class GisRadarError(Exception):
     Parameters
     ----------
     message : str
-        One line: what is wrong, and in which file or value.
+        What is wrong, and in which file or value; what it quotes may have line ends, the error has
+        none.
     hint : str, optional
         One line: what to do about it.
     """
@@ -19,6 +20,8 @@ class GisRadarError(Exception):
     exit_code: ClassVar[int] = 3
 
     def __init__(self, message: str, *, hint: str = "") -> None:
+        if len(message.splitlines()) > 1:
+            message = " ".join(message.split())
         super().__init__(message)
         self.message = message
         self.hint = hint

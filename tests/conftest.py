@@ -55,6 +55,19 @@ def once(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
+def sound_inputs(once):
+    """Give a folder with a sound input of every kind, which is only to be looked at or copied."""
+
+    def build(folder):
+        from fuzz.targets import build_inputs
+
+        build_inputs(folder)
+        return folder
+
+    return once("sound_inputs", build)
+
+
+@pytest.fixture(scope="session")
 def private_pdal():
     """Give the program that the set-up fetched; skip where it did not."""
     if not PRIVATE.exists():

@@ -10,16 +10,13 @@ import numpy as np
 import pandas as pd
 import pytest
 import shapely
-from faults.inputs import build
 
 from gis_radar.cli.console import UNFORESEEN
 
 
 @pytest.fixture(scope="module")
-def inputs(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("inputs")
-    build(folder)
-    return folder
+def inputs(sound_inputs):
+    return sound_inputs
 
 
 @pytest.fixture

@@ -257,8 +257,9 @@ def _checked_whole(tiles: gpd.GeoDataFrame, notes: dict[str, Any], path: Path) -
     """Return the whole time; refuse a table that is not what was written."""
     missing = [name for name in COLUMNS if name not in tiles]
     missing += [name for name in ("fingerprint", "sensors", "begin", "end") if name not in notes]
-    if missing:
-        raise InputError(f"{path}: lacks {', '.join(missing)}", hint="make it again")
+    if missing or not isinstance(tiles, gpd.GeoDataFrame):
+        lacking = ", ".join(missing) or "geometry"
+        raise InputError(f"{path}: lacks {lacking}", hint="make it again")
     if fingerprint(tiles) != notes["fingerprint"]:
         raise InputError(f"{path}: its tiles were changed since it was made", hint="make it again")
     begin, end = (_steps_of([notes[name]], path) for name in ("begin", "end"))

@@ -369,7 +369,9 @@ def _check_table(path: Path, fingerprint: str) -> None:
     for column in {"step", "tile_id", "first_step", "last_step"} & set(schema.names):
         if not pa.types.is_integer(kind := schema.field(column).type):
             raise InputError(f"{path}: column {column} is {kind}, expected whole numbers")
-    other = (schema.metadata or {}).get(b"fingerprint", fingerprint.encode()).decode()
+    other = (
+        (schema.metadata or {}).get(b"fingerprint", fingerprint.encode()).decode(errors="replace")
+    )
     if other != fingerprint:
         raise InputError(f"{path}: was made from tiles {other}, its folder from {fingerprint}")
 

@@ -17,7 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.errors import InputError
+from gis_radar.errors import InputError, first_line
 
 Rows = tuple[Integers, ...]
 CHECKED = {"page_checksum_verification": True}
@@ -28,8 +28,8 @@ def damaged_as_input_error(path: Path) -> Iterator[None]:
     """Raise what cannot be read of a Parquet file as an InputError."""
     try:
         yield
-    except (pa.ArrowException, OSError) as error:
-        raise InputError(f"{path}: damaged: {str(error).splitlines()[0]}") from error
+    except (pa.ArrowException, OSError, KeyError) as error:  # a column that is a list is not found
+        raise InputError(f"{path}: damaged: {first_line(error)}") from error
 
 
 def merge_ascending(streams: Sequence[Iterator[Rows]], columns: int) -> Iterator[Rows]:

@@ -38,6 +38,8 @@ TARGETS = tuple(NAMES)
 Values = Callable[[str], Column]
 
 
+# Bytes at random are any number: a position that is none afterwards is left out and counted.
+@np.errstate(over="ignore", invalid="ignore")
 def cartesian(distance: Column, azimuth: Column, elevation: Column) -> Column:
     """Return positions in the sensor frame from polar ones.
 
@@ -90,6 +92,7 @@ class Layout:
         """Whether there are positions and speeds: what distinguishes radar from other clouds."""
         return self.placed and "range_rate" in self.sources
 
+    @np.errstate(over="ignore", invalid="ignore")
     def points(self, values: Values) -> Column:
         """Return the positions, (n, 3) float32; z is NaN without height or elevation."""
         if self._has(CARTESIAN[:2]):
@@ -97,6 +100,7 @@ class Layout:
             return np.column_stack(axes).astype(np.float32, copy=False)
         return cartesian(*(self._read(name, values) for name in POLAR))
 
+    @np.errstate(over="ignore", invalid="ignore")
     def column(self, name: str, values: Values) -> Column:
         """Return a column as float32, NaN where there is no field for it."""
         if name in self.sources:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidato
 from pydantic.fields import FieldInfo
 
 from gis_radar.crs import bearing_of, looks_like_degrees, metric_crs
-from gis_radar.errors import GisRadarError
+from gis_radar.errors import GisRadarError, first_line
 from gis_radar.steps import (
     CYCLE_HINT,
     LONGEST_CYCLE_S,
@@ -120,9 +121,10 @@ def _folder(info: ValidationInfo) -> Path:
 
 
 def _file(value: Any, info: ValidationInfo, *, folders: bool = False) -> Path:
-    path = _folder(info) / Path(_text(value)).expanduser()
-    if not path.is_file() and not (folders and path.is_dir()):
-        reason = "is a folder" if path.is_dir() else "no such file"
+    path = _folder(info) / _expanded(_text(value))
+    is_folder = os.path.isdir(path)  # noqa: PTH112 - pathlib raises where a name is too long
+    if not os.path.isfile(path) and not (folders and is_folder):  # noqa: PTH113
+        reason = "is a folder" if is_folder else "no such file"
         raise Unfit(
             message=f"{path}: {reason}", hint="paths are relative to the folder of the site file"
         )
@@ -143,14 +145,19 @@ def _files(value: Any, info: ValidationInfo, *, folders: bool = False) -> tuple[
     return tuple(found)
 
 
+def _expanded(text: str) -> Path:
+    """Return a path with the home of its user; the name itself where there is no such user."""
+    return Path(os.path.expanduser(text))  # noqa: PTH111 - pathlib raises
+
+
 def _matches(pattern: str, folder: Path, *, folders: bool) -> list[Path]:
-    whole = Path(pattern).expanduser()
+    whole = _expanded(pattern)
     root = Path(whole.anchor) if whole.is_absolute() else folder
     try:
         found = root.glob(str(whole.relative_to(whole.anchor)))
         matches = sorted(path for path in found if folders or path.is_file())
-    except ValueError as error:
-        raise Unfit(hint=str(error)) from error
+    except (ValueError, OSError) as error:
+        raise Unfit(hint=first_line(error)) from error
     if not matches:
         raise Unfit(
             message=f"no file matches {str(root.resolve() / pattern)!r}",

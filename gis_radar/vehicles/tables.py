@@ -228,7 +228,7 @@ def check_file(kind: TableKind, path: Path, fingerprint: str) -> None:
         schema = pq.read_schema(path)
     if missing := [name for name in kind.columns if name not in schema.names]:
         raise InputError(f"{path}: lacks the column {missing[0]}")
-    other = (schema.metadata or {}).get(b"fingerprint", b"").decode()
+    other = (schema.metadata or {}).get(b"fingerprint", b"").decode(errors="replace")
     if other != fingerprint:
         raise InputError(f"{path}: was made from tiles {other}, its folder from {fingerprint}")
 

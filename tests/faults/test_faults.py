@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from faults.damage import faults_of
-from faults.inputs import KINDS, build
+from faults.inputs import KINDS
 from gis_radar.cli.console import UNFORESEEN
 
 ROOT = Path(__file__).parents[2]
@@ -69,10 +69,8 @@ def runner():
 
 
 @pytest.fixture(scope="module")
-def inputs(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("inputs")
-    build(folder)
-    return folder
+def inputs(sound_inputs):
+    return sound_inputs
 
 
 def words_of(kind, folder):

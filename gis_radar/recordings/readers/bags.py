@@ -104,7 +104,7 @@ MESSAGES_A_REPORT = 256  # between two reports of progress
 # What the library lets through when it meets bytes that cannot be.
 DAMAGE = (
     ValueError, LookupError, AssertionError, RuntimeError, EOFError, MemoryError, OverflowError,
-    TypeError, struct.error,
+    TypeError, SyntaxError, struct.error,
 )  # fmt: skip
 
 Decode = Callable[[bytes], Any]

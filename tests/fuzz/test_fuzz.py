@@ -1,0 +1,198 @@
+"""Fuzzing, for some seconds: what was found once, and bytes by a fixed seed for every target.
+
+``make fuzz`` searches for hours, led by coverage; what it finds becomes a line in FOUND.
+"""
+
+import importlib.util
+import io
+import json
+import logging
+import os
+import random
+import shutil
+import sqlite3
+import subprocess
+import sys
+from contextlib import closing
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+import fuzz.__main__ as front
+from fuzz import edits
+from fuzz.targets import TARGETS, Bench
+
+TESTS = Path(__file__).parents[1]
+RUNS = 12  # a target
+
+
+def table(**columns):
+    def change(data, path):
+        content = pq.read_table(io.BytesIO(data))
+        for name, kind in columns.items():
+            values = [[] for _ in range(len(content))]
+            number = content.schema.get_field_index(name)
+            content = content.set_column(number, name, pa.array(values, kind))
+        pq.write_table(content, path)
+
+    return change
+
+
+def fingerprint_of(text):
+    def change(data, path):
+        content = pq.read_table(io.BytesIO(data))
+        pq.write_table(content.replace_schema_metadata({b"fingerprint": text}), path)
+
+    return change
+
+
+def instead(old, new):
+    def change(data, path):
+        assert old in data
+        path.write_bytes(data.replace(old, new))
+
+    return change
+
+
+def statement(text):
+    def change(data, path):
+        path.write_bytes(data)
+        with closing(sqlite3.connect(path)) as base, base:
+            for name in edits.OF_GDAL:
+                base.create_function(name, 1, lambda _: 0)
+            base.execute(text)
+
+    return change
+
+
+def infinite_azimuth(data, path):
+    path.write_bytes(data[:101] + b"\x7f\x80\0\0" + data[105:])
+
+
+LISTS = pa.list_(pa.int64())
+# What the fuzzer found once: the target, its file and what is changed in it.
+FOUND = [
+    ("ars548", "list2.bin", infinite_azimuth),
+    ("csv table", "table.csv", instead(b"6.0", b"6e300")),
+    ("pose", "R1.json", instead(b"EPSG:25832", b"\\ud800")),
+    ("occupancy", "occupancy/frames.parquet", fingerprint_of(b"\xff")),
+    ("occupancy", "occupancy/hits_by_sensor.parquet", table(sensor=LISTS)),
+    (
+        "occupancy manifest",
+        "occupancy/manifest.json",
+        instead(b'"fingerprint": "', b'"fingerprint": "a\\nb'),
+    ),
+    ("vehicles", "vehicles/visible.parquet", fingerprint_of(b"\xff")),
+    ("site", "SITE.toml", instead(b"map.osm", b"9" * 400)),
+    ("site", "SITE.toml", instead(b"map.osm", b"~nobody-has-this-name/map.osm")),
+    (
+        "mcap",
+        "mcap/mcap.mcap",
+        instead(b"MSG: sensor_msgs/PointField", b"MSG: 3ensor_msgs/PointField"),
+    ),
+    (
+        "heat map",
+        "heatmap/heatmap.gpkg",
+        statement("UPDATE gpkg_contents SET data_type = 'attributes'"),
+    ),
+]
+
+
+@pytest.fixture(scope="module")
+def inputs(sound_inputs, tmp_path_factory):
+    return shutil.copytree(sound_inputs, tmp_path_factory.mktemp("fuzz") / "inputs")
+
+
+@pytest.fixture(autouse=True)
+def quiet():
+    """Remarks of what is read are of no interest here."""
+    logging.disable()
+    yield
+    logging.disable(logging.NOTSET)
+
+
+def changed(seed, chance):
+    """Return bytes with some of them changed, doubled or left out."""
+    data = bytearray(seed or chance.randbytes(24))
+    for _ in range(chance.randint(1, 4)):
+        at, size = chance.randrange(len(data) or 1), chance.choice((1, 1, 4, 64))
+        what = chance.randrange(3)
+        data[at : at + size] = (chance.randbytes(size), b"", data[at : at + size] * 2)[what]
+    return bytes(data)
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_bytes_at_random(inputs, name):
+    chance, target = random.Random(7), TARGETS[name]  # noqa: S311 - not for secrets
+    seeds, bench = target.seeds(inputs), Bench(target, inputs)
+    found = [bench.run(changed(chance.choice(seeds), chance)) for _ in range(RUNS)]
+    bench.restore()
+    for finding in filter(None, found):
+        pytest.fail(f"{finding.name}: {finding.text}")
+    target.read(inputs)
+
+
+@pytest.mark.parametrize(("name", "path", "change"), FOUND)
+def test_what_was_found(inputs, name, path, change):
+    sound = (inputs / path).read_bytes()
+    change(sound, inputs / path)
+    finding = Bench(TARGETS[name], inputs).read()
+    (inputs / path).write_bytes(sound)
+    assert finding is None, finding.text
+
+
+PLANTED = """
+import sys
+from pathlib import Path
+import atheris
+from fuzz.one import fuzz
+from fuzz.targets import Target
+
+@atheris.instrument_func
+def read(folder):
+    data = (folder / "a").read_bytes()
+    if data[:1] > b"s":
+        raise ZeroDivisionError
+
+fuzz(Target(name="planted", paths=("a",), read=read), Path(sys.argv[1]) / "a", Path(sys.argv[1]), 2)
+"""
+
+
+@pytest.mark.skipif(importlib.util.find_spec("atheris") is None, reason="atheris is not installed")
+def test_the_fuzzer_finds_what_is_planted(tmp_path):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "a").write_bytes(b"sound")
+    environment = os.environ | {"PYTHONPATH": f"{TESTS.parent}:{TESTS}"}
+    words = [sys.executable, "-c", PLANTED, tmp_path]
+    subprocess.run(words, env=environment, check=True, capture_output=True, timeout=60)
+    (found,) = [path for path in (tmp_path / "found" / "planted").iterdir() if not path.suffix]
+    assert found.read_bytes()[:1] > b"s"
+    assert "ZeroDivisionError" in found.with_suffix(".txt").read_text()
+
+
+@pytest.mark.parametrize("finds", [True, False])
+def test_targets_take_turns_and_a_finding_is_a_failure(tmp_path, monkeypatch, capsys, finds):
+    ran = []
+
+    def one(name, seconds):
+        ran.append((name, seconds))
+        sums = front.FOLDER / "sums.json"
+        done = {name: {"seconds": seconds, "runs": 1} for name, _ in ran}
+        sums.write_text(json.dumps(done))
+        place = front.FOLDER / "found" / name
+        place.mkdir(parents=True)
+        if finds and name == "pcd":
+            (place / "crash-1").write_bytes(b"x")
+
+    (tmp_path / "inputs").mkdir()
+    monkeypatch.setattr(front, "FOLDER", tmp_path)
+    monkeypatch.setattr(front, "run_one", one)
+    monkeypatch.setenv("FUZZ_SECONDS", "0")
+    monkeypatch.setenv("FUZZ_ONLY", "pose,pcd")
+    with pytest.raises(SystemExit) as leave:
+        front.main()
+    assert leave.value.code == int(finds)
+    assert [name for name, _ in ran] == ["pose", "pcd"]
+    assert ("crash-1" in capsys.readouterr().out) == finds
