@@ -26,7 +26,7 @@ from simulated import ROOT, true_pose
 
 import gis_radar as gr
 from gis_radar.arrays import Floats
-from gis_radar.recordings.recording import ROWS_AT_ONCE
+from gis_radar.recordings.parquet_table import ROWS_AT_ONCE
 from gis_radar.tiles.lookup import TileEngine
 
 TARGETS = {"sjoin from coordinates": 25.0, "sjoin with points built": 5.0}

@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -61,8 +61,8 @@ def main() -> None:
 
 
 def _later(recording: Recording, ahead_s: float) -> Recording:
-    def batches() -> Iterator[pa.RecordBatch]:
-        for batch in recording.batches():
+    def batches(columns: Sequence[str] | None) -> Iterator[pa.RecordBatch]:
+        for batch in recording.batches(columns):
             place = batch.schema.get_field_index("time")
             time = np.asarray(batch.column(place).to_numpy()) + ahead_s
             yield batch.set_column(place, "time", pa.array(time))

@@ -15,7 +15,7 @@ import re
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -98,9 +98,9 @@ def _repeated(once: Recording, hours: float) -> tuple[Recording, float]:
     span = last - first + 0.05
     times = max(round(hours * 3600 / span), 1)
 
-    def batches() -> Iterator[pa.RecordBatch]:
+    def batches(columns: Sequence[str] | None) -> Iterator[pa.RecordBatch]:
         for turn in range(times):
-            for batch in once.batches():
+            for batch in once.batches(columns):
                 place = batch.schema.get_field_index("time")
                 later = batch.column(place).to_numpy() + turn * span
                 yield batch.set_column(place, "time", pa.array(later))

@@ -23,7 +23,7 @@ def lines(header=HEADER, rows=ROWS, end="\n"):
 
 
 def read(path):
-    return list(open_recording(path).read())
+    return list(open_recording(path).read(further=True))
 
 
 @pytest.mark.parametrize(

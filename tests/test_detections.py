@@ -6,7 +6,8 @@ import pytest
 from sites import START, recording, table
 
 from gis_radar.errors import InputError
-from gis_radar.recordings.recording import ROWS_AT_ONCE, as_recording, open_recording
+from gis_radar.recordings.parquet_table import ROWS_AT_ONCE
+from gis_radar.recordings.recording import as_recording, open_recording
 
 NAN = np.nan
 
@@ -18,7 +19,7 @@ def simple(rows=6):
 
 
 def read(path):
-    return list(open_recording(path).read())
+    return list(open_recording(path).read(further=True))
 
 
 def test_parquet_and_csv_read_the_same(tmp_path):

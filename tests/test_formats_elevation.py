@@ -154,7 +154,7 @@ def test_recordings_that_have_some_heights_are_refused(tmp_path, heights, said, 
     path = recording(tmp_path / "r.parquet", START + np.arange(count) * 0.05, points)
     opened = open_recording(path)
     if apart:
-        whole = pa.Table.from_batches(opened.batches())
+        whole = pa.Table.from_batches(opened.batches(None))
         opened = type(opened)(
             path=path, rows=count, batches=lambda: iter(whole.to_batches(max_chunksize=1))
         )

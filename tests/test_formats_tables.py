@@ -79,7 +79,7 @@ def test_a_recording_stays_what_it_is(tmp_path_factory, seed, frames, rows):
 
 
 def test_a_frame_over_the_edge_of_two_batches_is_one(tmp_path, monkeypatch):
-    monkeypatch.setattr("gis_radar.recordings.recording.ROWS_AT_ONCE", 7)
+    monkeypatch.setattr("gis_radar.recordings.parquet_table.ROWS_AT_ONCE", 7)
     time = START + np.repeat(np.arange(4), 10) * 0.05
     path = recording(tmp_path / "r.parquet", time, np.ones((40, 3)))
     result, table = convert(path)

@@ -64,7 +64,7 @@ def test_pieces_never_split_a_frame(tmp_path, monkeypatch, rows_at_once):
     path = recording(tmp_path / "r.parquet", *traffic(np.random.default_rng(4), cycle_s=0.12))
     options = {"cycles": {"R1": 0.12}}
     measure_occupancy([path], [pose()], crossing(), tmp_path / "one", **options)
-    monkeypatch.setattr("gis_radar.recordings.recording.ROWS_AT_ONCE", rows_at_once)
+    monkeypatch.setattr("gis_radar.recordings.parquet_table.ROWS_AT_ONCE", rows_at_once)
     measure_occupancy([path], [pose()], crossing(), tmp_path / "many", **options)
     for file in FILES:
         assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "many" / file).read_bytes()

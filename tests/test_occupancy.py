@@ -485,7 +485,7 @@ def test_settings_take_effect_and_stand_in_the_manifest(tmp_path):
 
 
 def test_an_interruption_leaves_nothing(tmp_path):
-    def batches():
+    def batches(_):
         yield table([START], [[10.0, 0.0, -5.0]]).to_batches()[0]
         raise KeyboardInterrupt
 

@@ -13,7 +13,7 @@ from gis_radar.errors import InputError, OutputError, UsageError
 from gis_radar.poses.files import PoseTrack
 from gis_radar.progress import Reporter
 from gis_radar.projection import project, write_projection
-from gis_radar.recordings.recording import ROWS_AT_ONCE
+from gis_radar.recordings.parquet_table import ROWS_AT_ONCE
 
 
 @pytest.fixture

@@ -40,7 +40,7 @@ def placed(steps, *, name="R1", sensor="R1", detections=False, rate=1.0):
     columns = {column: np.broadcast_to(values[column], time.shape) for column in COLUMNS}
     batch = pa.RecordBatch.from_pydict({n: np.array(each) for n, each in columns.items()})
     return PlacedRecording(
-        recording=Recording(path=SAMPLE / name, rows=len(time), batches=lambda: iter([batch])),
+        recording=Recording(path=SAMPLE / name, rows=len(time), batches=lambda _: iter([batch])),
         track=as_track(gr.read_pose(SAMPLE / f"{sensor}.json")), views=["view"], clock=None,
     )  # fmt: skip
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple, NoReturn
 from xml.parsers import expat
 
 import numpy as np
@@ -16,6 +16,9 @@ from gis_radar.arrays import Floats, Integers
 from gis_radar.errors import InputError
 
 NODE_TAGS = ("ele", "local_x", "local_y")
+LONGEST_TAG = 1 << 20  # bytes; the longest of a map are texts of some kilobytes
+DEEPEST = 100  # elements in each other; osm, relation and member are three
+_BYTES_AT_ONCE = 1 << 18
 _NOWHERE = (math.nan, math.nan)
 _IDS = range(-(2**63), 2**63)
 
@@ -125,12 +128,24 @@ def read_osm(path: str | Path) -> OsmMap:
     collector.attach(parser)
     try:
         with Path(path).open("rb") as file:
-            parser.ParseFile(file)
+            _parse(parser, file, collector)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
     except (expat.ExpatError, ValueError, LookupError) as error:
         raise InputError(_not_xml(path, error, parser.CurrentLineNumber)) from error
     return collector.finished()
+
+
+def _parse(parser: expat.XMLParserType, file: BinaryIO, collector: _Collector) -> None:
+    """Parse a file piece by piece: a tag without an end is refused before it fills the memory."""
+    read = 0
+    while piece := file.read(_BYTES_AT_ONCE):
+        parser.Parse(piece)
+        read += len(piece)
+        # Expat looks through an open tag from its begin on, again with every piece.
+        if read - max(parser.CurrentByteIndex, 0) > LONGEST_TAG + _BYTES_AT_ONCE:
+            collector.refuse(f"a tag of over {LONGEST_TAG >> 20} MiB, a map has none")
+    parser.Parse(b"", True)
 
 
 def _not_xml(path: str | Path, error: Exception, line: int) -> str:
@@ -192,14 +207,17 @@ class _Collector:
         self.tags: dict[str, str] = {}
         self.id = 0
 
+    def refuse(self, reason: str) -> NoReturn:
+        """Refuse what the parser is at."""
+        raise InputError(f"{self.path}: line {self.parser.CurrentLineNumber}: {reason}")
+
     def _refuse(self, *_: object) -> None:
-        raise InputError(
-            f"{self.path}: line {self.parser.CurrentLineNumber}: document types and entities are"
-            " refused, a Lanelet2 map has none"
-        )
+        self.refuse("document types and entities are refused, a Lanelet2 map has none")
 
     def _start(self, name: str, attributes: dict[str, str]) -> None:
         self.depth += 1
+        if self.depth > DEEPEST:
+            self.refuse(f"elements are nested {DEEPEST} deep, a map's are three")
         if self.depth == 1 and name != "osm":
             raise InputError(f"{self.path}: not OSM: its root is <{name}>, expected <osm>")
         if name == "tag":

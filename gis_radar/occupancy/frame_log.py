@@ -27,21 +27,15 @@ FRAME_LOG = SortedTable(
     rows_at_once=1 << 16,
     rows_in_group=1 << 16,
 )
-MOST_ROWS_OF_A_FRAME = 1 << 21  # 100 MiB
 OWN_COLUMNS, NO_FURTHER = ("time", "points", "range_rate", "rcs"), pa.RecordBatch.from_pydict({})
 
 
 def whole_frames(pieces: Iterator[Detections]) -> Iterator[Detections]:
-    """Cut pieces at the borders of frames, so that none is split; further columns are dropped.
-
-    A frame of over two million rows is no frame of a radar, and is passed on in parts.
-    """
+    """Cut pieces at the borders of frames, so that none is split; further columns are dropped."""
     waiting: Detections | None = None
     for piece in pieces:
         joined = replace(piece, further=NO_FURTHER) if waiting is None else _joined(waiting, piece)
         cut = int(np.searchsorted(joined.time, joined.time[-1], side="left"))
-        if cut == 0 and len(joined) > MOST_ROWS_OF_A_FRAME:
-            cut = len(joined)
         if cut:
             yield rows_of(joined, slice(0, cut))
         waiting = rows_of(joined, slice(cut, None))

@@ -189,7 +189,7 @@ class _PointStream:
             require_same(track.poses[0].crs, roads.crs, what=track.sensor, other_what="the map")
         self._lanes = None if roads is None else OnLanes(roads)
         placed = LANE_COLUMNS if self._lanes else pa.schema([])
-        self._pieces = recording.read()
+        self._pieces = recording.read(further=True)
         self._first = next(self._pieces)
         further = self._first.further.schema
         self.names = _distinct_names(further.names, (*TAKEN, *placed.names))

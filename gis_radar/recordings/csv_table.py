@@ -5,7 +5,7 @@ from __future__ import annotations
 import codecs
 import csv
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 
 from gis_radar.errors import InputError, first_line
+from gis_radar.recordings import settings
 
 BYTES_AT_ONCE = 1 << 20  # about 15,000 rows; the longest header
 NO_NUMBER = ["", "nan", "NaN", "NA"]
@@ -40,8 +41,13 @@ class CsvTable:
     header_lines: int
     numbers: tuple[str, ...]
 
-    def batches(self) -> Iterator[pa.RecordBatch]:
+    def batches(self, columns: Sequence[str] | None = None) -> Iterator[pa.RecordBatch]:
         """Read the rows from the first one on.
+
+        Parameters
+        ----------
+        columns : sequence of str, optional
+            Which; by default all.
 
         Raises
         ------
@@ -55,7 +61,9 @@ class CsvTable:
             skip_rows=self.header_lines,
         )
         converting = pa_csv.ConvertOptions(
-            column_types=dict.fromkeys(self.numbers, pa.float64()), null_values=NO_NUMBER
+            column_types=dict.fromkeys(self.numbers, pa.float64()),
+            null_values=NO_NUMBER,
+            include_columns=columns,
         )
         try:
             with pa_csv.open_csv(
@@ -99,7 +107,16 @@ def open_csv_table(path: Path, *, numbers: tuple[str, ...]) -> CsvTable:
         ) from error
     _refuse_delimiters(header, numbers, path)
     names = tuple(name.strip() for name in next(csv.reader([header], skipinitialspace=True)))
+    refuse_many_columns(len(names), path)
     return CsvTable(path=path, names=names, header_lines=filled + 1, numbers=numbers)
+
+
+def refuse_many_columns(count: int, path: Path) -> None:
+    """Refuse a table of more columns than any radar fills: each costs time for every batch."""
+    if count > (most := settings.DEFAULTS.most_columns):
+        raise InputError(
+            f"{path}: has {count:,} columns, at most {most:,} are read", hint="keep the radar's own"
+        )
 
 
 def _refuse_delimiters(header: str, expected: tuple[str, ...], path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,13 +15,13 @@ import pyarrow.parquet as pq
 
 from gis_radar.arrays import Booleans, Floats
 from gis_radar.errors import InputError, NoAnswerError, first_line
-from gis_radar.recordings.csv_table import open_csv_table
+from gis_radar.recordings import settings
+from gis_radar.recordings.csv_table import open_csv_table, refuse_many_columns
+from gis_radar.recordings.parquet_table import parquet_batches
 from gis_radar.recordings.units import refuse_positions_in_other_units
 from gis_radar.steps import FIRST_YEAR, LAST_YEAR, UNIX_SECONDS_HINT, in_known_years
 
 COLUMNS = ("time", "x", "y", "z", "range_rate", "rcs")
-ROWS_AT_ONCE = 65_536  # 3 MB of our columns as float64
-BYTES_AT_ONCE = 1 << 20  # read buffer of a column
 FARTHEST_M = 1e6  # no radar sees so far, and point cloud files hold no farther coordinates
 
 
@@ -41,7 +41,7 @@ class Detections:
     rcs : (n,) array
         Radar cross section, dBm2.
     further : pyarrow.RecordBatch
-        The recording's other columns, as they are.
+        The recording's other columns, as they are; none where they were not asked for.
     """
 
     time: Floats
@@ -111,15 +111,21 @@ class Recording:
     rows : int or None
         How many rows it has, where that is known without reading it.
     batches : callable
-        Starts reading: an iterator over record batches of bounded size.
+        Starts reading some columns, or with None all: an iterator over record batches of bounded
+        size.
     """
 
     path: Path
     rows: int | None
-    batches: Callable[[], Iterator[pa.RecordBatch]]
+    batches: Callable[[Sequence[str] | None], Iterator[pa.RecordBatch]]
 
-    def read(self) -> Iterator[Detections]:
+    def read(self, *, further: bool = False) -> Iterator[Detections]:
         """Read the recording piece by piece, in bounded memory.
+
+        Parameters
+        ----------
+        further : bool
+            Whether its further columns are read, too.
 
         Yields
         ------
@@ -135,12 +141,14 @@ class Recording:
             from 1, without a header.
         """
         row, last, flat = 0, -np.inf, None
+        of_last = 0  # rows of the last time so far
         try:
-            for batch in self.batches():
+            for batch in self.batches(None if further else COLUMNS):
                 piece = _checked(batch, path=self.path, row=row, last=last)
                 flat = _refuse_mixed(piece, self.path, row, flat=flat)
                 refuse_positions_in_other_units(piece.points[piece.present], str(self.path))
                 if len(piece):
+                    of_last = _refuse_no_frame(piece, self.path, last, of_last)
                     row, last = row + len(piece), float(piece.time[-1])
                     yield piece
         except UNREADABLE as error:
@@ -219,19 +227,11 @@ def as_recording(source: str | Path | Recording) -> Recording:
 
 def _open_parquet(path: Path) -> Recording:
     with pq.ParquetFile(path) as file:
+        refuse_many_columns(file.metadata.num_columns, path)
         _require_columns(file.schema_arrow.names, path)
         rows = file.metadata.num_rows
 
     return Recording(path=path, rows=rows, batches=partial(parquet_batches, path))
-
-
-def parquet_batches(path: Path) -> Iterator[pa.RecordBatch]:
-    """Read a Parquet file in batches of bounded size, its checksums verified."""
-    # A small buffer keeps a file of one huge row group from being read at once.
-    with pq.ParquetFile(
-        path, buffer_size=BYTES_AT_ONCE, pre_buffer=False, page_checksum_verification=True
-    ) as file:
-        yield from file.iter_batches(ROWS_AT_ONCE, use_threads=False)
 
 
 def _open_csv(path: Path) -> Recording:
@@ -323,6 +323,22 @@ def _refuse_mixed(piece: Detections, path: Path, row: int, *, flat: bool | None)
         hint="a sensor measures elevation in all detections or in none: leave out such rows",
     )
     return first
+
+
+def _refuse_no_frame(piece: Detections, path: Path, last: float, before: int) -> int:
+    """Return how many rows the last time has so far; refuse more than any radar delivers at once.
+
+    `before` is how many rows of the time `last` came before the piece.
+    """
+    same = len(piece) - int(np.searchsorted(piece.time, piece.time[-1], side="left"))
+    if same == len(piece) and piece.time[-1] == last:
+        same += before
+    if same > (most := settings.DEFAULTS.most_rows_of_frame):
+        raise InputError(
+            f"{path}: over {most:,} rows of one time, {piece.time[-1]:.6f} s: no frame of a radar",
+            hint="time is that of each frame",
+        )
+    return same
 
 
 def _numbers(batch: pa.RecordBatch, name: str, path: Path) -> Floats:

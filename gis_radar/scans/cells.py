@@ -300,8 +300,9 @@ class RoadCells:
         How many points are on the road's surface.
     area_cells : int
         How many cells have their centre on a road, each level counted.
-    missing : (k, 2) array
-        Centres of those among them for which there is no point.
+    missing : (k, 3) array
+        South-west corners of the squares of `square_m` with cells for which there is no point,
+        and how many of them; a square may be there several times.
     seen : (k, 2) array
         South-west corners of the squares of `square_m` that hold points on roads.
     removed : int
@@ -383,8 +384,8 @@ def _cells_of_level(
         ground = _at_height(off, ground, cell, settings)
     xyz, cell = xyz[ground], cell[ground]
     if len(xyz) == 0 or not road.any():
-        bare = grid.centres(np.flatnonzero(road)) + corner
-        return _Part(np.empty((0, 3)), 0, len(bare), bare, 0)
+        bare = _counted(road, grid, corner, settings.square_m)
+        return _Part(np.empty((0, 3)), 0, int(np.count_nonzero(road)), bare, 0)
     surface = fit_ground(xyz, settings)
     over = xyz[:, 2] - surface.height(xyz[:, 0], xyz[:, 1])
     kept = np.abs(over) <= settings.surface_m
@@ -402,9 +403,20 @@ def _cells_of_level(
         points=np.column_stack([centres + corner, up]),
         used=int(np.count_nonzero(large.ravel()[cell])),
         area_cells=int(np.count_nonzero(road)),
-        missing=grid.centres(np.flatnonzero(road & ~large)) + corner,
+        missing=_counted(road & ~large, grid, corner, settings.square_m),
         removed=int(np.count_nonzero(filled & block & ~large)),
     )
+
+
+def _counted(cells: Booleans, grid: Grid, corner: Floats, side_m: float) -> Floats:
+    """Return the south-west corners of the squares that hold cells, and how many: (k, 3)."""
+    across = (grid.centres(np.arange(grid.columns))[:, 0] + corner[0]) // side_m
+    up = (grid.centres(np.arange(grid.rows) * grid.columns)[:, 1] + corner[1]) // side_m
+    columns, rows = (np.flatnonzero(np.diff(side, prepend=np.nan) != 0) for side in (across, up))
+    count = np.add.reduceat(np.add.reduceat(cells, rows, axis=0, dtype=np.int64), columns, axis=1)
+    row, column = np.nonzero(count)
+    corners = np.column_stack([across[columns[column]], up[rows[row]]]) * side_m
+    return np.column_stack([corners, count[row, column]])
 
 
 def _at_height(off: Floats, ground: Booleans, cell: Integers, settings: MaskSettings) -> Booleans:

@@ -250,14 +250,27 @@ def _outside(
     boxes = [shapely.box(*extent) for extent in extents] if known else [roads.area]
     beyond = shapely.difference(roads.area, shapely.union_all(boxes))
     side_m = settings.square_m
-    bare, count = np.unique(cells.missing // side_m, axis=0, return_counts=True)
+    bare, which = np.unique(cells.missing[:, :2] // side_m, axis=0, return_inverse=True)
+    count = np.bincount(which.ravel(), cells.missing[:, 2], len(bare))
     bare = bare[count * CELL_M**2 >= settings.bare_m2]
     seen = set(map(tuple, (cells.seen // side_m).tolist()))
-    corners = np.array([place for place in bare.tolist() if tuple(place) not in seen]) * side_m
-    boxes = [shapely.box(*corner, *(corner + side_m)) for corner in corners]
-    empty = shapely.intersection(shapely.union_all(boxes), roads.area)
+    unseen = np.array([place for place in bare.tolist() if tuple(place) not in seen])
+    empty = shapely.intersection(shapely.union_all(_strips(unseen, side_m)), roads.area)
     parts = shapely.get_parts(shapely.union(beyond, empty))
     return shapely.MultiPolygon(list(parts[shapely.area(parts) > 0.0]))
+
+
+def _strips(squares: Floats, side_m: float) -> Any:
+    """Return squares, numbered and ascending, as boxes: those in a row upwards are one."""
+    if len(squares) == 0:
+        return np.empty(0, object)
+    across, up = squares.T
+    new = np.ones(len(squares), bool)
+    new[1:] = (np.diff(across) != 0) | (np.diff(up) != 1)
+    first = np.flatnonzero(new)
+    last = np.append(first[1:], len(squares)) - 1
+    west, south, north = across[first], up[first], up[last] + 1
+    return shapely.box(west * side_m, south * side_m, (west + 1) * side_m, north * side_m)
 
 
 def _inside_share(mask: RoadMask, scans: Sequence[Scan]) -> float:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from scipy import ndimage
 
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.crs import Box
+from gis_radar.errors import InputError
 from gis_radar.grid import CELL_M, Grid
 from gis_radar.scans.roads import Roads
 from gis_radar.scans.scan import NEVER_CLASSES, ROAD_CLASSES
@@ -22,6 +24,7 @@ from gis_radar.scans.scan import NEVER_CLASSES, ROAD_CLASSES
 BLOCK_CELLS = 512
 BLOCK_M = CELL_M * BLOCK_CELLS
 OUTSIDE, INSIDE, EDGE = 0, 1, 2
+MOST_STATES = 512  # blocks whose cells are kept: 128 MiB
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,9 +60,9 @@ class RoadBlocks:
         )
 
     @cached_property
-    def states(self) -> NDArray[np.uint8]:
-        """For each block whether its cells are outside the roads, inside, or on their edge."""
-        return np.stack([_states(shape, self.cells(i)) for i, shape in enumerate(self.shapes)])
+    def _states_of(self) -> Callable[[int], NDArray[np.uint8]]:
+        """For a block whether its cells are outside the roads, inside, or on their edge."""
+        return lru_cache(MOST_STATES)(lambda block: _states(self.shapes[block], self.cells(block)))
 
     @cached_property
     def level_shapes(self) -> list[list[Any]]:
@@ -96,7 +99,9 @@ class RoadBlocks:
         column, row = (
             np.floor_divide(side[point], CELL_M).astype(np.int64) % BLOCK_CELLS for side in (x, y)
         )
-        state = self.states[block, row, column]
+        state = np.empty(len(block), np.uint8)
+        for number, rows in _by_block(block):
+            state[rows] = self._states_of(number)[row[rows], column[rows]]
         kept = state != OUTSIDE
         point, block, state = point[kept], block[kept], state[kept]
         inside = state == INSIDE
@@ -120,7 +125,13 @@ class RoadBlocks:
 
 
 def cut_into_blocks(roads: Roads) -> RoadBlocks:
-    """Cut the roads into blocks."""
+    """Cut the roads into blocks.
+
+    Raises
+    ------
+    InputError
+        If they fill more blocks than a site has.
+    """
     parts = np.asarray(shapely.get_parts(roads.area))
     tree = shapely.STRtree(parts)
     west, south, east, north = roads.area.bounds
@@ -130,15 +141,30 @@ def cut_into_blocks(roads: Roads) -> RoadBlocks:
         strip = replace(grid, west=grid.west + column, columns=1)
         near = parts[tree.query(shapely.box(*strip.bounds))]
         near = shapely.clip_by_rect(near, *strip.bounds)
+        if len(near) == 0:
+            continue
         for row in range(grid.rows):
             box = replace(strip, south=grid.south + row, rows=1).bounds
             inside = shapely.union_all(shapely.clip_by_rect(near, *box))
             if shapely.area(inside) > 0.0:
                 places.append((column, row))
                 shapes.append(inside)
+        if len(places) > (most := roads.settings.most_blocks):
+            raise InputError(
+                f"{roads.source}: its roads fill over {most:,} squares of {BLOCK_M:.0f} m, which "
+                "is no site",
+                hint="cut out the roads around the scans",
+            )
     shapely.prepare(shapes)
     columns, rows = np.array(places, dtype=np.int64).T
     return RoadBlocks(roads=roads, grid=grid, columns=columns, rows=rows, shapes=shapes)
+
+
+def _by_block(block: Integers) -> Iterator[tuple[int, Integers]]:
+    """Yield each block and the places at which it stands, in their order."""
+    order = np.argsort(block, kind="stable")
+    numbers, begins = np.unique(block[order], return_index=True)
+    yield from zip(numbers.tolist(), np.split(order, begins)[1:], strict=True)
 
 
 def centres_in(shapes: Any, cells: Grid) -> Booleans:
@@ -228,11 +254,7 @@ class PointStore:
         scan : int
             Which scan they come from.
         """
-        if len(block) == 0:
-            return
-        order = np.argsort(block, kind="stable")
-        numbers, begins = np.unique(block[order], return_index=True)
-        for number, rows in zip(numbers.tolist(), np.split(order, begins[1:]), strict=True):
+        for number, rows in _by_block(block):
             west, south = self.blocks.cells(number).corner
             records = np.empty(len(rows), RECORD)
             for name, column, origin in (("x", 0, west), ("y", 1, south), ("z", 2, 0.0)):

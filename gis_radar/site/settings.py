@@ -46,6 +46,8 @@ from gis_radar.site.values import (
     within,
 )  # fmt: skip
 
+LARGEST_FILE = 1 << 22  # bytes; names of ten thousand recordings take half of it
+MOST_SENSORS = 200  # of a site: more than any town has at its junctions
 READ_AS_THEY_ARE = (".parquet", ".csv")
 
 _HINT = "begin with: gis-radar run --template > SITE.toml"
@@ -320,6 +322,8 @@ def read_site(path: str | Path) -> Site:
     """
     path = Path(path)
     try:
+        if (size := path.stat().st_size) > LARGEST_FILE:
+            raise InputError(f"{path}: {size >> 20:,} MiB is no site file", hint=_HINT)
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "not UTF-8 text"
@@ -328,6 +332,12 @@ def read_site(path: str | Path) -> Site:
         raw: dict[str, Any] = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # numbers of 5,000 digits, deep tables
         raise InputError(f"{path}: not TOML: {first_line(error)}", hint=_HINT) from error
+    sensors = raw.get("sensor")
+    if isinstance(sensors, list) and len(sensors) > MOST_SENSORS:
+        raise InputError(
+            f"{path}: has {len(sensors):,} sensors, at most {MOST_SENSORS} make a site",
+            hint="make several sites",
+        )
     try:
         site = Site.model_validate(raw, context={"folder": path.parent})
     except ValidationError as error:

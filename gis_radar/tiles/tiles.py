@@ -38,6 +38,7 @@ from gis_radar.progress import QUIET, Reporter
 
 LENGTH_M = 0.5  # of the contract and the paper
 LEAST_LENGTH_M = 0.01  # a lane of 100 m has 10,000 of them
+MOST_TILES = 2_500_000  # each takes 1.4 kB of memory when it is made and written: 3.5 GB
 LAYER = "tiles"
 PROBLEMS = "problems"
 _COUNT, _CONTENT = "gis_radar_tiles", "gis_radar_content"
@@ -84,7 +85,7 @@ def make_tiles(
     Raises
     ------
     InputError
-        If no lanelet is of these subtypes, or one cannot be cut.
+        If no lanelet is of these subtypes, one cannot be cut, or there are too many tiles.
     UsageError
         If `length_m` is not positive.
 
@@ -332,10 +333,15 @@ def _rungs(lanelets: gpd.GeoDataFrame, length_m: float, reporter: Reporter) -> l
     A lanelet whose slices would cross themselves gets shorter ones.
     """
     pieces = []
-    finer = 0
+    finer = count = 0
     rows = zip(lanelets["lanelet_id"], lanelets["left"], lanelets["right"], strict=True)
     for done, (ref, left, right) in enumerate(rows):
         bounds = _coordinates(left), _coordinates(right)
+        count += slices(*bounds, length_m)
+        if count > MOST_TILES:
+            raise InputError(
+                f"the map has over {MOST_TILES:,} tiles of {length_m:g} m", hint="make them longer"
+            )
         try:
             pieces.append(np.stack(sound_rungs(*bounds, length_m), axis=1))
         except CannotMendError as error:

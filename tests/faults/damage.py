@@ -83,6 +83,8 @@ TEXT: dict[str, Fault] = {
     "a number with a unit": _number("520 ft"),
     "a hostile text": _number('"<script>[% 1 %]&#10;"'),
     "a cell of 200 kB": _number("x" * 200_000),
+    "a tag that does not end": lambda data, _: data.replace(b"<", b"<a b='" + b"x" * 3_000_000, 1),
+    "a table a thousand times": lambda data, _: data + b"\n[[sensor]]\n" * 1000,
     "a line of 1 MB": lambda data, _: data + b"x" * 1_000_000 + b"\n",
     "a column of 50,000": lambda data, _: data.replace(b"\n", b",1" * 50_000 + b"\n", 1),
     "header alone": lambda data, _: data.partition(b"\n")[0] + b"\n",

@@ -17,6 +17,7 @@ from gis_radar.recordings import ars430
 from gis_radar.recordings.columns import Layout, find_layout, message_rows, values_of
 from gis_radar.recordings.frames import DamagedError, Format, Frame, NothingHereError, ReaderContext
 from gis_radar.recordings.readers.udp import METHOD, method_of, read_detections
+from gis_radar.recordings.unpacking import limit_rosbags
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 # Messages that list their detections one by one: where, and of which type.
@@ -144,6 +145,7 @@ def _opened(source: str) -> Iterator[Any]:
     # Here and not above: the library takes a fifth of a second to load.
     from rosbags import rosbag1, rosbag2  # noqa: PLC0415
 
+    limit_rosbags()
     kind = rosbag1 if Path(source).suffix.lower() == ".bag" else rosbag2
     reader = kind.Reader(source)
     try:

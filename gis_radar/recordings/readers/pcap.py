@@ -26,6 +26,7 @@ from gis_radar.recordings.frames import (
     counted,
 )
 from gis_radar.recordings.readers.udp import METHOD, OTHER_METHODS, method_of, read_detections
+from gis_radar.recordings.unpacking import ExplodingError, LimitedStream
 
 GZIP = b"\x1f\x8b"
 PCAPNG = b"\x0a\x0d\x0d\x0a"
@@ -116,7 +117,7 @@ def read_packets(path: Path) -> Iterator[tuple[Packet, int]]:
                 raise DamagedError("no capture (pcap, pcapng)")
         except EOFError as error:
             raise DamagedError("cut off in the middle of a packet") from error
-        except zlib.error as error:
+        except (zlib.error, ExplodingError) as error:
             raise DamagedError(f"damaged gzip: {error}") from error
         except (struct.error, ValueError, ArithmeticError) as error:  # a block too short for itself
             raise DamagedError(f"a block that cannot be: {error}") from error
@@ -125,7 +126,9 @@ def read_packets(path: Path) -> Iterator[tuple[Packet, int]]:
 def _opened(path: Path) -> BinaryIO:
     with path.open("rb") as start:
         packed = start.read(2) == GZIP
-    return gzip.open(path) if packed else path.open("rb", buffering=BUFFER_BYTES)  # type: ignore[return-value]
+    if packed:
+        return LimitedStream(gzip.open(path), path.stat().st_size)  # type: ignore[return-value, arg-type]
+    return path.open("rb", buffering=BUFFER_BYTES)
 
 
 def _read_pcap(stream: BinaryIO, order: str, ticks: int) -> Iterator[tuple[Packet, int]]:
@@ -138,6 +141,8 @@ def _read_pcap(stream: BinaryIO, order: str, ticks: int) -> Iterator[tuple[Packe
         if len(start) < record.size:
             raise EOFError
         seconds, fraction, kept, length = record.unpack(start)
+        if not any(start):  # a disk that was not written to the end
+            raise DamagedError(f"only zeros from byte {position:,} on")
         if kept > LARGEST_BLOCK:
             raise DamagedError(f"a packet of {kept:,} bytes at byte {position:,}")
         data = _exactly(stream, kept)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.lib.recfunctions import unstructured_to_structured
 
 from gis_radar.errors import InputError
+from gis_radar.recordings import settings
 from gis_radar.recordings.columns import find_layout, values_of
 from gis_radar.recordings.frames import (
     Column,
@@ -27,7 +28,7 @@ from gis_radar.recordings.frames import (
 # Digits of a time as one whole number: seconds, milli-, micro-, nanoseconds since 1970.
 WHOLE = {10: 1.0, 13: 1e-3, 16: 1e-6, 19: 1e-9}
 LONGEST_HEADER = 1 << 14  # bytes; usual are some hundred
-LARGEST_CLOUD = 1 << 26  # points; a radar has some hundred
+LONGEST_NUMBER = 32  # letters of a number in text and the gap after it
 MOST_COUNT = 65_536  # numbers of a field; descriptors of points have some hundred
 _KINDS = {"F": "f", "I": "i", "U": "u"}
 _DATE = re.compile(
@@ -130,11 +131,12 @@ def read_pcd(path: Path) -> Column:
     """
     with path.open("rb") as file:
         header = _header(file)
-        body = file.read()
+        need = header.points * header.dtype.itemsize
+        # A number in text has at most LONGEST_NUMBER letters, a byte at least one to itself.
+        body = file.read(need * (LONGEST_NUMBER if header.data == "ascii" else 2) + 8)
     if header.data == "ascii":
         return _from_text(body, header)
     if header.data == "binary":
-        need = header.points * header.dtype.itemsize
         if len(body) < need:
             raise DamagedError(f"{len(body):,} bytes for {header.points:,} points ({need:,})")
         return np.frombuffer(body, dtype=header.dtype, count=header.points)
@@ -167,8 +169,10 @@ def _header(file: Any) -> _Header:
         raise DamagedError(f"the PCD header makes no sense: {error}") from error
     if any(not 1 <= int(count) <= MOST_COUNT for count in counts):
         raise DamagedError(f"the PCD header claims fields of {', '.join(counts)[:60]} numbers")
-    if not 0 <= points <= LARGEST_CLOUD:
-        raise DamagedError(f"the PCD header claims {points:,} points")
+    limits = settings.DEFAULTS
+    whole = points * dtype.itemsize
+    if not 0 <= points <= limits.most_rows_of_frame or whole > limits.most_frame_bytes:
+        raise DamagedError(f"the PCD header claims {points:,} points of {dtype.itemsize:,} bytes")
     return _Header(dtype=dtype, points=points, data=(words["DATA"] or [""])[0].lower())
 
 
@@ -224,8 +228,10 @@ def decompress(packed: bytes, size: int) -> bytes:
             start, at = len(plain) - back - packed[at] - 1, at + 1
             if start < 0:
                 break
-            for place in range(start, start + length + 2):  # it may run into its own copy
-                plain.append(plain[place])
+            copy = plain[start : start + length + 2]
+            while len(copy) < length + 2:  # it runs into its own copy
+                copy += copy[: length + 2 - len(copy)]
+            plain += copy
     except IndexError:
         pass  # too short: refused below
     if len(plain) != size:

@@ -14,10 +14,11 @@ import pyarrow.parquet as pq
 
 from gis_radar.arrays import Floats
 from gis_radar.errors import InputError, UsageError
+from gis_radar.recordings import settings
 from gis_radar.recordings.columns import NAMES, Layout, find_layout
-from gis_radar.recordings.csv_table import open_csv_table
+from gis_radar.recordings.csv_table import open_csv_table, refuse_many_columns
 from gis_radar.recordings.frames import Column, Format, Frame, NothingHereError, ReaderContext
-from gis_radar.recordings.recording import parquet_batches
+from gis_radar.recordings.parquet_table import parquet_batches
 
 UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 ENDINGS = (".csv", ".parquet")
@@ -47,6 +48,12 @@ def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
         # A frame may go on in the next batch of rows.
         if held is not None and held.sensor_time == frame.sensor_time:
             held = _joined(held, frame)
+            if len(held) > (most := settings.DEFAULTS.most_rows_of_frame):
+                raise InputError(
+                    f"{path}: over {most:,} rows of one time, {held.sensor_time} s: no frame of a "
+                    "radar",
+                    hint="time is that of each frame: --columns time=...",
+                )
             continue
         if held is not None:
             yield held
@@ -63,6 +70,7 @@ def _names(path: Path, columns: Mapping[str, str]) -> tuple[str, ...]:
             names = open_csv_table(path, numbers=expected).names
         else:
             names = tuple(pq.read_schema(path).names)
+            refuse_many_columns(len(names), path)
     except (pa.ArrowException, ValueError) as error:
         raise InputError(f"{path}: cannot be read: {error}") from error
     twice = next((name for name in names if names.count(name) > 1), None)

@@ -1,0 +1,99 @@
+"""Parquet tables, batch by batch, and no more of them in memory than a radar's texts need."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from gis_radar.errors import InputError
+from gis_radar.recordings import settings
+
+ROWS_AT_ONCE = 65_536  # 3 MB of a recording's columns as float64
+BYTES_AT_ONCE = 1 << 20  # read buffer of a column
+_TEXTS = (
+    pa.types.is_string, pa.types.is_large_string, pa.types.is_binary, pa.types.is_large_binary,
+)  # fmt: skip
+
+
+def parquet_batches(path: Path, columns: Sequence[str] | None = None) -> Iterator[pa.RecordBatch]:
+    """Read a Parquet file in batches of bounded size, its checksums verified.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    columns : sequence of str, optional
+        Which; by default all.
+
+    Raises
+    ------
+    InputError
+        If a column holds texts or lists that are too long to be beside a detection.
+    """
+    # A text that repeats is once in the file and once in memory: its length is seen there first.
+    texts = _texts(path)
+    # A small buffer keeps a file of one huge row group from being read at once.
+    with pq.ParquetFile(
+        path,
+        buffer_size=BYTES_AT_ONCE,
+        pre_buffer=False,
+        page_checksum_verification=True,
+        read_dictionary=list(texts),
+    ) as file:
+        _refuse_huge_columns(file.metadata, path, columns)
+        for batch in file.iter_batches(ROWS_AT_ONCE, use_threads=False, columns=columns):
+            yield _spelt_out(batch, texts, path)
+
+
+def _texts(path: Path) -> dict[str, pa.DataType]:
+    return {
+        field.name: field.type
+        for field in pq.read_schema(path)
+        if any(is_kind(field.type) for is_kind in _TEXTS)
+    }
+
+
+def _refuse_huge_columns(
+    metadata: pq.FileMetaData, path: Path, columns: Sequence[str] | None
+) -> None:
+    """Refuse a row group whose texts or lists would fill the memory; numbers come in pages."""
+    most = settings.DEFAULTS.most_text_bytes
+    for place in range(metadata.num_columns):
+        column = metadata.schema.column(place)
+        is_list = column.max_repetition_level > 0
+        name = column.path.partition(".")[0]
+        long = is_list or column.physical_type == "BYTE_ARRAY"
+        if not long or (columns is not None and name not in columns):
+            continue
+        for number in range(metadata.num_row_groups):
+            chunk = metadata.row_group(number).column(place)
+            size = max(chunk.total_uncompressed_size, 8 * chunk.num_values * is_list)
+            if size > most:
+                raise InputError(
+                    f"{path}: column {name} holds {size / 2**20:,.0f} MiB in one row group, at "
+                    f"most {most / 2**20:,.0f} are read",
+                    hint="leave the column out, or write smaller row groups",
+                )
+
+
+def _spelt_out(batch: pa.RecordBatch, texts: dict[str, pa.DataType], path: Path) -> pa.RecordBatch:
+    """Return a batch with its texts in each row, if none is too long."""
+    most = settings.DEFAULTS.longest_text
+    for place, field in enumerate(batch.schema):
+        if field.name not in texts or not pa.types.is_dictionary(field.type):
+            continue
+        column = batch.column(place)
+        longest = pc.max(pc.binary_length(column.dictionary)).as_py() or 0
+        if longest > most:
+            raise InputError(
+                f"{path}: column {field.name} holds a text of {longest:,} bytes, at most {most:,} "
+                "are read",
+                hint="leave the column out",
+            )
+        plain = pc.cast(column.dictionary_decode(), texts[field.name])
+        batch = batch.set_column(place, pa.field(field.name, plain.type), plain)
+    return batch

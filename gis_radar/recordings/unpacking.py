@@ -1,0 +1,113 @@
+"""Unpack what is compressed up to a limit: a few kilobytes can hold gigabytes of nothing."""
+
+from __future__ import annotations
+
+import bz2
+import os
+from collections.abc import Callable
+from functools import cache
+from types import SimpleNamespace
+from typing import Any, BinaryIO, Self
+
+from gis_radar.recordings import settings
+
+
+class ExplodingError(ValueError):
+    """Packed bytes that grow beyond anything a radar delivers."""
+
+
+class LimitedStream:
+    """A stream of unpacked bytes that ends in an error where they are too many for the packed.
+
+    Parameters
+    ----------
+    stream : binary file
+        Yields the unpacked bytes.
+    packed_bytes : int
+        How many bytes the packed file has.
+    """
+
+    def __init__(self, stream: BinaryIO, packed_bytes: int) -> None:
+        limits = settings.DEFAULTS
+        self._stream, self._read = stream, 0
+        self._most = limits.free_expansion_bytes + limits.most_expansion * packed_bytes
+
+    def read(self, size: int = -1) -> bytes:
+        """Read some bytes.
+
+        Raises
+        ------
+        ExplodingError
+            If more were unpacked than the packed ones can hold.
+        """
+        data = self._stream.read(size)
+        self._read += len(data)
+        if self._read > self._most:
+            times = settings.DEFAULTS.most_expansion
+            raise ExplodingError(f"grows to over {times} times its size when it is unpacked")
+        return data
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stream.close()
+
+
+def unpacked(decompressor: Any, packed: bytes) -> bytes:
+    """Return what was packed into one chunk of a bag.
+
+    Parameters
+    ----------
+    decompressor : object
+        Of the standard library's kind: `decompress(data, max_length)`, `eof`, `unused_data`.
+    packed : bytes
+        All of it.
+
+    Raises
+    ------
+    ExplodingError
+        If it is more than a chunk may hold.
+    """
+    most = settings.DEFAULTS.most_chunk_bytes
+    plain = decompressor.decompress(packed, most + 1)
+    if len(plain) > most:
+        raise ExplodingError(f"a chunk holds over {most >> 20:,} MiB when it is unpacked")
+    if not decompressor.eof:
+        raise ValueError("a chunk is cut off")
+    return bytes(plain)
+
+
+@cache
+def limit_rosbags() -> None:
+    """Let the library for bags unpack within limits: it has none of its own."""
+    from rosbags.rosbag1 import reader as bag1  # noqa: PLC0415 - a fifth of a second
+    from rosbags.rosbag2 import reader as bag2  # noqa: PLC0415
+    from rosbags.rosbag2 import storage_mcap  # noqa: PLC0415
+
+    for module in (bag2, storage_mcap):
+        if (zstd := getattr(module, "zstd", None)) is not None:
+            setattr(module, "zstd", _limited_zstd(zstd))  # noqa: B010 - of whatever version
+    frames: dict[str, Callable[[], Any]] = {"bz2": bz2.BZ2Decompressor}
+    from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]  # noqa: PLC0415
+
+    frames["lz4"] = LZ4FrameDecompressor
+    for name, make in frames.items():
+        for known in (
+            getattr(bag1, "decompressors", {}),
+            getattr(storage_mcap, "DECOMPRESSORS", {}),
+        ):
+            if name in known:
+                known[name] = lambda packed, *_, make=make: unpacked(make(), packed)
+
+
+def _limited_zstd(zstd: Any) -> SimpleNamespace:
+    """Return the module with limits."""
+
+    def opened(file: Any, *words: Any) -> LimitedStream:
+        return LimitedStream(zstd.open(file, *words), os.fstat(file.fileno()).st_size)
+
+    def decompress(packed: bytes) -> bytes:
+        return unpacked(zstd.ZstdDecompressor(), packed)
+
+    return SimpleNamespace(**vars(zstd) | {"decompress": decompress, "open": opened})
