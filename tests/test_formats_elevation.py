@@ -156,7 +156,7 @@ def test_recordings_that_have_some_heights_are_refused(tmp_path, heights, said, 
     if apart:
         whole = pa.Table.from_batches(opened.batches(None))
         opened = type(opened)(
-            path=path, rows=count, batches=lambda: iter(whole.to_batches(max_chunksize=1))
+            path=path, rows=count, batches=lambda _: iter(whole.to_batches(max_chunksize=1))
         )
     with pytest.raises(InputError, match=re.escape(said)):
         list(opened.read())

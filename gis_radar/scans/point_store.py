@@ -160,7 +160,7 @@ def cut_into_blocks(roads: Roads) -> RoadBlocks:
     return RoadBlocks(roads=roads, grid=grid, columns=columns, rows=rows, shapes=shapes)
 
 
-def _by_block(block: Integers) -> Iterator[tuple[int, Integers]]:
+def _by_block(block: NDArray[Any]) -> Iterator[tuple[int, Integers]]:
     """Yield each block and the places at which it stands, in their order."""
     order = np.argsort(block, kind="stable")
     numbers, begins = np.unique(block[order], return_index=True)
