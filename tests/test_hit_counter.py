@@ -1,14 +1,21 @@
 """Tiles that frames hit as they come, against the grid and numpy."""
 
+from dataclasses import replace
+
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 import pytest
 
 import gis_radar as gr
+from gis_radar.clocks import SensorClock
 from gis_radar.errors import InputError
-from gis_radar.occupancy.hit_counter import FrameHits
+from gis_radar.occupancy.hit_counter import FrameCounter
 from gis_radar.sight import SightTiles
 
 SAMPLE = gr.sample_folder()
+BEGIN = 1749713400.0  # of its recordings
 
 
 @pytest.fixture(scope="module")
@@ -18,7 +25,7 @@ def tiles():
 
 def test_each_frame_has_the_tiles_that_it_hits(tiles):
     pose = gr.read_pose(SAMPLE / "R1.json")
-    frames = FrameHits(SightTiles.of(tiles))
+    frames = FrameCounter(SightTiles.of(tiles))
     detections = next(gr.open_recording(SAMPLE / "R1.parquet").read())
     place = pose.to_map(detections.points)
     point, tile = gr.TileGrid(gr.quads(tiles)).assign(place[:, 0], place[:, 1])
@@ -26,9 +33,9 @@ def test_each_frame_has_the_tiles_that_it_hits(tiles):
     expected = [np.unique(tile[frame[point] == k]).tolist() for k in range(50)]
     few = detections.take(frame < 50)
     for _ in range(2):  # what came before leaves no trace
-        found = frames.of(few, pose)
-        assert [time_us for time_us, _ in found] == np.rint(times[:50] * 1e6).tolist()
-        assert [hits.tolist() for _, hits in found] == expected
+        found = frames.count(few, pose)
+        assert [each.time_us for each in found] == np.rint(times[:50] * 1e6).tolist()
+        assert [each.tiles.tolist() for each in found] == expected
     assert sum(map(len, expected)) > 1000
 
 
@@ -37,8 +44,63 @@ def test_a_frame_without_detections_hits_nothing(tiles):
     detections = next(gr.open_recording(SAMPLE / "R1.parquet").read())
     first = detections.take(detections.time == detections.time[0])
     first.points[:] = np.nan
-    ((_, hits),) = FrameHits(SightTiles.of(tiles)).of(first, pose)
-    assert hits.tolist() == []
+    (only,) = FrameCounter(SightTiles.of(tiles)).count(first, pose)
+    assert only.tiles.tolist() == []
+    assert only.detections == 0
     first.time[-1] = np.nan
     with pytest.raises(InputError, match="not finite"):
-        FrameHits(SightTiles.of(tiles)).of(first, pose)
+        FrameCounter(SightTiles.of(tiles)).count(first, pose)
+
+
+class PlainGrid(gr.TileGrid):
+    """Any engine but the grid itself is asked by the pass in NumPy."""
+
+
+def shortened(path, *, seconds, level=False):
+    """Write the first seconds of the sample recording, with a frame without detections."""
+    table = pq.read_table(SAMPLE / "R1.parquet")
+    time = table["time"]
+    table = table.filter(pc.less(time, pc.add(time[0], seconds)))
+    columns = {name: table[name].to_numpy().copy() for name in table.column_names}
+    for name in ("x", "y", "z", "range_rate", "rcs"):
+        columns[name][-1] = np.nan
+    columns["time"][-1] += 0.2
+    if level:
+        columns["z"][:] = np.nan
+    pq.write_table(pa.table(columns), path)
+    return path
+
+
+def moving_track(pose):
+    """Give a pose that is corrected twice, the second time after a knock."""
+    other = replace(pose, yaw=pose.yaw + 0.1)
+    moved = replace(pose, easting=pose.easting + 3.0, evidence={"event": "moved"})
+    since = np.array([-np.inf, BEGIN + 1.0, BEGIN + 2.3])
+    return gr.PoseTrack(poses=(pose, other, moved), since=since)
+
+
+CLEARANCE = gr.Filters(clearance=(-0.5, 2.0), min_speed=0.2, min_rcs=-9.0, elevation_error_deg=0.2)
+
+
+@pytest.mark.parametrize(
+    ("options", "level"),
+    [
+        ({"filters": CLEARANCE}, False),
+        ({"scans": [SAMPLE / "scan.laz"]}, False),
+        ({"clocks": {"R1": SensorClock(offset_s=0.0123, drift_ppm=20.0, at=BEGIN)}}, True),
+    ],
+)
+def test_the_compiled_pass_finds_what_the_plain_one_finds(tmp_path, tiles, options, level):
+    recording = shortened(tmp_path / "R1.parquet", seconds=4.0, level=level)
+    track = moving_track(gr.read_pose(SAMPLE / "R1.json"))
+    heights = np.where(tiles["tile_id"] % 7 == 0, np.nan, 515.0 + tiles["tile_id"] % 5)
+    if "filters" in options:
+        tiles = tiles.assign(height_m=heights)
+    written = []
+    for engine in (gr.TileGrid, PlainGrid):
+        folder = tmp_path / engine.__name__
+        found = gr.measure_occupancy([recording], [track], tiles, folder, engine=engine, **options)
+        written.append({path.name: path.read_bytes() for path in folder.iterdir()})
+        assert sum(len(step) for step, _ in found.hits()) > 200
+        assert found.frames["view"].nunique() > 1
+    assert written[0] == written[1]

@@ -25,7 +25,7 @@ FRAME_COLUMNS = 8
 FRAMES, STEPS, STEP, WAITING = range(4)
 NO_STEP = int(np.iinfo(np.int64).min)
 PRIME = 65521  # the largest under 2**16
-Values = NDArray[np.float32] | Floats
+Bits = NDArray[np.uint32]
 
 
 class RowColumns(NamedTuple):
@@ -37,21 +37,20 @@ class RowColumns(NamedTuple):
         UNIX seconds, corrected, float64; microseconds added by the correction, int64, empty where
         there is none.
     x, y, z, range_rate, rcs : arrays
-        As the recording has them, all float32 or all float64; `rcs` may be empty where no filter
-        asks for it.
+        Of the detections, float64; `rcs` may be empty where no filter asks for it.
     x_bits, y_bits : uint32 arrays
         The float32 of x and y as whole numbers.
     """
 
     time: Floats
     shift_us: Integers
-    x: Values
-    y: Values
-    z: Values
-    range_rate: Values
-    rcs: Values
-    x_bits: NDArray[np.uint32]
-    y_bits: NDArray[np.uint32]
+    x: Floats
+    y: Floats
+    z: Floats
+    range_rate: Floats
+    rcs: Floats
+    x_bits: Bits
+    y_bits: Bits
 
 
 class PoseNumbers(NamedTuple):
@@ -147,7 +146,7 @@ class Open(NamedTuple):
         Frames and steps begun, step, tiles waiting; the frame's time, NaN where none is open; its
         columns so far.
     of_frame, of_step, moved : (n,) int64 arrays
-        The number of the last frame and of the last step that hit each tile, and of the last frame
+        By tile the number of the last frame and of the last step that hit it, and of the last frame
         with movement on it.
     waiting : (n,) int64 array
         Ids of the tiles hit in the step so far.
@@ -177,7 +176,7 @@ class Found(NamedTuple):
     Parameters
     ----------
     frames : (f, 8) int64 array
-        RowColumns of frames.
+        Rows of frames.
     step, tile : (k,) int64 arrays
         Hits: ascending by step, then by tile. Room for all tiles at least.
     """
@@ -188,8 +187,8 @@ class Found(NamedTuple):
 
 
 @compiled
-def count_rows(
-    rows: RowColumns, begin: int, end: int, placing: PoseNumbers, limits: Limits, ground: Ground,
+def count_rows(  # pragma: no cover - compiled
+    rows: RowColumns, begin: int, end: int, pose: PoseNumbers, limits: Limits, ground: Ground,
     opened: Open, found: Found,
 ) -> tuple[int, int, int]:  # fmt: skip
     """Count some rows, all seen from one pose, as far as there is room for what is found.
@@ -215,11 +214,12 @@ def count_rows(
             opened.time[0] = rows.time[row]
             opened.frame[TIME_US] = time_us
             opened.frame[SHIFT_US] = rows.shift_us[row] if len(rows.shift_us) else 0
-            opened.frame[POSE] = placing.number
+            opened.frame[POSE] = pose.number
         begin = row
         while row < end and rows.time[row] == opened.time[0]:
             row += 1
-        _count_frame(rows, begin, row, placing, limits, ground, opened)
+        _tally(rows.x_bits, rows.y_bits, rows.range_rate, begin, row, limits, opened.frame)
+        _count_frame(rows, begin, row, pose, limits, ground, opened)
     return end, frames, hits
 
 
@@ -248,60 +248,83 @@ def end_step(opened: Open, found: Found, hits: int) -> int:  # pragma: no cover 
 
 
 @compiled
-def _count_frame(
-    rows: RowColumns, begin: int, end: int, placing: PoseNumbers, limits: Limits, ground: Ground,
-    opened: Open,
+def _tally(  # pragma: no cover - compiled
+    x_bits: Bits, y_bits: Bits, rates: Floats, begin: int, end: int, limits: Limits,
+    frame: Integers,
 ) -> None:  # fmt: skip
-    """Count rows of the open frame."""
-    xs, ys, zs, rates, strengths = rows.x, rows.y, rows.z, rows.range_rate, rows.rcs
-    x_bits, y_bits, ranges = rows.x_bits, rows.y_bits, opened.ranges
-    detections = moving = wild = bits = 0
-    cells, tracked = ground.cells, len(opened.movement) > 0
-    first, per_m = cells.first, 1.0 / cells.cell_m
+    """Add what rows of the open frame are, wherever they are."""
+    moving = wild = bits = 0
     for row in range(begin, end):
         bits += int(np.int64(x_bits[row]) + np.int64(y_bits[row]))
-        speed = abs(_double(rates[row]))
-        moving += int(speed >= limits.moving_mps)
-        wild += int(speed > limits.wild_mps)
-        x, y, z = _double(xs[row]), _double(ys[row]), _double(zs[row])
-        if math.isnan(x) or math.isnan(y):
-            continue
-        detections += 1
-        level = math.isnan(z)
-        range_m = math.sqrt(x * x + y * y + (0.0 if level else z * z))
-        ranges[int(range_m) if range_m < len(ranges) else len(ranges) - 1] += 1
-        counts = not level or range_m > placing.drop_m  # nearer than the road: not on it
-        if not math.isnan(limits.min_speed):
-            counts &= speed >= limits.min_speed
-        if not math.isnan(limits.min_rcs):
-            counts &= _double(strengths[row]) >= limits.min_rcs
-        moves = tracked and speed >= limits.sight_mps
-        if not (counts or moves):
-            continue
-        if level:
-            easting, northing, height = _on_plane(x, y, placing)
-        else:
-            easting, northing, height = _in_map(x, y, z, placing)
-        east, north = easting - cells.west, northing - cells.south
-        cell = cell_at(east, north, cells.width, cells.height, per_m, cells.columns)
-        if cell < 0 or first[cell] == first[cell + 1]:
-            continue
-        around = _inside(cells.tiles, cells.edges, first[cell], first[cell + 1], east, north,
-                         opened.inside)  # fmt: skip
-        if counts and around > 0:
-            _hit(around, height, range_m, limits, ground.tile_id, ground.road_m, opened)
-        if moves and around > 0:
-            _move(around, height, limits, ground.road_m, opened)
-    opened.frame[DETECTIONS] += detections
-    opened.frame[MOVING] += moving
-    opened.frame[WILD] += wild
-    opened.frame[CHECKSUM] += bits
+        moving += int(abs(rates[row]) >= limits.moving_mps)
+        wild += int(abs(rates[row]) > limits.wild_mps)
+    frame[MOVING] += moving
+    frame[WILD] += wild
+    frame[CHECKSUM] += bits
 
 
 @compiled
-def _double(value: float) -> float:  # pragma: no cover - compiled
-    """Return a number as float64; numba's `float` leaves float32 as it is."""
-    return np.float64(value)
+def _count_frame(  # pragma: no cover - compiled
+    rows: RowColumns, begin: int, end: int, pose: PoseNumbers, limits: Limits, ground: Ground,
+    opened: Open,
+) -> None:  # fmt: skip
+    """Count rows of the open frame on the tiles under them."""
+    xs, ys, zs = rows.x[begin:end], rows.y[begin:end], rows.z[begin:end]
+    rates, strengths = rows.range_rate[begin:end], rows.rcs[begin:end]
+    cells, road_m, inside, ranges = ground.cells, ground.road_m, opened.inside, opened.ranges
+    first, tiles, edges, per_m = cells.first, cells.tiles, cells.edges, 1.0 / cells.cell_m
+    of_frame, of_step, waiting = opened.of_frame, opened.of_step, opened.waiting
+    movement, counts, frame = opened.movement, opened.counts, opened.frame
+    picked = not (math.isnan(limits.min_speed) and math.isnan(limits.min_rcs))
+    number, tracked, asked = counts[FRAMES], len(movement) > 0, not math.isnan(limits.lowest_m)
+    for row in range(len(xs)):
+        x, y, z = xs[row], ys[row], zs[row]
+        if math.isnan(x) or math.isnan(y):
+            continue
+        level = math.isnan(z)
+        range_m = math.sqrt(x * x + y * y + (0.0 if level else z * z))
+        ranges[int(range_m) if range_m < len(ranges) else len(ranges) - 1] += 1
+        frame[DETECTIONS] += 1
+        hits = not level or range_m > pose.drop_m  # nearer than the road: not on it
+        hits &= not picked or _passes(rates, strengths, row, limits)
+        moves = tracked and abs(rates[row]) >= limits.sight_mps
+        if not (hits or moves):
+            continue
+        east, north, height = _on_plane(x, y, pose) if level else _in_map(x, y, z, pose)
+        east, north = east - cells.west, north - cells.south
+        cell = cell_at(east, north, cells.width, cells.height, per_m, cells.columns)
+        if cell < 0:
+            continue
+        around = _inside(tiles, edges, first[cell], first[cell + 1], east, north, inside)
+        if moves:
+            _move(inside, around, height, limits, road_m, opened.moved, number, movement)
+        if hits and asked:
+            around = _fitting(inside, around, height, range_m, limits, road_m)
+        for k in range(around if hits else 0):
+            if of_frame[inside[k]] != number:
+                of_frame[inside[k]] = number
+                frame[TILES_HIT] += 1
+                _hit(inside[k], of_step, counts, ground.tile_id, waiting)
+
+
+@compiled
+def _passes(  # pragma: no cover - compiled
+    rates: Floats, strengths: Floats, row: int, limits: Limits
+) -> bool:
+    """Return whether a detection is fast and strong enough; an unknown value is not."""
+    fast = math.isnan(limits.min_speed) or abs(rates[row]) >= limits.min_speed
+    return fast and (math.isnan(limits.min_rcs) or strengths[row] >= limits.min_rcs)
+
+
+@compiled
+def _hit(  # pragma: no cover - compiled
+    tile: int, of_step: Integers, counts: Integers, tile_id: Integers, waiting: Integers
+) -> None:
+    """Stamp a tile with the step, and note it at the first time."""
+    if of_step[tile] != counts[STEPS]:
+        of_step[tile] = counts[STEPS]
+        waiting[counts[WAITING]] = tile_id[tile]
+        counts[WAITING] += 1
 
 
 @compiled
@@ -329,7 +352,7 @@ def _on_plane(  # pragma: no cover - compiled
 
 
 @compiled
-def _inside(
+def _inside(  # pragma: no cover - compiled
     tiles: NDArray[np.int32], edges: Floats, begin: int, end: int, x: float, y: float,
     inside: Integers,
 ) -> int:  # fmt: skip
@@ -342,65 +365,38 @@ def _inside(
 
 
 @compiled
-def _hit(
-    around: int, height: float, range_m: float, limits: Limits, tile_id: Integers, road_m: Floats,
-    opened: Open,
-) -> None:  # fmt: skip
-    """Stamp the tiles around a detection that it fits on in height."""
-    inside, of_frame, of_step = opened.inside, opened.of_frame, opened.of_step
-    frame, step = opened.counts[FRAMES], opened.counts[STEPS]
-    asked = not math.isnan(limits.lowest_m)
-    level = _level(around, height, range_m, limits, road_m, inside) if asked else 0.0
-    for k in range(around):
-        tile = inside[k]
-        if asked and not (
-            _outside(height - road_m[tile], limits) <= range_m * limits.widening
-            and abs(road_m[tile] - level) < limits.level_m
-        ):
-            continue
-        if of_frame[tile] != frame:
-            of_frame[tile] = frame
-            opened.frame[TILES_HIT] += 1
-            if of_step[tile] != step:
-                of_step[tile] = step
-                opened.waiting[opened.counts[WAITING]] = tile_id[tile]
-                opened.counts[WAITING] += 1
-
-
-@compiled
-def _outside(over_m: float, limits: Limits) -> float:  # pragma: no cover - compiled
-    """Return how far a height over the road is outside of the clearance profile, metres."""
-    if math.isnan(over_m):
-        return over_m
-    return max(limits.lowest_m - over_m, over_m - limits.highest_m, 0.0)
-
-
-@compiled
-def _level(
-    around: int, height: float, range_m: float, limits: Limits, road_m: Floats, inside: Integers
-) -> float:
-    """Return the road height that a detection fits best, as :meth:`Filters.keep_pairs` does."""
-    least, level = np.inf, np.nan
+def _fitting(  # pragma: no cover - compiled
+    inside: Integers, around: int, height: float, range_m: float, limits: Limits, road_m: Floats
+) -> int:
+    """Keep the tiles that a detection fits in height, as :meth:`Filters.keep_pairs` does."""
+    widened_m = range_m * limits.widening
+    middle_m = (limits.lowest_m + limits.highest_m) / 2
+    least, level_m = np.inf, np.nan
     for k in range(around):
         over_m = height - road_m[inside[k]]
-        outside = _outside(over_m, limits)
-        if outside <= range_m * limits.widening:
-            middle = (limits.lowest_m + limits.highest_m) / 2
-            misfit = outside + 1e-3 * abs(over_m - middle)
-            if misfit <= least:
-                least, level = misfit, road_m[inside[k]]
-    return level
+        outside_m = max(limits.lowest_m - over_m, over_m - limits.highest_m, 0.0)
+        misfit = outside_m + 1e-3 * abs(over_m - middle_m)
+        if outside_m <= widened_m and misfit <= least:
+            least, level_m = misfit, road_m[inside[k]]
+    kept = 0
+    for k in range(around):
+        over_m = height - road_m[inside[k]]
+        outside_m = max(limits.lowest_m - over_m, over_m - limits.highest_m, 0.0)
+        inside[kept] = inside[k]
+        kept += outside_m <= widened_m and abs(road_m[inside[k]] - level_m) < limits.level_m
+    return kept
 
 
 @compiled
 def _move(  # pragma: no cover - compiled
-    around: int, height: float, limits: Limits, road_m: Floats, opened: Open
-) -> None:
+    inside: Integers, around: int, height: float, limits: Limits, road_m: Floats,
+    moved: Integers, number: int, movement: Integers,
+) -> None:  # fmt: skip
     """Count movement on the tiles around a detection, once a frame; unknown heights count."""
     for k in range(around):
-        tile = opened.inside[k]
+        tile = inside[k]
         over_m = height - road_m[tile] - limits.sight_over_m
-        if abs(over_m) > limits.sight_level_m or opened.moved[tile] == opened.counts[FRAMES]:
+        if abs(over_m) > limits.sight_level_m or moved[tile] == number:
             continue
-        opened.moved[tile] = opened.counts[FRAMES]
-        opened.movement[tile] += 1
+        moved[tile] = number
+        movement[tile] += 1

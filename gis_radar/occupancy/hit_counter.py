@@ -12,16 +12,19 @@ import numpy as np
 from gis_radar.arrays import Floats, Integers
 from gis_radar.errors import InputError
 from gis_radar.occupancy.counting_loop import (
+    CHECKSUM,
+    DETECTIONS,
     FRAME_COLUMNS,
+    MOVING,
     NO_STEP,
     TIME_US,
+    WILD,
     Found,
     Ground,
     Limits,
     Open,
     PoseNumbers,
     RowColumns,
-    Values,
     count_rows,
     end_frame,
     end_step,
@@ -73,11 +76,8 @@ class HitCounter:
         What stands for each tile in the hits; without it, its position.
     step_us : int
         Length of a step, microseconds.
-
-    Attributes
-    ----------
-    ranges : RangeCounts
-        Ranges of all detections so far.
+    ranges : RangeCounts, optional
+        Takes the ranges of all detections.
     """
 
     def __init__(
@@ -89,10 +89,10 @@ class HitCounter:
         settings: OccupancySettings = DEFAULTS,
         tile_id: Integers | None = None,
         step_us: int = STEP_US,
+        ranges: RangeCounts | None = None,
     ) -> None:
         count = len(tiles.tile_id)
         ids = np.arange(count) if tile_id is None else tile_id
-        self.ranges = RangeCounts()
         self._ground = Ground(ids, np.ascontiguousarray(tiles.height), grid.cells)
         self._limits = limits_of(filters or Filters(), settings, step_us)
         self._open = Open(
@@ -104,7 +104,7 @@ class HitCounter:
             moved=np.zeros(count, np.int64),
             waiting=np.empty(count, np.int64),
             inside=np.empty(grid.most_in_a_cell + 1, np.int64),
-            ranges=self.ranges.counts,
+            ranges=(ranges or RangeCounts()).counts,
             movement=NO_TILES,
         )
         self._found = Found(
@@ -160,25 +160,58 @@ class HitCounter:
         )
 
 
-class FrameHits:
+@dataclass(frozen=True, kw_only=True)
+class CountedFrame:
+    """One frame, and the tiles that it hits.
+
+    Parameters
+    ----------
+    time_us : int
+        Microseconds since the UNIX epoch.
+    detections, moving, wild, checksum : int
+        As in the frame log.
+    tiles : (k,) int64 array
+        Positions of the tiles that it hits, ascending, as :func:`encode_tiles` takes them.
+    """
+
+    time_us: int
+    detections: int
+    moving: int
+    wild: int
+    checksum: int
+    tiles: Integers
+
+
+class FrameCounter:
     """Finds the tiles that each frame hits, right when it comes: the edge's side of an occupancy.
 
     Parameters
     ----------
     tiles : SightTiles
         All tiles; :meth:`SightTiles.of` makes them from a table of tiles.
+    grid : TileGrid, optional
+        Of the same tiles, where there is one already.
     filters : Filters, optional
         Which detections count; without it, all.
+    settings : OccupancySettings
+        Constants of the frame log.
     """
 
-    def __init__(self, tiles: SightTiles, *, filters: Filters | None = None) -> None:
-        grid = TileGrid(tiles.quads)
-        self._counter = HitCounter(tiles, grid, filters=filters, step_us=1)
+    def __init__(
+        self,
+        tiles: SightTiles,
+        *,
+        grid: TileGrid | None = None,
+        filters: Filters | None = None,
+        settings: OccupancySettings = DEFAULTS,
+    ) -> None:
+        grid = TileGrid(tiles.quads) if grid is None else grid
+        self._counter = HitCounter(tiles, grid, filters=filters, settings=settings, step_us=1)
 
-    def of(
+    def count(
         self, detections: Detections, pose: Pose, *, road_m: float = math.nan
-    ) -> list[tuple[int, Integers]]:
-        """Return the tiles that frames hit.
+    ) -> list[CountedFrame]:
+        """Return frames with the tiles that they hit.
 
         Parameters
         ----------
@@ -189,30 +222,26 @@ class FrameHits:
         road_m : float
             Height of the road near it, for sensors without elevation: as of :meth:`Pose.to_map`.
 
-        Returns
-        -------
-        list of (int, (k,) int64 array)
-            Of each frame its time in microseconds since the UNIX epoch, and the positions of the
-            tiles that it hits, ascending, as :func:`encode_tiles` takes them.
-
         Raises
         ------
         InputError
             If a time is no number, or times go back.
         """
-        time = np.ascontiguousarray(detections.time, np.float64)
+        time = np.asarray(detections.time, np.float64)
         if not (np.isfinite(time).all() and (np.diff(time) >= 0.0).all()):
             raise InputError("times of frames are not finite, or go back")
-        rows, placing = rows_of_detections(detections), PoseNumbers.of(pose, road_m=road_m)
-        found = [*self._counter.add(rows, 0, len(time), placing), self._counter.end()]
-        step = np.concatenate([each.step for each in found])
-        tile = np.concatenate([each.tile for each in found])
-        times = np.unique(np.concatenate([each.frames[:, TIME_US] for each in found]))
-        begins, ends = np.searchsorted(step, times), np.searchsorted(step, times, side="right")
+        x, y, z = np.asarray(detections.points, np.float64).T
+        rows = rows_of_columns(time, x, y, z, detections.range_rate, detections.rcs)
+        numbers = PoseNumbers.of(pose, road_m=road_m)
         return [
-            (int(time_us), tile[begin:end])
-            for time_us, begin, end in zip(times, begins, ends, strict=True)
-        ]
+            CountedFrame(
+                time_us=frame[TIME_US], detections=frame[DETECTIONS], moving=frame[MOVING],
+                wild=frame[WILD], checksum=frame[CHECKSUM],
+                tiles=each.tile[each.step == frame[TIME_US]],
+            )
+            for each in (*self._counter.add(rows, 0, len(time), numbers), self._counter.end())
+            for frame in each.frames.tolist()
+        ]  # fmt: skip
 
 
 def limits_of(filters: Filters, settings: OccupancySettings, step_us: int) -> Limits:
@@ -238,14 +267,8 @@ def _or_nan(value: float | None) -> float:
     return math.nan if value is None else float(value)
 
 
-def rows_of_detections(detections: Detections) -> RowColumns:
-    """Return detections as the counting loop takes them."""
-    x, y, z = detections.points.T.astype(np.float64)
-    return rows_of_columns(detections.time, x, y, z, detections.range_rate, detections.rcs)
-
-
 def rows_of_columns(
-    time: Floats, x: Values, y: Values, z: Values, range_rate: Values, rcs: Values,
+    time: Floats, x: Floats, y: Floats, z: Floats, range_rate: Floats, rcs: Floats,
     shift_us: Integers = NO_TILES,
 ) -> RowColumns:  # fmt: skip
     """Return columns as the counting loop takes them: arguments as of :class:`RowColumns`."""

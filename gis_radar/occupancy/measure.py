@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 
-from gis_radar.arrays import Floats, Integers
+from gis_radar.arrays import Floats
 from gis_radar.clocks import SensorClock
 from gis_radar.errors import InputError, UsageError
 from gis_radar.files import whole_folder
@@ -21,44 +20,37 @@ from gis_radar.occupancy.folder import (
     HITS_FILE,
     OWNED,
     Occupancy,
-    frames_of,
     frames_table,
     read_occupancy,
     views_table,
 )
 from gis_radar.occupancy.frame_log import (
     FRAME_LOG,
-    FrameIndex,
-    frame_rows,
     merge_frame_logs,
-    rows_of,
-    whole_frames,
 )
 from gis_radar.occupancy.frame_steps import (
-    FrameTimes,
-    Runs,
     holds_of,
     steps_held,
-    union,
 )
-from gis_radar.occupancy.hits import HITS, Rows, SortedTableWriter, distinct, merge_rows
+from gis_radar.occupancy.hits import HITS, Rows, SortedTableWriter, merge_rows
+from gis_radar.occupancy.plain_pass import count_plainly
+from gis_radar.occupancy.recording_pass import RecordingPass, Target, count_recording
 from gis_radar.occupancy.settings import DEFAULTS, Filters, OccupancySettings
-from gis_radar.occupancy.views import PlacedRecording, ViewBook, place_recordings, places_of
+from gis_radar.occupancy.views import PlacedRecording, ViewBook, place_recordings
 from gis_radar.poses.files import PoseTrack, as_track
 from gis_radar.poses.pose import Pose, View
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.recordings.recording import Detections, RangeCounts, Recording
+from gis_radar.recordings.recording import Recording
 from gis_radar.sight import (
     MovementCounter,
     MovingHits,
     SightTiles,
-    describe_sight,
     find_contradictions,
     open_sight,
     report_contradictions,
 )
 from gis_radar.sight.settings import DEFAULTS as SIGHT_DEFAULTS
-from gis_radar.steps import STEP_US, iso_from_step, step_of
+from gis_radar.steps import STEP_US, iso_from_step
 from gis_radar.tiles.lookup import TileEngine, TileGrid
 
 STAGE = "occupancy"
@@ -106,7 +98,7 @@ def measure_occupancy(
     clocks : mapping, optional
         How far the clocks of sensors are ahead, by sensor; times are corrected by it.
     engine : type
-        :class:`TileGrid` or :class:`TileTree`; both give the same.
+        :class:`TileGrid`, compiled; :class:`TileTree` and others run in NumPy and give the same.
     pairs : bool
         Also write `hits.parquet`, for other programs: the pairs (step, tile_id).
     scans : sequence of paths
@@ -178,75 +170,6 @@ def measure_occupancy(
     return read_occupancy(folder)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Target:
-    """What detections are assigned to, the same for all recordings: tiles, views, filters."""
-
-    fingerprint: str
-    tile_id: Integers
-    road_height: Floats
-    engine: TileEngine
-    views: ViewBook
-    filters: Filters
-    settings: OccupancySettings
-
-
-@dataclass(kw_only=True)
-class RecordingPass:
-    """What one pass over a recording gives beside its hits.
-
-    Parameters
-    ----------
-    source : PlacedRecording
-        What was read.
-    log : SortedTableWriter
-        One row a frame, on disk.
-    runs : dict
-        Steps with a frame, by view.
-    poses : set of int
-        Poses of the track that were in force at a frame.
-    times : FrameTimes
-        First and last frame, and the gaps between frames.
-    ranges : RangeCounts
-        Ranges of all detections.
-    rows : int
-        Rows read.
-    hits : int
-        Frames on tiles: how often a tile was hit by a frame.
-    level : bool
-        Whether the sensor measures no elevation.
-    movement : dict
-        What moves on the tiles, by the view that the sensor had first where it stood; empty where
-        sight is the view alone.
-    """
-
-    source: PlacedRecording
-    log: SortedTableWriter
-    runs: dict[str, list[Runs]] = field(default_factory=dict)
-    poses: set[int] = field(default_factory=set)
-    times: FrameTimes = field(default_factory=FrameTimes)
-    ranges: RangeCounts = field(default_factory=RangeCounts)
-    rows: int = 0
-    hits: int = 0
-    level: bool = False
-    movement: dict[str, MovementCounter] = field(default_factory=dict)
-
-    def frames(self) -> pd.DataFrame:
-        """Return the runs of steps with a frame, by view."""
-        sensor = self.source.track.sensor
-        return pd.concat([frames_of(sensor, view, union(runs)) for view, runs in self.runs.items()])
-
-    def record(self, target: Target) -> dict[str, Any]:
-        """Return the entry of the manifest for this recording, with the poses that it met."""
-        return {
-            **self.source.record(self.rows, self.poses),
-            "filters": asdict(target.filters),
-            "settings": asdict(target.settings),
-            "sight": describe_sight(target.views.scan),
-            **({"elevation": False} if self.level else {}),
-        }
-
-
 def _read_all(
     sources: list[PlacedRecording], target: Target, folder: Path, reporter: Reporter
 ) -> list[RecordingPass]:
@@ -277,57 +200,11 @@ def _hits(
     found: RecordingPass, number: int, target: Target, count_rows: Callable[[], None]
 ) -> Iterator[Rows]:
     """Yield the hits of frames as (step, tile, sensor); add all else to `found` on the way."""
-    source = found.source
-    clock = source.clock or SensorClock(offset_s=0.0)
-    places = places_of(source.track.poses)
-    for read in whole_frames(source.recording.read()):
-        piece = replace(read, time=clock.corrected(read.time))
-        shift_us = np.rint((piece.time - read.time) * 1e6).astype(np.int64)
-        pose_of_row = source.track.at(piece.time)
-        for index in np.unique(pose_of_row).tolist():
-            now = pose_of_row == index
-            part = piece if now.all() else rows_of(piece, now)
-            frames = FrameIndex.of(part.time)
-            pose, view = source.track.poses[index], source.views[index]
-            road_m = target.views.road_m[source.track.sensor, view]
-            frame, tile = _tiles_hit(part, frames, pose, target, road_m)
-            step = step_of(frames.time)
-            tiles_hit = np.bincount(frame, minlength=len(step))
-            tiles_seen = np.full(len(step), len(target.views.tiles[view]))
-            if target.views.scan is not None:
-                first = source.views[places[index]]
-                counter = MovementCounter(tiles=target.views.road, engine=target.engine)
-                found.movement.setdefault(first, counter).add(part, pose, road_m=road_m)
-            found.log.add(
-                frame_rows(part, frames, tiles_hit, tiles_seen, shift_us[now], target.settings)
-            )
-            found.runs.setdefault(view, []).append(union([Runs(first=step, last=step)]))
-            found.poses.add(index)
-            found.hits += len(frame)
-            found.times.add(frames.time_us)
-            yield step[frame], target.tile_id[tile], np.full(len(frame), number)
-        found.ranges.add(piece)
-        found.level |= bool(np.isnan(piece.points[piece.present, 2]).any())
-        found.rows += len(piece)
+    count = count_recording if type(target.engine) is TileGrid else count_plainly
+    for counted in count(found, target):
+        found.note(counted.frames, target)
+        yield counted.step, counted.tile, np.full(len(counted.step), number)
         count_rows()
-
-
-def _tiles_hit(
-    piece: Detections, frames: FrameIndex, pose: Pose, target: Target, road_m: float
-) -> Rows:
-    """Return the pairs of a frame and a tile (positions) that it hit, each once."""
-    keep = target.filters.keep_detections(piece)
-    level = np.isnan(piece.points[:, 2])
-    if level.any():  # nearer than the road: not on it
-        keep &= ~(level & (piece.range_m <= np.nan_to_num(pose.height - road_m)))
-    points, frame = piece.points[keep], frames.of_row[keep]
-    place = pose.to_map(points, road_m=road_m)
-    point, tile = target.engine.assign(place[:, 0], place[:, 1])
-    if target.filters.clearance is not None:
-        range_m = np.linalg.norm(points, axis=1)[point]
-        fits = target.filters.keep_pairs(point, place[point, 2], range_m, target.road_height[tile])
-        point, tile = point[fits], tile[fits]
-    return distinct(frame[point], tile)
 
 
 def _refuse_clearance(recordings: Sequence[Recording], filters: Filters) -> None:

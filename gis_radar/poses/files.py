@@ -5,8 +5,9 @@ from __future__ import annotations
 import csv
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +54,14 @@ class PoseTrack:
     def at(self, time: Floats) -> Integers:
         """Return which pose holds at each time (UNIX seconds), as indices into `poses`."""
         return np.maximum(np.searchsorted(self.since, time, side="right") - 1, 0)
+
+    def runs(self, time: Floats) -> Iterator[tuple[int, int, int]]:
+        """Yield which pose holds at ascending times: its index, and from where to where."""
+        first, last = self.at(time[[0, -1]]).tolist()
+        borders = np.searchsorted(time, self.since[first + 1 : last + 1]).tolist()
+        for index, (begin, end) in enumerate(pairwise([0, *borders, len(time)]), start=first):
+            if begin < end:
+                yield index, begin, end
 
     def with_view(self, view: View) -> PoseTrack:
         """Return the same track with a view wherever a pose has none."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -140,23 +141,12 @@ class Recording:
             detections have a height and others none, or there is no row at all. Rows are counted
             from 1, without a header.
         """
-        row, last, flat = 0, -np.inf, None
-        of_last = 0  # rows of the last time so far
-        try:
+        checks = RowChecks(path=self.path)
+        with checks.reading():
             for batch in self.batches(None if further else COLUMNS):
-                piece = _checked(batch, path=self.path, row=row, last=last)
-                flat = _refuse_mixed(piece, self.path, row, flat=flat)
-                refuse_positions_in_other_units(piece.points[piece.present], str(self.path))
+                piece = checks.take(batch)
                 if len(piece):
-                    of_last = _refuse_no_frame(piece, self.path, last, of_last)
-                    row, last = row + len(piece), float(piece.time[-1])
                     yield piece
-        except UNREADABLE as error:
-            raise InputError(
-                f"{self.path}: damaged after row {row}: {first_line(error)}"
-            ) from error
-        if row == 0:
-            raise InputError(f"{self.path}: recording without rows")
 
     def measures_elevation(self) -> bool:
         """Return whether the sensor measures elevation: whether the first detection has a z."""
@@ -229,6 +219,8 @@ def _open_parquet(path: Path) -> Recording:
     with pq.ParquetFile(path) as file:
         refuse_many_columns(file.metadata.num_columns, path)
         _require_columns(file.schema_arrow.names, path)
+        for name in COLUMNS:
+            _require_numbers(file.schema_arrow.field(name).type, name, path)
         rows = file.metadata.num_rows
 
     return Recording(path=path, rows=rows, batches=partial(parquet_batches, path))
@@ -237,7 +229,7 @@ def _open_parquet(path: Path) -> Recording:
 def _open_csv(path: Path) -> Recording:
     table = open_csv_table(path, numbers=COLUMNS)
     _require_columns(list(table.names), path)
-    return Recording(path=path, rows=None, batches=table.batches)
+    return Recording(path=path, rows=None, batches=lambda _: table.batches())
 
 
 UNREADABLE = (pa.ArrowException, OSError, ValueError)
@@ -259,6 +251,58 @@ def _require_columns(names: list[str], path: Path) -> None:
             f"{path}: recording has {names.count(twice)} columns {twice!r}",
             hint="give every column a name of its own",
         )
+
+
+@dataclass(kw_only=True)
+class RowChecks:
+    """Checks the rows of a recording, batch by batch.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    row : int
+        How many rows are checked.
+    last : float
+        Time of the last one, UNIX seconds.
+    flat : bool, optional
+        Whether detections have no height; None before the first one.
+    of_last : int
+        Rows of the last time so far.
+    """
+
+    path: Path
+    row: int = 0
+    last: float = -np.inf
+    of_last: int = 0
+    flat: bool | None = None
+
+    @contextmanager
+    def reading(self) -> Iterator[None]:
+        """Raise what cannot be read of the file, and a file without rows, as an InputError."""
+        try:
+            yield
+        except UNREADABLE as error:
+            raise InputError(
+                f"{self.path}: damaged after row {self.row}: {first_line(error)}"
+            ) from error
+        if self.row == 0:
+            raise InputError(f"{self.path}: recording without rows")
+
+    def take(self, batch: pa.RecordBatch) -> Detections:
+        """Return the next rows as detections, or refuse them."""
+        piece = _checked(batch, path=self.path, row=self.row, last=self.last)
+        flat = _refuse_mixed(piece, self.path, self.row, flat=self.flat)
+        refuse_positions_in_other_units(piece.points[piece.present], str(self.path))
+        self.pass_over(piece.time, flat=flat)
+        return piece
+
+    def pass_over(self, time: Floats, *, flat: bool | None) -> None:
+        """Go on after rows that were found sound, if they can be of frames."""
+        self.flat = flat
+        if len(time):
+            self.of_last = _refuse_no_frame(time, self.path, self.last, self.of_last)
+            self.row, self.last = self.row + len(time), float(time[-1])
 
 
 def _checked(batch: pa.RecordBatch, *, path: Path, row: int, last: float) -> Detections:
@@ -325,27 +369,31 @@ def _refuse_mixed(piece: Detections, path: Path, row: int, *, flat: bool | None)
     return first
 
 
-def _refuse_no_frame(piece: Detections, path: Path, last: float, before: int) -> int:
+def _refuse_no_frame(time: Floats, path: Path, last: float, before: int) -> int:
     """Return how many rows the last time has so far; refuse more than any radar delivers at once.
 
-    `before` is how many rows of the time `last` came before the piece.
+    `before` is how many rows of the time `last` came before these.
     """
-    same = len(piece) - int(np.searchsorted(piece.time, piece.time[-1], side="left"))
-    if same == len(piece) and piece.time[-1] == last:
+    same = len(time) - int(np.searchsorted(time, time[-1], side="left"))
+    if same == len(time) and time[-1] == last:
         same += before
     if same > (most := settings.DEFAULTS.most_rows_of_frame):
         raise InputError(
-            f"{path}: over {most:,} rows of one time, {piece.time[-1]:.6f} s: no frame of a radar",
+            f"{path}: over {most:,} rows of one time, {time[-1]:.6f} s: no frame of a radar",
             hint="time is that of each frame",
         )
     return same
 
 
+def _require_numbers(kind: pa.DataType, name: str, path: Path) -> None:
+    # A column that is null throughout has no type of its own; text of digits is still text.
+    if not any(is_kind(kind) for is_kind in NUMERIC):
+        raise InputError(f"{path}: column {name} is {kind}, expected numbers")
+
+
 def _numbers(batch: pa.RecordBatch, name: str, path: Path) -> Floats:
     column = batch.column(name)
-    # A column that is null throughout has no type of its own; text of digits is still text.
-    if not any(is_kind(column.type) for is_kind in NUMERIC):
-        raise InputError(f"{path}: column {name} is {column.type}, expected numbers")
+    _require_numbers(column.type, name, path)
     numbers = pc.cast(column, pa.float64(), safe=False).to_numpy(zero_copy_only=False)
     return np.asarray(numbers, dtype=np.float64)
 

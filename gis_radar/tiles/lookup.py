@@ -262,7 +262,7 @@ def is_inside(  # pragma: no cover - compiled
 
 
 @compiled
-def _assign(
+def _assign(  # pragma: no cover - compiled
     x: Floats,
     y: Floats,
     cells: TileCells,

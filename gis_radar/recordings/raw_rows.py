@@ -1,0 +1,147 @@
+"""Rows of a recording as its file has them: for what looks at each once and keeps none.
+
+Checked like the detections of :meth:`Recording.read`, and refused with the same words: compiled
+code looks whether a batch is sound, and only where it may not be, the checks by name run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+
+from gis_radar.arrays import Floats, compiled
+from gis_radar.recordings.recording import COLUMNS, FARTHEST_M, Recording, RowChecks
+from gis_radar.recordings.units import FARTHEST_RADAR_M, LEAST_EXTENT_M, LEAST_JUDGED
+from gis_radar.steps import in_known_years
+
+NEARLY = 0.999  # what comes near a limit is looked at by name, too
+
+
+@dataclass(frozen=True, kw_only=True)
+class RawRows:
+    """Some consecutive rows of a recording.
+
+    Parameters
+    ----------
+    time : (n,) float64 array
+        UNIX seconds, ascending.
+    x, y, z, range_rate, rcs : (n,) float64 arrays
+        As of :class:`Detections`. `rcs` is empty where it was not asked for.
+    """
+
+    time: Floats
+    x: Floats
+    y: Floats
+    z: Floats
+    range_rate: Floats
+    rcs: Floats
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+def read_raw(recording: Recording, *, rcs: bool) -> Iterator[RawRows]:
+    """Read a recording piece by piece, in bounded memory.
+
+    Parameters
+    ----------
+    recording : Recording
+        It.
+    rcs : bool
+        Whether radar cross sections are needed.
+
+    Yields
+    ------
+    RawRows
+        Consecutive rows; a frame may go on in the next piece.
+
+    Raises
+    ------
+    InputError
+        As of :meth:`Recording.read`.
+    """
+    names = [name for name in COLUMNS if rcs or name != "rcs"]
+    checks = RowChecks(path=recording.path)
+    with checks.reading():
+        for batch in recording.batches(names):
+            rows = _columns(batch, rcs=rcs)
+            sound, flat = _look(rows, checks) if rows is not None else (False, None)
+            if rows is None or not sound:
+                rows = _by_name(batch, checks)
+            else:
+                checks.pass_over(rows.time, flat=flat)
+            if len(rows):
+                yield rows
+
+
+def _columns(batch: pa.RecordBatch, *, rcs: bool) -> RawRows | None:
+    """Return the columns of a batch as float64; None where one is neither that nor float32."""
+    names = COLUMNS if rcs else COLUMNS[:-1]
+    if not {batch.column(name).type for name in names} <= {pa.float32(), pa.float64()}:
+        return None
+    columns = [batch.column(name).to_numpy(zero_copy_only=False) for name in names]
+    time, x, y, z, rate, *rest = (np.asarray(values, np.float64) for values in columns)
+    return RawRows(time=time, x=x, y=y, z=z, range_rate=rate, rcs=rest[0] if rest else x[:0])
+
+
+def _by_name(batch: pa.RecordBatch, checks: RowChecks) -> RawRows:
+    """Check a batch as all readers do."""
+    if "rcs" not in batch.schema.names:
+        batch = batch.append_column("rcs", pa.nulls(len(batch), pa.float32()))
+    piece = checks.take(batch)
+    x, y, z = np.ascontiguousarray(piece.points.T)
+    rate, rcs = piece.range_rate, piece.rcs
+    return RawRows(time=piece.time, x=x, y=y, z=z, range_rate=rate, rcs=rcs)
+
+
+def _look(rows: RawRows, checks: RowChecks) -> tuple[bool, bool | None]:
+    """Return whether nothing is odd about rows, and whether detections have no height so far."""
+    if len(rows) == 0:
+        return True, checks.flat
+    sound, present, level, far, wide = _look_at(rows.time, rows.x, rows.y, rows.z, checks.last)
+    sound &= bool(in_known_years(rows.time[[0, -1]]).all())
+    flat = checks.flat if present == 0 else level > 0
+    sound &= level in {0, present} and (checks.flat is None or flat == checks.flat)
+    if present >= LEAST_JUDGED:
+        sound &= 2 * far < present and wide
+    return sound, flat
+
+
+@compiled
+def _look_at(  # pragma: no cover - compiled
+    time: Floats, xs: Floats, ys: Floats, zs: Floats, last: float
+) -> tuple[bool, int, int, int, bool]:
+    """Return whether times ascend and positions are near or gaps; counts of detections.
+
+    Returns
+    -------
+    sound : bool
+        Whether they do.
+    present, level, far : int
+        Detections, those without height, those beyond any radar.
+    wide : bool
+        Whether they are in more than one spot.
+    """
+    sound, present, level, far = True, 0, 0, 0
+    far_m2 = (NEARLY * FARTHEST_RADAR_M) ** 2
+    west = south = np.inf
+    east = north = -np.inf
+    for k in range(len(time)):
+        sound &= time[k] >= last
+        last = time[k]
+        x, y, z = xs[k], ys[k], zs[k]
+        placed = (abs(x) <= FARTHEST_M) & (abs(y) <= FARTHEST_M)
+        high = abs(z) <= FARTHEST_M
+        gap = np.isnan(z)
+        sound &= (placed & (high | gap)) | (gap & np.isnan(x) & np.isnan(y))
+        present += placed
+        level += placed & gap
+        far += x * x + y * y > far_m2
+        if placed:
+            west, east = min(west, x), max(east, x)
+            south, north = min(south, y), max(north, y)
+    wide = max(east - west, north - south) > LEAST_EXTENT_M / NEARLY
+    return sound, present, level, far, wide
