@@ -176,6 +176,10 @@ def test_written_tables_are_in_utc(tmp_path):
     quality.write(tmp_path / "q.csv")
     text = (tmp_path / "q.csv").read_text().splitlines()
     assert "2023-11-14T22:00:00Z,2023-11-14T23:00:00Z,2023-11-14,23,Tuesday" in text[1]
+    quality.write(tmp_path / "german.csv", csv_locale="de")
+    german = pd.read_csv(tmp_path / "german.csv", sep=";", decimal=",", encoding="utf-8-sig")
+    pd.testing.assert_frame_equal(german, pd.read_csv(tmp_path / "q.csv"))
+    assert (tmp_path / "german.csv").read_bytes().startswith(b"\xef\xbb\xbf")
     quality.write(tmp_path / "q.parquet")
     pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "q.parquet"), quality.table)
     with pytest.raises(UsageError, match="known table format"):

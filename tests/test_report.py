@@ -15,7 +15,7 @@ import pytest
 from report_site import FILES, SIGMA, Page, report_tiles, write_whole_run
 
 import gis_radar as gr
-from gis_radar.report.content import csv_for, write_csv
+from gis_radar.spreadsheets import csv_for, write_csv
 
 
 @pytest.fixture(scope="module")

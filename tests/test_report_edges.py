@@ -30,8 +30,8 @@ import gis_radar as gr
 from gis_radar.cli import group
 from gis_radar.heatmap import make_heatmap
 from gis_radar.heatmap.heatmap import OWNED
-from gis_radar.report.content import safe
 from gis_radar.report.names import REPORT_FILES
+from gis_radar.spreadsheets import safe
 
 writing = import_module("gis_radar.report.report")
 

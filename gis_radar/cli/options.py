@@ -190,3 +190,8 @@ poses = click.option(
     "--pose", "poses", type=FILE, multiple=True, required=True, help="One a recording."
 )
 occupancies = click.argument("folders", metavar="OCCUPANCY...", type=FILE, nargs=-1, required=True)
+
+csv_locale = click.option(
+    "--csv-locale", type=click.Choice(["en", "de"]), default="en", show_default=True,
+    help="de: tables with semicolons and decimal commas, as Excel in Germany opens them.",
+)  # fmt: skip

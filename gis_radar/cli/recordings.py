@@ -13,6 +13,7 @@ from gis_radar.cli.options import (
     DURATION,
     FILE,
     PAIRS,
+    csv_locale,
     frame_times,
     lanes,
     numbers,
@@ -207,9 +208,11 @@ def clocks(
 @click.option(
     "-o", "--output", type=FILE, help="The table, a row a sensor and hour (CSV, Parquet)."
 )
+@csv_locale
 def quality(
-    *, folders: tuple[Path, ...], timezone: str, output: Path | None, reporter: Reporter
-) -> Result:
+    *, folders: tuple[Path, ...], timezone: str, output: Path | None, csv_locale: str,
+    reporter: Reporter,
+) -> Result:  # fmt: skip
     """Show what an occupancy rests on: frames, detections, clocks, poses, and a verdict."""
     if output is not None:
         from gis_radar.quality.quality import require_table_name  # noqa: PLC0415 - late as above
@@ -219,5 +222,5 @@ def quality(
         refuse_inputs(output, *folders, *(file for file in inside if file.stem != "quality"))
     merged = gr.merge_occupancies([gr.read_occupancy(each, reporter=reporter) for each in folders])
     found = gr.measure_quality(merged, timezone=timezone, reporter=reporter)
-    outputs = [] if output is None else [found.write(output)]
+    outputs = [] if output is None else [found.write(output, csv_locale=csv_locale)]
     return Result(outputs=outputs, summary=found.figures())

@@ -10,7 +10,7 @@ import click
 
 import gis_radar as gr
 from gis_radar.cli.console import Result, command
-from gis_radar.cli.options import FILE, output
+from gis_radar.cli.options import FILE, csv_locale, output
 from gis_radar.files import refuse_inputs, whole_folder
 from gis_radar.progress import Reporter
 
@@ -78,10 +78,7 @@ def check(*, site: Path, reporter: Reporter) -> Result:
     "--language", type=click.Choice(["en", "de"]),
     help="By default the site's, or that of the heat map.",
 )  # fmt: skip
-@click.option(
-    "--csv-locale", type=click.Choice(["en", "de"]), default="en", show_default=True,
-    help="de: tables with semicolons and decimal commas, as Excel in Germany opens them.",
-)  # fmt: skip
+@csv_locale
 @click.option(
     "--occupancy", "occupancies", type=FILE, multiple=True,
     help="What the heat map was made of, where it is not in DIR.",

@@ -23,6 +23,7 @@ from gis_radar.notebooks import axes_or_new, table_card
 from gis_radar.occupancy import Occupancy
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.quality.counting import HOUR_S, Count, count_frames, frame_times
+from gis_radar.spreadsheets import csv_style
 from gis_radar.steps import seconds_from_iso, zone_of
 
 GOOD = "good"
@@ -171,21 +172,30 @@ class Quality:
             for sensor, rows in bad.groupby("sensor")
         ]
 
-    def write(self, path: str | Path) -> Path:
+    def write(self, path: str | Path, *, csv_locale: str = "en") -> Path:
         """Write the table as CSV (times as ISO 8601 with Z) or Parquet, by the file's ending.
+
+        Parameters
+        ----------
+        path : str or Path
+            Where.
+        csv_locale : str
+            `de` writes CSV as a German spreadsheet opens it: semicolons, decimal commas, and the
+            mark of UTF-8.
 
         Raises
         ------
         UsageError
-            If the ending is another.
+            If the ending is another, or there is no such locale.
         OutputError
             If the place cannot be written.
         """
         path = Path(path)
         require_table_name(path)
+        style = csv_style(csv_locale)
         with whole_file(path) as part:
             if path.suffix.lower() == ".csv":
-                self.table.to_csv(part, index=False, date_format="%Y-%m-%dT%H:%M:%SZ")
+                self.table.to_csv(part, index=False, date_format="%Y-%m-%dT%H:%M:%SZ", **style)
             else:
                 self.table.to_parquet(part, index=False)
         return path

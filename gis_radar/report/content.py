@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from numbers import Number
-from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 import pandas as pd
 
-from gis_radar.errors import UsageError
 from gis_radar.words import figure_text, listed, percent, plus_minus, tr
 
 HOW_FOUND = {"lane": "found from traffic on the lanes", "icp": "found by ICP"}
@@ -312,61 +305,6 @@ def how_found(evidence: Mapping[str, Any]) -> str:
     if tie := tie_words(evidence.get("together")):
         words.append(tie)
     return "; ".join(words)
-
-
-# What makes a spreadsheet take a cell for a formula (OWASP), in ASCII and in full width.
-FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "\uff1d", "\uff0b", "\uff0d", "\uff20")
-
-
-def safe(cell: Any) -> Any:
-    """Return a cell as it is written: numbers stay, text never begins a formula."""
-    if cell is None or cell is pd.NaT:
-        return ""
-    if isinstance(cell, Number):
-        return "" if isinstance(cell, float | np.floating) and np.isnan(cell) else cell
-    text = str(cell)
-    return f"'{text}" if text.lstrip(" ").startswith(FORMULA) else text
-
-
-CSV_LOCALES = ("en", "de")
-_csv_locale: ContextVar[str] = ContextVar("csv_locale", default="en")
-
-
-@contextmanager
-def csv_for(locale: str) -> Iterator[None]:
-    """Write tables as spreadsheets of a country open them at once, `en` or `de`.
-
-    Raises
-    ------
-    UsageError
-        If there is no such locale.
-    """
-    if locale not in CSV_LOCALES:
-        expected = ", ".join(CSV_LOCALES)
-        raise UsageError(f"csv_locale is {locale!r}, expected one of {expected}")
-    token = _csv_locale.set(locale)
-    try:
-        yield
-    finally:
-        _csv_locale.reset(token)
-
-
-def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """Write a table as CSV in UTF-8, with commas and points.
-
-    Within :func:`csv_for` of `de` with semicolons and decimal commas, and the mark by which Excel
-    knows UTF-8.
-    """
-    german = _csv_locale.get() == "de"
-    with path.open("w", encoding="utf-8-sig" if german else "utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\r\n", delimiter=";" if german else ",")
-        writer.writerow([safe(name) for name in header])
-        writer.writerows([_written(safe(cell), german=german) for cell in row] for row in rows)
-
-
-def _written(cell: Any, *, german: bool) -> Any:
-    number = german and isinstance(cell, float | np.floating)
-    return str(cell).replace(".", ",") if number else cell
 
 
 def utc(moment: datetime) -> str:

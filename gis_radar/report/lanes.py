@@ -15,7 +15,8 @@ from gis_radar.heatmap import HeatMap
 from gis_radar.heatmap.by_lane import lane_totals, lanes_with_tiles
 from gis_radar.heatmap.covering import surest
 from gis_radar.lanelets.lanes import EXIT_M
-from gis_radar.report.content import utc, write_csv
+from gis_radar.report.content import utc
+from gis_radar.spreadsheets import write_csv
 from gis_radar.steps import Clock
 from gis_radar.tiles.lanes import Lane
 from gis_radar.tiles.tiles import quads

@@ -38,10 +38,8 @@ from gis_radar.report.content import (
     MapSeries,
     Table,
     Terms,
-    csv_for,
     text_rows,
     utc,
-    write_csv,
 )
 from gis_radar.report.lanes import (
     RANKS,
@@ -63,6 +61,7 @@ from gis_radar.report.results import (
     write_sensor_table,
 )
 from gis_radar.report.sources import made_by, settings_of, sources_of
+from gis_radar.spreadsheets import csv_for, write_csv
 from gis_radar.steps import Clock, zone_of
 from gis_radar.words import (
     NOTHING,

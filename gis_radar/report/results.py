@@ -24,7 +24,8 @@ from gis_radar.poses.files import read_track
 from gis_radar.poses.pose import ANGLES, POSITION, Pose, View, pose_from_dict
 from gis_radar.progress import QUIET, Reporter, warnings_once
 from gis_radar.report import names
-from gis_radar.report.content import Column, Figure, Table, how_found, text_rows, write_csv
+from gis_radar.report.content import Column, Figure, Table, how_found, text_rows
+from gis_radar.spreadsheets import write_csv
 from gis_radar.vehicles import Vehicles, read_vehicles
 from gis_radar.words import (
     NOTHING,

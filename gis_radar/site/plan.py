@@ -427,6 +427,7 @@ def _products(site: Site, folder: Path) -> Iterator[Stage]:
         work=stages.report_stage,
         inputs={},
         beside=((folder / "heatmap",), (folder / "run.json",), occupancies),
+        options={"csv_locale": site.csv_locale},
         outputs=tuple(folder / name for name in REPORT_FILES),
         phases=3,
     )

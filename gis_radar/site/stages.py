@@ -259,11 +259,11 @@ def project_stage(*, outputs: Paths, **options: Any) -> Figures:
     return {}
 
 
-def report_stage(*, outputs: Paths, reporter: Reporter) -> Figures:
+def report_stage(*, outputs: Paths, csv_locale: str, reporter: Reporter) -> Figures:
     """Write the report of all that was made; what it says first, the summary says, too."""
     from gis_radar.report import write_report
 
-    made = write_report(outputs[0].parent, reporter=reporter)
+    made = write_report(outputs[0].parent, csv_locale=csv_locale, reporter=reporter)
     for remark in made.summary["found"]:
         reporter.log(remark)
     return {name: made.summary[name] for name in ("facts", "basis", "lanes_named", "remarks")}

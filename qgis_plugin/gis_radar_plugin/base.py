@@ -18,6 +18,7 @@ from qgis.core import (
 from qgis.PyQt.QtGui import QIcon
 
 from .claims import claimed
+from .opening import Opened, offer
 from .runner import Answer, CancelledError, Listener, WorkerError, run_worker
 from .words import speaks_german, tr
 from .worker import find_python, plugin_version, same_series, worker_version
@@ -94,6 +95,17 @@ class Algorithm(QgsProcessingAlgorithm):  # type: ignore[misc]
     GROUP: ClassVar[str] = SITE
     HELP: ClassVar[str] = ""
     KEYWORDS: ClassVar[tuple[str, ...]] = ()
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.made: list[Opened] = []  # to be opened by buttons at the end
+
+    def postProcessAlgorithm(  # noqa: N802
+        self, _context: QgsProcessingContext, _feedback: Any
+    ) -> dict[str, Any]:
+        """Offer what was made to be opened: QGIS calls this in its own thread, at the end."""
+        offer(self.NAME, self.made)
+        return {}
 
     def createInstance(self) -> QgsProcessingAlgorithm:  # noqa: N802
         return type(self)()

@@ -231,6 +231,14 @@ def bearing_word(text: str) -> str:
     return text.strip().replace(",", ".")
 
 
+def add_csv_locale(algorithm: Algorithm) -> None:
+    """Add in which country's form numbers in tables are."""
+    add_choice(
+        algorithm, "CSV_LOCALE", "Numbers in tables as in", users_languages(),
+        "de: semicolons and decimal commas, as Excel in Germany opens them.",
+    )  # fmt: skip
+
+
 def add_scan_crs(algorithm: Algorithm) -> None:
     """Add the system of scans that do not state theirs."""
     crs = QgsProcessingParameterCrs("SCAN_CRS", tr("CRS of the scans"), optional=True)

@@ -41,6 +41,9 @@ def wait_for_map():
     if not QgsProject.instance().mapLayersByName("Occupancy by interval"):
         steps.insert(0, (1, wait_for_map))
     else:
+        from qgis.PyQt.QtWidgets import QPushButton
+        offered = box.messageBar().currentItem().findChildren(QPushButton)
+        say("buttons", [each.text() for each in offered])
         box.close()
         iface.mapCanvas().zoomToFullExtent()
 steps.append((1, wait_for_map))
@@ -85,6 +88,7 @@ def test_the_desktop(profiles, site, tmp_path):
     said = [line[5:] for line in done.stdout.splitlines() if line.startswith("SAID ")]
     assert done.returncode == 0, done.stdout + done.stderr
     assert said == [
+        "buttons ['Open the picture', 'Show the folder']",
         "mode 1 frames 5",
         "time 2025-06-12 07:30:00",
         "clock ['Thu 2025-06-12 09:30:00 – 09:30:20 (Europe/Berlin, UTC+02:00)']",

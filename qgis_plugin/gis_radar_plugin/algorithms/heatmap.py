@@ -119,6 +119,10 @@ class MakeHeatMap(WorkerAlgorithm):
         self.work(words, [dest], feedback)
         if self.parameterAsBoolean(parameters, "LOAD", context):
             load_heatmap(context, Path(dest), Path(dest).name)
+        self.made = [
+            (tr("Open the picture"), Path(dest) / "heatmap.png"),
+            (tr("Show the folder"), Path(dest)),
+        ]
         return {"OUTPUT": dest, **layers_of(Path(dest))}
 
 

@@ -15,7 +15,7 @@ from qgis.core import (
 )
 
 from ..base import TRAFFIC, WorkerAlgorithm
-from ..parameters import add_time_zone, given_words
+from ..parameters import add_csv_locale, add_time_zone, given_words
 from ..words import tr
 from .heatmap import occupancies_in
 
@@ -48,6 +48,7 @@ class CheckQuality(WorkerAlgorithm):
             advanced=True,
         )
         add_time_zone(self, "Whose hours the rows are, such as Europe/Berlin; UTC without.")
+        add_csv_locale(self)
         self.add(
             QgsProcessingParameterFileDestination(
                 "OUTPUT", tr("Data quality"), tr("Tables") + " (*.csv *.parquet)"
@@ -66,6 +67,6 @@ class CheckQuality(WorkerAlgorithm):
             *[str(Path(path).parent) for path in self.files(parameters, "MORE", context)],
         ]
         words = ["quality", *folders, "-o", dest]
-        words += given_words(self, parameters, context, ("TIMEZONE",))
+        words += given_words(self, parameters, context, ("TIMEZONE", "CSV_LOCALE"))
         self.work(words, [dest], feedback)
         return {"OUTPUT": dest}

@@ -197,6 +197,11 @@ class ExportReport(Algorithm):
         feedback.pushInfo("\n".join(str(dest / name) for name in names))
         text = tr("The sheets are in {folder}; the report is {pdf}.")
         feedback.pushInfo(text.format(folder=dest, pdf=dest / PDF))
+        self.made = [
+            (tr("Open the sheets"), dest / PDF),
+            *[(tr("Open the project"), path) for path in sorted(dest.glob("*.qgz"))[:1]],
+            (tr("Show the folder"), dest),
+        ]
         return {"OUTPUT": str(dest), "PDF": str(dest / PDF)}
 
     def _project(

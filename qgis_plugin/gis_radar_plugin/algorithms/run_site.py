@@ -64,6 +64,11 @@ class RunSite(WorkerAlgorithm):
         projects = [str(path) for path in sorted(folder.glob("site*.qgz"))]
         for path in projects:
             feedback.pushInfo(tr("Project that is ready to present:") + f" {path}")
+        self.made = [
+            (tr("Open the report"), folder / "report.html"),
+            *[(tr("Open the project"), Path(path)) for path in projects[-1:]],
+            (tr("Show the folder"), folder),
+        ]
         return {"OUTPUT": dest, **layers_of(folder / "heatmap")}
 
 

@@ -19,13 +19,12 @@ from qgis.core import (
 
 from ..base import RESULTS, SITE, WorkerAlgorithm, option
 from ..parameters import (
-    add_choice,
+    add_csv_locale,
     add_file,
     add_language,
     add_text,
     add_time_zone,
     given_words,
-    users_languages,
 )
 from ..words import tr
 
@@ -83,10 +82,7 @@ class WriteReport(WorkerAlgorithm):
             self, "Whose clocks its times follow, such as Europe/Berlin; the site's without."
         )
         add_language(self)
-        add_choice(
-            self, "CSV_LOCALE", "Numbers in tables as in", users_languages(),
-            "de: semicolons and decimal commas, as Excel in Germany opens them.",
-        )  # fmt: skip
+        add_csv_locale(self)
         self.add(
             QgsProcessingParameterMultipleLayers(
                 "OCCUPANCY", tr("Occupancy"), QgsProcessing.SourceType.TypeFile, optional=True
@@ -118,6 +114,11 @@ class WriteReport(WorkerAlgorithm):
         answer = self.work(words, [dest] if dest else [], feedback)
         page = next((path for path in answer.outputs if path.endswith(".html")), "")
         feedback.pushInfo(page)
+        self.made = [
+            (tr("Open the report"), Path(page)),
+            (tr("Open the report as PDF"), Path(page).with_suffix(".pdf")),
+            (tr("Show the folder"), Path(page).parent),
+        ]
         return {"OUTPUT": dest or results, "PAGE": page}
 
 
@@ -166,4 +167,5 @@ class WriteProject(WorkerAlgorithm):
             ("SENSORS", "SIGHT", "LANES", "FOOTPRINTS", "TITLE", "SOURCE", "TIMEZONE", "LANGUAGE"),
         )  # fmt: skip
         self.work(words, [dest], feedback)
+        self.made = [(tr("Open the project"), Path(dest))]
         return {"OUTPUT": dest}

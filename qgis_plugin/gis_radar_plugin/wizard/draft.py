@@ -91,6 +91,7 @@ class SiteDraft:
     def _lines(self, folder: Path) -> Iterator[str]:
         yield from _keys({
             "title": self.title, "time_zone": self.time_zone, "language": self.language,
+            "csv_locale": self.language if self.language == "de" else "",
             "attribution": [self.attribution] if self.attribution else [],
         })  # fmt: skip
         yield from ("", "[map]")

@@ -226,7 +226,7 @@ class RunPage(Page):
         self.open_buttons = {}
         for name, text in (
             ("site.qgz", tr("Open the project")), ("report.html", tr("Open the report")),
-            ("", tr("Show the folder")),
+            ("heatmap", tr("Make sheets...")), ("", tr("Show the folder")),
         ):  # fmt: skip
             button = QPushButton(text)
             button.clicked.connect(lambda _=False, file=name: self._open(file))
@@ -316,5 +316,20 @@ class RunPage(Page):
         path = self.folder / name
         if path.suffix == ".qgz":
             self.wizard().open_project(path)
+        elif name == "heatmap":
+            self._make_sheets(path)
         else:
             QDesktopServices.openUrl(QUrl.fromLocalFile(str(path)))
+
+    def _make_sheets(self, heatmap: Path) -> None:
+        """Open the algorithm that prints sheets, filled in for this site."""
+        import processing  # noqa: PLC0415 - a plugin of QGIS, there once it has started
+
+        draft, known = self.draft, {}
+        if draft.map_source or draft.attribution:
+            known["SOURCE"] = "; ".join(filter(None, (draft.map_source, draft.attribution)))
+        self.sheets = processing.createAlgorithmDialog("gisradar:exportreport", {
+            "HEATMAP": str(heatmap), "TITLE": draft.title, "OUTPUT": str(self.folder / "sheets"),
+            **known,
+        })  # fmt: skip
+        self.sheets.show()

@@ -1,0 +1,72 @@
+"""Buttons that open what was made, where the user looks at the end: in the algorithm's dialog."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from qgis.core import Qgis, QgsApplication
+from qgis.PyQt.QtCore import QUrl
+from qgis.PyQt.QtGui import QDesktopServices
+
+from .words import tr
+
+Opened = tuple[str, Path]  # what the button says, and the file or folder that it opens
+
+
+def open_file(path: Path) -> None:
+    """Open a file as the desktop does; a project in this QGIS, which asks about the present one."""
+    window = _window()
+    if path.suffix in (".qgz", ".qgs") and window is not None:
+        window.addProject(str(path))
+    else:
+        QDesktopServices.openUrl(QUrl.fromLocalFile(str(path)))
+
+
+def offer(algorithm: str, made: Sequence[Opened]) -> Any:
+    """Show buttons that open what an algorithm made; return the message, None without a window.
+
+    Parameters
+    ----------
+    algorithm : str
+        Its name: its dialog gets the message, or QGIS's window where there is no dialog any more.
+    made : sequence of (str, Path)
+        The buttons; what is not there has none.
+    """
+    made = [(text, path) for text, path in made if path.exists()]
+    bar = _bar(algorithm) if made else None
+    if bar is None:
+        return None
+    from qgis.PyQt.QtWidgets import QPushButton  # noqa: PLC0415 - qgis_process has no window
+
+    message = bar.createMessage(tr("Results"), "")
+    for text, path in made:
+        button = QPushButton(text, message)
+        button.setToolTip(str(path))
+        button.clicked.connect(lambda _=False, file=path: open_file(file))
+        message.layout().addWidget(button)
+    return bar.pushWidget(message, Qgis.MessageLevel.Success)
+
+
+def _window() -> Any:
+    try:
+        from qgis.utils import iface  # noqa: PLC0415 - there once QGIS has a window
+    except ImportError:
+        return None
+    return iface
+
+
+def _bar(algorithm: str) -> Any:
+    """Return the message bar of an algorithm's dialog, else that of the window."""
+    if not hasattr(QgsApplication.instance(), "topLevelWidgets"):
+        return None
+    from qgis.gui import QgsProcessingAlgorithmDialogBase  # noqa: PLC0415 - as above
+
+    for widget in QgsApplication.topLevelWidgets():
+        if isinstance(widget, QgsProcessingAlgorithmDialogBase) and widget.isVisible():
+            shown = widget.algorithm()
+            if shown is not None and shown.name() == algorithm:
+                return widget.messageBar()
+    window = _window()
+    return window.messageBar() if window is not None else None
