@@ -22,12 +22,7 @@ from qgis.core import (
 
 from .base import Algorithm, option
 from .inputs import TILE_FIELDS, TILES, layer_file
-from .words import speaks_german, tr
-
-# Clockwise from north, as the command line takes them.
-WINDS = (
-    "north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west",
-)  # fmt: skip
+from .words import WINDS, speaks_german, tr
 
 CRS_HELP = "A projected system in metres; without one the UTM zone of the site is taken."
 ORIGIN_HELP = (

@@ -9,6 +9,10 @@ import json
 from functools import cache
 from pathlib import Path
 
+# Clockwise from north, as the command line takes them.
+WINDS = (
+    "north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west",
+)  # fmt: skip
 HERE = Path(__file__).resolve().parent
 
 

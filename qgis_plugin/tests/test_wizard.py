@@ -1,11 +1,13 @@
 """The site wizard in QGIS: radars placed on the map, the file checked by the worker, its run."""
 
 import math
+import os
 import shutil
+import subprocess
 import sys
 
 import pytest
-from conftest import SAMPLE
+from conftest import SAMPLE, WORKER
 from qgis.core import QgsApplication, QgsCoordinateReferenceSystem, QgsPointXY, QgsProject
 from qgis.gui import QgsMapCanvas, QgsMessageBar
 from qgis.PyQt import sip
@@ -315,3 +317,131 @@ def test_the_run_is_a_task(wizard, place, fake_worker, cancelled):
     assert page.open_buttons["report.html"].isEnabled() is not cancelled
     assert not page.open_buttons["site.qgz"].isEnabled()
     assert page.run_button.isEnabled()
+
+
+OPENED = """\
+# by hand
+title = "Old"
+time_zone = "Europe/Berlin"
+owner = { name = "Jo", since = 2020 }
+
+[map]
+file = "junction.osm"
+crs = "EPSG:25832"
+streets = "streets.gpkg"
+
+[scan]
+files = ["sc*.laz"]
+
+[tiles]
+length = 1.0
+
+[occupancy]
+clearance = [0.0, 3.0]
+
+[heatmap]
+intervals = ["20s"]
+
+[[sensor]]
+name = "R1"
+recordings = "R1*.parquet"
+guess = [690356.0, 5336183.0, 520.5]
+compass = "north-east"
+method = "icp"
+view = { azimuth_deg = 100.0, elevation_deg = 20.0 }
+
+[[sensor]]
+name = "R2"
+recordings = ["R2.parquet"]
+pose = "R2.json"
+"""
+
+
+@pytest.fixture
+def old_site(place):
+    path = place / "SITE.toml"
+    path.write_text(OPENED, encoding="utf-8")
+    shutil.copyfile(SAMPLE / "R2.json", place / "R2.json")
+    return path
+
+
+def test_a_site_that_was_opened_keeps_what_the_wizard_leaves_out(wizard, old_site):
+    wizard.open_site(old_site)
+    wait_until(wizard.map_page.isComplete)
+    assert wizard.map_page.title_box.text() == "Old"
+    assert wizard.draft.text(old_site.parent) == OPENED  # nothing is changed yet
+    one, other = wizard.draft.sensors
+    assert (one.heading, other.is_placed) == (45.0, True)
+    assert wizard.radar_page.bearing_box.value() == pytest.approx(45.0)
+    assert wizard.result_page.interval_box.text() == "20s"
+    assert not wizard.result_page.boxes["vehicles_only"].isChecked()
+    wizard.map_page.title_box.setText("New")
+    wizard.map_page.boxes["map_source"].setText("City")
+    wizard.radar_page.east_box.setValue(690357.0)
+    wizard.radar_page.range_box.setValue(250.0)
+    wizard.check_page._save()
+    text = old_site.read_text(encoding="utf-8")
+    changed = {
+        "# by hand\n": "", '"Old"': '"New"', "690356.0": "690357.0",
+        'streets = "streets.gpkg"': 'streets = "streets.gpkg"\nsource = "City"',
+        "elevation_deg = 20.0 }": "elevation_deg = 20.0, max_range_m = 250.0 }",
+    }  # fmt: skip
+    expected = OPENED
+    for old, new in changed.items():
+        assert old in expected
+        expected = expected.replace(old, new)
+    # Inline tables at the top become tables of their own: the same values.
+    expected = expected.replace('owner = { name = "Jo", since = 2020 }\n', "")
+    expected = expected.replace("[map]", '[owner]\nname = "Jo"\nsince = 2020\n\n[map]')
+    assert text == expected
+    assert (old_site.parent / "SITE_1.toml").read_text(encoding="utf-8") == OPENED
+    said = wizard.check_page.found.toPlainText()
+    assert "Comments are in SITE_1.toml only; all its other keys are kept." in said
+    wizard.check_page.site_box.setFilePath(str(old_site.parent.parent / "SITE.toml"))
+    assert not wizard.check_page._save()
+    assert "A site that was opened stays in" in wizard.check_page.found.toPlainText()
+
+
+@pytest.mark.parametrize("text", ["title = ", "sensor = 3", "map = 1", '[[sensor]]\nguess = ["a"]'])
+def test_what_is_no_site_file_changes_nothing(wizard, tmp_path, text):
+    path = tmp_path / "x.toml"
+    path.write_text(text)
+    before = wizard.draft
+    wizard.open_site(path)
+    assert wizard.draft is before
+    assert str(path) in wizard.map_page.status.text()
+    assert "\n" not in wizard.map_page.status.text()
+
+
+LOCAL = """
+import sys, xml.etree.ElementTree as tree
+from pyproj import Transformer
+plane = Transformer.from_crs(4326, 25832, always_xy=True)
+found = tree.parse(sys.argv[1])
+for node in found.iter("node"):
+    x, y = plane.transform(float(node.get("lon")), float(node.get("lat")))
+    node.attrib.update(lat="", lon="")
+    for key, value in (("local_x", x - 690000.0), ("local_y", y - 5336000.0)):
+        tree.SubElement(node, "tag", k=key, v=repr(value))
+found.write(sys.argv[1])
+"""
+
+
+def test_radars_follow_the_origin_of_a_local_map(wizard, place):
+    path = place / "junction.osm"
+    around = {name: value for name, value in os.environ.items() if name != "LD_PRELOAD"}
+    subprocess.run([WORKER, "-c", LOCAL, str(path)], check=True, env=around)
+    page = wizard.map_page
+    page.map_box.setFilePath(str(path))
+    wait_until(lambda: "local_x" in page.status.text())
+    page.crs_box.setCrs(QgsCoordinateReferenceSystem("EPSG:25832"))
+    page.origin_box.setText("690000.0, 5336000.0")
+    page.origin_box.editingFinished.emit()
+    wait_until(page.isComplete)
+    wizard.radar_page.add(690356.0, 5336183.0, 20.0)
+    page.origin_box.setText("690100.0, 5335950.0")
+    page.origin_box.editingFinished.emit()
+    wait_until(page.isComplete)
+    (radar,) = wizard.draft.sensors
+    assert (radar.easting, radar.northing) == pytest.approx((690456.0, 5336133.0), abs=0.01)
+    assert radar.heading == 20.0

@@ -5,12 +5,14 @@ What a site file may hold is checked by gis_radar itself, in the worker: nothing
 
 from __future__ import annotations
 
-import json
 import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
+
+from .site_file import Table, heading_in, kept, toml
 
 VIEW_KEYS = ("azimuth_deg", "elevation_deg", "min_range_m", "max_range_m")
 VEHICLES_M = (-0.5, 4.5)  # heights over the road of what drives, without tree crowns over the kerb
@@ -49,6 +51,8 @@ class SensorDraft:
     view: dict[str, float] = field(default_factory=dict)
     measured: dict[str, float] = field(default_factory=dict)
     cycle: str = ""
+    read: Table = field(default_factory=dict)  # its table in a site file that was opened
+    before: Table = field(default_factory=dict)  # what this draft said when it was opened
 
     @property
     def is_placed(self) -> bool:
@@ -84,43 +88,70 @@ class SiteDraft:
     clocks: str = ""
     sensors: list[SensorDraft] = field(default_factory=list)
 
+    read: Table = field(default_factory=dict)  # of a site file that was opened
+    before: Table = field(default_factory=dict)  # what this draft said when it was opened
+    opened: str = ""  # its text
+    folder: str = ""  # where it lies, and where its other keys name files from
+
     def text(self, folder: Path) -> str:
         """Return the site file; what lies in its folder is named from there."""
-        return "\n".join(self._lines(folder)).strip() + "\n"
+        now = self.tables(folder)
+        if self.read and now == self.before and self._same_sensors(folder):
+            return self.opened
+        tables = kept(self.read, self.before, now)
+        return toml({
+            **tables, "sensor": [_kept_sensor(each, folder) for each in self.sensors],
+        })  # fmt: skip
 
-    def _lines(self, folder: Path) -> Iterator[str]:
-        yield from _keys({
+    def tables(self, folder: Path) -> Table:
+        """Return what the draft says of the site, without its sensors: values, then tables."""
+        tables = {
+            "map": {
+                "file": _path(self.map_file, folder), "crs": self.crs,
+                "origin": [float(part) for part in self.origin.split(",") if part.strip()],
+                "source": self.map_source,
+            },
+            "scan": {
+                "files": [_path(each, folder) for each in self.scans], "crs": self.scan_crs,
+                "source": self.scan_source,
+            },
+            "occupancy": {
+                "clearance": list(VEHICLES_M) if self.vehicles_only and self.scans else [],
+                "clocks": _path(self.clocks, folder) if self.clocks else "",
+            },
+            "vehicles": {
+                "follow": self.follow, "footprints": (self.footprints and self.follow) or "",
+            },
+            "heatmap": {"intervals": self.intervals},
+        }  # fmt: skip
+        return _filled({
             "title": self.title, "time_zone": self.time_zone, "language": self.language,
             "csv_locale": self.language if self.language == "de" else "",
             "attribution": [self.attribution] if self.attribution else [],
+            **{name: _filled(table) for name, table in tables.items()},
         })  # fmt: skip
-        yield from ("", "[map]")
-        yield from _keys({
-            "file": _path(self.map_file, folder), "crs": self.crs,
-            "origin": [float(part) for part in self.origin.split(",") if part.strip()],
-            "source": self.map_source,
-        })  # fmt: skip
-        if self.scans:
-            yield from ("", "[scan]")
-            yield from _keys({
-                "files": [_path(each, folder) for each in self.scans], "crs": self.scan_crs,
-                "source": self.scan_source,
-            })  # fmt: skip
-        yield from ("", "[occupancy]")
-        yield from _keys({
-            "clearance": list(VEHICLES_M) if self.vehicles_only and self.scans else [],
-            "clocks": _path(self.clocks, folder) if self.clocks else "",
-        })  # fmt: skip
-        yield from ("", "[vehicles]", *_keys({"follow": self.follow}))
-        yield from _keys({"footprints": self.footprints and self.follow})
-        yield from ("", "[heatmap]", *_keys({"intervals": self.intervals}))
-        for sensor in self.sensors:
-            yield from ("", "[[sensor]]", *_sensor(sensor, folder))
+
+    def _same_sensors(self, folder: Path) -> bool:
+        same = [each.read for each in self.sensors] == self.read.get("sensor", [])
+        return same and all(_sensor(each, folder) == each.before for each in self.sensors)
 
 
-def _sensor(sensor: SensorDraft, folder: Path) -> Iterator[str]:
+def _kept_sensor(sensor: SensorDraft, folder: Path) -> Table:
+    """Return a sensor's table; a bearing that was read goes where the draft says otherwise."""
+    now = _sensor(sensor, folder)
+    table = kept(sensor.read, sensor.before, now)
+    guess, height = table.get("guess", []), sensor.read.get("guess", [])[2:]
+    if len(guess) == 2 and height:
+        table["guess"] = [*guess, *height]
+    if "pose" in now or now.get("heading") != sensor.before.get("heading"):
+        table.pop("compass", None)
+    return table
+
+
+def _sensor(sensor: SensorDraft, folder: Path) -> Table:
     placed = not sensor.pose and sensor.is_placed
-    yield from _keys({
+    seen = sensor.view if sensor.pose and _states_view(Path(sensor.pose)) else sensor.seen
+    table = _filled({
         "name": sensor.name,
         "recordings": [_path(each, folder) for each in sensor.recordings],
         "pose": _path(sensor.pose, folder) if sensor.pose else "",
@@ -128,11 +159,76 @@ def _sensor(sensor: SensorDraft, folder: Path) -> Iterator[str]:
         "cycle": sensor.cycle,
     })  # fmt: skip
     if placed and sensor.heading is not None:
-        yield f"heading = {round(sensor.heading, 1)}"
-    seen = sensor.view if sensor.pose and _states_view(Path(sensor.pose)) else sensor.seen
+        table["heading"] = round(sensor.heading, 1)
     if seen:
-        inside = ", ".join(f"{key} = {float(value)}" for key, value in seen.items())
-        yield f"view = {{ {inside} }}"
+        table["view"] = {key: float(value) for key, value in seen.items()}
+    return table
+
+
+def open_draft(read: Table, text: str, folder: Path) -> SiteDraft:
+    """Return the draft of a site file that was read.
+
+    Raises
+    ------
+    TypeError, ValueError, IndexError
+        If it is none: map and sensors are not what they should be.
+    """
+
+    def table(name: str) -> Table:
+        found = read.get(name, {})
+        if not isinstance(found, dict):
+            raise TypeError(name)
+        return found
+
+    found, scan, counted = table("map"), table("scan"), table("occupancy")
+    follow, heat = table("vehicles"), table("heatmap")
+    clocks = str(counted.get("clocks", ""))
+    draft = SiteDraft(
+        title=str(read.get("title", "")), time_zone=str(read.get("time_zone", "UTC")),
+        language=str(read.get("language", "en")),
+        map_file=_whole(found.get("file", ""), folder), crs=str(found.get("crs", "")),
+        origin=", ".join(map(str, _list(found.get("origin")))),
+        map_source=str(found.get("source", "")),
+        scans=[_whole(each, folder) for each in _list(scan.get("files"))],
+        scan_crs=str(scan.get("crs", "")), scan_source=str(scan.get("source", "")),
+        attribution="; ".join(map(str, _list(read.get("attribution")))),
+        vehicles_only=_list(counted.get("clearance")) == list(VEHICLES_M),
+        clocks=_whole(clocks, folder) if clocks.endswith(".json") else "",
+        follow=bool(follow.get("follow", True)), footprints=bool(follow.get("footprints", False)),
+        intervals=list(map(str, _list(heat.get("intervals")))),
+        sensors=[_open_sensor(each, folder) for each in _list(read.get("sensor"))],
+        read=read, opened=text, folder=str(folder),
+    )  # fmt: skip
+    draft.before = draft.tables(folder)
+    return draft
+
+
+def _open_sensor(read: Table, folder: Path) -> SensorDraft:
+    if not isinstance(read, dict):
+        raise TypeError("sensor")
+    guess, view = _list(read.get("guess")), read.get("view", {})
+    sensor = SensorDraft(
+        name=str(read.get("name", "")),
+        recordings=[_whole(each, folder) for each in _list(read.get("recordings"))],
+        easting=float(guess[0]) if guess else math.nan,
+        northing=float(guess[1]) if guess[1:] else math.nan,
+        heading=heading_in(read),
+        pose=_whole(read.get("pose", ""), folder),
+        view={key: float(view[key]) for key in VIEW_KEYS if key in view},
+        cycle=str(read.get("cycle", "")),
+        read=read,
+    )
+    sensor.before = _sensor(sensor, folder)
+    return sensor
+
+
+def _list(value: object) -> list[Any]:
+    return list(value) if isinstance(value, list) else [] if value is None else [value]
+
+
+def _whole(path: object, folder: Path) -> str:
+    """Return a file that a site file names as seen from anywhere."""
+    return str(folder / str(path)) if path else ""
 
 
 def _states_view(pose: Path) -> bool:
@@ -144,11 +240,9 @@ def _states_view(pose: Path) -> bool:
     return any(key in text for key in VIEW_KEYS)
 
 
-def _keys(values: Mapping[str, object]) -> Iterator[str]:
-    """Yield keys with their values as TOML, without those that are empty."""
-    for key, value in values.items():
-        if value not in ("", []):
-            yield f"{key} = {json.dumps(value, ensure_ascii=False)}"  # TOML's own form, too
+def _filled(values: Mapping[str, Any]) -> Table:
+    """Return a table without what is empty."""
+    return {key: value for key, value in values.items() if value not in ("", [], {})}
 
 
 def _path(path: str, folder: Path) -> str:

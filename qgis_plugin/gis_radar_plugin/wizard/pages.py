@@ -7,12 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from qgis.core import QgsCoordinateReferenceSystem
-from qgis.gui import QgsFileWidget, QgsProjectionSelectionWidget
-from qgis.PyQt.QtCore import Qt, QTimeZone
+from qgis.gui import QgsProjectionSelectionWidget
+from qgis.PyQt.QtCore import QTimeZone
 from qgis.PyQt.QtWidgets import (
-    QCheckBox,
     QComboBox,
-    QDoubleSpinBox,
     QFileDialog,
     QFormLayout,
     QGroupBox,
@@ -24,12 +22,11 @@ from qgis.PyQt.QtWidgets import (
     QSizePolicy,
     QVBoxLayout,
     QWidget,
-    QWizardPage,
 )
 
-from ..parameters import WINDS
-from ..words import tr
+from ..words import WINDS, tr
 from .draft import SensorDraft, next_name
+from .page import Page, file_box, files_in, note, spin
 
 ONE_WORLD_M = 1e8
 SEARCHED = -1.0  # of a direction: none is known
@@ -46,56 +43,6 @@ def bearing_of_heading(heading: float) -> float:
     return (90.0 - heading) % 360.0
 
 
-def files_in(text: str) -> list[str]:
-    """Return the files of a box for several, which quotes each where there are more."""
-    return [str(path) for path in QgsFileWidget.splitFilePaths(text) if str(path)]
-
-
-class Page(QWizardPage):  # type: ignore[misc]
-    """A page: what is typed goes into the wizard's draft at once."""
-
-    TITLE = ""
-    SUBTITLE = ""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.setTitle(tr(self.TITLE))
-        self.setSubTitle(tr(self.SUBTITLE))
-
-    @property
-    def draft(self) -> Any:
-        """The site as it is filled in."""
-        return self.wizard().draft
-
-    def keep(self, key: str, value: Any) -> None:
-        """Put a value into the draft; the button 'Next' may change."""
-        setattr(self.draft, key, value)
-        self.completeChanged.emit()
-
-    def line(self, key: str, example: str = "") -> QLineEdit:
-        """Return a box for a text of the draft."""
-        box = QLineEdit()
-        box.setPlaceholderText(example)
-        box.textChanged.connect(lambda text: self.keep(key, text.strip()))
-        return box
-
-    def switch(self, key: str, text: str, *, on: bool) -> QCheckBox:
-        """Return a box to tick."""
-        box = QCheckBox(text)
-        box.setChecked(on)
-        box.toggled.connect(lambda is_on: self.keep(key, is_on))
-        return box
-
-
-def file_box(kinds: str, *, several: bool = False) -> QgsFileWidget:
-    """Return a box for a file, or for several."""
-    box = QgsFileWidget()
-    mode = QgsFileWidget.StorageMode
-    box.setStorageMode(mode.GetMultipleFiles if several else mode.GetFile)
-    box.setFilter(kinds)
-    return box
-
-
 class MapPage(Page):
     """The site's name, its map and its scans; the map is read and shown at once."""
 
@@ -108,6 +55,9 @@ class MapPage(Page):
     def __init__(self) -> None:
         super().__init__()
         form = QFormLayout(self)
+        self.open_button = QPushButton(tr("Open a site..."))
+        self.open_button.clicked.connect(self._ask_for_site)
+        form.addRow("", self.open_button)
         self.title_box = self.line("title", tr("such as: Main Street / Station Road"))
         form.addRow(tr("Name of the site"), self.title_box)
         self.map_box = file_box(tr("Lanelet2 maps") + " (*.osm *.xml)")
@@ -119,7 +69,7 @@ class MapPage(Page):
         self.scan_box = file_box(tr("Point clouds") + " (*.laz *.las)", several=True)
         self.scan_box.fileChanged.connect(lambda text: self.keep("scans", files_in(text)))
         form.addRow(tr("Airborne scans"), self.scan_box)
-        form.addRow("", _note(tr(
+        form.addRow("", note(tr(
             "The scan finds the radars, gives heights, and shows what houses hide. Without one "
             "the pose of each radar must be known."
         )))  # fmt: skip
@@ -151,6 +101,26 @@ class MapPage(Page):
             tr("Source of the scans"), self.line("scan_source", tr("State survey, dl-de/by-2-0"))
         )
         return inside
+
+    def _ask_for_site(self) -> None:
+        kinds = tr("Site files") + " (*.toml)"
+        path, _ = QFileDialog.getOpenFileName(self, tr("Open a site..."), "", kinds)
+        if path:
+            self.wizard().open_site(Path(path))
+
+    def fill(self) -> None:
+        """Show map and scans of the draft, and read the map."""
+        draft, quiet = self.draft, (self.map_box, self.scan_box, self.crs_box, self.scan_crs_box)
+        for box in quiet:
+            box.blockSignals(True)
+        super().fill()
+        self.map_box.setFilePath(draft.map_file)
+        self.scan_box.setFilePath(" ".join(f'"{path}"' for path in draft.scans))
+        self.crs_box.setCrs(QgsCoordinateReferenceSystem(draft.crs))
+        self.scan_crs_box.setCrs(QgsCoordinateReferenceSystem(draft.scan_crs))
+        for box in quiet:
+            box.blockSignals(False)
+        self._read_map()
 
     def _map_chosen(self, path: str) -> None:
         self.keep("map_file", path.strip())
@@ -214,14 +184,14 @@ class RadarPage(Page):
         self.name_box = QLineEdit()
         self.name_box.textEdited.connect(lambda text: self._set("name", text.strip()))
         form.addRow(tr("Name"), self.name_box)
-        self.east_box, self.north_box = _spin(0.0, ONE_WORLD_M, 2), _spin(-1e7, ONE_WORLD_M, 2)
+        self.east_box, self.north_box = spin(0.0, ONE_WORLD_M, 2), spin(-1e7, ONE_WORLD_M, 2)
         self.east_box.valueChanged.connect(lambda value: self._set("easting", value))
         self.north_box.valueChanged.connect(lambda value: self._set("northing", value))
         place = QHBoxLayout()
         place.addWidget(self.east_box)
         place.addWidget(self.north_box)
         form.addRow(tr("Easting, northing, m"), place)
-        self.bearing_box = _spin(SEARCHED, 359.9, 1)
+        self.bearing_box = spin(SEARCHED, 359.9, 1)
         self.bearing_box.setSpecialValueText(tr("is searched"))
         self.bearing_box.setWrapping(True)
         self.bearing_box.valueChanged.connect(self._bearing_chosen)
@@ -268,7 +238,7 @@ class RadarPage(Page):
         self.view_group.setCheckable(True)
         self.view_group.setChecked(False)
         form = QFormLayout(self.view_group)
-        self.azimuth_box, self.range_box = _spin(1.0, 360.0, 0), _spin(1.0, 10_000.0, 0)
+        self.azimuth_box, self.range_box = spin(1.0, 360.0, 0), spin(1.0, 10_000.0, 0)
         self.azimuth_box.setValue(120.0)
         self.range_box.setValue(300.0)
         form.addRow(tr("Opening angle, degrees"), self.azimuth_box)
@@ -349,7 +319,13 @@ class RadarPage(Page):
         self.wind.setText("" if bearing < 0.0 else wind_of(bearing))
 
     def _view_entered(self, *_: Any) -> None:
-        entered = {"azimuth_deg": self.azimuth_box.value(), "max_range_m": self.range_box.value()}
+        sensor = self.chosen()
+        known = sensor.view if sensor is not None else {}
+        entered = {
+            **known,
+            "azimuth_deg": self.azimuth_box.value(),
+            "max_range_m": self.range_box.value(),
+        }
         self._set("view", entered if self.view_group.isChecked() else {})
 
     def _ask_for_recordings(self) -> None:
@@ -403,14 +379,14 @@ class ResultPage(Page):
         self.zone_box.setCurrentText(bytes(QTimeZone.systemTimeZoneId()).decode())
         self.zone_box.currentTextChanged.connect(lambda text: self.keep("time_zone", text.strip()))
         form.addRow(tr("Time zone"), self.zone_box)
-        form.addRow("", _note(tr(
+        form.addRow("", note(tr(
             "Pictures, sheets and the report show the time of this zone, also where the site "
             "lies across a border of zones. The data files stay in UTC."
         )))  # fmt: skip
         self.interval_box = QLineEdit("15min")
         self.interval_box.textChanged.connect(self._intervals_typed)
         form.addRow(tr("Intervals"), self.interval_box)
-        form.addRow("", _note(tr(
+        form.addRow("", note(tr(
             "Length of the intervals: 20s, 15min, 1h; empty for the whole time only."
         )))  # fmt: skip
         follow = self.switch("follow", tr("Follow vehicles: the maps show coverage"), on=True)
@@ -428,6 +404,15 @@ class ResultPage(Page):
         self.clocks_box.fileChanged.connect(lambda text: self.keep("clocks", text.strip()))
         form.addRow(tr("Clocks, from 'Compare clocks'"), self.clocks_box)
         form.addRow(tr("Whom to name"), self.line("attribution", tr("City of Example")))
+
+    def fill(self) -> None:
+        """Show zone, intervals, switches and clocks of the draft."""
+        draft = self.draft
+        zone, intervals, clocks = draft.time_zone, ", ".join(draft.intervals), draft.clocks
+        super().fill()
+        self.zone_box.setCurrentText(zone)
+        self.interval_box.setText(intervals)
+        self.clocks_box.setFilePath(clocks)
 
     def initializePage(self) -> None:  # noqa: N802
         """Take the values that are shown."""
@@ -452,20 +437,3 @@ def _name_of(crs: QgsCoordinateReferenceSystem) -> str:
 def _listed(sensor: SensorDraft) -> str:
     """Return a sensor as the list shows it."""
     return tr("{name}, files: {count}").format(name=sensor.name, count=len(sensor.recordings))
-
-
-def _note(text: str) -> QLabel:
-    """Return an explanation below a box."""
-    label = QLabel(text)
-    label.setWordWrap(True)
-    label.setTextFormat(Qt.TextFormat.PlainText)
-    label.setStyleSheet("color: #4b5563")
-    return label
-
-
-def _spin(low: float, high: float, decimals: int) -> QDoubleSpinBox:
-    box = QDoubleSpinBox()
-    box.setRange(low, high)
-    box.setDecimals(decimals)
-    box.setGroupSeparatorShown(False)
-    return box

@@ -26,7 +26,7 @@ from ..report.pages import local_time
 from ..runner import Answer
 from ..words import speaks_german, tr
 from .draft import keep_earlier
-from .pages import Page
+from .page import Page
 from .tasks import RunFeedback, SiteRunner, WorkerTask
 
 BAD, ODD, GOOD = "#b91c1c", "#b45309", "#15803d"
@@ -121,7 +121,12 @@ class CheckPage(Page):
     def _save(self) -> bool:
         """Write the site file; one that says something else is kept beside it."""
         path = Path(self.site_box.filePath())
-        text = self.draft.text(path.parent)
+        draft = self.draft
+        if draft.read and path.parent != Path(draft.folder):
+            line = tr("A site that was opened stays in {folder}: it names its files from there.")
+            self.say(line.format(folder=draft.folder), BAD)
+            return False
+        text = draft.text(path.parent)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             own = self.wizard().written.get(str(path))
@@ -130,6 +135,9 @@ class CheckPage(Page):
                 if kept is not None:
                     line = tr("{file} was there already: it is now {kept}.")
                     self.say(line.format(file=path.name, kept=kept.name), ODD)
+                    if draft.read:
+                        line = tr("Comments are in {kept} only; all its other keys are kept.")
+                        self.say(line.format(kept=kept.name), ODD)
             path.write_text(text, encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
             reason = getattr(error, "strerror", None) or str(error)

@@ -18,18 +18,20 @@ from qgis.core import (
 from qgis.PyQt.QtCore import Qt, QTemporaryDir
 from qgis.PyQt.QtWidgets import QMessageBox, QWizard
 
-from ..base import WorkerAlgorithm
+from ..base import WorkerAlgorithm, chosen_python
 from ..loading import as_ground
-from ..runner import Answer
+from ..runner import Answer, WorkerError
 from ..words import language, tr
 from .canvas import PlaceTool, SensorItem, heading_of, moved
-from .draft import SensorDraft, SiteDraft
+from .draft import SensorDraft, SiteDraft, open_draft
 from .pages import MapPage, RadarPage, ResultPage
 from .run_pages import CheckPage, RunPage
+from .site_file import read_toml
 from .tasks import WorkerTask
 
 LANES = "gis_radar_wizard_lanes"
 _TILE_M = "5"  # of the lanes that are shown: large ones are made in no time
+_SAME_M = 0.01  # tiles of one map at two origins differ by rounding only
 _AHEAD_M = 100.0  # of a point that a radar looks at: near, as maps of both systems bend
 
 
@@ -75,6 +77,29 @@ class SiteWizard(QWizard):  # type: ignore[misc]
     def canvas(self) -> Any:
         """The map of QGIS."""
         return self._iface.mapCanvas()
+
+    def open_site(self, path: Path) -> None:
+        """Show a site file that is there, to change it; one that cannot be read changes nothing."""
+        try:
+            read = read_toml(chosen_python(), path)
+            text = path.read_text(encoding="utf-8-sig")
+            draft = open_draft(read, text, path.absolute().parent)
+        except (OSError, ValueError, TypeError, IndexError) as error:
+            line = tr("{file}: not a site file: {reason}")
+            self.map_page.show_status(line.format(file=path, reason=error), good=False)
+            return
+        except WorkerError as error:
+            self.map_page.show_status(str(error), good=False)
+            return
+        self.lanes.forget()
+        self.forget_drawing()
+        self.draft = draft
+        self.setWindowTitle(f"{tr('Site')}: {path.name}")
+        self.check_page.site_box.setFilePath(str(path))
+        self.check_page.folder_box.setFilePath(str(path.parent / "results"))
+        self.map_page.fill()
+        self.result_page.fill()
+        self.radar_page.refresh(0)
 
     # Radars on the map.
 
@@ -154,6 +179,13 @@ class SiteWizard(QWizard):  # type: ignore[misc]
         self.radar_page.refresh()
         self.draw_sensors(self.radar_page.chosen())
 
+    def shift_sensors(self, east_m: float, north_m: float) -> None:
+        """Keep the radars where they are on the lanes, which lie elsewhere now."""
+        for sensor in self.draft.sensors:
+            sensor.easting += east_m
+            sensor.northing += north_m
+        self.radar_page.refresh()
+
     def forget_drawing(self) -> None:
         """Take the radars off the map."""
         while self._items:
@@ -214,6 +246,8 @@ class Lanes:
         self.crs: QgsCoordinateReferenceSystem | None = None
         self._crs_before: QgsCoordinateReferenceSystem | None = None  # of the radars so far
         self._layer_id = ""
+        self._map = ""  # the file of the layer
+        self._box: QgsRectangle | None = None  # where its lanes lie
         self._task: WorkerTask | None = None
         self._number = 0
         self._folder = QTemporaryDir()  # goes when the wizard goes
@@ -232,8 +266,9 @@ class Lanes:
         self.crs = None
         self._wizard.map_page.show_status(tr("Reading the map..."), good=True)
         self._task = WorkerTask(
-            tr("Map of the site"), words, lambda answer, _: self._read(number, place, answer)
-        )
+            tr("Map of the site"), words,
+            lambda answer, _: self._read(number, place, draft.map_file, answer),
+        )  # fmt: skip
         QgsApplication.taskManager().addTask(self._task)
 
     def let_go(self) -> None:
@@ -243,7 +278,14 @@ class Lanes:
         self._task = None
         self._number += 1
 
-    def _read(self, number: int, place: Path, answer: Answer | str) -> None:
+    def forget(self) -> None:
+        """Forget the map: another site is opened."""
+        self.let_go()
+        self.remove()
+        self.crs = self._crs_before = self._box = None
+        self._map = ""
+
+    def _read(self, number: int, place: Path, source: str, answer: Answer | str) -> None:
         if number != self._number:
             return  # another map was chosen since, or the window is closed
         self._task = None
@@ -251,12 +293,12 @@ class Lanes:
         if isinstance(answer, str):
             page.show_status(answer, good=False)
             return
-        self._show(place)
+        self._show(place, source)
         lanelets = answer.summary.get("lanelets", 0)
         text = tr("{count} lanelets, {crs}").format(count=lanelets, crs=answer.summary.get("crs"))
         page.show_status(text, good=True)
 
-    def _show(self, place: Path) -> None:
+    def _show(self, place: Path, source: str) -> None:
         """Put the lanes into the project, and show all of them."""
         self.remove()
         layer = QgsVectorLayer(f"{place}|layername=tiles", tr("Lanes of the new site"), "ogr")
@@ -273,6 +315,9 @@ class Lanes:
         before, self._crs_before = self._crs_before, self.crs
         if before is not None and before != self.crs:
             self._wizard.move_sensors(before, self.crs)
+        elif self._box is not None and self._map == source:
+            self._follow(self._box, layer.extent())
+        self._map, self._box = source, layer.extent()
         box, system = layer.extent(), canvas.mapSettings().destinationCrs()
         corners = [moved(QgsPointXY(x, y), layer.crs(), system)
                    for x in (box.xMinimum(), box.xMaximum())
@@ -282,6 +327,14 @@ class Lanes:
         shown.scale(1.1)
         canvas.setExtent(shown)
         canvas.refresh()
+
+    def _follow(self, before: QgsRectangle, after: QgsRectangle) -> None:
+        """Move the radars with a map whose origin was changed: it is as large as it was."""
+        east_m, north_m = after.xMinimum() - before.xMinimum(), after.yMinimum() - before.yMinimum()
+        ends = after.xMaximum() - before.xMaximum(), after.yMaximum() - before.yMaximum()
+        same = abs(ends[0] - east_m) < _SAME_M and abs(ends[1] - north_m) < _SAME_M
+        if same and math.hypot(east_m, north_m) > _SAME_M:
+            self._wizard.shift_sensors(east_m, north_m)
 
     def remove(self) -> None:
         """Take the lanes out of the project."""
