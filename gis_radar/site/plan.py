@@ -393,15 +393,13 @@ def _products(site: Site, folder: Path) -> Iterator[Stage]:
             options={
                 "interval": interval,
                 "labels": {
-                    "title": site.title,
-                    "timezone": site.time_zone,
-                    "language": site.language,
-                    "sources": site.credits,
+                    "title": site.title, "timezone": site.time_zone,
+                    "language": site.language, "sources": site.credits,
                 },
             },
             outputs=(folder / f"heatmap{end}",),
             phases=4,
-        )
+        )  # fmt: skip
     poses = tuple(path for each in site.sensor for path in _pose(site, each, folder).outputs)
     yield Stage(
         name="QGIS project",
