@@ -105,7 +105,7 @@ class SiteDraft:
 
     def tables(self, folder: Path) -> Table:
         """Return what the draft says of the site, without its sensors: values, then tables."""
-        tables = {
+        tables: dict[str, Table] = {
             "map": {
                 "file": _path(self.map_file, folder), "crs": self.crs,
                 "origin": [float(part) for part in self.origin.split(",") if part.strip()],
