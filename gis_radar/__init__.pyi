@@ -11,6 +11,8 @@ from .errors import (
 )
 from .heatmap import HeatMap, MapLabels, make_heatmap, read_heatmap
 from .lanelets import LaneletMap, lanes, read_map, stop_lines
+from .live.edge import Edge, run_edge
+from .live.fusion import Fusion, run_fusion
 from .localization import Localization, localize, localize_files
 from .localization.result import draw_localization
 from .network import Together, localize_together
@@ -64,7 +66,9 @@ __all__ = [
     "Clocks",
     "Conversion",
     "CrsError",
+    "Edge",
     "Filters",
+    "Fusion",
     "GisRadarError",
     "HeatMap",
     "InputError",
@@ -130,6 +134,8 @@ __all__ = [
     "read_track",
     "read_vehicles",
     "run_demo",
+    "run_edge",
+    "run_fusion",
     "run_site",
     "sample_folder",
     "second_look",

@@ -22,6 +22,7 @@ ROWS = """
     quality heatmap
     qgis report
     site
+    live
     demo
     gis_radar
     cli

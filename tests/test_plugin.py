@@ -424,6 +424,7 @@ def test_the_wizard_knows_every_key_that_it_can(drafts):
     left_out = {
         "tiles",  # half a metre is the unit of all statistics
         "subtypes", "road", "engine", "min_speed", "min_rcs", "elevation_error",  # for specialists
+        "live",  # a server runs it, not QGIS
         "method", "tied", "convert", "compass", "min_range_m",  # the defaults serve; a drag is one
     }  # fmt: skip
     keys = {"title", "time_zone", "language", "attribution", "map", "scan", "occupancy",

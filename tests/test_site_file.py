@@ -210,6 +210,9 @@ def test_the_template_holds_every_key_and_its_values_fit(read, tmp_path):
         "R1_0.parquet",
         "R2.json",
         "clocks.json",
+        "tiles.gpkg",
+        "R1.password",
+        "ca.crt",
     ):
         (tmp_path / name).touch()
     assert read(template).sensor[0].name == "R1"

@@ -6,7 +6,7 @@ from typing import NoReturn
 
 import click
 
-from gis_radar.cli import maps, poses, recordings, sites
+from gis_radar.cli import live, maps, poses, recordings, sites
 from gis_radar.cli.console import run_group
 from gis_radar.processes import go_offline
 
@@ -23,6 +23,7 @@ for verb in (
     *(recordings.convert, recordings.occupancy, recordings.vehicles),
     *(recordings.clocks, recordings.quality),
     *(poses.localize, poses.track, poses.sensors, poses.sight),
+    *(live.edge, live.live),
     *(sites.run, sites.check, sites.report, sites.qgis, sites.sample, sites.demo),
 ):
     group.add_command(verb)

@@ -9,16 +9,17 @@ detections are moved to the map by the poses as they are.
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 import scipy
 
-from gis_radar.arrays import Integers
+from gis_radar.arrays import Floats, Integers
 from gis_radar.clocks import SensorClock
 from gis_radar.crs import require_same
 from gis_radar.errors import NoAnswerError
@@ -80,6 +81,12 @@ class ViewBook:
             self.scan.read(self._looked_from(track))
         names = {index: self._name(track.poses[index]) for index in np.unique(standing).tolist()}
         return tuple(names[index] for index in standing.tolist())
+
+    def see(self, pose: Pose) -> str:
+        """Return the name of what a single pose sees, and remember the tiles."""
+        if self.scan is not None:
+            self.scan.read([pose])
+        return self._name(pose)
 
     def _looked_from(self, track: PoseTrack) -> list[Pose]:
         """Return the poses of a track that stand for all of them."""
@@ -238,22 +245,72 @@ def standing_for(poses: Sequence[Pose], settings: OccupancySettings = DEFAULTS) 
     (n,) int64 array
         Indices into `poses`.
     """
-    position = np.array([pose.position for pose in poses])
-    turn = scipy.spatial.transform.Rotation.from_quat([pose.quaternion for pose in poses])
-    found = np.zeros(len(poses), np.int64)
-    heads: list[int] = []  # poses with a view of their own, the one in force last
-    for index, pose in enumerate(poses):
+    standing = SharedViews(settings)
+    return np.array([standing.add(pose) for pose in poses], np.int64)
+
+
+class SharedViews:
+    """Which pose of a track stands for each, as poses come.
+
+    Parameters
+    ----------
+    settings : OccupancySettings
+        Which of them share a view.
+    heads : sequence of (int, Pose)
+        Where a track is taken up again: the latest numbers that :meth:`add` returned, with their
+        poses, the one in force last.
+    """
+
+    def __init__(
+        self, settings: OccupancySettings = DEFAULTS, heads: Sequence[tuple[int, Pose]] = ()
+    ) -> None:
+        self._settings, self._count = settings, 0
+        self._heads: list[_Head] = [_Head.of(number, pose) for number, pose in heads]
+
+    def add(self, pose: Pose, number: int | None = None) -> int:
+        """Return the number of the pose that stands for the next one; its own where none does.
+
+        Parameters
+        ----------
+        pose : Pose
+            The next one.
+        number : int, optional
+            Its own; by default its place in the track, from 0.
+        """
+        number = self._count if number is None else number
+        self._count += 1
         if pose.evidence.get("event") == "moved":
-            heads = []
-        apart_m = np.linalg.norm(position[heads] - position[index], axis=1)
-        apart_deg = np.degrees((turn[index].inv() * turn[heads]).magnitude()) if heads else apart_m
-        near_m, near_deg = apart_m <= settings.view_shared_m, apart_deg <= settings.view_shared_deg
-        near = np.flatnonzero(near_m & near_deg)
-        alike = [heads[each] for each in near if poses[heads[each]].view == pose.view]
-        head = alike[-1] if alike else index
-        heads = [*(each for each in heads if each != head), head][-settings.views_compared :]
-        found[index] = head
-    return found
+            self._heads = []
+        new = _Head.of(number, pose)
+        alike = [head for head in self._heads if head.is_near(new, self._settings)]
+        found = alike[-1] if alike else new
+        others = [head for head in self._heads if head.number != found.number]
+        self._heads = [*others, found][-self._settings.views_compared :]
+        return found.number
+
+
+class _Head(NamedTuple):
+    """A pose that stands for itself."""
+
+    number: int
+    pose: Pose
+    position: Floats
+    turn: scipy.spatial.transform.Rotation
+
+    @classmethod
+    def of(cls, number: int, pose: Pose) -> _Head:
+        turn = scipy.spatial.transform.Rotation.from_quat(pose.quaternion)
+        return cls(number, pose, pose.position, turn)
+
+    def is_near(self, other: _Head, settings: OccupancySettings) -> bool:
+        """Return whether another pose shares the view."""
+        if self.pose.view != other.pose.view:
+            return False
+        apart_m = float(np.linalg.norm(self.position - other.position))
+        if apart_m > settings.view_shared_m:
+            return False
+        apart_deg = math.degrees((other.turn.inv() * self.turn).magnitude())
+        return apart_deg <= settings.view_shared_deg
 
 
 def places_of(poses: Sequence[Pose]) -> Integers:

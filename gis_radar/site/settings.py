@@ -5,18 +5,13 @@ The models say it once: types check the values, their fields give template and r
 
 from __future__ import annotations
 
-import difflib
-import textwrap
-import tomllib
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, PrivateAttr, ValidationError, model_validator
-from pydantic.fields import FieldInfo
-from pydantic_core import ErrorDetails
+from pydantic import Field, PrivateAttr, model_validator
 
-from gis_radar.errors import InputError, first_line
+from gis_radar.site.live_table import LiveTable
+from gis_radar.site.toml_file import read_toml, toml_reference, toml_template
 from gis_radar.site.values import (
     CompassBearing,
     Crs,
@@ -31,23 +26,16 @@ from gis_radar.site.values import (
     Position,
     Recordings,
     Span,
-    Steps,
     Switch,
     Text,
     Texts,
     TomlTable,
     Unfit,
     Zone,
-    is_repeated,
     key,
-    lines_of,
-    table_of,
-    value_of,
     within,
 )  # fmt: skip
 
-LARGEST_FILE = 1 << 22  # bytes; names of ten thousand recordings take half of it
-MOST_SENSORS = 200  # of a site: more than any town has at its junctions
 READ_AS_THEY_ARE = (".parquet", ".csv")
 
 _HINT = "begin with: gis-radar run --template > SITE.toml"
@@ -249,6 +237,8 @@ class Site(TomlTable):
     """The vehicles, whose coverage the heat maps show."""
     heatmap: HeatmapTable = HeatmapTable()
     """The heat maps."""
+    live: LiveTable | None = None
+    """The live system, for `gis-radar live`; a run leaves it alone."""
     sensor: Annotated[tuple[Sensor, ...], Field(min_length=1)]
     """The radars, a table each."""
     _path: Path = PrivateAttr(Path("SITE.toml"))
@@ -322,98 +312,9 @@ def read_site(path: str | Path) -> Site:
     >>> site.title, [sensor.name for sensor in site.sensor]
     ('Sample junction (simulated)', ['R1', 'R2'])
     """
-    path = Path(path)
-    try:
-        if (size := path.stat().st_size) > LARGEST_FILE:
-            raise InputError(f"{path}: {size >> 20:,} MiB is no site file", hint=_HINT)
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not UTF-8 text"
-        raise InputError(f"{path}: cannot be read: {reason}", hint=_HINT) from error
-    try:
-        raw: dict[str, Any] = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # numbers of 5,000 digits, deep tables
-        raise InputError(f"{path}: not TOML: {first_line(error)}", hint=_HINT) from error
-    sensors = raw.get("sensor")
-    if isinstance(sensors, list) and len(sensors) > MOST_SENSORS:
-        raise InputError(
-            f"{path}: has {len(sensors):,} sensors, at most {MOST_SENSORS} make a site",
-            hint="make several sites",
-        )
-    try:
-        site = Site.model_validate(raw, context={"folder": path.parent})
-    except ValidationError as error:
-        raise _first_error(path, text, raw, error) from None
-    site._path = path  # noqa: SLF001 - not a key of the file
+    site = read_toml(Path(path), Site, of_site=True, hint=_HINT)
+    site._path = Path(path)  # noqa: SLF001 - not a key of the file
     return site
-
-
-# What is wrong, in one line with file, line and key.
-
-
-def _first_error(path: Path, text: str, raw: Any, error: ValidationError) -> InputError:
-    """Return the first error by line; an unknown key comes first, as others may follow from it."""
-    lines = lines_of(text)
-    errors = error.errors(include_url=False)
-    # a list whose only item is wrong is also called too short, which hides why
-    inner = [
-        each for each in errors
-        if not any(
-            other["loc"][: len(each["loc"])] == each["loc"] and len(other["loc"]) > len(each["loc"])
-            for other in errors
-        )
-    ]  # fmt: skip
-    found = [_described(each, raw) for each in inner]
-
-    def line_of(steps: Steps) -> int:
-        return next((lines[steps[:n]] for n in range(len(steps), 0, -1) if steps[:n] in lines), 0)
-
-    steps, _, message, hint = min(found, key=lambda each: (each[1], line_of(each[0])))
-    line = f":{number}" if (number := line_of(steps)) else ""
-    where = "".join(f"[{each}]" if isinstance(each, int) else f".{each}" for each in steps)
-    return InputError(f"{path}{line}: {where[1:] or 'the site file'}: {message}", hint=hint)
-
-
-def _described(error: ErrorDetails, raw: Any) -> tuple[Steps, bool, str, str]:
-    """Return the place of an error, whether it is a known key's, its message and its hint."""
-    table, field, steps = _found(error["loc"])
-    if error["type"] == "extra_forbidden":
-        name, known = str(steps[-1]), list(table.model_fields)
-        near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.6)
-        hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
-        return steps, False, "is no key of a site file", hint
-    if error["type"] == "missing":
-        hint = f"e.g. {steps[-1]} = {field.examples[0]}" if field and field.examples else ""
-        return steps[:-1], True, f"lacks {steps[-1]}", hint
-    unfit = error.get("ctx", {}).get("error")
-    if not isinstance(unfit, Unfit):
-        unfit = Unfit()
-    if unfit.message:
-        return unfit.at or steps, True, unfit.message, unfit.hint
-    value = raw
-    for step in steps:
-        value = value[step]
-    expected = unfit.expected or (value_of(field) if field else "a table")
-    return steps, True, f"is {_shown(value)}, expected {expected}", unfit.hint
-
-
-def _shown(value: Any) -> str:
-    if isinstance(value, dict):
-        return "a table"
-    return "true" if value is True else "false" if value is False else repr(value)
-
-
-def _found(loc: Steps) -> tuple[type[TomlTable], FieldInfo | None, Steps]:
-    """Return the innermost table and key of a place, and the way to that key."""
-    table: type[TomlTable] = Site
-    field: FieldInfo | None = None
-    for depth, step in enumerate(loc):
-        inner = Site if field is None else table_of(field)
-        if inner is None:  # inside a value
-            return table, field, loc[:depth]
-        if isinstance(step, str):
-            table, field = inner, inner.model_fields.get(step)
-    return table, field, loc
 
 
 # The template of a site file and the reference of its keys, from the fields of the models.
@@ -423,68 +324,14 @@ _HEAD = """\
 # Paths are relative to the folder of this file. Positions are metres of the map frame.
 # Then: gis-radar run SITE.toml -o results
 """
-_WIDTH = 96
 _GIVEN = {("scan", "files"), ("sensor", "guess")}  # one of several keys that will do
 
 
 def site_template() -> str:
     """Return a commented site file to fill in."""
-    return "\n".join([_HEAD, *_template(Site, "")]).rstrip() + "\n"
-
-
-def _template(table: type[TomlTable], path: str) -> Iterator[str]:
-    """Yield the lines of a table: first its keys, then the tables below it."""
-    keys, below = _parts(table, path)
-    for name, field in keys.items():
-        needed = field.is_required() or (path, name) in _GIVEN
-        text = f"{field.description} ({value_of(field)}; {_default(field)})"
-        yield from textwrap.wrap(text, _WIDTH, initial_indent="# ", subsequent_indent="# ")
-        yield f"{'' if needed else '# '}{name} = {(field.examples or [''])[0]}"
-    yield ""
-    for whole, field, inner in below:
-        off = "# " if whole.startswith("sensor.") else ""
-        yield f"{off}{_header(whole, field)}  # {field.description}"
-        yield from _template(inner, whole)
+    return toml_template(Site, _HEAD, given=_GIVEN)
 
 
 def site_reference() -> str:
     """Return the reference of all keys as Markdown: a table of keys for each table of the file."""
-    return "\n".join(_reference(Site, "", "At the top")).rstrip() + "\n"
-
-
-def _reference(table: type[TomlTable], path: str, title: str) -> Iterator[str]:
-    keys, below = _parts(table, path)
-    yield from (f"### {title}", "", "| key | value | what it is |", "|---|---|---|")
-    for name, field in keys.items():
-        value = value_of(field).replace("|", "\\|").replace("*", "\\*")
-        meaning = (field.description or "").replace("|", "\\|")
-        yield f"| `{name}` | {value}; {_default(field)} | {meaning} |"
-    yield ""
-    for whole, field, inner in below:
-        yield from _reference(inner, whole, f"`{_header(whole, field)}`")
-
-
-def _parts(
-    table: type[TomlTable], path: str
-) -> tuple[dict[str, FieldInfo], list[tuple[str, FieldInfo, type[TomlTable]]]]:
-    """Return the keys of a table, and the tables below it with their paths."""
-    inner = {name: table_of(field) for name, field in table.model_fields.items()}
-    keys = {name: field for name, field in table.model_fields.items() if inner[name] is None}
-    below = [
-        (f"{path}.{name}".lstrip("."), table.model_fields[name], each)
-        for name, each in inner.items()
-        if each is not None
-    ]
-    return keys, below
-
-
-def _header(path: str, field: FieldInfo) -> str:
-    return f"[[{path}]]" if is_repeated(field) else f"[{path}]"
-
-
-def _default(field: FieldInfo) -> str:
-    if field.is_required():
-        return "required"
-    extra = field.json_schema_extra
-    shown = extra.get("shown") if isinstance(extra, dict) else None
-    return f"default {field.default if shown is None else shown}"
+    return toml_reference(Site)

@@ -41,6 +41,8 @@ LEFT_OUT = {
 NO_ALGORITHM = {
     "sensors": "'Localize a radar' and a site's run make the layer",
     "trajectories": "files for other programs; 'Vehicles that move on the map' shows them here",
+    "edge": "a server at a sensor, which runs for years",
+    "live": "a server, which runs for years; QGIS shows its files",
     "demo": "'Get the sample site' and 'Run a site file'",
 }
 _ASK = """

@@ -1,0 +1,74 @@
+"""The commands of the live system, which run until they are stopped: edge, live."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from threading import Event, current_thread, main_thread
+from types import FrameType
+
+import click
+
+import gis_radar as gr
+from gis_radar.cli.console import Result, command
+from gis_radar.cli.options import FILE
+from gis_radar.progress import Reporter
+
+STOPPING = (signal.SIGINT, signal.SIGTERM)
+
+
+@contextmanager
+def stopped_by_signals() -> Iterator[Event]:
+    """Yield an event that Ctrl-C or SIGTERM sets; the second one interrupts."""
+    stop = Event()
+
+    def note(_number: int, _frame: FrameType | None) -> None:
+        if stop.is_set():
+            raise KeyboardInterrupt
+        stop.set()
+
+    on_main = current_thread() is main_thread()
+    before = {number: signal.signal(number, note) for number in STOPPING} if on_main else {}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _print_template(context: click.Context, _option: click.Parameter, wanted: object) -> None:
+    if wanted:
+        from gis_radar.live.settings import edge_template  # noqa: PLC0415 - --help needs no NumPy
+
+        click.echo(edge_template(), nl=False)
+        context.exit()
+
+
+@command(example="gis-radar edge R1.toml")
+@click.argument("sensor", metavar="SENSOR.toml", type=FILE)
+@click.option(
+    "--template", is_flag=True, is_eager=True, expose_value=False, callback=_print_template,
+    help="Print a sensor's file to fill in, and do nothing else.",
+)  # fmt: skip
+def edge(*, sensor: Path, reporter: Reporter) -> Result:
+    """Run a sensor's side of the live system: frames become tiles, which go to fusion.
+
+    It ends with Ctrl-C, or when a recording is over and fusion has stored all of it.
+    """
+    with stopped_by_signals() as stop:
+        done = gr.run_edge(sensor, stop=stop, reporter=reporter)
+    return Result(outputs=[], summary=done.figures())
+
+
+@command(example="gis-radar live SITE.toml")
+@click.argument("site", metavar="SITE.toml", type=FILE)
+def live(*, site: Path, reporter: Reporter) -> Result:
+    """Run the live system's middle: the map of now, and an occupancy folder an hour.
+
+    It ends with Ctrl-C; what was stored is then written.
+    """
+    with stopped_by_signals() as stop:
+        done = gr.run_fusion(site, stop=stop, reporter=reporter)
+    return Result(outputs=done.outputs, summary=done.figures())

@@ -1,0 +1,290 @@
+"""The link to the broker: MQTT 5 by paho, with TLS, a will, and a new connection after each loss.
+
+The broker keeps no session for anybody: what must not be lost waits at the sensor until fusion has
+stored it, so that a broker may be killed, or lose its disk.
+"""
+
+from __future__ import annotations
+
+import ssl
+import time
+from collections import deque
+from dataclasses import dataclass, field
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import TYPE_CHECKING, Any, NamedTuple
+from urllib.parse import urlsplit
+
+from gis_radar.errors import GisRadarError, InputError, UsageError
+from gis_radar.live.payload import MOST_BYTES
+from gis_radar.progress import QUIET, Reporter
+
+if TYPE_CHECKING:
+    from paho.mqtt.client import Client
+
+LIVE = "pip install gis_radar[live]"
+TOPICS = "v1"  # the version of the tree of topics
+PORTS = {"mqtt": 1883, "mqtts": 8883}
+KEEP_ALIVE_S = 10  # a cut link is noticed after one and a half
+SLOWEST_RETRY_S = 30
+IN_FLIGHT = 100  # messages that wait for the broker's word at a time
+_TAKEN_OVER, _NOT_AUTHORISED = 142, 135  # reason codes of MQTT 5
+_REFUSED = range(128, 256)
+TWINS, TWINS_WITHIN_S = 3, 120.0  # so many take-overs are no restart of ours
+
+
+@dataclass(frozen=True, kw_only=True)
+class BrokerAddress:
+    """Where the broker is, and as whom to speak to it.
+
+    Parameters
+    ----------
+    host, port : str, int
+        Where.
+    user, password : str
+        As whom; without a user as nobody.
+    tls : bool
+        Whether the link is encrypted.
+    authority : Path, optional
+        Certificate of the authority that signed the broker's; without it the system's count.
+    """
+
+    host: str
+    port: int
+    user: str = ""
+    password: str = field(default="", repr=False)
+    tls: bool = False
+    authority: Path | None = None
+
+    @classmethod
+    def of(cls, address: str, **options: Any) -> BrokerAddress:
+        """Return the parts of `mqtt://HOST[:PORT]` or `mqtts://HOST[:PORT]`.
+
+        Raises
+        ------
+        UsageError
+            If it is no such address.
+        """
+        parts = urlsplit(address)
+        try:
+            port = parts.port
+        except ValueError:
+            port = 0
+        if parts.scheme not in PORTS or not parts.hostname or port == 0 or parts.path.strip("/"):
+            raise UsageError(
+                f"{address!r} is no address of a broker", hint="such as mqtts://broker.example:8883"
+            )
+        tls = parts.scheme == "mqtts"
+        return cls(host=parts.hostname, port=port or PORTS[parts.scheme], tls=tls, **options)
+
+    def __str__(self) -> str:
+        return f"{'mqtts' if self.tls else 'mqtt'}://{self.host}:{self.port}"
+
+
+class Received(NamedTuple):
+    """A message that came in.
+
+    Parameters
+    ----------
+    topic : str
+        Where it was published.
+    payload : bytes
+        What it holds.
+    time : float
+        When it came, UNIX seconds.
+    retained : bool
+        Whether the broker had kept it from before.
+    """
+
+    topic: str
+    payload: bytes
+    time: float
+    retained: bool
+
+
+class Link:
+    """A connection to the broker that is made again whenever it is lost.
+
+    Parameters
+    ----------
+    address : BrokerAddress
+        Where and as whom.
+    name : str
+        Id of the client: one program at a time may have it.
+    topics : sequence of str
+        What to receive.
+    will : (str, bytes), optional
+        Retained by the broker once this program is gone without a word.
+    reporter : Reporter
+        Receives a line when the link is made, lost or refused.
+
+    Attributes
+    ----------
+    connections : int
+        How often it was made.
+    refused : int
+        Messages that the broker did not take.
+    twins : bool
+        Whether another program takes the same id in turn with this one.
+
+    Raises
+    ------
+    GisRadarError
+        If paho-mqtt is not installed.
+    InputError
+        If the certificate of the authority cannot be read.
+    """
+
+    def __init__(
+        self, address: BrokerAddress, *, name: str, topics: tuple[str, ...] = (),
+        will: tuple[str, bytes] | None = None, reporter: Reporter = QUIET,
+    ) -> None:  # fmt: skip
+        self.connections = self.refused = 0
+        self.twins = False
+        self._address, self._name, self._topics = address, name, topics
+        self._reporter, self._said = reporter, ""
+        self._received: SimpleQueue[Received] = SimpleQueue()
+        self._taken: deque[float] = deque(maxlen=TWINS)
+        self._connected = False
+        self._client = self._made(will)
+
+    def _made(self, will: tuple[str, bytes] | None) -> Client:
+        try:
+            from paho.mqtt import client as mqtt  # noqa: PLC0415 - an extra
+            from paho.mqtt.enums import CallbackAPIVersion  # noqa: PLC0415
+            from paho.mqtt.packettypes import PacketTypes  # noqa: PLC0415
+            from paho.mqtt.properties import Properties  # noqa: PLC0415
+        except ImportError as error:
+            raise GisRadarError("paho-mqtt is not installed", hint=LIVE) from error
+        client = mqtt.Client(
+            CallbackAPIVersion.VERSION2, client_id=self._name, protocol=mqtt.MQTTv5
+        )
+        if self._address.user:
+            client.username_pw_set(self._address.user, self._address.password)
+        if self._address.tls:
+            client.tls_set_context(_tls_context(self._address.authority))
+        if will is not None:
+            client.will_set(will[0], will[1], qos=1, retain=True)
+        client.max_inflight_messages_set(IN_FLIGHT)
+        client.reconnect_delay_set(1, SLOWEST_RETRY_S)
+        client.on_connect, client.on_disconnect = self._on_connect, self._on_disconnect
+        client.on_connect_fail = self._on_connect_fail
+        client.on_message, client.on_publish = self._on_message, self._on_publish
+        self._properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+        self._properties.MaximumPacketSize = MOST_BYTES + 1024
+        return client
+
+    def open(self) -> None:
+        """Begin to connect; it goes on in the background."""
+        self._client.connect_async(
+            self._address.host, self._address.port, keepalive=KEEP_ALIVE_S, clean_start=True,
+            properties=self._properties,
+        )  # fmt: skip
+        self._client.loop_start()
+
+    def close(self, topic: str = "", farewell: bytes = b"") -> None:
+        """Leave; a farewell is retained in the place of the will."""
+        if topic and self._connected:
+            self._client.publish(topic, farewell, qos=1, retain=True).wait_for_publish(2.0)
+        self._client.disconnect()
+        self._client.loop_stop()
+        self._connected = False
+
+    @property
+    def connected(self) -> bool:
+        """Whether the link is there."""
+        return self._connected
+
+    def publish(self, topic: str, payload: bytes, *, retain: bool = False) -> None:
+        """Publish a message at QoS 1; without a link it is dropped."""
+        if self._connected:
+            self._client.publish(topic, payload, qos=1, retain=retain)
+
+    def take(self, timeout_s: float) -> Received | None:
+        """Return the next message that came in, waiting for it at most so long."""
+        try:
+            return self._received.get(block=timeout_s > 0.0, timeout=timeout_s or None)
+        except Empty:
+            return None
+
+    def _say(self, text: str) -> None:
+        if text != self._said:  # once, however often it is tried again
+            self._said = text
+            self._reporter.log(f"{self._name}: {text}", "info" if self._connected else "warning")
+
+    # What paho calls, in its thread.
+
+    def _on_connect(self, _c: Any, _u: Any, _f: Any, reason: Any, _p: Any) -> None:
+        if reason.is_failure:
+            self._say(f"the broker at {self._address} refuses the link: {reason}; trying on")
+            return
+        if self._topics:
+            self._client.subscribe([(topic, 1) for topic in self._topics])
+        self._connected = True
+        self.connections += 1
+        self._say(f"linked to the broker at {self._address}")
+
+    def _on_connect_fail(self, _c: Any, _u: Any) -> None:
+        self._say(f"no broker answers at {self._address}; trying on")
+
+    def _on_disconnect(self, _c: Any, _u: Any, _f: Any, reason: Any, _p: Any) -> None:
+        was, self._connected = self._connected, False
+        if _code(reason) == _TAKEN_OVER:
+            self._taken.append(time.monotonic())
+            span_s = self._taken[-1] - self._taken[0]
+            self.twins = len(self._taken) == TWINS and span_s < TWINS_WITHIN_S
+            if self.twins:
+                # the other one has its turn meanwhile: neither gets far, but both are heard
+                self._client.reconnect_delay_set(SLOWEST_RETRY_S // 2, SLOWEST_RETRY_S)
+                self._say("another program has the same name at the broker: stop one of them")
+                return
+        if was and _code(reason):
+            self._say(f"the link to the broker is lost: {reason}; trying on")
+
+    def _on_message(self, _c: Any, _u: Any, message: Any) -> None:
+        self._received.put(
+            Received(message.topic, message.payload, time.time(), bool(message.retain))
+        )
+
+    def _on_publish(self, _c: Any, _u: Any, _mid: int, reason: Any, _p: Any) -> None:
+        if _code(reason) in _REFUSED:
+            self.refused += 1
+            self._say(f"the broker does not take a message: {reason}")
+
+
+def _code(reason: Any) -> int:
+    """Return the reason code of MQTT 5."""
+    return int(getattr(reason, "value", 0))
+
+
+def _tls_context(authority: Path | None) -> ssl.SSLContext:
+    try:
+        context = ssl.create_default_context(cafile=authority)
+    except (OSError, ssl.SSLError) as error:
+        raise InputError(f"{authority}: no certificate of an authority: {error}") from error
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    return context
+
+
+@dataclass(frozen=True)
+class SensorTopics:
+    """The topics of a sensor: `v1/SITE/SENSOR/hits`, and so on.
+
+    Parameters
+    ----------
+    site, sensor : str
+        Their names; `+` stands for any.
+    """
+
+    site: str
+    sensor: str
+
+    def of(self, kind: str) -> str:
+        """Return the topic of `hits`, `returns`, `status`, `pose` or `ack`."""
+        return f"{TOPICS}/{self.site}/{self.sensor}/{kind}"
+
+
+def parts_of(topic: str) -> tuple[str, str]:
+    """Return the sensor and the kind of a topic; both empty where it is none of ours."""
+    parts = topic.split("/")
+    return (parts[2], parts[3]) if len(parts) == 4 and parts[0] == TOPICS else ("", "")

@@ -1,0 +1,344 @@
+"""The edge: a sensor's frames become tiles, which wait on disk and go to fusion."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from threading import Event
+from time import sleep
+
+import geopandas as gpd
+import numpy as np
+
+from gis_radar.crs import require_same
+from gis_radar.errors import InputError, NoAnswerError
+from gis_radar.live.broker import Link, SensorTopics
+from gis_radar.live.buffer import DiskBuffer
+from gis_radar.live.outbox import OFFLINE, Outbox, status_message
+from gis_radar.live.own_pose import (
+    AGAIN_FRAMES,
+    Followed,
+    PoseFollower,
+    find_own_pose,
+    rounded,
+    view_of,
+)
+from gis_radar.live.payload import (
+    HITS,
+    POSE,
+    RETURNS,
+    Envelope,
+    FrameReturns,
+    PoseContent,
+    pack_hits,
+    pack_message,
+    pack_returns,
+)
+from gis_radar.live.settings import DEFAULTS, EdgeFile, LiveSettings, read_edge_file
+from gis_radar.live.sources import IDLE_S, Frames, Radar, Replay
+from gis_radar.localization.settings import DEFAULTS as LOCALIZATION
+from gis_radar.occupancy import Filters
+from gis_radar.occupancy.frame_steps import holds_of
+from gis_radar.occupancy.hit_counter import CountedFrame, FrameCounter
+from gis_radar.occupancy.settings import DEFAULTS as OCCUPANCY
+from gis_radar.occupancy.views import road_near
+from gis_radar.poses.files import read_track
+from gis_radar.poses.pose import ANGLES, POSITION, Pose
+from gis_radar.progress import QUIET, Reporter
+from gis_radar.recordings.recording import Detections
+from gis_radar.sight import SightTiles, find_sight
+from gis_radar.steps import STEP_US
+from gis_radar.tiles import TileGrid, read_tiles
+
+
+class TileFinder:
+    """Finds the tiles that frames hit, as `gis-radar occupancy` does.
+
+    Parameters
+    ----------
+    road : SightTiles
+        All tiles.
+    grid : TileGrid
+        Of the same tiles.
+    filters : Filters
+        Which detections count.
+    pose : Pose
+        Of the sensor.
+    """
+
+    def __init__(self, road: SightTiles, grid: TileGrid, filters: Filters, pose: Pose) -> None:
+        self.pose = pose
+        self._grid = grid
+        self._road_m = road_near(find_sight(pose, road), road)
+        self._counter = FrameCounter(road, grid=grid, filters=filters)
+
+    def find(self, frame: Detections) -> CountedFrame:
+        """Return the tiles that a frame hits."""
+        (found,) = self._counter.count(frame, self.pose, road_m=self._road_m)
+        return found
+
+    def returns(self, frame: Detections, moving_mps: float) -> FrameReturns:
+        """Return what a tracker needs of a frame: what moves, and what is on tiles."""
+        place = self.pose.to_map(frame.points, road_m=self._road_m)
+        on_tile, _ = self._grid.assign(place[:, 0], place[:, 1])
+        keep = (np.abs(frame.range_rate) >= moving_mps) & frame.present
+        keep[on_tile] = True
+        points = np.nan_to_num(frame.points[keep])
+        rate = np.nan_to_num(frame.range_rate[keep])
+        return FrameReturns(
+            time_us=int(np.rint(frame.time[0] * 1e6)),
+            points_cm=np.rint(100.0 * points).astype(np.int64),
+            rates_cmps=np.rint(100.0 * rate).astype(np.int64),
+        )
+
+
+class Edge:
+    """One sensor's side of the live system.
+
+    Parameters
+    ----------
+    file : EdgeFile
+        The sensor's.
+    settings : LiveSettings
+        Constants of sending.
+    reporter : Reporter
+        Receives what happens.
+
+    Raises
+    ------
+    InputError
+        If tiles or pose cannot be read, or do not fit each other.
+    """
+
+    def __init__(
+        self, file: EdgeFile, *, settings: LiveSettings = DEFAULTS, reporter: Reporter = QUIET
+    ) -> None:
+        self.frames = self.hits = 0
+        self._file, self._settings, self._reporter = file, settings, reporter
+        tiles = read_tiles(file.tiles)
+        self._road, self._filters = SightTiles.of(tiles), file.filters()
+        if self._filters.clearance is not None and np.isnan(self._road.height).all():
+            raise InputError(
+                f"{file.tiles}: the tiles have no road heights, which clearance needs",
+                hint="make them with --road, or from a map with ele",
+            )
+        self._grid = TileGrid(self._road.quads)
+        self._given = self._read_pose(tiles)
+        cycles = None if file.cycle is None else {file.sensor: file.cycle}
+        self._hold_s = holds_of(cycles, [file.sensor])[file.sensor]
+        self._finder: TileFinder | None = None
+        self._pose_number, self._last_step, self._trusted = 0, -1, True
+        self._next: Followed | None = None
+        self._follower: PoseFollower | None = None
+        self._waiting: list[CountedFrame] = []
+        self._returns: list[FrameReturns] = []
+        self._gathered: deque[Detections] = deque(maxlen=LOCALIZATION.traces.frames)
+        self._try_at = LOCALIZATION.traces.frames
+
+    def _read_pose(self, tiles: gpd.GeoDataFrame) -> Pose | None:
+        if self._file.pose is None:
+            return None
+        pose = read_track(self._file.pose).poses[-1]
+        what = f"the pose of {pose.sensor}"
+        require_same(pose.crs, tiles.crs, what=what, other_what="the tiles")
+        view = view_of(self._file)
+        return rounded(pose if view is None else pose.with_view(view))
+
+    def run(self, stop: Event) -> None:
+        """Work until the source ends and fusion has stored all, or until it is stopped.
+
+        Parameters
+        ----------
+        stop : Event
+            Set from outside to stop; what waits stays on disk.
+
+        Raises
+        ------
+        InputError
+            If the source cannot be read.
+        """
+        file = self._file
+        topics = SensorTopics(file.site, file.sensor)
+        most = int(file.buffer.megabytes * 1e6)
+        with DiskBuffer(
+            file.buffer_path, most_bytes=most, fingerprint=self._road.fingerprint
+        ) as buffer:
+            if buffer.put_aside:
+                self._reporter.log(
+                    f"{buffer.put_aside}: what waited speaks of other tiles, and is put aside",
+                    "warning",
+                )
+            will = status_message(OFFLINE, stream=buffer.stream.hex())
+            link = Link(
+                file.address(), name=f"{file.site}-{file.sensor}", topics=(topics.of("ack"),),
+                will=(topics.of("status"), will), reporter=self._reporter,
+            )  # fmt: skip
+            self._outbox = Outbox(
+                buffer, link, topics, figures=lambda: self._figures(buffer),
+                settings=self._settings, reporter=self._reporter,
+            )  # fmt: skip
+            self._link, self._topics, self._stream = link, topics, buffer.stream
+            link.open()
+            try:
+                self._work(stop)
+            finally:
+                if self._follower is not None:
+                    self._follower.close()
+                link.close(topics.of("status"), will)
+
+    def figures(self) -> dict[str, object]:
+        """Return what it did, by name."""
+        return {"frames": self.frames, "hits": self.hits, "lost": self._outbox.lost}
+
+    def _figures(self, buffer: DiskBuffer) -> dict[str, object]:
+        return {
+            "fingerprint": self._road.fingerprint,
+            "frames": self.frames,
+            "lost": self._outbox.lost,
+            "waiting_bytes": buffer.bytes_used,
+            "pose": "found" if self._finder else "searched",
+            "trusted": self._trusted,
+        }
+
+    def _source(self) -> Frames:
+        source = self._file.source
+        if source.recording is not None:
+            return Replay(path=source.recording, speed=source.speed, loop_s=source.loop).frames()
+        radar = Radar(source=source.address or "", sensor=source.sensor, reporter=self._reporter)
+        return radar.frames()
+
+    def _work(self, stop: Event) -> None:
+        for frame in self._source():
+            if stop.is_set():
+                break
+            if frame is not None:
+                for ready in self._with_pose(frame):
+                    self._count(ready)
+            self._outbox.pump()
+        self._flush()
+        while not (stop.is_set() or self._outbox.empty):
+            self._outbox.pump()
+            sleep(IDLE_S)
+
+    def _with_pose(self, frame: Detections) -> Iterator[Detections]:
+        """Yield the frames whose pose is known by now, with the finder set."""
+        if self._finder is None:
+            if self._given is not None:
+                self._take_over(Followed(pose=self._given), frame)
+            else:
+                self._gathered.append(frame)
+                self._try_at -= 1
+                if self._try_at > 0 or not self._try_to_find():
+                    return
+                gathered, self._gathered = list(self._gathered), deque(maxlen=self._gathered.maxlen)
+                self._take_over(self._next or Followed(pose=self._given), gathered[0])  # type: ignore[arg-type]
+                self._next = None
+                yield from gathered
+                self._follow(frame)
+                return
+            self._follow(frame)
+        if self._follower is not None:
+            self._follower.push(frame)
+            self._next = self._follower.latest() or self._next
+        step = int(np.rint(frame.time[0] * 1e6)) // STEP_US
+        if self._next is not None and step > self._last_step:
+            self._take_over(self._next, frame)
+            self._next = None
+        yield frame
+
+    def _try_to_find(self) -> bool:
+        """Find the pose from the frames so far; try again later where none follows."""
+        try:
+            pose = find_own_pose(self._file, self._gathered, reporter=self._reporter)
+        except NoAnswerError as error:
+            self._try_at = AGAIN_FRAMES
+            self._reporter.log(f"no pose yet: {error.message}; trying on", "warning")
+            return False
+        self._next = Followed(pose=pose)
+        return True
+
+    def _follow(self, frame: Detections) -> None:
+        file = self._file
+        if file.follow and file.map is not None and file.road is not None and self._finder:
+            begin = float(frame.time[0])
+            self._follower = PoseFollower(file, self._finder.pose, begin, reporter=self._reporter)
+
+    def _take_over(self, found: Followed, frame: Detections) -> None:
+        """Count by a pose from a frame on, and say so to fusion."""
+        if found.refused:
+            self._reporter.log(f"the pose is not confirmed: {found.refused}", "warning")
+        same = self._finder is not None and _is_same(self._finder.pose, found.pose)
+        if same and found.trusted == self._trusted:
+            return
+        self._flush()
+        step = int(np.rint(frame.time[0] * 1e6)) // STEP_US
+        content = PoseContent(
+            pose=found.pose.as_dict(), since_step=step, fingerprint=self._road.fingerprint,
+            filters=asdict(self._filters), settings=asdict(OCCUPANCY),
+            hold_s=self._hold_s, trusted=found.trusted,
+        )  # fmt: skip
+        number = self._outbox.put(POSE, content.pack())
+        if number:  # else the buffer is full: by the earlier pose, as that is the one that is known
+            self._finder = TileFinder(self._road, self._grid, self._filters, found.pose)
+            self._pose_number, self._trusted = number, found.trusted
+
+    def _count(self, frame: Detections) -> None:
+        if self._finder is None:
+            return
+        found = self._finder.find(frame)
+        self.frames += 1
+        self.hits += len(found.tiles)
+        self._last_step = found.time_us // STEP_US
+        self._waiting.append(found)
+        if self._file.returns:
+            self._returns.append(self._finder.returns(frame, OCCUPANCY.moving_mps))
+        if len(self._waiting) >= self._file.frames_a_message:
+            self._flush()
+
+    def _flush(self) -> None:
+        """Put the frames that wait for each other on disk, as one message."""
+        if not self._waiting:
+            return
+        content = pack_hits(
+            self._waiting, pose=self._pose_number, fingerprint=self._road.fingerprint
+        )
+        self._outbox.put(HITS, content)
+        if self._returns and not self._outbox.behind:
+            returns = pack_returns(self._returns, pose=self._pose_number)
+            envelope = Envelope(kind=RETURNS, stream=self._stream)
+            self._link.publish(self._topics.of("returns"), pack_message(envelope, returns))
+        self._waiting, self._returns = [], []
+
+
+def _is_same(one: Pose, other: Pose) -> bool:
+    names = (*POSITION, *ANGLES, "view")
+    return all(getattr(one, name) == getattr(other, name) for name in names)
+
+
+def run_edge(path: str | Path, *, stop: Event | None = None, reporter: Reporter = QUIET) -> Edge:
+    """Run a sensor's side of the live system.
+
+    Parameters
+    ----------
+    path : str or Path
+        A sensor's file, described in `docs/live.md`.
+    stop : Event, optional
+        Set from outside to stop; without it only the end of the source does.
+    reporter : Reporter
+        Receives what happens.
+
+    Returns
+    -------
+    Edge
+        With the counts of what it did.
+
+    Raises
+    ------
+    InputError
+        If the file, tiles, pose or source cannot be read.
+    """
+    edge = Edge(read_edge_file(path), reporter=reporter)
+    edge.run(stop or Event())
+    return edge

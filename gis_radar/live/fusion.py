@@ -1,0 +1,277 @@
+"""Fusion: what all sensors of a site send becomes the map of now, and an occupancy hour by hour."""
+
+from __future__ import annotations
+
+import secrets
+import time
+from pathlib import Path
+from threading import Event
+
+import numpy as np
+
+from gis_radar.errors import GisRadarError, OutputError
+from gis_radar.files import whole_file
+from gis_radar.live.broker import Link, SensorTopics
+from gis_radar.live.health import HealthServer, prometheus_text
+from gis_radar.live.intake import FUSION, Intake, SensorState
+from gis_radar.live.journal import HOUR_US, Journal
+from gis_radar.live.map_of_now import MapOfNow, MapState
+from gis_radar.live.payload import Acknowledgement
+from gis_radar.live.settings import DEFAULTS, LiveSettings, LiveSite, read_live_site
+from gis_radar.live.store import Store
+from gis_radar.live.windows import Windows
+from gis_radar.occupancy.views import ViewBook
+from gis_radar.progress import QUIET, Reporter
+from gis_radar.sight import SightTiles, describe_sight, open_sight
+from gis_radar.steps import STEP_US, interval_steps
+from gis_radar.tiles import read_tiles
+
+TAKEN_AT_ONCE = 500  # messages between two looks at the clock
+WAIT_S = 0.01
+OCCUPANCY_FOLDER, JOURNAL_FILE, NOW_FILE = "occupancy", "journal.sqlite", "now.gpkg"
+
+
+class Fusion:
+    """The live system's middle.
+
+    Parameters
+    ----------
+    site : LiveSite
+        Of the site's file.
+    settings : LiveSettings
+        Constants.
+    reporter : Reporter
+        Receives what happens.
+
+    Raises
+    ------
+    InputError
+        If tiles or scans cannot be read.
+    OutputError
+        If its folder cannot be written.
+    """
+
+    def __init__(
+        self, site: LiveSite, *, settings: LiveSettings = DEFAULTS, reporter: Reporter = QUIET
+    ) -> None:
+        self._site, self._settings, self._reporter = site, settings, reporter
+        self.tiles = read_tiles(site.live.tiles)
+        road = SightTiles.of(self.tiles)
+        scans = site.scan.files if site.scan is not None else ()
+        scan = open_sight(
+            road, scans=scans, scan_crs=site.scan.crs if site.scan else None, sight=None,
+            reporter=reporter,
+        )  # fmt: skip
+        self._book = ViewBook(road=road, scan=scan)
+        folder = site.folder
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OutputError(f"{folder}: cannot be made: {error.strerror}") from error
+        self._journal = Journal(folder / JOURNAL_FILE, fingerprint=road.fingerprint)
+        self._store = Store(
+            folder=folder / OCCUPANCY_FOLDER, fingerprint=road.fingerprint, tile_id=road.tile_id,
+            sight=describe_sight(scan),
+        )  # fmt: skip
+        self._windows = Windows(site.live.lateness)
+        self._map = MapOfNow(len(road.tile_id), interval=interval_steps(site.live.interval))
+        self._written: dict[Path, None] = {}
+        self._session = secrets.token_hex(4)
+        self._committed = self._exported = time.monotonic()
+        self.intake = Intake(
+            [each.name for each in site.sensor], site=site.live.site, book=self._book,
+            journal=self._journal, windows=self._windows, current=self._map, settings=settings,
+            reporter=reporter,
+        )  # fmt: skip
+        self.sensors = self.intake.sensors
+        now_us = int(time.time() * 1e6)
+        interval_us = interval_steps(site.live.interval) * STEP_US
+        self.intake.resume(now_us - now_us % interval_us, now_us)
+        self._advance(now_us)
+
+    @property
+    def outputs(self) -> list[Path]:
+        """The folders of the hours that were written, and the files for QGIS."""
+        return [*self._written, self._site.folder / NOW_FILE]
+
+    def figures(self) -> dict[str, object]:
+        """Return what came of each sensor, by name."""
+        return {"sensors": {name: dict(each.health.counts) for name, each in self.sensors.items()}}
+
+    def state(self) -> MapState:
+        """Return the map of now, a copy."""
+        return self._map.state()
+
+    def metrics(self) -> str:
+        """Return health as text for Prometheus."""
+        open_frames = float(self._journal.waiting)
+        figures = {
+            "unwritten_frames": open_frames,
+            "unwritten_hours": float(len(self.intake.touched)),
+            "map_step": float(self._map.step),
+            "unknown_sensors": float(len(self.intake.unknown)),
+            "broker_connections": float(self._link.connections) if self._link else 0.0,
+        }
+        return prometheus_text([each.health for each in self.sensors.values()], figures)
+
+    _link: Link | None = None
+
+    def run(self, stop: Event) -> None:
+        """Work until it is stopped; then all that is stored is written as folders.
+
+        Parameters
+        ----------
+        stop : Event
+            Set from outside.
+        """
+        live = self._site.live
+        topics = SensorTopics(live.site, "+")
+        own = SensorTopics(live.site, FUSION).of("status")
+        link = Link(
+            self._site.address(), name=f"{live.site}-fusion",
+            topics=tuple(topics.of(kind) for kind in ("pose", "status", "hits", "returns")),
+            will=(own, b'{"version": 1, "state": "offline"}'), reporter=self._reporter,
+        )  # fmt: skip
+        self._link = link
+        server = HealthServer(live.health, self.metrics) if live.health else None
+        link.open()
+        connections = 0
+        try:
+            while not stop.is_set():
+                if link.connections != connections and link.connected:
+                    connections = link.connections
+                    link.publish(own, b'{"version": 1, "state": "online"}', retain=True)
+                    for each in self.sensors.values():
+                        each.due = bool(each.stream)
+                self._take(link)
+                self._advance(int(time.time() * 1e6))
+                self._regular()
+            self._finish()
+        finally:
+            link.close(own, b'{"version": 1, "state": "offline"}')
+            if server is not None:
+                server.close()
+            self._journal.__exit__()
+
+    def _take(self, link: Link) -> None:
+        message = link.take(WAIT_S)
+        for _ in range(TAKEN_AT_ONCE):
+            if message is None:
+                return
+            self.intake.handle(message)
+            if self._journal.waiting >= self._settings.commit_frames:
+                self._commit()
+            message = link.take(0.0)
+
+    def _advance(self, now_us: int) -> None:
+        for step, frames in self._windows.close(now_us):
+            self._map.take(step, frames)
+
+    def _regular(self) -> None:
+        """Do what the clock asks for: commit, acknowledge, write hours and files."""
+        now = time.monotonic()
+        if now - self._committed >= self._settings.commit_s:
+            self._commit()
+            for each in self.sensors.values():
+                each.health.look(time.time())
+            over = int((time.time() - self._settings.settle_s) * 1e6) // HOUR_US
+            for hour, touched in list(self.intake.touched.items()):
+                if hour < over and now - touched >= self._settings.settle_s:
+                    self._write_hour(hour)
+        if now - self._exported >= self._site.live.every:
+            self._exported = now
+            self._export()
+        for each in self.sensors.values():
+            if each.due:
+                self._acknowledge(each)
+
+    def _commit(self) -> None:
+        """Bring frames to the disk; only then is anything acknowledged."""
+        self._committed = time.monotonic()
+        try:
+            self._journal.commit()
+        except OutputError as error:
+            self._say(error)
+            return
+        for each in self.sensors.values():
+            if each.stored != each.received:
+                each.stored, each.due = each.received, True
+                self._acknowledge(each)
+
+    def _acknowledge(self, sensor: SensorState) -> None:
+        if self._link is None or not self._link.connected:
+            return
+        sensor.due = False
+        found = Acknowledgement(
+            stream=sensor.stream, stored=sensor.stored, session=self._session,
+            resend=sensor.resend, refused=sensor.refused,
+        )  # fmt: skip
+        self._link.publish(sensor.topics.of("ack"), found.pack(), retain=True)
+
+    def _write_hour(self, hour: int) -> None:
+        try:
+            path = self._store.write_hour(
+                hour, self._journal, self.intake.poses, self._book.tiles, list(self.sensors)
+            )
+        except GisRadarError as error:
+            self.intake.touched[hour] = time.monotonic()  # tried again later; the journal keeps it
+            self._say(error)
+            return
+        self.intake.touched.pop(hour, None)
+        if path is not None:
+            self._written[path] = None
+
+    def _finish(self) -> None:
+        self._commit()
+        for hour in list(self.intake.touched):
+            self._write_hour(hour)
+        self._export()
+
+    def _export(self) -> None:
+        """Replace the files for QGIS."""
+        state = self.state()
+        observed_s = state.observed_steps * (STEP_US / 1e6)
+        occupied_s = state.occupied_steps * (STEP_US / 1e6)
+        share = np.divide(
+            occupied_s, observed_s, out=np.full(len(observed_s), np.nan), where=observed_s > 0
+        )
+        table = self.tiles[["tile_id", "lanelet_id", "geometry"]].assign(
+            time=state.time, occupied=state.occupied.astype(np.int8),
+            observed=state.observed.astype(np.int8), occupied_s=occupied_s,
+            observed_s=observed_s, occupancy=share,
+        )  # fmt: skip
+        try:
+            with whole_file(self._site.folder / NOW_FILE) as part:
+                table.to_file(part, layer="now", driver="GPKG", engine="pyogrio")
+        except GisRadarError as error:
+            self._say(error)
+
+    def _say(self, error: GisRadarError) -> None:
+        hint = f" ({error.hint})" if error.hint else ""
+        self._reporter.log(error.message + hint, "warning")
+
+
+def run_fusion(
+    path: str | Path, *, stop: Event | None = None, reporter: Reporter = QUIET
+) -> Fusion:
+    """Run the middle of the live system.
+
+    Parameters
+    ----------
+    path : str or Path
+        A site's file with a table `[live]`, described in `docs/live.md`.
+    stop : Event, optional
+        Set from outside to stop.
+    reporter : Reporter
+        Receives what happens.
+
+    Raises
+    ------
+    InputError
+        If the file, tiles or scans cannot be read.
+    OutputError
+        If its folder cannot be written, or another fusion runs in it.
+    """
+    fusion = Fusion(read_live_site(path), reporter=reporter)
+    fusion.run(stop or Event())
+    return fusion

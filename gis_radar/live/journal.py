@@ -1,0 +1,205 @@
+"""The journal of fusion: frames on disk before they are acknowledged, until their hour is written.
+
+One SQLite file. A commit reaches the disk as a whole: frames and the numbers up to which they are
+stored, so that whatever is killed, an acknowledged frame is there, and none is there twice.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple, Self
+
+from gis_radar.errors import OutputError
+from gis_radar.steps import STEP_US
+
+LOCK_S = 1.0  # for another program to let go of the file
+HOUR_US = 3_600_000_000
+HOUR_STEPS = HOUR_US // STEP_US
+FRAMES_AT_ONCE = 2_000  # read for an hour: 100 s of a radar
+_SCHEMA = """
+CREATE TABLE IF NOT EXISTS notes (name TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS marks (sensor TEXT, stream TEXT, stored INTEGER NOT NULL,
+    PRIMARY KEY (sensor, stream));
+CREATE TABLE IF NOT EXISTS poses (id INTEGER PRIMARY KEY, sensor TEXT NOT NULL,
+    stream TEXT NOT NULL, number INTEGER NOT NULL, content BLOB NOT NULL,
+    standing INTEGER NOT NULL, view TEXT NOT NULL, UNIQUE (sensor, stream, number));
+CREATE TABLE IF NOT EXISTS frames (sensor TEXT, time_us INTEGER, pose INTEGER NOT NULL,
+    detections INTEGER NOT NULL, moving INTEGER NOT NULL, wild INTEGER NOT NULL,
+    checksum INTEGER NOT NULL, tiles BLOB NOT NULL, PRIMARY KEY (sensor, time_us)) WITHOUT ROWID;
+"""
+
+
+class FrameRow(NamedTuple):
+    """A frame in the journal; `pose` is the id of its row, `tiles` the bytes of the set."""
+
+    sensor: str
+    time_us: int
+    pose: int
+    detections: int
+    moving: int
+    wild: int
+    checksum: int
+    tiles: bytes
+
+
+class PoseRow(NamedTuple):
+    """A pose in the journal; `standing` is the id of the row whose view it shares."""
+
+    id: int
+    sensor: str
+    stream: str
+    number: int
+    content: bytes
+    standing: int
+    view: str
+
+
+class Journal:
+    """Frames, poses and marks on disk.
+
+    Parameters
+    ----------
+    path : Path
+        The file; made where there is none.
+    fingerprint : str
+        Of the tiles.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written, or is one of other tiles.
+    """
+
+    def __init__(self, path: Path, *, fingerprint: str) -> None:
+        self.path = path
+        self._waiting: list[FrameRow] = []
+        self._marks: dict[tuple[str, str], int] = {}
+        with self._errors():
+            self._database = sqlite3.connect(
+                path, isolation_level=None, timeout=LOCK_S, check_same_thread=False
+            )
+            self._database.executescript(
+                "PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL;"
+                "PRAGMA locking_mode = EXCLUSIVE;" + _SCHEMA
+            )
+            row = ("fingerprint", fingerprint)
+            self._database.execute("INSERT OR IGNORE INTO notes VALUES (?, ?)", row)
+            (known,) = self._database.execute(
+                "SELECT value FROM notes WHERE name = 'fingerprint'"
+            ).fetchone()
+        if known != fingerprint:
+            self._database.close()
+            raise OutputError(
+                f"{path}: holds frames on tiles {known}, not {fingerprint}",
+                hint="name another folder for the new tiles",
+            )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._database.close()
+
+    @property
+    def waiting(self) -> int:
+        """Frames that are not on disk yet."""
+        return len(self._waiting)
+
+    def marks(self) -> dict[tuple[str, str], int]:
+        """Return up to which number each stream (sensor, stream) is stored, the newest last."""
+        rows = self._database.execute("SELECT sensor, stream, stored FROM marks ORDER BY rowid")
+        return {(sensor, stream): stored for sensor, stream, stored in rows}
+
+    def mark(self, sensor: str, stream: str) -> tuple[int, int]:
+        """Return up to which number a stream was taken, and up to which it is on disk."""
+        stored = self.marks().get((sensor, stream), 0)
+        return max(stored, self._marks.get((sensor, stream), 0)), stored
+
+    def poses(self, sensor: str) -> list[PoseRow]:
+        """Return the poses of a sensor, in order."""
+        found = self._database.execute(
+            "SELECT * FROM poses WHERE sensor = ? ORDER BY id", (sensor,)
+        )
+        return [PoseRow(*row) for row in found]
+
+    def next_pose(self) -> int:
+        """Return the id of the next pose."""
+        (found,) = self._database.execute("SELECT coalesce(max(id), 0) + 1 FROM poses").fetchone()
+        return int(found)
+
+    def add_pose(self, row: PoseRow) -> None:
+        """Add a pose, at once."""
+        with self._errors():
+            self._database.execute("INSERT INTO poses VALUES (?, ?, ?, ?, ?, ?, ?)", row)
+
+    def add(self, frames: Sequence[FrameRow], sensor: str, stream: str, number: int) -> None:
+        """Take the frames of a message; the next commit brings them to the disk."""
+        self._waiting += frames
+        self._marks[sensor, stream] = number
+
+    def commit(self) -> None:
+        """Bring all that was taken to the disk, as a whole.
+
+        Raises
+        ------
+        OutputError
+            If the disk is full or fails: what was taken stays taken, for the next commit.
+        """
+        if not self._marks:
+            return
+        with self._errors():
+            self._database.execute("BEGIN IMMEDIATE")
+            try:
+                self._database.executemany(
+                    "INSERT OR IGNORE INTO frames VALUES (?, ?, ?, ?, ?, ?, ?, ?)", self._waiting
+                )
+                self._database.executemany(
+                    "INSERT INTO marks VALUES (?, ?, ?) ON CONFLICT DO UPDATE "
+                    "SET stored = max(stored, excluded.stored)",
+                    [(*key, number) for key, number in self._marks.items()],
+                )
+                self._database.execute("COMMIT")
+            except BaseException:
+                if self._database.in_transaction:
+                    self._database.execute("ROLLBACK")
+                raise
+        self._waiting, self._marks = [], {}
+
+    def hours(self) -> list[int]:
+        """Return the hours since 1970 of which frames are kept."""
+        query = "SELECT DISTINCT time_us / ? FROM frames ORDER BY 1"
+        rows = self._database.execute(query, (HOUR_US,))
+        return [hour for (hour,) in rows]
+
+    def frames(self, sensor: str, begin_us: int, end_us: int) -> Iterator[list[FrameRow]]:
+        """Read the frames of a sensor in a time, the end left out, piece by piece."""
+        while True:
+            rows = self._database.execute(
+                "SELECT * FROM frames WHERE sensor = ? AND time_us >= ? AND time_us < ? "
+                "ORDER BY time_us LIMIT ?",
+                (sensor, begin_us, end_us, FRAMES_AT_ONCE),
+            ).fetchall()
+            if not rows:
+                return
+            yield [FrameRow(*row) for row in rows]
+            begin_us = rows[-1][1] + 1
+
+    def drop_hour(self, hour: int) -> None:
+        """Drop the frames of an hour: they are written elsewhere, and on disk."""
+        span = (hour * HOUR_US, (hour + 1) * HOUR_US)
+        with self._errors():
+            self._database.execute("DELETE FROM frames WHERE time_us >= ? AND time_us < ?", span)
+
+    @contextmanager
+    def _errors(self) -> Iterator[None]:
+        try:
+            yield
+        except (sqlite3.Error, OSError) as error:
+            reason = "the disk is full" if "full" in str(error) else str(error)
+            raise OutputError(
+                f"{self.path}: cannot be written: {reason}",
+                hint="nothing is acknowledged meanwhile: frames wait at the sensors",
+            ) from error

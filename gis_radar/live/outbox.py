@@ -1,0 +1,155 @@
+"""The outbox of a sensor: sends what waits in the disk buffer, and drops what fusion has stored."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import deque
+from collections.abc import Callable
+
+from gis_radar.errors import InputError
+from gis_radar.live.broker import Link, SensorTopics
+from gis_radar.live.buffer import DiskBuffer, FullError
+from gis_radar.live.payload import KINDS, POSE, VERSION, Acknowledgement, Envelope, pack_message
+from gis_radar.live.settings import DEFAULTS, LiveSettings
+from gis_radar.progress import QUIET, Reporter
+
+AT_ONCE = 100  # messages read from the buffer in one go
+STATUS_S = 2.0  # between two reports of a sensor's state
+ONLINE, OFFLINE = "online", "offline"
+
+
+def status_message(state: str, **figures: object) -> bytes:
+    """Return a message with a sensor's state."""
+    return json.dumps({"version": VERSION, "state": state, **figures}).encode()
+
+
+class Outbox:
+    """Sends messages in order, again where they got lost, until they are acknowledged.
+
+    Parameters
+    ----------
+    buffer : DiskBuffer
+        Where they wait.
+    link : Link
+        To the broker.
+    topics : SensorTopics
+        Of the sensor.
+    figures : callable
+        What the sensor's status says beside its state.
+    settings : LiveSettings
+        How many go ahead of the acknowledgement, and when they are sent again.
+    reporter : Reporter
+        Receives a line when the buffer is full or fusion refuses the stream.
+
+    Attributes
+    ----------
+    lost : int
+        Messages that the buffer did not take.
+    stored : int
+        The number up to which fusion has stored.
+    """
+
+    def __init__(
+        self, buffer: DiskBuffer, link: Link, topics: SensorTopics, *,
+        figures: Callable[[], dict[str, object]], settings: LiveSettings = DEFAULTS,
+        reporter: Reporter = QUIET,
+    ) -> None:  # fmt: skip
+        self.lost = self.stored = 0
+        self._buffer, self._link, self._topics = buffer, link, topics
+        self._figures, self._settings, self._reporter = figures, settings, reporter
+        self._on_way: deque[int] = deque()
+        self._sent = self._connections = 0
+        self._session, self._resend, self._refused = "", 0, ""
+        self._progress = self._reported = time.monotonic()
+        self._patience_s = settings.resend_s
+        self._empty = len(buffer) == 0
+
+    def put(self, kind: int, content: bytes) -> int:
+        """Add a message; return its number, or 0 where the buffer is full: it is then lost."""
+        try:
+            number = self._buffer.append(kind, content)
+        except FullError as error:
+            if self.lost == 0:
+                self._reporter.log(f"{error.message}: {error.hint}", "warning")
+            self.lost += 1
+            return 0
+        self._empty = False
+        return number
+
+    @property
+    def empty(self) -> bool:
+        """Whether fusion has stored all."""
+        return self._empty
+
+    @property
+    def behind(self) -> bool:
+        """Whether so much is on its way that what is of the moment only would be in the way."""
+        return len(self._on_way) >= self._settings.unacknowledged // 2
+
+    def pump(self) -> None:
+        """Take in what fusion says, and send what is due."""
+        while (message := self._link.take(0.0)) is not None:
+            self._heard(message.payload)
+        if not self._link.connected:
+            return
+        now = time.monotonic()
+        if self._link.connections != self._connections:
+            self._connections = self._link.connections
+            self._reported = 0.0
+            self._rewind()
+        if now - self._reported >= STATUS_S:
+            self._reported = now
+            status = status_message(ONLINE, stream=self._buffer.stream.hex(), **self._figures())
+            self._link.publish(self._topics.of("status"), status, retain=True)
+        if self._on_way and now - self._progress > self._patience_s:
+            self._patience_s = min(2 * self._patience_s, self._settings.slowest_resend_s)
+            self._rewind()
+        self._send()
+
+    def _send(self) -> None:
+        while not self._empty and (room := self._settings.unacknowledged - len(self._on_way)) > 0:
+            waiting = list(self._buffer.read_after(self._sent, min(room, AT_ONCE)))
+            if not waiting:
+                return
+            if not self._on_way:
+                self._progress = time.monotonic()
+            for each in waiting:
+                envelope = Envelope(
+                    kind=each.kind, stream=self._buffer.stream, number=each.number,
+                    previous=each.previous, live=each.number == self._buffer.last,
+                )  # fmt: skip
+                self._link.publish(
+                    self._topics.of(KINDS[each.kind]), pack_message(envelope, each.content),
+                    retain=each.kind == POSE,
+                )  # fmt: skip
+                self._sent = each.number
+                self._on_way.append(each.number)
+
+    def _rewind(self) -> None:
+        """Send again all that fusion has not stored."""
+        self._on_way.clear()
+        self._sent, self._progress = self.stored, time.monotonic()
+
+    def _heard(self, payload: bytes) -> None:
+        try:
+            found = Acknowledgement.unpack(payload)
+        except InputError as error:
+            self._reporter.log(f"fusion sends {error.message}", "warning")
+            return
+        if found.stream != self._buffer.stream.hex():
+            return
+        if found.refused and found.refused != self._refused:
+            self._reporter.log(f"fusion refuses what is sent: {found.refused}", "warning")
+        self._refused = found.refused
+        if found.stored > self.stored:
+            self.stored = min(found.stored, self._buffer.last)
+            self._buffer.acknowledge(self.stored)
+            self._progress, self._patience_s = time.monotonic(), self._settings.resend_s
+            while self._on_way and self._on_way[0] <= self.stored:
+                self._on_way.popleft()
+            self._sent = max(self._sent, self.stored)
+            self._empty = self.stored >= self._buffer.last or len(self._buffer) == 0
+        if (found.session, found.resend) != (self._session, self._resend):
+            self._session, self._resend = found.session, found.resend
+            self._rewind()

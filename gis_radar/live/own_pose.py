@@ -1,0 +1,192 @@
+"""The pose of a sensor by its own traffic: found at the start, and followed every 5 s."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from queue import SimpleQueue
+from threading import Thread
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from gis_radar.arrays import Floats
+from gis_radar.errors import NoAnswerError
+from gis_radar.files import scratch_folder
+from gis_radar.lanelets import LaneletMap, read_map
+from gis_radar.live.settings import EdgeFile
+from gis_radar.localization import localize_files
+from gis_radar.localization.result import Problem
+from gis_radar.poses.files import DECIMALS
+from gis_radar.poses.pose import ANGLES, POSITION, Pose, View
+from gis_radar.progress import QUIET, Reporter
+from gis_radar.recordings.recording import Detections
+from gis_radar.scans.scan import read_road
+from gis_radar.tracking.follow import Follower, start_estimate
+from gis_radar.tracking.settings import DEFAULTS as TRACKING
+from gis_radar.tracking.track import MOVED, track_of
+from gis_radar.tracking.windows import WindowFitter
+
+AGAIN_FRAMES = 500  # that come before the next try, where no pose follows: 25 s
+ROWS_KEPT = 1_440  # poses that the follower remembers: 2 h
+
+
+def rounded(pose: Pose) -> Pose:
+    """Return a pose with as many digits as a pose track holds, so that both are the same."""
+    names = (*POSITION, *ANGLES)
+    return replace(pose, **{name: round(getattr(pose, name), DECIMALS) for name in names})
+
+
+def find_own_pose(file: EdgeFile, frames: deque[Detections], *, reporter: Reporter = QUIET) -> Pose:
+    """Find the pose of a sensor from its last frames.
+
+    Parameters
+    ----------
+    file : EdgeFile
+        The sensor's, with guess, map and road.
+    frames : deque of Detections
+        The last ones.
+    reporter : Reporter
+        Receives remarks.
+
+    Raises
+    ------
+    NoAnswerError
+        If no trustworthy pose follows from them.
+    """
+    if file.map is None or file.road is None or file.guess is None:
+        raise NoAnswerError(f"{file.path}: there is nothing to find the pose by")
+    with scratch_folder() as folder:
+        path = folder / f"{file.sensor}.parquet"
+        time = np.concatenate([each.time for each in frames])
+        points = np.concatenate([each.points for each in frames])
+        columns: Mapping[str, Any] = {
+            "time": time,
+            **{axis: points[:, k] for k, axis in enumerate("xyz")},
+            "range_rate": np.concatenate([each.range_rate for each in frames]),
+            "rcs": np.concatenate([each.rcs for each in frames]),
+        }
+        pq.write_table(pa.table(columns), path)
+        found = localize_files(
+            path, file.map.file, file.road, guess=file.guess, heading=file.heading,
+            compass=file.compass, crs=file.map.crs, origin=file.map.origin, sensor=file.sensor,
+            view=view_of(file), reporter=reporter,
+        )  # fmt: skip
+    return rounded(found.pose)
+
+
+def view_of(file: EdgeFile) -> View | None:
+    """Return what a sensor sees, as its file states it."""
+    return None if file.view is None else View(**vars(file.view))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Followed:
+    """What the follower states of the pose.
+
+    Parameters
+    ----------
+    pose : Pose
+        From now on.
+    trusted : bool
+        False from a move until a whole window of traffic has corrected the pose again.
+    refused : str
+        Why the traffic does not confirm the start pose; empty where it does.
+    """
+
+    pose: Pose
+    trusted: bool = True
+    refused: str = ""
+
+
+class PoseFollower:
+    """Follows the pose in a thread of its own: a fit takes longer than a frame.
+
+    The tracking is that of `gis-radar track`. It learns of a move after the fact and then replaces
+    earlier poses; what was sent by these is sent. So the pose counts as unknown from the moment the
+    move is noticed.
+
+    Parameters
+    ----------
+    file : EdgeFile
+        The sensor's, with map and road.
+    start : Pose
+        Where it stands.
+    begin : float
+        UNIX seconds of the first frame that follows.
+    reporter : Reporter
+        Receives a warning for each move.
+    """
+
+    def __init__(
+        self, file: EdgeFile, start: Pose, begin: float, *, reporter: Reporter = QUIET
+    ) -> None:
+        self._frames: SimpleQueue[Detections | None] = SimpleQueue()
+        self._found: SimpleQueue[Followed] = SimpleQueue()
+        self._start, self._due = start, begin + TRACKING.cycle_s
+        roads, road = _map_of(file, start)
+        self._problem = Problem(
+            name=start.sensor, roads=roads, road=road, guess=start.position[:2], heading=None
+        )
+        self._follower = Follower(
+            WindowFitter(self._problem, TRACKING, reporter=reporter),
+            start_estimate(start, begin, TRACKING), name=start.sensor, reporter=reporter,
+        )  # fmt: skip
+        self._moved_at = -np.inf
+        self._thread = Thread(target=self._work, daemon=True, name="pose")
+        self._thread.start()
+
+    def push(self, frame: Detections) -> None:
+        """Take the next frame."""
+        self._frames.put(frame)
+
+    def latest(self) -> Followed | None:
+        """Return the newest pose, if there is one since the last call."""
+        found = None
+        while not self._found.empty():
+            found = self._found.get()
+        return found
+
+    def close(self) -> None:
+        """Stop following."""
+        self._frames.put(None)
+        self._thread.join()
+
+    def _work(self) -> None:
+        while (frame := self._frames.get()) is not None:
+            now = float(frame.time[0])
+            if now >= self._due:
+                try:
+                    self._cycle(self._due)
+                except NoAnswerError as error:
+                    self._found.put(
+                        Followed(pose=self._start, trusted=False, refused=error.message)
+                    )
+                    return
+                gone = np.floor((now - self._due) / TRACKING.cycle_s) + 1.0
+                self._due += float(gone) * TRACKING.cycle_s
+            self._follower.push(frame)
+
+    def _cycle(self, time: float) -> None:
+        known = {id(row) for row in self._follower.rows}
+        self._follower.cycle(time)
+        rows = self._follower.rows
+        if any(row.event == MOVED and id(row) not in known for row in rows):
+            self._moved_at = time
+        window_s = TRACKING.lost_s
+        trusted = self._moved_at == -np.inf
+        if not trusted and rows[-1].corrected and time - self._moved_at >= window_s:
+            trusted, self._moved_at = True, -np.inf
+        pose = track_of(self._problem, self._start, rows[-1:]).poses.poses[0]
+        self._found.put(Followed(pose=rounded(pose), trusted=trusted))
+        del rows[:-ROWS_KEPT]
+
+
+def _map_of(file: EdgeFile, pose: Pose) -> tuple[LaneletMap, Floats]:
+    if file.map is None or file.road is None:
+        raise NoAnswerError(f"{file.path}: there is nothing to follow the pose by")
+    roads = read_map(file.map.file, crs=file.map.crs or pose.crs, origin=file.map.origin)
+    return roads, read_road(file.road, roads.crs)

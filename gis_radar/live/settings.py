@@ -1,0 +1,292 @@
+"""Files of the live system: SENSOR.toml of a sensor, and [live] of SITE.toml."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Self
+
+from pydantic import Field, PrivateAttr, model_validator
+
+from gis_radar.errors import InputError
+from gis_radar.live.broker import BrokerAddress
+from gis_radar.occupancy import Filters
+from gis_radar.site.live_table import BrokerTable, Duration, LiveTable, TopicWord
+from gis_radar.site.settings import MapTable, OccupancyTable, Sensor, Site, ViewTable
+from gis_radar.site.toml_file import read_toml, toml_reference, toml_template
+from gis_radar.site.values import (
+    CompassBearing,
+    Cycle,
+    File,
+    Meaning,
+    Position,
+    Recordings,
+    Switch,
+    Text,
+    TomlTable,
+    Unfit,
+    key,
+    within,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LiveSettings:
+    """Constants of the live system.
+
+    Parameters
+    ----------
+    unacknowledged : int
+        Messages that a sensor sends beyond what fusion has stored: 20 s of a radar, which the
+        broker may hold for fusion.
+    resend_s : float
+        A sensor sends again what fusion has not acknowledged for so long, seconds; each further
+        time after twice as long.
+    slowest_resend_s : float
+        The longest of these times, seconds: an outage of a night costs a few MB of traffic.
+    commit_s : float
+        How long frames wait for fusion's disk, seconds: a second of memory is what a kill costs
+        in traffic, and loses nothing.
+    commit_frames : int
+        Frames that go to the disk at once at the latest: a replay is not held up by the clock.
+    settle_s : float
+        An hour is written once it is over and no frame of it came for so long, seconds.
+    clock_alarm_s : float
+        A sensor whose frames come this much after or before their time by fusion's clock has a
+        wrong clock, seconds: half of a window.
+    clock_frames : int
+        Live messages whose least delay is a sensor's offset: 10 s.
+    silent_s : float
+        A sensor is silent once it sent nothing for so long, seconds.
+    """
+
+    unacknowledged: int = 400
+    resend_s: float = 15.0
+    slowest_resend_s: float = 300.0
+    commit_s: float = 1.0
+    commit_frames: int = 200
+    settle_s: float = 60.0
+    clock_alarm_s: float = 0.025
+    clock_frames: int = 200
+    silent_s: float = 5.0
+
+
+DEFAULTS = LiveSettings()
+
+
+class SourceTable(TomlTable):
+    """Where the frames come from."""
+
+    address: Text | None = key('"udp://224.0.2.2:42102"', None, "none")
+    """The radar's, or a capture (pcap)."""
+    sensor: Text | None = key('"10.13.1.113"', None, "the only one")
+    """Which sensor, where the network has several."""
+    recording: File | None = key('"R1.parquet"', None, "none")
+    """A recording that is replayed instead."""
+    speed: Annotated[float, Meaning("0 or more"), within(0.0)] = key(1.0)
+    """Of the replay: 1 as recorded, 0 as fast as can be."""
+    loop: Duration | None = key('"100s"', None, "once")
+    """The recording comes again each so often, at the times of now."""
+
+    @model_validator(mode="after")
+    def _has_one_source(self) -> Self:
+        if (self.address is None) == (self.recording is None):
+            both = "both address and recording are" if self.address else "neither is"
+            raise Unfit(message=f"{both} given", hint="give one of address and recording")
+        return self
+
+
+class BufferTable(TomlTable):
+    """The disk buffer: frames wait in it until fusion has stored them."""
+
+    file: Text = key('"R1.buffer"', "buffer.sqlite", '"buffer.sqlite"')
+    """Where it is."""
+    megabytes: Annotated[float, Meaning("megabytes, 1 or more"), within(1.0, 1e7)] = key(400.0)
+    """How large it may become: 400 hold a day of a radar at 20 Hz."""
+
+
+class EdgeFile(TomlTable):
+    """A sensor's file, as it states it; made by :func:`read_edge_file`."""
+
+    sensor: TopicWord = key('"R1"')
+    """Its name, as in SITE.toml."""
+    site: TopicWord = key('"junction"')
+    """The site's name in the topics, as in SITE.toml."""
+    tiles: File = key('"tiles.gpkg"')
+    """The tiles, the same file that fusion has."""
+    pose: File | None = key('"R1.json"', None, "found at the start")
+    """Its pose; without it a guess is needed."""
+    guess: Position | None = key("[690356.0, 5336183.0]", None, "none")
+    """Where it stands, within 15 m, in the map frame."""
+    heading: Annotated[float, Meaning("degrees"), within()] | None = key("20.0", None, "searched")
+    """Yaw within 25 deg: from grid east, anticlockwise."""
+    compass: CompassBearing | None = key('"north-east"', None, "searched")
+    """The same as a bearing, clockwise from true north."""
+    follow: Switch = key("false", True, "true, where map and road are given")
+    """Whether the pose is followed every 5 s."""
+    road: File | None = key('"road.laz"', None, "none")
+    """The scanned road, from `gis-radar mask`, to find and follow the pose by."""
+    cycle: Cycle | None = key('"150ms"', None, "a frame holds 100 ms")
+    """Of a sensor under 10 Hz, the time from frame to frame."""
+    frames_a_message: Annotated[int, Meaning("1 to 100"), Field(strict=True, ge=1, le=100)] = key(
+        "5", 1, "1"
+    )
+    """Frames that wait for each other: fewer messages, and a later map."""
+    returns: Switch = key("false", True, "true")
+    """Whether returns for following vehicles are sent, too."""
+    source: SourceTable
+    """Where the frames come from."""
+    broker: BrokerTable
+    """The broker."""
+    map: MapTable | None = None
+    """The lanes, to find and follow the pose by."""
+    view: ViewTable | None = None
+    """What it sees, where its pose does not state it."""
+    occupancy: OccupancyTable = OccupancyTable()
+    """Which detections count, as in SITE.toml."""
+    buffer: BufferTable = BufferTable()
+    """The disk buffer."""
+    _path: Path = PrivateAttr(Path("SENSOR.toml"))
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        if (self.guess is None) == (self.pose is None):
+            both = "both guess and pose" if self.pose else "neither guess nor pose"
+            raise Unfit(message=f"has {both}", hint="give one of them")
+        if self.guess is not None and (self.map is None or self.road is None):
+            raise Unfit(
+                message="its pose is to be found, which needs lanes and road",
+                hint="give road and a table [map], or a pose",
+            )
+        if self.occupancy.clocks is not None:
+            raise Unfit(message="clocks are not corrected here", hint="set the clock by PTP or NTP")
+        return self
+
+    @property
+    def path(self) -> Path:
+        """The file it was read from."""
+        return self._path
+
+    @property
+    def buffer_path(self) -> Path:
+        """Where its buffer is."""
+        return self._path.parent / self.buffer.file
+
+    def address(self) -> BrokerAddress:
+        """Return where the broker is, and as whom to speak to it."""
+        return broker_address(self.broker, user=self.sensor)
+
+    def filters(self) -> Filters:
+        """Return which detections count."""
+        return filters_of(self.occupancy)
+
+
+class LiveSensor(Sensor):
+    """A radar of a live site: its recordings and its pose come over the network."""
+
+    recordings: Recordings = key('["R1_*.parquet"]', (), "none")
+    """What it recorded; not needed here."""
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        return self
+
+
+class LiveSite(Site):
+    """What `gis-radar live` takes of a site's file; made by :func:`read_live_site`."""
+
+    live: LiveTable
+    """The live system."""
+    sensor: Annotated[tuple[LiveSensor, ...], Field(min_length=1)]
+    """The radars, a table each."""
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        names = [each.name for each in self.sensor]
+        for place, name in enumerate(names):
+            if name in names[:place]:
+                at = ("sensor", place, "name")
+                raise Unfit(message=f"two sensors are called {name!r}", at=at)
+        return self
+
+    @property
+    def folder(self) -> Path:
+        """Where the files of the live system go."""
+        return self._path.parent / self.live.folder
+
+    def address(self) -> BrokerAddress:
+        """Return where the broker is, and as whom to speak to it."""
+        return broker_address(self.live.broker, user="fusion")
+
+
+def broker_address(table: BrokerTable, *, user: str) -> BrokerAddress:
+    """Return where the broker is, and as whom to speak to it.
+
+    Raises
+    ------
+    UsageError
+        If the address is none.
+    InputError
+        If the file with the password cannot be read.
+    """
+    password = ""
+    if table.password_file is not None:
+        try:
+            password = table.password_file.read_text(encoding="utf-8").strip()
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f"{table.password_file}: cannot be read: {error}") from error
+    name = (table.user or user) if password else ""
+    return BrokerAddress.of(table.address, user=name, password=password, authority=table.authority)
+
+
+def filters_of(table: OccupancyTable) -> Filters:
+    """Return which detections count, as a file states it."""
+    return Filters(
+        min_speed=table.min_speed, min_rcs=table.min_rcs, clearance=table.clearance,
+        elevation_error_deg=table.elevation_error,
+    )  # fmt: skip
+
+
+_HINT = "begin with: gis-radar edge --template > SENSOR.toml"
+_SITE_HINT = "begin with: gis-radar run --template > SITE.toml, and fill in [live]"
+_HEAD = """\
+# A sensor of gis_radar's live system. Lines without # must be filled in.
+# Paths are relative to the folder of this file. Positions are metres of the map frame.
+# Then: gis-radar edge SENSOR.toml
+"""
+
+
+def read_edge_file(path: str | Path) -> EdgeFile:
+    """Read a sensor's file.
+
+    Raises
+    ------
+    InputError
+        If it does not fit; the message names the line, the key and what was expected.
+    """
+    found = read_toml(Path(path), EdgeFile, of_site=False, hint=_HINT)
+    found._path = Path(path)  # noqa: SLF001 - not a key of the file
+    return found
+
+
+def read_live_site(path: str | Path) -> LiveSite:
+    """Read a site's file for the live system.
+
+    Raises
+    ------
+    InputError
+        If it does not fit; the message names the line, the key and what was expected.
+    """
+    found = read_toml(Path(path), LiveSite, of_site=True, hint=_SITE_HINT)
+    found._path = Path(path)  # noqa: SLF001 - not a key of the file
+    return found
+
+
+def edge_template() -> str:
+    """Return a commented file of a sensor to fill in."""
+    return toml_template(EdgeFile, _HEAD)
+
+
+def edge_reference() -> str:
+    """Return the reference of all keys of a sensor's file as Markdown."""
+    return toml_reference(EdgeFile)

@@ -1,0 +1,199 @@
+"""Where a sensor's frames come from: the radar itself, a capture, or a recording that is replayed.
+
+Each is an iterator over whole frames in order of time; None stands for a moment without one, so
+that whoever reads can do other things meanwhile.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from queue import Empty, Queue
+from threading import Thread
+
+import numpy as np
+
+from gis_radar.errors import GisRadarError, NoAnswerError
+from gis_radar.occupancy.frame_log import NO_FURTHER, FrameIndex, rows_of, whole_frames
+from gis_radar.progress import QUIET, Reporter
+from gis_radar.recordings.conversion import format_of
+from gis_radar.recordings.frame_clock import AGREEING_S
+from gis_radar.recordings.frames import Frame, ReaderContext
+from gis_radar.recordings.recording import Detections, open_recording
+
+IDLE_S = 0.02  # between two looks while no frame is there
+WAITING_FRAMES = 1_000  # of a radar, while its frames are worked on: 50 s
+Frames = Iterator[Detections | None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Replay:
+    """How a recording is replayed.
+
+    Parameters
+    ----------
+    path : Path
+        The recording.
+    speed : float
+        1 as it was recorded, 2 twice as fast; 0 as fast as can be.
+    loop_s : float, optional
+        Its frames come again each so many seconds, for ever, and their times are those of now: the
+        same for all that loop alike, whenever each was started. Without it frames come once, at the
+        times that they were recorded.
+    """
+
+    path: Path
+    speed: float = 1.0
+    loop_s: float | None = None
+
+    def frames(self) -> Frames:
+        """Yield the frames when they are due."""
+        if self.loop_s is None:
+            yield from self._once()
+            return
+        length_us = round(self.loop_s * 1e6)
+        first = next(frames_of_recording(self.path))
+        turn = int(time.time() * 1e6 - first.time[0] * 1e6) // length_us
+        while True:
+            for frame in frames_of_recording(self.path):
+                time_us = int(np.rint(frame.time[0] * 1e6))
+                if time_us - first.time[0] * 1e6 >= length_us:
+                    break
+                due_s = (time_us + turn * length_us) / 1e6
+                if due_s < time.time() - 1.0:
+                    continue  # begun in the midst of it
+                yield from _until(due_s - time.time())
+                yield replace(frame, time=np.full(len(frame), due_s))
+            turn += 1
+
+    def _once(self) -> Frames:
+        start, first = time.monotonic(), None
+        for frame in frames_of_recording(self.path):
+            first = float(frame.time[0]) if first is None else first
+            if self.speed > 0.0:
+                due_s = start + (float(frame.time[0]) - first) / self.speed
+                yield from _until(due_s - time.monotonic())
+            yield frame
+
+
+def _until(wait_s: float) -> Frames:
+    """Yield None until a time has passed."""
+    end = time.monotonic() + wait_s
+    while (left := end - time.monotonic()) > 0.0:
+        time.sleep(min(left, IDLE_S))
+        yield None
+
+
+def frames_of_recording(path: Path) -> Iterator[Detections]:
+    """Yield the frames of a recording one by one."""
+    for piece in whole_frames(open_recording(path).read()):
+        begins = FrameIndex.of(piece.time).begins
+        for begin, end in zip(begins, [*begins[1:], len(piece)], strict=True):
+            yield rows_of(piece, slice(int(begin), int(end)))
+
+
+@dataclass(kw_only=True)
+class Radar:
+    """A radar's frames, from its address or from a capture.
+
+    Parameters
+    ----------
+    source : str
+        Such as `udp://224.0.2.2:42102`, or a file that `gis-radar convert` takes.
+    sensor : str, optional
+        Which, where there are several.
+    reporter : Reporter
+        Receives remarks.
+
+    Attributes
+    ----------
+    counts : Counter
+        What was left out, by kind.
+    """
+
+    source: str
+    sensor: str | None = None
+    reporter: Reporter = QUIET
+
+    def __post_init__(self) -> None:
+        self.counts: Counter[str] = Counter()
+        self._last_us = 0
+        self._by_recorder = False
+
+    def frames(self) -> Frames:
+        """Yield the frames as they come; those of a capture at once.
+
+        Raises
+        ------
+        InputError
+            If the source cannot be read.
+        """
+        form = format_of(self.source)
+        context = ReaderContext(sensor=self.sensor, reporter=self.reporter, counts=self.counts)
+        waiting: Queue[Frame | GisRadarError | None] = Queue(WAITING_FRAMES)
+
+        def read() -> None:
+            try:
+                for frame in form.frames(self.source, context):
+                    waiting.put(frame)
+            except GisRadarError as error:
+                waiting.put(error)
+            else:
+                waiting.put(None)
+
+        Thread(target=read, daemon=True, name="radar").start()
+        while True:
+            try:
+                item = waiting.get(timeout=IDLE_S)
+            except Empty:
+                yield None
+                continue
+            if item is None:
+                return
+            if isinstance(item, GisRadarError):
+                raise item
+            if (found := self._detections(item)) is not None:
+                yield found
+
+    def _detections(self, frame: Frame) -> Detections | None:
+        """Return a frame as rows of a recording; None where its time is not after the last."""
+        sound = frame.sound(self.counts)
+        time_us = round(self._time(sound) * 1e6)
+        if time_us <= self._last_us:
+            self.counts["frames_out_of_order"] += 1
+            return None
+        self._last_us = time_us
+        points = sound.points.astype(np.float64)
+        if len(points) == 0:
+            points = np.full((1, 3), np.nan)
+        rate, rcs = (
+            column.astype(np.float64) if len(sound) else np.full(1, np.nan)
+            for column in (sound.range_rate, sound.rcs)
+        )
+        rows = np.full(len(points), time_us / 1e6)
+        return Detections(time=rows, points=points, range_rate=rate, rcs=rcs, further=NO_FURTHER)
+
+    def _time(self, frame: Frame) -> float:
+        """Return the sensor's time where it is right, else that of arrival, from there on."""
+        theirs, ours = frame.sensor_time, frame.recorder_time
+        if ours is None or (self._by_recorder is False and _is_right(frame)):
+            if theirs is None:
+                raise NoAnswerError(f"{self.source}: frames without any time")
+            return theirs
+        if not self._by_recorder:
+            self._by_recorder = True
+            self.reporter.log(
+                f"{self.source}: the sensor's clock is not set: times are those of arrival",
+                "warning",
+            )
+        return ours
+
+
+def _is_right(frame: Frame) -> bool:
+    theirs, ours = frame.sensor_time, frame.recorder_time
+    if theirs is None or ours is None or not frame.synchronised:
+        return False
+    return abs(theirs - ours) <= AGREEING_S

@@ -1,0 +1,222 @@
+"""The store: an occupancy folder an hour, from the frames of the journal."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from gis_radar.arrays import Integers
+from gis_radar.files import whole_folder
+from gis_radar.live.journal import HOUR_US, FrameRow, Journal
+from gis_radar.live.payload import PoseContent
+from gis_radar.occupancy.folder import (
+    HITS_FILE,
+    OWNED,
+    Occupancy,
+    frames_of,
+    frames_table,
+    merge_occupancies,
+    read_occupancy,
+    views_table,
+)
+from gis_radar.occupancy.frame_log import merge_frame_logs
+from gis_radar.occupancy.frame_steps import Runs, union
+from gis_radar.occupancy.hits import HITS, Rows, merge_rows
+from gis_radar.occupancy.tile_sets import decode_sets
+from gis_radar.steps import STEP_US
+
+LIVE_RECORDING = "live"  # in the place of a recording's name, in the manifest
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownPose:
+    """A pose of a sensor as fusion knows it.
+
+    Parameters
+    ----------
+    content : PoseContent
+        As it was sent.
+    view : str
+        Name of what the sensor sees from it.
+    """
+
+    content: PoseContent
+    view: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Store:
+    """Where hours are written.
+
+    Parameters
+    ----------
+    folder : Path
+        It holds a folder an hour: `2026-11-23T07Z`.
+    fingerprint : str
+        Of the tiles.
+    tile_id : (n,) int64 array
+        Their ids.
+    sight : dict or str
+        As a manifest describes it.
+    """
+
+    folder: Path
+    fingerprint: str
+    tile_id: Integers
+    sight: Any
+
+    def path_of(self, hour: int) -> Path:
+        """Return the folder of an hour since 1970."""
+        return self.folder / datetime.fromtimestamp(hour * 3600, tz=UTC).strftime("%Y-%m-%dT%HZ")
+
+    def write_hour(
+        self, hour: int, journal: Journal, poses: Mapping[int, KnownPose],
+        tiles: Mapping[str, Integers], sensors: Sequence[str],
+    ) -> Path | None:  # fmt: skip
+        """Write the frames of an hour, added to those that are there; then drop them.
+
+        Killed at any moment, it is done again and gives the same: all tables are sets.
+
+        Parameters
+        ----------
+        hour : int
+            Since 1970.
+        journal : Journal
+            With the frames.
+        poses : mapping
+            By id of their rows in the journal.
+        tiles : mapping
+            Ids of the tiles by name of view.
+        sensors : sequence of str
+            All sensors.
+
+        Raises
+        ------
+        OutputError
+            If it cannot be written; the journal then keeps the frames.
+        """
+        found = _Hour(self, hour, journal, poses, tiles)
+        with_frames = [sensor for sensor in sorted(sensors) if found.read(sensor)]
+        path = self.path_of(hour)
+        if not with_frames:
+            return None
+        occupancy = found.occupancy(with_frames)
+        if path.exists():
+            occupancy = merge_occupancies([read_occupancy(path), occupancy])
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with whole_folder(path, owned=OWNED) as part:
+            names = occupancy.sensors
+            HITS.write(occupancy.hits_by_sensor(names), part / HITS_FILE, self.fingerprint, names)
+            occupancy.write_beside_hits(part, pairs=False)
+            for file in part.iterdir():
+                _sync(file)
+            _sync(part)
+        _sync(self.folder)
+        journal.drop_hour(hour)
+        return path
+
+
+class _Hour:
+    """The frames of an hour, as the tables of an occupancy."""
+
+    def __init__(
+        self, store: Store, hour: int, journal: Journal, poses: Mapping[int, KnownPose],
+        tiles: Mapping[str, Integers],
+    ) -> None:  # fmt: skip
+        self._store, self._journal, self._poses, self._tiles = store, journal, poses, tiles
+        self._span = (hour * HOUR_US, (hour + 1) * HOUR_US)
+        self._steps: dict[tuple[str, str], list[Runs]] = {}
+        self._met: dict[str, list[int]] = {}
+
+    def read(self, sensor: str) -> bool:
+        """Find the steps and poses of a sensor's frames; return whether it has any."""
+        met: dict[int, None] = {}
+        for rows in self._journal.frames(sensor, *self._span):
+            pose = np.array([row.pose for row in rows])
+            step = np.array([row.time_us for row in rows]) // STEP_US
+            for each in np.unique(pose).tolist():
+                met[each] = None
+                steps = step[pose == each]
+                key = (sensor, self._poses[each].view)
+                self._steps.setdefault(key, []).append(union([Runs(first=steps, last=steps)]))
+        self._met[sensor] = sorted(met)
+        return bool(met)
+
+    def occupancy(self, sensors: Sequence[str]) -> Occupancy:
+        """Return the hour's occupancy; its hits are read when they are asked for."""
+        frames = frames_table(
+            pd.concat([frames_of(*key, union(runs)) for key, runs in self._steps.items()])
+        )
+        return Occupancy(
+            fingerprint=self._store.fingerprint,
+            frames=frames,
+            views=views_table(frames, dict(self._tiles)),
+            hits_by_sensor=lambda names: merge_rows(
+                [self._hits(sensor, names.index(sensor)) for sensor in sensors], 3
+            ),
+            frame_log=lambda names: merge_frame_logs(
+                [self._log(sensor, names.index(sensor)) for sensor in sensors]
+            ),
+            sources=[self._source(sensor) for sensor in sensors],
+            hold_s={
+                sensor: self._poses[self._met[sensor][-1]].content.hold_s for sensor in sensors
+            },
+        )
+
+    def _source(self, sensor: str) -> dict[str, Any]:
+        met = [self._poses[each].content for each in self._met[sensor]]
+        distinct = {json.dumps(each.pose, sort_keys=True): each.pose for each in met}
+        return {
+            "recording": LIVE_RECORDING,
+            "rows": 0,
+            "sensor": sensor,
+            "poses": list(distinct.values()),
+            "filters": met[-1].filters,
+            "settings": met[-1].settings,
+            "sight": self._store.sight,
+        }
+
+    def _pieces(self, sensor: str) -> Iterator[tuple[list[FrameRow], Integers, Integers]]:
+        """Yield frames, the positions of all their tiles, and how many each has."""
+        for rows in self._journal.frames(sensor, *self._span):
+            sizes = np.cumsum([0, *(len(row.tiles) for row in rows)])
+            data = np.frombuffer(b"".join(row.tiles for row in rows), np.uint8)
+            tiles, begins = decode_sets(data, sizes, what=str(self._journal.path))
+            yield rows, tiles, np.diff(begins)
+
+    def _hits(self, sensor: str, number: int) -> Iterator[Rows]:
+        for rows, tiles, count in self._pieces(sensor):
+            step = np.array([row.time_us for row in rows]) // STEP_US
+            yield np.repeat(step, count), self._store.tile_id[tiles], np.full(len(tiles), number)
+
+    def _log(self, sensor: str, number: int) -> Iterator[Rows]:
+        for rows, _, count in self._pieces(sensor):
+            columns = np.array(
+                [(r.time_us, r.pose, r.detections, r.moving, r.wild, r.checksum) for r in rows],
+                np.int64,
+            ).T
+            seen = {
+                pose: len(self._tiles[self._poses[pose].view]) for pose in set(columns[1].tolist())
+            }
+            tiles_seen = np.array([seen[pose] for pose in columns[1].tolist()], np.int64)
+            none = np.zeros(len(rows), np.int64)
+            yield (
+                columns[0], none + number, *columns[2:5], count, tiles_seen, columns[5], none,
+            )  # fmt: skip
+
+
+def _sync(path: Path) -> None:
+    """Bring a file, or the names in a folder, to the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

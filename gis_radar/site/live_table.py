@@ -1,0 +1,92 @@
+"""The table of a site's live system, and that of the broker, which its sensors have too."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+from urllib.parse import urlsplit
+
+from pydantic import AfterValidator, PlainValidator
+
+from gis_radar.errors import GisRadarError
+from gis_radar.site.values import File, Meaning, Text, TomlTable, Unfit, key
+from gis_radar.steps import duration_s, interval_steps
+
+_NOT_IN_TOPICS = frozenset("+#/$")
+
+
+def _duration(value: Any) -> float:
+    try:
+        return duration_s(value) if isinstance(value, str) else _unfit()
+    except GisRadarError as error:
+        raise Unfit(hint=error.message) from error
+
+
+def _unfit() -> float:
+    raise Unfit
+
+
+def _interval(text: str) -> str:
+    try:
+        interval_steps(text)
+    except GisRadarError as error:
+        raise Unfit(hint=error.message) from error
+    return text
+
+
+def _topic_word(text: str) -> str:
+    if _NOT_IN_TOPICS & {*text} or not text.isascii() or " " in text:
+        raise Unfit("a word without + # / $ and blanks, as it stands in topics")
+    return text
+
+
+def _host_and_port(text: str) -> str:
+    try:
+        parts = urlsplit(f"//{text}")
+        fits = bool(parts.hostname) and parts.port is not None
+    except ValueError:
+        fits = False
+    if not fits:
+        raise Unfit
+    return text
+
+
+Duration = Annotated[float, Meaning('a duration such as "200ms"'), PlainValidator(_duration)]
+TopicWord = Annotated[Text, Meaning("a word"), AfterValidator(_topic_word)]
+Interval = Annotated[Text, Meaning('a length such as "15min"'), AfterValidator(_interval)]
+HostPort = Annotated[
+    Text, Meaning('HOST:PORT such as "127.0.0.1:9464"'), AfterValidator(_host_and_port)
+]
+
+
+class BrokerTable(TomlTable):
+    """The broker that sensors and fusion speak through."""
+
+    address: Text = key('"mqtts://broker.example:8883"')
+    """Where it is: `mqtt://` or, encrypted, `mqtts://`."""
+    user: Text | None = key('"R1"', None, "the sensor's name, or fusion")
+    """As whom to log in."""
+    password_file: File | None = key('"R1.password"', None, "no log-in")
+    """A file with nothing but the password."""
+    authority: File | None = key('"ca.crt"', None, "those of the system")
+    """Certificate of the authority that signed the broker's."""
+
+
+class LiveTable(TomlTable):
+    """The live system: `gis-radar live`."""
+
+    site: TopicWord = key('"junction"')
+    """The site's name in the topics: `v1/SITE/SENSOR/hits`."""
+    tiles: File = key('"tiles.gpkg"')
+    """The tiles, from `gis-radar tiles`: the same file that the sensors have."""
+    folder: Text = key('"live"', "live", '"live"')
+    """Where its files go."""
+    lateness: Duration = key('"200ms"', 0.2, '"200ms"')
+    """How long a 50 ms window stays open after its end for frames on their way."""
+    interval: Interval = key('"15min"', "15min", '"15min"')
+    """Over which the cumulative map counts, from each full hour on."""
+    every: Duration = key('"10s"', 10.0, '"10s"')
+    """How often the files for QGIS are replaced."""
+    health: HostPort | None = key('"127.0.0.1:9464"', None, "none")
+    """Where counts and alarms are served as text for Prometheus."""
+    broker: BrokerTable
+    """The broker."""

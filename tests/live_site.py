@@ -1,0 +1,136 @@
+"""A live site on this machine: a real broker, the sample junction's tiles, two sensors' files."""
+
+import shutil
+import socket
+import subprocess
+import threading
+import time
+
+import pytest
+
+import gis_radar as gr
+
+SAMPLE = gr.sample_folder()
+MOSQUITTO = shutil.which("mosquitto") or shutil.which("/usr/sbin/mosquitto")
+
+
+def free_port():
+    with socket.socket() as each:
+        each.bind(("127.0.0.1", 0))
+        return each.getsockname()[1]
+
+
+class Broker:
+    """Mosquitto with a configuration, to be killed and started again."""
+
+    def __init__(self, config, port):
+        self.config, self.port, self.process = config, port, None
+
+    def start(self):
+        self.log = self.config.with_suffix(".log").open("ab")
+        self.process = subprocess.Popen(
+            [MOSQUITTO, "-c", str(self.config)], stdout=self.log, stderr=self.log
+        )
+        wait_for(lambda: is_open(self.port), 5.0)
+
+    def kill(self):
+        self.process.kill()
+        self.process.wait()
+        self.log.close()
+
+
+def is_open(port):
+    with socket.socket() as each:
+        return each.connect_ex(("127.0.0.1", port)) == 0
+
+
+def wait_for(what, timeout_s, message="it did not happen"):
+    end = time.monotonic() + timeout_s
+    while not what():
+        assert time.monotonic() < end, message
+        time.sleep(0.02)
+
+
+class Background(threading.Thread):
+    """Something that runs until it is stopped; what it raises is raised by `end`."""
+
+    def __init__(self, work):
+        super().__init__(daemon=True)
+        self.stop, self._work, self.error = threading.Event(), work, None
+        self.start()
+
+    def run(self):
+        try:
+            self._work(self.stop)
+        except Exception as error:  # noqa: BLE001 - raised in the test
+            self.error = error
+
+    def end(self, timeout_s=30.0):
+        self.stop.set()
+        self.join(timeout_s)
+        assert not self.is_alive()
+        if self.error:
+            raise self.error
+
+
+def make_tiles_file(folder):
+    roads = gr.read_map(SAMPLE / "junction.osm")
+    path = folder / "tiles.gpkg"
+    gr.write_tiles(gr.make_tiles(roads), path, problems=roads.problems)
+    return path
+
+
+class LiveSite:
+    """Files of a site and its sensors, and the broker that they name."""
+
+    def __init__(self, folder, once):
+        self.folder, self.port = folder, free_port()
+        self.tiles = once("live_tiles", make_tiles_file)
+        config = folder / "mosquitto.conf"
+        config.write_text(
+            f"listener {self.port} 127.0.0.1\nallow_anonymous true\nmax_packet_size 66560\n"
+            "max_inflight_messages 100\nmax_queued_messages 10000\n"
+        )
+        self.broker = Broker(config, self.port)
+        self.file = folder / "SITE.toml"
+        self.file.write_text(
+            f"""
+title = "Sample junction"
+[map]
+file = "{SAMPLE / "junction.osm"}"
+[live]
+site = "junction"
+tiles = "{self.tiles}"
+broker = {{ address = "mqtt://127.0.0.1:{self.port}" }}
+[[sensor]]
+name = "R1"
+[[sensor]]
+name = "R2"
+"""
+        )
+
+    def edge(self, name, *, more="", source="speed = 0.0", **keys):
+        """Write the file of a sensor and return it."""
+        path = self.folder / f"{keys.pop('file', name)}.toml"
+        keys = {"pose": f'"{SAMPLE / name}.json"', "tiles": f'"{self.tiles}"'} | keys
+        path.write_text(
+            f"""
+sensor = "{name}"
+site = "junction"
+follow = false
+returns = false
+{"".join(f"{key} = {value}" + chr(10) for key, value in keys.items())}
+{more}
+[source]
+recording = "{SAMPLE / name}.parquet"
+{source}
+[broker]
+address = "mqtt://127.0.0.1:{self.port}"
+[buffer]
+file = "{path.stem}.buffer"
+"""
+        )
+        return path
+
+
+needs_mosquitto = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")

@@ -1,0 +1,341 @@
+"""Parts of the live system without a network: messages, buffer, windows, map of now, health."""
+
+import sqlite3
+from collections import Counter
+from contextlib import suppress
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from live_site import SAMPLE
+
+import gis_radar as gr
+from gis_radar.errors import GisRadarError, InputError
+from gis_radar.live.broker import BrokerAddress, parts_of
+from gis_radar.live.buffer import BLOCK, ROW_BYTES, DiskBuffer, FullError, hours_held
+from gis_radar.live.edge import TileFinder
+from gis_radar.live.health import SensorHealth, prometheus_text
+from gis_radar.live.map_of_now import MapOfNow
+from gis_radar.live.payload import (
+    HITS,
+    Acknowledgement,
+    Envelope,
+    FrameReturns,
+    PoseContent,
+    VersionError,
+    pack_hits,
+    pack_message,
+    pack_returns,
+    unpack_hits,
+    unpack_message,
+    unpack_returns,
+)
+from gis_radar.live.sources import Replay, frames_of_recording
+from gis_radar.live.windows import Seen, Windows
+from gis_radar.occupancy.hit_counter import CountedFrame
+from gis_radar.progress import Reporter
+from gis_radar.sight import SightTiles
+
+PRINT = "00112233445566778899aabbccddeeff"
+COUNT = st.integers(0, 10_000)
+TILES = st.sets(st.integers(0, 11_778), max_size=60).map(sorted)
+NUMBERS = st.integers(1, 2**60)
+
+
+@settings(deadline=None)
+@given(
+    st.lists(
+        st.tuples(st.integers(1, 10**7), COUNT, COUNT, COUNT, COUNT, TILES), min_size=1, max_size=8
+    ),
+    NUMBERS, NUMBERS, st.binary(min_size=4, max_size=4), st.booleans(),
+)  # fmt: skip
+def test_frames_come_out_of_a_message_as_they_went_in(rows, number, pose, stream, live):
+    frames, time_us = [], 1_763_882_923_000_000
+    for gap, detections, moving, wild, checksum, tiles in rows:
+        time_us += gap
+        frames.append(
+            CountedFrame(time_us=time_us, detections=detections, moving=moving, wild=wild,
+                          checksum=checksum, tiles=np.array(tiles, np.int64))
+        )  # fmt: skip
+    envelope = Envelope(
+        kind=HITS, stream=stream, number=number, previous=max(number - 7, 0), live=live
+    )
+    data = pack_message(envelope, pack_hits(frames, pose=pose, fingerprint=PRINT))
+    back, content = unpack_message(data)
+    assert back == envelope
+    found = unpack_hits(content, tiles=11_779)
+    assert (found.pose, found.tiles_begin) == (pose, PRINT[:8])
+    for one, other in zip(frames, found.frames, strict=True):
+        assert [*one.tiles] == [*other.tiles]
+        names = ("time_us", "detections", "moving", "wild", "checksum")
+        assert [getattr(one, n) for n in names] == [getattr(other, n) for n in names]
+
+
+@given(st.lists(st.tuples(*[st.integers(-(2**31), 2**31)] * 3, st.integers(-9000, 9000))))
+def test_returns_come_out_sorted_by_x(rows):
+    values = np.array(rows, np.int64).reshape(-1, 4)
+    frame = FrameReturns(time_us=1, points_cm=values[:, :3], rates_cmps=values[:, 3])
+    pose, (back,) = unpack_returns(pack_returns([frame], pose=9))
+    order = np.argsort(values[:, 0], kind="stable")
+    assert pose == 9
+    assert np.array_equal(np.column_stack([back.points_cm, back.rates_cmps]), values[order])
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.binary(max_size=80), st.integers(0, 3))
+def test_what_is_no_message_is_refused_and_nothing_else_is_raised(noise, start):
+    good = pack_message(Envelope(kind=HITS, stream=b"abcd", number=5), b"")
+    data = good[: [0, 2, 6, len(good)][start]] + noise
+    for read in (unpack_message, Acknowledgement.unpack, PoseContent.unpack, unpack_returns,
+                 lambda each: unpack_hits(each, tiles=10)):  # fmt: skip
+        with suppress(InputError):
+            read(data)
+
+
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        (b"\x02\x01abcd\x01\x00", "version 2, expected 1"),
+        (b"", "version none"),
+        (b"\x01\x07abcd\x01\x00", "of kind 7"),
+        (b"\x01\x01ab", "4 bytes"),
+        (b"\x01\x01abcd\x80", "within a number"),
+        (b"\x01" * 70_000, "70,000 bytes"),
+    ],
+)
+def test_odd_envelopes_are_named(data, says):
+    with pytest.raises(InputError, match=says):
+        unpack_message(data)
+    assert issubclass(VersionError, InputError)
+
+
+def test_a_tile_that_is_not_there_and_bytes_too_many_are_refused():
+    frame = CountedFrame(
+        time_us=1, detections=1, moving=0, wild=0, checksum=0, tiles=np.array([3, 12])
+    )
+    content = pack_hits([frame], pose=1, fingerprint=PRINT)
+    assert unpack_hits(content, tiles=13).frames[0].tiles.tolist() == [3, 12]
+    with pytest.raises(InputError, match="names tile 12 of 12"):
+        unpack_hits(content, tiles=12)
+    with pytest.raises(InputError, match="1 bytes too many"):
+        unpack_hits(content + b"\0", tiles=13)
+
+
+@pytest.fixture(scope="module")
+def finder():
+    tiles = gr.make_tiles(gr.read_map(SAMPLE / "junction.osm"))
+    road = SightTiles.of(tiles)
+    pose = gr.read_pose(SAMPLE / "R1.json")
+    return TileFinder(road, gr.TileGrid(road.quads), gr.Filters(), pose)
+
+
+def test_messages_are_as_small_as_stated(finder):
+    frames = list(frames_of_recording(SAMPLE / "R1.parquet"))[:600]
+    number = 20 * 86_400 * 365  # of a year
+    envelope = Envelope(kind=HITS, stream=b"abcd", number=number, previous=number - 1)
+    hits = [
+        len(pack_message(envelope, pack_hits([finder.find(f)], pose=number, fingerprint=PRINT)))
+        for f in frames
+    ]
+    returns = [
+        len(pack_message(envelope, pack_returns([finder.returns(f, 0.5)], pose=number)))
+        for f in frames
+    ]
+    assert np.percentile(hits, 99) < 150
+    assert np.percentile(returns, 99) < 600
+
+
+def test_a_day_fits_in_the_default_buffer(tmp_path):
+    content = bytes(range(140))
+    with DiskBuffer(tmp_path / "b", most_bytes=10**8, fingerprint=PRINT) as buffer:
+        before = buffer.bytes_used
+        for _ in range(3_000):
+            buffer.append(HITS, content)
+        each = (buffer.bytes_used - before) / 3_000
+    assert each - len(content) < ROW_BYTES
+    held = hours_held(400_000_000, message_bytes=150, messages_per_second=20)
+    assert held > 24  # of the 99th percentile throughout
+
+
+def test_only_what_is_acknowledged_leaves_the_buffer(tmp_path):
+    path = tmp_path / "R1.buffer"
+    with DiskBuffer(path, most_bytes=10**7, fingerprint=PRINT) as buffer:
+        stream = buffer.stream
+        assert [buffer.append(HITS, bytes([k])) for k in range(5)] == [1, 2, 3, 4, 5]
+        buffer.acknowledge(2)
+        assert [each[:2] for each in buffer.read_after(0, 9)] == [(3, 0), (4, 3), (5, 4)]
+    with DiskBuffer(path, most_bytes=10**7, fingerprint=PRINT) as buffer:
+        assert buffer.stream == stream
+        # a power loss may have taken the last rows: numbers that may have been sent come not again
+        assert buffer.append(HITS, b"new") == BLOCK + 1
+        assert [each.previous for each in buffer.read_after(0, 9)] == [0, 3, 4, 5]
+        assert [each.content for each in buffer.read_after(5, 9)] == [b"new"]
+
+
+def test_a_full_buffer_takes_nothing_and_drops_nothing(tmp_path):
+    with DiskBuffer(tmp_path / "b", most_bytes=100_000, fingerprint=PRINT) as buffer:
+        with pytest.raises(FullError, match="full"):
+            for _ in range(10_000):
+                buffer.append(HITS, bytes(100))
+        kept = len(buffer)
+        assert kept > 500
+        assert next(buffer.read_after(0, 1)).number == 1
+        with pytest.raises(FullError):
+            buffer.append(HITS, bytes(100))
+        assert len(buffer) == kept
+        buffer.acknowledge(kept)
+        buffer.append(HITS, b"again")
+        assert len(buffer) == 1
+
+
+def test_a_buffer_of_other_tiles_is_put_aside_and_one_in_use_refused(tmp_path):
+    path = tmp_path / "b"
+    with DiskBuffer(path, most_bytes=10**7, fingerprint=PRINT) as buffer:
+        buffer.append(HITS, b"old")
+        with pytest.raises(GisRadarError, match="another edge"):
+            try:
+                DiskBuffer(path, most_bytes=10**7, fingerprint=PRINT)
+            except GisRadarError as error:
+                raise GisRadarError(f"{error.message} {error.hint}") from error
+    with DiskBuffer(path, most_bytes=10**7, fingerprint="ff" * 16) as buffer:
+        assert len(buffer) == 0
+        aside = buffer.put_aside
+    with sqlite3.connect(aside) as database:
+        assert database.execute("SELECT content FROM messages").fetchall() == [(b"old",)]
+
+
+def seen(*tiles, view="v"):
+    return Seen(np.array(tiles, np.int64), view)
+
+
+def test_windows_close_in_order_at_their_lateness():
+    windows = Windows(0.2)
+    assert windows.add("R1", 1000, seen(1))
+    assert windows.add("R2", 1000, seen(2))
+    assert windows.add("R1", 1002, seen(3))
+    end = 1001 * 50_000 + 200_000  # of step 1000, and the lateness
+    assert list(windows.close(end - 1)) == []
+    ((step, found),) = windows.close(end)
+    assert (step, sorted(found)) == (1000, ["R1", "R2"])
+    assert not windows.add("R1", 1000, seen(9))  # too late for the map
+    assert windows.add("R1", 1001, seen(4))  # late, and in time
+    assert windows.add("R1", 1001, seen(5))  # two frames of a step are one
+    closed = dict(windows.close(end + 100_000))
+    assert closed[1001]["R1"].tiles.tolist() == [4, 5]
+    assert closed[1002]["R1"].tiles.tolist() == [3]
+    assert (windows.late, windows.early) == (1, 0)
+    assert not windows.add("R1", 10**9, seen(1))
+    assert windows.early == 1
+
+
+def test_the_map_of_now_counts_as_a_heat_map_does(tmp_path, finder):
+    """Every window of both sensors: the same seconds as of the folder, tile by tile."""
+    tiles = gr.make_tiles(gr.read_map(SAMPLE / "junction.osm"))
+    names = ("R1", "R2")
+    batch = gr.measure_occupancy(
+        [SAMPLE / f"{name}.parquet" for name in names],
+        [gr.read_pose(SAMPLE / f"{name}.json") for name in names], tiles, tmp_path / "o",
+    )  # fmt: skip
+    tile_id = tiles["tile_id"].to_numpy()
+    windows, current = Windows(0.2), MapOfNow(len(tiles), interval=1 << 40)
+    current.holds_s = dict(batch.hold_s)
+    for name, group in batch.views.groupby("sensor"):
+        current.views[name] = np.isin(tile_id, group["tile_id"])
+    rows = [np.concatenate(c) for c in zip(*batch.hits_by_sensor(names), strict=True)]
+    log = [np.concatenate(c) for c in zip(*batch.frame_log(names), strict=True)]
+    frames = sorted(set(zip((log[0] // 50_000).tolist(), log[1].tolist(), strict=True)))
+    by_frame = {key: [] for key in frames}
+    for step, tile, sensor in zip(*rows, strict=True):
+        by_frame[int(step), int(sensor)].append(int(tile))
+    last = frames[-1][0]
+    for step, sensor in frames:
+        place = np.searchsorted(tile_id, by_frame[step, sensor])
+        assert windows.add(names[sensor], step, Seen(place, names[sensor]))
+        for closed in windows.close(step * 50_000):
+            current.take(*closed)
+    for closed in windows.close((last + 1) * 50_000 + 200_000):
+        current.take(*closed)
+    state = current.state()
+    assert state.step == last
+    heatmap = gr.make_heatmap(batch, tiles).wide()
+    occupied_s = np.nan_to_num(heatmap["occupied_s"].to_numpy())  # NaN where not observed
+    assert np.array_equal(state.occupied_steps, np.rint(occupied_s * 20.0))
+    assert np.array_equal(state.observed_steps, np.rint(heatmap["observed_s"].to_numpy() * 20.0))
+    assert state.occupied_steps.max() > 100
+
+
+def test_cumulative_counts_begin_anew_with_the_interval():
+    current = MapOfNow(3, interval=10)
+    current.views["v"], current.holds_s["R1"] = np.array([True, True, False]), 0.1
+    for step in range(5, 13):
+        current.take(step, {"R1": seen(0)} if step in {6, 9, 11} else {})
+    state = current.state()
+    # a frame holds its own step and two more, on tiles that are seen
+    assert state.begin == 10
+    assert state.occupied_steps.tolist() == [3, 0, 0]
+    assert state.observed_steps.tolist() == [3, 3, 0]
+
+
+def test_a_looping_replay_is_at_the_same_place_whenever_it_began(monkeypatch):
+    now = [1_800_000_000.0]
+    monkeypatch.setattr("gis_radar.live.sources.time.time", lambda: now[0])
+    monkeypatch.setattr("gis_radar.live.sources._until", lambda _: iter(()))
+    first = next(iter(Replay(path=SAMPLE / "R1.parquet", loop_s=100.0).frames()))
+    now[0] += 37.0
+    later = next(iter(Replay(path=SAMPLE / "R1.parquet", loop_s=100.0).frames()))
+    recorded = {int(np.rint(f.time[0] * 1e6)) % 100_000_000: f
+                for f in frames_of_recording(SAMPLE / "R1.parquet")}  # fmt: skip
+    for frame in (first, later):
+        same = recorded[int(np.rint(frame.time[0] * 1e6)) % 100_000_000]
+        assert np.array_equal(frame.points, same.points, equal_nan=True)
+    assert 36.9 < later.time[0] - first.time[0] < 37.1
+
+
+def test_a_clock_that_is_off_by_half_a_window_raises_the_alarm():
+    said = []
+
+    class Said(Reporter):
+        def log(self, message, _level="info"):
+            said.append(message)
+
+    health = SensorHealth(name="R1", reporter=Said())
+    for k in range(40):
+        health.heard(100.0 + k, 99.99 + k - 0.05 * (k % 3), live=True)
+    assert not health.alarms  # late now and then; 10 ms at the least
+    for k in range(300):
+        health.heard(200.0 + k, 199.96 + k, live=True)
+    assert "clock" in health.alarms
+    for k in range(300):
+        health.heard(600.0 + k, 500.0 + k, live=False)  # waited on disk: tells nothing
+    assert health.clock_offset_s == pytest.approx(0.04)
+    for k in range(300):
+        health.heard(1600.0 + k, 1600.0 + k, live=True)
+    assert not health.alarms
+    assert len(said) == 2
+    health.counts = Counter(frames=7)
+    text = prometheus_text([health], {"map_step": 3.0})
+    assert 'gis_radar_frames_total{sensor="R1"} 7' in text
+    assert 'gis_radar_alarm{sensor="R1",alarm="clock"} 0' in text
+    assert text.endswith("gis_radar_map_step 3\n")
+
+
+@pytest.mark.parametrize(
+    ("text", "host", "port", "tls"),
+    [("mqtt://a", "a", 1883, False), ("mqtts://b.c:99", "b.c", 99, True)],
+)
+def test_addresses_of_brokers(text, host, port, tls):
+    found = BrokerAddress.of(text, password="secret")  # noqa: S106
+    assert (found.host, found.port, found.tls) == (host, port, tls)
+    assert "secret" not in f"{found!r}{found}"
+
+
+@pytest.mark.parametrize("text", ["broker:1883", "http://a", "mqtt://", "mqtt://a:x", "mqtt://a/b"])
+def test_what_is_no_address_is_refused(text):
+    with pytest.raises(gr.UsageError, match="no address of a broker"):
+        BrokerAddress.of(text)
+
+
+def test_topics():
+    assert parts_of("v1/junction/R1/hits") == ("R1", "hits")
+    assert parts_of("v2/junction/R1/hits") == parts_of("$SYS/broker") == ("", "")
