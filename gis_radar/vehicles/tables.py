@@ -92,7 +92,10 @@ class TableKind:
     def _column(self, name: str, values: pd.Series) -> Any:
         kind, what = self.columns[name], f"{self.name}: {name}"
         if pa.types.is_list(kind):
-            return pd.Series([np.asarray(each, np.int64) for each in values], dtype=object)
+            lists = [np.asarray(each) for each in values]
+            if any(each.ndim != 1 or (each.size and each.dtype.kind not in "iu") for each in lists):
+                raise InputError(f"{what} holds something else than {kind}")
+            return pd.Series([each.astype(np.int64) for each in lists], dtype=object)
         empty = values.isna().to_numpy()
         if empty.any() and name not in self.optional:
             raise InputError(f"{what} is empty in row {int(empty.argmax())}")
@@ -268,7 +271,7 @@ def read_pieces(
 def _holds(file: Any, group: int, kind: TableKind, span: tuple[int, int]) -> bool:
     column = file.schema_arrow.names.index(kind.order[0])
     known = file.metadata.row_group(group).column(column).statistics
-    if known is None or not known.has_min_max:
+    if known is None or not known.has_min_max or not isinstance(known.max, int):
         return True
     return bool(known.max >= span[0] and known.min <= span[1])
 

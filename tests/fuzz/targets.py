@@ -219,6 +219,7 @@ def _occupancy(folder: Path) -> None:
 def _vehicles(folder: Path) -> None:
     found = gr.read_vehicles(folder / "vehicles")
     list(found.read_tracks(None))
+    list(found.read_tracks((34_000_000_000, 34_000_000_005)))
     list(found.blocks())
 
 

@@ -28,14 +28,14 @@ TESTS = Path(__file__).parents[1]
 RUNS = 12  # a target
 
 
-def table(**columns):
+def column(name, value, kind):
+    """Return a change of a column of a Parquet file: one value throughout."""
+
     def change(data, path):
         content = pq.read_table(io.BytesIO(data))
-        for name, kind in columns.items():
-            values = [[] for _ in range(len(content))]
-            number = content.schema.get_field_index(name)
-            content = content.set_column(number, name, pa.array(values, kind))
-        pq.write_table(content, path)
+        number = content.schema.get_field_index(name)
+        values = pa.array([value] * len(content), kind)
+        pq.write_table(content.set_column(number, name, values), path)
 
     return change
 
@@ -78,12 +78,15 @@ FOUND = [
     ("csv table", "table.csv", instead(b"6.0", b"6e300")),
     ("pose", "R1.json", instead(b"EPSG:25832", b"\\ud800")),
     ("occupancy", "occupancy/frames.parquet", fingerprint_of(b"\xff")),
-    ("occupancy", "occupancy/hits_by_sensor.parquet", table(sensor=LISTS)),
+    ("occupancy", "occupancy/hits_by_sensor.parquet", column("sensor", [], LISTS)),
     (
         "occupancy manifest",
         "occupancy/manifest.json",
         instead(b'"fingerprint": "', b'"fingerprint": "a\\nb'),
     ),
+    ("vehicles", "vehicles/vehicles.parquet", column("lanelets", None, LISTS)),
+    ("vehicles", "vehicles/vehicles.parquet", column("lanelets", [None], LISTS)),
+    ("vehicles", "vehicles/tracks.parquet", column("step", "a", pa.string())),
     ("vehicles", "vehicles/visible.parquet", fingerprint_of(b"\xff")),
     ("site", "SITE.toml", instead(b"map.osm", b"9" * 400)),
     ("site", "SITE.toml", instead(b"map.osm", b"~nobody-has-this-name/map.osm")),
