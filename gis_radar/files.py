@@ -14,6 +14,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,9 @@ from gis_radar.leftovers import (
     private_pattern,
 )
 from gis_radar.progress import QUIET, Reporter
+
+WRITTEN = date(2000, 1, 1)
+"""The day on which all files were written that must name one: the same work, the same bytes."""
 
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 # Libraries that write our files, by the module of their errors: importing them takes a second.

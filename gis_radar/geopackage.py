@@ -9,9 +9,11 @@ import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
+from threading import Lock
 from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element, SubElement, tostring
 
+import geopandas as gpd
 import pyarrow as pa
 import pyogrio
 import pyogrio.util
@@ -19,10 +21,14 @@ import shapely
 from pyproj.exceptions import ProjError
 
 from gis_radar.errors import InputError, first_line
+from gis_radar.files import WRITTEN
 from gis_radar.progress import QUIET, Reporter
 
 GPKG_VERSION = "1.2"
 """The version of the GeoPackages that we write: the GDAL of QGIS 3.40 warns of later ones."""
+
+_WRITTEN = f"{WRITTEN}T00:00:00.000Z"
+_DATE_OF_GDAL = "OGR_CURRENT_DATE"
 
 SQLITE = b"SQLite format 3\0"
 _KINDS = {b"GPKG", b"GP10", b"GP11"}  # application ids of GeoPackage 1.0, 1.1 and later
@@ -55,14 +61,14 @@ CREATE TABLE layer_styles (
 """
 _CONTENTS = """
 INSERT INTO gpkg_contents (table_name, data_type, identifier, description, last_change)
-VALUES ('layer_styles', 'attributes', 'layer_styles', '', strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))
+VALUES ('layer_styles', 'attributes', 'layer_styles', '', ?)
 """
 _STYLE = """
 INSERT INTO layer_styles (
     f_table_catalog, f_table_schema, f_table_name, f_geometry_column,
-    styleName, styleQML, styleSLD, useAsDefault, description, owner
+    styleName, styleQML, styleSLD, useAsDefault, description, owner, update_time
 )
-SELECT '', '', table_name, column_name, ?, ?, ?, 1, ?, ?
+SELECT '', '', table_name, column_name, ?, ?, ?, 1, ?, ?, ?
 FROM gpkg_geometry_columns WHERE table_name = ?
 """
 
@@ -184,7 +190,7 @@ _DESCRIBES = """
 INSERT INTO gpkg_metadata_reference (
     reference_scope, table_name, column_name, row_id_value, timestamp, md_file_id, md_parent_id
 )
-VALUES ('table', ?, NULL, NULL, strftime('%Y-%m-%dT%H:%M:%fZ', 'now'), ?, NULL)
+VALUES ('table', ?, NULL, NULL, ?, ?, NULL)
 """
 
 
@@ -223,7 +229,7 @@ def describe_layers(database: sqlite3.Connection, notes: Mapping[str, LayerNotes
             "UPDATE gpkg_contents SET description = ? WHERE table_name = ?", (about.abstract, layer)
         )
         row = database.execute(_DESCRIPTION, (_qgis_metadata(about),))
-        database.execute(_DESCRIBES, (layer, row.lastrowid))
+        database.execute(_DESCRIBES, (layer, _WRITTEN, row.lastrowid))
 
 
 def _qgis_metadata(about: LayerNotes) -> str:
@@ -254,9 +260,9 @@ def add_styles(
         Of the styles, in a few words.
     """
     database.execute(_TABLE)
-    database.execute(_CONTENTS)
+    database.execute(_CONTENTS, (_WRITTEN,))
     for layer, (qml, sld) in styles.items():
-        database.execute(_STYLE, (name, qml, sld, about, _owner(qml), layer))
+        database.execute(_STYLE, (name, qml, sld, about, _owner(qml), _WRITTEN, layer))
 
 
 def keep_styles(path: Path, *, earlier: Path) -> None:
@@ -290,7 +296,7 @@ def keep_styles(path: Path, *, earlier: Path) -> None:
                 database.execute(
                     "UPDATE layer_styles SET useAsDefault = 0 WHERE f_table_name = ?", (layer,)
                 )
-            database.execute(_STYLE, (name, qml, sld, about, owner, layer))
+            database.execute(_STYLE, (name, qml, sld, about, owner, _WRITTEN, layer))
             database.execute(
                 "UPDATE layer_styles SET useAsDefault = ? WHERE id = last_insert_rowid()",
                 (bool(default),),
@@ -347,10 +353,46 @@ def read_styles(path: Path) -> dict[str, str]:
         return dict(database.execute(query).fetchall())
 
 
+_writing = Lock()
+
+
+@contextmanager
+def _same_date() -> Iterator[None]:
+    """Let GDAL write the same date always, within the block; one thread writes at a time."""
+    with _writing:
+        earlier = pyogrio.get_gdal_config_option(_DATE_OF_GDAL)
+        pyogrio.set_gdal_config_options({_DATE_OF_GDAL: _WRITTEN})
+        try:
+            yield
+        finally:
+            pyogrio.set_gdal_config_options({_DATE_OF_GDAL: earlier})
+
+
+def add_layer(table: gpd.GeoDataFrame, path: Path, layer: str, **options: Any) -> None:
+    """Write a table as a layer of a GeoPackage, beside those that it has.
+
+    Parameters
+    ----------
+    table : GeoDataFrame
+        The layer.
+    path : Path
+        The file, which need not be there.
+    layer : str
+        Its name.
+    **options
+        As for :func:`pyogrio.write_dataframe`.
+    """
+    with _same_date():
+        pyogrio.write_dataframe(
+            table, path, layer=layer, driver="GPKG", append=path.exists(),
+            dataset_options={"VERSION": GPKG_VERSION}, **options,
+        )  # fmt: skip
+
+
 def write_stream(
     batches: Iterable[pa.RecordBatch], schema: pa.Schema, path: Path, **options: Any
 ) -> None:
-    """Write batches as they come; what stops them is raised as it is.
+    """Write batches as a layer of a new GeoPackage; what stops them is raised as it is.
 
     Parameters
     ----------
@@ -366,7 +408,10 @@ def write_stream(
     stopped: list[BaseException] = []
     reader = pa.RecordBatchReader.from_batches(schema, _remembering(batches, stopped))
     try:
-        pyogrio.write_arrow(reader, path, **options)
+        with _same_date():
+            pyogrio.write_arrow(
+                reader, path, driver="GPKG", dataset_options={"VERSION": GPKG_VERSION}, **options
+            )
     except Exception:
         if not stopped:
             raise

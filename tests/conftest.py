@@ -6,6 +6,7 @@ import os
 import pickle
 import signal
 import sys
+import warnings
 from pathlib import Path
 
 import pytest
@@ -59,8 +60,8 @@ def sound_inputs(once):
     """Give a folder with a sound input of every kind, which is only to be looked at or copied."""
 
     def build(folder):
-        from fuzz.targets import build_inputs
-
+        with warnings.catch_warnings(action="ignore"):  # of hypothesis, about trio
+            from fuzz.targets import build_inputs
         build_inputs(folder)
         return folder
 

@@ -8,11 +8,10 @@ import os
 import re
 import shutil
 import signal
-import sqlite3
 import subprocess
 import sys
 import zipfile
-from contextlib import closing, contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -46,7 +45,6 @@ from gis_radar.site.plan import OWNED, stages_of
 
 writing = import_module("gis_radar.report.report")  # of this name there is also a function
 
-TIMES = {"last_change", "update_time", "timestamp"}
 PAPER = (".png", ".pdf", "report.html")  # which holds pictures
 
 
@@ -121,27 +119,10 @@ def change(path, old, new):
     path.write_text(text.replace(old, new, 1), encoding="utf-8")
 
 
-def contents(path):
-    """What a result holds, without the time at which it was written."""
-    if path.suffix == ".gpkg":
-        with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as database:
-            names = [row[0] for row in database.execute("SELECT name FROM sqlite_master")]
-            tables = {}
-            for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'"):
-                rows = database.execute(f'SELECT * FROM "{name}"')  # noqa: S608 - its own name
-                kept = [i for i, column in enumerate(rows.description) if column[0] not in TIMES]
-                tables[name] = [tuple(row[i] for i in kept) for row in rows]
-        return sorted(names), tables
-    if path.suffix == ".laz":
-        las = laspy.read(path)
-        return las.xyz.tobytes(), bytes(las.classification), las.header.parse_crs().to_wkt()
-    return path.read_bytes()
-
-
 def results(out):
     files = (path for path in sorted(out.rglob("*")) if path.is_file())
     shown = [path for path in files if ".gis-radar" not in path.relative_to(out).parts]
-    return {path.relative_to(out).as_posix(): contents(path) for path in shown}
+    return {path.relative_to(out).as_posix(): path.read_bytes() for path in shown}
 
 
 def same(one, other, but=()):

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from gis_radar.arrays import Integers
 from gis_radar.errors import InputError, UsageError
 from gis_radar.geopackage import (
-    GPKG_VERSION,
     LayerNotes,
+    add_layer,
     add_styles,
     describe_layers,
     opened_package,
@@ -130,10 +130,8 @@ def write_package(tally: Tally, path: Path, reporter: Reporter) -> None:
         name: value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
         for name, value in tally.metadata.items()
     }
-    pyogrio.write_dataframe(
-        wide_layer(tally), path, layer=WIDE, driver="GPKG", use_arrow=True,
-        geometry_type="Polygon", layer_metadata=metadata, VERSION=GPKG_VERSION,
-    )  # fmt: skip
+    options = {"geometry_type": "Polygon", "layer_metadata": metadata}
+    add_layer(wide_layer(tally), path, WIDE, use_arrow=True, **options)
     length_s = float(tally.timeline.end[0] - tally.timeline.begin[0]) / STEPS_PER_SECOND
     measure = tally.measure
     notes, styles = _notes_of(tally), {}

@@ -11,13 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import geopandas as gpd
-import pyogrio
 import shapely
 
 from gis_radar.crs import require_same
 from gis_radar.errors import UsageError
 from gis_radar.files import whole_file
-from gis_radar.geopackage import GPKG_VERSION, add_styles, keep_styles
+from gis_radar.geopackage import add_layer, add_styles, keep_styles
 from gis_radar.poses.pose import ANGLES, POSITION, Pose, View, ellipse
 
 SENSORS, VIEWS, UNCERTAINTY = "sensors", "views", "uncertainty"
@@ -53,10 +52,7 @@ def write_sensors(poses: Sequence[Pose], path: str | Path) -> None:
     kinds = {SENSORS: "Point", VIEWS: "Polygon", UNCERTAINTY: "Polygon"}
     with whole_file(path) as part:
         for name, table in layers.items():
-            pyogrio.write_dataframe(
-                table, part, layer=name, driver="GPKG", geometry_type=kinds[name],
-                append=part.exists(), dataset_options={"VERSION": GPKG_VERSION},
-            )  # fmt: skip
+            add_layer(table, part, name, geometry_type=kinds[name])
         with closing(sqlite3.connect(part)) as database, database:
             styles = {name: (read_style(name), "") for name in layers}
             add_styles(database, styles, name="sensor", about="where a sensor stands and looks")

@@ -20,8 +20,8 @@ import shapely
 from gis_radar.arrays import Floats
 from gis_radar.crs import name_of, require_same, require_true_scale
 from gis_radar.errors import UsageError
-from gis_radar.files import refuse_inputs, whole_file
-from gis_radar.geopackage import GPKG_VERSION, write_stream
+from gis_radar.files import WRITTEN, refuse_inputs, whole_file
+from gis_radar.geopackage import write_stream
 from gis_radar.lanelets import LaneletMap
 from gis_radar.poses.files import PoseTrack, as_track
 from gis_radar.poses.pose import Pose
@@ -277,11 +277,9 @@ def write_points_geopackage(points: _PointStream, path: Path) -> None:
         pa.schema([points.schema.field(name) for name in kept]),
         path,
         layer=LAYER,
-        driver="GPKG",
         geometry_name=GEOMETRY,
         geometry_type="Point Z",
         crs=name_of(points.pose.crs),
-        dataset_options={"VERSION": GPKG_VERSION},
     )
 
 
@@ -376,6 +374,7 @@ def write_points_las(points: _PointStream, path: Path) -> None:
     """Write LAS 1.4 or LAZ, by the ending of `path`; columns without numbers are left out."""
     header = laspy.LasHeader(version="1.4", point_format=POINT_FORMAT)
     header.offsets = np.floor(points.pose.position)
+    header.creation_date = WRITTEN
     header.scales = np.full(3, SCALE_M)
     header.global_encoding.gps_time_type = laspy.header.GpsTimeType.STANDARD
     header.add_crs(points.pose.crs)

@@ -15,13 +15,12 @@ from typing import Any, TypeAlias
 import geopandas as gpd
 import laspy
 import numpy as np
-import pyogrio
 import shapely
 
 from gis_radar.crs import Box, moved_box, name_of, same_plane
 from gis_radar.errors import GisRadarError, UsageError
 from gis_radar.files import scratch_folder
-from gis_radar.geopackage import GPKG_VERSION
+from gis_radar.geopackage import add_layer
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.scans.pdal import INSTALL_HINT, PdalRunner, find_pdal
 from gis_radar.scans.point_store import PointStore
@@ -189,10 +188,7 @@ def write_layer(roads: Roads, path: Path, *, outside: Any = None) -> None:
             {"area_m2": shapely.area(shapes)}, geometry=shapes, crs=roads.crs
         )
     for name, table in layers.items():
-        pyogrio.write_dataframe(
-            table, path, layer=name, driver="GPKG", geometry_type="Polygon",
-            append=path.exists(), dataset_options={"VERSION": GPKG_VERSION},
-        )  # fmt: skip
+        add_layer(table, path, name, geometry_type="Polygon")
 
 
 NAMES = ("auto", "pdal", "laspy")

@@ -18,6 +18,7 @@ from pyproj.exceptions import CRSError as ProjError
 from gis_radar.arrays import Floats
 from gis_radar.crs import Box, metric_crs, moved_box, name_of, require_same, same_plane, transformer
 from gis_radar.errors import CrsError, InputError
+from gis_radar.files import WRITTEN
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.scans.header import FAULTS, read_header, refuse_outside, scan_errors
 from gis_radar.scans.settings import DEFAULTS, MaskSettings
@@ -169,6 +170,7 @@ def write_road(points: Floats, path: Path, *, crs: CRS, settings: MaskSettings =
         With which they were made: a record of the header, as JSON.
     """
     header = laspy.LasHeader(version="1.4", point_format=6)
+    header.creation_date = WRITTEN
     header.scales = np.full(3, 0.001)
     header.offsets = np.floor(points.min(axis=0))
     header.add_crs(crs)

@@ -21,7 +21,7 @@ import scipy
 
 from gis_radar.errors import GisRadarError, InputError, UsageError
 from gis_radar.files import whole_file
-from gis_radar.geopackage import GPKG_VERSION, add_styles, keep_styles, opened_package
+from gis_radar.geopackage import add_layer, add_styles, keep_styles, opened_package
 from gis_radar.poses.pose import Pose, View, pose_from_dict
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.sight.recorded import MOVEMENT, NO_MOVEMENT, Contradiction
@@ -90,15 +90,17 @@ def write_sights(
     with whole_file(path) as part:
         for layer, rows in layers.items():
             table = pd.concat(rows, ignore_index=True)
-            pyogrio.write_dataframe(
+            add_layer(
                 gpd.GeoDataFrame(
                     table.drop(columns="place"),
                     geometry=tiles.geometry.to_numpy()[table["place"].to_numpy(np.int64)],
                     crs=tiles.crs,
                 ),
-                part, layer=layer, driver="GPKG", geometry_type="Polygon", append=part.exists(),
-                dataset_options={"VERSION": GPKG_VERSION}, layer_metadata=about,
-            )  # fmt: skip
+                part,
+                layer,
+                geometry_type="Polygon",
+                layer_metadata=about,
+            )
         names = {SIGHT_LAYER: "sight.qml", CONTRADICTED_LAYER: "contradicted.qml"}
         styles = {
             layer: ((files(__package__) / names[layer]).read_text(encoding="utf-8"), "")

@@ -22,8 +22,8 @@ from gis_radar.crs import metric_crs, name_of
 from gis_radar.errors import InputError, UsageError
 from gis_radar.files import whole_file
 from gis_radar.geopackage import (
-    GPKG_VERSION,
     LayerNotes,
+    add_layer,
     add_styles,
     describe_layers,
     keep_styles,
@@ -237,11 +237,9 @@ def write_tiles(
         layers.append((STOP_LINES, stop_lines, "LineString"))
     with whole_file(path) as part:
         for layer, table, kind in layers:
-            pyogrio.write_dataframe(
-                table, part, layer=layer, driver="GPKG", geometry_type=kind, use_arrow=True,
-                append=part.exists(), dataset_options={"VERSION": GPKG_VERSION},
-                layer_metadata=seal if layer == LAYER else None,
-            )  # fmt: skip
+            metadata = seal if layer == LAYER else None
+            options = {"geometry_type": kind, "layer_metadata": metadata}
+            add_layer(table, part, layer, use_arrow=True, **options)
         styles = {name: (lane_style(name), "") for name, _, _ in layers[2:]}
         about = LayerNotes("Tiles", "Slices of lanelets, the unit of all statistics", FIELDS)
         with closing(sqlite3.connect(part)) as database, database:

@@ -18,7 +18,7 @@ import shapely
 from gis_radar.arrays import Floats, Integers
 from gis_radar.errors import UsageError
 from gis_radar.files import whole_file
-from gis_radar.geopackage import GPKG_VERSION, add_styles, keep_styles, write_stream
+from gis_radar.geopackage import add_styles, keep_styles, write_stream
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.steps import STEP_S, STEP_US
 from gis_radar.vehicles.coverage_settings import CoverageSettings
@@ -111,9 +111,8 @@ def write_footprints(
     rows = _Rows(vehicles, settings, reporter)
     with whole_file(path) as part:
         write_stream(
-            rows, _SCHEMA, part, layer=FOOTPRINTS, driver="GPKG", geometry_name="geometry",
+            rows, _SCHEMA, part, layer=FOOTPRINTS, geometry_name="geometry",
             geometry_type="Polygon", crs=vehicles.provenance.map["crs"],
-            dataset_options={"VERSION": GPKG_VERSION},
         )  # fmt: skip
         with closing(sqlite3.connect(part)) as database, database:
             styles = {FOOTPRINTS: (footprint_style(), "")}

@@ -1,0 +1,68 @@
+"""The same work gives the same bytes: every command twice, in folders of other names."""
+
+import shutil
+
+import laspy
+import pytest
+
+import gis_radar as gr
+from gis_radar.files import WRITTEN
+
+COMMANDS = [
+    "tiles map.osm --road road.laz --streets streets.gpkg -o {}.gpkg",
+    "mask scan.laz --engine laspy --map roads.gpkg -o {}.laz",
+    *(f"project R1.parquet --pose R1.json -o {{}}.{kind}" for kind in ("gpkg", "laz", "parquet")),
+    "sensors R1.json -o {}.gpkg",
+    "convert bag -o {}.parquet",
+    "occupancy R1.parquet --pose R1.json --tiles tiles.gpkg -o {}",
+    "heatmap occupancy --tiles tiles.gpkg --interval 1s -o {}",
+    "report heatmap -o {}",
+    "qgis heatmap -o {}.qgz",
+    "quality occupancy -o {}.csv",
+]  # fmt: skip
+
+
+def files(folder):
+    """What the outputs of commands hold, by name."""
+    paths = [path for path in sorted(folder.rglob("*")) if path.is_file()]
+    made = {path.relative_to(folder).as_posix(): path for path in paths}
+    return {name: path.read_bytes() for name, path in made.items() if name.startswith("made")}
+
+
+@pytest.fixture(scope="module")
+def places(sound_inputs, tmp_path_factory):
+    """Two folders with the same inputs."""
+    root = tmp_path_factory.mktemp("same")
+    return [shutil.copytree(sound_inputs, root / name) for name in ("one", "the other")]
+
+
+@pytest.mark.parametrize("words", COMMANDS, ids=lambda words: words.replace(" -o {}", ""))
+def test_a_command_writes_the_same_bytes_twice(places, run, monkeypatch, words):
+    made = []
+    name = f"made{COMMANDS.index(words)}"
+    for folder in places:
+        monkeypatch.chdir(folder)
+        code, _, error = run(*words.format(name).split())
+        assert code == 0, error
+        found = {key: data for key, data in files(folder).items() if key.startswith(name)}
+        assert found
+        made.append(found)
+    one, other = made
+    assert sorted(one) == sorted(other)
+    assert [key for key in one if one[key] != other[key]] == []
+
+
+def test_footprints_are_the_same_bytes_twice(places):
+    for folder in places:
+        gr.write_footprints(gr.read_vehicles(folder / "vehicles"), folder / "footprints.gpkg")
+    one, other = ((folder / "footprints.gpkg").read_bytes() for folder in places)
+    assert one == other
+
+
+def test_scans_are_of_one_day(places, tmp_path):
+    """Two runs of one day would be the same all the same."""
+    pose = gr.read_pose(places[0] / "R1.json")
+    gr.write_projection(places[0] / "R1.parquet", pose, tmp_path / "points.laz")
+    for path in (tmp_path / "points.laz", places[0] / "road.laz"):
+        with laspy.open(path) as reader:
+            assert reader.header.creation_date == WRITTEN, path
