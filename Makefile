@@ -119,6 +119,7 @@ samples: set-up-dev ## Make the files in sample_maps again
 	$(BIN)/python sample_maps/make_samples.py
 
 wheel: set-up-dev ## Build a wheel in dist
+	-@sh tools/get_maplibre.sh
 	$(BIN)/uv build --wheel --build-constraints constraints.txt --out-dir dist
 
 plugin-zip: wheel ## Build the installable zip of the QGIS plugin in dist

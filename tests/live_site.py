@@ -48,7 +48,7 @@ def wait_for(what, timeout_s, message="it did not happen"):
     end = time.monotonic() + timeout_s
     while not what():
         assert time.monotonic() < end, message
-        time.sleep(0.02)
+        time.sleep(0.05)
 
 
 class Background(threading.Thread):

@@ -47,7 +47,11 @@ def asked_for():
                 for each in node.args[PLACES[node.func.id]]:
                     parts = [each.body, each.orelse] if isinstance(each, ast.IfExp) else [each]
                     found |= {part.value for part in parts if isinstance(part, ast.Constant)}
-    for path in (PACKAGE / "report" / "page.html", PACKAGE / "site" / "summary.md.jinja"):
+    for path in (
+        PACKAGE / "report/page.html",
+        PACKAGE / "site/summary.md.jinja",
+        PACKAGE / "live/web/page.html",
+    ):
         found |= set(re.findall(r'tr\("([^"]+)"', path.read_text(encoding="utf-8")))
     text = (PACKAGE / "report" / "definitions.toml").read_text(encoding="utf-8")
     for group in tomllib.loads(text).values():

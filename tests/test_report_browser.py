@@ -4,26 +4,20 @@ from __future__ import annotations
 
 import base64
 import json
-import os
-import shutil
 from io import BytesIO
 
 import pypdf
 import pytest
 from axe_core_python.selenium import Axe
+from browser import start_chromium, wide
 from report_site import write_results, write_run
-from selenium import webdriver
+from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
 
 import gis_radar as gr
 
-FLAGS = (
-    "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync",
-    "--window-size=1280,900",
-)  # fmt: skip
 WAIT_S = 20
 PAPER_PX = 688  # 182 mm, between the margins of A4
 LABELS = [
@@ -33,19 +27,7 @@ LABELS = [
 
 @pytest.fixture(scope="module")
 def chromium(tmp_path_factory):
-    """Give a driver of Chromium; skip where there is none, fail where there must be one."""
-    program, driver = shutil.which("chromium"), shutil.which("chromedriver")
-    if program is None or driver is None:
-        why = "no chromium and chromedriver here: see tools/get_chromium.sh"
-        if os.environ.get("GIS_RADAR_CHROMIUM") == "required":
-            pytest.fail(why)
-        pytest.skip(why)
-    options = webdriver.ChromeOptions()
-    options.binary_location = program
-    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('chromium')}"):
-        options.add_argument(flag)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    browser = webdriver.Chrome(options, webdriver.ChromeService(driver))
+    browser = start_chromium(tmp_path_factory.mktemp("chromium"))
     yield browser
     browser.quit()
 
@@ -71,13 +53,6 @@ def page(chromium, report):
         "document.getElementById('map').scrollIntoView()"
     )
     return chromium
-
-
-def wide(browser, width):
-    browser.execute_cdp_cmd(
-        "Emulation.setDeviceMetricsOverride",
-        {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False},
-    )
 
 
 def by_id(page, name):
@@ -135,7 +110,7 @@ def test_the_buttons(page):
 
 def test_the_slider_by_mouse(page):
     slider = by_id(page, "slider")
-    webdriver.ActionChains(page).move_to_element_with_offset(
+    ActionChains(page).move_to_element_with_offset(
         slider, slider.size["width"] // 2 - 8, 0
     ).click().perform()
     assert shown(page)[1] == LABELS[-1]

@@ -6,6 +6,7 @@ import secrets
 import time
 from pathlib import Path
 from threading import Event
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,6 +26,9 @@ from gis_radar.progress import QUIET, Reporter
 from gis_radar.sight import SightTiles, describe_sight, open_sight
 from gis_radar.steps import STEP_US, interval_steps
 from gis_radar.tiles import read_tiles
+
+if TYPE_CHECKING:
+    from gis_radar.live.server import Page
 
 TAKEN_AT_ONCE = 500  # messages between two looks at the clock
 WAIT_S = 0.01
@@ -75,6 +79,7 @@ class Fusion:
         )  # fmt: skip
         self._windows = Windows(site.live.lateness)
         self._map = MapOfNow(len(road.tile_id), interval=interval_steps(site.live.interval))
+        self._page = _page(self, site)
         self._written: dict[Path, None] = {}
         self._session = secrets.token_hex(4)
         self._committed = self._exported = time.monotonic()
@@ -134,6 +139,8 @@ class Fusion:
         )  # fmt: skip
         self._link = link
         server = HealthServer(live.health, self.metrics) if live.health else None
+        if self._page is not None:
+            self._reporter.log(f"the page is at {self._page.open()}")
         link.open()
         connections = 0
         try:
@@ -151,6 +158,8 @@ class Fusion:
             link.close(own, b'{"version": 1, "state": "offline"}')
             if server is not None:
                 server.close()
+            if self._page is not None:
+                self._page.close()
             self._journal.__exit__()
 
     def _take(self, link: Link) -> None:
@@ -166,6 +175,8 @@ class Fusion:
     def _advance(self, now_us: int) -> None:
         for step, frames in self._windows.close(now_us):
             self._map.take(step, frames)
+            if self._page is not None:
+                self._page.take(step, *self._map.now)
 
     def _regular(self) -> None:
         """Do what the clock asks for: commit, acknowledge, write hours and files."""
@@ -249,6 +260,15 @@ class Fusion:
     def _say(self, error: GisRadarError) -> None:
         hint = f" ({error.hint})" if error.hint else ""
         self._reporter.log(error.message + hint, "warning")
+
+
+def _page(fusion: Fusion, site: LiveSite) -> Page | None:
+    """Return the page where the site's file asks for one; only then is a web server loaded."""
+    if site.live.page is None:
+        return None
+    from gis_radar.live.server import Page  # noqa: PLC0415
+
+    return Page(fusion, site, site.live.page, fusion.tiles)
 
 
 def run_fusion(

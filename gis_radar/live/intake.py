@@ -34,7 +34,7 @@ from gis_radar.live.windows import Seen, Windows
 from gis_radar.occupancy.hit_counter import CountedFrame
 from gis_radar.occupancy.tile_sets import decode_tiles, encode_tiles
 from gis_radar.occupancy.views import SharedViews, ViewBook
-from gis_radar.poses.pose import pose_from_dict
+from gis_radar.poses.pose import Pose, pose_from_dict
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.steps import STEP_US
 
@@ -61,6 +61,8 @@ class SensorState:
         By stream and number, the id of the row in the journal.
     standing : SharedViews
         Which of its poses share a view.
+    pose : Pose, optional
+        The newest.
     """
 
     health: SensorHealth
@@ -75,6 +77,7 @@ class SensorState:
     other: tuple[str, float] = ("", -1e9)
     poses: dict[tuple[str, int], int] = field(default_factory=dict)
     standing: SharedViews = field(default_factory=SharedViews)
+    pose: Pose | None = None
 
 
 class Intake:
@@ -155,6 +158,7 @@ class Intake:
             row = next(row for row in rows if row.view == view and row.id == row.standing)
             self._see(PoseContent.unpack(row.content), name)
         state.standing = SharedViews(self._book.settings, known)
+        state.pose = known[-1][1] if known else None
         for (sensor, stream), stored in self._journal.marks().items():
             if sensor == name:
                 state.stream, state.received, state.stored = stream, stored, stored
@@ -291,6 +295,7 @@ class Intake:
         )
         self.poses[row_id] = KnownPose(content=found, view=view)
         sensor.poses[sensor.stream, envelope.number] = row_id
+        sensor.pose = pose
         self._map.holds_s[name] = found.hold_s
         sensor.health.alarm("moved", None if found.trusted else "its pose is not known")
         return True

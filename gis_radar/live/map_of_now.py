@@ -94,6 +94,11 @@ class MapOfNow:
         """The last step that counts."""
         return self._step
 
+    @property
+    def now(self) -> tuple[Booleans, Booleans]:
+        """Which tiles are occupied and observed in that step: to be looked at only."""
+        return self._occupied, self._observed
+
     def state(self) -> MapState:
         """Return the map as it stands: a copy."""
         return MapState(

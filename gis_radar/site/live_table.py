@@ -8,7 +8,7 @@ from urllib.parse import urlsplit
 from pydantic import AfterValidator, PlainValidator
 
 from gis_radar.errors import GisRadarError
-from gis_radar.site.values import File, Meaning, Text, TomlTable, Unfit, key
+from gis_radar.site.values import File, Meaning, Switch, Text, Texts, TomlTable, Unfit, key
 from gis_radar.steps import duration_s, interval_steps
 
 _NOT_IN_TOPICS = frozenset("+#/$")
@@ -71,6 +71,19 @@ class BrokerTable(TomlTable):
     """Certificate of the authority that signed the broker's."""
 
 
+class PageTable(TomlTable):
+    """The page of the live map and its services, all for reading only."""
+
+    address: HostPort = key('"127.0.0.1:8080"')
+    """Where it is served. Other machines reach only what is no loopback address."""
+    token_file: File | None = key('"page.token"', None, "none")
+    """A file with nothing but a token that readers must show: once as `/?token=...`."""
+    behind_proxy: Switch = key("true", default=False)
+    """Whether a reverse proxy in front asks for a login."""
+    names: Texts = key('["traffic.example"]', (), "all, with an address that is no loopback")
+    """Names by which browsers may ask for it."""
+
+
 class LiveTable(TomlTable):
     """The live system: `gis-radar live`."""
 
@@ -90,3 +103,5 @@ class LiveTable(TomlTable):
     """Where counts and alarms are served as text for Prometheus."""
     broker: BrokerTable
     """The broker."""
+    page: PageTable | None = None
+    """The page of the live map."""

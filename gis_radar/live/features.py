@@ -1,0 +1,356 @@
+"""Serve the live map as OGC API - Features: core, OpenAPI 3.0 and GeoJSON, for reading only.
+
+The standard is OGC 17-069r4, Part 1: Core. QGIS opens the address as *WFS / OGC API - Features*.
+Layers are in longitude and latitude.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import shapely
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
+
+from gis_radar.errors import InputError
+from gis_radar.live.snapshot import DEGREES, LiveMap, Snapshot
+from gis_radar.steps import STEP_S, iso_from_step, seconds_from_iso
+
+CRS84 = "http://www.opengis.net/def/crs/OGC/1.3/CRS84"
+_CONFORMANCE = [
+    f"http://www.opengis.net/spec/ogcapi-features-1/1.0/conf/{part}"
+    for part in ("core", "oas30", "geojson")
+]
+JSON, GEOJSON = "application/json", "application/geo+json"
+OPENAPI = "application/vnd.oai.openapi+json;version=3.0"
+LIMIT, MOST = 1_000, 20_000  # features of a page, and the most that may be asked for
+
+
+@dataclass(frozen=True, kw_only=True)
+class Collection:
+    """A layer that is served.
+
+    Parameters
+    ----------
+    title, description : str
+        For people.
+    layer : callable
+        Gives its features as they are now, geometry in longitude and latitude.
+    times : tuple of str
+        Columns of the begin and the end of what a feature speaks of, where it has a time.
+    """
+
+    title: str
+    description: str
+    layer: Callable[[], gpd.GeoDataFrame]
+    times: tuple[str, str] | None = None
+
+
+def feature_routes(live: LiveMap) -> list[Route]:
+    """Return the routes of the service, below `/ogc`."""
+    service = _Service(live)
+    at = {
+        "/ogc": service.landing,
+        "/ogc/": service.landing,
+        "/ogc/api": service.api,
+        "/ogc/conformance": service.conformance,
+        "/ogc/collections": service.listed,
+        "/ogc/collections/{name}": service.described,
+        "/ogc/collections/{name}/items": service.items,
+        "/ogc/collections/{name}/items/{number:int}": service.item,
+    }
+    return [Route(path, endpoint) for path, endpoint in at.items()]
+
+
+class _Service:
+    """What is answered at each address of the service."""
+
+    def __init__(self, live: LiveMap) -> None:
+        self._live, self._collections = live, _collections(live)
+
+    def _chosen(self, request: Request) -> tuple[str, Collection]:
+        name = request.path_params["name"]
+        if name not in self._collections:
+            raise HTTPException(404, f"there is no collection {name[:40]!r}")
+        return name, self._collections[name]
+
+    def landing(self, request: Request) -> Response:
+        at = _root(request)
+        content = {
+            "title": self._live.place.title,
+            "description": "Which tiles of the roads are occupied, now and lately",
+            "links": [
+                _link(at, "self", JSON, "this page"),
+                _link(f"{at}/api", "service-desc", OPENAPI, "the API"),
+                _link(f"{at}/conformance", "conformance", JSON, "conformance"),
+                _link(f"{at}/collections", "data", JSON, "the layers"),
+            ],
+        }
+        return JSONResponse(content)
+
+    def conformance(self, _: Request) -> Response:
+        return JSONResponse({"conformsTo": _CONFORMANCE})
+
+    def api(self, request: Request) -> Response:
+        content = _openapi(_root(request), self._live.place.title)
+        return JSONResponse(content, media_type=OPENAPI)
+
+    def listed(self, request: Request) -> Response:
+        at = _root(request)
+        found = [_described(*each, at, self._live) for each in self._collections.items()]
+        links = [_link(f"{at}/collections", "self", JSON, "the layers")]
+        return JSONResponse({"collections": found, "links": links})
+
+    def described(self, request: Request) -> Response:
+        return JSONResponse(_described(*self._chosen(request), _root(request), self._live))
+
+    def items(self, request: Request) -> Response:
+        return _items(request, *self._chosen(request))
+
+    def item(self, request: Request) -> Response:
+        name, collection = self._chosen(request)
+        layer, number = collection.layer(), request.path_params["number"]
+        if number not in layer.index:
+            raise HTTPException(404, f"{name} has no feature {number}")
+        at = f"{_root(request)}/collections/{name}"
+        links = [
+            _link(f"{at}/items/{number}", "self", GEOJSON, "this feature"),
+            _link(at, "collection", JSON, "its layer"),
+        ]
+        feature = _features(layer.loc[[number]])[0] | {"links": links}
+        return JSONResponse(feature, media_type=GEOJSON)
+
+
+def _collections(live: LiveMap) -> dict[str, Collection]:
+    layers = _Layers(live)
+    return {
+        "tiles": Collection(
+            title="Tiles",
+            layer=layers.tiles,
+            description="Slices of 0.5 m of a lane that were observed in the last 15 minutes",
+        ),
+        "lanes": Collection(
+            title="Lanes", layer=layers.lanes, description="Occupancy of the last 15 minutes"
+        ),
+        "intervals": Collection(
+            title="Lanes by 15 minutes",
+            layer=layers.intervals,
+            times=("begin", "end"),
+            description="Occupied and observed seconds of each lane in intervals of 15 minutes",
+        ),
+        "sensors": Collection(
+            title="Sensors", layer=layers.sensors, description="Where they stand, and their state"
+        ),
+    }
+
+
+class _Layers:
+    """The layers as they are now, in longitude and latitude."""
+
+    def __init__(self, live: LiveMap) -> None:
+        self._live, self._place = live, live.place
+        tiles, lanes = (
+            live.place.in_degrees(each) for each in (live.place.tiles, live.place.lanes)
+        )
+        kept = [name for name in ("tile_id", "lanelet_id", "lane", "index", "s_m") if name in tiles]
+        self._tiles = tiles[[*kept, tiles.geometry.name]]
+        self._lanes = lanes.drop(columns="lanelets", errors="ignore").reset_index(drop=True)
+        self._shapes = dict(zip(lanes["lane"], lanes.geometry, strict=True))
+
+    def tiles(self) -> gpd.GeoDataFrame:
+        now = self._live.snapshot()
+        return self._tiles.assign(**_measures(now))[now.observed > 0]
+
+    def lanes(self) -> gpd.GeoDataFrame:
+        share = self._live.snapshot().by_lane(self._place)
+        known = pd.Series(share, index=self._place.lane_numbers)
+        return self._lanes.assign(occupancy_15min=known.reindex(self._lanes["lane"]).to_numpy())
+
+    def sensors(self) -> gpd.GeoDataFrame:
+        states = [each for each in self._live.snapshot().sensors if each.pose is not None]
+        points = [self._place.degrees_of(each.pose) for each in states if each.pose is not None]
+        names = ("online", "problem", "lag_s")
+        rows = {name: [getattr(each, name) for each in states] for name in names}
+        return gpd.GeoDataFrame(
+            {"sensor": [each.name for each in states], **rows},
+            geometry=[shapely.Point(place) for place in points],
+        )
+
+    def intervals(self) -> gpd.GeoDataFrame:
+        table = self._live.lane_intervals().reset_index(drop=True)
+        share = table["occupied_s"] / table["observed_s"].where(table["observed_s"] > 0)
+        shapes = [self._shapes.get(lane) for lane in table["lane"]]
+        return gpd.GeoDataFrame(table.assign(occupancy=share), geometry=shapes)
+
+
+def _measures(now: Snapshot) -> dict[str, Any]:
+    occupied = np.zeros(len(now.observed), bool)
+    occupied[now.now] = True
+    return {
+        "observed_now": now.observed_now,
+        "occupied_now": occupied,
+        "occupancy_15min": now.occupancy(),
+        "observed_15min_s": now.observed * STEP_S,
+        "time": iso_from_step(now.step),
+    }
+
+
+def _described(name: str, collection: Collection, at: str, live: LiveMap) -> dict[str, Any]:
+    here = f"{at}/collections/{name}"
+    west, south, east, north = live.place.in_degrees(live.place.lanes).total_bounds.tolist()
+    links = [_link(f"{here}/items", "items", GEOJSON, collection.title),
+             _link(here, "self", JSON, "this layer")]  # fmt: skip
+    extent = {"spatial": {"bbox": [[west, south, east, north]], "crs": CRS84}}
+    return {
+        "id": name, "title": collection.title, "description": collection.description,
+        "extent": extent, "itemType": "feature", "crs": [CRS84], "links": links,
+    }  # fmt: skip
+
+
+def _items(request: Request, name: str, collection: Collection) -> Response:
+    asked = request.query_params
+    known = {"bbox", "limit", "offset", "datetime", "f", "token"}
+    layer = collection.layer()
+    filters = {key: value for key, value in asked.items() if key not in known}
+    if unknown := [key for key in filters if key not in layer.columns or key == "geometry"]:
+        raise HTTPException(400, f"{unknown[0][:40]} is no parameter of {name}")
+    for key, value in filters.items():
+        layer = layer[layer[key].astype(str) == value]
+    if "bbox" in asked:
+        layer = layer[layer.intersects(_box(asked["bbox"]))]
+    if "datetime" in asked and collection.times is not None:
+        layer = layer[_within(layer, collection.times, asked["datetime"])]
+    limit = min(_whole(asked, "limit", LIMIT, least=1), MOST)
+    offset = _whole(asked, "offset", 0, least=0)
+    shown = layer.iloc[offset : offset + limit]
+    here = f"{_root(request)}/collections/{name}/items"
+    links = [_link(str(request.url), "self", GEOJSON, "these features")]
+    if offset + limit < len(layer):
+        after = request.url.include_query_params(offset=offset + limit, limit=limit)
+        links.append(_link(f"{here}?{after.query}", "next", GEOJSON, "the next ones"))
+    return JSONResponse(
+        {
+            "type": "FeatureCollection",
+            "features": _features(shown),
+            "numberMatched": len(layer),
+            "numberReturned": len(shown),
+            "links": links,
+        },
+        media_type=GEOJSON,
+    )
+
+
+def _box(text: str) -> shapely.Polygon:
+    try:
+        parts = [float(part) for part in text.split(",")]
+    except ValueError:
+        parts = []
+    if len(parts) == 6:  # with heights
+        parts = [*parts[:2], *parts[3:5]]
+    if len(parts) != 4 or not np.isfinite(parts).all():
+        raise HTTPException(400, "bbox: expected west,south,east,north in degrees")
+    west, south, east, north = parts
+    return shapely.box(west, south, east, north)
+
+
+def _whole(asked: Mapping[str, str], name: str, usual: int, *, least: int) -> int:
+    text = asked.get(name, str(usual))
+    if not (text.isascii() and text.isdigit() and least <= int(text[:9])):
+        raise HTTPException(400, f"{name}: expected a whole number from {least}")
+    return int(text[:9])
+
+
+def _within(layer: gpd.GeoDataFrame, times: tuple[str, str], text: str) -> pd.Series:
+    """Return which features meet a moment, or a span `begin/end` whose ends may be `..`."""
+    begin, _, end = text.partition("/")
+    end = end if "/" in text else begin
+    try:
+        low, high = (
+            None if each in {"", ".."} else seconds_from_iso(each, what="datetime")
+            for each in (begin, end)
+        )
+    except InputError as error:
+        raise HTTPException(400, str(error)) from error
+    first, last = (pd.to_datetime(layer[name], utc=True) for name in times)
+    found = pd.Series(data=True, index=layer.index)
+    if low is not None:
+        found &= last > pd.Timestamp(low, unit="s", tz="UTC")
+    if high is not None:
+        found &= first <= pd.Timestamp(high, unit="s", tz="UTC")
+    return found
+
+
+def _features(layer: gpd.GeoDataFrame) -> list[dict[str, Any]]:
+    """Return features of GeoJSON, the row's number as `id`; what is not known is null."""
+    shapes = shapely.to_geojson(_rounded(layer.geometry.to_numpy()))
+    table = layer.drop(columns=layer.geometry.name)
+    rows = table.astype(object).where(table.notna(), None).to_dict("records")
+    return [
+        {
+            "type": "Feature",
+            "id": int(number),
+            "geometry": None if shape is None else json.loads(shape),
+            "properties": {key: _plain(value) for key, value in row.items()},
+        }
+        for number, shape, row in zip(layer.index, shapes, rows, strict=True)
+    ]
+
+
+def _rounded(shapes: Any) -> Any:
+    return shapely.set_precision(shapes, 10.0**-DEGREES, mode="pointwise")
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as JSON has it."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, datetime):
+        return value.isoformat().replace("+00:00", "Z")
+    return round(value, 4) if isinstance(value, float) else value
+
+
+def _root(request: Request) -> str:
+    return str(request.base_url).rstrip("/") + "/ogc"
+
+
+def _link(href: str, rel: str, kind: str, title: str) -> dict[str, str]:
+    return {"href": href, "rel": rel, "type": kind, "title": title}
+
+
+def _openapi(at: str, title: str) -> dict[str, Any]:
+    """Return the least description that clients ask for: paths, and the limits of pages."""
+    named = {"name": "name", "in": "path", "required": True, "schema": {"type": "string"}}
+    numbered = {**named, "name": "number", "schema": {"type": "integer"}}
+    whole = {"type": "integer", "minimum": 1, "maximum": MOST, "default": LIMIT}
+    asked = [
+        {"name": "limit", "in": "query", "schema": whole},
+        {"name": "offset", "in": "query", "schema": {"type": "integer", "minimum": 0}},
+        {"name": "bbox", "in": "query", "style": "form", "explode": False,
+         "schema": {"type": "array", "items": {"type": "number"}, "minItems": 4, "maxItems": 6}},
+        {"name": "datetime", "in": "query", "schema": {"type": "string"}},
+    ]  # fmt: skip
+    paths = {
+        "/": [], "/conformance": [], "/collections": [], "/collections/{name}": [named],
+        "/collections/{name}/items": [named, *asked],
+        "/collections/{name}/items/{number}": [named, numbered],
+    }  # fmt: skip
+    answers = {"200": {"description": "the answer"}, "400": {"description": "not understood"},
+               "404": {"description": "not there"}}  # fmt: skip
+    return {
+        "openapi": "3.0.3",
+        "info": {"title": title, "version": "1"},
+        "servers": [{"url": at}],
+        "paths": {
+            path: {"get": {"parameters": parameters, "responses": answers}}
+            for path, parameters in paths.items()
+        },
+    }

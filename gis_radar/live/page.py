@@ -1,0 +1,385 @@
+"""Serve the page of the live map: one page, its data, and a stream of what changes."""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import json
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import as_file, files
+from typing import Any
+
+import numpy as np
+import shapely
+from jinja2 import Environment, StrictUndefined
+from starlette.applications import Starlette
+from starlette.middleware import Middleware
+from starlette.middleware.gzip import GZipMiddleware
+from starlette.middleware.trustedhost import TrustedHostMiddleware
+from starlette.requests import Request
+from starlette.responses import (
+    HTMLResponse,
+    JSONResponse,
+    PlainTextResponse,
+    RedirectResponse,
+    Response,
+    StreamingResponse,
+)
+from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from gis_radar.errors import UsageError
+from gis_radar.heatmap import style
+from gis_radar.languages import LANGUAGES, class_label
+from gis_radar.live.features import feature_routes
+from gis_radar.live.snapshot import LiveMap, Place, ShownSensor, Snapshot
+from gis_radar.steps import step_begin
+from gis_radar.words import speaking, tr
+
+EVENTS_PER_S = 3.0  # what a person can follow; a step is 50 ms
+WAITING = 8  # events that a slow reader may lag behind; then the whole map is sent anew
+MOST_READERS = 200  # p99 of 50 readers at 4 Hz is 10 ms; a city's page stands behind a proxy
+COOKIE = "gis_radar"
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+OCCUPIED = "#0058b0"  # of a tile that is occupied now: blue is no colour of the ramp
+_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: "
+    "blob:; connect-src 'self'; worker-src 'self' blob:; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'"
+)
+_HEADERS = {
+    "Content-Security-Policy": _POLICY,
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cache-Control": "no-cache",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Access:
+    """Who may read.
+
+    Parameters
+    ----------
+    host : str
+        The address that is listened on.
+    token : str
+        What readers must show; empty: nothing.
+    behind_proxy : bool
+        Whether something in front lets in only who may read.
+    names : tuple of str
+        Names by which browsers may ask, where the host is not this machine alone.
+    """
+
+    host: str = "127.0.0.1"
+    token: str = ""
+    behind_proxy: bool = False
+    names: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.host not in LOOPBACK and not (self.token or self.behind_proxy):
+            raise UsageError(
+                f"the page would be open to everyone who reaches {self.host}",
+                hint="set a token, or say that a reverse proxy asks for a login",
+            )
+
+    @property
+    def allowed_hosts(self) -> list[str]:
+        """Names that a request may be for: another page cannot ask in the name of this one."""
+        if self.names:
+            return [*self.names, *LOOPBACK]
+        return [*LOOPBACK, "[::1]"] if self.host in LOOPBACK else ["*"]
+
+
+def make_app(live: LiveMap, access: Access | None = None) -> Starlette:
+    """Return the page and its services as an application: read only.
+
+    Parameters
+    ----------
+    live : LiveMap
+        What is shown.
+    access : Access, optional
+        Who may read; without it this machine.
+    """
+    access = access or Access()
+    changes = Changes(live)
+    answers = _Answers(live, changes)
+
+    @asynccontextmanager
+    async def running(_: Starlette) -> AsyncIterator[None]:
+        task = asyncio.create_task(changes.run())
+        try:
+            yield
+        finally:
+            task.cancel()
+
+    with as_file(files(__package__) / "web") as web:
+        static = StaticFiles(directory=web)
+    middleware = [
+        Middleware(TrustedHostMiddleware, allowed_hosts=access.allowed_hosts),
+        Middleware(_Guard, token=access.token),
+        Middleware(GZipMiddleware, minimum_size=2_000),
+    ]
+    routes = [
+        Route("/", answers.page),
+        Route("/site.json", answers.site),
+        Route("/state.json", answers.state),
+        Route("/events", answers.events),
+        Route("/metrics", answers.metrics),
+        *feature_routes(live),
+        Mount("/web", static),
+    ]
+    return Starlette(routes=routes, middleware=middleware, lifespan=running)
+
+
+class _Answers:
+    """What is answered at each address of the page."""
+
+    def __init__(self, live: LiveMap, changes: Changes) -> None:
+        self._live, self._changes = live, changes
+
+    def page(self, request: Request) -> Response:
+        return HTMLResponse(_page(self._live.place, _language(request)))
+
+    def site(self, request: Request) -> Response:
+        content = _site_json(self._live.place, _language(request))
+        return Response(content, media_type="application/json")
+
+    def state(self, _: Request) -> Response:
+        return JSONResponse(whole_event(self._live.place, self._live.snapshot()))
+
+    def metrics(self, _: Request) -> Response:
+        return PlainTextResponse(self._live.metrics(), media_type="text/plain; version=0.0.4")
+
+    async def events(self, request: Request) -> Response:
+        if self._changes.readers >= MOST_READERS:
+            return PlainTextResponse("too many readers\n", 503, {"Retry-After": "30"})
+        stream = self._changes.stream(request.is_disconnected)
+        return StreamingResponse(stream, media_type="text/event-stream", headers=_HEADERS)
+
+
+class _Guard:
+    """Let in who shows the token, by header, cookie, or once in the address; add headers."""
+
+    def __init__(self, app: ASGIApp, token: str) -> None:
+        self._app, self._token = app, token
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        request = Request(scope)
+        answer = self._refusal(request)
+        if answer is not None:
+            await answer(scope, receive, send)
+            return
+
+        async def send_with_headers(message: Any) -> None:
+            if message["type"] == "http.response.start":
+                known = {name.lower() for name, _ in message["headers"]}
+                message["headers"] += [
+                    (name.lower().encode(), value.encode())
+                    for name, value in _HEADERS.items()
+                    if name.lower().encode() not in known
+                ]
+            await send(message)
+
+        await self._app(scope, receive, send_with_headers)
+
+    def _refusal(self, request: Request) -> Response | None:
+        if request.method not in {"GET", "HEAD"}:
+            return PlainTextResponse("for reading only\n", 405)
+        if not self._token:
+            return None
+        given = request.query_params.get("token", "")
+        if self._is_token(given) and request.url.path == "/":
+            answer = RedirectResponse("/", 303, headers=_HEADERS)
+            answer.set_cookie(COOKIE, given, httponly=True, samesite="strict")
+            return answer
+        bearer = request.headers.get("authorization", "").removeprefix("Bearer ")
+        shown = (given, bearer, request.cookies.get(COOKIE, ""))
+        if any(self._is_token(each) for each in shown):
+            return None
+        return PlainTextResponse("a token is needed\n", 401, {"WWW-Authenticate": "Bearer"})
+
+    def _is_token(self, text: str) -> bool:
+        return hmac.compare_digest(text.encode(), self._token.encode())
+
+
+class Changes:
+    """What changes on the map, made once as text and handed to all readers.
+
+    Parameters
+    ----------
+    live : LiveMap
+        What is shown.
+    """
+
+    def __init__(self, live: LiveMap) -> None:
+        self._live = live
+        self._shown: dict[str, Any] | None = None
+        self._readers: set[asyncio.Queue[str | None]] = set()
+
+    @property
+    def readers(self) -> int:
+        """How many read at the moment."""
+        return len(self._readers)
+
+    async def run(self) -> None:
+        """Look at the map a few times a second for as long as somebody reads."""
+        while True:
+            await asyncio.sleep(1.0 / EVENTS_PER_S)
+            if self._readers:
+                self._hand_out(self._live.snapshot())
+
+    def _hand_out(self, snapshot: Snapshot) -> None:
+        whole = whole_event(self._live.place, snapshot)
+        text = _event("map", whole if self._shown is None else difference(self._shown, whole))
+        self._shown = whole
+        for queue in list(self._readers):
+            try:
+                queue.put_nowait(text)
+            except asyncio.QueueFull:  # it reads too slowly: it is closed, and asks anew
+                self._readers.discard(queue)
+                while not queue.empty():
+                    queue.get_nowait()
+                queue.put_nowait(None)
+
+    async def stream(self, gone: Callable[[], Awaitable[bool]]) -> AsyncIterator[str]:
+        """Yield the whole map, then what changes, as server-sent events."""
+        queue: asyncio.Queue[str | None] = asyncio.Queue(WAITING)
+        if not self._readers or self._shown is None:
+            self._shown = whole_event(self._live.place, self._live.snapshot())
+        self._readers.add(queue)
+        try:
+            yield "retry: 2000\n\n" + _event("map", self._shown)
+            while not await gone():
+                text = await queue.get()
+                if text is None:
+                    return
+                yield text
+        finally:
+            self._readers.discard(queue)
+
+
+def whole_event(place: Place, snapshot: Snapshot) -> dict[str, Any]:
+    """Return the map as the page takes it: occupied tiles, classes by tile, lanes, sensors."""
+    begin = step_begin(snapshot.step)
+    share = snapshot.by_lane(place)
+    return {
+        "whole": True,
+        "step": snapshot.step,
+        "clock": f"{begin.astimezone(place.zone):%H:%M:%S}",
+        "occupied": snapshot.now.tolist(),
+        "unobserved": np.flatnonzero(~snapshot.observed_now).tolist(),
+        "classes": dict(enumerate(snapshot.classes().tolist())),
+        "lanes": {i: _permille(each) for i, each in enumerate(share.tolist())},
+        "sensors": {each.name: _sensor(place, each) for each in snapshot.sensors},
+    }
+
+
+def difference(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
+    """Return what of the map differs from what was shown before."""
+    changed: dict[str, Any] = {"step": after["step"], "clock": after["clock"]}
+    for name in ("occupied", "unobserved"):
+        old, new = set(before[name]), set(after[name])
+        changed[name] = {"on": sorted(new - old), "off": sorted(old - new)}
+    for name in ("classes", "lanes", "sensors"):
+        old = before[name]
+        changed[name] = {k: v for k, v in after[name].items() if old.get(k, ...) != v}
+    return changed
+
+
+def _permille(share: float) -> int | None:
+    return None if np.isnan(share) else round(1000 * share)
+
+
+def _sensor(place: Place, state: ShownSensor) -> dict[str, Any]:
+    where, view = None, None
+    if state.pose is not None:
+        where = [round(each, 7) for each in place.degrees_of(state.pose)]
+        view = place.view_of(state.pose)
+    lag = None if np.isnan(state.lag_s) else round(state.lag_s, 2)
+    return {
+        "online": state.online, "problem": state.problem, "at": where, "view": view, "lag_s": lag,
+        "frames_per_s": round(state.frames_per_s, 1), "lost": state.lost,
+    }  # fmt: skip
+
+
+def _event(name: str, content: dict[str, Any]) -> str:
+    return f"event: {name}\ndata: {json.dumps(content, separators=(',', ':'), allow_nan=False)}\n\n"
+
+
+def _language(request: Request) -> str:
+    asked = request.query_params.get("lang", "")
+    if asked in LANGUAGES:
+        return asked
+    wanted = request.headers.get("accept-language", "").lower().split(",")
+    short = [each.strip()[:2] for each in wanted]
+    return next((each for each in short if each in LANGUAGES), LANGUAGES[0])
+
+
+@cache
+def _template() -> Any:
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    text = (files(__package__) / "web" / "page.html").read_text(encoding="utf-8")
+    return environment.from_string(text)
+
+
+def _page(place: Place, language: str) -> str:
+    with speaking(language):
+        classes = [(each.colour, class_label(each.label, language))
+                   for each in style.colour_classes()]  # fmt: skip
+        legend = [*classes, (style.NOT_OBSERVED, tr("not observed"))]
+        words = {"online": tr("online"), "offline": tr("offline"), "late": tr("no connection"),
+                 "occupied": tr("{n} tiles are occupied now"), "no_map": tr(
+                     "This browser cannot draw the map (it lacks WebGL); the tables below go on."),
+                 "none": tr("not observed")}  # fmt: skip
+        colours = {"classes": [colour for colour, _ in classes], "unobserved": style.NOT_OBSERVED,
+                   "free": style.NEVER_HIT, "occupied": OCCUPIED,
+                   "breaks": [round(1000 * each) for each in style.BREAKS[:-1]]}  # fmt: skip
+        return str(
+            _template().render(
+                place=place, legend=legend, language=language, tr=tr, words=words, colours=colours,
+                languages=LANGUAGES,
+            )
+        )  # fmt: skip
+
+
+def _site_json(place: Place, language: str) -> bytes:
+    """Return what the page draws and what stays: tiles and lanes in longitude and latitude."""
+    lanes = place.lanes.set_index("lane").reindex(place.lane_numbers)
+    west, south, east, north = place.in_degrees(place.tiles).total_bounds.round(7).tolist()
+    with speaking(language):
+        named = [
+            {
+                "number": str(number),  # ids reach 9e18, numbers of a browser 9e15
+                "street": street if isinstance(street, str) else "",
+                "direction": tr(direction),
+            }
+            for number, street, direction in zip(
+                place.lane_numbers, lanes["street"], lanes["direction"], strict=True
+            )
+        ]
+    content = {
+        "bounds": [[west, south], [east, north]],
+        "tiles": _collection(place.in_degrees(place.tiles).geometry.to_numpy()),
+        "lanes": named,
+        "lines": _collection(place.in_degrees(lanes).geometry.to_numpy()),
+    }
+    return json.dumps(content, separators=(",", ":"), allow_nan=False).encode()
+
+
+def _collection(shapes: Any) -> dict[str, Any]:
+    texts = shapely.to_geojson(shapely.set_precision(shapes, 1e-7, mode="pointwise"))
+    features = [
+        {"type": "Feature", "id": i, "properties": {}, "geometry": json.loads(text)}
+        for i, text in enumerate(texts)
+    ]
+    return {"type": "FeatureCollection", "features": features}

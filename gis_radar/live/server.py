@@ -1,0 +1,237 @@
+"""Show the map that fusion keeps: as the page takes it, on a thread of its own."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from pathlib import Path
+from threading import Lock, Thread
+from typing import Protocol
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import uvicorn
+
+from gis_radar.arrays import Booleans
+from gis_radar.errors import InputError, OutputError
+from gis_radar.lanelets import lanes, read_map
+from gis_radar.live.health import ALARMS
+from gis_radar.live.intake import SensorState
+from gis_radar.live.map_of_now import MapState
+from gis_radar.live.page import Access, make_app
+from gis_radar.live.recent import RecentCounts
+from gis_radar.live.settings import LiveSite
+from gis_radar.live.snapshot import Place, ShownSensor, Snapshot
+from gis_radar.site.live_table import PageTable
+from gis_radar.steps import zone_of
+from gis_radar.words import speaking, tr, tr_message
+
+START_S, END_S = 10.0, 2.0
+RATE_S = 10.0  # over which frames are counted
+
+
+class FusedMap(Protocol):
+    """What is shown of fusion."""
+
+    sensors: dict[str, SensorState]
+
+    def state(self) -> MapState:
+        """Return the map of now, a copy."""
+
+    def metrics(self) -> str:
+        """Return health as text for Prometheus."""
+
+
+class ShownMap:
+    """The map of fusion, as the page and its services take it.
+
+    Parameters
+    ----------
+    fusion : FusedMap
+        Which keeps the map.
+    place : Place
+        What stays.
+    recent : RecentCounts
+        Counts of the last minutes.
+    language : str
+        Of sentences on what is wrong.
+    """
+
+    def __init__(
+        self, fusion: FusedMap, place: Place, recent: RecentCounts, *, language: str
+    ) -> None:
+        self._fusion, self._place, self._recent, self._language = fusion, place, recent, language
+        self._frames: deque[tuple[float, dict[str, int]]] = deque()
+        self._lock = Lock()
+
+    @property
+    def place(self) -> Place:
+        """What stays."""
+        return self._place
+
+    def snapshot(self) -> Snapshot:
+        """Return the map of now."""
+        state = self._fusion.state()
+        occupied, observed = self._recent.last_minutes()
+        rates = self._rates()
+        return Snapshot(
+            step=state.step,
+            now=np.flatnonzero(state.occupied),
+            observed_now=state.observed,
+            occupied=occupied,
+            observed=observed,
+            sensors=[
+                self._shown(name, each, rates.get(name, 0.0))
+                for name, each in list(self._fusion.sensors.items())
+            ],
+        )
+
+    def lane_intervals(self) -> pd.DataFrame:
+        """Return occupied and observed seconds of each lane in intervals of 15 minutes."""
+        return self._recent.lane_intervals()
+
+    def metrics(self) -> str:
+        """Return counts and lags as Prometheus reads them."""
+        return self._fusion.metrics()
+
+    def _rates(self) -> dict[str, float]:
+        """Return frames a second of each sensor over the last seconds."""
+        now = time.monotonic()
+        counts = {name: each.health.counts["frames"] for name, each in self._fusion.sensors.items()}
+        with self._lock:
+            self._frames.append((now, counts))
+            while now - self._frames[0][0] > RATE_S and len(self._frames) > 1:
+                self._frames.popleft()
+            since, before = self._frames[0]
+        passed_s = max(now - since, 1e-3)
+        return {name: (count - before.get(name, 0)) / passed_s for name, count in counts.items()}
+
+    def _shown(self, name: str, sensor: SensorState, rate: float) -> ShownSensor:
+        health = sensor.health
+        alarms = {kind: text for kind, text in list(health.alarms.items()) if kind != "offline"}
+        with speaking(self._language):
+            problem = "; ".join(
+                f"{tr(ALARMS[kind])}: {tr_message(text)}" for kind, text in alarms.items()
+            )
+        return ShownSensor(
+            name=name,
+            online="offline" not in health.alarms and bool(sensor.stream),
+            problem=problem,
+            pose=sensor.pose,
+            lag_s=health.lag_s,
+            frames_per_s=rate,
+            lost=health.counts["gaps"],
+        )
+
+
+def place_of(site: LiveSite, tiles: gpd.GeoDataFrame) -> Place:
+    """Return what of a site's live map stays.
+
+    Raises
+    ------
+    InputError
+        If the map cannot be read.
+    """
+    roads = read_map(site.map.file, crs=tiles.crs, origin=site.map.origin)
+    named = lanes(roads, streets=site.map.streets, street_field=site.map.street_field)
+    return Place(title=site.title, zone=zone_of(site.time_zone), tiles=tiles, lanes=named)
+
+
+def access_of(table: PageTable) -> Access:
+    """Return who may read, as a site's file states it.
+
+    Raises
+    ------
+    InputError
+        If the file with the token cannot be read, or is empty.
+    UsageError
+        If everybody could read.
+    """
+    host = table.address.rpartition(":")[0].strip("[]")
+    token = _token(table.token_file) if table.token_file is not None else ""
+    return Access(host=host, token=token, behind_proxy=table.behind_proxy, names=tuple(table.names))
+
+
+def _token(path: Path) -> str:
+    try:
+        token = path.read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from error
+    if not token:
+        raise InputError(f"{path}: holds no token")
+    return token
+
+
+class Page:
+    """The page of a site's live map, with the counts that it shows.
+
+    Parameters
+    ----------
+    fusion : FusedMap
+        Which keeps the map.
+    site : LiveSite
+        Of the site's file.
+    table : PageTable
+        Where the page is, and who may read.
+    tiles : GeoDataFrame
+        As from :func:`gis_radar.read_tiles`.
+
+    Raises
+    ------
+    InputError
+        If map or token cannot be read.
+    UsageError
+        If everybody could read.
+    """
+
+    def __init__(
+        self, fusion: FusedMap, site: LiveSite, table: PageTable, tiles: gpd.GeoDataFrame
+    ) -> None:
+        self._host, _, port = table.address.rpartition(":")
+        self._table = table
+        place = place_of(site, tiles)
+        self._recent = RecentCounts(place.lane_of_tile, place.lane_numbers)
+        self.shown = ShownMap(fusion, place, self._recent, language=site.language)
+        config = uvicorn.Config(
+            make_app(self.shown, access_of(table)), host=self._host.strip("[]"), port=int(port),
+            log_level="critical", lifespan="on", timeout_graceful_shutdown=1,
+        )  # fmt: skip
+        self._server = uvicorn.Server(config)
+        self._thread = Thread(target=self._run, daemon=True, name="page")
+
+    def take(self, step: int, occupied: Booleans, observed: Booleans) -> None:
+        """Count a closed step."""
+        self._recent.take(step, occupied, observed)
+
+    def open(self) -> str:
+        """Begin to serve; return the address.
+
+        Raises
+        ------
+        OutputError
+            If the address is taken.
+        """
+        self._thread.start()
+        until = time.monotonic() + START_S
+        while not self._server.started and self._thread.is_alive() and time.monotonic() < until:
+            time.sleep(0.01)
+        if not self._server.started:
+            raise OutputError(
+                f"{self._table.address}: the page cannot be served there",
+                hint="another program may use the address",
+            )
+        port = self._server.servers[0].sockets[0].getsockname()[1]
+        return f"http://{self._host}:{port}/"
+
+    def _run(self) -> None:
+        try:
+            self._server.run()
+        except SystemExit:  # the way in which uvicorn reports an address that is taken
+            return
+
+    def close(self) -> None:
+        """Serve no more."""
+        self._server.should_exit = True
+        if self._thread.is_alive():
+            self._thread.join(END_S)

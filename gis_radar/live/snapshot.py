@@ -1,0 +1,184 @@
+"""What the page and its services show of the live map: what stays, and what is so at one moment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Protocol
+from zoneinfo import ZoneInfo
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+from pyproj import CRS, Transformer
+
+from gis_radar.arrays import Floats, Integers
+from gis_radar.crs import transformer
+from gis_radar.heatmap import style
+from gis_radar.heatmap.by_lane import lane_totals, lanes_with_tiles
+from gis_radar.poses.pose import Pose
+
+NOT_OBSERVED = -1  # in place of a class
+DEGREES = 7  # digits after the point: a centimetre
+RINGS = 1_000  # views that are kept: poses of a following sensor change every 5 s
+GEOGRAPHIC = "OGC:CRS84"  # longitude, latitude: what web maps and OGC API - Features take
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """What of a live map stays as it is.
+
+    Parameters
+    ----------
+    title : str
+        Of the site.
+    zone : ZoneInfo
+        The site's.
+    tiles : GeoDataFrame
+        As from :func:`gis_radar.read_tiles`.
+    lanes : GeoDataFrame
+        As from :func:`gis_radar.lanes`.
+    """
+
+    title: str
+    zone: ZoneInfo
+    tiles: gpd.GeoDataFrame
+    lanes: gpd.GeoDataFrame
+
+    @cached_property
+    def lane_of_tile(self) -> Integers:
+        """Of each tile, the position of its lane in :attr:`lane_numbers`."""
+        return lanes_with_tiles(self.tiles)[1]
+
+    @cached_property
+    def lane_numbers(self) -> list[int]:
+        """Numbers of the lanes that have tiles, ascending."""
+        return [lane.number for lane in lanes_with_tiles(self.tiles)[0]]
+
+    def in_degrees(self, layer: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
+        """Return a layer of the site in longitude and latitude."""
+        return layer.to_crs(GEOGRAPHIC)
+
+    def degrees_of(self, pose: Pose) -> tuple[float, float]:
+        """Return longitude and latitude of a sensor."""
+        east, north = self._to_degrees.transform(pose.easting, pose.northing)
+        return float(east), float(north)
+
+    def view_of(self, pose: Pose) -> list[list[float]]:
+        """Return what a sensor looks at: a ring of longitudes and latitudes."""
+        key = (pose.easting, pose.northing, pose.yaw, pose.pitch, pose.roll, pose.view)
+        if key not in self._rings:
+            if len(self._rings) >= RINGS:
+                self._rings.clear()
+            ring = np.asarray(pose.outline().exterior.coords)[:, :2]
+            east, north = self._to_degrees.transform(*ring.T)
+            self._rings[key] = np.column_stack([east, north]).round(DEGREES).tolist()
+        return self._rings[key]
+
+    @cached_property
+    def _rings(self) -> dict[object, list[list[float]]]:
+        """Rings of views that were asked for: made once, as a view is shown many times."""
+        return {}
+
+    @cached_property
+    def _to_degrees(self) -> Transformer:
+        return transformer(self.tiles.crs, CRS.from_user_input(GEOGRAPHIC))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShownSensor:
+    """How a sensor does.
+
+    Parameters
+    ----------
+    name : str
+        Its name in the site file.
+    online : bool
+        Whether it is connected and its frames arrive.
+    problem : str
+        One sentence where something is wrong, else empty.
+    pose : Pose, optional
+        Where it stands, once that is known.
+    lag_s : float
+        From a frame's time to its arrival, seconds, the mean of the last 10 s; NaN without frames.
+    frames_per_s : float
+        Frames that arrived in the last 10 s.
+    lost : int
+        Messages that are missing since the start.
+    """
+
+    name: str
+    online: bool
+    problem: str = ""
+    pose: Pose | None = None
+    lag_s: float = float("nan")
+    frames_per_s: float = 0.0
+    lost: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Snapshot:
+    """The map at one moment.
+
+    Parameters
+    ----------
+    step : int
+        The last step that is complete.
+    now : (k,) int64 array
+        Positions of the tiles that are occupied in it, ascending.
+    observed_now : (n,) bool array
+        Which tiles are observed in it.
+    occupied, observed : (n,) int64 arrays
+        Steps of the last 15 minutes in which each tile is.
+    sensors : sequence of ShownSensor
+        All that the site file names.
+    """
+
+    step: int
+    now: Integers
+    observed_now: np.ndarray[tuple[int], np.dtype[np.bool_]]
+    occupied: Integers
+    observed: Integers
+    sensors: Sequence[ShownSensor] = field(default=())
+
+    def occupancy(self) -> Floats:
+        """Return the occupancy of each tile over the last 15 minutes, NaN where not observed."""
+        share = np.full(len(self.observed), np.nan)
+        np.divide(self.occupied, self.observed, out=share, where=self.observed > 0)
+        return share
+
+    def classes(self) -> Integers:
+        """Return the class of each tile's occupancy: 0 never hit, then as in the legend; or -1."""
+        share = self.occupancy()
+        found = np.searchsorted(style.BREAKS[:-1], np.nan_to_num(share), side="left")
+        return np.where(np.isnan(share), NOT_OBSERVED, found).astype(np.int64)
+
+    def by_lane(self, place: Place) -> Floats:
+        """Return the occupancy of each lane over the last 15 minutes, NaN where not observed."""
+        size = len(place.lane_numbers)
+        observed = lane_totals(self.observed.astype(float), place.lane_of_tile, size)
+        occupied = lane_totals(self.occupied.astype(float), place.lane_of_tile, size)
+        share = np.full(size, np.nan)
+        np.divide(occupied, observed, out=share, where=observed > 0)
+        return share
+
+
+class LiveMap(Protocol):
+    """What fusion offers to those that show its map; safe to call from another thread."""
+
+    @property
+    def place(self) -> Place:
+        """What stays."""
+
+    def snapshot(self) -> Snapshot:
+        """Return the map of now."""
+
+    def lane_intervals(self) -> pd.DataFrame:
+        """Return `lane, begin, end` (UTC), `occupied_s, observed_s` of intervals of 15 minutes.
+
+        One row a lane and interval, the newest interval last, at most the last 24 hours.
+        """
+
+    def metrics(self) -> str:
+        """Return counts and lags as Prometheus reads them."""

@@ -1,0 +1,162 @@
+// The page of the live map: draws tiles once, then colours what changes.
+const words = JSON.parse(document.body.dataset.words);
+const colours = JSON.parse(document.body.dataset.colours);
+const language = document.documentElement.lang;
+const tenths = new Intl.NumberFormat(language, { minimumFractionDigits: 1, maximumFractionDigits: 1 });
+const figure = new Intl.NumberFormat(language, { maximumFractionDigits: 2 });
+const byId = (name) => document.getElementById(name);
+const SUMMARY_MS = 15000; // a screen reader reads it aloud: not more often
+const NEAR = 14; // zoom from which tiles are drawn, not lanes: a tile is a twentieth of a pixel there
+const SILENT_MS = 5000; // without an event the connection counts as broken
+
+const state = { occupied: new Set(), unobserved: new Set(), classes: {}, lanes: {}, sensors: {} };
+let site, map, last = Date.now(), told = 0;
+
+function take(event) {
+  last = Date.now();
+  const touched = new Set();
+  for (const name of ["occupied", "unobserved"]) {
+    const on = event.whole ? event[name] : event[name].on;
+    const off = event.whole ? [...state[name]] : event[name].off;
+    for (const tile of off) { state[name].delete(tile); touched.add(tile); }
+    for (const tile of on) { state[name].add(tile); touched.add(tile); }
+  }
+  for (const name of ["classes", "lanes", "sensors"]) {
+    if (event.whole) state[name] = {};
+    Object.assign(state[name], event[name]);
+  }
+  for (const tile of Object.keys(event.classes)) touched.add(Number(tile));
+  byId("clock").textContent = event.clock;
+  colour(touched);
+  if (Object.keys(event.sensors).length) showSensors();
+  if (Object.keys(event.lanes).length) showLanes();
+  colourLanes(event.lanes);
+  if (Date.now() - told > SUMMARY_MS) summarise();
+}
+
+function summarise() {
+  told = Date.now();
+  const sensors = Object.entries(state.sensors).map(
+    ([name, each]) => `${name}: ${each.problem || (each.online ? words.online : words.offline)}`);
+  byId("summary").textContent =
+    [words.occupied.replace("{n}", figure.format(state.occupied.size)), ...sensors].join(". ") + ".";
+}
+
+function colour(tiles) {
+  if (!map) return;
+  for (const id of tiles) {
+    map.setFeatureState({ source: "tiles", id }, {
+      occupied: state.occupied.has(id), unobserved: state.unobserved.has(id), level: state.classes[id] ?? -1,
+    });
+  }
+}
+
+function colourLanes(changed) {
+  if (!map) return;
+  for (const [id, share] of Object.entries(changed)) {
+    const level = share === null ? -1 : colours.breaks.filter((each) => share > each).length;
+    map.setFeatureState({ source: "lanes", id: Number(id) }, { level });
+  }
+}
+
+function row(cells, numbers) {
+  const line = document.createElement("tr");
+  cells.forEach((text, place) => {
+    const cell = document.createElement(place ? "td" : "th");
+    if (!place) cell.scope = "row";
+    cell.textContent = text;
+    if (numbers.includes(place)) cell.className = "n";
+    line.append(cell);
+  });
+  return line;
+}
+
+function showSensors() {
+  const lines = Object.entries(state.sensors).map(([name, each]) => {
+    const lag = each.lag_s === null ? "–" : figure.format(each.lag_s);
+    const said = each.problem || (each.online ? words.online : words.offline);
+    const line = row([name, said, figure.format(each.frames_per_s), lag, figure.format(each.lost)], [2, 3, 4]);
+    if (each.problem || !each.online) line.children[1].classList.add("bad");
+    return line;
+  });
+  byId("sensor-rows").replaceChildren(...lines);
+  if (map?.getSource("sensors")) map.getSource("sensors").setData(sensorLayer());
+}
+
+function showLanes() {
+  const known = Object.entries(state.lanes).map(([place, share]) => [site.lanes[place], share]);
+  known.sort(([, one], [, other]) => (other ?? -1) - (one ?? -1));
+  const lines = known.map(([lane, share]) =>
+    row([lane.number, lane.street, lane.direction, share === null ? words.none : `${tenths.format(share / 10)} %`], [3]));
+  byId("lane-rows").replaceChildren(...lines);
+}
+
+function sensorLayer() {
+  const features = [];
+  for (const [name, each] of Object.entries(state.sensors)) {
+    if (!each.at) continue;
+    const properties = { name, online: each.online && !each.problem };
+    features.push({ type: "Feature", properties, geometry: { type: "Polygon", coordinates: [each.view] } });
+    features.push({ type: "Feature", properties, geometry: { type: "Point", coordinates: each.at } });
+  }
+  return { type: "FeatureCollection", features };
+}
+
+const lately = ["match", ["feature-state", "level"],
+  ...colours.classes.flatMap((each, place) => [place, each]), colours.unobserved];
+const paints = {
+  lately: ["case", ["boolean", ["feature-state", "occupied"], false], colours.occupied, lately],
+  now: ["case", ["boolean", ["feature-state", "occupied"], false], colours.occupied,
+    ["boolean", ["feature-state", "unobserved"], false], colours.unobserved, colours.free],
+};
+
+async function draw() {
+  const maplibre = await import("/web/vendor/maplibre-gl.mjs");
+  const shown = new maplibre.Map({
+    container: "map", bounds: site.bounds, fitBoundsOptions: { padding: 30 }, attributionControl: false,
+    style: { version: 8, sources: {}, layers: [] }, dragRotate: false, pitchWithRotate: false,
+  });
+  shown.addControl(new maplibre.NavigationControl({ showCompass: false }));
+  shown.addControl(new maplibre.ScaleControl());
+  await shown.once("load");
+  shown.addSource("tiles", { type: "geojson", data: site.tiles, tolerance: 0, maxzoom: 20 });
+  shown.addSource("lanes", { type: "geojson", data: site.lines });
+  shown.addSource("sensors", { type: "geojson", data: sensorLayer() });
+  shown.addLayer({ id: "lanes", type: "line", source: "lanes", maxzoom: NEAR,
+    paint: { "line-color": lately, "line-width": 3 } });
+  shown.addLayer({ id: "tiles", type: "fill", source: "tiles", minzoom: NEAR,
+    paint: { "fill-color": paints.lately, "fill-antialias": false } });
+  const healthy = ["case", ["get", "online"], "#1d2126", "#9c1c1c"];
+  shown.addLayer({ id: "views", type: "line", source: "sensors", filter: ["==", ["geometry-type"], "Polygon"],
+    paint: { "line-color": healthy, "line-width": 1, "line-dasharray": [4, 3] } });
+  shown.addLayer({ id: "masts", type: "circle", source: "sensors", filter: ["==", ["geometry-type"], "Point"],
+    paint: { "circle-color": healthy, "circle-radius": 6, "circle-stroke-color": "#fff", "circle-stroke-width": 2 } });
+  map = shown;
+  colour(new Set(Object.keys(state.classes).map(Number)));
+  colourLanes(state.lanes);
+  for (const choice of document.querySelectorAll("input[name=measure]")) {
+    choice.addEventListener("change", () => map.setPaintProperty("tiles", "fill-color", paints[choice.value]));
+    if (choice.checked) map.setPaintProperty("tiles", "fill-color", paints[choice.value]);
+  }
+  document.body.dataset.drawn = "true";
+}
+
+function trouble(text) {
+  byId("trouble").hidden = !text;
+  byId("trouble").textContent = text;
+}
+
+async function begin() {
+  site = await (await fetch(`/site.json?lang=${language}`)).json();
+  const stream = new EventSource("/events");
+  stream.addEventListener("map", (event) => take(JSON.parse(event.data)));
+  let drawn = true;
+  setInterval(() => {
+    const silent = Date.now() - last > SILENT_MS;
+    trouble(silent ? words.late : drawn ? "" : words.no_map);
+    document.body.classList.toggle("silent", silent);
+  }, 1000);
+  try { await draw(); } catch { drawn = false; trouble(words.no_map); }
+}
+
+begin();

@@ -1,0 +1,70 @@
+"""A live map of the sample's occupancy, played step by step, for tests of what shows it."""
+
+from __future__ import annotations
+
+from zoneinfo import ZoneInfo
+
+import numpy as np
+import pandas as pd
+
+import gis_radar as gr
+from gis_radar.live.snapshot import Place, ShownSensor, Snapshot
+from gis_radar.occupancy.hits import merge_rows
+from gis_radar.steps import step_begin
+
+
+class Replay:
+    """The map at any step of an occupancy; `at` sets which, `silent` takes sensors off."""
+
+    def __init__(self, folder):
+        sample = gr.sample_folder()
+        roads = gr.read_map(sample / "junction.osm")
+        tiles = gr.make_tiles(roads)
+        names = ["R1", "R2"]
+        self.poses = {name: gr.read_pose(sample / f"{name}.json") for name in names}
+        recordings = [sample / f"{name}.parquet" for name in names]
+        occupancy = gr.measure_occupancy(recordings, list(self.poses.values()), tiles, folder)
+        step, tile = next(merge_rows([occupancy.hits()], 2))
+        self.first, self.last = int(step[0]), int(step[-1])
+        self.step, self.tile = step, np.searchsorted(tiles["tile_id"], tile)
+        self.seen = np.isin(tiles["tile_id"], occupancy.views["tile_id"])
+        self.place = Place(
+            title="Sample junction",
+            zone=ZoneInfo("Europe/Berlin"),
+            tiles=tiles,
+            lanes=gr.lanes(roads),
+        )
+        self.at, self.silent = self.first + 600, set()
+
+    def snapshot(self):
+        past = self.step <= self.at
+        now = self.tile[self.step == self.at]
+        return Snapshot(
+            step=self.at,
+            now=now,
+            observed_now=self.seen,
+            occupied=np.bincount(self.tile[past], minlength=len(self.seen)),
+            observed=np.where(self.seen, self.at - self.first + 1, 0),
+            sensors=[
+                ShownSensor(
+                    name=name, online=name not in self.silent, pose=pose, lag_s=0.04,
+                    frames_per_s=20.0,
+                )
+                for name, pose in self.poses.items()
+            ],
+        )  # fmt: skip
+
+    def lane_intervals(self):
+        begin = step_begin(self.first)
+        return pd.DataFrame(
+            {
+                "lane": self.place.lane_numbers,
+                "begin": pd.Timestamp(begin),
+                "end": pd.Timestamp(begin) + pd.Timedelta("15min"),
+                "occupied_s": 1.0,
+                "observed_s": 60.0,
+            }
+        )
+
+    def metrics(self):
+        return "# TYPE gis_radar_frames_total counter\ngis_radar_frames_total 1\n"

@@ -1,0 +1,321 @@
+"""The page of the live map and its services: asked as a program does, and in a real Chromium."""
+
+from __future__ import annotations
+
+import json
+import math
+import socket
+import threading
+import time
+import urllib.error
+import urllib.request
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+import uvicorn
+from axe_core_python.selenium import Axe
+from browser import start_chromium, wide
+from live_replay import Replay
+from live_site import Background, LiveSite, free_port, is_open, needs_mosquitto, wait_for
+from selenium.webdriver.common.by import By
+from selenium.webdriver.support.ui import WebDriverWait
+
+from gis_radar.errors import OutputError, UsageError
+from gis_radar.heatmap import style
+from gis_radar.live.edge import Edge
+from gis_radar.live.fusion import Fusion
+from gis_radar.live.page import Access, difference, make_app, whole_event
+from gis_radar.live.server import Page
+from gis_radar.live.settings import read_edge_file, read_live_site
+from gis_radar.live.snapshot import NOT_OBSERVED, Snapshot
+from gis_radar.site.live_table import PageTable
+
+VENDOR = Path(__file__).parents[1] / "gis_radar" / "live" / "web" / "vendor" / "maplibre-gl.mjs"
+WAIT_S = 30
+
+
+@contextmanager
+def served(live, access=None):
+    """Serve a live map on a free port of this machine; give the address."""
+    config = uvicorn.Config(make_app(live, access), port=0, log_level="error", lifespan="on",
+                            timeout_graceful_shutdown=1)  # fmt: skip
+    server = uvicorn.Server(config)
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    try:
+        while not server.started:
+            time.sleep(0.01)
+        yield f"http://127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}"
+    finally:
+        server.should_exit = True
+        thread.join()
+
+
+@pytest.fixture(scope="module")
+def live(tmp_path_factory):
+    return Replay(tmp_path_factory.mktemp("live") / "occupancy")
+
+
+@pytest.fixture(scope="module")
+def address(live):
+    with served(live) as address:
+        yield address
+
+
+def get(address, **headers):
+    with urllib.request.urlopen(urllib.request.Request(address, headers=headers)) as answer:  # noqa: S310
+        return answer.read().decode(), dict(answer.headers)
+
+
+def get_json(address):
+    return json.loads(get(address)[0])
+
+
+def refusal(address, method="GET", **headers):
+    asked = urllib.request.Request(address, headers=headers, method=method)  # noqa: S310
+    with pytest.raises(urllib.error.HTTPError) as caught:
+        urllib.request.urlopen(asked)  # noqa: S310
+    caught.value.close()
+    return caught.value.code
+
+
+def events(address, count):
+    """Read some events of the stream."""
+    found = []
+    with urllib.request.urlopen(f"{address}/events") as stream:  # noqa: S310
+        while len(found) < count:
+            line = stream.readline().decode()
+            if line.startswith("data: "):
+                found.append(json.loads(line.removeprefix("data: ")))
+    return found
+
+
+def apply(shown, change):
+    """Change a map as the page does it."""
+    for name in ("occupied", "unobserved"):
+        tiles = set(shown[name]) - set(change[name]["off"]) | set(change[name]["on"])
+        shown[name] = sorted(tiles)
+    for name in ("classes", "lanes", "sensors"):
+        shown[name] |= {type(next(iter(shown[name])))(k): v for k, v in change[name].items()}
+    return shown | {name: change[name] for name in ("step", "clock")}
+
+
+def test_differences_add_up_to_the_map(live):
+    live.at = live.first + 400
+    shown = whole_event(live.place, live.snapshot())
+    for ahead in (1, 2, 7, 300):
+        live.at += ahead
+        live.silent = {"R2"} if ahead == 7 else set()
+        whole = whole_event(live.place, live.snapshot())
+        change = difference(shown, whole)
+        assert len(json.dumps(change)) < len(json.dumps(whole)) / 4
+        shown = apply(shown, change)
+        assert shown == whole
+    assert shown["occupied"]
+
+
+def test_the_stream_begins_with_the_whole_map_and_goes_on_with_changes(live, address):
+    live.at = live.first + 500
+    first = events(address, 1)[0]
+    assert first["whole"]
+    assert first["occupied"] == live.snapshot().now.tolist()
+    later = threading.Timer(0.2, lambda: setattr(live, "at", live.first + 520))
+    later.start()
+    changes = events(address, 4)[1:]
+    later.join()
+    assert not any(each.get("whole") for each in changes)
+    assert changes[-1]["step"] == live.first + 520
+
+
+def test_classes_are_those_of_the_legend(live):
+    observed = np.array([0, 1000, 1000, 1000, 1000, 1000])
+    occupied = np.array([0, 0, 1, 5, 6, 1000])
+    snapshot = Snapshot(step=0, now=np.empty(0, np.int64), observed_now=observed > 0,
+                        occupied=occupied, observed=observed)  # fmt: skip
+    share, found = occupied[1:] / 1000, snapshot.classes()
+    assert found[0] == NOT_OBSERVED
+    for value, number in zip(share, found[1:], strict=True):
+        each = style.colour_classes()[number]
+        assert (each.lower < value <= each.upper) or (value == 0.0 == each.upper)
+
+
+def test_features_are_the_tiles_that_are_observed(live, address):
+    live.at = live.first + 700
+    snapshot, tiles = live.snapshot(), live.place.tiles
+    shown = []
+    link = f"{address}/ogc/collections/tiles/items?limit=1000"
+    while link:
+        page = get_json(link)
+        shown += page["features"]
+        link = next((each["href"] for each in page["links"] if each["rel"] == "next"), None)
+    assert page["numberMatched"] == len(shown) == live.seen.sum()
+    share = snapshot.occupancy()
+    for each in shown[::97]:
+        row, found = each["id"], each["properties"]
+        assert found["tile_id"] == tiles["tile_id"][row]
+        assert found["occupied_now"] == (row in snapshot.now)
+        assert found["occupancy_15min"] == pytest.approx(share[row], abs=1e-4)
+    one = shapely.from_geojson(json.dumps(shown[0]["geometry"]))
+    degrees = live.place.in_degrees(tiles).geometry
+    assert one.hausdorff_distance(degrees[shown[0]["id"]]) < 1e-6
+    box = ",".join(map(str, one.bounds))
+    near = get_json(f"{address}/ogc/collections/tiles/items?bbox={box}")
+    oracle = degrees[live.seen].intersects(shapely.box(*one.bounds)).sum()
+    assert near["numberMatched"] == pytest.approx(oracle, abs=3)  # rounded to a centimetre
+    single = get_json(f"{address}/ogc/collections/tiles/items/{shown[0]['id']}")
+    assert single["properties"]["tile_id"] == shown[0]["properties"]["tile_id"]
+
+
+def test_the_service_describes_itself(address):
+    landing = get_json(f"{address}/ogc")
+    assert {"service-desc", "conformance", "data"} <= {each["rel"] for each in landing["links"]}
+    for link in landing["links"]:
+        get(link["href"])
+    listed = get_json(f"{address}/ogc/collections")["collections"]
+    assert [each["id"] for each in listed] == ["tiles", "lanes", "intervals", "sensors"]
+    for each in listed:
+        assert get_json(next(k["href"] for k in each["links"] if k["rel"] == "items"))["features"]
+
+
+@pytest.mark.parametrize(
+    ("asked", "number"),
+    [("..", 28), ("2025-06-12T07:31:00Z", 28), ("2025-06-12T06:00:00Z", 0),
+     ("../2025-06-12T06:00:00Z", 0), ("2025-06-12T07:31:00Z/..", 28),
+     ("2025-06-13T07:31:00Z/..", 0)],
+)  # fmt: skip
+def test_intervals_are_chosen_by_time(address, asked, number):
+    found = get_json(f"{address}/ogc/collections/intervals/items?datetime={asked}")
+    assert found["numberMatched"] == number
+
+
+@pytest.mark.parametrize(
+    ("query", "code"),
+    [("tiles/items?bbox=1,2,x,4", 400), ("tiles/items?bbox=1,2", 400), ("tiles/items?limit=0", 400),
+     ("tiles/items?limit=-1", 400), ("tiles/items?geometry=1", 400), ("tiles/items?nothing=1", 400),
+     ("intervals/items?datetime=never", 400), ("else/items", 404), ("tiles/items/99999999", 404),
+     ("tiles/items?bbox=nan,nan,nan,nan", 400)],
+)  # fmt: skip
+def test_questions_that_are_not_understood_are_refused(address, query, code):
+    assert refusal(f"{address}/ogc/collections/{query}") == code
+
+
+def test_only_who_has_the_token_reads(live):
+    with served(live, Access(token="s3cret")) as address:  # noqa: S106 - of this test only
+        for path in ("/", "/events", "/state.json", "/ogc", "/metrics", "/web/page.js"):
+            assert refusal(address + path) == 401
+            assert refusal(address + path, Authorization="Bearer other") == 401
+        assert (
+            "gis_radar_frames_total" in get(address + "/metrics", Authorization="Bearer s3cret")[0]
+        )
+        assert "<h1>" in get(address + "/?token=s3cret", Cookie="gis_radar=s3cret")[0]
+
+
+def test_others_cannot_write_nor_ask_in_the_name_of_this_machine(address):
+    assert refusal(address, method="POST") == 405
+    assert refusal(address, method="DELETE") == 405
+    assert refusal(address, Host="evil.example") == 400
+    _, headers = get(address)
+    assert "default-src 'none'" in headers["content-security-policy"]
+    assert refusal(f"{address}/web/../page.py") == 404
+
+
+def test_a_page_that_is_open_to_all_is_refused():
+    with pytest.raises(UsageError, match=r"open to everyone who reaches 0\.0\.0\.0"):
+        Access(host="0.0.0.0")  # noqa: S104
+    Access(host="0.0.0.0", behind_proxy=True)  # noqa: S104
+
+
+@pytest.fixture(scope="module")
+def chromium(tmp_path_factory):
+    if not VENDOR.exists():
+        pytest.skip("no MapLibre here: see tools/get_maplibre.sh")
+    browser = start_chromium(tmp_path_factory.mktemp("chromium"), draws_maps=True)
+    yield browser
+    browser.quit()
+
+
+@pytest.mark.parametrize(("width", "language"), [(1280, "en"), (390, "de")])
+def test_the_page_in_a_browser(live, address, chromium, width, language):
+    live.at, live.silent = live.first + 1200, {"R2"}
+    wide(chromium, width)
+    chromium.get_log("browser")
+    chromium.get(f"{address}/?lang={language}")
+    WebDriverWait(chromium, WAIT_S).until(
+        lambda page: page.execute_script("return document.body.dataset.drawn")
+    )
+    assert chromium.find_element(By.TAG_NAME, "html").get_attribute("lang") == language
+    clock = chromium.find_element(By.ID, "clock").text
+    assert clock == "09:30:59" or clock.startswith("09:3")
+    rows = chromium.find_elements(By.CSS_SELECTOR, "#sensor-rows tr")
+    assert [row.text.split()[0] for row in rows] == ["R1", "R2"]
+    assert (
+        rows[1].find_element(By.CLASS_NAME, "bad").text
+        == {"en": "offline", "de": "nicht verbunden"}[language]
+    )
+    shares = [
+        row.text.split()[-2] for row in chromium.find_elements(By.CSS_SELECTOR, "#lane-rows tr")
+    ]
+    values = [float(each.replace(",", ".")) for each in shares if each[0].isdigit()]
+    assert values == sorted(values, reverse=True)
+    assert values[0] == pytest.approx(
+        100 * np.nanmax(live.snapshot().by_lane(live.place)), abs=0.06
+    )
+    page_width = chromium.execute_script("return document.documentElement.scrollWidth")
+    assert page_width <= width
+    violations = Axe().run(chromium)["violations"]
+    assert [each["id"] for each in violations] == []
+    assert [each for each in chromium.get_log("browser") if each["level"] == "SEVERE"] == []
+
+
+def test_what_is_not_observed_has_no_share(live):
+    live.at = live.first + 100
+    event = whole_event(live.place, live.snapshot())
+    unseen = np.flatnonzero(~live.seen).tolist()
+    assert event["unobserved"] == unseen
+    assert {event["classes"][tile] for tile in unseen} == {NOT_OBSERVED}
+    share = live.snapshot().by_lane(live.place)
+    assert [each is None for each in event["lanes"].values()] == [math.isnan(x) for x in share]
+
+
+@needs_mosquitto
+def test_the_page_shows_what_a_sensor_sends_now(tmp_path, once):
+    site = LiveSite(tmp_path, once)
+    port = free_port()
+    table = f'lateness = "2s"\n[live.page]\naddress = "127.0.0.1:{port}"\n[[sensor]]'
+    site.file.write_text(site.file.read_text().replace("[[sensor]]", table, 1))
+    site.broker.start()
+    fusion = Fusion(read_live_site(site.file))
+    middle = Background(fusion.run)
+    try:
+        edge = Edge(read_edge_file(site.edge("R1", source='speed = 1.0\nloop = "100s"')))
+        sensor = Background(edge.run)
+        wait_for(lambda: is_open(port), 10.0)
+        address = f"http://127.0.0.1:{port}"
+        wait_for(lambda: len(events(address, 1)[0]["occupied"]), 120.0)  # numba may compile
+        state = get_json(f"{address}/state.json")
+        assert state["sensors"]["R1"]["online"]
+        assert not state["sensors"]["R2"]["online"]
+        assert state["sensors"]["R1"]["at"] == pytest.approx((11.561, 48.150), abs=0.002)
+        assert {state["classes"][str(tile)] for tile in state["occupied"]} <= set(range(1, 9))
+        lanes = get_json(f"{address}/ogc/collections/intervals/items")["features"]
+        assert any(each["properties"]["occupied_s"] > 0 for each in lanes)
+        assert 'gis_radar_frames_total{sensor="R1"}' in get(f"{address}/metrics")[0]
+        sensor.end()
+    finally:
+        middle.end()
+        site.broker.kill()
+    assert not is_open(port)
+
+
+def test_an_address_that_is_taken_is_one_line(tmp_path, once, live):
+    site = LiveSite(tmp_path, once)
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        table = PageTable(address=f"127.0.0.1:{taken.getsockname()[1]}")
+        page = Page(live, read_live_site(site.file), table, live.place.tiles)
+        with pytest.raises(OutputError, match=r"127\.0\.0\.1:\d+: the page cannot be served there"):
+            page.open()
