@@ -1,5 +1,6 @@
 """A live site on this machine: a real broker, the sample junction's tiles, two sensors' files."""
 
+import os
 import shutil
 import socket
 import subprocess
@@ -9,6 +10,7 @@ import time
 import pytest
 
 import gis_radar as gr
+from gis_radar.live.broker_files import write_broker_files
 
 SAMPLE = gr.sample_folder()
 MOSQUITTO = shutil.which("mosquitto") or shutil.which("/usr/sbin/mosquitto")
@@ -86,32 +88,35 @@ class LiveSite:
     def __init__(self, folder, once):
         self.folder, self.port = folder, free_port()
         self.tiles = once("live_tiles", make_tiles_file)
-        config = folder / "mosquitto.conf"
-        config.write_text(
-            f"listener {self.port} 127.0.0.1\nallow_anonymous true\nmax_packet_size 66560\n"
-            "max_inflight_messages 100\nmax_queued_messages 10000\n"
-        )
-        self.broker = Broker(config, self.port)
         self.file = folder / "SITE.toml"
-        self.file.write_text(
-            f"""
+        self.file.write_text(self.site_text())
+        write_broker_files(self.file, folder / "broker")
+        self.file.write_text(self.site_text("broker/password_of_fusion"))
+        config = folder / "broker" / "mosquitto.conf"
+        if os.geteuid() == 0:  # it would take another user, who may not read here
+            config.write_text(config.read_text() + "user root\n")
+        self.broker = Broker(config, self.port)
+
+    def site_text(self, password=""):
+        secret = f', password_file = "{password}"' if password else ""
+        return f"""
 title = "Sample junction"
 [map]
 file = "{SAMPLE / "junction.osm"}"
 [live]
 site = "junction"
 tiles = "{self.tiles}"
-broker = {{ address = "mqtt://127.0.0.1:{self.port}" }}
+broker = {{ address = "mqtt://127.0.0.1:{self.port}"{secret} }}
 [[sensor]]
 name = "R1"
 [[sensor]]
 name = "R2"
 """
-        )
 
     def edge(self, name, *, more="", source="speed = 0.0", **keys):
         """Write the file of a sensor and return it."""
         path = self.folder / f"{keys.pop('file', name)}.toml"
+        user = keys.pop("user", name)
         keys = {"pose": f'"{SAMPLE / name}.json"', "tiles": f'"{self.tiles}"'} | keys
         path.write_text(
             f"""
@@ -126,6 +131,7 @@ recording = "{SAMPLE / name}.parquet"
 {source}
 [broker]
 address = "mqtt://127.0.0.1:{self.port}"
+password_file = "broker/password_of_{user}"
 [buffer]
 file = "{path.stem}.buffer"
 """

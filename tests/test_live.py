@@ -2,12 +2,23 @@
 
 import numpy as np
 import pytest
-from live_site import SAMPLE, Background, LiveSite, needs_mosquitto
+from live_site import SAMPLE, Background, LiveSite, needs_mosquitto, wait_for
 
 import gis_radar as gr
+from gis_radar.live.broker import BrokerAddress, Link, Received
 from gis_radar.live.edge import Edge
 from gis_radar.live.fusion import Fusion
+from gis_radar.live.payload import (
+    HITS,
+    POSE,
+    Envelope,
+    PoseContent,
+    pack_hits,
+    pack_message,
+)
 from gis_radar.live.settings import read_edge_file, read_live_site
+from gis_radar.occupancy.hit_counter import CountedFrame
+from gis_radar.progress import Reporter
 
 NAMES = ("R1", "R2")
 pytestmark = needs_mosquitto
@@ -67,3 +78,133 @@ def test_what_fusion_stores_equals_the_batch(site, batch):
     assert [path.name for path in hours] == ["2025-06-12T07Z"]
     assert_same_tables(gr.read_occupancy(hours), batch)
     assert [edge.frames for edge in edges] == [2000, 2002]
+
+
+class Lines(Reporter):
+    """A reporter that keeps what it is told."""
+
+    def __init__(self):
+        self.lines = []
+
+    def log(self, message, _level="info"):
+        self.lines.append(message)
+
+    def told(self, words):
+        return any(words in line for line in self.lines)
+
+
+def test_a_broker_that_is_killed_and_a_fusion_that_begins_anew_lose_nothing(site, batch):
+    """Everything breaks in the midst of a replay; fusion is left without a word, as if killed."""
+    middle = Fusion(read_live_site(site.file))
+    first = Background(middle.run)
+    edge = Edge(read_edge_file(site.edge("R1", source="speed = 20.0")))
+    work = Background(edge.run)
+    wait_for(lambda: middle.sensors["R1"].health.counts["frames"] > 200, 30.0)
+    site.broker.kill()
+    frames = edge.frames
+    wait_for(lambda: edge.frames > frames + 200, 30.0)  # it goes on, on disk
+    middle._finish = lambda: None  # what it has taken and not committed is gone
+    first.end()
+    site.broker.start()
+    again = Fusion(read_live_site(site.file))
+    second = Background(again.run)
+    work.join(60.0)
+    work.end()
+    second.end()
+    assert again.sensors["R1"].health.counts["frames"] > 400
+    live = gr.read_occupancy(sorted((site.folder / "live" / "occupancy").iterdir()))
+    names = ["R1"]
+    mine = columns(live.hits_by_sensor(names))
+    theirs = columns(batch.hits_by_sensor(list(NAMES)))
+    own = theirs[2] == 0
+    for a, b in zip(mine, theirs, strict=True):
+        assert np.array_equal(a, b[own])
+    log, whole = columns(live.frame_log(names)), columns(batch.frame_log(list(NAMES)))
+    assert np.array_equal(log[0], whole[0][whole[1] == 0])
+
+
+def test_nobody_gets_past_the_broker(site):
+    """A wrong password is refused, and a sensor's neither reads nor writes what is another's."""
+    said = Lines()
+    address = BrokerAddress.of(f"mqtt://127.0.0.1:{site.port}", user="R1", password="wrong")  # noqa: S106
+    stranger = Link(address, name="stranger", reporter=said)
+    stranger.open()
+    wait_for(lambda: said.told("refuses the link"), 10.0)
+    stranger.close()
+    password = (site.folder / "broker" / "password_of_R1").read_text().strip()
+    known = BrokerAddress.of(f"mqtt://127.0.0.1:{site.port}", user="R1", password=password)
+    everything = ("v1/#", "v1/junction/R2/hits", "v1/junction/R1/ack")
+    one = Link(known, name="junction-R1", topics=everything, reporter=said)
+    one.open()
+    wait_for(lambda: one.connected, 10.0)
+    one.publish("v1/junction/R2/hits", b"foreign")
+    wait_for(lambda: said.told("does not take a message"), 10.0)
+    assert one.refused == 1
+    one.publish("v1/junction/R1/hits", b"own")
+    assert one.take(0.5) is None  # its own hits, and R2's, are not its to read
+    twin = Link(known, name="junction-R1", reporter=said)
+    twin.open()
+    wait_for(lambda: said.told("the same name"), 30.0)
+    for each in (one, twin):
+        each.close()
+
+
+def test_odd_messages_are_counted_and_the_rest_goes_on(site):
+    """Other versions, tiles, sensors, noise and doubles: a line and a count each, no frame."""
+    said = Lines()
+    fusion = Fusion(read_live_site(site.file), reporter=said)
+    fusion._link = None
+
+    def send(payload, kind="hits", sensor="R1"):
+        topic = f"v1/junction/{sensor}/{kind}"
+        fusion.intake.handle(Received(topic, payload, 1.0, retained=False))
+
+    stream, tiles = b"abcd", fusion._book.road.fingerprint
+    state = fusion.sensors["R1"]
+
+    def message(number, content, kind=HITS):
+        envelope = Envelope(kind=kind, stream=stream, number=number, previous=number - 1)
+        return pack_message(envelope, content)
+
+    def pose(fingerprint=tiles):
+        record = gr.read_pose(SAMPLE / "R1.json").as_dict()
+        return PoseContent(pose=record, since_step=0, fingerprint=fingerprint).pack()
+
+    frame = CountedFrame(
+        time_us=1_749_713_400_000_000, detections=3, moving=1, wild=0, checksum=5,
+        tiles=np.array([4, 9]),
+    )  # fmt: skip
+    hits = pack_hits([frame], pose=1, fingerprint=tiles)
+    send(hits, sensor="R9")
+    assert said.told("R9: no sensor of this site")
+    send(message(1, pose("00" * 16), POSE))
+    assert (state.received, "refused" in state.health.alarms) == (0, True)
+    send(b"\x09" + message(1, pose(), POSE)[1:])
+    assert state.refused == "a message of version 9, expected 1"
+    send(message(1, pose(), POSE))
+    assert (state.received, state.health.alarms) == (1, {})
+    send(message(2, hits))
+    send(message(2, hits))  # a double
+    assert (state.received, state.health.counts["duplicates"]) == (2, 1)
+    send(message(4, hits))  # 3 is missing
+    assert (state.received, state.health.counts["gaps"], state.due) == (2, 1, True)
+    send(message(3, pack_hits([frame], pose=1, fingerprint="11" * 16)))
+    assert "expected" in state.refused
+    send(message(3, hits[:-1]))  # damaged where it was made: passed over
+    assert (state.received, state.health.counts["damaged"]) == (3, 1)
+    for noise in (b"", b"\x01", bytes(70_000), b"\xff" * 50):
+        send(noise)
+        send(noise, kind="status")
+    moved = gr.read_pose(SAMPLE / "R1.json").as_dict()
+    lost = PoseContent(pose=moved, since_step=0, fingerprint=tiles, trusted=False).pack()
+    send(message(4, lost, POSE))
+    send(message(5, pack_hits([frame], pose=4, fingerprint=tiles)))
+    assert (state.received, state.health.counts["not_counted"]) == (5, 1)
+    assert "moved" in state.health.alarms
+    assert state.health.counts["frames"] == 1
+    fusion._commit()
+    assert state.stored == 5
+    again = fusion._journal.mark("R1", stream.hex())
+    assert again == (5, 5)
+    assert fusion.metrics().count("gis_radar_not_counted_total") == 4
+    fusion._journal.__exit__()

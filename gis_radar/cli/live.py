@@ -14,6 +14,7 @@ import click
 import gis_radar as gr
 from gis_radar.cli.console import Result, command
 from gis_radar.cli.options import FILE
+from gis_radar.files import refuse_inputs
 from gis_radar.progress import Reporter
 
 STOPPING = (signal.SIGINT, signal.SIGTERM)
@@ -64,11 +65,20 @@ def edge(*, sensor: Path, reporter: Reporter) -> Result:
 
 @command(example="gis-radar live SITE.toml")
 @click.argument("site", metavar="SITE.toml", type=FILE)
-def live(*, site: Path, reporter: Reporter) -> Result:
+@click.option(
+    "--broker-files", type=FILE, metavar="DIR",
+    help="Write Mosquitto's configuration, access, passwords and systemd units, and do no more.",
+)  # fmt: skip
+def live(*, site: Path, broker_files: Path | None, reporter: Reporter) -> Result:
     """Run the live system's middle: the map of now, and an occupancy folder an hour.
 
     It ends with Ctrl-C; what was stored is then written.
     """
+    if broker_files is not None:
+        from gis_radar.live.broker_files import write_broker_files  # noqa: PLC0415 - a command's
+
+        refuse_inputs(broker_files, site)
+        return Result(outputs=write_broker_files(site, broker_files))
     with stopped_by_signals() as stop:
         done = gr.run_fusion(site, stop=stop, reporter=reporter)
     return Result(outputs=done.outputs, summary=done.figures())

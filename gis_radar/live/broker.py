@@ -30,7 +30,8 @@ SLOWEST_RETRY_S = 30
 IN_FLIGHT = 100  # messages that wait for the broker's word at a time
 _TAKEN_OVER, _NOT_AUTHORISED = 142, 135  # reason codes of MQTT 5
 _REFUSED = range(128, 256)
-TWINS, TWINS_WITHIN_S = 3, 120.0  # so many take-overs are no restart of ours
+TWINS, TWINS_WITHIN_S = 3, 120.0  # so many short links are no restart of the broker
+SHORT_S = 10.0  # a link that ends sooner is short
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,7 +146,7 @@ class Link:
         self._reporter, self._said = reporter, ""
         self._received: SimpleQueue[Received] = SimpleQueue()
         self._taken: deque[float] = deque(maxlen=TWINS)
-        self._connected = False
+        self._connected, self._since = False, 0.0
         self._client = self._made(will)
 
     def _made(self, will: tuple[str, bytes] | None) -> Client:
@@ -220,7 +221,7 @@ class Link:
             return
         if self._topics:
             self._client.subscribe([(topic, 1) for topic in self._topics])
-        self._connected = True
+        self._connected, self._since = True, time.monotonic()
         self.connections += 1
         self._say(f"linked to the broker at {self._address}")
 
@@ -229,17 +230,19 @@ class Link:
 
     def _on_disconnect(self, _c: Any, _u: Any, _f: Any, reason: Any, _p: Any) -> None:
         was, self._connected = self._connected, False
-        if _code(reason) == _TAKEN_OVER:
-            self._taken.append(time.monotonic())
-            span_s = self._taken[-1] - self._taken[0]
-            self.twins = len(self._taken) == TWINS and span_s < TWINS_WITHIN_S
-            if self.twins:
-                # the other one has its turn meanwhile: neither gets far, but both are heard
-                self._client.reconnect_delay_set(SLOWEST_RETRY_S // 2, SLOWEST_RETRY_S)
-                self._say("another program has the same name at the broker: stop one of them")
-                return
-        if was and _code(reason):
-            self._say(f"the link to the broker is lost: {reason}; trying on")
+        if not was or not _code(reason):
+            return
+        now = time.monotonic()
+        # Mosquitto 2.0 does not say that another program has taken the name over.
+        if _code(reason) == _TAKEN_OVER or now - self._since < SHORT_S:
+            self._taken.append(now)
+        self.twins = len(self._taken) == TWINS and now - self._taken[0] < TWINS_WITHIN_S
+        if self.twins:
+            # the other one has its turn meanwhile: neither gets far, but both are heard
+            self._client.reconnect_delay_set(SLOWEST_RETRY_S // 2, SLOWEST_RETRY_S)
+            self._say("the broker ends each link soon: has another program the same name?")
+            return
+        self._say(f"the link to the broker is lost: {reason}; trying on")
 
     def _on_message(self, _c: Any, _u: Any, message: Any) -> None:
         self._received.put(

@@ -1,0 +1,138 @@
+"""Files for the broker: configuration of Mosquitto, access, passwords; and systemd units."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import secrets
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from gis_radar.files import whole_folder
+from gis_radar.live.broker import IN_FLIGHT, TOPICS, BrokerAddress
+from gis_radar.live.intake import FUSION
+from gis_radar.live.payload import MOST_BYTES
+from gis_radar.live.settings import DEFAULTS, LiveSite, read_live_site
+
+CONFIG, ACCESS, PASSWORDS = "mosquitto.conf", "access", "passwords"
+OWNED = (CONFIG, ACCESS, PASSWORDS, "gis-radar-", "password_of_")
+_ROUNDS, _SALT_BYTES = 101, 12  # of Mosquitto's own mosquitto_passwd
+_HEADER_BYTES = 1024  # of a message, over its content: topic and properties
+
+
+def write_broker_files(path: str | Path, folder: str | Path) -> list[Path]:
+    """Write what a broker of a live site needs; passwords are new each time.
+
+    Parameters
+    ----------
+    path : str or Path
+        The site's file, with a table `[live]`.
+    folder : str or Path
+        Where they go, whole or not at all.
+
+    Raises
+    ------
+    InputError
+        If the site's file does not fit.
+    OutputError
+        If they cannot be written.
+    """
+    site, place = read_live_site(path), Path(folder)
+    users = [FUSION, *(each.name for each in site.sensor)]
+    known = {user: secrets.token_urlsafe(18) for user in users}
+    with whole_folder(place, owned=OWNED) as part:
+        texts = {
+            CONFIG: broker_config(site, place.resolve()),
+            ACCESS: broker_access(site.live.site),
+            PASSWORDS: password_lines(known),
+            **{f"password_of_{user}": f"{password}\n" for user, password in known.items()},
+            **_units(site),
+        }
+        for name, text in texts.items():
+            file = part / name
+            file.touch(mode=0o600 if name.startswith("password_of_") else 0o640)
+            file.write_text(text, encoding="utf-8")
+    return sorted(place.iterdir())
+
+
+def broker_config(site: LiveSite, folder: Path) -> str:
+    """Return Mosquitto's configuration: a log-in for all, bounded messages and queues."""
+    address: BrokerAddress = site.address()
+    # What all sensors may have on their way, hits and returns; the rest is asked for again.
+    queued = 2 * DEFAULTS.unacknowledged * len(site.sensor)
+    size = MOST_BYTES + _HEADER_BYTES
+    lines = [
+        "# Of gis_radar's live system; see docs/live.md. Nothing here must outlive the broker.",
+        f"listener {address.port}",
+        "allow_anonymous false",
+        f"password_file {folder / PASSWORDS}",
+        f"acl_file {folder / ACCESS}",
+        "persistence false",
+        f"max_packet_size {size}",
+        f"max_inflight_messages {IN_FLIGHT}",
+        f"max_queued_messages {queued}",
+        f"max_queued_bytes {queued * 2048}",
+        "max_keepalive 60",
+        "connection_messages true",
+        "log_dest stderr",
+    ]
+    if address.tls:
+        lines += [
+            f"certfile {folder / 'server.crt'}",
+            f"keyfile {folder / 'server.key'}",
+            "tls_version tlsv1.2",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def broker_access(site: str) -> str:
+    """Return who may publish and read what: a sensor its own topics, fusion those of all."""
+    root = f"{TOPICS}/{site}"
+    own = [f"pattern write {root}/%u/{kind}" for kind in ("hits", "returns", "status", "pose")]
+    of_all = [f"topic read {root}/+/{kind}" for kind in ("hits", "returns", "status", "pose")]
+    lines = [
+        f"user {FUSION}", *of_all, f"topic write {root}/+/ack", f"topic write {root}/{FUSION}/#",
+        "", *own, f"pattern read {root}/%u/ack",
+    ]  # fmt: skip
+    return "\n".join(lines) + "\n"
+
+
+def password_lines(known: Mapping[str, str]) -> str:
+    """Return Mosquitto's file of passwords: PBKDF2 with SHA-512, as its own program makes it."""
+    lines = []
+    for user, password in known.items():
+        salt = secrets.token_bytes(_SALT_BYTES)
+        digest = hashlib.pbkdf2_hmac("sha512", password.encode(), salt, _ROUNDS)
+        texts = (base64.b64encode(each).decode() for each in (salt, digest))
+        lines.append(f"{user}:$7${_ROUNDS}${'$'.join(texts)}\n")
+    return "".join(lines)
+
+
+_UNIT = """\
+[Unit]
+Description={about}
+After=network-online.target time-sync.target
+Wants=network-online.target
+
+[Service]
+ExecStart=/usr/bin/env gis-radar {words}
+Restart=always
+RestartSec=5
+DynamicUser=true
+StateDirectory=gis_radar
+WorkingDirectory=/var/lib/gis_radar
+ProtectSystem=strict
+ProtectHome=true
+NoNewPrivileges=true
+
+[Install]
+WantedBy=multi-user.target
+"""
+
+
+def _units(site: LiveSite) -> Mapping[str, str]:
+    about: Sequence[tuple[str, str, str]] = (
+        ("gis-radar-live.service", f"Live map of {site.live.site}", "live SITE.toml"),
+        ("gis-radar-edge.service", f"Radar of {site.live.site}", "edge SENSOR.toml"),
+    )
+    return {name: _UNIT.format(about=text, words=words) for name, text, words in about}
