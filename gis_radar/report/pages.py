@@ -31,6 +31,7 @@ FONT = "DejaVu"
 LEGEND, GAP = 44.0, 4.0
 BESIDE = 1.0  # of a cell, on either side of its text
 TALLEST_MAP = 165.0
+CAPTION, LEAST_SHARE = 14.0, 0.8  # room below a picture, mm; of its height where room is scarce
 TITLE, HEADING, LEAD, BODY, SMALL, CELL = (
     22.0,
     14.0,
@@ -218,11 +219,12 @@ class Paper(FPDF):
 
 
 def _add_figure(paper: Paper, figure: Figure) -> None:
-    """Draw a picture with its caption, on a new page where it does not fit."""
+    """Draw a picture with its caption, on a new page where it does not fit, or hardly smaller."""
     height = min(paper.epw * figure.height / figure.width, figure.tallest_mm)
-    width = height * figure.width / figure.height
-    if paper.room < height + 14:
+    if paper.room - CAPTION < LEAST_SHARE * height:
         paper.add_page()
+    height = min(height, paper.room - CAPTION)
+    width = height * figure.width / figure.height
     top = paper.get_y() + 2
     _add_picture(paper, BytesIO(figure.png), figure.alt, (MARGIN, top, width, height))
     paper.set_xy(MARGIN, top + height + 1.5)
@@ -234,8 +236,11 @@ def _add_terms(paper: Paper, part: Terms) -> None:
     for term, meaning in part.terms:
         if paper.room < 22:
             paper.add_page()
-        paper.write_paragraph(term, bold=True)
-        paper.write_paragraph(meaning)
+        paper.write_with(BODY)
+        text = f"**{term}:** {meaning}"
+        paper.multi_cell(
+            0, BODY * 0.5, text, align="L", markdown=True, new_x=XPos.LMARGIN, new_y=YPos.NEXT
+        )
         paper.ln(1.8)
 
 

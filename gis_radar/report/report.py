@@ -338,7 +338,7 @@ def _chapters(found: Findings, drawn: _Pictures) -> list[Chapter]:
         *([Chapter("time", over_time, drawn.over_time, 236.0)] if drawn.over_time else []),
         Chapter("sensors", tr("Sensors"), [sensors, *draw_sights(results), *figures], 60.0),
         Chapter("quality", tr("What sensors delivered"), [quality_table(found)], 80.0),
-        *([Chapter("hits", hits, drawn.hits, 205.0)] if drawn.hits else []),
+        *([Chapter("hits", hits, drawn.hits, 168.0)] if drawn.hits else []),
         Chapter("settings", tr("Settings and sources"), sources, 70.0),
         Chapter("words", tr("What the words mean"), [_terms(results.heat.measure)]),
     ]
