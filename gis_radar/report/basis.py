@@ -138,7 +138,7 @@ def _highest(found: Findings) -> Fact:
         share=percent(top["base_m"] / top["length_m"], 0),
     )
     share = percent(top["share"], off=top["share_se"])
-    return Fact(name, tr("Lane {lane}: {share}", lane=int(top["lane"]), share=share), rests)
+    return Fact(name, f"{int(top['lane'])}: {share}", rests)
 
 
 def as_high_as(table: pd.DataFrame) -> list[str]:

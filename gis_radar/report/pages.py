@@ -13,7 +13,7 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 from fpdf import FPDF, ViewerPreferences
-from fpdf.enums import TableBordersLayout, TableCellFillMode, XPos, YPos
+from fpdf.enums import MethodReturnValue, TableBordersLayout, TableCellFillMode, XPos, YPos
 from fpdf.fonts import FontFace
 from fpdf.line_break import BREAKING_SPACE_SYMBOLS_STR
 from jinja2 import Environment, StrictUndefined, Template
@@ -31,7 +31,7 @@ FONT = "DejaVu"
 LEGEND, GAP = 44.0, 4.0
 BESIDE = 1.0  # of a cell, on either side of its text
 TALLEST_MAP = 165.0
-CAPTION, LEAST_SHARE = 14.0, 0.8  # room below a picture, mm; of its height where room is scarce
+LEAST_SHARE = 0.8  # of a picture's height where room is scarce
 TITLE, HEADING, LEAD, BODY, SMALL, CELL = (
     22.0,
     14.0,
@@ -221,9 +221,13 @@ class Paper(FPDF):
 def _add_figure(paper: Paper, figure: Figure) -> None:
     """Draw a picture with its caption, on a new page where it does not fit, or hardly smaller."""
     height = min(paper.epw * figure.height / figure.width, figure.tallest_mm)
-    if paper.room - CAPTION < LEAST_SHARE * height:
+    paper.write_with(SMALL)
+    below = 6.0 + paper.multi_cell(
+        0, SMALL * 0.5, figure.caption, align="L", dry_run=True, output=MethodReturnValue.HEIGHT
+    )
+    if paper.room - below < LEAST_SHARE * height:
         paper.add_page()
-    height = min(height, paper.room - CAPTION)
+    height = min(height, paper.room - below)
     width = height * figure.width / figure.height
     top = paper.get_y() + 2
     _add_picture(paper, BytesIO(figure.png), figure.alt, (MARGIN, top, width, height))
