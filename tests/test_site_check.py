@@ -168,6 +168,7 @@ def test_messages_in_the_language_of_the_user(monkeypatch, text, german):
     assert in_users_language(text) == text
     monkeypatch.setenv("GIS_RADAR_LANGUAGE", "de")
     assert in_users_language(text).startswith(german)
+    assert in_users_language("warning") == "Warnung"
     monkeypatch.setenv("GIS_RADAR_LANGUAGE", "C")
     assert in_users_language(text) == text
 

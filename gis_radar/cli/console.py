@@ -148,7 +148,7 @@ class TerminalConsole(Console):
 
     def log(self, message: str, level: Level = "info") -> None:
         """Print a remark."""
-        prefix = "warning: " if level == "warning" else ""
+        prefix = f"{in_users_language('warning')}: " if level == "warning" else ""
         text = in_users_language(message)
         self._rich.print(f"{prefix}{text}", markup=False, highlight=False, soft_wrap=True)
 
