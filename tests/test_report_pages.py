@@ -9,7 +9,7 @@ import pypdf
 import pytest
 
 from gis_radar.report.content import Table
-from gis_radar.report.pages import Paper, _add_table
+from gis_radar.report.pages import Paper, _add_table, bound
 from gis_radar.report.report import _lane_columns
 from gis_radar.words import speaking
 
@@ -37,3 +37,8 @@ def test_heads_and_numbers_of_lanes_are_not_broken(language, lane):
         for word in f"{column.title} {column.unit}".split():
             assert word in found
     assert lane in found
+
+
+def test_no_line_ends_between_a_number_and_its_percent_sign():
+    assert bound("it is not 0 %, nor 20 % or more") == ("it is not 0\u202f%, nor 20\u202f% or more")
+    assert bound(None) is None

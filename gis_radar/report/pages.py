@@ -9,6 +9,7 @@ from functools import cache
 from importlib.resources import files
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -23,7 +24,7 @@ from PIL import Image
 from gis_radar.heatmap import style
 from gis_radar.heatmap.picture import INK, SENSOR, SOFT, STRIPE, legend_in_words
 from gis_radar.report.content import WORDS, Content, Figure, MapSeries, Table, Terms
-from gis_radar.words import current_language, tr
+from gis_radar.words import THIN, current_language, tr
 
 LINE, WASH, AMBER, AMBER_WASH = "#d5dade", "#f3f5f7", "#b26a00", "#fff6e0"
 MARGIN, TOP, FOOT = 16.0, 20.0, 18.0  # of a page, millimetres, as all lengths here
@@ -106,9 +107,16 @@ def _data_uri(picture: bytes) -> str:
 def _template() -> Template:
     text = _part("page.html")
     environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+        finalize=bound,
+    )  # fmt: skip
     return environment.from_string(text)
+
+
+def bound(value: Any) -> Any:
+    """Return a text in which no line ends between a number and its percent sign."""
+    is_plain = isinstance(value, str) and not isinstance(value, Markup)
+    return re.sub(r"(\d) %", rf"\1{THIN}%", value) if is_plain else value
 
 
 def _part(name: str) -> str:
@@ -197,7 +205,9 @@ class Paper(FPDF):
     ) -> None:
         """Write a paragraph below what is there."""
         self.write_with(size, bold=bold, colour=colour)
-        self.multi_cell(width, size * 0.5, text, align="L", new_x=XPos.LMARGIN, new_y=YPos.NEXT)
+        self.multi_cell(
+            width, size * 0.5, bound(text), align="L", new_x=XPos.LMARGIN, new_y=YPos.NEXT
+        )
 
     def chapter(self, title: str, least: float = 45.0) -> None:
         """Begin a chapter; on a new page where less than `least` millimetres are left."""
@@ -241,7 +251,7 @@ def _add_terms(paper: Paper, part: Terms) -> None:
         if paper.room < 22:
             paper.add_page()
         paper.write_with(BODY)
-        text = f"**{term}:** {meaning}"
+        text = bound(f"**{term}:** {meaning}")
         paper.multi_cell(
             0, BODY * 0.5, text, align="L", markdown=True, new_x=XPos.LMARGIN, new_y=YPos.NEXT
         )
@@ -284,7 +294,7 @@ def _add_rows(paper: Paper, content: Table) -> None:
     ) as table:  # fmt: skip
         table.row([f"{each.title}\n{each.unit}" if each.unit else each.title for each in columns])
         for cells in content.rows:
-            table.row(list(cells))
+            table.row(list(map(bound, cells)))
 
 
 def _widths(paper: Paper, content: Table) -> tuple[float, ...]:
