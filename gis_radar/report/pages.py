@@ -9,7 +9,7 @@ from functools import cache
 from importlib.resources import files
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import matplotlib as mpl
 import numpy as np
@@ -232,9 +232,10 @@ def _add_figure(paper: Paper, figure: Figure) -> None:
     """Draw a picture with its caption, on a new page where it does not fit, or hardly smaller."""
     height = min(paper.epw * figure.height / figure.width, figure.tallest_mm)
     paper.write_with(SMALL)
-    below = 6.0 + paper.multi_cell(
+    caption_mm = paper.multi_cell(
         0, SMALL * 0.5, figure.caption, align="L", dry_run=True, output=MethodReturnValue.HEIGHT
     )
+    below = 6.0 + cast("float", caption_mm)
     if paper.room - below < LEAST_SHARE * height:
         paper.add_page()
     height = min(height, paper.room - below)
