@@ -19,7 +19,7 @@ BENCHES := bench-assignment bench-tiles bench-occupancy bench-memory bench-truth
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help set-up set-up-dev set-up-bench pdal demo docs test test-qgis lint format types faults fuzz bench \
+.PHONY: help set-up set-up-dev set-up-bench pdal demo docs test test-qgis lint format types faults fuzz test-lowest test-newest bench \
 	$(BENCHES) samples wheel plugin-zip constraints clean
 
 help: ## List the targets
@@ -57,6 +57,12 @@ faults: set-up-dev ## Run every input kind with every fault; `make test` runs a 
 
 fuzz: set-up-dev ## Search for bytes that break a reader, FUZZ_SECONDS long (3600); findings in out/fuzz
 	PYTHONPATH=.:tests $(ONE_THREAD) $(BIN)/python -m fuzz
+
+test-lowest: set-up-dev ## Test with the lowest versions that pyproject.toml allows
+	@$(ONE_THREAD) sh tools/test_versions.sh lowest
+
+test-newest: set-up-dev ## Test with the newest versions of all packages
+	@$(ONE_THREAD) sh tools/test_versions.sh newest
 
 test-qgis: set-up ## Test the plugin in a real QGIS, which is installed on Debian 12
 	@sh tools/test_qgis.sh

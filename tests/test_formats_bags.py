@@ -2,6 +2,7 @@
 
 from contextlib import suppress
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -17,7 +18,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 import gis_radar as gr
 from gis_radar.errors import InputError, UsageError
 from gis_radar.recordings.columns import find_layout, message_rows, values_of
-from gis_radar.recordings.readers.bags import DEFINITIONS
+from gis_radar.recordings.readers.bags import DEFINITIONS, typestore
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 KINDS = ("ros1", "sqlite3", "mcap")
@@ -405,3 +406,21 @@ def test_flipped_bytes_never_crash(tmp_path_factory, data, kind):
     with suppress(gr.GisRadarError):
         gr.convert(file, folder / "r.parquet")
         assert len(frame_times(folder / "r.parquet")) <= 20
+
+
+IDL = """module m { module msg {
+    const string N = "__import__('pathlib').Path('PLACE').touch()";
+    struct P { double x[m::msg::N]; };
+}; };"""
+
+
+def test_a_description_of_messages_cannot_bring_code_along(tmp_path):
+    """The library makes Python of descriptions: what is no number is no size."""
+    from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
+    from rosbags.typesys import TypesysError
+
+    data = IDL.replace("PLACE", str(tmp_path / "run"))
+    described = MessageDefinition(MessageDefinitionFormat.IDL, data)
+    with pytest.raises(TypesysError):
+        typestore(SimpleNamespace(msgtype="m/msg/P", msgdef=described))
+    assert not (tmp_path / "run").exists()
