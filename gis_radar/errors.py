@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import ClassVar
 
 
@@ -49,6 +51,23 @@ class NoAnswerError(GisRadarError):
     """Sound inputs from which no trustworthy answer follows."""
 
     exit_code = 4
+
+
+@contextmanager
+def placed(where: str) -> Iterator[None]:
+    """Name the place of what is wrong, where only the caller knows it.
+
+    Parameters
+    ----------
+    where : str
+        A file, or a place in one; stands before the message of an `InputError`, once.
+    """
+    try:
+        yield
+    except InputError as error:
+        if error.message.startswith(where):
+            raise
+        raise type(error)(f"{where}: {error.message}", hint=error.hint) from error
 
 
 def first_line(error: Exception) -> str:

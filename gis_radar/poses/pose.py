@@ -14,7 +14,7 @@ from pyproj import CRS
 
 from gis_radar.arrays import Booleans, Floats
 from gis_radar.crs import metric_crs, name_of
-from gis_radar.errors import InputError
+from gis_radar.errors import InputError, placed
 from gis_radar.notebooks import axes_or_new, card, label_map
 from gis_radar.words import tr
 
@@ -314,6 +314,8 @@ def pose_from_dict(record: Mapping[str, Any], *, what: str) -> Pose:
         evidence={name: value for name, value in record.items() if name not in known},
     )
     _check_quaternion(pose, record.get("quaternion"), what)
+    with placed(what):
+        pose.parsed_evidence()
     return pose
 
 
@@ -330,7 +332,9 @@ def _view(record: Any, what: str) -> View | None:
     if not isinstance(record, dict) or (unknown := record.keys() - names.keys()):
         bad = record if not isinstance(record, dict) else sorted(unknown)
         raise InputError(f"{what}: view has {bad!r}, expected {', '.join(names)}")
-    return View(**{name: _number(value, f"{what}: view.{name}") for name, value in record.items()})
+    values = {name: _number(value, f"{what}: view.{name}") for name, value in record.items()}
+    with placed(what):
+        return View(**values)
 
 
 def _check_quaternion(pose: Pose, quaternion: Any, what: str) -> None:

@@ -14,7 +14,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any, Self
 
-from gis_radar.errors import InputError, OutputError, UsageError, first_line
+from gis_radar.errors import InputError, OutputError, UsageError, first_line, placed
 from gis_radar.files import refuse_inputs, whole_files
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings import readers
@@ -321,9 +321,14 @@ def convert(
         whole_files(place) as (private, places),
         Tracks(private, place, clock, context) as tracks,
     ):
+        told = names[0] + (f" and {len(names) - 1} more" if len(names) > 1 else "")
         for frame in merged(opened, context):
-            tracks.put(frame)
-        result = tracks.finish()
+            try:
+                tracks.put(frame)
+            except InputError as error:  # a context manager would cost a tenth of the time
+                raise InputError(f"{told}: {error.message}", hint=error.hint) from error
+        with placed(told):
+            result = tracks.finish()
         for recording in result.recordings:
             refuse_inputs(recording.path, *names)
         places.update(zip(tracks.parts, result.outputs, strict=True))

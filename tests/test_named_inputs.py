@@ -1,0 +1,53 @@
+"""A message names the file and the place in it, also where what raises it knows neither."""
+
+import json
+
+import pytest
+
+import gis_radar as gr
+from gis_radar.errors import CrsError, InputError, placed
+from gis_radar.steps import seconds_from_iso
+
+POSE = json.loads((gr.sample_folder() / "R1.json").read_text())
+WRONG = {
+    "view: azimuth_deg is 400": {"view": {"azimuth_deg": 400}},
+    "view: elevation_deg is 0": {"view": {"elevation_deg": 0}},
+    "view: range is 5.0 to 2.0 m": {"view": {"min_range_m": 5, "max_range_m": 2}},
+    "covariance": {"covariance": [[1.0] * 6] * 5},
+    "sigma": {"sigma": {"easting": -1.0}},
+}
+
+
+@pytest.mark.parametrize("told", WRONG)
+def test_a_pose_that_cannot_be_names_its_file(tmp_path, told):
+    (tmp_path / "P.json").write_text(json.dumps(POSE | WRONG[told]))
+    with pytest.raises(InputError, match=rf"/P\.json: .*{told}"):
+        gr.read_pose(tmp_path / "P.json")
+
+
+def test_a_pose_of_a_track_names_its_row(tmp_path):
+    pose = gr.read_pose(gr.sample_folder() / "R1.json")
+    since = [seconds_from_iso("2025-06-12T07:30:00Z", what="")]
+    gr.write_track(gr.PoseTrack(poses=(pose,), since=since), tmp_path / "t.csv")
+    head, row = (tmp_path / "t.csv").read_text().splitlines()
+    cells = dict(zip(head.split(","), row.split(","), strict=True)) | {"azimuth_deg": "400"}
+    (tmp_path / "t.csv").write_text(f"{','.join(cells)}\n{','.join(cells.values())}\n")
+    with pytest.raises(InputError, match=r"/t\.csv: row 1: view: azimuth_deg is 400"):
+        gr.read_track(tmp_path / "t.csv")
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_table_without_usable_times_names_its_file(tmp_path, count):
+    names = [tmp_path / f"{k}.csv" for k in range(count)]
+    for name in names:
+        name.write_text("time,x,y\n3.5,1,2\n")
+    told = r"/0\.csv: table: no usable time" if count == 1 else r"/0\.csv and 1 more: table: no us"
+    with pytest.raises(InputError, match=told):
+        gr.convert(names, tmp_path / "out.parquet")
+
+
+def test_a_place_is_named_once_and_the_kind_of_the_error_stays():
+    for message in ("a.json: wrong", "wrong"):
+        with pytest.raises(CrsError, match=r"^a\.json: wrong$") as caught, placed("a.json"):
+            raise CrsError(message, hint="mend it")
+        assert caught.value.hint == "mend it"
