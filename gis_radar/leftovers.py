@@ -21,7 +21,18 @@ _ABANDONED_S = 86_400.0  # a private folder without a lock is of a file system w
 
 
 def hidden_stem(path: Path) -> str:
-    """Return how our hidden files beside an output begin, short enough for any file system."""
+    """Return how our hidden files beside an output begin.
+
+    Parameters
+    ----------
+    path : Path
+        The output.
+
+    Returns
+    -------
+    str
+        Its name with a point before it; of a long one a digest, so that endings fit behind it.
+    """
     name = f".{path.name}"
     if len(os.fsencode(name)) > _LONGEST_NAME - len(".12345678.before"):
         return f".{blake2b(os.fsencode(path.name), digest_size=16).hexdigest()}"
@@ -29,12 +40,38 @@ def hidden_stem(path: Path) -> str:
 
 
 def private_pattern(path: Path, ending: str) -> re.Pattern[str]:
-    """Return what private folders beside an output are named like."""
+    """Return what private folders beside an output are named like.
+
+    Parameters
+    ----------
+    path : Path
+        The output.
+    ending : str
+        `part` of what is being written, `before` of what was moved aside.
+
+    Returns
+    -------
+    re.Pattern
+        Of whole names.
+    """
     return re.compile(rf"{re.escape(hidden_stem(path))}\.[0-9a-f]{{8}}\.{ending}")
 
 
 def leftovers(path: Path, ending: str) -> list[Path]:
-    """Return the private folders beside an output."""
+    """Return the private folders beside an output, whoever made them.
+
+    Parameters
+    ----------
+    path : Path
+        The output.
+    ending : str
+        As for :func:`private_pattern`.
+
+    Returns
+    -------
+    list of Path
+        Empty where the folder around the output cannot be read.
+    """
     named = private_pattern(path, ending)
     with suppress(OSError):
         return [each for each in path.parent.iterdir() if named.fullmatch(each.name)]
@@ -43,7 +80,19 @@ def leftovers(path: Path, ending: str) -> list[Path]:
 
 @contextmanager
 def living(private: Path) -> Iterator[None]:
-    """Hold a lock in a private folder: it is somebody's as long as the lock is held."""
+    """Hold a lock in a private folder: it is somebody's as long as the lock is held.
+
+    Parameters
+    ----------
+    private : Path
+        The folder, just made. Where the file system has no locks, it counts as abandoned after a
+        day.
+
+    Raises
+    ------
+    OSError
+        If the file of the lock cannot be made.
+    """
     from filelock import lock_descriptor  # noqa: PLC0415 - 70 ms
 
     handle = os.open(private / _ALIVE, os.O_RDWR | os.O_CREAT, 0o600)
@@ -57,7 +106,15 @@ def living(private: Path) -> Iterator[None]:
 
 
 def clear_abandoned(folder: Path, named: re.Pattern[str]) -> None:
-    """Remove private folders that killed runs left beside outputs; end what was being moved."""
+    """Remove private folders that killed runs left beside outputs; end what was being moved.
+
+    Parameters
+    ----------
+    folder : Path
+        Where outputs are, absolute.
+    named : re.Pattern
+        Which private folders in it: those of one output, or :data:`PRIVATE` for all.
+    """
     for private in _abandoned(folder, named):
         with suppress(OSError, ValueError):
             for name, place in json.loads((private / PLAN).read_text(encoding="utf-8")):
@@ -67,7 +124,13 @@ def clear_abandoned(folder: Path, named: re.Pattern[str]) -> None:
 
 
 def clear_scratch(folder: Path) -> None:
-    """Remove what killed runs left in the system's folder for temporary files: others use it."""
+    """Remove what killed runs left in a folder for temporary files, which others use, too.
+
+    Parameters
+    ----------
+    folder : Path
+        The system's folder. What is not named by :data:`SCRATCH` and locked by us stays.
+    """
     named = re.compile(rf"{re.escape(SCRATCH)}\w+")
     for private in _abandoned(folder, named):
         if (private / _ALIVE).is_file():

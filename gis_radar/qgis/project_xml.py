@@ -111,8 +111,8 @@ def _translate(root: Element, language: str) -> None:
 def _sheet(content: ProjectContent) -> Element:
     """Return the print layout; its layers are still to be filled in."""
     layout = _template("sheet.qpt")
-    _item(layout, "title").set("labelText", literal(content.title))
-    _item(layout, "time").set("labelText", literal(content.time))
+    _item(layout, "title").set("labelText", unevaluated(content.title))
+    _item(layout, "time").set("labelText", unevaluated(content.time))
     layout.set("name", content.word(layout.get("name", "")))
     title, subtitle = (content.word(each) for each in style.WORDS[content.measure][:2])
     lines = [title, *textwrap.wrap(subtitle, _LEGEND_WIDTH)]
@@ -121,7 +121,7 @@ def _sheet(content: ProjectContent) -> Element:
     _item(layout, "made").set("labelText", f"{content.word('Made with gis_radar')}, {today}")
     if content.source:
         _item(layout, "source").set(
-            "labelText", f"{content.word('Source')}: {literal(content.source)}"
+            "labelText", f"{content.word('Source')}: {unevaluated(content.source)}"
         )
     else:
         layout.remove(_item(layout, "source"))
@@ -143,7 +143,7 @@ def _explain(layout: Element, content: ProjectContent) -> None:
             item.set("labelText", content.word(item.get("labelText", "")))
 
 
-def literal(text: str) -> str:
+def unevaluated(text: str) -> str:
     """Return a text as QGIS prints it: what stands between `[%` and `%]` it would evaluate."""
     return text.replace("[%", "[% '[' || '%' %]")
 

@@ -344,7 +344,7 @@ _MARKS = re.compile(  # what Markdown takes for markup; no underscore within a w
 )
 
 
-def _literal(value: object) -> object:
+def _unmarked(value: object) -> object:
     """Return a text as Markdown prints it: names and titles are no markup and no HTML."""
     if not isinstance(value, str):
         return value
@@ -362,7 +362,7 @@ def _summary(site: Site, outcomes: Sequence[Outcome]) -> str:
     heat, told = by_work.get(work.heatmap_stage, {}), by_work.get(work.report_stage, {})
     text = files("gis_radar.site").joinpath("summary.md.jinja").read_text(encoding="utf-8")
     plain = Environment(  # noqa: S701 - Markdown, escaped by `finalize`
-        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, finalize=_literal
+        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, finalize=_unmarked
     )
     template = plain.from_string(text)
     with speaking(site.language):
