@@ -288,12 +288,12 @@ def scratch_folder() -> Iterator[Path]:
     """
     root = Path(tempfile.gettempdir())
     clear_scratch(root)
-    with (
-        writing_errors(root),
-        tempfile.TemporaryDirectory(prefix=SCRATCH, ignore_cleanup_errors=True) as name,
-        living(Path(name)),
-    ):
-        yield Path(name)
+    with ExitStack() as held, writing_errors(root):
+        with output_errors(root):
+            made = tempfile.TemporaryDirectory(prefix=SCRATCH, ignore_cleanup_errors=True)
+            name = Path(held.enter_context(made))
+            held.enter_context(living(name))
+        yield name
 
 
 @contextmanager

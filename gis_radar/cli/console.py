@@ -218,6 +218,11 @@ def _readable(value: Any) -> str:
 TRACEBACK = "GIS_RADAR_TRACEBACK"
 """The environment variable that shows the traceback of an error that nobody foresaw."""
 UNFORESEEN = "unforeseen"
+NO_MEMORY = "there is not enough memory"
+# Of the loader, of threads and of LLVM, which raise no MemoryError.
+_NO_MEMORY_TEXTS = (
+    "failed to map segment", "can't start new thread", "Cannot allocate memory", "libllvmlite.so",
+)  # fmt: skip
 INTERRUPTED = 130
 INTERRUPTION = "interrupted; nothing was left half-written"
 
@@ -294,13 +299,13 @@ def run_group(group: click.Group) -> NoReturn:
 
 def _error_of(error: Exception) -> GisRadarError:
     """Return what to say of an error of the system, or of one that nobody foresaw."""
-    if isinstance(error, OSError):
+    if isinstance(error, OSError) and not any(text in str(error) for text in _NO_MEMORY_TEXTS):
         if not _output_is_open():
             _exit_without_output()
         where = f"{error.filename}: " if error.filename else ""
         return OutputError(f"{where}{error.strerror or error}")
-    if isinstance(error, MemoryError):
-        return OutputError("there is not enough memory", hint="take smaller parts")
+    if isinstance(error, MemoryError) or any(text in str(error) for text in _NO_MEMORY_TEXTS):
+        return OutputError(NO_MEMORY, hint="take smaller parts")
     if os.environ.get(TRACEBACK):
         raise error
     place, line = "unknown", 0
@@ -313,10 +318,17 @@ def _error_of(error: Exception) -> GisRadarError:
 
 
 def _fail(console: Console, error: GisRadarError) -> NoReturn:
+    cause = error.__cause__
+    while cause is not None:
+        if isinstance(cause, MemoryError):  # which a reader takes for a damaged file
+            error.hint = f"{NO_MEMORY}, or the file claims too much"
+        cause = cause.__cause__
     try:
         console.error(error)
     except BrokenPipeError:
         _exit_without_output()
+    except MemoryError:
+        os.write(sys.stderr.fileno(), f"gis-radar: {NO_MEMORY}\n".encode())
     sys.exit(error.exit_code)
 
 

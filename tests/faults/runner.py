@@ -13,6 +13,7 @@ import pkgutil
 import resource
 import signal
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -55,8 +56,13 @@ def _limit(case: dict[str, object]) -> None:
     for descriptor, name in ((1, "out"), (2, "err")):
         os.dup2(os.open(Path(str(case[name])), os.O_WRONLY | os.O_CREAT | os.O_TRUNC), descriptor)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    if case.get("temporary"):
+        os.environ["TMPDIR"] = tempfile.tempdir = str(case["temporary"])
     limits = {resource.RLIMIT_AS: "bytes", resource.RLIMIT_FSIZE: "file_bytes",
               resource.RLIMIT_NOFILE: "files"}  # fmt: skip
+    if case.get("more_bytes") is not None:
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        case["bytes"] = pages * resource.getpagesize() + int(str(case["more_bytes"]))
     for limit, name in limits.items():
         if case.get(name) is not None:
             resource.setrlimit(limit, (int(str(case[name])),) * 2)

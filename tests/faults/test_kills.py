@@ -1,0 +1,125 @@
+"""`kill -9` at random moments of every command that writes: the old result, the new one or nothing.
+
+The next run clears what the killed one left, and nobody is locked out. `make test` kills a sample,
+`make faults` all.
+"""
+
+import hashlib
+import random
+import shutil
+import sqlite3
+import sys
+import time
+import zlib
+from contextlib import closing
+
+import pytest
+
+from faults.inputs import HEATMAP, MASK, OCCUPANCY, Kind
+from faults.test_faults import ALL, words_of
+
+VEHICLES = "vehicles R1.parquet --pose R1.json --tiles tiles.gpkg --map map.osm -o out"
+COMMANDS = {
+    "tiles": "tiles map.osm -o out.gpkg",
+    "mask": MASK.format("map.osm"),
+    "convert": "convert table.csv -o out.parquet",
+    "occupancy": OCCUPANCY,
+    "heatmap": HEATMAP,
+    "vehicles": VEHICLES,
+    "project gpkg": "project R1.parquet --pose R1.json -o out.gpkg",
+    "project laz": "project R1.parquet --pose R1.json -o out.laz",
+    "project parquet": "project R1.parquet --pose R1.json -o out.parquet",
+    "report": "report heatmap -o out",
+    "qgis": "qgis heatmap -o out.qgz",
+    "sensors": "sensors R1.json -o out.gpkg",
+    "quality": "quality occupancy -o out.csv",
+    "sight": "sight --pose R1.json --tiles tiles.gpkg --scan scan.laz -o out.gpkg",
+    "run": "run SITE.toml -o out",
+}
+EACH = 4
+CASES = [(name, number) for name in COMMANDS for number in range(EACH)]
+CHOSEN = CASES if ALL else [("mask", 0), ("heatmap", 1), ("project gpkg", 2), ("occupancy", 3)]
+OLD = b"old"
+PATIENCE_S = 5.0  # for workers of a killed run to see that it is gone
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="limits of processes are Linux's")
+
+
+@pytest.fixture(scope="module")
+def commands(runner, inputs, tmp_path_factory):
+    """Run a command; each has run to its end once: how long it takes, and what it writes."""
+    known = {}
+
+    def run(name, folder=None, **limits):
+        place = folder or shutil.copytree(inputs, tmp_path_factory.mktemp("whole") / "case")
+        (place / "tmp").mkdir(exist_ok=True)
+        words = words_of(Kind(path="", words=COMMANDS[name]), place)
+        return place, runner.run(place, words, temporary=str(place / "tmp"), **limits)
+
+    def whole(name):
+        if name not in known:
+            place, answer = run(name)
+            assert answer["code"] == 0, answer["err"]
+            known[name] = answer["seconds"], written(place)
+        return known[name]
+
+    run.whole = whole
+    return run
+
+
+def written(folder):
+    """Return the contents of all that a command named its output writes."""
+    files = [path for top in folder.glob("out*") for path in [top, *top.rglob("*")]]
+    return {str(path.relative_to(folder)): content(path) for path in files if path.is_file()}
+
+
+def content(path):
+    """Return what tells a whole file from a part: GeoPackages and logs also hold the time."""
+    if path.read_bytes() == OLD:
+        return OLD
+    if path.suffix == ".gpkg":
+        with closing(sqlite3.connect(path)) as base:
+            assert base.execute("PRAGMA integrity_check").fetchone() == ("ok",)
+            names = sorted(base.execute("SELECT table_name FROM gpkg_contents"))
+            return [(name, *base.execute(f'SELECT count(*) FROM "{name}"')) for (name,) in names]  # noqa: S608
+    if path.suffix in {".laz", ".parquet", ".tif", ".png"}:
+        return hashlib.blake2b(path.read_bytes()).hexdigest()
+    return "there"
+
+
+def left(folder):
+    """Return what no finished run leaves."""
+    hidden = [
+        path.name for path in folder.rglob(".*") if path.suffix in {".part", ".before", ".lock"}
+    ]
+    return hidden + [path.name for path in (folder / "tmp").iterdir()]
+
+
+@pytest.mark.parametrize(("name", "number"), CHOSEN)
+def test_kill(commands, inputs, tmp_path, name, number):
+    seconds, new = commands.whole(name)
+    folder = shutil.copytree(inputs, tmp_path / "case")
+    old = {}
+    if number % 2 and name != "run":  # a run goes on where it stopped
+        for path in new:
+            (folder / path).parent.mkdir(parents=True, exist_ok=True)
+            (folder / path).write_bytes(OLD)
+        old = dict.fromkeys(new, OLD)
+    chance = random.Random(zlib.crc32(f"{name} {number}".encode()))  # noqa: S311 - a moment
+    _, answer = commands(name, folder, seconds=chance.uniform(0.0, 1.0) * seconds)
+    found = written(folder)
+    state = {str(old): "old", str(new): "new"}.get(str(found), "partly new")
+    state += "" if answer["late"] else ", had ended"
+    sys.stderr.write(f"kill: {name}: {state}\n")  # `pytest -s` shows it
+    if name == "mask" and found not in (old, new):  # the file that is asked for comes last
+        assert found.get("out.laz", OLD) == OLD
+        assert all(each in (old.get(path), new[path]) for path, each in found.items())
+    elif name != "run":
+        assert found in (old, new), f"{state}: {sorted(found)}"
+    end = time.monotonic() + PATIENCE_S
+    while (_next := commands(name, folder)[1])["code"] and time.monotonic() < end:
+        assert name == "run", _next["err"]
+        time.sleep(0.2)
+    assert _next["code"] == 0, _next["err"]
+    assert written(folder) == new
+    assert left(folder) == []
