@@ -89,8 +89,7 @@ LIMITS = {
     "fuller disk": {"file_bytes": 3_000},
     "16 open files": {"files": 16},
     "no temporary files": {"temporary": "/proc"},  # where nobody makes a file, root neither
-    "little memory": {"more_bytes": 30 << 20},
-    "less memory": {"more_bytes": 100 << 20},
+    "little memory": {"more_bytes": 100 << 20},
 }
 WRITERS = {kind.words.split()[0] + Path(kind.words.split()[-1]).suffix: kind for kind in KINDS
            if "-o" in kind.words}  # fmt: skip

@@ -40,6 +40,10 @@ EACH = 4
 CASES = [(name, number) for name in COMMANDS for number in range(EACH)]
 CHOSEN = CASES if ALL else [("mask", 0), ("heatmap", 1), ("project gpkg", 2), ("occupancy", 3)]
 OLD = b"old"
+# Several files that are moved one after the other, which the next run ends.
+MAIN = {"mask": "out.laz", "report": "out/report.html"}
+GROWN = {"run", "qgis"}  # a run goes on where it stopped, a project that was edited stays
+LONGEST_S = 300.0
 PATIENCE_S = 5.0  # for workers of a killed run to see that it is gone
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="limits of processes are Linux's")
@@ -58,7 +62,7 @@ def commands(runner, inputs, tmp_path_factory):
 
     def whole(name):
         if name not in known:
-            place, answer = run(name)
+            place, answer = run(name, seconds=LONGEST_S)
             assert answer["code"] == 0, answer["err"]
             known[name] = answer["seconds"], written(place)
         return known[name]
@@ -100,7 +104,7 @@ def test_kill(commands, inputs, tmp_path, name, number):
     seconds, new = commands.whole(name)
     folder = shutil.copytree(inputs, tmp_path / "case")
     old = {}
-    if number % 2 and name != "run":  # a run goes on where it stopped
+    if number % 2 and name not in GROWN:
         for path in new:
             (folder / path).parent.mkdir(parents=True, exist_ok=True)
             (folder / path).write_bytes(OLD)
@@ -111,13 +115,15 @@ def test_kill(commands, inputs, tmp_path, name, number):
     state = {str(old): "old", str(new): "new"}.get(str(found), "partly new")
     state += "" if answer["late"] else ", had ended"
     sys.stderr.write(f"kill: {name}: {state}\n")  # `pytest -s` shows it
-    if name == "mask" and found not in (old, new):  # the file that is asked for comes last
-        assert found.get("out.laz", OLD) == OLD
+    if name in MAIN and found not in (old, new):  # the file that is asked for comes last
+        assert found.get(MAIN[name], OLD) == OLD
         assert all(each in (old.get(path), new[path]) for path, each in found.items())
     elif name != "run":
         assert found in (old, new), f"{state}: {sorted(found)}"
     end = time.monotonic() + PATIENCE_S
-    while (_next := commands(name, folder)[1])["code"] and time.monotonic() < end:
+    while (_next := commands(name, folder, seconds=LONGEST_S)[1])[
+        "code"
+    ] and time.monotonic() < end:
         assert name == "run", _next["err"]
         time.sleep(0.2)
     assert _next["code"] == 0, _next["err"]
