@@ -74,7 +74,9 @@ def commands(runner, inputs, tmp_path_factory):
 def written(folder):
     """Return the contents of all that a command named its output writes."""
     files = [path for top in folder.glob("out*") for path in [top, *top.rglob("*")]]
-    return {str(path.relative_to(folder)): content(path) for path in files if path.is_file()}
+    shown = {path.relative_to(folder): path for path in files if path.is_file()}
+    hidden = {name for name in shown if any(part.startswith(".") for part in name.parts)}
+    return {str(name): content(shown[name]) for name in shown.keys() - hidden}
 
 
 def content(path):
@@ -112,7 +114,7 @@ def test_kill(commands, inputs, tmp_path, name, number):
     chance = random.Random(zlib.crc32(f"{name} {number}".encode()))  # noqa: S311 - a moment
     _, answer = commands(name, folder, seconds=chance.uniform(0.0, 1.0) * seconds)
     found = written(folder)
-    state = {str(old): "old", str(new): "new"}.get(str(found), "partly new")
+    state = "old" if found == old else "new" if found == new else "partly new"
     state += "" if answer["late"] else ", had ended"
     sys.stderr.write(f"kill: {name}: {state}\n")  # `pytest -s` shows it
     if name in MAIN and found not in (old, new):  # the file that is asked for comes last
