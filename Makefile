@@ -19,7 +19,7 @@ BENCHES := bench-assignment bench-tiles bench-occupancy bench-memory bench-truth
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help set-up set-up-dev set-up-bench pdal demo docs test test-qgis lint format types faults fuzz test-lowest test-newest bench \
+.PHONY: help set-up set-up-dev set-up-bench pdal demo live-demo docs test test-qgis lint format types faults fuzz test-lowest test-newest bench \
 	$(BENCHES) samples wheel plugin-zip constraints clean
 
 help: ## List the targets
@@ -39,6 +39,10 @@ pdal: ## Get PDAL into .pdal, or try again
 
 demo: set-up ## Run the main job on the sample site; results in out/demo
 	$(BIN)/gis-radar demo -o out/demo
+
+live-demo: set-up-dev ## Run the live system on the sample junction until Ctrl-C; files in out/live-demo
+	@sh tools/get_mosquitto.sh || true
+	$(BIN)/python tools/live_demo.py out/live-demo
 
 docs: set-up-dev ## Build the documentation in out/docs/html, with the notebooks run
 	$(BIN)/python tools/build_docs.py --run-notebooks

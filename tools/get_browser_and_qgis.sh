@@ -4,5 +4,6 @@
 set -eu
 cd "$(dirname "$0")/.."
 sh tools/get_maplibre.sh || [ "${GIS_RADAR_CHROMIUM:-}" != required ]
+sh tools/get_mosquitto.sh || [ "${GIS_RADAR_MOSQUITTO:-}" != required ]
 sh tools/get_chromium.sh || [ "${GIS_RADAR_CHROMIUM:-}" != required ]
 sh tools/get_qgis.sh 2>/dev/null || true # tools/test_qgis.sh says why

@@ -1,0 +1,128 @@
+"""Run the live system on the sample junction: a broker, fusion, and two radars that are replayed.
+
+    python tools/live_demo.py out/live-demo
+
+Ctrl-C ends it; the folders of the hours and `now.gpkg`, for QGIS, are then in `live` there.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from pathlib import Path
+
+import gis_radar as gr
+from gis_radar.live.broker_files import write_broker_files
+
+PATIENCE_S = 20.0
+STATUS_S = 10.0
+SENSORS = ("R1", "R2")
+SITE = """\
+title = "Sample junction, replayed"
+[map]
+file = "{sample}/junction.osm"
+[live]
+site = "junction"
+tiles = "tiles.gpkg"
+health = "127.0.0.1:{health}"
+[live.broker]
+address = "mqtt://127.0.0.1:{port}"
+{password}
+[[sensor]]
+name = "R1"
+[[sensor]]
+name = "R2"
+"""
+EDGE = """\
+sensor = "{name}"
+site = "junction"
+tiles = "tiles.gpkg"
+pose = "{sample}/{name}.json"
+[source]
+recording = "{sample}/{name}.parquet"
+loop = "100s"
+[broker]
+address = "mqtt://127.0.0.1:{port}"
+password_file = "broker/password_of_{name}"
+[view]
+max_range_m = 200.0
+[buffer]
+file = "{name}.buffer"
+"""
+
+
+def main(folder: Path) -> None:
+    """Write what it needs, start the programs, and wait for Ctrl-C."""
+    mosquitto = shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin")
+    if mosquitto is None:
+        sys.exit("live-demo: Mosquitto is not installed: sh tools/get_mosquitto.sh, as root")
+    folder.mkdir(parents=True, exist_ok=True)
+    health = _write_files(folder, _free_port(), _free_port())
+    command = [sys.executable, "-m", "gis_radar"]
+    # in sessions of their own: Ctrl-C is for this program alone
+    programs = [subprocess.Popen([mosquitto, "-c", "broker/mosquitto.conf"], cwd=folder,
+                                 stderr=subprocess.DEVNULL, start_new_session=True)]  # fmt: skip
+    try:
+        words = [["live", "SITE.toml"], *(["edge", f"{name}.toml"] for name in SENSORS)]
+        programs += [
+            subprocess.Popen([*command, *each], cwd=folder, start_new_session=True)
+            for each in words
+        ]
+        sys.stdout.write(f"health: {health}; map for QGIS: {folder / 'live' / 'now.gpkg'}\n")
+        while all(each.poll() is None for each in programs):
+            time.sleep(STATUS_S)
+            _show(health)
+        sys.stdout.write("live-demo: a program has ended\n")
+    except KeyboardInterrupt:
+        sys.stdout.write("stopping; the hour is written\n")
+    finally:
+        for each in reversed(programs):  # the sensors first, the broker last
+            each.terminate()
+            each.wait(PATIENCE_S)
+
+
+def _write_files(folder: Path, port: int, health: int) -> str:
+    """Write tiles, files of the site and its sensors, and the broker's; return health's address."""
+    sample = gr.sample_folder().resolve()
+    if not (folder / "tiles.gpkg").exists():
+        roads = gr.read_map(sample / "junction.osm")
+        gr.write_tiles(gr.make_tiles(roads), folder / "tiles.gpkg", problems=roads.problems)
+    texts = {"sample": sample, "port": port, "health": health}
+    site = folder / "SITE.toml"
+    site.write_text(SITE.format(password="", **texts), encoding="utf-8")
+    write_broker_files(site, folder / "broker")
+    known = 'password_file = "broker/password_of_fusion"'
+    site.write_text(SITE.format(password=known, **texts), encoding="utf-8")
+    for name in SENSORS:
+        (folder / f"{name}.toml").write_text(EDGE.format(name=name, **texts), encoding="utf-8")
+    if hasattr(os, "geteuid") and os.geteuid() == 0:  # else it would become another user
+        with (folder / "broker" / "mosquitto.conf").open("a", encoding="utf-8") as config:
+            config.write("user root\n")
+    return f"http://127.0.0.1:{health}/metrics"
+
+
+def _show(address: str) -> None:
+    """Print the frames of each sensor so far, and alarms."""
+    try:
+        with urllib.request.urlopen(address, timeout=5.0) as answer:  # noqa: S310 - our own
+            lines = answer.read().decode().splitlines()
+    except OSError:
+        return
+    frames = [line for line in lines if line.startswith("gis_radar_frames_total{")]
+    alarms = [line for line in lines if line.startswith("gis_radar_alarm{") and line[-1] == "1"]
+    sys.stdout.write("  ".join(frames + alarms).replace("gis_radar_", "") + "\n")
+
+
+def _free_port() -> int:
+    with socket.socket() as each:
+        each.bind(("127.0.0.1", 0))
+        return int(each.getsockname()[1])
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
