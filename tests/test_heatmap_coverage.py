@@ -33,7 +33,8 @@ from gis_radar.occupancy.folder import frames_of, frames_table, views_table
 from gis_radar.occupancy.frame_steps import steps_in
 from gis_radar.tiles.lanes import lanes_of
 from gis_radar.tiles.tiles import fingerprint
-from gis_radar.vehicles.folder import Provenance, RunBlock, Vehicles
+from gis_radar.vehicles.folder import RunBlock, Vehicles
+from gis_radar.vehicles.provenance import Provenance
 from gis_radar.vehicles.tables import BLOCK_STEPS, COVERED, FRAMES, PASSAGES, VEHICLES, VISIBLE
 
 BEGIN = T0 // BLOCK_STEPS * BLOCK_STEPS + BLOCK_STEPS - 60  # 3 s before the edge of a block

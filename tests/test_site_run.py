@@ -339,7 +339,9 @@ def test_a_run_that_was_stopped_and_killed_ends_with_the_same_files(small, tmp_p
     }  # fmt: skip
     same(out, unbroken)
     assert not [each for each in out.rglob(".*") if each.suffix in {".part", ".before"}]
-    assert {path.name for path in (out / product.STATE).iterdir()} == {".gitignore", "state.json"}
+    assert {path.name for path in (out / product.STATE).iterdir()} == {
+        ".gitignore", "parts", "state.json",
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("moment", ["report begins", "report is made"])
@@ -412,9 +414,8 @@ def test_a_worker_ended_while_it_follows_vehicles_leaves_nothing_half_written(co
             if list(out.glob(".vehicles.*.part/**/tracks.parquet")):
                 raise SystemExit(143)
 
-    (stage,) = [
-        each for each in product.stages_of(gr.read_site(path), out) if each.name == "vehicles"
-    ]
+    stages = product.later_stages(gr.read_site(path), out)
+    (stage,) = [each for each in stages if each.name == "vehicles"]
     with pytest.raises(SystemExit):
         stage.work(outputs=list(stage.outputs), reporter=Ending(), **stage.arguments)
     assert results(out / "vehicles") == (before if again else {})
@@ -474,7 +475,7 @@ def test_what_is_changed_is_done_again_and_what_is_taken_out_is_gone(copied, bla
     done = gr.run_site(path, out, jobs=1, reporter=heard)
     assert done.failure is None
     assert {name for name, state in states(done).items() if state == "done"} == {
-        "vehicles", "heat map", "QGIS project", "report",
+        "vehicles 20231114T22Z", "vehicles", "heat map", "QGIS project", "report",
     }  # fmt: skip
     assert not (out / "occupancy" / "R2").exists()
     assert not (out / "sensors" / "R2").exists()
@@ -483,9 +484,67 @@ def test_what_is_changed_is_done_again_and_what_is_taken_out_is_gone(copied, bla
     assert any("no longer part of the site" in text for _, text in heard.messages)
     state = RunState(out / product.STATE / "state.json", out)
     assert "localize R1" in state.records
-    product._forget(state, [outcome.stage for outcome in done.outcomes], fresh=True, reporter=heard)
-    assert state.records == {}
-    assert (out / "sensors" / "R1" / "pose.json").exists()
+    state.outdate()
+    localized = next(each.stage for each in done.outcomes if each.stage.name == "localize R1")
+    assert state.kept(localized) is None
+    product._forget(state, [localized], heard)
+    assert set(state.records) == {"localize R1"}
+    assert not (out / "sensors" / "R1" / "pose.json").exists()
+
+
+def add_recording(folder, number, *, later_s):
+    """Record again what R2 did, so much later."""
+    table = pd.read_parquet(folder / "R2_0.parquet")
+    again = table.assign(time=table["time"] + later_s)
+    again.to_parquet(folder / f"R2_{number}.parquet", index=False)
+
+
+def done_by(run):
+    return [name for name, state in states(run).items() if state == "done"]
+
+
+def test_what_is_added_is_counted_alone_and_as_if_all_were_counted_anew(small, copied, blank_paper):
+    path, out = copied
+    after_all = ["occupancy R2", "vehicles", "heat map", "QGIS project", "report"]
+    add_recording(path.parent, 1, later_s=2795.0)  # over the hour: 22:59:55 to 23:00:05
+    hours = ["vehicles 20231114T22Z", "vehicles 20231114T23Z"]
+    first = done_by(gr.run_site(path, out))
+    assert sorted(first) == sorted([*after_all, *hours, "occupancy R2 R2_1.parquet"])
+    add_recording(path.parent, 2, later_s=86_400.0)
+    heard = Listener()
+    added = gr.run_site(path, out, reporter=heard)
+    next_day = ["occupancy R2 R2_2.parquet", "vehicles 20231115T22Z"]
+    assert sorted(done_by(added)) == sorted([*after_all, *next_day])
+    said = [text for _, text in heard.messages]
+    assert "occupancy R2: kept 2 of 3 recordings" in said
+    assert "vehicles: kept 2 of 3 hours" in said
+    assert not any(product.STATE in place.parts for place in added.outputs)
+    # the same bytes as all counted anew
+    anew = shutil.copytree(out, path.parent.parent / "anew")
+    shutil.rmtree(anew / product.STATE / "parts")
+    assert set(hours) < set(done_by(gr.run_site(path, anew)))
+    same(anew, out, but=PAPER)
+    # and the same as before, once they are taken out
+    for number in (1, 2):
+        (path.parent / f"R2_{number}.parquet").unlink()
+    less = done_by(gr.run_site(path, out))
+    assert sorted(less) == sorted([*after_all, hours[0]])
+    same(out, small[1], but=PAPER)
+    parts = out / product.STATE / "parts"
+    assert len(list(parts.rglob("manifest.json"))) == 3  # two recordings, an hour
+
+
+def test_a_pose_is_searched_again_only_where_it_was_not_found(copied, blank_paper):
+    """The first recording that gives a pose counts; without one, each that is added is asked."""
+    path, out = copied
+    stage = next(each for each in stages_of(gr.read_site(path), out) if each.name == "localize R1")
+    state = RunState(out / product.STATE / "state.json", out)
+    recordings = stage.inputs["recordings"]
+    more = replace(stage, inputs={**stage.inputs, "recordings": (*recordings, path)})
+    before = replace(stage, inputs={**stage.inputs, "recordings": (path, *recordings)})
+    assert [state.kept(each) is not None for each in (stage, more, before)] == [True, True, False]
+    state.records["localize R1"].figures.pop("asked")  # as of a refusal
+    assert state.kept(more) is None
 
 
 def test_the_report_shows_coverage_and_hits_beside_it(small):
@@ -552,8 +611,8 @@ def test_a_changed_view_repeats_no_localization(copied, blank_paper):
     done = gr.run_site(path, out)
     again = {name for name, state in states(done).items() if state == "done"}
     assert again == {
-        "pose R1", "occupancy R1", "occupancy R2", "vehicles", "heat map", "QGIS project",
-        "report",
+        "pose R1", "occupancy R1 R1.parquet", "occupancy R1", "occupancy R2 R2_0.parquet",
+        "occupancy R2", "vehicles 20231114T22Z", "vehicles", "heat map", "QGIS project", "report",
     }  # fmt: skip
     assert gr.read_pose(out / "sensors" / "R1" / "pose.json").view.max_range_m == 120.0
 
@@ -653,8 +712,8 @@ def test_other_formats_are_converted_first(small, tmp_path, monkeypatch):
     stages = {stage.name: stage for stage in stages_of(gr.read_site(site), tmp_path / "out")}
     stage = stages["convert R1"]
     assert "convert R2" not in stages
-    for reader in ("localize R1", "occupancy R1"):
-        assert stages[reader].inputs["recordings"] == stage.outputs
+    assert stages["localize R1"].inputs["recordings"] == stage.outputs
+    assert (stages["occupancy R1 recording.parquet"].inputs["recording"],) == stage.outputs
     recorder = Recorder()
     monkeypatch.setattr("gis_radar.recordings.convert", recorder.convert)
     stage.outputs[0].parent.mkdir(parents=True)

@@ -198,7 +198,7 @@ def test_the_time_in_which_most_sensors_recorded_counts():
 
     whole = {"R1": spans((0, 200), (1000, 1100)), "R2": spans((50, 260)), "R3": spans((2000, 2100))}
     assert best_end(whole, 100.0) == 200
-    assert best_end({"R1": spans((0, 100)), "R2": spans((1, 101))}, 100.0) == 101
+    assert best_end({"R1": spans((0, 100)), "R2": spans((1, 101))}, 100.0) == 100
 
 
 def test_a_sensor_that_did_not_record_then_is_named(recordings, true, tmp_path):

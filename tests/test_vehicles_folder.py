@@ -15,8 +15,9 @@ from gis_radar.errors import InputError
 from gis_radar.tiles import fingerprint
 from gis_radar.tiles.tiles import polygons
 from gis_radar.vehicles import read_vehicles
-from gis_radar.vehicles.folder import Provenance, VehiclePiece, write_vehicles
+from gis_radar.vehicles.folder import VehiclePiece, write_vehicles
 from gis_radar.vehicles.map_check import describe_map
+from gis_radar.vehicles.provenance import Provenance
 from gis_radar.vehicles.tables import TRACKS, VEHICLES
 from gis_radar.vehicles.visibility import SensorView
 
@@ -102,7 +103,7 @@ def provenance_of(tiles, **changed):
         "fingerprint": fingerprint(tiles),
         "map": {"digest": "d", "crs": "EPSG:25832", "origin": None},
         "hold_s": {"R1": 0.1},
-        "sources": [{"recording": "a", "sensor": "R1", "poses": [POSE]}],
+        "sources": [{"recording": "a", "rows": 10, "sensor": "R1", "poses": [POSE]}],
     }
     return Provenance(**(known | changed))
 
@@ -112,7 +113,7 @@ def view_of(tiles, position=(-20.0, 0.0, 6.0)):
     return SensorView(sensor="R1", view="v", tile_id=ids, position=np.array(position))
 
 
-def write(folder, tiles, tracks, cuts=(), *, last=None, frames=None, **options):
+def write(folder, tiles, tracks, cuts=(), *, last=None, frames=None, warm_up=None, **options):
     """Write tracks in pieces that end before the cuts."""
     last = int(tracks["step"].max()) if last is None else last
     first = int(min(tracks["step"].min(), last))
@@ -123,6 +124,8 @@ def write(folder, tiles, tracks, cuts=(), *, last=None, frames=None, **options):
     with write_vehicles(
         folder, tiles=tiles, views=[view_of(tiles)], provenance=provenance_of(tiles)
     ) as writer:
+        if warm_up is not None:
+            writer.warm_up(warm_up)
         for begin, after in pairwise(edges):
             part = tracks[tracks["step"].between(begin, after - 1)]
             here = frames.assign(

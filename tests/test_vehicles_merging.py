@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from test_vehicles_folder import FIRST, drive, straight_tiles, write
+from test_vehicles_folder import FIRST, drive, frames_of_span, rows_of, straight_tiles, write
 
 import gis_radar as gr
 from gis_radar.errors import InputError
-from gis_radar.vehicles.folder import joined_rows
+from gis_radar.vehicles.folder import VehiclePiece, joined_rows
+from gis_radar.vehicles.hours import join_hours, write_driven
 
 CUT = FIRST + 300
 
@@ -74,6 +75,29 @@ def test_passages_of_a_joined_vehicle_count_once(merged):
     whole, parts = merged
     renamed = whole.passages.assign(vehicle=whole.passages["vehicle"].map({1: 0, 5: 1, 6: 2}))
     pd.testing.assert_frame_equal(parts.passages, renamed)
+
+
+def test_an_hour_that_knows_what_was_before_it_adds_up_to_the_whole(merged, tmp_path):
+    """What an earlier vehicle hides and passes at the edge is known from the margin before."""
+    whole, _ = merged
+    tiles, tracks = straight_tiles(60), traffic()
+    after = tracks[tracks["step"] >= CUT]
+    margin = tracks[tracks["step"].between(CUT - 250, CUT - 1)]
+    frames = frames_of_span(CUT - 250, CUT - 1)
+    before = VehiclePiece(
+        first_step=CUT - 250, last_step=CUT - 1, tracks=margin.sort_values(["step", "vehicle"]),
+        vehicles=rows_of(margin), frames=frames,
+    )  # fmt: skip
+    write(tmp_path / "c", tiles, after, last=FIRST + 599, warm_up=before, continues=True)
+    for name in "ac":
+        write_driven(tmp_path / name, [])
+    joined = join_hours([tmp_path / "a", tmp_path / "c"], tmp_path / "joined")
+    for name in ("covered", "visible"):
+        assert steps_by_tile(joined, name) == steps_by_tile(whole, name)
+    assert joined.passages["step"].tolist() == whole.passages["step"].tolist()
+    assert joined.vehicles["first_step"].tolist() == whole.vehicles["first_step"].tolist()
+    (source,) = joined.provenance.sources
+    assert source["rows"] == 20
 
 
 def test_only_outer_ends_stay_cut(merged):

@@ -23,8 +23,9 @@ from gis_radar.arrays import Floats
 from gis_radar.sight import SightScan, SightTiles, describe_sight, find_sight
 from gis_radar.steps import step_of
 from gis_radar.tiles import fingerprint
-from gis_radar.vehicles.folder import Provenance, VehiclePiece, write_vehicles
+from gis_radar.vehicles.folder import VehiclePiece, write_vehicles
 from gis_radar.vehicles.map_check import describe_map
+from gis_radar.vehicles.provenance import Provenance
 from gis_radar.vehicles.visibility import SensorView
 
 HOLD_S = 0.1

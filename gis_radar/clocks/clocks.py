@@ -73,6 +73,11 @@ class SensorClock:
         ahead = self.offset_s + self.drift_ppm * 1e-6 * (np.asarray(time) - self.at)
         return np.asarray(time - ahead, dtype=np.float64)
 
+    def shown(self, time: Floats) -> Floats:
+        """Return right times (UNIX seconds) as this clock stamps them."""
+        drift = self.drift_ppm * 1e-6
+        return np.asarray((time + self.offset_s - drift * self.at) / (1.0 - drift), np.float64)
+
     def as_dict(self) -> dict[str, Any]:
         """Return its entry in a file of clocks; unknown values are left out."""
         moment = datetime.fromtimestamp(self.at, UTC).isoformat(timespec="milliseconds")

@@ -39,7 +39,7 @@ from gis_radar.progress import Reporter
 from gis_radar.steps import STEP_S, STEPS_PER_SECOND
 from gis_radar.tiles.lanes import lanes_of
 from gis_radar.vehicles import Vehicles
-from gis_radar.vehicles.folder import poses_of
+from gis_radar.vehicles.provenance import poses_of
 from gis_radar.vehicles.tables import BLOCK_STEPS
 
 COVERAGE_DEFINITIONS = {

@@ -38,7 +38,7 @@ if TYPE_CHECKING:  # its image filters are loaded by those who have a scan
     from gis_radar.second_look import SecondLook
 
 FIGURE_TILE_M = 2.0  # length of the tiles in the figure of what a sensor sees
-MOST_TRIES = 5  # recordings tried for a pose, the newest first: a quiet day or two in between
+MOST_TRIES = 5  # recordings tried for a pose, in turn: a quiet day or two in between
 METHODS: dict[str, Callable[[Problem, Moving, Reporter, LocalizationSettings], Localization]] = {
     "lane": by_lanes,
     "icp": by_icp,
@@ -162,13 +162,14 @@ def localize_files(
 ) -> Localization:
     """Find the pose of a sensor from its recordings, a map and a scanned road, all files.
 
-    Read map and road, take guess and compass to the map's CRS, localize by the newest recording
+    Read map and road, take guess and compass to the map's CRS, localize by the first recording
     that gives a pose, take a second look where there are scans, and draw the figure.
 
     Parameters
     ----------
     recordings : path or sequence of paths
-        Of one sensor at one place; of several the five newest are tried, the newest first.
+        Of one sensor at one place; of several the first that gives a pose counts, so that one that
+        is added later changes nothing. Five are tried at most: the first four, and the last.
     map_path : str or Path
         A Lanelet2 map.
     road : str or Path
@@ -211,7 +212,7 @@ def localize_files(
     InputError
         If a file cannot be read, or scans, map and guess do not overlap.
     NoAnswerError
-        If none of the recordings gives a trustworthy pose; the newest one's reason.
+        If none of the recordings gives a trustworthy pose; the first one's reason.
     """
     if heading is not None and compass is not None:
         raise UsageError("both heading and compass are given", hint="give one of them")
@@ -235,7 +236,7 @@ def localize_files(
     if scans:
         look_at = partial(second_look, scans=scans, scan_crs=scan_crs, reporter=reporter)
         ask = partial(_decided, localize=ask, look_at=look_at, reporter=reporter)
-    recording, found = _first_answer(_newest_first(recordings), ask, reporter)
+    recording, found = _first_answer(_tried(recordings), ask, reporter)
     pose = replace(found.pose, sensor=sensor or found.pose.sensor, view=view)
     found, look = replace(found, pose=pose, recording=recording.name), None
     if scans:
@@ -270,7 +271,7 @@ def _first_answer(
 ) -> tuple[Path, Localization]:
     """Return the first recording that gives a pose, with it; refuse where none does."""
     refusals = []
-    for recording in recordings[:MOST_TRIES]:
+    for recording in recordings:
         try:
             return recording, ask(recording)
         except NoAnswerError as error:
@@ -298,13 +299,10 @@ def _decided(
         return confirmed[0]
 
 
-def _newest_first(recordings: str | Path | Sequence[str | Path]) -> list[Path]:
-    """Return recordings by the time of their first frame, the newest first."""
+def _tried(recordings: str | Path | Sequence[str | Path]) -> list[Path]:
+    """Return the recordings that are asked for a pose, in order."""
     several = [recordings] if isinstance(recordings, str | Path) else recordings
     paths = [Path(path) for path in several]
     if not paths:
         raise UsageError("no recording is given")
-    if len(paths) == 1:
-        return paths
-    begins = {path: float(next(open_recording(path).read()).time[0]) for path in paths}
-    return sorted(paths, key=lambda path: (-begins[path], path.name))
+    return paths if len(paths) <= MOST_TRIES else [*paths[: MOST_TRIES - 1], paths[-1]]

@@ -13,7 +13,8 @@ from gis_radar.arrays import Booleans, Floats, Integers, compiled
 from gis_radar.localization.settings import DEFAULTS
 from gis_radar.localization.trace_settings import TraceSettings
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.recordings.recording import RollingWindow, open_recording
+from gis_radar.recordings.recording import open_recording
+from gis_radar.recordings.window import RollingWindow
 
 STAGE = "reading traces"
 

@@ -90,7 +90,9 @@ def common_time(recordings: Sequence[Path]) -> float:
 
 
 def best_end(spans: Mapping[str, Sequence[Span]], length_s: float) -> float:
-    """Return the end of the time of a length in which sensors recorded most, the latest of these.
+    """Return the end of the time of a length in which sensors recorded most, the first of these.
+
+    What is recorded later changes it only where more sensors recorded then.
 
     Parameters
     ----------
@@ -105,7 +107,7 @@ def best_end(spans: Mapping[str, Sequence[Span]], length_s: float) -> float:
             each.shared_s(end - length_s, end) for several in spans.values() for each in several
         )
 
-    ends = sorted({each.end for several in spans.values() for each in several}, reverse=True)
+    ends = sorted({each.end for several in spans.values() for each in several})
     return max(ends, key=lambda end: round(recorded(end)), default=0.0)
 
 

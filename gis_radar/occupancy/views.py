@@ -180,6 +180,11 @@ class PlacedRecording:
     views: Sequence[str]
     clock: SensorClock | None
 
+    @property
+    def right_clock(self) -> SensorClock:
+        """The sensor's clock; where nothing is known of it, it is right."""
+        return self.clock or SensorClock(offset_s=0.0)
+
     def record(self, rows: int, met: Collection[int]) -> dict[str, Any]:
         """Return the entry of a manifest.
 

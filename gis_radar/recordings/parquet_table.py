@@ -19,7 +19,9 @@ _TEXTS = (
 )  # fmt: skip
 
 
-def parquet_batches(path: Path, columns: Sequence[str] | None = None) -> Iterator[pa.RecordBatch]:
+def parquet_batches(
+    path: Path, columns: Sequence[str] | None = None, *, first_group: int = 0
+) -> Iterator[pa.RecordBatch]:
     """Read a Parquet file in batches of bounded size, its checksums verified.
 
     Parameters
@@ -28,6 +30,8 @@ def parquet_batches(path: Path, columns: Sequence[str] | None = None) -> Iterato
         The file.
     columns : sequence of str, optional
         Which; by default all.
+    first_group : int
+        The row group to begin with.
 
     Raises
     ------
@@ -45,8 +49,34 @@ def parquet_batches(path: Path, columns: Sequence[str] | None = None) -> Iterato
         read_dictionary=list(texts),
     ) as file:
         _refuse_huge_columns(file.metadata, path, columns)
-        for batch in file.iter_batches(ROWS_AT_ONCE, use_threads=False, columns=columns):
+        groups = list(range(first_group, file.num_row_groups))
+        for batch in file.iter_batches(
+            ROWS_AT_ONCE, row_groups=groups, use_threads=False, columns=columns
+        ):
             yield _spelt_out(batch, texts, path)
+
+
+def first_group_of(path: Path, column: str, least: float) -> tuple[int, int]:
+    """Return the first row group that may hold a value or a greater one, and the rows before it.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    column : str
+        A column whose values ascend.
+    least : float
+        The value.
+    """
+    metadata, rows = pq.read_metadata(path), 0
+    for number in range(metadata.num_row_groups):
+        group = metadata.row_group(number)
+        chunks = [group.column(k) for k in range(group.num_columns)]
+        stated = next(each.statistics for each in chunks if each.path_in_schema == column)
+        if stated is None or not stated.has_min_max or stated.max >= least:
+            return number, rows
+        rows += group.num_rows
+    return metadata.num_row_groups, rows
 
 
 def _texts(path: Path) -> dict[str, pa.DataType]:

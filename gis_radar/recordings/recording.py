@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ from gis_radar.arrays import Booleans, Floats
 from gis_radar.errors import InputError, NoAnswerError, first_line
 from gis_radar.recordings import settings
 from gis_radar.recordings.csv_table import open_csv_table, refuse_many_columns
-from gis_radar.recordings.parquet_table import parquet_batches
+from gis_radar.recordings.parquet_table import first_group_of, parquet_batches
 from gis_radar.recordings.units import refuse_positions_in_other_units
 from gis_radar.steps import FIRST_YEAR, LAST_YEAR, UNIX_SECONDS_HINT, in_known_years
 
@@ -114,11 +113,15 @@ class Recording:
     batches : callable
         Starts reading some columns, or with None all: an iterator over record batches of bounded
         size.
+    batches_from : callable, optional
+        Takes a time (UNIX seconds) and starts reading where rows of that time and later may be:
+        how many rows are before, and the iterator. Only where the file tells that.
     """
 
     path: Path
     rows: int | None
     batches: Callable[[Sequence[str] | None], Iterator[pa.RecordBatch]]
+    batches_from: Callable[[float], tuple[int, Iterator[pa.RecordBatch]]] | None = None
 
     def read(self, *, further: bool = False) -> Iterator[Detections]:
         """Read the recording piece by piece, in bounded memory.
@@ -146,6 +149,20 @@ class Recording:
             for batch in self.batches(None if further else COLUMNS):
                 piece = checks.take(batch)
                 if len(piece):
+                    yield piece
+
+    def read_between(self, begin: float, end: float) -> Iterator[Detections]:
+        """Read the pieces with rows between two times (UNIX seconds), as :meth:`read` does."""
+        before, batches = 0, None
+        if self.batches_from is not None:
+            before, batches = self.batches_from(begin)
+        checks = RowChecks(path=self.path, row=before)
+        with checks.reading():
+            for batch in batches or self.batches(COLUMNS):
+                piece = checks.take(batch)
+                if len(piece) and piece.time[0] > end:
+                    return
+                if len(piece) and piece.time[-1] >= begin:
                     yield piece
 
     def measures_elevation(self) -> bool:
@@ -223,7 +240,12 @@ def _open_parquet(path: Path) -> Recording:
             _require_numbers(file.schema_arrow.field(name).type, name, path)
         rows = file.metadata.num_rows
 
-    return Recording(path=path, rows=rows, batches=partial(parquet_batches, path))
+    def batches_from(begin: float) -> tuple[int, Iterator[pa.RecordBatch]]:
+        group, before = first_group_of(path, "time", begin)
+        return before, parquet_batches(path, COLUMNS, first_group=group)
+
+    batches = partial(parquet_batches, path)
+    return Recording(path=path, rows=rows, batches=batches, batches_from=batches_from)
 
 
 def _open_csv(path: Path) -> Recording:
@@ -401,89 +423,3 @@ def _numbers(batch: pa.RecordBatch, name: str, path: Path) -> Floats:
 def _refuse_rows(bad: Booleans, message: str, row: int, *, hint: str = "") -> None:
     if bad.any():
         raise InputError(f"{message} in row {row + int(bad.argmax()) + 1}", hint=hint)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Window:
-    """The last frames of a recording.
-
-    Parameters
-    ----------
-    frame_times : (f,) array
-        UNIX seconds of all its frames, ascending.
-    detections : int
-        How many it holds, also those that are not kept.
-    time, range_rate : (n,) array
-        Of the kept detections: UNIX seconds; m/s, positive when receding.
-    points : (n, 3) array
-        Theirs, sensor frame, metres.
-    """
-
-    frame_times: Floats
-    detections: int
-    time: Floats
-    points: Floats
-    range_rate: Floats
-
-
-class RollingWindow:
-    """The last frames of a stream of detections.
-
-    Parameters
-    ----------
-    frames : int
-        Length of the window.
-    keep : callable
-        Which of some detections are kept.
-    """
-
-    def __init__(self, *, frames: int, keep: Callable[[Detections], Booleans]) -> None:
-        self._keep = keep
-        self._times: deque[float] = deque(maxlen=frames)
-        self._counts: deque[int] = deque(maxlen=frames)
-        self._pieces: deque[tuple[Floats, Floats, Floats]] = deque()
-
-    def push(self, piece: Detections) -> None:
-        """Take the next detections; a frame may have begun in the piece before."""
-        stamps, first = np.unique(piece.time, return_index=True)
-        counts = np.add.reduceat(piece.present.astype(np.int64), first)
-        if self._times and self._times[-1] == stamps[0]:
-            self._counts[-1] += int(counts[0])
-            stamps, counts = stamps[1:], counts[1:]
-        self._times.extend(stamps.tolist())
-        self._counts.extend(counts.tolist())
-        keep = piece.present & self._keep(piece)
-        self._pieces.append((piece.time[keep], piece.points[keep], piece.range_rate[keep]))
-        while self._pieces and (
-            self._pieces[0][0].size == 0 or self._pieces[0][0][-1] < self._times[0]
-        ):
-            self._pieces.popleft()
-
-    def forget(self, before: float) -> None:
-        """Drop the frames before a time (UNIX seconds)."""
-        while self._times and self._times[0] < before:
-            self._times.popleft()
-            self._counts.popleft()
-
-    @property
-    def begin(self) -> float:
-        """UNIX seconds of the first frame; NaN where there is none."""
-        return self._times[0] if self._times else float("nan")
-
-    def __len__(self) -> int:
-        return len(self._times)
-
-    def content(self) -> Window:
-        """Return what is in the window."""
-        none = (np.empty(0), np.empty((0, 3)), np.empty(0))
-        time, points, rate = (
-            np.concatenate(parts) for parts in zip(none, *self._pieces, strict=True)
-        )
-        inside = time >= self._times[0] if self._times else np.zeros(0, dtype=bool)
-        return Window(
-            frame_times=np.asarray(self._times, dtype=np.float64),
-            detections=sum(self._counts),
-            time=time[inside],
-            points=points[inside],
-            range_rate=rate[inside],
-        )

@@ -124,10 +124,11 @@ class Results:
     @property
     def warnings(self) -> list[str]:
         """The warnings of the run, each once, after the stages that raised it."""
-        raised = {str(each["name"]): each.get("warnings") or [] for each in self.stages}
-        return warnings_once(
-            {name: [tr_message(each) for each in texts] for name, texts in raised.items()}
-        )
+        raised: dict[str, list[str]] = {}
+        for each in self.stages:
+            texts = raised.setdefault(str(each.get("part_of") or each["name"]), [])
+            texts += [tr_message(text) for text in each.get("warnings") or []]
+        return warnings_once(raised)
 
     @property
     def credits(self) -> list[str]:

@@ -58,8 +58,9 @@ class Execution:
 
     Parameters
     ----------
-    stages : sequence of Stage
-        What is to be done; the order follows from what each reads and makes.
+    stages : list of Stage
+        What is to be done; the order follows from what each reads and makes. What is known only
+        once these have ended is added then.
     state : RunState
         Of earlier runs; this one adds its own.
     pool : Pool
@@ -70,7 +71,7 @@ class Execution:
         The site's, for times in messages.
     """
 
-    stages: Sequence[Stage]
+    stages: list[Stage]
     state: RunState
     pool: Pool
     reporter: Reporter
@@ -121,15 +122,27 @@ class Execution:
         lacking = self._lacking(stage)
         if lacking is not None:
             return Outcome(stage=stage, state="skipped", error=lacking)
-        key = self.state.key_of(stage)
-        if (kept := self.state.kept(stage, key)) is not None:
+        if (kept := self.state.kept(stage)) is not None:
             return kept
+        self._name_kept_parts(stage)
+        key = self.state.key_of(stage)
         future = self.pool.executor.submit(
             carry_out, stage.name, stage.work, stage.arguments, stage.outputs, self.pool.send
         )
         self._begun[future] = _Begun(stage=stage, key=key, since=time.monotonic())
         self.reporter.progress(stage.name, 0, 100)
         return None
+
+    def _name_kept_parts(self, stage: Stage) -> None:
+        """Say how many of the parts that a stage puts together were known."""
+        ended = [e.state for e in self.outcomes.values() if e.stage.part_of == stage.name]
+        if "kept" in ended:
+            kept, parts = ended.count("kept"), len(ended)
+            self.reporter.log(
+                f"{stage.name}: kept {kept} of {parts} recordings"
+                if stage.sensor
+                else f"{stage.name}: kept {kept} of {parts} hours"
+            )
 
     def _lacking(self, stage: Stage) -> GisRadarError | None:
         """Return why a stage cannot be done: the error of a stage that it needs."""
@@ -213,7 +226,7 @@ class Execution:
             seconds=round(time.monotonic() - begun.since, 2),
         )
         if state != "failed" and self.state.key_of(begun.stage) == begun.key:
-            self.state.keep(outcome, begun.key)
+            self.state.keep(outcome)
         elif state != "failed":
             self.reporter.log(
                 f"{begun.stage.name}: an input has changed meanwhile: run again", "warning"
@@ -232,7 +245,8 @@ class Execution:
             if outcome.error.message not in self._logged:  # of two that contradict each other
                 self.reporter.log(f"{stage.name}: {outcome.error.message}", "warning")
             self._logged.add(outcome.error.message)
-        if outcome.state != "skipped":
+        quiet = outcome.state == "kept" and stage.part_of  # there may be hundreds
+        if outcome.state != "skipped" and not quiet:
             self.reporter.progress(stage.name, 100, 100)
         self.reporter.progress(ALL, len(self.outcomes), len(self.stages))
 
@@ -359,10 +373,10 @@ class RunState:
             }
         )
 
-    def kept(self, stage: Stage, key: str) -> Outcome | None:
+    def kept(self, stage: Stage) -> Outcome | None:
         """Return the outcome of a stage that need not be done again; None where it must be."""
         record = self.records.get(stage.name)
-        if record is None or record.key != key:
+        if record is None or record.key != self.key_of(stage.asking(record.figures.get("asked"))):
             return None
         if record.refusal is None and record.outputs != self._held(stage):
             return None
@@ -378,11 +392,11 @@ class RunState:
             seconds=record.seconds,
         )
 
-    def keep(self, outcome: Outcome, key: str) -> None:
+    def keep(self, outcome: Outcome) -> None:
         """Record a stage that has ended with a result or a refusal."""
         stage, error = outcome.stage, outcome.error
         self.records[stage.name] = _Record(
-            key=key,
+            key=self.key_of(stage.asking(outcome.figures.get("asked"))),
             outputs={} if error else self._held(stage),
             figures=dict(outcome.figures),
             warnings=tuple(outcome.warnings),
@@ -390,6 +404,11 @@ class RunState:
             seconds=outcome.seconds,
         )
         self.save()
+
+    def outdate(self) -> None:
+        """Let no record hold, so that all is done again."""
+        for record in self.records.values():
+            record.key = ""
 
     def forget(self, name: str) -> list[Path]:
         """Drop a record; return its outputs in the folder of the run."""

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from gis_radar.errors import GisRadarError
 from gis_radar.report.names import REPORT_FILES
 from gis_radar.site import stages
+from gis_radar.site.hours import hours_of
 from gis_radar.site.settings import ConvertTable, Sensor, Site
 from gis_radar.site.together import FOUND, RECORDED, SEVERAL
+
+STATE = ".gis-radar"
+PARTS = "parts"  # in there: what is counted of single recordings and hours
 
 OWNED = (
     "road.", "tiles.gpkg", "sensors", "occupancy", "vehicles", "heatmap", "sight.gpkg",
@@ -47,6 +51,11 @@ class Stage:
         How many bars its work would show by itself.
     sensor : str
         The sensor it works for: if it fails, other sensors go on. Empty where all depends on it.
+    in_turn : str
+        The input of which files are read in turn until one gives a result; its figures have as
+        `asked` how many were. What is added behind these changes nothing.
+    part_of : str
+        The stage that puts this one's result and others together. Empty where it stands for itself.
     """
 
     name: str
@@ -58,6 +67,8 @@ class Stage:
     options: Mapping[str, Any] = field(default_factory=dict)
     phases: int = 1
     sensor: str = ""
+    in_turn: str = ""
+    part_of: str = ""
 
     @property
     def reads(self) -> tuple[Path, ...]:
@@ -74,6 +85,14 @@ class Stage:
         """All that must be there."""
         given = self.inputs.values()
         return tuple(p for each in given for p in ([each] if isinstance(each, Path) else each))
+
+    def asking(self, number: int | None) -> Stage:
+        """Return the stage as if it had no more than so many of the files that are read in turn."""
+        if number is None or not self.in_turn:
+            return self
+        files = self.inputs[self.in_turn]
+        asked = files if isinstance(files, Path) else files[:number]
+        return replace(self, inputs={**self.inputs, self.in_turn: asked})
 
     @property
     def arguments(self) -> dict[str, Any]:
@@ -122,9 +141,7 @@ class Outcome:
 
 
 def stages_of(site: Site, folder: Path) -> list[Stage]:
-    """Return the stages of a run, each after those that it needs.
-
-    The last is the report: it reads the record of the others, so it is made once they have ended.
+    """Return the stages of a run up to what each sensor counted, each after those that it needs.
 
     Parameters
     ----------
@@ -142,10 +159,24 @@ def stages_of(site: Site, folder: Path) -> list[Stage]:
         *_together(site, folder),
         *(_pose(site, each, folder) for each in sensors),
         _tiles(site, folder),
-        *(_occupancy(site, each, folder) for each in sensors),
-        *_vehicles(site, folder),
-        *_products(site, folder),
+        *(stage for each in sensors for stage in _occupancy(site, each, folder)),
     ]
+
+
+def later_stages(site: Site, folder: Path) -> list[Stage]:
+    """Return the stages after those of :func:`stages_of`, once these have ended.
+
+    Which hours there are is known only from the frames that were counted. The last is the report:
+    it reads the record of the others, so it is made once they have ended.
+
+    Parameters
+    ----------
+    site : Site
+        From :func:`gis_radar.read_site`.
+    folder : Path
+        Where the results are.
+    """
+    return [*_vehicles(site, folder), *_products(site, folder)]
 
 
 def _map_options(site: Site) -> dict[str, Any]:
@@ -209,6 +240,7 @@ def _localization(site: Site, sensor: Sensor, folder: Path) -> Stage:
         outputs=(place / FOUND, place / "localization.png", place / SEVERAL),
         phases=5 if scans else 3,
         sensor=sensor.name,
+        in_turn="recordings",
     )
 
 
@@ -304,31 +336,52 @@ def _tiles(site: Site, folder: Path) -> Stage:
     )
 
 
-def _occupancy(site: Site, sensor: Sensor, folder: Path) -> Stage:
+def _occupancy(site: Site, sensor: Sensor, folder: Path) -> Iterator[Stage]:
+    """Yield the stages that count a sensor's recordings one by one, and put them together."""
     (pose,) = _pose(site, sensor, folder).outputs
     filters = site.occupancy.model_dump()
     clocks = filters.pop("clocks")
     filters["elevation_error_deg"] = filters.pop("elevation_error")
-    return Stage(
-        name=f"occupancy {sensor.name}",
-        work=stages.occupancy_stage,
-        inputs={
-            "recordings": _recordings(sensor, folder),
-            "pose": pose,
-            "tile_file": folder / "tiles.gpkg",
-            **({"clocks": clocks} if clocks else {}),
-            **_scans(site),
-        },
-        options={
-            "sensor": sensor.name,
-            "scan_crs": site.scan.crs if site.scan else None,
-            "view": _view_of_track(sensor, pose),
-            "filters": filters,
-            "cycle": sensor.cycle,
-        },
+    name, parts = f"occupancy {sensor.name}", _counted(sensor, folder)
+    for recording, part in parts.items():
+        yield Stage(
+            name=f"{name} {part.name}",
+            work=stages.occupancy_stage,
+            inputs={
+                "recording": recording,
+                "pose": pose,
+                "tile_file": folder / "tiles.gpkg",
+                **({"clocks": clocks} if clocks else {}),
+                **_scans(site),
+            },
+            options={
+                "sensor": sensor.name,
+                "scan_crs": site.scan.crs if site.scan else None,
+                "view": _view_of_track(sensor, pose),
+                "filters": filters,
+                "cycle": sensor.cycle,
+            },
+            outputs=(part,),
+            sensor=sensor.name,
+            part_of=name,
+        )
+    yield Stage(
+        name=name,
+        work=stages.merge_stage,
+        inputs={"parts": tuple(parts.values())},
         outputs=(folder / "occupancy" / sensor.name,),
         sensor=sensor.name,
     )
+
+
+def _counted(sensor: Sensor, folder: Path) -> dict[Path, Path]:
+    """Return where each recording of a sensor is counted: a folder of its name, told apart."""
+    place = folder / STATE / PARTS / "occupancy" / sensor.name
+    found: dict[Path, Path] = {}
+    for path in _recordings(sensor, folder):
+        same = sum(path.name == other.name for other in found)
+        found[path] = place / (f"{path.name} ({same + 1})" if same else path.name)
+    return found
 
 
 def _scans(site: Site) -> dict[str, tuple[Path, ...]]:
@@ -341,38 +394,54 @@ def _view_of_track(sensor: Sensor, pose: Path) -> dict[str, float] | None:
 
 
 def _vehicles(site: Site, folder: Path) -> Iterator[Stage]:
-    """Yield the stage that follows the vehicles of all sensors that have an occupancy."""
+    """Yield the stages that follow the vehicles of all counted sensors, hour by hour."""
     if not site.vehicles.follow:
         return
-    ours, converted = _all_recordings(site.sensor, folder)
-    poses = {each.name: _pose(site, each, folder).outputs[0] for each in site.sensor}
-    clocks = site.occupancy.clocks
-    yield Stage(
-        name="vehicles",
-        work=stages.vehicles_stage,
-        inputs={
-            "map_file": site.map.file,
-            "tile_file": folder / "tiles.gpkg",
-            "recordings": tuple(path for paths in ours.values() for path in paths),
-            **({"clocks": clocks} if clocks else {}),
-            **_scans(site),
-        },
-        parts={"occupancies": _occupancies(site, folder)},
-        beside=((*poses.values(), *converted),),
-        options={
-            "sensors": {
-                each.name: {
-                    "recordings": len(ours[each.name]),
-                    "pose": poses[each.name].name,
-                    "view": _view_of_track(each, poses[each.name]),
-                    "cycle": each.cycle,
-                }
-                for each in site.sensor
-            },
-            "scan_crs": site.scan.crs if site.scan else None,
-        },
-        outputs=(folder / "vehicles",),
+    place = folder / STATE / PARTS / "vehicles"
+    sensors = {each.name: each for each in site.sensor}
+    hours = hours_of(
+        {
+            name: {path: part for path, part in _counted(each, folder).items() if part.is_dir()}
+            for name, each in sensors.items()
+            if (folder / "occupancy" / name).is_dir()
+        }
     )
+    for hour in hours:
+        poses = {name: _pose(site, sensors[name], folder).outputs[0] for name in hour.recordings}
+        clocks = site.occupancy.clocks
+        yield Stage(
+            name=f"vehicles {hour.name}",
+            work=stages.vehicles_stage,
+            inputs={
+                "map_file": site.map.file,
+                "tile_file": folder / "tiles.gpkg",
+                "recordings": tuple(path for each in hour.recordings.values() for path in each),
+                "poses": tuple(poses.values()),
+                **({"clocks": clocks} if clocks else {}),
+                **_scans(site),
+            },
+            options={
+                "sensors": {
+                    name: {
+                        "recordings": len(paths),
+                        "view": _view_of_track(sensors[name], poses[name]),
+                        "cycle": sensors[name].cycle,
+                    }
+                    for name, paths in hour.recordings.items()
+                },
+                "span": hour.span,
+                "scan_crs": site.scan.crs if site.scan else None,
+            },
+            outputs=(place / hour.name,),
+            part_of="vehicles",
+        )
+    if hours:
+        yield Stage(
+            name="vehicles",
+            work=stages.join_hours_stage,
+            inputs={"parts": tuple(place / hour.name for hour in hours)},
+            outputs=(folder / "vehicles",),
+        )
 
 
 def _occupancies(site: Site, folder: Path) -> tuple[Path, ...]:

@@ -32,13 +32,12 @@ from gis_radar.processes import workers_here
 from gis_radar.progress import QUIET, Reporter, warnings_once
 from gis_radar.site import stages as work
 from gis_radar.site.execution import Execution, RunState, discard, software
-from gis_radar.site.plan import OWNED, Outcome, Stage, stages_of
+from gis_radar.site.plan import OWNED, STATE, Outcome, Stage, later_stages, stages_of
 from gis_radar.site.settings import Site, read_site
 from gis_radar.site.worker import process_pool
 from gis_radar.steps import Clock, zone_of
 from gis_radar.words import NOTHING, direction, figure_text, listed, speaking, tr, tr_message
 
-STATE = ".gis-radar"
 _POSE = ("easting", "northing", "height", "yaw", "pitch", "roll")
 
 
@@ -65,7 +64,8 @@ class SiteRun:
         """What is there now, as paths below `folder`."""
         root = self.folder.resolve()
         made = [p for each in self.outcomes for p in each.made]
-        made = [self.folder / p.resolve().relative_to(root) for p in made]
+        made = [p.resolve().relative_to(root) for p in made]
+        made = [self.folder / p for p in made if STATE not in p.parts]
         return [*made, self.folder / "run.json", self.folder / "summary.md"]
 
     @property
@@ -117,7 +117,7 @@ class SiteRun:
             **{k: value for k, value in (heat or {}).items() if k not in {"sensors", "tiles"}},
             **{
                 k: value
-                for k, value in (by_work.get(work.vehicles_stage) or {}).items()
+                for k, value in (by_work.get(work.join_hours_stage) or {}).items()
                 if k in {"vehicles", "heavy", "passages"}
             },
             "warnings": len(_warnings(self.outcomes)),
@@ -178,21 +178,25 @@ def run_site(
         raise UsageError(f"jobs is {jobs}, expected 1 or more")
     site, root = read_site(path), Path(folder).absolute()
     refuse_inputs(root, site.path, *site.inputs)
-    stages = stages_of(site, root)
     state = _prepared(root)
     with ExitStack() as stack:
         stack.enter_context(only_writer(Path(folder), lock=state / "lock", reporter=reporter))
         scratch = _cleared(root, state)
         stack.callback(shutil.rmtree, scratch, ignore_errors=True)
         kept = RunState(state / "state.json", root)
-        _forget(kept, stages, fresh=fresh, reporter=reporter)
+        if fresh:
+            kept.outdate()
         _hash_inputs(site, kept, reporter)
         _write_record(site, root, (), kept, finished=False)
         pool = stack.enter_context(process_pool(jobs or workers_here(), scratch, site.language))
         try:
             execution = Execution(
-                stages=stages, state=kept, pool=pool, reporter=reporter, time_zone=site.time_zone
-            )
+                stages=stages_of(site, root), state=kept, pool=pool, reporter=reporter,
+                time_zone=site.time_zone,
+            )  # fmt: skip
+            execution.run()
+            execution.stages += later_stages(site, root)
+            _forget(kept, execution.stages, reporter)
             _write_record(site, root, execution.run(-1), kept, finished=False)
             outcomes = execution.run()
         except KeyboardInterrupt:
@@ -226,16 +230,15 @@ def _cleared(root: Path, state: Path) -> Path:
     return scratch
 
 
-def _forget(state: RunState, stages: Sequence[Stage], *, fresh: bool, reporter: Reporter) -> None:
-    """Forget stages that are no more, with their results; all of them where all is done again."""
+def _forget(state: RunState, stages: Sequence[Stage], reporter: Reporter) -> None:
+    """Forget stages that are no more, with their results."""
     names = {stage.name for stage in stages}
     made = {path for stage in stages for path in stage.outputs}
-    for name in sorted(state.records):
-        if name not in names or fresh:
-            outputs = [path for path in state.forget(name) if path not in made]
-            discard(outputs)
-            if name not in names and outputs:
-                reporter.log(f"{name}: no longer part of the site, its results were removed")
+    for name in sorted(state.records.keys() - names):
+        outputs = [path for path in state.forget(name) if path not in made]
+        discard(outputs)
+        if outputs:
+            reporter.log(f"{name}: no longer part of the site, its results were removed")
 
 
 def _hash_inputs(site: Site, state: RunState, reporter: Reporter) -> None:
@@ -287,7 +290,7 @@ def _write_record(
 def _sensors_in(outcomes: Sequence[Outcome]) -> list[str]:
     """Return the sensors that the heat maps are made of."""
     made = (each.stage for each in outcomes if each.has_result)
-    return sorted(stage.sensor for stage in made if stage.work is work.occupancy_stage)
+    return sorted(stage.sensor for stage in made if stage.work is work.merge_stage)
 
 
 def _sensors_of(outcomes: Sequence[Outcome], site: Site) -> dict[str, dict[str, Any]]:
@@ -313,13 +316,18 @@ def _together(outcomes: Sequence[Outcome]) -> list[str]:
 
 
 def _warnings(outcomes: Sequence[Outcome]) -> list[str]:
-    return warnings_once({each.stage.name: each.warnings for each in outcomes})
+    """Return the warnings of all stages; of recordings and hours those of the whole."""
+    found: dict[str, list[str]] = {}
+    for each in outcomes:
+        found.setdefault(each.stage.part_of or each.stage.name, []).extend(each.warnings)
+    return warnings_once(found)
 
 
 def _stage(outcome: Outcome, base: Path, root: Path) -> dict[str, Any]:
     stage, error = outcome.stage, outcome.error
     return {
         "name": stage.name,
+        **({"part_of": stage.part_of} if stage.part_of else {}),
         "state": "done" if outcome.has_result else outcome.state,
         "inputs": [_relative(path, root, base) for path in stage.reads],
         "outputs": [_relative(path, root) for path in outcome.made],

@@ -78,7 +78,7 @@ def convert_stage(*, recordings: Paths, outputs: Paths, **options: Any) -> Figur
 def localize_stage(
     *, recordings: Paths, map_file: Path, road: Path, outputs: Paths, **options: Any
 ) -> Figures:
-    """Find a pose from the newest recording that gives one; whole scans give a second look.
+    """Find a pose from the first recording that gives one; whole scans give a second look.
 
     Where several poses fit, these are kept: other sensors may know which.
     """
@@ -93,7 +93,8 @@ def localize_stage(
         write_candidates(refusal, options["sensor"], several)
         return {"candidates": len(refusal.answers)}
     write_pose(found.pose, pose)
-    return {**found.figures(), "recording": found.recording}
+    asked = max(n for n, path in enumerate(recordings, start=1) if path.name == found.recording)
+    return {**found.figures(), "recording": found.recording, "asked": asked}
 
 
 def together_stage(
@@ -182,46 +183,50 @@ def _seeing(track: PoseTrack, sensor: str, view: dict[str, float] | None) -> Pos
 
 
 def occupancy_stage(
-    *, recordings: Paths, pose: Path, tile_file: Path, outputs: Paths, sensor: str,
+    *, recording: Path, pose: Path, tile_file: Path, outputs: Paths, sensor: str,
     view: dict[str, float] | None, cycle: float | None,
     clocks: Path | None = None, **options: Any,
 ) -> Figures:  # fmt: skip
-    """Join a sensor's recordings to the tiles."""
+    """Join a recording of a sensor to the tiles."""
     from gis_radar.site.recipes import join_recordings
 
-    tracks = [_seeing(read_track(pose), sensor, view)] * len(recordings)
+    tracks = [_seeing(read_track(pose), sensor, view)]
     cycles = None if cycle is None else {sensor: cycle}
     return join_recordings(
-        recordings, tracks, tile_file, outputs[0], cycles=cycles, clocks=clocks, **options
+        [recording], tracks, tile_file, outputs[0], cycles=cycles, clocks=clocks, **options
     ).figures()
 
 
+def merge_stage(*, parts: Paths, outputs: Paths, reporter: Reporter) -> Figures:
+    """Put what was counted of a sensor's recordings together."""
+    from gis_radar.occupancy import read_occupancy
+
+    merged = read_occupancy(parts, reporter=reporter)
+    merged.write(outputs[0])
+    reporter.progress("putting recordings together", 1, 1)
+    return merged.figures()
+
+
 def vehicles_stage(
-    *, occupancies: Paths, recordings: Paths, sensors: dict[str, dict[str, Any]], map_file: Path,
+    *, recordings: Paths, poses: Paths, sensors: dict[str, dict[str, Any]], map_file: Path,
     tile_file: Path, outputs: Paths, reporter: Reporter, clocks: Path | None = None,
     **options: Any,
 ) -> Figures:  # fmt: skip
-    """Follow the vehicles of the sensors that have an occupancy, in one likelihood.
+    """Follow the vehicles of an hour as all sensors see them, in one likelihood.
 
-    Recordings are as :func:`together_stage` takes them. Where vehicles cannot be followed, the
-    heat maps show hits: a map without lanes for vehicles, a recording without range rates.
+    `recordings` are those of all sensors, of each as many as `sensors` has; `poses` are one each.
+    Where vehicles cannot be followed, the heat maps show hits: a map without lanes for vehicles, a
+    recording without range rates.
     """
     from gis_radar.site.recipes import follow_vehicles
 
-    place = outputs[0].parent / "sensors"
-    numbers = {name: int(each["recordings"]) for name, each in sensors.items()}
-    paths = _by_sensor(recordings, numbers, place)
-    chosen = {each.name: sensors[each.name] for each in occupancies}
-    tracks = [
-        _seeing(read_track(place / name / each["pose"]), name, each["view"])
-        for name, each in chosen.items()
-        for _ in paths[name]
-    ]
+    tracks = []
+    for pose, (name, each) in zip(poses, sensors.items(), strict=True):
+        tracks += [_seeing(read_track(pose), name, each["view"])] * each["recordings"]
     try:
         found = follow_vehicles(
-            [path for name in chosen for path in paths[name]], tracks, tile_file, map_file,
-            outputs[0], clocks=clocks, reporter=reporter,
-            cycles={name: each["cycle"] for name, each in chosen.items() if each["cycle"]},
+            recordings, tracks, tile_file, map_file, outputs[0], clocks=clocks, reporter=reporter,
+            cycles={name: each["cycle"] for name, each in sensors.items() if each["cycle"]},
             **options,
         )  # fmt: skip
     except (InputError, NoAnswerError) as error:
@@ -229,6 +234,16 @@ def vehicles_stage(
         reporter.log(f"the heat maps show hits, not coverage: {error.message}", "warning")
         return {"not_followed": error.message}
     return found.figures()
+
+
+def join_hours_stage(*, parts: Paths, outputs: Paths, reporter: Reporter) -> Figures:
+    """Join the hours of vehicles; where one could not be followed, there is no whole."""
+    from gis_radar.vehicles.hours import join_hours
+
+    if not all(part.is_dir() for part in parts):
+        shutil.rmtree(outputs[0], ignore_errors=True)  # of an earlier run
+        return {"not_followed": True}
+    return join_hours(parts, outputs[0], reporter=reporter).figures()
 
 
 def heatmap_stage(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain
 from operator import itemgetter
 from typing import Any
 
@@ -25,6 +24,7 @@ from gis_radar.vehicles.settings import BlockSettings, VehicleSettings
 from gis_radar.vehicles.tables import FRAMES
 
 STAGE = "vehicles"
+ALWAYS = (-(2**62), 2**62)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,11 +35,13 @@ class Block:
     ----------
     first_step, last_step : int
         The span, inclusive: whole, but that the first block begins at the first frame and the last
-        one ends at the last frame.
+        one ends at the last frame, where there are none on the other side of the edge.
     echoes : Echoes
         Of the span and so much before and after as vehicles need to be known by.
     frames : DataFrame
         `sensor, view, first_step, last_step`: runs of steps with a frame, in the span.
+    frames_before : DataFrame
+        The same of the margin before it.
     begins, ends : bool
         Whether it is the first and the last block.
     """
@@ -48,8 +50,20 @@ class Block:
     last_step: int
     echoes: Echoes
     frames: pd.DataFrame
+    frames_before: pd.DataFrame
     begins: bool
     ends: bool
+
+    @property
+    def margin(self) -> Block | None:
+        """The margin before it as a block of its own; None where it has no frames."""
+        before = self.frames_before
+        if before.empty:
+            return None
+        first, last = int(before["first_step"].min()), self.first_step - 1
+        return replace(
+            self, first_step=first, last_step=last, frames=before, frames_before=before[:0]
+        )
 
 
 @dataclass(kw_only=True)
@@ -90,6 +104,8 @@ class SourceReader:
         Of echoes and blocks.
     reporter : Reporter
         Receives progress.
+    span : (int, int)
+        First and last step of what is asked for, at whole blocks; by default all.
     """
 
     def __init__(
@@ -99,13 +115,17 @@ class SourceReader:
         road_m: Mapping[tuple[str, str], float],
         settings: VehicleSettings,
         reporter: Reporter,
+        span: tuple[int, int] = ALWAYS,
     ) -> None:
+        margin = settings.blocks.margin_steps
+        self._span, self._near = span, (span[0] - margin, span[1] + margin)
         self._road_m = road_m
         self._read = [_Read(source=source) for source in sources]
         self.sensors = sorted({source.track.sensor for source in sources})
         self._graph, self._settings, self._reporter = graph, settings, reporter
         known = [source.recording.rows for source in sources]
-        self._total = None if None in known else sum(rows for rows in known if rows is not None)
+        whole = span == ALWAYS and None not in known
+        self._total = sum(rows or 0 for rows in known) if whole else None
 
     def records(self) -> list[dict[str, Any]]:
         """Return the entries of the manifest."""
@@ -114,8 +134,8 @@ class SourceReader:
     def warnings(self) -> list[str]:
         """Return what was noticed on the way, a line each."""
         return [
-            f"{each.source.recording.path.name}: {each.unread} rows are of a time that another "
-            f"recording of {each.source.track.sensor} holds, and are left out"
+            f"{each.source.recording.path.name}: overlaps another recording of "
+            f"{each.source.track.sensor}: of the time that both hold, that one counts"
             for each in self._read
             if each.unread
         ]
@@ -123,8 +143,8 @@ class SourceReader:
     def blocks(self) -> Iterator[Block]:
         """Read all recordings side by side, block by block."""
         streams = [_Stream(self._of_sensor(sensor)) for sensor in self.sensors]
-        limits = self._settings.blocks
-        first: int | None = min(each.begin for each in streams)
+        limits, (asked, last) = self._settings.blocks, self._span
+        first = _next_step(streams, asked)
         begins = True
         while first is not None:
             begin = first // limits.steps * limits.steps
@@ -132,47 +152,71 @@ class SourceReader:
             for each in streams:
                 each.forget(begin - limits.margin_steps)
                 each.read_to(end + limits.margin_steps)
-            later = [step for each in streams if (step := each.next_step(end)) is not None]
-            first = min(later, default=None)
-            yield _block(streams, begin, limits, begins=begins, ends=first is None)
+            later = _next_step(streams, end)
+            first = later if later is not None and later <= last else None
+            goes_on = first is not None or (later is not None and end == last + 1)
+            yield _block(streams, begin, limits, begins=begins, ends=first is None, goes_on=goes_on)
             begins = False
 
     def _of_sensor(self, sensor: str) -> Iterator[_Piece]:
         """Read the recordings of one sensor, one after the other in the order of their begins."""
-        opened: list[tuple[float, _Read, Detections, Iterator[Detections]]] = []
+        opened: list[tuple[float, _Read]] = []
         for read in self._read:
             if read.source.track.sensor == sensor:
-                pieces = whole_frames(read.source.recording.read())
-                first = next(pieces)  # a recording without rows is refused in there
-                read.still_mps = self._still_rate(read.source)
-                opened.append((float(first.time[0]), read, first, pieces))
+                begin, read.still_mps = self._begin(read.source)
+                opened.append((begin, read))
         until = -np.inf
-        for _, read, first, pieces in sorted(opened, key=itemgetter(0)):
-            for piece in chain([first], pieces):
+        for _, read in sorted(opened, key=itemgetter(0)):
+            last = until
+            for piece in self._asked(read.source):
                 fresh = piece.time > until
                 read.unread += int((~fresh).sum())
-                read.rows += len(piece)
+                read.rows += self._inside(read.source, piece)
                 self._reporter.progress(STAGE, sum(x.rows for x in self._read), self._total)
                 if fresh.any():
                     yield from self._in_map(read, piece if fresh.all() else rows_of(piece, fresh))
-            until = max(until, float(piece.time[-1]))
+                last = max(last, float(piece.time[-1]))
+            until = last
             read.refuse_without_rates()
 
-    def _still_rate(self, source: PlacedRecording) -> float:
-        """Return up to which range rate a return may be of what stands, by the first seconds."""
+    def _asked(self, source: PlacedRecording) -> Iterator[Detections]:
+        """Read whole frames of a recording, of the span that is asked for and around it."""
+        if self._span == ALWAYS:
+            yield from whole_frames(source.recording.read())
+            return
+        begin, end = (
+            source.right_clock.shown(np.array([(step + more) / STEPS_PER_SECOND]))[0]
+            for step, more in zip(self._near, (-STEPS_PER_SECOND, STEPS_PER_SECOND), strict=True)
+        )
+        for piece in whole_frames(source.recording.read_between(float(begin), float(end))):
+            step = step_of(source.right_clock.corrected(piece.time))
+            near = (step >= self._near[0]) & (step <= self._near[1])
+            if near.any():
+                yield piece if near.all() else rows_of(piece, near)
+
+    def _inside(self, source: PlacedRecording, piece: Detections) -> int:
+        """Return how many rows are of the span that is asked for."""
+        step = step_of(source.right_clock.corrected(piece.time))
+        return int(((step >= self._span[0]) & (step <= self._span[1])).sum())
+
+    def _begin(self, source: PlacedRecording) -> tuple[float, float]:
+        """Return when a recording begins, and up to which range rate a return may be still.
+
+        The latter is that of what stands, by the first seconds.
+        """
         settings, rates = self._settings.echoes, []
-        begin: float | None = None
+        begin = np.inf
         for piece in source.recording.read():
-            begin = float(piece.time[0]) if begin is None else begin
+            begin = min(begin, float(piece.time[0]))
             soon = piece.present & (piece.time < begin + settings.noise_s)
             rates.append(piece.range_rate[soon])
             if piece.time[-1] >= begin + settings.noise_s:
                 break
-        return still_rate(np.concatenate(rates), settings)
+        return begin, still_rate(np.concatenate(rates), settings)
 
     def _in_map(self, read: _Read, piece: Detections) -> Iterator[_Piece]:
         source, sensor = read.source, read.source.track.sensor
-        time = piece.time if source.clock is None else source.clock.corrected(piece.time)
+        time = source.right_clock.corrected(piece.time)
         held = source.track.at(time)
         for index in np.unique(held).tolist():
             now = held == index
@@ -202,13 +246,11 @@ class _Stream:
     """What one sensor saw, read as far as it is needed."""
 
     def __init__(self, pieces: Iterator[_Piece]) -> None:
-        first = next(pieces)
         self._pieces = pieces
-        self._held = [first]
-        self._reached: float = first.last_step
-        self.begin = int(first.frames["first_step"].min())
+        self._held: list[_Piece] = []
+        self._reached = -np.inf
 
-    def read_to(self, step: int) -> None:
+    def read_to(self, step: float) -> None:
         """Read until all before a step is held."""
         while self._reached < step:
             piece = next(self._pieces, None)
@@ -233,9 +275,16 @@ class _Stream:
         return self._held
 
 
+def _next_step(streams: Sequence[_Stream], step: int) -> int | None:
+    """Return the first step of a frame of any sensor from a step on; None where there is none."""
+    later = [found for each in streams if (found := each.next_step(step)) is not None]
+    return min(later, default=None)
+
+
 def _block(
-    streams: Sequence[_Stream], begin: int, limits: BlockSettings, *, begins: bool, ends: bool
-) -> Block:
+    streams: Sequence[_Stream], begin: int, limits: BlockSettings, *, begins: bool, ends: bool,
+    goes_on: bool,
+) -> Block:  # fmt: skip
     """Return the block of the steps from `begin` on."""
     end = begin + limits.steps
     held = [piece for stream in streams for piece in stream.held()]
@@ -246,12 +295,16 @@ def _block(
         inside = (piece.echoes.time >= from_s) & (piece.echoes.time < to_s)
         if inside.any():
             parts.append(piece.echoes.take(inside))
-    frames = pd.concat([FRAMES.empty(), *(piece.frames for piece in held)], ignore_index=True)
-    frames["first_step"] = frames["first_step"].clip(lower=begin)
-    frames["last_step"] = frames["last_step"].clip(upper=end - 1)
-    frames = frames_table(frames[frames["first_step"] <= frames["last_step"]])
+    known = pd.concat([FRAMES.empty(), *(piece.frames for piece in held)], ignore_index=True)
+    frames, before = _within(known, begin, end), _within(known, begin - limits.margin_steps, begin)
     return Block(
-        first_step=int(frames["first_step"].min()) if begins else begin,
-        last_step=int(frames["last_step"].max()) if ends else end - 1,
-        echoes=Echoes.join(parts), frames=frames, begins=begins, ends=ends,
+        first_step=int(frames["first_step"].min()) if begins and before.empty else begin,
+        last_step=end - 1 if goes_on else int(frames["last_step"].max()),
+        echoes=Echoes.join(parts), frames=frames, frames_before=before, begins=begins, ends=ends,
     )  # fmt: skip
+
+
+def _within(frames: pd.DataFrame, begin: int, end: int) -> pd.DataFrame:
+    """Return the runs of frames from a step to the one before another."""
+    first, last = frames["first_step"].clip(lower=begin), frames["last_step"].clip(upper=end - 1)
+    return frames_table(frames.assign(first_step=first, last_step=last)[first <= last])

@@ -20,10 +20,12 @@ from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Recording
 from gis_radar.sight import SightTiles, describe_sight, open_sight
 from gis_radar.tiles.tiles import fingerprint
-from gis_radar.vehicles.blocks import SourceReader
-from gis_radar.vehicles.folder import Provenance, Vehicles, read_vehicles, write_vehicles
+from gis_radar.vehicles.blocks import ALWAYS, SourceReader
+from gis_radar.vehicles.folder import Vehicles, read_vehicles, write_vehicles
+from gis_radar.vehicles.hours import report_vehicles, write_driven
 from gis_radar.vehicles.map_check import map_of_tiles
 from gis_radar.vehicles.pieces import PieceMaker
+from gis_radar.vehicles.provenance import Provenance
 from gis_radar.vehicles.settings import DEFAULTS, VehicleSettings
 from gis_radar.vehicles.tracker import vehicles_in
 from gis_radar.vehicles.visibility import SensorView
@@ -41,6 +43,7 @@ def find_vehicles(
     sight: str | Path | None = None,
     cycles: Mapping[str, float] | None = None,
     clocks: Mapping[str, SensorClock] | None = None,
+    span: tuple[int, int] | None = None,
     settings: VehicleSettings = DEFAULTS,
     reporter: Reporter = QUIET,
 ) -> Vehicles:
@@ -72,6 +75,10 @@ def find_vehicles(
         Seconds from frame to frame, of sensors slower than 10 Hz.
     clocks : mapping, optional
         How far the clocks of sensors are ahead, by sensor.
+    span : (int, int), optional
+        First and last step of a part of the recordings, at whole hours: only its vehicles are
+        written, as :func:`gis_radar.vehicles.hours.join_hours` takes them. What was a minute
+        before and after helps to know them.
     settings : VehicleSettings
         Constants of the algorithms; written to the manifest.
     reporter : Reporter
@@ -102,7 +109,7 @@ def find_vehicles(
     )
     sources = place_recordings(recordings, tracks, book, clocks, reporter)
     book.report(reporter)
-    reader = SourceReader(sources, graph, book.road_m, settings, reporter)
+    reader = SourceReader(sources, graph, book.road_m, settings, reporter, span or ALWAYS)
     provenance = Provenance(
         fingerprint=fingerprint(tiles), map=described, sight=describe_sight(book.scan),
         hold_s=holds_of(cycles, reader.sensors), settings={"vehicles": asdict(settings)},
@@ -114,13 +121,20 @@ def find_vehicles(
         reporter=reporter,
     ) as writer:  # fmt: skip
         for block in reader.blocks():
-            writer.add(makes.piece(block, vehicles_in(block.echoes, graph, settings)))
+            motions = vehicles_in(block.echoes, graph, settings)
+            if block.begins and (margin := block.margin) is not None:
+                writer.warm_up(makes.piece(margin, motions))
+            writer.add(makes.piece(block, motions))
         writer.name_sources(reader.records())
-    if makes.found == 0:
-        reporter.log("no vehicle moves in these recordings: the coverage is zero", "warning")
-    for line in [*reader.warnings(), *makes.warnings(reader.sensors)]:
+        seen = makes.on_lanes(reader.sensors)
+        if span is not None:
+            write_driven(writer.folder, seen)
+    for line in reader.warnings():
         reporter.log(line, "warning")
-    return read_vehicles(folder)
+    found = read_vehicles(folder)
+    if span is None:
+        report_vehicles(found, seen, settings, reporter)
+    return found
 
 
 def _sensor_views(sources: Sequence[PlacedRecording], book: ViewBook) -> list[SensorView]:

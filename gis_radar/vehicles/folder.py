@@ -6,11 +6,9 @@ that of a piece and of a block of runs, not of the recording.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass, field, replace
-from importlib.metadata import version
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -19,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from gis_radar.errors import InputError
-from gis_radar.files import read_json, whole_folder
+from gis_radar.files import whole_folder
 from gis_radar.notebooks import card
 from gis_radar.occupancy.folder import frames_table
 from gis_radar.occupancy.frame_steps import Runs, covered_until, steps_in
@@ -28,6 +26,7 @@ from gis_radar.steps import iso_from_step
 from gis_radar.tiles.tiles import fingerprint
 from gis_radar.vehicles.coverage import CoverageEngine
 from gis_radar.vehicles.coverage_settings import CoverageSettings
+from gis_radar.vehicles.provenance import MANIFEST, Provenance, read_manifest, write_manifest
 from gis_radar.vehicles.tables import (
     BLOCK_STEPS,
     COVERED,
@@ -44,57 +43,10 @@ from gis_radar.vehicles.tables import (
 )
 from gis_radar.vehicles.visibility import SensorView
 
-RULES = 2
 Span: TypeAlias = tuple[int, int] | None
-MANIFEST = "manifest.json"
+DRIVEN = "driven.parquet"  # of an hour of a site: where sensors see vehicles drive
 _TABLES = (TRACKS, VEHICLES, PASSAGES, COVERED, VISIBLE, FRAMES)
-OWNED = (MANIFEST, *(kind.file for kind in _TABLES))
-AGAIN = "write it again with this version"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Provenance:
-    """What vehicles were made from; two folders merge where this is equal, but for the times.
-
-    Parameters
-    ----------
-    fingerprint : str
-        Of the tiles.
-    map : dict
-        `digest` of the map, its `crs` and `origin` (the map-frame position of its local (0, 0),
-        or None).
-    sight : object
-        How sight was told, as in the manifest of an occupancy.
-    hold_s : dict
-        By sensor, how long its frames hold, seconds.
-    settings : dict
-        Of the tracker and of the coverage, by name.
-    sources : list of dict
-        Per recording: file, sensor, poses, ...
-    """
-
-    fingerprint: str
-    map: dict[str, Any]
-    sight: Any = "view only"
-    hold_s: dict[str, float]
-    settings: dict[str, Any] = field(default_factory=dict)
-    sources: list[dict[str, Any]]
-
-    @property
-    def poses(self) -> dict[str, list[str]]:
-        """By sensor, where it stood and what it viewed, as texts that compare."""
-        return poses_of(self.sources)
-
-
-def poses_of(sources: Sequence[dict[str, Any]]) -> dict[str, list[str]]:
-    """Return by sensor the poses in the entries of a manifest, each once, as texts that compare."""
-    wanted = ("crs", "easting", "northing", "height", "yaw", "pitch", "roll", "view")
-    found: dict[str, set[str]] = {}
-    for source in sources:
-        texts = found.setdefault(str(source.get("sensor")), set())
-        for pose in source.get("poses", []):
-            texts.add(json.dumps([pose.get(name) for name in wanted], sort_keys=True))
-    return {sensor: sorted(texts) for sensor, texts in sorted(found.items())}
+OWNED = (MANIFEST, *(kind.file for kind in _TABLES), DRIVEN)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -228,7 +180,7 @@ class VehiclesWriter:
     def __init__(
         self, part: Path, provenance: Provenance, engine: CoverageEngine, files: ExitStack
     ) -> None:
-        self._part, self._provenance, self._engine = part, provenance, engine
+        self.folder, self._provenance, self._engine = part, provenance, engine
         self._reached: int | None = None
         self._last: dict[int, int] = {}  # last step of the vehicles of the piece before
         self._vehicles: dict[int, dict[str, Any]] = {}
@@ -244,6 +196,14 @@ class VehiclesWriter:
             )
             for kind in (TRACKS, COVERED, VISIBLE)
         }  # fmt: skip
+
+    def warm_up(self, piece: VehiclePiece) -> None:
+        """Take a piece before the first one: what it hides and where it drives, not its states."""
+        tracks, vehicles = TRACKS.typed(piece.tracks), VEHICLES.typed(piece.vehicles)
+        self._recent = FRAMES.typed(piece.frames.sort_values(["sensor", "view", "first_step"]))
+        self._advance(piece, tracks, vehicles)
+        self._engine.flush()
+        self._passages = []
 
     def add(self, piece: VehiclePiece) -> None:
         """Write a piece that follows those so far.
@@ -268,6 +228,10 @@ class VehiclesWriter:
         self._recent = pd.concat([self._recent, frames], ignore_index=True)
         late = self._recent["last_step"] >= piece.first_step - BLOCK_STEPS
         self._recent = self._recent[late].reset_index(drop=True)
+        self._advance(piece, tracks, vehicles)
+
+    def _advance(self, piece: VehiclePiece, tracks: pd.DataFrame, vehicles: pd.DataFrame) -> None:
+        """Go on to the end of a piece, and write the blocks of runs that end in it."""
         held = hold_frames(self._recent, self._provenance.hold_s, piece.last_step)
         edges = range(piece.first_step // BLOCK_STEPS + 1, piece.last_step // BLOCK_STEPS + 1)
         begins = [piece.first_step, *(edge * BLOCK_STEPS for edge in edges)]
@@ -318,24 +282,24 @@ class VehiclesWriter:
     def finish(self) -> None:
         """Write what is known only at the end: the last block, vehicles, passages, manifest."""
         self._flush()
-        mark = self._provenance.fingerprint
         frames = frames_table(pd.concat([FRAMES.empty(), *self._frames], ignore_index=True))
         vehicles = pd.DataFrame([self._vehicles[n] for n in sorted(self._vehicles)])
         passages = pd.concat([PASSAGES.empty(), *self._passages], ignore_index=True)
-        order = list(PASSAGES.order)
-        for kind, table in (
-            (FRAMES, frames),
-            (VEHICLES, vehicles if len(vehicles) else VEHICLES.empty()),
-            (PASSAGES, passages.sort_values(order)),
-        ):
-            with TableWriter(kind, self._part / kind.file, mark) as writer:
-                writer.add(kind.typed(table))
-        manifest = asdict(self._provenance) | {
-            "software": {"name": "gis_radar", "version": version("gis_radar")},
-            "rules": RULES,
-        }
-        text = json.dumps(manifest, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
-        (self._part / MANIFEST).write_text(text, encoding="utf-8")
+        write_beside_tracks(
+            self.folder, self._provenance, frames, vehicles if len(vehicles) else VEHICLES.empty(),
+            passages.sort_values([*PASSAGES.order]),
+        )  # fmt: skip
+
+
+def write_beside_tracks(
+    folder: Path, provenance: Provenance, frames: pd.DataFrame, vehicles: pd.DataFrame,
+    passages: pd.DataFrame,
+) -> None:  # fmt: skip
+    """Write the small tables and the manifest into an open folder."""
+    for kind, table in ((FRAMES, frames), (VEHICLES, vehicles), (PASSAGES, passages)):
+        with TableWriter(kind, folder / kind.file, provenance.fingerprint) as writer:
+            writer.add(kind.typed(table))
+    write_manifest(folder, provenance)
 
 
 def joined_rows(known: dict[str, Any] | None, row: dict[str, Any]) -> dict[str, Any]:
@@ -415,7 +379,7 @@ def read_vehicles(folder: str | Path) -> Vehicles:
         follows other rules.
     """
     folder = Path(folder)
-    provenance = _read_manifest(folder)
+    provenance = read_manifest(folder, lead=TRACKS.file)
     for kind in _TABLES:
         check_file(kind, folder / kind.file, provenance.fingerprint)
     frames = read_whole(FRAMES, folder / FRAMES.file)
@@ -430,33 +394,6 @@ def read_vehicles(folder: str | Path) -> Vehicles:
         blocks=lambda: _read_blocks(folder),
         place=str(folder),
     )
-
-
-def _read_manifest(folder: Path) -> Provenance:
-    path = folder / MANIFEST
-    for file in (MANIFEST, TRACKS.file):
-        if not (folder / file).is_file():
-            raise InputError(
-                f"{folder}: not a folder of vehicles: lacks {file}",
-                hint="a folder that gis-radar vehicles wrote is needed",
-            )
-    known = read_json(path, what="a manifest of vehicles")
-    try:
-        rules = int(known["rules"])
-        names = Provenance.__dataclass_fields__
-        provenance = Provenance(**{name: known[name] for name in names})
-        provenance = replace(
-            provenance,
-            map=dict(provenance.map),
-            hold_s={str(name): float(s) for name, s in provenance.hold_s.items()},
-            sources=[dict(source) for source in provenance.sources],
-        )
-        poses_of(provenance.sources)
-    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
-        raise InputError(f"{path}: damaged: {error!r:.200}") from error
-    if rules != RULES:
-        raise InputError(f"{folder}: follows rules {rules}, expected {RULES}", hint=AGAIN)
-    return provenance
 
 
 def _read_blocks(folder: Path) -> Iterator[RunBlock]:

@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from itertools import combinations
+from itertools import combinations, islice
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from gis_radar.occupancy.folder import frames_table
 from gis_radar.occupancy.frame_steps import common_steps
 from gis_radar.steps import STEP_S, iso_from_step
 from gis_radar.vehicles.folder import RunBlock, Span, Vehicles, joined_rows
-from gis_radar.vehicles.tables import PASSAGES, VEHICLES
+from gis_radar.vehicles.tables import BLOCK_STEPS, PASSAGES, VEHICLES
 
 AGAIN = "make them with the same recorders, poses, tiles, map, scan and settings"
 JOINED_M = 2.0  # least distance of the middles of two vehicles: half a car's length, a lane's width
@@ -49,6 +49,11 @@ def merge_vehicles(parts: Sequence[Vehicles]) -> Vehicles:
     if len(parts) == 1:
         return parts[0]
     _refuse_others(parts)
+    return join_vehicles(parts)
+
+
+def join_vehicles(parts: Sequence[Vehicles]) -> Vehicles:
+    """Return vehicles of several times as one, without a look at what they were made from."""
     parts = sorted(parts, key=lambda part: _edges(part)[0])
     numbers = _numbers(parts)
     passages = pd.concat(
@@ -94,8 +99,14 @@ def _refuse_others(parts: Sequence[Vehicles]) -> None:
 
 
 def _edges(part: Vehicles) -> tuple[int, int]:
-    """Return the first and the last step with a frame."""
-    return int(part.frames["first_step"].min()), int(part.frames["last_step"].max())
+    """Return the first and the last step with a frame or a state.
+
+    A part of a longer time ends with a whole step of a vehicle where the next one begins, whether
+    there is a frame in it or not.
+    """
+    first, last = part.vehicles["first_step"], part.vehicles["last_step"]
+    begin, end = int(part.frames["first_step"].min()), int(part.frames["last_step"].max())
+    return min([begin, *first]), max([end, *last])
 
 
 def _joined_vehicles(parts: Sequence[Vehicles], numbers: Sequence[Integers]) -> pd.DataFrame:
@@ -208,29 +219,49 @@ def _merged_tracks(
     parts: Sequence[Vehicles], numbers: Sequence[Integers], span: Span
 ) -> Iterator[pd.DataFrame]:
     """Read the tracks of all parts side by side, by step and vehicle."""
-    streams = [
-        _Stream(pieces=map(partial(_renumbered, part=part, new=new), part.tracks(span)))
+    waiting = [
+        (_edges(part)[0], _Stream(pieces=map(partial(_renumbered, part=part, new=new), rows)))
         for part, new in zip(parts, numbers, strict=True)
+        for rows in [part.tracks(span)]
     ]
-    while alive := [stream for stream in streams if stream.more()]:
-        bound = min(stream.reach for stream in alive)
-        taken = [rows for stream in alive if (rows := stream.take(bound)) is not None]
-        yield pd.concat(taken).sort_values(["step", "vehicle"], ignore_index=True)
+    begun: list[_Stream] = []  # a part is opened when its time has come: there may be hundreds
+    while waiting or begun:
+        if not begun:
+            begun.append(waiting.pop(0)[1])
+        begun = [stream for stream in begun if stream.more()]
+        bound = min((stream.reach for stream in begun), default=0)
+        if begun and waiting and waiting[0][0] <= bound:
+            begun.append(waiting.pop(0)[1])
+            continue
+        taken = [rows for stream in begun if (rows := stream.take(bound)) is not None]
+        if taken:
+            yield pd.concat(taken).sort_values(["step", "vehicle"], ignore_index=True)
 
 
 def _merged_blocks(parts: Sequence[Vehicles]) -> Iterator[RunBlock]:
-    """Read the runs of all parts side by side, block by block."""
-    streams = [part.blocks() for part in parts]
-    heads = [next(stream, None) for stream in streams]
-    while known := [head for head in heads if head is not None]:
-        number = min(head.number for head in known)
-        mine = [head for head in known if head.number == number]
+    """Read the runs of all parts side by side, block by block, each part when its time has come."""
+    waiting = [(_edges(part)[0] // BLOCK_STEPS, part) for part in parts]
+    heads: list[tuple[RunBlock, Iterator[RunBlock]]] = []
+    while waiting or heads:
+        number = min((head.number for head, _ in heads), default=waiting[0][0] if waiting else 0)
+        while waiting and waiting[0][0] <= number:
+            heads += _head(waiting.pop(0)[1].blocks())
+        if not heads:
+            continue
+        number = min(head.number for head, _ in heads)
+        mine = [head for head, _ in heads if head.number == number]
         tables = []
         for name in ("covered", "visible"):
             rows = pd.concat([getattr(head, name) for head in mine], ignore_index=True)
             tables.append(rows.sort_values(["tile_id", "first_step"], ignore_index=True))
         yield RunBlock(number=number, covered=tables[0], visible=tables[1])
         heads = [
-            next(stream, None) if head is not None and head.number == number else head
-            for head, stream in zip(heads, streams, strict=True)
+            kept
+            for head, rest in heads
+            for kept in (_head(rest) if head.number == number else [(head, rest)])
         ]
+
+
+def _head(blocks: Iterator[RunBlock]) -> list[tuple[RunBlock, Iterator[RunBlock]]]:
+    """Return the next block with those behind it; nothing where there is none."""
+    return [(block, blocks) for block in islice(blocks, 1)]

@@ -81,13 +81,10 @@ class PieceMaker:
             vehicles=vehicles, frames=block.frames,
         )  # fmt: skip
 
-    def warnings(self, sensors: list[str]) -> list[str]:
-        """Return a line for each sensor whose vehicles do not drive where the lanes are."""
-        if not self._on_lanes:
-            return []
-        return pose_warnings(
-            pd.concat(self._on_lanes, ignore_index=True), sensors, self._settings.pieces
-        )
+    def on_lanes(self, sensors: Sequence[str]) -> list[pd.DataFrame]:
+        """Return where sensors see vehicles drive, by their names, for :func:`warn_of_poses`."""
+        names = np.array(sensors, object)
+        return [each.assign(sensor=names[each["sensor"]]) for each in self._on_lanes]
 
     def _numbers(self, block: Block, motions: list[Motion], states: list[_States]) -> list[int]:
         """Return the number of each vehicle: that of the block before where it goes on."""
@@ -196,6 +193,27 @@ def _on_lanes(driven: Sequence[pd.DataFrame]) -> pd.DataFrame:
         towards=("towards", "mean"), size=("on", "size"), on=("on", "sum"),
         count=("left_m", "count"), left_m=("left_m", "median"),
     ).reset_index()  # fmt: skip
+
+
+def warn_of_poses(seen: Sequence[pd.DataFrame], settings: PieceSettings) -> list[str]:
+    """Return a line for each sensor whose vehicles do not drive where the lanes are.
+
+    Parameters
+    ----------
+    seen : sequence of DataFrame
+        Of :meth:`PieceMaker.on_lanes`; vehicles of different tables are different ones.
+    settings : PieceSettings
+        What is too far.
+    """
+    if not seen:
+        return []
+    whole, first = [], 0
+    for each in seen:
+        whole.append(each.assign(vehicle=each["vehicle"] + first))
+        first = int(whole[-1]["vehicle"].max()) + 1
+    table = pd.concat(whole, ignore_index=True)
+    names, number = np.unique(table["sensor"].to_numpy(str), return_inverse=True)
+    return pose_warnings(table.assign(sensor=number), names.tolist(), settings)
 
 
 def pose_warnings(seen: pd.DataFrame, sensors: Sequence[str], settings: PieceSettings) -> list[str]:

@@ -1,0 +1,98 @@
+"""The last frames of a recording, as a window that rolls on."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from gis_radar.arrays import Booleans, Floats
+from gis_radar.recordings.recording import Detections
+
+
+@dataclass(frozen=True, kw_only=True)
+class Window:
+    """The last frames of a recording.
+
+    Parameters
+    ----------
+    frame_times : (f,) array
+        UNIX seconds of all its frames, ascending.
+    detections : int
+        How many it holds, also those that are not kept.
+    time, range_rate : (n,) array
+        Of the kept detections: UNIX seconds; m/s, positive when receding.
+    points : (n, 3) array
+        Theirs, sensor frame, metres.
+    """
+
+    frame_times: Floats
+    detections: int
+    time: Floats
+    points: Floats
+    range_rate: Floats
+
+
+class RollingWindow:
+    """The last frames of a stream of detections.
+
+    Parameters
+    ----------
+    frames : int
+        Length of the window.
+    keep : callable
+        Which of some detections are kept.
+    """
+
+    def __init__(self, *, frames: int, keep: Callable[[Detections], Booleans]) -> None:
+        self._keep = keep
+        self._times: deque[float] = deque(maxlen=frames)
+        self._counts: deque[int] = deque(maxlen=frames)
+        self._pieces: deque[tuple[Floats, Floats, Floats]] = deque()
+
+    def push(self, piece: Detections) -> None:
+        """Take the next detections; a frame may have begun in the piece before."""
+        stamps, first = np.unique(piece.time, return_index=True)
+        counts = np.add.reduceat(piece.present.astype(np.int64), first)
+        if self._times and self._times[-1] == stamps[0]:
+            self._counts[-1] += int(counts[0])
+            stamps, counts = stamps[1:], counts[1:]
+        self._times.extend(stamps.tolist())
+        self._counts.extend(counts.tolist())
+        keep = piece.present & self._keep(piece)
+        self._pieces.append((piece.time[keep], piece.points[keep], piece.range_rate[keep]))
+        while self._pieces and (
+            self._pieces[0][0].size == 0 or self._pieces[0][0][-1] < self._times[0]
+        ):
+            self._pieces.popleft()
+
+    def forget(self, before: float) -> None:
+        """Drop the frames before a time (UNIX seconds)."""
+        while self._times and self._times[0] < before:
+            self._times.popleft()
+            self._counts.popleft()
+
+    @property
+    def begin(self) -> float:
+        """UNIX seconds of the first frame; NaN where there is none."""
+        return self._times[0] if self._times else float("nan")
+
+    def __len__(self) -> int:
+        return len(self._times)
+
+    def content(self) -> Window:
+        """Return what is in the window."""
+        none = (np.empty(0), np.empty((0, 3)), np.empty(0))
+        time, points, rate = (
+            np.concatenate(parts) for parts in zip(none, *self._pieces, strict=True)
+        )
+        inside = time >= self._times[0] if self._times else np.zeros(0, dtype=bool)
+        return Window(
+            frame_times=np.asarray(self._times, dtype=np.float64),
+            detections=sum(self._counts),
+            time=time[inside],
+            points=points[inside],
+            range_rate=rate[inside],
+        )
