@@ -77,7 +77,7 @@ def find_vehicles(
         How far the clocks of sensors are ahead, by sensor.
     span : (int, int), optional
         First and last step of a part of the recordings, at whole hours: only its vehicles are
-        written, as :func:`gis_radar.vehicles.hours.join_hours` takes them. What was a minute
+        written, to be joined with those of other hours. What was a minute
         before and after helps to know them.
     settings : VehicleSettings
         Constants of the algorithms; written to the manifest.
