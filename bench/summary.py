@@ -167,8 +167,18 @@ def _occupancy(report: Mapping[str, Any]) -> Iterator[Figure]:
     size = f"500 detections at 20 Hz, {report['hours']:.1f} h"
     yield Figure(
         what="`occupancy`, Parquet to folder", ours=report["times_real_time"], unit="x real time",
-        more_is_better=True, chance=TIMES, size=size,
+        peer=report["plain_times_real_time"], peer_name="the pass in NumPy", more_is_better=True,
+        chance=TIMES, size=size,
     )  # fmt: skip
+    yield Figure(
+        what="bare decoding in `occupancy`", ours=100.0 * report["decoding_share"], unit="%",
+        peer=40.0, peer_name="(target)", more_is_better=True, chance=TIMES, size=size,
+    )  # fmt: skip
+    for name, size_a_pair in report["bytes_a_pair"].items():
+        yield Figure(
+            what=f"hits on disk, {name}", ours=size_a_pair, unit="bytes a pair", peer=0.9,
+            peer_name="(target)",
+        )  # fmt: skip
     for what, mib in (
         ("memory of `occupancy`", report["memory_mib"]),
         ("folder of `occupancy`", sum(report["disk_mib"].values())),

@@ -63,11 +63,18 @@ STEPS = {
 @pytest.mark.parametrize(
     ("file", "column"),
     [("frames", "first_step"), ("frames", "last_step"), ("views", "tile_id"),
-     ("hits_by_sensor", "step"), ("hits_by_sensor", "tile_id")],
+     ("hits_by_sensor", "step")],
 )  # fmt: skip
 def test_tables_of_an_occupancy_with_other_values(run, here, file, column, kind):
     change(here / "occupancy" / f"{file}.parquet", **{column: STEPS[kind]})
     refused(run(*HEATMAP), "occupancy")
+
+
+@pytest.mark.parametrize("tiles", ["text", None, 5, b"\x80", b"\xff" * 9])
+def test_sets_of_tiles_that_are_none(run, here, tiles):
+    table = here / "occupancy" / "hits_by_sensor.parquet"
+    change(table, tiles=lambda sets: pd.Series([tiles] * len(sets)))
+    refused(run(*HEATMAP), "hits_by_sensor.parquet")
 
 
 def test_frames_that_end_before_they_begin(run, here):

@@ -215,7 +215,7 @@ def count_rows(  # pragma: no cover - compiled
             opened.frame[TIME_US] = time_us
             opened.frame[SHIFT_US] = rows.shift_us[row] if len(rows.shift_us) else 0
             opened.frame[POSE] = pose.number
-        begin = row
+        begin, row = row, row + 1
         while row < end and rows.time[row] == opened.time[0]:
             row += 1
         _tally(rows.x_bits, rows.y_bits, rows.range_rate, begin, row, limits, opened.frame)

@@ -46,7 +46,6 @@ OWNED = (  # a table made of it may stand there
 )  # fmt: skip
 NEEDED = {
     PAIRS_FILE: ("step", "tile_id"),
-    HITS_FILE: ("step", "tile_id", "sensor"),
     "frames.parquet": ("sensor", "first_step", "last_step"),
     "views.parquet": ("sensor", "tile_id"),
     FILE: COLUMNS,
@@ -363,12 +362,16 @@ def _check_table(path: Path, fingerprint: str) -> None:
     _require(path)
     with damaged_as_input_error(path):
         schema = pq.read_schema(path)
-    missing = [column for column in NEEDED[path.name] if column not in schema.names]
+    hits = path.name == HITS_FILE
+    needed = HITS.columns(schema.names) if hits else NEEDED[path.name]
+    missing = [column for column in needed if column not in schema.names]
     if missing:
         raise InputError(f"{path}: lacks the column {missing[0]}")
     for column in {"step", "tile_id", "first_step", "last_step"} & set(schema.names):
         if not pa.types.is_integer(kind := schema.field(column).type):
             raise InputError(f"{path}: column {column} is {kind}, expected whole numbers")
+    if "tiles" in needed and not pa.types.is_binary(kind := schema.field("tiles").type):
+        raise InputError(f"{path}: column tiles is {kind}, expected bytes")
     other = (
         (schema.metadata or {}).get(b"fingerprint", fingerprint.encode()).decode(errors="replace")
     )

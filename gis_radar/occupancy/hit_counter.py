@@ -75,7 +75,7 @@ class HitCounter:
     tile_id : (n,) int64 array, optional
         What stands for each tile in the hits; without it, its position.
     step_us : int
-        Length of a step, microseconds.
+        Length of a step, microseconds; 1 gives the tiles of each frame by itself.
     ranges : RangeCounts, optional
         Takes the ranges of all detections.
     """
@@ -230,8 +230,7 @@ class FrameCounter:
         time = np.asarray(detections.time, np.float64)
         if not (np.isfinite(time).all() and (np.diff(time) >= 0.0).all()):
             raise InputError("times of frames are not finite, or go back")
-        x, y, z = np.asarray(detections.points, np.float64).T
-        rows = rows_of_columns(time, x, y, z, detections.range_rate, detections.rcs)
+        rows = rows_of_detections(detections)
         numbers = PoseNumbers.of(pose, road_m=road_m)
         return [
             CountedFrame(
@@ -265,6 +264,15 @@ def limits_of(filters: Filters, settings: OccupancySettings, step_us: int) -> Li
 
 def _or_nan(value: float | None) -> float:
     return math.nan if value is None else float(value)
+
+
+def rows_of_detections(detections: Detections) -> RowColumns:
+    """Return detections as the counting loop takes them."""
+    x, y, z = np.asarray(detections.points, np.float64).T
+    return rows_of_columns(
+        detections.time, x, y, z, np.asarray(detections.range_rate, np.float64),
+        np.asarray(detections.rcs, np.float64),
+    )  # fmt: skip
 
 
 def rows_of_columns(

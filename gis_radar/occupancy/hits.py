@@ -1,6 +1,7 @@
 """Hits, and sorted tables at large: streams of rows in pieces of bounded size.
 
-Hits are rows (step, tile, sensor), each once, ascending; without their sensor, pairs.
+Hits are rows (step, tile, sensor), each once, ascending; without their sensor, pairs. On
+disk a row is a step of a sensor with the set of its tiles.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import pyarrow as pa
@@ -18,9 +19,11 @@ import pyarrow.parquet as pq
 
 from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.errors import InputError, first_line
+from gis_radar.occupancy.tile_sets import decode_sets, encode_sets
 
 Rows = tuple[Integers, ...]
 CHECKED = {"page_checksum_verification": True}
+SETS_LEVEL = 9  # of zstd: sets of tiles are most of a folder, and few to compress
 
 
 @contextmanager
@@ -140,16 +143,18 @@ class SortedTable:
             for batch in file.iter_batches(self.rows_at_once, columns=names, use_threads=False):
                 if empty := [each for each in names if batch.column(each).null_count]:
                     raise InputError(f"{path}: damaged: a value of {empty[0]} is missing")
-                rows = tuple(
-                    _numbers_of(batch.column(field.name), sensors, path)
-                    if pa.types.is_string(field.type)
-                    else np.asarray(batch.column(field.name).to_numpy(zero_copy_only=False))
-                    for field in self.schema
-                )
+                rows = tuple(_values(batch.column(name), sensors, path) for name in names)
                 if np.any(np.diff(rows[0], prepend=last) < 0):
                     raise InputError(f"{path}: rows do not ascend by {names[0]}")
                 last = rows[0][-1] if len(rows[0]) else last
                 yield rows
+
+
+def _values(column: pa.Array, sensors: Sequence[str], path: Path) -> Any:
+    """Return a column as an array, names as their numbers; texts of bytes as they are."""
+    if pa.types.is_dictionary(column.type) or pa.types.is_string(column.type):
+        return _numbers_of(column, sensors, path)
+    return column if pa.types.is_binary(column.type) else column.to_numpy(zero_copy_only=False)
 
 
 def _numbers_of(column: pa.Array, sensors: Sequence[str], path: Path) -> Integers:
@@ -184,14 +189,16 @@ class SortedTableWriter:
         self._table, self._names = table, pa.array(sensors, pa.string())
         self._waiting: list[pa.RecordBatch] = []
         texts = [field.name for field in table.schema if pa.types.is_string(field.type)]
+        sets = [field.name for field in table.schema if pa.types.is_binary(field.type)]
+        encoding = dict.fromkeys(table.schema.names, "DELTA_BINARY_PACKED")
+        encoding |= dict.fromkeys(sets, "DELTA_LENGTH_BYTE_ARRAY")
         self._writer = pq.ParquetWriter(
             path,
             table.schema.with_metadata({"fingerprint": fingerprint}),
             compression="zstd",
+            compression_level=dict.fromkeys(sets, SETS_LEVEL) or None,
             use_dictionary=texts or False,
-            column_encoding={
-                name: "DELTA_BINARY_PACKED" for name in table.schema.names if name not in texts
-            },
+            column_encoding={name: encoding[name] for name in encoding if name not in texts},
             write_page_checksum=True,
         )
 
@@ -203,7 +210,7 @@ class SortedTableWriter:
         arrays = [
             self._names.take(pa.array(values))
             if pa.types.is_string(field.type)
-            else pa.array(values, field.type)
+            else (values if isinstance(values, pa.Array) else pa.array(values, field.type))
             for values, field in zip(rows, self._table.schema, strict=True)
         ]
         self._waiting.append(pa.record_batch(arrays, schema=self._table.schema))
@@ -225,7 +232,97 @@ PAIRS = SortedTable(
     rows_at_once=1 << 18,  # 4 MiB
     rows_in_group=1 << 20,
 )
-HITS = replace(PAIRS, schema=PAIRS.schema.append(pa.field("sensor", pa.string())))
+SETS = SortedTable(
+    schema=pa.schema([("step", pa.int64()), ("sensor", pa.string()), ("tiles", pa.binary())]),
+    rows_at_once=1 << 12,
+    rows_in_group=1 << 14,
+)
+OLDER = replace(PAIRS, schema=PAIRS.schema.append(pa.field("sensor", pa.string())))
+MOST_BYTES_AT_ONCE = 1 << 18  # of sets: a tile takes a byte at least
+MOST_BYTES_OF_SET = 1 << 24  # sixteen million tiles: over any map's
+
+
+class HitTable:
+    """The hits on disk: a row a step and sensor, with its tiles as of `tile_sets`."""
+
+    def columns(self, names: Sequence[str]) -> tuple[str, ...]:
+        """Return the columns that a file needs that has some: it may be an older one."""
+        return tuple((OLDER if "tile_id" in names else SETS).schema.names)
+
+    def write(
+        self, rows: Iterator[Rows], path: Path, fingerprint: str, sensors: Sequence[str]
+    ) -> None:
+        """Write a stream of rows (step, tile, sensor); arguments as of :class:`SortedTableWriter`.
+
+        Rows ascend by step; within a step they come in any order, also repeated.
+        """
+        with SortedTableWriter(SETS, path, fingerprint, sensors) as writer:
+            for step, tile, sensor in merge_ascending([rows], 3):
+                writer.add(_as_sets(step, sensor, tile))
+
+    def read(self, path: Path, sensors: Sequence[str]) -> Iterator[Rows]:
+        """Read the rows (step, tile, sensor) of a file piece by piece, also of an older one.
+
+        Parameters
+        ----------
+        path : Path
+            The file.
+        sensors : sequence of str
+            All sensors, which give the numbers that stand for their names.
+
+        Raises
+        ------
+        InputError
+            If the file is damaged, its steps do not ascend, or it names another sensor.
+        """
+        with damaged_as_input_error(path):
+            older = "tile_id" in pq.read_schema(path).names
+        if older:
+            yield from OLDER.read(path, sensors)
+            return
+        hits = (
+            rows
+            for step, sensor, sets in SETS.read(path, sensors)
+            for rows in _out_of_sets(step, sensor, sets, path)
+        )
+        # A step's sets come by sensor, rows by tile.
+        yield from merge_rows([hits], 3) if len(sensors) > 1 else hits
+
+
+def _as_sets(step: Integers, sensor: Integers, tile: Integers) -> tuple[Any, ...]:
+    """Return hits of whole steps as a row a step and sensor."""
+    more = np.diff(step), np.diff(sensor), np.diff(tile)
+    ascends = (more[0] > 0) | (more[0] == 0) & ((more[1] > 0) | (more[1] == 0) & (more[2] > 0))
+    if not ascends.all():
+        step, sensor, tile = distinct(step, sensor, tile)
+    first = np.flatnonzero(fresh(step) | fresh(sensor))
+    data, begins = encode_sets(tile, np.append(first, len(tile)))
+    buffers = [None, pa.py_buffer(begins.astype(np.int32)), pa.py_buffer(data)]
+    sets = pa.Array.from_buffers(pa.binary(), len(first), buffers)
+    return step[first], sensor[first], sets
+
+
+def _out_of_sets(
+    step: Integers, sensor: Integers, sets: pa.BinaryArray, path: Path
+) -> Iterator[Rows]:
+    """Yield the hits of rows of sets, in pieces of bounded size."""
+    _, offsets, data = sets.buffers()
+    bounds = np.frombuffer(offsets, np.int32)[sets.offset : sets.offset + len(sets) + 1]
+    begins = bounds.astype(np.int64)
+    values = np.frombuffer(data or b"", np.uint8)
+    if (longest := int(np.diff(begins).max(initial=0))) > MOST_BYTES_OF_SET:
+        raise InputError(f"{path}: damaged: a set of tiles takes {longest:,} bytes")
+    low = 0
+    while low < len(sets):
+        high = int(np.searchsorted(begins, begins[low] + MOST_BYTES_AT_ONCE, side="right")) - 1
+        high = min(max(high, low + 1), len(sets))
+        tile, at = decode_sets(values, begins[low : high + 1], what=str(path))
+        count = np.diff(at)
+        yield np.repeat(step[low:high], count), tile, np.repeat(sensor[low:high], count)
+        low = high
+
+
+HITS = HitTable()
 MOST_KEYS = 1 << 62  # a row as one int64
 
 

@@ -192,7 +192,8 @@ def _read_all(
             _hits(each, number, target, count_rows)
             for each, number in zip(passes, numbers, strict=True)
         ]
-        HITS.write(merge_rows(streams, 3), folder / HITS_FILE, target.fingerprint, sensors)
+        rows = streams[0] if len(streams) == 1 else merge_rows(streams, 3)
+        HITS.write(rows, folder / HITS_FILE, target.fingerprint, sensors)
     return passes
 
 

@@ -17,6 +17,7 @@ from gis_radar.recordings.recording import COLUMNS, FARTHEST_M, Recording, RowCh
 from gis_radar.recordings.units import FARTHEST_RADAR_M, LEAST_EXTENT_M, LEAST_JUDGED
 from gis_radar.steps import in_known_years
 
+RAW_COLUMNS = COLUMNS[:-1]  # all but the radar cross section, which few ask for
 NEARLY = 0.999  # what comes near a limit is looked at by name, too
 
 
@@ -63,7 +64,7 @@ def read_raw(recording: Recording, *, rcs: bool) -> Iterator[RawRows]:
     InputError
         As of :meth:`Recording.read`.
     """
-    names = [name for name in COLUMNS if rcs or name != "rcs"]
+    names = COLUMNS if rcs else RAW_COLUMNS
     checks = RowChecks(path=recording.path)
     with checks.reading():
         for batch in recording.batches(names):
@@ -79,7 +80,7 @@ def read_raw(recording: Recording, *, rcs: bool) -> Iterator[RawRows]:
 
 def _columns(batch: pa.RecordBatch, *, rcs: bool) -> RawRows | None:
     """Return the columns of a batch as float64; None where one is neither that nor float32."""
-    names = COLUMNS if rcs else COLUMNS[:-1]
+    names = COLUMNS if rcs else RAW_COLUMNS
     if not {batch.column(name).type for name in names} <= {pa.float32(), pa.float64()}:
         return None
     columns = [batch.column(name).to_numpy(zero_copy_only=False) for name in names]

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -99,16 +101,8 @@ class RecordingFile:
         self._waiting, self._rows = [], 0
         with output_errors(self._place):
             if self._writer is None:
-                # Coordinates hardly repeat, times and the sensor's marks do.
-                self._writer = pq.ParquetWriter(
-                    self.path,
-                    table.schema,
-                    compression="zstd",
-                    compression_level=1,
-                    use_dictionary=[name for name in table.schema.names if name not in CORE],
-                    column_encoding=dict.fromkeys(CORE, "BYTE_STREAM_SPLIT"),
-                    write_page_checksum=True,
-                )
+                options = parquet_options(table.schema.names)
+                self._writer = pq.ParquetWriter(self.path, table.schema, **options)
             self._writer.write_table(table, row_group_size=ROWS_IN_GROUP)
 
     def _level(self, frame: Frame) -> Frame:
@@ -136,6 +130,18 @@ class RecordingFile:
                 f"{self._place}: a further column changes its type on the way: {error}",
                 hint="convert the inputs one by one",
             ) from error
+
+
+def parquet_options(names: Sequence[str]) -> dict[str, Any]:
+    """Return how a recording with some columns is written: small, and fast to read."""
+    # Coordinates hardly repeat, times and the sensor's marks do.
+    return {
+        "compression": "zstd",
+        "compression_level": 1,
+        "use_dictionary": [name for name in names if name not in CORE],
+        "column_encoding": dict.fromkeys(CORE, "BYTE_STREAM_SPLIT"),
+        "write_page_checksum": True,
+    }
 
 
 def _measures_elevation(frames: list[Frame]) -> bool | None:
