@@ -7,9 +7,10 @@ from types import SimpleNamespace
 
 import pypdf
 import pytest
+from PIL import Image
 
 from gis_radar.report.content import Table
-from gis_radar.report.pages import Paper, _add_table, bound
+from gis_radar.report.pages import Paper, _add_table, _composed, bound
 from gis_radar.report.report import _lane_columns
 from gis_radar.words import speaking
 
@@ -42,3 +43,13 @@ def test_heads_and_numbers_of_lanes_are_not_broken(language, lane):
 def test_no_line_ends_between_a_number_and_its_percent_sign():
     assert bound("it is not 0 %, nor 20 % or more") == ("it is not 0\u202f%, nor 20\u202f% or more")
     assert bound(None) is None
+
+
+def test_an_overlay_of_another_size_lies_on_its_map():
+    """Versions of Matplotlib differ by a pixel in how large they draw."""
+    pictures = []
+    for size in ((40, 30), (41, 30)):
+        place = BytesIO()
+        Image.new("RGBA", size, (255, 0, 0, 255)).save(place, "PNG")
+        pictures.append(place.getvalue())
+    assert _composed(*pictures, 100).size == (40, 30)

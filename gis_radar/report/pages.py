@@ -461,7 +461,8 @@ def _composed(picture: bytes, overlay: bytes | None, width: int) -> Image.Image:
     """Return a map with its overlay, no wider than that."""
     image: Image.Image = Image.open(BytesIO(picture))
     if overlay is not None:
-        over = Image.open(BytesIO(overlay)).convert("RGBA")
+        # Versions of Matplotlib round the size of a picture up or down.
+        over = Image.open(BytesIO(overlay)).convert("RGBA").resize(image.size)
         image = Image.alpha_composite(image.convert("RGBA"), over)
     image = image.convert("RGB")
     image.thumbnail((width, 4 * width), Image.Resampling.LANCZOS)
