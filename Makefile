@@ -42,6 +42,7 @@ demo: set-up ## Run the main job on the sample site; results in out/demo
 
 live-demo: set-up-dev ## Run the live system on the sample junction until Ctrl-C; files in out/live-demo
 	@sh tools/get_mosquitto.sh || true
+	-@sh tools/get_maplibre.sh
 	$(BIN)/python tools/live_demo.py out/live-demo
 
 docs: set-up-dev ## Build the documentation in out/docs/html, with the notebooks run

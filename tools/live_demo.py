@@ -24,12 +24,15 @@ STATUS_S = 10.0
 SENSORS = ("R1", "R2")
 SITE = """\
 title = "Sample junction, replayed"
+time_zone = "Europe/Berlin"
 [map]
 file = "{sample}/junction.osm"
 [live]
 site = "junction"
 tiles = "tiles.gpkg"
 health = "127.0.0.1:{health}"
+[live.page]
+address = "127.0.0.1:{page}"
 [live.broker]
 address = "mqtt://127.0.0.1:{port}"
 {password}
@@ -62,7 +65,7 @@ def main(folder: Path) -> None:
     if mosquitto is None:
         sys.exit("live-demo: Mosquitto is not installed: sh tools/get_mosquitto.sh, as root")
     folder.mkdir(parents=True, exist_ok=True)
-    health = _write_files(folder, _free_port(), _free_port())
+    health, page = _write_files(folder, _free_port(), _free_port(), _free_port())
     command = [sys.executable, "-m", "gis_radar"]
     # in sessions of their own: Ctrl-C is for this program alone
     programs = [subprocess.Popen([mosquitto, "-c", "broker/mosquitto.conf"], cwd=folder,
@@ -73,7 +76,10 @@ def main(folder: Path) -> None:
             subprocess.Popen([*command, *each], cwd=folder, start_new_session=True)
             for each in words
         ]
-        sys.stdout.write(f"health: {health}; map for QGIS: {folder / 'live' / 'now.gpkg'}\n")
+        sys.stdout.write(
+            f"page: {page}; for QGIS: {page}ogc, {folder / 'live' / 'now.gpkg'}; health: {health}\n"
+        )
+        sys.stdout.flush()
         while all(each.poll() is None for each in programs):
             time.sleep(STATUS_S)
             _show(health)
@@ -86,13 +92,13 @@ def main(folder: Path) -> None:
             each.wait(PATIENCE_S)
 
 
-def _write_files(folder: Path, port: int, health: int) -> str:
-    """Write tiles, files of the site and its sensors, and the broker's; return health's address."""
+def _write_files(folder: Path, port: int, health: int, page: int) -> tuple[str, str]:
+    """Write tiles, files of site, sensors and broker; return the addresses of health and page."""
     sample = gr.sample_folder().resolve()
     if not (folder / "tiles.gpkg").exists():
         roads = gr.read_map(sample / "junction.osm")
         gr.write_tiles(gr.make_tiles(roads), folder / "tiles.gpkg", problems=roads.problems)
-    texts = {"sample": sample, "port": port, "health": health}
+    texts = {"sample": sample, "port": port, "health": health, "page": page}
     site = folder / "SITE.toml"
     site.write_text(SITE.format(password="", **texts), encoding="utf-8")
     write_broker_files(site, folder / "broker")
@@ -103,7 +109,7 @@ def _write_files(folder: Path, port: int, health: int) -> str:
     if hasattr(os, "geteuid") and os.geteuid() == 0:  # else it would become another user
         with (folder / "broker" / "mosquitto.conf").open("a", encoding="utf-8") as config:
             config.write("user root\n")
-    return f"http://127.0.0.1:{health}/metrics"
+    return f"http://127.0.0.1:{health}/metrics", f"http://127.0.0.1:{page}/"
 
 
 def _show(address: str) -> None:
@@ -116,6 +122,7 @@ def _show(address: str) -> None:
     frames = [line for line in lines if line.startswith("gis_radar_frames_total{")]
     alarms = [line for line in lines if line.startswith("gis_radar_alarm{") and line[-1] == "1"]
     sys.stdout.write("  ".join(frames + alarms).replace("gis_radar_", "") + "\n")
+    sys.stdout.flush()
 
 
 def _free_port() -> int:
