@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import http.cookiejar
 import json
 import math
 import socket
@@ -20,17 +21,22 @@ from axe_core_python.selenium import Axe
 from browser import start_chromium, wide
 from live_replay import Replay
 from live_site import Background, LiveSite, free_port, is_open, needs_mosquitto, wait_for
+from pydantic import ValidationError
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.ui import WebDriverWait
 
-from gis_radar.errors import OutputError, UsageError
+from gis_radar.errors import InputError, OutputError, UsageError
 from gis_radar.heatmap import style
+from gis_radar.languages import catalogue
 from gis_radar.live.edge import Edge
 from gis_radar.live.fusion import Fusion
+from gis_radar.live.health import ALARMS, SensorHealth
+from gis_radar.live.map_of_now import MapOfNow
 from gis_radar.live.page import Access, difference, make_app, whole_event
-from gis_radar.live.server import Page
+from gis_radar.live.server import Page, access_of
 from gis_radar.live.settings import read_edge_file, read_live_site
 from gis_radar.live.snapshot import NOT_OBSERVED, Snapshot
+from gis_radar.live.windows import Seen
 from gis_radar.site.live_table import PageTable
 
 VENDOR = Path(__file__).parents[1] / "gis_radar" / "live" / "web" / "vendor" / "maplibre-gl.mjs"
@@ -210,7 +216,14 @@ def test_only_who_has_the_token_reads(live):
         assert (
             "gis_radar_frames_total" in get(address + "/metrics", Authorization="Bearer s3cret")[0]
         )
-        assert "<h1>" in get(address + "/?token=s3cret", Cookie="gis_radar=s3cret")[0]
+        jar = http.cookiejar.CookieJar()
+        browser = urllib.request.build_opener(urllib.request.HTTPCookieProcessor(jar))
+        with browser.open(f"{address}/?token=s3cret&lang=de") as answer:
+            assert answer.url == f"{address}/?lang=de"
+            assert '<html lang="de">' in answer.read().decode()
+        assert ["HttpOnly" in each._rest for each in jar] == [True]
+        with browser.open(f"{address}/state.json") as answer:
+            assert json.load(answer)["whole"]
 
 
 def test_others_cannot_write_nor_ask_in_the_name_of_this_machine(address):
@@ -319,3 +332,48 @@ def test_an_address_that_is_taken_is_one_line(tmp_path, once, live):
         page = Page(live, read_live_site(site.file), table, live.place.tiles)
         with pytest.raises(OutputError, match=r"127\.0\.0\.1:\d+: the page cannot be served there"):
             page.open()
+
+
+def test_every_alarm_has_its_german():
+    assert set(ALARMS.values()) <= set(catalogue("de"))
+
+
+@pytest.mark.parametrize(
+    "address", ["127.0.0.1:8080/", "a@127.0.0.1:80", "127.0.0.1:80?x", "::1:80"]
+)
+def test_addresses_that_are_none_are_refused(address):
+    with pytest.raises(ValidationError):
+        PageTable(address=address)
+
+
+@pytest.mark.parametrize("token", ["", "zwei wörter", "ünicode", "a b"])
+def test_tokens_that_cannot_be_sent_are_refused(tmp_path, token):
+    file = tmp_path / "page.token"
+    file.write_text(token, encoding="utf-8")
+    with pytest.raises(InputError, match=r"page\.token: holds no token"):
+        access_of(PageTable.model_construct(address="0.0.0.0:80", token_file=file))
+
+
+def test_a_state_that_was_given_does_not_change():
+    current = MapOfNow(3, interval=10)
+    current.views["v"] = np.array([True, True, False])
+    current.take(1, {"R1": Seen(np.array([0]), "v")})
+    before = current.state()
+    kept = before.occupied.copy(), before.observed_steps.copy()
+    current.take(2, {"R1": Seen(np.array([1]), "v")})
+    assert (before.occupied == kept[0]).all()
+    assert (before.observed_steps == kept[1]).all()
+    assert current.state().observed_steps.tolist() == [2, 2, 0]
+
+
+def test_alarms_keep_their_last_words_and_end():
+    health = SensorHealth(name="R1")
+    health.alarm("damaged", "number 1")
+    health.alarm("damaged", "number 2")
+    assert health.alarms == {"damaged": "number 2"}
+    health.heard_s = now = time.time()
+    health.look(now + 1.0)
+    assert health.alarms == {"damaged": "number 2"}
+    health.heard_s = now + 1_000.0
+    health.look(now + 1_000.0)
+    assert health.alarms == {}

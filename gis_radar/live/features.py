@@ -22,6 +22,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from gis_radar.errors import InputError
+from gis_radar.live.health import ALARMS
 from gis_radar.live.snapshot import DEGREES, LiveMap, Snapshot
 from gis_radar.steps import STEP_S, iso_from_step, seconds_from_iso
 
@@ -178,10 +179,15 @@ class _Layers:
     def sensors(self) -> gpd.GeoDataFrame:
         states = [each for each in self._live.snapshot().sensors if each.pose is not None]
         points = [self._place.degrees_of(each.pose) for each in states if each.pose is not None]
-        names = ("online", "problem", "lag_s")
-        rows = {name: [getattr(each, name) for each in states] for name in names}
+        rows = {
+            "sensor": [each.name for each in states],
+            "online": [each.online for each in states],
+            "problem": ["; ".join(f"{ALARMS[kind]}: {text}" for kind, text in each.alarms.items())
+                        for each in states],
+            "lag_s": [each.lag_s for each in states],
+        }  # fmt: skip
         return gpd.GeoDataFrame(
-            {"sensor": [each.name for each in states], **rows},
+            rows,
             geometry=[shapely.Point(place) for place in points],
         )
 

@@ -104,7 +104,7 @@ class Fusion:
         return {"sensors": {name: dict(each.health.counts) for name, each in self.sensors.items()}}
 
     def state(self) -> MapState:
-        """Return the map of now, a copy."""
+        """Return the map of now."""
         return self._map.state()
 
     def metrics(self) -> str:
@@ -176,7 +176,8 @@ class Fusion:
         for step, frames in self._windows.close(now_us):
             self._map.take(step, frames)
             if self._page is not None:
-                self._page.take(step, *self._map.now)
+                state = self._map.state()
+                self._page.take(step, state.occupied, state.observed)
 
     def _regular(self) -> None:
         """Do what the clock asks for: commit, acknowledge, write hours and files."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import statistics
 import time
 from collections import Counter, deque
@@ -60,6 +61,8 @@ class SensorHealth:
     alarms: dict[str, str] = field(default_factory=dict)
     newest_s: float = float("nan")
     heard_s: float = field(default_factory=time.time)
+    lost: int = 0
+    raised_s: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self._delays: deque[float] = deque(maxlen=self.settings.clock_frames)
@@ -67,10 +70,13 @@ class SensorHealth:
     def alarm(self, kind: str, text: str | None) -> None:
         """Raise an alarm, or end it where there is no text."""
         if text is None:
+            self.raised_s.pop(kind, None)
             if self.alarms.pop(kind, None) is not None:
                 self.reporter.log(f"{self.name}: over: {ALARMS[kind]}")
-        elif kind not in self.alarms:
-            self.alarms[kind] = text
+            return
+        new = kind not in self.alarms
+        self.alarms[kind], self.raised_s[kind] = text, time.time()
+        if new:
             self.reporter.log(f"{self.name}: {ALARMS[kind]}: {text}", "warning")
 
     def heard(self, arrival_s: float, frame_s: float, *, live: bool) -> None:
@@ -101,6 +107,9 @@ class SensorHealth:
     def look(self, now_s: float) -> None:
         """Raise the alarm of a sensor from which nothing comes."""
         quiet_s = now_s - self.heard_s
+        for kind in ("damaged", "twins"):  # of single messages: over once none came for a while
+            if now_s - self.raised_s.get(kind, now_s) > self.settings.over_s:
+                self.alarm(kind, None)
         silent = quiet_s > self.settings.silent_s
         self.alarm("silent", f"for {quiet_s:.0f} s" if silent else None)
 
@@ -188,8 +197,11 @@ class HealthServer:
             def log_message(self, *_: object) -> None:
                 """Say nothing of each look."""
 
+        class Server(ThreadingHTTPServer):
+            address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
+
         try:
-            self._server = ThreadingHTTPServer((host.strip("[]"), int(port)), Handler)
+            self._server = Server((host.strip("[]"), int(port)), Handler)
         except OSError as error:
             raise OutputError(f"{address}: cannot serve there: {error.strerror}") from error
         self._server.daemon_threads = True

@@ -208,8 +208,9 @@ class Intake:
         online = record.get("state") == ONLINE
         sensor.health.alarm("offline", None if online else "the broker lost it, or it was stopped")
         lost = record.get("lost")
-        if isinstance(lost, int) and lost > 0:
-            sensor.health.alarm("lost", f"{lost} messages")
+        if isinstance(lost, int):
+            sensor.health.lost = lost
+            sensor.health.alarm("lost", f"{lost} messages" if lost > 0 else None)
         stream = record.get("stream")
         if online and isinstance(stream, str) and stream:
             self._use_stream(sensor, stream)
@@ -242,8 +243,7 @@ class Intake:
             self._ask(sensor)
             return
         if envelope.previous > sensor.received:
-            sensor.health.counts["gaps"] += 1
-            self._ask(sensor, again=True)
+            sensor.health.counts["gaps"] += self._ask(sensor, again=True)
             return
         if envelope.kind == POSE:
             if self._take_pose(sensor, envelope, content):
@@ -251,13 +251,14 @@ class Intake:
         else:
             self._take_hits(sensor, envelope, content, message)
 
-    def _ask(self, sensor: SensorState, *, again: bool = False) -> None:
+    def _ask(self, sensor: SensorState, *, again: bool = False) -> bool:
         """Acknowledge anew, at most each second: the sensor does not know what is stored."""
         now = time.monotonic()
         if now - sensor.asked_s < ACK_S:
-            return
+            return False
         sensor.asked_s, sensor.due = now, True
         sensor.resend += again
+        return True
 
     def _refuse(self, sensor: SensorState, reason: str) -> None:
         """Leave a stream unacknowledged, and say why: it waits at the sensor."""

@@ -58,9 +58,9 @@ class MapOfNow:
         self.holds_s: dict[str, float] = {}
         self._tiles, self._interval = tiles, interval
         self._latest: dict[str, tuple[int, Seen]] = {}
-        self._begin = self._step = 0
-        self._occupied, self._observed = (np.zeros(tiles, np.bool_) for _ in range(2))
-        self._occupied_steps, self._observed_steps = (np.zeros(tiles, np.int64) for _ in range(2))
+        nowhere, never = np.zeros(tiles, np.bool_), np.zeros(tiles, np.int64)
+        self._state = MapState(step=0, begin=0, occupied=nowhere, observed=nowhere,
+                               occupied_steps=never, observed_steps=never)  # fmt: skip
 
     def take(self, step: int, frames: Mapping[str, Seen]) -> None:
         """Count a closed step; steps come in order, none left out.
@@ -72,37 +72,30 @@ class MapOfNow:
         frames : mapping
             What sensors that have a frame in it report.
         """
-        if (begin := step - step % self._interval) != self._begin:
-            self._begin = begin
-            self._occupied_steps[:] = self._observed_steps[:] = 0
-        self._step = step
-        self._occupied[:] = self._observed[:] = False
+        last, begin = self._state, step - step % self._interval
+        occupied, observed = (np.zeros(self._tiles, np.bool_) for _ in range(2))
         for sensor, seen in frames.items():
             self._latest[sensor] = (step, seen)
         for sensor, (since, seen) in self._latest.items():
             if step - since <= steps_held(self.holds_s.get(sensor, 0.0)):
-                self._occupied[seen.tiles] = True
+                occupied[seen.tiles] = True
                 view = self.views.get(seen.view)
                 if view is not None:
-                    self._observed |= view
-        self._occupied &= self._observed  # as a heat map: a hit beyond every view is none
-        self._occupied_steps += self._occupied
-        self._observed_steps += self._observed
+                    observed |= view
+        occupied &= observed  # as a heat map: a hit beyond every view is none
+        anew = begin != last.begin
+        # whoever looks meanwhile has the last one: arrays of a state never change
+        self._state = MapState(
+            step=step, begin=begin, occupied=occupied, observed=observed,
+            occupied_steps=occupied + (0 if anew else last.occupied_steps),
+            observed_steps=observed + (0 if anew else last.observed_steps),
+        )  # fmt: skip
 
     @property
     def step(self) -> int:
         """The last step that counts."""
-        return self._step
-
-    @property
-    def now(self) -> tuple[Booleans, Booleans]:
-        """Which tiles are occupied and observed in that step: to be looked at only."""
-        return self._occupied, self._observed
+        return self._state.step
 
     def state(self) -> MapState:
-        """Return the map as it stands: a copy."""
-        return MapState(
-            step=self._step, begin=self._begin, occupied=self._occupied.copy(),
-            observed=self._observed.copy(), occupied_steps=self._occupied_steps.copy(),
-            observed_steps=self._observed_steps.copy(),
-        )  # fmt: skip
+        """Return the map as it stands."""
+        return self._state

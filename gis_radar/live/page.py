@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import hmac
 import json
+import logging
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
@@ -36,10 +37,12 @@ from gis_radar.errors import UsageError
 from gis_radar.heatmap import style
 from gis_radar.languages import LANGUAGES, class_label
 from gis_radar.live.features import feature_routes
+from gis_radar.live.health import ALARMS
 from gis_radar.live.snapshot import LiveMap, Place, ShownSensor, Snapshot
 from gis_radar.steps import step_begin
 from gis_radar.words import speaking, tr
 
+_LOGGER = logging.getLogger(__name__)
 EVENTS_PER_S = 3.0  # what a person can follow; a step is 50 ms
 WAITING = 8  # events that a slow reader may lag behind; then the whole map is sent anew
 MOST_READERS = 200  # p99 of 50 readers at 4 Hz is 10 ms; a city's page stands behind a proxy
@@ -197,7 +200,8 @@ class _Guard:
             return None
         given = request.query_params.get("token", "")
         if self._is_token(given) and request.url.path == "/":
-            answer = RedirectResponse("/", 303, headers=_HEADERS)
+            asked = request.url.remove_query_params("token").query
+            answer = RedirectResponse(f"/?{asked}" if asked else "/", 303, headers=_HEADERS)
             answer.set_cookie(COOKIE, given, httponly=True, samesite="strict")
             return answer
         bearer = request.headers.get("authorization", "").removeprefix("Bearer ")
@@ -234,7 +238,10 @@ class Changes:
         while True:
             await asyncio.sleep(1.0 / EVENTS_PER_S)
             if self._readers:
-                self._hand_out(self._live.snapshot())
+                try:
+                    self._hand_out(self._live.snapshot())
+                except Exception:  # readers wait for the next one, and see how old theirs is
+                    _LOGGER.exception("the page's map could not be made")
 
     def _hand_out(self, snapshot: Snapshot) -> None:
         whole = whole_event(self._live.place, snapshot)
@@ -272,6 +279,7 @@ def whole_event(place: Place, snapshot: Snapshot) -> dict[str, Any]:
     share = snapshot.by_lane(place)
     return {
         "whole": True,
+        "tiles": place.fingerprint,
         "step": snapshot.step,
         "clock": f"{begin.astimezone(place.zone):%H:%M:%S}",
         "occupied": snapshot.now.tolist(),
@@ -305,8 +313,8 @@ def _sensor(place: Place, state: ShownSensor) -> dict[str, Any]:
         view = place.view_of(state.pose)
     lag = None if np.isnan(state.lag_s) else round(state.lag_s, 2)
     return {
-        "online": state.online, "problem": state.problem, "at": where, "view": view, "lag_s": lag,
-        "frames_per_s": round(state.frames_per_s, 1), "lost": state.lost,
+        "online": state.online, "alarms": dict(state.alarms), "at": where, "view": view,
+        "lag_s": lag, "frames_per_s": round(state.frames_per_s, 1), "lost": state.lost,
     }  # fmt: skip
 
 
@@ -340,7 +348,8 @@ def _page(place: Place, language: str) -> str:
         words = {"online": tr("online"), "offline": tr("offline"), "late": tr("no connection"),
                  "occupied": tr("{n} tiles are occupied now"), "no_map": tr(
                      "This browser cannot draw the map (it lacks WebGL); the tables below go on."),
-                 "none": tr("not observed")}  # fmt: skip
+                 "none": tr("not observed"),
+                 "alarms": {kind: tr(text) for kind, text in ALARMS.items()}}  # fmt: skip
         colours = {"classes": [colour for colour, _ in classes], "unobserved": style.NOT_OBSERVED,
                    "free": style.NEVER_HIT, "occupied": OCCUPIED,
                    "breaks": [round(1000 * each) for each in style.BREAKS[:-1]]}  # fmt: skip
@@ -368,6 +377,7 @@ def _site_json(place: Place, language: str) -> bytes:
             )
         ]
     content = {
+        "fingerprint": place.fingerprint,
         "bounds": [[west, south], [east, north]],
         "tiles": _collection(place.in_degrees(place.tiles).geometry.to_numpy()),
         "lanes": named,

@@ -16,7 +16,6 @@ import uvicorn
 from gis_radar.arrays import Booleans
 from gis_radar.errors import InputError, OutputError
 from gis_radar.lanelets import lanes, read_map
-from gis_radar.live.health import ALARMS
 from gis_radar.live.intake import SensorState
 from gis_radar.live.map_of_now import MapState
 from gis_radar.live.page import Access, make_app
@@ -25,7 +24,6 @@ from gis_radar.live.settings import LiveSite
 from gis_radar.live.snapshot import Place, ShownSensor, Snapshot
 from gis_radar.site.live_table import PageTable
 from gis_radar.steps import zone_of
-from gis_radar.words import speaking, tr, tr_message
 
 START_S, END_S = 10.0, 2.0
 RATE_S = 10.0  # over which frames are counted
@@ -37,7 +35,7 @@ class FusedMap(Protocol):
     sensors: dict[str, SensorState]
 
     def state(self) -> MapState:
-        """Return the map of now, a copy."""
+        """Return the map of now."""
 
     def metrics(self) -> str:
         """Return health as text for Prometheus."""
@@ -54,14 +52,10 @@ class ShownMap:
         What stays.
     recent : RecentCounts
         Counts of the last minutes.
-    language : str
-        Of sentences on what is wrong.
     """
 
-    def __init__(
-        self, fusion: FusedMap, place: Place, recent: RecentCounts, *, language: str
-    ) -> None:
-        self._fusion, self._place, self._recent, self._language = fusion, place, recent, language
+    def __init__(self, fusion: FusedMap, place: Place, recent: RecentCounts) -> None:
+        self._fusion, self._place, self._recent = fusion, place, recent
         self._frames: deque[tuple[float, dict[str, int]]] = deque()
         self._lock = Lock()
 
@@ -109,19 +103,15 @@ class ShownMap:
 
     def _shown(self, name: str, sensor: SensorState, rate: float) -> ShownSensor:
         health = sensor.health
-        alarms = {kind: text for kind, text in list(health.alarms.items()) if kind != "offline"}
-        with speaking(self._language):
-            problem = "; ".join(
-                f"{tr(ALARMS[kind])}: {tr_message(text)}" for kind, text in alarms.items()
-            )
+        alarms = dict(health.alarms)
         return ShownSensor(
             name=name,
-            online="offline" not in health.alarms and bool(sensor.stream),
-            problem=problem,
+            online="offline" not in alarms and bool(sensor.stream),
+            alarms={kind: text for kind, text in alarms.items() if kind != "offline"},
             pose=sensor.pose,
             lag_s=health.lag_s,
             frames_per_s=rate,
-            lost=health.counts["gaps"],
+            lost=health.lost,
         )
 
 
@@ -158,8 +148,10 @@ def _token(path: Path) -> str:
         token = path.read_text(encoding="utf-8").strip()
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read: {error}") from error
-    if not token:
-        raise InputError(f"{path}: holds no token")
+    if not token or not token.isascii() or not token.isprintable() or " " in token:
+        raise InputError(
+            f"{path}: holds no token", hint="a token is one word of visible ASCII characters"
+        )
     return token
 
 
@@ -192,7 +184,7 @@ class Page:
         self._table = table
         place = place_of(site, tiles)
         self._recent = RecentCounts(place.lane_of_tile, place.lane_numbers)
-        self.shown = ShownMap(fusion, place, self._recent, language=site.language)
+        self.shown = ShownMap(fusion, place, self._recent)
         config = uvicorn.Config(
             make_app(self.shown, access_of(table)), host=self._host.strip("[]"), port=int(port),
             log_level="critical", lifespan="on", timeout_graceful_shutdown=1,

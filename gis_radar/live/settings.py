@@ -58,6 +58,9 @@ class LiveSettings:
         Live messages whose least delay is a sensor's offset: 10 s.
     silent_s : float
         A sensor is silent once it sent nothing for so long, seconds.
+    over_s : float
+        An alarm of single messages ends once none raised it for so long, seconds: what scrapes
+        health looks once a minute or oftener.
     """
 
     unacknowledged: int = 400
@@ -69,6 +72,7 @@ class LiveSettings:
     clock_alarm_s: float = 0.025
     clock_frames: int = 200
     silent_s: float = 5.0
+    over_s: float = 120.0
 
 
 DEFAULTS = LiveSettings()

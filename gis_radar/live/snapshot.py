@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol
@@ -18,6 +18,7 @@ from gis_radar.crs import transformer
 from gis_radar.heatmap import style
 from gis_radar.heatmap.by_lane import lane_totals, lanes_with_tiles
 from gis_radar.poses.pose import Pose
+from gis_radar.tiles.tiles import fingerprint
 
 NOT_OBSERVED = -1  # in place of a class
 DEGREES = 7  # digits after the point: a centimetre
@@ -45,6 +46,11 @@ class Place:
     zone: ZoneInfo
     tiles: gpd.GeoDataFrame
     lanes: gpd.GeoDataFrame
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Of the tiles."""
+        return fingerprint(self.tiles)
 
     @cached_property
     def lane_of_tile(self) -> Integers:
@@ -96,8 +102,8 @@ class ShownSensor:
         Its name in the site file.
     online : bool
         Whether it is connected and its frames arrive.
-    problem : str
-        One sentence where something is wrong, else empty.
+    alarms : mapping
+        What is wrong, by kind of :data:`gis_radar.live.health.ALARMS`, in a few words.
     pose : Pose, optional
         Where it stands, once that is known.
     lag_s : float
@@ -105,12 +111,12 @@ class ShownSensor:
     frames_per_s : float
         Frames that arrived in the last 10 s.
     lost : int
-        Messages that are missing since the start.
+        Messages that the sensor lost since it began, as its buffer was full.
     """
 
     name: str
     online: bool
-    problem: str = ""
+    alarms: Mapping[str, str] = field(default_factory=dict)
     pose: Pose | None = None
     lag_s: float = float("nan")
     frames_per_s: float = 0.0

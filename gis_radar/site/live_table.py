@@ -42,7 +42,8 @@ def _topic_word(text: str) -> str:
 def _host_and_port(text: str) -> str:
     try:
         parts = urlsplit(f"//{text}")
-        fits = bool(parts.hostname) and parts.port is not None
+        fits = bool(parts.hostname) and parts.port is not None and parts.netloc == text
+        fits = fits and parts.username is None and text.rpartition(":")[2].isdigit()
     except ValueError:
         fits = False
     if not fits:

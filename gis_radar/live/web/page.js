@@ -7,13 +7,22 @@ const figure = new Intl.NumberFormat(language, { maximumFractionDigits: 2 });
 const byId = (name) => document.getElementById(name);
 const SUMMARY_MS = 15000; // a screen reader reads it aloud: not more often
 const NEAR = 14; // zoom from which tiles are drawn, not lanes: a tile is a twentieth of a pixel there
+const RETRY_MS = 5000;
 const SILENT_MS = 5000; // without an event the connection counts as broken
 
 const state = { occupied: new Set(), unobserved: new Set(), classes: {}, lanes: {}, sensors: {} };
-let site, map, last = Date.now(), told = 0;
+let site, map, last = Date.now(), told = 0, opened = 0;
+
+function problem(each) {
+  return Object.entries(each.alarms).map(([kind, text]) => `${words.alarms[kind]}: ${text}`).join("; ");
+}
 
 function take(event) {
   last = Date.now();
+  if (event.whole && event.tiles !== site.fingerprint) {
+    location.reload(); // fusion was started anew with other tiles
+    return;
+  }
   const touched = new Set();
   for (const name of ["occupied", "unobserved"]) {
     const on = event.whole ? event[name] : event[name].on;
@@ -37,7 +46,7 @@ function take(event) {
 function summarise() {
   told = Date.now();
   const sensors = Object.entries(state.sensors).map(
-    ([name, each]) => `${name}: ${each.problem || (each.online ? words.online : words.offline)}`);
+    ([name, each]) => `${name}: ${problem(each) || (each.online ? words.online : words.offline)}`);
   byId("summary").textContent =
     [words.occupied.replace("{n}", figure.format(state.occupied.size)), ...sensors].join(". ") + ".";
 }
@@ -74,9 +83,9 @@ function row(cells, numbers) {
 function showSensors() {
   const lines = Object.entries(state.sensors).map(([name, each]) => {
     const lag = each.lag_s === null ? "–" : figure.format(each.lag_s);
-    const said = each.problem || (each.online ? words.online : words.offline);
+    const said = problem(each) || (each.online ? words.online : words.offline);
     const line = row([name, said, figure.format(each.frames_per_s), lag, figure.format(each.lost)], [2, 3, 4]);
-    if (each.problem || !each.online) line.children[1].classList.add("bad");
+    if (problem(each) || !each.online) line.children[1].classList.add("bad");
     return line;
   });
   byId("sensor-rows").replaceChildren(...lines);
@@ -95,7 +104,7 @@ function sensorLayer() {
   const features = [];
   for (const [name, each] of Object.entries(state.sensors)) {
     if (!each.at) continue;
-    const properties = { name, online: each.online && !each.problem };
+    const properties = { name, online: each.online && !problem(each) };
     features.push({ type: "Feature", properties, geometry: { type: "Polygon", coordinates: [each.view] } });
     features.push({ type: "Feature", properties, geometry: { type: "Point", coordinates: each.at } });
   }
@@ -146,13 +155,21 @@ function trouble(text) {
   byId("trouble").textContent = text;
 }
 
-async function begin() {
-  site = await (await fetch(`/site.json?lang=${language}`)).json();
+function listen() {
+  opened = Date.now();
   const stream = new EventSource("/events");
   stream.addEventListener("map", (event) => take(JSON.parse(event.data)));
+  return stream;
+}
+
+async function begin() {
+  site = await (await fetch(`/site.json?lang=${language}`)).json();
+  let stream = listen();
   let drawn = true;
   setInterval(() => {
     const silent = Date.now() - last > SILENT_MS;
+    // after an answer that is no stream, as of a proxy, a browser does not try again by itself
+    if (stream.readyState === EventSource.CLOSED && Date.now() - opened > RETRY_MS) stream = listen();
     trouble(silent ? words.late : drawn ? "" : words.no_map);
     document.body.classList.toggle("silent", silent);
   }, 1000);
