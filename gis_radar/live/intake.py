@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
+from copy import copy
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from gis_radar.arrays import Booleans
-from gis_radar.errors import InputError
+from gis_radar.errors import InputError, OutputError
 from gis_radar.live.broker import Received, SensorTopics, parts_of
 from gis_radar.live.health import SensorHealth
 from gis_radar.live.journal import HOUR_US, FrameRow, Journal, PoseRow
@@ -128,11 +129,19 @@ class Intake:
     ) -> None:
         self.poses: dict[int, KnownPose] = {}
         self.unknown: set[str] = set()
+        self._unwritten = ""
         self.touched: dict[int, float] = dict.fromkeys(journal.hours(), -1e9)
         self._site, self._book, self._journal = site, book, journal
         self._windows, self._map = windows, current
         self._settings, self._reporter = settings, reporter
         self.sensors = {name: self._sensor(name) for name in names}
+        for name in journal.sensors():
+            if name not in self.sensors:
+                reporter.log(
+                    f"{journal.path}: holds frames of {name}, which the site no longer names: they "
+                    "are written once it does again",
+                    "warning",
+                )
 
     def _sensor(self, name: str) -> SensorState:
         """Return what the journal holds of a sensor."""
@@ -141,9 +150,13 @@ class Intake:
         heads: dict[int, PoseRow] = {}
         rows = self._journal.poses(name)
         by_id = {row.id: row for row in rows}
+        views: dict[int, str] = {}  # of the scan of now: that of the journal may be another
         for row in rows:
             content = PoseContent.unpack(row.content)
-            self.poses[row.id] = KnownPose(content=content, view=row.view)
+            if row.standing not in views:
+                seen = PoseContent.unpack(by_id[row.standing].content)
+                views[row.standing] = self._see(seen, name)
+            self.poses[row.id] = KnownPose(content=content, view=views[row.standing])
             state.poses[row.stream, row.number] = row.id
             if content.pose.get("event") == "moved":
                 heads = {}
@@ -154,9 +167,6 @@ class Intake:
             (number, pose_from_dict(PoseContent.unpack(row.content).pose, what=name))
             for number, row in heads.items()
         ]
-        for view in {row.view for row in rows}:
-            row = next(row for row in rows if row.view == view and row.id == row.standing)
-            self._see(PoseContent.unpack(row.content), name)
         state.standing = SharedViews(self._book.settings, known)
         state.pose = known[-1][1] if known else None
         for (sensor, stream), stored in self._journal.marks().items():
@@ -202,6 +212,10 @@ class Intake:
         except InputError as error:
             sensor.health.counts["damaged"] += 1
             sensor.health.alarm("damaged", error.message)
+        except OutputError as error:  # it comes again, as it is not acknowledged
+            if error.message != self._unwritten:
+                self._unwritten = error.message
+                self._reporter.log(f"{error.message} ({error.hint})", "warning")
 
     def _handle_status(self, sensor: SensorState, message: Received) -> None:
         record = read_record(message.payload, what="a status", version=VERSION)
@@ -289,11 +303,13 @@ class Intake:
             )
             return False
         row_id = self._journal.next_pose()
-        standing = sensor.standing.add(pose, row_id)
+        standings = copy(sensor.standing)  # kept only once the pose is on disk
+        standing = standings.add(pose, row_id)
         view = self._see(found, name) if standing == row_id else self.poses[standing].view
         self._journal.add_pose(
             PoseRow(row_id, name, sensor.stream, envelope.number, content, standing, view)
         )
+        self._unwritten, sensor.standing = "", standings
         self.poses[row_id] = KnownPose(content=found, view=view)
         sensor.poses[sensor.stream, envelope.number] = row_id
         sensor.pose = pose

@@ -187,17 +187,25 @@ class Journal:
             yield [FrameRow(*row) for row in rows]
             begin_us = rows[-1][1] + 1
 
-    def drop_hour(self, hour: int) -> None:
-        """Drop the frames of an hour: they are written elsewhere, and on disk."""
+    def drop_hour(self, hour: int, sensors: Sequence[str]) -> None:
+        """Drop these sensors' frames of an hour: they are written elsewhere, and on disk."""
         span = (hour * HOUR_US, (hour + 1) * HOUR_US)
         with self._errors():
-            self._database.execute("DELETE FROM frames WHERE time_us >= ? AND time_us < ?", span)
+            self._database.executemany(
+                "DELETE FROM frames WHERE sensor = ? AND time_us >= ? AND time_us < ?",
+                [(sensor, *span) for sensor in sensors],
+            )
+
+    def sensors(self) -> list[str]:
+        """Return the sensors of which frames are kept."""
+        rows = self._database.execute("SELECT DISTINCT sensor FROM frames ORDER BY 1")
+        return [sensor for (sensor,) in rows]
 
     @contextmanager
     def _errors(self) -> Iterator[None]:
         try:
             yield
-        except (sqlite3.Error, OSError) as error:
+        except (sqlite3.Error, OSError, OverflowError) as error:
             reason = "the disk is full" if "full" in str(error) else str(error)
             raise OutputError(
                 f"{self.path}: cannot be written: {reason}",

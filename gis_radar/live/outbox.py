@@ -7,9 +7,9 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-from gis_radar.errors import InputError
+from gis_radar.errors import InputError, OutputError
 from gis_radar.live.broker import Link, SensorTopics
-from gis_radar.live.buffer import DiskBuffer, FullError
+from gis_radar.live.buffer import DiskBuffer
 from gis_radar.live.payload import KINDS, POSE, VERSION, Acknowledgement, Envelope, pack_message
 from gis_radar.live.settings import DEFAULTS, LiveSettings
 from gis_radar.progress import QUIET, Reporter
@@ -64,12 +64,13 @@ class Outbox:
         self._progress = self._reported = time.monotonic()
         self._patience_s = settings.resend_s
         self._empty = len(buffer) == 0
+        self._dropped, self._undropped = 0, ""
 
     def put(self, kind: int, content: bytes) -> int:
         """Add a message; return its number, or 0 where the buffer is full: it is then lost."""
         try:
             number = self._buffer.append(kind, content)
-        except FullError as error:
+        except OutputError as error:
             if self.lost == 0:
                 self._reporter.log(f"{error.message}: {error.hint}", "warning")
             self.lost += 1
@@ -100,6 +101,7 @@ class Outbox:
             self._rewind()
         if now - self._reported >= STATUS_S:
             self._reported = now
+            self._drop()
             status = status_message(ONLINE, stream=self._buffer.stream.hex(), **self._figures())
             self._link.publish(self._topics.of("status"), status, retain=True)
         if self._on_way and now - self._progress > self._patience_s:
@@ -131,6 +133,19 @@ class Outbox:
         self._on_way.clear()
         self._sent, self._progress = self.stored, time.monotonic()
 
+    def _drop(self) -> None:
+        """Drop what fusion has stored; where the disk is full, again with the next status."""
+        if self._dropped == self.stored:
+            return
+        try:
+            self._buffer.acknowledge(self.stored)
+        except OutputError as error:
+            if error.message != self._undropped:
+                self._undropped = error.message
+                self._reporter.log(f"{error.message}; trying on", "warning")
+            return
+        self._dropped, self._undropped = self.stored, ""
+
     def _heard(self, payload: bytes) -> None:
         try:
             found = Acknowledgement.unpack(payload)
@@ -144,7 +159,7 @@ class Outbox:
         self._refused = found.refused
         if found.stored > self.stored:
             self.stored = min(found.stored, self._buffer.last)
-            self._buffer.acknowledge(self.stored)
+            self._drop()
             self._progress, self._patience_s = time.monotonic(), self._settings.resend_s
             while self._on_way and self._on_way[0] <= self.stored:
                 self._on_way.popleft()

@@ -20,6 +20,7 @@ from gis_radar.arrays import Integers
 from gis_radar.errors import InputError
 from gis_radar.occupancy.hit_counter import CountedFrame
 from gis_radar.occupancy.tile_sets import decode_tiles, encode_tiles
+from gis_radar.steps import FIRST_YEAR, LAST_YEAR, in_known_years
 
 VERSION = 1
 HITS, POSE, RETURNS = 1, 2, 3
@@ -156,7 +157,7 @@ def unpack_hits(content: bytes, *, tiles: int) -> HitsContent:
     Raises
     ------
     InputError
-        If the bytes are no such content, or name a tile that is not there.
+        If the bytes are no such content, or name a tile or a year that is not there.
     """
     read = _Numbers(content, FINGERPRINT_BYTES)
     pose, count = read.take(), read.take()
@@ -174,6 +175,11 @@ def unpack_hits(content: bytes, *, tiles: int) -> HitsContent:
             )
         )  # fmt: skip
     read.end()
+    seconds = np.array([frame.time_us / 1e6 for frame in frames])
+    if not (known := in_known_years(seconds)).all():
+        raise InputError(
+            f"a frame at {seconds[~known][0]:g} s, outside the years {FIRST_YEAR} to {LAST_YEAR}"
+        )
     digits = content[:FINGERPRINT_BYTES].hex()
     return HitsContent(frames=tuple(frames), pose=pose, tiles_begin=digits)
 

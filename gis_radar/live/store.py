@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from gis_radar.arrays import Integers
-from gis_radar.files import whole_folder
+from gis_radar.files import output_errors, whole_folder
 from gis_radar.live.journal import HOUR_US, FrameRow, Journal
 from gis_radar.live.payload import PoseContent
 from gis_radar.occupancy.folder import (
@@ -96,7 +96,7 @@ class Store:
         tiles : mapping
             Ids of the tiles by name of view.
         sensors : sequence of str
-            All sensors.
+            Those whose frames are written; the journal keeps what others sent.
 
         Raises
         ------
@@ -111,7 +111,8 @@ class Store:
         occupancy = found.occupancy(with_frames)
         if path.exists():
             occupancy = merge_occupancies([read_occupancy(path), occupancy])
-        self.folder.mkdir(parents=True, exist_ok=True)
+        with output_errors(self.folder):
+            self.folder.mkdir(parents=True, exist_ok=True)
         with whole_folder(path, owned=OWNED) as part:
             names = occupancy.sensors
             HITS.write(occupancy.hits_by_sensor(names), part / HITS_FILE, self.fingerprint, names)
@@ -120,7 +121,7 @@ class Store:
                 _sync(file)
             _sync(part)
         _sync(self.folder)
-        journal.drop_hour(hour)
+        journal.drop_hour(hour, with_frames)
         return path
 
 
@@ -215,8 +216,9 @@ class _Hour:
 
 def _sync(path: Path) -> None:
     """Bring a file, or the names in a folder, to the disk."""
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
+    with output_errors(path):
+        handle = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
