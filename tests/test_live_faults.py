@@ -1,17 +1,30 @@
 """What may go wrong in the live system, without a network: nothing acknowledged is lost then."""
 
+import sqlite3
+
 import numpy as np
 import pytest
 from live_site import SAMPLE
 
 import gis_radar as gr
 from gis_radar.errors import InputError
-from gis_radar.live.broker import Received
+from gis_radar.live.broker import Received, SensorTopics
+from gis_radar.live.buffer import DiskBuffer
 from gis_radar.live.intake import Intake
-from gis_radar.live.journal import HOUR_US, FrameRow, Journal
+from gis_radar.live.journal import HOUR_US, FrameRow, Journal, PoseRow
 from gis_radar.live.map_of_now import MapOfNow
-from gis_radar.live.payload import HITS, POSE, Envelope, PoseContent, pack_hits, pack_message
-from gis_radar.live.payload import unpack_hits as unpacked_hits
+from gis_radar.live.outbox import Outbox
+from gis_radar.live.payload import (
+    HITS,
+    POSE,
+    Acknowledgement,
+    Envelope,
+    PoseContent,
+    pack_hits,
+    pack_message,
+    unpack_hits,
+    unpack_message,
+)
 from gis_radar.live.store import KnownPose, Store
 from gis_radar.live.windows import Windows
 from gis_radar.occupancy.hit_counter import CountedFrame
@@ -95,7 +108,7 @@ def test_a_frame_of_no_known_year_is_refused_and_stops_nothing(tmp_path, road, t
     content = pack_hits(frames, pose=1, fingerprint=road.fingerprint)
     if not sound:
         with pytest.raises(InputError, match="outside the years"):
-            unpacked_hits(content, tiles=10)
+            unpack_hits(content, tiles=10)
     with Journal(tmp_path / "j", fingerprint=road.fingerprint) as journal:
         intake = intake_of(journal, road)
         intake.handle(message(POSE, 1, pose_content(road.fingerprint).pack(), 0))
@@ -105,3 +118,96 @@ def test_a_frame_of_no_known_year_is_refused_and_stops_nothing(tmp_path, road, t
         journal.commit()
         for hour in journal.hours():
             Store(folder=tmp_path, fingerprint=PRINT, tile_id=np.arange(1), sight="").path_of(hour)
+
+
+class Broken:
+    """A database whose disk is full for as long as `full` is set."""
+
+    def __init__(self, database):
+        self._database, self.full = database, True
+
+    def execute(self, query, *values):
+        if self.full and query.startswith(("INSERT", "DELETE")):
+            raise sqlite3.OperationalError("database or disk is full")
+        return self._database.execute(query, *values)
+
+    def __getattr__(self, name):
+        return getattr(self._database, name)
+
+
+class NoLink:
+    """A link that brings what a test puts into it."""
+
+    def __init__(self, *received):
+        self.received, self.connected, self.connections, self.sent = [*received], True, 1, []
+
+    def take(self, _timeout_s):
+        return self.received.pop(0) if self.received else None
+
+    def publish(self, topic, payload, *, retain=False):
+        self.sent.append((topic.rpartition("/")[2], payload, retain))
+
+
+def outbox_of(buffer, link, reporter=None):
+    return Outbox(buffer, link, SensorTopics("s", "R1"), figures=dict, reporter=reporter or Lines())
+
+
+def ack(buffer, stored):
+    found = Acknowledgement(stream=buffer.stream.hex(), stored=stored, session="a")
+    return Received("v1/s/R1/ack", found.pack(), 1.0, retained=True)
+
+
+def test_an_acknowledgement_on_a_full_disk_ends_no_edge(tmp_path):
+    with DiskBuffer(tmp_path / "b", most_bytes=10**8, fingerprint=PRINT) as buffer:
+        link, reporter = NoLink(), Lines()
+        outbox = outbox_of(buffer, link, reporter)
+        for k in range(5):
+            assert outbox.put(HITS, bytes([k])) == k + 1
+        buffer._database = broken = Broken(buffer._database)
+        link.received = [ack(buffer, 2), ack(buffer, 3)]
+        outbox.pump()
+        assert outbox.put(HITS, b"x") == 0  # lost, and said
+        assert (outbox.lost, len(buffer), outbox.stored) == (1, 5, 3)
+        assert sum("the disk is full" in line for line in reporter.lines) == 2
+        sent = [unpack_message(data)[0].number for kind, data, _ in link.sent if kind == "hits"]
+        assert sent == [4, 5]  # what fusion has goes not again
+        broken.full = False
+        outbox._reported = 0.0
+        outbox.pump()
+        assert len(buffer) == 2
+
+
+def test_a_pose_on_a_full_disk_ends_no_fusion_and_comes_again(tmp_path, road):
+    reporter = Lines()
+    with Journal(tmp_path / "j", fingerprint=road.fingerprint) as journal:
+        intake = intake_of(journal, road, reporter=reporter)
+        journal._database = broken = Broken(journal._database)
+        pose = message(POSE, 1, pose_content(road.fingerprint).pack(), 0)
+        sensor = intake.sensors["R1"]
+        for _ in range(3):
+            intake.handle(pose)
+        assert (sensor.received, sensor.poses, sensor.health.counts["damaged"]) == (0, {}, 0)
+        assert sum("the disk is full" in line for line in reporter.lines) == 1
+        broken.full = False
+        intake.handle(pose)
+        assert (sensor.received, sensor.poses) == (1, {(STREAM.hex(), 1): 1})
+        assert [each.standing for each in journal.poses("R1")] == [1]
+
+
+def test_views_of_an_old_journal_are_those_of_the_scan_of_now(tmp_path, road):
+    """Poses that were seen by another scan: hours are written, and the map sees."""
+    time_us = HOUR * HOUR_US + 50_000
+    store = Store(
+        folder=tmp_path / "o", fingerprint=road.fingerprint, tile_id=road.tile_id, sight="none"
+    )
+    with Journal(tmp_path / "j", fingerprint=road.fingerprint) as journal:
+        content = pose_content(road.fingerprint)
+        for number in (1, 2):
+            journal.add_pose(PoseRow(number, "R1", "aa", number, content.pack(), 1, "old view"))
+        journal.add([row("R1", time_us), row("R1", time_us + 100_000, 2)], "R1", "aa", 3)
+        journal.commit()
+        intake = intake_of(journal, road)
+        assert {each.view for each in intake.poses.values()} == set(intake._map.views)
+        store.write_hour(HOUR, journal, intake.poses, intake._book.tiles, ["R1"])
+    views = gr.read_occupancy(store.path_of(HOUR)).views
+    assert set(views["tile_id"]) == set(*intake._book.tiles.values())
