@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
@@ -20,7 +21,7 @@ from pyproj.exceptions import CRSError as ProjError
 
 from gis_radar.arrays import Floats, Integers
 from gis_radar.crs import metric_crs, name_of, utm_zone
-from gis_radar.errors import CrsError, InputError
+from gis_radar.errors import CrsError, InputError, first_line
 from gis_radar.grid import Grid
 from gis_radar.lanelets import LaneletMap, read_map
 from gis_radar.lanelets.bounds import at_fractions, length
@@ -179,8 +180,8 @@ def _read_csv(path: Path) -> gpd.GeoDataFrame:
     """Read a table; the column of polygons is found by its content."""
     try:
         table = pd.read_csv(path, dtype=str, sep=None, engine="python")
-    except (ValueError, pd.errors.ParserError, UnicodeDecodeError, OSError) as error:
-        raise InputError(f"{path}: not a readable CSV: {str(error).splitlines()[0]}") from error
+    except (ValueError, csv.Error, pd.errors.ParserError, UnicodeDecodeError, OSError) as error:
+        raise InputError(f"{path}: not a readable CSV: {first_line(error)}") from error
     for name in table.columns:
         texts = table[name].dropna().str.strip()
         if texts.empty or not texts.iloc[0].upper().startswith(("POLYGON", "MULTIPOLYGON", "[[")):
@@ -193,15 +194,18 @@ def _read_csv(path: Path) -> gpd.GeoDataFrame:
     raise InputError(f"{path}: has no column of polygons", hint="as WKT, or as rings [[x, y], ...]")
 
 
+@np.errstate(over="ignore", invalid="ignore")  # numbers that are none are refused by name
 def _polygon(text: str) -> Any:
     return shapely.Polygon(json.loads(text)) if text.startswith("[") else shapely.from_wkt(text)
 
 
 def _mended(shapes: Any, path: Path, same_area: float, reporter: Reporter) -> Any:
     """Mend polygons where that leaves their area as drawn."""
-    bounded = np.isfinite(shapely.bounds(shapes)).all(axis=1)
-    if not bounded.all():
-        raise InputError(f"{path}: polygon {_first(~bounded)} has coordinates that are no numbers")
+    # Each corner: a box around others has none that is no number.
+    corners, of_shape = shapely.get_coordinates(shapes, return_index=True)
+    odd = of_shape[~np.isfinite(corners).all(axis=1)]
+    if len(odd):
+        raise InputError(f"{path}: polygon {odd[0]} has coordinates that are no numbers")
     invalid = ~shapely.is_valid(shapes)
     if not invalid.any():
         return shapes

@@ -244,6 +244,10 @@ def _file(read: Callable[[Path], object], name: str) -> Callable[[Path], object]
     return lambda folder: read(folder / name)
 
 
+def _wkt_roads(folder: Path) -> object:
+    return gr.read_roads(folder / "roads.csv", map_crs="EPSG:4326")
+
+
 def _road(path: Path) -> object:
     return gr.read_road(path, CRS.from_user_input(UTM))
 
@@ -282,6 +286,7 @@ ROWS = {
     "recording values": ("R1.parquet", _file(_rows, "R1.parquet"), edits.table),
     "tiles": ("tiles.gpkg", _file(gr.read_tiles, "tiles.gpkg"), edits.database),
     "heat map": ("heatmap/heatmap.gpkg", _file(gr.read_heatmap, "heatmap"), edits.database),
+    "roads csv": ("roads.csv", _wkt_roads, edits.text),
     "roads": ("roads.gpkg", _file(gr.read_roads, "roads.gpkg"), edits.database),
 }
 TARGETS = {

@@ -9,6 +9,7 @@ import json
 import logging
 import os
 import random
+import re
 import shutil
 import sqlite3
 import subprocess
@@ -56,6 +57,15 @@ def instead(old, new):
     return change
 
 
+def changed_number(text):
+    """Put a text in the place of a corner's northing."""
+    return lambda data, path: path.write_bytes(
+        re.sub(
+            rb", (\S+) \S+?,", lambda found: b", " + found[1] + b" " + text + b",", data, count=1
+        )
+    )
+
+
 def statement(text):
     def change(data, path):
         path.write_bytes(data)
@@ -74,6 +84,9 @@ def infinite_azimuth(data, path):
 LISTS = pa.list_(pa.int64())
 # What the fuzzer found once: the target, its file and what is changed in it.
 FOUND = [
+    ("roads csv", "roads.csv", lambda _, path: path.write_bytes(b"")),
+    ("roads csv", "roads.csv", changed_number(b"nan")),
+    ("roads csv", "roads.csv", changed_number(b"9" * 5000)),
     ("ars548", "list2.bin", infinite_azimuth),
     ("csv table", "table.csv", instead(b"6.0", b"6e300")),
     ("pose", "R1.json", instead(b"EPSG:25832", b"\\ud800")),
