@@ -188,7 +188,15 @@ def test_bags_that_explode(tmp_path, limited, monkeypatch, packed):
 
 def test_a_chunk_that_is_cut_off_is_damaged():
     with pytest.raises(ValueError, match="cut off"):
-        unpacking.unpacked(unpacking.bz2.BZ2Decompressor(), b"")
+        unpacking.unpacked(unpacking.bz2.BZ2Decompressor, b"")
+
+
+def test_a_chunk_of_several_streams_is_unpacked_whole_and_within_the_limit(limited):
+    make, packed = unpacking.bz2.BZ2Decompressor, unpacking.bz2.compress(bytes(600))
+    assert unpacking.unpacked(make, packed * 2) == bytes(1200)
+    limited(most_chunk_bytes=1000)
+    with pytest.raises(ValueError, match="when it is unpacked"):
+        unpacking.unpacked(make, packed * 2)
 
 
 # Maps, sites and roads.

@@ -7,7 +7,8 @@ import pytest
 from live_site import SAMPLE
 
 import gis_radar as gr
-from gis_radar.errors import InputError
+from gis_radar.errors import InputError, NoAnswerError
+from gis_radar.live import own_pose
 from gis_radar.live.broker import Received, SensorTopics
 from gis_radar.live.buffer import DiskBuffer
 from gis_radar.live.intake import Intake
@@ -16,15 +17,19 @@ from gis_radar.live.map_of_now import MapOfNow
 from gis_radar.live.outbox import Outbox
 from gis_radar.live.payload import (
     HITS,
+    MOST_BYTES,
+    MOST_CONTENT,
     POSE,
     Acknowledgement,
     Envelope,
     PoseContent,
+    in_parts,
     pack_hits,
     pack_message,
     unpack_hits,
     unpack_message,
 )
+from gis_radar.live.sources import Radar, frames_of_recording
 from gis_radar.live.store import KnownPose, Store
 from gis_radar.live.windows import Windows
 from gis_radar.occupancy.hit_counter import CountedFrame
@@ -211,3 +216,80 @@ def test_views_of_an_old_journal_are_those_of_the_scan_of_now(tmp_path, road):
         store.write_hour(HOUR, journal, intake.poses, intake._book.tiles, ["R1"])
     views = gr.read_occupancy(store.path_of(HOUR)).views
     assert set(views["tile_id"]) == set(*intake._book.tiles.values())
+
+
+def test_a_follower_that_ended_takes_nothing_and_a_fault_in_it_is_raised(monkeypatch):
+    """What a thread meets is never silent, and nothing gathers before a thread that is gone."""
+    frame = next(frames_of_recording(SAMPLE / "R1.parquet"))
+    begin = float(frame.time[0])
+    for fault in (NoAnswerError("no traffic"), ZeroDivisionError("a fault")):
+        monkeypatch.setattr(own_pose, "_map_of", lambda *_: (None, None))
+        monkeypatch.setattr(own_pose, "WindowFitter", lambda *_, **__: None)
+        monkeypatch.setattr(own_pose, "Follower", lambda *_, fault=fault, **__: Faulty(fault))
+        follower = own_pose.PoseFollower(None, gr.read_pose(SAMPLE / "R1.json"), begin)
+        follower.push(frame)
+        follower._thread.join(10.0)
+        for _ in range(50):
+            follower.push(frame)
+        assert follower._frames.empty()
+        if isinstance(fault, NoAnswerError):
+            found = follower.latest()
+            assert (found.trusted, found.refused) == (False, "no traffic")
+        else:
+            with pytest.raises(ZeroDivisionError):
+                follower.latest()
+        follower.close()
+
+
+class Faulty:
+    """A follower of poses that breaks at its first frame."""
+
+    def __init__(self, fault):
+        self._fault = fault
+
+    def push(self, _frame):
+        raise self._fault
+
+
+def test_a_fault_in_a_reader_ends_the_source(monkeypatch):
+    class Form:
+        def frames(self, *_):
+            yield from ()
+            raise ZeroDivisionError("a fault")
+
+    monkeypatch.setattr("gis_radar.live.sources.format_of", lambda _: Form())
+    with pytest.raises(ZeroDivisionError):
+        for waited, _ in enumerate(Radar(source="udp://x").frames()):
+            assert waited < 100
+
+
+def test_messages_stay_under_the_limit_and_what_cannot_be_sent_is_lost_at_once(tmp_path):
+    frames = [counted(1_750_000_000_000_000 + k, *range(k % 3, 3_000, 3)) for k in range(100)]
+    parts = list(in_parts(frames, lambda each: pack_hits(each, pose=1, fingerprint=PRINT)))
+    assert len(parts) > 1
+    assert max(map(len, parts)) <= MOST_CONTENT
+    found = [frame for part in parts for frame in unpack_hits(part, tiles=3_000).frames]
+    assert [frame.time_us for frame in found] == [frame.time_us for frame in frames]
+    whole = Envelope(kind=HITS, stream=STREAM, number=2**62, previous=1)
+    assert len(pack_message(whole, bytes(MOST_CONTENT))) <= MOST_BYTES
+    with DiskBuffer(tmp_path / "b", most_bytes=10**8, fingerprint=PRINT) as buffer:
+        reporter = Lines()
+        outbox = outbox_of(buffer, NoLink(), reporter)
+        assert outbox.put(HITS, bytes(MOST_CONTENT + 1)) == 0
+        assert (outbox.lost, len(reporter.lines), len(buffer)) == (1, 1, 0)
+        assert outbox.put(HITS, bytes(MOST_CONTENT)) == 1
+
+
+def test_a_new_start_goes_on_counting(tmp_path, road):
+    """Fifteen minutes that the journal holds are counted whole, not their last minute."""
+    begin_us = HOUR * HOUR_US
+    times = range(begin_us, begin_us + 890_000_000, 1_000_000)
+    with Journal(tmp_path / "j", fingerprint=road.fingerprint) as journal:
+        content = pose_content(road.fingerprint).pack()
+        journal.add_pose(PoseRow(1, "R1", "aa", 1, content, 1, "v"))
+        journal.add([row("R1", each) for each in times], "R1", "aa", 2)
+        journal.commit()
+        intake = intake_of(journal, road)
+        steps = list(intake.resume(begin_us, begin_us + 890_000_000))
+    assert sum(bool(frames) for _, frames in steps) == len(times)
+    assert intake._windows.late == 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from threading import Event
 from time import sleep
@@ -27,11 +28,13 @@ from gis_radar.live.own_pose import (
 )
 from gis_radar.live.payload import (
     HITS,
+    MOST_CONTENT,
     POSE,
     RETURNS,
     Envelope,
     FrameReturns,
     PoseContent,
+    in_parts,
     pack_hits,
     pack_message,
     pack_returns,
@@ -298,17 +301,18 @@ class Edge:
             self._flush()
 
     def _flush(self) -> None:
-        """Put the frames that wait for each other on disk, as one message."""
+        """Put the frames that wait for each other on disk, as one message where they fit."""
         if not self._waiting:
             return
-        content = pack_hits(
-            self._waiting, pose=self._pose_number, fingerprint=self._road.fingerprint
-        )
-        self._outbox.put(HITS, content)
+        pose, fingerprint = self._pose_number, self._road.fingerprint
+        pack = partial(pack_hits, pose=pose, fingerprint=fingerprint)
+        for content in in_parts(self._waiting, pack):
+            self._outbox.put(HITS, content)
         if self._returns and not self._outbox.behind:
-            returns = pack_returns(self._returns, pose=self._pose_number)
             envelope = Envelope(kind=RETURNS, stream=self._stream)
-            self._link.publish(self._topics.of("returns"), pack_message(envelope, returns))
+            for returns in in_parts(self._returns, partial(pack_returns, pose=pose)):
+                if len(returns) <= MOST_CONTENT:
+                    self._link.publish(self._topics.of("returns"), pack_message(envelope, returns))
         self._waiting, self._returns = [], []
 
 

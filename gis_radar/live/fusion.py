@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import secrets
 import time
+from collections.abc import Iterable
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING
@@ -20,7 +21,7 @@ from gis_radar.live.map_of_now import MapOfNow, MapState
 from gis_radar.live.payload import Acknowledgement
 from gis_radar.live.settings import DEFAULTS, LiveSettings, LiveSite, read_live_site
 from gis_radar.live.store import Store
-from gis_radar.live.windows import Windows
+from gis_radar.live.windows import Seen, Windows
 from gis_radar.occupancy.views import ViewBook
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.sight import SightTiles, describe_sight, open_sight
@@ -91,8 +92,7 @@ class Fusion:
         self.sensors = self.intake.sensors
         now_us = int(time.time() * 1e6)
         interval_us = interval_steps(site.live.interval) * STEP_US
-        self.intake.resume(now_us - now_us % interval_us, now_us)
-        self._advance(now_us)
+        self._advance(self.intake.resume(now_us - now_us % interval_us, now_us))
 
     @property
     def outputs(self) -> list[Path]:
@@ -151,7 +151,7 @@ class Fusion:
                     for each in self.sensors.values():
                         each.due = bool(each.stream)
                 self._take(link)
-                self._advance(int(time.time() * 1e6))
+                self._advance(self._windows.close(int(time.time() * 1e6)))
                 self._regular()
             self._finish()
         finally:
@@ -172,8 +172,8 @@ class Fusion:
                 self._commit()
             message = link.take(0.0)
 
-    def _advance(self, now_us: int) -> None:
-        for step, frames in self._windows.close(now_us):
+    def _advance(self, steps: Iterable[tuple[int, dict[str, Seen]]]) -> None:
+        for step, frames in steps:
             self._map.take(step, frames)
             if self._page is not None:
                 state = self._map.state()

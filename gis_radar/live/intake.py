@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from copy import copy
 from dataclasses import dataclass, field
 
@@ -13,7 +13,7 @@ from gis_radar.arrays import Booleans
 from gis_radar.errors import InputError, OutputError
 from gis_radar.live.broker import Received, SensorTopics, parts_of
 from gis_radar.live.health import SensorHealth
-from gis_radar.live.journal import HOUR_US, FrameRow, Journal, PoseRow
+from gis_radar.live.journal import HOUR_STEPS, HOUR_US, FrameRow, Journal, PoseRow
 from gis_radar.live.map_of_now import MapOfNow
 from gis_radar.live.outbox import ONLINE
 from gis_radar.live.payload import (
@@ -75,6 +75,7 @@ class SensorState:
     refused: str = ""
     due: bool = False
     asked_s: float = -1e9
+    missed_s: float = -1e9
     other: tuple[str, float] = ("", -1e9)
     poses: dict[tuple[str, int], int] = field(default_factory=dict)
     standing: SharedViews = field(default_factory=SharedViews)
@@ -182,13 +183,19 @@ class Intake:
             self._map.views[view] = mask
         return view
 
-    def resume(self, begin_us: int, now_us: int) -> None:
-        """Put the frames of a time into the windows again: a new start loses no counts."""
+    def resume(self, begin_us: int, now_us: int) -> Iterator[tuple[int, dict[str, Seen]]]:
+        """Yield the closed steps of a time again, of an hour at most, from what the journal holds.
+
+        So a new start after a kill goes on counting; once stopped, all is written and counts begin
+        anew.
+        """
+        begin_us = max(begin_us, now_us - HOUR_US)
         for name in self.sensors:
             for rows in self._journal.frames(name, begin_us, now_us):
                 for row in rows:
                     seen = Seen(decode_tiles(row.tiles), self.poses[row.pose].view)
                     self._windows.add(name, row.time_us // STEP_US, seen)
+        yield from self._windows.close(now_us, most=HOUR_STEPS)
 
     def handle(self, message: Received) -> None:
         """Take a message: count it, store it, or say why not."""
@@ -268,9 +275,10 @@ class Intake:
     def _ask(self, sensor: SensorState, *, again: bool = False) -> bool:
         """Acknowledge anew, at most each second: the sensor does not know what is stored."""
         now = time.monotonic()
-        if now - sensor.asked_s < ACK_S:
+        if now - (sensor.missed_s if again else sensor.asked_s) < ACK_S:
             return False
         sensor.asked_s, sensor.due = now, True
+        sensor.missed_s = now if again else sensor.missed_s
         sensor.resend += again
         return True
 

@@ -10,7 +10,15 @@ from collections.abc import Callable
 from gis_radar.errors import InputError, OutputError
 from gis_radar.live.broker import Link, SensorTopics
 from gis_radar.live.buffer import DiskBuffer
-from gis_radar.live.payload import KINDS, POSE, VERSION, Acknowledgement, Envelope, pack_message
+from gis_radar.live.payload import (
+    KINDS,
+    MOST_CONTENT,
+    POSE,
+    VERSION,
+    Acknowledgement,
+    Envelope,
+    pack_message,
+)
 from gis_radar.live.settings import DEFAULTS, LiveSettings
 from gis_radar.progress import QUIET, Reporter
 
@@ -45,7 +53,7 @@ class Outbox:
     Attributes
     ----------
     lost : int
-        Messages that the buffer did not take.
+        Messages that were too long, or that the buffer did not take.
     stored : int
         The number up to which fusion has stored.
     """
@@ -65,17 +73,25 @@ class Outbox:
         self._patience_s = settings.resend_s
         self._empty = len(buffer) == 0
         self._dropped, self._undropped = 0, ""
+        self._full = self._too_long = False
 
     def put(self, kind: int, content: bytes) -> int:
-        """Add a message; return its number, or 0 where the buffer is full: it is then lost."""
+        """Add a message; return its number, or 0 where it is lost: too long, or the buffer full."""
+        if len(content) > MOST_CONTENT:  # the broker would cut the link, again and again
+            if not self._too_long:
+                self._reporter.log(f"a message of {len(content):,} bytes is too long", "warning")
+            self._too_long = True
+            self.lost += 1
+            return 0
         try:
             number = self._buffer.append(kind, content)
         except OutputError as error:
-            if self.lost == 0:
+            if not self._full:
                 self._reporter.log(f"{error.message}: {error.hint}", "warning")
+            self._full = True
             self.lost += 1
             return 0
-        self._empty = False
+        self._empty = self._full = False
         return number
 
     @property

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from queue import SimpleQueue
-from threading import Thread
+from queue import Empty, Full, Queue, SimpleQueue
+from threading import Event, Thread
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,7 @@ from gis_radar.tracking.track import MOVED, track_of
 from gis_radar.tracking.windows import WindowFitter
 
 AGAIN_FRAMES = 500  # that come before the next try, where no pose follows: 25 s
+WAITING_FRAMES = 2_000  # for a fit to end: 100 s
 ROWS_KEPT = 1_440  # poses that the follower remembers: 2 h
 
 
@@ -124,8 +126,9 @@ class PoseFollower:
     def __init__(
         self, file: EdgeFile, start: Pose, begin: float, *, reporter: Reporter = QUIET
     ) -> None:
-        self._frames: SimpleQueue[Detections | None] = SimpleQueue()
-        self._found: SimpleQueue[Followed] = SimpleQueue()
+        self._frames: Queue[Detections | None] = Queue(WAITING_FRAMES)
+        self._found: SimpleQueue[Followed | Exception] = SimpleQueue()
+        self._ended = Event()
         self._start, self._due = start, begin + TRACKING.cycle_s
         roads, road = _map_of(file, start)
         self._problem = Problem(
@@ -140,32 +143,45 @@ class PoseFollower:
         self._thread.start()
 
     def push(self, frame: Detections) -> None:
-        """Take the next frame."""
-        self._frames.put(frame)
+        """Take the next frame; it is left out where fits are too slow, or nothing follows."""
+        if not self._ended.is_set():
+            with suppress(Full):
+                self._frames.put_nowait(frame)
 
     def latest(self) -> Followed | None:
-        """Return the newest pose, if there is one since the last call."""
-        found = None
+        """Return the newest pose, if there is one since the last call; raise what broke."""
+        newest = None
         while not self._found.empty():
             found = self._found.get()
-        return found
+            if isinstance(found, Exception):
+                raise found
+            newest = found
+        return newest
 
     def close(self) -> None:
         """Stop following."""
-        self._frames.put(None)
+        self._ended.set()
+        with suppress(Full):
+            self._frames.put_nowait(None)
         self._thread.join()
 
     def _work(self) -> None:
-        while (frame := self._frames.get()) is not None:
+        try:
+            self._follow()
+        except NoAnswerError as error:
+            self._found.put(Followed(pose=self._start, trusted=False, refused=error.message))
+        except Exception as error:  # noqa: BLE001 - raised by latest, in the edge's own thread
+            self._found.put(error)
+        self._ended.set()
+        with suppress(Empty):
+            while True:
+                self._frames.get_nowait()
+
+    def _follow(self) -> None:
+        while (frame := self._frames.get()) is not None and not self._ended.is_set():
             now = float(frame.time[0])
             if now >= self._due:
-                try:
-                    self._cycle(self._due)
-                except NoAnswerError as error:
-                    self._found.put(
-                        Followed(pose=self._start, trusted=False, refused=error.message)
-                    )
-                    return
+                self._cycle(self._due)
                 gone = np.floor((now - self._due) / TRACKING.cycle_s) + 1.0
                 self._due += float(gone) * TRACKING.cycle_s
             self._follower.push(frame)

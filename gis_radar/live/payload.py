@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -31,6 +31,8 @@ STREAM_BYTES, FINGERPRINT_BYTES = 4, 4
 MOST_BYTES = 65_536  # of a message; a frame takes 100
 MOST_FRAMES = 1_000  # in a message
 _MOST_VARINT = 9  # bytes of a number under 2**63
+MOST_CONTENT = MOST_BYTES - _HEAD.size - 2 * _MOST_VARINT  # of a message, without its envelope
+T = TypeVar("T")
 MOST_GROUPS = 5  # of seven bits, in a number of returns: 300 km in cm
 
 
@@ -241,6 +243,25 @@ def unpack_returns(content: bytes) -> tuple[int, tuple[FrameReturns, ...]]:
         frames.append(FrameReturns(time_us=time_us, points_cm=points, rates_cmps=values[:, 3]))
     read.end()
     return pose, tuple(frames)
+
+
+def in_parts(frames: Sequence[T], pack: Callable[[Sequence[T]], bytes]) -> Iterator[bytes]:
+    """Yield frames as contents that a message can hold; a single frame may still be too long.
+
+    Parameters
+    ----------
+    frames : sequence
+        In order of time.
+    pack : callable
+        Makes the content of some of them.
+    """
+    content = pack(frames)
+    if len(content) <= MOST_CONTENT or len(frames) == 1:
+        yield content
+        return
+    half = len(frames) // 2
+    yield from in_parts(frames[:half], pack)
+    yield from in_parts(frames[half:], pack)
 
 
 def _folded(values: Integers) -> Integers:

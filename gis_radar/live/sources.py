@@ -16,7 +16,7 @@ from threading import Thread
 
 import numpy as np
 
-from gis_radar.errors import GisRadarError, NoAnswerError
+from gis_radar.errors import NoAnswerError
 from gis_radar.occupancy.frame_log import NO_FURTHER, FrameIndex, rows_of, whole_frames
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.conversion import format_of
@@ -133,13 +133,13 @@ class Radar:
         """
         form = format_of(self.source)
         context = ReaderContext(sensor=self.sensor, reporter=self.reporter, counts=self.counts)
-        waiting: Queue[Frame | GisRadarError | None] = Queue(WAITING_FRAMES)
+        waiting: Queue[Frame | Exception | None] = Queue(WAITING_FRAMES)
 
         def read() -> None:
             try:
                 for frame in form.frames(self.source, context):
                     waiting.put(frame)
-            except GisRadarError as error:
+            except Exception as error:  # noqa: BLE001 - raised where frames are read
                 waiting.put(error)
             else:
                 waiting.put(None)
@@ -153,7 +153,7 @@ class Radar:
                 continue
             if item is None:
                 return
-            if isinstance(item, GisRadarError):
+            if isinstance(item, Exception):
                 raise item
             if (found := self._detections(item)) is not None:
                 yield found

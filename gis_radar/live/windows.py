@@ -70,19 +70,23 @@ class Windows:
     def _waiting(self) -> int:
         return self._lateness_us // STEP_US + 1
 
-    def close(self, now_us: int) -> Iterator[tuple[int, dict[str, Seen]]]:
+    def close(
+        self, now_us: int, *, most: int = MOST_STEPS
+    ) -> Iterator[tuple[int, dict[str, Seen]]]:
         """Close the steps that are over, in order; yield each with what was seen by sensor.
 
         Parameters
         ----------
         now_us : int
             Microseconds since 1970.
+        most : int
+            How many are closed at most; of more, the earliest are left out.
         """
         last = (now_us - self._lateness_us) // STEP_US - 1
         if self._closed is None:
             self._closed = min(self._open, default=last + 1) - 1
-        if last - self._closed > MOST_STEPS:
-            self._closed = last - MOST_STEPS
+        if last - self._closed > most:
+            self._closed = last - most
             for step in [step for step in self._open if step <= self._closed]:
                 self.late += len(self._open.pop(step))
         while self._closed < last:

@@ -54,15 +54,16 @@ class LimitedStream:
         self._stream.close()
 
 
-def unpacked(decompressor: Any, packed: bytes) -> bytes:
+def unpacked(make: Callable[[], Any], packed: bytes) -> bytes:
     """Return what was packed into one chunk of a bag.
 
     Parameters
     ----------
-    decompressor : object
-        Of the standard library's kind: `decompress(data, max_length)`, `eof`, `unused_data`.
+    make : callable
+        Returns a decompressor of the standard library's kind: `decompress(data, max_length)`,
+        `eof`, `unused_data`.
     packed : bytes
-        All of it.
+        All of it: one stream or several.
 
     Raises
     ------
@@ -70,12 +71,17 @@ def unpacked(decompressor: Any, packed: bytes) -> bytes:
         If it is more than a chunk may hold.
     """
     most = settings.DEFAULTS.most_chunk_bytes
-    plain = decompressor.decompress(packed, most + 1)
-    if len(plain) > most:
-        raise ExplodingError(f"a chunk holds over {most >> 20:,} MiB when it is unpacked")
-    if not decompressor.eof:
-        raise ValueError("a chunk is cut off")
-    return bytes(plain)
+    plain = bytearray()
+    while True:
+        decompressor = make()
+        plain += decompressor.decompress(packed, most + 1 - len(plain))
+        if len(plain) > most:
+            raise ExplodingError(f"a chunk holds over {most >> 20:,} MiB when it is unpacked")
+        if not decompressor.eof:
+            raise ValueError("a chunk is cut off")
+        packed = decompressor.unused_data
+        if not packed:
+            return bytes(plain)
 
 
 @cache
@@ -98,7 +104,7 @@ def limit_rosbags() -> None:
             getattr(storage_mcap, "DECOMPRESSORS", {}),
         ):
             if name in known:
-                known[name] = lambda packed, *_, make=make: unpacked(make(), packed)
+                known[name] = lambda packed, *_, make=make: unpacked(make, packed)
 
 
 def _limited_zstd(zstd: Any) -> SimpleNamespace:
@@ -108,6 +114,6 @@ def _limited_zstd(zstd: Any) -> SimpleNamespace:
         return LimitedStream(zstd.open(file, *words), os.fstat(file.fileno()).st_size)
 
     def decompress(packed: bytes) -> bytes:
-        return unpacked(zstd.ZstdDecompressor(), packed)
+        return unpacked(zstd.ZstdDecompressor, packed)
 
     return SimpleNamespace(**vars(zstd) | {"decompress": decompress, "open": opened})
