@@ -165,3 +165,9 @@ def test_ci_runs_what_the_readme_says():
     ]
     assert re.search(r"\bmake test\b", text_of("README.md"))
     assert re.search(r"\bmake demo\b", text_of("README.md"))
+
+
+def test_the_tests_of_other_versions_are_there():
+    (parts,) = re.findall(r'parts="([^"]+)"', text_of("tools/test_versions.sh"))
+    assert len(parts.split()) > 10
+    assert not [part for part in parts.split() if not (ROOT / f"tests/test_{part}.py").is_file()]
