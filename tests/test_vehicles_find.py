@@ -139,7 +139,7 @@ def test_two_recordings_of_the_same_time_count_once(site, tmp_path):
     tiles, _ = site
     assert np.array_equal(covered_s(again, tiles), covered_s(once, tiles))
     assert covered_s(once, tiles).sum() > 0.0
-    assert any("R1-b.parquet" in text and "left out" in text for _, text in heard.messages)
+    assert any("R1-b.parquet: overlaps another recording" in text for _, text in heard.messages)
 
 
 def test_without_range_rates_it_is_refused(site, tmp_path):
