@@ -14,10 +14,11 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from multiprocessing.process import BaseProcess
 from pathlib import Path
+from types import FrameType
 from typing import IO
 
 from gis_radar.errors import GisRadarError
@@ -25,6 +26,7 @@ from gis_radar.errors import GisRadarError
 WATCHDOG_VARIABLE = "GIS_RADAR_PARENT_WATCHDOG"
 """The environment variable that starts the watchdog of a command; its only value is `stdin`."""
 
+STOPPING = (signal.SIGINT, signal.SIGTERM)
 _POLL_S = 0.2  # an interruption reaches Python only between two waits; 5 Hz is not felt
 STOP_PATIENCE_S = 0.7
 """How long a stopped worker may clear up, seconds: it has files to remove, not work to end."""
@@ -101,6 +103,26 @@ def run_child(
     finally:
         child.kill()
         child.wait()
+
+
+@contextmanager
+def stopped_by_signals() -> Iterator[threading.Event]:
+    """Yield an event that Ctrl-C or SIGTERM sets; the second one interrupts as always."""
+    stop = threading.Event()
+
+    def note(_number: int, _frame: FrameType | None) -> None:
+        if stop.is_set():
+            raise KeyboardInterrupt
+        stop.set()
+
+    # the only thread that signals reach
+    on_main = threading.current_thread() is threading.main_thread()
+    before = {number: signal.signal(number, note) for number in STOPPING} if on_main else {}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def watch_input() -> None:

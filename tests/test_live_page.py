@@ -10,7 +10,9 @@ import threading
 import time
 import urllib.error
 import urllib.request
+from collections import Counter
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +23,7 @@ from axe_core_python.selenium import Axe
 from browser import start_chromium, wide
 from live_replay import Replay
 from live_site import Background, LiveSite, free_port, is_open, needs_mosquitto, wait_for
+from PIL import Image
 from pydantic import ValidationError
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.ui import WebDriverWait
@@ -32,12 +35,13 @@ from gis_radar.live.edge import Edge
 from gis_radar.live.fusion import Fusion
 from gis_radar.live.health import ALARMS, SensorHealth
 from gis_radar.live.map_of_now import MapOfNow
-from gis_radar.live.page import Access, difference, make_app, whole_event
+from gis_radar.live.page import OCCUPIED, Access, difference, make_app, whole_event
 from gis_radar.live.server import Page, access_of
 from gis_radar.live.settings import read_edge_file, read_live_site
 from gis_radar.live.snapshot import NOT_OBSERVED, Snapshot
 from gis_radar.live.windows import Seen
 from gis_radar.site.live_table import PageTable
+from gis_radar.steps import step_begin
 
 VENDOR = Path(__file__).parents[1] / "gis_radar" / "live" / "web" / "vendor" / "maplibre-gl.mjs"
 WAIT_S = 30
@@ -175,6 +179,17 @@ def test_features_are_the_tiles_that_are_observed(live, address):
     assert single["properties"]["tile_id"] == shown[0]["properties"]["tile_id"]
 
 
+def test_features_are_chosen_by_a_property(live, address):
+    live.at = live.first + 700
+    items = f"{address}/ogc/collections/tiles/items?limit=20000"
+    now = get_json(f"{items}&occupied_now=true")
+    assert [each["id"] for each in now["features"]] == live.snapshot().now.tolist()
+    first = now["features"][0]["properties"]
+    share = json.dumps(first["occupancy_15min"])
+    alike = get_json(f"{items}&occupancy_15min={share}&lane={first['lane']}")["features"]
+    assert first in [each["properties"] for each in alike]
+
+
 def test_the_service_describes_itself(address):
     landing = get_json(f"{address}/ogc")
     assert {"service-desc", "conformance", "data"} <= {each["rel"] for each in landing["links"]}
@@ -250,6 +265,15 @@ def chromium(tmp_path_factory):
     browser.quit()
 
 
+def colours_of(element):
+    """Count the pixels of each colour of a picture of an element."""
+    image = Image.open(BytesIO(element.screenshot_as_png)).convert("RGB")
+    pixels, counts = np.unique(np.asarray(image).reshape(-1, 3), axis=0, return_counts=True)
+    return Counter(
+        {"#" + bytes(each).hex(): int(n) for each, n in zip(pixels, counts, strict=True)}
+    )
+
+
 @pytest.mark.parametrize(("width", "language"), [(1280, "en"), (390, "de")])
 def test_the_page_in_a_browser(live, address, chromium, width, language):
     live.at, live.silent = live.first + 1200, {"R2"}
@@ -261,7 +285,12 @@ def test_the_page_in_a_browser(live, address, chromium, width, language):
     )
     assert chromium.find_element(By.TAG_NAME, "html").get_attribute("lang") == language
     clock = chromium.find_element(By.ID, "clock").text
-    assert clock == "09:30:59" or clock.startswith("09:3")
+    assert clock == f"{step_begin(live.at).astimezone(live.place.zone):%H:%M:%S}"
+    time.sleep(1.0)  # a picture after the first colours
+    colours = colours_of(chromium.find_element(By.ID, "map"))
+    assert colours[OCCUPIED] > 20
+    assert colours[style.NOT_OBSERVED] > 200
+    assert sum(colours[each.colour] for each in style.colour_classes()[1:]) > 200
     rows = chromium.find_elements(By.CSS_SELECTOR, "#sensor-rows tr")
     assert [row.text.split()[0] for row in rows] == ["R1", "R2"]
     assert (

@@ -330,10 +330,17 @@ def test_addresses_of_brokers(text, host, port, tls):
     assert "secret" not in f"{found!r}{found}"
 
 
-@pytest.mark.parametrize("text", ["broker:1883", "http://a", "mqtt://", "mqtt://a:x", "mqtt://a/b"])
+@pytest.mark.parametrize("text", ["broker:1883", "http://a", "mqtt://", "mqtt://a:x", "mqtt://a/b",
+                                  "mqtt://a?tls=1"])  # fmt: skip
 def test_what_is_no_address_is_refused(text):
     with pytest.raises(gr.UsageError, match="no address of a broker"):
         BrokerAddress.of(text)
+
+
+def test_a_user_in_the_address_of_a_broker_is_refused_and_the_password_not_repeated():
+    with pytest.raises(gr.UsageError, match="holds a user") as caught:
+        BrokerAddress.of("mqtt://R1:secret@a")
+    assert "secret" not in f"{caught.value}{caught.value.hint}"
 
 
 def test_topics():

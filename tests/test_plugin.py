@@ -187,10 +187,16 @@ def test_a_translation_is_complete(path):
     known = json.loads(path.read_text(encoding="utf-8"))
     missing = [text for text in (*texts(), *project_texts()) if text not in known]
     assert missing == []
+
+
+@pytest.mark.parametrize("path", sorted(CATALOGUES.glob("*.json")), ids=lambda p: p.stem)
+def test_a_catalogue_is_well_formed(path):
+    known = json.loads(path.read_text(encoding="utf-8"))
     assert list(known) == sorted(known)  # so that two who add a text rarely meet
-    holes = re.compile(r"\{\w+\}")
+    holes = re.compile(r"\{(\w*)\}")
     for text, translated in known.items():
-        assert sorted(holes.findall(text)) == sorted(holes.findall(translated)), text
+        asked = [name or str(place) for place, name in enumerate(holes.findall(text))]
+        assert sorted(holes.findall(translated)) == sorted(asked), text
         assert text.count("\n") == translated.count("\n"), text
         assert translated.strip(), text
 

@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import signal
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from threading import Event, current_thread, main_thread
-from types import FrameType
 
 import click
 
@@ -15,28 +10,8 @@ import gis_radar as gr
 from gis_radar.cli.console import Result, command
 from gis_radar.cli.options import FILE
 from gis_radar.files import refuse_inputs
+from gis_radar.processes import stopped_by_signals
 from gis_radar.progress import Reporter
-
-STOPPING = (signal.SIGINT, signal.SIGTERM)
-
-
-@contextmanager
-def stopped_by_signals() -> Iterator[Event]:
-    """Yield an event that Ctrl-C or SIGTERM sets; the second one interrupts."""
-    stop = Event()
-
-    def note(_number: int, _frame: FrameType | None) -> None:
-        if stop.is_set():
-            raise KeyboardInterrupt
-        stop.set()
-
-    on_main = current_thread() is main_thread()
-    before = {number: signal.signal(number, note) for number in STOPPING} if on_main else {}
-    try:
-        yield stop
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _print_template(context: click.Context, _option: click.Parameter, wanted: object) -> None:

@@ -71,7 +71,16 @@ class BrokerAddress:
             port = parts.port
         except ValueError:
             port = 0
-        if parts.scheme not in PORTS or not parts.hostname or port == 0 or parts.path.strip("/"):
+        if parts.username is not None:
+            raise UsageError(
+                "the address of a broker holds a user", hint="state user and password_file"
+            )
+        if (
+            parts.scheme not in PORTS
+            or not parts.hostname
+            or port == 0
+            or (parts.path.strip("/") or parts.query or parts.fragment)
+        ):
             raise UsageError(
                 f"{address!r} is no address of a broker", hint="such as mqtts://broker.example:8883"
             )

@@ -23,7 +23,7 @@ from starlette.routing import Route
 
 from gis_radar.errors import InputError
 from gis_radar.live.health import ALARMS
-from gis_radar.live.snapshot import DEGREES, LiveMap, Snapshot
+from gis_radar.live.snapshot import LiveMap, Snapshot, geometries
 from gis_radar.steps import STEP_S, iso_from_step, seconds_from_iso
 
 CRS84 = "http://www.opengis.net/def/crs/OGC/1.3/CRS84"
@@ -230,7 +230,7 @@ def _items(request: Request, name: str, collection: Collection) -> Response:
     if unknown := [key for key in filters if key not in layer.columns or key == "geometry"]:
         raise HTTPException(400, f"{unknown[0][:40]} is no parameter of {name}")
     for key, value in filters.items():
-        layer = layer[layer[key].astype(str) == value]
+        layer = layer[[_text(each) == value for each in layer[key]]]
     if "bbox" in asked:
         layer = layer[layer.intersects(_box(asked["bbox"]))]
     if "datetime" in asked and collection.times is not None:
@@ -297,22 +297,18 @@ def _within(layer: gpd.GeoDataFrame, times: tuple[str, str], text: str) -> pd.Se
 
 def _features(layer: gpd.GeoDataFrame) -> list[dict[str, Any]]:
     """Return features of GeoJSON, the row's number as `id`; what is not known is null."""
-    shapes = shapely.to_geojson(_rounded(layer.geometry.to_numpy()))
+    shapes = geometries(layer.geometry.to_numpy())
     table = layer.drop(columns=layer.geometry.name)
     rows = table.astype(object).where(table.notna(), None).to_dict("records")
     return [
         {
             "type": "Feature",
             "id": int(number),
-            "geometry": None if shape is None else json.loads(shape),
+            "geometry": shape,
             "properties": {key: _plain(value) for key, value in row.items()},
         }
         for number, shape, row in zip(layer.index, shapes, rows, strict=True)
     ]
-
-
-def _rounded(shapes: Any) -> Any:
-    return shapely.set_precision(shapes, 10.0**-DEGREES, mode="pointwise")
 
 
 def _plain(value: Any) -> Any:
@@ -322,6 +318,12 @@ def _plain(value: Any) -> Any:
     if isinstance(value, datetime):
         return value.isoformat().replace("+00:00", "Z")
     return round(value, 4) if isinstance(value, float) else value
+
+
+def _text(value: Any) -> str:
+    """Return a value as it stands in an address: true, 0.25, a text without quotes."""
+    plain = _plain(value)
+    return plain if isinstance(plain, str) else json.dumps(plain)
 
 
 def _root(request: Request) -> str:

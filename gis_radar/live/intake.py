@@ -222,7 +222,8 @@ class Intake:
         except OutputError as error:  # it comes again, as it is not acknowledged
             if error.message != self._unwritten:
                 self._unwritten = error.message
-                self._reporter.log(f"{error.message} ({error.hint})", "warning")
+                hint = f" ({error.hint})" if error.hint else ""
+                self._reporter.log(error.message + hint, "warning")
 
     def _handle_status(self, sensor: SensorState, message: Received) -> None:
         record = read_record(message.payload, what="a status", version=VERSION)

@@ -10,11 +10,10 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import as_file, files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-import shapely
 from jinja2 import Environment, StrictUndefined
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
@@ -38,7 +37,7 @@ from gis_radar.heatmap import style
 from gis_radar.languages import LANGUAGES, class_label
 from gis_radar.live.features import feature_routes
 from gis_radar.live.health import ALARMS
-from gis_radar.live.snapshot import LiveMap, Place, ShownSensor, Snapshot
+from gis_radar.live.snapshot import DEGREES, LiveMap, Place, ShownSensor, Snapshot, geometries
 from gis_radar.steps import step_begin
 from gis_radar.words import speaking, tr
 
@@ -47,6 +46,7 @@ EVENTS_PER_S = 3.0  # what a person can follow; a step is 50 ms
 WAITING = 8  # events that a slow reader may lag behind; then the whole map is sent anew
 MOST_READERS = 200  # p99 of 50 readers at 4 Hz is 10 ms; a city's page stands behind a proxy
 COOKIE = "gis_radar"
+WEB = Path(__file__).with_name("web")
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 OCCUPIED = "#0058b0"  # of a tile that is occupied now: blue is no colour of the ramp
 _POLICY = (
@@ -120,8 +120,6 @@ def make_app(live: LiveMap, access: Access | None = None) -> Starlette:
         finally:
             task.cancel()
 
-    with as_file(files(__package__) / "web") as web:
-        static = StaticFiles(directory=web)
     middleware = [
         Middleware(TrustedHostMiddleware, allowed_hosts=access.allowed_hosts),
         Middleware(_Guard, token=access.token),
@@ -134,7 +132,7 @@ def make_app(live: LiveMap, access: Access | None = None) -> Starlette:
         Route("/events", answers.events),
         Route("/metrics", answers.metrics),
         *feature_routes(live),
-        Mount("/web", static),
+        Mount("/web", StaticFiles(directory=WEB)),
     ]
     return Starlette(routes=routes, middleware=middleware, lifespan=running)
 
@@ -144,13 +142,16 @@ class _Answers:
 
     def __init__(self, live: LiveMap, changes: Changes) -> None:
         self._live, self._changes = live, changes
+        self._sites: dict[str, bytes] = {}  # by language: what stays is made once
 
     def page(self, request: Request) -> Response:
         return HTMLResponse(_page(self._live.place, _language(request)))
 
     def site(self, request: Request) -> Response:
-        content = _site_json(self._live.place, _language(request))
-        return Response(content, media_type="application/json")
+        language = _language(request)
+        if language not in self._sites:
+            self._sites[language] = _site_json(self._live.place, language)
+        return Response(self._sites[language], media_type="application/json")
 
     def state(self, _: Request) -> Response:
         return JSONResponse(whole_event(self._live.place, self._live.snapshot()))
@@ -162,7 +163,7 @@ class _Answers:
         if self._changes.readers >= MOST_READERS:
             return PlainTextResponse("too many readers\n", 503, {"Retry-After": "30"})
         stream = self._changes.stream(request.is_disconnected)
-        return StreamingResponse(stream, media_type="text/event-stream", headers=_HEADERS)
+        return StreamingResponse(stream, media_type="text/event-stream")
 
 
 class _Guard:
@@ -309,7 +310,7 @@ def _permille(share: float) -> int | None:
 def _sensor(place: Place, state: ShownSensor) -> dict[str, Any]:
     where, view = None, None
     if state.pose is not None:
-        where = [round(each, 7) for each in place.degrees_of(state.pose)]
+        where = [round(each, DEGREES) for each in place.degrees_of(state.pose)]
         view = place.view_of(state.pose)
     lag = None if np.isnan(state.lag_s) else round(state.lag_s, 2)
     return {
@@ -336,7 +337,7 @@ def _template() -> Any:
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    text = (files(__package__) / "web" / "page.html").read_text(encoding="utf-8")
+    text = (WEB / "page.html").read_text(encoding="utf-8")
     return environment.from_string(text)
 
 
@@ -364,7 +365,7 @@ def _page(place: Place, language: str) -> str:
 def _site_json(place: Place, language: str) -> bytes:
     """Return what the page draws and what stays: tiles and lanes in longitude and latitude."""
     lanes = place.lanes.set_index("lane").reindex(place.lane_numbers)
-    west, south, east, north = place.in_degrees(place.tiles).total_bounds.round(7).tolist()
+    west, south, east, north = place.in_degrees(place.tiles).total_bounds.round(DEGREES).tolist()
     with speaking(language):
         named = [
             {
@@ -387,9 +388,8 @@ def _site_json(place: Place, language: str) -> bytes:
 
 
 def _collection(shapes: Any) -> dict[str, Any]:
-    texts = shapely.to_geojson(shapely.set_precision(shapes, 1e-7, mode="pointwise"))
     features = [
-        {"type": "Feature", "id": i, "properties": {}, "geometry": json.loads(text)}
-        for i, text in enumerate(texts)
+        {"type": "Feature", "id": i, "properties": {}, "geometry": shape}
+        for i, shape in enumerate(geometries(shapes))
     ]
     return {"type": "FeatureCollection", "features": features}

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 from zoneinfo import ZoneInfo
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
+import shapely
 from pyproj import CRS, Transformer
 
-from gis_radar.arrays import Floats, Integers
+from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.crs import transformer
 from gis_radar.heatmap import style
 from gis_radar.heatmap.by_lane import lane_totals, lanes_with_tiles
@@ -24,6 +26,12 @@ NOT_OBSERVED = -1  # in place of a class
 DEGREES = 7  # digits after the point: a centimetre
 RINGS = 1_000  # views that are kept: poses of a following sensor change every 5 s
 GEOGRAPHIC = "OGC:CRS84"  # longitude, latitude: what web maps and OGC API - Features take
+
+
+def geometries(shapes: Any) -> list[dict[str, Any] | None]:
+    """Return shapes in longitude and latitude as GeoJSON has them; None where there is none."""
+    rounded = shapely.set_precision(shapes, 10.0**-DEGREES, mode="pointwise")
+    return [text and json.loads(text) for text in shapely.to_geojson(rounded)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,13 +109,13 @@ class ShownSensor:
     name : str
         Its name in the site file.
     online : bool
-        Whether it is connected and its frames arrive.
+        Whether the broker holds its link; what does not arrive is an alarm.
     alarms : mapping
         What is wrong, by kind of :data:`gis_radar.live.health.ALARMS`, in a few words.
     pose : Pose, optional
         Where it stands, once that is known.
     lag_s : float
-        From a frame's time to its arrival, seconds, the mean of the last 10 s; NaN without frames.
+        From a frame's time to its arrival, seconds, the median of the last frames; NaN without.
     frames_per_s : float
         Frames that arrived in the last 10 s.
     lost : int
@@ -143,7 +151,7 @@ class Snapshot:
 
     step: int
     now: Integers
-    observed_now: np.ndarray[tuple[int], np.dtype[np.bool_]]
+    observed_now: Booleans
     occupied: Integers
     observed: Integers
     sensors: Sequence[ShownSensor] = field(default=())

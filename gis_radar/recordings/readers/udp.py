@@ -6,7 +6,6 @@ throughout, without padding. An address is such as `udp://224.0.2.2:42102`.
 
 from __future__ import annotations
 
-import signal
 import socket
 import struct
 import time
@@ -15,13 +14,13 @@ from collections.abc import Generator, Iterator
 from contextlib import contextmanager, suppress
 from ipaddress import IPv4Address
 from queue import Empty, Queue
-from threading import Event, Thread, current_thread, main_thread
-from types import FrameType
+from threading import Event, Thread
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 
 from gis_radar.errors import InputError, UsageError
+from gis_radar.processes import stopped_by_signals
 from gis_radar.recordings.columns import cartesian
 from gis_radar.recordings.frames import (
     Column,
@@ -134,7 +133,6 @@ SCHEME = "udp://"
 # A second of frames, should the disk keep the writer waiting.
 RECEIVE_BUFFER_BYTES = 1 << 23
 LOOK_UP_S = 0.2  # between two looks at the clock and at Ctrl-C
-STOPPING = (signal.SIGINT, signal.SIGTERM)
 
 
 def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
@@ -161,7 +159,7 @@ def _received(source: str, context: ReaderContext) -> Iterator[tuple[bytes, str,
     group, port, interface = _address(source)
     waiting: Queue[tuple[bytes, str, float]] = Queue()
     end = time.monotonic() + (context.duration_s or float("inf"))
-    with _listening(source, group, port, interface) as listener, _stopping() as stop:
+    with _listening(source, group, port, interface) as listener, stopped_by_signals() as stop:
         # A thread of its own: the system drops what waits while the disk keeps us.
         receiver = Thread(target=_receive, args=(listener, waiting, stop), daemon=True)
         receiver.start()
@@ -219,25 +217,6 @@ def _listening(source: str, group: str, port: int, interface: str) -> Iterator[s
         except OSError as error:
             raise InputError(f"{source}: cannot listen: {error.strerror or error}") from error
         yield listener
-
-
-@contextmanager
-def _stopping() -> Iterator[Event]:
-    """Yield an event that the user's Ctrl-C sets; the second one interrupts as always."""
-    stop = Event()
-
-    def note(_number: int, _frame: FrameType | None) -> None:
-        if stop.is_set():
-            raise KeyboardInterrupt
-        stop.set()
-
-    on_main = current_thread() is main_thread()  # the only one that signals reach
-    before = {number: signal.signal(number, note) for number in STOPPING} if on_main else {}
-    try:
-        yield stop
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 FORMAT = Format(
