@@ -4,6 +4,7 @@ import os
 import re
 import shutil
 import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -258,6 +259,38 @@ def test_a_machine_without_sources_goes_on_in_one_line(checkout, monkeypatch):
     assert code == 0
     assert "apt knows no source" in line
     assert calls(checkout) == 0
+
+
+WITHOUT_EXTRAS = """
+import importlib.abc, sys
+sys.path.insert(0, "tools")
+import missing_libraries as tool
+
+class Hidden(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {"starlette", "uvicorn", "paho", "movingpandas", "open3d"}:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Hidden())
+tool.modules_of = lambda _: []
+for known in ("gis_radar.live.server", "gis_radar.cli", "gis_radar.demo"):
+    tool.own_modules = lambda: [known]
+    print(known, tool.load_all("run"), "uvicorn" in sys.modules)
+tool.own_modules = lambda: ["gis_radar.nowhere"]
+print(tool.load_all("run"))
+"""
+
+
+def test_what_extras_bring_is_not_needed_for_the_demo():
+    """A bare machine has no web server: `make demo` sets up what gis-radar asks for, no more."""
+    command = [sys.executable, "-c", WITHOUT_EXTRAS]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
+    assert done.stdout.splitlines() == [
+        "gis_radar.live.server [] False",
+        "gis_radar.cli [] False",
+        "gis_radar.demo [] False",
+        "[\"gis_radar.nowhere: No module named 'gis_radar.nowhere'\"]",
+    ], done.stderr
 
 
 def test_conda_gets_what_pyproject_asks_for():

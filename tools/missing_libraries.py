@@ -16,6 +16,8 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterable
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -83,23 +85,46 @@ def load_all(level: str) -> list[str]:
         try:
             importlib.import_module(module)
         except Exception as error:  # noqa: BLE001 - whatever a package raises is the answer
-            failures.append(f"{module}: {error}")
+            if not is_of_extra(error):
+                failures.append(f"{module}: {error}")
     programs = DEV_PROGRAMS if level != "run" and sys.platform == "linux" else ()
     return failures + [line for program in programs for line in start(program)]
 
 
 def requirements(level: str) -> set[str]:
     """Return the names of the packages that pyproject.toml asks for, in lower case."""
+    lines = list(pyproject()["project"]["dependencies"])
+    if level != "run":
+        groups = pyproject()["dependency-groups"]
+        lines += [line for group in ("dev", "docs") for line in groups[group]]
+    if level == "bench":
+        lines += extras()["localize"]
+    return names_of(lines)
+
+
+def pyproject() -> dict[str, Any]:
+    """Return what pyproject.toml holds."""
     import tomllib  # noqa: PLC0415 - not there before Python 3.11, which gets no further than this
 
     text = (Path(__file__).parents[1] / "pyproject.toml").read_text(encoding="utf-8")
-    project: dict[str, Any] = tomllib.loads(text)
-    lines = list(project["project"]["dependencies"])
-    if level != "run":
-        lines += [line for group in ("dev", "docs") for line in project["dependency-groups"][group]]
-    if level == "bench":
-        lines += project["project"]["optional-dependencies"]["localize"]
+    return tomllib.loads(text)
+
+
+def extras() -> dict[str, list[str]]:
+    """Return what each extra asks for."""
+    found: dict[str, list[str]] = pyproject()["project"]["optional-dependencies"]
+    return found
+
+
+def names_of(lines: Iterable[str]) -> set[str]:
+    """Return the names of packages in requirements, in lower case."""
     return {re.split(r"[^\w.-]", line)[0].lower() for line in lines}
+
+
+def is_of_extra(error: Exception) -> bool:
+    """Tell whether what a module of ours lacks comes with an extra only: gis_radar[live]."""
+    missing = (error.name or "") if isinstance(error, ModuleNotFoundError) else ""
+    return missing.partition(".")[0] in names_of(chain.from_iterable(extras().values()))
 
 
 def modules_of(packages: set[str]) -> list[str]:
