@@ -293,3 +293,13 @@ def test_a_new_start_goes_on_counting(tmp_path, road):
         steps = list(intake.resume(begin_us, begin_us + 890_000_000))
     assert sum(bool(frames) for _, frames in steps) == len(times)
     assert intake._windows.late == 0
+
+
+def test_a_pose_in_another_coordinate_system_is_named_and_not_used(tmp_path, road):
+    """Its sensor would see nothing, in silence."""
+    with Journal(tmp_path / "j", fingerprint=road.fingerprint) as journal:
+        intake = intake_of(journal, road)
+        content = pose_content(road.fingerprint, crs="EPSG:25833").pack()
+        intake.handle(message(POSE, 1, content, 0))
+        assert intake.poses == {}
+        assert "is in EPSG:25833, but the tiles in" in intake.sensors["R1"].health.alarms["damaged"]

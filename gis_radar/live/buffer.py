@@ -6,15 +6,17 @@ blocks that are on disk before they are used, so that a loss of power gives none
 
 from __future__ import annotations
 
+import re
 import secrets
 import sqlite3
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple, Self
 
-from gis_radar.errors import GisRadarError, OutputError
-from gis_radar.live.payload import STREAM_BYTES, VERSION
+from gis_radar.errors import GisRadarError, InputError, OutputError
+from gis_radar.live.damage import LAST_NUMBER, damage_of, is_damage, is_foreign
+from gis_radar.live.payload import KINDS, STREAM_BYTES, VERSION
 
 FORMAT = 1
 LOCK_S = 1.0  # for another program to let go of the file
@@ -26,6 +28,14 @@ CREATE TABLE IF NOT EXISTS notes (name TEXT PRIMARY KEY, value TEXT NOT NULL) WI
 CREATE TABLE IF NOT EXISTS messages (number INTEGER PRIMARY KEY, kind INTEGER NOT NULL,
     content BLOB NOT NULL);
 """
+_COLUMNS = {"notes": ("name", "value"), "messages": ("number", "kind", "content")}
+_SOUND = {
+    "notes": "typeof(value) = 'text'",
+    "messages": f"number BETWEEN 1 AND {LAST_NUMBER} AND typeof(content) = 'blob' "
+    f"AND typeof(kind) = 'integer' AND kind IN ({', '.join(map(str, KINDS))})",
+}
+_BEGINS = (b"", b"SQLite format 3\0", bytes(16))  # a power loss may leave zeros
+OTHER_TILES, DAMAGED = "what waited speaks of other tiles", "it is damaged"
 
 
 class Waiting(NamedTuple):
@@ -61,17 +71,22 @@ class DiskBuffer:
     most_bytes : int
         How large it may become. Then it takes nothing more: what waits is never dropped.
     fingerprint : str
-        Of the tiles that its messages speak of. A file that speaks of others is put aside.
+        Of the tiles that its messages speak of. A file that speaks of others is put aside, as is
+        one that is damaged: the sensor then goes on with a new one.
 
     Attributes
     ----------
     stream : bytes
         Random, for as long as the file lives.
     put_aside : Path or None
-        Where a file of other tiles, or of another version, went.
+        Where a file of other tiles, or of another version, or a damaged one went.
+    why : str
+        Why it was put aside.
 
     Raises
     ------
+    InputError
+        If there is a file that is no buffer.
     OutputError
         If the file cannot be opened.
     """
@@ -79,11 +94,14 @@ class DiskBuffer:
     def __init__(self, path: Path, *, most_bytes: int, fingerprint: str) -> None:
         self.path, self._most_bytes = path, most_bytes
         self.put_aside: Path | None = None
+        self.why = ""
         with _errors(path):
-            self._open()
+            self._refuse_foreign()
+            if self._open() or self._damage():
+                self._put_aside(DAMAGED)
             kept = (f"{FORMAT}.{VERSION}", fingerprint)
             if (self.note("format"), self.note("fingerprint")) not in {kept, ("", "")}:
-                self._put_aside()
+                self._put_aside(OTHER_TILES)
             if not self.note("stream"):
                 self.set_note("stream", secrets.token_hex(STREAM_BYTES))
                 self.set_note("format", kept[0])
@@ -94,19 +112,65 @@ class DiskBuffer:
         self._reserved = self._last
         self._appended = 0
 
-    def _open(self) -> None:
-        self._database = sqlite3.connect(self.path, isolation_level=None, timeout=LOCK_S)
-        self._database.executescript(
-            "PRAGMA journal_mode = WAL; PRAGMA synchronous = NORMAL;"
-            "PRAGMA locking_mode = EXCLUSIVE; PRAGMA wal_autocheckpoint = 400;" + _SCHEMA
-        )
+    def _refuse_foreign(self) -> None:
+        """Leave a file alone that is no buffer."""
+        foreign = False
+        if self.path.exists():
+            with self.path.open("rb") as file:
+                foreign = file.read(16) not in _BEGINS
+        if not foreign and self.path.exists() and self.path.stat().st_size:
+            with (
+                suppress(UnicodeDecodeError),
+                closing(sqlite3.connect(self.path, timeout=LOCK_S)) as database,
+            ):
+                try:
+                    foreign = is_foreign(database, tuple(_COLUMNS))
+                except sqlite3.Error as error:
+                    if not is_damage(error):
+                        raise
+        if foreign:
+            raise InputError(
+                f"{self.path}: is no disk buffer of a sensor",
+                hint="name another file, or move this one away",
+            )
 
-    def _put_aside(self) -> None:
-        """Keep a file of other tiles under another name, and begin a new one."""
-        stream = self.note("stream")
+    def _open(self) -> bool:
+        """Open the file; return whether it is damaged."""
+        self._database = sqlite3.connect(self.path, isolation_level=None, timeout=LOCK_S)
+        try:
+            self._database.executescript(
+                "PRAGMA journal_mode = WAL; PRAGMA synchronous = NORMAL;"
+                "PRAGMA locking_mode = EXCLUSIVE; PRAGMA wal_autocheckpoint = 400;" + _SCHEMA
+            )
+        except UnicodeDecodeError:
+            return True
+        except sqlite3.Error as error:
+            if not is_damage(error):
+                raise
+            return True
+        return False
+
+    def _damage(self) -> bool:
+        if damage_of(self._database, _COLUMNS, _SOUND):
+            return True
+        stream, reserved = self.note("stream"), self.note("reserved")
+        begun = bool(re.fullmatch(f"[0-9a-f]{{{2 * STREAM_BYTES}}}", stream))
+        empty = not stream and len(self) == 0  # killed before the first note
+        counts = not reserved or (
+            re.fullmatch("[0-9]{1,19}", reserved, re.ASCII) and int(reserved) <= LAST_NUMBER
+        )
+        return not ((begun or empty) and counts)
+
+    def _put_aside(self, why: str) -> None:
+        """Keep the file under another name, with its log, and begin a new one."""
         self._database.close()
-        self.put_aside = self.path.with_name(f"{self.path.name}.{stream}")
+        self.why = why
+        self.put_aside = self.path.with_name(f"{self.path.name}.{secrets.token_hex(STREAM_BYTES)}")
         self.path.rename(self.put_aside)
+        log = self.path.with_name(f"{self.path.name}-wal")
+        if log.exists():  # it would be read into the new file
+            log.rename(self.put_aside.with_name(f"{self.put_aside.name}-wal"))
+        self.path.with_name(f"{self.path.name}-shm").unlink(missing_ok=True)
         self._open()
 
     def __enter__(self) -> Self:
@@ -168,10 +232,12 @@ class DiskBuffer:
         (previous,) = self._one(
             "SELECT coalesce(max(number), 0) FROM messages WHERE number <= ?", number
         )
-        for row in self._database.execute(
-            "SELECT number, kind, content FROM messages WHERE number > ? ORDER BY number LIMIT ?",
-            (number, most),
-        ).fetchall():
+        with _errors(self.path):
+            rows = self._database.execute(
+                "SELECT number, kind, content FROM messages WHERE number > ? ORDER BY number "
+                "LIMIT ?", (number, most),
+            ).fetchall()  # fmt: skip
+        for row in rows:
             yield Waiting(row[0], previous, row[1], row[2])
             previous = row[0]
 
@@ -191,7 +257,8 @@ class DiskBuffer:
         self._database.execute("INSERT OR REPLACE INTO notes VALUES (?, ?)", (name, value))
 
     def _one(self, query: str, *values: int) -> tuple[int, ...]:
-        found = self._database.execute(query, values).fetchone()
+        with _errors(self.path):
+            found = self._database.execute(query, values).fetchone()
         return tuple(found)
 
 

@@ -169,10 +169,7 @@ class Edge:
             file.buffer_path, most_bytes=most, fingerprint=self._road.fingerprint
         ) as buffer:
             if buffer.put_aside:
-                self._reporter.log(
-                    f"{buffer.put_aside}: what waited speaks of other tiles, and is put aside",
-                    "warning",
-                )
+                self._reporter.log(f"{buffer.put_aside}: {buffer.why}, and is put aside", "warning")
             will = status_message(OFFLINE, stream=buffer.stream.hex())
             link = Link(
                 file.address(), name=f"{file.site}-{file.sensor}", topics=(topics.of("ack"),),

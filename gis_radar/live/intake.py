@@ -6,11 +6,13 @@ import time
 from collections.abc import Iterable, Iterator
 from copy import copy
 from dataclasses import dataclass, field
+from itertools import chain
 
 import numpy as np
 
 from gis_radar.arrays import Booleans
-from gis_radar.errors import InputError, OutputError
+from gis_radar.crs import require_same
+from gis_radar.errors import InputError, OutputError, placed
 from gis_radar.live.broker import Received, SensorTopics, parts_of
 from gis_radar.live.health import SensorHealth
 from gis_radar.live.journal import HOUR_STEPS, HOUR_US, FrameRow, Journal, PoseRow
@@ -135,7 +137,8 @@ class Intake:
         self._site, self._book, self._journal = site, book, journal
         self._windows, self._map = windows, current
         self._settings, self._reporter = settings, reporter
-        self.sensors = {name: self._sensor(name) for name in names}
+        with placed(str(journal.path)):
+            self.sensors = {name: self._sensor(name) for name in names}
         for name in journal.sensors():
             if name not in self.sensors:
                 reporter.log(
@@ -189,11 +192,12 @@ class Intake:
         So a new start after a kill goes on counting; once stopped, all is written and counts begin
         anew.
         """
-        begin_us = max(begin_us, now_us - HOUR_US)
-        for name in self.sensors:
-            for rows in self._journal.frames(name, begin_us, now_us):
-                for row in rows:
-                    seen = Seen(decode_tiles(row.tiles), self.poses[row.pose].view)
+        begin_us, count = max(begin_us, now_us - HOUR_US), len(self._book.road.tile_id)
+        with placed(str(self._journal.path)):
+            for name in self.sensors:
+                for row in chain.from_iterable(self._journal.frames(name, begin_us, now_us)):
+                    tiles = decode_tiles(row.tiles, below=count, what="tiles of a frame")
+                    seen = Seen(tiles, self.poses[row.pose].view)
                     self._windows.add(name, row.time_us // STEP_US, seen)
         yield from self._windows.close(now_us, most=HOUR_STEPS)
 
@@ -302,7 +306,9 @@ class Intake:
             return True
         try:
             found = PoseContent.unpack(content)
-            pose = pose_from_dict(found.pose, what=f"the pose of {name}")
+            what = f"the pose of {name}"
+            pose = pose_from_dict(found.pose, what=what)
+            require_same(pose.crs, self._book.road.crs, what=what, other_what="the tiles")
         except InputError as error:
             self._skip(sensor, envelope, error.message)
             return False

@@ -12,8 +12,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple, Self
 
-from gis_radar.errors import OutputError
-from gis_radar.steps import STEP_US
+import numpy as np
+
+from gis_radar.errors import InputError, OutputError
+from gis_radar.live.damage import damage_of, is_damage, is_foreign
+from gis_radar.steps import STEP_US, in_known_years
 
 LOCK_S = 1.0  # for another program to let go of the file
 HOUR_US = 3_600_000_000
@@ -30,6 +33,29 @@ CREATE TABLE IF NOT EXISTS frames (sensor TEXT, time_us INTEGER, pose INTEGER NO
     detections INTEGER NOT NULL, moving INTEGER NOT NULL, wild INTEGER NOT NULL,
     checksum INTEGER NOT NULL, tiles BLOB NOT NULL, PRIMARY KEY (sensor, time_us)) WITHOUT ROWID;
 """
+_COLUMNS = {
+    "notes": ("name", "value"),
+    "marks": ("sensor", "stream", "stored"),
+    "poses": ("id", "sensor", "stream", "number", "content", "standing", "view"),
+    "frames": (
+        "sensor", "time_us", "pose", "detections", "moving", "wild", "checksum", "tiles",
+    ),
+}  # fmt: skip
+_SOUND = {
+    "notes": "typeof(name) = 'text' AND typeof(value) = 'text'",
+    "marks": "typeof(sensor) = 'text' AND typeof(stream) = 'text' AND typeof(stored) = 'integer' "
+    "AND stored BETWEEN 0 AND (1 << 62)",
+    "poses": "typeof(sensor) = 'text' AND typeof(stream) = 'text' AND typeof(content) = 'blob' "
+    "AND typeof(number) = 'integer' AND typeof(view) = 'text' AND id BETWEEN 1 AND (1 << 62) "
+    "AND EXISTS (SELECT 1 FROM poses AS other WHERE other.id = poses.standing "
+    "AND other.sensor = poses.sensor)",
+    "frames": "typeof(sensor) = 'text' AND typeof(tiles) = 'blob' AND typeof(time_us) = 'integer' "
+    "AND typeof(pose) = 'integer' AND typeof(detections) = 'integer' "
+    "AND typeof(moving) = 'integer' AND typeof(wild) = 'integer' AND typeof(checksum) = 'integer' "
+    "AND min(time_us, detections, moving, wild, checksum) >= 0 "
+    "AND EXISTS (SELECT 1 FROM poses WHERE poses.id = frames.pose "
+    "AND poses.sensor = frames.sensor)",
+}
 
 
 class FrameRow(NamedTuple):
@@ -69,6 +95,8 @@ class Journal:
 
     Raises
     ------
+    InputError
+        If it is damaged, or no journal.
     OutputError
         If it cannot be written, or is one of other tiles.
     """
@@ -81,12 +109,24 @@ class Journal:
             self._database = sqlite3.connect(
                 path, isolation_level=None, timeout=LOCK_S, check_same_thread=False
             )
-            self._database.executescript(
-                "PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL;"
-                "PRAGMA locking_mode = EXCLUSIVE;" + _SCHEMA
-            )
-            row = ("fingerprint", fingerprint)
-            self._database.execute("INSERT OR IGNORE INTO notes VALUES (?, ?)", row)
+            try:
+                foreign = is_foreign(self._database, tuple(_COLUMNS))
+                if not foreign:
+                    self._begin(fingerprint)
+            except (sqlite3.Error, UnicodeDecodeError) as error:
+                if isinstance(error, sqlite3.Error) and not is_damage(error):
+                    raise
+                raise self._damaged("it cannot be read") from error
+            if foreign:
+                self._database.close()
+                raise InputError(
+                    f"{path}: is no journal of the live system", hint="move this file away"
+                )
+            if why := damage_of(self._database, _COLUMNS, _SOUND):
+                raise self._damaged(why)
+            last = self._database.execute("SELECT max(time_us) FROM frames").fetchone()[0] or 0
+            if not in_known_years(np.array([last / 1e6])).all():
+                raise self._damaged("its frames are of no known year")
             (known,) = self._database.execute(
                 "SELECT value FROM notes WHERE name = 'fingerprint'"
             ).fetchone()
@@ -96,6 +136,23 @@ class Journal:
                 f"{path}: holds frames on tiles {known}, not {fingerprint}",
                 hint="name another folder for the new tiles",
             )
+
+    def _begin(self, fingerprint: str) -> None:
+        """Make the tables where there are none."""
+        self._database.executescript(
+            "PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL;"
+            "PRAGMA locking_mode = EXCLUSIVE;" + _SCHEMA
+        )
+        row = ("fingerprint", fingerprint)
+        self._database.execute("INSERT OR IGNORE INTO notes VALUES (?, ?)", row)
+
+    def _damaged(self, why: str) -> InputError:
+        self._database.close()
+        return InputError(
+            f"{self.path}: damaged: {why}",
+            hint="move it away: what fusion had not acknowledged comes again, the frames of the "
+            "hours that were not written yet are in it alone",
+        )
 
     def __enter__(self) -> Self:
         return self

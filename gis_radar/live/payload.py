@@ -20,7 +20,7 @@ from gis_radar.arrays import Integers
 from gis_radar.errors import InputError
 from gis_radar.occupancy.hit_counter import CountedFrame
 from gis_radar.occupancy.tile_sets import decode_tiles, encode_tiles
-from gis_radar.steps import FIRST_YEAR, LAST_YEAR, in_known_years
+from gis_radar.steps import FIRST_YEAR, LAST_YEAR, LONGEST_CYCLE_S, in_known_years
 
 VERSION = 1
 HITS, POSE, RETURNS = 1, 2, 3
@@ -30,6 +30,7 @@ _HEAD = struct.Struct(">BB4s")
 STREAM_BYTES, FINGERPRINT_BYTES = 4, 4
 MOST_BYTES = 65_536  # of a message; a frame takes 100
 MOST_FRAMES = 1_000  # in a message
+MOST_HOLD_S = 1.5 * LONGEST_CYCLE_S  # that a frame covers: up to the next one, with some delay
 _MOST_VARINT = 9  # bytes of a number under 2**63
 MOST_CONTENT = MOST_BYTES - _HEAD.size - 2 * _MOST_VARINT  # of a message, without its envelope
 T = TypeVar("T")
@@ -379,6 +380,7 @@ class PoseContent:
         kinds = {"pose": dict, "since_step": int, "fingerprint": str, "filters": dict,
                  "settings": dict, "hold_s": float | int, "trusted": bool}  # fmt: skip
         odd = [name for name, kind in kinds.items() if not isinstance(record.get(name), kind)]
+        odd += ["hold_s"] if not odd and not 0.0 < record["hold_s"] <= MOST_HOLD_S else []
         if odd:
             raise InputError(f"a message with a pose: {odd[0]} is {record.get(odd[0])!r:.80}")
         return cls(**{name: record[name] for name in kinds})

@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 
 from gis_radar.arrays import Integers
+from gis_radar.errors import InputError
 from gis_radar.files import output_errors, whole_folder
 from gis_radar.live.journal import HOUR_US, FrameRow, Journal
 from gis_radar.live.payload import PoseContent
@@ -191,6 +192,9 @@ class _Hour:
             sizes = np.cumsum([0, *(len(row.tiles) for row in rows)])
             data = np.frombuffer(b"".join(row.tiles for row in rows), np.uint8)
             tiles, begins = decode_sets(data, sizes, what=str(self._journal.path))
+            if len(tiles) and tiles.max() >= len(self._store.tile_id):
+                last, count = int(tiles.max()), len(self._store.tile_id)
+                raise InputError(f"{self._journal.path}: damaged: names tile {last} of {count}")
             yield rows, tiles, np.diff(begins)
 
     def _hits(self, sensor: str, number: int) -> Iterator[Rows]:

@@ -152,7 +152,7 @@ def _encode(  # pragma: no cover - compiled
             tile = tiles[place]
             if tile <= before:
                 return place
-            rest = tile - before - 1
+            rest = tile - (before + 1)  # the last tile has no successor
             while rest >= 128:
                 data[size] = rest & 127 | 128
                 rest >>= 7

@@ -127,6 +127,13 @@ def document(data: bytes, sound: bytes, path: Path) -> None:
     path.write_text(json.dumps(content), encoding="utf-8")
 
 
+def record(data: bytes, sound: bytes, path: Path) -> None:
+    """Change values of the JSON document at the end of a message; its envelope stays."""
+    at = sound.index(b"{")
+    document(data, sound[at:], path)
+    path.write_bytes(sound[:at] + path.read_bytes())
+
+
 def table(data: bytes, sound: bytes, path: Path) -> None:
     """Change values, rows and columns of a Parquet file."""
     program, content = Program(data), pq.read_table(BytesIO(sound))

@@ -18,7 +18,7 @@ from test_vehicles_folder import drive, straight_tiles
 from test_vehicles_folder import write as write_drive
 
 import gis_radar as gr
-from fuzz import edits
+from fuzz import edits, live
 from gis_radar.recordings.readers.udp import METHOD, method_of, read_detections
 from gis_radar.recordings.recording import open_recording
 from gis_radar.scans.scan import open_scan
@@ -42,12 +42,15 @@ class Target:
         Reads in a folder of inputs; an error of ours is an answer, any other a finding.
     edit : callable
         Writes the changed file from bytes and what was there.
+    needs : str
+        A package that may not be there.
     """
 
     name: str
     paths: tuple[str, ...]
     read: Callable[[Path], object]
     edit: edits.Edit = edits.replaced
+    needs: str = ""
 
     def seeds(self, folder: Path) -> list[bytes]:
         """Return bytes to begin with."""
@@ -152,6 +155,7 @@ def build_inputs(folder: Path) -> None:
     for count in range(3):
         payload = detection_list(1_700_000_000.0, [detection()] * count)
         (folder / f"list{count}.bin").write_bytes(payload)
+    live.build(folder)
 
 
 def _few_lanelets(sample: bytes, count: int) -> bytes:
@@ -256,6 +260,7 @@ VEHICLES = "tracks", "vehicles", "passages", "covered", "visible", "frames"
 OCCUPANCY = "frames", "views", "hits_by_sensor"
 OF_VEHICLES = " ".join(f"vehicles/{each}.parquet" for each in VEHICLES)
 OF_OCCUPANCY = " ".join(f"occupancy/{each}.parquet" for each in OCCUPANCY)
+OF_LIVE = " ".join(f"live/{each}" for each in live.MESSAGES)
 FIRST_CLOUD = "clouds/1700000000.000000.pcd"
 ROWS = {
     "osm": ("map.osm sample.osm", _maps, edits.replaced),
@@ -288,8 +293,29 @@ ROWS = {
     "heat map": ("heatmap/heatmap.gpkg", _file(gr.read_heatmap, "heatmap"), edits.database),
     "roads csv": ("roads.csv", _wkt_roads, edits.text),
     "roads": ("roads.gpkg", _file(gr.read_roads, "roads.gpkg"), edits.database),
+    "tile set": ("live/tiles", live.tile_set, edits.replaced),
+    "live hits": ("live/hits", live.hits, edits.replaced),
+    "live returns": ("live/returns", live.returns, edits.replaced),
+    "live messages": (OF_LIVE, live.messages, edits.replaced),
+    "live hour": ("live/hits live/pose", live.hour, edits.replaced),
+    "live records": ("live/status live/pose", live.hour, edits.record),
+    "live acknowledgement": ("live/ack", live.acknowledgement, edits.replaced),
+    "live acknowledgement values": ("live/ack", live.acknowledgement, edits.record),
+    "live buffer": ("live/buffer", live.buffer, edits.database),
+    "live buffer bytes": ("live/buffer", live.buffer, edits.replaced),
+    "live journal": ("live/journal", live.kept_journal, edits.database),
+    "sensor file": ("SENSOR.toml", live.sensor_file, edits.replaced),
+    "sensor file text": ("SENSOR.toml", live.sensor_file, edits.text),
+    "live site text": ("LIVE.toml", live.live_site, edits.text),
+    "sight": ("sight.gpkg", live.sight, edits.database),
 }
 TARGETS = {
-    name: Target(name=name, paths=tuple(paths.split()), read=read, edit=edit)
+    name: Target(
+        name=name,
+        paths=tuple(paths.split()),
+        read=read,
+        edit=edit,
+        needs="paho" if name.startswith(("live buffer", "live ack")) else "",
+    )
     for name, (paths, read, edit) in ROWS.items()
 }
