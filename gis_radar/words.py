@@ -23,6 +23,13 @@ _MONTHS = (
 )  # fmt: skip
 _WEEKDAYS = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
 _HOLE = re.compile(r"\{\w*\}")
+# What stands before a message and is no name of a file or a sensor: verdicts, and stages of a run,
+# which begin so.
+_VERDICTS = frozenset({"confirms", "doubts", "alone", "refused"})
+_STAGES = frozenset({
+    "road", "mask", "convert", "localize", "poses", "pose", "tiles", "occupancy", "vehicles",
+    "heat", "QGIS", "report",
+})  # fmt: skip
 
 # Not an argument of each function: what writes a number is ten calls below who knows the language.
 _CURRENT: ContextVar[str] = ContextVar("language", default="en")
@@ -100,8 +107,26 @@ def _after_names(text: str, *, most: int = 0) -> str:
     head, rest = "", text
     while not (found := _known(rest, most)) and ": " in rest:
         before, _, rest = rest.partition(": ")
-        head += f"{catalogue(_CURRENT.get()).get(before, before) if ' ' in before else before}: "
+        head += f"{_before(before)}: "
     return head + found if found else ""
+
+
+def _before(text: str) -> str:
+    """Return what stands before a message in the current language; a name as it is."""
+    known = catalogue(_CURRENT.get())
+    words = text.split(" ")
+    if words[0] in _STAGES:
+        return stage_words(text)
+    return known.get(text, text) if len(words) > 1 or text in _VERDICTS else text
+
+
+def stage_words(stage: str) -> str:
+    """Return a stage of a run in the current language: `localize R1` has a name in it."""
+    known, words = catalogue(_CURRENT.get()), stage.split(" ")
+    for most in range(len(words), 0, -1):
+        if work := known.get(" ".join(words[:most])):
+            return " ".join([work, *words[most:]])
+    return stage
 
 
 def _known(text: str, semicolons: int = 0) -> str:

@@ -36,7 +36,7 @@ def _said(node):
         targets = [name for target in node.targets for name in _names(target)]
         if set(targets) & {*CLASS_TEXTS, *CONSTANTS}:
             yield from getattr(node.value, "elts", [node.value])
-        if "SENSOR_TABLES" in targets:
+        if {"SENSOR_TABLES", "LANE_TABLES"} & set(targets):
             yield from node.value.keys
     elif isinstance(node, ast.For) and isinstance(node.iter, ast.Tuple):
         yield from (node.iter.elts if _is_legend(node) else ())

@@ -24,6 +24,7 @@ from gis_radar.words import (
     plural,
     seconds_text,
     speaking,
+    stage_words,
     tr,
     tr_message,
 )
@@ -191,6 +192,17 @@ def test_a_finished_sentence_is_known_again_with_its_values():
         ("R1: frozen: 3 % of the frames repeat the last (in 2 of its hours, first in that from x)",
          ("R1: eingefroren: 3 % der Messzyklen wiederholen den vorigen (in 2 seiner Stunden, "
          "zuerst in der ab x)")),
+        (("localize R1: second look: confirms: 93% of what stands lies on the scan's canopy and "
+          "walls, by chance 19%; most of all 0.1 m and 0.2 deg away"),
+         ("Standort und Ausrichtung suchen: R1: Gegenprobe mit dem Laserscan: bestätigt: 93\u202f% "
+          "dessen, was steht, liegt im Laserscan auf Kronen und Wänden, zufällig wären es "
+          "19\u202f%; am besten passt es 0,1 m und 0,2 Grad entfernt")),
+        ("poses together: R2: alone: no other sensor sees enough of the same vehicles",
+         ("Standorte und Ausrichtungen gemeinsam: R2: allein: kein anderer Sensor sieht genug von "
+          "denselben Fahrzeugen")),
+        ("report: Recorded were 100 s only: a few cycles of a signal, and no usual day",
+         ("Bericht: Aufgezeichnet sind nur 100 s: wenige Umläufe einer Ampel, kein gewöhnlicher "
+          "Tag")),
         (("a.parquet: 99.9 % of the detections lie within 120 m, but the view of R1 reaches 300 m: "
          "what lies beyond reads as observed and empty; set max_range_m in [sensor.view]"),
          ("a.parquet: 99,9 % der Detektionen liegen innerhalb von 120 m, aber das Sichtfeld von R1 "
@@ -201,6 +213,24 @@ def test_a_finished_sentence_is_known_again_with_its_values():
 def test_warnings_of_a_run_are_german(told, german):
     with speaking("de"):
         assert tr_message(told) == german
+
+
+def test_each_stage_of_a_run_has_its_german():
+    tree = ast.parse((PACKAGE / "site" / "plan.py").read_text(encoding="utf-8"))
+    named = [
+        word.value for node in ast.walk(tree) if isinstance(node, ast.Call)
+        and getattr(node.func, "id", "") == "Stage" for word in node.keywords if word.arg == "name"
+    ]  # fmt: skip
+    firsts = [each.values[0] if isinstance(each, ast.JoinedStr) else each for each in named]
+    begins = {each.value.strip() for each in firsts if isinstance(each, ast.Constant)}
+    begins |= {"occupancy"}  # of its parts, by a variable
+    assert len(begins) > 9
+    with speaking("de"):
+        assert [each for each in begins if stage_words(f"{each} R1") == f"{each} R1"] == []
+        assert [
+            each for each in begins
+            if tr_message(f"{each}: no usable frame in the inputs").startswith(f"{each}:")
+        ] == []  # fmt: skip
 
 
 def test_names_of_sensors_are_no_words_of_the_catalogue():

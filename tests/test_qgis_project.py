@@ -269,6 +269,8 @@ def test_a_project_in_german(results, tmp_path):
     assert any("dd.MM.yyyy" in text for text in texts)
     assert any(text.startswith("Trefferbelegung: der Anteil") for text in texts)
     assert "dd.MM.yyyy" in root.findtext("properties/TitleLabel/Label")
+    labels = [each.get("fieldName") for each in root.iter("text-style")]
+    assert any("^2), 2, 'de')" in text for text in labels)  # 0,64 m, however QGIS is set
     with pytest.raises(gr.UsageError, match="'fr', expected one of en, de"):
         gr.write_qgis_project(path, heatmap=results / "heatmap", language="fr")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import textwrap
 from collections.abc import Iterator, Mapping
 from datetime import datetime, timedelta
@@ -92,6 +93,7 @@ def _rename_layers(root: Element, measure: str) -> None:
 
 
 _NAMED = {"layer-tree-group", "layer-tree-layer"}
+_NUMBER = re.compile(r"format_number\(.*?, \d+(?=\))")
 _LABELLED = {"category", "range", "rule", "item"}  # classes of a legend, of vectors and rasters
 
 
@@ -106,6 +108,13 @@ def _translate(root: Element, language: str) -> None:
             element.set("name", translated(element.get("name", ""), language))
         elif element.tag in _LABELLED and element.get("label"):
             element.set("label", class_label(element.attrib["label"], language))
+        elif element.tag == "text-style" and "format_number" in element.get("fieldName", ""):
+            element.set("fieldName", _numbers_in(element.attrib["fieldName"], language))
+
+
+def _numbers_in(expression: str, language: str) -> str:
+    """Return a label's expression that writes numbers in a language: QGIS's may be another."""
+    return _NUMBER.sub(rf"\g<0>, '{language}'", expression)
 
 
 def _sheet(content: ProjectContent) -> Element:

@@ -26,6 +26,9 @@ from .worker import find_python, plugin_version, same_series, worker_version
 PROVIDER = "gisradar"
 SETTING = "gis_radar/worker_python"
 ICONS = Path(__file__).parent / "icons"
+# Figures of hits, for diagnosis: where there is coverage they would be taken for it.
+_OF_HITS = {"hits", "tiles hit", "covered s", "busiest tile", "busiest occupied s",
+            "busiest observed s", "busiest occupancy"}  # fmt: skip
 ALL_STAGES = "all stages"  # as a site's run calls them
 SITE, TRAFFIC, RESULTS, SET_UP = "Site", "Traffic", "Results", "Set-up"
 
@@ -229,18 +232,28 @@ class WorkerAlgorithm(Algorithm):
 
 
 def stage_words(stage: str) -> str:
-    """Return a stage in the user's language; `localize R1` has the name of a sensor in it."""
-    if tr(stage) != stage:
-        return tr(stage)
-    work, _, sensor = stage.rpartition(" ")
-    return f"{tr(work)} {sensor}" if work else stage
+    """Return a stage in the user's language; `occupancy R1 R1.parquet` has names in it."""
+    words = stage.split(" ")
+    for most in range(len(words), 0, -1):
+        work = " ".join(words[:most])
+        if tr(work) != work:
+            return " ".join([tr(work), *words[most:]])
+    return stage
 
 
 def summary_lines(summary: dict[str, Any]) -> list[str]:
-    """Return a line for each figure; those of each sensor stand in a line of their own."""
+    """Return a line for each figure; those of each sensor stand in a line of their own.
+
+    Beside coverage there are none of hits, and tracks are not called vehicles: they are no count.
+    """
     lines = []
+    covered = "mean coverage" in summary or "mean_coverage" in summary
     for name, value in summary.items():
         title = tr(name.replace("_", " "))
+        if covered and name.replace("_", " ") in _OF_HITS:
+            continue
+        if covered and name == "vehicles":
+            title = tr("Tracks of vehicles")
         if isinstance(value, dict) and all(isinstance(part, dict) for part in value.values()):
             lines += [f"{title}: {key}: {readable(part)}" for key, part in value.items()]
         else:

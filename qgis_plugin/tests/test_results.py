@@ -276,3 +276,15 @@ def test_the_sensor_comes_with_view_and_ellipse(run, site, tmp_path, fake_worker
     page = Path(results["REPORT"]).read_text(encoding="utf-8")
     assert "R1.png" in page
     assert "fitness" in page
+
+
+def test_the_log_of_a_run_shows_no_hits_beside_coverage(provider):
+    """Nor does it call tracks vehicles; without coverage hits are all there is."""
+    from gis_radar_plugin.base import stage_words, summary_lines
+
+    figures = {"hits": 7, "busiest tile": 499, "busiest_occupancy": 0.58, "vehicles": 126}
+    assert summary_lines({**figures, "mean coverage": 0.1}) == [
+        "Tracks of vehicles: 126", "mean coverage: 0.1",
+    ]  # fmt: skip
+    assert len(summary_lines(figures)) == 4
+    assert stage_words("occupancy R1 R1.parquet") == "occupancy R1 R1.parquet"

@@ -39,6 +39,7 @@ from ..report.export import (
     export,
     ground_layer,
     heat_layer,
+    lane_layers,
     refuse_no_sensors,
     sensor_layers,
     write_pages,
@@ -214,7 +215,7 @@ class ExportReport(Algorithm):
         """Return a project with all layers, and the layer of pages."""
         package = Path(self.parameterAsFile(parameters, "HEATMAP", context)) / "heatmap.gpkg"
         whole, each = heat_layer(package, "heatmap"), heat_layer(package, INTERVALS)
-        above = sensor_layers(self._sensors(parameters, context))
+        above = sensor_layers(self._sensors(parameters, context)) + lane_layers(package)
         below = copied(self.parameterAsLayerList(parameters, "BACKGROUND", context) or [])
         project = QgsProject()
         project.setCrs(whole.crs())

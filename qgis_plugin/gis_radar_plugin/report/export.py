@@ -32,6 +32,8 @@ PROJECT, PAGES, PDF = "report.qgz", "pages.gpkg", "report.pdf"
 _DRAWN = (QgsVectorLayer, QgsRasterLayer)
 # Top to bottom.
 SENSOR_TABLES = {"Sensors": "sensors", "Uncertainty (95 %)": "uncertainty", "Views": "views"}
+LANE_TABLES = {"Lanes": "lanes", "Stop lines": "stop_lines"}
+TILES = "tiles.gpkg"  # of a site's run, beside the folder of the heat map
 
 
 def heat_layer(package: Path, name: str) -> QgsVectorLayer:
@@ -72,11 +74,24 @@ def refuse_no_sensors(package: Path) -> None:
 
 def sensor_layers(package: Path | None) -> list[QgsMapLayer]:
     """Return the layers of a file of sensors, none without one."""
-    if package is None:
-        return []
+    return _tables(package, SENSOR_TABLES) if package is not None else []
+
+
+def lane_layers(package: Path) -> list[QgsMapLayer]:
+    """Return lanes by number and stop lines, where the tiles of the heat map lie beside it."""
+    beside = package.parent.parent / TILES
+    counts = [
+        QgsVectorLayer(f"{path}|layername={name}", "", "ogr").featureCount()
+        for path, name in ((beside, "tiles"), (package, "heatmap"))
+    ]
+    return _tables(beside, LANE_TABLES) if beside.is_file() and counts[0] == counts[1] else []
+
+
+def _tables(package: Path, names: dict[str, str]) -> list[QgsMapLayer]:
+    """Return those of the layers that are there and not empty, by their titles."""
     layers = [
         QgsVectorLayer(f"{package}|layername={table}", tr(name), "ogr")
-        for name, table in SENSOR_TABLES.items()
+        for name, table in names.items()
     ]
     return [layer for layer in layers if layer.isValid() and layer.featureCount() > 0]
 
@@ -86,7 +101,10 @@ def explained(project: QgsProject) -> dict[str, QgsMapLayer]:
     names = {
         "gis_radar_heatmap": [tr("Coverage, whole time"), tr("Occupancy, whole time")],
         "gis_radar_ground": [tr("Road, not observed")],
-        **{f"gis_radar_{table}": [tr(name)] for name, table in SENSOR_TABLES.items()},
+        **{
+            f"gis_radar_{table}": [tr(name)]
+            for name, table in {**LANE_TABLES, **SENSOR_TABLES}.items()
+        },
     }
     found = {
         key: [layer for name in each for layer in project.mapLayersByName(name)]
