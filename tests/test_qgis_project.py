@@ -10,7 +10,7 @@ import geopandas as gpd
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from maps import Listener
 
@@ -28,6 +28,7 @@ def a_pose(sensor="R1", **more):
     return gr.Pose(sensor=sensor, **(fields | more), **evidence)
 
 
+@settings(deadline=None)
 @given(
     st.floats(-180, 180), st.floats(-30, 30), st.sampled_from([0.0, 180.0]),
     st.floats(10, 170), st.floats(0.05, 0.95), st.floats(-0.95, 0.95),
