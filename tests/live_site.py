@@ -83,11 +83,21 @@ def make_tiles_file(folder):
 
 
 class LiveSite:
-    """Files of a site and its sensors, and the broker that they name."""
+    """Files of a site and its sensors, and the broker that they name.
 
-    def __init__(self, folder, once):
+    The sample junction, or what is given: its sensors, map, tiles, poses and recordings.
+    """
+
+    names, recordings = ("R1", "R2"), SAMPLE
+    map_file = SAMPLE / "junction.osm"
+    scheme, host, authority = "mqtt", "127.0.0.1", ""
+    of_site = ""  # more of SITE.toml, and of its table [live]
+    of_live = ""
+
+    def __init__(self, folder, once, **given):
+        vars(self).update(given)
         self.folder, self.port = folder, free_port()
-        self.tiles = once("live_tiles", make_tiles_file)
+        self.tiles = given.get("tiles") or once("live_tiles", make_tiles_file)
         self.file = folder / "SITE.toml"
         self.file.write_text(self.site_text())
         write_broker_files(self.file, folder / "broker")
@@ -97,41 +107,54 @@ class LiveSite:
             config.write_text(config.read_text() + "user root\n")
         self.broker = Broker(config, self.port)
 
+    @property
+    def address(self):
+        return f"{self.scheme}://{self.host}:{self.port}"
+
+    def password(self, user):
+        return (self.folder / "broker" / f"password_of_{user}").read_text().strip()
+
     def site_text(self, password=""):
         secret = f', password_file = "{password}"' if password else ""
+        secret += f', authority = "{self.authority}"' if self.authority else ""
+        sensors = "".join(f'[[sensor]]\nname = "{name}"\n' for name in self.names)
         return f"""
 title = "Sample junction"
 [map]
-file = "{SAMPLE / "junction.osm"}"
+file = "{self.map_file}"
+{self.of_site}
 [live]
 site = "junction"
 tiles = "{self.tiles}"
-broker = {{ address = "mqtt://127.0.0.1:{self.port}"{secret} }}
-[[sensor]]
-name = "R1"
-[[sensor]]
-name = "R2"
+broker = {{ address = "{self.address}"{secret} }}
+{self.of_live}
+{sensors}
 """
 
-    def edge(self, name, *, more="", source="speed = 0.0", **keys):
-        """Write the file of a sensor and return it."""
+    def edge(self, name, *, more="", source="speed = 0.0", port=None, **keys):
+        """Write the file of a sensor and return it; a key that is None is left out."""
         path = self.folder / f"{keys.pop('file', name)}.toml"
         user = keys.pop("user", name)
-        keys = {"pose": f'"{SAMPLE / name}.json"', "tiles": f'"{self.tiles}"'} | keys
+        if "recording" not in source and "address" not in source:
+            source = f'recording = "{self.recordings / name}.parquet"\n{source}'
+        keys = {
+            "pose": f'"{SAMPLE / name}.json"', "tiles": f'"{self.tiles}"', "follow": "false",
+            "returns": "false",
+        } | keys  # fmt: skip
+        keys = {key: value for key, value in keys.items() if value is not None}
+        address = f"{self.scheme}://{self.host}:{port or self.port}"
         path.write_text(
             f"""
 sensor = "{name}"
 site = "junction"
-follow = false
-returns = false
 {"".join(f"{key} = {value}" + chr(10) for key, value in keys.items())}
 {more}
 [source]
-recording = "{SAMPLE / name}.parquet"
 {source}
 [broker]
-address = "mqtt://127.0.0.1:{self.port}"
+address = "{address}"
 password_file = "broker/password_of_{user}"
+{f'authority = "{self.authority}"' if self.authority else ""}
 [buffer]
 file = "{path.stem}.buffer"
 """

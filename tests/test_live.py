@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from live_programs import Lines, assert_same_tables, columns, measured
 from live_site import SAMPLE, Background, LiveSite, needs_mosquitto, wait_for
 
 import gis_radar as gr
@@ -18,7 +19,6 @@ from gis_radar.live.payload import (
 )
 from gis_radar.live.settings import read_edge_file, read_live_site
 from gis_radar.occupancy.hit_counter import CountedFrame
-from gis_radar.progress import Reporter
 
 NAMES = ("R1", "R2")
 pytestmark = needs_mosquitto
@@ -33,36 +33,10 @@ def site(tmp_path, once):
     made.broker.kill()
 
 
-def columns(stream):
-    return [np.concatenate(each) for each in zip(*stream, strict=True)]
-
-
-def assert_same_tables(one, other):
-    """Compare all tables of two occupancies exactly."""
-    assert one.fingerprint == other.fingerprint
-    assert one.frames.equals(other.frames)
-    assert one.views.equals(other.views)
-    assert one.hold_s == other.hold_s
-    names = one.sensors
-    for read in ("hits_by_sensor", "frame_log"):
-        mine, theirs = (columns(getattr(each, read)(names)) for each in (one, other))
-        assert len(mine[0])
-        for number, (a, b) in enumerate(zip(mine, theirs, strict=True)):
-            assert np.array_equal(a, b), f"{read}, column {number}"
-
-
 @pytest.fixture(scope="session")
 def batch(once):
     """Give the folder that the batch makes of the sample's recordings."""
-
-    def make(folder):
-        tiles = gr.make_tiles(gr.read_map(SAMPLE / "junction.osm"))
-        poses = [gr.read_pose(SAMPLE / f"{name}.json") for name in NAMES]
-        recordings = [SAMPLE / f"{name}.parquet" for name in NAMES]
-        gr.measure_occupancy(recordings, poses, tiles, folder / "occupancy")
-        return folder / "occupancy"
-
-    return gr.read_occupancy(once("live_batch", make))
+    return gr.read_occupancy(once("live_batch", measured(NAMES)))
 
 
 def test_what_fusion_stores_equals_the_batch(site, batch):
@@ -78,19 +52,6 @@ def test_what_fusion_stores_equals_the_batch(site, batch):
     assert [path.name for path in hours] == ["2025-06-12T07Z"]
     assert_same_tables(gr.read_occupancy(hours), batch)
     assert [edge.frames for edge in edges] == [2000, 2002]
-
-
-class Lines(Reporter):
-    """A reporter that keeps what it is told."""
-
-    def __init__(self):
-        self.lines = []
-
-    def log(self, message, _level="info"):
-        self.lines.append(message)
-
-    def told(self, words):
-        return any(words in line for line in self.lines)
 
 
 def test_a_broker_that_is_killed_and_a_fusion_that_begins_anew_lose_nothing(site, batch):

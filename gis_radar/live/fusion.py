@@ -184,6 +184,7 @@ class Fusion:
         now = time.monotonic()
         if now - self._committed >= self._settings.commit_s:
             self._commit()
+            self._forget()
             for each in self.sensors.values():
                 each.health.look(time.time())
             over = int((time.time() - self._settings.settle_s) * 1e6) // HOUR_US
@@ -209,6 +210,12 @@ class Fusion:
             if each.stored != each.received:
                 each.stored, each.due = each.received, True
                 self._acknowledge(each)
+
+    def _forget(self) -> None:
+        try:
+            self.intake.forget()
+        except OutputError as error:
+            self._say(error)
 
     def _acknowledge(self, sensor: SensorState) -> None:
         if self._link is None or not self._link.connected:

@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterable, Iterator
 from copy import copy
 from dataclasses import dataclass, field
-from itertools import chain
+from itertools import chain, cycle
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from gis_radar.live.broker import Received, SensorTopics, parts_of
 from gis_radar.live.health import SensorHealth
 from gis_radar.live.journal import HOUR_STEPS, HOUR_US, FrameRow, Journal, PoseRow
 from gis_radar.live.map_of_now import MapOfNow
+from gis_radar.live.old_poses import PosesOfSensor, drop_old_poses
 from gis_radar.live.outbox import ONLINE
 from gis_radar.live.payload import (
     FINGERPRINT_BYTES,
@@ -139,6 +140,7 @@ class Intake:
         self._settings, self._reporter = settings, reporter
         with placed(str(journal.path)):
             self.sensors = {name: self._sensor(name) for name in names}
+        self._turns = cycle(self.sensors)
         for name in journal.sensors():
             if name not in self.sensors:
                 reporter.log(
@@ -294,9 +296,26 @@ class Intake:
         sensor.due = sensor.due or sensor.refused != reason
         sensor.refused = reason
 
+    def forget(self) -> None:
+        """Drop what is old of one sensor, in turn: poses that nothing names, and their views.
+
+        Raises
+        ------
+        OutputError
+            If the journal cannot be written.
+        """
+        name = next(self._turns)
+        sensor = self.sensors[name]
+        mine = PosesOfSensor(name, sensor.standing.heads, sensor.poses)
+        if drop_old_poses(mine, self.poses, self._journal):
+            views = {(s, self.poses[i].view) for s, e in self.sensors.items()
+                     for i in e.poses.values()}  # fmt: skip
+            self._book.keep(views)
+            self._map.views = {view: self._map.views[view] for _, view in views}
+
     def _take_kept(self, sensor: SensorState, envelope: Envelope, content: bytes) -> None:
         """Take the pose that the broker kept: frames may speak of it where a journal was lost."""
-        if envelope.kind == POSE:
+        if envelope.kind == POSE and envelope.number > sensor.received:  # else it is an old one
             self._take_pose(sensor, envelope, content)
 
     def _take_pose(self, sensor: SensorState, envelope: Envelope, content: bytes) -> bool:

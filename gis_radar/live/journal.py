@@ -7,7 +7,7 @@ stored, so that whatever is killed, an acknowledged frame is there, and none is 
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple, Self
@@ -81,6 +81,15 @@ class PoseRow(NamedTuple):
     content: bytes
     standing: int
     view: str
+
+
+class PoseName(NamedTuple):
+    """A pose in the journal, without its content."""
+
+    id: int
+    stream: str
+    number: int
+    standing: int
 
 
 class Journal:
@@ -182,6 +191,13 @@ class Journal:
         )
         return [PoseRow(*row) for row in found]
 
+    def pose_names(self, sensor: str) -> list[PoseName]:
+        """Return the poses of a sensor, in order, without their contents."""
+        found = self._database.execute(
+            "SELECT id, stream, number, standing FROM poses WHERE sensor = ? ORDER BY id", (sensor,)
+        )
+        return [PoseName(*row) for row in found]
+
     def next_pose(self) -> int:
         """Return the id of the next pose."""
         (found,) = self._database.execute("SELECT coalesce(max(id), 0) + 1 FROM poses").fetchone()
@@ -191,6 +207,20 @@ class Journal:
         """Add a pose, at once."""
         with self._errors():
             self._database.execute("INSERT INTO poses VALUES (?, ?, ?, ?, ?, ?, ?)", row)
+
+    def poses_named(self, sensor: str) -> set[int]:
+        """Return the ids of the poses that frames of a sensor name, on disk or not yet."""
+        found = self._database.execute(
+            "SELECT DISTINCT pose FROM frames WHERE sensor = ?", (sensor,)
+        )
+        return {pose for (pose,) in found} | {
+            row.pose for row in self._waiting if row.sensor == sensor
+        }
+
+    def drop_poses(self, ids: Iterable[int]) -> None:
+        """Drop poses that nothing names any more."""
+        with self._errors():
+            self._database.executemany("DELETE FROM poses WHERE id = ?", [(each,) for each in ids])
 
     def add(self, frames: Sequence[FrameRow], sensor: str, stream: str, number: int) -> None:
         """Take the frames of a message; the next commit brings them to the disk."""

@@ -119,6 +119,13 @@ class ViewBook:
             reporter.log(f"no tile lies in the view of {sensor}", "warning")
         return [views[id(track)] for track in tracks]
 
+    def keep(self, views: Collection[tuple[str, str]]) -> None:
+        """Forget all views but these, by sensor and name; they are made anew where one is met."""
+        names = {name for _, name in views}
+        self.tiles = {name: tiles for name, tiles in self.tiles.items() if name in names}
+        self.road_m = {key: height for key, height in self.road_m.items() if key in views}
+        self.sights = {key: sight for key, sight in self.sights.items() if key in views}
+
     def report(self, reporter: Reporter) -> None:
         """Report that there is no scan, or what it does not cover."""
         if self.scan is None:
@@ -270,7 +277,13 @@ class SharedViews:
         self, settings: OccupancySettings = DEFAULTS, heads: Sequence[tuple[int, Pose]] = ()
     ) -> None:
         self._settings, self._count = settings, 0
-        self._heads: list[_Head] = [_Head.of(number, pose) for number, pose in heads]
+        found = [_Head.of(number, pose) for number, pose in heads]
+        self._heads: list[_Head] = found[-settings.views_compared :]
+
+    @property
+    def heads(self) -> list[int]:
+        """Numbers of the poses that may stand for the next one, the one in force last."""
+        return [head.number for head in self._heads]
 
     def add(self, pose: Pose, number: int | None = None) -> int:
         """Return the number of the pose that stands for the next one; its own where none does.
