@@ -19,7 +19,7 @@ from faults.inputs import KINDS
 from gis_radar.cli.console import UNFORESEEN
 
 ALL = os.environ.get("GIS_RADAR_FAULTS") == "all"
-SAMPLE = 60
+SAMPLE = 30
 CASES = [(kind, fault) for kind in KINDS for fault in faults_of(kind.path)]
 CHOSEN = CASES if ALL else random.Random(16).sample(CASES, SAMPLE)  # noqa: S311 - a sample
 LONGEST_LINE = 700
