@@ -6,6 +6,7 @@ case takes a fraction of a second and threads of another case are in nobody's wa
 
 from __future__ import annotations
 
+import gc
 import importlib
 import json
 import os
@@ -25,13 +26,17 @@ def main() -> None:
     for module in pkgutil.walk_packages(gis_radar.__path__, "gis_radar."):
         if module.name != "gis_radar.__main__":
             importlib.import_module(module.name)
-    for name in ("laspy", "rasterio", "matplotlib.pyplot", "scipy.ndimage", "scipy.spatial"):
+    used = "laspy", "matplotlib.pyplot", "numba", "rasterio", "scipy.ndimage", "scipy.spatial"
+    for name in used:
         importlib.import_module(name)
     from gis_radar.cli import group
     from gis_radar.cli.console import run_group
     from gis_radar.processes import go_offline
 
     go_offline()
+    importlib.import_module("numba").njit(lambda x: x)(1)  # what it knows of types, 0.1 s
+    gc.collect()
+    gc.freeze()  # else each child looks at all that was loaded, 0.3 s
     for line in sys.stdin:
         case = json.loads(line)
         start = time.monotonic()
