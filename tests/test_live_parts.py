@@ -31,6 +31,7 @@ from gis_radar.live.payload import (
     unpack_message,
     unpack_returns,
 )
+from gis_radar.live.recent import RecentCounts
 from gis_radar.live.sources import Replay, frames_of_recording
 from gis_radar.live.windows import Seen, Windows
 from gis_radar.occupancy.hit_counter import CountedFrame
@@ -263,6 +264,37 @@ def test_the_map_of_now_counts_as_a_heat_map_does(tmp_path, finder):
     assert np.array_equal(state.occupied_steps, np.rint(occupied_s * 20.0))
     assert np.array_equal(state.observed_steps, np.rint(heatmap["observed_s"].to_numpy() * 20.0))
     assert state.occupied_steps.max() > 100
+
+
+def test_a_clock_that_is_set_back_begins_the_map_anew():
+    windows, current = Windows(0.2), MapOfNow(3, interval=1 << 40)
+    current.views["v"], current.holds_s["R1"] = np.array([True, True, True]), 0.1
+    recent = RecentCounts(np.array([0, 0, 0]), [7])
+
+    def close(step):
+        for closed, frames in windows.close(step * 50_000 + 200_000):
+            current.take(closed, frames)
+            state = current.state()
+            recent.take(closed, state.occupied, state.observed)
+        return current.state()
+
+    windows.add("R1", 100_000, seen(0))
+    assert close(100_001).occupied.tolist() == [True, False, False]
+    windows.add("R1", 172_000, seen(1))
+    windows.close(100_002 * 50_000)
+    ahead = close(172_001)
+    assert ahead.step == 172_000
+    windows.add("R1", 99_990, seen(2))  # within what a map may be late by: nothing happens
+    assert close(171_990).step == 172_000
+    back = close(100_010)
+    assert (back.step, back.occupied.any()) == (100_009, False)
+    assert windows.add("R1", 100_011, seen(2))
+    after = close(100_012)
+    assert (after.step, after.occupied.tolist()) == (100_011, [False, False, True])
+    assert after.occupied_steps.tolist() == [0, 0, 1]
+    occupied, observed = recent.last_minutes()
+    assert (occupied.tolist(), observed.max()) == ([0, 0, 1], 1)
+    assert len(recent.lane_intervals()) == 1
 
 
 def test_cumulative_counts_begin_anew_with_the_interval():

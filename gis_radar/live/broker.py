@@ -7,6 +7,7 @@ stored it, so that a broker may be killed, or lose its disk.
 from __future__ import annotations
 
 import ssl
+import sys
 import time
 from collections import deque
 from dataclasses import dataclass, field
@@ -155,7 +156,7 @@ class Link:
         self._reporter, self._said = reporter, ""
         self._received: SimpleQueue[Received] = SimpleQueue()
         self._taken: deque[float] = deque(maxlen=TWINS)
-        self._connected, self._since = False, 0.0
+        self._connected, self._refusing, self._since = False, False, 0.0
         self._client = self._made(will)
 
     def _made(self, will: tuple[str, bytes] | None) -> Client:
@@ -225,7 +226,8 @@ class Link:
     # What paho calls, in its thread.
 
     def _on_connect(self, _c: Any, _u: Any, _f: Any, reason: Any, _p: Any) -> None:
-        if reason.is_failure:
+        self._refusing = bool(reason.is_failure)
+        if self._refusing:
             self._say(f"the broker at {self._address} refuses the link: {reason}; trying on")
             return
         if self._topics:
@@ -235,10 +237,15 @@ class Link:
         self._say(f"linked to the broker at {self._address}")
 
     def _on_connect_fail(self, _c: Any, _u: Any) -> None:
-        self._say(f"no broker answers at {self._address}; trying on")
+        # paho calls this while it handles what went wrong, and hands no reason over
+        self._say(f"{_why_no_link(sys.exc_info()[1], self._address)}; trying on")
 
     def _on_disconnect(self, _c: Any, _u: Any, _f: Any, reason: Any, _p: Any) -> None:
         was, self._connected = self._connected, False
+        if not was and _code(reason) and not self._refusing:
+            self._say(f"the broker at {self._address} ends the link at once: does it speak "
+                      f"{'mqtt' if self._address.tls else 'mqtts'}://? trying on")  # fmt: skip
+        self._refusing = False
         if not was or not _code(reason):
             return
         now = time.monotonic()
@@ -262,6 +269,16 @@ class Link:
         if _code(reason) in _REFUSED:
             self.refused += 1
             self._say(f"the broker does not take a message: {reason}")
+
+
+def _why_no_link(error: BaseException | None, address: BrokerAddress) -> str:
+    """Return why no link came about: nobody there, or no trust in whom is there."""
+    if isinstance(error, ssl.SSLCertVerificationError):
+        return f"the certificate of the broker at {address} is refused: {error.verify_message}"
+    if isinstance(error, ssl.SSLError):
+        reason = error.reason or str(error)
+        return f"the broker at {address} does not speak TLS as expected: {reason}"
+    return f"no broker answers at {address}"
 
 
 def _code(reason: Any) -> int:

@@ -1,9 +1,11 @@
-"""Files for the broker: configuration of Mosquitto, access, passwords; and systemd units."""
+"""Files for the broker: Mosquitto's configuration, access, passwords; systemd units; containers."""
 
 from __future__ import annotations
 
 import base64
 import hashlib
+import json
+import os
 import secrets
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,7 +17,8 @@ from gis_radar.live.payload import MOST_BYTES
 from gis_radar.live.settings import DEFAULTS, LiveSite, read_live_site
 
 CONFIG, ACCESS, PASSWORDS = "mosquitto.conf", "access", "passwords"
-OWNED = (CONFIG, ACCESS, PASSWORDS, "gis-radar-", "password_of_")
+COMPOSE, IMAGE = "compose.yaml", "Dockerfile"
+OWNED = (CONFIG, ACCESS, PASSWORDS, COMPOSE, IMAGE, "gis-radar-", "password_of_")
 _ROUNDS, _SALT_BYTES = 101, 12  # of Mosquitto's own mosquitto_passwd
 _HEADER_BYTES = 1024  # of a message, over its content: topic and properties
 
@@ -47,6 +50,9 @@ def write_broker_files(path: str | Path, folder: str | Path) -> list[Path]:
             PASSWORDS: password_lines(known),
             **{f"password_of_{user}": f"{password}\n" for user, password in known.items()},
             **_units(site),
+            COMPOSE: compose_text(site, Path(path).resolve(), place.resolve()),
+            IMAGE: _IMAGE,
+            f"{IMAGE}.dockerignore": _LEFT_OUT,
         }
         for name, text in texts.items():
             file = part / name
@@ -128,6 +134,66 @@ NoNewPrivileges=true
 [Install]
 WantedBy=multi-user.target
 """
+
+
+_IMAGE = """\
+# Broker and gis_radar in one image; see docs/live.md.
+FROM debian:bookworm-slim
+RUN apt-get update \\
+    && apt-get install -y --no-install-recommends mosquitto python3-venv \\
+    && rm -rf /var/lib/apt/lists/*
+# Another version, or a wheel beside this file: --build-arg GIS_RADAR=/build/gis_radar-....whl[live]
+ARG GIS_RADAR=gis_radar[live]
+COPY . /build
+RUN python3 -m venv /venv && /venv/bin/pip install --no-cache-dir "$GIS_RADAR" && rm -r /build
+ENV PATH=/venv/bin:/usr/sbin:/usr/bin:/sbin:/bin
+"""
+# What must not get into the image: passwords, keys.
+_LEFT_OUT = "*\n!*.whl\n"
+
+
+def compose_text(site: LiveSite, file: Path, folder: Path) -> str:
+    """Return a compose file with broker and fusion; paths are the same inside as outside.
+
+    Parameters
+    ----------
+    site : LiveSite
+        Of the site's file.
+    file, folder : Path
+        The site's file, and where the files of the broker are.
+    """
+    uid, gid = (os.getuid(), os.getgid()) if hasattr(os, "getuid") else (1000, 1000)
+    common = {
+        "image": "gis_radar-live",
+        "network_mode": "host",  # addresses of SITE.toml hold, and multicast of radars comes in
+        "user": f"{uid}:{gid}",
+        "restart": "always",
+        "read_only": True,
+        "tmpfs": ["/tmp"],  # noqa: S108 - of the container
+        "cap_drop": ["ALL"],
+        "security_opt": ["no-new-privileges:true"],
+    }
+    services = {
+        "broker": common | {
+            "build": {"context": str(folder)},
+            "command": ["mosquitto", "-c", str(folder / CONFIG)],
+            "volumes": [f"{folder}:{folder}:ro"],
+        },
+        "fusion": common | {
+            "depends_on": ["broker"],
+            "working_dir": str(file.parent),
+            "command": ["gis-radar", "live", file.name],
+            "volumes": [f"{file.parent}:{file.parent}"],
+            "stop_signal": "SIGTERM",
+            "stop_grace_period": "120s",  # the hour is written
+        },
+    }  # fmt: skip
+    text = json.dumps(
+        {"name": f"gis-radar-{site.live.site}".lower(), "services": services}, indent=2
+    )
+    return (
+        f"# YAML, of which JSON is a part. Needs all files of {file.name} in its folder.\n{text}\n"
+    )
 
 
 def _units(site: LiveSite) -> Mapping[str, str]:

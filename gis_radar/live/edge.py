@@ -133,6 +133,7 @@ class Edge:
         self._hold_s = holds_of(cycles, [file.sensor])[file.sensor]
         self._finder: TileFinder | None = None
         self._pose_number, self._last_step, self._trusted = 0, -1, True
+        self._last_time = -np.inf
         self._next: Followed | None = None
         self._follower: PoseFollower | None = None
         self._waiting: list[CountedFrame] = []
@@ -214,6 +215,7 @@ class Edge:
             if stop.is_set():
                 break
             if frame is not None:
+                self._look_at_clock(frame)
                 for ready in self._with_pose(frame):
                     self._count(ready)
             self._outbox.pump()
@@ -221,6 +223,18 @@ class Edge:
         while not (stop.is_set() or self._outbox.empty):
             self._outbox.pump()
             sleep(IDLE_S)
+
+    def _look_at_clock(self, frame: Detections) -> None:
+        """Where the clock was set back, let what was gathered and followed begin anew."""
+        time = float(frame.time[0])
+        if time < self._last_time:
+            self._flush()
+            self._last_step = -1
+            self._gathered.clear()
+            if self._follower is not None:
+                self._follower.close()
+                self._follow(frame)
+        self._last_time = time
 
     def _with_pose(self, frame: Detections) -> Iterator[Detections]:
         """Yield the frames whose pose is known by now, with the finder set."""

@@ -63,7 +63,7 @@ class MapOfNow:
                                occupied_steps=never, observed_steps=never)  # fmt: skip
 
     def take(self, step: int, frames: Mapping[str, Seen]) -> None:
-        """Count a closed step; steps come in order, none left out.
+        """Count a closed step; steps come in order, none left out, until a clock is set back.
 
         Parameters
         ----------
@@ -74,6 +74,9 @@ class MapOfNow:
         """
         last, begin = self._state, step - step % self._interval
         occupied, observed = (np.zeros(self._tiles, np.bool_) for _ in range(2))
+        set_back = step <= last.step
+        if set_back:
+            self._latest.clear()
         for sensor, seen in frames.items():
             self._latest[sensor] = (step, seen)
         for sensor, (since, seen) in self._latest.items():
@@ -83,7 +86,7 @@ class MapOfNow:
                 if view is not None:
                     observed |= view
         occupied &= observed  # as a heat map: a hit beyond every view is none
-        anew = begin != last.begin
+        anew = set_back or begin != last.begin
         # whoever looks meanwhile has the last one: arrays of a state never change
         self._state = MapState(
             step=step, begin=begin, occupied=occupied, observed=observed,

@@ -41,7 +41,7 @@ class RecentCounts:
         self._lock = Lock()
 
     def take(self, step: int, occupied: Booleans, observed: Booleans) -> None:
-        """Count a step; steps ascend.
+        """Count a step; steps ascend, until a clock is set back.
 
         Parameters
         ----------
@@ -60,6 +60,11 @@ class RecentCounts:
     def _begin_anew(self, step: int) -> None:
         """Clear what is of an earlier minute or interval."""
         minute, number = step // MINUTE, step // INTERVAL
+        if minute < self._minute:  # the clock was set back
+            self._by_minute[:], self._minute = 0, minute
+        if number < self._number:
+            self._interval[:], self._number = 0, number
+            self._done = deque((each for each in self._done if each[0] < number), maxlen=KEPT)
         if minute != self._minute:
             passed = range(max(self._minute + 1, minute - MINUTES + 1), minute + 1)
             self._by_minute[:, [each % MINUTES for each in passed]] = 0

@@ -25,6 +25,7 @@ from gis_radar.recordings.frames import Frame, ReaderContext
 from gis_radar.recordings.recording import Detections, open_recording
 
 IDLE_S = 0.02  # between two looks while no frame is there
+SET_BACK_S = 0.5  # a frame that is earlier by less came out of order
 WAITING_FRAMES = 1_000  # of a radar, while its frames are worked on: 50 s
 Frames = Iterator[Detections | None]
 
@@ -159,12 +160,16 @@ class Radar:
                 yield found
 
     def _detections(self, frame: Frame) -> Detections | None:
-        """Return a frame as rows of a recording; None where its time is not after the last."""
+        """Return a frame as rows of a recording; None where it came out of order."""
         sound = frame.sound(self.counts)
         time_us = round(self._time(sound) * 1e6)
-        if time_us <= self._last_us:
+        back_s = (self._last_us - time_us) / 1e6
+        if 0.0 <= back_s < SET_BACK_S:
             self.counts["frames_out_of_order"] += 1
             return None
+        if back_s > 0.0:  # else all would be left out until it is as late again
+            self.counts["clock_set_back"] += 1
+            self.reporter.log(f"{self.source}: the clock was set back by {back_s:.1f} s", "warning")
         self._last_us = time_us
         points = sound.points.astype(np.float64)
         if len(points) == 0:

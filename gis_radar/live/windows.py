@@ -11,6 +11,7 @@ from gis_radar.arrays import Integers
 from gis_radar.steps import STEP_US
 
 MOST_STEPS = 1_200  # that are closed at once: after a longer standstill the map begins anew
+BACK_STEPS = 40  # a clock that is set back by more begins anew: 2 s
 AHEAD_STEPS = 200  # a frame further in the future is of a wrong clock: 10 s
 
 
@@ -85,6 +86,11 @@ class Windows:
         last = (now_us - self._lateness_us) // STEP_US - 1
         if self._closed is None:
             self._closed = min(self._open, default=last + 1) - 1
+        if (
+            last < self._closed - BACK_STEPS
+        ):  # else no step would be closed until it is as late again
+            self._closed = last - 1
+            self._open = {step: seen for step, seen in self._open.items() if step >= last}
         if last - self._closed > most:
             self._closed = last - most
             for step in [step for step in self._open if step <= self._closed]:

@@ -1,0 +1,58 @@
+"""What `--broker-files` writes: Mosquitto and systemd find no fault in it, compose is YAML."""
+
+import shutil
+import stat
+import subprocess
+
+import pytest
+import yaml
+from live_site import LiveSite, needs_mosquitto
+
+
+@pytest.fixture
+def site(tmp_path, once):
+    return LiveSite(tmp_path, once)
+
+
+def test_passwords_are_for_their_owner_alone(site):
+    folder = site.folder / "broker"
+    found = {path.name for path in folder.glob("password_of_*")}
+    assert found == {"password_of_fusion", "password_of_R1", "password_of_R2"}
+    for name in found:
+        assert stat.S_IMODE((folder / name).stat().st_mode) == 0o600
+    texts = [path.read_text() for path in folder.iterdir() if not path.name.startswith("password_")]
+    assert not [text for text in texts if site.password("R1") in text]
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd is not installed")
+def test_systemd_finds_no_fault_in_the_units(site):
+    units = sorted((site.folder / "broker").glob("*.service"))
+    assert len(units) == 2
+    done = subprocess.run(
+        ["systemd-analyze", "verify", "--man=no", *units], capture_output=True, text=True,
+        check=False,
+    )  # fmt: skip
+    said = [line for line in done.stderr.splitlines() if "gis-radar" in line]
+    assert (done.returncode, said) == (0, [])
+
+
+def test_the_compose_file_names_what_is_there(site):
+    folder = (site.folder / "broker").resolve()
+    found = yaml.safe_load((folder / "compose.yaml").read_text())
+    assert found["name"] == "gis-radar-junction"
+    broker, fusion = found["services"]["broker"], found["services"]["fusion"]
+    assert broker["command"] == ["mosquitto", "-c", str(folder / "mosquitto.conf")]
+    assert fusion["command"] == ["gis-radar", "live", "SITE.toml"]
+    assert fusion["working_dir"] == str(site.folder.resolve())
+    assert "ro" in broker["volumes"][0]
+    assert (folder / "Dockerfile").read_text().count("\nRUN ") == 2
+    assert (folder / "Dockerfile.dockerignore").read_text() == "*\n!*.whl\n"  # no passwords
+
+
+@needs_mosquitto
+def test_mosquitto_says_nothing_against_its_configuration(site):
+    site.broker.start()
+    site.broker.kill()
+    said = site.broker.config.with_suffix(".log").read_text()
+    assert "Error" not in said
+    assert "Warning" not in said.replace("Warning: Mosquitto should not be run as root", "")

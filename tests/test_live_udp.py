@@ -1,0 +1,152 @@
+"""A sensor on UDP, end to end: what live stores is what a capture of the same packets gives."""
+
+import socket
+import time
+
+import numpy as np
+import pytest
+from live_programs import Lines, assert_same_tables, stored
+from live_site import SAMPLE, Background, LiveSite, needs_mosquitto, wait_for
+from radars import SENSOR, detection, detection_list, ethernet, ip_packets, write_pcap
+
+import gis_radar as gr
+from gis_radar.live.edge import Edge
+from gis_radar.live.fusion import Fusion
+from gis_radar.live.settings import read_edge_file, read_live_site
+from gis_radar.live.sources import Radar, frames_of_recording
+from gis_radar.recordings.frames import Frame
+
+FRAMES = 100
+
+
+def payload_of(frame, time_s):
+    """Return a frame of a recording as the radar sends it: angles and distances."""
+    x, y, z = frame.points.T.astype(float)
+    distance = np.sqrt(x * x + y * y + z * z)
+    rows = [
+        detection(d, a, e, rate, round(rcs))
+        for d, a, e, rate, rcs in zip(
+            distance, np.arctan2(y, x), np.arcsin(z / distance), frame.range_rate, frame.rcs,
+            strict=True,
+        )
+        if np.isfinite(d)
+    ]  # fmt: skip
+    return detection_list(time_s, rows)
+
+
+@pytest.fixture
+def port():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@needs_mosquitto
+@pytest.mark.parametrize("group", ["127.0.0.1", "224.0.2.2"], ids=["unicast", "multicast"])
+def test_a_radar_on_udp_is_stored_as_its_capture_is_counted(tmp_path, once, port, group):
+    site = LiveSite(tmp_path, once, names=("R1",))
+    site.broker.start()
+    said = Lines()
+    source = f'address = "udp://{group}:{port}?interface=127.0.0.1"'
+    if group == "127.0.0.1":
+        source = f'address = "udp://{group}:{port}"'
+    middle = Background(Fusion(read_live_site(site.file)).run)
+    edge = Edge(read_edge_file(site.edge("R1", source=source)), reporter=said)
+    work = Background(edge.run)
+    wait_for(lambda: said.told("listening") or work.error, 10.0)
+    packets = []
+    frames = list(frames_of_recording(SAMPLE / "R1.parquet"))[:FRAMES]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+        out.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
+        for number, frame in enumerate(frames):
+            now = time.time()
+            payload = payload_of(frame, now)
+            out.sendto(payload, (group, port))
+            packets += [
+                (now, ethernet(ip)) for ip in ip_packets(payload, source=SENSOR, ident=number + 1)
+            ]
+            time.sleep(0.01)
+    if group != "127.0.0.1" and edge.frames == 0:
+        work.stop.set()
+        middle.end()
+        site.broker.kill()
+        pytest.skip("no multicast on this machine's loopback")
+    wait_for(lambda: edge.frames >= FRAMES and edge._outbox.empty, 20.0)
+    work.end()
+    middle.end()
+    site.broker.kill()
+    capture = write_pcap(tmp_path / "r.pcap", packets)
+    gr.convert(capture, tmp_path / "R1.parquet")
+    batch = gr.measure_occupancy(
+        [tmp_path / "R1.parquet"], [gr.read_pose(SAMPLE / "R1.json")], gr.read_tiles(site.tiles),
+        tmp_path / "batch",
+    )  # fmt: skip
+    assert_same_tables(stored(site.folder), batch)
+
+
+def frame_at(sensor_s, arrival_s, *, synchronised=True):
+    one = np.ones(1, np.float32)
+    return Frame(
+        sensor="S", points=np.ones((1, 3), np.float32), range_rate=one, rcs=one,
+        sensor_time=sensor_s, recorder_time=arrival_s, synchronised=synchronised,
+    )  # fmt: skip
+
+
+def test_a_clock_that_is_set_back_silences_no_radar():
+    """A computer's clock an hour ahead, then right: frames go on, with one line."""
+    said = Lines()
+    radar = Radar(source="udp://x", reporter=said)
+    start = 1_750_000_000.0
+    for k in range(40):
+        ahead = 3600.0 if 10 <= k < 20 else 0.0
+        found = radar._detections(
+            frame_at(start + 0.05 * k, start + ahead + 0.05 * k, synchronised=False)
+        )
+        assert found is not None
+        assert found.time[0] == pytest.approx(start + ahead + 0.05 * k)
+    assert sum("set back by 35" in line for line in said.lines) == 1
+    late = radar._detections(frame_at(start, start + 0.05 * 38, synchronised=False))
+    assert late is None  # out of order, as datagrams may be
+    assert radar.counts["frames_out_of_order"] == 1
+
+
+class StepClock:
+    """The module `time` with a clock that can be stepped."""
+
+    ahead_s = 0.0
+
+    def time(self):
+        return time.time() + self.ahead_s
+
+    def __getattr__(self, name):
+        return getattr(time, name)
+
+
+@needs_mosquitto
+def test_a_clock_of_fusion_that_is_stepped_ends_nothing(tmp_path, once, monkeypatch):
+    """An hour ahead and back: the map goes on at once, all is stored."""
+    site = LiveSite(tmp_path, once, names=("R1",))
+    site.broker.start()
+    clock = StepClock()
+    monkeypatch.setattr("gis_radar.live.fusion.time", clock)
+    fusion = Fusion(read_live_site(site.file))
+    middle = Background(fusion.run)
+    edge = Edge(read_edge_file(site.edge("R1", source='speed = 1.0\nloop = "20s"')))
+    work = Background(edge.run)
+
+    def follows():
+        return abs(fusion.state().step - clock.time() * 20.0) < 20.0
+
+    wait_for(lambda: follows() and fusion.state().occupied.any(), 20.0)
+    for clock.ahead_s in (3600.0, -5.0, 0.0):
+        wait_for(follows, 5.0)
+    wait_for(lambda: fusion.state().occupied.any() and edge.frames > 40, 5.0)
+    work.stop.set()
+    work.join(10.0)
+    stored_now = fusion.sensors["R1"]
+    wait_for(lambda: stored_now.stored == stored_now.received, 5.0)
+    middle.end()
+    site.broker.kill()
+    log = stored(site.folder).frame_log(["R1"])
+    assert sum(len(each[0]) for each in log) == stored_now.health.counts["frames"] > 40
+    assert stored_now.health.counts["late_frames"] > 0
