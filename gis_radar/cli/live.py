@@ -42,7 +42,7 @@ def edge(*, sensor: Path, reporter: Reporter) -> Result:
 @click.argument("site", metavar="SITE.toml", type=FILE)
 @click.option(
     "--broker-files", type=FILE, metavar="DIR",
-    help="Write Mosquitto's configuration, access, passwords, systemd units, a compose file; no more.",
+    help="Write files for Mosquitto, systemd units and a compose file, and do no more.",
 )  # fmt: skip
 def live(*, site: Path, broker_files: Path | None, reporter: Reporter) -> Result:
     """Run the live system's middle: the map of now, and an occupancy folder an hour.
