@@ -15,7 +15,7 @@ unexport PYTHONDONTWRITEBYTECODE
 MADE := .venv .pdal .pdal.part.* .qgis out build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis qgis_plugin/tests/.qgis-settings
 
 BENCHES := bench-assignment bench-tiles bench-occupancy bench-memory bench-truth bench-mask \
-	bench-localization bench-vehicles bench-clocks bench-convert bench-alarm bench-sight
+	bench-localization bench-vehicles bench-clocks bench-convert bench-alarm bench-sight bench-sizes
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
@@ -129,6 +129,9 @@ bench-alarm: set-up-dev ## Measure how soon a small move is noticed, and false a
 
 bench-sight: set-up-dev ## Measure what is hidden against the truth of towns and two levels
 	$(BIN)/python bench/sight.py
+
+bench-sizes: set-up-dev ## Measure the size of a day's heat map and of detections in the map
+	$(BIN)/python bench/sizes.py
 
 samples: set-up-dev ## Make the files in sample_maps again
 	$(BIN)/python sample_maps/make_samples.py

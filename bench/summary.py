@@ -236,6 +236,15 @@ def _sight(report: Mapping[str, Any]) -> Iterator[Figure]:
             )  # fmt: skip
 
 
+def _sizes(report: Mapping[str, Any]) -> Iterator[Figure]:
+    size = f"{report['tiles']:,} tiles, {report['intervals']} intervals"
+    for what, size_mb in report["heatmap_mb"].items():
+        yield Figure(
+            what=f"`heatmap.gpkg` of a day, {what}", ours=size_mb, unit="MB", peer=40.0,
+            peer_name="(target)", chance=SAME, size=size,
+        )  # fmt: skip
+
+
 def _alarm(report: Mapping[str, Any]) -> Iterator[Figure]:
     yield Figure(
         what="false alarms of a sensor at rest, a month, 95 % below",
@@ -289,6 +298,7 @@ READERS: Mapping[str, Any] = {
     "bench-convert.json": _convert,
     "bench-clocks.json": _clocks,
     "bench-sight.json": _sight,
+    "bench-sizes.json": _sizes,
     "bench-alarm.json": _alarm,
     "bench-localization/report_radar_as_recorded_walkers/table-lane.json": _localization(
         "radar as recorded, walkers"

@@ -185,7 +185,7 @@ def test_a_heat_map_that_was_changed_is_not_read(site, tmp_path):
     gr.make_heatmap(as_occupancy(site), site.tiles).write(tmp_path / "heat")
     file = tmp_path / "heat" / "heatmap.gpkg"
     changes = (
-        ("UPDATE heatmap SET lanelet_id = 8 WHERE tile_id = 15", "changed since"),
+        ("UPDATE tiles SET lanelet_id = 8 WHERE tile_id = 15", "changed since"),
         ("DELETE FROM steps_by_interval WHERE tile_id = 3", "damaged"),
         ("DELETE FROM gpkg_metadata_reference", "lacks fingerprint"),
     )

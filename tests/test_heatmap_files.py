@@ -151,7 +151,7 @@ def test_geopackage_is_of_version_1_2_with_indexes_and_no_log(folder):
     assert rows(folder, "PRAGMA journal_mode") == [("delete",)]
     assert rows(folder, "PRAGMA integrity_check") == [("ok",)]
     names = {name for (name,) in rows(folder, "SELECT name FROM sqlite_master")}
-    assert {"rtree_heatmap_geom", "heatmap_tile_id"} <= names
+    assert {"rtree_tiles_geom", "tiles_tile_id"} <= names
 
 
 def test_the_layer_by_interval_is_a_view_of_whole_steps(folder):
@@ -164,7 +164,7 @@ def test_the_layer_by_interval_is_a_view_of_whole_steps(folder):
     plan = rows(
         folder, "EXPLAIN QUERY PLAN SELECT * FROM occupancy_by_interval WHERE begin = ?", "x"
     )
-    assert [step[3].split(" USING ")[0] for step in plan] == ["SCAN i", "SEARCH s", "SEARCH h"]
+    assert [step[3].split(" USING ")[0] for step in plan] == ["SCAN i", "SEARCH s", "SEARCH t"]
 
 
 def test_default_styles_are_registered(folder):

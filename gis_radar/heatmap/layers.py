@@ -21,6 +21,7 @@ from gis_radar.geopackage import (
     add_layer,
     add_styles,
     describe_layers,
+    list_last,
     opened_package,
 )
 from gis_radar.heatmap import style
@@ -33,30 +34,19 @@ from gis_radar.heatmap.step_table import (
     ERROR,
     LONG,
     STEPS,
-    WIDE,
     read_times,
     step_columns,
     write_steps,
 )
+from gis_radar.heatmap.wide_table import TILES, WIDE, interval_columns, whole_columns, write_wide
 from gis_radar.progress import Reporter
-from gis_radar.steps import STEPS_PER_SECOND, seconds_from_iso, step_begin, step_of
+from gis_radar.steps import STEPS_PER_SECOND, seconds_from_iso, step_of
 from gis_radar.tiles.tiles import COLUMNS, FIELDS, LANE, fingerprint, own_columns
 
 FILE = "heatmap.gpkg"
 Counted = dict[str, NDArray[Any]]
 
 _STEP_MS = 50
-
-
-def _interval_column(kind: str, begin_step: int, length_steps: int) -> str:
-    """Return a kind and an interval's begin in UTC, as fine as intervals of that length need."""
-    begin = step_begin(begin_step)
-    name = f"{kind}_{begin:%Y%m%dT%H%M}"
-    if length_steps < 60 * STEPS_PER_SECOND:
-        name += f"{begin:%S}"
-    if length_steps < STEPS_PER_SECOND:
-        name += f"{begin.microsecond // 1000:03d}"
-    return name
 
 
 def wide_layer(tally: Tally) -> gpd.GeoDataFrame:
@@ -70,15 +60,12 @@ def wide_layer(tally: Tally) -> gpd.GeoDataFrame:
         vehicles are known also `visible_s`, `covered_s`, `coverage`, `coverage_se`, and `cov_...`,
         the covered seconds of each interval, NaN where not visible in it.
     """
-    timeline = tally.timeline
-    known = tally.coverage_shares()
-    columns = tally.shares()._asdict() | ({} if known is None else known._asdict())
-    spans = [(i, int(timeline.begin[i]), int(timeline.end[i])) for i in tally.columns]
-    for i, begin, end in spans:
-        columns[_interval_column("occ", begin, end - begin)] = tally.shares(i).occupied_s
-    for i, begin, end in spans:
+    columns, stamps = whole_columns(tally), interval_columns(tally)
+    for i, stamp in zip(tally.columns, stamps, strict=True):
+        columns[f"occ_{stamp}"] = tally.shares(i).occupied_s
+    for i, stamp in zip(tally.columns, stamps, strict=True):
         if (part := tally.coverage_shares(i)) is not None:
-            columns[_interval_column("cov", begin, end - begin)] = part.covered_s
+            columns[f"cov_{stamp}"] = part.covered_s
     shares = pd.DataFrame(columns, index=tally.tiles.index)
     attributes = tally.tiles.drop(columns="geometry")
     return gpd.GeoDataFrame(
@@ -125,13 +112,13 @@ def write_table(tally: Tally, path: Path, _reporter: Reporter) -> None:
 
 
 def write_package(tally: Tally, path: Path, reporter: Reporter) -> None:
-    """Write the layer of tiles, the table of steps with its view as a layer, and their styles."""
+    """Write the layer of tiles, the tables of what was counted, their views, and styles."""
     metadata = {
         name: value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
         for name, value in tally.metadata.items()
     }
     options = {"geometry_type": "Polygon", "layer_metadata": metadata}
-    add_layer(wide_layer(tally), path, WIDE, use_arrow=True, **options)
+    add_layer(tally.tiles, path, TILES, use_arrow=True, **options)
     length_s = float(tally.timeline.end[0] - tally.timeline.begin[0]) / STEPS_PER_SECOND
     measure = tally.measure
     notes, styles = _notes_of(tally), {}
@@ -142,7 +129,9 @@ def write_package(tally: Tally, path: Path, reporter: Reporter) -> None:
         styles[layer] = (qml, style.sld(layer, measure, least_s=least_s))
     about = f"fixed classes of {measure}, so that maps compare"
     with closing(sqlite3.connect(path)) as database, database:
+        write_wide(database, tally)
         write_steps(database, tally, reporter)
+        list_last(database, TILES)
         describe_layers(database, notes)
         add_styles(database, styles, name=measure, about=about)
 
@@ -166,6 +155,7 @@ def _notes_of(tally: Tally) -> dict[str, LayerNotes]:
     about = f"{tally.definitions[tally.measure]}. Sensors {', '.join(tally.sensors)}"
     title = tally.labels.title or "Heat map"
     return {
+        TILES: LayerNotes("Tiles", "slices of lanes that the heat map counts on", FIELDS),
         WIDE: LayerNotes(
             f"{title}: {tally.measure}", f"{about}, {begin} to {end}", FIELDS | measured
         ),

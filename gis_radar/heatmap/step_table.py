@@ -1,8 +1,10 @@
 """The table of steps of a heat map, and the view that shows it as a layer.
 
 A row of the table is a tile in an interval: whole steps, no polygon, so that a day of quarter hours
-takes a tenth of the room. The view of the name `occupancy_by_interval` joins the polygons of the
-layer `heatmap` and the times; QGIS and GDAL open it like any other layer.
+takes a tenth of the room. Stored is what is mostly zero, the steps in which a tile was not observed
+and those in which it was observed but hidden; observed and visible ones are computed. The view
+of the name `occupancy_by_interval` joins the polygons of the layer `tiles` and the times; QGIS and
+GDAL open it like any other layer.
 """
 
 from __future__ import annotations
@@ -13,20 +15,22 @@ from typing import Any
 
 import numpy as np
 
-from gis_radar.arrays import Integers
+from gis_radar.geopackage import register_table
 from gis_radar.heatmap.counting import Tally
-from gis_radar.heatmap.covering import ERROR_UNIT
+from gis_radar.heatmap.covering import ERROR_UNIT, error_roots
+from gis_radar.heatmap.wide_table import TILES
 from gis_radar.progress import Reporter
 from gis_radar.steps import STEPS_PER_SECOND, step_begin
 
-WIDE = "heatmap"
 LONG = "occupancy_by_interval"
 STEPS, TIMES = "steps_by_interval", "intervals"
 BEGIN, END = "begin", "end"
 ERROR = "coverage_se"
-PPM = "coverage_se_ppm"  # a whole number takes 3 bytes, a real one 8
+ROOT = "coverage_se_root"  # of the standard error: a whole number of 2 bytes, a real one takes 8
+UNOBSERVED, HIDDEN = "unobserved", "hidden"
 OCCUPANCY_COLUMNS = ("occupied", "observed")
 COVERAGE_COLUMNS = ("covered", "visible", ERROR)
+_STORED = {"observed": UNOBSERVED, "visible": HIDDEN, ERROR: ROOT}  # in place of what is computed
 
 # Seconds and shares are computed on reading: columns with types of their own, unlike expressions of
 # a view, whose types older SQLite does not know.
@@ -44,29 +48,10 @@ CREATE TABLE "{TIMES}" (
     "last_row" INTEGER NOT NULL
 )
 """
-_CONTENTS = """
-INSERT INTO gpkg_contents (
-    table_name, data_type, identifier, description, last_change, min_x, min_y, max_x, max_y, srs_id
-)
-SELECT ?, ?, ?, '', last_change, min_x, min_y, max_x, max_y, CASE WHEN ? THEN srs_id END
-FROM gpkg_contents WHERE table_name = ?
-"""
-_GEOMETRY = """
-INSERT INTO gpkg_geometry_columns (table_name, column_name, geometry_type_name, srs_id, z, m)
-SELECT ?, column_name, geometry_type_name, srs_id, z, m
-FROM gpkg_geometry_columns WHERE table_name = ?
-"""
-_METADATA = """
-INSERT INTO gpkg_metadata_reference (
-    reference_scope, table_name, column_name, row_id_value, timestamp, md_file_id, md_parent_id
-)
-SELECT reference_scope, ?, column_name, row_id_value, timestamp, md_file_id, md_parent_id
-FROM gpkg_metadata_reference WHERE table_name = ?
-"""
 
 
 def write_steps(database: sqlite3.Connection, tally: Tally, reporter: Reporter) -> None:
-    """Write times, steps and the view beside the layer `heatmap` of a GeoPackage.
+    """Write times, steps and the view beside the layer `tiles` of a GeoPackage.
 
     Parameters
     ----------
@@ -79,11 +64,11 @@ def write_steps(database: sqlite3.Connection, tally: Tally, reporter: Reporter) 
     """
     columns = [*OCCUPANCY_COLUMNS, *(() if tally.coverage is None else COVERAGE_COLUMNS)]
     database.execute(_TIMES)
-    database.execute(_steps_table(columns, tally.tiles["tile_id"].to_numpy(np.int64)))
+    database.execute(_steps_table(columns, tally))
     times = f'INSERT INTO "{TIMES}" VALUES (?, ?, ?, ?, ?)'  # noqa: S608 - our own names
     database.executemany(times, _times(tally))
     stored = ["fid", *(("tile_id",) if not _counts_up(tally.tiles["tile_id"]) else ())]
-    stored += [PPM if name == ERROR else name for name in columns]
+    stored += [_STORED.get(name, name) for name in columns]
     names = ", ".join(f'"{name}"' for name in stored)
     marks = ", ".join("?" * len(stored))
     insert = f'INSERT INTO "{STEPS}" ({names}) VALUES ({marks})'  # noqa: S608 - our own names
@@ -100,8 +85,9 @@ def _counts_up(tile_ids: Any) -> bool:
     return bool(np.array_equal(tile_ids, np.arange(len(tile_ids))))
 
 
-def _steps_table(columns: list[str], tile_ids: Integers) -> str:
-    """Return the statement that makes the table of steps: what follows from the row is computed."""
+def _steps_table(columns: list[str], tally: Tally) -> str:
+    """Return the statement that makes the table of steps: what follows from others is computed."""
+    tile_ids = tally.tiles["tile_id"]
     count, computed = len(tile_ids), "INTEGER NOT NULL GENERATED ALWAYS AS"
     interval = f'{computed} (("fid" - 1) / {count}) VIRTUAL'
     tile = (
@@ -109,8 +95,17 @@ def _steps_table(columns: list[str], tile_ids: Integers) -> str:
         if _counts_up(tile_ids)
         else "INTEGER NOT NULL"
     )
-    error = f'"{PPM}" INTEGER, "{ERROR}" REAL GENERATED ALWAYS AS ("{PPM}" * {ERROR_UNIT}) VIRTUAL'
-    kinds = ", ".join(error if name == ERROR else f'"{name}" INTEGER' for name in columns)
+    formulas = {
+        "observed": f'INTEGER GENERATED ALWAYS AS (ifnull({_longest(tally)} - "{UNOBSERVED}", 0))',
+        "visible": f'INTEGER GENERATED ALWAYS AS (ifnull("observed" - "{HIDDEN}", 0))',
+        ERROR: f'REAL GENERATED ALWAYS AS ("{ROOT}" * "{ROOT}" * {ERROR_UNIT!r})',
+    }
+    kinds = ", ".join(
+        f'"{_STORED[name]}" INTEGER, "{name}" {formulas[name]} VIRTUAL'
+        if name in formulas
+        else f'"{name}" INTEGER'
+        for name in columns
+    )
     measures = [("occupied", "observed", "occupancy")]
     if ERROR in columns:
         measures.append(("covered", "visible", "coverage"))
@@ -122,6 +117,11 @@ def _steps_table(columns: list[str], tile_ids: Integers) -> str:
         f'CREATE TABLE "{STEPS}" ("fid" INTEGER PRIMARY KEY NOT NULL, "interval" {interval}, '
         f'"tile_id" {tile}, {kinds}, {shares})'
     )
+
+
+def _longest(tally: Tally) -> int:
+    """Return the steps of the longest interval: most tiles are observed in all of them."""
+    return int((tally.timeline.end - tally.timeline.begin).max())
 
 
 def _times(tally: Tally) -> Iterator[tuple[int, str, str, int, int]]:
@@ -141,15 +141,15 @@ def _rows(tally: Tally, interval: int) -> Iterator[tuple[Any, ...]]:
     count = len(tally.tiles)
     occupied, observed = (np.zeros(count, np.int64) for _ in range(2))
     occupied[tally.seen], observed[tally.seen] = tally.steps(interval)
-    columns = [_known(occupied, observed), observed.tolist()]
+    columns = [_known(occupied, observed), _known(_longest(tally) - observed, observed)]
     if tally.coverage is not None:
         covered, visible = (np.zeros(count, np.int64) for _ in range(2))
         error = np.zeros(count)
         covered[tally.seen] = tally.coverage.covered[interval]
         visible[tally.seen] = tally.coverage.visible[interval]
         error[tally.seen] = tally.coverage.error[interval]
-        parts = np.rint(np.nan_to_num(error) / ERROR_UNIT).astype(np.int64)
-        columns += [_known(covered, visible), visible.tolist(), _known(parts, visible)]
+        roots = error_roots(np.nan_to_num(error))
+        columns += [_known(values, visible) for values in (covered, observed - visible, roots)]
     first = interval * count + 1
     numbers = range(first, first + count)
     if _counts_up(tally.tiles["tile_id"]):
@@ -167,26 +167,23 @@ def _known(values: Any, whole: Any) -> list[Any]:
 def _add_view(database: sqlite3.Connection, columns: list[str]) -> None:
     """Make the view and tell GeoPackage readers of it and of the tables."""
     geometry = database.execute(
-        "SELECT column_name FROM gpkg_geometry_columns WHERE table_name = ?", (WIDE,)
+        "SELECT column_name FROM gpkg_geometry_columns WHERE table_name = ?", (TILES,)
     ).fetchone()[0]
     shown = ["occupied_s", "observed_s", "occupancy"]
     if ERROR in columns:
         shown += ["visible_s", "covered_s", "coverage", ERROR]
     values = ", ".join(f's."{name}" AS "{name}"' for name in shown)
-    database.execute(f'CREATE UNIQUE INDEX "{WIDE}_tile_id" ON "{WIDE}" ("tile_id")')
     # CROSS JOIN keeps the order: from the times to the rows of each, which follow each other.
     database.execute(f"""
         CREATE VIEW "{LONG}" AS
-        SELECT s."fid" AS "OGC_FID", h."{geometry}" AS "{geometry}", s."tile_id" AS "tile_id",
-            h."lanelet_id" AS "lanelet_id", i."{BEGIN}" AS "{BEGIN}", i."{END}" AS "{END}", {values}
+        SELECT s."fid" AS "OGC_FID", t."{geometry}" AS "{geometry}", s."tile_id" AS "tile_id",
+            t."lanelet_id" AS "lanelet_id", i."{BEGIN}" AS "{BEGIN}", i."{END}" AS "{END}", {values}
         FROM "{TIMES}" i
         CROSS JOIN "{STEPS}" s ON s."fid" BETWEEN i."first_row" AND i."last_row"
-        CROSS JOIN "{WIDE}" h ON h."tile_id" = s."tile_id"
+        CROSS JOIN "{TILES}" t ON t."tile_id" = s."tile_id"
     """)  # noqa: S608 - our own names
-    for table, kind in ((TIMES, "attributes"), (STEPS, "attributes"), (LONG, "features")):
-        database.execute(_CONTENTS, (table, kind, table, kind == "features", WIDE))
-    database.execute(_GEOMETRY, (LONG, WIDE))
-    database.execute(_METADATA, (LONG, WIDE))
+    for table, kind in ((LONG, "features"), (TIMES, "attributes"), (STEPS, "attributes")):
+        register_table(database, table, kind, like=TILES)
 
 
 def read_times(database: sqlite3.Connection) -> list[tuple[str, str]]:

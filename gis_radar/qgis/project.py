@@ -19,7 +19,8 @@ from gis_radar.crs import Box, metric_crs
 from gis_radar.errors import OutputError, UsageError
 from gis_radar.geopackage import opened_package, read_styles
 from gis_radar.heatmap import style
-from gis_radar.heatmap.step_table import LONG, TIMES, WIDE
+from gis_radar.heatmap.step_table import LONG, TIMES
+from gis_radar.heatmap.wide_table import WIDE
 from gis_radar.lanelets.lanes import LANES, STOP_LINES, lane_style
 from gis_radar.languages import LANGUAGES
 from gis_radar.occupancy import read_occupancy
