@@ -216,7 +216,9 @@ FROM gpkg_metadata_reference WHERE table_name = :like
 """
 
 
-def register_table(database: sqlite3.Connection, table: str, kind: str, *, like: str) -> None:
+def register_table(
+    database: sqlite3.Connection, table: str, kind: str, *, like: str, rows: int
+) -> None:
     """Tell readers of a GeoPackage of a table or view that SQL made.
 
     Parameters
@@ -229,9 +231,12 @@ def register_table(database: sqlite3.Connection, table: str, kind: str, *, like:
         `features`, with geometry, extent and metadata of `like`, or `attributes`.
     like : str
         A layer of the same place.
+    rows : int
+        How many it has: QGIS would count those of a view each time that it opens it.
     """
-    names = {"table": table, "kind": kind, "like": like}
+    names = {"table": table, "kind": kind, "like": like, "rows": rows}
     database.execute(_REGISTER, names)
+    database.execute("INSERT INTO gpkg_ogr_contents VALUES (:table, :rows)", names)
     if kind == "features":
         database.execute(_REGISTER_GEOMETRY, names)
         database.execute(_REGISTER_METADATA, names)

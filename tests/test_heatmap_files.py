@@ -167,6 +167,12 @@ def test_the_layer_by_interval_is_a_view_of_whole_steps(folder):
     assert [step[3].split(" USING ")[0] for step in plan] == ["SCAN i", "SEARCH s", "SEARCH t"]
 
 
+def test_rows_of_views_are_known_without_a_count(heatmap, folder):
+    known = dict(rows(folder, "SELECT table_name, feature_count FROM gpkg_ogr_contents"))
+    assert known["heatmap"] == len(heatmap.wide())
+    assert known["occupancy_by_interval"] == len(heatmap.long())
+
+
 def test_default_styles_are_registered(folder):
     found = rows(
         folder,

@@ -77,7 +77,7 @@ def write_steps(database: sqlite3.Connection, tally: Tally, reporter: Reporter) 
         database.executemany(insert, _rows(tally, interval))
         done = (interval + 1) * len(tally.tiles)
         reporter.progress("writing occupancy by interval", done, total)
-    _add_view(database, columns)
+    _add_view(database, tally, columns)
 
 
 def _counts_up(tile_ids: Any) -> bool:
@@ -164,7 +164,7 @@ def _known(values: Any, whole: Any) -> list[Any]:
     return list(found)
 
 
-def _add_view(database: sqlite3.Connection, columns: list[str]) -> None:
+def _add_view(database: sqlite3.Connection, tally: Tally, columns: list[str]) -> None:
     """Make the view and tell GeoPackage readers of it and of the tables."""
     geometry = database.execute(
         "SELECT column_name FROM gpkg_geometry_columns WHERE table_name = ?", (TILES,)
@@ -182,8 +182,10 @@ def _add_view(database: sqlite3.Connection, columns: list[str]) -> None:
         CROSS JOIN "{STEPS}" s ON s."fid" BETWEEN i."first_row" AND i."last_row"
         CROSS JOIN "{TILES}" t ON t."tile_id" = s."tile_id"
     """)  # noqa: S608 - our own names
-    for table, kind in ((LONG, "features"), (TIMES, "attributes"), (STEPS, "attributes")):
-        register_table(database, table, kind, like=TILES)
+    every, times = len(tally.timeline) * len(tally.tiles), len(tally.timeline)
+    register_table(database, LONG, "features", like=TILES, rows=every)
+    register_table(database, TIMES, "attributes", like=TILES, rows=times)
+    register_table(database, STEPS, "attributes", like=TILES, rows=every)
 
 
 def read_times(database: sqlite3.Connection) -> list[tuple[str, str]]:

@@ -82,7 +82,7 @@ def write_wide(database: sqlite3.Connection, tally: Tally) -> None:
         f'CREATE VIEW "{WIDE}" AS SELECT {", ".join(shown)} FROM "{TILES}" t {joins}'  # noqa: S608
     )
     database.execute(f'CREATE UNIQUE INDEX "{TILES}_tile_id" ON "{TILES}" ("tile_id")')
-    register_table(database, WIDE, "features", like=TILES)
+    register_table(database, WIDE, "features", like=TILES, rows=len(tally.tiles))
 
 
 def _names(kind: _Kind, stamps: list[str]) -> list[str]:
