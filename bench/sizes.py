@@ -17,7 +17,9 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 import shapely
+from simulated import ROOT, sites, true_pose
 
+import gis_radar as gr
 from gis_radar.heatmap import HeatMap
 from gis_radar.heatmap.covering import Coverage
 from gis_radar.heatmap.intervals import Timeline
@@ -25,7 +27,6 @@ from gis_radar.heatmap.layers import write_package
 from gis_radar.progress import QUIET
 from gis_radar.tiles.tiles import fingerprint
 
-ROOT = Path(__file__).parent.parent
 TILES, INTERVALS = 12_000, 96
 TILES_A_LANE = 200
 LENGTH_M = 0.5
@@ -33,6 +34,7 @@ QUARTER = 18_000  # steps
 FIRST = 35_258_040_000 // QUARTER * QUARTER  # a step of November 2025
 VIEWS = 4  # sets of sensors that see the same tiles
 TARGET_MB = 40.0
+TARGET_TIMES = 2.0
 
 
 def main() -> None:
@@ -47,10 +49,24 @@ def main() -> None:
             write_package(day(TILES, INTERVALS, busy=busy), path, QUIET)
             report["heatmap_mb"][what] = path.stat().st_size / 1e6
             print(f"heatmap.gpkg of a day, {what}: {report['heatmap_mb'][what]:.1f} MB")
+        for site in sites():
+            times = projected(site, Path(name) / "hits.parquet")
+            report.setdefault("projected_times", {})[site.name] = times
+            print(f"detections of {site.name} in the map: {times:.2f} x the recording")
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
     arguments.json.write_text(json.dumps(report, indent=1) + "\n")
     if max(report["heatmap_mb"].values()) > TARGET_MB:
         sys.exit(f"the heat map of a day takes over {TARGET_MB:.0f} MB")
+    if max(report["projected_times"].values()) > TARGET_TIMES:
+        sys.exit(f"detections in the map take over {TARGET_TIMES:g} times the recording")
+
+
+def projected(site: Path, path: Path) -> float:
+    """Return the size of a sensor's detections in the map, over that of its recording."""
+    pose, recording = true_pose(site, "R1"), site / "R1.parquet"
+    roads = gr.read_map(next(site.glob("*.osm")), crs=pose.crs)
+    gr.write_projection(recording, pose, path, roads=roads)
+    return path.stat().st_size / recording.stat().st_size
 
 
 def day(tiles: int, intervals: int, *, busy: bool) -> HeatMap:

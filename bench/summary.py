@@ -243,6 +243,11 @@ def _sizes(report: Mapping[str, Any]) -> Iterator[Figure]:
             what=f"`heatmap.gpkg` of a day, {what}", ours=size_mb, unit="MB", peer=40.0,
             peer_name="(target)", chance=SAME, size=size,
         )  # fmt: skip
+    for site, times in report["projected_times"].items():
+        yield Figure(
+            what=f"`project` in GeoParquet with lanes, {site}", ours=times, unit="x the recording",
+            peer=2.0, peer_name="(target)", chance=SAME,
+        )  # fmt: skip
 
 
 def _alarm(report: Mapping[str, Any]) -> Iterator[Figure]:

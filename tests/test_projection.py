@@ -302,20 +302,25 @@ def test_the_speed_along_the_lane_is_that_of_the_range_rate():
         assert row["speed_along"] * seen == pytest.approx(row["range_rate"], abs=0.35)
 
 
-def test_a_file_is_hardly_larger_than_the_recording(tmp_path):
+@pytest.mark.parametrize("noise_m", [0.0, 0.01])
+def test_a_file_is_hardly_larger_than_the_recording(tmp_path, noise_m):
+    """Of rounded numbers, and of a sensor's own floats, no two of which are alike."""
     sample = gr.sample_folder()
     known = gr.read_pose(sample / "R1.json")
     roads = gr.read_map(sample / "junction.osm", crs=known.crs)
-    rng = np.random.default_rng(4)
-    recorded = pd.read_parquet(sample / "R1.parquet")
-    names = ["x", "y", "z", "range_rate"]  # as a sensor's own floats are: no two alike
-    noise = rng.normal(0.0, 0.01, (len(recorded), len(names)))
-    recorded[names] = (recorded[names] + noise).astype(np.float32)
-    recorded.to_parquet(tmp_path / "R1.parquet", compression="zstd")
-    gr.write_projection(
-        tmp_path / "R1.parquet", known, path := tmp_path / "hits.parquet", roads=roads
-    )
-    assert path.stat().st_size < 2.0 * (tmp_path / "R1.parquet").stat().st_size
+    recording = sample / "R1.parquet"
+    if noise_m:
+        recorded, recording = pd.read_parquet(recording), tmp_path / "R1.parquet"
+        names = ["x", "y", "z", "range_rate"]
+        noise = np.random.default_rng(4).normal(0.0, noise_m, (len(recorded), len(names)))
+        recorded[names] = (recorded[names] + noise).astype(np.float32)
+        recorded.to_parquet(recording, compression="zstd")
+    gr.write_projection(recording, known, path := tmp_path / "hits.parquet", roads=roads)
+    assert path.stat().st_size < 2.0 * recording.stat().st_size
     read = gpd.read_parquet(path)
-    exact = gr.project(tmp_path / "R1.parquet", known)
+    exact = gr.project(recording, known)
     assert shapely.distance(read.geometry.array, exact.geometry.array).max() < 0.008
+    assert read.crs == exact.crs
+    assert read.has_z.all()
+    few = gpd.read_parquet(path, bbox=(*known.position[:2], *(known.position[:2] + 30.0)))
+    assert 0 < len(few) < len(read)
