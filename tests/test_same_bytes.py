@@ -1,6 +1,7 @@
 """The same work gives the same bytes: every command twice, in folders of other names."""
 
 import shutil
+from dataclasses import replace
 
 import laspy
 import pytest
@@ -19,6 +20,9 @@ COMMANDS = [
     "report heatmap -o {}",
     "qgis heatmap -o {}.qgz",
     "quality occupancy -o {}.csv",
+    "vehicles R1.parquet --pose R1.json --tiles tiles.gpkg --map map.osm -o {}",
+    "sight --pose R1.json --tiles tiles.gpkg --scan scan.laz -o {}.gpkg",
+    "trajectories vehicles -o {}.json",
 ]  # fmt: skip
 
 
@@ -66,3 +70,35 @@ def test_scans_are_of_one_day(places, tmp_path):
     for path in (tmp_path / "points.laz", places[0] / "road.laz"):
         with laspy.open(path) as reader:
             assert reader.header.creation_date == WRITTEN, path
+
+
+BOTH = "{0}.parquet {1}.parquet --pose {0}.json --pose {1}.json --tiles tiles.gpkg"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        f"occupancy {BOTH} -o made",
+        f"vehicles {BOTH} --map map.osm -o made",
+        "sight --pose {0}.json --pose {1}.json --tiles tiles.gpkg --scan scan.laz -o made.gpkg",
+        "sensors {0}.json {1}.json -o made.gpkg",
+    ],
+)
+def test_the_order_of_inputs_changes_no_byte(places, run, monkeypatch, tmp_path, words):
+    made = []
+    for order in (("R1", "R2"), ("R2", "R1")):
+        folder = tmp_path / order[0]
+        folder.mkdir()
+        for name in ("R1.parquet", "R1.json", "tiles.gpkg", "map.osm", "scan.laz"):
+            shutil.copy(places[0] / name, folder)
+        shutil.copy(folder / "R1.parquet", folder / "R2.parquet")
+        pose = gr.read_pose(folder / "R1.json")
+        there = replace(pose, sensor="R2", northing=pose.northing + 2.0)
+        gr.write_pose(there, folder / "R2.json")
+        monkeypatch.chdir(folder)
+        code, _, error = run(*words.format(*order).split())
+        assert code == 0, error
+        made.append(files(folder))
+    one, other = made
+    assert one
+    assert [key for key in one if one[key] != other.get(key)] == []

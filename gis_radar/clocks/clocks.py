@@ -217,7 +217,7 @@ def measure_clocks(
     tiles : GeoDataFrame
         As from :func:`gis_radar.tiles.tiles.read_tiles`.
     reference : str, optional
-        The sensor whose clock counts as right; by default the first of those that can be
+        The sensor whose clock counts as right; by default the first by name of those that can be
         compared with the most others.
     settings : ClockSettings
         Constants of the comparison; written to the file of clocks.
@@ -240,7 +240,7 @@ def measure_clocks(
     if len(recordings) != len(poses) or not recordings:
         raise UsageError(f"{len(recordings)} recordings, but {len(poses)} poses")
     tracks = [as_track(pose) for pose in poses]
-    sensors = list(dict.fromkeys(track.sensor for track in tracks))
+    sensors = sorted({track.sensor for track in tracks})  # in whatever order they were given
     if len(sensors) < 2 or (reference or sensors[0]) not in sensors:
         raise UsageError(
             f"the poses are of {', '.join(sensors)}: "
@@ -279,11 +279,11 @@ def _read_all(
     """Read what each sensor saw, around the begin of the last recording."""
     begins = [float(next(recording.read()).time[0]) for recording in recordings]
     parts: dict[str, list[LaneDetections]] = {}
-    order = np.argsort(begins, kind="stable")
-    for i in order.tolist():
+    order = sorted(range(len(begins)), key=lambda i: (begins[i], str(recordings[i].path)))
+    for i in order:
         found = read_lane_detections(recordings[i], tracks[i], lanes, max(begins), reporter)
         parts.setdefault(tracks[i].sensor, []).append(found)
-    sensors = dict.fromkeys(track.sensor for track in tracks)
+    sensors = sorted({track.sensor for track in tracks})
     return {sensor: LaneDetections.joined(parts[sensor]) for sensor in sensors}
 
 

@@ -41,11 +41,14 @@ from gis_radar.poses.files import PoseTrack, as_track
 from gis_radar.poses.pose import Pose, View
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Recording
+from gis_radar.recordings.speeds import odd_speeds
 from gis_radar.sight import (
     MovementCounter,
     MovingHits,
     SightTiles,
     find_contradictions,
+    find_gaps,
+    gap_warning,
     open_sight,
     report_contradictions,
 )
@@ -162,9 +165,12 @@ def measure_occupancy(
         for each in passes:
             each.log.path.unlink()
     target.views.report(reporter)
-    report_contradictions(
-        find_contradictions(_moving_hits(passes, target), target.views.road), reporter
-    )
+    hits = _moving_hits(passes, target)
+    if target.views.scan is not None:
+        judged = [each for each in hits if each.frames >= SIGHT_DEFAULTS.judged_frames]
+        report_contradictions(find_contradictions(judged, target.views.road), reporter)
+    if gaps := gap_warning(find_gaps(hits, target.views.road)):
+        reporter.log(gaps, "warning")
     for line in _warnings(passes, target.views, holds, settings):
         reporter.log(line, "warning")
     return read_occupancy(folder)
@@ -245,8 +251,7 @@ def _moving_hits(passes: list[RecordingPass], target: Target) -> list[MovingHits
     for each in passes:
         for view, counter in each.movement.items():
             together.setdefault((each.source.track.sensor, view), []).append(counter)
-    hits = [MovingHits.of(target.views.sights[key], found) for key, found in together.items()]
-    return [each for each in hits if each.frames >= SIGHT_DEFAULTS.judged_frames]
+    return [MovingHits.of(target.views.sights[key], found) for key, found in together.items()]
 
 
 def _warnings(
@@ -270,6 +275,8 @@ def _warnings(
                 f"{reached_m:.0f} m, but the view of {sensor} reaches {view.max_range_m:g} m: what "
                 "lies beyond reads as observed and empty; set the view's max_range_m or --max-range"
             )
+        if odd := odd_speeds(each.source.recording):
+            yield f"{file}: {odd}; vehicles and poses need metres and m/s, positive when receding"
         covered_us = (1 + steps_held(holds[sensor])) * STEP_US
         if settings.slow_cycle * covered_us < cycle_us < np.inf:
             cycle_ms, empty = round(cycle_us / 1000), 100.0 * (1.0 - covered_us / cycle_us)

@@ -49,8 +49,7 @@ def _counted(
     frames = FrameIndex.of(part.time)
     frame, tile = _tiles_hit(part, frames, pose, target, road_m)
     hit = np.bincount(frame, minlength=len(frames.time))
-    if target.views.scan is not None:
-        found.movement_at(index, target).add(part, pose, road_m=road_m)
+    found.movement_at(index, target).add(part, pose, road_m=road_m)
     time_us, _, detections, moving, wild, hit, _, checksum, shift = frame_rows(
         part, frames, hit, hit, shift_us, target.settings
     )

@@ -63,8 +63,7 @@ class RecordingPass:
     level : bool
         Whether the sensor measures no elevation.
     movement : dict
-        What moves on the tiles, by the view that the sensor had first where it stood; empty where
-        sight is the view alone.
+        What moves on the tiles, by the view that the sensor had first where it stood.
     """
 
     source: PlacedRecording
@@ -139,9 +138,9 @@ def count_recording(found: RecordingPass, target: Target) -> Iterator[Counted]:
         Complete frames and steps.
     """
     for counted in _count(found, target):
-        if target.views.scan is not None:
-            for index in counted.frames[:, POSE].tolist():
-                found.movement_at(index, target).frames += 1
+        index, frames = np.unique(counted.frames[:, POSE], return_counts=True)
+        for each, count in zip(index.tolist(), frames.tolist(), strict=True):
+            found.movement_at(each, target).frames += count
         yield counted
 
 
@@ -162,9 +161,7 @@ def _count(found: RecordingPass, target: Target) -> Iterator[Counted]:
                 road_m = target.views.road_m[track.sensor, found.source.views[index]]
                 pose = track.poses[index]
                 placed[index] = PoseNumbers.of(pose, road_m=road_m, number=index)
-            movement = NO_TILES
-            if target.views.scan is not None:
-                movement = found.movement_at(index, target).count
+            movement = found.movement_at(index, target).count
             yield from counter.add(rows, begin, end, placed[index], movement=movement)
         found.level |= bool((np.isnan(raw.z) & ~np.isnan(raw.x)).any())
         found.rows += len(raw)

@@ -48,6 +48,7 @@ def write_sensors(poses: Sequence[Pose], path: str | Path) -> None:
         raise UsageError("there is no pose to write")
     for pose in poses[1:]:
         require_same(pose.crs, poses[0].crs, what=pose.sensor, other_what=poses[0].sensor)
+    poses = sorted(poses, key=lambda pose: pose.sensor)  # in whatever order they were given
     layers = {SENSORS: _points(poses), VIEWS: _views(poses), UNCERTAINTY: _ellipses(poses)}
     kinds = {SENSORS: "Point", VIEWS: "Polygon", UNCERTAINTY: "Polygon"}
     with whole_file(path) as part:

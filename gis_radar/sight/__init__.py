@@ -1,5 +1,6 @@
 """Sight: which tiles a sensor sees from one pose, and what hides the others."""
 
+from gis_radar.sight.gaps import Gap, find_gaps, gap_warning
 from gis_radar.sight.layers import SightFile, open_sight, write_sights
 from gis_radar.sight.recorded import (
     Contradiction,
@@ -29,6 +30,7 @@ __all__ = [
     "OUT_OF_VIEW",
     "VIEW_ONLY",
     "Contradiction",
+    "Gap",
     "MovementCounter",
     "MovingHits",
     "Sight",
@@ -39,7 +41,9 @@ __all__ = [
     "SightTiles",
     "describe_sight",
     "find_contradictions",
+    "find_gaps",
     "find_sight",
+    "gap_warning",
     "open_sight",
     "report_contradictions",
     "report_uncovered",

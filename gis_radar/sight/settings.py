@@ -129,4 +129,30 @@ class SightSettings:
     moving_share: float = 0.3
 
 
+@dataclass(frozen=True, kw_only=True)
+class GapSettings:
+    """Which stretches of a lane count as never passed although vehicles pass on both sides.
+
+    Parameters
+    ----------
+    piece_m : float
+        Lanelets are looked at in pieces of this length, metres: a car's, so that the radar meets a
+        vehicle several times on each.
+    share : float
+        A piece is empty where less than this share of the expected movement is there. Who queues on
+        one side and drives freely past the piece is met ten times less often there.
+    least_frames : float
+        Frames with movement on a tile expected on such a stretch before it counts: some fifty
+        vehicles on a car's length.
+    shared : float
+        A tile of which another lanelet's tile covers this share tells nothing of its own lane.
+    """
+
+    piece_m: float = 5.0
+    share: float = 0.01
+    least_frames: float = 100.0
+    shared: float = 0.05
+
+
 DEFAULTS = SightSettings()
+GAPS = GapSettings()

@@ -19,6 +19,7 @@ from gis_radar.lanelets import LaneletMap, read_map
 from gis_radar.poses.files import read_track
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import RangeCounts, Recording, open_recording
+from gis_radar.recordings.speeds import odd_speeds
 from gis_radar.scans.scan import open_scan, road_crs
 from gis_radar.site.settings import Sensor, Site, read_site
 from gis_radar.steps import iso_from_step, step_of, zone_of
@@ -222,6 +223,10 @@ def _read_sensor(sensor: Sensor, settings: CheckSettings, warnings: list[str]) -
     if not spans:
         return SensorCheck(begin=math.nan, end=math.nan, detections=0, view={})
     warnings += _overlaps(sensor.name, spans)
+    for *_, path in spans:
+        if odd := odd_speeds(open_recording(path)):
+            needed = "vehicles and poses need metres and m/s, positive when receding"
+            warnings.append(f"{path.name}: {odd}; {needed}")
     begin, end = min(each[0] for each in spans), max(each[1] for each in spans)
     longest = max(each[1] - each[0] for each in spans)
     if sensor.guess is not None and longest < settings.least_s and not foreign:

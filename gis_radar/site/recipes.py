@@ -178,6 +178,7 @@ def see_tiles(
         by_place[id(place)].corrected(sight) if id(place) in by_place else sight
         for sight, place in zip(found, place_of, strict=True)
     ]
+    written.sort(key=lambda sight: sight.pose.sensor)  # in whatever order they were given
     write_sights(written, tiles, output, contradictions=compared)
     figures = {each.pose.sensor: each.figures() for each in written}
     for each in compared:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from operator import itemgetter
 from typing import Any
 
@@ -128,8 +130,9 @@ class SourceReader:
         self._total = sum(rows or 0 for rows in known) if whole else None
 
     def records(self) -> list[dict[str, Any]]:
-        """Return the entries of the manifest."""
-        return [each.source.record(each.rows, each.poses) for each in self._read]
+        """Return the entries of the manifest, the same in whatever order recordings were given."""
+        found = [each.source.record(each.rows, each.poses) for each in self._read]
+        return sorted(found, key=partial(json.dumps, sort_keys=True))
 
     def warnings(self) -> list[str]:
         """Return what was noticed on the way, a line each."""

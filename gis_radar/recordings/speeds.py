@@ -1,0 +1,54 @@
+"""Whether range rates are m/s: a look at the first frames of a recording."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gis_radar.arrays import Floats
+from gis_radar.recordings.recording import Recording
+from gis_radar.recordings.units import LEAST_JUDGED, MOVING_MPS, compare_speeds
+
+MOST_FRAMES = 2000  # read; 20 to 150 ms
+ENOUGH = 4000  # moving detections
+FAST_MPS = 20.0  # in m/s half of those that are over it are under 45; in cm/s what stands is under
+FASTEST_MPS = 70.0  # over 250 km/h: no vehicle; in cm/s every walker
+MOST_WILD = 0.02  # share of the detections that are so fast; as of data quality
+
+
+def odd_speeds(recording: Recording) -> str:
+    """Return what is odd in the range rates of a recording's begin; empty if nothing is.
+
+    Parameters
+    ----------
+    recording : Recording
+        Some hundred to 2000 frames are read.
+
+    Returns
+    -------
+    str
+        For a message that begins with the file's name.
+    """
+    pieces: list[tuple[Floats, Floats, Floats]] = []
+    frames = moving = rows = wild = 0
+    for piece in recording.read():
+        speed = np.abs(piece.range_rate)
+        moves = piece.present & (speed >= MOVING_MPS)
+        pieces.append((piece.time[moves], piece.points[moves], piece.range_rate[moves]))
+        frames += len(np.unique(piece.time))
+        rows, moving = rows + len(speed), moving + int(moves.sum())
+        wild += int((speed > FASTEST_MPS).sum())
+        if frames >= MOST_FRAMES or moving >= ENOUGH:
+            break
+    if not pieces:
+        return ""
+    time, points, rate = (np.concatenate(part) for part in zip(*pieces, strict=True))
+    if odd := compare_speeds(time, points, rate):
+        return odd
+    fast = np.abs(rate[np.abs(rate) >= FAST_MPS])
+    median = float(np.median(fast)) if len(fast) >= LEAST_JUDGED else 0.0
+    if median <= FASTEST_MPS and wild <= MOST_WILD * rows:
+        return ""
+    return (
+        f"{100.0 * wild / rows:.1f} % of the detections are faster than {FASTEST_MPS:g} m/s: "
+        "range rates look like cm/s or mm/s"
+    )

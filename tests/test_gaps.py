@@ -1,0 +1,119 @@
+"""Stretches that nothing passes although vehicles pass on both sides: named, and only those."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from maps import Listener
+from sites import EAST, NORTH, lane_quads, tiles_of
+from test_sight import ROAD_M, SENSOR
+from test_sight_recorded import traffic
+
+import gis_radar as gr
+from gis_radar.recordings.recording import open_recording
+from gis_radar.recordings.speeds import odd_speeds
+from gis_radar.sight import MovingHits, SightTiles, find_gaps, find_sight
+
+FRAMES = 4000
+
+
+def lane(*, left=60.0, heading=90.0, count=240):
+    """A lane across, 100 m ahead, that begins so far to the right."""
+    return lane_quads(EAST + 100.0, NORTH - left, heading, count=count)
+
+
+@pytest.mark.parametrize(
+    ("unseen", "tiles"), [((), 0), ([(-20.0, 0.0)], 30), ([(-3.0, -2.0)], 0), ([(20.0, 60.0)], 0)]
+)
+def test_what_a_house_hides_without_a_scan_is_named(tmp_path, unseen, tiles):
+    """Not what is shorter than a car, and not where nobody is met behind it."""
+    heard = Listener()
+    path = traffic(tmp_path / "R1.parquet", unseen=unseen)
+    road = tiles_of([lane()], height_m=ROAD_M)
+    gr.measure_occupancy([path], [SENSOR], road, tmp_path / "o", reporter=heard)
+    said = [line for line in map(str, heard.messages) if "never passed" in line]
+    assert len(said) == (tiles > 0)
+    if tiles:
+        assert f"{tiles} tiles are never passed" in said[0]
+        assert "most on lanelet 100" in said[0]
+
+
+def moved(lanes, counts):
+    """Return the gaps where so many frames had movement on the tiles of each lane."""
+    tiles = SightTiles.of(tiles_of(lanes, height_m=ROAD_M))
+    sight = find_sight(SENSOR, tiles)
+    count = np.concatenate(counts).astype(np.int64)
+    return find_gaps([MovingHits(sight=sight, count=count, frames=FRAMES)], tiles)
+
+
+def counts(rate, *empty):
+    found = np.full(240, rate)
+    for begin, end in empty:
+        found[begin:end] = 0
+    return found
+
+
+def test_gaps_need_traffic_on_both_sides_and_enough_of_it():
+    assert [(g.lanelet_id, g.tiles) for g in moved([lane()], [counts(20, (100, 140))])] == [
+        (100, 40)
+    ]
+    assert moved([lane()], [counts(20)]) == []
+    assert moved([lane()], [counts(20, (100, 240))]) == []  # its end
+    assert moved([lane()], [counts(20, (0, 140))]) == []  # its beginning
+    assert moved([lane()], [counts(1, (100, 140))]) == []  # two vehicles
+    slower = counts(20)
+    slower[100:140] = 2  # queues on both sides, free between them
+    assert moved([lane()], [slower]) == []
+
+
+def test_traffic_of_crossing_lanes_tells_nothing_of_a_lane_that_nobody_takes():
+    """A turn: its first and last tiles lie under the lanes that it leaves and joins."""
+    one, other = (
+        lane_quads(EAST + 80.0, NORTH - 50.0, 0.0, count=80),
+        lane_quads(EAST + 80.0, NORTH + 50.0, 0.0, count=80),
+    )
+    own = np.zeros(240)
+    own[14:27], own[214:227] = 20, 20  # hits of those that cross
+    busy = np.full(80, 20)
+    assert moved([lane(), one, other], [own, busy, busy]) == []
+    assert len(moved([lane()], [own])) == 1
+
+
+SAMPLE = gr.sample_folder()
+
+
+def recorded(path, scale):
+    """Write a minute of the sample with range rates in another unit."""
+    table = pd.read_parquet(SAMPLE / "R1.parquet")
+    table = table[table["time"] < table["time"].iloc[0] + 60.0]
+    table["range_rate"] *= np.float32(scale)
+    table.to_parquet(path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("scale", "says"),
+    [
+        (1.0, ""),
+        (-1.0, "positive where targets approach"),
+        (100.0, "look like cm/s or mm/s"),
+        (1000.0, "look like cm/s or mm/s"),
+    ],
+)
+def test_range_rates_in_another_unit(tmp_path, scale, says):
+    odd = odd_speeds(open_recording(recorded(tmp_path / "R1.parquet", scale)))
+    assert says in odd
+    assert bool(odd) == bool(says)
+
+
+def test_range_rates_in_another_unit_are_named_where_the_pose_is_given(tmp_path):
+    """Nobody looks for a pose there, which would not be found."""
+    path, pose = recorded(tmp_path / "R1.parquet", 3.6), gr.read_pose(SAMPLE / "R1.json")
+    heard, road = Listener(), tiles_of([lane_quads(pose.easting, pose.northing + 20.0, 0.0)])
+    gr.measure_occupancy([path], [pose], road, tmp_path / "o", reporter=heard)
+    assert "R1.parquet: ranges change 0.28 times as fast" in str(heard.messages)
+    (tmp_path / "SITE.toml").write_text(
+        f'title = "A"\ntime_zone = "Europe/Berlin"\n[map]\nfile = "{SAMPLE}/junction.osm"\n'
+        f'crs = "EPSG:25832"\n[[sensor]]\nname = "R1"\nrecordings = ["R1.parquet"]\n'
+        f'pose = "{SAMPLE}/R1.json"\n'
+    )
+    assert "range rates look like km/h" in str(gr.check_site(tmp_path / "SITE.toml").warnings)
