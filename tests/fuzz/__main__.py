@@ -1,4 +1,4 @@
-"""Fuzz all targets in turn, each for its share of the time; the same again goes on.
+"""Fuzz all targets in turn, each for its share of the processor's time; the same again goes on.
 
 ``FUZZ_SECONDS=7200 make fuzz`` for two hours; ``FUZZ_ONLY=osm,pcap`` for some of the targets.
 Corpus, findings and sums are kept in ``out/fuzz``. The exit code is 1 where something was found.
@@ -18,9 +18,10 @@ from pathlib import Path
 from fuzz.targets import TARGETS, build_inputs
 
 FOLDER = Path("out/fuzz")
-TURN_S = 60  # of a target; the one with the fewest seconds so far comes next
-GRACE_S = 180  # for loading, and for the end
-COUNTS = re.compile(r"^#(\d+)\s.*cov: (\d+) ft: (\d+) corp: (\d+)/", re.MULTILINE)
+TURN_S = 60  # of the processor for a target; the one with the fewest so far comes next
+LONGEST_S = 7200  # of the clock, where a target hangs and does nothing
+COUNTS = re.compile(r"^#\d+\s.*cov: (\d+) ft: (\d+) corp: (\d+)/", re.MULTILINE)
+RAN = re.compile(r"^ran (\d+)$", re.MULTILINE)
 
 
 def main() -> None:
@@ -52,18 +53,20 @@ def run_one(name: str, seconds: int) -> None:
                                stdout=subprocess.DEVNULL, text=True, errors="replace")  # fmt: skip
     used = _processor_s()
     try:
-        _, said = process.communicate(timeout=seconds + GRACE_S)
+        _, said = process.communicate(timeout=LONGEST_S)
     except subprocess.TimeoutExpired:
         process.kill()
         _, said = process.communicate()
     place = FOLDER / "said" / f"{name.replace(' ', '-')}.txt"
     place.parent.mkdir(exist_ok=True)
     place.write_text(said[-20_000:])
-    counts = COUNTS.findall(said) or [("0", "0", "0", "0")]
+    counts = COUNTS.findall(said) or [("0", "0", "0")]
     if process.returncode and not re.search(r"Test unit written to", said):
         found = FOLDER / "found" / name.replace(" ", "-")
-        (found / f"ended-{process.returncode}.txt").write_text(said[-20_000:])
-    runs, edges, features, corpus = map(int, counts[-1])
+        found.mkdir(parents=True, exist_ok=True)
+        (found / f"ended{process.returncode:+}").write_text(said[-20_000:])
+    runs = sum(map(int, RAN.findall(said)))
+    edges, features, corpus = map(int, counts[-1])
     sums = _sums()
     mine = sums.setdefault(name, {"seconds": 0, "processor_s": 0.0, "runs": 0})
     mine["seconds"] += seconds

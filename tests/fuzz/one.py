@@ -14,6 +14,7 @@ import resource
 import shutil
 import sys
 import tempfile
+import time
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,8 @@ import atheris
 
 BYTES = 4 << 30  # of address space
 SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 - files there cost no disk
-WHOLE_S = 60  # of the clock: as the machine may be busy, the processor's seconds count, see Bench
+WHOLE_S = 1800  # of the clock: as the machine may be busy, the processor's seconds count, see Bench
+SLOWEST = 100  # times longer than its processor's seconds that a target may take by the clock
 
 
 def main() -> None:
@@ -48,7 +50,7 @@ def _copied(inputs: Path) -> Any:
 
 
 def fuzz(target: Any, inputs: Path, folder: Path, seconds: int) -> None:
-    """Fuzz a target; this does not return.
+    """Fuzz a target; this does not return, and ends with a line `ran` and how many files.
 
     Parameters
     ----------
@@ -59,7 +61,7 @@ def fuzz(target: Any, inputs: Path, folder: Path, seconds: int) -> None:
     folder : Path
         Where corpus and findings are kept, and their files.
     seconds : int
-        For how long.
+        Of the processor's time.
     """
     from fuzz.targets import Bench
     from gis_radar.processes import go_offline
@@ -74,14 +76,24 @@ def fuzz(target: Any, inputs: Path, folder: Path, seconds: int) -> None:
         (corpus / f"seed-{number}").write_bytes(seed)
         bench.run(seed)  # what is imported late is instrumented, too
 
+    ran, end = 0, time.process_time() + seconds
+
     def once(data: bytes) -> None:
+        nonlocal ran
+        ran += 1
         finding = bench.run(data)
         if finding and not (found / finding.name).exists():
             (found / finding.name).write_bytes(data)
             (found / f"{finding.name}.txt").write_text(finding.text, errors="replace")
+        if time.process_time() > end:
+            if SHARED_MEMORY in Path(inputs).parents:
+                shutil.rmtree(inputs)
+            sys.stderr.write(f"\nran {ran}\n")
+            sys.stderr.flush()
+            os._exit(0)
 
     resource.setrlimit(resource.RLIMIT_AS, (BYTES, BYTES))
-    words = [f"-max_total_time={seconds}", f"-timeout={WHOLE_S}", "-rss_limit_mb=4096",
+    words = [f"-max_total_time={SLOWEST * seconds}", f"-timeout={WHOLE_S}", "-rss_limit_mb=4096",
              f"-artifact_prefix={found}/", "-report_slow_units=60", str(corpus)]  # fmt: skip
     atheris.Setup([sys.argv[0], *words], once)
     atheris.Fuzz()
