@@ -159,7 +159,10 @@ def test_the_tutorial_runs_as_it_stands(tmp_path, monkeypatch):
     names = {}
     for code in blocks(DOCS / "tutorial.md", "python"):
         exec(compile(code, "tutorial.md", "exec"), names)  # noqa: S102 - our own example
-    assert names["by_lane"]["coverage"].between(0.0, 1.0).all()
+    assert names["lanes"]["coverage"].dropna().between(0.0, 1.0).all()
+    assert 0.0 < names["sums"].loc["school", "covered_s"] < names["sums"].loc["school", "visible_s"]
+    table = pd.read_csv("lanes.csv", sep=";", decimal=",", encoding="utf-8-sig", index_col="lane")
+    assert table["length_m"].round(6).equals(names["lanes"]["length_m"].round(6))
     assert pd.read_csv("quality.csv")["verdict"].eq("good").all()
 
 

@@ -82,10 +82,15 @@ def test_a_heat_map_is_drawn_by_interval(heat):
 def test_exploring_shows_the_observed_tiles_and_loads_no_map(heat):
     pytest.importorskip("folium")
     text = heat.explore(interval=0, tiles=None).get_root().render()
-    assert "CartoDB" not in text
+    assert "openstreetmap" not in text.lower()
     assert text.count('"type": "Polygon"') == 3
     assert "50 to 100 %" in text
     assert style.RAMP[-1] in text
+
+
+def test_exploring_takes_a_map_that_needs_no_key(heat):
+    pytest.importorskip("folium")
+    assert "https://tile.openstreetmap.org/{z}/{x}/{y}.png" in heat.explore().get_root().render()
 
 
 def test_exploring_without_folium_gives_the_install_line(heat, monkeypatch):

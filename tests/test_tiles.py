@@ -356,6 +356,16 @@ def run_sql(path, *commands):
     file.close()
 
 
+def test_tiles_are_written_without_a_list_of_problems(tmp_path):
+    """A table of one's own has none; the layer is there all the same, with its columns."""
+    tiles = crossing()
+    write_tiles(tiles, tmp_path / "own.gpkg")
+    assert len(read_tiles(tmp_path / "own.gpkg")) == len(tiles)
+    problems = pyogrio.read_dataframe(tmp_path / "own.gpkg", layer="problems")
+    assert len(problems) == 0
+    assert {"lanelet_id", "action", "reason"} <= set(problems.columns)
+
+
 def test_tiles_that_another_program_has_locked_are_named_and_stay(tmp_path):
     """As while somebody edits them in QGIS."""
     path = tmp_path / "tiles.gpkg"

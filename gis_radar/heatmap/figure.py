@@ -425,7 +425,7 @@ def show_in_browser(
         "style_kwds": {"weight": 0.3, "fillOpacity": 0.9},
         "tooltip": [CLASS],
         "popup": list(popup),
-        "tiles": "CartoDB positron",
+        "tiles": "OpenStreetMap",
         "max_zoom": 21,
         "legend_kwds": {"caption": time_span(tally, part)},
     }

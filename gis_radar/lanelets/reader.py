@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -178,7 +178,7 @@ def read_map(
     return LaneletMap(
         lanelets=_lanelet_table(osm, lanelets, places.crs),
         regulatory=regulatory_table(osm, places.xyz, places.crs),
-        problems=_problem_table(problems, places.crs),
+        problems=problem_table(problems, places.crs),
         crs=places.crs,
         remarks=remarks,
     )
@@ -317,7 +317,8 @@ def _linked(lanelets: Iterable[_Lanelet]) -> dict[int, tuple[int, ...]]:
     return {lanelet.id: tuple(starting.get(lanelet.end, ())) for lanelet in lanelets}
 
 
-def _problem_table(problems: list[_Problem], crs: CRS) -> gpd.GeoDataFrame:
+def problem_table(problems: Sequence[_Problem], crs: CRS) -> gpd.GeoDataFrame:
+    """Return what was left out or repaired as a table; an empty one of nothing."""
     return gpd.GeoDataFrame(
         {
             "lanelet_id": np.array([problem.id for problem in problems], dtype=np.int64),

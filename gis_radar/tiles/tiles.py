@@ -33,6 +33,7 @@ from gis_radar.lanelets import LaneletMap
 from gis_radar.lanelets.bounds import CannotMendError, slices, sound_rungs
 from gis_radar.lanelets.lanes import LANES, STOP_LINES, lane_numbers, lane_style
 from gis_radar.lanelets.mending import outline
+from gis_radar.lanelets.reader import problem_table
 from gis_radar.lanelets.tagging import ON_FOOT_OR_BICYCLE
 from gis_radar.progress import QUIET, Reporter
 
@@ -208,7 +209,7 @@ def write_tiles(
     tiles: gpd.GeoDataFrame,
     path: str | Path,
     *,
-    problems: gpd.GeoDataFrame,
+    problems: gpd.GeoDataFrame | None = None,
     lanes: gpd.GeoDataFrame | None = None,
     stop_lines: gpd.GeoDataFrame | None = None,
 ) -> None:
@@ -216,8 +217,10 @@ def write_tiles(
 
     Parameters
     ----------
-    tiles, problems : GeoDataFrame
-        As from :func:`make_tiles` and :attr:`LaneletMap.problems`.
+    tiles : GeoDataFrame
+        As from :func:`make_tiles`.
+    problems : GeoDataFrame, optional
+        As :attr:`LaneletMap.problems`; none without it.
     lanes, stop_lines : GeoDataFrame, optional
         As from :func:`gis_radar.lanes` and :func:`gis_radar.stop_lines`.
     path : str or Path
@@ -228,6 +231,8 @@ def write_tiles(
         raise UsageError(f"{path}: tiles are written as GeoPackage", hint="end the name in .gpkg")
     # Without the CRS: GeoPackage rewrites the text of one that has no number.
     seal = {_COUNT: str(len(tiles)), _CONTENT: _digest(tiles)}
+    if problems is None:
+        problems = problem_table([], tiles.crs)
     layers = [(LAYER, tiles, "Polygon"), (PROBLEMS, problems, "Unknown")]
     if lanes is not None:
         # GeoPackage has no lists
