@@ -14,6 +14,7 @@ from functools import cache
 from pathlib import Path
 
 import gis_radar
+from gis_radar.cli.usage import CLICK_TEXTS
 
 PACKAGE = Path(gis_radar.__file__).parent
 HOLE = "{}"
@@ -340,6 +341,8 @@ def message_templates() -> dict[str, str]:
     for path, node in told():
         for text in texts(path, node):
             keep(text, path, node)
+    for text in CLICK_TEXTS:
+        keep(text, PACKAGE / "cli" / "usage.py", ast.Module())
     for text, (path, node) in FRAGMENTS.items():
         keep(text, path, node)
     return found

@@ -1,6 +1,7 @@
 """The texts of the QGIS plugin and of QGIS projects that people read, taken from their source."""
 
 import ast
+import re
 from pathlib import Path
 from xml.etree.ElementTree import parse
 
@@ -10,7 +11,10 @@ FOLDER = Path(__file__).parents[1] / "qgis_plugin" / "gis_radar_plugin"
 PACKAGE = Path(__file__).parents[1] / "gis_radar"
 CATALOGUES = PACKAGE / "languages"
 CLASS_TEXTS = ("TITLE", "SUBTITLE", "HELP")
-CONSTANTS = ("SITE", "TRAFFIC", "RESULTS", "SET_UP", "CRS_HELP", "ORIGIN_HELP", "WINDS")
+CONSTANTS = (
+    "SITE", "TRAFFIC", "RESULTS", "SET_UP", "CRS_HELP", "ORIGIN_HELP", "WINDS", "_GONE", "_UNKNOWN",
+)  # fmt: skip
+ERRORS = ("WorkerError", "NoWorkerError")
 
 
 def texts():
@@ -30,6 +34,8 @@ def _said(node):
         name = getattr(node.func, "id", getattr(node.func, "attr", ""))
         if name in ("tr", "stage"):
             yield from node.args[:1]
+        if name in ERRORS:
+            yield from (each for each in node.args[:1] if has_words(each))
         yield from (word.value for word in node.keywords if word.arg == "about")
         yield from _shared_parameter(name, node.args)
     elif isinstance(node, ast.Assign):
@@ -40,6 +46,24 @@ def _said(node):
             yield from node.value.keys
     elif isinstance(node, ast.For) and isinstance(node.iter, ast.Tuple):
         yield from (node.iter.elts if _is_legend(node) else ())
+
+
+def has_words(node):
+    """Tell whether a text has words beside its holes."""
+    parts = node.values if isinstance(node, ast.JoinedStr) else [node]
+    texts = [part.value for part in parts if isinstance(part, ast.Constant)]
+    return any(re.search("[A-Za-z]", re.sub(r"\{\w*\}", "", text)) for text in texts)
+
+
+def errors_with_values_inside():
+    """Return errors whose text is put together where they are raised: no catalogue has them."""
+    return [
+        f"{path.name}:{node.lineno}"
+        for path in sorted(FOLDER.rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and getattr(node.func, "id", "") in ERRORS
+        for each in node.args[:1] if isinstance(each, ast.JoinedStr) and has_words(each)
+    ]  # fmt: skip
 
 
 def _shared_parameter(name, given):

@@ -98,7 +98,7 @@ def test_each_german_message_is_found_again_with_the_values_of_the_english_one()
          "die Laserscans liegen 1,25 m über den Höhen der Karte: ein anderes Höhensystem?"),
         ("R1: no usable frame in the inputs; R2: 3 frames, at least 20 are needed",
          ("R1: kein brauchbarer Messzyklus in den Eingaben; "
-          "R2: 3 Messungen, nötig sind mindestens 20")),
+          "R2: 3 Messzyklen, nötig sind mindestens 20")),
         ("clock of R2: their clocks run apart by 12.5%",
          "Uhr von R2: ihre Uhren laufen um 12,5\u202f% auseinander"),
         ("this and that of a library", "this and that of a library"),
@@ -213,6 +213,20 @@ def test_a_finished_sentence_is_known_again_with_its_values():
 def test_warnings_of_a_run_are_german(told, german):
     with speaking("de"):
         assert tr_message(told) == german
+
+
+def test_one_german_word_for_each_word_of_the_data():
+    """A frame is a Messzyklus, a detection a Detektion; Messung is neither, nor a recording."""
+    told = {**catalogue("de"), **messages("de")}
+    others = re.compile(r"(sensor|map) frame|^frames: ")  # of coordinates; a file
+    wrong = [
+        (text, german) for text, german in told.items()
+        if (re.search(r"\bframes?\b", others.sub("", text), re.IGNORECASE)
+            and "Messzykl" not in german)
+        or (re.search(r"\bdetections?\b", text) and "etektion" not in german)
+        or re.search(r"\b[Mm]essung", german)
+    ]  # fmt: skip
+    assert wrong == []
 
 
 def test_each_stage_of_a_run_has_its_german():

@@ -15,7 +15,13 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from plugin_words import CATALOGUES, FOLDER, project_texts, texts
+from plugin_words import (
+    CATALOGUES,
+    FOLDER,
+    errors_with_values_inside,
+    project_texts,
+    texts,
+)
 
 ROOT = Path(__file__).parents[1]
 posix = pytest.mark.skipif(os.name == "nt", reason="the stand-in for a worker is a script")
@@ -164,6 +170,56 @@ def test_how_a_worker_fails(plugin, program, body, said):
 def test_a_worker_that_is_not_there(plugin, tmp_path):
     with pytest.raises(plugin.WorkerError, match="does not start"):
         plugin.run_worker(str(tmp_path / "gone"), [], Heard())
+
+
+def test_no_error_of_the_plugin_is_put_together_where_it_is_raised():
+    assert errors_with_values_inside() == []
+
+
+@posix
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        ("os.kill(os.getpid(), signal.SIGSEGV)", "aufgehört: sie wurde durch SIGSEGV beendet"),
+        ("print('kein Speicher', file=sys.stderr)\nsys.exit(7)",
+         "Die Arbeitsumgebung hat unerwartet aufgehört: Ende mit Code 7: kein Speicher"),
+        ("say(event='error', code=3, message='')\nsys.exit(3)", "die Arbeitsumgebung hat versagt"),
+        ("say(event='error', code=3, message='{x}: Karte')\nsys.exit(3)", "{x}: Karte"),
+    ],
+)  # fmt: skip
+def test_how_a_worker_fails_in_german(plugin, program, monkeypatch, body, said):
+    monkeypatch.setattr("gis_radar_plugin.words.language", lambda: "de")
+    with pytest.raises(plugin.WorkerError) as caught:
+        plugin.run_worker(program(body), [], Heard())
+    assert str(caught.value).endswith(said)
+
+
+@posix
+def test_what_is_wrong_with_a_worker_is_german(plugin, program, monkeypatch, tmp_path):
+    from gis_radar_plugin import claims, installer, worker
+
+    monkeypatch.setattr("gis_radar_plugin.words.language", lambda: "de")
+    gone, odd = str(tmp_path / "gone"), program("print('Käse', file=sys.stderr)\nsys.exit(1)")
+    asked = {
+        f"Das Python der Arbeitsumgebung, {gone}, ist nicht da": lambda: worker.find_python(
+            gone, tmp_path),
+        f"Das Python der Arbeitsumgebung, {odd}, läuft nicht: Käse": lambda: worker.worker_version(
+            odd),
+        f"{gone} ist kein Python 3.11 oder neuer (ein anderes wählen)": lambda: (
+            installer.find_tools(gone)),
+    }  # fmt: skip
+    for said, ask in asked.items():
+        with pytest.raises(plugin.WorkerError) as caught:
+            ask()
+        assert str(caught.value) == said
+    monkeypatch.delenv("GIS_RADAR_PYTHON", raising=False)
+    with pytest.raises(plugin.NoWorkerError, match="gis_radar braucht"):
+        worker.find_python("", tmp_path)
+    with (
+        claims.claimed([gone]), pytest.raises(plugin.WorkerError, match="eine andere Berechnung"),
+        claims.claimed([gone]),
+    ):  # fmt: skip
+        pass
 
 
 def test_the_environment_is_cleaned(plugin):

@@ -281,6 +281,9 @@ def run_group(group: click.Group) -> NoReturn:
     except click.exceptions.Exit as leave:
         sys.exit(leave.exit_code)
     except click.ClickException as error:
+        if isinstance(error, getattr(click.exceptions, "NoArgsIsHelpError", ())):
+            click.echo(error.format_message(), err=True)  # the help of a bare `gis-radar`
+            sys.exit(error.exit_code)
         context = getattr(error, "ctx", None)
         hint = f"try {context.command_path} --help" if context else ""
         _fail(console, UsageError(error.format_message(), hint=hint))

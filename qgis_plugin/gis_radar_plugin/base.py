@@ -19,7 +19,14 @@ from qgis.PyQt.QtGui import QIcon
 
 from .claims import claimed
 from .opening import Opened, offer
-from .runner import Answer, CancelledError, Listener, WorkerError, run_worker
+from .runner import (
+    Answer,
+    CancelledError,
+    Listener,
+    NoWorkerError,
+    WorkerError,
+    run_worker,
+)
 from .words import speaks_german, tr
 from .worker import find_python, plugin_version, same_series, worker_version
 
@@ -29,6 +36,7 @@ ICONS = Path(__file__).parent / "icons"
 # Figures of hits, for diagnosis: where there is coverage they would be taken for it.
 _OF_HITS = {"hits", "tiles hit", "covered s", "busiest tile", "busiest occupied s",
             "busiest observed s", "busiest occupancy"}  # fmt: skip
+_UNKNOWN = "No such command {name}."
 ALL_STAGES = "all stages"  # as a site's run calls them
 SITE, TRAFFIC, RESULTS, SET_UP = "Site", "Traffic", "Results", "Set-up"
 
@@ -175,11 +183,8 @@ class WorkerAlgorithm(Algorithm):
 
     @staticmethod
     def _what_to_do(error: WorkerError) -> str:
-        if str(error) == "no worker":
-            return tr(
-                "gis_radar needs its worker: run 'Set up the worker' in the toolbox "
-                "(group gis_radar, Set-up) once."
-            )
+        if isinstance(error, NoWorkerError):
+            return str(error)
         return f"{error}: " + tr("run 'Set up the worker' again.")
 
     def _python(self) -> str:
@@ -218,10 +223,11 @@ class WorkerAlgorithm(Algorithm):
         """
         python = self._python()
         with one_sentence(), claimed(outputs):
+            unknown = _UNKNOWN, tr(_UNKNOWN)  # an older worker's, and one's in the user's language
             try:
                 answer = run_worker(python, words, WorkerFeedback(feedback))
             except WorkerError as error:
-                if str(error).startswith(f"No such command '{words[0]}'"):
+                if any(str(error).startswith(each.format(name=repr(words[0]))) for each in unknown):
                     text = tr("This worker cannot do '{command}' yet:").format(command=words[0])
                     again = tr("run 'Set up the worker' again.")
                     raise WorkerError(f"{text} {again}") from error

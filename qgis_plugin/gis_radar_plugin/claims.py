@@ -30,7 +30,8 @@ def claimed(outputs: Sequence[str]) -> Iterator[None]:
         busy = [place for place in places if place in _TAKEN]
         if busy:
             raise WorkerError(
-                f"{busy[0]}: another run is writing this output (wait for it, or name another)"
+                "{place}: another run is writing this output (wait for it, or name another)",
+                place=busy[0],
             )
         _TAKEN.update(places)
     began = time.time()
@@ -51,7 +52,9 @@ def _make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise WorkerError(f"{folder}: cannot be made: {error.strerror or error}") from error
+        raise WorkerError(
+            "{folder}: cannot be made: {reason}", folder=folder, reason=error.strerror or error
+        ) from error
 
 
 def _sweep(place: Path, began: float) -> None:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from .runner import NO_WINDOW, WorkerError, clean_environment, run_command
+from .words import tr
 from .worker import forget_versions, python_in, worker_version
 
 OLDEST = (3, 11)
@@ -73,7 +74,7 @@ def find_tools(python: str = "") -> Tools:
     uv = shutil.which("uv") or ""
     if python:
         if not _is_new_enough(python):
-            raise WorkerError(f"{python} is no Python 3.11 or newer (choose another)")
+            raise WorkerError("{python} is no Python 3.11 or newer (choose another)", python=python)
         return Tools(python, uv)
     found = next((name for name in _candidates() if _is_new_enough(name)), "")
     if not found and not uv:
@@ -163,7 +164,8 @@ def set_up(
         _put_in_place(part, folder)
     except OSError as error:
         reason = error.strerror or str(error)
-        raise WorkerError(f"{folder}: cannot be written: {reason}") from error
+        why = f"{tr('cannot be written')}: {reason}"
+        raise WorkerError("{folder}: {why}", folder=folder, why=why) from error
     finally:
         shutil.rmtree(part, ignore_errors=True)
         forget_versions()
@@ -180,7 +182,7 @@ def _make_environment(part: Path, tools: Tools, listener: SetUpListener) -> None
         _run([tools.python, "-m", "venv", str(part)], listener)
     except WorkerError as error:
         raise WorkerError(
-            f"{error} (on Debian and Ubuntu the package python3-venv may be missing)"
+            "{error} (on Debian and Ubuntu the package python3-venv may be missing)", error=error
         ) from error
 
 
@@ -216,13 +218,13 @@ def _run(command: Sequence[str], listener: SetUpListener, *, counted: bool = Fal
 
     code, _ = run_command(command, on_line, listener.cancelled, grace_s=_GRACE_S, merged=True)
     if code != 0:
-        raise WorkerError(_why(command[0], last, code))
+        raise WorkerError("{reason}", reason=_why(command[0], last, code))
 
 
 def _why(program: str, lines: Sequence[str], code: int) -> str:
     """Choose the line that says most about a failed step."""
     named = [line for line in lines if line.lower().startswith(("error", "fatal"))]
-    chosen = (named or list(lines) or [f"it ended with code {code}"])[-1]
+    chosen = (named or list(lines) or [tr("it ended with code {code}").format(code=code)])[-1]
     return f"{Path(program).name}: {chosen}"
 
 

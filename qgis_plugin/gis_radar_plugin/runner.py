@@ -21,6 +21,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import IO, Any
 
+from .words import tr
+
 GRACE_S = 3.0
 NO_WINDOW: int = getattr(subprocess, "CREATE_NO_WINDOW", 0)  # on Windows a program opens one
 _POLL_S = 0.1
@@ -38,7 +40,22 @@ Event = dict[str, Any]
 
 
 class WorkerError(Exception):
-    """What went wrong, in one sentence for the user."""
+    """What went wrong, in one sentence for the user.
+
+    Parameters
+    ----------
+    text : str
+        A text of ours, put into the user's language; what the worker says is so already.
+    **values
+        For the holes of the text.
+    """
+
+    def __init__(self, text: str, **values: Any) -> None:
+        super().__init__(tr(text).format(**values) if values else tr(text))
+
+
+class NoWorkerError(WorkerError):
+    """There is no worker yet."""
 
 
 class CancelledError(Exception):
@@ -202,7 +219,9 @@ def _start(command: Sequence[str], errors: int) -> subprocess.Popen[str]:
         )
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise WorkerError(f"{command[0]} does not start: {reason}.") from error
+        raise WorkerError(
+            "{program} does not start: {reason}.", program=command[0], reason=reason
+        ) from error
 
 
 def _read(stream: IO[str], put: Callable[[str | None], None]) -> None:
@@ -282,7 +301,7 @@ def _event(line: str) -> Event:
 
 def _sentence(error: Event) -> str:
     """Return the worker's error as one sentence, with what to do about it."""
-    message = " ".join(str(error.get("message", "the worker failed")).split())
+    message = " ".join(str(error.get("message") or tr("the worker failed")).split())
     hint = " ".join(str(error.get("hint") or "").split())
     return f"{message} ({hint})" if hint else message
 
@@ -290,13 +309,13 @@ def _sentence(error: Event) -> str:
 def _unexpected_end(code: int, last_errors: Sequence[str]) -> str:
     """Describe how a worker ended that reported nothing itself."""
     if code < 0:
-        how = f"it was ended by {_signal_name(-code)}"
+        how = tr("it was ended by {signal}").format(signal=_signal_name(-code))
     elif code == 0:
-        how = "it ended without a result"
+        how = tr("it ended without a result")
     else:
-        how = f"it ended with code {code}"
+        how = tr("it ended with code {code}").format(code=code)
     reason = f": {last_errors[-1]}" if last_errors else ""
-    return f"The worker stopped unexpectedly, {how}{reason}"
+    return tr("The worker stopped unexpectedly, {how}").format(how=how) + reason
 
 
 def _signal_name(number: int) -> str:

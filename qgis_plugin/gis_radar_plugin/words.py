@@ -31,8 +31,10 @@ def dictionary(language: str) -> dict[str, str]:
 
 def language() -> str:
     """Return the language of QGIS, as two letters."""
-    from qgis.core import QgsApplication  # noqa: PLC0415 - the dictionary works without QGIS
-
+    try:
+        from qgis.core import QgsApplication  # noqa: PLC0415 - words work without QGIS
+    except ImportError:
+        return "en"
     qgis = QgsApplication.instance()
     # The locale does not know of `qgis --lang de`.
     return str(qgis.translation() or qgis.locale())[:2] if qgis else "en"

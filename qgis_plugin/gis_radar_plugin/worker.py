@@ -9,7 +9,8 @@ import sys
 from functools import lru_cache
 from pathlib import Path
 
-from .runner import NO_WINDOW, WorkerError, clean_environment
+from .runner import NO_WINDOW, NoWorkerError, WorkerError, clean_environment
+from .words import tr
 
 VARIABLE = "GIS_RADAR_PYTHON"
 _PROBE = (
@@ -20,6 +21,7 @@ _PROBE = (
     "except PackageNotFoundError: sys.exit('none')\n"
 )
 _PROBE_S = 30
+_GONE = "The worker's Python {python} is not there"
 
 
 def worker_folder(profile: Path) -> Path:
@@ -43,11 +45,14 @@ def find_python(setting: str, profile: Path) -> str:
     for named in (setting, os.environ.get(VARIABLE, "")):
         if named:
             if not Path(named).is_file():
-                raise WorkerError(f"The worker's Python {named} is not there")
+                raise WorkerError(_GONE, python=named)
             return named
     made = python_in(worker_folder(profile))
     if not made.is_file():
-        raise WorkerError("no worker")
+        raise NoWorkerError(
+            "gis_radar needs its worker: run 'Set up the worker' in the toolbox "
+            "(group gis_radar, Set-up) once."
+        )
     return str(made)
 
 
@@ -69,7 +74,7 @@ def worker_version(python: str) -> str:
     try:
         changed = Path(python).stat().st_mtime
     except OSError as error:
-        raise WorkerError(f"The worker's Python {python} is not there") from error
+        raise WorkerError(_GONE, python=python) from error
     return _asked(python, changed)
 
 
@@ -88,16 +93,24 @@ def _asked(python: str, _changed: float) -> str:
             check=False,
         )
     except (OSError, subprocess.TimeoutExpired) as error:
-        reason = getattr(error, "strerror", None) or "no answer"
-        raise WorkerError(f"The worker's Python {python} does not start: {reason}") from error
-    reason = done.stderr.strip().splitlines()[-1:] or [f"it ended with code {done.returncode}"]
+        why = getattr(error, "strerror", None) or tr("no answer")
+        raise WorkerError(
+            "The worker's Python {python} does not start: {reason}", python=python, reason=why
+        ) from error
+    ended = tr("it ended with code {code}").format(code=done.returncode)
+    reason = done.stderr.strip().splitlines()[-1:] or [ended]
     if done.returncode == 0:
         return done.stdout.strip()
     if reason[0] == "none":
-        raise WorkerError(f"{python} has no gis_radar")
+        raise WorkerError("{python} has no gis_radar", python=python)
     if reason[0].startswith("old "):
-        raise WorkerError(f"{python} is Python {reason[0][4:]}, needed is 3.11 or newer")
-    raise WorkerError(f"The worker's Python {python} does not run: {reason[0]}")
+        raise WorkerError(
+            "{python} is Python {version}, needed is 3.11 or newer",
+            python=python, version=reason[0][4:],
+        )  # fmt: skip
+    raise WorkerError(
+        "The worker's Python {python} does not run: {reason}", python=python, reason=reason[0]
+    )
 
 
 def forget_versions() -> None:

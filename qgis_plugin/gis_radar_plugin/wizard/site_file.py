@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ..runner import WorkerError, run_command
-from ..words import WINDS
+from ..words import WINDS, tr
 
 Table = dict[str, Any]
 _TO_JSON = (
@@ -33,8 +33,8 @@ def read_toml(python: str, path: Path) -> Table:
     command = [python, "-P", "-X", "utf8", "-c", _TO_JSON, str(path)]
     code, errors = run_command(command, lines.append, lambda: False)
     if code != 0 or not lines:
-        reason = errors[-1] if errors else f"code {code}"
-        raise WorkerError(f"{path}: {reason}")
+        reason = errors[-1] if errors else tr("it ended with code {code}").format(code=code)
+        raise WorkerError("{path}: {reason}", path=path, reason=reason)
     found: Table = json.loads(lines[-1])
     return found
 
