@@ -210,7 +210,7 @@ def _figure(value: str, after: str) -> str:
     """Return a value as numbers are written, where a unit comes after it or it is a share."""
     if re.fullmatch(r"-?\d+(\.\d+)?%", value):
         return decimal(f"{value[:-1]}{THIN}%")
-    if re.fullmatch(r"-?\d{1,3}(,\d{3})+", value):
+    if re.fullmatch(r"[+-]?\d{1,3}(,\d{3})+", value):
         return value.replace(",", THIN)
     measured = re.match(r" (%|m|km|ms|s|h|Grad|ppm|MiB)\b| %", after)
     return decimal(value) if measured and re.fullmatch(r"-?\d+\.\d+", value) else value

@@ -17,6 +17,7 @@ class Replay:
     """The map at any step of an occupancy; `at` sets which, `silent` takes sensors off."""
 
     def __init__(self, folder):
+        self.alarms = {}  # by sensor, as ShownSensor has them
         sample = gr.sample_folder()
         roads = gr.read_map(sample / "junction.osm")
         tiles = gr.make_tiles(roads)
@@ -48,7 +49,7 @@ class Replay:
             sensors=[
                 ShownSensor(
                     name=name, online=name not in self.silent, pose=pose, lag_s=0.04,
-                    frames_per_s=20.0,
+                    frames_per_s=20.0, alarms=self.alarms.get(name, {}),
                 )
                 for name, pose in self.poses.items()
             ],

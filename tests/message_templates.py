@@ -27,6 +27,7 @@ TELLING = re.compile(
     r"report_contradictions|words|faults_of)"
 )
 TOLD = {"log": 0, "remark": 0}  # methods, and which argument is told
+ALARMED = {"alarm": 1, "_refuse": 1, "_skip": 2}  # of the live system: details that its page shows
 NO_REPORTERS = {"np", "math", "logging", "_LOGGER", "pc"}
 # Single words of a sentence; other single words are names, as of fields and options.
 WORDS = {
@@ -288,6 +289,7 @@ def told() -> Iterator[tuple[Path, ast.AST]]:
     """Yield all expressions that a user meets as an error, a hint or a remark."""
     for path, tree in trees().items():
         if "live" in {path.parent.name, path.stem}:
+            yield from ((path, each) for each in alarmed(path, tree))
             continue  # servers, whose log is English
         for node in ast.walk(tree):
             if isinstance(node, ast.FunctionDef) and TELLING.fullmatch(node.name):
@@ -301,6 +303,17 @@ def told() -> Iterator[tuple[Path, ast.AST]]:
                             if each.arg in {"hint", "message", "expected"})  # fmt: skip
             elif called in TOLD and name_of(getattr(node.func, "value", None)) not in NO_REPORTERS:
                 yield from ((path, each) for each in node.args[:1])
+
+
+def alarmed(path: Path, tree: ast.Module) -> Iterator[ast.AST]:
+    """Yield what the page of the live system shows beside an alarm: details, damaged messages."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call):
+            name = name_of(node.func)
+            if name in ALARMED:
+                yield from node.args[ALARMED[name] : ALARMED[name] + 1]
+            elif path.stem == "payload" and name in exceptions():
+                yield from node.args[:1]
 
 
 def told_lines(function: ast.FunctionDef) -> Iterator[ast.AST]:

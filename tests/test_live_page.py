@@ -277,6 +277,7 @@ def colours_of(element):
 @pytest.mark.parametrize(("width", "language"), [(1280, "en"), (390, "de")])
 def test_the_page_in_a_browser(live, address, chromium, width, language):
     live.at, live.silent = live.first + 1200, {"R2"}
+    live.alarms = {"R1": {"clock": "frames come +1,234 ms after their time at the least"}}
     wide(chromium, width)
     chromium.get_log("browser")
     chromium.get(f"{address}/?lang={language}")
@@ -296,6 +297,14 @@ def test_the_page_in_a_browser(live, address, chromium, width, language):
     assert (
         rows[1].find_element(By.CLASS_NAME, "bad").text
         == {"en": "offline", "de": "nicht verbunden"}[language]
+    )
+    assert (
+        rows[0].find_element(By.CLASS_NAME, "bad").text
+        == {
+            "en": "its clock is off: frames come +1,234 ms after their time at the least",
+            "de": "seine Uhr geht falsch: "
+            "Messzyklen kommen mindestens +1\u202f234 ms nach ihrer Zeit an",
+        }[language]
     )
     shares = [
         row.text.split()[-2] for row in chromium.find_elements(By.CSS_SELECTOR, "#lane-rows tr")

@@ -9,7 +9,7 @@ import logging
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +39,7 @@ from gis_radar.live.features import feature_routes
 from gis_radar.live.health import ALARMS
 from gis_radar.live.snapshot import DEGREES, LiveMap, Place, ShownSensor, Snapshot, geometries
 from gis_radar.steps import step_begin
-from gis_radar.words import speaking, tr
+from gis_radar.words import speaking, tr, tr_message
 
 _LOGGER = logging.getLogger(__name__)
 EVENTS_PER_S = 3.0  # what a person can follow; a step is 50 ms
@@ -314,9 +314,20 @@ def _sensor(place: Place, state: ShownSensor) -> dict[str, Any]:
         view = place.view_of(state.pose)
     lag = None if np.isnan(state.lag_s) else round(state.lag_s, 2)
     return {
-        "online": state.online, "alarms": dict(state.alarms), "at": where, "view": view,
+        "online": state.online, "alarms": {k: said(text) for k, text in state.alarms.items()},
+        "at": where, "view": view,
         "lag_s": lag, "frames_per_s": round(state.frames_per_s, 1), "lost": state.lost,
     }  # fmt: skip
+
+
+@lru_cache(256)
+def said(text: str) -> dict[str, str]:
+    """Return the details of an alarm in each language: one stream serves readers of all."""
+    told = {}
+    for language in LANGUAGES:
+        with speaking(language):
+            told[language] = tr_message(text)
+    return told
 
 
 def _event(name: str, content: dict[str, Any]) -> str:

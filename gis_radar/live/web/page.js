@@ -14,7 +14,7 @@ const state = { occupied: new Set(), unobserved: new Set(), classes: {}, lanes: 
 let site, map, last = Date.now(), told = 0, opened = 0;
 
 function problem(each) {
-  return Object.entries(each.alarms).map(([kind, text]) => `${words.alarms[kind]}: ${text}`).join("; ");
+  return Object.entries(each.alarms).map(([kind, told]) => `${words.alarms[kind]}: ${told[language]}`).join("; ");
 }
 
 function take(event) {
