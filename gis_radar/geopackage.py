@@ -20,7 +20,7 @@ import pyogrio.util
 import shapely
 from pyproj.exceptions import ProjError
 
-from gis_radar.errors import InputError, first_line
+from gis_radar.errors import InputError, OutputError, first_line
 from gis_radar.files import WRITTEN
 from gis_radar.progress import QUIET, Reporter
 
@@ -39,6 +39,10 @@ DAMAGE = (
     OverflowError, RecursionError, ProjError,
 )  # fmt: skip
 """What libraries raise that read a damaged file."""
+_LOCKED = "database is locked"  # as SQLite says it
+_HELD = "another program has it locked"
+_HELD_HINT = "end editing it there, or close it, and try again; nothing is lost"
+_PATIENCE_S = 2.0  # another program may be at the end of its writing
 _OTHER = (*DAMAGE[:2], sqlite3.OperationalError)  # another layer, table or format than asked for
 
 # As QGIS itself makes it; GDAL and QGIS look for it by this name.
@@ -152,11 +156,8 @@ def library_errors(
         try:
             yield
         except DAMAGE as error:
-            if "database is locked" in str(error):
-                raise InputError(
-                    f"{path}: another program has it locked",
-                    hint="end editing it there, or close it, and try again; nothing is lost",
-                ) from error
+            if _LOCKED in str(error):
+                raise InputError(f"{path}: {_HELD}", hint=_HELD_HINT) from error
             wrong = f"not {what}" if isinstance(error, _OTHER) else "damaged"
             raise InputError(f"{path}: {wrong}: {first_line(error)}", hint=hint) from error
     for text in dict.fromkeys(str(each.message).partition("\n")[0] for each in caught):
@@ -297,11 +298,7 @@ def _qgis_metadata(about: LayerNotes) -> str:
 
 
 def add_styles(
-    database: sqlite3.Connection,
-    styles: Mapping[str, tuple[str, str]],
-    *,
-    name: str,
-    about: str,
+    database: sqlite3.Connection, styles: Mapping[str, tuple[str, str]], *, name: str, about: str
 ) -> None:
     """Give layers of a GeoPackage that has no styles yet their default style.
 
@@ -332,9 +329,15 @@ def keep_styles(path: Path, *, earlier: Path) -> None:
         The new GeoPackage, with styles of ours.
     earlier : Path
         The one that it replaces, which need not be there.
+
+    Raises
+    ------
+    OutputError
+        If another program writes the earlier one: what it has not saved yet would be lost.
     """
     if not earlier.is_file():
         return
+    _refuse_locked(earlier)
     columns = "f_table_name, styleName, styleQML, styleSLD, description, useAsDefault, owner"
     query = f"SELECT {columns} FROM layer_styles ORDER BY id"  # noqa: S608 - our own names
     with closing(sqlite3.connect(path)) as database, database:
@@ -356,6 +359,18 @@ def keep_styles(path: Path, *, earlier: Path) -> None:
                 "UPDATE layer_styles SET useAsDefault = ? WHERE id = last_insert_rowid()",
                 (bool(default),),
             )
+
+
+def _refuse_locked(path: Path) -> None:
+    """Refuse to replace a GeoPackage that another program writes; who only reads it does not."""
+    uri = f"{_uri(path)}?mode=rw"
+    try:
+        with closing(sqlite3.connect(uri, uri=True, timeout=_PATIENCE_S)) as database:
+            database.execute("BEGIN IMMEDIATE")
+            database.execute("ROLLBACK")
+    except sqlite3.Error as error:
+        if _LOCKED in str(error):
+            raise OutputError(f"{path}: {_HELD}", hint=_HELD_HINT) from error
 
 
 def _owner(qml: str) -> str:
@@ -404,7 +419,7 @@ def _add_table(digest: Any, database: sqlite3.Connection, name: str) -> None:
 def read_styles(path: Path) -> dict[str, str]:
     """Return the default styles of a GeoPackage, QML by layer."""
     query = "SELECT f_table_name, styleQML FROM layer_styles WHERE useAsDefault"
-    with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
+    with closing(sqlite3.connect(f"{_uri(path)}?mode=ro", uri=True)) as database:
         return dict(database.execute(query).fetchall())
 
 

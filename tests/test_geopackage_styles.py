@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
+import subprocess
+import sys
 from contextlib import closing
 
 import geopandas as gpd
@@ -110,3 +112,45 @@ def test_a_file_that_is_no_geopackage_is_replaced(path):
     assert content_digest(path) is None
     gr.write_sensors([a_pose()], path)
     assert shapely.get_x(gpd.read_file(path, layer="sensors").geometry[0]) == 690360.0
+
+
+WRITER = """
+import sqlite3, sys
+writer = sqlite3.connect(sys.argv[1], isolation_level=None)
+writer.execute(f"BEGIN {sys.argv[2]}")
+writer.execute("UPDATE layer_styles SET styleName = 'of a moment'")
+print("begun", flush=True)
+sys.stdin.read()
+writer.execute("COMMIT")
+"""
+
+
+@pytest.mark.parametrize("kind", ["EXCLUSIVE", "IMMEDIATE"])
+def test_a_file_that_another_program_writes_is_not_replaced(path, monkeypatch, kind):
+    """Its styles could not be read, and what it has not saved would be gone: all stays."""
+    monkeypatch.setattr("gis_radar.geopackage._PATIENCE_S", 0.05)
+    saved(path)
+    words = [sys.executable, "-c", WRITER, path, kind]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as writer:
+        assert writer.stdout.readline() == b"begun\n"
+        with pytest.raises(gr.OutputError, match=r"sensors\.gpkg: another program has") as caught:
+            gr.write_sensors([a_pose()], path)
+        writer.stdin.close()
+    assert "\n" not in str(caught.value)
+    assert [each.name for each in path.parent.iterdir()] == ["sensors.gpkg"]
+    with closing(sqlite3.connect(path)) as database:
+        names = {row[0] for row in database.execute("SELECT styleName FROM layer_styles")}
+    assert names == {"of a moment"}
+    gr.write_sensors([a_pose()], path)  # now it goes
+    assert read_styles(path)["sensors"] == MINE
+
+
+def test_a_file_that_another_program_only_reads_is_replaced(path):
+    """As QGIS does that shows it: in its journal, with a look at the file that is not closed."""
+    with closing(sqlite3.connect(path, isolation_level=None)) as reader:
+        reader.execute("PRAGMA journal_mode = wal")
+        rows = reader.execute("SELECT * FROM sensors")
+        assert rows.fetchone()
+        gr.write_sensors([a_pose(sensor="R7")], path)
+        rows.close()
+    assert gpd.read_file(path, layer="sensors")["sensor"].tolist() == ["R7"]
