@@ -4,11 +4,14 @@ import json
 import math
 import shutil
 from pathlib import Path
+from xml.etree.ElementTree import parse
 
+import geopandas as gpd
 import numpy as np
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
+import shapely
 from click.testing import CliRunner
 
 import gis_radar as gr
@@ -98,6 +101,23 @@ def test_a_scan_of_another_place_is_refused(place, tmp_path):
     scan.write(tmp_path / "scan.laz")
     with pytest.raises(gr.InputError, match=r"scan.laz: not where the map junction.osm is"):
         gr.check_site(site)
+
+
+def test_a_map_without_successors_and_streets_without_names_are_told(place, tmp_path):
+    """Before the run: it is the map that is to be mended."""
+    line = shapely.LineString([(690300, 5336150), (690500, 5336220)])
+    gpd.GeoDataFrame({"id": [7]}, geometry=[line], crs="EPSG:25832").to_file(
+        tmp_path / "streets.gpkg"
+    )
+    apart = parse(SAMPLE / "junction.osm")  # noqa: S314 - our own file
+    for each in apart.getroot().findall("relation"):
+        if each.get("id") not in {"553", "267", "705"}:  # none of these leads to another
+            apart.getroot().remove(each)
+    apart.write(tmp_path / "apart.osm")
+    site = place(('file = "junction.osm"', 'file = "apart.osm"\nstreets = "streets.gpkg"'))
+    first, second = gr.check_site(site).warnings
+    assert first.startswith("no lanelet of the map follows another: each is a lane of its own")
+    assert second.startswith(f"{tmp_path / 'streets.gpkg'}: no column of names (name, street, ")
 
 
 def test_recordings_that_overlap_are_named(place, tmp_path):

@@ -15,9 +15,9 @@ from pyproj import CRS
 
 from gis_radar.crs import name_of, transformer
 from gis_radar.errors import InputError
-from gis_radar.lanelets import LaneletMap, read_map
+from gis_radar.lanelets import LaneletMap, lanes, read_map
 from gis_radar.poses.files import read_track
-from gis_radar.progress import QUIET, Reporter
+from gis_radar.progress import QUIET, Level, Reporter
 from gis_radar.recordings.recording import RangeCounts, Recording, open_recording
 from gis_radar.recordings.speeds import odd_speeds
 from gis_radar.scans.scan import open_scan, road_crs
@@ -137,8 +137,8 @@ def check_site(
     Raises
     ------
     InputError
-        If the site file, the map, a scan, a pose or a recording is bad, or a guess is far from
-        all lanes.
+        If the site file, the map, its streets, a scan, a pose or a recording is bad, or a guess is
+        far from all lanes.
     """
     site = read_site(path)
     roads = read_map(site.map.file, crs=site.map.crs, origin=site.map.origin, reporter=reporter)
@@ -146,6 +146,8 @@ def check_site(
     for sensor in site.sensor:
         _check_place(sensor, roads, settings)
     warnings = list(_zone_warning(site, roads, settings))
+    told = _Warnings(warnings)
+    lanes(roads, streets=site.map.streets, street_field=site.map.street_field, reporter=told)
     found = {}
     for done, sensor in enumerate(site.sensor):
         reporter.progress("reading recordings", done, len(site.sensor))
@@ -259,6 +261,18 @@ def _time_warnings(found: dict[str, SensorCheck]) -> Iterator[str]:
         for other_name, other in list(timed.items())[place + 1 :]:
             if one.end < other.begin or other.end < one.begin:
                 yield f"{name} and {other_name} never recorded at the same time"
+
+
+class _Warnings(Reporter):
+    """Adds warnings to a list."""
+
+    def __init__(self, lines: list[str]) -> None:
+        self._lines = lines
+
+    def log(self, message: str, level: Level = "info") -> None:
+        """Keep a warning; the run repeats what else there is."""
+        if level == "warning":
+            self._lines.append(message)
 
 
 class _ViewCounts:

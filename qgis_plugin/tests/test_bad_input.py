@@ -125,6 +125,30 @@ def test_an_output_that_is_open_in_qgis(run, site, tmp_path):
     ]  # fmt: skip
 
 
+LOCK = (
+    "import sqlite3, sys\n"
+    "editor = sqlite3.connect(sys.argv[1], isolation_level=None)\n"
+    "editor.execute('BEGIN EXCLUSIVE')\nprint('locked', flush=True)\nsys.stdin.read()"
+)
+
+
+def test_an_output_that_another_program_writes(run, site, tmp_path):
+    """Nothing of it is replaced, and one sentence says what to do; QGIS itself only shows it."""
+    parameters, made = parameters_of("heatmap", site, tmp_path)
+    _, heard = run("heatmap", dict(parameters), load=True)
+    assert heard.errors == []
+    before = made.read_bytes()
+    words = ["/usr/bin/python3", "-c", LOCK, str(made)]
+    QgsProject.instance().clear()  # or the file is in use, and cannot be locked
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as editor:
+        assert editor.stdout.readline() == b"locked\n"
+        refused(run, "heatmap", parameters | {"INTERVAL": "50s"}, "another program has it locked",
+                "try again")  # fmt: skip
+        editor.stdin.close()
+    assert made.read_bytes() == before
+    assert leftovers(tmp_path) == []
+
+
 def test_a_second_run_while_one_runs(run, provider, site, tmp_path, fake_worker):
     """The second one for the same output is refused; one for another output is not."""
     from gis_radar_plugin.claims import claimed

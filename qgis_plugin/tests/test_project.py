@@ -1,8 +1,11 @@
 """The project of a run: it opens ready to present, and prints."""
 
+import os
+import shutil
+import subprocess
 import zipfile
 
-from conftest import worker
+from conftest import ROOT, WORKER, worker
 from helpers import layer_called
 from qgis.core import (
     Qgis,
@@ -229,3 +232,23 @@ def test_every_lane_shows_its_number_and_no_two_collide(qgis_new_project, projec
         shapes = [label.labelGeometry for label in labels]
         pairs = ((a, b) for k, a in enumerate(shapes) for b in shapes[k + 1 :])
         assert not any(a.intersects(b) and a.intersection(b).area() > 0.001 for a, b in pairs)
+
+
+def test_a_project_that_was_saved_in_qgis_stays(qgis_new_project, site, tmp_path):
+    """The next run leaves it, and puts its own beside it; a third run renews only that."""
+    folder = shutil.copytree(site, tmp_path / "run")
+    opened = QgsProject.instance()
+    assert opened.read(str(folder / "site.qgz"))
+    opened.setTitle("mine")
+    assert opened.write()
+    opened.clear()
+    mine = (folder / "site.qgz").read_bytes()
+    again = "import sys, gis_radar as gr; print(gr.write_site_project(sys.argv[1])[-1].name)"
+    around = {name: value for name, value in os.environ.items() if name != "LD_PRELOAD"}
+    for _ in range(2):
+        done = subprocess.run([WORKER, "-c", again, str(folder)], check=True, capture_output=True,
+                              text=True, cwd=ROOT, env=around)  # fmt: skip
+        assert done.stdout.split() == ["site_2.qgz"]
+        assert (folder / "site.qgz").read_bytes() == mine
+    assert opened.read(str(folder / "site_2.qgz"))
+    assert opened.title() != "mine"
