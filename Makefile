@@ -19,7 +19,7 @@ BENCHES := bench-assignment bench-tiles bench-occupancy bench-memory bench-truth
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help set-up set-up-dev set-up-bench pdal demo live-demo docs test test-qgis lint format types faults live-test fuzz test-lowest test-newest bench \
+.PHONY: help set-up set-up-dev set-up-bench pdal demo live-demo docs test test-qgis lint format types faults live-test soak fuzz test-lowest test-newest bench \
 	$(BENCHES) samples wheel plugin-zip constraints clean
 
 help: ## List the targets
@@ -63,6 +63,10 @@ faults: set-up-dev ## Run every input kind with every fault; `make test` runs a 
 live-test: set-up-dev ## Run the live system through all that breaks, minutes long; `make test` runs the short part
 	@sh tools/get_mosquitto.sh
 	GIS_RADAR_LIVE=all $(ONE_THREAD) $(BIN)/pytest --durations=10 $(wildcard tests/test_live*.py)
+
+soak: set-up-dev ## Run 100 simulated sensors for SOAK_MINUTES (15): losses, lateness, memory, CPU
+	@sh tools/get_mosquitto.sh
+	$(ONE_THREAD) $(BIN)/python bench/live_soak.py --minutes $(or $(SOAK_MINUTES),15) --sensors $(or $(SENSORS),100)
 
 fuzz: set-up-dev ## Search for bytes that break a reader, FUZZ_SECONDS long (3600); findings in out/fuzz
 	PYTHONPATH=.:tests $(ONE_THREAD) $(BIN)/python -m fuzz

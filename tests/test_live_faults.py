@@ -107,6 +107,32 @@ def test_frames_of_a_sensor_that_left_the_site_stay_in_the_journal(tmp_path, roa
     assert gr.read_occupancy(store.path_of(HOUR)).sensors == ["R1", "R2"]
 
 
+@pytest.mark.parametrize("killed", [False, True])
+def test_frames_that_come_while_their_hour_is_written_are_kept_for_the_next_time(tmp_path, killed):
+    store = Store(folder=tmp_path / "o", fingerprint=PRINT, tile_id=np.arange(10), sight="none")
+    known, views = {1: KnownPose(content=pose_content(), view="v")}, {"v": np.arange(10)}
+    times = [HOUR * HOUR_US + k * 50_000 for k in range(9)]
+    journal = Journal(tmp_path / "j", fingerprint=PRINT)
+    journal.add_pose(PoseRow(1, "R1", "aa", 1, pose_content().pack(), 1, "v"))
+    journal.add([row("R1", each) for each in times[::2]], "R1", "aa", 2)
+    journal.commit()
+    journal.watch(HOUR)
+    journal.add([row("R1", each) for each in [*times[1::2], times[-1] + HOUR_US]], "R1", "aa", 3)
+    journal.commit()
+    assert journal.poses_named("R1") == {1}
+    store.write_hour(HOUR, journal, known, views, ["R1"])
+    if killed:
+        journal.__exit__()
+        journal = Journal(tmp_path / "j", fingerprint=PRINT)
+    else:
+        journal.unwatch()
+    assert journal.hours() == [HOUR, HOUR + 1]
+    store.write_hour(HOUR, journal, known, views, ["R1"])
+    journal.__exit__()
+    found = gr.read_occupancy(store.path_of(HOUR)).frame_log(["R1"])
+    assert [each for piece in found for each in piece[0]] == times
+
+
 @pytest.mark.parametrize("times", [(1,), (2**62,), (2**63 - 1, 2**63)])
 def test_a_frame_of_no_known_year_is_refused_and_stops_nothing(tmp_path, road, times):
     frames, sound = [counted(each, 1) for each in times], times == (1,)

@@ -32,6 +32,7 @@ IN_FLIGHT = 100  # messages that wait for the broker's word at a time
 _TAKEN_OVER, _NOT_AUTHORISED = 142, 135  # reason codes of MQTT 5
 _REFUSED = range(128, 256)
 TWINS, TWINS_WITHIN_S = 3, 120.0  # so many short links are no restart of the broker
+LOOK_S = 0.005  # between two looks at an empty queue
 SHORT_S = 10.0  # a link that ends sooner is short
 
 
@@ -213,10 +214,16 @@ class Link:
 
     def take(self, timeout_s: float) -> Received | None:
         """Return the next message that came in, waiting for it at most so long."""
-        try:
-            return self._received.get(block=timeout_s > 0.0, timeout=timeout_s or None)
-        except Empty:
-            return None
+        until = time.monotonic() + timeout_s
+        while True:
+            try:
+                return self._received.get_nowait()
+            except Empty:
+                # not `get` with a timeout: a signal as it runs out lets it wait for ever, in 3.11
+                left = until - time.monotonic()
+                if left <= 0.0:
+                    return None
+                time.sleep(min(left, LOOK_S))
 
     def _say(self, text: str) -> None:
         if text != self._said:  # once, however often it is tried again

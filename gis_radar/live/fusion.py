@@ -13,6 +13,7 @@ import numpy as np
 
 from gis_radar.errors import GisRadarError, OutputError
 from gis_radar.files import whole_file
+from gis_radar.live.aside import Aside
 from gis_radar.live.broker import Link, SensorTopics
 from gis_radar.live.health import HealthServer, prometheus_text
 from gis_radar.live.intake import FUSION, Intake, SensorState
@@ -82,6 +83,8 @@ class Fusion:
         self._map = MapOfNow(len(road.tile_id), interval=interval_steps(site.live.interval))
         self._page = _page(self, site)
         self._written: dict[Path, None] = {}
+        self._writer, self._exporter = Aside[Path | None]("hour"), Aside[None]("export")
+        self._hour = (0, 0.0)  # that is being written, and when a frame of it came last
         self._session = secrets.token_hex(4)
         self._committed = self._exported = time.monotonic()
         self.intake = Intake(
@@ -168,7 +171,9 @@ class Fusion:
             if message is None:
                 return
             self.intake.handle(message)
-            if self._journal.waiting >= self._settings.commit_frames:
+            # of each stream: a replay does not wait for the clock, many radars do
+            most = self._settings.commit_frames * max(self._journal.streams_waiting, 1)
+            if self._journal.waiting >= most:
                 self._commit()
             message = link.take(0.0)
 
@@ -187,13 +192,12 @@ class Fusion:
             self._forget()
             for each in self.sensors.values():
                 each.health.look(time.time())
-            over = int((time.time() - self._settings.settle_s) * 1e6) // HOUR_US
-            for hour, touched in list(self.intake.touched.items()):
-                if hour < over and now - touched >= self._settings.settle_s:
-                    self._write_hour(hour)
-        if now - self._exported >= self._site.live.every:
+            self._write_what_is_over(now)
+        if now - self._exported >= self._site.live.every and not self._exporter.busy:
             self._exported = now
-            self._export()
+            state = self.state()
+            self._exporter.begin(lambda: self._export(state))
+        self._exporter.take()
         for each in self.sensors.values():
             if each.due:
                 self._acknowledge(each)
@@ -227,28 +231,53 @@ class Fusion:
         )  # fmt: skip
         self._link.publish(sensor.topics.of("ack"), found.pack(), retain=True)
 
-    def _write_hour(self, hour: int) -> None:
+    def _write_what_is_over(self, now: float) -> None:
+        """Begin to write an hour that is over, once the one before it is written."""
+        self._take_written()
+        over = int((time.time() - self._settings.settle_s) * 1e6) // HOUR_US
+        for hour, touched in self.intake.touched.items():
+            quiet = now - touched >= self._settings.settle_s
+            if hour < over and quiet and not self._writer.busy:
+                self._begin_hour(hour)
+
+    def _begin_hour(self, hour: int) -> None:
+        self._hour = (hour, self.intake.touched[hour])
+        self._journal.watch(hour)
+        poses, tiles, sensors = dict(self.intake.poses), dict(self._book.tiles), list(self.sensors)
+        self._writer.begin(
+            lambda: self._store.write_hour(hour, self._journal, poses, tiles, sensors)
+        )
+
+    def _take_written(self, *, wait: bool = False) -> None:
+        """Take note of an hour that was written meanwhile."""
+        if not self._writer.busy:
+            return
+        hour, touched = self._hour
         try:
-            path = self._store.write_hour(
-                hour, self._journal, self.intake.poses, self._book.tiles, list(self.sensors)
-            )
+            path = self._writer.take(wait=wait)
+            if self._writer.busy:
+                return
+            self._journal.unwatch()
         except GisRadarError as error:
             self.intake.touched[hour] = time.monotonic()  # tried again later; the journal keeps it
             self._say(error)
             return
-        self.intake.touched.pop(hour, None)
+        if self.intake.touched.get(hour) == touched:  # else frames came meanwhile: once more
+            self.intake.touched.pop(hour, None)
         if path is not None:
             self._written[path] = None
 
     def _finish(self) -> None:
         self._commit()
+        self._take_written(wait=True)
         for hour in list(self.intake.touched):
-            self._write_hour(hour)
-        self._export()
+            self._begin_hour(hour)
+            self._take_written(wait=True)
+        self._exporter.take(wait=True)
+        self._export(self.state())
 
-    def _export(self) -> None:
+    def _export(self, state: MapState) -> None:
         """Replace the files for QGIS."""
-        state = self.state()
         observed_s = state.observed_steps * (STEP_US / 1e6)
         occupied_s = state.occupied_steps * (STEP_US / 1e6)
         share = np.divide(

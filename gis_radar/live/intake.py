@@ -36,7 +36,7 @@ from gis_radar.live.settings import DEFAULTS, LiveSettings
 from gis_radar.live.store import KnownPose
 from gis_radar.live.windows import Seen, Windows
 from gis_radar.occupancy.hit_counter import CountedFrame
-from gis_radar.occupancy.tile_sets import decode_tiles, encode_tiles
+from gis_radar.occupancy.tile_sets import decode_tiles
 from gis_radar.occupancy.views import SharedViews, ViewBook
 from gis_radar.poses.pose import Pose, pose_from_dict
 from gis_radar.progress import QUIET, Reporter
@@ -388,7 +388,8 @@ class Intake:
             health.counts["not_counted"] += len(found.frames)
             self._received(sensor, envelope, [])
             return
-        rows = [_row_of(frame, health.name, pose) for frame in found.frames]
+        pairs = zip(found.frames, found.sets, strict=True)
+        rows = [_row_of(frame, health.name, pose, tiles) for frame, tiles in pairs]
         for frame in found.frames:
             health.counts["hits"] += len(frame.tiles)
             seen = Seen(frame.tiles, known.view)
@@ -399,8 +400,8 @@ class Intake:
         self._received(sensor, envelope, rows)
 
 
-def _row_of(frame: CountedFrame, sensor: str, pose: int) -> FrameRow:
+def _row_of(frame: CountedFrame, sensor: str, pose: int, tiles: bytes) -> FrameRow:
     return FrameRow(
         sensor, frame.time_us, pose, frame.detections, frame.moving, frame.wild, frame.checksum,
-        encode_tiles(frame.tiles),
+        tiles,
     )  # fmt: skip

@@ -1,7 +1,8 @@
 """The journal of fusion: frames on disk before they are acknowledged, until their hour is written.
 
 One SQLite file. A commit reaches the disk as a whole: frames and the numbers up to which they are
-stored, so that whatever is killed, an acknowledged frame is there, and none is there twice.
+stored, so that whatever is killed, an acknowledged frame is there, and none is there twice. While
+an hour is written, on another thread, frames of it that come late wait in a table of their own.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from threading import RLock
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -22,6 +24,12 @@ LOCK_S = 1.0  # for another program to let go of the file
 HOUR_US = 3_600_000_000
 HOUR_STEPS = HOUR_US // STEP_US
 FRAMES_AT_ONCE = 2_000  # read for an hour: 100 s of a radar
+DROPPED_AT_ONCE_US = HOUR_US // 12  # so that a commit need not wait long
+_FRAMES = """
+CREATE TABLE IF NOT EXISTS {} (sensor TEXT, time_us INTEGER, pose INTEGER NOT NULL,
+    detections INTEGER NOT NULL, moving INTEGER NOT NULL, wild INTEGER NOT NULL,
+    checksum INTEGER NOT NULL, tiles BLOB NOT NULL, PRIMARY KEY (sensor, time_us)) WITHOUT ROWID;
+"""
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS notes (name TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS marks (sensor TEXT, stream TEXT, stored INTEGER NOT NULL,
@@ -29,10 +37,8 @@ CREATE TABLE IF NOT EXISTS marks (sensor TEXT, stream TEXT, stored INTEGER NOT N
 CREATE TABLE IF NOT EXISTS poses (id INTEGER PRIMARY KEY, sensor TEXT NOT NULL,
     stream TEXT NOT NULL, number INTEGER NOT NULL, content BLOB NOT NULL,
     standing INTEGER NOT NULL, view TEXT NOT NULL, UNIQUE (sensor, stream, number));
-CREATE TABLE IF NOT EXISTS frames (sensor TEXT, time_us INTEGER, pose INTEGER NOT NULL,
-    detections INTEGER NOT NULL, moving INTEGER NOT NULL, wild INTEGER NOT NULL,
-    checksum INTEGER NOT NULL, tiles BLOB NOT NULL, PRIMARY KEY (sensor, time_us)) WITHOUT ROWID;
 """
+_SCHEMA += _FRAMES.format("frames") + _FRAMES.format("late")
 _COLUMNS = {
     "notes": ("name", "value"),
     "marks": ("sensor", "stream", "stored"),
@@ -41,6 +47,11 @@ _COLUMNS = {
         "sensor", "time_us", "pose", "detections", "moving", "wild", "checksum", "tiles",
     ),
 }  # fmt: skip
+_INSERT = {
+    "frames": "INSERT OR IGNORE INTO frames VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+    "late": "INSERT OR IGNORE INTO late VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+}
+_COLUMNS["late"] = _COLUMNS["frames"]
 _SOUND = {
     "notes": "typeof(name) = 'text' AND typeof(value) = 'text'",
     "marks": "typeof(sensor) = 'text' AND typeof(stream) = 'text' AND typeof(stored) = 'integer' "
@@ -56,6 +67,7 @@ _SOUND = {
     "AND EXISTS (SELECT 1 FROM poses WHERE poses.id = frames.pose "
     "AND poses.sensor = frames.sensor)",
 }
+_SOUND["late"] = _SOUND["frames"].replace("frames.", "late.")
 
 
 class FrameRow(NamedTuple):
@@ -114,6 +126,7 @@ class Journal:
         self.path = path
         self._waiting: list[FrameRow] = []
         self._marks: dict[tuple[str, str], int] = {}
+        self._lock, self._watched = RLock(), -1
         with self._errors():
             self._database = sqlite3.connect(
                 path, isolation_level=None, timeout=LOCK_S, check_same_thread=False
@@ -145,6 +158,7 @@ class Journal:
                 f"{path}: holds frames on tiles {known}, not {fingerprint}",
                 hint="name another folder for the new tiles",
             )
+        self.unwatch()
 
     def _begin(self, fingerprint: str) -> None:
         """Make the tables where there are none."""
@@ -211,8 +225,10 @@ class Journal:
     def poses_named(self, sensor: str) -> set[int]:
         """Return the ids of the poses that frames of a sensor name, on disk or not yet."""
         found = self._database.execute(
-            "SELECT DISTINCT pose FROM frames WHERE sensor = ?", (sensor,)
-        )
+            "SELECT DISTINCT pose FROM frames WHERE sensor = ? "
+            "UNION SELECT DISTINCT pose FROM late WHERE sensor = ?",
+            (sensor, sensor),
+        ).fetchall()
         return {pose for (pose,) in found} | {
             row.pose for row in self._waiting if row.sensor == sensor
         }
@@ -240,9 +256,8 @@ class Journal:
         with self._errors():
             self._database.execute("BEGIN IMMEDIATE")
             try:
-                self._database.executemany(
-                    "INSERT OR IGNORE INTO frames VALUES (?, ?, ?, ?, ?, ?, ?, ?)", self._waiting
-                )
+                for table, rows in self._by_table().items():
+                    self._database.executemany(_INSERT[table], rows)
                 self._database.executemany(
                     "INSERT INTO marks VALUES (?, ?, ?) ON CONFLICT DO UPDATE "
                     "SET stored = max(stored, excluded.stored)",
@@ -255,6 +270,40 @@ class Journal:
                 raise
         self._waiting, self._marks = [], {}
 
+    def _by_table(self) -> dict[str, list[FrameRow]]:
+        """Return the frames that wait by the table where they go."""
+        if self._watched < 0:
+            return {"frames": self._waiting}
+        begin, end = self._watched * HOUR_US, (self._watched + 1) * HOUR_US
+        late = [row for row in self._waiting if begin <= row.time_us < end]
+        rest = [row for row in self._waiting if not begin <= row.time_us < end]
+        return {"frames": rest, "late": late}
+
+    @property
+    def streams_waiting(self) -> int:
+        """Streams of which frames or numbers are not on disk yet."""
+        return len(self._marks)
+
+    def watch(self, hour: int) -> None:
+        """Let the frames of an hour stay as they are: it is being written, on another thread."""
+        self._watched = hour
+
+    def unwatch(self) -> None:
+        """Put frames that came late meanwhile to the others."""
+        self._watched = -1
+        with self._errors():
+            if self._database.execute("SELECT 1 FROM late LIMIT 1").fetchone() is None:
+                return
+            self._database.execute("BEGIN IMMEDIATE")
+            try:
+                self._database.execute("INSERT OR IGNORE INTO frames SELECT * FROM late")
+                self._database.execute("DELETE FROM late")
+                self._database.execute("COMMIT")
+            except BaseException:
+                if self._database.in_transaction:
+                    self._database.execute("ROLLBACK")
+                raise
+
     def hours(self) -> list[int]:
         """Return the hours since 1970 of which frames are kept."""
         query = "SELECT DISTINCT time_us / ? FROM frames ORDER BY 1"
@@ -264,11 +313,12 @@ class Journal:
     def frames(self, sensor: str, begin_us: int, end_us: int) -> Iterator[list[FrameRow]]:
         """Read the frames of a sensor in a time, the end left out, piece by piece."""
         while True:
-            rows = self._database.execute(
-                "SELECT * FROM frames WHERE sensor = ? AND time_us >= ? AND time_us < ? "
-                "ORDER BY time_us LIMIT ?",
-                (sensor, begin_us, end_us, FRAMES_AT_ONCE),
-            ).fetchall()
+            with self._lock:
+                rows = self._database.execute(
+                    "SELECT * FROM frames WHERE sensor = ? AND time_us >= ? AND time_us < ? "
+                    "ORDER BY time_us LIMIT ?",
+                    (sensor, begin_us, end_us, FRAMES_AT_ONCE),
+                ).fetchall()
             if not rows:
                 return
             yield [FrameRow(*row) for row in rows]
@@ -276,12 +326,13 @@ class Journal:
 
     def drop_hour(self, hour: int, sensors: Sequence[str]) -> None:
         """Drop these sensors' frames of an hour: they are written elsewhere, and on disk."""
-        span = (hour * HOUR_US, (hour + 1) * HOUR_US)
-        with self._errors():
-            self._database.executemany(
-                "DELETE FROM frames WHERE sensor = ? AND time_us >= ? AND time_us < ?",
-                [(sensor, *span) for sensor in sensors],
-            )
+        for sensor in sensors:
+            for begin in range(hour * HOUR_US, (hour + 1) * HOUR_US, DROPPED_AT_ONCE_US):
+                with self._errors():
+                    self._database.execute(
+                        "DELETE FROM frames WHERE sensor = ? AND time_us >= ? AND time_us < ?",
+                        (sensor, begin, begin + DROPPED_AT_ONCE_US),
+                    )
 
     def sensors(self) -> list[str]:
         """Return the sensors of which frames are kept."""
@@ -291,7 +342,8 @@ class Journal:
     @contextmanager
     def _errors(self) -> Iterator[None]:
         try:
-            yield
+            with self._lock:  # another thread may write an hour meanwhile
+                yield
         except (sqlite3.Error, OSError, OverflowError) as error:
             reason = "the disk is full" if "full" in str(error) else str(error)
             raise OutputError(

@@ -136,6 +136,8 @@ class HitsContent:
     ----------
     frames : tuple of CountedFrame
         In order of time.
+    sets : tuple of bytes
+        Their sets of tiles as they were sent, which is how they are stored.
     pose : int
         Number of the message with their pose.
     tiles_begin : str
@@ -143,6 +145,7 @@ class HitsContent:
     """
 
     frames: tuple[CountedFrame, ...]
+    sets: tuple[bytes, ...]
     pose: int
     tiles_begin: str
 
@@ -166,11 +169,12 @@ def unpack_hits(content: bytes, *, tiles: int) -> HitsContent:
     pose, count = read.take(), read.take()
     if not 0 < count <= MOST_FRAMES:
         raise InputError(f"a message of {count} frames, expected 1 to {MOST_FRAMES}")
-    frames, time_us = [], 0
+    frames, sets, time_us = [], [], 0
     for _ in range(count):
         gap, detections, moving, wild, checksum, size = (read.take() for _ in range(6))
         time_us += gap
-        found = decode_tiles(read.bytes(size), below=tiles, what="a frame's tiles")
+        sets.append(read.bytes(size))
+        found = decode_tiles(sets[-1], below=tiles, what="a frame's tiles")
         frames.append(
             CountedFrame(
                 time_us=time_us, detections=detections, moving=moving, wild=wild,
@@ -184,7 +188,7 @@ def unpack_hits(content: bytes, *, tiles: int) -> HitsContent:
             f"a frame at {seconds[~known][0]:g} s, outside the years {FIRST_YEAR} to {LAST_YEAR}"
         )
     digits = content[:FINGERPRINT_BYTES].hex()
-    return HitsContent(frames=tuple(frames), pose=pose, tiles_begin=digits)
+    return HitsContent(frames=tuple(frames), sets=tuple(sets), pose=pose, tiles_begin=digits)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

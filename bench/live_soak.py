@@ -1,0 +1,415 @@
+"""Many simulated sensors, a real broker, and fusion: what is lost, how late the map is, who works.
+
+    python bench/live_soak.py [--minutes 15] [--sensors 100] [--processes 4]
+
+Each sensor sends 20 frames a second of the sample's hits, by the program's own outbox, and keeps
+what fusion has not stored. From a frame's time to the map that has it is measured in fusion, for
+each frame; one that comes too late for its window counts as never. Figures go to
+`out/bench-live-soak.json`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Iterable, Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+import gis_radar as gr
+from gis_radar.arrays import Integers
+from gis_radar.live.broker import BrokerAddress, Link, SensorTopics
+from gis_radar.live.broker_files import write_broker_files
+from gis_radar.live.buffer import DiskBuffer, Waiting
+from gis_radar.live.edge import TileFinder
+from gis_radar.live.fusion import Fusion
+from gis_radar.live.outbox import Outbox
+from gis_radar.live.payload import HITS, POSE, PoseContent, pack_hits
+from gis_radar.live.settings import read_live_site
+from gis_radar.live.sources import frames_of_recording
+from gis_radar.live.windows import Seen
+from gis_radar.occupancy.hit_counter import CountedFrame
+from gis_radar.processes import stopped_by_signals
+from gis_radar.progress import Reporter
+from gis_radar.sight import SightTiles
+from gis_radar.steps import STEP_US
+
+SAMPLE, OUT = gr.sample_folder(), Path("out/bench-live-soak.json")
+SITE = "soak"
+LOOK_S = 10.0  # between two looks at memory and CPU
+PATIENCE_S = 120.0
+Figures = dict[str, Any]
+FRAMES = 400  # that are sent again and again
+MOST_MS = 10_000  # ages of frames are counted up to here
+
+
+class Memory:
+    """A buffer like that on disk: the disks of a hundred computers are not measured here."""
+
+    def __init__(self, stream: bytes) -> None:
+        self.stream, self.last, self.bytes_used = stream, 0, 0
+        self._rows: deque[Waiting] = deque()
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def append(self, kind: int, content: bytes) -> int:
+        self.last += 1
+        self._rows.append(Waiting(self.last, self.last - 1, kind, content))
+        return self.last
+
+    def read_after(self, number: int, most: int) -> Iterator[Waiting]:
+        begin = max(number + 1 - self._rows[0].number, 0) if self._rows else 0
+        yield from list(islice(self._rows, begin, begin + most))
+
+    def acknowledge(self, number: int) -> None:
+        while self._rows and self._rows[0].number <= number:
+            self._rows.popleft()
+
+
+class Sensor:
+    """A simulated sensor.
+
+    Parameters
+    ----------
+    name : str
+        Its name; the digits say at which part of a step its frames are.
+    address : BrokerAddress
+        The broker.
+    frames : list of int64 arrays
+        Tiles hit, frame by frame.
+    fingerprint : str
+        Of the tiles.
+    """
+
+    def __init__(
+        self, name: str, address: BrokerAddress, frames: list[Integers], fingerprint: str
+    ) -> None:
+        topics = SensorTopics(SITE, name)
+        self.sent = 0
+        self.delays: list[float] = []
+        self._frames, self._fingerprint = frames, fingerprint
+        self._buffer = Memory(os.urandom(4))
+        self.link = Link(address, name=f"{SITE}-{name}", topics=(topics.of("ack"),))
+        self.outbox = Outbox(cast("DiskBuffer", self._buffer), self.link, topics, figures=dict)
+        pose = gr.read_pose(SAMPLE / "R1.json").as_dict() | {"sensor": name}
+        content = PoseContent(pose=pose, since_step=0, fingerprint=fingerprint)
+        self._pose = self.outbox.put(POSE, content.pack())
+        self.link.open()
+
+    def frame(self, time_us: int) -> None:
+        tiles = self._frames[(self.sent * 7) % len(self._frames)]
+        counted = CountedFrame(
+            time_us=time_us, detections=60, moving=20, wild=0, checksum=self.sent, tiles=tiles
+        )
+        self.delays.append(time.time() - time_us / 1e6)
+        self.outbox.put(HITS, pack_hits([counted], pose=self._pose, fingerprint=self._fingerprint))
+        self.sent += 1
+
+
+def phase_us(name: str, sensors: int) -> int:
+    """Return when in a step a sensor's frames are: they are spread over it."""
+    return STEP_US * int(name[1:]) // sensors
+
+
+def send(folder: Path, names: list[str], sensors: int, seconds: float) -> None:
+    """Be some sensors for a while; write what they did."""
+    site = read_live_site(folder / "SITE.toml")
+    tiles = gr.read_tiles(site.live.tiles)
+    road = SightTiles.of(tiles)
+    finder = TileFinder(
+        road, gr.TileGrid(road.quads), gr.Filters(), gr.read_pose(SAMPLE / "R1.json")
+    )
+    recorded = islice(frames_of_recording(SAMPLE / "R1.parquet"), FRAMES)
+    frames = [finder.find(each).tiles for each in recorded]
+    made = []
+    for name in names:
+        secret = (folder / "broker" / f"password_of_{name}").read_text().strip()
+        address = BrokerAddress.of(site.live.broker.address, user=name, password=secret)
+        made.append(Sensor(name, address, frames, road.fingerprint))
+    while not all(each.link.connected for each in made):
+        time.sleep(0.1)
+    phases = [phase_us(name, sensors) for name in names]
+    step = int(time.time() * 1e6) // STEP_US + 20
+    last = step + int(seconds * 20.0)
+    while step < last:
+        for each, phase in zip(made, phases, strict=True):
+            time_us = step * STEP_US + phase
+            time.sleep(max(time_us / 1e6 - time.time(), 0.0))
+            each.frame(time_us)
+            each.outbox.pump()
+        step += 1
+    end = time.monotonic() + PATIENCE_S
+    while not all(each.outbox.empty for each in made) and time.monotonic() < end:
+        for each in made:
+            each.outbox.pump()
+        time.sleep(0.02)
+    delays = 1000.0 * np.concatenate([each.delays for each in made])
+    figures = {
+        "sent": sum(each.sent for each in made),
+        "unacknowledged": sum(not each.outbox.empty for each in made),
+        "delay_p99_ms": float(np.percentile(delays, 99)),
+        "delay_p50_ms": float(np.percentile(delays, 50)),
+    }
+    (folder / f"sent-{names[0]}.json").write_text(json.dumps(figures))
+    for each in made:
+        each.link.close()
+
+
+class Told(Reporter):
+    """Keeps warnings."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def log(self, message: str, level: str = "info") -> None:
+        if level == "warning":
+            self.lines.append(message)
+
+
+class TimedFusion(Fusion):
+    """Fusion that notes how old each frame is when the map has it."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        self.finish_s = 0.0
+        self.ages = np.zeros(MOST_MS + 1, np.int64)  # by milliseconds
+        super().__init__(*args, **options)
+        self.phases = {name: phase_us(name, len(self.sensors)) for name in self.sensors}
+
+    def _finish(self) -> None:
+        begin = time.monotonic()
+        super()._finish()
+        self.finish_s = time.monotonic() - begin
+
+    def _advance(self, steps: Iterable[tuple[int, dict[str, Seen]]]) -> None:
+        for step, frames in steps:
+            super()._advance([(step, frames)])
+            now_us = time.time() * 1e6
+            begin_us = step * STEP_US
+            for name in frames:
+                age_ms = int((now_us - begin_us - self.phases[name]) / 1e3)
+                self.ages[min(max(age_ms, 0), MOST_MS)] += 1
+
+
+def fuse(folder: Path) -> None:
+    """Run fusion until it is stopped; write how it did."""
+    told = Told()
+    begin = time.monotonic()
+    fusion = TimedFusion(read_live_site(folder / "SITE.toml"), reporter=told)
+    start_s = time.monotonic() - begin
+    fusion.ages[:] = 0
+    ended = threading.Event()
+    rows: list[dict[str, float]] = []
+
+    def look() -> None:
+        before = fusion.ages.copy()
+        while not ended.wait(LOOK_S):
+            ages, before = fusion.ages - before, fusion.ages.copy()
+            counts = [each.health.counts for each in fusion.sensors.values()]
+            row = {
+                "time": time.time(),
+                "frames": sum(each["frames"] for each in counts),
+                "late": sum(each["late_frames"] for each in counts),
+                "memory_mb": resident_mb(os.getpid()),
+            }
+            rows.append(row | {"p50_ms": percentile(ages, 0.5), "p99_ms": percentile(ages, 0.99)})
+
+    threading.Thread(target=look, daemon=True).start()
+    with stopped_by_signals() as stop:
+        fusion.run(stop)
+    ended.set()
+    counts: dict[str, int] = {}
+    for each in fusion.sensors.values():
+        for name, count in each.health.counts.items():
+            counts[name] = counts.get(name, 0) + count
+    ages = fusion.ages
+    ages[MOST_MS] += counts.get("late_frames", 0)
+    figures = {
+        "counts": counts, "rows": rows, "start_s": start_s, "finish_s": fusion.finish_s,
+        "told": told.lines[:20],
+        "p50_ms": percentile(ages, 0.5), "p99_ms": percentile(ages, 0.99),
+        "in_150_ms": float(ages[:151].sum() / ages.sum()),
+    }  # fmt: skip
+    (folder / "fused.json").write_text(json.dumps(figures, indent=1))
+
+
+def percentile(ages: Integers, share: float) -> float:
+    """Return a percentile of ages that are counted by milliseconds."""
+    total = ages.sum()
+    return float(np.searchsorted(np.cumsum(ages), share * total)) if total else float("nan")
+
+
+def resident_mb(pid: int) -> float:
+    """Return the memory of a process."""
+    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def cpu_s(pid: int) -> float:
+    """Return the CPU time of a process so far."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def write_site(folder: Path, names: list[str], port: int) -> None:
+    """Write tiles, and files of site and broker."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    roads = gr.read_map(SAMPLE / "junction.osm")
+    gr.write_tiles(gr.make_tiles(roads), folder / "tiles.gpkg", problems=roads.problems)
+    sensors = "".join(f'[[sensor]]\nname = "{name}"\n' for name in names)
+    text = f"""
+title = "Soak"
+[map]
+file = "{(SAMPLE / "junction.osm").resolve()}"
+[live]
+site = "{SITE}"
+tiles = "tiles.gpkg"
+lateness = "50ms"
+[live.broker]
+address = "mqtt://127.0.0.1:{port}"
+"""
+    site = folder / "SITE.toml"
+    site.write_text(text + sensors)
+    write_broker_files(site, folder / "broker")
+    site.write_text(f'{text}password_file = "broker/password_of_fusion"\n{sensors}')
+    if os.geteuid() == 0:  # else it would become another user
+        with (folder / "broker" / "mosquitto.conf").open("a") as config:
+            config.write("user root\n")
+
+
+def soak(folder: Path, *, sensors: int, processes: int, seconds: float, port: int) -> Figures:
+    """Run all programs, and return the figures."""
+    names = [f"S{k:04d}" for k in range(sensors)]
+    write_site(folder, names, port)
+    mosquitto = shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin")
+    if mosquitto is None:
+        sys.exit("Mosquitto is not installed: sh tools/get_mosquitto.sh, as root")
+    load = os.getloadavg()
+    programs, mine = [], [sys.executable, __file__]
+    try:
+        with (folder / "mosquitto.log").open("wb") as log:
+            broker = subprocess.Popen([mosquitto, "-c", "broker/mosquitto.conf"], cwd=folder,
+                                      stdout=log, stderr=log)  # fmt: skip
+        programs.append(broker)
+        time.sleep(1.0)
+        fusion = subprocess.Popen([*mine, "--fuse", str(folder)])
+        programs.append(fusion)
+        time.sleep(5.0)
+        shares = [names[k::processes] for k in range(processes)]
+        senders = [
+            subprocess.Popen([*mine, "--send", str(folder), "--names", *share,
+                              "--sensors", str(sensors), "--seconds", str(seconds)])
+            for share in shares
+        ]  # fmt: skip
+        programs += senders
+        time.sleep(5.0)
+        watched = {"broker": broker.pid, "fusion": fusion.pid} | {
+            f"sender {k}": each.pid for k, each in enumerate(senders)
+        }
+        before, begin, memory = {n: cpu_s(p) for n, p in watched.items()}, time.monotonic(), []
+        while time.monotonic() - begin < seconds - 15.0:
+            time.sleep(min(LOOK_S, seconds / 10.0))
+            memory.append(resident_mb(broker.pid))
+        passed = time.monotonic() - begin
+        cores = {name: (cpu_s(pid) - before[name]) / passed for name, pid in watched.items()}
+        for each in senders:
+            each.wait()
+        fusion.terminate()
+        fusion.wait()
+    finally:
+        for each in reversed(programs):
+            if each.poll() is None:
+                each.terminate()
+                each.wait()
+    return gathered(folder, shares, cores, memory, load) | {
+        "sensors": sensors, "seconds": seconds, "processes": processes,
+    }  # fmt: skip
+
+
+def gathered(
+    folder: Path,
+    shares: list[list[str]],
+    cores: dict[str, float],
+    memory: list[float],
+    load: tuple[float, float, float],
+) -> Figures:
+    """Return all figures in one table."""
+    sent = [json.loads((folder / f"sent-{share[0]}.json").read_text()) for share in shares]
+    fused = json.loads((folder / "fused.json").read_text())
+    hours = gr.read_occupancy(sorted((folder / "live" / "occupancy").iterdir()))
+    stored = sum(len(each[0]) for each in hours.frame_log(hours.sensors))
+    rows = [row for row in fused["rows"] if "memory_mb" in row]
+    size = sum(each.stat().st_size for each in folder.rglob("*.parquet"))
+    return {
+        "sent": sum(each["sent"] for each in sent),
+        "lost": sum(each["sent"] for each in sent) - stored,
+        "stored": stored,
+        "frame_to_map_p50_ms": fused["p50_ms"],
+        "frame_to_map_p99_ms": fused["p99_ms"],
+        "in_150_ms": fused["in_150_ms"],
+        "sender_delay_p99_ms": max(each["delay_p99_ms"] for each in sent),
+        "late": fused["counts"].get("late_frames", 0),
+        "duplicates": fused["counts"].get("duplicates", 0),
+        "gaps": fused["counts"].get("gaps", 0),
+        "cores_fusion": cores["fusion"],
+        "cores_broker": cores["broker"],
+        "cores_senders": sum(value for name, value in cores.items() if "sender" in name),
+        "memory_fusion_mb": [round(row["memory_mb"], 1) for row in rows],
+        "memory_broker_mb": [round(each, 1) for each in memory],
+        "p99_by_10_s_ms": [round(row.get("p99_ms", float("nan")), 1) for row in rows],
+        "written_bytes": size,
+        "finish_s": fused["finish_s"],
+        "start_s": fused["start_s"],
+        "told": fused["told"],
+        "load_before": load,
+        "cores": os.cpu_count(),
+    }
+
+
+def free_port() -> int:
+    with socket.socket() as each:
+        each.bind(("127.0.0.1", 0))
+        return int(each.getsockname()[1])
+
+
+def main() -> None:
+    """Run the soak, or one of its programs."""
+    words = argparse.ArgumentParser(description=__doc__)
+    words.add_argument("--minutes", type=float, default=15.0)
+    words.add_argument("--sensors", type=int, default=100)
+    words.add_argument("--processes", type=int, default=4)
+    words.add_argument("--folder", type=Path, default=Path("out/soak"))
+    words.add_argument("--out", type=Path, default=OUT)
+    for name in ("--send", "--fuse"):
+        words.add_argument(name, type=Path, help=argparse.SUPPRESS)
+    words.add_argument("--names", nargs="*", help=argparse.SUPPRESS)
+    words.add_argument("--seconds", type=float, help=argparse.SUPPRESS)
+    given = words.parse_args()
+    if given.fuse:
+        fuse(given.fuse)
+    elif given.send:
+        send(given.send, given.names, given.sensors, given.seconds)
+    else:
+        found = soak(
+            given.folder, sensors=given.sensors, processes=given.processes,
+            seconds=given.seconds or 60.0 * given.minutes, port=free_port(),
+        )  # fmt: skip
+        given.out.parent.mkdir(exist_ok=True)
+        given.out.write_text(json.dumps(found, indent=1))
+        sys.stdout.write(json.dumps(found) + "\n")
+
+
+if __name__ == "__main__":
+    main()
