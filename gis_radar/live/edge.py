@@ -133,7 +133,7 @@ class Edge:
         self._hold_s = holds_of(cycles, [file.sensor])[file.sensor]
         self._finder: TileFinder | None = None
         self._pose_number, self._last_step, self._trusted = 0, -1, True
-        self._last_time = -np.inf
+        self._last_time, self._doubted = -np.inf, False
         self._next: Followed | None = None
         self._follower: PoseFollower | None = None
         self._waiting: list[CountedFrame] = []
@@ -219,10 +219,18 @@ class Edge:
                 for ready in self._with_pose(frame):
                     self._count(ready)
             self._outbox.pump()
+        self._end_of_source(stop)
         self._flush()
         while not (stop.is_set() or self._outbox.empty):
             self._outbox.pump()
             sleep(IDLE_S)
+
+    def _end_of_source(self, stop: Event) -> None:
+        """Find the pose of a short recording from what there is of it."""
+        if self._finder is None and self._gathered and not stop.is_set() and self._try_to_find():
+            for ready in self._begin_with_gathered():
+                self._count(ready)
+                self._outbox.pump()
 
     def _look_at_clock(self, frame: Detections) -> None:
         """Where the clock was set back, let what was gathered and followed begin anew."""
@@ -238,29 +246,37 @@ class Edge:
 
     def _with_pose(self, frame: Detections) -> Iterator[Detections]:
         """Yield the frames whose pose is known by now, with the finder set."""
+        if self._finder is None and self._given is None:
+            self._gathered.append(frame)
+            self._try_at -= 1
+            if self._try_at <= 0 and self._try_to_find():
+                yield from self._begin_with_gathered()
+            return
         if self._finder is None:
-            if self._given is not None:
-                self._take_over(Followed(pose=self._given), frame)
-            else:
-                self._gathered.append(frame)
-                self._try_at -= 1
-                if self._try_at > 0 or not self._try_to_find():
-                    return
-                gathered, self._gathered = list(self._gathered), deque(maxlen=self._gathered.maxlen)
-                self._take_over(self._next or Followed(pose=self._given), gathered[0])  # type: ignore[arg-type]
-                self._next = None
-                yield from gathered
-                self._follow(frame)
-                return
+            self._take_over(Followed(pose=self._given), frame)  # type: ignore[arg-type]
             self._follow(frame)
         if self._follower is not None:
             self._follower.push(frame)
             self._next = self._follower.latest() or self._next
+            if self._next is not None and self._next.refused:
+                self._doubt()
+        elif self._doubted:
+            self._try_again(frame)
         step = int(np.rint(frame.time[0] * 1e6)) // STEP_US
         if self._next is not None and step > self._last_step:
             self._take_over(self._next, frame)
             self._next = None
         yield frame
+
+    def _begin_with_gathered(self) -> Iterator[Detections]:
+        """Yield the frames that waited for the pose, which is found."""
+        gathered = list(self._gathered)
+        self._gathered.clear()
+        if self._next is not None:
+            self._take_over(self._next, gathered[0])
+            self._next = None
+        yield from gathered
+        self._follow(gathered[-1])
 
     def _try_to_find(self) -> bool:
         """Find the pose from the frames so far; try again later where none follows."""
@@ -273,15 +289,39 @@ class Edge:
         self._next = Followed(pose=pose)
         return True
 
+    def _doubt(self) -> None:
+        """Begin to look for another pose, or for traffic that confirms this one after all."""
+        if self._follower is not None:
+            self._follower.close()
+        self._follower, self._doubted = None, True
+        self._gathered.clear()
+        searched = self._given is None
+        self._try_at = LOCALIZATION.traces.frames if searched else AGAIN_FRAMES
+
+    def _try_again(self, frame: Detections) -> None:
+        """Search a pose that traffic refused anew; follow again one that was given."""
+        self._try_at -= 1
+        if self._given is None:
+            self._gathered.append(frame)
+            if self._try_at <= 0 and self._try_to_find():
+                self._gathered.clear()
+                self._doubted = False
+                self._follow(frame)
+        elif self._try_at <= 0:
+            self._follow(frame)
+
     def _follow(self, frame: Detections) -> None:
         file = self._file
         if file.follow and file.map is not None and file.road is not None and self._finder:
             begin = float(frame.time[0])
-            self._follower = PoseFollower(file, self._finder.pose, begin, reporter=self._reporter)
+            start = self._next.pose if self._next is not None else self._finder.pose
+            self._follower = PoseFollower(
+                file, start, begin, doubted=self._doubted, reporter=self._reporter
+            )
 
     def _take_over(self, found: Followed, frame: Detections) -> None:
         """Count by a pose from a frame on, and say so to fusion."""
-        if found.refused:
+        if found.refused and self._trusted:
             self._reporter.log(f"the pose is not confirmed: {found.refused}", "warning")
         same = self._finder is not None and _is_same(self._finder.pose, found.pose)
         if same and found.trusted == self._trusted:
@@ -297,6 +337,7 @@ class Edge:
         if number:  # else the buffer is full: by the earlier pose, as that is the one that is known
             self._finder = TileFinder(self._road, self._grid, self._filters, found.pose)
             self._pose_number, self._trusted = number, found.trusted
+            self._doubted = self._doubted and not found.trusted
 
     def _count(self, frame: Detections) -> None:
         if self._finder is None:

@@ -119,13 +119,17 @@ class PoseFollower:
         Where it stands.
     begin : float
         UNIX seconds of the first frame that follows.
+    doubted : bool
+        Whether traffic refused the pose before: it is trusted only once traffic confirms it.
     reporter : Reporter
         Receives a warning for each move.
     """
 
     def __init__(
-        self, file: EdgeFile, start: Pose, begin: float, *, reporter: Reporter = QUIET
-    ) -> None:
+        self, file: EdgeFile, start: Pose, begin: float, *, doubted: bool = False,
+        reporter: Reporter = QUIET,
+    ) -> None:  # fmt: skip
+        self._doubted = doubted
         self._frames: Queue[Detections | None] = Queue(WAITING_FRAMES)
         self._found: SimpleQueue[Followed | Exception] = SimpleQueue()
         self._ended = Event()
@@ -193,8 +197,9 @@ class PoseFollower:
         if any(row.event == MOVED and id(row) not in known for row in rows):
             self._moved_at = time
         window_s = TRACKING.lost_s
-        trusted = self._moved_at == -np.inf
-        if not trusted and rows[-1].corrected and time - self._moved_at >= window_s:
+        confirmed = self._follower.confirmed or not self._doubted
+        trusted = confirmed and self._moved_at == -np.inf
+        if confirmed and not trusted and rows[-1].corrected and time - self._moved_at >= window_s:
             trusted, self._moved_at = True, -np.inf
         pose = track_of(self._problem, self._start, rows[-1:]).poses.poses[0]
         self._found.put(Followed(pose=rounded(pose), trusted=trusted))

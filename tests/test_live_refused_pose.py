@@ -1,0 +1,144 @@
+"""A start pose that traffic refuses: it is searched anew, or waited for, and counts only then."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from live_programs import Lines
+from live_site import SAMPLE, LiveSite
+
+import gis_radar as gr
+from gis_radar.errors import NoAnswerError
+from gis_radar.live import edge as edge_module
+from gis_radar.live.edge import Edge
+from gis_radar.live.own_pose import Followed
+from gis_radar.live.payload import POSE, PoseContent
+from gis_radar.live.settings import read_edge_file
+from gis_radar.live.sources import frames_of_recording
+from gis_radar.localization.settings import DEFAULTS as LOCALIZATION
+
+RIGHT = gr.read_pose(SAMPLE / "R1.json")
+WRONG = replace(RIGHT, easting=RIGHT.easting + 6.0)
+LANES = f'[map]\nfile = "{SAMPLE / "junction.osm"}"\n'
+
+
+class Outbox:
+    """Keeps the poses that are sent."""
+
+    behind, lost = True, 0
+
+    def __init__(self):
+        self.poses = []
+
+    def put(self, kind, content):
+        if kind == POSE:
+            self.poses.append(PoseContent.unpack(content))
+        return len(self.poses)
+
+
+class Script:
+    """A follower that says what traffic says: it refuses the wrong pose, after a while."""
+
+    made = ()
+
+    def __init__(self, _file, start, _begin, *, doubted, **_):
+        Script.made = (*Script.made, (start.easting, doubted))
+        self.start, self.doubted, self.seen, self.closed = start, doubted, 0, False
+
+    def push(self, _frame):
+        assert not self.closed
+        self.seen += 1
+
+    def latest(self):
+        if self.seen == 100 and self.start.easting == WRONG.easting:
+            return Followed(pose=self.start, trusted=False, refused="traffic lies elsewhere")
+        if self.seen == 100 and self.doubted:
+            return Followed(pose=self.start, trusted=True)
+        return None
+
+    def close(self):
+        self.closed = True
+
+
+@pytest.fixture
+def run(tmp_path, once, monkeypatch):
+    """Give a function that lets an edge take frames; it returns what was sent and said."""
+    site = LiveSite(tmp_path, once)
+    monkeypatch.setattr(edge_module, "PoseFollower", Script)
+    monkeypatch.setattr(Script, "made", ())
+    frames = list(frames_of_recording(SAMPLE / "R1.parquet"))
+
+    def take(number, **keys):
+        said = Lines()
+        road = f'"{SAMPLE / "scan.laz"}"'
+        file = site.edge("R1", more=LANES, road=road, follow="true", **keys)
+        edge = Edge(read_edge_file(file), reporter=said)
+        edge._outbox = Outbox()
+        for k in range(number):
+            frame = frames[k % len(frames)]
+            frame = replace(frame, time=np.full(len(frame), 1_750_000_000.0 + 0.05 * k))
+            for ready in edge._with_pose(frame):
+                edge._count(ready)
+        return edge, said.lines
+
+    return take
+
+
+def test_a_pose_that_was_found_and_is_refused_is_searched_anew(run, monkeypatch):
+    found = iter([WRONG, None, RIGHT])
+
+    def find(_file, gathered, *, reporter):
+        assert len(gathered) == LOCALIZATION.traces.frames
+        if (pose := next(found)) is None:
+            raise NoAnswerError("too few vehicles")
+        return pose
+
+    monkeypatch.setattr(edge_module, "find_own_pose", find)
+    guess = f"[{RIGHT.easting}, {RIGHT.northing}]"
+    edge, said = run(2000 + 100 + 2000 + 500 + 50, pose=None, guess=guess)
+    sent = [(each.pose["easting"], each.trusted) for each in edge._outbox.poses]
+    wrong, right = WRONG.easting, RIGHT.easting
+    assert sent == [(wrong, True), (wrong, False), (right, True)]
+    assert Script.made == ((wrong, False), (right, False))
+    assert sum("not confirmed: traffic lies elsewhere" in line for line in said) == 1
+    assert edge.frames == 4650  # those of the doubted pose are sent, too
+
+
+def test_a_given_pose_that_is_refused_is_tried_again_and_trusted_once_traffic_confirms_it(
+    run, monkeypatch, tmp_path
+):
+    gr.write_pose(WRONG, tmp_path / "R1.pose.json")
+    edge, said = run(2000, pose='"R1.pose.json"')
+    assert [each.trusted for each in edge._outbox.poses] == [True, False]
+    assert len(Script.made) > 2
+    assert [doubted for _, doubted in Script.made] == [False, *[True] * (len(Script.made) - 1)]
+    assert sum("not confirmed" in line for line in said) == 1
+    # the same traffic puts it right after all: not before it says so
+    monkeypatch.setattr(edge_module, "AGAIN_FRAMES", 50)
+    confirmed = []
+
+    class Later(Script):
+        def latest(self):
+            answer = super().latest()
+            if answer is not None and len(Script.made) == 3:
+                confirmed.append(self.doubted)
+                return Followed(pose=self.start, trusted=True)
+            return answer
+
+    monkeypatch.setattr(edge_module, "PoseFollower", Later)
+    Script.made = ()
+    edge, _ = run(700, pose='"R1.pose.json"')
+    assert [each.trusted for each in edge._outbox.poses] == [True, False, True]
+    assert confirmed == [True]
+
+
+def test_a_recording_that_ends_before_the_pose_is_known_is_used_as_far_as_it_goes(
+    run, monkeypatch, tmp_path
+):
+    monkeypatch.setattr(edge_module, "find_own_pose", lambda *_, **__: RIGHT)
+    guess = f"[{RIGHT.easting}, {RIGHT.northing}]"
+    edge, _ = run(700, pose=None, guess=guess)
+    assert edge.frames == 0
+    edge._outbox.pump = lambda: None
+    edge._end_of_source(edge_module.Event())
+    assert edge.frames == 700
