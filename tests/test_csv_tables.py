@@ -86,3 +86,15 @@ def test_rows_are_counted_below_the_header(made, top):
 def test_bytes_that_are_no_table(made):
     with pytest.raises(InputError, match=r"r\.csv"):
         open_recording(made("\x00\x01" * 500))
+
+
+def test_a_header_without_an_end_is_refused(made):
+    with pytest.raises(InputError, match=r"r\.csv: damaged: field larger than field limit"):
+        open_recording(made("[" * 200_000 + "\n"))
+
+
+def test_a_value_that_is_long_is_shown_by_its_begin(made):
+    with pytest.raises(InputError, match="invalid value") as caught:
+        read(made(lines(rows=[ROWS[0].replace("1700000000", "17000" + "\0" * 4096)])))
+    assert len(caught.value.message) < 300
+    assert "'17000" in caught.value.message

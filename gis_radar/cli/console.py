@@ -23,7 +23,7 @@ from rich.text import Text
 from gis_radar.errors import GisRadarError, OutputError, UsageError, first_line
 from gis_radar.files import json_text
 from gis_radar.languages import LANGUAGES
-from gis_radar.processes import watch_input
+from gis_radar.processes import free_address_space, watch_input
 from gis_radar.progress import Level, Reporter
 from gis_radar.words import speaking, tr_message
 
@@ -178,10 +178,15 @@ class TerminalConsole(Console):
     def error(self, error: GisRadarError) -> None:
         """Print the error as one line; what to do about it in the same line."""
         hint = f" ({in_users_language(error.hint)})" if error.hint else ""
-        message = _shortened(in_users_language(error.message))
-        text = " ".join(f"gis-radar: {message}{hint}".split())
-        text = "".join(each if each.isprintable() else ascii(each)[1:-1] for each in text)
+        message = _printable(in_users_language(error.message))
+        text = _printable(f"gis-radar: {_shortened(message)}{hint}")
         self._rich.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+def _printable(text: str) -> str:
+    """Return a text as one line that any terminal shows."""
+    line = " ".join(text.split())
+    return "".join(each if each.isprintable() else ascii(each)[1:-1] for each in line)
 
 
 def _shortened(text: str) -> str:
@@ -219,6 +224,7 @@ TRACEBACK = "GIS_RADAR_TRACEBACK"
 """The environment variable that shows the traceback of an error that nobody foresaw."""
 UNFORESEEN = "unforeseen"
 NO_MEMORY = "there is not enough memory"
+LEAST_FREE_BYTES = 64 << 20  # with 100 MiB the commands work or say so; with 30 GDAL aborts
 # Of the loader, of threads and of LLVM, which raise no MemoryError.
 _NO_MEMORY_TEXTS = (
     "failed to map segment", "can't start new thread", "Cannot allocate memory", "libllvmlite.so",
@@ -245,6 +251,7 @@ def command(*, example: str) -> Callable[[Verb], click.Command]:
     def register(verb: Verb) -> click.Command:
         @functools.wraps(verb)
         def run(*, json_lines: bool, **options: Any) -> None:
+            _require_memory()
             with _console(json_lines=json_lines) as console:
                 try:
                     result = verb(reporter=console, **options)
@@ -263,6 +270,13 @@ def command(*, example: str) -> Callable[[Verb], click.Command]:
         return click.command(epilog=f"Example: {example}")(flagged)
 
     return register
+
+
+def _require_memory() -> None:
+    """Refuse to begin where so little is left that libraries crash or hang rather than say so."""
+    free = free_address_space()
+    if free is not None and free < LEAST_FREE_BYTES:
+        raise OutputError(NO_MEMORY, hint="raise the limit of the address space (ulimit -v)")
 
 
 def _console(*, json_lines: bool) -> Console:

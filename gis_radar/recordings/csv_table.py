@@ -18,6 +18,7 @@ from gis_radar.recordings import settings
 BYTES_AT_ONCE = 1 << 20  # about 15,000 rows; the longest header
 NO_NUMBER = ["", "nan", "NaN", "NA"]
 DELIMITERS = {";": "semicolons", "\t": "tabs", "|": "bars"}
+LONG_VALUE = re.compile(r"'([^']{24})[^']{8,}'", re.DOTALL)  # a line shows its begin
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,6 +75,7 @@ class CsvTable:
             # Arrow counts rows from the top of the file.
             place = re.compile(r"Row #(\d+)")
             reason = place.sub(lambda n: f"row {int(n[1]) - self.header_lines}", first_line(error))
+            reason = LONG_VALUE.sub(r"'\1...'", reason)
             raise InputError(f"{self.path}: damaged: {reason}") from error
 
 
@@ -106,7 +108,10 @@ def open_csv_table(path: Path, *, numbers: tuple[str, ...]) -> CsvTable:
             hint="save the table as CSV in UTF-8",
         ) from error
     _refuse_delimiters(header, numbers, path)
-    names = tuple(name.strip() for name in next(csv.reader([header], skipinitialspace=True)))
+    try:
+        names = tuple(name.strip() for name in next(csv.reader([header], skipinitialspace=True)))
+    except csv.Error as error:  # a field of over 128 KiB
+        raise InputError(f"{path}: damaged: {first_line(error)}") from error
     refuse_many_columns(len(names), path)
     return CsvTable(path=path, names=names, header_lines=filled + 1, numbers=numbers)
 
