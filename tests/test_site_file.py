@@ -214,6 +214,8 @@ def test_the_template_holds_every_key_and_its_values_fit(read, tmp_path):
         "R1.password",
         "ca.crt",
         "page.token",
+        "sensorthings.password",
+        "sensorthings.token",
     ):
         (tmp_path / name).touch()
     assert read(template).sensor[0].name == "R1"

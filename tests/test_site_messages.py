@@ -12,7 +12,8 @@ from gis_radar.site.settings import site_template
 
 PACKAGE = Path(gr.__file__).parent
 # Of `gis-radar run` itself, and of commands that no run calls.
-OTHERS = {"--fresh", "--jobs", "--template", "--layer", "--version", "--stdin"}
+IMAGE = {"--build-arg", "--no-install-recommends", "--no-cache-dir"}  # of a Dockerfile
+OTHERS = IMAGE | {"--fresh", "--jobs", "--template", "--layer", "--version", "--stdin"}
 
 
 def options_named():

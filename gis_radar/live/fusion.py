@@ -18,6 +18,7 @@ from gis_radar.live.broker import Link, SensorTopics
 from gis_radar.live.health import HealthServer, prometheus_text
 from gis_radar.live.intake import FUSION, Intake, SensorState
 from gis_radar.live.journal import HOUR_US, Journal
+from gis_radar.live.lane_push import LanePush
 from gis_radar.live.map_of_now import MapOfNow, MapState
 from gis_radar.live.payload import Acknowledgement
 from gis_radar.live.settings import DEFAULTS, LiveSettings, LiveSite, read_live_site
@@ -30,11 +31,14 @@ from gis_radar.steps import STEP_US, interval_steps
 from gis_radar.tiles import read_tiles
 
 if TYPE_CHECKING:
+    import geopandas as gpd
+
     from gis_radar.live.server import Page
 
 TAKEN_AT_ONCE = 500  # messages between two looks at the clock
 WAIT_S = 0.01
 OCCUPANCY_FOLDER, JOURNAL_FILE, NOW_FILE = "occupancy", "journal.sqlite", "now.gpkg"
+PUSH_FILE = "sensorthings.json"
 
 
 class Fusion:
@@ -82,6 +86,7 @@ class Fusion:
         self._windows = Windows(site.live.lateness)
         self._map = MapOfNow(len(road.tile_id), interval=interval_steps(site.live.interval))
         self._page = _page(self, site)
+        self._push = _push(site, self.tiles, reporter)
         self._written: dict[Path, None] = {}
         self._writer, self._exporter = Aside[Path | None]("hour"), Aside[None]("export")
         self._hour = (0, 0.0)  # that is being written, and when a frame of it came last
@@ -183,6 +188,9 @@ class Fusion:
             if self._page is not None:
                 state = self._map.state()
                 self._page.take(step, state.occupied, state.observed)
+            if self._push is not None:
+                state = self._map.state()
+                self._push.take(step, state.occupied, state.observed)
 
     def _regular(self) -> None:
         """Do what the clock asks for: commit, acknowledge, write hours and files."""
@@ -198,6 +206,8 @@ class Fusion:
             state = self.state()
             self._exporter.begin(lambda: self._export(state))
         self._exporter.take()
+        if self._push is not None:
+            self._push.regular()
         for each in self.sensors.values():
             if each.due:
                 self._acknowledge(each)
@@ -306,6 +316,18 @@ def _page(fusion: Fusion, site: LiveSite) -> Page | None:
     from gis_radar.live.server import Page  # noqa: PLC0415
 
     return Page(fusion, site, site.live.page, fusion.tiles)
+
+
+def _push(site: LiveSite, tiles: gpd.GeoDataFrame, reporter: Reporter) -> LanePush | None:
+    """Return the push of lane measures where the site's file asks for one."""
+    if site.live.sensorthings is None:
+        return None
+    from gis_radar.live.server import place_of  # noqa: PLC0415 - with a web server
+
+    return LanePush(
+        site.live.sensorthings, place_of(site, tiles), site=site.live.site,
+        path=site.folder / PUSH_FILE, reporter=reporter,
+    )  # fmt: skip
 
 
 def run_fusion(

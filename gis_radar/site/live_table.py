@@ -51,9 +51,20 @@ def _host_and_port(text: str) -> str:
     return text
 
 
+def _service_address(text: str) -> str:
+    parts = urlsplit(text)
+    if parts.scheme not in {"http", "https"} or not parts.hostname or parts.query or parts.username:
+        raise Unfit
+    return text
+
+
 Duration = Annotated[float, Meaning('a duration such as "200ms"'), PlainValidator(_duration)]
 TopicWord = Annotated[Text, Meaning("a word"), AfterValidator(_topic_word)]
 Interval = Annotated[Text, Meaning('a length such as "15min"'), AfterValidator(_interval)]
+ServiceAddress = Annotated[
+    Text, Meaning("an http or https address without user and query"),
+    AfterValidator(_service_address),
+]  # fmt: skip
 HostPort = Annotated[
     Text, Meaning('HOST:PORT such as "127.0.0.1:9464"'), AfterValidator(_host_and_port)
 ]
@@ -85,6 +96,21 @@ class PageTable(TomlTable):
     """Names by which browsers may ask for it."""
 
 
+class SensorThingsTable(TomlTable):
+    """The push of lane measures to a server that speaks SensorThings 1.1."""
+
+    address: ServiceAddress = key('"https://frost.example/FROST-Server/v1.1"')
+    """The service's root, with its version."""
+    interval: Interval = key('"5min"', "15min", '"15min"')
+    """Over which the occupancy of a lane is pushed."""
+    user: Text | None = key('"junction"', None, "none")
+    """As whom to log in, with a password."""
+    password_file: File | None = key('"sensorthings.password"', None, "none")
+    """A file with nothing but the password."""
+    token_file: File | None = key('"sensorthings.token"', None, "none")
+    """A file with nothing but a token, instead of user and password."""
+
+
 class LiveTable(TomlTable):
     """The live system: `gis-radar live`."""
 
@@ -106,3 +132,5 @@ class LiveTable(TomlTable):
     """The broker."""
     page: PageTable | None = None
     """The page of the live map."""
+    sensorthings: SensorThingsTable | None = None
+    """The push of lane measures."""

@@ -1,0 +1,166 @@
+"""Lane measures by interval, which wait on disk until a SensorThings server has taken them."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from gis_radar.arrays import Booleans, Integers
+from gis_radar.errors import GisRadarError
+from gis_radar.files import whole_file
+from gis_radar.heatmap.by_lane import lane_totals
+from gis_radar.live.aside import Aside
+from gis_radar.live.sensorthings import LaneMeasure, LaneServer, Service
+from gis_radar.live.snapshot import Place
+from gis_radar.progress import QUIET, Reporter
+from gis_radar.site.live_table import SensorThingsTable
+from gis_radar.steps import STEP_S, interval_steps
+
+FIRST_RETRY_S, SLOWEST_RETRY_S = 30.0, 900.0
+MOST_WAITING = 50_000  # measures: ten days of 50 lanes by 15 minutes
+DIGITS = 3
+
+
+class LaneIntervals:
+    """Counts steps of lanes over intervals.
+
+    Parameters
+    ----------
+    place : Place
+        The lanes and their tiles.
+    steps : int
+        Of an interval; intervals begin at its multiples.
+    """
+
+    def __init__(self, place: Place, steps: int) -> None:
+        self._lane_of_tile, self._lanes = place.lane_of_tile, place.lane_numbers
+        self._tiles = np.maximum(np.bincount(self._lane_of_tile, minlength=len(self._lanes)), 1)
+        self._steps, self._number = steps, -1
+        self._counts = np.zeros((2, len(self._lane_of_tile)), np.int64)
+
+    def take(self, step: int, occupied: Booleans, observed: Booleans) -> list[LaneMeasure]:
+        """Count a step; return the measures of the interval that it ends, if it does."""
+        done: list[LaneMeasure] = []
+        if (number := step // self._steps) != self._number:
+            if 0 <= self._number < number:  # else the clock was set back
+                done = self._measures()
+            self._counts[:], self._number = 0, number
+        self._counts[0] += occupied
+        self._counts[1] += observed
+        return done
+
+    def _measures(self) -> list[LaneMeasure]:
+        occupied, observed = (self._by_lane(row) for row in self._counts)
+        begin = self._number * self._steps
+        return [
+            LaneMeasure(
+                lane, begin, begin + self._steps, round(100.0 * hit / seen, DIGITS),
+                round(seen / tiles * STEP_S, DIGITS),
+            )
+            for lane, hit, seen, tiles in zip(
+                self._lanes, occupied, observed, self._tiles.tolist(), strict=True
+            )
+            if seen > 0
+        ]  # fmt: skip
+
+    def _by_lane(self, counts: Integers) -> list[float]:
+        found = lane_totals(counts.astype(float), self._lane_of_tile, len(self._lanes))
+        return [float(each) for each in found]
+
+
+class LanePush:
+    """Pushes measures of lanes, on a thread of its own, until the server has them.
+
+    Parameters
+    ----------
+    table : SensorThingsTable
+        Of the site's file.
+    place : Place
+        The site's lanes.
+    site : str
+        Its name in topics.
+    path : Path
+        Where measures wait.
+    reporter : Reporter
+        Receives a line when the server cannot be reached, and when it is again.
+
+    Raises
+    ------
+    InputError
+        If the file with token or password cannot be read.
+    """
+
+    def __init__(
+        self, table: SensorThingsTable, place: Place, *, site: str, path: Path,
+        reporter: Reporter = QUIET,
+    ) -> None:  # fmt: skip
+        self._server = LaneServer(Service.of(table), place, site)
+        self._intervals = LaneIntervals(place, interval_steps(table.interval))
+        self._path, self._reporter = path, reporter
+        self._waiting = _read(path)
+        self._sending: list[LaneMeasure] = []
+        self._work = Aside[int]("sensorthings")
+        self._again = bool(self._waiting)  # they may have arrived before a kill
+        self._try_at, self._patience_s, self._said = 0.0, FIRST_RETRY_S, ""
+
+    @property
+    def waiting(self) -> int:
+        """Measures that the server has not taken yet."""
+        return len(self._waiting)
+
+    def take(self, step: int, occupied: Booleans, observed: Booleans) -> None:
+        """Count a closed step."""
+        done = self._intervals.take(step, occupied, observed)
+        if done:
+            self._waiting = [*self._waiting, *done][-MOST_WAITING:]
+            self._keep()
+
+    def regular(self) -> None:
+        """Do what is due: take in what was sent, and send what waits."""
+        if self._work.busy:
+            self._take_sent()
+        if self._waiting and not self._work.busy and time.monotonic() >= self._try_at:
+            self._sending, again = sorted(self._waiting), self._again
+            self._work.begin(lambda: self._server.push(self._sending, again=again))
+
+    def _take_sent(self) -> None:
+        try:
+            refused = self._work.take()
+            if self._work.busy or refused is None:
+                return
+        except GisRadarError as error:
+            self._again, self._try_at = True, time.monotonic() + self._patience_s
+            self._patience_s = min(2.0 * self._patience_s, SLOWEST_RETRY_S)
+            if error.message != self._said:
+                self._said = error.message
+                self._reporter.log(f"{error.message}; trying on", "warning")
+            return
+        sent = {*self._sending}
+        self._waiting = [each for each in self._waiting if each not in sent]
+        self._keep()
+        if refused:
+            self._reporter.log(f"the server of lane measures refuses {refused} of them", "warning")
+        if self._said:
+            self._reporter.log("the server of lane measures takes them again")
+        self._again, self._patience_s, self._said = False, FIRST_RETRY_S, ""
+
+    def _keep(self) -> None:
+        try:
+            with whole_file(self._path) as part:
+                part.write_text(json.dumps(self._waiting), encoding="utf-8")
+        except GisRadarError as error:
+            self._reporter.log(error.message, "warning")
+
+
+def _read(path: Path) -> list[LaneMeasure]:
+    """Return measures that waited when fusion ended; none where there is no such file."""
+    try:
+        rows: Sequence[Sequence[float]] = json.loads(path.read_text(encoding="utf-8"))
+        return [LaneMeasure(int(lane), int(begin), int(end), float(percent), float(observed))
+                for lane, begin, end, percent, observed in rows]  # fmt: skip
+    except (OSError, ValueError, TypeError):
+        return []

@@ -1,0 +1,291 @@
+"""Push of lane measures to a server that speaks the OGC SensorThings API 1.1 (OGC 18-088).
+
+A lane is a Thing with its line as Location and one Datastream: its hit occupancy over an interval,
+in percent, with the observed seconds as a parameter. Nothing finer than a lane leaves the site.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import ssl
+import urllib.error
+import urllib.request
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from itertools import groupby, islice
+from typing import Any, NamedTuple
+from urllib.parse import quote
+
+from gis_radar.errors import GisRadarError, InputError
+from gis_radar.live.snapshot import Place, geometries
+from gis_radar.site.live_table import SensorThingsTable
+from gis_radar.steps import STEP_S, iso_from_step
+
+TIMEOUT_S = 30.0
+AT_ONCE = 500  # observations in a request
+MEASUREMENT = "http://www.opengis.net/def/observationType/OGC-OM/2.0/OM_Measurement"
+PERCENT = {"name": "percent", "symbol": "%", "definition": "https://qudt.org/vocab/unit/PERCENT"}
+PROPERTY = {
+    "name": "hit occupancy",
+    "definition": "urn:gis_radar:hit_occupancy",
+    "description": "Share of the observed time in which a radar hit something on a tile of the "
+    "lane, the mean of its tiles. It is below the share in which vehicles cover them.",
+}
+COMPONENTS = ["phenomenonTime", "resultTime", "result", "parameters"]
+_NOT_OFFERED = {404, 405, 501}  # of a server without the extension for many observations at once
+_UNWRITTEN = "error"  # what such a server puts in the place of a link
+
+
+class LaneMeasure(NamedTuple):
+    """What is pushed: the occupancy of a lane over an interval.
+
+    Parameters
+    ----------
+    lane : int
+        Its number.
+    begin, end : int
+        Steps, the end left out.
+    percent : float
+        Occupied of observed steps.
+    observed_s : float
+        Seconds that its tiles were observed, their mean.
+    """
+
+    lane: int
+    begin: int
+    end: int
+    percent: float
+    observed_s: float
+
+
+class ServerError(GisRadarError):
+    """A server that cannot be reached, or does not take what it gets."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Service:
+    """A SensorThings service.
+
+    Parameters
+    ----------
+    root : str
+        Its address with the version, without a slash at the end.
+    headers : mapping
+        Of each request.
+    """
+
+    root: str
+    headers: Mapping[str, str]
+
+    @classmethod
+    def of(cls, table: SensorThingsTable) -> Service:
+        """Return the service that a site's file names.
+
+        Raises
+        ------
+        InputError
+            If the file with the token or password cannot be read.
+        """
+        headers = {"Content-Type": "application/json", "Accept": "application/json"}
+        for path in (table.token_file, table.password_file):
+            if path is None:
+                continue
+            try:
+                secret = path.read_text(encoding="utf-8").strip()
+            except (OSError, UnicodeDecodeError) as error:
+                raise InputError(f"{path}: cannot be read: {error}") from error
+            if path == table.password_file:
+                both = base64.b64encode(f"{table.user or ''}:{secret}".encode()).decode()
+                headers["Authorization"] = f"Basic {both}"
+            else:
+                headers["Authorization"] = f"Bearer {secret}"
+        return cls(root=table.address.rstrip("/"), headers=headers)
+
+    def get(self, path: str) -> Any:
+        """Return the JSON at a path below the root."""
+        return self._ask(path, None)
+
+    def post(self, path: str, record: Any) -> Any:
+        """Post JSON; return what comes back, or nothing."""
+        return self._ask(path, json.dumps(record).encode())
+
+    def _ask(self, path: str, body: bytes | None) -> Any:
+        request = urllib.request.Request(  # noqa: S310 - http and https alone, checked
+            f"{self.root}/{path}", data=body, headers=dict(self.headers)
+        )
+        context = ssl.create_default_context() if self.root.startswith("https") else None
+        try:
+            with urllib.request.urlopen(request, timeout=TIMEOUT_S, context=context) as answer:  # noqa: S310
+                text = answer.read()
+        except urllib.error.HTTPError as error:
+            error.close()
+            raise ServerError(f"{self.root}: answers {error.code} to {path.partition('?')[0]}",
+                              hint=str(error.code)) from error  # fmt: skip
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "reason", error)
+            raise ServerError(f"{self.root}: cannot be reached: {reason}") from error
+        try:
+            return json.loads(text) if text.strip() else None
+        except ValueError as error:
+            raise ServerError(
+                f"{self.root}: answers no JSON to {path.partition('?')[0]}"
+            ) from error
+
+    def find(self, entities: str, name: str) -> Any:
+        """Return the id of the entity with a name; None where there is none."""
+        asked = quote(f"name eq '{name.replace(chr(39), 2 * chr(39))}'")
+        found = self.get(f"{entities}?$filter={asked}&$top=1&$select=@iot.id")
+        values = found.get("value") if isinstance(found, dict) else None
+        return values[0].get("@iot.id") if values and isinstance(values[0], dict) else None
+
+
+class LaneServer:
+    """The lanes of a site on a server: entities are made where they are missing.
+
+    Parameters
+    ----------
+    service : Service
+        The server.
+    place : Place
+        Lanes and title of the site.
+    site : str
+        Its name in topics, which begins all names.
+    """
+
+    def __init__(self, service: Service, place: Place, site: str) -> None:
+        self._service, self._place, self._site = service, place, site
+        self._streams: dict[int, Any] = {}
+        self._one_by_one = False
+        lanes = place.lanes.set_index("lane")
+        shapes = geometries(place.in_degrees(place.lanes).geometry.to_numpy())
+        self._shapes = dict(zip(lanes.index.tolist(), shapes, strict=True))
+        self._streets = dict(zip(lanes.index.tolist(), lanes["street"].tolist(), strict=True))
+
+    def push(self, measures: Sequence[LaneMeasure], *, again: bool = False) -> int:
+        """Push measures; return how many the server did not take.
+
+        Parameters
+        ----------
+        measures : sequence of LaneMeasure
+            In order of lane and time.
+        again : bool
+            Whether some of them may have arrived before: then the server is asked.
+
+        Raises
+        ------
+        ServerError
+            If the server cannot be reached or refuses: none, or some of them, arrived.
+        """
+        refused = 0
+        rows = self._new(measures) if again else iter(measures)
+        while part := list(islice(rows, AT_ONCE)):
+            refused += self._create(part)
+        return refused
+
+    def _new(self, measures: Sequence[LaneMeasure]) -> Iterator[LaneMeasure]:
+        """Yield those that are later than all that the server has of their lane."""
+        for lane, group in groupby(measures, lambda each: each.lane):
+            last = self._last(lane)
+            yield from (each for each in group if each.begin * STEP_S > last + STEP_S / 2.0)
+
+    def _last(self, lane: int) -> float:
+        """Return when the newest interval of a lane on the server began, UNIX seconds."""
+        path = f"Datastreams({_key(self._stream(lane))})/Observations"
+        asked = "$orderby=phenomenonTime%20desc&$top=1&$select=phenomenonTime"
+        found = self._service.get(f"{path}?{asked}")
+        values = found.get("value") if isinstance(found, dict) else None
+        return _time_of(str((values or [{}])[0].get("phenomenonTime", "")).partition("/")[0])
+
+    def _create(self, measures: Sequence[LaneMeasure]) -> int:
+        if not self._one_by_one:
+            try:
+                return self._create_at_once(measures)
+            except ServerError as error:
+                if error.hint not in {str(code) for code in _NOT_OFFERED}:
+                    raise
+                self._one_by_one = True
+        for each in measures:
+            record = dict(zip(COMPONENTS, _values(each), strict=True))
+            self._service.post(f"Datastreams({_key(self._stream(each.lane))})/Observations", record)
+        return 0
+
+    def _create_at_once(self, measures: Sequence[LaneMeasure]) -> int:
+        arrays = []
+        for lane, group in groupby(measures, lambda each: each.lane):
+            values = [_values(each) for each in group]
+            arrays.append({
+                "Datastream": {"@iot.id": self._stream(lane)}, "components": COMPONENTS,
+                "dataArray@iot.count": len(values), "dataArray": values,
+            })  # fmt: skip
+        links = self._service.post("CreateObservations", arrays)
+        return sum(str(link).startswith(_UNWRITTEN) for link in links or [])
+
+    def _stream(self, lane: int) -> Any:
+        """Return the id of a lane's Datastream; it is made where there is none."""
+        if lane not in self._streams:
+            name = f"{self._site}/lane/{lane}/occupancy"
+            found = self._service.find("Datastreams", name)
+            if found is None:
+                self._service.post("Things", self._thing(lane, name))
+                found = self._service.find("Datastreams", name)
+            if found is None:
+                raise ServerError(f"{self._service.root}: does not keep what is made there")
+            self._streams[lane] = found
+        return self._streams[lane]
+
+    def _thing(self, lane: int, stream: str) -> dict[str, Any]:
+        title, street = self._place.title, self._streets.get(lane)
+        where = f"{street}, {title}" if isinstance(street, str) and street else title
+        about = f"Lane {lane} of {where}"
+        name = f"{self._site}/lane/{lane}"
+        location = {"name": name, "description": about, "encodingType": "application/geo+json",
+                    "location": self._shapes[lane]}  # fmt: skip
+        return {
+            "name": name, "description": about,
+            "properties": {"site": self._site, "lane": lane, "street": street},
+            "Locations": [location],
+            "Datastreams": [{
+                "name": stream, "description": f"Hit occupancy of lane {lane}",
+                "observationType": MEASUREMENT, "unitOfMeasurement": PERCENT,
+                "Sensor": {"@iot.id": self._entity("Sensors", self._sensor())},
+                "ObservedProperty": {"@iot.id": self._entity("ObservedProperties", PROPERTY)},
+            }],
+        }  # fmt: skip
+
+    def _sensor(self) -> dict[str, str]:
+        return {
+            "name": f"{self._site}/radars", "description": f"Radars of {self._place.title}",
+            "encodingType": "text/html",
+            "metadata": "Roadside radars; tiles of lanes that they hit, by gis_radar.",
+        }  # fmt: skip
+
+    def _entity(self, entities: str, record: dict[str, str]) -> Any:
+        found = self._service.find(entities, record["name"])
+        if found is None:
+            self._service.post(entities, record)
+            found = self._service.find(entities, record["name"])
+        return found
+
+
+def _values(each: LaneMeasure) -> list[Any]:
+    begin, end = iso_from_step(each.begin), iso_from_step(each.end)
+    return [f"{begin}/{end}", end, each.percent, {"observed_s": each.observed_s}]
+
+
+def _key(found: Any) -> str:
+    """Return an id as it stands in an address."""
+    if isinstance(found, int):
+        return str(found)
+    text = str(found).replace("'", "''")
+    return quote(f"'{text}'")
+
+
+def _time_of(text: str) -> float:
+    """Return a time that a server states, UNIX seconds; long ago where it states none."""
+    try:
+        return datetime.fromisoformat(text).timestamp()
+    except ValueError:
+        return -math.inf

@@ -1,0 +1,285 @@
+"""The push of lane measures, against a server that checks what the standard requires.
+
+OGC 18-088, tables of the sensing entities: which properties are mandatory, and which relations.
+"""
+
+import json
+import re
+import threading
+import time
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from urllib.parse import parse_qs, unquote, urlsplit
+from zoneinfo import ZoneInfo
+
+import numpy as np
+import pytest
+from live_programs import Lines
+from live_site import SAMPLE, LiveSite
+
+import gis_radar as gr
+from gis_radar.errors import InputError
+from gis_radar.live.fusion import Fusion
+from gis_radar.live.lane_push import LanePush
+from gis_radar.live.sensorthings import LaneMeasure, LaneServer, Service
+from gis_radar.live.settings import read_live_site
+from gis_radar.live.snapshot import Place
+from gis_radar.site.live_table import SensorThingsTable
+
+MANDATORY = {
+    "Things": {"name", "description"},
+    "Locations": {"name", "description", "encodingType", "location"},
+    "Datastreams": {"name", "description", "observationType", "unitOfMeasurement"},
+    "Sensors": {"name", "description", "encodingType", "metadata"},
+    "ObservedProperties": {"name", "definition", "description"},
+    "Observations": {"phenomenonTime", "resultTime", "result"},
+}
+PERIOD = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?Z(/\d{4}-\d\d-\d\dT[\d:.]+Z)?")
+
+
+class Server(ThreadingHTTPServer):
+    """A SensorThings service, as much of it as a push needs; `odd` keeps what breaks a rule."""
+
+    daemon_threads = True
+
+    def __init__(self, *, at_once=True):
+        self.entities = {name: [] for name in MANDATORY}
+        self.odd, self.asked, self.fails, self.drops, self.at_once = [], [], 0, 0, at_once
+        super().__init__(("127.0.0.1", 0), Handler)
+        threading.Thread(target=self.serve_forever, daemon=True).start()
+
+    @property
+    def address(self):
+        return f"http://127.0.0.1:{self.server_address[1]}/v1.1"
+
+    def check(self, what, found):
+        if not found:
+            self.odd.append(what)
+
+    def add(self, kind, record):
+        missing = MANDATORY[kind] - {key for key, value in record.items() if value is not None}
+        self.check(f"{kind} without {sorted(missing)}", not missing)
+        if kind == "Things":
+            for each in record.pop("Locations", []):
+                self.check("encoding", each["encodingType"] == "application/geo+json")
+                self.check("longitude first", 5 < each["location"]["coordinates"][0][0] < 16)
+                self.add("Locations", each)
+            for each in record.pop("Datastreams", []):
+                self.add("Datastreams", each)
+        if kind == "Datastreams":
+            unit = record["unitOfMeasurement"]
+            self.check("unit", {"name", "symbol", "definition"} <= set(unit))
+            for name, entities in (
+                ("Sensor", "Sensors"),
+                ("ObservedProperty", "ObservedProperties"),
+            ):
+                ids = [each["@iot.id"] for each in self.entities[entities]]
+                self.check(f"no {name}", record[name]["@iot.id"] in ids)
+        if kind == "Observations":
+            for name in ("phenomenonTime", "resultTime"):
+                self.check(f"{name}: {record[name]}", PERIOD.fullmatch(record[name]))
+            self.check("an instant", "/" not in record["resultTime"])
+            self.check("result", 0.0 <= record["result"] <= 100.0)
+            ids = [each["@iot.id"] for each in self.entities["Datastreams"]]
+            self.check("stream", record["Datastream"]["@iot.id"] in ids)
+        self.entities[kind].append(record | {"@iot.id": len(self.entities[kind]) + 1})
+
+    def results(self):
+        streams = {each["@iot.id"]: each["name"] for each in self.entities["Datastreams"]}
+        return sorted(
+            (streams[each["Datastream"]["@iot.id"]], each["phenomenonTime"], each["result"])
+            for each in self.entities["Observations"]
+        )
+
+
+class Handler(BaseHTTPRequestHandler):
+    """Answers as the standard says."""
+
+    def do_GET(self):
+        parts = urlsplit(self.path)
+        query = parse_qs(parts.query)
+        self.server.asked.append(("GET", unquote(self.path), self.headers.get("Authorization")))
+        path = parts.path.removeprefix("/v1.1/")
+        if of_stream := re.fullmatch(r"Datastreams\((\d+)\)/Observations", path):
+            rows = [each for each in self.server.entities["Observations"]
+                    if each["Datastream"]["@iot.id"] == int(of_stream[1])]  # fmt: skip
+            rows.sort(key=lambda each: each["phenomenonTime"], reverse=True)
+        else:
+            name = re.fullmatch(r"name eq '(.*)'", query["$filter"][0])[1].replace("''", "'")
+            rows = [each for each in self.server.entities[path] if each["name"] == name]
+        self.answer(200, {"value": rows[: int(query["$top"][0])]})
+
+    def do_POST(self):
+        body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
+        path = self.path.removeprefix("/v1.1/")
+        self.server.asked.append(("POST", path, self.headers.get("Authorization")))
+        if self.server.fails:
+            self.server.fails -= 1
+            return self.answer(503, {})
+        if path == "CreateObservations":
+            if not self.server.at_once:
+                return self.answer(404, {})
+            links = []
+            for array in body:
+                self.server.check("count", array["dataArray@iot.count"] == len(array["dataArray"]))
+                for values in array["dataArray"]:
+                    row = dict(zip(array["components"], values, strict=True))
+                    self.server.add("Observations", row | {"Datastream": array["Datastream"]})
+                    links.append("link")
+            if self.server.drops:  # taken, and the answer is lost
+                self.server.drops -= 1
+                self.connection.close()
+                return None
+            return self.answer(201, links)
+        if of_stream := re.fullmatch(r"Datastreams\((\d+)\)/Observations", path):
+            self.server.add("Observations", body | {"Datastream": {"@iot.id": int(of_stream[1])}})
+        else:
+            self.server.add(path, body)
+        return self.answer(201, None)
+
+    def answer(self, code, record):
+        text = b"" if record is None else json.dumps(record).encode()
+        self.send_response(code)
+        self.send_header("Content-Length", str(len(text)))
+        self.end_headers()
+        self.wfile.write(text)
+
+    def log_message(self, *_):
+        """Say nothing."""
+
+
+@pytest.fixture
+def server():
+    made = Server()
+    yield made
+    made.shutdown()
+    made.server_close()
+
+
+@pytest.fixture(scope="module")
+def place():
+    roads = gr.read_map(SAMPLE / "junction.osm")
+    return Place(
+        title="O'Hara's junction", zone=ZoneInfo("UTC"), tiles=gr.make_tiles(roads),
+        lanes=gr.lanes(roads),
+    )  # fmt: skip
+
+
+def table(server, **more):
+    return SensorThingsTable.model_validate({"address": server.address} | more)
+
+
+def push_of(server, place, folder, said=None, **more):
+    made = LanePush(
+        table(server, **more), place, site="junction", path=folder / "waiting.json",
+        reporter=said or Lines(),
+    )  # fmt: skip
+    made._patience_s = 0.05
+    return made
+
+
+def until_sent(push):
+    end = time.monotonic() + 20.0
+    while push.waiting or push._work.busy:
+        push._patience_s = min(push._patience_s, 0.05)
+        push.regular()
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def count(push, place, first, steps):
+    """Let half of the time every tile be occupied, all observed."""
+    tiles = len(place.tiles)
+    for step in range(first, first + steps):
+        push.take(step, np.full(tiles, step % 2 == 0), np.ones(tiles, np.bool_))
+
+
+BEGIN = 20 * 1_750_000_200  # a full minute
+
+
+def test_lanes_and_their_intervals_arrive_as_the_standard_asks(server, place, tmp_path):
+    push = push_of(server, place, tmp_path, interval="1min")
+    count(push, place, BEGIN, 2 * 1200 + 1)
+    lanes = len(place.lane_numbers)
+    assert push.waiting == 2 * lanes
+    until_sent(push)
+    assert server.odd == []
+    sizes = {name: len(rows) for name, rows in server.entities.items()}
+    assert sizes == {"Things": lanes, "Locations": lanes, "Datastreams": lanes, "Sensors": 1,
+                     "ObservedProperties": 1, "Observations": 2 * lanes}  # fmt: skip
+    first = server.entities["Observations"][0]
+    assert first["phenomenonTime"] == "2025-06-15T15:10:00Z/2025-06-15T15:11:00Z"
+    assert (first["result"], first["parameters"]) == (50.0, {"observed_s": 60.0})
+    assert [path for _, path, _ in server.asked].count("CreateObservations") == 1
+    again = push_of(server, place, tmp_path, interval="1min")  # a new start finds all there
+    count(again, place, BEGIN + 2 * 1200, 1201)
+    until_sent(again)
+    assert len(server.entities["Things"]) == lanes
+    assert len(server.entities["Observations"]) == 3 * lanes
+
+
+def test_a_server_that_fails_gets_all_of_it_later_and_nothing_twice(server, place, tmp_path):
+    said = Lines()
+    server.fails, server.drops = 2, 1
+    push = push_of(server, place, tmp_path, said, interval="1min")
+    count(push, place, BEGIN, 1201)
+    kept = json.loads((tmp_path / "waiting.json").read_text())
+    assert len(kept) == len(place.lane_numbers)
+    until_sent(push)
+    results = server.results()
+    assert len(results) == len({each[:2] for each in results}) == len(place.lane_numbers)
+    assert sum("answers 503" in line for line in said.lines) >= 1
+    assert said.lines[-1] == "the server of lane measures takes them again"
+    assert json.loads((tmp_path / "waiting.json").read_text()) == []
+
+
+def test_what_waited_when_fusion_was_killed_is_sent_after_a_new_start(server, place, tmp_path):
+    rows = [LaneMeasure(place.lane_numbers[0], BEGIN, BEGIN + 1200, 12.5, 60.0)]
+    (tmp_path / "waiting.json").write_text(json.dumps(rows))
+    push = push_of(server, place, tmp_path)
+    until_sent(push)
+    assert [each[2] for each in server.results()] == [12.5]
+    (tmp_path / "waiting.json").write_text("[[1, 2]]")
+    assert push_of(server, place, tmp_path).waiting == 0  # a damaged file ends nothing
+
+
+def test_a_server_without_the_extension_gets_them_one_by_one(place):
+    server = Server(at_once=False)
+    lane = place.lane_numbers[0]
+    rows = [LaneMeasure(lane, BEGIN + k * 1200, BEGIN + (k + 1) * 1200, 1.0, 60.0)
+            for k in range(3)]  # fmt: skip
+    assert LaneServer(Service.of(table(server)), place, "junction").push(rows) == 0
+    assert server.odd == []
+    assert len(server.results()) == 3
+    server.shutdown()
+    server.server_close()
+
+
+@pytest.mark.parametrize(
+    ("keys", "header"),
+    [({"token_file": "abc"}, "Bearer abc"),
+     ({"user": "u", "password_file": "p"}, "Basic dTpw"), ({}, None)],
+)  # fmt: skip
+def test_log_ins_are_sent(server, tmp_path, keys, header):
+    given = {}
+    for key, text in keys.items():
+        given[key] = text
+        if key.endswith("_file"):
+            (tmp_path / key).write_text(f"{text}\n")
+            given[key] = str(tmp_path / key)
+    Service.of(table(server, **given)).find("Sensors", "x'y")
+    assert server.asked == [("GET", "/v1.1/Sensors?$filter=name eq 'x''y'&$top=1&$select=@iot.id",
+                             header)]  # fmt: skip
+
+
+def test_a_site_pushes_only_where_its_file_says_so(tmp_path, once, server):
+    site = LiveSite(tmp_path, once)
+    assert Fusion(read_live_site(site.file))._push is None
+    (tmp_path / "two").mkdir()
+    more = f'[live.sensorthings]\naddress = "{server.address}"\ninterval = "5min"'
+    other = LiveSite(tmp_path / "two", once, of_live=more)
+    fusion = Fusion(read_live_site(other.file))
+    assert fusion._push is not None
+    bad = other.file.read_text().replace(server.address, "ftp://x")
+    other.file.write_text(bad)
+    with pytest.raises(InputError, match="expected an http or https address"):
+        read_live_site(other.file)
