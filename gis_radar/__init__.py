@@ -11,6 +11,21 @@ What the package offers is listed in `__init__.pyi` and loaded when it is first 
 line answers at once.
 """
 
+from typing import Any
+
 import lazy_loader
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_public, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> Any:
+    try:
+        return _public(name)
+    except AttributeError:
+        from gis_radar.earlier import earlier  # noqa: PLC0415 - rarely asked for
+
+        try:
+            return earlier(name)
+        except AttributeError:
+            pass
+        raise

@@ -23,7 +23,7 @@ ROWS = """
     qgis report
     site
     live
-    demo
+    demo earlier
     gis_radar
     cli
     __main__
