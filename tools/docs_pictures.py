@@ -6,8 +6,9 @@
 
 heatmap, localize: from the demo's own files; report: in Chromium; coverage: beside the truth; qgis:
 the desktop on a virtual screen with its toolbox and a dialog at work, and a sheet of its report;
-readme: what README's first command and its Python print. Needs Chromium, and QGIS with Xvfb,
-openbox and ImageMagick (tools/get_browser_and_qgis.sh). Look at each afterwards.
+wizard: a radar that is placed on the map; readme: what README's first command and its Python print.
+Needs Chromium, and QGIS with Xvfb, openbox and ImageMagick (tools/get_browser_and_qgis.sh). Look at
+each afterwards.
 """
 
 from __future__ import annotations
@@ -88,6 +89,64 @@ def at_work():
 steps.append((5, at_work))
 """
 
+WIZARD = """
+from qgis.PyQt.QtCore import QPoint
+from qgis.PyQt.QtTest import QTest
+from qgis.PyQt.QtWidgets import QApplication
+from qgis.core import QgsPointXY, QgsRectangle
+from qgis.utils import loadPlugin, startPlugin
+
+@after(1)
+def begin():
+    if "gis_radar_plugin" not in plugins:
+        assert loadPlugin("gis_radar_plugin") and startPlugin("gis_radar_plugin")
+    iface.mainWindow().showMaximized()
+    for name in ("Browser", "MessageLog", "Layers"):
+        docks()[name].hide()
+    global wizard
+    wizard = plugins["gis_radar_plugin"].new_site()
+    wizard.map_page.map_box.setFilePath(JUNCTION + "/junction.osm")
+    wizard.map_page.scan_box.setFilePath(JUNCTION + "/scan.laz")
+
+def read():
+    if not wizard.map_page.isComplete():
+        steps.insert(0, (0.5, read))
+steps.append((1, read))
+
+def at(east, north):
+    place = wizard.canvas.getCoordinateTransform().transform(QgsPointXY(east, north))
+    return QPoint(round(place.x()), round(place.y()))
+
+def drag(start, end):
+    view, left, none = wizard.canvas.viewport(), Qt.MouseButton.LeftButton, Qt.NoModifier
+    wizard.radar_page.place_button.click()
+    QTest.mousePress(view, left, none, at(*start))
+    QTest.mouseMove(view, at(*end))
+    QApplication.processEvents()
+    QTest.mouseRelease(view, left, none, at(*end))
+
+@after(2)
+def radars():
+    wizard.next()
+    wizard.canvas.setExtent(QgsRectangle(690290, 5336115, 690640, 5336290))
+    wizard.resize(660, 560)
+
+@after(3)
+def dragged():
+    drag((690356, 5336183), (690436, 5336215))
+    wizard.radar_page.add_recordings([JUNCTION + "/R1.parquet"])
+    drag((690383, 5336229), (690400, 5336190))
+    wizard.radar_page.add_recordings([JUNCTION + "/R2.parquet"])
+    wizard.radar_page.list.setCurrentRow(0)
+    area = iface.mainWindow().geometry()
+    wizard.move(area.right() - wizard.width() - 12, area.top() + 30)
+
+@after(3)
+def shown():
+    shot("wizard.png")
+    wizard.done(0)
+"""
+
 
 def main() -> None:
     """Take the pictures that are asked for, all by default."""
@@ -143,6 +202,17 @@ def qgis(demo: Path) -> None:
         keep(Image.open(place / "report" / "Junction_1_whole.png"), "qgis-sheet", 1200)
 
 
+def wizard(_demo: Path) -> None:
+    """Take the site wizard over the map, with the sample's radars placed."""
+    with tempfile.TemporaryDirectory() as name:
+        place = Path(name)
+        shutil.copytree(ROOT / "sample_maps", place / "junction")
+        script = desktop_script(WIZARD, SHOTS=name, JUNCTION=str(place / "junction"))
+        with virtual_screen(*SCREEN, _around(place)) as around:
+            checked(run_desktop(script, place, place, around))
+        keep(Image.open(place / "wizard.png"), "qgis-wizard", SCREEN[0])
+
+
 def readme(demo: Path) -> None:
     """Put what README's first commands and its Python print into README."""
     page, around = ROOT / "README.md", {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -162,7 +232,7 @@ def readme(demo: Path) -> None:
 
 PICTURES = {
     "heatmap": heatmap, "localize": localize, "report": report, "coverage": coverage, "qgis": qgis,
-    "readme": readme,
+    "wizard": wizard, "readme": readme,
 }  # fmt: skip
 
 
