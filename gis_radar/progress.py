@@ -8,6 +8,7 @@ from typing import Literal
 
 Level = Literal["info", "warning"]
 
+MOST_NAMES = 2  # of stages before a warning
 _LOGGER = logging.getLogger("gis_radar")
 
 
@@ -42,9 +43,15 @@ SILENT = Silent()
 
 
 def warnings_once(by_stage: Mapping[str, Sequence[str]]) -> list[str]:
-    """Return the warnings of stages, each once, after the names of the stages that gave it."""
+    """Return the warnings of stages, each once, after the names of the stages that gave it.
+
+    What more than two gave is not theirs, but of a file that all read: it stands alone.
+    """
     stages: dict[str, list[str]] = {}
     for name, warnings in by_stage.items():
         for text in dict.fromkeys(warnings):
             stages.setdefault(text, []).append(name)
-    return [f"{', '.join(names)}: {text}" for text, names in stages.items()]
+    return [
+        text if len(names) > MOST_NAMES else f"{', '.join(names)}: {text}"
+        for text, names in stages.items()
+    ]

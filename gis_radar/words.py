@@ -115,8 +115,8 @@ def _before(text: str) -> str:
     """Return what stands before a message in the current language; a name as it is."""
     known = catalogue(_CURRENT.get())
     words = text.split(" ")
-    if words[0] in _STAGES:
-        return stage_words(text)
+    if words[0].rstrip(",") in _STAGES:
+        return ", ".join(map(stage_words, text.split(", ")))
     return known.get(text, text) if len(words) > 1 or text in _VERDICTS else text
 
 

@@ -245,6 +245,15 @@ def test_a_translation_is_complete(path):
     assert missing == []
 
 
+def test_the_page_on_qgis_gives_its_names_in_german():
+    page = (ROOT / "docs" / "qgis.md").read_text(encoding="utf-8")
+    table = page.split("<!-- names in German -->")[1].split("<!-- end of names in German -->")[0]
+    rows = dict(re.findall(r"\| \*([^*]+)\* \| \*([^*]+)\* \|", table))
+    german = json.loads((CATALOGUES / "de.json").read_text(encoding="utf-8"))
+    assert len(rows) == 10
+    assert rows == {name: german[name] for name in rows}
+
+
 @pytest.mark.parametrize("path", sorted(CATALOGUES.glob("*.json")), ids=lambda p: p.stem)
 def test_a_catalogue_is_well_formed(path):
     known = json.loads(path.read_text(encoding="utf-8"))
