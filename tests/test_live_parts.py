@@ -3,6 +3,7 @@
 import sqlite3
 from collections import Counter
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,23 +20,31 @@ from gis_radar.live.health import SensorHealth, prometheus_text
 from gis_radar.live.map_of_now import MapOfNow
 from gis_radar.live.payload import (
     HITS,
+    RETURNS,
     Acknowledgement,
     Envelope,
-    FrameReturns,
     PoseContent,
     VersionError,
     pack_hits,
     pack_message,
-    pack_returns,
     unpack_hits,
     unpack_message,
-    unpack_returns,
 )
 from gis_radar.live.recent import RecentCounts
+from gis_radar.live.returns import (
+    FARTHEST,
+    FrameReturns,
+    ReturnFinder,
+    head_of,
+    pack_returns,
+    unpack_returns,
+)
 from gis_radar.live.sources import Replay, frames_of_recording
 from gis_radar.live.windows import Seen, Windows
+from gis_radar.occupancy.frame_log import NO_FURTHER
 from gis_radar.occupancy.hit_counter import CountedFrame
 from gis_radar.progress import Reporter
+from gis_radar.recordings.recording import Detections
 from gis_radar.sight import SightTiles
 
 PRINT = "00112233445566778899aabbccddeeff"
@@ -73,14 +82,44 @@ def test_frames_come_out_of_a_message_as_they_went_in(rows, number, pose, stream
         assert [getattr(one, n) for n in names] == [getattr(other, n) for n in names]
 
 
-@given(st.lists(st.tuples(*[st.integers(-(2**31), 2**31)] * 3, st.integers(-9000, 9000))))
-def test_returns_come_out_sorted_by_x(rows):
-    values = np.array(rows, np.int64).reshape(-1, 4)
-    frame = FrameReturns(time_us=1, points_cm=values[:, :3], rates_cmps=values[:, 3])
-    pose, (back,) = unpack_returns(pack_returns([frame], pose=9))
-    order = np.argsort(values[:, 0], kind="stable")
-    assert pose == 9
-    assert np.array_equal(np.column_stack([back.points_cm, back.rates_cmps]), values[order])
+@given(
+    st.lists(
+        st.tuples(*[st.integers(-FARTHEST, FARTHEST)] * 3, st.integers(-45_000, 45_000),
+                  st.integers(-128, 100)),
+        max_size=60,
+    )
+)  # fmt: skip
+def test_returns_come_out_as_they_went_in(rows):
+    values = np.array(rows, np.int64).reshape(-1, 5)
+    frame = FrameReturns(time_us=1, points=values[:, :3], rates=values[:, 3], rcs_db=values[:, 4])
+    content = pack_returns([frame, replace(frame, time_us=50_001)], pose=9)
+    assert head_of(content) == (9, 2)
+    pose, found = unpack_returns(content)
+    assert (pose, [each.time_us for each in found]) == (9, [1, 50_001])
+    for back in found:
+        assert np.array_equal(np.column_stack([back.points, back.rates, back.rcs_db]), values)
+
+
+def test_what_is_not_measured_is_not_known_again():
+    time, none = np.full(3, 5.0), np.full(3, np.nan)
+    points = np.column_stack([[10.0, 20.0, 30.0], [1.0, -2.0, 3.0], none])
+    frame = Detections(
+        time=time, points=points, range_rate=np.array([0.149, -0.151, 8.0049]), rcs=none,
+        further=NO_FURTHER,
+    )  # fmt: skip
+    quads = np.array([[[0.0, -5.0], [50.0, -5.0], [50.0, 5.0], [0.0, 5.0]]])
+    road = SightTiles(tile_id=np.array([0]), lanelet_id=np.array([0]), quads=quads,
+                      height=np.array([np.nan]), crs="EPSG:25832", fingerprint="")  # fmt: skip
+    pose = gr.Pose(sensor="R1", crs="EPSG:25832", easting=0.0, northing=0.0, height=5.0, yaw=0.0,
+                   pitch=0.0, roll=0.0)  # fmt: skip
+    found = ReturnFinder(road).find(frame, pose, road_m=0.0)
+    _, (back,) = unpack_returns(pack_returns([found], pose=1))
+    read = back.detections()
+    assert np.isnan(read.points[:, 2]).all()
+    assert np.isnan(read.rcs).all()
+    assert read.range_rate[0] == 0.0  # stands; the next one just does not
+    assert read.range_rate[1:] == pytest.approx([-0.151, 8.005], abs=0.001)
+    assert abs(read.range_rate[1]) >= 0.15
 
 
 @settings(max_examples=200, deadline=None)
@@ -89,7 +128,7 @@ def test_what_is_no_message_is_refused_and_nothing_else_is_raised(noise, start):
     good = pack_message(Envelope(kind=HITS, stream=b"abcd", number=5), b"")
     data = good[: [0, 2, 6, len(good)][start]] + noise
     for read in (unpack_message, Acknowledgement.unpack, PoseContent.unpack, unpack_returns,
-                 lambda each: unpack_hits(each, tiles=10)):  # fmt: skip
+                 head_of, lambda each: unpack_hits(each, tiles=10)):  # fmt: skip
         with suppress(InputError):
             read(data)
 
@@ -98,6 +137,7 @@ def test_what_is_no_message_is_refused_and_nothing_else_is_raised(noise, start):
     ("data", "says"),
     [
         (b"\x02\x01abcd\x01\x00", "version 2, expected 1"),
+        (b"\x01\x83abcd\x00\x00", "version 1, expected 2"),  # returns of an earlier sensor
         (b"", "version none"),
         (b"\x01\x07abcd\x01\x00", "of kind 7"),
         (b"\x01\x01ab", "4 bytes"),
@@ -132,6 +172,7 @@ def finder():
 
 
 def test_messages_are_as_small_as_stated(finder):
+    road = SightTiles.of(gr.make_tiles(gr.read_map(SAMPLE / "junction.osm")))
     frames = list(frames_of_recording(SAMPLE / "R1.parquet"))[:600]
     number = 20 * 86_400 * 365  # of a year
     envelope = Envelope(kind=HITS, stream=b"abcd", number=number, previous=number - 1)
@@ -139,8 +180,9 @@ def test_messages_are_as_small_as_stated(finder):
         len(pack_message(envelope, pack_hits([finder.find(f)], pose=number, fingerprint=PRINT)))
         for f in frames
     ]
+    envelope, returned = replace(envelope, kind=RETURNS), ReturnFinder(road)
     returns = [
-        len(pack_message(envelope, pack_returns([finder.returns(f, 0.5)], pose=number)))
+        len(pack_message(envelope, pack_returns([finder.returns(f, returned)], pose=number)))
         for f in frames
     ]
     assert np.percentile(hits, 99) < 150

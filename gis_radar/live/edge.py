@@ -32,13 +32,12 @@ from gis_radar.live.payload import (
     POSE,
     RETURNS,
     Envelope,
-    FrameReturns,
     PoseContent,
     in_parts,
     pack_hits,
     pack_message,
-    pack_returns,
 )
+from gis_radar.live.returns import FrameReturns, ReturnFinder, pack_returns
 from gis_radar.live.settings import DEFAULTS, EdgeFile, LiveSettings, read_edge_file
 from gis_radar.live.sources import IDLE_S, Frames, Radar, Replay
 from gis_radar.localization.settings import DEFAULTS as LOCALIZATION
@@ -82,19 +81,9 @@ class TileFinder:
         (found,) = self._counter.count(frame, self.pose, road_m=self._road_m)
         return found
 
-    def returns(self, frame: Detections, moving_mps: float) -> FrameReturns:
-        """Return what a tracker needs of a frame: what moves, and what is on tiles."""
-        place = self.pose.to_map(frame.points, road_m=self._road_m)
-        on_tile, _ = self._grid.assign(place[:, 0], place[:, 1])
-        keep = (np.abs(frame.range_rate) >= moving_mps) & frame.present
-        keep[on_tile] = True
-        points = np.nan_to_num(frame.points[keep])
-        rate = np.nan_to_num(frame.range_rate[keep])
-        return FrameReturns(
-            time_us=int(np.rint(frame.time[0] * 1e6)),
-            points_cm=np.rint(100.0 * points).astype(np.int64),
-            rates_cmps=np.rint(100.0 * rate).astype(np.int64),
-        )
+    def returns(self, frame: Detections, finder: ReturnFinder) -> FrameReturns:
+        """Return what a tracker needs of a frame."""
+        return finder.find(frame, self.pose, road_m=self._road_m)
 
 
 class Edge:
@@ -138,6 +127,7 @@ class Edge:
         self._follower: PoseFollower | None = None
         self._waiting: list[CountedFrame] = []
         self._returns: list[FrameReturns] = []
+        self._return_finder = ReturnFinder(self._road)
         self._gathered: deque[Detections] = deque(maxlen=LOCALIZATION.traces.frames)
         self._try_at = LOCALIZATION.traces.frames
 
@@ -348,7 +338,7 @@ class Edge:
         self._last_step = found.time_us // STEP_US
         self._waiting.append(found)
         if self._file.returns:
-            self._returns.append(self._finder.returns(frame, OCCUPANCY.moving_mps))
+            self._returns.append(self._finder.returns(frame, self._return_finder))
         if len(self._waiting) >= self._file.frames_a_message:
             self._flush()
 

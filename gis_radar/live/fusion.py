@@ -19,6 +19,7 @@ from gis_radar.live.health import HealthServer, prometheus_text
 from gis_radar.live.intake import FUSION, Intake, SensorState
 from gis_radar.live.journal import HOUR_US, Journal
 from gis_radar.live.lane_push import LanePush
+from gis_radar.live.live_vehicles import LiveVehicles
 from gis_radar.live.map_of_now import MapOfNow, MapState
 from gis_radar.live.payload import Acknowledgement
 from gis_radar.live.settings import DEFAULTS, LiveSettings, LiveSite, read_live_site
@@ -85,6 +86,10 @@ class Fusion:
         )  # fmt: skip
         self._windows = Windows(site.live.lateness)
         self._map = MapOfNow(len(road.tile_id), interval=interval_steps(site.live.interval))
+        self.vehicles = (
+            LiveVehicles(site, self.tiles, self._book, reporter=reporter)
+            if site.live.vehicles else None
+        )  # fmt: skip
         self._page = _page(self, site)
         self._push = _push(site, self.tiles, reporter)
         self._written: dict[Path, None] = {}
@@ -97,7 +102,7 @@ class Fusion:
             journal=self._journal, windows=self._windows, current=self._map, settings=settings,
             reporter=reporter,
         )  # fmt: skip
-        self.sensors = self.intake.sensors
+        self.sensors, self.intake.vehicles = self.intake.sensors, self.vehicles
         now_us = int(time.time() * 1e6)
         interval_us = interval_steps(site.live.interval) * STEP_US
         self._advance(self.intake.resume(now_us - now_us % interval_us, now_us))
@@ -105,7 +110,8 @@ class Fusion:
     @property
     def outputs(self) -> list[Path]:
         """The folders of the hours that were written, and the files for QGIS."""
-        return [*self._written, self._site.folder / NOW_FILE]
+        followed = self.vehicles.written if self.vehicles is not None else {}
+        return [*self._written, *followed, self._site.folder / NOW_FILE]
 
     def figures(self) -> dict[str, object]:
         """Return what came of each sensor, by name."""
@@ -125,6 +131,8 @@ class Fusion:
             "unknown_sensors": float(len(self.intake.unknown)),
             "broker_connections": float(self._link.connections) if self._link else 0.0,
         }
+        if self.vehicles is not None:
+            figures |= self.vehicles.figures()
         return prometheus_text([each.health for each in self.sensors.values()], figures)
 
     _link: Link | None = None
@@ -211,6 +219,8 @@ class Fusion:
         for each in self.sensors.values():
             if each.due:
                 self._acknowledge(each)
+        if self.vehicles is not None:
+            self.vehicles.turn()
 
     def _commit(self) -> None:
         """Bring frames to the disk; only then is anything acknowledged."""
@@ -283,6 +293,8 @@ class Fusion:
         for hour in list(self.intake.touched):
             self._begin_hour(hour)
             self._take_written(wait=True)
+        if self.vehicles is not None:
+            self.vehicles.finish()
         self._exporter.take(wait=True)
         self._export(self.state())
 
@@ -298,9 +310,14 @@ class Fusion:
             observed=state.observed.astype(np.int8), occupied_s=occupied_s,
             observed_s=observed_s, occupancy=share,
         )  # fmt: skip
+        if self.vehicles is not None:
+            table = table.assign(**self.vehicles.columns())
         try:
             with whole_file(self._site.folder / NOW_FILE) as part:
                 table.to_file(part, layer="now", driver="GPKG", engine="pyogrio")
+                if self.vehicles is not None:
+                    layer = self.vehicles.layer()
+                    layer.to_file(part, layer="vehicles", driver="GPKG", engine="pyogrio", mode="a")
         except GisRadarError as error:
             self._say(error)
 

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from copy import copy
 from dataclasses import dataclass, field
 from itertools import chain, cycle
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from gis_radar.live.old_poses import PosesOfSensor, drop_old_poses
 from gis_radar.live.outbox import ONLINE
 from gis_radar.live.payload import (
     FINGERPRINT_BYTES,
+    KINDS,
     POSE,
     RETURNS,
     VERSION,
@@ -30,7 +32,6 @@ from gis_radar.live.payload import (
     read_record,
     unpack_hits,
     unpack_message,
-    unpack_returns,
 )
 from gis_radar.live.settings import DEFAULTS, LiveSettings
 from gis_radar.live.store import KnownPose
@@ -41,6 +42,9 @@ from gis_radar.occupancy.views import SharedViews, ViewBook
 from gis_radar.poses.pose import Pose, pose_from_dict
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.steps import STEP_US
+
+if TYPE_CHECKING:
+    from gis_radar.live.live_vehicles import LiveVehicles
 
 ACK_S = 1.0  # between two acknowledgements of nothing new
 TWINS_WITHIN_S = 60.0  # two streams of one sensor that take turns
@@ -117,7 +121,11 @@ class Intake:
         By hour, when a frame of it came last (monotonic seconds).
     unknown : set of str
         Sensors that send and are not of the site.
+    vehicles : LiveVehicles, optional
+        Takes what vehicles are followed by.
     """
+
+    vehicles: LiveVehicles | None = None
 
     def __init__(
         self,
@@ -221,7 +229,10 @@ class Intake:
             else:
                 self._handle_numbered(sensor, message)
         except VersionError as error:
-            self._refuse(sensor, error.message)
+            if kind == KINDS[RETURNS]:
+                sensor.health.alarm("returns", error.message)
+            else:
+                self._refuse(sensor, error.message)
         except InputError as error:
             sensor.health.counts["damaged"] += 1
             sensor.health.alarm("damaged", error.message)
@@ -256,8 +267,11 @@ class Intake:
     def _handle_numbered(self, sensor: SensorState, message: Received) -> None:
         envelope, content = unpack_message(message.payload)
         if envelope.kind == RETURNS:
-            _, frames = unpack_returns(content)
-            sensor.health.counts["returns"] += len(frames)
+            if self.vehicles is not None:
+                self.vehicles.take(
+                    sensor.health, envelope.stream.hex(), content, sensor.poses, self.poses
+                )
+                sensor.health.alarm("returns", None)
             return
         if not (message.retained and sensor.stream):
             self._use_stream(sensor, envelope.stream.hex())

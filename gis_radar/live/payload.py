@@ -1,4 +1,4 @@
-"""Messages between sensors and fusion: their bytes, version 1.
+"""Messages between sensors and fusion: their bytes.
 
 What must not be lost is a stream of numbered messages: frames with the tiles that they hit, and the
 poses that these were found by. Returns, for following vehicles, are of the moment and have no
@@ -22,7 +22,7 @@ from gis_radar.occupancy.hit_counter import CountedFrame
 from gis_radar.occupancy.tile_sets import decode_tiles, encode_tiles
 from gis_radar.steps import FIRST_YEAR, LAST_YEAR, LONGEST_CYCLE_S, in_known_years
 
-VERSION = 1
+VERSION, RETURNS_VERSION = 1, 2
 HITS, POSE, RETURNS = 1, 2, 3
 KINDS = {HITS: "hits", POSE: "pose", RETURNS: "returns"}
 _LIVE = 0x80  # of the byte with the kind: sent as soon as it was made
@@ -34,7 +34,6 @@ MOST_HOLD_S = 1.5 * LONGEST_CYCLE_S  # that a frame covers: up to the next one, 
 _MOST_VARINT = 9  # bytes of a number under 2**63
 MOST_CONTENT = MOST_BYTES - _HEAD.size - 2 * _MOST_VARINT  # of a message, without its envelope
 T = TypeVar("T")
-MOST_GROUPS = 5  # of seven bits, in a number of returns: 300 km in cm
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,8 +65,13 @@ def pack_message(envelope: Envelope, content: bytes) -> bytes:
     """Return the bytes of a message."""
     kind = envelope.kind | (_LIVE if envelope.live else 0)
     gap = envelope.number - envelope.previous if envelope.previous else 0
-    numbers = _varint(envelope.number) + _varint(gap)
-    return _HEAD.pack(VERSION, kind, envelope.stream) + numbers + content
+    numbers = varint(envelope.number) + varint(gap)
+    return _HEAD.pack(version_of(envelope.kind), kind, envelope.stream) + numbers + content
+
+
+def version_of(kind: int) -> int:
+    """Return the version of messages of a kind."""
+    return RETURNS_VERSION if kind == RETURNS else VERSION
 
 
 def unpack_message(data: bytes) -> tuple[Envelope, bytes]:
@@ -80,15 +84,16 @@ def unpack_message(data: bytes) -> tuple[Envelope, bytes]:
     """
     if len(data) > MOST_BYTES:
         raise InputError(f"a message of {len(data):,} bytes, expected {MOST_BYTES:,} at most")
-    if not data or data[0] != VERSION:
+    version = version_of(data[1] & ~_LIVE) if len(data) > 1 else VERSION
+    if not data or data[0] != version:
         raise VersionError(
-            f"a message of version {data[0] if data else 'none'}, expected {VERSION}",
+            f"a message of version {data[0] if data else 'none'}, expected {version}",
             hint="sensor and fusion need the same version of gis_radar",
         )
     if len(data) < _HEAD.size:
         raise InputError(f"a message of {len(data)} bytes")
     _, kind, stream = _HEAD.unpack_from(data)
-    read = _Numbers(data, _HEAD.size)
+    read = Numbers(data, _HEAD.size)
     number, gap = read.take(), read.take()
     if kind & ~_LIVE not in KINDS or gap > number:
         raise InputError(f"a message of kind {kind & ~_LIVE}, number {number}, gap {gap}")
@@ -115,7 +120,7 @@ def pack_hits(frames: Sequence[CountedFrame], *, pose: int, fingerprint: str) ->
     fingerprint : str
         Of the tiles.
     """
-    parts = [bytes.fromhex(fingerprint)[:FINGERPRINT_BYTES], _varint(pose), _varint(len(frames))]
+    parts = [bytes.fromhex(fingerprint)[:FINGERPRINT_BYTES], varint(pose), varint(len(frames))]
     before = 0
     for frame in frames:
         tiles = encode_tiles(frame.tiles)
@@ -123,7 +128,7 @@ def pack_hits(frames: Sequence[CountedFrame], *, pose: int, fingerprint: str) ->
             frame.time_us - before, frame.detections, frame.moving, frame.wild, frame.checksum,
             len(tiles),
         )  # fmt: skip
-        parts += [*map(_varint, head), tiles]
+        parts += [*map(varint, head), tiles]
         before = frame.time_us
     return b"".join(parts)
 
@@ -165,7 +170,7 @@ def unpack_hits(content: bytes, *, tiles: int) -> HitsContent:
     InputError
         If the bytes are no such content, or name a tile or a year that is not there.
     """
-    read = _Numbers(content, FINGERPRINT_BYTES)
+    read = Numbers(content, FINGERPRINT_BYTES)
     pose, count = read.take(), read.take()
     if not 0 < count <= MOST_FRAMES:
         raise InputError(f"a message of {count} frames, expected 1 to {MOST_FRAMES}")
@@ -191,65 +196,6 @@ def unpack_hits(content: bytes, *, tiles: int) -> HitsContent:
     return HitsContent(frames=tuple(frames), sets=tuple(sets), pose=pose, tiles_begin=digits)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FrameReturns:
-    """The returns of a frame that a tracker needs, in centimetres.
-
-    Parameters
-    ----------
-    time_us : int
-        Microseconds since 1970, UTC.
-    points_cm : (n, 3) int64 array
-        Sensor frame: x forward, y left, z up.
-    rates_cmps : (n,) int64 array
-        Range rate, cm/s, positive when receding.
-    """
-
-    time_us: int
-    points_cm: Integers
-    rates_cmps: Integers
-
-
-def pack_returns(frames: Sequence[FrameReturns], *, pose: int) -> bytes:
-    """Return the returns of frames as the content of a message; those of a frame go by x."""
-    parts, before = [_varint(pose), _varint(len(frames))], 0
-    for frame in frames:
-        order = np.argsort(frame.points_cm[:, 0], kind="stable")
-        points, rates = frame.points_cm[order], frame.rates_cmps[order]
-        ahead = np.diff(points[:, 0], prepend=0)
-        parts += [_varint(frame.time_us - before), _varint(len(points))]
-        columns = (ahead, points[:, 1], points[:, 2], rates)
-        parts.append(_varints(_folded(np.column_stack(columns).ravel())))
-        before = frame.time_us
-    return b"".join(parts)
-
-
-def unpack_returns(content: bytes) -> tuple[int, tuple[FrameReturns, ...]]:
-    """Return the number of the pose, and the returns of the frames of a message.
-
-    Raises
-    ------
-    InputError
-        If the bytes are no such content.
-    """
-    read = _Numbers(content, 0)
-    pose, count = read.take(), read.take()
-    if not 0 < count <= MOST_FRAMES:
-        raise InputError(f"a message of {count} frames, expected 1 to {MOST_FRAMES}")
-    frames, time_us = [], 0
-    for _ in range(count):
-        time_us += read.take()
-        size = read.take()
-        if 4 * size > len(content) - read.at:
-            raise InputError(f"a frame of {size} returns in {len(content)} bytes")
-        numbers = read.array(4 * size).reshape(-1, 4)
-        values = (numbers >> 1) ^ -(numbers & 1)
-        points = np.column_stack([np.cumsum(values[:, 0]), values[:, 1], values[:, 2]])
-        frames.append(FrameReturns(time_us=time_us, points_cm=points, rates_cmps=values[:, 3]))
-    read.end()
-    return pose, tuple(frames)
-
-
 def in_parts(frames: Sequence[T], pack: Callable[[Sequence[T]], bytes]) -> Iterator[bytes]:
     """Yield frames as contents that a message can hold; a single frame may still be too long.
 
@@ -269,12 +215,18 @@ def in_parts(frames: Sequence[T], pack: Callable[[Sequence[T]], bytes]) -> Itera
     yield from in_parts(frames[half:], pack)
 
 
-def _folded(values: Integers) -> Integers:
+def folded(values: Integers) -> Integers:
     """Return signed numbers as numbers from 0: 0, -1, 1, -2, ... become 0, 1, 2, 3, ..."""
     return np.asarray((values << 1) ^ (values >> 63))
 
 
-def _varint(value: int) -> bytes:
+def unfolded(values: Integers) -> Integers:
+    """Return what :func:`folded` folded."""
+    return np.asarray((values >> 1) ^ -(values & 1))
+
+
+def varint(value: int) -> bytes:
+    """Return a number from 0 in groups of seven bits (LEB128)."""
     found = bytearray()
     while value > 0x7F:
         found.append(value & 0x7F | 0x80)
@@ -283,17 +235,7 @@ def _varint(value: int) -> bytes:
     return bytes(found)
 
 
-def _varints(values: Integers) -> bytes:
-    """Return many numbers under 2**35."""
-    groups = (values[:, None] >> np.arange(0, 7 * MOST_GROUPS, 7)) & 0x7F
-    size = np.maximum(MOST_GROUPS - np.argmax(groups[:, ::-1] > 0, axis=1), 1)
-    size[values == 0] = 1
-    kept = np.arange(MOST_GROUPS) < size[:, None]
-    groups[np.arange(MOST_GROUPS) < size[:, None] - 1] |= 0x80
-    return bytes(groups[kept].astype(np.uint8))
-
-
-class _Numbers:
+class Numbers:
     """Varints, one after the other."""
 
     def __init__(self, data: bytes, at: int) -> None:
@@ -302,6 +244,7 @@ class _Numbers:
             raise InputError(f"a message ends after {len(data)} bytes")
 
     def take(self) -> int:
+        """Take a number."""
         value = 0
         for shift in range(0, 7 * _MOST_VARINT, 7):
             if self.at >= len(self._data):
@@ -313,28 +256,19 @@ class _Numbers:
                 return value
         raise InputError(f"a message ends within a number, after {len(self._data)} bytes")
 
-    def array(self, count: int) -> Integers:
-        """Take many numbers under 2**35."""
-        data = np.frombuffer(self._data, np.uint8, offset=self.at).astype(np.int64)
-        ends = np.flatnonzero(data < 0x80)[:count]
-        sizes = np.diff(ends, prepend=-1)
-        if len(ends) < count or (count and sizes.max() > MOST_GROUPS):
-            raise InputError(f"a message ends within its returns, after {len(self._data)} bytes")
-        if count == 0:
-            return np.empty(0, np.int64)
-        begins = ends + 1 - sizes
-        data = data[: int(ends[-1]) + 1]
-        place = np.arange(len(data)) - np.repeat(begins, sizes)
-        self.at += len(data)
-        return np.asarray(np.add.reduceat((data & 0x7F) << (7 * place), begins))
+    def rest(self) -> memoryview:
+        """Look at what follows."""
+        return memoryview(self._data)[self.at :]
 
     def bytes(self, size: int) -> bytes:
+        """Take so many bytes."""
         if size > len(self._data) - self.at:
-            raise InputError(f"a message ends within its tiles, after {len(self._data)} bytes")
+            raise InputError(f"a message ends too soon, after {len(self._data)} bytes")
         self.at += size
         return self._data[self.at - size : self.at]
 
     def end(self) -> None:
+        """Refuse what is left."""
         if self.at != len(self._data):
             raise InputError(f"a message has {len(self._data) - self.at} bytes too many")
 

@@ -126,6 +126,8 @@ class LiveTable(TomlTable):
     """Over which the cumulative map counts, from each full hour on."""
     every: Duration = key('"10s"', 10.0, '"10s"')
     """How often the files for QGIS are replaced."""
+    vehicles: Switch = key("false", default=True)
+    """Whether vehicles are followed, by what sensors send as `returns`."""
     health: HostPort | None = key('"127.0.0.1:9464"', None, "none")
     """Where counts and alarms are served as text for Prometheus."""
     broker: BrokerTable

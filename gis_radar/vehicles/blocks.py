@@ -299,7 +299,10 @@ def _block(
         if inside.any():
             parts.append(piece.echoes.take(inside))
     known = pd.concat([FRAMES.empty(), *(piece.frames for piece in held)], ignore_index=True)
-    frames, before = _within(known, begin, end), _within(known, begin - limits.margin_steps, begin)
+    frames, before = (
+        frames_within(known, begin, end),
+        frames_within(known, begin - limits.margin_steps, begin),
+    )
     return Block(
         first_step=int(frames["first_step"].min()) if begins and before.empty else begin,
         last_step=end - 1 if goes_on else int(frames["last_step"].max()),
@@ -307,7 +310,7 @@ def _block(
     )  # fmt: skip
 
 
-def _within(frames: pd.DataFrame, begin: int, end: int) -> pd.DataFrame:
+def frames_within(frames: pd.DataFrame, begin: int, end: int) -> pd.DataFrame:
     """Return the runs of frames from a step to the one before another."""
     first, last = frames["first_step"].clip(lower=begin), frames["last_step"].clip(upper=end - 1)
     return frames_table(frames.assign(first_step=first, last_step=last)[first <= last])

@@ -251,18 +251,33 @@ def is_person(echoes: Echoes, motions: list[Motion], every: VehicleSettings) -> 
     state cross sections on scales of their own. What stands returns about as much: who is far
     weaker than that is none of them, and where nobody else drives fast is a person.
     """
-    settings = every.bodies
     rcs = np.array([usual_rcs(echoes.rcs[each.rows]) for each in motions])
     fast = np.array([_fast(each) for each in motions])
-    faint = rcs < _still_rcs(echoes, every) - settings.faint_db
+    found = are_persons(rcs, fast, still_rcs(echoes, every), every.bodies)
+    return list(found.tolist())
+
+
+def are_persons(rcs: Floats, fast: Floats, still: float, settings: BodySettings) -> Booleans:
+    """Tell who are persons by their median cross sections, dBm2, and how fast they are, m/s.
+
+    Parameters
+    ----------
+    rcs, fast : (n,) arrays
+        Of each.
+    still : float
+        What still things return, dBm2.
+    settings : BodySettings
+        What is weak and slow.
+    """
+    faint = rcs < still - settings.faint_db
     usual = _driven_rcs(rcs, fast, faint, settings)
     person = (rcs < usual - settings.person_db) & (fast < settings.cyclist_mps)
     person |= (rcs < usual - settings.walker_db) & (fast < settings.walker_mps)
     person |= rcs < usual - settings.faint_db
-    return list((faint if np.isnan(usual) else person).tolist())
+    return np.asarray(faint if np.isnan(usual) else person)
 
 
-def _still_rcs(echoes: Echoes, every: VehicleSettings) -> float:
+def still_rcs(echoes: Echoes, every: VehicleSettings) -> float:
     """Return what still things return."""
     return usual_rcs(echoes.rcs[np.abs(echoes.range_rate) < every.echoes.moving_mps])
 

@@ -83,6 +83,10 @@ class CoverageEngine:
         visible = self._visibility.advance(prints, tall, held, span, asked)
         return passages[visible].drop(columns="tile")
 
+    def add_view(self, view: SensorView) -> None:
+        """Take in another view, for steps to come."""
+        self._visibility.add_view(view)
+
     def _heights(self, vehicles: pd.DataFrame) -> Floats:
         """Return the height of the box of each vehicle, metres."""
         known = self._settings

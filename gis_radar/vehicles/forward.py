@@ -151,11 +151,11 @@ class ForwardFilter:
 
     @property
     def bodies(self) -> Floats:
-        """States of the vehicles that are followed now, a row each: of branches the best."""
+        """Vehicles that are followed now, a row each: of branches the best; `columns` names all."""
         alive = self._bodies[: int(self._counts[ALIVE])]
         alive = alive[np.lexsort((alive[:, MISFIT], alive[:, NUMBER]))]
         _, best = np.unique(alive[:, NUMBER], return_index=True)
-        return np.asarray(alive[best, : REAR + 1])
+        return np.asarray(alive[best])
 
 
 def follow_both_ways(

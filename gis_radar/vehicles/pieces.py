@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
@@ -28,6 +30,26 @@ SIDES = ("east", "north-east", "north", "north-west", "west", "south-west", "sou
 POSE_HINT = ": its pose may be off (gis-radar track, gis-radar localize)"
 
 
+@dataclass(frozen=True, kw_only=True)
+class BlockEdge:
+    """What goes over the end of a block, to be taken up again by another :class:`PieceMaker`.
+
+    Parameters
+    ----------
+    step : int
+        The last of the block.
+    found : int
+        How many vehicles there are so far.
+    table : DataFrame
+        `sensor, time, x, vehicle`: the detections of the vehicles that go on.
+    """
+
+    COLUMNS: ClassVar = ("sensor", "time", "x", "vehicle")
+    step: int
+    found: int
+    table: pd.DataFrame
+
+
 class PieceMaker:
     """Makes the pieces of a folder from what was found in each block.
 
@@ -45,6 +67,25 @@ class PieceMaker:
         self._edge = -1
         self._on_lanes: list[pd.DataFrame] = []
         self.found = 0
+
+    def forget_lanes(self) -> None:
+        """Forget where sensors saw vehicles drive: for who never asks, and goes on for ever."""
+        self._on_lanes = []
+
+    def edge(self) -> BlockEdge:
+        """Return what goes over the end of the last block."""
+        known = [] if self._known is None else self._known.to_numpy().tolist()
+        rows = [(*key, vehicle) for key, vehicle in known]
+        table = pd.DataFrame(rows, columns=[*BlockEdge.COLUMNS])
+        return BlockEdge(step=self._edge, found=self.found, table=table)
+
+    def take_up(self, edge: BlockEdge) -> None:
+        """Go on after a block that another one made."""
+        self._edge, self.found = edge.step, edge.found
+        rows = edge.table.to_numpy().tolist()
+        keys = [(int(sensor), time, x) for sensor, time, x, _ in rows]
+        numbers = [int(row[3]) for row in rows]
+        self._known = pd.DataFrame({"key": keys, "vehicle": numbers}) if rows else None
 
     def piece(self, block: Block, motions: list[Motion]) -> VehiclePiece:
         """Return the states of the vehicles in the span of a block.

@@ -136,6 +136,10 @@ class Visibility:
         self._active: list[tuple[str, str]] = []
         self._ended: list[Integers] = []
 
+    def add_view(self, view: SensorView) -> None:
+        """Take in another view, for steps to come."""
+        self._views.setdefault((view.sensor, view.view), view)
+
     def advance(
         self, footprints: Footprints, height_m: Floats, held: pd.DataFrame,
         span: tuple[int, int], queries: tuple[Integers, Integers],

@@ -1,0 +1,413 @@
+"""Follow vehicles from what sensors send: the tracker of recordings, over blocks of a minute.
+
+A block is followed once frames a minute after it are there, with a minute around it, so its
+vehicles are known one to two minutes later and do not change any more. What is the same as for
+recordings is done by the same code: only the blocks are shorter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+
+from gis_radar.arrays import Floats, Integers
+from gis_radar.lanelets.graph import LaneGraph
+from gis_radar.live.returns import FrameReturns
+from gis_radar.live.vehicle_settings import DEFAULTS, FollowSettings
+from gis_radar.live.vehicle_store import (
+    POSES_KEPT,
+    FollowedPose,
+    StoredPiece,
+    VehicleStore,
+)
+from gis_radar.occupancy.folder import frames_of, frames_table
+from gis_radar.occupancy.frame_steps import Runs, union
+from gis_radar.poses.pose import pose_from_dict
+from gis_radar.recordings.recording import Detections
+from gis_radar.steps import STEP_US, STEPS_PER_SECOND
+from gis_radar.vehicles.blocks import Block, frames_within
+from gis_radar.vehicles.coverage import CoverageEngine
+from gis_radar.vehicles.echoes import Echoes, echoes_of
+from gis_radar.vehicles.folder import VehiclePiece, hold_frames, write_vehicles
+from gis_radar.vehicles.pieces import PieceMaker
+from gis_radar.vehicles.provenance import Provenance
+from gis_radar.vehicles.tables import FRAMES, TRACKS, VEHICLES
+from gis_radar.vehicles.tracker import vehicles_in
+from gis_radar.vehicles.visibility import SensorView
+
+HOUR_STEPS = 3600 * STEPS_PER_SECOND
+LIVE_RECORDING = "live"  # in the place of a recording's name, in the manifest
+
+
+@dataclass(frozen=True, kw_only=True)
+class FollowedSite:
+    """What following needs to know of a site.
+
+    Parameters
+    ----------
+    sensors : sequence of str
+        Their names, ascending.
+    tiles : GeoDataFrame
+        As from :func:`gis_radar.read_tiles`.
+    fingerprint : str
+        Of the tiles.
+    graph : LaneGraph
+        The lanes.
+    map, sight : dict, object
+        As a manifest has them.
+    folder : Path
+        Of the live system's files.
+    """
+
+    sensors: Sequence[str]
+    tiles: gpd.GeoDataFrame
+    fingerprint: str
+    graph: LaneGraph
+    map: dict[str, Any]
+    sight: Any
+    folder: Path
+
+    def path_of(self, hour: int) -> Path:
+        """Return the folder of an hour since 1970."""
+        name = datetime.fromtimestamp(hour * 3600, tz=UTC).strftime("%Y-%m-%dT%HZ")
+        return self.folder / "vehicles" / name
+
+
+class ReturnFrame(NamedTuple):
+    """A frame of returns of a sensor; `pose` is the id of its row in the store."""
+
+    sensor: str
+    pose: int
+    returns: FrameReturns
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finished:
+    """What a block adds to the counts.
+
+    Parameters
+    ----------
+    first_step, last_step : int
+        The block.
+    visible, covered : (n,) int64 arrays
+        By position of the tiles, steps in which each was visible, and covered while it was.
+    passages : DataFrame
+        As :data:`gis_radar.vehicles.tables.PASSAGES`.
+    stood : (k, 5) array
+        Who stood at its end: east and north from the origin of the graph, heading (rad), 0, length.
+    """
+
+    first_step: int
+    last_step: int
+    visible: Integers
+    covered: Integers
+    passages: pd.DataFrame
+    stood: Floats
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Held:
+    """Frames of a sensor in one view, in memory until no block needs them."""
+
+    sensor: str
+    view: str
+    pose: int
+    steps: Integers
+    echoes: Echoes
+
+
+class LiveCoverage:
+    """Counts what vehicles cover, piece by piece.
+
+    Parameters
+    ----------
+    tiles : GeoDataFrame
+        All tiles.
+    """
+
+    def __init__(self, tiles: gpd.GeoDataFrame) -> None:
+        self._tile_id = tiles["tile_id"].to_numpy(np.int64)
+        self._engine = CoverageEngine(tiles, [])
+        self._recent = FRAMES.empty()
+
+    def add_view(self, view: SensorView) -> None:
+        """Take in what a sensor sees from a pose."""
+        self._engine.add_view(view)
+
+    def add(self, piece: VehiclePiece, hold_s: Mapping[str, float], origin: Floats) -> Finished:
+        """Return what a piece adds, which follows those so far."""
+        tracks, vehicles = TRACKS.typed(piece.tracks), VEHICLES.typed(piece.vehicles)
+        frames = FRAMES.typed(piece.frames.sort_values(["sensor", "view", "first_step"]))
+        late = self._recent["last_step"] >= piece.first_step - HOUR_STEPS // 60
+        self._recent = pd.concat([self._recent[late], frames], ignore_index=True)
+        held = hold_frames(self._recent, dict(hold_s), piece.last_step)
+        span = (piece.first_step, piece.last_step + 1)
+        passages = self._engine.advance(tracks, vehicles, held, span)
+        covered, visible = self._engine.flush()
+        seen, both = self._steps(covered, visible, piece)
+        return Finished(
+            first_step=piece.first_step, last_step=piece.last_step, visible=seen, covered=both,
+            passages=passages, stood=_stood(tracks, vehicles, piece.last_step, origin),
+        )  # fmt: skip
+
+    def _steps(
+        self, covered: pd.DataFrame, visible: pd.DataFrame, piece: VehiclePiece
+    ) -> tuple[Integers, Integers]:
+        """Return the visible steps of each tile, and those in which it was covered, too."""
+        count = len(self._tile_id)
+        tile = np.searchsorted(self._tile_id, visible["tile_id"])
+        size = (visible["last_step"] - visible["first_step"] + 1).to_numpy(np.int64)
+        seen = np.bincount(tile, size, count).astype(np.int64)
+        some = np.unique(covered["tile_id"].to_numpy(np.int64))
+        flags = [
+            _flags(runs[runs["tile_id"].isin(some)], some, piece) for runs in (covered, visible)
+        ]
+        both = np.zeros(count, np.int64)
+        both[np.searchsorted(self._tile_id, some)] = (flags[0] & flags[1]).sum(axis=1)
+        return seen, both
+
+
+def _flags(runs: pd.DataFrame, tiles: Integers, piece: VehiclePiece) -> np.ndarray:
+    """Return (tile, step) flags of runs."""
+    edges = np.zeros((len(tiles), piece.last_step - piece.first_step + 2), np.int8)
+    row = np.searchsorted(tiles, runs["tile_id"].to_numpy(np.int64))
+    for name, sign, more in (("first_step", 1, 0), ("last_step", -1, 1)):
+        np.add.at(edges, (row, runs[name].to_numpy(np.int64) - piece.first_step + more), sign)
+    return np.asarray(np.cumsum(edges[:, :-1], axis=1) > 0)
+
+
+def _stood(tracks: pd.DataFrame, vehicles: pd.DataFrame, step: int, origin: Floats) -> Floats:
+    """Return who stands at the end of a piece."""
+    rows = tracks[(tracks["step"] == step) & (tracks["speed"] < DEFAULTS.gone_mps)]
+    length = vehicles.set_index("vehicle")["length_m"].reindex(rows["vehicle"]).to_numpy()
+    return np.column_stack(
+        [
+            rows[["easting", "northing"]].to_numpy(np.float64) - origin,
+            np.radians(rows["heading"]), np.zeros(len(rows)), length,
+        ]
+    )  # fmt: skip
+
+
+@dataclass(kw_only=True)
+class VehicleFollower:
+    """Follows the vehicles of a site, block by block.
+
+    `take`, `due` and `begin` are for one thread, `finish` and `write_hour` for one other at most.
+
+    Parameters
+    ----------
+    site : FollowedSite
+        The site.
+    store : VehicleStore
+        Returns and pieces on disk.
+    settings : FollowSettings
+        Blocks.
+    """
+
+    site: FollowedSite
+    store: VehicleStore
+    settings: FollowSettings = DEFAULTS
+    late: int = 0
+    skipped_steps: int = 0
+    newest_step: int = -1
+    done: int | None = None
+    _held: list[_Held] = field(default_factory=list)
+    _holds: dict[str, float] = field(default_factory=dict)
+    _last_us: dict[str, int] = field(default_factory=dict)
+    _poses: dict[int, tuple[FollowedPose, Any]] = field(default_factory=dict)
+    _road_m: dict[tuple[str, str], float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._tracker = self.settings.tracker()
+        self._maker = PieceMaker(self.site.graph, self._tracker)
+        self._coverage = LiveCoverage(self.site.tiles)
+        self._number = {name: k for k, name in enumerate(self.site.sensors)}
+        for view, road_m in self.store.views():
+            self.add_view(view, road_m)
+        for number, pose in self.store.poses().items():
+            self.add_pose(number, pose)
+        if (edge := self.store.edge()) is not None:
+            self._maker.take_up(edge)
+            self.done = self.newest_step = edge.step
+
+    def add_view(self, view: SensorView, road_m: float) -> None:
+        """Take in what a sensor sees from a pose, and the height of the road near it."""
+        self._road_m[view.sensor, view.view] = road_m
+        self._coverage.add_view(view)
+
+    def add_pose(self, number: int, pose: FollowedPose) -> None:
+        """Take in a pose, by the id of its row in the store."""
+        known = pose_from_dict(pose.content, what=f"the pose of {pose.sensor}")
+        self._poses[number] = (pose, known)
+
+    def again(self, first: int) -> Iterator[Finished]:
+        """Yield what stored blocks from a step on add, as it was before a restart."""
+        for each in self.store.pieces(first, 2**62):
+            holds = _holds(each.poses, self.store.poses())
+            yield self._coverage.add(each.piece, holds, self.site.graph.origin)
+
+    def take(self, frames: Sequence[ReturnFrame]) -> Echoes:
+        """Take frames; return their echoes, for the vehicles of now."""
+        by_pose: dict[int, list[FrameReturns]] = {}
+        for each in frames:
+            fresh = each.returns.time_us > self._last_us.get(each.sensor, 0)  # a sensor's ascend
+            if fresh and each.sensor in self._number and each.pose in self._poses:
+                self._last_us[each.sensor] = each.returns.time_us
+                by_pose.setdefault(each.pose, []).append(each.returns)
+        found = [self._hold(pose, mine) for pose, mine in by_pose.items()]
+        return Echoes.join([each.echoes for each in found])
+
+    def _hold(self, number: int, frames: Sequence[FrameReturns]) -> _Held:
+        pose, placed = self._poses[number]
+        rows = [each.detections() for each in frames]
+        echoes = echoes_of(
+            Detections(
+                time=np.concatenate([each.time for each in rows]),
+                points=np.concatenate([each.points for each in rows]),
+                range_rate=np.concatenate([each.range_rate for each in rows]),
+                rcs=np.concatenate([each.rcs for each in rows]), further=rows[0].further,
+            ),
+            placed, self._number[pose.sensor], self.site.graph, self._tracker.echoes,
+            road_m=self._road_m.get((pose.sensor, pose.view), np.nan),
+        )  # fmt: skip
+        steps = np.unique(np.array([each.time_us // STEP_US for each in frames]))
+        if self.done is not None:
+            self.late += int((steps <= self.done).sum())
+        self.newest_step = max(self.newest_step, int(steps[-1]))
+        made = _Held(sensor=pose.sensor, view=pose.view, pose=number, steps=steps, echoes=echoes)
+        self._held.append(made)
+        return made
+
+    def due(self, *, everything: bool = False) -> tuple[int, int] | None:
+        """Return the first step of the next block and the one after its last, once it is due.
+
+        Parameters
+        ----------
+        everything : bool
+            Whether no more frames come.
+        """
+        done = -(2**62) if self.done is None else self.done
+        later = [each.steps[each.steps > done] for each in self._held]
+        first = min((int(each[0]) for each in later if len(each)), default=None)
+        if first is None:
+            return None
+        limits, late = self.settings, round(self.settings.late_s * STEPS_PER_SECOND)
+        begin = max(done + 1, first // limits.steps * limits.steps)
+        end = (begin // limits.steps + 1) * limits.steps
+        behind = self.newest_step - end - limits.margin_steps - limits.behind_steps
+        if behind > 0 and not everything:  # following takes longer than the traffic
+            until = (self.newest_step - limits.margin_steps) // limits.steps * limits.steps
+            self.skipped_steps += until - begin
+            self.done = until - 1
+            return self.due()
+        if everything or self.newest_step >= end + limits.margin_steps + late:
+            return begin, end
+        return None
+
+    def begin(self, span: tuple[int, int]) -> tuple[Block, tuple[int, ...]]:
+        """Return the block of a span of :meth:`due`, and the poses in it; it counts as done."""
+        begin, end = span
+        margin, held = self.settings.margin_steps, self._held
+        from_s, to_s = ((each) / STEPS_PER_SECOND for each in (begin - margin, end + margin))
+        parts = [
+            each.echoes.take((each.echoes.time >= from_s) & (each.echoes.time < to_s))
+            for each in held
+        ]
+        known = frames_table(pd.concat([FRAMES.empty(), *_frames(held)], ignore_index=True))
+        frames, before = (
+            frames_within(known, begin, end),
+            frames_within(known, begin - margin, begin),
+        )
+        goes_on = self.newest_step >= end
+        self.done = last = end - 1 if goes_on else int(frames["last_step"].max())
+        poses = {each.pose for each in held if ((each.steps >= begin) & (each.steps <= last)).any()}
+        block = Block(
+            first_step=int(frames["first_step"].min()) if before.empty else begin, last_step=last,
+            echoes=Echoes.join(parts), frames=frames, frames_before=before, begins=False,
+            ends=False,
+        )  # fmt: skip
+        self._held = [each for each in held if each.steps[-1] > last - margin]
+        for number in sorted(self._poses)[:-POSES_KEPT]:  # a sensor that follows has one in 5 s
+            if number not in poses and all(each.pose != number for each in self._held):
+                del self._poses[number]
+        return block, tuple(sorted(poses))
+
+    def finish(self, block: Block, poses: tuple[int, ...]) -> Finished:
+        """Follow the vehicles of a block, store them, and return what they add."""
+        piece = self._maker.piece(block, vehicles_in(block.echoes, self.site.graph, self._tracker))
+        self._maker.forget_lanes()
+        holds = {self._poses[k][0].sensor: self._poses[k][0].hold_s for k in poses}
+        self._holds |= holds
+        found = self._coverage.add(piece, self._holds, self.site.graph.origin)
+        needed = block.last_step + 1 - self.settings.margin_steps
+        self.store.add_piece(
+            StoredPiece(piece=piece, poses=poses), self._maker.edge(), needed_us=needed * STEP_US,
+            kept_step=block.last_step // HOUR_STEPS * HOUR_STEPS - HOUR_STEPS,
+        )  # fmt: skip
+        return found
+
+    def write_hour(self, hour: int) -> Path | None:
+        """Write the folder of an hour since 1970 from its pieces, whole; None without any."""
+        begin = hour * HOUR_STEPS
+        found = list(self.store.pieces(begin, begin + HOUR_STEPS - 1))
+        if not found:
+            return None
+        met = sorted({number for each in found for number in each.poses})
+        poses = self.store.poses()
+        first, last = found[0].piece.first_step, found[-1].piece.last_step
+        provenance = Provenance(
+            fingerprint=self.site.fingerprint, map=self.site.map, sight=self.site.sight,
+            hold_s=_holds(met, poses), settings={"vehicles": asdict(self._tracker)},
+            sources=_sources(met, poses),
+        )  # fmt: skip
+        views = [view for view, _ in self.store.views()]
+        path = self.site.path_of(hour)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with write_vehicles(path, tiles=self.site.tiles, views=views, provenance=provenance) as out:
+            *_, before = [None, *self.store.pieces(begin - self.settings.steps, begin - 1)]
+            if before is not None and before.piece.last_step == first - 1:
+                out.warm_up(before.piece)
+            for each in found:
+                table = each.piece.vehicles
+                cut = (table["first_step"] <= first) | (table["last_step"] >= last)
+                out.add(_with_cuts(each.piece, table.assign(continues=cut)))
+        return path
+
+
+def _holds(met: Sequence[int], poses: Mapping[int, FollowedPose]) -> dict[str, float]:
+    """Return by sensor how long its frames hold, by the latest of some poses."""
+    return {poses[number].sensor: poses[number].hold_s for number in met}
+
+
+def _sources(met: Sequence[int], poses: Mapping[int, FollowedPose]) -> list[dict[str, Any]]:
+    """Return the entries of the manifest: one a sensor, with the poses that counted."""
+    found: dict[str, dict[str, Any]] = {}
+    for number in met:
+        entry = {"recording": LIVE_RECORDING, "rows": 0, "sensor": poses[number].sensor}
+        mine = found.setdefault(poses[number].sensor, entry | {"poses": []})
+        mine["poses"].append(poses[number].content)
+    return list(found.values())
+
+
+def _frames(held: Sequence[_Held]) -> Iterator[pd.DataFrame]:
+    """Yield the runs of frames of each sensor and view."""
+    by_view: dict[tuple[str, str], list[Integers]] = {}
+    for each in held:
+        by_view.setdefault((each.sensor, each.view), []).append(each.steps)
+    for key, steps in by_view.items():
+        every = np.unique(np.concatenate(steps))
+        yield frames_of(*key, union([Runs(first=every, last=every)]))
+
+
+def _with_cuts(piece: VehiclePiece, vehicles: pd.DataFrame) -> VehiclePiece:
+    return VehiclePiece(
+        first_step=piece.first_step, last_step=piece.last_step, tracks=piece.tracks,
+        vehicles=vehicles, frames=piece.frames,
+    )  # fmt: skip

@@ -1,0 +1,306 @@
+"""Vehicles in fusion: hands on what sensors send to a process that follows them, and shows them."""
+
+from __future__ import annotations
+
+import multiprocessing
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from queue import Empty, Full
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import shapely
+
+from gis_radar.errors import NoAnswerError
+from gis_radar.lanelets.graph import lane_graph
+from gis_radar.live.following import FollowedSite
+from gis_radar.live.health import SensorHealth
+from gis_radar.live.returns import head_of
+from gis_radar.live.settings import LiveSite
+from gis_radar.live.store import KnownPose
+from gis_radar.live.vehicle_counts import VehicleCounts
+from gis_radar.live.vehicle_process import (
+    STORE_FILE,
+    EndMessage,
+    FramesMessage,
+    PoseMessage,
+    Told,
+    ViewMessage,
+    follow_in_process,
+)
+from gis_radar.live.vehicle_settings import DEFAULTS, FollowSettings
+from gis_radar.live.vehicle_store import FollowedPose
+from gis_radar.live.vehicles_now import VehiclesNow
+from gis_radar.occupancy.views import ViewBook
+from gis_radar.poses.pose import pose_from_dict
+from gis_radar.processes import stop_workers
+from gis_radar.progress import QUIET, Reporter
+from gis_radar.sight import describe_sight
+from gis_radar.steps import interval_steps
+from gis_radar.vehicles.map_check import map_of_tiles
+from gis_radar.vehicles.visibility import SensorView
+
+HAND_ON_S = 0.1
+CHANNEL = 100  # parcels that may wait for the process: 10 s
+AGAIN_S = 10.0  # after the process ended unasked
+END_S = 120.0  # for the last minutes to be followed and written
+OLD_S = 5.0  # vehicles of now that are older are none
+COUNTS = ("frames", "late", "early", "damaged", "blocks")
+
+
+class LiveVehicles:
+    """Vehicles of a live site.
+
+    Parameters
+    ----------
+    site : LiveSite
+        Of the site's file.
+    tiles : GeoDataFrame
+        As from :func:`gis_radar.read_tiles`.
+    book : ViewBook
+        What is seen from poses.
+    settings : FollowSettings
+        Constants.
+    reporter : Reporter
+        Receives what happens.
+
+    Attributes
+    ----------
+    counts : VehicleCounts
+        Coverage and passages lately.
+    written : dict of Path
+        Folders of hours, in order.
+
+    Raises
+    ------
+    InputError
+        If the map cannot be read, or is not that of the tiles.
+    """
+
+    def __init__(
+        self, site: LiveSite, tiles: gpd.GeoDataFrame, book: ViewBook, *,
+        settings: FollowSettings = DEFAULTS, reporter: Reporter = QUIET,
+    ) -> None:  # fmt: skip
+        roads, described = map_of_tiles(site.map.file, tiles)
+        self._site: FollowedSite | None = None
+        try:
+            graph = lane_graph(roads.lanelets)
+        except NoAnswerError as error:
+            reporter.log(f"vehicles are not followed: {error.message}", "warning")
+        else:
+            self._site = FollowedSite(
+                sensors=sorted(each.name for each in site.sensor), tiles=tiles,
+                fingerprint=book.road.fingerprint, graph=graph, map=described,
+                sight=describe_sight(book.scan), folder=site.folder,
+            )  # fmt: skip
+        self.counts = VehicleCounts(tiles, interval=interval_steps(site.live.interval))
+        self.written: dict[Path, None] = {}
+        self.dropped = self.restarts = 0
+        self._book, self._settings, self._reporter = book, settings, reporter
+        self._now, self._crs = VehiclesNow.none(), tiles.crs
+        self._told: dict[str, float] = {}
+        self._waiting: list[tuple[str, int, bytes]] = []
+        self._process: Any = None
+        self._inbox: Any = None
+        self._outbox: Any = None
+        self._known: set[object] = set()
+        self._handed = self._started = 0.0
+        self._ended, self._behind = False, 0.0
+        if self._site is not None and (site.folder / STORE_FILE).exists():
+            self._start()  # what an earlier run left is finished
+
+    def take(
+        self, health: SensorHealth, stream: str, content: bytes,
+        numbered: Mapping[tuple[str, int], int], poses: Mapping[int, KnownPose],
+    ) -> None:  # fmt: skip
+        """Take the content of a message of returns.
+
+        Parameters
+        ----------
+        health : SensorHealth
+            Of the sensor.
+        stream : str
+            Of the sensor's buffer.
+        content : bytes
+            What is handed on.
+        numbered : mapping
+            By stream and number, the id of a pose's row in the journal.
+        poses : mapping
+            By the id of their rows in the journal.
+
+        Raises
+        ------
+        InputError
+            If the bytes begin as no such content.
+        """
+        number, count = head_of(content)
+        health.counts["returns"] += count
+        row = numbered.get((stream, number))
+        if self._site is None or row is None or not poses[row].content.trusted:
+            health.counts["left_out"] += count
+            return
+        if self._process is None and not self._started:
+            self._start()
+        if self._process is None:
+            self.dropped += 1
+            return
+        if row not in self._known:
+            self._name_pose(health.name, row, poses[row])
+        self._waiting.append((health.name, row, content))
+
+    def _name_pose(self, sensor: str, row: int, pose: KnownPose) -> None:
+        """Tell the process of a pose and of what is seen from it."""
+        self._known.add(row)
+        view = (sensor, pose.view)
+        if view not in self._known:
+            self._known.add(view)
+            placed = pose_from_dict(pose.content.pose, what=f"the pose of {sensor}")
+            seen = SensorView(
+                sensor=sensor, view=pose.view, tile_id=self._book.tiles[pose.view],
+                position=placed.position,
+            )  # fmt: skip
+            road_m = self._book.road_m.get(view, float("nan"))
+            self._hand_on(ViewMessage(view=seen, road_m=road_m))
+        followed = FollowedPose(
+            sensor=sensor, view=pose.view, hold_s=pose.content.hold_s, content=pose.content.pose
+        )
+        self._hand_on(PoseMessage(number=row, pose=followed))
+
+    def _start(self) -> None:
+        if self._site is None:
+            return
+        context = multiprocessing.get_context("spawn")
+        self._inbox, self._outbox = context.Queue(CHANNEL), context.Queue(10 * CHANNEL)
+        self._known, self._started, self._ended = set(), time.monotonic(), False
+        self._process = context.Process(
+            target=follow_in_process,
+            args=(self._site, self._inbox, self._outbox, self._settings),
+            daemon=True, name="vehicles",
+        )  # fmt: skip
+        self._process.start()
+
+    def _hand_on(self, message: object) -> bool:
+        try:
+            self._inbox.put_nowait(message)
+        except Full:
+            self._known = set()  # poses are named again
+            return False
+        return True
+
+    def turn(self) -> None:
+        """Hand on what came, and take in what was found; called often."""
+        if self._process is None:
+            if self._started and time.monotonic() - self._started > AGAIN_S:
+                self._start()
+            return
+        if not self._process.is_alive() and not self._ended:
+            self._take_in()
+            self._lose()
+            return
+        now = time.monotonic()
+        if now - self._handed >= HAND_ON_S:
+            self._handed = now
+            rows, self._waiting = self._waiting, []
+            if rows and not self._hand_on(FramesMessage(rows=rows)):
+                self.dropped += len(rows)
+            self._take_in()
+
+    def _lose(self) -> None:
+        """Go on without the process; a new one takes up what the old one kept on disk."""
+        self.restarts += 1
+        self.dropped += len(self._waiting)
+        self._reporter.log(
+            f"the process that follows vehicles has ended ({self._process.exitcode}); a new one "
+            "takes up where it was",
+            "warning",
+        )
+        self._waiting, self._process, self._now = [], None, VehiclesNow.none()
+
+    def _take_in(self) -> None:
+        while True:
+            try:
+                told: Told = self._outbox.get_nowait()
+            except (Empty, OSError):
+                return
+            self._told = told.counts or self._told
+            self._now = told.now or self._now
+            if told.finished is not None:
+                self.counts.add(told.finished)
+            if told.written is not None:
+                self.written[told.written] = None
+            if told.said:
+                self._reporter.log(told.said, "warning")
+            self._ended = self._ended or told.ended
+            skipped = self._told.get("skipped_s", 0.0)
+            if skipped > self._behind:
+                self._reporter.log(
+                    f"following vehicles takes longer than the traffic: {skipped:.0f} s are left "
+                    "out so far",
+                    "warning",
+                )
+                self._behind = skipped
+
+    def finish(self) -> None:
+        """Have the last minutes followed and written; then stop the process."""
+        self._handed = 0.0
+        self.turn()
+        if self._process is None:
+            if not self._started:
+                return
+            self._start()  # it was lost a moment ago
+        until = time.monotonic() + END_S
+        with suppress(Full):
+            self._inbox.put(EndMessage(), timeout=END_S)
+        while self._process.is_alive() and not self._ended and time.monotonic() < until:
+            self._take_in()
+            time.sleep(0.02)
+        if not self._ended:
+            self._reporter.log("the last vehicles are written with the next start", "warning")
+        stop_workers([self._process])
+        self._process = None
+
+    def now(self) -> VehiclesNow:
+        """Return the vehicles of now; none where nothing came for long."""
+        newest = self._told.get("newest_s", np.nan)
+        old = not newest - self._now.time < OLD_S or self._process is None
+        return VehiclesNow.none() if old else self._now
+
+    def figures(self) -> dict[str, float]:
+        """Return counts and lags, by name, for Prometheus."""
+        told = self._told
+        newest, until = told.get("newest_s", np.nan), told.get("until_s", np.nan)
+        return {
+            "vehicles_now": float(len(self.now())),
+            "vehicles_lag_seconds": newest - until,
+            "vehicles_dropped_messages": float(self.dropped),
+            "vehicles_skipped_seconds": told.get("skipped_s", 0.0),
+            "vehicles_process_restarts": float(self.restarts),
+            "vehicles_cpu_seconds": told.get("cpu_ms", 0.0) / 1000.0,
+            **{f"vehicles_{name}": told.get(name, 0.0) for name in COUNTS},
+        }
+
+    def columns(self) -> dict[str, Any]:
+        """Return the columns of the map for QGIS: seconds since the interval last began."""
+        found = self.counts.interval()
+        return {
+            "covered_s": found.covered * 0.05, "visible_s": found.visible * 0.05,
+            "coverage": found.share(),
+        }  # fmt: skip
+
+    def layer(self) -> gpd.GeoDataFrame:
+        """Return the vehicles of now as points in the map."""
+        return layer_of(self.now(), self._crs)
+
+
+def layer_of(now: VehiclesNow, crs: Any) -> gpd.GeoDataFrame:
+    """Return vehicles as points: `vehicle, speed` (m/s), `heading, length_m, heavy`."""
+    return gpd.GeoDataFrame(
+        {
+            "vehicle": now.vehicle, "speed": now.speed.round(2), "heading": now.heading.round(1),
+            "length_m": now.length_m.round(1), "heavy": now.heavy,
+        },
+        geometry=shapely.points(now.place.reshape(-1, 2)), crs=crs,
+    )  # fmt: skip

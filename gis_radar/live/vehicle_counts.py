@@ -1,0 +1,173 @@
+"""What vehicles covered lately, by tile and by lane."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from threading import Lock
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+
+from gis_radar.arrays import Floats, Integers
+from gis_radar.heatmap.by_lane import lane_totals, lanes_with_tiles
+from gis_radar.live.following import Finished
+from gis_radar.live.recent import INTERVAL, KEPT
+from gis_radar.steps import STEP_S, step_begin
+
+
+@dataclass(frozen=True, kw_only=True)
+class TileCoverage:
+    """Steps of tiles: in which each was visible, and covered while it was.
+
+    Parameters
+    ----------
+    visible, covered : (n,) int64 arrays
+        By position of the tiles.
+    """
+
+    visible: Integers
+    covered: Integers
+
+    def share(self) -> Floats:
+        """Return the coverage of each tile, NaN where it was not visible."""
+        found = np.full(len(self.visible), np.nan)
+        np.divide(self.covered, self.visible, out=found, where=self.visible > 0)
+        return found
+
+
+@dataclass(kw_only=True)
+class _Interval:
+    """Sums of lanes over 15 minutes."""
+
+    seconds: Floats  # covered, visible
+    passages: Integers
+    speeds: Floats
+
+
+class VehicleCounts:
+    """Sums what blocks of followed vehicles add; safe to read from another thread.
+
+    Parameters
+    ----------
+    tiles : GeoDataFrame
+        As from :func:`gis_radar.read_tiles`.
+    interval : int
+        Steps over which the cumulative map counts.
+    """
+
+    def __init__(self, tiles: gpd.GeoDataFrame, *, interval: int) -> None:
+        lanes, self._lane_of_tile = lanes_with_tiles(tiles)
+        self.lanes = [lane.number for lane in lanes]
+        self._size, self._count, self._interval = len(lanes), len(tiles), interval
+        self._tiles_of_lane = np.maximum(np.bincount(self._lane_of_tile, minlength=self._size), 1)
+        lanelet = tiles["lanelet_id"].to_numpy(np.int64)
+        self._lane_of = dict(zip(lanelet.tolist(), self._lane_of_tile.tolist(), strict=True))
+        self._blocks: deque[Finished] = deque()
+        self._since = TileCoverage(visible=self._zeros(), covered=self._zeros())
+        self._number = -1
+        self._done: dict[int, _Interval] = {}
+        self.until_step = -1
+        self._lock = Lock()
+
+    def _zeros(self) -> Integers:
+        return np.zeros(self._count, np.int64)
+
+    def add(self, block: Finished) -> None:
+        """Add a block; they come in order, each once."""
+        with self._lock:
+            if block.last_step <= self.until_step:
+                return  # told again after the process began anew
+            self.until_step = block.last_step
+            self._blocks.append(block)
+            while self._blocks[0].last_step <= block.last_step - INTERVAL:
+                self._blocks.popleft()
+            if (number := block.first_step // self._interval) != self._number:
+                self._number = number
+                self._since = TileCoverage(visible=self._zeros(), covered=self._zeros())
+            self._since = TileCoverage(
+                visible=self._since.visible + block.visible,
+                covered=self._since.covered + block.covered,
+            )
+            self._add_to_interval(block)
+
+    def _add_to_interval(self, block: Finished) -> None:
+        number = block.first_step // INTERVAL
+        lane, speeds = self._passages(block)
+        found = self._done.setdefault(
+            number,
+            _Interval(
+                seconds=np.zeros((2, self._size)), passages=np.zeros(self._size, np.int64),
+                speeds=np.zeros(self._size),
+            ),
+        )  # fmt: skip
+        found.seconds += self._by_lane(block)
+        found.passages += np.bincount(lane, minlength=self._size)
+        found.speeds += np.bincount(lane, speeds, self._size)
+        for old in [each for each in self._done if each <= number - KEPT]:
+            del self._done[old]
+
+    def _passages(self, block: Finished) -> tuple[Integers, Floats]:
+        """Return lane and speed of each passage of the middle of a lane, not of each lanelet."""
+        table = block.passages
+        lane = np.array([self._lane_of.get(each, -1) for each in table["lanelet_id"]], np.int64)
+        keep = lane >= 0
+        once = ~pd.DataFrame({"vehicle": table["vehicle"].to_numpy(), "lane": lane}).duplicated()
+        keep &= once.to_numpy()
+        return lane[keep], table["speed"].to_numpy(np.float64)[keep]
+
+    def _by_lane(self, block: Finished) -> Floats:
+        rows = (block.covered, block.visible)
+        sums = [lane_totals(row.astype(float), self._lane_of_tile, self._size) for row in rows]
+        return np.asarray(sums) / self._tiles_of_lane * STEP_S
+
+    def last_minutes(self) -> TileCoverage:
+        """Return the steps of the 15 minutes up to the last block."""
+        with self._lock:
+            blocks = list(self._blocks)
+        visible, covered = self._zeros(), self._zeros()
+        for each in blocks:
+            visible += each.visible
+            covered += each.covered
+        return TileCoverage(visible=visible, covered=covered)
+
+    def interval(self) -> TileCoverage:
+        """Return the steps since the interval last began, of the last block."""
+        return self._since
+
+    def lanes_lately(self) -> pd.DataFrame:
+        """Return `covered_s, visible_s, passages, speed` (m/s, mean) of the last 15 minutes."""
+        with self._lock:
+            blocks = list(self._blocks)
+        seconds = sum((self._by_lane(each) for each in blocks), np.zeros((2, self._size)))
+        pairs = [self._passages(each) for each in blocks]
+        lane = np.concatenate([np.zeros(0, np.int64), *(each for each, _ in pairs)])
+        speeds = np.concatenate([np.zeros(0), *(each for _, each in pairs)])
+        passages = np.bincount(lane, minlength=self._size)
+        return self._table(
+            _Interval(
+                seconds=seconds,
+                passages=passages,
+                speeds=np.bincount(lane, speeds, self._size).astype(np.float64),
+            )
+        )
+
+    def _table(self, found: _Interval) -> pd.DataFrame:
+        speed = np.full(self._size, np.nan)
+        np.divide(found.speeds, found.passages, out=speed, where=found.passages > 0)
+        return pd.DataFrame(
+            {
+                "lane": self.lanes, "covered_s": found.seconds[0], "visible_s": found.seconds[1],
+                "passages": found.passages, "speed": speed,
+            }
+        )  # fmt: skip
+
+    def intervals(self) -> pd.DataFrame:
+        """Return the same of intervals of 15 minutes, with `begin`, of at most a day."""
+        with self._lock:
+            tables = [
+                self._table(each).assign(begin=step_begin(number * INTERVAL))
+                for number, each in self._done.items()
+            ]
+        return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()

@@ -1,0 +1,277 @@
+"""The process that follows vehicles: beside fusion, which only hands on what sensors send.
+
+Its main thread takes frames in, keeps them on disk and tells the vehicles of now; a second one
+follows blocks and writes hours.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing.queues import Queue as Channel
+from pathlib import Path
+from queue import Empty, Full
+from typing import Any
+
+import numpy as np
+
+from gis_radar.arrays import Floats
+from gis_radar.errors import GisRadarError, InputError, OutputError
+from gis_radar.live.following import (
+    HOUR_STEPS,
+    Finished,
+    FollowedSite,
+    ReturnFrame,
+    VehicleFollower,
+)
+from gis_radar.live.returns import FrameReturns, pack_returns, unpack_returns
+from gis_radar.live.vehicle_settings import FollowSettings
+from gis_radar.live.vehicle_store import FollowedPose, ReturnRow, VehicleStore
+from gis_radar.live.vehicles_now import NowFilter, VehiclesNow
+from gis_radar.processes import watch_parent
+from gis_radar.steps import STEPS_PER_SECOND
+from gis_radar.vehicles.visibility import SensorView
+
+STORE_FILE = "vehicles.sqlite"
+COMMIT_S, WAIT_S = 1.0, 0.1
+AHEAD_S = 10.0  # a frame further in the future is of a wrong clock
+SHOWN_STEPS = HOUR_STEPS // 4  # of what is told again after a restart, before the hour
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewMessage:
+    """What a sensor sees from a pose."""
+
+    view: SensorView
+    road_m: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseMessage:
+    """A pose; `number` is that of fusion."""
+
+    number: int
+    pose: FollowedPose
+
+
+@dataclass(frozen=True, kw_only=True)
+class FramesMessage:
+    """Contents of messages of returns: (sensor, fusion's number of the pose, content)."""
+
+    rows: list[tuple[str, int, bytes]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class EndMessage:
+    """No more comes: what there is is followed and written."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Told:
+    """What the process tells fusion: counts always, the rest where it is new."""
+
+    counts: dict[str, float]
+    now: VehiclesNow | None = None
+    finished: Finished | None = None
+    written: Path | None = None
+    said: str = ""
+    ended: bool = False
+
+
+def follow_in_process(
+    site: FollowedSite, inbox: Channel[Any], outbox: Channel[Told], settings: FollowSettings
+) -> None:
+    """Work until the end is told; what a process of its own runs."""
+    watch_parent()
+    try:
+        store = VehicleStore(site.folder / STORE_FILE, fingerprint=site.fingerprint)
+    except GisRadarError as error:
+        outbox.put(Told(counts={}, said=error.message, ended=True))
+        return
+    _Worker(site, store, inbox, outbox, settings).run()
+    store.close()
+
+
+class _Worker:
+    def __init__(
+        self, site: FollowedSite, store: VehicleStore, inbox: Channel[Any], outbox: Channel[Told],
+        settings: FollowSettings,
+    ) -> None:  # fmt: skip
+        self._site, self._store, self._settings = site, store, settings
+        self._inbox, self._outbox = inbox, outbox
+        self._follower = VehicleFollower(site=site, store=store, settings=settings)
+        self._now = NowFilter(graph=site.graph, tracker=settings.tracker(), settings=settings)
+        self._counts: Counter[str] = Counter()
+        self._pose_ids: dict[int, int] = {}  # fusion's number: the store's
+        self._unstored: list[ReturnRow] = []
+        self._committed = self._told = self._heard = time.monotonic()
+        self._newest_s = -np.inf
+        self._work: Future[tuple[float, Floats]] | None = None
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="blocks")
+        self._said = ""
+        self._unwritten: set[int] = set()
+
+    def run(self) -> None:
+        """Take in, follow, tell, until the end."""
+        self._resume()
+        ended = False
+        while not ended:
+            ended = self._take_in()
+            self._look()
+        self._commit()
+        while self._begin_block(everything=True) or self._work is not None:
+            if self._work is not None:
+                wait([self._work])
+            self._look()
+        for hour in sorted(self._unwritten):
+            self._write(hour)
+        self._tell(ended=True)
+        self._pool.shutdown()
+
+    def _resume(self) -> None:
+        """Take up what an earlier process left: frames of the last minutes, blocks of the hour."""
+        done = self._follower.done
+        rows = self._store.frames()
+        for row in rows:
+            with suppress(InputError):
+                _, frames = unpack_returns(row.content)
+                self._follower.take([ReturnFrame(row.sensor, row.pose, each) for each in frames])
+        self._follower.late = 0
+        if done is not None:
+            begin = min(done // HOUR_STEPS * HOUR_STEPS, done - SHOWN_STEPS)
+            for each in self._follower.again(begin):
+                self._tell(finished=each)
+            self._unwritten.add(done // HOUR_STEPS)
+
+    def _take_in(self) -> bool:
+        """Take in what fusion hands on; return whether that was the end."""
+        try:
+            message = self._inbox.get(timeout=WAIT_S)
+        except Empty:
+            return False
+        if isinstance(message, EndMessage):
+            return True
+        if isinstance(message, ViewMessage):
+            self._store.add_view(message.view, message.road_m)
+            self._follower.add_view(message.view, message.road_m)
+        elif isinstance(message, PoseMessage):
+            number = self._store.add_pose(message.pose)
+            self._follower.add_pose(number, message.pose)
+            self._pose_ids[message.number] = number
+        else:
+            self._take_frames(message)
+        return False
+
+    def _take_frames(self, message: FramesMessage) -> None:
+        found: list[ReturnFrame] = []
+        latest = time.time() + AHEAD_S
+        for sensor, number, content in message.rows:
+            pose = self._pose_ids.get(number)
+            if pose is None:
+                continue
+            try:
+                _, frames = unpack_returns(content)
+            except InputError:
+                self._counts["damaged"] += 1
+                continue
+            mine = [each for each in frames if 0 < each.time_us < 1e6 * latest]
+            self._counts["early"] += len(frames) - len(mine)
+            found += [ReturnFrame(sensor, pose, each) for each in mine]
+            self._unstored += _rows(sensor, pose, content, mine, whole=len(mine) == len(frames))
+        if found:
+            self._heard = time.monotonic()
+            self._newest_s = max(self._newest_s, max(each.returns.time_us for each in found) / 1e6)
+            self._counts["frames"] += len(found)
+            self._now.take(self._follower.take(found))
+
+    def _look(self) -> None:
+        """Do what the clock asks for."""
+        now = time.monotonic()
+        if now - self._committed >= COMMIT_S:
+            self._commit()
+        if now - self._told >= self._settings.now_s:
+            self._told = now
+            self._now.go_on(self._newest_s - self._settings.reorder_s)
+            self._tell(now=self._now.now())
+        if self._work is not None and self._work.done():
+            done, self._work = self._work, None
+            try:
+                self._now.correct(*done.result())
+            except GisRadarError as error:
+                self._say(error.message)
+        self._begin_block(everything=now - self._heard > self._settings.silent_s)
+
+    def _commit(self) -> None:
+        self._committed = time.monotonic()
+        rows, self._unstored = self._unstored, []
+        if rows:
+            try:
+                self._store.add_frames(rows)
+            except OutputError as error:  # followed all the same, but gone with a restart
+                self._say(error.message)
+
+    def _begin_block(self, *, everything: bool) -> bool:
+        """Begin to follow the next block, where one is due and the last one is done."""
+        if self._work is not None:
+            return False
+        span = self._follower.due(everything=everything)
+        if span is None:
+            return False
+        block, poses = self._follower.begin(span)
+
+        def work() -> tuple[float, Floats]:
+            before = time.thread_time()
+            found = self._follower.finish(block, poses)
+            self._counts["blocks"] += 1
+            hour = block.first_step // HOUR_STEPS
+            for each in sorted(self._unwritten - {hour}):
+                self._write(each)
+            self._unwritten.add(hour)
+            if (block.last_step + 1) % HOUR_STEPS == 0:
+                self._write(hour)
+            self._counts["cpu_ms"] += round(1000 * (time.thread_time() - before))
+            self._tell(finished=found)
+            return (block.last_step + 1) / STEPS_PER_SECOND, found.stood
+
+        self._work = self._pool.submit(work)
+        return True
+
+    def _write(self, hour: int) -> None:
+        try:
+            path = self._follower.write_hour(hour)
+        except GisRadarError as error:  # tried again with the next block; the pieces stay
+            self._say(error.message)
+            return
+        self._unwritten.discard(hour)
+        if path is not None:
+            self._tell(written=path)
+
+    def _say(self, text: str) -> None:
+        if text != self._said:  # once, however often it is tried again
+            self._said = text
+            self._tell(said=text)
+
+    def _tell(self, **news: Any) -> None:
+        follower = self._follower
+        counts = {
+            **self._counts,
+            "late": follower.late,
+            "skipped_s": follower.skipped_steps / STEPS_PER_SECOND,
+            "until_s": np.nan if follower.done is None else (follower.done + 1) / STEPS_PER_SECOND,
+            "newest_s": self._newest_s if np.isfinite(self._newest_s) else np.nan,
+        }
+        told = Told(counts=counts, **news)
+        with suppress(Full):  # the vehicles of now come again; all else waits
+            self._outbox.put(told, block=told.now is None, timeout=60.0)
+
+
+def _rows(
+    sensor: str, pose: int, content: bytes, frames: list[FrameReturns], *, whole: bool
+) -> list[ReturnRow]:
+    """Return the rows of the frames of a message."""
+    if whole and len(frames) == 1:
+        return [ReturnRow(frames[0].time_us, sensor, pose, content)]
+    return [ReturnRow(each.time_us, sensor, pose, pack_returns([each], pose=0)) for each in frames]

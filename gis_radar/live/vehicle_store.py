@@ -1,0 +1,267 @@
+"""What following vehicles keeps on disk: returns of the last minutes, and vehicles of the hour.
+
+One SQLite file beside the journal. Returns are not acknowledged to sensors: what a kill takes are
+those of the last second. A block and the returns that it makes needless go in one commit, so that
+no vehicle counts twice.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from threading import RLock
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from gis_radar.errors import OutputError
+from gis_radar.vehicles.folder import VehiclePiece
+from gis_radar.vehicles.pieces import BlockEdge
+from gis_radar.vehicles.tables import FRAMES, TRACKS, VEHICLES, TableKind
+from gis_radar.vehicles.visibility import SensorView
+
+LOCK_S = 5.0  # for another program to let go of the file
+_SCHEMA = """
+CREATE TABLE IF NOT EXISTS notes (name TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS views (sensor TEXT, view TEXT, tiles BLOB NOT NULL,
+    easting REAL NOT NULL, northing REAL NOT NULL, height REAL NOT NULL, road_m REAL,
+    PRIMARY KEY (sensor, view)) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS poses (id INTEGER PRIMARY KEY, sensor TEXT NOT NULL, view TEXT NOT NULL,
+    hold_s REAL NOT NULL, content TEXT NOT NULL, UNIQUE (sensor, view, hold_s, content));
+CREATE TABLE IF NOT EXISTS frames (time_us INTEGER, sensor TEXT, pose INTEGER NOT NULL,
+    content BLOB NOT NULL, PRIMARY KEY (time_us, sensor)) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS pieces (first_step INTEGER PRIMARY KEY, last_step INTEGER NOT NULL,
+    tracks BLOB NOT NULL, vehicles BLOB NOT NULL, frames BLOB NOT NULL, poses TEXT NOT NULL,
+    edge BLOB NOT NULL, found INTEGER NOT NULL);
+"""
+POSES_KEPT = 1_000  # that may still be named
+_OLD_POSES = """
+DELETE FROM poses WHERE id < (SELECT max(id) FROM poses) - ?
+    AND id NOT IN (SELECT pose FROM frames)
+    AND id NOT IN (SELECT value FROM pieces, json_each(pieces.poses))
+"""
+
+
+class ReturnRow(NamedTuple):
+    """A frame of returns; `pose` is the id of its row, `content` that of a message."""
+
+    time_us: int
+    sensor: str
+    pose: int
+    content: bytes
+
+
+@dataclass(frozen=True, kw_only=True)
+class FollowedPose:
+    """A pose of a sensor by which vehicles are followed.
+
+    Parameters
+    ----------
+    sensor, view : str
+        Whose, and the name of what it sees.
+    hold_s : float
+        How long a frame holds, seconds.
+    content : dict
+        As a pose file holds it.
+    """
+
+    sensor: str
+    view: str
+    hold_s: float
+    content: dict[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class StoredPiece:
+    """Vehicles of a block, with the ids of the poses by which they were seen."""
+
+    piece: VehiclePiece
+    poses: tuple[int, ...]
+
+
+class VehicleStore:
+    """Returns and vehicles on disk; safe to use from several threads.
+
+    Parameters
+    ----------
+    path : Path
+        The file; made where there is none.
+    fingerprint : str
+        Of the tiles; what speaks of others is dropped.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written.
+    """
+
+    def __init__(self, path: Path, *, fingerprint: str) -> None:
+        self.path, self._lock = path, RLock()
+        with self._errors():
+            self._database = sqlite3.connect(
+                path, isolation_level=None, timeout=LOCK_S, check_same_thread=False
+            )
+            self._database.executescript(
+                "PRAGMA journal_mode = WAL; PRAGMA synchronous = NORMAL;" + _SCHEMA
+            )
+            known = self._database.execute("SELECT value FROM notes").fetchone()
+            if known != (fingerprint,):
+                with self._commit():
+                    for table in ("notes", "views", "poses", "frames", "pieces"):
+                        self._database.execute(f"DELETE FROM {table}")  # noqa: S608 - own names
+                    row = ("fingerprint", fingerprint)
+                    self._database.execute("INSERT INTO notes VALUES (?, ?)", row)
+
+    def close(self) -> None:
+        """Close the file."""
+        with self._lock:
+            self._database.close()
+
+    def add_view(self, view: SensorView, road_m: float) -> None:
+        """Add what a sensor sees, and the height of the road near it."""
+        row = (view.sensor, view.view, view.tile_id.astype("<i8").tobytes(),
+               *map(float, view.position), None if np.isnan(road_m) else road_m)  # fmt: skip
+        with self._errors():
+            self._database.execute("INSERT OR REPLACE INTO views VALUES (?, ?, ?, ?, ?, ?, ?)", row)
+
+    def views(self) -> list[tuple[SensorView, float]]:
+        """Return what sensors see, with the height of the road near them (NaN: not known)."""
+        with self._lock:
+            rows = self._database.execute("SELECT * FROM views").fetchall()
+        return [
+            (
+                SensorView(
+                    sensor=sensor, view=view, tile_id=np.frombuffer(tiles, "<i8").astype(np.int64),
+                    position=np.array(place),
+                ),
+                np.nan if road_m is None else road_m,
+            )
+            for sensor, view, tiles, *place, road_m in rows
+        ]  # fmt: skip
+
+    def add_pose(self, pose: FollowedPose) -> int:
+        """Add a pose; return its id, that of the same one where it is known."""
+        row = (pose.sensor, pose.view, pose.hold_s, json.dumps(pose.content, sort_keys=True))
+        with self._errors():
+            self._database.execute(
+                "INSERT OR IGNORE INTO poses (sensor, view, hold_s, content) VALUES (?, ?, ?, ?)",
+                row,
+            )
+            (found,) = self._database.execute(
+                "SELECT id FROM poses WHERE sensor = ? AND view = ? AND hold_s = ? AND content = ?",
+                row,
+            ).fetchone()
+        return int(found)
+
+    def poses(self) -> dict[int, FollowedPose]:
+        """Return all poses by id."""
+        with self._lock:
+            rows = self._database.execute("SELECT * FROM poses").fetchall()
+        return {
+            row[0]: FollowedPose(
+                sensor=row[1], view=row[2], hold_s=row[3], content=json.loads(row[4])
+            )
+            for row in rows
+        }
+
+    def add_frames(self, rows: Sequence[ReturnRow]) -> None:
+        """Add frames; one that is there is the same."""
+        with self._errors(), self._commit():
+            self._database.executemany("INSERT OR IGNORE INTO frames VALUES (?, ?, ?, ?)", rows)
+
+    def frames(self) -> list[ReturnRow]:
+        """Return all frames by time."""
+        with self._lock:
+            return [ReturnRow(*row) for row in self._database.execute("SELECT * FROM frames")]
+
+    def add_piece(
+        self, found: StoredPiece, edge: BlockEdge, *, needed_us: int, kept_step: int
+    ) -> None:
+        """Add the vehicles of a block; drop frames and pieces that nobody needs any more."""
+        piece = found.piece
+        row = (
+            piece.first_step, piece.last_step, _packed(TRACKS, piece.tracks),
+            _packed(VEHICLES, piece.vehicles), _packed(FRAMES, piece.frames),
+            json.dumps(found.poses), json.dumps(edge.table.to_numpy().tolist()).encode(),
+            edge.found,
+        )  # fmt: skip
+        with self._errors(), self._commit():
+            self._database.execute(
+                "INSERT OR REPLACE INTO pieces VALUES (?, ?, ?, ?, ?, ?, ?, ?)", row
+            )
+            self._database.execute("DELETE FROM frames WHERE time_us < ?", (needed_us,))
+            self._database.execute("DELETE FROM pieces WHERE last_step < ?", (kept_step,))
+            self._database.execute(_OLD_POSES, (POSES_KEPT,))
+
+    def edge(self) -> BlockEdge | None:
+        """Return where the last block ended; None where there is none."""
+        with self._lock:
+            row = self._database.execute(
+                "SELECT last_step, found, edge FROM pieces ORDER BY first_step DESC LIMIT 1"
+            ).fetchone()
+        if row is None:
+            return None
+        table = pd.DataFrame(json.loads(row[2]), columns=[*BlockEdge.COLUMNS])
+        return BlockEdge(step=row[0], found=row[1], table=table)
+
+    def pieces(self, first: int, last: int) -> Iterator[StoredPiece]:
+        """Read the pieces that begin from one step to another, in order."""
+        with self._lock:
+            steps = self._database.execute(
+                "SELECT first_step FROM pieces WHERE first_step BETWEEN ? AND ? ORDER BY 1",
+                (first, last),
+            ).fetchall()
+        for (step,) in steps:
+            with self._lock:
+                row = self._database.execute(
+                    "SELECT last_step, tracks, vehicles, frames, poses FROM pieces "
+                    "WHERE first_step = ?", (step,)
+                ).fetchone()  # fmt: skip
+            if row is None:
+                continue
+            tables = map(_unpacked, (TRACKS, VEHICLES, FRAMES), row[1:4])
+            tracks, vehicles, frames = tables
+            piece = VehiclePiece(
+                first_step=step, last_step=row[0], tracks=tracks, vehicles=vehicles, frames=frames
+            )
+            yield StoredPiece(piece=piece, poses=tuple(json.loads(row[4])))
+
+    @contextmanager
+    def _commit(self) -> Iterator[None]:
+        self._database.execute("BEGIN IMMEDIATE")
+        try:
+            yield
+            self._database.execute("COMMIT")
+        except BaseException:
+            if self._database.in_transaction:
+                self._database.execute("ROLLBACK")
+            raise
+
+    @contextmanager
+    def _errors(self) -> Iterator[None]:
+        with self._lock:
+            try:
+                yield
+            except (sqlite3.Error, OSError) as error:
+                raise OutputError(
+                    f"{self.path}: cannot be written: {error}",
+                    hint="vehicles of this time may be missing",
+                ) from error
+
+
+def _packed(kind: TableKind, table: pd.DataFrame) -> bytes:
+    sink = pa.BufferOutputStream()
+    pq.write_table(kind.to_arrow(kind.typed(table)), sink, compression="zstd")
+    return bytes(sink.getvalue().to_pybytes())
+
+
+def _unpacked(kind: TableKind, content: bytes) -> pd.DataFrame:
+    table = pq.read_table(pa.BufferReader(content), schema=kind.schema)
+    return kind.typed(table.to_pandas(types_mapper={pa.int64(): pd.Int64Dtype()}.get))

@@ -1,0 +1,217 @@
+"""Vehicles of this moment: the tracker's filter alone, and those that stood when it lost them.
+
+The filter takes what moves; who stands longer than it remembers stays shown where it stood, until
+somebody drives there, or a block of smoothed vehicles says that none is there. A block that ends a
+minute ago also names who stood all the time and was never seen to move.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from itertools import count
+
+import numpy as np
+
+from gis_radar.arrays import Floats
+from gis_radar.lanelets.graph import LaneGraph
+from gis_radar.live.vehicle_settings import DEFAULTS, FollowSettings
+from gis_radar.vehicles.bodies import are_persons, usual_rcs
+from gis_radar.vehicles.columns import FRONT, HEADING, HITS, LAST, NUMBER, REAR, SPEED, X, Y
+from gis_radar.vehicles.echoes import Echoes
+from gis_radar.vehicles.forward import ForwardFilter
+from gis_radar.vehicles.settings import VehicleSettings
+
+HEAVY_M = 7.0  # the contract: who is longer counts as heavy
+LENGTHS_M, HEAVY_WIDTH_M, WIDTH_M = (4.6, 18.75), 2.5, 1.85
+
+
+@dataclass(frozen=True, kw_only=True)
+class VehiclesNow:
+    """Vehicles of a moment.
+
+    Parameters
+    ----------
+    time : float
+        UNIX seconds.
+    vehicle : (n,) int64 array
+        Numbers that mean nothing elsewhere.
+    place : (n, 2) array
+        Easting and northing of the middle.
+    heading, speed, length_m, width_m : (n,) arrays
+        Degrees as a yaw, m/s, metres.
+    """
+
+    time: float
+    vehicle: np.ndarray
+    place: Floats
+    heading: Floats
+    speed: Floats
+    length_m: Floats
+    width_m: Floats
+
+    def __len__(self) -> int:
+        return len(self.vehicle)
+
+    @property
+    def heavy(self) -> np.ndarray:
+        """Which are longer than 7 m."""
+        return np.asarray(self.length_m > HEAVY_M)
+
+    @classmethod
+    def of(cls, time: float, rows: Floats) -> VehiclesNow:
+        """Return those of rows (number, easting, northing, heading, speed, length)."""
+        length = np.clip(rows[:, 5], *LENGTHS_M)
+        return cls(
+            time=time, vehicle=rows[:, 0].astype(np.int64), place=rows[:, 1:3],
+            heading=np.degrees(np.angle(np.exp(1j * rows[:, 3]))), speed=rows[:, 4],
+            length_m=length, width_m=np.where(length > HEAVY_M, HEAVY_WIDTH_M, WIDTH_M),
+        )  # fmt: skip
+
+    @classmethod
+    def none(cls) -> VehiclesNow:
+        """Return no vehicles."""
+        return cls.of(float("nan"), np.zeros((0, 6)))
+
+
+@dataclass(kw_only=True)
+class _Known:
+    """What was learned of a vehicle that the filter follows."""
+
+    rcs: deque[float]
+    fast: float = 0.0
+
+
+@dataclass(kw_only=True)
+class NowFilter:
+    """Follows vehicles as detections come; nothing later corrects what it says.
+
+    Parameters
+    ----------
+    graph : LaneGraph
+        The lanes.
+    tracker : VehicleSettings
+        Those of the tracker.
+    settings : FollowSettings
+        Of what is shown.
+    """
+
+    graph: LaneGraph
+    tracker: VehicleSettings
+    settings: FollowSettings = DEFAULTS
+    _waiting: list[Echoes] = field(default_factory=list)
+    _known: dict[int, _Known] = field(default_factory=dict)
+    _stood: dict[int, Floats] = field(default_factory=dict)  # by number, the row and when it was
+    _shown: dict[int, Floats] = field(default_factory=dict)
+    _passed: deque[tuple[float, Floats]] = field(default_factory=deque)
+    _same: dict[int, int] = field(default_factory=dict)
+    _numbers: count[int] = field(default_factory=count)
+    _reached: float = -np.inf
+    _still: float = np.nan
+
+    def __post_init__(self) -> None:
+        moving = self.tracker.echoes.moving_mps
+        self._filter = ForwardFilter(self.graph, self.tracker.forward, moving_mps=moving)
+
+    def take(self, echoes: Echoes) -> None:
+        """Take detections; what is not later than the last moment told comes too late."""
+        self._waiting.append(echoes.take(echoes.time > self._reached))
+
+    def go_on(self, until: float) -> None:
+        """Follow what came up to a time."""
+        waiting = Echoes.join(self._waiting)
+        ready = waiting.time <= until
+        self._waiting = [waiting.take(~ready)]
+        if until > self._reached + self.tracker.forward.stand_s:  # nothing came for long
+            self._stood, self._shown = {}, {}
+        self._reached = max(self._reached, until)
+        echoes = waiting.take(ready)
+        if len(echoes):
+            number, states = self._filter.push(echoes)
+            self._learn(echoes, number, states)
+        self._show()
+
+    def _learn(self, echoes: Echoes, number: np.ndarray, states: Floats) -> None:
+        """Note cross sections and speeds, by which walkers are told."""
+        still = np.abs(echoes.range_rate) < self.tracker.echoes.moving_mps
+        known = usual_rcs(echoes.rcs[still])
+        self._still = known if np.isnan(self._still) else self._still
+        if not np.isnan(known):
+            self._still += 0.05 * (known - self._still)
+        for each in np.unique(number[number >= 0]).tolist():
+            rows = number == each
+            found = self._known.pop(each, None) or _Known(rcs=deque(maxlen=self.settings.rcs_kept))
+            found.rcs.extend(echoes.rcs[rows].tolist())
+            found.fast = max(found.fast, float(states[rows, SPEED].max()))
+            self._known[each] = found  # the latest last
+        while len(self._known) > self.settings.judged:
+            del self._known[next(iter(self._known))]
+
+    def _persons(self) -> set[int]:
+        numbers = [*self._known]
+        rcs = np.array([usual_rcs(np.array(each.rcs)) for each in self._known.values()])
+        fast = np.array([each.fast for each in self._known.values()])
+        person = are_persons(rcs, fast, self._still, self.tracker.bodies)
+        return {numbers[k] for k in np.flatnonzero(person).tolist()}
+
+    def _show(self) -> None:
+        """Take in the bodies of the filter, and whom it has lost since."""
+        bodies = self._filter.bodies
+        sure = (bodies[:, HITS] >= self.settings.sure_hits) & (bodies[:, LAST] > self._reached - 60)
+        persons = self._persons() if len(bodies) else set()
+        alive: dict[int, Floats] = {}
+        for body in bodies[sure]:
+            if (number := int(body[NUMBER])) not in persons:
+                ahead = 0.5 * (body[FRONT] - body[REAR])
+                way = np.array([np.cos(body[HEADING]), np.sin(body[HEADING])])
+                place = body[[X, Y]] + ahead * way
+                alive[number] = np.array(
+                    [*place, body[HEADING], body[SPEED], body[FRONT] + body[REAR]]
+                )
+        places = np.array([each[:2] for each in alive.values()]).reshape(-1, 2)
+        for number, row in self._shown.items():
+            if number not in alive and row[3] < self.settings.gone_mps:
+                self._stood[number] = np.array([*row, self._reached])
+        self._passed.append((self._reached, places))
+        while self._passed and self._passed[0][0] < self._reached - self.settings.held_s:
+            self._passed.popleft()
+        for number in [*self._stood]:
+            near = self._near(self._stood[number][:2], places)
+            if near is not None:  # it drives on, or another one is there
+                new = [*alive][near]
+                self._same.setdefault(new, self._same.get(number, number))
+            late = self._reached - self._stood[number][5] > self.settings.held_s
+            if near is not None or late:
+                del self._stood[number]
+        self._same = {k: v for k, v in self._same.items() if k in alive or k in self._stood}
+        self._shown = alive
+
+    def _near(self, place: Floats, places: Floats) -> int | None:
+        apart = np.hypot(*(places - place).T) if len(places) else np.zeros(0)
+        nearest = int(apart.argmin()) if len(apart) else -1
+        return nearest if len(apart) and apart[nearest] < self.settings.same_m else None
+
+    def correct(self, time: float, stood: Floats) -> None:
+        """Take in who stood at a time by smoothed vehicles (east, north, heading, 0, length)."""
+        places = stood[:, :2]
+        for number in [*self._stood]:
+            known = self._stood[number]
+            if known[5] < time:
+                if self._near(known[:2], places) is None:
+                    del self._stood[number]
+                else:
+                    known[5] = time
+        held = np.array([each[:2] for each in self._stood.values()]).reshape(-1, 2)
+        since = [each for when, each in self._passed if when > time]
+        driven = np.concatenate([held, *since]) if since else held
+        for row in stood:
+            if self._near(row[:2], driven) is None:
+                self._stood[-1 - next(self._numbers)] = np.array([*row, time])
+
+    def now(self) -> VehiclesNow:
+        """Return the vehicles of the last moment."""
+        both = {**{k: row[:5] for k, row in self._stood.items()}, **self._shown}
+        rows = [(self._same.get(k, k), *row) for k, row in both.items()]
+        table = np.array(rows, np.float64).reshape(-1, 6)
+        table[:, 1:3] += self.graph.origin
+        return VehiclesNow.of(self._reached, table)
