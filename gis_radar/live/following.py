@@ -250,8 +250,8 @@ class VehicleFollower:
     def again(self, first: int) -> Iterator[Finished]:
         """Yield what stored blocks from a step on add, as it was before a restart."""
         for each in self.store.pieces(first, 2**62):
-            holds = _holds(each.poses, self.store.poses())
-            yield self._coverage.add(each.piece, holds, self.site.graph.origin)
+            self._holds |= _holds(each.poses, self.store.poses())
+            yield self._coverage.add(each.piece, self._holds, self.site.graph.origin)
 
     def take(self, frames: Sequence[ReturnFrame]) -> Echoes:
         """Take frames; return their echoes, for the vehicles of now."""
@@ -343,8 +343,7 @@ class VehicleFollower:
         """Follow the vehicles of a block, store them, and return what they add."""
         piece = self._maker.piece(block, vehicles_in(block.echoes, self.site.graph, self._tracker))
         self._maker.forget_lanes()
-        holds = {self._poses[k][0].sensor: self._poses[k][0].hold_s for k in poses}
-        self._holds |= holds
+        self._holds |= _holds(poses, {k: self._poses[k][0] for k in poses})
         found = self._coverage.add(piece, self._holds, self.site.graph.origin)
         needed = block.last_step + 1 - self.settings.margin_steps
         self.store.add_piece(
