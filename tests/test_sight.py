@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import fields, replace
 
 import geopandas as gpd
 import numpy as np
@@ -25,6 +26,7 @@ from gis_radar.sight import (
     report_uncovered,
     write_sights,
 )
+from gis_radar.sight.kept import KeptSight
 from gis_radar.sight.picture import draw_sight
 
 ROAD_M = 372.0
@@ -237,3 +239,43 @@ def test_an_occupancy_has_the_sight_that_it_was_measured_with(tmp_path):
     sight = sight_of_views(found.views, SENSOR, road)
     true = find_sight(SENSOR, road, SightScan([path], road))
     np.testing.assert_array_equal(sight.state, true.state)
+
+
+def arrays_of(sight):
+    named = {field.name: getattr(sight, field.name) for field in fields(sight)}
+    return {name: each for name, each in named.items() if isinstance(each, np.ndarray)}
+
+
+def test_sight_is_found_once_a_pose_and_the_same_when_kept(tmp_path):
+    tiles = across()
+    path = write_points(tmp_path / "scan.laz", flat((HOUSE, ROOF_M)))
+    for turn in range(3):
+        scan = SightScan([path], tiles)
+        kept = KeptSight(scan, tmp_path / "sights")
+        kept.read([SENSOR])
+        found = kept.find(SENSOR)
+        assert bool(scan._kept) == (turn != 1)  # whether the scan was read
+        expected = SightScan([path], tiles).find(SENSOR)
+        assert found.scan == expected.scan
+        for name, values in arrays_of(expected).items():
+            np.testing.assert_array_equal(arrays_of(found)[name], values)
+        (file,) = (tmp_path / "sights").iterdir()
+        if turn == 1:
+            file.write_bytes(file.read_bytes()[:-30])  # damaged: found anew
+
+
+def test_kept_sight_is_that_of_pose_view_heights_and_scan(tmp_path):
+    tiles = across()
+    path = write_points(tmp_path / "scan.laz", flat((HOUSE, ROOF_M)))
+    other = write_points(tmp_path / "other.laz", flat())
+    higher = replace(SENSOR, height=SENSOR.height + 5.0)
+    short = replace(SENSOR, view=View(max_range_m=90.0))
+    asked = [
+        (path, tiles, SENSOR), (path, tiles, higher), (path, tiles, short),
+        (path, across(ROAD_M + 1.0), SENSOR), (other, tiles, SENSOR),
+    ]  # fmt: skip
+    for scan, road, sensor in asked:
+        source = SightScan([scan], road)
+        found = KeptSight(source, tmp_path / "sights").find(sensor)
+        np.testing.assert_array_equal(found.state, source.find(sensor).state)
+    assert len(list((tmp_path / "sights").iterdir())) == len(asked)

@@ -790,6 +790,8 @@ def test_the_scan_of_a_site_gives_sight(demo):
         assert seen.figures()["hidden"] > 0
         views = pd.read_parquet(folder / "occupancy" / sensor / "views.parquet")
         assert sorted(views["tile_id"]) == seen.seen.tolist()
+    kept = list((folder / ".gis-radar" / "sights").rglob("*.npz"))
+    assert len(kept) == 2  # found once a sensor: recordings and hours share it
 
 
 def test_errors_of_poses_turn_the_short_way():

@@ -38,7 +38,7 @@ sys.path.append(str(Path(__file__).parents[1]))  # what all benches share
 import pages
 
 HELD_OUT = "-held"
-BAD_INPUT_ONLY = "parked"
+NOT_COMPARED = ("parked", "hours")  # of bad input, and of hours.py
 ABLATED = ("town", "light", "harsh", "gridlock", "motorway", "wide", "wide-light")
 KEPT, COMPONENTS = OUT / "bench.json", OUT / "ablation.json"
 
@@ -94,7 +94,7 @@ def _options() -> argparse.Namespace:
 def _scenes(options: argparse.Namespace) -> str:
     """Return the scenes that are asked for: those of development where none is named."""
     names = [*RECIPES, *SHARED]
-    development = [n for n in names if not n.endswith(HELD_OUT) and n != BAD_INPUT_ONLY]
+    development = [n for n in names if not n.endswith(HELD_OUT) and n not in NOT_COMPARED]
     usual = ABLATED if options.ablation else development
     return str(options.make or options.scene or ",".join(usual))
 

@@ -110,6 +110,7 @@ RECIPES: Mapping[str, Recipe] = {
     "wide": Recipe(plan="junction, wide map", seed=50, per_hour=900, radars=2),
     "wide-light": Recipe(plan="roundabout, wide map", seed=51, per_hour=350, radars=1, minutes=3.0),
     "parked": Recipe(plan="junction, parked", seed=40, per_hour=700, radars=2),
+    "hours": Recipe(plan="junction", seed=60, per_hour=1200, radars=2, minutes=4.5),
     "town-held": Recipe(plan="town", seed=111, per_hour=2200, radars=("R3", "R5", "R6")),
     "motorway-held": Recipe(
         plan="motorway", seed=112, per_hour=5200, radars=1, stand_m=(110.0, 170.0), aim_deg=5.0

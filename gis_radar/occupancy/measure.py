@@ -73,6 +73,7 @@ def measure_occupancy(
     scans: Sequence[str | Path] = (),
     scan_crs: Any = None,
     sight: str | Path | None = None,
+    sight_cache: str | Path | None = None,
     settings: OccupancySettings = DEFAULTS,
     reporter: Reporter = QUIET,
 ) -> Occupancy:
@@ -111,6 +112,8 @@ def measure_occupancy(
         The scans' coordinate system, for files without one.
     sight : str or Path, optional
         A file of :func:`gis_radar.write_sights`, in place of scans.
+    sight_cache : str or Path, optional
+        A folder in which what each pose sees by the scans is kept, for other calls.
     settings : OccupancySettings
         Constants of the algorithm; written to the manifest.
     reporter : Reporter
@@ -143,7 +146,12 @@ def measure_occupancy(
     tracks = [as_track(pose) for pose in poses]
     target = _target(tiles, filters or Filters(), engine, settings)
     target.views.scan = open_sight(
-        target.views.road, scans=scans, scan_crs=scan_crs, sight=sight, reporter=reporter
+        target.views.road,
+        scans=scans,
+        scan_crs=scan_crs,
+        sight=sight,
+        cache=sight_cache,
+        reporter=reporter,
     )
     sources = place_recordings(recordings, tracks, target.views, clocks, reporter)
     _refuse_clearance([source.recording for source in sources], target.filters)

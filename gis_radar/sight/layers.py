@@ -24,6 +24,7 @@ from gis_radar.files import whole_file
 from gis_radar.geopackage import add_layer, add_styles, keep_styles, opened_package
 from gis_radar.poses.pose import Pose, View, pose_from_dict
 from gis_radar.progress import QUIET, Reporter
+from gis_radar.sight.kept import KeptSight
 from gis_radar.sight.recorded import MOVEMENT, NO_MOVEMENT, Contradiction
 from gis_radar.sight.settings import DEFAULTS, SightSettings
 from gis_radar.sight.sight import (
@@ -272,6 +273,7 @@ def open_sight(
     scans: Sequence[str | Path] = (),
     scan_crs: Any = None,
     sight: str | Path | None = None,
+    cache: str | Path | None = None,
     reporter: Reporter = QUIET,
 ) -> SightSource | None:
     """Open what sight comes from: scans, a file of sight, or neither.
@@ -286,12 +288,14 @@ def open_sight(
         The scans' coordinate system, for files without one.
     sight : str or Path, optional
         A file of :func:`write_sights`, in place of scans.
+    cache : str or Path, optional
+        A folder in which what each pose sees by these scans is kept, for others that ask for it.
     reporter : Reporter
         Where progress goes.
 
     Returns
     -------
-    SightScan, SightFile or None
+    SightScan, KeptSight, SightFile or None
         For :func:`find_sight` and :func:`describe_sight`; None means that sight is the view alone.
 
     Raises
@@ -303,4 +307,7 @@ def open_sight(
         if scans:
             raise UsageError("both scans and a file of sight are given", hint="give one of them")
         return SightFile(sight, tiles)
-    return SightScan(scans, tiles, scan_crs=scan_crs, reporter=reporter) if scans else None
+    if not scans:
+        return None
+    scan = SightScan(scans, tiles, scan_crs=scan_crs, reporter=reporter)
+    return scan if cache is None else KeptSight(scan, Path(cache))

@@ -12,10 +12,8 @@ from gis_radar.report.names import REPORT_FILES
 from gis_radar.site import stages
 from gis_radar.site.hours import hours_of
 from gis_radar.site.settings import ConvertTable, Sensor, Site
+from gis_radar.site.stages import PARTS, STATE
 from gis_radar.site.together import FOUND, RECORDED, SEVERAL
-
-STATE = ".gis-radar"
-PARTS = "parts"  # in there: what is counted of single recordings and hours
 
 OWNED = (
     "road.", "tiles.gpkg", "sensors", "occupancy", "vehicles", "heatmap", "sight.gpkg",

@@ -7,6 +7,8 @@ imports what it calls: a worker waits for the rooms of its own stages only.
 
 from __future__ import annotations
 
+import hashlib
+import json
 import shutil
 from collections.abc import Sequence
 from dataclasses import replace
@@ -28,6 +30,9 @@ from gis_radar.site.together import (
     write_together,
 )
 
+STATE = ".gis-radar"
+PARTS = "parts"  # in there: what is counted of single recordings and hours
+SIGHTS = "sights"  # and what sensors see, which all of these ask for
 Figures = dict[str, Any]
 Paths = Sequence[Path]
 
@@ -193,8 +198,28 @@ def occupancy_stage(
     tracks = [_seeing(read_track(pose), sensor, view)]
     cycles = None if cycle is None else {sensor: cycle}
     return join_recordings(
-        [recording], tracks, tile_file, outputs[0], cycles=cycles, clocks=clocks, **options
+        [recording],
+        tracks,
+        tile_file,
+        outputs[0],
+        cycles=cycles,
+        clocks=clocks,
+        sight_cache=_sights_beside(outputs[0]),
+        **options,
     ).figures()
+
+
+def _sights_beside(part: Path) -> Path:
+    """Return where sights are kept: what other versions found is not taken, and goes."""
+    from gis_radar.site.execution import software
+
+    kept = next(each for each in part.parents if each.name == PARTS).with_name(SIGHTS)
+    of_all = json.dumps(software(), sort_keys=True).encode()
+    mine = kept / hashlib.blake2b(of_all, digest_size=8).hexdigest()
+    for other in kept.glob("*"):
+        if other != mine:
+            shutil.rmtree(other, ignore_errors=True)
+    return mine
 
 
 def merge_stage(*, parts: Paths, outputs: Paths, reporter: Reporter) -> Figures:
@@ -227,6 +252,7 @@ def vehicles_stage(
         found = follow_vehicles(
             recordings, tracks, tile_file, map_file, outputs[0], clocks=clocks, reporter=reporter,
             cycles={name: each["cycle"] for name, each in sensors.items() if each["cycle"]},
+            sight_cache=_sights_beside(outputs[0]),
             **options,
         )  # fmt: skip
     except (InputError, NoAnswerError) as error:

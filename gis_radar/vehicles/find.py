@@ -41,6 +41,7 @@ def find_vehicles(
     scans: Sequence[str | Path] = (),
     scan_crs: Any = None,
     sight: str | Path | None = None,
+    sight_cache: str | Path | None = None,
     cycles: Mapping[str, float] | None = None,
     clocks: Mapping[str, SensorClock] | None = None,
     span: tuple[int, int] | None = None,
@@ -71,6 +72,8 @@ def find_vehicles(
         The scans' coordinate system, for files without one.
     sight : str or Path, optional
         A file of :func:`gis_radar.write_sights`, in place of scans.
+    sight_cache : str or Path, optional
+        A folder in which what each pose sees by the scans is kept, for other calls.
     cycles : mapping, optional
         Seconds from frame to frame, of sensors slower than 10 Hz.
     clocks : mapping, optional
@@ -105,7 +108,12 @@ def find_vehicles(
     graph = lane_graph(roads.lanelets)
     book = ViewBook(road=SightTiles.of(tiles))
     book.scan = open_sight(
-        book.road, scans=scans, scan_crs=scan_crs, sight=sight, reporter=reporter
+        book.road,
+        scans=scans,
+        scan_crs=scan_crs,
+        sight=sight,
+        cache=sight_cache,
+        reporter=reporter,
     )
     sources = place_recordings(recordings, tracks, book, clocks, reporter)
     book.report(reporter)
