@@ -91,13 +91,35 @@ def test_an_hour_that_knows_what_was_before_it_adds_up_to_the_whole(merged, tmp_
     write(tmp_path / "c", tiles, after, last=FIRST + 599, warm_up=before, continues=True)
     for name in "ac":
         write_driven(tmp_path / name, [])
-    joined = join_hours([tmp_path / "a", tmp_path / "c"], tmp_path / "joined")
+    joined = join_hours([tmp_path / "a", tmp_path / "c"], tmp_path / "joined", tiles=tiles)
     for name in ("covered", "visible"):
         assert steps_by_tile(joined, name) == steps_by_tile(whole, name)
     assert joined.passages["step"].tolist() == whole.passages["step"].tolist()
     assert joined.vehicles["first_step"].tolist() == whole.vehicles["first_step"].tolist()
     (source,) = joined.provenance.sources
     assert source["rows"] == 20
+
+
+@pytest.mark.parametrize("apart_m", [-0.2, 0.2])
+def test_a_middle_between_hours_is_passed_once(tmp_path, apart_m):
+    """Each hour fits a vehicle by itself: past the middle by one, not yet by the other."""
+    tiles = straight_tiles(60)  # their middle is at 15 m
+    fronts = np.arange(0.0, 20.0, 0.25) + 4.9  # at 14.9 m in the last step before the cut
+    both = [drive(5, CUT - 41, fronts + more, speed=5.0) for more in (0.0, 0.1 + apart_m)]
+    ends = [rows[rows["step"] < CUT] for rows in both]
+    after = both[1][both[1]["step"] >= CUT]
+    write(tmp_path / "a", tiles, ends[0], last=CUT - 1, continues=True)
+    before = VehiclePiece(
+        first_step=CUT - 41, last_step=CUT - 1, tracks=ends[1], vehicles=rows_of(ends[1]),
+        frames=frames_of_span(CUT - 41, CUT - 1),
+    )  # fmt: skip
+    write(tmp_path / "b", tiles, after, last=CUT + 100, warm_up=before, continues=True)
+    for name in "ab":
+        write_driven(tmp_path / name, [])
+    joined = join_hours([tmp_path / "a", tmp_path / "b"], tmp_path / "joined", tiles=tiles)
+    assert len(joined.vehicles) == 1
+    assert len(joined.passages) == 1
+    assert abs(joined.passages["step"].iloc[0] - CUT) < 2
 
 
 def test_only_outer_ends_stay_cut(merged):

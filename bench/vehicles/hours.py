@@ -138,7 +138,7 @@ def follow(site: SceneFiles, shift: int, place: Path, *, hours: bool) -> Path:
         )
     if not hours:
         return parts[0]
-    join_hours(parts, place / "joined")
+    join_hours(parts, place / "joined", tiles=site.tiles())
     return place / "joined"
 
 

@@ -433,11 +433,11 @@ def _vehicles(site: Site, folder: Path) -> Iterator[Stage]:
             outputs=(place / hour.name,),
             part_of="vehicles",
         )
-    if hours:
+    if parts := tuple(place / hour.name for hour in hours):
         yield Stage(
             name="vehicles",
             work=stages.join_hours_stage,
-            inputs={"parts": tuple(place / hour.name for hour in hours)},
+            inputs={"parts": parts, "tile_file": folder / "tiles.gpkg"},
             outputs=(folder / "vehicles",),
         )
 

@@ -262,14 +262,18 @@ def vehicles_stage(
     return found.figures()
 
 
-def join_hours_stage(*, parts: Paths, outputs: Paths, reporter: Reporter) -> Figures:
+def join_hours_stage(
+    *, parts: Paths, tile_file: Path, outputs: Paths, reporter: Reporter
+) -> Figures:
     """Join the hours of vehicles; where one could not be followed, there is no whole."""
+    from gis_radar.tiles import read_tiles
     from gis_radar.vehicles.hours import join_hours
 
     if not all(part.is_dir() for part in parts):
         shutil.rmtree(outputs[0], ignore_errors=True)  # of an earlier run
         return {"not_followed": True}
-    return join_hours(parts, outputs[0], reporter=reporter).figures()
+    tiles = read_tiles(tile_file)
+    return join_hours(parts, outputs[0], tiles=tiles, reporter=reporter).figures()
 
 
 def heatmap_stage(

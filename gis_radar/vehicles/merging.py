@@ -54,7 +54,7 @@ def merge_vehicles(parts: Sequence[Vehicles]) -> Vehicles:
 
 def join_vehicles(parts: Sequence[Vehicles]) -> Vehicles:
     """Return vehicles of several times as one, without a look at what they were made from."""
-    parts = sorted(parts, key=lambda part: _edges(part)[0])
+    parts = sorted(parts, key=lambda part: edges_of(part)[0])
     numbers = _numbers(parts)
     passages = pd.concat(
         [_renumbered(p.passages, p, new) for p, new in zip(parts, numbers, strict=True)],
@@ -98,7 +98,7 @@ def _refuse_others(parts: Sequence[Vehicles]) -> None:
             )
 
 
-def _edges(part: Vehicles) -> tuple[int, int]:
+def edges_of(part: Vehicles) -> tuple[int, int]:
     """Return the first and the last step with a frame or a state.
 
     A part of a longer time ends with a whole step of a vehicle where the next one begins, whether
@@ -112,9 +112,9 @@ def _edges(part: Vehicles) -> tuple[int, int]:
 def _joined_vehicles(parts: Sequence[Vehicles], numbers: Sequence[Integers]) -> pd.DataFrame:
     """Return a row for each vehicle of all parts; what is joined goes on only at its outer ends."""
     rows: dict[int, dict[str, Any]] = {}
-    begins = {_edges(part)[0] for part in parts}
+    begins = {edges_of(part)[0] for part in parts}
     for part, new in zip(parts, numbers, strict=True):
-        end = _edges(part)[1]
+        end = edges_of(part)[1]
         for each in part.vehicles.assign(vehicle=new).to_dict("records"):
             row = {str(name): value for name, value in each.items()}
             known = rows.get(number := int(row["vehicle"]))
@@ -146,7 +146,7 @@ def _numbers(parts: Sequence[Vehicles]) -> list[Integers]:
 
 def _joins(before: Vehicles, part: Vehicles) -> Iterator[tuple[int, int]]:
     """Yield pairs of rows of the vehicles of a part and of the part before that are one vehicle."""
-    end, begin = _edges(before)[1], _edges(part)[0]
+    end, begin = edges_of(before)[1], edges_of(part)[0]
     if begin != end + 1:
         return
     other = _cut_states(before, end, "last_step")
@@ -220,7 +220,7 @@ def _merged_tracks(
 ) -> Iterator[pd.DataFrame]:
     """Read the tracks of all parts side by side, by step and vehicle."""
     waiting = [
-        (_edges(part)[0], _Stream(pieces=map(partial(_renumbered, part=part, new=new), rows)))
+        (edges_of(part)[0], _Stream(pieces=map(partial(_renumbered, part=part, new=new), rows)))
         for part, new in zip(parts, numbers, strict=True)
         for rows in [part.tracks(span)]
     ]
@@ -240,7 +240,7 @@ def _merged_tracks(
 
 def _merged_blocks(parts: Sequence[Vehicles]) -> Iterator[RunBlock]:
     """Read the runs of all parts side by side, block by block, each part when its time has come."""
-    waiting = [(_edges(part)[0] // BLOCK_STEPS, part) for part in parts]
+    waiting = [(edges_of(part)[0] // BLOCK_STEPS, part) for part in parts]
     heads: list[tuple[RunBlock, Iterator[RunBlock]]] = []
     while waiting or heads:
         number = min((head.number for head, _ in heads), default=waiting[0][0] if waiting else 0)
