@@ -340,7 +340,7 @@ def test_a_run_that_was_stopped_and_killed_ends_with_the_same_files(small, tmp_p
     same(out, unbroken)
     assert not [each for each in out.rglob(".*") if each.suffix in {".part", ".before"}]
     assert {path.name for path in (out / product.STATE).iterdir()} == {
-        ".gitignore", "parts", "state.json",
+        ".gitignore", "parts", "sights", "state.json",
     }  # fmt: skip
 
 

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-import platform
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from dataclasses import dataclass, field
-from functools import cache
 from graphlib import TopologicalSorter
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -23,13 +20,10 @@ from gis_radar.files import whole_file
 from gis_radar.progress import Reporter
 from gis_radar.site.messages import error_in_site_words, in_site_words
 from gis_radar.site.plan import Ending, Outcome, Stage
+from gis_radar.site.software import software
 from gis_radar.site.worker import Event, Pool, carry_out
 
 ALL = "all stages"
-LIBRARIES = (
-    "numpy", "scipy", "pandas", "geopandas", "shapely", "pyogrio", "pyproj", "pyarrow",
-    "rasterio", "laspy", "lazrs", "numba", "matplotlib", "open3d",
-)  # fmt: skip
 
 _POLL_S = 0.1  # how late a bar may move
 _CHUNK = 1 << 20
@@ -445,28 +439,3 @@ def _hash(path: Path, progress: Callable[[int], None]) -> str:
 def _digest(content: Any) -> str:
     text = json.dumps(content, sort_keys=True, ensure_ascii=False)
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
-
-
-@cache
-def software() -> dict[str, str]:
-    """Return the versions of all that has a part in the results.
-
-    The entry `code` is the hash of our own modules: a checkout changes without a new version.
-    """
-    code = hashlib.blake2b(digest_size=8)
-    package = Path(__file__).parents[1]
-    for path in sorted(package.rglob("*.py")):
-        code.update(path.relative_to(package).as_posix().encode() + b"\0" + path.read_bytes())
-    return {
-        "gis_radar": version("gis_radar"),
-        "code": code.hexdigest(),
-        "python": platform.python_version(),
-        **{name: found for name in LIBRARIES if (found := _version(name))},
-    }
-
-
-def _version(name: str) -> str:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return ""

@@ -31,9 +31,10 @@ from gis_radar.notebooks import card
 from gis_radar.processes import workers_here
 from gis_radar.progress import QUIET, Reporter, warnings_once
 from gis_radar.site import stages as work
-from gis_radar.site.execution import Execution, RunState, discard, software
+from gis_radar.site.execution import Execution, RunState, discard
 from gis_radar.site.plan import OWNED, Outcome, Stage, later_stages, stages_of
 from gis_radar.site.settings import Site, read_site
+from gis_radar.site.software import software
 from gis_radar.site.stages import STATE
 from gis_radar.site.worker import process_pool
 from gis_radar.steps import Clock, zone_of

@@ -21,6 +21,7 @@ from gis_radar.files import scratch_folder, whole_file
 from gis_radar.poses.files import PoseTrack, read_track, write_pose
 from gis_radar.poses.pose import COMPONENTS, Pose, View
 from gis_radar.progress import Reporter
+from gis_radar.site.software import software
 from gis_radar.site.together import (
     RECORDED,
     read_together,
@@ -211,8 +212,6 @@ def occupancy_stage(
 
 def _sights_beside(part: Path) -> Path:
     """Return where sights are kept: what other versions found is not taken, and goes."""
-    from gis_radar.site.execution import software
-
     kept = next(each for each in part.parents if each.name == PARTS).with_name(SIGHTS)
     of_all = json.dumps(software(), sort_keys=True).encode()
     mine = kept / hashlib.blake2b(of_all, digest_size=8).hexdigest()
