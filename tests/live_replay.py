@@ -9,6 +9,8 @@ import pandas as pd
 
 import gis_radar as gr
 from gis_radar.live.snapshot import Place, ShownSensor, Snapshot
+from gis_radar.live.vehicle_counts import Lately, TileCoverage
+from gis_radar.live.vehicles_now import VehiclesNow
 from gis_radar.occupancy.hits import merge_rows
 from gis_radar.steps import step_begin
 
@@ -53,7 +55,29 @@ class Replay:
                 )
                 for name, pose in self.poses.items()
             ],
+            vehicles=self.vehicles(now),
+            lately=self.lately(past),
         )  # fmt: skip
+
+    def vehicles(self, now):
+        """Return a vehicle on some of the tiles that are hit."""
+        middles = self.place.tiles.geometry.iloc[now[::5]].centroid
+        rows = [(k, each.x, each.y, 0.3 * k, 9.0, 4.6 + 6.0 * (k == 1))
+                for k, each in enumerate(middles)]  # fmt: skip
+        return VehiclesNow.of(self.at / 20.0, np.array(rows).reshape(-1, 6))
+
+    def lately(self, past):
+        """Return the hits as if they were covered."""
+        hits = np.bincount(self.tile[past], minlength=len(self.seen))
+        visible = np.where(self.seen, self.at - self.first + 1, 0)
+        count = len(self.place.lane_numbers)
+        lanes = pd.DataFrame(
+            {"lane": self.place.lane_numbers, "covered_s": 6.0, "visible_s": 60.0,
+             "passages": np.arange(count), "speed": np.where(np.arange(count), 10.0, np.nan)}
+        )  # fmt: skip
+        return Lately(
+            until_step=self.at, tiles=TileCoverage(visible=visible, covered=hits), lanes=lanes
+        )
 
     def lane_intervals(self):
         begin = step_begin(self.first)

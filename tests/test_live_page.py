@@ -35,7 +35,7 @@ from gis_radar.live.edge import Edge
 from gis_radar.live.fusion import Fusion
 from gis_radar.live.health import ALARMS, SensorHealth
 from gis_radar.live.map_of_now import MapOfNow
-from gis_radar.live.page import OCCUPIED, Access, difference, make_app, whole_event
+from gis_radar.live.page import OCCUPIED, VEHICLE, Access, difference, make_app, whole_event
 from gis_radar.live.server import Page, access_of
 from gis_radar.live.settings import read_edge_file, read_live_site
 from gis_radar.live.snapshot import NOT_OBSERVED, Snapshot
@@ -108,9 +108,11 @@ def apply(shown, change):
     for name in ("occupied", "unobserved"):
         tiles = set(shown[name]) - set(change[name]["off"]) | set(change[name]["on"])
         shown[name] = sorted(tiles)
-    for name in ("classes", "lanes", "sensors"):
+    for name in ("classes", "lanes", "sensors", "covers", "traffic"):
+        if not change[name]:
+            continue
         shown[name] |= {type(next(iter(shown[name])))(k): v for k, v in change[name].items()}
-    return shown | {name: change[name] for name in ("step", "clock")}
+    return shown | {name: change[name] for name in ("step", "clock", "vehicles")}
 
 
 def test_differences_add_up_to_the_map(live):
@@ -196,7 +198,7 @@ def test_the_service_describes_itself(address):
     for link in landing["links"]:
         get(link["href"])
     listed = get_json(f"{address}/ogc/collections")["collections"]
-    assert [each["id"] for each in listed] == ["tiles", "lanes", "intervals", "sensors"]
+    assert [each["id"] for each in listed] == ["tiles", "vehicles", "lanes", "intervals", "sensors"]
     for each in listed:
         assert get_json(next(k["href"] for k in each["links"] if k["rel"] == "items"))["features"]
 
@@ -287,8 +289,9 @@ def test_the_page_in_a_browser(live, address, chromium, width, language):
     assert chromium.find_element(By.TAG_NAME, "html").get_attribute("lang") == language
     clock = chromium.find_element(By.ID, "clock").text
     assert clock == f"{step_begin(live.at).astimezone(live.place.zone):%H:%M:%S}"
-    time.sleep(1.0)  # a picture after the first colours
-    colours = colours_of(chromium.find_element(By.ID, "map"))
+    picture = chromium.find_element(By.ID, "map")
+    wait_for(lambda: colours_of(picture)[VEHICLE] > 5, WAIT_S)  # drawn after the tiles
+    colours = colours_of(picture)
     assert colours[OCCUPIED] > 20
     assert colours[style.NOT_OBSERVED] > 200
     assert sum(colours[each.colour] for each in style.colour_classes()[1:]) > 200
@@ -307,7 +310,8 @@ def test_the_page_in_a_browser(live, address, chromium, width, language):
         }[language]
     )
     shares = [
-        row.text.split()[-2] for row in chromium.find_elements(By.CSS_SELECTOR, "#lane-rows tr")
+        row.find_elements(By.TAG_NAME, "td")[2].text.split()[0]
+        for row in chromium.find_elements(By.CSS_SELECTOR, "#lane-rows tr")
     ]
     values = [float(each.replace(",", ".")) for each in shares if each[0].isdigit()]
     assert values == sorted(values, reverse=True)
@@ -319,6 +323,34 @@ def test_the_page_in_a_browser(live, address, chromium, width, language):
     violations = Axe().run(chromium)["violations"]
     assert [each["id"] for each in violations] == []
     assert [each for each in chromium.get_log("browser") if each["level"] == "SEVERE"] == []
+
+
+def test_the_page_shows_coverage_and_tells_vehicles(live, address, chromium):
+    live.at, live.silent = live.first + 1200, set()
+    wide(chromium, 1280)
+    chromium.get(f"{address}/?lang=en")
+    WebDriverWait(chromium, WAIT_S).until(
+        lambda page: page.execute_script("return document.body.dataset.drawn")
+    )
+    count = len(live.snapshot().vehicles)
+    told = chromium.find_element(By.ID, "summary").text
+    assert told.startswith(f"{count} vehicles now, 1 of them heavy")
+    first = chromium.find_element(By.CSS_SELECTOR, "#lane-rows tr").find_elements(By.TAG_NAME, "td")
+    assert first[3].text == "10.0 %"
+    chromium.find_element(By.CSS_SELECTOR, "input[value=covers]").click()
+    paint = "return document.querySelector('input[value=covers]').checked"
+    assert chromium.execute_script(paint)
+    assert [each for each in chromium.get_log("browser") if each["level"] == "SEVERE"] == []
+
+
+def test_vehicles_of_now_are_features(live, address):
+    live.at = live.first + 700
+    now = live.snapshot().vehicles
+    found = get_json(f"{address}/ogc/collections/vehicles/items")
+    assert found["numberMatched"] == len(now) > 0
+    assert {each["properties"]["heavy"] for each in found["features"]} == {False, True}
+    lanes = get_json(f"{address}/ogc/collections/lanes/items")["features"]
+    assert lanes[0]["properties"]["coverage_15min"] == pytest.approx(0.1)
 
 
 def test_what_is_not_observed_has_no_share(live):

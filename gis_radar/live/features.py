@@ -24,7 +24,8 @@ from starlette.routing import Route
 from gis_radar.errors import InputError
 from gis_radar.live.health import ALARMS
 from gis_radar.live.snapshot import LiveMap, Snapshot, geometries
-from gis_radar.steps import STEP_S, iso_from_step, seconds_from_iso
+from gis_radar.live.vehicles_now import VehiclesNow, layer_of
+from gis_radar.steps import STEP_S, STEPS_PER_SECOND, iso_from_step, seconds_from_iso
 
 CRS84 = "http://www.opengis.net/def/crs/OGC/1.3/CRS84"
 _CONFORMANCE = [
@@ -139,6 +140,9 @@ def _collections(live: LiveMap) -> dict[str, Collection]:
             layer=layers.tiles,
             description="Slices of 0.5 m of a lane that were observed in the last 15 minutes",
         ),
+        "vehicles": Collection(
+            title="Vehicles", layer=layers.vehicles, description="Those of now: speed in m/s"
+        ),
         "lanes": Collection(
             title="Lanes", layer=layers.lanes, description="Occupancy of the last 15 minutes"
         ),
@@ -172,9 +176,22 @@ class _Layers:
         return self._tiles.assign(**_measures(now))[now.observed > 0]
 
     def lanes(self) -> gpd.GeoDataFrame:
-        share = self._live.snapshot().by_lane(self._place)
-        known = pd.Series(share, index=self._place.lane_numbers)
-        return self._lanes.assign(occupancy_15min=known.reindex(self._lanes["lane"]).to_numpy())
+        now = self._live.snapshot()
+        known = pd.Series(now.by_lane(self._place), index=self._place.lane_numbers)
+        table = self._lanes.assign(occupancy_15min=known.reindex(self._lanes["lane"]).to_numpy())
+        if now.lately is None:
+            return table
+        found = now.lately.lanes.set_index("lane").reindex(table["lane"])
+        return table.assign(
+            coverage_15min=(found["covered_s"] / found["visible_s"]).to_numpy(),
+            passages_15min=found["passages"].to_numpy(), speed_15min=found["speed"].to_numpy(),
+        )  # fmt: skip
+
+    def vehicles(self) -> gpd.GeoDataFrame:
+        now = self._live.snapshot().vehicles or VehiclesNow.none()
+        layer = self._place.in_degrees(layer_of(now, self._place.tiles.crs))
+        time = "" if np.isnan(now.time) else iso_from_step(int(now.time * STEPS_PER_SECOND))
+        return layer.assign(time=time)
 
     def sensors(self) -> gpd.GeoDataFrame:
         states = [each for each in self._live.snapshot().sensors if each.pose is not None]
@@ -206,6 +223,14 @@ def _measures(now: Snapshot) -> dict[str, Any]:
         "occupied_now": occupied,
         "occupancy_15min": now.occupancy(),
         "observed_15min_s": now.observed * STEP_S,
+        **(
+            {}
+            if now.lately is None
+            else {
+                "coverage_15min": now.lately.tiles.share(),
+                "visible_15min_s": now.lately.tiles.visible * STEP_S,
+            }
+        ),
         "time": iso_from_step(now.step),
     }
 

@@ -86,7 +86,7 @@ class Fusion:
         )  # fmt: skip
         self._windows = Windows(site.live.lateness)
         self._map = MapOfNow(len(road.tile_id), interval=interval_steps(site.live.interval))
-        self.vehicles = (
+        self.vehicles: LiveVehicles | None = (
             LiveVehicles(site, self.tiles, self._book, reporter=reporter)
             if site.live.vehicles else None
         )  # fmt: skip

@@ -12,7 +12,6 @@ from typing import Any
 
 import geopandas as gpd
 import numpy as np
-import shapely
 
 from gis_radar.errors import NoAnswerError
 from gis_radar.lanelets.graph import lane_graph
@@ -33,13 +32,13 @@ from gis_radar.live.vehicle_process import (
 )
 from gis_radar.live.vehicle_settings import DEFAULTS, FollowSettings
 from gis_radar.live.vehicle_store import FollowedPose
-from gis_radar.live.vehicles_now import VehiclesNow
+from gis_radar.live.vehicles_now import VehiclesNow, layer_of
 from gis_radar.occupancy.views import ViewBook
 from gis_radar.poses.pose import pose_from_dict
 from gis_radar.processes import stop_workers
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.sight import describe_sight
-from gis_radar.steps import interval_steps
+from gis_radar.steps import STEP_S, interval_steps
 from gis_radar.vehicles.map_check import map_of_tiles
 from gis_radar.vehicles.visibility import SensorView
 
@@ -286,21 +285,10 @@ class LiveVehicles:
         """Return the columns of the map for QGIS: seconds since the interval last began."""
         found = self.counts.interval()
         return {
-            "covered_s": found.covered * 0.05, "visible_s": found.visible * 0.05,
+            "covered_s": found.covered * STEP_S, "visible_s": found.visible * STEP_S,
             "coverage": found.share(),
         }  # fmt: skip
 
     def layer(self) -> gpd.GeoDataFrame:
         """Return the vehicles of now as points in the map."""
         return layer_of(self.now(), self._crs)
-
-
-def layer_of(now: VehiclesNow, crs: Any) -> gpd.GeoDataFrame:
-    """Return vehicles as points: `vehicle, speed` (m/s), `heading, length_m, heavy`."""
-    return gpd.GeoDataFrame(
-        {
-            "vehicle": now.vehicle, "speed": now.speed.round(2), "heading": now.heading.round(1),
-            "length_m": now.length_m.round(1), "heavy": now.heavy,
-        },
-        geometry=shapely.points(now.place.reshape(-1, 2)), crs=crs,
-    )  # fmt: skip

@@ -49,6 +49,7 @@ COOKIE = "gis_radar"
 WEB = Path(__file__).with_name("web")
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 OCCUPIED = "#0058b0"  # of a tile that is occupied now: blue is no colour of the ramp
+VEHICLE = "#12805c"  # so is green; heavy ones are longer, and outlined in black as all
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: "
     "blob:; connect-src 'self'; worker-src 'self' blob:; base-uri 'none'; form-action 'none'; "
@@ -145,7 +146,8 @@ class _Answers:
         self._sites: dict[str, bytes] = {}  # by language: what stays is made once
 
     def page(self, request: Request) -> Response:
-        return HTMLResponse(_page(self._live.place, _language(request)))
+        followed = self._live.snapshot().vehicles is not None
+        return HTMLResponse(_page(self._live.place, _language(request), followed=followed))
 
     def site(self, request: Request) -> Response:
         language = _language(request)
@@ -288,19 +290,46 @@ def whole_event(place: Place, snapshot: Snapshot) -> dict[str, Any]:
         "classes": dict(enumerate(snapshot.classes().tolist())),
         "lanes": {i: _permille(each) for i, each in enumerate(share.tolist())},
         "sensors": {each.name: _sensor(place, each) for each in snapshot.sensors},
+        "vehicles": _vehicles(place, snapshot),
+        "covers": dict(enumerate(snapshot.coverage_classes().tolist())),
+        "traffic": _traffic(snapshot),
     }
 
 
 def difference(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
     """Return what of the map differs from what was shown before."""
-    changed: dict[str, Any] = {"step": after["step"], "clock": after["clock"]}
+    changed: dict[str, Any] = {name: after[name] for name in ("step", "clock", "vehicles")}
     for name in ("occupied", "unobserved"):
         old, new = set(before[name]), set(after[name])
         changed[name] = {"on": sorted(new - old), "off": sorted(old - new)}
-    for name in ("classes", "lanes", "sensors"):
+    for name in ("classes", "lanes", "sensors", "covers", "traffic"):
         old = before[name]
         changed[name] = {k: v for k, v in after[name].items() if old.get(k, ...) != v}
     return changed
+
+
+def _vehicles(place: Place, snapshot: Snapshot) -> list[list[float]] | None:
+    """Return of each vehicle its number, the ends of its middle line, width, speed, if heavy."""
+    now = snapshot.vehicles
+    if now is None:
+        return None
+    heavy = now.heavy.astype(float)
+    rest = np.column_stack([now.width_m, now.speed.round(1), heavy])
+    rows = np.column_stack([now.vehicle, place.ends_in_degrees(now), rest])
+    return [[int(each[0]), *each[1:]] for each in rows.tolist()]
+
+
+def _traffic(snapshot: Snapshot) -> dict[int, list[float | None]]:
+    """Return by lane coverage in permille, passages, and their mean speed in km/h."""
+    if snapshot.lately is None:
+        return {}
+    table = snapshot.lately.lanes
+    share = table["covered_s"] / table["visible_s"].where(table["visible_s"] > 0)
+    rows = zip(share.tolist(), table["passages"].tolist(), table["speed"].tolist(), strict=True)
+    return {
+        i: [_permille(cover), count, None if np.isnan(speed) else round(3.6 * speed)]
+        for i, (cover, count, speed) in enumerate(rows)
+    }
 
 
 def _permille(share: float) -> int | None:
@@ -352,23 +381,24 @@ def _template() -> Any:
     return environment.from_string(text)
 
 
-def _page(place: Place, language: str) -> str:
+def _page(place: Place, language: str, *, followed: bool) -> str:
     with speaking(language):
         classes = [(each.colour, class_label(each.label, language))
                    for each in style.colour_classes()]  # fmt: skip
         legend = [*classes, (style.NOT_OBSERVED, tr("not observed"))]
         words = {"online": tr("online"), "offline": tr("offline"), "late": tr("no connection"),
-                 "occupied": tr("{n} tiles are occupied now"), "no_map": tr(
+                 "occupied": tr("{n} tiles are occupied now"),
+                 "vehicles": tr("{n} vehicles now, {heavy} of them heavy"), "no_map": tr(
                      "This browser cannot draw the map (it lacks WebGL); the tables below go on."),
                  "none": tr("not observed"),
                  "alarms": {kind: tr(text) for kind, text in ALARMS.items()}}  # fmt: skip
         colours = {"classes": [colour for colour, _ in classes], "unobserved": style.NOT_OBSERVED,
-                   "free": style.NEVER_HIT, "occupied": OCCUPIED,
+                   "free": style.NEVER_HIT, "occupied": OCCUPIED, "vehicle": VEHICLE,
                    "breaks": [round(1000 * each) for each in style.BREAKS[:-1]]}  # fmt: skip
         return str(
             _template().render(
-                place=place, legend=legend, language=language, tr=tr, words=words, colours=colours,
-                languages=LANGUAGES,
+                place=place, followed=followed, legend=legend, language=language, tr=tr,
+                words=words, colours=colours, languages=LANGUAGES,
             )
         )  # fmt: skip
 

@@ -17,6 +17,7 @@ from gis_radar.arrays import Booleans
 from gis_radar.errors import InputError, OutputError
 from gis_radar.lanelets import lanes, read_map
 from gis_radar.live.intake import SensorState
+from gis_radar.live.live_vehicles import LiveVehicles
 from gis_radar.live.map_of_now import MapState
 from gis_radar.live.page import Access, make_app
 from gis_radar.live.recent import RecentCounts
@@ -39,6 +40,10 @@ class FusedMap(Protocol):
 
     def metrics(self) -> str:
         """Return health as text for Prometheus."""
+
+    @property
+    def vehicles(self) -> LiveVehicles | None:
+        """What follows vehicles."""
 
 
 class ShownMap:
@@ -68,7 +73,7 @@ class ShownMap:
         """Return the map of now."""
         state = self._fusion.state()
         occupied, observed = self._recent.last_minutes()
-        rates = self._rates()
+        rates, followed = self._rates(), self._fusion.vehicles
         return Snapshot(
             step=state.step,
             now=np.flatnonzero(state.occupied),
@@ -79,11 +84,16 @@ class ShownMap:
                 self._shown(name, each, rates.get(name, 0.0))
                 for name, each in list(self._fusion.sensors.items())
             ],
+            vehicles=None if followed is None else followed.now(),
+            lately=None if followed is None else followed.counts.lately(),
         )
 
     def lane_intervals(self) -> pd.DataFrame:
         """Return occupied and observed seconds of each lane in intervals of 15 minutes."""
-        return self._recent.lane_intervals()
+        table = self._recent.lane_intervals()
+        followed = self._fusion.vehicles
+        known = followed.counts.intervals() if followed is not None else pd.DataFrame()
+        return table if known.empty else table.merge(known, on=["lane", "begin"], how="left")
 
     def metrics(self) -> str:
         """Return counts and lags as Prometheus reads them."""

@@ -19,6 +19,8 @@ from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.crs import transformer
 from gis_radar.heatmap import style
 from gis_radar.heatmap.by_lane import lane_totals, lanes_with_tiles
+from gis_radar.live.vehicle_counts import Lately
+from gis_radar.live.vehicles_now import VehiclesNow
 from gis_radar.poses.pose import Pose
 from gis_radar.tiles.tiles import fingerprint
 
@@ -90,6 +92,15 @@ class Place:
             self._rings[key] = np.column_stack([east, north]).round(DEGREES).tolist()
         return self._rings[key]
 
+    def ends_in_degrees(self, now: VehiclesNow) -> Floats:
+        """Return (n, 4) longitude and latitude of the rear and of the front of vehicles."""
+        way = np.radians(now.heading)
+        half = 0.5 * now.length_m[:, None] * np.column_stack([np.cos(way), np.sin(way)])
+        ends = [
+            self._to_degrees.transform(*each.T) for each in (now.place - half, now.place + half)
+        ]
+        return np.column_stack([*ends[0], *ends[1]]).round(DEGREES)
+
     @cached_property
     def _rings(self) -> dict[object, list[list[float]]]:
         """Rings of views that were asked for: made once, as a view is shown many times."""
@@ -147,6 +158,10 @@ class Snapshot:
         Steps of the last 15 minutes in which each tile is.
     sensors : sequence of ShownSensor
         All that the site file names.
+    vehicles : VehiclesNow, optional
+        Those of this moment, where vehicles are followed.
+    lately : Lately, optional
+        What vehicles covered in the 15 minutes up to the last block, once there is one.
     """
 
     step: int
@@ -155,6 +170,8 @@ class Snapshot:
     occupied: Integers
     observed: Integers
     sensors: Sequence[ShownSensor] = field(default=())
+    vehicles: VehiclesNow | None = None
+    lately: Lately | None = None
 
     def occupancy(self) -> Floats:
         """Return the occupancy of each tile over the last 15 minutes, NaN where not observed."""
@@ -164,9 +181,13 @@ class Snapshot:
 
     def classes(self) -> Integers:
         """Return the class of each tile's occupancy: 0 never hit, then as in the legend; or -1."""
-        share = self.occupancy()
-        found = np.searchsorted(style.BREAKS[:-1], np.nan_to_num(share), side="left")
-        return np.where(np.isnan(share), NOT_OBSERVED, found).astype(np.int64)
+        return classes_of(self.occupancy())
+
+    def coverage_classes(self) -> Integers:
+        """Return the same of each tile's coverage; -1 where it was not visible."""
+        if self.lately is None:
+            return np.full(len(self.observed), NOT_OBSERVED)
+        return classes_of(self.lately.tiles.share())
 
     def by_lane(self, place: Place) -> Floats:
         """Return the occupancy of each lane over the last 15 minutes, NaN where not observed."""
@@ -176,6 +197,12 @@ class Snapshot:
         share = np.full(size, np.nan)
         np.divide(occupied, observed, out=share, where=observed > 0)
         return share
+
+
+def classes_of(share: Floats) -> Integers:
+    """Return the class of each share: 0 for none, then as in the legend; -1 where not known."""
+    found = np.searchsorted(style.BREAKS[:-1], np.nan_to_num(share), side="left")
+    return np.where(np.isnan(share), NOT_OBSERVED, found).astype(np.int64)
 
 
 class LiveMap(Protocol):

@@ -46,6 +46,25 @@ class _Interval:
     speeds: Floats
 
 
+@dataclass(frozen=True, kw_only=True)
+class Lately:
+    """The 15 minutes up to the last block.
+
+    Parameters
+    ----------
+    until_step : int
+        The last step of that.
+    tiles : TileCoverage
+        By position of the tiles.
+    lanes : DataFrame
+        `lane, covered_s, visible_s, passages, speed` (m/s, mean).
+    """
+
+    until_step: int
+    tiles: TileCoverage
+    lanes: pd.DataFrame
+
+
 class VehicleCounts:
     """Sums what blocks of followed vehicles add; safe to read from another thread.
 
@@ -68,6 +87,7 @@ class VehicleCounts:
         self._since = TileCoverage(visible=self._zeros(), covered=self._zeros())
         self._number = -1
         self._done: dict[int, _Interval] = {}
+        self._lately: Lately | None = None
         self.until_step = -1
         self._lock = Lock()
 
@@ -131,6 +151,16 @@ class VehicleCounts:
             visible += each.visible
             covered += each.covered
         return TileCoverage(visible=visible, covered=covered)
+
+    def lately(self) -> Lately | None:
+        """Return tiles and lanes of the last 15 minutes, made once a block; None without any."""
+        if self.until_step >= 0 and (
+            self._lately is None or self._lately.until_step != self.until_step
+        ):
+            self._lately = Lately(
+                until_step=self.until_step, tiles=self.last_minutes(), lanes=self.lanes_lately()
+            )
+        return self._lately
 
     def interval(self) -> TileCoverage:
         """Return the steps since the interval last began, of the last block."""

@@ -10,8 +10,11 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 from itertools import count
+from typing import Any
 
+import geopandas as gpd
 import numpy as np
+import shapely
 
 from gis_radar.arrays import Floats
 from gis_radar.lanelets.graph import LaneGraph
@@ -215,3 +218,14 @@ class NowFilter:
         table = np.array(rows, np.float64).reshape(-1, 6)
         table[:, 1:3] += self.graph.origin
         return VehiclesNow.of(self._reached, table)
+
+
+def layer_of(now: VehiclesNow, crs: Any) -> gpd.GeoDataFrame:
+    """Return vehicles as points: `vehicle, speed` (m/s), `heading, length_m, heavy`."""
+    return gpd.GeoDataFrame(
+        {
+            "vehicle": now.vehicle, "speed": now.speed.round(2), "heading": now.heading.round(1),
+            "length_m": now.length_m.round(1), "heavy": now.heavy,
+        },
+        geometry=shapely.points(now.place.reshape(-1, 2)), crs=crs,
+    )  # fmt: skip

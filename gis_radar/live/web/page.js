@@ -6,11 +6,14 @@ const tenths = new Intl.NumberFormat(language, { minimumFractionDigits: 1, maxim
 const figure = new Intl.NumberFormat(language, { maximumFractionDigits: 2 });
 const byId = (name) => document.getElementById(name);
 const SUMMARY_MS = 15000; // a screen reader reads it aloud: not more often
+const CLOSE = 17.5; // zoom from which vehicles are large enough for an outline
+const VEHICLES_MS = 900; // between two drawings of vehicles: a phone takes its time for each
 const NEAR = 14; // zoom from which tiles are drawn, not lanes: a tile is a twentieth of a pixel there
 const RETRY_MS = 5000;
 const SILENT_MS = 5000; // without an event the connection counts as broken
 
-const state = { occupied: new Set(), unobserved: new Set(), classes: {}, lanes: {}, sensors: {} };
+const state = { occupied: new Set(), unobserved: new Set(), classes: {}, lanes: {}, sensors: {}, covers: {}, traffic: {} };
+let vehicles = null, drawnVehicles = "", drawnAt = 0;
 let site, map, last = Date.now(), told = 0, opened = 0;
 
 function problem(each) {
@@ -30,15 +33,17 @@ function take(event) {
     for (const tile of off) { state[name].delete(tile); touched.add(tile); }
     for (const tile of on) { state[name].add(tile); touched.add(tile); }
   }
-  for (const name of ["classes", "lanes", "sensors"]) {
+  for (const name of ["classes", "lanes", "sensors", "covers", "traffic"]) {
     if (event.whole) state[name] = {};
     Object.assign(state[name], event[name]);
   }
-  for (const tile of Object.keys(event.classes)) touched.add(Number(tile));
+  for (const tile of [...Object.keys(event.classes), ...Object.keys(event.covers)]) touched.add(Number(tile));
+  vehicles = event.vehicles;
+  showVehicles();
   byId("clock").textContent = event.clock;
   colour(touched);
   if (Object.keys(event.sensors).length) showSensors();
-  if (Object.keys(event.lanes).length) showLanes();
+  if (Object.keys(event.lanes).length || Object.keys(event.traffic).length) showLanes();
   colourLanes(event.lanes);
   if (Date.now() - told > SUMMARY_MS) summarise();
 }
@@ -47,8 +52,11 @@ function summarise() {
   told = Date.now();
   const sensors = Object.entries(state.sensors).map(
     ([name, each]) => `${name}: ${problem(each) || (each.online ? words.online : words.offline)}`);
+  const heavy = (vehicles ?? []).filter((each) => each[7]).length;
+  const now = vehicles === null ? [] :
+    [words.vehicles.replace("{n}", figure.format(vehicles.length)).replace("{heavy}", figure.format(heavy))];
   byId("summary").textContent =
-    [words.occupied.replace("{n}", figure.format(state.occupied.size)), ...sensors].join(". ") + ".";
+    [...now, words.occupied.replace("{n}", figure.format(state.occupied.size)), ...sensors].join(". ") + ".";
 }
 
 function colour(tiles) {
@@ -56,6 +64,7 @@ function colour(tiles) {
   for (const id of tiles) {
     map.setFeatureState({ source: "tiles", id }, {
       occupied: state.occupied.has(id), unobserved: state.unobserved.has(id), level: state.classes[id] ?? -1,
+      covers: state.covers[id] ?? -1,
     });
   }
 }
@@ -93,11 +102,34 @@ function showSensors() {
 }
 
 function showLanes() {
-  const known = Object.entries(state.lanes).map(([place, share]) => [site.lanes[place], share]);
+  const known = Object.entries(state.lanes).map(([place, share]) => [site.lanes[place], share, place]);
   known.sort(([, one], [, other]) => (other ?? -1) - (one ?? -1));
-  const lines = known.map(([lane, share]) =>
-    row([lane.number, lane.street, lane.direction, share === null ? words.none : `${tenths.format(share / 10)} %`], [3]));
+  const percent = (share) => share === null ? "–" : `${tenths.format(share / 10)} %`;
+  const lines = known.map(([lane, share, place]) => {
+    const [cover, passages, speed] = state.traffic[place] ?? [null, null, null];
+    const more = vehicles === null ? [] : [percent(cover), passages === null ? "–" : figure.format(passages), speed ?? "–"];
+    return row([lane.number, lane.street, lane.direction, share === null ? words.none : percent(share), ...more], [3, 4, 5, 6]);
+  });
   byId("lane-rows").replaceChildren(...lines);
+}
+
+function showVehicles() {
+  const text = JSON.stringify(vehicles);
+  if (!map?.getSource("vehicles") || text === drawnVehicles || Date.now() - drawnAt < VEHICLES_MS) return;
+  drawnVehicles = text;
+  drawnAt = Date.now();
+  map.getSource("vehicles").setData(vehicleLayer());
+}
+
+function vehicleLayer() {
+  const features = (vehicles ?? []).map(([id, west, south, east, north, width, speed, heavy]) => {
+    const metre = 1 / 111320, flat = Math.cos((south * Math.PI) / 180);
+    const [x, y] = [(east - west) * flat, north - south], long = Math.hypot(x, y) || 1;
+    const [dx, dy] = [(-y / long) * (width / 2) * metre / flat, (x / long) * (width / 2) * metre];
+    const ring = [[west + dx, south + dy], [east + dx, north + dy], [east - dx, north - dy], [west - dx, south - dy]];
+    return { type: "Feature", properties: { id, speed, heavy }, geometry: { type: "Polygon", coordinates: [[...ring, ring[0]]] } };
+  });
+  return { type: "FeatureCollection", features };
 }
 
 function sensorLayer() {
@@ -113,7 +145,10 @@ function sensorLayer() {
 
 const lately = ["match", ["feature-state", "level"],
   ...colours.classes.flatMap((each, place) => [place, each]), colours.unobserved];
+const covers = ["match", ["feature-state", "covers"],
+  ...colours.classes.flatMap((each, place) => [place, each]), colours.unobserved];
 const paints = {
+  covers,
   lately: ["case", ["boolean", ["feature-state", "occupied"], false], colours.occupied, lately],
   now: ["case", ["boolean", ["feature-state", "occupied"], false], colours.occupied,
     ["boolean", ["feature-state", "unobserved"], false], colours.unobserved, colours.free],
@@ -135,6 +170,12 @@ async function draw() {
     paint: { "line-color": lately, "line-width": 3 } });
   shown.addLayer({ id: "tiles", type: "fill", source: "tiles", minzoom: NEAR,
     paint: { "fill-color": paints.lately, "fill-antialias": false } });
+  shown.addSource("vehicles", { type: "geojson", data: vehicleLayer(), tolerance: 0, maxzoom: 20 });
+  shown.addLayer({ id: "vehicles", type: "fill", source: "vehicles", paint: { "fill-color": colours.vehicle } });
+  shown.addLayer({ id: "outlines", type: "line", source: "vehicles", maxzoom: CLOSE, // so that small ones are seen
+    paint: { "line-color": colours.vehicle, "line-width": 2 } });
+  shown.addLayer({ id: "edges", type: "line", source: "vehicles", minzoom: CLOSE,
+    paint: { "line-color": "#1d2126", "line-width": 1 } });
   const healthy = ["case", ["get", "online"], "#1d2126", "#9c1c1c"];
   shown.addLayer({ id: "views", type: "line", source: "sensors", filter: ["==", ["geometry-type"], "Polygon"],
     paint: { "line-color": healthy, "line-width": 1, "line-dasharray": [4, 3] } });
