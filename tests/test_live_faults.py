@@ -11,6 +11,7 @@ from gis_radar.errors import InputError, NoAnswerError
 from gis_radar.live import own_pose
 from gis_radar.live.broker import Received, SensorTopics
 from gis_radar.live.buffer import DiskBuffer
+from gis_radar.live.hour_copy import write_copied
 from gis_radar.live.intake import Intake
 from gis_radar.live.journal import HOUR_US, FrameRow, Journal, PoseRow
 from gis_radar.live.map_of_now import MapOfNow
@@ -105,6 +106,27 @@ def test_frames_of_a_sensor_that_left_the_site_stay_in_the_journal(tmp_path, roa
         store.write_hour(HOUR, journal, known, {"v": np.arange(10)}, ["R1", "R2"])  # named again
         assert journal.hours() == []
     assert gr.read_occupancy(store.path_of(HOUR)).sensors == ["R1", "R2"]
+
+
+def test_an_hour_that_another_process_writes_is_the_same(tmp_path):
+    known, views = {1: KnownPose(content=pose_content(), view="v")}, {"v": np.arange(10)}
+    found = []
+    for name, write in (("here", Store.write_hour), ("there", write_copied)):
+        store = Store(folder=tmp_path / name, fingerprint=PRINT, tile_id=np.arange(10), sight="x")
+        with Journal(tmp_path / f"{name}.sqlite", fingerprint=PRINT) as journal:
+            for sensor in ("R1", "R2"):
+                frames = [row(sensor, HOUR * HOUR_US + k * 40_000_000) for k in range(120)]
+                journal.add(frames, sensor, "aa", 1)
+            journal.commit()
+            path = write(store, HOUR, journal, known, views, ["R1", "R3"])
+            assert path == store.path_of(HOUR)
+            kept = {name: [len(piece) for piece in journal.frames(name, 0, 2**60)]
+                    for name in ("R1", "R2")}  # fmt: skip
+            assert kept == {"R1": [30], "R2": [120]}  # of the next hour, and not asked for
+        assert not (tmp_path / "hour.sqlite").exists()
+        found.append({each.name: each.read_bytes() for each in path.iterdir()})
+        found[-1].pop("manifest.json")
+    assert found[0] == found[1]
 
 
 @pytest.mark.parametrize("killed", [False, True])

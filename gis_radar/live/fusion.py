@@ -5,6 +5,7 @@ from __future__ import annotations
 import secrets
 import time
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING
@@ -16,6 +17,7 @@ from gis_radar.files import whole_file
 from gis_radar.live.aside import Aside
 from gis_radar.live.broker import Link, SensorTopics
 from gis_radar.live.health import HealthServer, prometheus_text
+from gis_radar.live.hour_copy import write_copied
 from gis_radar.live.intake import FUSION, Intake, SensorState
 from gis_radar.live.journal import HOUR_US, Journal
 from gis_radar.live.lane_push import LanePush
@@ -260,13 +262,13 @@ class Fusion:
             if hour < over and quiet and not self._writer.busy:
                 self._begin_hour(hour)
 
-    def _begin_hour(self, hour: int) -> None:
+    def _begin_hour(self, hour: int, *, here: bool = False) -> None:
+        """Begin to write an hour: in another process, or here where the map has ended."""
         self._hour = (hour, self.intake.touched[hour])
         self._journal.watch(hour)
         poses, tiles, sensors = dict(self.intake.poses), dict(self._book.tiles), list(self.sensors)
-        self._writer.begin(
-            lambda: self._store.write_hour(hour, self._journal, poses, tiles, sensors)
-        )
+        write = partial(self._store.write_hour) if here else partial(write_copied, self._store)
+        self._writer.begin(lambda: write(hour, self._journal, poses, tiles, sensors))
 
     def _take_written(self, *, wait: bool = False) -> None:
         """Take note of an hour that was written meanwhile."""
@@ -291,7 +293,7 @@ class Fusion:
         self._commit()
         self._take_written(wait=True)
         for hour in list(self.intake.touched):
-            self._begin_hour(hour)
+            self._begin_hour(hour, here=True)
             self._take_written(wait=True)
         if self.vehicles is not None:
             self.vehicles.finish()

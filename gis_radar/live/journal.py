@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from threading import RLock
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -104,6 +104,35 @@ class PoseName(NamedTuple):
     standing: int
 
 
+def read_frames(
+    database: sqlite3.Connection, sensor: str, begin_us: int, end_us: int, lock: Any = None
+) -> Iterator[list[FrameRow]]:
+    """Read the frames of a sensor in a time, the end left out, piece by piece.
+
+    Parameters
+    ----------
+    database : Connection
+        With a table `frames`.
+    sensor : str
+        Its name.
+    begin_us, end_us : int
+        Microseconds since 1970.
+    lock : RLock, optional
+        Held while a piece is read.
+    """
+    while True:
+        with lock or nullcontext():
+            rows = database.execute(
+                "SELECT * FROM frames WHERE sensor = ? AND time_us >= ? AND time_us < ? "
+                "ORDER BY time_us LIMIT ?",
+                (sensor, begin_us, end_us, FRAMES_AT_ONCE),
+            ).fetchall()
+        if not rows:
+            return
+        yield [FrameRow(*row) for row in rows]
+        begin_us = rows[-1][1] + 1
+
+
 class Journal:
     """Frames, poses and marks on disk.
 
@@ -123,7 +152,7 @@ class Journal:
     """
 
     def __init__(self, path: Path, *, fingerprint: str) -> None:
-        self.path = path
+        self.path: Path = path
         self._waiting: list[FrameRow] = []
         self._marks: dict[tuple[str, str], int] = {}
         self._lock, self._watched = RLock(), -1
@@ -312,17 +341,37 @@ class Journal:
 
     def frames(self, sensor: str, begin_us: int, end_us: int) -> Iterator[list[FrameRow]]:
         """Read the frames of a sensor in a time, the end left out, piece by piece."""
-        while True:
-            with self._lock:
-                rows = self._database.execute(
-                    "SELECT * FROM frames WHERE sensor = ? AND time_us >= ? AND time_us < ? "
-                    "ORDER BY time_us LIMIT ?",
-                    (sensor, begin_us, end_us, FRAMES_AT_ONCE),
-                ).fetchall()
-            if not rows:
-                return
-            yield [FrameRow(*row) for row in rows]
-            begin_us = rows[-1][1] + 1
+        yield from read_frames(self._database, sensor, begin_us, end_us, self._lock)
+
+    def copy_hour(self, hour: int, sensors: Sequence[str], path: Path) -> set[int]:
+        """Copy these sensors' frames of an hour to a file; return the ids of their poses.
+
+        Raises
+        ------
+        OutputError
+            If it cannot be written.
+        """
+        with self._errors():
+            path.unlink(missing_ok=True)
+            self._database.execute("ATTACH ? AS hour", (str(path),))
+        try:
+            with self._errors():
+                self._database.execute("PRAGMA hour.synchronous = OFF")
+                self._database.execute(_FRAMES.format("hour.frames"))
+            for sensor in sensors:
+                for begin in range(hour * HOUR_US, (hour + 1) * HOUR_US, DROPPED_AT_ONCE_US):
+                    with self._errors():
+                        self._database.execute(
+                            "INSERT INTO hour.frames SELECT * FROM main.frames "
+                            "WHERE sensor = ? AND time_us >= ? AND time_us < ?",
+                            (sensor, begin, begin + DROPPED_AT_ONCE_US),
+                        )
+            with self._errors():
+                rows = self._database.execute("SELECT DISTINCT pose FROM hour.frames").fetchall()
+            return {pose for (pose,) in rows}
+        finally:
+            with self._errors():
+                self._database.execute("DETACH hour")
 
     def drop_hour(self, hour: int, sensors: Sequence[str]) -> None:
         """Drop these sensors' frames of an hour: they are written elsewhere, and on disk."""

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import pandas as pd
@@ -16,7 +16,7 @@ import pandas as pd
 from gis_radar.arrays import Integers
 from gis_radar.errors import InputError
 from gis_radar.files import output_errors, whole_folder
-from gis_radar.live.journal import HOUR_US, FrameRow, Journal
+from gis_radar.live.journal import HOUR_US, FrameRow
 from gis_radar.live.payload import PoseContent
 from gis_radar.occupancy.folder import (
     HITS_FILE,
@@ -35,6 +35,20 @@ from gis_radar.occupancy.tile_sets import decode_sets
 from gis_radar.steps import STEP_US
 
 LIVE_RECORDING = "live"  # in the place of a recording's name, in the manifest
+
+
+class StoredFrames(Protocol):
+    """Frames on disk, such as the journal's."""
+
+    @property
+    def path(self) -> Path:
+        """The file, for messages."""
+
+    def frames(self, sensor: str, begin_us: int, end_us: int) -> Iterator[list[FrameRow]]:
+        """Read the frames of a sensor in a time, the end left out, piece by piece."""
+
+    def drop_hour(self, hour: int, sensors: Sequence[str]) -> None:
+        """Drop these sensors' frames of an hour: they are written elsewhere, and on disk."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +93,7 @@ class Store:
         return self.folder / datetime.fromtimestamp(hour * 3600, tz=UTC).strftime("%Y-%m-%dT%HZ")
 
     def write_hour(
-        self, hour: int, journal: Journal, poses: Mapping[int, KnownPose],
+        self, hour: int, journal: StoredFrames, poses: Mapping[int, KnownPose],
         tiles: Mapping[str, Integers], sensors: Sequence[str],
     ) -> Path | None:  # fmt: skip
         """Write the frames of an hour, added to those that are there; then drop them.
@@ -130,7 +144,7 @@ class _Hour:
     """The frames of an hour, as the tables of an occupancy."""
 
     def __init__(
-        self, store: Store, hour: int, journal: Journal, poses: Mapping[int, KnownPose],
+        self, store: Store, hour: int, journal: StoredFrames, poses: Mapping[int, KnownPose],
         tiles: Mapping[str, Integers],
     ) -> None:  # fmt: skip
         self._store, self._journal, self._poses, self._tiles = store, journal, poses, tiles
