@@ -8,6 +8,7 @@ an hour is written, on another thread, frames of it that come late wait in a tab
 from __future__ import annotations
 
 import sqlite3
+import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
@@ -25,6 +26,7 @@ HOUR_US = 3_600_000_000
 HOUR_STEPS = HOUR_US // STEP_US
 FRAMES_AT_ONCE = 2_000  # read for an hour: 100 s of a radar
 DROPPED_AT_ONCE_US = HOUR_US // 12  # so that a commit need not wait long
+TURN_S = 0.005  # in which a commit that waits gets its turn
 _FRAMES = """
 CREATE TABLE IF NOT EXISTS {} (sensor TEXT, time_us INTEGER, pose INTEGER NOT NULL,
     detections INTEGER NOT NULL, moving INTEGER NOT NULL, wild INTEGER NOT NULL,
@@ -366,6 +368,7 @@ class Journal:
                             "WHERE sensor = ? AND time_us >= ? AND time_us < ?",
                             (sensor, begin, begin + DROPPED_AT_ONCE_US),
                         )
+                    time.sleep(TURN_S)
             with self._errors():
                 rows = self._database.execute("SELECT DISTINCT pose FROM hour.frames").fetchall()
             return {pose for (pose,) in rows}
@@ -382,6 +385,7 @@ class Journal:
                         "DELETE FROM frames WHERE sensor = ? AND time_us >= ? AND time_us < ?",
                         (sensor, begin, begin + DROPPED_AT_ONCE_US),
                     )
+                time.sleep(TURN_S)
 
     def sensors(self) -> list[str]:
         """Return the sensors of which frames are kept."""
