@@ -192,9 +192,9 @@ def test_bytes_at_random(inputs, name):
 
 @pytest.mark.parametrize(("name", "path", "change"), FOUND)
 def test_what_was_found(inputs, name, path, change):
-    sound = (inputs / path).read_bytes()
+    target, sound = there(name), (inputs / path).read_bytes()
     change(sound, inputs / path)
-    finding = Bench(there(name), inputs).read()
+    finding = Bench(target, inputs).read()
     (inputs / path).write_bytes(sound)
     assert finding is None, finding.text
 
