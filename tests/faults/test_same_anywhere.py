@@ -28,7 +28,7 @@ COMMANDS = [
     f"track R1.parquet {LANES} --pose R1.json -o made.csv",
     "run SITE.toml -o made",
 ]
-CLOCKED = (".log", "run.json", "summary.json")  # they state when a run was
+CLOCKED = (".log", "state.json")  # they state when a run was, and of which files
 pytestmark = pytest.mark.skipif(not ALL, reason="make faults")
 
 

@@ -27,14 +27,12 @@ from gis_radar.live.payload import (
     RETURNS,
     Acknowledgement,
     Envelope,
-    FrameReturns,
     PoseContent,
     pack_hits,
     pack_message,
-    pack_returns,
     unpack_hits,
-    unpack_returns,
 )
+from gis_radar.live.returns import FrameReturns, pack_returns, unpack_returns
 from gis_radar.live.settings import read_edge_file, read_live_site
 from gis_radar.live.store import Store
 from gis_radar.live.windows import Windows
@@ -94,7 +92,9 @@ def build(folder: Path) -> None:
     ]  # fmt: skip
     points = np.array([[600, 150, -400], [700, -150, -400]], np.int64)
     returns = [
-        FrameReturns(time_us=each.time_us, points_cm=points, rates_cmps=points[:, 0])
+        FrameReturns(
+            time_us=each.time_us, points=points, rates=points[:, 0], rcs_db=points[:, 1] // 10
+        )
         for each in frames
     ]
     hits = pack_hits(frames, pose=1, fingerprint=road.fingerprint)
@@ -181,7 +181,9 @@ def returns(folder: Path) -> None:
     again = unpack_returns(pack_returns(found, pose=pose))[1]
     for one, other in zip(found, again, strict=True):
         assert one.time_us == other.time_us
-        assert np.sort(one.rates_cmps).tolist() == np.sort(other.rates_cmps).tolist()
+        for name in ("points", "rates", "rcs_db"):
+            assert getattr(one, name).tolist() == getattr(other, name).tolist()
+        one.detections()
 
 
 def messages(folder: Path) -> None:
