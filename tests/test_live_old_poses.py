@@ -6,6 +6,7 @@ from live_site import SAMPLE
 from test_live_faults import HOUR, intake_of, message, pose_content, road, row  # noqa: F401
 
 import gis_radar as gr
+from gis_radar.errors import OutputError
 from gis_radar.live.journal import HOUR_US, Journal
 from gis_radar.live.old_poses import FEW
 from gis_radar.live.payload import HITS, POSE, pack_hits
@@ -84,6 +85,26 @@ def test_views_are_those_of_all_poses_however_often_old_ones_go(tmp_path, road, 
 
 def _rows(journal):
     return [each for piece in journal.frames("R1", 0, 2**60) for each in piece]
+
+
+def test_old_poses_go_all_or_none(tmp_path, road):  # noqa: F811
+    """Broken off in the midst of it, no pose is gone that another one names."""
+    content = content_of(road, {})
+    with Journal(tmp_path / "j", fingerprint=road.fingerprint) as journal:
+        intake = intake_of(journal, road)
+        for number in range(1, 4):
+            intake.handle(message(POSE, number, content.pack(), number - 1))
+        ids = [row.id for row in journal.poses("R1")]
+        journal._database.execute(
+            "CREATE TEMP TRIGGER stop BEFORE DELETE ON poses "
+            f"WHEN old.id = {ids[1]} BEGIN SELECT RAISE(ABORT, 'the power is gone'); END"
+        )
+        with pytest.raises(OutputError, match="the power is gone"):
+            journal.drop_poses(ids[:2])
+        assert [row.id for row in journal.poses("R1")] == ids
+        journal._database.execute("DROP TRIGGER stop")
+        journal.drop_poses(ids[1:])
+        assert [row.id for row in journal.poses("R1")] == ids[:1]
 
 
 def test_a_day_of_followed_poses_takes_no_more_than_an_hour_of_them(tmp_path, road):  # noqa: F811

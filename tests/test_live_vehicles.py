@@ -9,6 +9,7 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import pytest
+from live_programs import takes_long
 from live_site import SAMPLE, Background, LiveSite, needs_mosquitto, wait_for
 from live_vehicles import Sent, compare, coverage
 
@@ -122,6 +123,7 @@ def test_vehicles_of_now_are_where_the_batch_has_them(sent, followed, batch):
     assert shown < 1.4 * true
 
 
+@takes_long
 def test_a_follower_that_begins_anew_goes_on_as_if_it_had_not(sent, tmp_path):
     """Killed in the midst of a block: the same vehicles, coverage and passages, each once."""
     begin = sent.messages[0][0]
@@ -152,6 +154,7 @@ def test_a_follower_that_begins_anew_goes_on_as_if_it_had_not(sent, tmp_path):
 
 
 @needs_mosquitto
+@takes_long
 def test_fusion_follows_vehicles_in_a_process_that_may_be_killed(tmp_path, once):
     site = LiveSite(tmp_path, once)
     site.broker.start()

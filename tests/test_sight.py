@@ -249,7 +249,7 @@ def arrays_of(sight):
 def test_sight_is_found_once_a_pose_and_the_same_when_kept(tmp_path):
     tiles = across()
     path = write_points(tmp_path / "scan.laz", flat((HOUSE, ROOF_M)))
-    for turn in range(3):
+    for turn in range(4):
         scan = SightScan([path], tiles)
         kept = KeptSight(scan, tmp_path / "sights")
         kept.read([SENSOR])
@@ -260,8 +260,12 @@ def test_sight_is_found_once_a_pose_and_the_same_when_kept(tmp_path):
         for name, values in arrays_of(expected).items():
             np.testing.assert_array_equal(arrays_of(found)[name], values)
         (file,) = (tmp_path / "sights").iterdir()
+        content = file.read_bytes()
         if turn == 1:
-            file.write_bytes(file.read_bytes()[:-30])  # damaged: found anew
+            file.write_bytes(content[:-30])  # damaged: found anew
+        if turn == 2:
+            begin = content.index(b"state.npy") + 29  # behind its name and sizes of 64 bits
+            file.write_bytes(content[:begin] + b"\xff" * 9 + content[begin + 9 :])
 
 
 def test_kept_sight_is_that_of_pose_view_heights_and_scan(tmp_path):

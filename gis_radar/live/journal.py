@@ -265,8 +265,8 @@ class Journal:
         }
 
     def drop_poses(self, ids: Iterable[int]) -> None:
-        """Drop poses that nothing names any more."""
-        with self._errors():
+        """Drop poses that nothing names any more, all or none: others stand for them."""
+        with self._errors(), self._as_one():
             self._database.executemany("DELETE FROM poses WHERE id = ?", [(each,) for each in ids])
 
     def add(self, frames: Sequence[FrameRow], sensor: str, stream: str, number: int) -> None:
@@ -284,21 +284,14 @@ class Journal:
         """
         if not self._marks:
             return
-        with self._errors():
-            self._database.execute("BEGIN IMMEDIATE")
-            try:
-                for table, rows in self._by_table().items():
-                    self._database.executemany(_INSERT[table], rows)
-                self._database.executemany(
-                    "INSERT INTO marks VALUES (?, ?, ?) ON CONFLICT DO UPDATE "
-                    "SET stored = max(stored, excluded.stored)",
-                    [(*key, number) for key, number in self._marks.items()],
-                )
-                self._database.execute("COMMIT")
-            except BaseException:
-                if self._database.in_transaction:
-                    self._database.execute("ROLLBACK")
-                raise
+        with self._errors(), self._as_one():
+            for table, rows in self._by_table().items():
+                self._database.executemany(_INSERT[table], rows)
+            self._database.executemany(
+                "INSERT INTO marks VALUES (?, ?, ?) ON CONFLICT DO UPDATE "
+                "SET stored = max(stored, excluded.stored)",
+                [(*key, number) for key, number in self._marks.items()],
+            )
         self._waiting, self._marks = [], {}
 
     def _by_table(self) -> dict[str, list[FrameRow]]:
@@ -391,6 +384,18 @@ class Journal:
         """Return the sensors of which frames are kept."""
         rows = self._database.execute("SELECT DISTINCT sensor FROM frames ORDER BY 1")
         return [sensor for (sensor,) in rows]
+
+    @contextmanager
+    def _as_one(self) -> Iterator[None]:
+        """Bring what is written inside to the disk as a whole, or not at all."""
+        self._database.execute("BEGIN IMMEDIATE")
+        try:
+            yield
+            self._database.execute("COMMIT")
+        except BaseException:
+            if self._database.in_transaction:
+                self._database.execute("ROLLBACK")
+            raise
 
     @contextmanager
     def _errors(self) -> Iterator[None]:

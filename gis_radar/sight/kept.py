@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import zipfile
+import zlib
 from collections.abc import Sequence
 from dataclasses import asdict
 from functools import cached_property
@@ -19,7 +20,7 @@ from gis_radar.sight.settings import SightSettings
 from gis_radar.sight.sight import Sight, SightScan
 
 _ARRAYS = ("state", "hider", "hidden_at_m", "uncovered")
-_DAMAGED = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
+_DAMAGED = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error)
 
 
 class KeptSight:

@@ -6,6 +6,7 @@ case takes a fraction of a second and threads of another case are in nobody's wa
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import importlib
 import json
@@ -85,7 +86,9 @@ def _waited(child: int, end: float, processor_s: float) -> tuple[int, bool]:
             return status, late
         if time.monotonic() > end or _used_s(child) > processor_s:
             late = True
-            os.killpg(child, signal.SIGKILL)
+            os.kill(child, signal.SIGKILL)
+            with contextlib.suppress(ProcessLookupError):  # just forked, it has no group yet
+                os.killpg(child, signal.SIGKILL)
         time.sleep(0.005)
 
 

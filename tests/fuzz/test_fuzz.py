@@ -212,7 +212,7 @@ def read(folder):
     if data[:1] > b"s":
         raise ZeroDivisionError
 
-fuzz(Target(name="planted", paths=("a",), read=read), Path(sys.argv[1]) / "a", Path(sys.argv[1]), 2)
+fuzz(Target(name="planted", paths=("a",), read=read), Path(sys.argv[1]) / "a", Path(sys.argv[1]), 1)
 """
 
 
