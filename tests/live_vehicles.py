@@ -39,7 +39,7 @@ class Sent:
             graph=lane_graph(roads.lanelets), map=described, sight="view only", folder=folder,
         )  # fmt: skip
         self.messages = []
-        for recording, pose in zip(recordings, poses, strict=True):
+        for recording, pose in zip(recordings, poses, strict=bool(recordings)):
             finder = ReturnFinder(road)
             road_m = self.book.road_m[pose.sensor, self.views[pose.sensor]]
             for frame in frames_of_recording(recording):

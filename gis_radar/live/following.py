@@ -21,12 +21,7 @@ from gis_radar.arrays import Floats, Integers
 from gis_radar.lanelets.graph import LaneGraph
 from gis_radar.live.returns import FrameReturns
 from gis_radar.live.vehicle_settings import DEFAULTS, FollowSettings
-from gis_radar.live.vehicle_store import (
-    POSES_KEPT,
-    FollowedPose,
-    StoredPiece,
-    VehicleStore,
-)
+from gis_radar.live.vehicle_store import FollowedPose, StoredPiece, VehicleStore
 from gis_radar.occupancy.folder import frames_of, frames_table
 from gis_radar.occupancy.frame_steps import Runs, union
 from gis_radar.poses.pose import pose_from_dict
@@ -43,6 +38,7 @@ from gis_radar.vehicles.tracker import vehicles_in
 from gis_radar.vehicles.visibility import SensorView
 
 HOUR_STEPS = 3600 * STEPS_PER_SECOND
+POSES_KEPT = 1_000  # named last; fusion names those anew that it did not name for long
 LIVE_RECORDING = "live"  # in the place of a recording's name, in the manifest
 
 
@@ -215,6 +211,8 @@ class VehicleFollower:
     store: VehicleStore
     settings: FollowSettings = DEFAULTS
     late: int = 0
+    unknown: int = 0
+    repeated: int = 0
     skipped_steps: int = 0
     newest_step: int = -1
     done: int | None = None
@@ -245,7 +243,12 @@ class VehicleFollower:
     def add_pose(self, number: int, pose: FollowedPose) -> None:
         """Take in a pose, by the id of its row in the store."""
         known = pose_from_dict(pose.content, what=f"the pose of {pose.sensor}")
-        self._poses[number] = (pose, known)
+        self._poses.pop(number, None)
+        self._poses[number] = (pose, known)  # those used last are last
+
+    def knows(self, number: int) -> bool:
+        """Return whether a pose is known, by the id of its row in the store."""
+        return number in self._poses
 
     def again(self, first: int) -> Iterator[Finished]:
         """Yield what stored blocks from a step on add, as it was before a restart."""
@@ -257,10 +260,15 @@ class VehicleFollower:
         """Take frames; return their echoes, for the vehicles of now."""
         by_pose: dict[int, list[FrameReturns]] = {}
         for each in frames:
-            fresh = each.returns.time_us > self._last_us.get(each.sensor, 0)  # a sensor's ascend
-            if fresh and each.sensor in self._number and each.pose in self._poses:
+            if each.sensor not in self._number or each.pose not in self._poses:
+                self.unknown += 1
+            elif each.returns.time_us <= self._last_us.get(each.sensor, 0):
+                self.repeated += 1  # those of a sensor ascend
+            else:
                 self._last_us[each.sensor] = each.returns.time_us
                 by_pose.setdefault(each.pose, []).append(each.returns)
+        for number in by_pose:
+            self._poses[number] = self._poses.pop(number)
         found = [self._hold(pose, mine) for pose, mine in by_pose.items()]
         return Echoes.join([each.echoes for each in found])
 
@@ -334,10 +342,16 @@ class VehicleFollower:
             ends=False,
         )  # fmt: skip
         self._held = [each for each in held if each.steps[-1] > last - margin]
-        for number in sorted(self._poses)[:-POSES_KEPT]:  # a sensor that follows has one in 5 s
-            if number not in poses and all(each.pose != number for each in self._held):
-                del self._poses[number]
+        self._forget_poses(poses | {each.pose for each in self._held})
         return block, tuple(sorted(poses))
+
+    def _forget_poses(self, needed: set[int]) -> None:
+        """Drop poses that were not used for long: a sensor that follows has one in 5 s."""
+        old = [each for each in [*self._poses][:-POSES_KEPT] if each not in needed]
+        for number in old:
+            del self._poses[number]
+        if old:
+            self.store.forget_poses([*self._poses])
 
     def finish(self, block: Block, poses: tuple[int, ...]) -> Finished:
         """Follow the vehicles of a block, store them, and return what they add."""

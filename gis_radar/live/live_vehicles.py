@@ -15,7 +15,7 @@ import numpy as np
 
 from gis_radar.errors import NoAnswerError
 from gis_radar.lanelets.graph import lane_graph
-from gis_radar.live.following import FollowedSite
+from gis_radar.live.following import POSES_KEPT, FollowedSite
 from gis_radar.live.health import SensorHealth
 from gis_radar.live.returns import head_of
 from gis_radar.live.settings import LiveSite
@@ -27,7 +27,6 @@ from gis_radar.live.vehicle_process import (
     FramesMessage,
     PoseMessage,
     Told,
-    ViewMessage,
     follow_in_process,
 )
 from gis_radar.live.vehicle_settings import DEFAULTS, FollowSettings
@@ -47,7 +46,8 @@ CHANNEL = 100  # parcels that may wait for the process: 10 s
 AGAIN_S = 10.0  # after the process ended unasked
 END_S = 120.0  # for the last minutes to be followed and written
 OLD_S = 5.0  # vehicles of now that are older are none
-COUNTS = ("frames", "late", "early", "damaged", "blocks")
+POSES_NAMED = POSES_KEPT // 2  # the process knows more, so it knows these
+COUNTS = ("frames", "late", "early", "damaged", "unknown", "repeated", "blocks")
 
 
 class LiveVehicles:
@@ -105,8 +105,8 @@ class LiveVehicles:
         self._process: Any = None
         self._inbox: Any = None
         self._outbox: Any = None
-        self._known: set[object] = set()
-        self._handed = self._started = 0.0
+        self._known: dict[int, tuple[str, str]] = {}  # by row, sensor and view; used last is last
+        self._handed = self._started = self._heard = 0.0
         self._ended, self._behind = False, 0.0
         if self._site is not None and (site.folder / STORE_FILE).exists():
             self._start()  # what an earlier run left is finished
@@ -148,32 +148,34 @@ class LiveVehicles:
             return
         if row not in self._known:
             self._name_pose(health.name, row, poses[row])
+        elif len(self._known) > 1:
+            self._known[row] = self._known.pop(row)
         self._waiting.append((health.name, row, content))
 
     def _name_pose(self, sensor: str, row: int, pose: KnownPose) -> None:
         """Tell the process of a pose and of what is seen from it."""
-        self._known.add(row)
-        view = (sensor, pose.view)
-        if view not in self._known:
-            self._known.add(view)
+        view, seen = (sensor, pose.view), None
+        if view not in self._known.values():
             placed = pose_from_dict(pose.content.pose, what=f"the pose of {sensor}")
             seen = SensorView(
                 sensor=sensor, view=pose.view, tile_id=self._book.tiles[pose.view],
                 position=placed.position,
             )  # fmt: skip
-            road_m = self._book.road_m.get(view, float("nan"))
-            self._hand_on(ViewMessage(view=seen, road_m=road_m))
         followed = FollowedPose(
             sensor=sensor, view=pose.view, hold_s=pose.content.hold_s, content=pose.content.pose
         )
-        self._hand_on(PoseMessage(number=row, pose=followed))
+        road_m = self._book.road_m.get(view, float("nan"))
+        if self._hand_on(PoseMessage(number=row, pose=followed, view=seen, road_m=road_m)):
+            self._known[row] = view
+            if len(self._known) > POSES_NAMED:
+                del self._known[next(iter(self._known))]
 
     def _start(self) -> None:
         if self._site is None:
             return
         context = multiprocessing.get_context("spawn")
         self._inbox, self._outbox = context.Queue(CHANNEL), context.Queue(10 * CHANNEL)
-        self._known, self._started, self._ended = set(), time.monotonic(), False
+        self._known, self._started, self._ended = {}, time.monotonic(), False
         self._process = context.Process(
             target=follow_in_process,
             args=(self._site, self._inbox, self._outbox, self._settings),
@@ -185,7 +187,7 @@ class LiveVehicles:
         try:
             self._inbox.put_nowait(message)
         except Full:
-            self._known = set()  # poses are named again
+            self._known = {}  # poses are named again
             return False
         return True
 
@@ -224,23 +226,29 @@ class LiveVehicles:
                 told: Told = self._outbox.get_nowait()
             except (Empty, OSError):
                 return
-            self._told = told.counts or self._told
-            self._now = told.now or self._now
-            if told.finished is not None:
-                self.counts.add(told.finished)
-            if told.written is not None:
-                self.written[told.written] = None
-            if told.said:
-                self._reporter.log(told.said, "warning")
-            self._ended = self._ended or told.ended
-            skipped = self._told.get("skipped_s", 0.0)
-            if skipped > self._behind:
-                self._reporter.log(
-                    f"following vehicles takes longer than the traffic: {skipped:.0f} s are left "
-                    "out so far",
-                    "warning",
-                )
-                self._behind = skipped
+            self._note(told)
+
+    def _note(self, told: Told) -> None:
+        """Note what the process tells."""
+        if told.counts.get("newest_s") != self._told.get("newest_s"):
+            self._heard = time.monotonic()
+        self._told = told.counts or self._told
+        self._now = told.now or self._now
+        if told.finished is not None:
+            self.counts.add(told.finished)
+        if told.written is not None:
+            self.written[told.written] = None
+        if told.said:
+            self._reporter.log(told.said, "warning")
+        self._ended = self._ended or told.ended
+        skipped = self._told.get("skipped_s", 0.0)
+        if skipped > self._behind:
+            self._reporter.log(
+                f"following vehicles takes longer than the traffic: {skipped:.0f} s are left "
+                "out so far",
+                "warning",
+            )
+            self._behind = skipped
 
     def finish(self) -> None:
         """Have the last minutes followed and written; then stop the process."""
@@ -264,8 +272,8 @@ class LiveVehicles:
     def now(self) -> VehiclesNow:
         """Return the vehicles of now; none where nothing came for long."""
         newest = self._told.get("newest_s", np.nan)
-        old = not newest - self._now.time < OLD_S or self._process is None
-        return VehiclesNow.none() if old else self._now
+        old = not newest - self._now.time < OLD_S or time.monotonic() - self._heard > OLD_S
+        return VehiclesNow.none() if old or self._process is None else self._now
 
     def figures(self) -> dict[str, float]:
         """Return counts and lags, by name, for Prometheus."""

@@ -22,6 +22,7 @@ from gis_radar.arrays import Floats
 from gis_radar.errors import GisRadarError, InputError, OutputError
 from gis_radar.live.following import (
     HOUR_STEPS,
+    POSES_KEPT,
     Finished,
     FollowedSite,
     ReturnFrame,
@@ -42,19 +43,13 @@ SHOWN_STEPS = HOUR_STEPS // 4  # of what is told again after a restart, before t
 
 
 @dataclass(frozen=True, kw_only=True)
-class ViewMessage:
-    """What a sensor sees from a pose."""
-
-    view: SensorView
-    road_m: float
-
-
-@dataclass(frozen=True, kw_only=True)
 class PoseMessage:
-    """A pose; `number` is that of fusion."""
+    """A pose with what is seen from it, unless another one said that; `number` is fusion's."""
 
     number: int
     pose: FollowedPose
+    view: SensorView | None = None
+    road_m: float = np.nan
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,7 +134,7 @@ class _Worker:
             with suppress(InputError):
                 _, frames = unpack_returns(row.content)
                 self._follower.take([ReturnFrame(row.sensor, row.pose, each) for each in frames])
-        self._follower.late = 0
+        self._follower.late = self._follower.repeated = self._follower.unknown = 0
         if done is not None:
             begin = min(done // HOUR_STEPS * HOUR_STEPS, done - SHOWN_STEPS)
             for each in self._follower.again(begin):
@@ -154,24 +149,28 @@ class _Worker:
             return False
         if isinstance(message, EndMessage):
             return True
-        if isinstance(message, ViewMessage):
-            self._store.add_view(message.view, message.road_m)
-            self._follower.add_view(message.view, message.road_m)
-        elif isinstance(message, PoseMessage):
-            number = self._store.add_pose(message.pose)
-            self._follower.add_pose(number, message.pose)
-            self._pose_ids[message.number] = number
+        if isinstance(message, PoseMessage):
+            self._take_pose(message)
         else:
             self._take_frames(message)
         return False
+
+    def _take_pose(self, message: PoseMessage) -> None:
+        if message.view is not None:
+            self._store.add_view(message.view, message.road_m)
+            self._follower.add_view(message.view, message.road_m)
+        number = self._store.add_pose(message.pose)
+        self._follower.add_pose(number, message.pose)
+        self._pose_ids[message.number] = number
+        if len(self._pose_ids) > 2 * POSES_KEPT:
+            known = self._follower.knows
+            self._pose_ids = {k: v for k, v in self._pose_ids.items() if known(v)}
 
     def _take_frames(self, message: FramesMessage) -> None:
         found: list[ReturnFrame] = []
         latest = time.time() + AHEAD_S
         for sensor, number, content in message.rows:
-            pose = self._pose_ids.get(number)
-            if pose is None:
-                continue
+            pose = self._pose_ids.get(number, -1)  # the follower counts those of no pose
             try:
                 _, frames = unpack_returns(content)
             except InputError:
@@ -180,6 +179,8 @@ class _Worker:
             mine = [each for each in frames if 0 < each.time_us < 1e6 * latest]
             self._counts["early"] += len(frames) - len(mine)
             found += [ReturnFrame(sensor, pose, each) for each in mine]
+            if not self._follower.knows(pose):
+                continue
             self._unstored += _rows(sensor, pose, content, mine, whole=len(mine) == len(frames))
         if found:
             self._heard = time.monotonic()
@@ -258,11 +259,11 @@ class _Worker:
         follower = self._follower
         counts = {
             **self._counts,
-            "late": follower.late,
+            "late": follower.late, "unknown": follower.unknown, "repeated": follower.repeated,
             "skipped_s": follower.skipped_steps / STEPS_PER_SECOND,
             "until_s": np.nan if follower.done is None else (follower.done + 1) / STEPS_PER_SECOND,
             "newest_s": self._newest_s if np.isfinite(self._newest_s) else np.nan,
-        }
+        }  # fmt: skip
         told = Told(counts=counts, **news)
         with suppress(Full):  # the vehicles of now come again; all else waits
             self._outbox.put(told, block=told.now is None, timeout=60.0)

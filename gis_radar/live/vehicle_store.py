@@ -41,12 +41,12 @@ CREATE TABLE IF NOT EXISTS pieces (first_step INTEGER PRIMARY KEY, last_step INT
     tracks BLOB NOT NULL, vehicles BLOB NOT NULL, frames BLOB NOT NULL, poses TEXT NOT NULL,
     edge BLOB NOT NULL, found INTEGER NOT NULL);
 """
-POSES_KEPT = 1_000  # that may still be named
 _OLD_POSES = """
-DELETE FROM poses WHERE id < (SELECT max(id) FROM poses) - ?
+DELETE FROM poses WHERE id NOT IN (SELECT value FROM json_each(?))
     AND id NOT IN (SELECT pose FROM frames)
     AND id NOT IN (SELECT value FROM pieces, json_each(pieces.poses))
 """
+_OLD_VIEWS = "DELETE FROM views WHERE (sensor, view) NOT IN (SELECT sensor, view FROM poses)"
 
 
 class ReturnRow(NamedTuple):
@@ -171,6 +171,12 @@ class VehicleStore:
             for row in rows
         }
 
+    def forget_poses(self, kept: Sequence[int]) -> None:
+        """Drop poses but some that no frame or piece names, and what is seen from no pose."""
+        with self._errors(), self._commit():
+            self._database.execute(_OLD_POSES, (json.dumps([*kept]),))
+            self._database.execute(_OLD_VIEWS)
+
     def add_frames(self, rows: Sequence[ReturnRow]) -> None:
         """Add frames; one that is there is the same."""
         with self._errors(), self._commit():
@@ -198,7 +204,6 @@ class VehicleStore:
             )
             self._database.execute("DELETE FROM frames WHERE time_us < ?", (needed_us,))
             self._database.execute("DELETE FROM pieces WHERE last_step < ?", (kept_step,))
-            self._database.execute(_OLD_POSES, (POSES_KEPT,))
 
     def edge(self) -> BlockEdge | None:
         """Return where the last block ended; None where there is none."""

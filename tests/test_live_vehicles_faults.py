@@ -1,0 +1,115 @@
+"""What may happen to following vehicles live: links away, sensors silent, processes killed."""
+
+import time
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from live_site import SAMPLE
+from live_vehicles import Sent
+
+import gis_radar as gr
+from gis_radar.live import following, live_vehicles
+from gis_radar.live.following import ReturnFrame
+from gis_radar.live.live_vehicles import LiveVehicles
+from gis_radar.live.returns import FrameReturns, pack_returns
+from gis_radar.live.vehicle_process import Told
+from gis_radar.live.vehicle_settings import DEFAULTS
+from gis_radar.live.vehicles_now import VehiclesNow
+from gis_radar.steps import STEP_US
+from gis_radar.vehicles.visibility import SensorView
+
+NAMES = ("R1", "R2")
+SHORT = replace(DEFAULTS, steps=100, margin_steps=40)
+
+
+@pytest.fixture(scope="module")
+def sent(tmp_path_factory):
+    poses = [gr.read_pose(SAMPLE / f"{name}.json") for name in NAMES]
+    return Sent(SAMPLE / "junction.osm", [], poses, tmp_path_factory.mktemp("sent"))
+
+
+def empty(sensor, pose, time_us):
+    """Return a frame without a detection."""
+    none = np.zeros(0, np.int64)
+    points = np.zeros((0, 3), np.int64)
+    found = FrameReturns(time_us=time_us, points=points, rates=none, rcs_db=none)
+    return ReturnFrame(sensor, pose, found)
+
+
+def site_of(sent, tmp_path):
+    live = SimpleNamespace(interval="15min")
+    named = [SimpleNamespace(name=name) for name in NAMES]
+    map_ = SimpleNamespace(file=SAMPLE / "junction.osm")
+    return SimpleNamespace(map=map_, sensor=named, folder=tmp_path, live=live)
+
+
+def test_a_pose_beside_a_sensor_that_follows_stays_known(sent, tmp_path, monkeypatch):
+    monkeypatch.setattr(following, "POSES_KEPT", 3)
+    here = sent.at(tmp_path / "here")
+    follower = here.follower(SHORT)
+    begin = 36_000_000 * STEP_US
+    pose, _ = follower._poses[here.rows["R1"]]
+    for k in range(12):  # R2 is away
+        number = here.rows["R1"]
+        if k:
+            moved = replace(pose, view=f"of {k}", content={**pose.content, "easting": 1000.0 + k})
+            seen = SensorView(
+                sensor="R1", view=moved.view, tile_id=np.zeros(0, np.int64), position=np.zeros(3)
+            )
+            follower.store.add_view(seen, 1.0)
+            number = follower.store.add_pose(moved)
+            follower.add_pose(number, moved)
+        times = begin + np.arange(100 * k, 100 * k + 100) * STEP_US
+        follower.take([empty("R1", number, int(each)) for each in times])
+        while (span := follower.due()) is not None:
+            follower.begin(span)
+    assert len(follower._poses) < 7
+    assert {*follower.store.poses()} == {*follower._poses}
+    assert len(follower.store.views()) == len(follower._poses)
+    assert not follower.knows(here.rows["R2"])
+    follower.take([empty("R2", here.rows["R2"], int(times[-1]))])
+    assert follower.unknown == 1
+
+
+def test_fusion_names_a_pose_again_that_was_not_used_for_long(sent, tmp_path, monkeypatch):
+    monkeypatch.setattr(live_vehicles, "POSES_NAMED", 2)
+    vehicles = LiveVehicles(site_of(sent, tmp_path), sent.tiles, sent.book)
+    named = []
+    vehicles._hand_on = lambda message: named.append(message) or True
+    content = {each.sensor: each.as_dict() for each in sent.poses}
+
+    def name(sensor, row):
+        known = SimpleNamespace(
+            view=sent.views[sensor],
+            content=SimpleNamespace(hold_s=0.1, pose=content[sensor], trusted=True),
+        )
+        vehicles._process = vehicles
+        health = SimpleNamespace(name=sensor, counts={"returns": 0, "left_out": 0})
+        vehicles.take(
+            health,
+            "s",
+            pack_returns([empty(sensor, 1, 10**15).returns], pose=1),
+            {("s", 1): row},
+            {row: known},
+        )
+
+    for sensor, row in [("R2", 1), ("R1", 2), ("R2", 1), ("R1", 3), ("R2", 1), ("R1", 2)]:
+        name(sensor, row)
+    assert [each.number for each in named] == [1, 2, 3, 2]
+    assert [each.view is not None for each in named] == [True, True, False, False]
+    assert len(vehicles._known) == 2
+
+
+def test_vehicles_of_now_are_none_once_all_sensors_are_silent(sent, tmp_path, monkeypatch):
+    monkeypatch.setattr(live_vehicles, "OLD_S", 0.3)
+    vehicles = LiveVehicles(site_of(sent, tmp_path), sent.tiles, sent.book)
+    vehicles._process = object()
+    now = VehiclesNow.of(100.0, np.ones((1, 6)))
+    for newest in (100.1, 100.2):
+        vehicles._note(Told(counts={"newest_s": newest}, now=now))
+    assert len(vehicles.now()) == 1
+    time.sleep(0.4)
+    vehicles._note(Told(counts={"newest_s": 100.2}, now=now))
+    assert len(vehicles.now()) == 0
