@@ -1,5 +1,6 @@
 """What `--broker-files` writes: Mosquitto and systemd find no fault in it, compose is YAML."""
 
+import os
 import shutil
 import stat
 import subprocess
@@ -45,8 +46,13 @@ def test_the_compose_file_names_what_is_there(site):
     assert fusion["command"] == ["gis-radar", "live", "SITE.toml"]
     assert fusion["working_dir"] == str(site.folder.resolve())
     assert "ro" in broker["volumes"][0]
-    assert (folder / "Dockerfile").read_text().count("\nRUN ") == 2
-    assert (folder / "Dockerfile.dockerignore").read_text() == "*\n!*.whl\n"  # no passwords
+    image = (folder / "Dockerfile").read_text()
+    assert image.count("\nRUN ") == 2
+    copied = [line for line in image.splitlines() if line.startswith(("COPY", "ADD"))]
+    assert copied == ["COPY Dockerfile *.whl /build/"]  # not every builder reads .dockerignore
+    user = "1000:1000" if os.getuid() == 0 else f"{os.getuid()}:{os.getgid()}"
+    assert {each["user"] for each in (broker, fusion)} == {user}
+    assert (folder / "Dockerfile.dockerignore").read_text() == "*\n!Dockerfile\n!*.whl\n"
 
 
 @needs_mosquitto

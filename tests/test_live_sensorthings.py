@@ -18,9 +18,9 @@ from live_site import SAMPLE, LiveSite
 
 import gis_radar as gr
 from gis_radar.errors import InputError
-from gis_radar.live.fusion import Fusion
+from gis_radar.live.fusion import Fusion, _counted_since
 from gis_radar.live.lane_push import LanePush
-from gis_radar.live.sensorthings import LaneMeasure, LaneServer, Service
+from gis_radar.live.sensorthings import LaneMeasure, LaneServer, ServerError, Service
 from gis_radar.live.settings import read_live_site
 from gis_radar.live.snapshot import Place
 from gis_radar.site.live_table import SensorThingsTable
@@ -44,6 +44,7 @@ class Server(ThreadingHTTPServer):
     def __init__(self, *, at_once=True):
         self.entities = {name: [] for name in MANDATORY}
         self.odd, self.asked, self.fails, self.drops, self.at_once = [], [], 0, 0, at_once
+        self.raw, self.moved = {}, None  # bytes that a method is answered; code and address
         super().__init__(("127.0.0.1", 0), Handler)
         threading.Thread(target=self.serve_forever, daemon=True).start()
 
@@ -137,6 +138,17 @@ class Handler(BaseHTTPRequestHandler):
         return self.answer(201, None)
 
     def answer(self, code, record):
+        if self.command in self.server.raw:
+            self.wfile.write(self.server.raw[self.command])
+            self.close_connection = True
+            return
+        if self.server.moved:
+            code, place = self.server.moved
+            self.send_response(code)
+            self.send_header("Location", place + self.path.removeprefix("/v1.1"))
+            self.send_header("Content-Length", "0")
+            self.end_headers()
+            return
         text = b"" if record is None else json.dumps(record).encode()
         self.send_response(code)
         self.send_header("Content-Length", str(len(text)))
@@ -194,6 +206,7 @@ def count(push, place, first, steps):
 
 
 BEGIN = 20 * 1_750_000_200  # a full minute
+BEGIN_OF_HOUR_US = 3600 * 486_111 * 1_000_000
 
 
 def test_lanes_and_their_intervals_arrive_as_the_standard_asks(server, place, tmp_path):
@@ -283,3 +296,114 @@ def test_a_site_pushes_only_where_its_file_says_so(tmp_path, once, server):
     other.file.write_text(bad)
     with pytest.raises(InputError, match="expected an http or https address"):
         read_live_site(other.file)
+
+
+def test_what_began_before_a_kill_is_counted_again_from_its_begin(tmp_path, once):
+    more = '[live.sensorthings]\naddress = "https://x.example/v1.1"\ninterval = "1h"'
+    site = read_live_site(LiveSite(tmp_path, once, of_live=more).file)
+    assert _counted_since(site, BEGIN_OF_HOUR_US + 50 * 60_000_000) == BEGIN_OF_HOUR_US
+
+
+OK = b"HTTP/1.0 200 OK\r\n\r\n"
+
+
+@pytest.mark.parametrize(
+    ("method", "answer"),
+    [("GET", b"HTTP/1.0 200 OK\r\nContent-Length: 99\r\n\r\n{"), ("GET", b"nonsense\r\n\r\n"),
+     ("GET", OK + b'{"value": [5]}'), ("GET", OK + b'{"value": 5}'), ("GET", OK + b"[" * 10**5),
+     ("GET", OK + b'{"value": [{"@iot.id": {}}]}'), ("POST", OK + b"5")],
+)  # fmt: skip
+def test_what_is_no_answer_of_such_a_server_is_an_error_of_it(server, place, method, answer):
+    rows = [LaneMeasure(place.lane_numbers[0], BEGIN, BEGIN + 1200, 1.0, 60.0)]
+    lanes = LaneServer(Service.of(table(server)), place, "junction")
+    lanes.push(rows)
+    server.raw[method] = answer
+    if method == "GET":
+        lanes._streams.clear()  # as after a new start
+    with pytest.raises(ServerError, match=server.address):
+        lanes.push(rows)
+    if method == "GET":
+        lanes._streams[rows[0].lane] = 1
+        if b"iot.id" not in answer:  # for times an id is nothing
+            with pytest.raises(ServerError, match=server.address):
+                lanes.push(rows, again=True)
+
+
+def test_whatever_the_push_meets_fusion_goes_on_and_says_it_once(server, place, tmp_path):
+    rows = [LaneMeasure(place.lane_numbers[0], 10**18, 10**18 + 1, 1.0, 60.0)]  # no such year
+    (tmp_path / "waiting.json").write_text(json.dumps(rows))
+    said = Lines()
+    push = push_of(server, place, tmp_path, said)
+    for _ in range(2):
+        push._try_at = 0.0
+        push.regular()
+        push._work._thread.join()
+        push.regular()
+    assert len(said.lines) == 1
+    assert said.told("lane measures cannot be pushed: ")
+    assert push.waiting == 1
+
+
+def test_measures_of_lanes_that_the_map_no_longer_has_do_not_hold_up_others(
+    server, place, tmp_path
+):
+    rows = [LaneMeasure(max(place.lane_numbers) + 1, BEGIN, BEGIN + 1200, 1.0, 60.0)]
+    (tmp_path / "waiting.json").write_text(json.dumps(rows))
+    assert push_of(server, place, tmp_path).waiting == 0
+
+
+def test_what_is_counted_again_arrives_once(server, place, tmp_path):
+    lanes = len(place.lane_numbers)
+    push = push_of(server, place, tmp_path, interval="1min")
+    count(push, place, BEGIN, 2 * 1200 + 1)
+    until_sent(push)
+    again = push_of(server, place, tmp_path, interval="1min")  # killed: the hour is replayed
+    count(again, place, BEGIN, 3 * 1200 + 1)
+    until_sent(again)
+    assert len(server.entities["Observations"]) == 3 * lanes
+    count(again, place, BEGIN, 1201)  # the clock is set back, one interval after the other
+    until_sent(again)
+    count(again, place, BEGIN + 1201, 1200)
+    until_sent(again)
+    assert len(server.entities["Observations"]) == 3 * lanes
+    count(again, place, BEGIN - 1200, 1201)  # it was ahead: what was never there is new
+    assert again.waiting == lanes
+    until_sent(again)
+    assert len({each[:2] for each in server.results()}) == len(server.results()) == 4 * lanes
+
+
+def test_what_waits_and_is_counted_again_waits_once(server, place, tmp_path):
+    count(push_of(server, place, tmp_path, interval="1min"), place, BEGIN, 1201)  # and killed
+    again = push_of(server, place, tmp_path, interval="1min")
+    count(again, place, BEGIN, 1201)
+    assert again.waiting == len(place.lane_numbers)
+
+
+@pytest.mark.parametrize("code", [301, 302, 303, 307, 308])
+def test_a_server_that_sends_on_gets_nothing_sent_on(server, place, code):
+    other = Server()
+    rows = [LaneMeasure(place.lane_numbers[0], BEGIN, BEGIN + 1200, 1.0, 60.0)]
+    lanes = LaneServer(Service.of(table(server)), place, "junction")
+    lanes.push(rows)
+    server.moved = code, other.address
+    with pytest.raises(ServerError, match=f"the address to use is {other.address}$"):
+        lanes.push(rows)
+    with pytest.raises(ServerError, match=f"the address to use is {other.address}$"):
+        lanes.push(rows, again=True)
+    assert other.asked == []
+    other.shutdown()
+    other.server_close()
+
+
+@pytest.mark.parametrize("key", ["token_file", "password_file"])
+def test_a_log_in_goes_encrypted_or_stays_on_this_machine(tmp_path, once, key):
+    (tmp_path / "secret").write_text("x")
+    text = f'[live.sensorthings]\naddress = "http://x.example/v1.1"\n{key} = "secret"'
+    site = LiveSite(tmp_path, once)
+    bare = site.file.read_text().replace("[[sensor]]", f"{text}\n[[sensor]]", 1)
+    site.file.write_text(bare)
+    with pytest.raises(InputError, match="a password or token would go over http"):
+        read_live_site(site.file)
+    for place in ("https://x.example", "http://127.0.0.1:80", "http://[::1]", "http://localhost"):
+        site.file.write_text(bare.replace("http://x.example", place))
+        assert read_live_site(site.file).live.sensorthings is not None

@@ -38,8 +38,9 @@ class Aside(Generic[Answer]):
             except BaseException as error:  # noqa: BLE001 - raised by take, in the caller's thread
                 self._errors.append(error)
 
-        self._thread = Thread(target=run, daemon=True, name=self._name)
-        self._thread.start()
+        thread = Thread(target=run, daemon=True, name=self._name)
+        thread.start()
+        self._thread = thread  # only now: one that could not be started is none
 
     def take(self, *, wait: bool = False) -> Answer | None:
         """Return the answer once it is there; raise what the work raised.

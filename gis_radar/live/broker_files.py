@@ -144,12 +144,13 @@ RUN apt-get update \\
     && rm -rf /var/lib/apt/lists/*
 # Another version, or a wheel beside this file: --build-arg GIS_RADAR=/build/gis_radar-....whl[live]
 ARG GIS_RADAR=gis_radar[live]
-COPY . /build
+# Nothing else of this folder: passwords and keys lie here, and a layer would keep them.
+COPY Dockerfile *.whl /build/
 RUN python3 -m venv /venv && /venv/bin/pip install --no-cache-dir "$GIS_RADAR" && rm -r /build
 ENV PATH=/venv/bin:/usr/sbin:/usr/bin:/sbin:/bin
 """
 # What must not get into the image: passwords, keys.
-_LEFT_OUT = "*\n!*.whl\n"
+_LEFT_OUT = "*\n!Dockerfile\n!*.whl\n"
 
 
 def compose_text(site: LiveSite, file: Path, folder: Path) -> str:
@@ -162,7 +163,9 @@ def compose_text(site: LiveSite, file: Path, folder: Path) -> str:
     file, folder : Path
         The site's file, and where the files of the broker are.
     """
-    uid, gid = (os.getuid(), os.getgid()) if hasattr(os, "getuid") else (1000, 1000)
+    uid, gid = (os.getuid(), os.getgid()) if hasattr(os, "getuid") else (0, 0)
+    if uid == 0:  # nothing in the containers needs root
+        uid, gid = 1000, 1000
     common = {
         "image": "gis_radar-live",
         "network_mode": "host",  # addresses of SITE.toml hold, and multicast of radars comes in

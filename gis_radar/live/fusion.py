@@ -106,8 +106,7 @@ class Fusion:
         )  # fmt: skip
         self.sensors, self.intake.vehicles = self.intake.sensors, self.vehicles
         now_us = int(time.time() * 1e6)
-        interval_us = interval_steps(site.live.interval) * STEP_US
-        self._advance(self.intake.resume(now_us - now_us % interval_us, now_us))
+        self._advance(self.intake.resume(_counted_since(site, now_us), now_us))
 
     @property
     def outputs(self) -> list[Path]:
@@ -335,6 +334,14 @@ def _page(fusion: Fusion, site: LiveSite) -> Page | None:
     from gis_radar.live.server import Page  # noqa: PLC0415
 
     return Page(fusion, site, site.live.page, fusion.tiles)
+
+
+def _counted_since(site: LiveSite, now_us: int) -> int:
+    """Return when the intervals began that count now, those of the map and of the push."""
+    texts = [site.live.interval]
+    if site.live.sensorthings is not None:
+        texts.append(site.live.sensorthings.interval)
+    return min(now_us - now_us % (interval_steps(each) * STEP_US) for each in texts)
 
 
 def _push(site: LiveSite, tiles: gpd.GeoDataFrame, reporter: Reporter) -> LanePush | None:

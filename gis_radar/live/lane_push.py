@@ -101,10 +101,12 @@ class LanePush:
         self._server = LaneServer(Service.of(table), place, site)
         self._intervals = LaneIntervals(place, interval_steps(table.interval))
         self._path, self._reporter = path, reporter
-        self._waiting = _read(path)
+        lanes = {*place.lane_numbers}  # another map may have others: no server takes those
+        self._waiting = [each for each in _read(path) if each.lane in lanes]
         self._sending: list[LaneMeasure] = []
         self._work = Aside[int]("sensorthings")
-        self._again = bool(self._waiting)  # they may have arrived before a kill
+        self._again = True  # what a new start counts again may have arrived before
+        self._newest = -1  # begin of an interval
         self._try_at, self._patience_s, self._said = 0.0, FIRST_RETRY_S, ""
 
     @property
@@ -115,7 +117,11 @@ class LanePush:
     def take(self, step: int, occupied: Booleans, observed: Booleans) -> None:
         """Count a closed step."""
         done = self._intervals.take(step, occupied, observed)
-        if done:
+        if done and done[0].begin <= self._newest:  # the clock was set back
+            self._again = True
+        known = {(each.lane, each.begin) for each in self._waiting} if done else set()
+        if done := [each for each in done if (each.lane, each.begin) not in known]:
+            self._newest = max(self._newest, done[0].begin)
             self._waiting = [*self._waiting, *done][-MOST_WAITING:]
             self._keep()
 
@@ -125,19 +131,19 @@ class LanePush:
             self._take_sent()
         if self._waiting and not self._work.busy and time.monotonic() >= self._try_at:
             self._sending, again = sorted(self._waiting), self._again
-            self._work.begin(lambda: self._server.push(self._sending, again=again))
+            self._again = False  # unless it fails, or the clock is set back meanwhile
+            try:
+                self._work.begin(lambda: self._server.push(self._sending, again=again))
+            except RuntimeError as error:  # no further thread can be started
+                self._failed(error)
 
     def _take_sent(self) -> None:
         try:
             refused = self._work.take()
             if self._work.busy or refused is None:
                 return
-        except GisRadarError as error:
-            self._again, self._try_at = True, time.monotonic() + self._patience_s
-            self._patience_s = min(2.0 * self._patience_s, SLOWEST_RETRY_S)
-            if error.message != self._said:
-                self._said = error.message
-                self._reporter.log(f"{error.message}; trying on", "warning")
+        except Exception as error:  # noqa: BLE001 - whatever it is, fusion goes on
+            self._failed(error)
             return
         sent = {*self._sending}
         self._waiting = [each for each in self._waiting if each not in sent]
@@ -146,7 +152,19 @@ class LanePush:
             self._reporter.log(f"the server of lane measures refuses {refused} of them", "warning")
         if self._said:
             self._reporter.log("the server of lane measures takes them again")
-        self._again, self._patience_s, self._said = False, FIRST_RETRY_S, ""
+        self._patience_s, self._said = FIRST_RETRY_S, ""
+
+    def _failed(self, error: Exception) -> None:
+        """Try again later; each new reason is told once."""
+        self._again, self._try_at = True, time.monotonic() + self._patience_s
+        self._patience_s = min(2.0 * self._patience_s, SLOWEST_RETRY_S)
+        if isinstance(error, GisRadarError):
+            message = error.message
+        else:
+            message = f"lane measures cannot be pushed: {type(error).__name__}: {error}"
+        if message != self._said:
+            self._said = message
+            self._reporter.log(f"{message}; trying on", "warning")
 
     def _keep(self) -> None:
         try:

@@ -7,6 +7,7 @@ in percent, with the observed seconds as a parameter. Nothing finer than a lane 
 from __future__ import annotations
 
 import base64
+import http.client
 import json
 import math
 import ssl
@@ -17,7 +18,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from itertools import groupby, islice
 from typing import Any, NamedTuple
-from urllib.parse import quote
+from urllib.parse import quote, urljoin
 
 from gis_radar.errors import GisRadarError, InputError
 from gis_radar.live.snapshot import Place, geometries
@@ -26,6 +27,7 @@ from gis_radar.steps import STEP_S, iso_from_step
 
 TIMEOUT_S = 30.0
 AT_ONCE = 500  # observations in a request
+ASKED_BACK = 100  # intervals of a lane that a server is asked for: what FROST answers at once
 MEASUREMENT = "http://www.opengis.net/def/observationType/OGC-OM/2.0/OM_Measurement"
 PERCENT = {"name": "percent", "symbol": "%", "definition": "https://qudt.org/vocab/unit/PERCENT"}
 PROPERTY = {
@@ -63,6 +65,13 @@ class LaneMeasure(NamedTuple):
 
 class ServerError(GisRadarError):
     """A server that cannot be reached, or does not take what it gets."""
+
+
+class _NoRedirect(urllib.request.HTTPRedirectHandler):
+    """Follows nothing: the log-in would go to any host, and a POST would become a GET."""
+
+    def redirect_request(self, *_: Any) -> None:
+        """Return nothing, so that the answer is an error."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,30 +125,55 @@ class Service:
         request = urllib.request.Request(  # noqa: S310 - http and https alone, checked
             f"{self.root}/{path}", data=body, headers=dict(self.headers)
         )
-        context = ssl.create_default_context() if self.root.startswith("https") else None
+        handlers: list[urllib.request.BaseHandler] = [_NoRedirect()]
+        if self.root.startswith("https"):
+            handlers.append(urllib.request.HTTPSHandler(context=ssl.create_default_context()))
         try:
-            with urllib.request.urlopen(request, timeout=TIMEOUT_S, context=context) as answer:  # noqa: S310
+            with urllib.request.build_opener(*handlers).open(request, timeout=TIMEOUT_S) as answer:
                 text = answer.read()
         except urllib.error.HTTPError as error:
             error.close()
-            raise ServerError(f"{self.root}: answers {error.code} to {path.partition('?')[0]}",
-                              hint=str(error.code)) from error  # fmt: skip
-        except (OSError, ValueError) as error:
+            raise self._refusal(path.partition("?")[0], error) from error
+        except (OSError, ValueError, http.client.HTTPException) as error:
             reason = getattr(error, "reason", error)
             raise ServerError(f"{self.root}: cannot be reached: {reason}") from error
         try:
             return json.loads(text) if text.strip() else None
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise ServerError(
                 f"{self.root}: answers no JSON to {path.partition('?')[0]}"
             ) from error
 
+    def _refusal(self, path: str, error: urllib.error.HTTPError) -> ServerError:
+        location = error.headers.get("Location") if 300 <= error.code < 400 else None
+        if location is None:
+            return ServerError(f"{self.root}: answers {error.code} to {path}", hint=str(error.code))
+        place = urljoin(f"{self.root}/{path}", location).partition("?")[0].removesuffix(f"/{path}")
+        return ServerError(f"{self.root}: has moved; the address to use is {place}")
+
+    def odd(self, path: str) -> ServerError:
+        """Return the error of an answer that is not what the standard says."""
+        return ServerError(
+            f"{self.root}: its answer to {path.partition('?')[0]} is none of SensorThings"
+        )
+
+    def rows(self, path: str) -> tuple[list[dict[str, Any]], bool]:
+        """Return the entities at a path, and whether the server has more of them."""
+        found = self.get(path)
+        rows = found.get("value") if isinstance(found, dict) else None
+        if not isinstance(rows, list) or not all(isinstance(each, dict) for each in rows):
+            raise self.odd(path)
+        return rows, "@iot.nextLink" in found
+
     def find(self, entities: str, name: str) -> Any:
         """Return the id of the entity with a name; None where there is none."""
         asked = quote(f"name eq '{name.replace(chr(39), 2 * chr(39))}'")
-        found = self.get(f"{entities}?$filter={asked}&$top=1&$select=@iot.id")
-        values = found.get("value") if isinstance(found, dict) else None
-        return values[0].get("@iot.id") if values and isinstance(values[0], dict) else None
+        rows, _ = self.rows(f"{entities}?$filter={asked}&$top=1&$select=@iot.id")
+        if not rows:
+            return None
+        if not isinstance(found := rows[0].get("@iot.id"), int | str):
+            raise self.odd(entities)  # taken as missing, it would be made again each time
+        return found
 
 
 class LaneServer:
@@ -186,18 +220,20 @@ class LaneServer:
         return refused
 
     def _new(self, measures: Sequence[LaneMeasure]) -> Iterator[LaneMeasure]:
-        """Yield those that are later than all that the server has of their lane."""
+        """Yield those whose interval the server does not have of their lane."""
         for lane, group in groupby(measures, lambda each: each.lane):
-            last = self._last(lane)
-            yield from (each for each in group if each.begin * STEP_S > last + STEP_S / 2.0)
+            there, since = self._there(lane)
+            yield from (each for each in group if each.begin >= since and each.begin not in there)
 
-    def _last(self, lane: int) -> float:
-        """Return when the newest interval of a lane on the server began, UNIX seconds."""
+    def _there(self, lane: int) -> tuple[set[int], float]:
+        """Return steps at which intervals of a lane on the server began, and since when all."""
         path = f"Datastreams({_key(self._stream(lane))})/Observations"
-        asked = "$orderby=phenomenonTime%20desc&$top=1&$select=phenomenonTime"
-        found = self._service.get(f"{path}?{asked}")
-        values = found.get("value") if isinstance(found, dict) else None
-        return _time_of(str((values or [{}])[0].get("phenomenonTime", "")).partition("/")[0])
+        asked = f"$orderby=phenomenonTime%20desc&$top={ASKED_BACK}&$select=phenomenonTime"
+        rows, more = self._service.rows(f"{path}?{asked}")
+        texts = (str(each.get("phenomenonTime", "")).partition("/")[0] for each in rows)
+        there = {step for text in texts if (step := _step_of(text)) is not None}
+        whole = not there or not (more or len(rows) >= ASKED_BACK)
+        return there, -math.inf if whole else min(there)
 
     def _create(self, measures: Sequence[LaneMeasure]) -> int:
         if not self._one_by_one:
@@ -221,6 +257,8 @@ class LaneServer:
                 "dataArray@iot.count": len(values), "dataArray": values,
             })  # fmt: skip
         links = self._service.post("CreateObservations", arrays)
+        if not isinstance(links, list | None):
+            raise self._service.odd("CreateObservations")
         return sum(str(link).startswith(_UNWRITTEN) for link in links or [])
 
     def _stream(self, lane: int) -> Any:
@@ -283,9 +321,9 @@ def _key(found: Any) -> str:
     return quote(f"'{text}'")
 
 
-def _time_of(text: str) -> float:
-    """Return a time that a server states, UNIX seconds; long ago where it states none."""
+def _step_of(text: str) -> int | None:
+    """Return the step at a time that a server states; nothing where it states none."""
     try:
-        return datetime.fromisoformat(text).timestamp()
-    except ValueError:
-        return -math.inf
+        return round(datetime.fromisoformat(text).timestamp() / STEP_S)
+    except (ValueError, OverflowError):
+        return None

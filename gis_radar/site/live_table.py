@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from ipaddress import ip_address
+from typing import Annotated, Any, Self
 from urllib.parse import urlsplit
 
-from pydantic import AfterValidator, PlainValidator
+from pydantic import AfterValidator, PlainValidator, model_validator
 
 from gis_radar.errors import GisRadarError
 from gis_radar.site.values import File, Meaning, Switch, Text, Texts, TomlTable, Unfit, key
@@ -56,6 +57,13 @@ def _service_address(text: str) -> str:
     if parts.scheme not in {"http", "https"} or not parts.hostname or parts.query or parts.username:
         raise Unfit
     return text
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
 
 
 Duration = Annotated[float, Meaning('a duration such as "200ms"'), PlainValidator(_duration)]
@@ -109,6 +117,17 @@ class SensorThingsTable(TomlTable):
     """A file with nothing but the password."""
     token_file: File | None = key('"sensorthings.token"', None, "none")
     """A file with nothing but a token, instead of user and password."""
+
+    @model_validator(mode="after")
+    def _hides_its_log_in(self) -> Self:
+        parts = urlsplit(self.address)
+        log_in = self.password_file is not None or self.token_file is not None
+        if log_in and parts.scheme == "http" and not _is_loopback(parts.hostname or ""):
+            raise Unfit(
+                message="a password or token would go over http for all to read",
+                hint="name an https:// address",
+            )
+        return self
 
 
 class LiveTable(TomlTable):
