@@ -1,12 +1,19 @@
 """What may happen to following vehicles live: links away, sensors silent, processes killed."""
 
+import os
+import signal
+import sqlite3
+import struct
+import subprocess
+import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from live_site import SAMPLE
+from live_site import SAMPLE, wait_for
 from live_vehicles import Sent
 
 import gis_radar as gr
@@ -16,6 +23,7 @@ from gis_radar.live.live_vehicles import LiveVehicles
 from gis_radar.live.returns import FrameReturns, pack_returns
 from gis_radar.live.vehicle_process import Told
 from gis_radar.live.vehicle_settings import DEFAULTS
+from gis_radar.live.vehicle_store import VehicleStore
 from gis_radar.live.vehicles_now import VehiclesNow
 from gis_radar.steps import STEP_US
 from gis_radar.vehicles.visibility import SensorView
@@ -113,3 +121,80 @@ def test_vehicles_of_now_are_none_once_all_sensors_are_silent(sent, tmp_path, mo
     time.sleep(0.4)
     vehicles._note(Told(counts={"newest_s": 100.2}, now=now))
     assert len(vehicles.now()) == 0
+
+
+def die_in_the_midst(_site, _inbox, outbox, _settings):
+    """Die as a process that is killed while it tells much."""
+    os.write(outbox.fileno(), struct.pack("!i", 10_000_000) + bytes(30_000))
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def be_fusion(folder):
+    """Have a process killed with much in its inbox, as the fusion of a site; a program's work."""
+    sent = Sent(
+        SAMPLE / "junction.osm", [], [gr.read_pose(SAMPLE / f"{k}.json") for k in NAMES], folder
+    )
+    live_vehicles.follow_in_process = die_in_the_midst
+    vehicles = LiveVehicles(site_of(sent, folder), sent.tiles, sent.book)
+    vehicles._start()
+    vehicles._hand_on(bytes(1_000_000))
+    while not vehicles.restarts:
+        vehicles.turn()
+        time.sleep(0.01)
+    sys.stdout.write("lost")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there is no SIGKILL")
+def test_a_process_killed_while_it_tells_holds_nothing_up(tmp_path):
+    done = subprocess.run(
+        [sys.executable, __file__, str(tmp_path)], timeout=40.0, check=True, capture_output=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+    )  # fmt: skip
+    assert done.stdout.split() == [b"lost"]
+
+
+def test_a_store_that_cannot_be_opened_is_tried_again(sent, tmp_path, monkeypatch):
+    monkeypatch.setattr(live_vehicles, "AGAIN_S", 0.1)
+    (tmp_path / "vehicles.sqlite").mkdir()
+    said = []
+    reporter = SimpleNamespace(log=lambda text, _: said.append(text))
+    vehicles = LiveVehicles(site_of(sent, tmp_path), sent.tiles, sent.book, reporter=reporter)
+    first = vehicles._process
+
+    def lost():
+        vehicles.turn()
+        return vehicles._process is None
+
+    wait_for(lost, 30.0)
+    assert not first.is_alive()
+    (tmp_path / "vehicles.sqlite").rmdir()
+    time.sleep(0.1)
+    vehicles.turn()
+    vehicles.finish()
+    assert vehicles._ended
+    assert (tmp_path / "vehicles.sqlite").is_file()
+    assert vehicles.restarts == 0
+    assert len(said) == 1
+    assert "vehicles.sqlite" in said[0]
+
+
+@pytest.mark.parametrize("ruin", ["pages", "rows", "pieces"])
+def test_a_damaged_store_is_put_aside(tmp_path, ruin):
+    path = tmp_path / "vehicles.sqlite"
+    VehicleStore(path, fingerprint="f").close()
+    if ruin == "pages":
+        path.write_bytes(b"no database" * 1000)
+    else:
+        row = ("0", "0", "x", "x", "x", "[]" if ruin == "pieces" else "no JSON", "[]", 0)
+        with sqlite3.connect(path) as database:
+            database.execute("INSERT INTO pieces VALUES (?, ?, ?, ?, ?, ?, ?, ?)", row)
+        database.close()
+    store = VehicleStore(path, fingerprint="f")
+    assert store.put_aside.is_file()
+    assert store.edge() is None
+    store.close()
+    assert VehicleStore(path, fingerprint="f").put_aside is None
+
+
+if __name__ == "__main__":
+    be_fusion(Path(sys.argv[1]))

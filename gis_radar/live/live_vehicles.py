@@ -5,9 +5,8 @@ from __future__ import annotations
 import multiprocessing
 import time
 from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path
-from queue import Empty, Full
+from queue import Full
 from typing import Any
 
 import geopandas as gpd
@@ -107,7 +106,8 @@ class LiveVehicles:
         self._outbox: Any = None
         self._known: dict[int, tuple[str, str]] = {}  # by row, sensor and view; used last is last
         self._handed = self._started = self._heard = 0.0
-        self._ended, self._behind = False, 0.0
+        self._ended, self._refused, self._lost = False, False, False
+        self._behind, self._said = 0.0, ""
         if self._site is not None and (site.folder / STORE_FILE).exists():
             self._start()  # what an earlier run left is finished
 
@@ -174,14 +174,17 @@ class LiveVehicles:
         if self._site is None:
             return
         context = multiprocessing.get_context("spawn")
-        self._inbox, self._outbox = context.Queue(CHANNEL), context.Queue(10 * CHANNEL)
+        self._inbox = context.Queue(CHANNEL)
+        self._outbox, theirs = context.Pipe(duplex=False)
+        self._refused = self._lost = False
         self._known, self._started, self._ended = {}, time.monotonic(), False
         self._process = context.Process(
             target=follow_in_process,
-            args=(self._site, self._inbox, self._outbox, self._settings),
+            args=(self._site, self._inbox, theirs, self._settings),
             daemon=True, name="vehicles",
         )  # fmt: skip
         self._process.start()
+        theirs.close()  # only so the end of the process ends what it tells
 
     def _hand_on(self, message: object) -> bool:
         try:
@@ -197,7 +200,7 @@ class LiveVehicles:
             if self._started and time.monotonic() - self._started > AGAIN_S:
                 self._start()
             return
-        if not self._process.is_alive() and not self._ended:
+        if (self._lost or not self._process.is_alive()) and not self._ended:
             self._take_in()
             self._lose()
             return
@@ -211,22 +214,25 @@ class LiveVehicles:
 
     def _lose(self) -> None:
         """Go on without the process; a new one takes up what the old one kept on disk."""
-        self.restarts += 1
         self.dropped += len(self._waiting)
-        self._reporter.log(
-            f"the process that follows vehicles has ended ({self._process.exitcode}); a new one "
-            "takes up where it was",
-            "warning",
-        )
+        stop_workers([self._process])
+        if not self._refused:
+            self.restarts += 1
+            self._reporter.log(
+                f"the process that follows vehicles has ended ({self._process.exitcode}); a new "
+                "one takes up where it was",
+                "warning",
+            )
+        self._inbox.cancel_join_thread()  # nobody reads what is still in it
+        self._outbox.close()
         self._waiting, self._process, self._now = [], None, VehiclesNow.none()
 
     def _take_in(self) -> None:
-        while True:
-            try:
-                told: Told = self._outbox.get_nowait()
-            except (Empty, OSError):
-                return
-            self._note(told)
+        try:
+            while not self._lost and self._outbox.poll():
+                self._note(self._outbox.recv())
+        except (EOFError, OSError):  # killed, maybe in the midst of a message
+            self._lost = True
 
     def _note(self, told: Told) -> None:
         """Note what the process tells."""
@@ -238,9 +244,10 @@ class LiveVehicles:
             self.counts.add(told.finished)
         if told.written is not None:
             self.written[told.written] = None
-        if told.said:
+        if told.said and not (told.refused and told.said == self._said):  # once a reason
             self._reporter.log(told.said, "warning")
-        self._ended = self._ended or told.ended
+            self._said = told.said
+        self._ended, self._refused = self._ended or told.ended, self._refused or told.refused
         skipped = self._told.get("skipped_s", 0.0)
         if skipped > self._behind:
             self._reporter.log(
@@ -259,14 +266,17 @@ class LiveVehicles:
                 return
             self._start()  # it was lost a moment ago
         until = time.monotonic() + END_S
-        with suppress(Full):
-            self._inbox.put(EndMessage(), timeout=END_S)
+        told = False
         while self._process.is_alive() and not self._ended and time.monotonic() < until:
+            told = told or self._hand_on(EndMessage())
             self._take_in()
             time.sleep(0.02)
+        self._take_in()
         if not self._ended:
             self._reporter.log("the last vehicles are written with the next start", "warning")
         stop_workers([self._process])
+        self._inbox.cancel_join_thread()
+        self._outbox.close()
         self._process = None
 
     def now(self) -> VehiclesNow:

@@ -11,9 +11,11 @@ from collections import Counter
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from dataclasses import dataclass
+from multiprocessing.connection import Connection
 from multiprocessing.queues import Queue as Channel
 from pathlib import Path
-from queue import Empty, Full
+from queue import Empty, Full, Queue
+from threading import Thread
 from typing import Any
 
 import numpy as np
@@ -38,6 +40,7 @@ from gis_radar.vehicles.visibility import SensorView
 
 STORE_FILE = "vehicles.sqlite"
 COMMIT_S, WAIT_S = 1.0, 0.1
+TOLD = 1_000  # that may wait for fusion
 AHEAD_S = 10.0  # a frame further in the future is of a wrong clock
 SHOWN_STEPS = HOUR_STEPS // 4  # of what is told again after a restart, before the hour
 
@@ -74,25 +77,57 @@ class Told:
     written: Path | None = None
     said: str = ""
     ended: bool = False
+    refused: bool = False  # could not begin; it is tried again
+
+
+class _Outbox:
+    """What is told goes on a thread of its own: fusion may be busy, and a pipe holds little."""
+
+    def __init__(self, connection: Connection[Told, Any]) -> None:
+        self._connection = connection
+        self._waiting: Queue[Told | None] = Queue(TOLD)
+        self._thread = Thread(target=self._send, daemon=True, name="told")
+        self._thread.start()
+
+    def _send(self) -> None:
+        with suppress(OSError):  # fusion has closed its end: it wants no more
+            while (told := self._waiting.get()) is not None:
+                self._connection.send(told)
+
+    def put(self, told: Told) -> None:
+        with suppress(Full):  # the vehicles of now come again; all else waits
+            self._waiting.put(told, block=told.now is None, timeout=60.0)
+
+    def close(self) -> None:
+        """Have all sent that was told."""
+        with suppress(Full):
+            self._waiting.put(None, timeout=60.0)
+        self._thread.join(60.0)
 
 
 def follow_in_process(
-    site: FollowedSite, inbox: Channel[Any], outbox: Channel[Told], settings: FollowSettings
-) -> None:
+    site: FollowedSite, inbox: Channel[Any], outbox: Connection[Told, Any],
+    settings: FollowSettings,
+) -> None:  # fmt: skip
     """Work until the end is told; what a process of its own runs."""
     watch_parent()
+    telling = _Outbox(outbox)
     try:
         store = VehicleStore(site.folder / STORE_FILE, fingerprint=site.fingerprint)
     except GisRadarError as error:
-        outbox.put(Told(counts={}, said=error.message, ended=True))
-        return
-    _Worker(site, store, inbox, outbox, settings).run()
-    store.close()
+        telling.put(Told(counts={}, said=error.message, refused=True))
+    else:
+        if store.put_aside is not None:
+            said = f"{store.path}: it is damaged: put aside as {store.put_aside.name}"
+            telling.put(Told(counts={}, said=f"{said}; vehicles of the last hour may be missing"))
+        _Worker(site, store, inbox, telling, settings).run()
+        store.close()
+    telling.close()
 
 
 class _Worker:
     def __init__(
-        self, site: FollowedSite, store: VehicleStore, inbox: Channel[Any], outbox: Channel[Told],
+        self, site: FollowedSite, store: VehicleStore, inbox: Channel[Any], outbox: _Outbox,
         settings: FollowSettings,
     ) -> None:  # fmt: skip
         self._site, self._store, self._settings = site, store, settings
@@ -264,9 +299,7 @@ class _Worker:
             "until_s": np.nan if follower.done is None else (follower.done + 1) / STEPS_PER_SECOND,
             "newest_s": self._newest_s if np.isfinite(self._newest_s) else np.nan,
         }  # fmt: skip
-        told = Told(counts=counts, **news)
-        with suppress(Full):  # the vehicles of now come again; all else waits
-            self._outbox.put(told, block=told.now is None, timeout=60.0)
+        self._outbox.put(Told(counts=counts, **news))
 
 
 def _rows(

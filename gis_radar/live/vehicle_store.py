@@ -8,9 +8,10 @@ no vehicle counts twice.
 from __future__ import annotations
 
 import json
+import secrets
 import sqlite3
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import RLock
@@ -21,7 +22,9 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from gis_radar.errors import OutputError
+from gis_radar.errors import GisRadarError, OutputError
+from gis_radar.live.damage import damage_of, is_damage
+from gis_radar.poses.pose import pose_from_dict
 from gis_radar.vehicles.folder import VehiclePiece
 from gis_radar.vehicles.pieces import BlockEdge
 from gis_radar.vehicles.tables import FRAMES, TRACKS, VEHICLES, TableKind
@@ -41,6 +44,21 @@ CREATE TABLE IF NOT EXISTS pieces (first_step INTEGER PRIMARY KEY, last_step INT
     tracks BLOB NOT NULL, vehicles BLOB NOT NULL, frames BLOB NOT NULL, poses TEXT NOT NULL,
     edge BLOB NOT NULL, found INTEGER NOT NULL);
 """
+_COLUMNS = {
+    "notes": ("name", "value"),
+    "views": ("sensor", "view", "tiles", "easting", "northing", "height", "road_m"),
+    "poses": ("id", "sensor", "view", "hold_s", "content"),
+    "frames": ("time_us", "sensor", "pose", "content"),
+    "pieces": (
+        "first_step", "last_step", "tracks", "vehicles", "frames", "poses", "edge", "found",
+    ),
+}  # fmt: skip
+_SOUND = {
+    "views": "typeof(tiles) = 'blob' AND length(tiles) % 8 = 0",
+    "poses": "json_valid(content) AND typeof(hold_s) = 'real'",
+    "frames": "typeof(time_us) = 'integer' AND typeof(content) = 'blob'",
+    "pieces": "typeof(last_step) = 'integer' AND json_valid(poses) AND typeof(found) = 'integer'",
+}
 _OLD_POSES = """
 DELETE FROM poses WHERE id NOT IN (SELECT value FROM json_each(?))
     AND id NOT IN (SELECT pose FROM frames)
@@ -96,6 +114,11 @@ class VehicleStore:
     fingerprint : str
         Of the tiles; what speaks of others is dropped.
 
+    Attributes
+    ----------
+    put_aside : Path or None
+        Where a file went that is damaged; a new one is begun.
+
     Raises
     ------
     OutputError
@@ -104,13 +127,10 @@ class VehicleStore:
 
     def __init__(self, path: Path, *, fingerprint: str) -> None:
         self.path, self._lock = path, RLock()
+        self.put_aside: Path | None = None
         with self._errors():
-            self._database = sqlite3.connect(
-                path, isolation_level=None, timeout=LOCK_S, check_same_thread=False
-            )
-            self._database.executescript(
-                "PRAGMA journal_mode = WAL; PRAGMA synchronous = NORMAL;" + _SCHEMA
-            )
+            if self._open() or self._damaged():
+                self._put_aside()
             known = self._database.execute("SELECT value FROM notes").fetchone()
             if known != (fingerprint,):
                 with self._commit():
@@ -118,6 +138,46 @@ class VehicleStore:
                         self._database.execute(f"DELETE FROM {table}")  # noqa: S608 - own names
                     row = ("fingerprint", fingerprint)
                     self._database.execute("INSERT INTO notes VALUES (?, ?)", row)
+
+    def _open(self) -> bool:
+        """Open the file; return whether it is damaged."""
+        self._database = sqlite3.connect(
+            self.path, isolation_level=None, timeout=LOCK_S, check_same_thread=False
+        )
+        try:
+            self._database.executescript(
+                "PRAGMA journal_mode = WAL; PRAGMA synchronous = NORMAL;" + _SCHEMA
+            )
+        except (sqlite3.Error, UnicodeDecodeError) as error:
+            if isinstance(error, sqlite3.Error) and not is_damage(error):
+                raise
+            return True
+        return False
+
+    def _damaged(self) -> bool:
+        """Return whether something in the file cannot be read: all of it is read once."""
+        if damage_of(self._database, _COLUMNS, _SOUND):
+            return True
+        try:
+            self.edge(), self.views()
+            for each in self.poses().values():
+                pose_from_dict(each.content, what=f"the pose of {each.sensor}")
+            for _ in self.pieces(-(2**62), 2**62):
+                pass
+        except (GisRadarError, pa.ArrowException, ValueError, TypeError, KeyError):
+            return True
+        return False
+
+    def _put_aside(self) -> None:
+        """Keep the file under another name, with its log, and begin a new one."""
+        self._database.close()
+        self.put_aside = self.path.with_name(f"{self.path.name}.{secrets.token_hex(4)}")
+        self.path.rename(self.put_aside)
+        with suppress(FileNotFoundError):  # it would be read into the new file
+            log = self.path.with_name(f"{self.path.name}-wal")
+            log.rename(self.put_aside.with_name(f"{self.put_aside.name}-wal"))
+        self.path.with_name(f"{self.path.name}-shm").unlink(missing_ok=True)
+        self._open()
 
     def close(self) -> None:
         """Close the file."""
