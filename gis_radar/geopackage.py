@@ -452,11 +452,20 @@ def add_layer(table: gpd.GeoDataFrame, path: Path, layer: str, **options: Any) -
     **options
         As for :func:`pyogrio.write_dataframe`.
     """
+    _refuse_archive(path)
     with _same_date():
         pyogrio.write_dataframe(
             table, path, layer=layer, driver="GPKG", append=path.exists(),
             dataset_options={"VERSION": GPKG_VERSION}, **options,
         )  # fmt: skip
+
+
+def _refuse_archive(path: Path) -> None:
+    """Raise where GDAL would write elsewhere, or not at all."""
+    if pyogrio.util.vsi_path(path.resolve()) != str(path.resolve()):
+        raise OSError(
+            "its name, or its folder's, stands for a file in an archive: no ! and no .zip"
+        )
 
 
 def write_stream(
@@ -475,6 +484,7 @@ def write_stream(
     **options
         As for :func:`pyogrio.write_arrow`.
     """
+    _refuse_archive(path)
     stopped: list[BaseException] = []
     reader = pa.RecordBatchReader.from_batches(schema, _remembering(batches, stopped))
     try:

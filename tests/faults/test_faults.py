@@ -140,6 +140,9 @@ def test_odd_names(runner, inputs, tmp_path, name, verb):
     folder = shutil.copytree(inputs, tmp_path / name)
     answer = runner.run(folder, words_of(WRITERS[verb], folder))
     assert complaint(answer, folder) == "", answer["err"][-1500:]
+    if name == "a !" and answer["code"]:  # GDAL's for a file in an archive
+        assert "stands for a file in an archive" in answer["err"]
+        return
     assert answer["code"] == 0 or "\n" in name, answer["err"]  # GDAL writes no such names
     assert sorted(path.name for path in tmp_path.iterdir()) == [name]
 
@@ -148,8 +151,9 @@ def test_odd_names(runner, inputs, tmp_path, name, verb):
 def test_a_place_where_nobody_writes(runner, inputs, tmp_path, verb):
     folder = shutil.copytree(inputs, tmp_path / "case")
     words = words_of(WRITERS[verb], folder)
-    words[-1] = f"/proc/{Path(words[-1]).name}"
+    place = words.index("-o") + 1
+    words[place] = f"/proc/{Path(words[place]).name}"
     answer = runner.run(folder, words)
     assert answer["code"] == 3
     assert complaint(answer, folder) == ""
-    assert f"{words[-1]}: cannot be written" in answer["err"], answer["err"]
+    assert f"{words[place]}: cannot be written" in answer["err"], answer["err"]

@@ -39,7 +39,7 @@ def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
     if "time" in missing or not layout.placed:
         raise InputError(
             f"{path}: not known which columns are {', '.join(missing)}",
-            hint=f"state it: --columns time=...,x=...,y=...; it has {', '.join(names)}",
+            hint=f"state it: --columns time=...,x=...,y=...; it has {', '.join(names):.90}",
         )
     if not context.wants(SENSOR):
         raise NothingHereError(f"{path}: a table has no sensors", hint="leave --sensor away")
