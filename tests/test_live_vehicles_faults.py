@@ -9,6 +9,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from queue import Queue
 from types import SimpleNamespace
 
 import numpy as np
@@ -21,7 +22,13 @@ from gis_radar.live import following, live_vehicles
 from gis_radar.live.following import ReturnFrame
 from gis_radar.live.live_vehicles import LiveVehicles
 from gis_radar.live.returns import FrameReturns, pack_returns
-from gis_radar.live.vehicle_process import Told
+from gis_radar.live.vehicle_process import (
+    EndMessage,
+    FramesMessage,
+    PoseMessage,
+    Told,
+    _Worker,
+)
 from gis_radar.live.vehicle_settings import DEFAULTS
 from gis_radar.live.vehicle_store import VehicleStore
 from gis_radar.live.vehicles_now import VehiclesNow
@@ -29,7 +36,7 @@ from gis_radar.steps import STEP_US
 from gis_radar.vehicles.visibility import SensorView
 
 NAMES = ("R1", "R2")
-SHORT = replace(DEFAULTS, steps=100, margin_steps=40)
+SHORT = replace(DEFAULTS, steps=100, margin_steps=40, behind_steps=10**6)
 
 
 @pytest.fixture(scope="module")
@@ -194,6 +201,63 @@ def test_a_damaged_store_is_put_aside(tmp_path, ruin):
     assert store.edge() is None
     store.close()
     assert VehicleStore(path, fingerprint="f").put_aside is None
+
+
+def worker(here):
+    """Return what the process runs, on a store, with its inbox and what it tells."""
+    store = VehicleStore(here.site.folder / "store", fingerprint=here.site.fingerprint)
+    inbox, told = Queue(), []
+    outbox = SimpleNamespace(put=told.append)
+    return _Worker(here.site, store, inbox, outbox, SHORT), inbox, told
+
+
+def minutes(begin, count):
+    """Return times of frames, 20 a second."""
+    return (begin + np.arange(count)) * STEP_US
+
+
+def message(follower, here, times):
+    """Return a message of frames of R1, after its pose."""
+    pose, _ = follower._poses[here.rows["R1"]]
+    contents = [pack_returns([empty("R1", 1, int(each)).returns], pose=1) for each in times]
+    return [
+        PoseMessage(number=7, pose=pose),
+        FramesMessage(rows=[("R1", 7, each) for each in contents]),
+    ]
+
+
+def test_an_hour_is_written_though_its_process_was_killed_long_ago(sent, tmp_path):
+    here = sent.at(tmp_path / "here")
+    follower = here.follower(SHORT)
+    hour = 400_000
+    follower.take([empty("R1", here.rows["R1"], int(each)) for each in minutes(hour * 72_000, 400)])
+    assert len(list(here.end(follower))) == 4
+    follower.store.close()  # killed
+    again, inbox, told = worker(here)
+    for each in [*message(follower, here, minutes((hour + 2) * 72_000, 400)), EndMessage()]:
+        inbox.put(each)
+    again.run()
+    written = [each.written for each in told if each.written]
+    assert {*written} == {here.site.path_of(hour), here.site.path_of(hour + 2)}
+    assert len(gr.read_vehicles(here.site.path_of(hour)).sensors) == 1
+    again._store.close()
+
+
+def test_an_hour_that_cannot_be_written_is_kept(sent, tmp_path):
+    here = sent.at(tmp_path / "here")
+    (tmp_path / "here" / "vehicles").write_text("in the way")
+    follower = here.follower(SHORT)
+    hour = 400_000
+    running, inbox, told = worker(here)
+    for later in range(4):
+        begin = (hour + later) * 72_000
+        for each in message(follower, here, minutes(begin, 300)):
+            inbox.put(each)
+    inbox.put(EndMessage())
+    running.run()
+    assert not [each for each in told if each.written]
+    assert running._store.piece_hours(72_000) == [hour + k for k in range(4)]
+    running._store.close()
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ recordings is done by the same code: only the blocks are shorter.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -353,16 +353,27 @@ class VehicleFollower:
         if old:
             self.store.forget_poses([*self._poses])
 
-    def finish(self, block: Block, poses: tuple[int, ...]) -> Finished:
-        """Follow the vehicles of a block, store them, and return what they add."""
+    def finish(
+        self, block: Block, poses: tuple[int, ...], *, unwritten: Collection[int] = ()
+    ) -> Finished:
+        """Follow the vehicles of a block, store them, and return what they add.
+
+        Parameters
+        ----------
+        block, poses : Block, tuple of int
+            As from :meth:`begin`.
+        unwritten : collection of int
+            Hours since 1970 of which the pieces stay, besides those of the hour before.
+        """
         piece = self._maker.piece(block, vehicles_in(block.echoes, self.site.graph, self._tracker))
         self._maker.forget_lanes()
         self._holds |= _holds(poses, {k: self._poses[k][0] for k in poses})
         found = self._coverage.add(piece, self._holds, self.site.graph.origin)
         needed = block.last_step + 1 - self.settings.margin_steps
+        hour = min(block.last_step // HOUR_STEPS, *unwritten, 2**62)
         self.store.add_piece(
             StoredPiece(piece=piece, poses=poses), self._maker.edge(), needed_us=needed * STEP_US,
-            kept_step=block.last_step // HOUR_STEPS * HOUR_STEPS - HOUR_STEPS,
+            kept_step=(hour - 1) * HOUR_STEPS,
         )  # fmt: skip
         return found
 

@@ -139,7 +139,7 @@ class _Worker:
         self._unstored: list[ReturnRow] = []
         self._committed = self._told = self._heard = time.monotonic()
         self._newest_s = -np.inf
-        self._work: Future[tuple[float, Floats]] | None = None
+        self._work: Future[tuple[float, Floats] | None] | None = None
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="blocks")
         self._said = ""
         self._unwritten: set[int] = set()
@@ -174,7 +174,22 @@ class _Worker:
             begin = min(done // HOUR_STEPS * HOUR_STEPS, done - SHOWN_STEPS)
             for each in self._follower.again(begin):
                 self._tell(finished=each)
-            self._unwritten.add(done // HOUR_STEPS)
+            self._take_up_hours(done // HOUR_STEPS)
+
+    def _take_up_hours(self, last: int) -> None:
+        """Write the hours that an earlier process did not; the oldest may be kept for the next."""
+        oldest, *later = self._store.piece_hours(HOUR_STEPS)
+        self._unwritten |= {*later, last}
+        if not self._site.path_of(oldest).exists():
+            self._unwritten.add(oldest)
+        over = sorted(each for each in self._unwritten if each < time.time() // 3600)
+
+        def work() -> None:
+            for each in over:
+                self._write(each)
+            self._unwritten.add(last)  # there may be more of it
+
+        self._work = self._pool.submit(work)
 
     def _take_in(self) -> bool:
         """Take in what fusion hands on; return whether that was the end."""
@@ -235,7 +250,8 @@ class _Worker:
         if self._work is not None and self._work.done():
             done, self._work = self._work, None
             try:
-                self._now.correct(*done.result())
+                if (found := done.result()) is not None:
+                    self._now.correct(*found)
             except GisRadarError as error:
                 self._say(error.message)
         self._begin_block(everything=now - self._heard > self._settings.silent_s)
@@ -258,9 +274,9 @@ class _Worker:
             return False
         block, poses = self._follower.begin(span)
 
-        def work() -> tuple[float, Floats]:
+        def work() -> tuple[float, Floats] | None:
             before = time.thread_time()
-            found = self._follower.finish(block, poses)
+            found = self._follower.finish(block, poses, unwritten=self._unwritten)
             self._counts["blocks"] += 1
             hour = block.first_step // HOUR_STEPS
             for each in sorted(self._unwritten - {hour}):
@@ -278,8 +294,8 @@ class _Worker:
     def _write(self, hour: int) -> None:
         try:
             path = self._follower.write_hour(hour)
-        except GisRadarError as error:  # tried again with the next block; the pieces stay
-            self._say(error.message)
+        except (GisRadarError, OSError) as error:  # tried again with the next block; pieces stay
+            self._say(getattr(error, "message", str(error)))
             return
         self._unwritten.discard(hour)
         if path is not None:

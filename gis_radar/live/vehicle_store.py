@@ -276,6 +276,12 @@ class VehicleStore:
         table = pd.DataFrame(json.loads(row[2]), columns=[*BlockEdge.COLUMNS])
         return BlockEdge(step=row[0], found=row[1], table=table)
 
+    def piece_hours(self, steps: int) -> list[int]:
+        """Return the hours in which pieces begin, each of so many steps, ascending."""
+        query = "SELECT DISTINCT first_step / ? FROM pieces ORDER BY 1"
+        with self._lock:
+            return [hour for (hour,) in self._database.execute(query, (steps,))]
+
     def pieces(self, first: int, last: int) -> Iterator[StoredPiece]:
         """Read the pieces that begin from one step to another, in order."""
         with self._lock:
