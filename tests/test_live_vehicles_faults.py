@@ -13,15 +13,17 @@ from queue import Queue
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 from live_site import SAMPLE, wait_for
 from live_vehicles import Sent
 
 import gis_radar as gr
 from gis_radar.live import following, live_vehicles
-from gis_radar.live.following import ReturnFrame
+from gis_radar.live.following import Finished, ReturnFrame
 from gis_radar.live.live_vehicles import LiveVehicles
 from gis_radar.live.returns import FrameReturns, pack_returns
+from gis_radar.live.vehicle_counts import VehicleCounts
 from gis_radar.live.vehicle_process import (
     EndMessage,
     FramesMessage,
@@ -258,6 +260,24 @@ def test_an_hour_that_cannot_be_written_is_kept(sent, tmp_path):
     assert not [each for each in told if each.written]
     assert running._store.piece_hours(72_000) == [hour + k for k in range(4)]
     running._store.close()
+
+
+def test_a_vehicle_passes_a_lane_once_over_the_edge_of_a_block(sent):
+    counts = VehicleCounts(sent.tiles, interval=18_000)
+    lane = next(each for each in counts.lanes)
+    of = np.array([counts.lanes[counts._lane_of[k]] for k in counts._lane_of])
+    lanelet = np.array([*counts._lane_of])[of == lane][0]
+    zeros = np.zeros(len(sent.tiles), np.int64)
+    for k, vehicles in enumerate([[1], [1, 2], [3, 3]]):
+        passages = pd.DataFrame({"vehicle": vehicles, "lanelet_id": lanelet, "speed": 10.0})
+        counts.add(
+            Finished(
+                first_step=1200 * k, last_step=1200 * k + 1199, visible=zeros, covered=zeros,
+                passages=passages, stood=np.zeros((0, 5)),
+            )
+        )  # fmt: skip
+    assert counts.lanes_lately()["passages"].sum() == 3
+    assert counts.intervals()["passages"].sum() == 3
 
 
 if __name__ == "__main__":

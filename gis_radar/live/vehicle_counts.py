@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 from threading import Lock
+from typing import NamedTuple
 
 import geopandas as gpd
 import numpy as np
@@ -35,6 +36,14 @@ class TileCoverage:
         found = np.full(len(self.visible), np.nan)
         np.divide(self.covered, self.visible, out=found, where=self.visible > 0)
         return found
+
+
+class _Counted(NamedTuple):
+    """A block with lane and speed of the passages that count."""
+
+    block: Finished
+    lane: Integers
+    speeds: Floats
 
 
 @dataclass(kw_only=True)
@@ -83,7 +92,8 @@ class VehicleCounts:
         self._tiles_of_lane = np.maximum(np.bincount(self._lane_of_tile, minlength=self._size), 1)
         lanelet = tiles["lanelet_id"].to_numpy(np.int64)
         self._lane_of = dict(zip(lanelet.tolist(), self._lane_of_tile.tolist(), strict=True))
-        self._blocks: deque[Finished] = deque()
+        self._blocks: deque[_Counted] = deque()
+        self._passed: set[tuple[int, int]] = set()  # vehicle and lane, in the last block
         self._since = TileCoverage(visible=self._zeros(), covered=self._zeros())
         self._number = -1
         self._done: dict[int, _Interval] = {}
@@ -100,8 +110,9 @@ class VehicleCounts:
             if block.last_step <= self.until_step:
                 return  # told again after the process began anew
             self.until_step = block.last_step
-            self._blocks.append(block)
-            while self._blocks[0].last_step <= block.last_step - INTERVAL:
+            counted = _Counted(block, *self._passages(block))
+            self._blocks.append(counted)
+            while self._blocks[0].block.last_step <= block.last_step - INTERVAL:
                 self._blocks.popleft()
             if (number := block.first_step // self._interval) != self._number:
                 self._number = number
@@ -110,11 +121,10 @@ class VehicleCounts:
                 visible=self._since.visible + block.visible,
                 covered=self._since.covered + block.covered,
             )
-            self._add_to_interval(block)
+            self._add_to_interval(*counted)
 
-    def _add_to_interval(self, block: Finished) -> None:
+    def _add_to_interval(self, block: Finished, lane: Integers, speeds: Floats) -> None:
         number = block.first_step // INTERVAL
-        lane, speeds = self._passages(block)
         found = self._done.setdefault(
             number,
             _Interval(
@@ -132,9 +142,11 @@ class VehicleCounts:
         """Return lane and speed of each passage of the middle of a lane, not of each lanelet."""
         table = block.passages
         lane = np.array([self._lane_of.get(each, -1) for each in table["lanelet_id"]], np.int64)
-        keep = lane >= 0
-        once = ~pd.DataFrame({"vehicle": table["vehicle"].to_numpy(), "lane": lane}).duplicated()
-        keep &= once.to_numpy()
+        keep, passed = lane >= 0, set[tuple[int, int]]()
+        for k, pair in enumerate(zip(table["vehicle"].tolist(), lane.tolist(), strict=True)):
+            keep[k] &= pair not in passed and pair not in self._passed
+            passed.add(pair)
+        self._passed = passed
         return lane[keep], table["speed"].to_numpy(np.float64)[keep]
 
     def _by_lane(self, block: Finished) -> Floats:
@@ -145,7 +157,7 @@ class VehicleCounts:
     def last_minutes(self) -> TileCoverage:
         """Return the steps of the 15 minutes up to the last block."""
         with self._lock:
-            blocks = list(self._blocks)
+            blocks = [each.block for each in self._blocks]
         visible, covered = self._zeros(), self._zeros()
         for each in blocks:
             visible += each.visible
@@ -170,10 +182,9 @@ class VehicleCounts:
         """Return `covered_s, visible_s, passages, speed` (m/s, mean) of the last 15 minutes."""
         with self._lock:
             blocks = list(self._blocks)
-        seconds = sum((self._by_lane(each) for each in blocks), np.zeros((2, self._size)))
-        pairs = [self._passages(each) for each in blocks]
-        lane = np.concatenate([np.zeros(0, np.int64), *(each for each, _ in pairs)])
-        speeds = np.concatenate([np.zeros(0), *(each for _, each in pairs)])
+        seconds = sum((self._by_lane(each.block) for each in blocks), np.zeros((2, self._size)))
+        lane = np.concatenate([np.zeros(0, np.int64), *(each.lane for each in blocks)])
+        speeds = np.concatenate([np.zeros(0), *(each.speeds for each in blocks)])
         passages = np.bincount(lane, minlength=self._size)
         return self._table(
             _Interval(
