@@ -21,13 +21,13 @@ from gis_radar.geopackage import (
     add_layer,
     add_styles,
     describe_layers,
-    list_last,
     opened_package,
 )
 from gis_radar.heatmap import style
 from gis_radar.heatmap.counting import Counts, Tally
 from gis_radar.heatmap.covering import Coverage
 from gis_radar.heatmap.intervals import MapLabels, Timeline
+from gis_radar.heatmap.registering import list_last
 from gis_radar.heatmap.step_table import (
     BEGIN,
     END,

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from gis_radar.geopackage import register_table
 from gis_radar.heatmap.counting import Tally
 from gis_radar.heatmap.covering import ERROR_UNIT, error_roots
+from gis_radar.heatmap.registering import register_table
 from gis_radar.heatmap.wide_table import TILES
 from gis_radar.progress import Reporter
 from gis_radar.steps import STEPS_PER_SECOND, step_begin

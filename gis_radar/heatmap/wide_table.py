@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gis_radar.geopackage import register_table
 from gis_radar.heatmap.counting import Tally
+from gis_radar.heatmap.registering import register_table
 from gis_radar.steps import STEPS_PER_SECOND, step_begin
 
 TILES, WIDE = "tiles", "heatmap"
