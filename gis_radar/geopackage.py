@@ -127,12 +127,17 @@ def plain_place(path: str | Path) -> Path:
         If its name makes pyogrio or GDAL open a file within it, or another one.
     """
     place = Path(path).resolve()
-    if pyogrio.util.vsi_path(place) != str(place) or place.suffix.lower() == ".zip":
+    if _is_in_archive(place) or place.suffix.lower() == ".zip":
         raise InputError(
             f"{path}: cannot be read under this name, which stands for a file in an archive",
             hint="rename it, or its folder: no .zip at the end, no ! and no ;",
         )
     return place
+
+
+def _is_in_archive(place: Path) -> bool:
+    """Return whether pyogrio takes an absolute path for that of a file in an archive."""
+    return bool(pyogrio.util.vsi_path(place) != str(place))
 
 
 @contextmanager
@@ -407,7 +412,7 @@ def add_layer(table: gpd.GeoDataFrame, path: Path, layer: str, **options: Any) -
 
 def _refuse_archive(path: Path) -> None:
     """Raise where GDAL would write elsewhere, or not at all."""
-    if pyogrio.util.vsi_path(path.resolve()) != str(path.resolve()):
+    if _is_in_archive(path.resolve()):
         raise OSError(
             "its name, or its folder's, stands for a file in an archive: no ! and no .zip"
         )

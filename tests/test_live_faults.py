@@ -12,8 +12,9 @@ from gis_radar.live import own_pose
 from gis_radar.live.broker import Received, SensorTopics
 from gis_radar.live.buffer import DiskBuffer
 from gis_radar.live.hour_copy import write_copied
+from gis_radar.live.hours import HOUR_US
 from gis_radar.live.intake import Intake
-from gis_radar.live.journal import HOUR_US, FrameRow, Journal, PoseRow
+from gis_radar.live.journal import FrameRow, Journal, PoseRow
 from gis_radar.live.map_of_now import MapOfNow
 from gis_radar.live.outbox import Outbox
 from gis_radar.live.payload import (

@@ -7,7 +7,8 @@ from test_live_faults import HOUR, intake_of, message, pose_content, road, row  
 
 import gis_radar as gr
 from gis_radar.errors import OutputError
-from gis_radar.live.journal import HOUR_US, Journal
+from gis_radar.live.hours import HOUR_US
+from gis_radar.live.journal import Journal
 from gis_radar.live.old_poses import FEW
 from gis_radar.live.payload import HITS, POSE, pack_hits
 from gis_radar.occupancy.hit_counter import CountedFrame

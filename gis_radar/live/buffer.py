@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NamedTuple, Self
 
 from gis_radar.errors import GisRadarError, InputError, OutputError
-from gis_radar.live.damage import LAST_NUMBER, damage_of, is_damage, is_foreign
+from gis_radar.live.database import LAST_NUMBER, damage_of, is_damage, is_foreign
 from gis_radar.live.payload import KINDS, STREAM_BYTES, VERSION
 
 FORMAT = 1

@@ -8,8 +8,7 @@ recordings is done by the same code: only the blocks are shorter.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from datetime import UTC, datetime
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,6 +18,7 @@ import pandas as pd
 
 from gis_radar.arrays import Floats, Integers
 from gis_radar.lanelets.graph import LaneGraph
+from gis_radar.live.hours import LIVE_RECORDING, hour_name
 from gis_radar.live.returns import FrameReturns
 from gis_radar.live.vehicle_settings import DEFAULTS, FollowSettings
 from gis_radar.live.vehicle_store import FollowedPose, StoredPiece, VehicleStore
@@ -26,6 +26,7 @@ from gis_radar.occupancy.folder import frames_of, frames_table
 from gis_radar.occupancy.frame_steps import Runs, union
 from gis_radar.poses.pose import pose_from_dict
 from gis_radar.recordings.recording import Detections
+from gis_radar.site.hours import HOUR_STEPS
 from gis_radar.steps import STEP_US, STEPS_PER_SECOND
 from gis_radar.vehicles.blocks import Block, frames_within
 from gis_radar.vehicles.coverage import CoverageEngine
@@ -37,9 +38,7 @@ from gis_radar.vehicles.tables import FRAMES, TRACKS, VEHICLES
 from gis_radar.vehicles.tracker import vehicles_in
 from gis_radar.vehicles.visibility import SensorView
 
-HOUR_STEPS = 3600 * STEPS_PER_SECOND
 POSES_KEPT = 1_000  # named last; fusion names those anew that it did not name for long
-LIVE_RECORDING = "live"  # in the place of a recording's name, in the manifest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,8 +71,7 @@ class FollowedSite:
 
     def path_of(self, hour: int) -> Path:
         """Return the folder of an hour since 1970."""
-        name = datetime.fromtimestamp(hour * 3600, tz=UTC).strftime("%Y-%m-%dT%HZ")
-        return self.folder / "vehicles" / name
+        return self.folder / "vehicles" / hour_name(hour)
 
 
 class ReturnFrame(NamedTuple):
@@ -401,7 +399,7 @@ class VehicleFollower:
             for each in found:
                 table = each.piece.vehicles
                 cut = (table["first_step"] <= first) | (table["last_step"] >= last)
-                out.add(_with_cuts(each.piece, table.assign(continues=cut)))
+                out.add(replace(each.piece, vehicles=table.assign(continues=cut)))
         return path
 
 
@@ -428,10 +426,3 @@ def _frames(held: Sequence[_Held]) -> Iterator[pd.DataFrame]:
     for key, steps in by_view.items():
         every = np.unique(np.concatenate(steps))
         yield frames_of(*key, union([Runs(first=every, last=every)]))
-
-
-def _with_cuts(piece: VehiclePiece, vehicles: pd.DataFrame) -> VehiclePiece:
-    return VehiclePiece(
-        first_step=piece.first_step, last_step=piece.last_step, tracks=piece.tracks,
-        vehicles=vehicles, frames=piece.frames,
-    )  # fmt: skip

@@ -18,13 +18,15 @@ from gis_radar.live.aside import Aside
 from gis_radar.live.broker import Link, SensorTopics
 from gis_radar.live.health import HealthServer, prometheus_text
 from gis_radar.live.hour_copy import write_copied
+from gis_radar.live.hours import HOUR_US
 from gis_radar.live.intake import FUSION, Intake, SensorState
-from gis_radar.live.journal import HOUR_US, Journal
+from gis_radar.live.journal import Journal
 from gis_radar.live.lane_push import LanePush
 from gis_radar.live.live_vehicles import LiveVehicles
 from gis_radar.live.map_of_now import MapOfNow, MapState
 from gis_radar.live.payload import Acknowledgement
 from gis_radar.live.settings import DEFAULTS, LiveSettings, LiveSite, read_live_site
+from gis_radar.live.snapshot import place_of
 from gis_radar.live.store import Store
 from gis_radar.live.windows import Seen, Windows
 from gis_radar.occupancy.views import ViewBook
@@ -348,8 +350,6 @@ def _push(site: LiveSite, tiles: gpd.GeoDataFrame, reporter: Reporter) -> LanePu
     """Return the push of lane measures where the site's file asks for one."""
     if site.live.sensorthings is None:
         return None
-    from gis_radar.live.server import place_of  # noqa: PLC0415 - with a web server
-
     return LanePush(
         site.live.sensorthings, place_of(site, tiles), site=site.live.site,
         path=site.folder / PUSH_FILE, reporter=reporter,

@@ -16,7 +16,8 @@ from gis_radar.crs import require_same
 from gis_radar.errors import InputError, OutputError, placed
 from gis_radar.live.broker import Received, SensorTopics, parts_of
 from gis_radar.live.health import SensorHealth
-from gis_radar.live.journal import HOUR_STEPS, HOUR_US, FrameRow, Journal, PoseRow
+from gis_radar.live.hours import HOUR_US
+from gis_radar.live.journal import FrameRow, Journal, PoseRow
 from gis_radar.live.map_of_now import MapOfNow
 from gis_radar.live.old_poses import PosesOfSensor, drop_old_poses
 from gis_radar.live.outbox import ONLINE
@@ -41,6 +42,7 @@ from gis_radar.occupancy.tile_sets import decode_tiles
 from gis_radar.occupancy.views import SharedViews, ViewBook
 from gis_radar.poses.pose import Pose, pose_from_dict
 from gis_radar.progress import QUIET, Reporter
+from gis_radar.site.hours import HOUR_STEPS
 from gis_radar.steps import STEP_US
 
 if TYPE_CHECKING:

@@ -18,12 +18,11 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from gis_radar.errors import InputError, OutputError
-from gis_radar.live.damage import damage_of, is_damage, is_foreign
-from gis_radar.steps import STEP_US, in_known_years
+from gis_radar.live.database import as_one, damage_of, is_damage, is_foreign
+from gis_radar.live.hours import HOUR_US
+from gis_radar.steps import in_known_years
 
 LOCK_S = 1.0  # for another program to let go of the file
-HOUR_US = 3_600_000_000
-HOUR_STEPS = HOUR_US // STEP_US
 FRAMES_AT_ONCE = 2_000  # read for an hour: 100 s of a radar
 DROPPED_AT_ONCE_US = HOUR_US // 12  # so that a commit need not wait long
 TURN_S = 0.005  # in which a commit that waits gets its turn
@@ -266,7 +265,7 @@ class Journal:
 
     def drop_poses(self, ids: Iterable[int]) -> None:
         """Drop poses that nothing names any more, all or none: others stand for them."""
-        with self._errors(), self._as_one():
+        with self._errors(), as_one(self._database):
             self._database.executemany("DELETE FROM poses WHERE id = ?", [(each,) for each in ids])
 
     def add(self, frames: Sequence[FrameRow], sensor: str, stream: str, number: int) -> None:
@@ -284,7 +283,7 @@ class Journal:
         """
         if not self._marks:
             return
-        with self._errors(), self._as_one():
+        with self._errors(), as_one(self._database):
             for table, rows in self._by_table().items():
                 self._database.executemany(_INSERT[table], rows)
             self._database.executemany(
@@ -384,18 +383,6 @@ class Journal:
         """Return the sensors of which frames are kept."""
         rows = self._database.execute("SELECT DISTINCT sensor FROM frames ORDER BY 1")
         return [sensor for (sensor,) in rows]
-
-    @contextmanager
-    def _as_one(self) -> Iterator[None]:
-        """Bring what is written inside to the disk as a whole, or not at all."""
-        self._database.execute("BEGIN IMMEDIATE")
-        try:
-            yield
-            self._database.execute("COMMIT")
-        except BaseException:
-            if self._database.in_transaction:
-                self._database.execute("ROLLBACK")
-            raise
 
     @contextmanager
     def _errors(self) -> Iterator[None]:

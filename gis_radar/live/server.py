@@ -15,16 +15,14 @@ import uvicorn
 
 from gis_radar.arrays import Booleans
 from gis_radar.errors import InputError, OutputError
-from gis_radar.lanelets import lanes, read_map
 from gis_radar.live.intake import SensorState
 from gis_radar.live.live_vehicles import LiveVehicles
 from gis_radar.live.map_of_now import MapState
 from gis_radar.live.page import Access, make_app
 from gis_radar.live.recent import RecentCounts
 from gis_radar.live.settings import LiveSite
-from gis_radar.live.snapshot import Place, ShownSensor, Snapshot
+from gis_radar.live.snapshot import Place, ShownSensor, Snapshot, place_of
 from gis_radar.site.live_table import PageTable
-from gis_radar.steps import zone_of
 
 START_S, END_S = 10.0, 2.0
 RATE_S = 10.0  # over which frames are counted
@@ -123,19 +121,6 @@ class ShownMap:
             frames_per_s=rate,
             lost=health.lost,
         )
-
-
-def place_of(site: LiveSite, tiles: gpd.GeoDataFrame) -> Place:
-    """Return what of a site's live map stays.
-
-    Raises
-    ------
-    InputError
-        If the map cannot be read.
-    """
-    roads = read_map(site.map.file, crs=tiles.crs, origin=site.map.origin)
-    named = lanes(roads, streets=site.map.streets, street_field=site.map.street_field)
-    return Place(title=site.title, zone=zone_of(site.time_zone), tiles=tiles, lanes=named)
 
 
 def access_of(table: PageTable) -> Access:

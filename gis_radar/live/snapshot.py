@@ -19,9 +19,12 @@ from gis_radar.arrays import Booleans, Floats, Integers
 from gis_radar.crs import transformer
 from gis_radar.heatmap import style
 from gis_radar.heatmap.by_lane import lane_totals, lanes_with_tiles
+from gis_radar.lanelets import lanes, read_map
+from gis_radar.live.settings import LiveSite
 from gis_radar.live.vehicle_counts import Lately
 from gis_radar.live.vehicles_now import VehiclesNow
 from gis_radar.poses.pose import Pose
+from gis_radar.steps import zone_of
 from gis_radar.tiles.tiles import fingerprint
 
 NOT_OBSERVED = -1  # in place of a class
@@ -223,3 +226,16 @@ class LiveMap(Protocol):
 
     def metrics(self) -> str:
         """Return counts and lags as Prometheus reads them."""
+
+
+def place_of(site: LiveSite, tiles: gpd.GeoDataFrame) -> Place:
+    """Return what of a site's live map stays.
+
+    Raises
+    ------
+    InputError
+        If the map cannot be read.
+    """
+    roads = read_map(site.map.file, crs=tiles.crs, origin=site.map.origin)
+    named = lanes(roads, streets=site.map.streets, street_field=site.map.street_field)
+    return Place(title=site.title, zone=zone_of(site.time_zone), tiles=tiles, lanes=named)

@@ -6,7 +6,6 @@ import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -16,7 +15,8 @@ import pandas as pd
 from gis_radar.arrays import Integers
 from gis_radar.errors import InputError
 from gis_radar.files import output_errors, whole_folder
-from gis_radar.live.journal import HOUR_US, FrameRow
+from gis_radar.live.hours import HOUR_US, LIVE_RECORDING, hour_name
+from gis_radar.live.journal import FrameRow
 from gis_radar.live.payload import PoseContent
 from gis_radar.occupancy.folder import (
     HITS_FILE,
@@ -33,8 +33,6 @@ from gis_radar.occupancy.frame_steps import Runs, union
 from gis_radar.occupancy.hits import HITS, Rows, merge_rows
 from gis_radar.occupancy.tile_sets import decode_sets
 from gis_radar.steps import STEP_US
-
-LIVE_RECORDING = "live"  # in the place of a recording's name, in the manifest
 
 
 class StoredFrames(Protocol):
@@ -90,7 +88,7 @@ class Store:
 
     def path_of(self, hour: int) -> Path:
         """Return the folder of an hour since 1970."""
-        return self.folder / datetime.fromtimestamp(hour * 3600, tz=UTC).strftime("%Y-%m-%dT%HZ")
+        return self.folder / hour_name(hour)
 
     def write_hour(
         self, hour: int, journal: StoredFrames, poses: Mapping[int, KnownPose],

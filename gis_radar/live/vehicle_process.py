@@ -23,7 +23,6 @@ import numpy as np
 from gis_radar.arrays import Floats
 from gis_radar.errors import GisRadarError, InputError, OutputError
 from gis_radar.live.following import (
-    HOUR_STEPS,
     POSES_KEPT,
     Finished,
     FollowedSite,
@@ -35,6 +34,7 @@ from gis_radar.live.vehicle_settings import FollowSettings
 from gis_radar.live.vehicle_store import FollowedPose, ReturnRow, VehicleStore
 from gis_radar.live.vehicles_now import NowFilter, VehiclesNow
 from gis_radar.processes import watch_parent
+from gis_radar.site.hours import HOUR_STEPS
 from gis_radar.steps import STEPS_PER_SECOND
 from gis_radar.vehicles.visibility import SensorView
 

@@ -23,7 +23,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from gis_radar.errors import GisRadarError, OutputError
-from gis_radar.live.damage import damage_of, is_damage
+from gis_radar.live.database import as_one, damage_of, is_damage
 from gis_radar.poses.pose import pose_from_dict
 from gis_radar.vehicles.folder import VehiclePiece
 from gis_radar.vehicles.pieces import BlockEdge
@@ -133,7 +133,7 @@ class VehicleStore:
                 self._put_aside()
             known = self._database.execute("SELECT value FROM notes").fetchone()
             if known != (fingerprint,):
-                with self._commit():
+                with as_one(self._database):
                     for table in ("notes", "views", "poses", "frames", "pieces"):
                         self._database.execute(f"DELETE FROM {table}")  # noqa: S608 - own names
                     row = ("fingerprint", fingerprint)
@@ -233,13 +233,13 @@ class VehicleStore:
 
     def forget_poses(self, kept: Sequence[int]) -> None:
         """Drop poses but some that no frame or piece names, and what is seen from no pose."""
-        with self._errors(), self._commit():
+        with self._errors(), as_one(self._database):
             self._database.execute(_OLD_POSES, (json.dumps([*kept]),))
             self._database.execute(_OLD_VIEWS)
 
     def add_frames(self, rows: Sequence[ReturnRow]) -> None:
         """Add frames; one that is there is the same."""
-        with self._errors(), self._commit():
+        with self._errors(), as_one(self._database):
             self._database.executemany("INSERT OR IGNORE INTO frames VALUES (?, ?, ?, ?)", rows)
 
     def frames(self) -> list[ReturnRow]:
@@ -258,7 +258,7 @@ class VehicleStore:
             json.dumps(found.poses), json.dumps(edge.table.to_numpy().tolist()).encode(),
             edge.found,
         )  # fmt: skip
-        with self._errors(), self._commit():
+        with self._errors(), as_one(self._database):
             self._database.execute(
                 "INSERT OR REPLACE INTO pieces VALUES (?, ?, ?, ?, ?, ?, ?, ?)", row
             )
@@ -303,17 +303,6 @@ class VehicleStore:
                 first_step=step, last_step=row[0], tracks=tracks, vehicles=vehicles, frames=frames
             )
             yield StoredPiece(piece=piece, poses=tuple(json.loads(row[4])))
-
-    @contextmanager
-    def _commit(self) -> Iterator[None]:
-        self._database.execute("BEGIN IMMEDIATE")
-        try:
-            yield
-            self._database.execute("COMMIT")
-        except BaseException:
-            if self._database.in_transaction:
-                self._database.execute("ROLLBACK")
-            raise
 
     @contextmanager
     def _errors(self) -> Iterator[None]:

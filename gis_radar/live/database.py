@@ -1,13 +1,27 @@
-"""Whether a database of the live system is whole: after a loss of power, a bad disk, or an edit."""
+"""Databases of the live system: whether one is whole, and changes that are made as a whole."""
 
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 
 # What SQLite says where nothing is wrong with the file: it is in use, or the disk is full or away.
 _OF_THE_PLACE = ("BUSY", "LOCKED", "FULL", "IOERR", "READONLY", "CANTOPEN", "NOMEM", "PERM", "AUTH")
 LAST_NUMBER = 1 << 62  # there is room for the next ones in 64 bits
+
+
+@contextmanager
+def as_one(database: sqlite3.Connection) -> Iterator[None]:
+    """Bring what is written inside to the disk as a whole, or not at all."""
+    database.execute("BEGIN IMMEDIATE")
+    try:
+        yield
+        database.execute("COMMIT")
+    except BaseException:
+        if database.in_transaction:
+            database.execute("ROLLBACK")
+        raise
 
 
 def is_damage(error: sqlite3.Error) -> bool:
