@@ -185,7 +185,7 @@ def whole_folder(
     if path.exists():
         _refuse_here(path)
         refuse_foreign(path, owned)
-    with _alone(path, reporter), _beside(path) as private:
+    with _alone(path, reporter), _beside(path, alone=True) as private:
         _restore(path)
         fresh = private / path.name
         fresh.mkdir()
@@ -254,11 +254,11 @@ def refuse_foreign(path: Path, owned: tuple[str, ...]) -> None:
 
 
 @contextmanager
-def _beside(path: Path) -> Iterator[Path]:
+def _beside(path: Path, *, alone: bool = False) -> Iterator[Path]:
     """Yield a private folder on the same file system as `path`; it is gone afterwards."""
     if any("\ud800" <= letter <= "\udfff" for letter in str(path)):
         raise OutputError(f"{path}: the name is not UTF-8, which libraries need to write it")
-    clear_abandoned(path.absolute().parent, private_pattern(path, "part"))
+    clear_abandoned(path.absolute().parent, private_pattern(path, "part"), alone=alone)
     private = path.with_name(f"{hidden_stem(path)}.{secrets.token_hex(4)}.part")
     # Entered before it exists: an interruption may come at any moment, in the clearing up too.
     _unfinished.add(private)

@@ -17,7 +17,8 @@ _ALIVE = ".alive"  # locked in a private folder as long as the process that made
 PLAN = ".places.json"  # in a private folder that is whole and about to be moved
 SCRATCH = ".gis_radar-scratch-"  # begins the names of temporary folders: nobody else's do
 PRIVATE = re.compile(r"\..+\.[0-9a-f]{8}\.(part|before)")
-_ABANDONED_S = 86_400.0  # a private folder without a lock is of a file system without locks
+_ABANDONED_S = 86_400.0  # a private folder on a file system without locks
+_MAKING_S = 60.0  # between making a private folder and locking it; it takes a millisecond
 
 
 def hidden_stem(path: Path) -> str:
@@ -105,7 +106,7 @@ def living(private: Path) -> Iterator[None]:
         os.close(handle)
 
 
-def clear_abandoned(folder: Path, named: re.Pattern[str]) -> None:
+def clear_abandoned(folder: Path, named: re.Pattern[str], *, alone: bool = False) -> None:
     """Remove private folders that killed runs left beside outputs; end what was being moved.
 
     Parameters
@@ -114,8 +115,10 @@ def clear_abandoned(folder: Path, named: re.Pattern[str]) -> None:
         Where outputs are, absolute.
     named : re.Pattern
         Which private folders in it: those of one output, or :data:`PRIVATE` for all.
+    alone : bool
+        Whether the caller holds the lock of the output: then nobody else is making one just now.
     """
-    for private in _abandoned(folder, named):
+    for private in _abandoned(folder, named, alone=alone):
         with suppress(OSError, ValueError):
             for name, place in json.loads((private / PLAN).read_text(encoding="utf-8")):
                 if (private / Path(name).name).exists() and Path(place).parent == folder:
@@ -137,27 +140,29 @@ def clear_scratch(folder: Path) -> None:
             shutil.rmtree(private, ignore_errors=True)
 
 
-def _abandoned(folder: Path, named: re.Pattern[str]) -> Iterator[Path]:
+def _abandoned(folder: Path, named: re.Pattern[str], *, alone: bool = False) -> Iterator[Path]:
     """Yield the private folders of processes that are gone."""
     with suppress(OSError):
         for private in [each for each in folder.iterdir() if named.fullmatch(each.name)]:
-            if private.suffix != ".before" and not private.is_symlink() and _is_abandoned(private):
+            if private.suffix == ".before" or private.is_symlink():
+                continue
+            if _is_abandoned(private, alone=alone):
                 yield private
 
 
-def _is_abandoned(private: Path) -> bool:
+def _is_abandoned(private: Path, *, alone: bool = False) -> bool:
     """Return whether the process that made a private folder is gone."""
     from filelock import lock_descriptor  # noqa: PLC0415 - 70 ms
 
-    old = time.time() - private.stat().st_mtime > _ABANDONED_S
+    age_s = time.time() - private.stat().st_mtime
+    made = alone or age_s > _MAKING_S  # else its file and the lock may come in a moment
     try:
         handle = os.open(private / _ALIVE, os.O_RDWR)
-    except OSError:  # being made just now, or of a version without locks
-        return old
-    try:
-        # Empty: it is being made just now, and the lock will be taken in a moment.
-        return lock_descriptor(handle, blocking=False) and (os.fstat(handle).st_size > 0 or old)
     except OSError:
-        return False
+        return made
+    try:
+        return lock_descriptor(handle, blocking=False) and (made or os.fstat(handle).st_size > 0)
+    except OSError:  # no locks here
+        return age_s > _ABANDONED_S
     finally:
         os.close(handle)

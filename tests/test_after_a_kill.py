@@ -228,6 +228,28 @@ def test_a_folder_that_is_being_made_is_not_cleared(tmp_path):
         os.close(handle)
 
 
+@pytest.mark.parametrize("locked", [False, True])
+def test_a_run_that_was_killed_while_it_made_its_folder_leaves_nothing(tmp_path, locked):
+    """Who writes a folder holds its lock: nobody else is making one just now."""
+    private = tmp_path / ".a.00000000.part"
+    private.mkdir()
+    if locked:
+        (private / leftovers._ALIVE).touch()
+    with whole_folder(tmp_path / "a", owned=("a",)) as part:
+        (part / "a1").write_text("new")
+    assert names(tmp_path) == ["a"]
+
+
+def test_a_file_that_was_never_begun_goes_after_a_minute(tmp_path):
+    private = tmp_path / ".a.00000000.part"
+    private.mkdir()
+    for age_s, left in (30.0, [private.name, "a"]), (90.0, ["a"]):
+        os.utime(private, (time.time() - age_s,) * 2)
+        with whole_file(tmp_path / "a") as part:
+            part.write_text("new")
+        assert names(tmp_path) == left
+
+
 def test_a_look_of_another_run_does_not_cost_the_lock(tmp_path):
     """The look holds the lock for a moment; the owner waits for it."""
     (tmp_path / leftovers._ALIVE).touch()

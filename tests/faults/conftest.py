@@ -32,6 +32,8 @@ class Runner:
         case = {"words": words, "seconds": WHOLE_S, "processor_s": SECONDS, "bytes": BYTES}
         case |= limits
         case |= {name: str(place / name) for name in ("out", "err")}
+        for name in ("out", "err"):  # killed before it opens them, it has printed nothing
+            (place / name).write_bytes(b"")
         self.process.stdin.write(json.dumps(case) + "\n")
         self.process.stdin.flush()
         answer = json.loads(self.process.stdout.readline())
