@@ -1,6 +1,7 @@
 """Programs of the live system as processes of their own, a link that can be cut, and the batch."""
 
 import contextlib
+import math
 import os
 import select
 import shutil
@@ -13,9 +14,10 @@ import time
 
 import numpy as np
 import pytest
-from live_site import SAMPLE, free_port
+from live_site import LONGEST_S, SAMPLE, free_port
 
 import gis_radar as gr
+from gis_radar.live.edge import Edge
 from gis_radar.progress import Reporter
 
 LONG = os.environ.get("GIS_RADAR_LIVE") == "all"
@@ -33,6 +35,19 @@ class Lines(Reporter):
 
     def told(self, words):
         return any(words in line for line in self.lines)
+
+
+class HeldEdge(Edge):
+    """A sensor's side whose recording goes on to so many frames and waits there."""
+
+    until = math.inf
+
+    def _source(self):
+        for frame in super()._source():
+            while self.frames >= self.until:
+                time.sleep(0.01)
+                yield None
+            yield frame
 
 
 class Program:
@@ -59,22 +74,25 @@ class Program:
         self.process.kill()
         self.process.wait()
 
-    def end(self, timeout_s=60.0):
+    def end(self):
         """Stop it as Ctrl-C does; all that is stored is then written."""
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
-        assert self.process.wait(timeout_s) == 0, self.said
+        assert self.process.wait(LONGEST_S) == 0, self.said
 
-    def wait(self, timeout_s=120.0):
-        assert self.process.wait(timeout_s) == 0, self.said
+    def wait(self):
+        assert self.process.wait(LONGEST_S) == 0, self.said
 
 
 class Cable:
-    """A way to a port that can be cut: by force, or so that nothing is noticed."""
+    """A way to a port that can be cut: by force, or so that nothing is noticed.
+
+    It counts whom it has turned away.
+    """
 
     def __init__(self, to):
         self.port, self._to = free_port(), to
-        self._pairs, self._cut, self._silent = [], False, False
+        self._pairs, self._cut, self._silent, self.refused = [], False, False, 0
         self._server = socket.create_server(("127.0.0.1", self.port))
         self._ended = threading.Event()
         threading.Thread(target=self._accept, daemon=True).start()
@@ -109,6 +127,7 @@ class Cable:
                 return
             if self._cut and not self._silent:
                 near.close()
+                self.refused += 1
                 continue
             try:
                 far = socket.create_connection(("127.0.0.1", self._to))

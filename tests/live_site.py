@@ -1,11 +1,13 @@
 """A live site on this machine: a real broker, the sample junction's tiles, two sensors' files."""
 
 import os
+import random
 import shutil
 import socket
 import subprocess
 import threading
 import time
+from contextlib import suppress
 
 import pytest
 
@@ -13,13 +15,18 @@ import gis_radar as gr
 from gis_radar.live.broker_files import write_broker_files
 
 SAMPLE = gr.sample_folder()
+# For what hangs: whatever else is waited for comes sooner, also on a machine that is busy.
+LONGEST_S = 300.0
 MOSQUITTO = shutil.which("mosquitto") or shutil.which("/usr/sbin/mosquitto")
 
 
 def free_port():
-    with socket.socket() as each:
-        each.bind(("127.0.0.1", 0))
-        return each.getsockname()[1]
+    """Give a port that nobody has, none of those that clients get, so that it stays free."""
+    while True:
+        port = random.SystemRandom().randrange(12_000, 32_000)
+        with socket.socket() as each, suppress(OSError):
+            each.bind(("127.0.0.1", port))
+            return port
 
 
 class Broker:
@@ -33,7 +40,8 @@ class Broker:
         self.process = subprocess.Popen(
             [MOSQUITTO, "-c", str(self.config)], stdout=self.log, stderr=self.log
         )
-        wait_for(lambda: is_open(self.port), 5.0)
+        wait_for(lambda: is_open(self.port) or self.process.poll() is not None)
+        assert self.process.poll() is None, self.config.with_suffix(".log").read_text()
 
     def kill(self):
         self.process.kill()
@@ -46,8 +54,8 @@ def is_open(port):
         return each.connect_ex(("127.0.0.1", port)) == 0
 
 
-def wait_for(what, timeout_s, message="it did not happen"):
-    end = time.monotonic() + timeout_s
+def wait_for(what, message="it did not happen"):
+    end = time.monotonic() + LONGEST_S
     while not what():
         assert time.monotonic() < end, message
         time.sleep(0.05)
@@ -67,9 +75,12 @@ class Background(threading.Thread):
         except Exception as error:  # noqa: BLE001 - raised in the test
             self.error = error
 
-    def end(self, timeout_s=30.0):
+    def join(self, timeout=LONGEST_S):
+        super().join(timeout)
+
+    def end(self):
         self.stop.set()
-        self.join(timeout_s)
+        self.join()
         assert not self.is_alive()
         if self.error:
             raise self.error

@@ -264,7 +264,7 @@ def test_an_interruption_leaves_nothing_and_says_130(site, signal_name):
         if json.loads(line)["event"] == "progress":
             break
     child.send_signal(getattr(signal, signal_name))
-    out, err = child.communicate(timeout=60)
+    out, err = child.communicate(timeout=300)
     assert child.returncode == 130, err
     event = json.loads(out.splitlines()[-1])
     assert (event["event"], event["code"]) == ("error", 130)
@@ -350,7 +350,7 @@ def test_another_pipe_that_breaks_is_told():
         capture_output=True,
         text=True,
         check=False,
-        timeout=60,
+        timeout=300,
     )
     assert done.returncode == 3
     assert "ended early: [Errno 32] Broken pipe" in done.stderr

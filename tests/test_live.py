@@ -1,8 +1,10 @@
 """The live system with a real broker: what it stores is what the batch counts, whatever breaks."""
 
+import math
+
 import numpy as np
 import pytest
-from live_programs import Lines, assert_same_tables, columns, measured
+from live_programs import HeldEdge, Lines, assert_same_tables, columns, measured
 from live_site import SAMPLE, Background, LiveSite, needs_mosquitto, wait_for
 
 import gis_radar as gr
@@ -45,7 +47,7 @@ def test_what_fusion_stores_equals_the_batch(site, batch):
     edges = [Edge(read_edge_file(site.edge(name))) for name in NAMES]
     work = [Background(each.run) for each in edges]
     for each in work:
-        each.join(60.0)
+        each.join()
         each.end()
     middle.end()
     hours = sorted((site.folder / "live" / "occupancy").iterdir())
@@ -58,18 +60,20 @@ def test_a_broker_that_is_killed_and_a_fusion_that_begins_anew_lose_nothing(site
     """Everything breaks in the midst of a replay; fusion is left without a word, as if killed."""
     middle = Fusion(read_live_site(site.file))
     first = Background(middle.run)
-    edge = Edge(read_edge_file(site.edge("R1", source="speed = 20.0")))
+    edge = HeldEdge(read_edge_file(site.edge("R1")))
+    edge.until = 600
     work = Background(edge.run)
-    wait_for(lambda: middle.sensors["R1"].health.counts["frames"] > 200, 30.0)
+    wait_for(lambda: middle.sensors["R1"].health.counts["frames"] > 200)
     site.broker.kill()
-    frames = edge.frames
-    wait_for(lambda: edge.frames > frames + 200, 30.0)  # it goes on, on disk
+    edge.until = 1000
+    wait_for(lambda: edge.frames == 1000)  # it goes on, on disk
     middle._finish = lambda: None  # what it has taken and not committed is gone
     first.end()
     site.broker.start()
     again = Fusion(read_live_site(site.file))
     second = Background(again.run)
-    work.join(60.0)
+    edge.until = math.inf
+    work.join()
     work.end()
     second.end()
     assert again.sensors["R1"].health.counts["frames"] > 400
@@ -90,22 +94,22 @@ def test_nobody_gets_past_the_broker(site):
     address = BrokerAddress.of(f"mqtt://127.0.0.1:{site.port}", user="R1", password="wrong")  # noqa: S106
     stranger = Link(address, name="stranger", reporter=said)
     stranger.open()
-    wait_for(lambda: said.told("refuses the link"), 10.0)
+    wait_for(lambda: said.told("refuses the link"))
     stranger.close()
     password = (site.folder / "broker" / "password_of_R1").read_text().strip()
     known = BrokerAddress.of(f"mqtt://127.0.0.1:{site.port}", user="R1", password=password)
     everything = ("v1/#", "v1/junction/R2/hits", "v1/junction/R1/ack")
     one = Link(known, name="junction-R1", topics=everything, reporter=said)
     one.open()
-    wait_for(lambda: one.connected, 10.0)
+    wait_for(lambda: one.connected)
     one.publish("v1/junction/R2/hits", b"foreign")
-    wait_for(lambda: said.told("does not take a message"), 10.0)
+    wait_for(lambda: said.told("does not take a message"))
     assert one.refused == 1
     one.publish("v1/junction/R1/hits", b"own")
     assert one.take(0.5) is None  # its own hits, and R2's, are not its to read
     twin = Link(known, name="junction-R1", reporter=said)
     twin.open()
-    wait_for(lambda: said.told("the same name"), 30.0)
+    wait_for(lambda: said.told("the same name"))
     for each in (one, twin):
         each.close()
 

@@ -277,7 +277,7 @@ def test_a_follower_that_ended_takes_nothing_and_a_fault_in_it_is_raised(monkeyp
         monkeypatch.setattr(own_pose, "Follower", lambda *_, fault=fault, **__: Faulty(fault))
         follower = own_pose.PoseFollower(None, gr.read_pose(SAMPLE / "R1.json"), begin)
         follower.push(frame)
-        follower._thread.join(10.0)
+        follower._thread.join()
         for _ in range(50):
             follower.push(frame)
         assert follower._frames.empty()

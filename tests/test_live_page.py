@@ -22,7 +22,15 @@ import uvicorn
 from axe_core_python.selenium import Axe
 from browser import start_chromium, wide
 from live_replay import Replay
-from live_site import Background, LiveSite, free_port, is_open, needs_mosquitto, wait_for
+from live_site import (
+    LONGEST_S,
+    Background,
+    LiveSite,
+    free_port,
+    is_open,
+    needs_mosquitto,
+    wait_for,
+)
 from PIL import Image
 from pydantic import ValidationError
 from selenium.webdriver.common.by import By
@@ -44,7 +52,6 @@ from gis_radar.site.live_table import PageTable
 from gis_radar.steps import step_begin
 
 VENDOR = Path(__file__).parents[1] / "gis_radar" / "live" / "web" / "vendor" / "maplibre-gl.mjs"
-WAIT_S = 30
 
 
 @contextmanager
@@ -283,14 +290,14 @@ def test_the_page_in_a_browser(live, address, chromium, width, language):
     wide(chromium, width)
     chromium.get_log("browser")
     chromium.get(f"{address}/?lang={language}")
-    WebDriverWait(chromium, WAIT_S).until(
+    WebDriverWait(chromium, LONGEST_S).until(
         lambda page: page.execute_script("return document.body.dataset.drawn")
     )
     assert chromium.find_element(By.TAG_NAME, "html").get_attribute("lang") == language
     clock = chromium.find_element(By.ID, "clock").text
     assert clock == f"{step_begin(live.at).astimezone(live.place.zone):%H:%M:%S}"
     picture = chromium.find_element(By.ID, "map")
-    wait_for(lambda: colours_of(picture)[VEHICLE] > 5, WAIT_S)  # drawn after the tiles
+    wait_for(lambda: colours_of(picture)[VEHICLE] > 5)  # drawn after the tiles
     colours = colours_of(picture)
     assert colours[OCCUPIED] > 20
     assert colours[style.NOT_OBSERVED] > 200
@@ -329,7 +336,7 @@ def test_the_page_shows_coverage_and_tells_vehicles(live, address, chromium):
     live.at, live.silent = live.first + 1200, set()
     wide(chromium, 1280)
     chromium.get(f"{address}/?lang=en")
-    WebDriverWait(chromium, WAIT_S).until(
+    WebDriverWait(chromium, LONGEST_S).until(
         lambda page: page.execute_script("return document.body.dataset.drawn")
     )
     count = len(live.snapshot().vehicles)
@@ -375,9 +382,9 @@ def test_the_page_shows_what_a_sensor_sends_now(tmp_path, once):
     try:
         edge = Edge(read_edge_file(site.edge("R1", source='speed = 1.0\nloop = "100s"')))
         sensor = Background(edge.run)
-        wait_for(lambda: is_open(port), 10.0)
+        wait_for(lambda: is_open(port))
         address = f"http://127.0.0.1:{port}"
-        wait_for(lambda: len(events(address, 1)[0]["occupied"]), 120.0)  # numba may compile
+        wait_for(lambda: len(events(address, 1)[0]["occupied"]))  # numba may compile
         state = get_json(f"{address}/state.json")
         assert state["sensors"]["R1"]["online"]
         assert not state["sensors"]["R2"]["online"]

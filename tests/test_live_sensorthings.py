@@ -14,7 +14,7 @@ from zoneinfo import ZoneInfo
 import numpy as np
 import pytest
 from live_programs import Lines
-from live_site import SAMPLE, LiveSite
+from live_site import LONGEST_S, SAMPLE, LiveSite
 
 import gis_radar as gr
 from gis_radar.errors import InputError
@@ -190,7 +190,7 @@ def push_of(server, place, folder, said=None, **more):
 
 
 def until_sent(push):
-    end = time.monotonic() + 20.0
+    end = time.monotonic() + LONGEST_S
     while push.waiting or push._work.busy:
         push._patience_s = min(push._patience_s, 0.05)
         push.regular()

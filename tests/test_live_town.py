@@ -40,7 +40,7 @@ class Witness:
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
-        wait_for(lambda: self.link.connected, 10.0)
+        wait_for(lambda: self.link.connected)
 
     def _read(self):
         while not self._ended.is_set():
@@ -111,9 +111,9 @@ def test_a_town_with_a_scan_and_poses_that_are_found_and_followed(tmp_path, once
                  for name in NAMES]  # fmt: skip
         work = [Background(each.run) for each in edges]
         for each in work:
-            each.join(300.0)
+            each.join()
             each.end()
-        middle.end(120.0)
+        middle.end()
         tracks = witness.tracks()
     finally:
         site.broker.kill()

@@ -17,6 +17,7 @@ from gis_radar.live.sources import Radar, frames_of_recording
 from gis_radar.recordings.frames import Frame
 
 FRAMES = 100
+GROUP = "224.0.2.2"
 
 
 def payload_of(frame, time_s):
@@ -34,6 +35,26 @@ def payload_of(frame, time_s):
     return detection_list(time_s, rows)
 
 
+def need_multicast(port):
+    """Skip where a datagram to a group does not come back."""
+    here = socket.inet_aton("127.0.0.1")
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as heard,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out,
+    ):
+        try:
+            heard.bind(("", port))
+            heard.setsockopt(
+                socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(GROUP) + here
+            )
+            heard.settimeout(10.0)
+            out.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, here)
+            out.sendto(b"one", (GROUP, port))
+            heard.recv(10)
+        except OSError:
+            pytest.skip("no multicast on this machine's loopback")
+
+
 @pytest.fixture
 def port():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
@@ -42,8 +63,10 @@ def port():
 
 
 @needs_mosquitto
-@pytest.mark.parametrize("group", ["127.0.0.1", "224.0.2.2"], ids=["unicast", "multicast"])
+@pytest.mark.parametrize("group", ["127.0.0.1", GROUP], ids=["unicast", "multicast"])
 def test_a_radar_on_udp_is_stored_as_its_capture_is_counted(tmp_path, once, port, group):
+    if group == GROUP:
+        need_multicast(port)
     site = LiveSite(tmp_path, once, names=("R1",))
     site.broker.start()
     said = Lines()
@@ -53,7 +76,7 @@ def test_a_radar_on_udp_is_stored_as_its_capture_is_counted(tmp_path, once, port
     middle = Background(Fusion(read_live_site(site.file)).run)
     edge = Edge(read_edge_file(site.edge("R1", source=source)), reporter=said)
     work = Background(edge.run)
-    wait_for(lambda: said.told("listening") or work.error, 10.0)
+    wait_for(lambda: said.told("listening") or work.error)
     packets = []
     frames = list(frames_of_recording(SAMPLE / "R1.parquet"))[:FRAMES]
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
@@ -65,13 +88,10 @@ def test_a_radar_on_udp_is_stored_as_its_capture_is_counted(tmp_path, once, port
             packets += [
                 (now, ethernet(ip)) for ip in ip_packets(payload, source=SENSOR, ident=number + 1)
             ]
+            # the system drops what an edge that gets no time has not taken
+            wait_for(lambda number=number: edge.frames > number - 3 or work.error)
             time.sleep(0.01)
-    if group != "127.0.0.1" and edge.frames == 0:
-        work.stop.set()
-        middle.end()
-        site.broker.kill()
-        pytest.skip("no multicast on this machine's loopback")
-    wait_for(lambda: edge.frames >= FRAMES and edge._outbox.empty, 20.0)
+    wait_for(lambda: edge.frames >= FRAMES and edge._outbox.empty)
     work.end()
     middle.end()
     site.broker.kill()
@@ -137,14 +157,14 @@ def test_a_clock_of_fusion_that_is_stepped_ends_nothing(tmp_path, once, monkeypa
     def follows():
         return abs(fusion.state().step - clock.time() * 20.0) < 20.0
 
-    wait_for(lambda: follows() and fusion.state().occupied.any(), 20.0)
+    wait_for(lambda: follows() and fusion.state().occupied.any())
     for clock.ahead_s in (3600.0, -5.0, 0.0):
-        wait_for(follows, 5.0)
-    wait_for(lambda: fusion.state().occupied.any() and edge.frames > 40, 5.0)
+        wait_for(follows)
+    wait_for(lambda: fusion.state().occupied.any() and edge.frames > 40)
     work.stop.set()
-    work.join(10.0)
+    work.join()
     stored_now = fusion.sensors["R1"]
-    wait_for(lambda: stored_now.stored == stored_now.received, 5.0)
+    wait_for(lambda: stored_now.stored == stored_now.received)
     middle.end()
     site.broker.kill()
     log = stored(site.folder).frame_log(["R1"])

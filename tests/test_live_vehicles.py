@@ -162,19 +162,19 @@ def test_fusion_follows_vehicles_in_a_process_that_may_be_killed(tmp_path, once)
     middle = Background(fusion.run)
     try:
         work = [Background(Edge(read_edge_file(short(site, name))).run) for name in NAMES]
-        wait_for(lambda: fusion.vehicles._process is not None, 30.0)
+        wait_for(lambda: fusion.vehicles._process is not None)
         process = fusion.vehicles._process
         for each in work:
-            each.join(60.0)
+            each.join()
             each.end()
         taken = sum(each.health.counts["returns"] for each in fusion.sensors.values())
         assert taken == sum(map(len, map(times, NAMES)))
-        wait_for(lambda: fusion.vehicles._told.get("frames", 0) == taken, 60.0)
+        wait_for(lambda: fusion.vehicles._told.get("frames", 0) == taken)
         time.sleep(1.5)  # on disk within a second
         os.kill(process.pid, signal.SIGKILL)
-        wait_for(lambda: fusion.vehicles.restarts, 10.0)
+        wait_for(lambda: fusion.vehicles.restarts)
     finally:
-        middle.end(180.0)
+        middle.end()
         site.broker.kill()
     found = gr.read_vehicles(site.folder / "live" / "vehicles" / HOUR)
     assert found.sensors == [*NAMES]

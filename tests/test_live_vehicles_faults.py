@@ -15,7 +15,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from live_site import SAMPLE, wait_for
+from live_site import LONGEST_S, SAMPLE, wait_for
 from live_vehicles import Sent
 
 import gis_radar as gr
@@ -120,14 +120,15 @@ def test_fusion_names_a_pose_again_that_was_not_used_for_long(sent, tmp_path, mo
 
 
 def test_vehicles_of_now_are_none_once_all_sensors_are_silent(sent, tmp_path, monkeypatch):
-    monkeypatch.setattr(live_vehicles, "OLD_S", 0.3)
+    clock = SimpleNamespace(now=50.0)
+    monkeypatch.setattr(live_vehicles, "time", SimpleNamespace(monotonic=lambda: clock.now))
     vehicles = LiveVehicles(site_of(sent, tmp_path), sent.tiles, sent.book)
     vehicles._process = object()
     now = VehiclesNow.of(100.0, np.ones((1, 6)))
     for newest in (100.1, 100.2):
         vehicles._note(Told(counts={"newest_s": newest}, now=now))
     assert len(vehicles.now()) == 1
-    time.sleep(0.4)
+    clock.now += live_vehicles.OLD_S + 0.1
     vehicles._note(Told(counts={"newest_s": 100.2}, now=now))
     assert len(vehicles.now()) == 0
 
@@ -156,8 +157,8 @@ def be_fusion(folder):
 @pytest.mark.skipif(os.name == "nt", reason="there is no SIGKILL")
 def test_a_process_killed_while_it_tells_holds_nothing_up(tmp_path):
     done = subprocess.run(
-        [sys.executable, __file__, str(tmp_path)], timeout=40.0, check=True, capture_output=True,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        [sys.executable, __file__, str(tmp_path)], timeout=LONGEST_S, check=True,
+        capture_output=True, env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
     )  # fmt: skip
     assert done.stdout.split() == [b"lost"]
 
@@ -174,7 +175,7 @@ def test_a_store_that_cannot_be_opened_is_tried_again(sent, tmp_path, monkeypatc
         vehicles.turn()
         return vehicles._process is None
 
-    wait_for(lost, 30.0)
+    wait_for(lost)
     assert not first.is_alive()
     (tmp_path / "vehicles.sqlite").rmdir()
     time.sleep(0.1)

@@ -234,7 +234,7 @@ def test_both_gdals_of_the_process_are_offline(server, tmp_path, offline):
     environment = dict(os.environ) | {"no_proxy": "127.0.0.1", "NO_PROXY": "127.0.0.1"}
     environment |= OFFLINE if offline else {}
     words = [sys.executable, "-c", ASK, "-", *map(str, found), f"/vsicurl/{server.url}/t.tif"]
-    done = subprocess.run(words, env=environment, capture_output=True, timeout=100, check=True)
+    done = subprocess.run(words, env=environment, capture_output=True, timeout=600, check=True)
     assert b"Error" in done.stdout
     assert bool(server.seen) is not offline, server.seen
 

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import laspy
 import numpy as np
@@ -289,9 +290,10 @@ def test_an_interrupt_ends_the_child(no_pdal, tmp_path, monkeypatch, number):
     (tmp_path / "tmp").mkdir()
     with subprocess.Popen([sys.executable, "-c", INTERRUPTED], stderr=subprocess.PIPE) as parent:
         wait_for((tmp_path / "pid").exists)
+        wait_for(lambda: state_of(parent.pid) == "S")
         time.sleep(0.5)  # the parent has turned to waiting
         parent.send_signal(number)
-        _, said = parent.communicate(timeout=20)
+        _, said = parent.communicate(timeout=300)
     assert b"KeyboardInterrupt" in said
     pid = int((tmp_path / "pid").read_text())
     with pytest.raises(ProcessLookupError):
@@ -299,7 +301,12 @@ def test_an_interrupt_ends_the_child(no_pdal, tmp_path, monkeypatch, number):
     assert list((tmp_path / "tmp").iterdir()) == []
 
 
-def wait_for(condition, seconds=20.0):
+def state_of(pid):
+    """Return what a process does: R where it runs, or would if it could; S where it waits."""
+    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+
+
+def wait_for(condition, seconds=300.0):
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end

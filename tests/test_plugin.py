@@ -129,7 +129,7 @@ def test_a_stubborn_worker_is_killed_with_its_children(plugin, program, tmp_path
     with pytest.raises(plugin.CancelledError):
         plugin.run_worker(python, [], Heard(stop_after=1), grace_s=0.2)
     state = Path(f"/proc/{note.read_text()}/stat")
-    for _ in range(100):
+    for _ in range(6000):
         if not state.exists() or state.read_text().split()[2] == "Z":
             return
         time.sleep(0.05)

@@ -18,7 +18,7 @@ from selenium.webdriver.support.ui import WebDriverWait
 
 import gis_radar as gr
 
-WAIT_S = 20
+WAIT_S = 300  # for what hangs
 PAPER_PX = 688  # 182 mm, between the margins of A4
 LABELS = [
     "Whole time", "17:06:40 to 17:07:00", "17:07:00 to 17:07:20", "17:07:20 to 17:07:40",

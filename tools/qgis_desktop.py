@@ -75,7 +75,9 @@ def virtual_screen(width: int, height: int, around: Mapping[str, str]) -> Iterat
 
     QGIS's desktop dies on Qt's own.
     """
-    inside = {**around, "DISPLAY": f":{90 + os.getpid() % 900}", "QT_QPA_PLATFORM": "xcb"}
+    number = 90 + os.getpid() % 900
+    screen = Path(f"/tmp/.X11-unix/X{number}")  # noqa: S108 - where X puts it  # nosec B108
+    inside = {**around, "DISPLAY": f":{number}", "QT_QPA_PLATFORM": "xcb"}
     size = f"{width}x{height}x24"
     commands = (["Xvfb", inside["DISPLAY"], "-screen", "0", size, "-nolisten", "tcp"], ["openbox"])
     started: list[subprocess.Popen[bytes]] = []
@@ -86,12 +88,19 @@ def virtual_screen(width: int, height: int, around: Mapping[str, str]) -> Iterat
                     command, env=inside, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
                 )
             )
+            _wait_for(screen, started[0])
             time.sleep(1.0)
         yield inside
     finally:
         for process in reversed(started):
             process.send_signal(signal.SIGTERM)
-            process.wait(timeout=10)
+            process.wait(timeout=WAIT_S)
+
+
+def _wait_for(screen: Path, server: subprocess.Popen[bytes]) -> None:
+    end = time.monotonic() + WAIT_S
+    while not screen.exists() and server.poll() is None and time.monotonic() < end:
+        time.sleep(0.05)
 
 
 def run_desktop(

@@ -29,9 +29,17 @@ fi
 # The results that most tests show, made once for all processes: by `make test`, or here.
 export GIS_RADAR_QGIS_SITE="${GIS_RADAR_DEMO:-$place/site}"
 [ -n "${GIS_RADAR_DEMO:-}" ] || "$GIS_RADAR_PYTHON" -m gis_radar demo -o "$place/site" >/dev/null
-test_with -n 2 --dist worksteal -m "not preload" qgis_plugin/tests
-# The rest with QGIS's libraries in front of all others, as the desktop has them.
+# Some with QGIS's libraries in front of all others, as the desktop has them; these beside the rest.
 core=$(ls /usr/lib/libqgis_core.so.3.*.* /usr/lib/*/libqgis_core.so.3.*.* 2>/dev/null | head -n 1)
-echo "QGIS: the rest under LD_PRELOAD=$core"
-export LD_PRELOAD="$core"
-test_with -m preload qgis_plugin/tests
+(
+    export LD_PRELOAD="$core"
+    test_with -m preload qgis_plugin/tests
+) >"$place/preload.log" 2>&1 &
+preload=$!
+trap 'kill $preload 2>/dev/null || true; rm -rf "$place"' EXIT
+code=0
+test_with -n 2 --dist worksteal -m "not preload" qgis_plugin/tests || code=$?
+wait $preload || code=$?
+echo "QGIS: some under LD_PRELOAD=$core"
+cat "$place/preload.log"
+exit $code

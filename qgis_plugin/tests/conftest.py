@@ -70,6 +70,14 @@ def the_worker(monkeypatch):
 
 
 @pytest.fixture
+def impatient(monkeypatch):
+    """Have a worker that does not listen killed sooner than a user has to wait for it."""
+    from gis_radar_plugin.runner import run_worker
+
+    monkeypatch.setitem(run_worker.__kwdefaults__, "grace_s", 0.3)
+
+
+@pytest.fixture
 def fake_worker(tmp_path, monkeypatch):
     """Give a function that puts a program in the worker's place; it sees the command's words."""
 

@@ -114,12 +114,13 @@ def test_run(run, site, tmp_path, name):
     assert leftovers(tmp_path) == []
 
 
+@pytest.mark.usefixtures("impatient")
 @pytest.mark.parametrize("name", BY_WORKER)
 def test_cancel(run, site, tmp_path, fake_worker, name):
     """The worker ignores that it is let go, so it is killed after the grace time."""
     fake_worker(
         "signal.signal(signal.SIGINT, signal.SIG_IGN)\n"
-        "for done in range(600):\n    say(event='progress', stage='work', done=done, total=600)\n"
+        "for done in range(6000):\n    say(event='progress', stage='work', done=done, total=6000)\n"
         "    time.sleep(0.05)"
     )
     parameters, made = parameters_of(name, site, tmp_path)
@@ -127,7 +128,7 @@ def test_cancel(run, site, tmp_path, fake_worker, name):
     results, heard = run(name, parameters, feedback=Feedback(cancel_after=3))
     assert results is None
     assert one_sentence(heard) == "Cancelled; nothing was left half-written."
-    assert time.monotonic() - began < 15
+    assert time.monotonic() - began < 150  # it would take twice that
     assert not made.exists()
 
 

@@ -266,7 +266,7 @@ def test_qgis_dies_during_a_run(site, tmp_path, fake_worker):
         children = [child for task in tasks for child in task.read_text().split()]
         assert children
         qgis.send_signal(signal.SIGKILL)
-    for _ in range(200):
+    for _ in range(3000):
         if not any(Path(f"/proc/{child}").exists() for child in children):
             break
         time.sleep(0.1)

@@ -39,7 +39,7 @@ class Window:
         self.opened.append(path)
 
 
-def wait_until(test, seconds=60.0):
+def wait_until(test, seconds=300.0):
     for _ in range(int(seconds * 20)):
         QApplication.processEvents()
         if test():
@@ -182,11 +182,12 @@ def no_tasks():
 @pytest.mark.parametrize("change", ["draft", "file"])
 def test_a_check_of_what_was_there_before_counts_for_nothing(wizard, place, fake_worker, change):
     """Back, an edit and Next while a check runs, or another file: the old answer is dropped."""
-    begun = place / "begun"
+    begun, changed = place / "begun", place / "changed"
     fake_worker(
         "import pathlib\ntext = pathlib.Path(words[1]).read_text()\n"
         "if 'good' in text:\n"
-        f"    pathlib.Path({str(begun)!r}).touch()\n    time.sleep(1.5)\n"
+        f"    pathlib.Path({str(begun)!r}).touch()\n"
+        f"    while not pathlib.Path({str(changed)!r}).exists():\n        time.sleep(0.05)\n"
         "    say(event='result', outputs=[], summary={})\n"
         "else:\n    say(event='error', message='the title is bad', hint='', code=2)\n"
         "    sys.exit(2)\n"
@@ -201,6 +202,7 @@ def test_a_check_of_what_was_there_before_counts_for_nothing(wizard, place, fake
         check.initializePage()
     else:
         check.site_box.setFilePath(str(place / "OTHER.toml"))
+    changed.touch()
     wait_until(no_tasks)
     found = check.found.toPlainText()
     assert not check.isComplete()
@@ -210,6 +212,7 @@ def test_a_check_of_what_was_there_before_counts_for_nothing(wizard, place, fake
     assert not check.bar.isVisible()
 
 
+@pytest.mark.usefixtures("impatient")
 @pytest.mark.parametrize("what", ["map", "check", "run"])
 def test_what_runs_ends_with_the_window(
     provider, qgis_new_project, place, fake_worker, monkeypatch, what
@@ -218,7 +221,7 @@ def test_what_runs_ends_with_the_window(
     from gis_radar_plugin.wizard.wizard import SiteWizard
 
     begun, failed = place / "begun", []
-    fake_worker(f"open({str(begun)!r}, 'w').close()\ntime.sleep(20)")
+    fake_worker(f"open({str(begun)!r}, 'w').close()\ntime.sleep(600)")
     monkeypatch.setattr(sys, "excepthook", lambda *error: failed.append(error[1]))
     monkeypatch.setattr(QMessageBox, "question", lambda *_: QMessageBox.StandardButton.Yes)
     window = Window()
@@ -236,7 +239,7 @@ def test_what_runs_ends_with_the_window(
     wizard.reject()
     QCoreApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete)
     assert sip.isdeleted(wizard)
-    wait_until(no_tasks, seconds=10.0)
+    wait_until(no_tasks)
     QApplication.processEvents()
     assert failed == []
 
@@ -286,6 +289,7 @@ def test_a_measured_view_is_not_stated_beside_that_of_a_pose(tmp_path, pose, tex
     assert "view = { max_range_m = 250.0 }" in SiteDraft(sensors=[radar]).text(tmp_path)
 
 
+@pytest.mark.usefixtures("impatient")
 @pytest.mark.parametrize("cancelled", [False, True])
 def test_the_run_is_a_task(wizard, place, fake_worker, cancelled):
     """It reports, can be cancelled, and says at its end what to open."""
@@ -294,7 +298,7 @@ def test_the_run_is_a_task(wizard, place, fake_worker, cancelled):
         f"import pathlib\nout = pathlib.Path({str(results)!r})\n"
         "say(event='progress', stage='tiles', done=1, total=2)\n"
         "say(event='log', level='warning', message='odd <&>')\n"
-        + ("time.sleep(60)" if cancelled else
+        + ("time.sleep(600)" if cancelled else
            "out.mkdir()\n(out / 'report.html').write_text('x')\n"
            "say(event='result', outputs=[], summary={'tiles': 7})")
     )  # fmt: skip

@@ -56,7 +56,7 @@ MAIN = {"mask": "out.laz", "report": "out/report.html"}
 RUNS = {"run", "demo"}
 GROWN = {*RUNS, "qgis"}  # a run goes on where it stopped, a project that was edited stays
 LONGEST_S = 1200.0
-PATIENCE_S = 5.0  # for workers of a killed run to see that it is gone
+PATIENCE_S = 60.0  # for workers of a killed run to see that it is gone
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="limits of processes are Linux's")
 
