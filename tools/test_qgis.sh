@@ -19,11 +19,9 @@ place=$(mktemp -d)
 trap 'rm -rf "$place"' EXIT
 mkdir -m 700 "$place/run"
 export XDG_RUNTIME_DIR="$place/run" QGIS_CUSTOM_CONFIG_PATH="$place/profile"
-test_with() {
-    .qgis/bin/python -m pytest -c qgis_plugin/tests/pytest.ini --rootdir qgis_plugin/tests "$@"
-}
+pytest=".qgis/bin/python -m pytest -c qgis_plugin/tests/pytest.ini --rootdir qgis_plugin/tests"
 if [ $# -gt 0 ]; then
-    test_with "$@"
+    $pytest "$@"
     exit 0
 fi
 # The results that most tests show, made once for all processes: by `make test`, or here.
@@ -33,12 +31,13 @@ export GIS_RADAR_QGIS_SITE="${GIS_RADAR_DEMO:-$place/site}"
 core=$(ls /usr/lib/libqgis_core.so.3.*.* /usr/lib/*/libqgis_core.so.3.*.* 2>/dev/null | head -n 1)
 (
     export LD_PRELOAD="$core"
-    test_with -m preload qgis_plugin/tests
+    exec $pytest -m preload qgis_plugin/tests
 ) >"$place/preload.log" 2>&1 &
 preload=$!
 trap 'kill $preload 2>/dev/null || true; rm -rf "$place"' EXIT
+trap 'exit 130' INT TERM HUP
 code=0
-test_with -n 2 --dist worksteal -m "not preload" qgis_plugin/tests || code=$?
+$pytest -n 2 --dist worksteal -m "not preload" qgis_plugin/tests || code=$?
 wait $preload || code=$?
 echo "QGIS: some under LD_PRELOAD=$core"
 cat "$place/preload.log"
