@@ -72,7 +72,7 @@ def _shared_parameter(name, given):
         yield from given[2:4]
     elif name in ("add_file", "add_choice"):
         yield from (given[2], *given[4:5])
-    elif name == "add_time_zone":
+    elif name == "add_timezone":
         yield given[1]
 
 

@@ -64,7 +64,7 @@ def write_run(folder: Path, *, title: str, zone="Europe/Berlin", **further) -> N
     document = {
         "site": {
             "title": title,
-            "time_zone": zone,
+            "timezone": zone,
             "attribution": [f"Town of {HOSTILE}"],
             "map": {"file": "junction.osm", "source": "ours & theirs"},
             "scan": None,

@@ -14,7 +14,7 @@ SCAN_BOX = (-95.0, -95.0, 95.0, 12.0)
 
 SITE = """\
 title = "Small site"
-time_zone = "Europe/Berlin"
+timezone = "Europe/Berlin"
 
 [map]
 file = "map.osm"

@@ -34,3 +34,15 @@ def test_the_earlier_way_to_xarray_gives_the_same(tmp_path):
         cube = gr.to_xarray(occupancy, tiles, interval="50ms", tile_ids=tiles["tile_id"][:20])
     now = gr.make_heatmap(occupancy, tiles, interval="50ms", tile_ids=tiles["tile_id"][:20])
     assert cube.identical(now.to_xarray())
+
+
+def test_an_earlier_argument_works_with_a_warning(tmp_path):
+    with (
+        pytest.warns(DeprecationWarning, match="use timezone=") as caught,
+        pytest.raises(gr.GisRadarError, match="no such file"),
+    ):
+        gr.write_qgis_project(tmp_path / "a.qgz", heatmap=tmp_path, time_zone="Europe/Berlin")
+    assert caught[0].filename == __file__
+    both = {"time_zone": "UTC", "timezone": "UTC"}
+    with pytest.raises(TypeError, match="both timezone and time_zone"):
+        gr.write_qgis_project(tmp_path / "a.qgz", heatmap=tmp_path, **both)

@@ -239,14 +239,25 @@ def test_inputs_are_not_changed_and_other_columns_are_left():
     assert wide.geometry.name == "geometry"
 
 
-def test_repr_says_the_busiest_tile():
+def test_repr_says_the_time_of_the_site_and_ranks_nothing_by_hits():
     site = two_sensors()
-    text = repr(make_heatmap(site, site.tiles, interval="5s"))
-    assert "4 interval(s)" in text
+    text = repr(make_heatmap(site, site.tiles, interval="5s", timezone="Europe/Berlin"))
+    assert "HeatMap(2023-11-14T23:13:20+01:00 to 2023-11-14T23:13:40+01:00 (Europe/Berlin)" in text
+    assert "4 intervals" in text
     assert "13 of 16 tiles observed" in text
-    assert "busiest tile" in text
+    assert "busiest" not in text
     empty = make_site(site.tiles, {("R1", "a"): {T0}}, {("R1", "a"): {0}}, set())
-    assert "0 hit)" in repr(make_heatmap(empty, site.tiles))
+    assert "(UTC), 1 interval, 1 of 16 tiles observed, 0 hit)" in repr(
+        make_heatmap(empty, site.tiles)
+    )
+
+
+def test_a_heat_maps_card_shows_the_time_of_the_site():
+    site = two_sensors()
+    page = make_heatmap(site, site.tiles, timezone="Europe/Berlin")._repr_html_()
+    assert "2023-11-14T23:13:20+01:00" in page
+    assert "Europe/Berlin" in page
+    assert "busiest" not in page
 
 
 def test_figures_are_plain_numbers_and_text():
@@ -259,8 +270,4 @@ def test_figures_are_plain_numbers_and_text():
         "intervals": 2,
         "tiles_observed": 2,
         "tiles_hit": 1,
-        "busiest_tile": 1,
-        "busiest_occupied_s": 0.05,
-        "busiest_observed_s": 2.0,
-        "busiest_occupancy": 0.025,
     }

@@ -10,7 +10,7 @@ PACKAGE = Path(__file__).parents[1] / "gis_radar"
 # Lowest first. A module imports only what stands before it. "gis_radar" is the package's own front,
 # `__init__.py`: what `import gis_radar` offers.
 ROWS = """
-    errors arrays languages progress processes words
+    errors arrays languages progress processes renamed words
     crs grid steps spreadsheets leftovers files geopackage vector_files notebooks
     poses
     lanelets recordings scans

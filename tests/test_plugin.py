@@ -11,6 +11,7 @@ import re
 import subprocess
 import sys
 import time
+import tomllib
 import zipfile
 from pathlib import Path
 
@@ -427,11 +428,21 @@ def drafts(plugin):
     return draft
 
 
+def test_the_wizard_opens_a_file_with_the_earlier_name_of_the_time_zone(drafts, tmp_path):
+    text = 'title = "A"\ntime_zone = "Europe/Berlin"\n[map]\nfile = "a.osm"\n'
+    site = drafts.open_draft(tomllib.loads(text), text, tmp_path)
+    assert site.timezone == "Europe/Berlin"
+    assert site.text(tmp_path) == text
+    site.title = "B"
+    assert tomllib.loads(site.text(tmp_path))["timezone"] == "Europe/Berlin"
+    assert "time_zone" not in site.text(tmp_path)
+
+
 def test_what_the_wizard_writes_is_a_site_file(drafts, tmp_path):
     """Read back by the code that the command line reads it with, quotes and umlauts and all."""
     sample = ROOT / "sample_maps"
     site = drafts.SiteDraft(
-        title='Haupt"straße" \\ Bahnhof', time_zone="Europe/Berlin", language="de",
+        title='Haupt"straße" \\ Bahnhof', timezone="Europe/Berlin", language="de",
         map_file=str(sample / "junction.osm"), crs="EPSG:25832", origin="690400.0, 5336200.0",
         map_source="Stadt", scans=[str(sample / "scan.laz")], scan_crs="EPSG:25832",
         scan_source="Land", attribution="Wir", footprints=True, intervals=["15min", "1h"],
@@ -454,7 +465,7 @@ def test_what_the_wizard_writes_is_a_site_file(drafts, tmp_path):
 
     read = gr.read_site(path)
     assert read.title == site.title
-    assert (read.time_zone, read.language) == ("Europe/Berlin", "de")
+    assert (read.timezone, read.language) == ("Europe/Berlin", "de")
     assert read.map.origin == (690400.0, 5336200.0)
     assert read.credits == ["Stadt", "Land", "Wir"]
     assert read.occupancy.clearance == (-0.5, 4.5)
@@ -498,7 +509,7 @@ def test_the_wizard_knows_every_key_that_it_can(drafts):
         "live",  # a server runs it, not QGIS
         "method", "tied", "convert", "compass", "min_range_m",  # the defaults serve; a drag is one
     }  # fmt: skip
-    keys = {"title", "time_zone", "language", "csv_locale", "attribution", "map", "scan",
+    keys = {"title", "timezone", "language", "csv_locale", "attribution", "map", "scan",
             "occupancy", "vehicles", "heatmap", "sensor"}  # fmt: skip
     assert set(Site.model_fields) - left_out == keys
     fields = {"name", "recordings", "guess", "heading", "pose", "cycle", "view"}

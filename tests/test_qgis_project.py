@@ -172,7 +172,7 @@ def test_the_same_results_give_the_same_project(results, tmp_path):
 def test_the_print_layout_of_a_project(results, tmp_path):
     gr.write_qgis_project(
         tmp_path / "site.qgz", heatmap=results / "heatmap", sensors=results / "sensors.gpkg",
-        title="Knoten 7", time_zone="Europe/Berlin", source="Stadt & Land",
+        title="Knoten 7", timezone="Europe/Berlin", source="Stadt & Land",
     )  # fmt: skip
     root = read_project(tmp_path / "site.qgz")
     layout = root.find("Layouts/Layout")

@@ -19,7 +19,7 @@ from gis_radar.cli import group
 from gis_radar.cli.console import in_users_language
 
 ODD_ZONE = (
-    "time_zone Asia/Tokyo is 8 hours from the sun at the site: "
+    "timezone Asia/Tokyo is 8 hours from the sun at the site: "
     "choose the zone whose clocks people there follow"
 )
 SAMPLE = Path(__file__).parents[1] / "sample_maps"
@@ -146,7 +146,7 @@ def test_a_time_zone_of_another_place_is_named(place, zone, odd):
     found = gr.check_site(place(("Europe/Berlin", zone)))
     assert bool(found.warnings) is odd
     if odd:
-        assert f"time_zone {zone} is" in found.warnings[0]
+        assert f"timezone {zone} is" in found.warnings[0]
 
 
 def test_sensors_that_never_recorded_together_are_named(place, tmp_path):

@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[1]
 FILES = ("junction.osm", "scan_1.laz", "scan_2.laz", "R1_1.parquet", "R1_2.parquet", "R2.json")
 WHOLE = """\
 title = "Junction"
-time_zone = "Europe/Berlin"
+timezone = "Europe/Berlin"
 attribution = ["A", "B"]
 [map]
 file = "junction.osm"
@@ -99,7 +99,22 @@ def test_the_least_that_will_do(read):
                 'recordings="R1_1.parquet"\npose="R2.json"')  # fmt: skip
     assert site.scan is None
     assert site.heatmap.intervals == ()
-    assert site.time_zone == "UTC"
+    assert site.timezone == "UTC"
+
+
+def test_the_earlier_name_of_a_key_works_with_a_warning(read, refuse, tmp_path):
+    earlier = WHOLE.replace("timezone", "time_zone")
+    site = read(earlier)
+    assert site.timezone == "Europe/Berlin"
+    (told,) = site.remarks
+    assert told.startswith(f"{tmp_path / 'SITE.toml'}:2: time_zone is an earlier name of timezone ")
+    assert told.endswith("write timezone")
+    with pytest.warns(DeprecationWarning, match="use timezone") as caught:
+        assert site.time_zone == "Europe/Berlin"
+    assert caught[0].filename == __file__
+    assert read(WHOLE).remarks == ()
+    refuse(earlier.replace("Europe/Berlin", "Mars/Base"), ":2: timezone: is 'Mars/Base'", "IANA")
+    refuse('timezone = "UTC"\n' + earlier, ":3: has both timezone and time_zone", "keep one")
 
 
 @pytest.mark.parametrize(
@@ -109,7 +124,7 @@ def test_the_least_that_will_do(read):
         ("max_range_m", "max_range", (":20: sensor[0].view.max_range:", "mean max_range_m?")),
         ("azimuth_deg = 90", "azimut = 90", (":27: sensor[1].view.azimut:", "mean azimuth_deg?")),
         ("[tiles]", "[tyles]", (":9: tyles: is no key", "did you mean tiles?")),
-        ("title", "xyzzy", (":1: xyzzy: is no key", "known are title, time_zone")),
+        ("title", "xyzzy", (":1: xyzzy: is no key", "known are title, timezone")),
         ('title = "Junction"\n', "", ("lacks title", "e.g. title = ")),
         ('file = "junction.osm"', "", (":4: map: lacks file", 'e.g. file = "junction.osm"')),
         ("junction.osm", "junktion.osm", (":5: map.file:", "junktion.osm: no such file")),
@@ -121,8 +136,8 @@ def test_the_least_that_will_do(read):
         ("compass", "heading = 3\ncompass", ("has both heading and compass",)),
         ('pose = "R2.json"', 'pose = "R2.json"\nheading = 3', ("has both pose and heading",)),
         ("azimuth_deg = 90", "min_range_m = 400", (":26: sensor[1].view:", "expected ascending")),
-        ("Europe/Berlin", "Europe/Ingolstadt", (":2: time_zone:", "IANA", "Europe/Berlin")),
-        ("Europe/Berlin", "../../etc/passwd", (":2: time_zone:", "IANA")),
+        ("Europe/Berlin", "Europe/Ingolstadt", (":2: timezone:", "IANA", "Europe/Berlin")),
+        ("Europe/Berlin", "../../etc/passwd", (":2: timezone:", "IANA")),
         ("[690356, 5336183, 520]", "[11.42, 48.76]", (":18: sensor[0].guess:", "degrees", "east")),
         ("[690356, 5336183, 520]", "[48.76, 11.42]", (":18: sensor[0].guess:", "not degrees")),
         ("[690356, 5336183, 520]", "[1, 2, 3, 4]", ("guess: is [1, 2, 3, 4]", "[E, N]")),

@@ -51,3 +51,10 @@ def test_messages_are_in_the_words_of_the_site_file():
     assert in_site_words("state it: --scan-crs EPSG:25832", "UTC") == (
         "state it: crs in [scan] EPSG:25832"
     )
+
+
+def test_a_command_to_type_keeps_its_options():
+    text = "is the pose off? gis-radar sight --recording lists the tiles; use --scan"
+    assert in_site_words(text, "UTC") == (
+        "is the pose off? gis-radar sight --recording lists the tiles; use files in [scan]"
+    )

@@ -24,7 +24,7 @@ STATUS_S = 10.0
 SENSORS = ("R1", "R2")
 SITE = """\
 title = "Sample junction, replayed"
-time_zone = "Europe/Berlin"
+timezone = "Europe/Berlin"
 [map]
 file = "{sample}/junction.osm"
 [live]

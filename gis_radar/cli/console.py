@@ -29,7 +29,6 @@ from gis_radar.words import speaking, tr_message
 
 WIDE = 160
 MOST_LETTERS = 500  # of a message
-NAMES = {"busiest_tile"}  # whole numbers that name something: no thousands set apart
 MOST_BARS = 8  # with more than that, those that are full make way
 
 
@@ -167,8 +166,7 @@ class TerminalConsole(Console):
                 # A number that is cut short is a wrong number: rather a line too long.
                 rich.console.Console(width=max(out.width, WIDE)).print(_grid(name, value))
             else:
-                shown = str(value) if name in NAMES else _readable(value)
-                table.add_row(name.replace("_", " "), Text(shown))
+                table.add_row(name.replace("_", " "), Text(_readable(value)))
         out.print(table)
         for path in result.outputs:
             out.print(f"wrote {path}", markup=False, highlight=False, soft_wrap=True)

@@ -101,9 +101,7 @@ def report(*, folder: Path, reporter: Reporter, **options: Any) -> Result:
     "--footprints", type=FILE, help="From gis-radar footprints: the project plays vehicles."
 )
 @click.option("--title", default="", help="Of the project; by default the file's name.")
-@click.option(
-    "--timezone", "time_zone", default="UTC", show_default=True, help="Of the time on its layout."
-)
+@click.option("--timezone", default="UTC", show_default=True, help="Of the time on its layout.")
 @click.option("--source", default="", help="Where the data come from, as its layout shows it.")
 @click.option(
     "--language", type=click.Choice(["en", "de"]), default="en", show_default=True,

@@ -35,7 +35,7 @@ from gis_radar.occupancy import Occupancy
 from gis_radar.occupancy.frame_steps import Runs, common_steps, steps_in, union
 from gis_radar.occupancy.hits import Rows
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.steps import STEP_US, STEPS_PER_SECOND, iso_from_step, zone_of
+from gis_radar.steps import STEP_US, STEPS_PER_SECOND, Clock, iso_from_step, zone_of
 from gis_radar.vehicles import Vehicles
 
 DEFINITIONS = {
@@ -357,30 +357,27 @@ class Tally:
             figures["tiles_visible"] = int(np.count_nonzero(known.visible_s))
             figures["covered_s"] = float(np.nansum(known.covered_s))
             figures["mean_coverage"], figures["mean_coverage_se"] = mean_coverage(self.tiles, known)
-        if not occupied.any():
-            return figures
-        share = occupied / np.maximum(observed, 1)
-        top = int(share.argmax())
-        return figures | {
-            "busiest_tile": int(self.tiles["tile_id"].iloc[int(self.seen[top])]),
-            "busiest_occupied_s": float(occupied[top] / STEPS_PER_SECOND),
-            "busiest_observed_s": float(observed[top] / STEPS_PER_SECOND),
-            "busiest_occupancy": float(share[top]),
-        }
+        return figures
+
+    @property
+    def local_span(self) -> dict[str, str]:
+        """Begin and end of the whole time by the clocks of the site, and the name of its zone."""
+        begin, end = self.whole.span()
+        clock = Clock(zone=self.zone, first=begin, last=end)
+        return {"begin": clock.iso(begin), "end": clock.iso(end), "timezone": str(self.zone)}
 
     def __repr__(self) -> str:
-        known = self.figures()
+        known, span = self.figures(), self.local_span
+        intervals = known["intervals"]
         text = (
-            f"{type(self).__name__}({known['begin']} to {known['end']}, "
-            f"{known['intervals']} interval(s), {known['tiles_observed']} of "
-            f"{len(self.tiles)} tiles observed, {known['tiles_hit']} hit"
+            f"{type(self).__name__}({span['begin']} to {span['end']} ({span['timezone']}), "
+            f"{intervals} interval{'s' if intervals != 1 else ''}, "
+            f"{known['tiles_observed']} of {len(self.tiles)} tiles observed, "
         )
-        if "busiest_tile" not in known:
-            return text + ")"
-        return (
-            f"{text}; busiest tile {known['busiest_tile']}: {known['busiest_occupied_s']:g} of "
-            f"{known['busiest_observed_s']:g} s, {known['busiest_occupancy']:.1%})"
-        )
+        if "tiles_visible" not in known:
+            return f"{text}{known['tiles_hit']} hit)"
+        mean, error = known["mean_coverage"], known["mean_coverage_se"]
+        return f"{text}{known['tiles_visible']} visible; mean coverage {mean:.4f}, se {error:.4f})"
 
 
 def _doubt(found: int, counted: int) -> str:

@@ -35,7 +35,7 @@ from gis_radar.notebooks import FONTS, axes_or_new, label_map
 from gis_radar.progress import Reporter
 from gis_radar.steps import Clock
 from gis_radar.tiles.tiles import quads
-from gis_radar.words import decimal, figure_text, percent, speaking, tr
+from gis_radar.words import figure_text, percent, speaking, tr
 
 DPI = 200
 FINER = 2  # pixels of the picture for each of the figure's, so that edges are smooth
@@ -277,12 +277,6 @@ def _facts(tally: Tally) -> list[tuple[str, str]]:
             top = surest(shares.coverage, shares.coverage_se)
             best = percent(shares.coverage[top], off=shares.coverage_se[top])
             facts.append((tr("Highest tile"), best))
-    elif "busiest_tile" in known:
-        occupied_s, observed_s = known["busiest_occupied_s"], known["busiest_observed_s"]
-        share = percent(known["busiest_occupancy"])
-        part, whole = decimal(f"{occupied_s:.6g}"), decimal(f"{observed_s:.6g}")
-        text = tr("{part} of {all} s, {share}", part=part, all=whole, share=share)
-        facts.append((tr("Tile hit most"), text))
     return facts
 
 

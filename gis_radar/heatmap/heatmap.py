@@ -125,7 +125,8 @@ class HeatMap(Tally):
             self.plot(ax, legend=False, most_pixels=SMALL_PIXELS).set_axis_off()
 
         few = len(self.seen) <= MOST_DRAWN
-        return card("Heat map", self.figures(), picture=small_picture(small) if few else b"")
+        picture = small_picture(small) if few else b""
+        return card("Heat map", self.figures() | self.local_span, picture=picture)
 
     def write(self, folder: str | Path, reporter: Reporter = QUIET) -> list[Path]:
         """Write `heatmap.gpkg`, `heatmap.tif`, `heatmap.parquet`, `heatmap.png`.

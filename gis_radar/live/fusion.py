@@ -377,6 +377,9 @@ def run_fusion(
     OutputError
         If its folder cannot be written, or another fusion runs in it.
     """
-    fusion = Fusion(read_live_site(path), reporter=reporter)
+    site = read_live_site(path)
+    for line in site.remarks:
+        reporter.log(line, "warning")
+    fusion = Fusion(site, reporter=reporter)
     fusion.run(stop or Event())
     return fusion

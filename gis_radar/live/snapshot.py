@@ -238,4 +238,4 @@ def place_of(site: LiveSite, tiles: gpd.GeoDataFrame) -> Place:
     """
     roads = read_map(site.map.file, crs=tiles.crs, origin=site.map.origin)
     named = lanes(roads, streets=site.map.streets, street_field=site.map.street_field)
-    return Place(title=site.title, zone=zone_of(site.time_zone), tiles=tiles, lanes=named)
+    return Place(title=site.title, zone=zone_of(site.timezone), tiles=tiles, lanes=named)

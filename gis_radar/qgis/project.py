@@ -31,6 +31,7 @@ from gis_radar.poses.pose import pose_from_dict
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.qgis.project_file import was_edited, write_project_file
 from gis_radar.qgis.project_xml import LayerSource, ProjectContent, TimeRange, project_xml
+from gis_radar.renamed import renamed
 from gis_radar.sight import SightTiles, write_sights
 from gis_radar.sight.layers import SIGHT_LAYER
 from gis_radar.steps import Clock, seconds_from_iso, zone_of
@@ -50,6 +51,7 @@ MAP_MARGIN = 0.05
 _TIMES = f'SELECT min("begin"), min("end"), max("end") FROM "{TIMES}"'  # noqa: S608 - our own name
 
 
+@renamed(time_zone="timezone")
 def write_qgis_project(
     path: str | Path,
     *,
@@ -59,7 +61,7 @@ def write_qgis_project(
     lanes: str | Path | None = None,
     footprints: str | Path | None = None,
     title: str = "",
-    time_zone: str = "UTC",
+    timezone: str = "UTC",
     source: str = "",
     language: str = "en",
 ) -> None:
@@ -84,7 +86,7 @@ def write_qgis_project(
         half second by half second.
     title : str
         Of the project and the layout; by default the file's name.
-    time_zone : str
+    timezone : str
         Of the times on layout and map, such as `Europe/Berlin`.
     source : str
         Where the data come from, for the layout.
@@ -125,7 +127,7 @@ def write_qgis_project(
             Path(footprints).resolve(), footprint_style(), FOOTPRINTS
         )
         played = played and played._replace(step_s=LAYER_DEFAULTS.shown_s)
-    played = played and played._replace(time_zone=time_zone)
+    played = played and played._replace(timezone=timezone)
     with speaking(language):
         time = _local_time(played) if played else ""
     content = ProjectContent(
@@ -136,12 +138,13 @@ def write_qgis_project(
     write_project_file(path, project_xml(content, path.resolve().parent))
 
 
+@renamed(time_zone="timezone")
 def write_site_project(
     folder: str | Path,
     *,
     footprints: bool = False,
     title: str = "",
-    time_zone: str = "UTC",
+    timezone: str = "UTC",
     source: str = "",
     language: str = "en",
     reporter: Reporter = QUIET,
@@ -161,7 +164,7 @@ def write_site_project(
         without it, an earlier such layer is deleted.
     title : str
         Of the project; by default the folder's name.
-    time_zone, source, language : str
+    timezone, source, language : str
         As :func:`write_qgis_project` takes them.
     reporter : Reporter
         Receives a warning where an edited project is in the way.
@@ -191,7 +194,7 @@ def write_site_project(
     write_qgis_project(
         project, heatmap=folder / "heatmap", sensors=sensors, sight=sight, footprints=vehicles,
         lanes=tiles if _lane_layers(tiles.resolve()) else None,
-        title=title or folder.resolve().name, time_zone=time_zone, source=source,
+        title=title or folder.resolve().name, timezone=timezone, source=source,
         language=language,
     )  # fmt: skip
     return [path for path in (sensors, sight, vehicles, project) if path is not None]
@@ -271,7 +274,7 @@ def _time_range(package: Path) -> TimeRange | None:
 def _local_time(played: TimeRange) -> str:
     """Return the time that a project covers by the site's clock, with its zone and offset."""
     begin, end = (datetime.fromisoformat(text) for text in (played.begin, played.end))
-    clock = Clock(zone=zone_of(played.time_zone), first=begin, last=end)
+    clock = Clock(zone=zone_of(played.timezone), first=begin, last=end)
     return f"{clock.whole(begin, end)} ({clock.name})"
 
 

@@ -41,7 +41,7 @@ class TimeRange(NamedTuple):
     begin: str
     end: str
     step_s: float
-    time_zone: str = "UTC"
+    timezone: str = "UTC"
 
 
 class ProjectContent(NamedTuple):
@@ -232,7 +232,7 @@ def map_clock(played: TimeRange, language: str) -> str:
     Expressions of QGIS know no zones: the offsets that hold are in it. Nothing stands there while
     no layer with a time is shown.
     """
-    zone = zone_of(played.time_zone)
+    zone = zone_of(played.timezone)
     begin, end = (datetime.fromisoformat(text) for text in (played.begin, played.end))
     offsets = utc_offsets(zone, begin, end + timedelta(days=1))
     clock = "HH:mm" if played.step_s % 60 == 0 else "HH:mm:ss"
@@ -244,7 +244,7 @@ def map_clock(played: TimeRange, language: str) -> str:
         return f"format_date({moved}, '{pattern}', '{language}')"
 
     day = f"ddd {_DATE[language]} {clock}"
-    named = played.time_zone if played.time_zone != "UTC" else ""
+    named = played.timezone if played.timezone != "UTC" else ""
     texts = [(since, _zone_text(named, offset)) for since, offset in offsets]
     parts = [local("map_start_time", day)]
     if played.step_s >= 1.0:  # else the clocks of begin and end would be the same

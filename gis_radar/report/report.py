@@ -175,7 +175,7 @@ def _named(results: Results, folder: Path) -> str:
 def _find(results: Results, title: str, timezone: str | None, reporter: Reporter) -> Findings:
     """Work out what page, paper and tables are made of."""
     heat = results.heat
-    zone = timezone or str(results.site.get("time_zone") or heat.labels.timezone)
+    zone = timezone or results.timezone
     sums = sum_by_lane(heat)
     table = lane_table(heat, sums, tracks_of(results.vehicles, sums.lanes))
     table["street"] = [results.streets.get(int(lane), "") for lane in table["lane"]]

@@ -94,6 +94,12 @@ class Results:
         return dict(self.run.get("site") or {})
 
     @property
+    def timezone(self) -> str:
+        """The site's time zone; runs of earlier versions call it `time_zone`."""
+        stated = self.site.get("timezone") or self.site.get("time_zone")
+        return str(stated or self.heat.labels.timezone)
+
+    @property
     def stages(self) -> list[dict[str, Any]]:
         """How the stages of the run ended."""
         return list(self.run.get("stages") or [])

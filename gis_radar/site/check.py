@@ -145,7 +145,7 @@ def check_site(
     _check_scans(site, roads)
     for sensor in site.sensor:
         _check_place(sensor, roads, settings)
-    warnings = list(_zone_warning(site, roads, settings))
+    warnings = [*site.remarks, *_zone_warning(site, roads, settings)]
     told = _Warnings(warnings)
     lanes(roads, streets=site.map.streets, street_field=site.map.street_field, reporter=told)
     found = {}
@@ -204,12 +204,12 @@ def _zone_warning(site: Site, roads: LaneletMap, settings: CheckSettings) -> Ite
     west, south, east, north = roads.lanelets.total_bounds
     x, y = (west + east) / 2, (south + north) / 2
     longitude, _ = transformer(roads.crs, CRS.from_epsg(4326)).transform(x, y)
-    offset = zone_of(site.time_zone).utcoffset(datetime(2025, 1, 1))  # noqa: DTZ001 - of the zone
+    offset = zone_of(site.timezone).utcoffset(datetime(2025, 1, 1))  # noqa: DTZ001 - of the zone
     hours = (offset.total_seconds() if offset else 0.0) / 3600.0
     off = (hours - longitude / 15.0 + 12.0) % 24.0 - 12.0
     if abs(off) > settings.zone_hours:
         yield (
-            f"time_zone {site.time_zone} is {abs(off):.0f} hours from the sun at the site: "
+            f"timezone {site.timezone} is {abs(off):.0f} hours from the sun at the site: "
             "choose the zone whose clocks people there follow"
         )
 

@@ -61,7 +61,7 @@ class Execution:
         Where the work is done.
     reporter : Reporter
         Shows progress: a bar for each stage, and one for all.
-    time_zone : str
+    timezone : str
         The site's, for times in messages.
     """
 
@@ -69,7 +69,7 @@ class Execution:
     state: RunState
     pool: Pool
     reporter: Reporter
-    time_zone: str = "UTC"
+    timezone: str = "UTC"
     outcomes: dict[str, Outcome] = field(default_factory=dict)
     _begun: dict[Future[Mapping[str, Any]], _Begun] = field(default_factory=dict)
     _logged: set[str] = field(default_factory=set)
@@ -183,7 +183,7 @@ class Execution:
         if "worker" in event:
             begun.worker = event["worker"]
         elif "message" in event:
-            message = in_site_words(event["message"], self.time_zone)
+            message = in_site_words(event["message"], self.timezone)
             if event["level"] == "warning":
                 begun.warnings.append(message)
             if message not in self._logged:  # each stage that reads the map repeats it
@@ -208,7 +208,7 @@ class Execution:
         except OutputError:
             raise  # no other stage could write either
         except GisRadarError as caught:
-            error = error_in_site_words(caught, self.time_zone)
+            error = error_in_site_words(caught, self.timezone)
             state = "refused" if isinstance(caught, NoAnswerError) else "failed"
         del self._begun[future]
         outcome = Outcome(

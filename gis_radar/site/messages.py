@@ -34,9 +34,10 @@ KEYS = {
 _PHRASES = {"set the view's max_range_m or --max-range": "set max_range_m in [sensor.view]"}
 _CYCLE = re.compile(r"--cycle (\S+)=(\S+)")
 _OPTION = re.compile("|".join(sorted(map(re.escape, KEYS), key=len, reverse=True)))
+_COMMAND = re.compile(r"(gis-radar [a-z]+(?: --[a-z-]+)*)")  # a command line to type stays as it is
 
 
-def in_site_words(text: str, time_zone: str) -> str:
+def in_site_words(text: str, timezone: str) -> str:
     """Return a message with keys of the site file for options, and times of the site for UTC.
 
     Examples
@@ -49,14 +50,16 @@ def in_site_words(text: str, time_zone: str) -> str:
     for phrase, by in _PHRASES.items():
         text = text.replace(phrase, by)
     text = _CYCLE.sub(r'cycle = "\2" in [[sensor]] \1', text)
-    text = _OPTION.sub(lambda found: KEYS[found[0]], text)
+    parts = _COMMAND.split(text)
+    parts[::2] = [_OPTION.sub(lambda found: KEYS[found[0]], each) for each in parts[::2]]
+    text = "".join(parts)
     any_time = datetime(1970, 1, 1, tzinfo=UTC)
-    return Clock(zone=zone_of(time_zone), first=any_time, last=any_time).localised(text)
+    return Clock(zone=zone_of(timezone), first=any_time, last=any_time).localised(text)
 
 
-def error_in_site_words(error: GisRadarError, time_zone: str) -> GisRadarError:
+def error_in_site_words(error: GisRadarError, timezone: str) -> GisRadarError:
     """Let an error speak as :func:`in_site_words` does."""
-    error.message = in_site_words(error.message, time_zone)
-    error.hint = in_site_words(error.hint, time_zone)
+    error.message = in_site_words(error.message, timezone)
+    error.hint = in_site_words(error.hint, timezone)
     error.args = (error.message, *error.args[1:])
     return error

@@ -460,7 +460,7 @@ def _products(site: Site, folder: Path) -> Iterator[Stage]:
             options={
                 "interval": interval,
                 "labels": {
-                    "title": site.title, "timezone": site.time_zone,
+                    "title": site.title, "timezone": site.timezone,
                     "language": site.language, "sources": site.credits,
                 },
             },
@@ -475,7 +475,7 @@ def _products(site: Site, folder: Path) -> Iterator[Stage]:
         beside=((folder / "heatmap",), poses, (*occupancies, *vehicles.get("vehicles", ()))),
         options={
             "title": site.title,
-            "time_zone": site.time_zone,
+            "timezone": site.timezone,
             "source": "; ".join(site.credits),
             "language": site.language,
             "footprints": site.vehicles.footprints,

@@ -179,6 +179,8 @@ def run_site(
     if jobs is not None and jobs < 1:
         raise UsageError(f"jobs is {jobs}, expected 1 or more")
     site, root = read_site(path), Path(folder).absolute()
+    for line in site.remarks:
+        reporter.log(line, "warning")
     refuse_inputs(root, site.path, *site.inputs)
     state = _prepared(root)
     with ExitStack() as stack:
@@ -194,7 +196,7 @@ def run_site(
         try:
             execution = Execution(
                 stages=stages_of(site, root), state=kept, pool=pool, reporter=reporter,
-                time_zone=site.time_zone,
+                timezone=site.timezone,
             )  # fmt: skip
             execution.run()
             execution.stages += later_stages(site, root)
@@ -398,7 +400,7 @@ def _span(site: Site, heat: Mapping[str, Any]) -> str:
     if not {"begin", "end"} <= set(heat):
         return ""
     begin, end = (datetime.fromisoformat(heat[name]) for name in ("begin", "end"))
-    clock = Clock(zone=zone_of(site.time_zone), first=begin, last=end)
+    clock = Clock(zone=zone_of(site.timezone), first=begin, last=end)
     return f"{clock.whole(begin, end)} ({clock.name})"
 
 

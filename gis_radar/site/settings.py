@@ -5,11 +5,13 @@ The models say it once: types check the values, their fields give template and r
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, PrivateAttr, model_validator
 
+from gis_radar.renamed import warn_of
 from gis_radar.site.live_table import LiveTable
 from gis_radar.site.toml_file import read_toml, toml_reference, toml_template
 from gis_radar.site.values import (
@@ -217,7 +219,7 @@ class Site(TomlTable):
 
     title: Text = key('"Example junction"')
     """What the site is called."""
-    time_zone: Zone = key('"Europe/Berlin"', "UTC")
+    timezone: Zone = key('"Europe/Berlin"', "UTC")
     """Zone of the times in pictures, report and summary; data files keep UTC."""
     language: Literal["en", "de"] = key('"de"', "en")
     """Language of report, pictures, summary and QGIS project: en or de."""
@@ -241,6 +243,7 @@ class Site(TomlTable):
     """The live system, for `gis-radar live`; a run leaves it alone."""
     sensor: Annotated[tuple[Sensor, ...], Field(min_length=1)]
     """The radars, a table each."""
+    earlier: ClassVar[Mapping[str, str]] = {"time_zone": "timezone"}
     _path: Path = PrivateAttr(Path("SITE.toml"))
 
     @model_validator(mode="after")
@@ -266,6 +269,12 @@ class Site(TomlTable):
     def __repr__(self) -> str:
         names = ", ".join(each.name for each in self.sensor)
         return f"Site({self.title or self.path}: {names})"
+
+    @property
+    def time_zone(self) -> str:
+        """An earlier name of `timezone`."""
+        warn_of("Site.time_zone", "timezone", stacklevel=2)
+        return self.timezone
 
     @property
     def path(self) -> Path:

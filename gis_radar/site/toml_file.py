@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import textwrap
 import tomllib
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -68,20 +68,42 @@ def read_toml(path: Path, root: type[Root], *, of_site: bool, hint: str) -> Root
             f"{path}: has {len(sensors):,} sensors, at most {MOST_SENSORS} make a site",
             hint="make several sites",
         )
+    lines = lines_of(text)
+    remarks = _rename_remarks(path, raw, lines, root)
     try:
-        return root.model_validate(raw, context={"folder": path.parent})
+        found = root.model_validate(raw, context={"folder": path.parent})
     except ValidationError as error:
-        raise _first_error(path, text, raw, error, root, of_site=of_site) from None
+        raise _first_error(path, lines, raw, error, root, of_site=of_site) from None
+    found._remarks = remarks  # noqa: SLF001 - not a key of the file
+    return found
+
+
+def _rename_remarks(
+    path: Path, raw: dict[str, Any], lines: dict[Steps, int], root: type[TomlTable]
+) -> tuple[str, ...]:
+    """Give keys with an earlier name the one that they have now, and say so."""
+    remarks = []
+    for earlier, now in root.earlier.items():
+        if earlier not in raw:
+            continue
+        line = lines.pop((earlier,), 0)
+        where = f"{path}:{line}" if line else str(path)
+        if now in raw:
+            raise InputError(f"{where}: has both {now} and {earlier}", hint="keep one of them")
+        raw[now] = raw.pop(earlier)
+        lines[(now,)] = line
+        remarks.append(f"{where}: {earlier} is an earlier name of {now} and works on; write {now}")
+    return tuple(remarks)
 
 
 # What is wrong, in one line with file, line and key.
 
 
 def _first_error(
-    path: Path, text: str, raw: Any, error: ValidationError, root: type[TomlTable], *, of_site: bool
-) -> InputError:
+    path: Path, lines: Mapping[Steps, int], raw: Any, error: ValidationError,
+    root: type[TomlTable], *, of_site: bool,
+) -> InputError:  # fmt: skip
     """Return the first error by line; an unknown key comes first, as others may follow from it."""
-    lines = lines_of(text)
     errors = error.errors(include_url=False)
     # a list whose only item is wrong is also called too short, which hides why
     inner = [

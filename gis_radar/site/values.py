@@ -5,13 +5,21 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, Union, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Union, get_args, get_origin
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, ValidationInfo
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    PrivateAttr,
+    ValidationInfo,
+)
 from pydantic.fields import FieldInfo
 
 from gis_radar.crs import bearing_of, looks_like_degrees, metric_crs
@@ -235,6 +243,14 @@ class TomlTable(BaseModel):
     """A table of the site file: unknown keys are refused, and nothing changes afterwards."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+    earlier: ClassVar[Mapping[str, str]] = {}
+    """Keys that have another name now: by the earlier name."""
+    _remarks: tuple[str, ...] = PrivateAttr(())
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What to warn of in the file itself."""
+        return self._remarks
 
 
 def table_of(field: FieldInfo) -> type[TomlTable] | None:

@@ -34,8 +34,7 @@ PROVIDER = "gisradar"
 SETTING = "gis_radar/worker_python"
 ICONS = Path(__file__).parent / "icons"
 # Figures of hits, for diagnosis: where there is coverage they would be taken for it.
-_OF_HITS = {"hits", "tiles hit", "covered s", "busiest tile", "busiest occupied s",
-            "busiest observed s", "busiest occupancy"}  # fmt: skip
+_OF_HITS = {"hits", "tiles hit", "covered s"}
 _UNKNOWN = "No such command {name}."
 ALL_STAGES = "all stages"  # as a site's run calls them
 SITE, TRAFFIC, RESULTS, SET_UP = "Site", "Traffic", "Results", "Set-up"

@@ -167,7 +167,7 @@ def add_frame_times(algorithm: Algorithm) -> None:
     )  # fmt: skip
 
 
-def add_time_zone(algorithm: Algorithm, about: str) -> None:
+def add_timezone(algorithm: Algorithm, about: str) -> None:
     """Add the time zone of what people read."""
     zone = QgsProcessingParameterString("TIMEZONE", tr("Time zone"), optional=True)
     algorithm.add(zone, about=about)

@@ -211,7 +211,7 @@ assert QTimeZone.systemTimeZoneId().data().decode() == sys.argv[3]
 sys.path.insert(0, sys.argv[1])
 from gis_radar_plugin.loading import switch_time_on
 from gis_radar_plugin.timeline import extent_of, intervals_of
-from gis_radar_plugin.report.pages import local_time, time_zone, zone_name
+from gis_radar_plugin.report.pages import local_time, timezone, zone_name
 layer = QgsVectorLayer(sys.argv[2] + "|layername=occupancy_by_interval", "x", "ogr")
 switch_time_on(layer)
 span = extent_of(layer)
@@ -222,7 +222,7 @@ wanted = layer.temporalProperties().createFilterString(
     context, QgsDateTimeRange(begin, end, True, False))
 count = sum(1 for _ in layer.getFeatures(QgsFeatureRequest().setFilterExpression(wanted)))
 print(span.begin().toString(Qt.DateFormat.ISODate), begin.toString(Qt.DateFormat.ISODate), count)
-print(local_time(begin, end, time_zone(zone_name(Path(sys.argv[2])))))
+print(local_time(begin, end, timezone(zone_name(Path(sys.argv[2])))))
 """
 
 
@@ -282,9 +282,9 @@ def test_the_log_of_a_run_shows_no_hits_beside_coverage(provider):
     """Nor does it call tracks vehicles; without coverage hits are all there is."""
     from gis_radar_plugin.base import stage_words, summary_lines
 
-    figures = {"hits": 7, "busiest tile": 499, "busiest_occupancy": 0.58, "vehicles": 126}
+    figures = {"hits": 7, "tiles_hit": 499, "vehicles": 126}
     assert summary_lines({**figures, "mean coverage": 0.1}) == [
         "Tracks of vehicles: 126", "mean coverage: 0.1",
     ]  # fmt: skip
-    assert len(summary_lines(figures)) == 4
+    assert len(summary_lines(figures)) == 3
     assert stage_words("occupancy R1 R1.parquet") == "occupancy R1 R1.parquet"

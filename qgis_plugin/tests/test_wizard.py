@@ -156,7 +156,7 @@ def test_from_the_map_to_a_run(wizard, place):
 
 def test_what_the_check_refuses_is_one_sentence(wizard, place):
     wizard.draft.map_file = str(place / "junction.osm")
-    wizard.draft.title, wizard.draft.time_zone = "x", "Europe/Berlin"
+    wizard.draft.title, wizard.draft.timezone = "x", "Europe/Berlin"
     from gis_radar_plugin.wizard.draft import SensorDraft
 
     wizard.draft.sensors.append(SensorDraft("R1", [str(place / "R1.parquet")], 690356.0, 5336183.0))
@@ -326,7 +326,7 @@ def test_the_run_is_a_task(wizard, place, fake_worker, cancelled):
 OPENED = """\
 # by hand
 title = "Old"
-time_zone = "Europe/Berlin"
+timezone = "Europe/Berlin"
 owner = { name = "Jo", since = 2020 }
 
 [map]

@@ -70,7 +70,7 @@ KINDS = [
 ]  # fmt: skip
 
 SITE = f"""title = "Site"
-time_zone = "Europe/Berlin"
+timezone = "Europe/Berlin"
 [map]
 file = "map.osm"
 crs = "{UTM}"

@@ -22,7 +22,7 @@ from qgis.core import (
 
 from ..base import TRAFFIC, WorkerAlgorithm, option
 from ..loading import INTERVALS, as_ground, dress, dress_only, heatmap_titles, load
-from ..parameters import add_language, add_text, add_tiles, add_time_zone, given_words, tile_file
+from ..parameters import add_language, add_text, add_tiles, add_timezone, given_words, tile_file
 from ..words import tr
 
 OPTIONS = ("TIMEZONE", "LANGUAGE", "TITLE", "SOURCE", "AT")
@@ -68,7 +68,7 @@ class MakeHeatMap(WorkerAlgorithm):
             QgsProcessingParameterString("INTERVAL", tr("Interval"), "15min", optional=True),
             about="Length of the intervals: 20s, 15min, 1h; empty for the whole time only.",
         )
-        add_time_zone(
+        add_timezone(
             self, "Whose hours and days the intervals follow, such as Europe/Berlin; UTC without."
         )
         add_language(self)

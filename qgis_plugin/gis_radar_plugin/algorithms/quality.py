@@ -15,7 +15,7 @@ from qgis.core import (
 )
 
 from ..base import TRAFFIC, WorkerAlgorithm
-from ..parameters import add_csv_locale, add_time_zone, given_words
+from ..parameters import add_csv_locale, add_timezone, given_words
 from ..words import tr
 from .heatmap import occupancies_in
 
@@ -47,7 +47,7 @@ class CheckQuality(WorkerAlgorithm):
             about="The files manifest.json of more folders, which are merged.",
             advanced=True,
         )
-        add_time_zone(self, "Whose hours the rows are, such as Europe/Berlin; UTC without.")
+        add_timezone(self, "Whose hours the rows are, such as Europe/Berlin; UTC without.")
         add_csv_locale(self)
         self.add(
             QgsProcessingParameterFileDestination(

@@ -46,7 +46,7 @@ from ..report.export import (
 )
 from ..report.folder import earlier, move, private_folder
 from ..report.layout import Texts, make_layout
-from ..report.pages import Page, Place, junction_places, pages_of, places_of, time_zone, zone_name
+from ..report.pages import Page, Place, junction_places, pages_of, places_of, timezone, zone_name
 from ..timeline import intervals_of
 from ..words import speaks_german, tr
 
@@ -174,7 +174,7 @@ class ExportReport(Algorithm):
         dest = Path(self.parameterAsString(parameters, "OUTPUT", context))
         package = Path(self.parameterAsFile(parameters, "HEATMAP", context)) / "heatmap.gpkg"
         named = self.parameterAsString(parameters, "TIME_ZONE", context).strip()
-        zone = time_zone(named or zone_name(package))
+        zone = timezone(named or zone_name(package))
         with one_sentence(), claimed([str(dest)]):
             self._refuse_foreign(dest)
             # Beside the target first: a report appears whole or not at all.

@@ -23,7 +23,7 @@ from ..parameters import (
     add_file,
     add_language,
     add_text,
-    add_time_zone,
+    add_timezone,
     given_words,
 )
 from ..words import tr
@@ -78,7 +78,7 @@ class WriteReport(WorkerAlgorithm):
             about="The folder of a site's run, or of a heat map.",
         )
         add_text(self, "TITLE", "Title", "The site's, without it.")
-        add_time_zone(
+        add_timezone(
             self, "Whose clocks its times follow, such as Europe/Berlin; the site's without."
         )
         add_language(self)
@@ -149,7 +149,7 @@ class WriteProject(WorkerAlgorithm):
         )
         add_text(self, "TITLE", "Title")
         add_text(self, "SOURCE", "Source")
-        add_time_zone(self, "Of the times on its map, such as Europe/Berlin; UTC without.")
+        add_timezone(self, "Of the times on its map, such as Europe/Berlin; UTC without.")
         add_language(self)
         kinds = tr("QGIS projects") + " (*.qgz)"
         self.add(QgsProcessingParameterFileDestination("OUTPUT", tr("QGIS project"), kinds))

@@ -170,7 +170,7 @@ def zone_name(package: Path) -> str:
         return ""
 
 
-def time_zone(name: str) -> QTimeZone:
+def timezone(name: str) -> QTimeZone:
     """Return the time zone of a name such as `Europe/Berlin`; without one the machine's.
 
     Raises

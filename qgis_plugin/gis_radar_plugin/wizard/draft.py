@@ -71,7 +71,7 @@ class SiteDraft:
     """A site as it is filled in; the fields are keys of the site file."""
 
     title: str = ""
-    time_zone: str = ""
+    timezone: str = ""
     language: str = "en"
     map_file: str = ""
     crs: str = ""
@@ -125,7 +125,7 @@ class SiteDraft:
             "heatmap": {"intervals": self.intervals},
         }  # fmt: skip
         return _filled({
-            "title": self.title, "time_zone": self.time_zone, "language": self.language,
+            "title": self.title, "timezone": self.timezone, "language": self.language,
             "csv_locale": self.language if self.language == "de" else "",
             "attribution": [self.attribution] if self.attribution else [],
             **{name: _filled(table) for name, table in tables.items()},
@@ -180,11 +180,14 @@ def open_draft(read: Table, text: str, folder: Path) -> SiteDraft:
             raise TypeError(name)
         return found
 
+    if "time_zone" in read:  # as earlier versions call it
+        read = {"timezone": read["time_zone"], **read}
+        del read["time_zone"]
     found, scan, counted = table("map"), table("scan"), table("occupancy")
     follow, heat = table("vehicles"), table("heatmap")
     clocks = str(counted.get("clocks", ""))
     draft = SiteDraft(
-        title=str(read.get("title", "")), time_zone=str(read.get("time_zone", "UTC")),
+        title=str(read.get("title", "")), timezone=str(read.get("timezone", "UTC")),
         language=str(read.get("language", "en")),
         map_file=_whole(found.get("file", ""), folder), crs=str(found.get("crs", "")),
         origin=", ".join(map(str, _list(found.get("origin")))),

@@ -377,7 +377,7 @@ class ResultPage(Page):
         zones = [bytes(name).decode() for name in QTimeZone.availableTimeZoneIds()]
         self.zone_box.addItems([name for name in zones if "/" in name or name == "UTC"])
         self.zone_box.setCurrentText(bytes(QTimeZone.systemTimeZoneId()).decode())
-        self.zone_box.currentTextChanged.connect(lambda text: self.keep("time_zone", text.strip()))
+        self.zone_box.currentTextChanged.connect(lambda text: self.keep("timezone", text.strip()))
         form.addRow(tr("Time zone"), self.zone_box)
         form.addRow("", note(tr(
             "Pictures, sheets and the report show the time of this zone, also where the site "
@@ -408,7 +408,7 @@ class ResultPage(Page):
     def fill(self) -> None:
         """Show zone, intervals, switches and clocks of the draft."""
         draft = self.draft
-        zone, intervals, clocks = draft.time_zone, ", ".join(draft.intervals), draft.clocks
+        zone, intervals, clocks = draft.timezone, ", ".join(draft.intervals), draft.clocks
         super().fill()
         self.zone_box.setCurrentText(zone)
         self.interval_box.setText(intervals)
@@ -416,7 +416,7 @@ class ResultPage(Page):
 
     def initializePage(self) -> None:  # noqa: N802
         """Take the values that are shown."""
-        self.draft.time_zone = self.zone_box.currentText()
+        self.draft.timezone = self.zone_box.currentText()
         self._intervals_typed(self.interval_box.text())
 
     def _intervals_typed(self, text: str) -> None:
@@ -427,7 +427,7 @@ class ResultPage(Page):
 
     def isComplete(self) -> bool:  # noqa: N802
         """Return whether there is such a zone."""
-        return bool(QTimeZone(self.draft.time_zone.encode()).isValid())
+        return bool(QTimeZone(self.draft.timezone.encode()).isValid())
 
 
 def _name_of(crs: QgsCoordinateReferenceSystem) -> str:

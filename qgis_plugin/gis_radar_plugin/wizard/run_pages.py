@@ -180,7 +180,7 @@ class CheckPage(Page):
         """Return what a sensor recorded in words, in the time of the site."""
         if "begin" not in found:
             return tr("its files are converted by the run")
-        zone = QTimeZone(self.draft.time_zone.encode())
+        zone = QTimeZone(self.draft.timezone.encode())
         begin, end = (
             QDateTime.fromString(found[key], Qt.DateFormat.ISODateWithMs)
             for key in ("begin", "end")
