@@ -43,9 +43,13 @@ def compiled(function: Callable[Given, Answer]) -> Callable[Given, Answer]:
 
     The machine code is kept beside the module or in the user's cache until the source of the
     function, or of one that it calls, changes; where neither can be written (a shared
-    installation, a service without a home), each process compiles anew.
+    installation, a service without a home), each process compiles anew. Of several processes that
+    call it first at the same time one compiles, and the others wait for that.
     """
     return _Compiled(function)
+
+
+_COMPILES_S = 120.0  # longer than any of them takes to compile
 
 
 class _Compiled(Generic[Given, Answer]):
@@ -53,9 +57,14 @@ class _Compiled(Generic[Given, Answer]):
 
     def __init__(self, function: Callable[Given, Answer]) -> None:
         self.function = cast("FunctionType", function)
+        self._is_begun = False
         update_wrapper(self, function)
 
     def __call__(self, *args: Given.args, **options: Given.kwargs) -> Answer:
+        if not self._is_begun:
+            if len(args) == self.function.__code__.co_argcount:
+                self._compile_once(args)
+            self._is_begun = True
         return cast("Answer", self.machine_code(*args, **options))
 
     @cached_property
@@ -73,6 +82,24 @@ class _Compiled(Generic[Given, Answer]):
             return numba.njit(cache=True, nogil=True)(plain)
         except RuntimeError:
             return numba.njit(nogil=True)(plain)
+
+    def _compile_once(self, given: tuple[Any, ...]) -> None:
+        """Compile for such arguments, or load what another process compiles just now."""
+        from filelock import FileLock, Timeout  # noqa: PLC0415 - as numba
+
+        machine_code = self.machine_code
+        place = machine_code.stats.cache_path if hasattr(machine_code, "stats") else None
+        if place is None:  # nothing is kept, or numba is told to compile nothing
+            return
+        lock = FileLock(Path(place) / f"{self.function.__name__}.lock")
+        try:
+            lock.acquire(timeout=_COMPILES_S)
+        except (OSError, NotImplementedError, Timeout):  # then each compiles
+            return
+        try:
+            machine_code.compile(tuple(machine_code.typeof_pyval(each) for each in given))
+        finally:
+            lock.release()
 
     @property
     def _known(self) -> dict[str, Any]:

@@ -57,14 +57,31 @@ def test_nowhere_to_keep_the_code_is_no_failure(monkeypatch):
 HEAD = "from gis_radar.arrays import compiled\n"
 OWN = "from called import plus, FACTOR\n@compiled\ndef own(x):\n    return plus(x) * FACTOR\n"
 CALLED = "FACTOR = {}\n@compiled\ndef plus(x):\n    return x + {}\n"
-ASK = "from own import own; print(own(10), sum(own.machine_code.stats.cache_hits.values()))"
+ASK = (
+    "import numba; from own import own; print('ready', flush=True); input()\n"
+    "print(own(10), sum(own.machine_code.stats.cache_hits.values()))"
+)
 
 
-def test_kept_code_is_made_anew_when_what_it_is_made_of_changes(tmp_path):
+def asked(folder, *, at_once=1):
+    """Return what processes say that call it at the same time: the answer, and if it was kept."""
+    many = [
+        subprocess.Popen([sys.executable, "-B", "-c", ASK], cwd=folder, text=True,
+                         stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        for _ in range(at_once)
+    ]  # fmt: skip
+    for each in many:
+        assert each.stdout.readline() == "ready\n"
+    for each in many:
+        each.stdin.write("\n")
+        each.stdin.flush()
+    return sorted(each.communicate()[0].split() for each in many)
+
+
+def test_kept_code_is_made_once_and_anew_when_what_it_is_made_of_changes(tmp_path):
     (tmp_path / "own.py").write_text(HEAD + OWN)
-    answers = []
-    for factor, more in ((1, 1), (1, 1), (1, 3), (2, 3)):
+    (tmp_path / "called.py").write_text(HEAD + CALLED.format(1, 1))
+    assert asked(tmp_path, at_once=2) == [["11", "0"], ["11", "1"]]
+    for factor, more, answer in ((1, 3, "13"), (2, 3, "26")):
         (tmp_path / "called.py").write_text(HEAD + CALLED.format(factor, more))
-        asked = [sys.executable, "-B", "-c", ASK]
-        answers.append(subprocess.check_output(asked, cwd=tmp_path, text=True).split())
-    assert answers == [["11", "0"], ["11", "1"], ["13", "0"], ["26", "0"]]
+        assert asked(tmp_path) == [[answer, "0"]]
