@@ -1,5 +1,6 @@
 """A site made once by the real worker, the provider in a real QGIS, and workers that misbehave."""
 
+import fcntl
 import json
 import os
 import shutil
@@ -24,6 +25,26 @@ def worker(*words):
     command = [WORKER, "-m", "gis_radar", *map(str, words)]
     around = {name: value for name, value in os.environ.items() if name != "LD_PRELOAD"}
     subprocess.run(command, check=True, capture_output=True, cwd=ROOT, env=around)
+
+
+@pytest.fixture(scope="session")
+def once(tmp_path_factory):
+    """Give a function that has a folder made once for all processes of a run, only to be read."""
+    root = tmp_path_factory.getbasetemp()
+    root = root.parent if "PYTEST_XDIST_WORKER" in os.environ else root
+
+    def make(name, work):
+        folder, made = root / name, root / f"{name}.made"
+        with (root / f"{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not made.exists():
+                shutil.rmtree(folder, ignore_errors=True)  # of one that failed
+                folder.mkdir()
+                work(folder)
+                made.touch()
+        return folder
+
+    return make
 
 
 @pytest.fixture(scope="session")
@@ -105,9 +126,13 @@ def run(provider, qgis_new_project):
 
 
 @pytest.fixture(scope="session")
-def profiles(tmp_path_factory):
+def profiles(once, tmp_path_factory):
     """An empty folder of profiles with the plugin installed from its zip."""
-    folder = tmp_path_factory.mktemp("installed")
+    own = tmp_path_factory.mktemp("installed") / "own"  # as QGIS writes there
+    return shutil.copytree(once("profiles", install), own)
+
+
+def install(folder):
     tool = [sys.executable, str(ROOT / "tools" / "plugin_zip.py"), "-o", str(folder)]
     done = subprocess.run(tool, check=True, capture_output=True, text=True)
     plugins = folder / "profiles" / "default" / "python" / "plugins"
@@ -115,7 +140,6 @@ def profiles(tmp_path_factory):
         archive.extractall(plugins)
     said = call(folder, "plugins", "enable", "gis_radar_plugin")
     assert "Enabled gis_radar_plugin" in said.stdout
-    return folder
 
 
 def environment(profiles, **more):

@@ -35,9 +35,12 @@ def junctions():
 
 
 @pytest.fixture(scope="module")
-def report(provider, site, tmp_path_factory):
+def report(provider, site, once):
     """A report, only to be read."""
-    out = tmp_path_factory.mktemp("reports") / "report"
+    return once("report", lambda folder: export(site, folder / "report")) / "report"
+
+
+def export(site, out):
     QgsProject.instance().clear()
     with pytest.MonkeyPatch.context() as around:
         around.setenv("GIS_RADAR_PYTHON", WORKER)
@@ -53,7 +56,6 @@ def report(provider, site, tmp_path_factory):
     QgsProject.instance().clear()
     assert heard.errors == []
     assert heard.percents
-    return out
 
 
 @pytest.fixture
