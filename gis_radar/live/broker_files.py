@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import base64
+import getpass
 import hashlib
 import json
 import os
 import secrets
+import shutil
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -49,7 +52,7 @@ def write_broker_files(path: str | Path, folder: str | Path) -> list[Path]:
             ACCESS: broker_access(site.live.site),
             PASSWORDS: password_lines(known),
             **{f"password_of_{user}": f"{password}\n" for user, password in known.items()},
-            **_units(site),
+            **units(site, Path(path).resolve(), place.resolve()),
             COMPOSE: compose_text(site, Path(path).resolve(), place.resolve()),
             IMAGE: _IMAGE,
             f"{IMAGE}.dockerignore": _LEFT_OUT,
@@ -119,21 +122,29 @@ _UNIT = """\
 Description={about}
 After=network-online.target time-sync.target
 Wants=network-online.target
+StartLimitIntervalSec=0
 
 [Service]
-ExecStart=/usr/bin/env gis-radar {words}
+ExecStart={words}
+User={user}
+WorkingDirectory={folder}
 Restart=always
 RestartSec=5
-DynamicUser=true
-StateDirectory=gis_radar
-WorkingDirectory=/var/lib/gis_radar
+TimeoutStopSec={stop_s}
 ProtectSystem=strict
-ProtectHome=true
+ReadWritePaths="{folder}"
+ProtectHome=read-only
+PrivateTmp=true
+PrivateDevices=true
 NoNewPrivileges=true
 
 [Install]
 WantedBy=multi-user.target
 """
+# Where docs/live.md puts things on the computer of a sensor, which is another one.
+_THERE, _PROGRAM = "/var/lib/gis_radar", "/opt/gis_radar/bin/gis-radar"
+_USER = "gis_radar"
+_STOP_S = 120  # fusion writes the hour
 
 
 _IMAGE = """\
@@ -188,7 +199,7 @@ def compose_text(site: LiveSite, file: Path, folder: Path) -> str:
             "command": ["gis-radar", "live", file.name],
             "volumes": [f"{file.parent}:{file.parent}"],
             "stop_signal": "SIGTERM",
-            "stop_grace_period": "120s",  # the hour is written
+            "stop_grace_period": f"{_STOP_S}s",
         },
     }  # fmt: skip
     text = json.dumps(
@@ -199,9 +210,42 @@ def compose_text(site: LiveSite, file: Path, folder: Path) -> str:
     )
 
 
-def _units(site: LiveSite) -> Mapping[str, str]:
-    about: Sequence[tuple[str, str, str]] = (
-        ("gis-radar-live.service", f"Live map of {site.live.site}", "live SITE.toml"),
-        ("gis-radar-edge.service", f"Radar of {site.live.site}", "edge SENSOR.toml"),
-    )
-    return {name: _UNIT.format(about=text, words=words) for name, text, words in about}
+def units(site: LiveSite, file: Path, folder: Path) -> dict[str, str]:
+    """Return systemd's units by name: broker and fusion of this machine, a sensor of any.
+
+    Parameters
+    ----------
+    site : LiveSite
+        Of the site's file.
+    file, folder : Path
+        The site's file, and where the files of the broker are.
+    """
+    broker = shutil.which("mosquitto") or "/usr/sbin/mosquitto"
+    program = shutil.which("gis-radar", path=Path(sys.executable).parent) or _PROGRAM
+    user = getpass.getuser()
+    here = {
+        "user": _USER if user == "root" else user,
+        "folder": str(file.parent).replace("%", "%%"),
+    }
+    there = {"user": _USER, "folder": _THERE}
+    name = site.live.site
+    rows = {
+        "broker": (f"Broker of {name}", (broker, "-c", str(folder / CONFIG)), here),
+        "live": (f"Live map of {name}", (program, "live", file.name), here),
+        # The instance is the sensor: gis-radar-edge@R1 runs R1.toml.
+        "edge@": (f"Radar %i of {name}", (_PROGRAM, "edge", "%i.toml"), there),
+    }
+    return {
+        f"gis-radar-{key}.service": _UNIT.format(
+            about=about, words=_command(words, instance=key == "edge@"), stop_s=_STOP_S, **where
+        )
+        for key, (about, words, where) in rows.items()
+    }
+
+
+def _command(words: Sequence[str], *, instance: bool) -> str:
+    """Return words as systemd reads them: quoted, and no variable or specifier but the instance."""
+    if instance:
+        return " ".join(words)
+    quoted = (each.replace("\\", "\\\\").replace('"', '\\"') for each in words)
+    return " ".join(f'"{each}"' for each in quoted).replace("%", "%%").replace("$", "$$")
