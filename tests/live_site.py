@@ -110,9 +110,8 @@ class LiveSite:
         self.folder, self.port = folder, free_port()
         self.tiles = given.get("tiles") or once("live_tiles", make_tiles_file)
         self.file = folder / "SITE.toml"
-        self.file.write_text(self.site_text())
-        write_broker_files(self.file, folder / "broker")
         self.file.write_text(self.site_text("broker/password_of_fusion"))
+        write_broker_files(self.file, folder / "broker")
         config = folder / "broker" / "mosquitto.conf"
         if os.geteuid() == 0:  # it would take another user, who may not read here
             config.write_text(config.read_text() + "user root\n")
@@ -125,7 +124,7 @@ class LiveSite:
     def password(self, user):
         return (self.folder / "broker" / f"password_of_{user}").read_text().strip()
 
-    def site_text(self, password=""):
+    def site_text(self, password):
         secret = f', password_file = "{password}"' if password else ""
         secret += f', authority = "{self.authority}"' if self.authority else ""
         sensors = "".join(f'[[sensor]]\nname = "{name}"\n' for name in self.names)

@@ -303,3 +303,20 @@ def test_conda_gets_what_pyproject_asks_for():
         first, *more = CONDA_NAMES.get(requirement.name, [requirement.name])
         wanted |= {first: str(requirement.specifier)} | dict.fromkeys(more, "")
     assert given == wanted
+
+
+@needs_sh
+def test_an_environment_of_another_checkout_is_not_emptied(checkout):
+    """A link in the place of ours is taken away, not what it leads to."""
+    shutil.copy(ROOT / "tools" / "set_up.sh", checkout / "tools")
+    other = checkout.parent / "other"
+    write_program(other / "bin" / "python", "exit 0")
+    (checkout / ".venv").symlink_to(other)
+    python = checkout.parent / "programs" / "python"
+    write_program(python, 'case "$*" in *"-m venv"*) rm -rf .venv/*; exit 1;; esac')
+    done = subprocess.run(
+        ["/bin/sh", checkout / "tools" / "set_up.sh", "run"], capture_output=True, text=True,
+        env=os.environ | {"PYTHON": str(python)}, check=False,
+    )  # fmt: skip
+    assert "could not make .venv" in done.stderr
+    assert (other / "bin" / "python").exists()

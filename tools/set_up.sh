@@ -84,6 +84,7 @@ list_missing() {
 
 make_venv() {
     venv_is_good && return
+    [ ! -L $venv ] || rm $venv # a link to that of another checkout, which stays as it is
     "$python" -m venv --clear $venv || fail "$python could not make $venv."
 }
 

@@ -66,7 +66,7 @@ def write_broker_files(path: str | Path, folder: str | Path) -> list[Path]:
 
 def broker_config(site: LiveSite, folder: Path) -> str:
     """Return Mosquitto's configuration: a log-in for all, bounded messages and queues."""
-    address: BrokerAddress = site.address()
+    address = BrokerAddress.of(site.live.broker.address)
     # What all sensors may have on their way, hits and returns; the rest is asked for again.
     queued = 2 * DEFAULTS.unacknowledged * len(site.sensor)
     size = MOST_BYTES + _HEADER_BYTES

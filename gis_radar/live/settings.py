@@ -237,6 +237,11 @@ def broker_address(table: BrokerTable, *, user: str) -> BrokerAddress:
     if table.password_file is not None:
         try:
             password = table.password_file.read_text(encoding="utf-8").strip()
+        except FileNotFoundError as error:
+            raise InputError(
+                f"{table.password_file}: no such file",
+                hint="the files written for the broker hold one for each",
+            ) from error
         except (OSError, UnicodeDecodeError) as error:
             raise InputError(f"{table.password_file}: cannot be read: {error}") from error
     name = (table.user or user) if password else ""

@@ -9,7 +9,7 @@ from urllib.parse import urlsplit
 from pydantic import AfterValidator, PlainValidator, model_validator
 
 from gis_radar.errors import GisRadarError
-from gis_radar.site.values import File, Meaning, Switch, Text, Texts, TomlTable, Unfit, key
+from gis_radar.site.values import File, Meaning, Place, Switch, Text, Texts, TomlTable, Unfit, key
 from gis_radar.steps import duration_s, interval_steps
 
 _NOT_IN_TOPICS = frozenset("+#/$")
@@ -85,7 +85,7 @@ class BrokerTable(TomlTable):
     """Where it is: `mqtt://` or, encrypted, `mqtts://`."""
     user: Text | None = key('"R1"', None, "the sensor's name, or fusion")
     """As whom to log in."""
-    password_file: File | None = key('"R1.password"', None, "no log-in")
+    password_file: Place | None = key('"R1.password"', None, "no log-in")
     """A file with nothing but the password."""
     authority: File | None = key('"ca.crt"', None, "those of the system")
     """Certificate of the authority that signed the broker's."""

@@ -128,8 +128,12 @@ def _folder(info: ValidationInfo) -> Path:
     return Path((info.context or {}).get("folder", ""))
 
 
+def _place(value: Any, info: ValidationInfo) -> Path:
+    return _folder(info) / _expanded(_text(value))
+
+
 def _file(value: Any, info: ValidationInfo, *, folders: bool = False) -> Path:
-    path = _folder(info) / _expanded(_text(value))
+    path = _place(value, info)
     is_folder = os.path.isdir(path)  # noqa: PTH112 - pathlib raises where a name is too long
     if not os.path.isfile(path) and not (folders and is_folder):  # noqa: PTH113
         reason = "is a folder" if is_folder else "no such file"
@@ -207,6 +211,8 @@ Intervals = Annotated[
 Cycle = Annotated[float, Meaning('a duration such as "150ms"'), PlainValidator(_cycle)]
 Zone = Annotated[Text, Meaning("an IANA time zone such as Europe/Berlin"), AfterValidator(_zone)]
 File = Annotated[Path, Meaning("the name of a file"), PlainValidator(_file)]
+# Of a file that may still have to be made.
+Place = Annotated[Path, Meaning("the name of a file"), PlainValidator(_place)]
 Files = Annotated[
     tuple[Path, ...],
     Meaning('the name of a file, or a list of names and patterns such as ["R1_*.parquet"]'),
