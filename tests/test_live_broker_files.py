@@ -10,6 +10,9 @@ import pytest
 import yaml
 from live_site import LiveSite, needs_mosquitto
 
+from gis_radar.errors import InputError
+from gis_radar.live.settings import read_edge_file, read_live_site
+
 
 @pytest.fixture
 def site(tmp_path, once):
@@ -34,8 +37,8 @@ def test_systemd_finds_no_fault_in_the_units(site):
         "gis-radar-broker.service", "gis-radar-edge@.service", "gis-radar-live.service",
     ]  # fmt: skip
     text = units[1].read_text()  # of another machine, where the program is elsewhere
-    assert "ExecStart=/opt/gis_radar/bin/gis-radar edge %i.toml\n" in text
-    units[1].write_text(text.replace("/opt/gis_radar/bin/gis-radar", sys.executable))
+    assert "ExecStart=/usr/local/lib/gis_radar/bin/gis-radar edge %i.toml\n" in text
+    units[1].write_text(text.replace("/usr/local/lib/gis_radar/bin/gis-radar", sys.executable))
     done = subprocess.run(
         ["systemd-analyze", "verify", "--man=no", *units], capture_output=True, text=True,
         check=False,
@@ -69,3 +72,21 @@ def test_mosquitto_says_nothing_against_its_configuration(site):
     said = site.broker.config.with_suffix(".log").read_text()
     assert "Error" not in said
     assert "Warning" not in said.replace("Warning: Mosquitto should not be run as root", "")
+
+
+def test_two_sensors_of_one_folder_have_a_buffer_each(site):
+    paths = set()
+    for name in ("R1", "R2"):
+        text = site.edge(name).read_text()
+        file = site.folder / f"{name}.toml"
+        file.write_text(text.replace(f'[buffer]\nfile = "{name}.buffer"\n', ""))
+        assert "buffer" not in file.read_text()
+        paths.add(read_edge_file(file).buffer_path.name)
+    assert paths == {"R1.buffer", "R2.buffer"}
+
+
+def test_fusion_names_a_password_that_is_not_there(site):
+    (site.folder / "broker/password_of_fusion").unlink()
+    with pytest.raises(InputError, match=r"password_of_fusion: no such file") as caught:
+        read_live_site(site.file).address()
+    assert "broker" in caught.value.hint

@@ -142,9 +142,11 @@ NoNewPrivileges=true
 WantedBy=multi-user.target
 """
 # Where docs/live.md puts things on the computer of a sensor, which is another one.
-_THERE, _PROGRAM = "/var/lib/gis_radar", "/opt/gis_radar/bin/gis-radar"
+_THERE, _PROGRAM = "/var/lib/gis_radar", "/usr/local/lib/gis_radar/bin/gis-radar"
 _USER = "gis_radar"
-_STOP_S = 120  # fusion writes the hour
+_STOP_S = (
+    300  # fusion follows the last minutes and writes the hour; the first time it compiles, too
+)
 
 
 _IMAGE = """\

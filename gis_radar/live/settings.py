@@ -103,7 +103,7 @@ class SourceTable(TomlTable):
 class BufferTable(TomlTable):
     """The disk buffer: frames wait in it until fusion has stored them."""
 
-    file: Text = key('"R1.buffer"', "buffer.sqlite", '"buffer.sqlite"')
+    file: Text | None = key('"R1.buffer"', None, "SENSOR.buffer, beside this file")
     """Where it is."""
     megabytes: Annotated[float, Meaning("megabytes, 1 or more"), within(1.0, 1e7)] = key(400.0)
     """How large it may become: 400 hold a day of a radar at 20 Hz."""
@@ -174,7 +174,7 @@ class EdgeFile(TomlTable):
     @property
     def buffer_path(self) -> Path:
         """Where its buffer is."""
-        return self._path.parent / self.buffer.file
+        return self._path.parent / (self.buffer.file or f"{self.sensor}.buffer")
 
     def address(self) -> BrokerAddress:
         """Return where the broker is, and as whom to speak to it."""
