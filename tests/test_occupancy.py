@@ -514,6 +514,26 @@ def test_a_view_far_beyond_the_detections_is_warned_of(tmp_path):
     assert json.loads((tmp_path / "occ" / "manifest.json").read_text())["sources"][0]["rows"] == 3
 
 
+def test_recordings_of_a_sensor_that_overlap_are_named_and_count_once(tmp_path):
+    times = START + 0.05 * np.arange(60)
+    points = [[10.0, 0.0, -5.0]] * 60
+    whole = recording(tmp_path / "whole.parquet", times, points)
+    first = recording(tmp_path / "first.parquet", times[:40], points[:40])
+    second = recording(tmp_path / "second.parquet", times[20:], points[20:])
+    after = recording(tmp_path / "after.parquet", times[40:], points[40:])
+    near = replace(pose(), view=View(max_range_m=12.0, elevation_deg=90.0))
+    found, warned = [], []
+    for name, paths in (("a", [whole]), ("b", [second, first]), ("c", [first, after])):
+        notes = Notes()
+        found.append(measure_occupancy(
+            paths, [near] * len(paths), crossing(), tmp_path / name, reporter=notes
+        ))  # fmt: skip
+        warned.append([text for level, text in notes.lines if level == "warning"])
+    told = "R1: first.parquet and second.parquet overlap in time: what both hold counts once"
+    assert warned == [[], [told], []]
+    assert pairs_of(found[0]) == pairs_of(found[1]) == pairs_of(found[2]) != set()
+
+
 def test_tables_have_the_columns_of_their_contract(tmp_path):
     path = recording(tmp_path / "r.parquet", [START], [[12.25, 0.0, -5.0]])
     measure_occupancy([path], [pose()], crossing(), tmp_path / "occ", pairs=True)

@@ -40,6 +40,7 @@ from gis_radar.occupancy.views import PlacedRecording, ViewBook, place_recording
 from gis_radar.poses.files import PoseTrack, as_track
 from gis_radar.poses.pose import Pose, View
 from gis_radar.progress import QUIET, Reporter
+from gis_radar.recordings.overlaps import overlap_warnings
 from gis_radar.recordings.recording import Recording
 from gis_radar.recordings.speeds import odd_speeds
 from gis_radar.sight import (
@@ -267,7 +268,6 @@ def _warnings(
     settings: OccupancySettings,
 ) -> Iterator[str]:  # fmt: skip
     """Yield what does not fit in views, cycles and clocks, given what was recorded."""
-    spans: dict[str, tuple[int, int]] = {}
     for each in passes:
         file, sensor = each.source.recording.path.name, each.source.track.sensor
         reached_m, cycle_us = each.ranges.reached_m(settings.range_share), each.times.cycle_us
@@ -306,9 +306,22 @@ def _warnings(
                 f"{file}: times begin at {begin}: the clock of {sensor} may count since it was "
                 "switched on; gis-radar clocks finds its offset"
             )
-        first, last = spans.get(sensor, (each.times.first_us, each.times.last_us))
-        spans[sensor] = min(first, each.times.first_us), max(last, each.times.last_us)
-    for (one, (begin_us, end_us)), (other, (first, last)) in combinations(spans.items(), 2):
+    yield from _time_warnings(passes)
+
+
+def _time_warnings(passes: list[RecordingPass]) -> Iterator[str]:
+    """Yield what is odd in when recordings were made: together, or one after the other."""
+    held: dict[str, list[tuple[int, int, Path]]] = {}
+    for each in passes:
+        span = each.times.first_us, each.times.last_us, each.source.recording.path
+        held.setdefault(each.source.track.sensor, []).append(span)
+    for sensor, spans in held.items():
+        yield from overlap_warnings(sensor, spans)
+    whole = {
+        sensor: (min(each[0] for each in spans), max(each[1] for each in spans))
+        for sensor, spans in held.items()
+    }
+    for (one, (begin_us, end_us)), (other, (first, last)) in combinations(whole.items(), 2):
         if (apart_us := max(first - end_us, begin_us - last)) > 0:
             yield (
                 f"{one} and {other} have no time in common: {apart_us / 1e6:,.0f} s lie between "

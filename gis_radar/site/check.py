@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -18,6 +18,7 @@ from gis_radar.errors import InputError
 from gis_radar.lanelets import LaneletMap, lanes, read_map
 from gis_radar.poses.files import read_track
 from gis_radar.progress import QUIET, Level, Reporter
+from gis_radar.recordings.overlaps import overlap_warnings
 from gis_radar.recordings.recording import RangeCounts, Recording, open_recording
 from gis_radar.recordings.speeds import odd_speeds
 from gis_radar.scans.scan import open_scan, road_crs
@@ -224,7 +225,7 @@ def _read_sensor(sensor: Sensor, settings: CheckSettings, warnings: list[str]) -
     ]  # fmt: skip
     if not spans:
         return SensorCheck(begin=math.nan, end=math.nan, detections=0, view={})
-    warnings += _overlaps(sensor.name, spans)
+    warnings += overlap_warnings(sensor.name, spans)
     for *_, path in spans:
         if odd := odd_speeds(open_recording(path)):
             needed = "vehicles and poses need metres and m/s, positive when receding"
@@ -239,19 +240,6 @@ def _read_sensor(sensor: Sensor, settings: CheckSettings, warnings: list[str]) -
     return SensorCheck(
         begin=begin, end=end, detections=counts.detections, view=counts.view(settings)
     )
-
-
-def _overlaps(name: str, spans: Sequence[tuple[float, float, Path]]) -> Iterator[str]:
-    """Yield a warning for each two recordings of a sensor that hold the same time."""
-    ordered = sorted(spans)
-    last = ordered[0]  # of those so far the one that ends last
-    for each in ordered[1:]:
-        if each[0] <= last[1]:
-            yield (
-                f"{name}: {last[2].name} and {each[2].name} overlap in time: "
-                "what both hold counts once"
-            )
-        last = max(last, each, key=lambda span: span[1])
 
 
 def _time_warnings(found: dict[str, SensorCheck]) -> Iterator[str]:

@@ -1,0 +1,27 @@
+"""Recordings of one sensor that hold the same time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+
+def overlap_warnings(sensor: str, spans: Sequence[tuple[float, float, Path]]) -> Iterator[str]:
+    """Yield a warning for each recording of a sensor that holds time of an earlier one.
+
+    Parameters
+    ----------
+    sensor : str
+        Its name.
+    spans : sequence of (float, float, Path)
+        First and last time of each recording, in one unit, and its file.
+    """
+    ordered = sorted(spans)
+    last = ordered[0]  # of those so far the one that ends last
+    for each in ordered[1:]:
+        if each[0] <= last[1]:
+            yield (
+                f"{sensor}: {last[2].name} and {each[2].name} overlap in time: "
+                "what both hold counts once"
+            )
+        last = max(last, each, key=lambda span: span[1])
