@@ -113,7 +113,9 @@ def label_map(ax: Any) -> None:
     ax.set_aspect("equal")
     ax.set(xlabel=tr("easting, m"), ylabel=tr("northing, m"))
     ax.ticklabel_format(useOffset=False, style="plain")
-    ax.locator_params(nbins=5)
+    (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
+    ax.locator_params(axis="y", nbins=5)
+    ax.locator_params(axis="x", nbins=5 if right - left > 0.6 * (high - low) else 2)
 
 
 def label_times(ax: Any) -> None:

@@ -302,15 +302,31 @@ class Clock:
         return tr("{begin} to {end}", begin=self.time(begin), end=until)
 
     def whole(self, begin: datetime, end: datetime) -> str:
-        """Return the time of all data in a sentence's words."""
-        since, until = (
-            _finest(local) + (f" {_offset(local)}" if self._changes else "")
-            for local in (self._local(begin), self._local(end))
-        )
+        """Return the time of all data in a sentence's words: of hours to the second."""
+        if end - begin >= timedelta(hours=1):
+            begin, end = _to_second(begin), _to_second(end)
+        since, until = (_finest(self._local(each)) for each in (begin, end))
+        last = end - timedelta(microseconds=1)
+        if until == "00:00:00" and end > begin:
+            until = "24:00:00"
+        else:
+            last = end
+        if since.endswith(":00") and until.endswith(":00") and end - begin >= timedelta(hours=1):
+            since, until = since[:-3], until[:-3]
+        if self._changes:
+            since, until = (
+                f"{since} {_offset(self._local(begin))}",
+                f"{until} {_offset(self._local(end))}",
+            )
         if self._day_of(begin, end):
             return tr("{day}, {begin} to {end}", day=self.date(begin), begin=since, end=until)
-        days = {"day": self.date(begin), "last": self.date(end)}
+        days = {"day": self.date(begin), "last": self.date(last)}
         return tr("{day}, {begin}, to {last}, {end}", begin=since, end=until, **days)
+
+    def whole_in_zone(self, begin: datetime, end: datetime) -> str:
+        """Return the time of all data with the zone; its offset once."""
+        zone = str(self.zone) if self._changes else self.name
+        return f"{self.whole(begin, end)} ({zone})"
 
     def localised(self, text: str) -> str:
         """Return a text with the times in it, which are UTC and end in Z, as times of the site."""
@@ -354,6 +370,11 @@ def _finest(local: datetime) -> str:
     """Return the time of day to the second, or to the millisecond where it has some."""
     milliseconds = local.microsecond // 1000
     return f"{local:%H:%M:%S}" + (f".{milliseconds:03d}" if milliseconds else "")
+
+
+def _to_second(moment: datetime) -> datetime:
+    """Return the nearest whole second."""
+    return (moment + timedelta(milliseconds=500)).replace(microsecond=0)
 
 
 def _offset(local: datetime) -> str:

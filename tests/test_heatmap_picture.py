@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
+
 import numpy as np
 import pytest
+from matplotlib.patches import Polygon, Rectangle
+from test_heatmap import lane_tiles, make_site
 
-from gis_radar.heatmap.figure import busiest_window, free_corner
+from gis_radar.heatmap import MapLabels, make_heatmap
+from gis_radar.heatmap.figure import _figure, busiest_window, free_corner
+from gis_radar.heatmap.intervals import HOUR
 from gis_radar.heatmap.picture import round_length
+from gis_radar.steps import step_of
 
 SITE = np.array([677_000.0, 5_403_000.0])
 EXTENT = (SITE, SITE + [400.0, 300.0])
@@ -51,3 +58,25 @@ def test_free_corner_has_no_tile():
         ~((everywhere < [110.0, 400.0]) & (everywhere > [-1.0, 190.0])).all(axis=1)
     ]
     assert free_corner(SITE + crowded, EXTENT)[2] * 400 == pytest.approx(0.3 * 300)
+
+
+@pytest.mark.parametrize(
+    "title", ["", "Junction", "The junction of Main Street and the road to the northern station"]
+)
+def test_the_words_over_the_map_end_before_the_scale_bar(title):
+    """Those of the day on which clocks are set back are longest, with two offsets."""
+    begin = step_of(np.array([datetime(2025, 10, 25, 22, tzinfo=UTC).timestamp()]))[0]
+    view = ("R1", "a")
+    day = set(range(int(begin), int(begin) + 25 * HOUR, HOUR - 1))
+    site = make_site(lane_tiles(2), {view: day}, {view: {0, 1}}, {(int(begin), 1)})
+    labels = MapLabels(title=title, timezone="Europe/Berlin")
+    figure = _figure(make_heatmap(site, site.tiles, labels=labels))
+    bar = min(
+        patch.get_window_extent().x0 for patch in figure.artists if isinstance(patch, Rectangle)
+    )
+    arrow = min(
+        patch.get_window_extent().x0 for patch in figure.artists if isinstance(patch, Polygon)
+    )
+    ends = {text.get_text(): text.get_window_extent().x1 for text in figure.texts}
+    assert [end < bar for words, end in ends.items() if "October" in words] == [True]
+    assert ends[title or "Occupancy heat map"] < arrow

@@ -57,7 +57,7 @@ def test_winds():
 def test_one_day_is_not_named_again():
     day = clock(at(2025, 6, 12, 7), at(2025, 6, 12, 10), to_seconds=False)
     assert day.span(at(2025, 6, 12, 7), at(2025, 6, 12, 8)) == "09:00 to 10:00"
-    assert day.whole(day.first, day.last) == "12 June 2025, 09:00:00 to 12:00:00"
+    assert day.whole(day.first, day.last) == "12 June 2025, 09:00 to 12:00"
     assert day.name == "Europe/Berlin, UTC+02:00"
 
 
@@ -103,9 +103,7 @@ def test_a_day_of_utc_is_no_local_day():
     days = clock(at(2025, 6, 12), at(2025, 6, 13), to_seconds=False)
     text = days.span(at(2025, 6, 12), at(2025, 6, 13))
     assert text == "Thu 2025-06-12 02:00 to Fri 2025-06-13 02:00"
-    assert (
-        days.whole(at(2025, 6, 12, 7), at(2025, 6, 12, 8)) == "12 June 2025, 09:00:00 to 10:00:00"
-    )
+    assert days.whole(at(2025, 6, 12, 7), at(2025, 6, 12, 8)) == "12 June 2025, 09:00 to 10:00"
 
 
 def test_a_year_ends_as_it_began_and_changes_twice():
@@ -132,3 +130,26 @@ def test_utc_is_called_so():
 def test_west_and_half_hours():
     first, last = at(2025, 6, 12, 7), at(2025, 6, 12, 8)
     assert clock(first, last, zone="America/St_Johns").name == "America/St_Johns, UTC\u221202:30"
+
+
+@pytest.mark.parametrize(
+    ("begin", "end", "text"),
+    [
+        (
+            "2025-10-25T22:00Z", "2025-10-26T22:59:59.950Z",
+            "26 October 2025, 00:00 UTC+02:00 to 24:00 UTC+01:00 (Europe/Berlin)",
+        ),
+        (
+            "2025-06-10T22:00Z", "2025-06-12T22:00Z",
+            "11 June 2025, 00:00, to 12 June 2025, 24:00 (Europe/Berlin, UTC+02:00)",
+        ),
+        (
+            "2025-06-12T07:30Z", "2025-06-12T07:31:40Z",
+            "12 June 2025, 09:30:00 to 09:31:40 (Europe/Berlin, UTC+02:00)",
+        ),
+    ],
+)  # fmt: skip
+def test_a_whole_day_ends_at_24_and_names_each_offset_once(begin, end, text):
+    first, last = (datetime.fromisoformat(each) for each in (begin, end))
+    clock = Clock(zone=ZoneInfo("Europe/Berlin"), first=first, last=last)
+    assert clock.whole_in_zone(first, last) == text

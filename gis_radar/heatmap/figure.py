@@ -45,6 +45,8 @@ MAP_HEIGHT_IN = (5.1, 8.6)  # lowest, which the legend needs, and highest
 EDGE_IN = 0.3
 TITLE_IN = 0.85
 SMALL, LINE = 8.5, 132  # points of all small words; as many letters of them in a line
+BELOW_TITLE = 82  # letters: as far as the scale bar
+TITLE, TITLE_LETTERS, HEAD_LETTERS = 17, 46, 26  # points; letters that fit, beside the north arrow
 LINE_IN = 0.16
 FRAME = "#9aa1a8"
 HATCH, UNSURE_HATCH = "////", "\\\\\\"
@@ -162,7 +164,8 @@ def _figure(tally: Tally) -> Figure:
     foot_in = 0.26 + LINE_IN * len(_foot(tally))
     width_m, height_m = extent[1] - extent[0]
     tall_in = MAP_WIDTH_IN * height_m / width_m
-    figure = Figure(figsize=(WIDTH_IN, tall_in + TITLE_IN + foot_in), dpi=DPI, facecolor="white")
+    title_in = TITLE_IN + LINE_IN * (len(_head(tally)) - 2)
+    figure = Figure(figsize=(WIDTH_IN, tall_in + title_in + foot_in), dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
     ax = _axes(figure, EDGE_IN, foot_in, MAP_WIDTH_IN, tall_in)
     _add_map(ax, tally, extent, MAP_WIDTH_IN)
@@ -198,17 +201,28 @@ def _add_titles(figure: Figure, tally: Tally, left_in: float) -> None:
     width_in, height_in = figure.get_size_inches()
     left = left_in / width_in
     line: dict[str, Any] = {"ha": "left", "va": "baseline", "parse_math": False}
-    measure, when = tr(TITLES[tally.measure]), time_span(tally)
-    title, below = measure, when
-    if tally.labels.title:
-        title, below = tally.labels.title, f"{measure}, {when}"
+    title, *below = _head(tally)
+    size = max(TITLE * min(1.0, TITLE_LETTERS / len(title)), SMALL)
     figure.text(
-        left, 1 - 0.42 / height_in, title, fontsize=17, fontweight="bold", color=INK, **line
+        left, 1 - 0.42 / height_in, title, fontsize=size, fontweight="bold", color=INK, **line
     )
-    figure.text(left, 1 - 0.68 / height_in, below, fontsize=SMALL, color=SOFT, **line)
+    for number, text in enumerate(below):
+        down = 1 - (0.68 + number * LINE_IN) / height_in
+        figure.text(left, down, text, fontsize=SMALL, color=SOFT, **line)
     for number, text in enumerate(reversed(_foot(tally))):
         up = (0.2 + number * LINE_IN) / height_in
         figure.text(left, up, text, fontsize=SMALL, color=SOFT, **line)
+
+
+def _head(tally: Tally) -> list[str]:
+    """Return the title, and the lines below it, none of which reaches the scale bar."""
+    measure, when = tr(TITLES[tally.measure]), time_span(tally)
+    if not tally.labels.title:
+        return [measure, *textwrap.wrap(when, BELOW_TITLE)]
+    both = f"{measure}, {when}"
+    if len(both) <= BELOW_TITLE:
+        return [tally.labels.title, both]
+    return [tally.labels.title, measure, *textwrap.wrap(when, BELOW_TITLE)]
 
 
 def _foot(tally: Tally) -> list[str]:
@@ -233,7 +247,7 @@ def time_span(tally: Tally, interval: int | slice | None = None) -> str:
             "{day}, {time}, one step of 50 ms ({zone})",
             day=clock.date(begin), time=clock.time(begin), zone=clock.name,
         )  # fmt: skip
-    return f"{clock.whole(begin, end)} ({clock.name})"
+    return clock.whole_in_zone(begin, end)
 
 
 def _add_side(ax: Axes, tally: Tally) -> None:
@@ -243,7 +257,8 @@ def _add_side(ax: Axes, tally: Tally) -> None:
     ax.set_ylim(box.height / DPI, 0)
     ax.axis("off")
     words = style.WORDS[tally.measure]
-    ax.text(0.25, 0.12, tr(words.title), fontsize=10, fontweight="bold", color=INK)
+    size = 10 * min(1.0, HEAD_LETTERS / len(tr(words.title)))
+    ax.text(0.25, 0.12, tr(words.title), fontsize=size, fontweight="bold", color=INK)
     ax.text(0.25, 0.3, tr(words.subtitle), fontsize=SMALL, color=SOFT)
     y = 0.5
     for colour, label in legend_in_words(tally.measure):

@@ -81,7 +81,8 @@ class HeatMap(Tally):
         `observed_s` is 0 and the others are NaN. So are `visible_s`, `covered_s`, `coverage` and
         `coverage_se`, where vehicles are known. Coordinates of a tile: `tile_id` (an index, so
         that `sel(tile_id=7)` works), `lanelet_id`, `s_m`, `easting`, `northing` (of its centre, m);
-        of a time: `time` and `begin`, `end` (exclusive), datetime64 in UTC.
+        of a time: `time` and `begin`, `end` (exclusive), datetime64 in UTC; the attribute
+        `timezone` names the site's.
 
         Parameters
         ----------
@@ -116,6 +117,7 @@ class HeatMap(Tally):
             "crs": name_of(self.crs),
             "fingerprint": self.fingerprint,
             "sensors": ", ".join(self.sensors),
+            "timezone": str(self.zone),
         }
         cube: xarray.Dataset = xr.Dataset(values, coords=_coordinates(self), attrs=attributes)
         return cube.set_xindex("tile_id")

@@ -275,7 +275,7 @@ def _local_time(played: TimeRange) -> str:
     """Return the time that a project covers by the site's clock, with its zone and offset."""
     begin, end = (datetime.fromisoformat(text) for text in (played.begin, played.end))
     clock = Clock(zone=zone_of(played.timezone), first=begin, last=end)
-    return f"{clock.whole(begin, end)} ({clock.name})"
+    return clock.whole_in_zone(begin, end)
 
 
 def _sensor_layers(path: Path) -> dict[str, LayerSource]:

@@ -401,7 +401,7 @@ def _span(site: Site, heat: Mapping[str, Any]) -> str:
         return ""
     begin, end = (datetime.fromisoformat(heat[name]) for name in ("begin", "end"))
     clock = Clock(zone=zone_of(site.timezone), first=begin, last=end)
-    return f"{clock.whole(begin, end)} ({clock.name})"
+    return clock.whole_in_zone(begin, end)
 
 
 def _pose_rows(outcomes: Sequence[Outcome], site: Site) -> list[list[str]]:
