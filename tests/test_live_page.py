@@ -11,8 +11,9 @@ import time
 import urllib.error
 import urllib.request
 from collections import Counter
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from io import BytesIO
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -99,15 +100,18 @@ def refusal(address, method="GET", **headers):
     return caught.value.code
 
 
+def stream_of(address):
+    """Yield the events of the stream."""
+    with urllib.request.urlopen(f"{address}/events") as stream:  # noqa: S310
+        for line in stream:
+            if line.startswith(b"data: "):
+                yield json.loads(line.removeprefix(b"data: "))
+
+
 def events(address, count):
     """Read some events of the stream."""
-    found = []
-    with urllib.request.urlopen(f"{address}/events") as stream:  # noqa: S310
-        while len(found) < count:
-            line = stream.readline().decode()
-            if line.startswith("data: "):
-                found.append(json.loads(line.removeprefix("data: ")))
-    return found
+    with closing(stream_of(address)) as stream:
+        return list(islice(stream, count))
 
 
 def apply(shown, change):
@@ -141,12 +145,15 @@ def test_the_stream_begins_with_the_whole_map_and_goes_on_with_changes(live, add
     first = events(address, 1)[0]
     assert first["whole"]
     assert first["occupied"] == live.snapshot().now.tolist()
-    later = threading.Timer(0.2, lambda: setattr(live, "at", live.first + 520))
-    later.start()
-    changes = events(address, 4)[1:]
-    later.join()
-    assert not any(each.get("whole") for each in changes)
-    assert changes[-1]["step"] == live.first + 520
+    with closing(stream_of(address)) as stream:
+        assert next(stream)["whole"]
+        assert not next(stream).get("whole")
+        live.at = live.first + 520
+        for change in stream:
+            assert not change.get("whole")
+            if change["step"] != live.first + 500:
+                break
+    assert change["step"] == live.first + 520
 
 
 def test_classes_are_those_of_the_legend(live):
