@@ -459,7 +459,10 @@ def read_json(path: str | Path, *, what: str, hint: str = "") -> Any:
         If it cannot be read, or is no JSON that Python can hold.
     """
     try:
-        return json.loads(Path(path).read_text(encoding="utf-8-sig"))
+        text = Path(path).read_text(encoding="utf-8-sig")
+        found = json.loads(text)
+        if "\\ud" in text.lower():  # perhaps half a character, which no file takes
+            json.dumps(found, ensure_ascii=False).encode()
     except OSError as error:
         reason = error.strerror or str(error)
         raise InputError(f"{path}: cannot be read: {reason}", hint=hint) from error
@@ -467,6 +470,7 @@ def read_json(path: str | Path, *, what: str, hint: str = "") -> Any:
         raise InputError(f"{path}: not {what}: not UTF-8 text", hint=hint) from error
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: not {what}: not JSON: {first_line(error)}", hint=hint) from error
+    return found
 
 
 def json_text(

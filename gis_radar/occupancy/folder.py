@@ -37,7 +37,7 @@ from gis_radar.occupancy.views import name_of_view
 from gis_radar.poses.pose import pose_from_dict
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.sight import VIEW_ONLY
-from gis_radar.steps import STEP_S, iso_from_step
+from gis_radar.steps import FIRST_YEAR, LAST_YEAR, STEP_S, in_known_years, iso_from_step
 
 RULES = 2
 MANIFEST, HITS_FILE, PAIRS_FILE = "manifest.json", "hits_by_sensor.parquet", "hits.parquet"
@@ -354,6 +354,11 @@ def _read_table(folder: Path, name: str, fingerprint: str) -> pd.DataFrame:
         raise InputError(f"{path}: damaged: steps that end before they begin")
     if table.isna().to_numpy().any():
         raise InputError(f"{path}: damaged: a value is missing")
+    for column in {"first_step", "last_step"} & set(table):
+        if not in_known_years(table[column].to_numpy(np.float64) * STEP_S).all():
+            raise InputError(
+                f"{path}: damaged: steps outside the years {FIRST_YEAR} to {LAST_YEAR}"
+            )
     return table
 
 

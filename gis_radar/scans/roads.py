@@ -129,6 +129,7 @@ def _conflicts(points: Floats, owner: Integers, settings: RoadSettings) -> Integ
     return np.unique(np.column_stack([owner[a[steep]], owner[b[steep]]]), axis=0)
 
 
+_BEYOND_M = 1e9  # no coordinate of a projected system is as far from its origin
 _POLYGONAL = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
 
 
@@ -203,9 +204,11 @@ def _mended(shapes: Any, path: Path, same_area: float, reporter: Reporter) -> An
     """Mend polygons where that leaves their area as drawn."""
     # Each corner: a box around others has none that is no number.
     corners, of_shape = shapely.get_coordinates(shapes, return_index=True)
-    odd = of_shape[~np.isfinite(corners).all(axis=1)]
+    odd = of_shape[~(np.abs(corners) < _BEYOND_M).all(axis=1)]
     if len(odd):
-        raise InputError(f"{path}: polygon {odd[0]} has coordinates that are no numbers")
+        raise InputError(
+            f"{path}: polygon {odd[0]} has coordinates that are no numbers, or beyond any map"
+        )
     invalid = ~shapely.is_valid(shapes)
     if not invalid.any():
         return shapes
