@@ -11,10 +11,10 @@ from scipy.optimize import linear_sum_assignment
 
 import gis_radar as gr
 from gis_radar.lanelets.graph import lane_graph
-from gis_radar.live.following import FollowedSite, ReturnFrame, VehicleFollower
+from gis_radar.live.following import FollowedSite, VehicleFollower
 from gis_radar.live.returns import ReturnFinder, pack_returns, unpack_returns
 from gis_radar.live.sources import frames_of_recording
-from gis_radar.live.vehicle_process import _rows
+from gis_radar.live.vehicle_clocks import ReturnFrame
 from gis_radar.live.vehicle_settings import DEFAULTS
 from gis_radar.live.vehicle_store import FollowedPose, VehicleStore
 from gis_radar.occupancy.views import ViewBook
@@ -78,21 +78,14 @@ class Sent:
     def feed(self, follower, messages, *, at_once=100, each=id):
         """Hand messages on as the process does, and follow the blocks that are due; yield them."""
         for begin in range(0, len(messages), at_once):
-            found, rows = [], []
+            found = []
             for _, sensor, content in messages[begin : begin + at_once]:
                 _, frames = unpack_returns(content)
-                found += [ReturnFrame(sensor, self.rows[sensor], one) for one in frames]
-                rows += _rows(sensor, self.rows[sensor], content, list(frames), whole=True)
-            follower.store.add_frames(rows)
+                found += [ReturnFrame(sensor, self.rows[sensor], one, content) for one in frames]
             each(follower.take(found))
+            follower.keep()
             while (span := follower.due()) is not None:
                 yield follower.finish(*follower.begin(span))
-
-    def take_again(self, follower):
-        """Take the frames of the store, as a new process does."""
-        for row in follower.store.frames():
-            _, frames = unpack_returns(row.content)
-            follower.take([ReturnFrame(row.sensor, row.pose, each) for each in frames])
 
     def end(self, follower):
         """Follow what is left; yield the blocks."""

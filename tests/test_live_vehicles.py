@@ -144,7 +144,7 @@ def test_a_follower_that_begins_anew_goes_on_as_if_it_had_not(sent, tmp_path):
     again = list(second.again(0))
     assert [each.last_step for each in again] == [each.last_step for each in found]
     assert np.array_equal(again[0].covered, found[0].covered)
-    cut.take_again(second)
+    second.resume()
     found += [*cut.feed(second, messages[880:]), *cut.end(second)]  # some come twice
     folders.append(second.write_hour(hour))
     assert [each.last_step for each in found] == [each.last_step for each in blocks]

@@ -15,14 +15,15 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from live_site import LONGEST_S, SAMPLE, wait_for
+from live_site import LONGEST_S, SAMPLE, Background, wait_for
 from live_vehicles import Sent
 
 import gis_radar as gr
 from gis_radar.live import following, live_vehicles
-from gis_radar.live.following import Finished, ReturnFrame
+from gis_radar.live.following import Finished
 from gis_radar.live.live_vehicles import LiveVehicles
 from gis_radar.live.returns import FrameReturns, pack_returns
+from gis_radar.live.vehicle_clocks import ReturnFrame
 from gis_radar.live.vehicle_counts import VehicleCounts
 from gis_radar.live.vehicle_process import (
     EndMessage,
@@ -206,12 +207,12 @@ def test_a_damaged_store_is_put_aside(tmp_path, ruin):
     assert VehicleStore(path, fingerprint="f").put_aside is None
 
 
-def worker(here):
+def worker(here, settings=SHORT):
     """Return what the process runs, on a store, with its inbox and what it tells."""
     store = VehicleStore(here.site.folder / "store", fingerprint=here.site.fingerprint)
     inbox, told = Queue(), []
     outbox = SimpleNamespace(put=told.append)
-    return _Worker(here.site, store, inbox, outbox, SHORT), inbox, told
+    return _Worker(here.site, store, inbox, outbox, settings), inbox, told
 
 
 def minutes(begin, count):
@@ -279,6 +280,92 @@ def test_a_vehicle_passes_a_lane_once_over_the_edge_of_a_block(sent):
         )  # fmt: skip
     assert counts.lanes_lately()["passages"].sum() == 3
     assert counts.intervals()["passages"].sum() == 3
+
+
+def test_a_sensor_whose_clock_is_set_back_a_little_is_followed_on(sent, tmp_path):
+    here = sent.at(tmp_path / "here")
+    follower = here.follower(SHORT)
+    take = lambda times: follower.take([empty("R1", here.rows["R1"], int(t)) for t in times])  # noqa: E731
+    begin = 400_000 * 72_000
+    take(minutes(begin, 120))
+    take(minutes(begin + 90, 1))  # came twice
+    take(minutes(begin + 120, 1))
+    assert follower.repeated == 1
+    take(minutes(begin + 60, 100)[:50])
+    take(minutes(begin + 110, 90))
+    follower.keep()
+    stored = [row.time_us for rows in follower.store.seconds() for row in rows]
+    assert stored == minutes(begin, 200).tolist()  # each time once, none left out
+    assert follower.newest_step == begin + 199
+    blocks = list(here.end(follower))
+    assert [(e.first_step, e.last_step) for e in blocks] == [
+        (begin, begin + 99), (begin + 100, begin + 199),
+    ]  # fmt: skip
+    assert follower.repeated == 1
+
+
+def finished(told):
+    return [each.finished for each in told if each.finished is not None]
+
+
+@pytest.mark.parametrize("back", [72_000, 350])
+def test_clocks_that_are_set_back_far_begin_anew_and_nothing_counts_twice(sent, tmp_path, back):
+    here = sent.at(tmp_path / "here")
+    follower = here.follower(SHORT)
+    begin = 400_001 * 72_000
+    again = begin + 400 - back
+    running, inbox, told = worker(here)
+    work = Background(lambda _: running.run())
+    for first, count in ((begin, 400), (again, 140)):
+        for each in message(follower, here, minutes(first, count)):
+            inbox.put(each)
+        wait_for(lambda: len(finished(told)) >= 3)
+    inbox.put(EndMessage())
+    work.end()
+    running._store.close()
+    (folder,) = {each.written for each in told if each.written and each.written.exists()}
+    frames = gr.read_vehicles(folder).frames
+    least = begin if back == 350 else again
+    assert (frames["first_step"].min(), frames["last_step"].max()) == (least, again + 139)
+    (aside,) = (each for each in folder.parent.iterdir() if each.name.count("."))
+    assert aside.name.startswith("2015-08-19T17Z.")
+    first = gr.read_vehicles(aside).frames
+    assert (first["first_step"].min(), first["last_step"].max()) == (begin, begin + 399)
+    counts = VehicleCounts(sent.tiles, interval=18_000)
+    for each in told:
+        if each.anew is not None:
+            assert counts.until_step == begin + 399
+            counts.begin_anew(each.anew)
+        if each.finished is not None:
+            counts.add(each.finished)
+    assert counts.until_step == again + 139
+    seen = counts.last_minutes().visible.max()
+    assert seen == again + 140 - least
+    assert counts.interval().visible.max() == seen
+    assert counts.intervals()["visible_s"].max() <= seen / 20
+    assert any("clocks were set back" in each.said for each in told)
+
+
+def test_vehicles_are_followed_anew_while_the_process_runs(sent, tmp_path):
+    here = sent.at(tmp_path / "here")
+    follower = here.follower(SHORT)
+    begin = 400_001 * 72_000
+    running, inbox, told = worker(here, replace(SHORT, silent_s=0.3))
+    work = Background(lambda _: running.run())
+
+    def hand_on(first):
+        for each in message(follower, here, minutes(first, 300)):
+            inbox.put(each)
+
+    hand_on(begin)
+    wait_for(lambda: len(finished(told)) == 3)
+    hand_on(begin - 72_000)
+    wait_for(lambda: len(finished(told)) == 6)
+    assert running._follower.done == begin - 72_000 + 299
+    assert told[-1].counts["newest_s"] < begin / 20
+    inbox.put(EndMessage())
+    work.end()
+    running._store.close()
 
 
 if __name__ == "__main__":

@@ -7,21 +7,25 @@ recordings is done by the same code: only the blocks are shorter.
 
 from __future__ import annotations
 
+import secrets
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
 
 from gis_radar.arrays import Floats, Integers
+from gis_radar.errors import InputError, OutputError
 from gis_radar.lanelets.graph import LaneGraph
-from gis_radar.live.hours import LIVE_RECORDING, hour_name
-from gis_radar.live.returns import FrameReturns
+from gis_radar.live.hours import LIVE_RECORDING, hour_name, hour_of
+from gis_radar.live.returns import FrameReturns, unpack_returns
+from gis_radar.live.vehicle_clocks import Ascending, ReturnFrame
 from gis_radar.live.vehicle_settings import DEFAULTS, FollowSettings
-from gis_radar.live.vehicle_store import FollowedPose, StoredPiece, VehicleStore
+from gis_radar.live.vehicle_store import FollowedPose, ReturnRow, StoredPiece, VehicleStore
 from gis_radar.occupancy.folder import frames_of, frames_table
 from gis_radar.occupancy.frame_steps import Runs, union
 from gis_radar.poses.pose import pose_from_dict
@@ -73,13 +77,25 @@ class FollowedSite:
         """Return the folder of an hour since 1970."""
         return self.folder / "vehicles" / hour_name(hour)
 
+    def put_aside(self, first: int) -> list[tuple[str, str]]:
+        """Give folders of an hour and later ones other names; return those before and after.
 
-class ReturnFrame(NamedTuple):
-    """A frame of returns of a sensor; `pose` is the id of its row in the store."""
-
-    sensor: str
-    pose: int
-    returns: FrameReturns
+        Raises
+        ------
+        OutputError
+            If one cannot be renamed.
+        """
+        done: list[tuple[str, str]] = []
+        for path in sorted((self.folder / "vehicles").glob("*Z")):
+            hour = hour_of(path.name)
+            if hour is not None and hour >= first:
+                other = path.with_name(f"{path.name}.{secrets.token_hex(4)}")
+                try:
+                    path.rename(other)
+                except OSError as error:
+                    raise OutputError(f"{path}: cannot be put aside: {error.strerror}") from error
+                done.append((path.name, other.name))
+        return done
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,6 +131,13 @@ class _Held:
     pose: int
     steps: Integers
     echoes: Echoes
+
+    def before(self, time_us: int) -> _Held:
+        """Return those before a time."""
+        return replace(
+            self, steps=self.steps[self.steps * STEP_US < time_us],
+            echoes=self.echoes.take(self.echoes.time < time_us / 1e6),
+        )  # fmt: skip
 
 
 class LiveCoverage:
@@ -210,15 +233,18 @@ class VehicleFollower:
     settings: FollowSettings = DEFAULTS
     late: int = 0
     unknown: int = 0
-    repeated: int = 0
     skipped_steps: int = 0
     newest_step: int = -1
     done: int | None = None
     _held: list[_Held] = field(default_factory=list)
     _holds: dict[str, float] = field(default_factory=dict)
-    _last_us: dict[str, int] = field(default_factory=dict)
+    _order: Ascending = field(default_factory=Ascending)
+    _unstored: list[ReturnRow] = field(default_factory=list)
+    _anew: dict[str, int] = field(default_factory=dict)
+    _from_before: list[ReturnFrame] = field(default_factory=list)
     _poses: dict[int, tuple[FollowedPose, Any]] = field(default_factory=dict)
     _road_m: dict[tuple[str, str], float] = field(default_factory=dict)
+    _not_due: int = -1  # up to which newest step no block is due
 
     def __post_init__(self) -> None:
         self._tracker = self.settings.tracker()
@@ -250,21 +276,102 @@ class VehicleFollower:
 
     def again(self, first: int) -> Iterator[Finished]:
         """Yield what stored blocks from a step on add, as it was before a restart."""
+        poses = self.store.poses()
         for each in self.store.pieces(first, 2**62):
-            self._holds |= _holds(each.poses, self.store.poses())
+            self._holds |= _holds(each.poses, poses)
             yield self._coverage.add(each.piece, self._holds, self.site.graph.origin)
 
+    def resume(self) -> None:
+        """Take the frames that the store holds, as they came before a restart."""
+        for rows in self.store.seconds():
+            found: list[ReturnFrame] = []
+            for row in rows:
+                with suppress(InputError):
+                    _, frames = unpack_returns(row.content)
+                    found += [ReturnFrame(row.sensor, row.pose, each) for each in frames]
+            late = self.late
+            self._follow(self._order.take(self._known(found))[0])
+            self.late = late  # counted when it came
+
     def take(self, frames: Sequence[ReturnFrame]) -> Echoes:
-        """Take frames; return their echoes, for the vehicles of now."""
+        """Take frames; return the echoes of those that are followed, for the vehicles of now."""
+        known = self._known(frames)
+        self.unknown += len(frames) - len(known)
+        passed, anew = self._order.take(known)
+        if self._of_before(passed):
+            self._from_before += passed
+            return Echoes.none()
+        for sensor, since_us in anew.items():
+            if not self._of_before([each for each in passed if each.sensor == sensor]):
+                self._leave_out(sensor, since_us)
+        self.late += len(self._from_before)
+        self._from_before = []
+        self._unstored += [each.row() for each in passed]
+        return self._follow(passed)
+
+    def keep(self) -> None:
+        """Bring the frames that were taken to the disk.
+
+        Raises
+        ------
+        OutputError
+            If it is full: they are followed all the same, but gone with a restart.
+        """
+        rows, self._unstored = self._unstored, []
+        if rows or self._anew:
+            self.store.add_frames(rows, self._anew)
+            self._anew = {}
+
+    @property
+    def begins_anew(self) -> int | None:
+        """The first step that is followed anew where all sensors' clocks were set back, if so."""
+        return min((each.step for each in self._from_before), default=None)
+
+    def successor(self) -> VehicleFollower:
+        """Return who goes on with what the store holds, and the frames of :attr:`begins_anew`.
+
+        For who has dropped from the store what was followed from there on.
+        """
+        with suppress(OutputError):  # followed by nobody, then
+            self.keep()
+            self.store.add_frames([each.row() for each in self._from_before])
+        return VehicleFollower(
+            site=self.site, store=self.store, settings=self.settings, late=self.late,
+            unknown=self.unknown, skipped_steps=self.skipped_steps,
+            _order=Ascending(repeated=self.repeated),
+        )  # fmt: skip
+
+    @property
+    def repeated(self) -> int:
+        """Frames that came twice."""
+        return self._order.repeated
+
+    def _known(self, frames: Sequence[ReturnFrame]) -> list[ReturnFrame]:
+        return [e for e in frames if e.sensor in self._number and e.pose in self._poses]
+
+    def _of_before(self, frames: Sequence[ReturnFrame]) -> bool:
+        """Return whether all frames are a block or more before what was followed."""
+        if not frames:
+            return bool(self._from_before)
+        done = self.done
+        return done is not None and all(e.step <= done - self.settings.steps for e in frames)
+
+    def _leave_out(self, sensor: str, since_us: int) -> None:
+        """Leave out what a sensor sent with times that it now gives anew."""
+        held = [e if e.sensor != sensor else e.before(since_us) for e in self._held]
+        self._held = [each for each in held if len(each.steps)]
+        last = -1 if self.done is None else self.done
+        self.newest_step = max((int(each.steps[-1]) for each in self._held), default=last)
+        self._not_due = -1
+        self._unstored = [
+            each for each in self._unstored if each.sensor != sensor or each.time_us < since_us
+        ]
+        self._anew[sensor] = min(since_us, self._anew.get(sensor, since_us))
+
+    def _follow(self, frames: Sequence[ReturnFrame]) -> Echoes:
         by_pose: dict[int, list[FrameReturns]] = {}
         for each in frames:
-            if each.sensor not in self._number or each.pose not in self._poses:
-                self.unknown += 1
-            elif each.returns.time_us <= self._last_us.get(each.sensor, 0):
-                self.repeated += 1  # those of a sensor ascend
-            else:
-                self._last_us[each.sensor] = each.returns.time_us
-                by_pose.setdefault(each.pose, []).append(each.returns)
+            by_pose.setdefault(each.pose, []).append(each.returns)
         for number in by_pose:
             self._poses[number] = self._poses.pop(number)
         found = [self._hold(pose, mine) for pose, mine in by_pose.items()]
@@ -299,11 +406,13 @@ class VehicleFollower:
         everything : bool
             Whether no more frames come.
         """
-        done = -(2**62) if self.done is None else self.done
-        later = [each.steps[each.steps > done] for each in self._held]
-        first = min((int(each[0]) for each in later if len(each)), default=None)
-        if first is None:
+        if self.newest_step <= self._not_due and not everything:
             return None
+        done = -(2**62) if self.done is None else self.done
+        later = [each.steps[each.steps > done] for each in self._held if each.steps[-1] > done]
+        if not later:
+            return None
+        first = min(int(each[0]) for each in later)
         limits, late = self.settings, round(self.settings.late_s * STEPS_PER_SECOND)
         begin = max(done + 1, first // limits.steps * limits.steps)
         end = (begin // limits.steps + 1) * limits.steps
@@ -315,6 +424,7 @@ class VehicleFollower:
             return self.due()
         if everything or self.newest_step >= end + limits.margin_steps + late:
             return begin, end
+        self._not_due = end + limits.margin_steps + late - 1
         return None
 
     def begin(self, span: tuple[int, int]) -> tuple[Block, tuple[int, ...]]:

@@ -8,9 +8,19 @@ from gis_radar.site.hours import HOUR_STEPS
 from gis_radar.steps import STEP_US
 
 HOUR_US = HOUR_STEPS * STEP_US
+_NAME = "%Y-%m-%dT%HZ"
 LIVE_RECORDING = "live"  # in the place of a recording's name, in the manifest of an hour
 
 
 def hour_name(hour: int) -> str:
     """Return the name of an hour's folder, such as 2026-11-23T07Z."""
-    return datetime.fromtimestamp(hour * 3600, tz=UTC).strftime("%Y-%m-%dT%HZ")
+    return datetime.fromtimestamp(hour * 3600, tz=UTC).strftime(_NAME)
+
+
+def hour_of(name: str) -> int | None:
+    """Return the hour of a folder of that name; None where it is another name."""
+    try:
+        begin = datetime.strptime(name, _NAME).replace(tzinfo=UTC)
+    except ValueError:
+        return None
+    return round(begin.timestamp()) // 3600

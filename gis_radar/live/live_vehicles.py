@@ -46,7 +46,7 @@ AGAIN_S = 10.0  # after the process ended unasked
 END_S = 120.0  # for the last minutes to be followed and written
 OLD_S = 5.0  # vehicles of now that are older are none
 POSES_NAMED = POSES_KEPT // 2  # the process knows more, so it knows these
-COUNTS = ("frames", "late", "early", "damaged", "unknown", "repeated", "blocks")
+COUNTS = ("frames", "late", "early", "damaged", "unknown", "repeated", "blocks", "failed")
 
 
 class LiveVehicles:
@@ -240,6 +240,8 @@ class LiveVehicles:
             self._heard = time.monotonic()
         self._told = told.counts or self._told
         self._now = told.now or self._now
+        if told.anew is not None:
+            self.counts.begin_anew(told.anew)
         if told.finished is not None:
             self.counts.add(told.finished)
         if told.written is not None:

@@ -123,6 +123,15 @@ class VehicleCounts:
             )
             self._add_to_interval(*counted)
 
+    def begin_anew(self, step: int) -> None:
+        """Forget what is known from a step on, the begin of 15 minutes: it is told anew."""
+        with self._lock:
+            self._blocks.clear()
+            self._passed, self._number, self.until_step = set(), -1, -1
+            self._since = TileCoverage(visible=self._zeros(), covered=self._zeros())
+            self._done = {k: each for k, each in self._done.items() if k < step // INTERVAL}
+            self._lately = None
+
     def _add_to_interval(self, block: Finished, lane: Integers, speeds: Floats) -> None:
         number = block.first_step // INTERVAL
         found = self._done.setdefault(

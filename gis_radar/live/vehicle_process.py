@@ -26,16 +26,17 @@ from gis_radar.live.following import (
     POSES_KEPT,
     Finished,
     FollowedSite,
-    ReturnFrame,
     VehicleFollower,
 )
-from gis_radar.live.returns import FrameReturns, pack_returns, unpack_returns
+from gis_radar.live.returns import unpack_returns
+from gis_radar.live.vehicle_clocks import ReturnFrame
 from gis_radar.live.vehicle_settings import FollowSettings
-from gis_radar.live.vehicle_store import FollowedPose, ReturnRow, VehicleStore
+from gis_radar.live.vehicle_store import FollowedPose, VehicleStore
 from gis_radar.live.vehicles_now import NowFilter, VehiclesNow
 from gis_radar.processes import watch_parent
 from gis_radar.site.hours import HOUR_STEPS
-from gis_radar.steps import STEPS_PER_SECOND
+from gis_radar.steps import STEPS_PER_SECOND, iso_from_step
+from gis_radar.vehicles.blocks import Block
 from gis_radar.vehicles.visibility import SensorView
 
 STORE_FILE = "vehicles.sqlite"
@@ -76,6 +77,7 @@ class Told:
     finished: Finished | None = None
     written: Path | None = None
     said: str = ""
+    anew: int | None = None  # the step from which on all counts are told anew
     ended: bool = False
     refused: bool = False  # could not begin; it is tried again
 
@@ -125,6 +127,9 @@ def follow_in_process(
     telling.close()
 
 
+_Found = tuple[float, Floats] | int | None  # a block's, or the step from which on it begins anew
+
+
 class _Worker:
     def __init__(
         self, site: FollowedSite, store: VehicleStore, inbox: Channel[Any], outbox: _Outbox,
@@ -136,12 +141,11 @@ class _Worker:
         self._now = NowFilter(graph=site.graph, tracker=settings.tracker(), settings=settings)
         self._counts: Counter[str] = Counter()
         self._pose_ids: dict[int, int] = {}  # fusion's number: the store's
-        self._unstored: list[ReturnRow] = []
         self._committed = self._told = self._heard = time.monotonic()
         self._newest_s = -np.inf
-        self._work: Future[tuple[float, Floats] | None] | None = None
+        self._work: Future[_Found] | None = None
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="blocks")
-        self._said = ""
+        self._said, self._anew_after = "", 0.0
         self._unwritten: set[int] = set()
 
     def run(self) -> None:
@@ -152,7 +156,7 @@ class _Worker:
             ended = self._take_in()
             self._look()
         self._commit()
-        while self._begin_block(everything=True) or self._work is not None:
+        while self._begin_work(everything=True) or self._work is not None:
             if self._work is not None:
                 wait([self._work])
             self._look()
@@ -163,28 +167,19 @@ class _Worker:
 
     def _resume(self) -> None:
         """Take up what an earlier process left: frames of the last minutes, blocks of the hour."""
-        done = self._follower.done
-        rows = self._store.frames()
-        for row in rows:
-            with suppress(InputError):
-                _, frames = unpack_returns(row.content)
-                self._follower.take([ReturnFrame(row.sensor, row.pose, each) for each in frames])
-        self._follower.late = self._follower.repeated = self._follower.unknown = 0
-        if done is not None:
-            begin = min(done // HOUR_STEPS * HOUR_STEPS, done - SHOWN_STEPS)
-            for each in self._follower.again(begin):
-                self._tell(finished=each)
-            self._take_up_hours(done // HOUR_STEPS)
-
-    def _take_up_hours(self, last: int) -> None:
-        """Write the hours that an earlier process did not; the oldest may be kept for the next."""
+        self._follower.resume()
+        if (done := self._follower.done) is None:
+            return
+        begin, last = _shown_since(done), done // HOUR_STEPS
         oldest, *later = self._store.piece_hours(HOUR_STEPS)
         self._unwritten |= {*later, last}
-        if not self._site.path_of(oldest).exists():
+        if not self._site.path_of(oldest).exists():  # it may be there to be gone on from
             self._unwritten.add(oldest)
         over = sorted(each for each in self._unwritten if each < time.time() // 3600)
 
         def work() -> None:
+            for block in self._follower.again(begin):
+                self._tell(finished=block)
             for each in over:
                 self._write(each)
             self._unwritten.add(last)  # there may be more of it
@@ -228,15 +223,15 @@ class _Worker:
                 continue
             mine = [each for each in frames if 0 < each.time_us < 1e6 * latest]
             self._counts["early"] += len(frames) - len(mine)
-            found += [ReturnFrame(sensor, pose, each) for each in mine]
-            if not self._follower.knows(pose):
-                continue
-            self._unstored += _rows(sensor, pose, content, mine, whole=len(mine) == len(frames))
+            alone = content if len(frames) == 1 else b""
+            found += [ReturnFrame(sensor, pose, each, alone) for each in mine]
         if found:
-            self._heard = time.monotonic()
-            self._newest_s = max(self._newest_s, max(each.returns.time_us for each in found) / 1e6)
             self._counts["frames"] += len(found)
             self._now.take(self._follower.take(found))
+            if self._follower.begins_anew is None:
+                self._heard = time.monotonic()
+                newest = max(each.returns.time_us for each in found) / 1e6
+                self._newest_s = max(self._newest_s, newest)
 
     def _look(self) -> None:
         """Do what the clock asks for."""
@@ -250,46 +245,80 @@ class _Worker:
         if self._work is not None and self._work.done():
             done, self._work = self._work, None
             try:
-                if (found := done.result()) is not None:
-                    self._now.correct(*found)
-            except GisRadarError as error:
-                self._say(error.message)
-        self._begin_block(everything=now - self._heard > self._settings.silent_s)
+                found = done.result()
+            except Exception as error:  # noqa: BLE001 - whatever it is, the next block is another
+                self._counts["failed"] += 1
+                self._say(_told_of(error))
+            else:
+                self._done(found)
+        self._begin_work(everything=now - self._heard > self._settings.silent_s)
+
+    def _done(self, found: _Found) -> None:
+        """Take in what the second thread found."""
+        if isinstance(found, int):
+            self._begin_anew(found)
+        elif found is not None:
+            self._now.correct(*found)
 
     def _commit(self) -> None:
         self._committed = time.monotonic()
-        rows, self._unstored = self._unstored, []
-        if rows:
-            try:
-                self._store.add_frames(rows)
-            except OutputError as error:  # followed all the same, but gone with a restart
-                self._say(error.message)
+        try:
+            self._follower.keep()
+        except OutputError as error:  # followed all the same, but gone with a restart
+            self._say(error.message)
 
-    def _begin_block(self, *, everything: bool) -> bool:
-        """Begin to follow the next block, where one is due and the last one is done."""
+    def _begin_work(self, *, everything: bool) -> bool:
+        """Begin what is due, where nothing is being done; return whether there was anything."""
         if self._work is not None:
             return False
-        span = self._follower.due(everything=everything)
-        if span is None:
+        if (span := self._follower.due(everything=everything)) is not None:
+            self._work = self._pool.submit(self._follow, *self._follower.begin(span))
+            return True
+        begin = self._follower.begins_anew
+        if begin is None or not everything or time.monotonic() < self._anew_after:
             return False
-        block, poses = self._follower.begin(span)
-
-        def work() -> tuple[float, Floats] | None:
-            before = time.thread_time()
-            found = self._follower.finish(block, poses, unwritten=self._unwritten)
-            self._counts["blocks"] += 1
-            hour = block.first_step // HOUR_STEPS
-            for each in sorted(self._unwritten - {hour}):
-                self._write(each)
-            self._unwritten.add(hour)
-            if (block.last_step + 1) % HOUR_STEPS == 0:
-                self._write(hour)
-            self._counts["cpu_ms"] += round(1000 * (time.thread_time() - before))
-            self._tell(finished=found)
-            return (block.last_step + 1) / STEPS_PER_SECOND, found.stood
-
-        self._work = self._pool.submit(work)
+        self._anew_after = time.monotonic() + self._settings.silent_s
+        self._work = self._pool.submit(self._make_room, begin)
         return True
+
+    def _follow(self, block: Block, poses: tuple[int, ...]) -> tuple[float, Floats]:
+        """Follow a block, and write the hours that are over."""
+        before = time.thread_time()
+        found = self._follower.finish(block, poses, unwritten=self._unwritten)
+        self._counts["blocks"] += 1
+        hour = block.first_step // HOUR_STEPS
+        for each in sorted(self._unwritten - {hour}):
+            self._write(each)
+        self._unwritten.add(hour)
+        if (block.last_step + 1) % HOUR_STEPS == 0:
+            self._write(hour)
+        self._counts["cpu_ms"] += round(1000 * (time.thread_time() - before))
+        self._tell(finished=found)
+        return (block.last_step + 1) / STEPS_PER_SECOND, found.stood
+
+    def _make_room(self, begin: int) -> int:
+        """Write what was followed from a step on, and put it aside: it will be followed anew."""
+        for hour in sorted(self._unwritten):
+            self._write(hour)
+        aside = self._site.put_aside(begin // HOUR_STEPS)
+        self._store.drop_from(begin)
+        self._say(
+            f"clocks were set back: vehicles are followed anew from {iso_from_step(begin)} on"
+            + "".join(f"; {old} is put aside as {new}" for old, new in aside)
+        )
+        return begin
+
+    def _begin_anew(self, begin: int) -> None:
+        """Follow what waits from a step on, of which nothing is stored any more."""
+        self._follower = self._follower.successor()
+        self._now = NowFilter(
+            graph=self._site.graph, tracker=self._settings.tracker(), settings=self._settings
+        )
+        self._heard, self._unwritten = time.monotonic(), set()
+        done = self._follower.done
+        self._tell(anew=_shown_since(begin - 1 if done is None else min(done, begin - 1)))
+        self._resume()
+        self._newest_s = (self._follower.newest_step + 1) / STEPS_PER_SECOND
 
     def _write(self, hour: int) -> None:
         try:
@@ -318,10 +347,13 @@ class _Worker:
         self._outbox.put(Told(counts=counts, **news))
 
 
-def _rows(
-    sensor: str, pose: int, content: bytes, frames: list[FrameReturns], *, whole: bool
-) -> list[ReturnRow]:
-    """Return the rows of the frames of a message."""
-    if whole and len(frames) == 1:
-        return [ReturnRow(frames[0].time_us, sensor, pose, content)]
-    return [ReturnRow(each.time_us, sensor, pose, pack_returns([each], pose=0)) for each in frames]
+def _shown_since(done: int) -> int:
+    """Return from which step on blocks are told again: the hour's, and a quarter of one before."""
+    begin = min(done // HOUR_STEPS * HOUR_STEPS, done - SHOWN_STEPS)
+    return begin // SHOWN_STEPS * SHOWN_STEPS
+
+
+def _told_of(error: Exception) -> str:
+    if isinstance(error, GisRadarError):
+        return error.message
+    return f"vehicles of a minute cannot be followed: {type(error).__name__}: {error}"

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import secrets
 import sqlite3
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +25,7 @@ import pyarrow.parquet as pq
 from gis_radar.errors import GisRadarError, OutputError
 from gis_radar.live.database import as_one, damage_of, is_damage
 from gis_radar.poses.pose import pose_from_dict
+from gis_radar.steps import STEP_US
 from gis_radar.vehicles.folder import VehiclePiece
 from gis_radar.vehicles.pieces import BlockEdge
 from gis_radar.vehicles.tables import FRAMES, TRACKS, VEHICLES, TableKind
@@ -237,15 +238,43 @@ class VehicleStore:
             self._database.execute(_OLD_POSES, (json.dumps([*kept]),))
             self._database.execute(_OLD_VIEWS)
 
-    def add_frames(self, rows: Sequence[ReturnRow]) -> None:
-        """Add frames; one that is there is the same."""
+    def add_frames(self, rows: Sequence[ReturnRow], anew: Mapping[str, int] | None = None) -> None:
+        """Add frames; one that is there is the same.
+
+        Parameters
+        ----------
+        rows : sequence of ReturnRow
+            The frames.
+        anew : mapping
+            By sensor, from when on what is there is dropped first, as one (us).
+        """
         with self._errors(), as_one(self._database):
+            for sensor, since_us in (anew or {}).items():
+                self._database.execute(
+                    "DELETE FROM frames WHERE sensor = ? AND time_us >= ?", (sensor, since_us)
+                )
             self._database.executemany("INSERT OR IGNORE INTO frames VALUES (?, ?, ?, ?)", rows)
 
-    def frames(self) -> list[ReturnRow]:
-        """Return all frames by time."""
-        with self._lock:
-            return [ReturnRow(*row) for row in self._database.execute("SELECT * FROM frames")]
+    def seconds(self) -> Iterator[list[ReturnRow]]:
+        """Yield all frames by time, those of a second at once."""
+        begin: int | None = -(2**62)
+        while begin is not None:
+            with self._lock:
+                (begin,) = self._database.execute(
+                    "SELECT min(time_us) FROM frames WHERE time_us >= ?", (begin,)
+                ).fetchone()
+                rows = self._database.execute(
+                    "SELECT * FROM frames WHERE time_us BETWEEN ? AND ? + 999999", (begin, begin)
+                ).fetchall()
+            if begin is not None:
+                yield [ReturnRow(*row) for row in rows]
+                begin += 1_000_000
+
+    def drop_from(self, step: int) -> None:
+        """Drop all frames and pieces from a step on, as one."""
+        with self._errors(), as_one(self._database):
+            self._database.execute("DELETE FROM frames WHERE time_us >= ?", (step * STEP_US,))
+            self._database.execute("DELETE FROM pieces WHERE first_step >= ?", (step,))
 
     def add_piece(
         self, found: StoredPiece, edge: BlockEdge, *, needed_us: int, kept_step: int
