@@ -9,8 +9,8 @@ import pandas as pd
 
 import gis_radar as gr
 from gis_radar.live.snapshot import Place, ShownSensor, Snapshot
-from gis_radar.live.vehicle_counts import Lately, TileCoverage
-from gis_radar.live.vehicles_now import VehiclesNow
+from gis_radar.live.vehicles.counts import Lately, TileCoverage
+from gis_radar.live.vehicles.now import VehiclesNow
 from gis_radar.occupancy.hits import merge_rows
 from gis_radar.steps import step_begin
 

@@ -11,12 +11,12 @@ from scipy.optimize import linear_sum_assignment
 
 import gis_radar as gr
 from gis_radar.lanelets.graph import lane_graph
-from gis_radar.live.following import FollowedSite, VehicleFollower
 from gis_radar.live.returns import ReturnFinder, pack_returns, unpack_returns
 from gis_radar.live.sources import frames_of_recording
-from gis_radar.live.vehicle_clocks import ReturnFrame
-from gis_radar.live.vehicle_settings import DEFAULTS
-from gis_radar.live.vehicle_store import FollowedPose, VehicleStore
+from gis_radar.live.vehicles.clocks import ReturnFrame
+from gis_radar.live.vehicles.follower import FollowedSite, VehicleFollower
+from gis_radar.live.vehicles.settings import DEFAULTS
+from gis_radar.live.vehicles.store import FollowedPose, VehicleStore
 from gis_radar.occupancy.views import ViewBook
 from gis_radar.sight import SightTiles
 from gis_radar.vehicles.map_check import map_of_tiles

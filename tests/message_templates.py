@@ -233,6 +233,8 @@ def named_text(path: Path, node: ast.AST | None, deep: int, *, inner: bool) -> l
     match node:
         case ast.Subscript(value=ast.Constant(value=str(text))):
             return ["", text]  # `"s"[: count > 1]`
+        case ast.Subscript(value=ast.Name(id="REASONS")):
+            return looked_up(path, "REASONS")
         case ast.Call(func=ast.Name(id=name)):
             return returned(path, name, deep)
         case ast.Name():
@@ -255,6 +257,14 @@ def filling(path: Path, part: ast.AST, deep: int) -> list[str]:
         FRAGMENTS.update({each: (path, part) for each in ways if each != HOLE})
         return [HOLE]
     return list(dict.fromkeys(ways))
+
+
+def looked_up(path: Path, name: str) -> list[str]:
+    """Return the texts of a table of the package, where all are texts."""
+    found = definition(path, name)
+    values = found[1].values if found and isinstance(found[1], ast.Dict) else []
+    ways = [getattr(each, "value", None) for each in values]
+    return ways if ways and all(isinstance(each, str) for each in ways) else [HOLE]
 
 
 def returned(path: Path, name: str, deep: int) -> list[str]:
@@ -288,7 +298,7 @@ def of_name(path: Path, node: ast.Name, deep: int, *, inner: bool) -> list[str]:
 def told() -> Iterator[tuple[Path, ast.AST]]:
     """Yield all expressions that a user meets as an error, a hint or a remark."""
     for path, tree in trees().items():
-        if "live" in {path.parent.name, path.stem}:
+        if "live" in path.relative_to(PACKAGE).with_suffix("").parts:
             yield from ((path, each) for each in alarmed(path, tree))
             continue  # servers, whose log is English
         for node in ast.walk(tree):
@@ -312,7 +322,7 @@ def alarmed(path: Path, tree: ast.Module) -> Iterator[ast.AST]:
             name = name_of(node.func)
             if name in ALARMED:
                 yield from node.args[ALARMED[name] : ALARMED[name] + 1]
-            elif path.stem == "payload" and name in exceptions():
+            elif path.stem in {"payload", "returns"} and name in exceptions():
                 yield from node.args[:1]
 
 

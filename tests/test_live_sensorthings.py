@@ -251,8 +251,28 @@ def test_what_waited_when_fusion_was_killed_is_sent_after_a_new_start(server, pl
     push = push_of(server, place, tmp_path)
     until_sent(push)
     assert [each[2] for each in server.results()] == [12.5]
-    (tmp_path / "waiting.json").write_text("[[1, 2]]")
-    assert push_of(server, place, tmp_path).waiting == 0  # a damaged file ends nothing
+
+
+@pytest.mark.parametrize(
+    "damaged",
+    ["[[1, 2]]", "{", "5", "null", "[" * 10**5, '[[1, 2, 3, "a", 5]]', "[[1e400, 0, 1, 0, 1]]",
+     f"[[1, {10**18}, {10**18 + 1}, 1.0, 60.0]]", f"[[1, {BEGIN}, {BEGIN}, 1.0, 60.0]]",
+     f"[[1, {BEGIN}, {BEGIN + 1200}, NaN, 60.0]]"],
+)  # fmt: skip
+def test_a_damaged_file_is_put_aside_and_what_is_sound_waits_on(server, place, tmp_path, damaged):
+    said, file = Lines(), tmp_path / "waiting.json"
+    file.write_text(damaged)
+    assert push_of(server, place, tmp_path, said).waiting == 0
+    (aside,) = tmp_path.glob("waiting.json.*")
+    assert aside.read_text() == damaged
+    assert len(said.lines) == 1
+    assert said.told(f"put aside as {aside.name}")
+    if damaged.startswith("[[1,"):
+        row = [place.lane_numbers[0], BEGIN, BEGIN + 1200, 12.5, 60.0]
+        file.write_text(damaged[:-1] + f", {json.dumps(row)}]")
+        push = push_of(server, place, tmp_path)
+        until_sent(push)
+        assert [each[2] for each in server.results()] == [12.5]
 
 
 def test_a_server_without_the_extension_gets_them_one_by_one(place):
@@ -330,10 +350,9 @@ def test_what_is_no_answer_of_such_a_server_is_an_error_of_it(server, place, met
 
 
 def test_whatever_the_push_meets_fusion_goes_on_and_says_it_once(server, place, tmp_path):
-    rows = [LaneMeasure(place.lane_numbers[0], 10**18, 10**18 + 1, 1.0, 60.0)]  # no such year
-    (tmp_path / "waiting.json").write_text(json.dumps(rows))
     said = Lines()
     push = push_of(server, place, tmp_path, said)
+    push._waiting = [LaneMeasure(place.lane_numbers[0], 10**18, 10**18 + 1, 1.0, 60.0)]  # no year
     for _ in range(2):
         push._try_at = 0.0
         push.regular()

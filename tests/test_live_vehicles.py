@@ -17,9 +17,9 @@ import gis_radar as gr
 from gis_radar.live.edge import Edge
 from gis_radar.live.fusion import Fusion
 from gis_radar.live.settings import read_edge_file, read_live_site
-from gis_radar.live.vehicle_counts import VehicleCounts
-from gis_radar.live.vehicle_settings import DEFAULTS
-from gis_radar.live.vehicles_now import NowFilter
+from gis_radar.live.vehicles.counts import VehicleCounts
+from gis_radar.live.vehicles.now import NowFilter
+from gis_radar.live.vehicles.settings import DEFAULTS
 from gis_radar.steps import STEPS_PER_SECOND
 
 NAMES = ("R1", "R2")

@@ -19,22 +19,23 @@ from live_site import LONGEST_S, SAMPLE, Background, wait_for
 from live_vehicles import Sent
 
 import gis_radar as gr
-from gis_radar.live import following, live_vehicles
-from gis_radar.live.following import Finished
-from gis_radar.live.live_vehicles import LiveVehicles
 from gis_radar.live.returns import FrameReturns, pack_returns
-from gis_radar.live.vehicle_clocks import ReturnFrame
-from gis_radar.live.vehicle_counts import VehicleCounts
-from gis_radar.live.vehicle_process import (
+from gis_radar.live.vehicles import follower as follower_module
+from gis_radar.live.vehicles import in_fusion
+from gis_radar.live.vehicles.clocks import ReturnFrame
+from gis_radar.live.vehicles.counts import VehicleCounts
+from gis_radar.live.vehicles.coverage import Finished
+from gis_radar.live.vehicles.in_fusion import LiveVehicles
+from gis_radar.live.vehicles.now import VehiclesNow
+from gis_radar.live.vehicles.settings import DEFAULTS
+from gis_radar.live.vehicles.store import VehicleStore
+from gis_radar.live.vehicles.worker import (
     EndMessage,
     FramesMessage,
     PoseMessage,
     Told,
     _Worker,
 )
-from gis_radar.live.vehicle_settings import DEFAULTS
-from gis_radar.live.vehicle_store import VehicleStore
-from gis_radar.live.vehicles_now import VehiclesNow
 from gis_radar.steps import STEP_US
 from gis_radar.vehicles.visibility import SensorView
 
@@ -64,7 +65,7 @@ def site_of(sent, tmp_path):
 
 
 def test_a_pose_beside_a_sensor_that_follows_stays_known(sent, tmp_path, monkeypatch):
-    monkeypatch.setattr(following, "POSES_KEPT", 3)
+    monkeypatch.setattr(follower_module, "POSES_KEPT", 3)
     here = sent.at(tmp_path / "here")
     follower = here.follower(SHORT)
     begin = 36_000_000 * STEP_US
@@ -77,6 +78,7 @@ def test_a_pose_beside_a_sensor_that_follows_stays_known(sent, tmp_path, monkeyp
                 sensor="R1", view=moved.view, tile_id=np.zeros(0, np.int64), position=np.zeros(3)
             )
             follower.store.add_view(seen, 1.0)
+            follower.add_view(seen, 1.0)
             number = follower.store.add_pose(moved)
             follower.add_pose(number, moved)
         times = begin + np.arange(100 * k, 100 * k + 100) * STEP_US
@@ -86,13 +88,15 @@ def test_a_pose_beside_a_sensor_that_follows_stays_known(sent, tmp_path, monkeyp
     assert len(follower._poses) < 7
     assert {*follower.store.poses()} == {*follower._poses}
     assert len(follower.store.views()) == len(follower._poses)
+    assert len(follower._coverage._engine._visibility._views) == len(follower._poses)
+    assert len(follower._road_m) == len(follower._poses)
     assert not follower.knows(here.rows["R2"])
     follower.take([empty("R2", here.rows["R2"], int(times[-1]))])
     assert follower.unknown == 1
 
 
 def test_fusion_names_a_pose_again_that_was_not_used_for_long(sent, tmp_path, monkeypatch):
-    monkeypatch.setattr(live_vehicles, "POSES_NAMED", 2)
+    monkeypatch.setattr(in_fusion, "POSES_NAMED", 2)
     vehicles = LiveVehicles(site_of(sent, tmp_path), sent.tiles, sent.book)
     named = []
     vehicles._hand_on = lambda message: named.append(message) or True
@@ -122,14 +126,14 @@ def test_fusion_names_a_pose_again_that_was_not_used_for_long(sent, tmp_path, mo
 
 def test_vehicles_of_now_are_none_once_all_sensors_are_silent(sent, tmp_path, monkeypatch):
     clock = SimpleNamespace(now=50.0)
-    monkeypatch.setattr(live_vehicles, "time", SimpleNamespace(monotonic=lambda: clock.now))
+    monkeypatch.setattr(in_fusion, "time", SimpleNamespace(monotonic=lambda: clock.now))
     vehicles = LiveVehicles(site_of(sent, tmp_path), sent.tiles, sent.book)
     vehicles._process = object()
     now = VehiclesNow.of(100.0, np.ones((1, 6)))
     for newest in (100.1, 100.2):
         vehicles._note(Told(counts={"newest_s": newest}, now=now))
     assert len(vehicles.now()) == 1
-    clock.now += live_vehicles.OLD_S + 0.1
+    clock.now += in_fusion.OLD_S + 0.1
     vehicles._note(Told(counts={"newest_s": 100.2}, now=now))
     assert len(vehicles.now()) == 0
 
@@ -145,7 +149,7 @@ def be_fusion(folder):
     sent = Sent(
         SAMPLE / "junction.osm", [], [gr.read_pose(SAMPLE / f"{k}.json") for k in NAMES], folder
     )
-    live_vehicles.follow_in_process = die_in_the_midst
+    in_fusion.follow_in_process = die_in_the_midst
     vehicles = LiveVehicles(site_of(sent, folder), sent.tiles, sent.book)
     vehicles._start()
     vehicles._hand_on(bytes(1_000_000))
@@ -165,7 +169,7 @@ def test_a_process_killed_while_it_tells_holds_nothing_up(tmp_path):
 
 
 def test_a_store_that_cannot_be_opened_is_tried_again(sent, tmp_path, monkeypatch):
-    monkeypatch.setattr(live_vehicles, "AGAIN_S", 0.1)
+    monkeypatch.setattr(in_fusion, "AGAIN_S", 0.1)
     (tmp_path / "vehicles.sqlite").mkdir()
     said = []
     reporter = SimpleNamespace(log=lambda text, _: said.append(text))
@@ -215,6 +219,10 @@ def worker(here, settings=SHORT):
     return _Worker(here.site, store, inbox, outbox, settings), inbox, told
 
 
+def finished(told):
+    return [each.finished for each in told if each.finished is not None]
+
+
 def minutes(begin, count):
     """Return times of frames, 20 a second."""
     return (begin + np.arange(count)) * STEP_US
@@ -261,6 +269,48 @@ def test_an_hour_that_cannot_be_written_is_kept(sent, tmp_path):
     running.run()
     assert not [each for each in told if each.written]
     assert running._store.piece_hours(72_000) == [hour + k for k in range(4)]
+    assert told[-1].counts["failing_hours"] == 4
+    running._store.close()
+
+
+def test_an_hour_that_cannot_be_written_for_a_day_is_given_up_by_name(sent, tmp_path):
+    here = sent.at(tmp_path / "here")
+    (tmp_path / "here" / "vehicles").write_text("in the way")
+    follower = here.follower(SHORT)
+    running, inbox, told = worker(here, replace(SHORT, give_up_s=0.0))
+    for later in range(4):
+        for each in message(follower, here, minutes((400_000 + later) * 72_000, 300)):
+            inbox.put(each)
+    inbox.put(EndMessage())
+    running.run()
+    assert running._store.piece_hours(72_000) == [400_002, 400_003]  # as of those written
+    assert told[-1].counts["failing_hours"] == 0
+    said = [each.said for each in told if each.said.endswith("they are dropped")]
+    assert len(said) == 4
+    assert said[0].startswith("vehicles of 2015-08-19T16Z could not be written")
+    running._store.close()
+
+
+def test_a_minute_that_cannot_be_followed_is_left_out_and_the_next_ones_count(sent, tmp_path):
+    here = sent.at(tmp_path / "here")
+    follower = here.follower(SHORT)
+    begin = 400_000 * 72_000
+    running, inbox, told = worker(here)
+    broken, whole = [], running._follower.finish
+
+    def finish(block, poses, **more):
+        if not broken:
+            broken.append(block)
+            raise ValueError("planted")
+        return whole(block, poses, **more)
+
+    running._follower.finish = finish
+    for each in [*message(follower, here, minutes(begin, 300)), EndMessage()]:
+        inbox.put(each)
+    running.run()
+    assert [each.first_step for each in finished(told)] == [begin + 100, begin + 200]
+    assert told[-1].counts["failed"] == 1
+    assert any("planted" in each.said for each in told)
     running._store.close()
 
 
@@ -302,10 +352,6 @@ def test_a_sensor_whose_clock_is_set_back_a_little_is_followed_on(sent, tmp_path
         (begin, begin + 99), (begin + 100, begin + 199),
     ]  # fmt: skip
     assert follower.repeated == 1
-
-
-def finished(told):
-    return [each.finished for each in told if each.finished is not None]
 
 
 @pytest.mark.parametrize("back", [72_000, 350])

@@ -22,12 +22,12 @@ from gis_radar.live.hours import HOUR_US
 from gis_radar.live.intake import FUSION, Intake, SensorState
 from gis_radar.live.journal import Journal
 from gis_radar.live.lane_push import LanePush
-from gis_radar.live.live_vehicles import LiveVehicles
 from gis_radar.live.map_of_now import MapOfNow, MapState
 from gis_radar.live.payload import Acknowledgement
 from gis_radar.live.settings import DEFAULTS, LiveSettings, LiveSite, read_live_site
 from gis_radar.live.snapshot import place_of
 from gis_radar.live.store import Store
+from gis_radar.live.vehicles.in_fusion import LiveVehicles
 from gis_radar.live.windows import Seen, Windows
 from gis_radar.occupancy.views import ViewBook
 from gis_radar.progress import QUIET, Reporter

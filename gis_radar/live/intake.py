@@ -46,7 +46,7 @@ from gis_radar.site.hours import HOUR_STEPS
 from gis_radar.steps import STEP_US
 
 if TYPE_CHECKING:
-    from gis_radar.live.live_vehicles import LiveVehicles
+    from gis_radar.live.vehicles.in_fusion import LiveVehicles
 
 ACK_S = 1.0  # between two acknowledgements of nothing new
 TWINS_WITHIN_S = 60.0  # two streams of one sensor that take turns

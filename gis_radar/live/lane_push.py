@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import secrets
 import time
-from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +20,7 @@ from gis_radar.live.sensorthings import LaneMeasure, LaneServer, Service
 from gis_radar.live.snapshot import Place
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.site.live_table import SensorThingsTable
-from gis_radar.steps import STEP_S, interval_steps
+from gis_radar.steps import STEP_S, interval_steps, iso_from_step
 
 FIRST_RETRY_S, SLOWEST_RETRY_S = 30.0, 900.0
 MOST_WAITING = 50_000  # measures: ten days of 50 lanes by 15 minutes
@@ -102,7 +104,7 @@ class LanePush:
         self._intervals = LaneIntervals(place, interval_steps(table.interval))
         self._path, self._reporter = path, reporter
         lanes = {*place.lane_numbers}  # another map may have others: no server takes those
-        self._waiting = [each for each in _read(path) if each.lane in lanes]
+        self._waiting = [each for each in _read(path, reporter) if each.lane in lanes]
         self._sending: list[LaneMeasure] = []
         self._work = Aside[int]("sensorthings")
         self._again = True  # what a new start counts again may have arrived before
@@ -174,11 +176,34 @@ class LanePush:
             self._reporter.log(error.message, "warning")
 
 
-def _read(path: Path) -> list[LaneMeasure]:
-    """Return measures that waited when fusion ended; none where there is no such file."""
+def _read(path: Path, reporter: Reporter) -> list[LaneMeasure]:
+    """Return measures that waited when fusion ended; a damaged file is put aside, and one line."""
     try:
-        rows: Sequence[Sequence[float]] = json.loads(path.read_text(encoding="utf-8"))
-        return [LaneMeasure(int(lane), int(begin), int(end), float(percent), float(observed))
-                for lane, begin, end, percent, observed in rows]  # fmt: skip
-    except (OSError, ValueError, TypeError):
+        rows = json.loads(path.read_text(encoding="utf-8"))
+        sound = [each for row in rows if (each := _measure(row)) is not None]
+        if len(sound) == len(rows):
+            return sound
+    except FileNotFoundError:
         return []
+    except (OSError, ValueError, TypeError, RecursionError):
+        sound = []
+    aside = path.with_name(f"{path.name}.{secrets.token_hex(4)}")
+    with suppress(OSError):  # else it is replaced once there is something that waits
+        path.rename(aside)
+    reporter.log(
+        f"{path}: it is damaged: put aside as {aside.name}; of the lane measures that waited "
+        f"{len(sound)} are sound and wait on",
+        "warning",
+    )
+    return sound
+
+
+def _measure(row: Any) -> LaneMeasure | None:
+    """Return what a row of the file holds; nothing where it is none that could have been made."""
+    try:
+        lane, begin, end, percent, observed = row
+        found = LaneMeasure(int(lane), int(begin), int(end), float(percent), float(observed))
+        times = iso_from_step(found.begin) < iso_from_step(found.end)
+    except (ValueError, TypeError, OverflowError):
+        return None
+    return found if times and 0.0 <= found.percent <= 100.0 and found.observed_s > 0.0 else None

@@ -87,6 +87,10 @@ class CoverageEngine:
         """Take in another view, for steps to come."""
         self._visibility.add_view(view)
 
+    def keep_views(self, *, known: set[tuple[str, str]], used: set[tuple[str, str]]) -> None:
+        """Forget views but those known, and lines of sight but of those used lately."""
+        self._visibility.keep_views(known=known, used=used)
+
     def _heights(self, vehicles: pd.DataFrame) -> Floats:
         """Return the height of the box of each vehicle, metres."""
         known = self._settings

@@ -140,6 +140,17 @@ class Visibility:
         """Take in another view, for steps to come."""
         self._views.setdefault((view.sensor, view.view), view)
 
+    def keep_views(self, *, known: set[tuple[str, str]], used: set[tuple[str, str]]) -> None:
+        """Forget views but those known, and lines of sight but of those used lately.
+
+        Parameters
+        ----------
+        known, used : set of (sensor, view)
+            Lines of sight of a known view are found again where they are asked for.
+        """
+        self._views = {name: view for name, view in self._views.items() if name in known}
+        self._rays = {name: rays for name, rays in self._rays.items() if name in used}
+
     def advance(
         self, footprints: Footprints, height_m: Floats, held: pd.DataFrame,
         span: tuple[int, int], queries: tuple[Integers, Integers],

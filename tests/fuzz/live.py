@@ -1,4 +1,4 @@
-"""Inputs of the live system for the fuzzer (messages, buffer, journal, files), and readers."""
+"""Inputs of the live system for the fuzzer (messages, buffer, stores, files), and readers."""
 
 from __future__ import annotations
 
@@ -7,12 +7,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import geopandas as gpd
 import numpy as np
+import pandas as pd
 from maps import EAST, NORTH
+from test_vehicles_folder import drive, rows_of
 
 import gis_radar as gr
+from gis_radar.lanelets.graph import lane_graph
 from gis_radar.live.broker import BrokerAddress, Link, Received, SensorTopics
 from gis_radar.live.buffer import DiskBuffer
 from gis_radar.live.edge import Edge
@@ -35,13 +39,25 @@ from gis_radar.live.payload import (
 from gis_radar.live.returns import FrameReturns, pack_returns, unpack_returns
 from gis_radar.live.settings import read_edge_file, read_live_site
 from gis_radar.live.store import Store
+from gis_radar.live.vehicles.clocks import ReturnFrame
+from gis_radar.live.vehicles.follower import FollowedSite, VehicleFollower
+from gis_radar.live.vehicles.settings import DEFAULTS
+from gis_radar.live.vehicles.store import FollowedPose, StoredPiece, VehicleStore
 from gis_radar.live.windows import Windows
+from gis_radar.occupancy.folder import frames_of
+from gis_radar.occupancy.frame_steps import Runs
 from gis_radar.occupancy.hit_counter import CountedFrame
 from gis_radar.occupancy.tile_sets import decode_tiles, encode_tiles
 from gis_radar.occupancy.views import ViewBook
 from gis_radar.sight import SightTiles
 from gis_radar.sight.layers import SightFile, write_sights
 from gis_radar.sight.sight import find_sight
+from gis_radar.site.hours import HOUR_STEPS
+from gis_radar.steps import STEP_US
+from gis_radar.vehicles.folder import VehiclePiece
+from gis_radar.vehicles.map_check import map_of_tiles
+from gis_radar.vehicles.pieces import BlockEdge
+from gis_radar.vehicles.visibility import SensorView
 
 STREAM, BEGIN_US = b"abcd", 1_700_000_000_000_000
 MESSAGES = ("status", "pose", "hits", "returns")  # in the order in which they come
@@ -113,11 +129,38 @@ def build(folder: Path) -> None:
     with Journal(place / "journal", fingerprint=road.fingerprint) as journal:
         _deliver(_intake(folder, journal), folder)
         journal.commit()
+    _build_vehicles(folder, returns)
     (folder / "password").write_text("secret\n")
     (folder / "SENSOR.toml").write_text(SENSOR)
     (folder / "LIVE.toml").write_text((folder / "SITE.toml").read_text() + LIVE)
     tiles = gr.read_tiles(folder / "tiles.gpkg")
     write_sights([find_sight(pose, road)], tiles, folder / "sight.gpkg")
+
+
+def _build_vehicles(folder: Path, returns: list[FrameReturns]) -> None:
+    """Write a store of vehicles: a block in which one drives, and frames after it."""
+    road, pose = _road(folder), gr.read_pose(folder / "R1.json")
+    tiles = gr.read_tiles(folder / "tiles.gpkg")
+    last = BEGIN_US // STEP_US - 1
+    tracks = drive(1, last - 19, EAST + np.arange(20) * 0.5, lanelet_id=tiles["lanelet_id"].iloc[0])
+    tracks["northing"] = NORTH
+    store = VehicleStore(folder / "live" / "followed", fingerprint=road.fingerprint)
+    store.add_view(
+        SensorView(sensor="R1", view="v", tile_id=road.tile_id, position=pose.position), 0.0
+    )
+    row = store.add_pose(FollowedPose(sensor="R1", view="v", hold_s=0.1, content=pose.as_dict()))
+    steps = np.array([last - 19]), np.array([last])
+    piece = VehiclePiece(
+        first_step=last - 19, last_step=last, tracks=tracks, vehicles=rows_of(tracks),
+        frames=frames_of("R1", "v", Runs(first=steps[0], last=steps[1])),
+    )  # fmt: skip
+    table = pd.DataFrame([(0, BEGIN_US / 1e6, 3.0, 1)], columns=[*BlockEdge.COLUMNS])
+    store.add_piece(
+        StoredPiece(piece=piece, poses=(row,)), BlockEdge(step=last, found=2, table=table),
+        needed_us=0, kept_step=0,
+    )  # fmt: skip
+    store.add_frames([ReturnFrame("R1", row, each).row() for each in returns])
+    store.close()
 
 
 @cache
@@ -219,6 +262,33 @@ def kept_journal(folder: Path) -> None:
         Journal(path, fingerprint=road.fingerprint) as journal,
     ):
         _write(folder, _taken(folder, journal), journal)
+
+
+def kept_vehicles(folder: Path) -> None:
+    """Go on from a store of vehicles, follow what waits in it, and write its hours."""
+    roads, described = _lanes(folder / "map.osm", folder / "tiles.gpkg")
+    tiles, road = gr.read_tiles(folder / "tiles.gpkg"), _road(folder)
+    with _copied(folder, "followed") as path:
+        site = FollowedSite(
+            sensors=["R1"], tiles=tiles, fingerprint=road.fingerprint, graph=roads, map=described,
+            sight="view only", folder=path.parent,
+        )  # fmt: skip
+        store = VehicleStore(path, fingerprint=road.fingerprint)
+        follower = VehicleFollower(site=site, store=store, settings=DEFAULTS)
+        follower.resume()
+        list(follower.again(0))
+        while (span := follower.due(everything=True)) is not None:
+            follower.finish(*follower.begin(span))
+        for number in store.piece_hours(HOUR_STEPS):
+            if (made := follower.write_hour(number)) is not None:
+                list(gr.read_vehicles(made).blocks())
+        store.close()
+
+
+@cache
+def _lanes(map_path: Path, tiles: Path) -> tuple[Any, dict[str, Any]]:
+    roads, described = map_of_tiles(map_path, gr.read_tiles(tiles))
+    return lane_graph(roads.lanelets), described
 
 
 def _write(folder: Path, intake: Intake, journal: Journal) -> None:

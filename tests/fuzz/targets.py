@@ -304,6 +304,8 @@ ROWS = {
     "live buffer": ("live/buffer", live.buffer, edits.database),
     "live buffer bytes": ("live/buffer", live.buffer, edits.replaced),
     "live journal": ("live/journal", live.kept_journal, edits.database),
+    "live vehicles": ("live/followed", live.kept_vehicles, edits.database),
+    "live vehicles bytes": ("live/followed", live.kept_vehicles, edits.replaced),
     "sensor file": ("SENSOR.toml", live.sensor_file, edits.replaced),
     "sensor file text": ("SENSOR.toml", live.sensor_file, edits.text),
     "live site text": ("LIVE.toml", live.live_site, edits.text),

@@ -155,6 +155,15 @@ FOUND = [
             "ALTER TABLE frames RENAME COLUMN sensor TO other",
         )
     ),
+    *(
+        ("live vehicles", "live/followed", statement(text))
+        for text in (
+            "UPDATE poses SET content = '0.5'",
+            "UPDATE poses SET sensor = '1969-12-31T23:59:59Z'",
+            "UPDATE poses SET id = 7",
+            "UPDATE views SET easting = 'a'",
+        )
+    ),
 ]
 
 

@@ -14,13 +14,16 @@ import numpy as np
 
 from gis_radar.errors import NoAnswerError
 from gis_radar.lanelets.graph import lane_graph
-from gis_radar.live.following import POSES_KEPT, FollowedSite
 from gis_radar.live.health import SensorHealth
 from gis_radar.live.returns import head_of
 from gis_radar.live.settings import LiveSite
 from gis_radar.live.store import KnownPose
-from gis_radar.live.vehicle_counts import VehicleCounts
-from gis_radar.live.vehicle_process import (
+from gis_radar.live.vehicles.counts import VehicleCounts
+from gis_radar.live.vehicles.follower import POSES_KEPT, FollowedSite
+from gis_radar.live.vehicles.now import VehiclesNow, layer_of
+from gis_radar.live.vehicles.settings import DEFAULTS, FollowSettings
+from gis_radar.live.vehicles.store import FollowedPose
+from gis_radar.live.vehicles.worker import (
     STORE_FILE,
     EndMessage,
     FramesMessage,
@@ -28,9 +31,6 @@ from gis_radar.live.vehicle_process import (
     Told,
     follow_in_process,
 )
-from gis_radar.live.vehicle_settings import DEFAULTS, FollowSettings
-from gis_radar.live.vehicle_store import FollowedPose
-from gis_radar.live.vehicles_now import VehiclesNow, layer_of
 from gis_radar.occupancy.views import ViewBook
 from gis_radar.poses.pose import pose_from_dict
 from gis_radar.processes import stop_workers
@@ -296,6 +296,7 @@ class LiveVehicles:
             "vehicles_lag_seconds": newest - until,
             "vehicles_dropped_messages": float(self.dropped),
             "vehicles_skipped_seconds": told.get("skipped_s", 0.0),
+            "vehicles_failing_hours": told.get("failing_hours", 0.0),
             "vehicles_process_restarts": float(self.restarts),
             "vehicles_cpu_seconds": told.get("cpu_ms", 0.0) / 1000.0,
             **{f"vehicles_{name}": told.get(name, 0.0) for name in COUNTS},

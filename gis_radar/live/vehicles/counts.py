@@ -13,8 +13,8 @@ import pandas as pd
 
 from gis_radar.arrays import Floats, Integers
 from gis_radar.heatmap.by_lane import lane_totals, lanes_with_tiles
-from gis_radar.live.following import Finished
 from gis_radar.live.recent import INTERVAL, KEPT
+from gis_radar.live.vehicles.coverage import Finished
 from gis_radar.steps import STEP_S, step_begin
 
 

@@ -22,17 +22,18 @@ import numpy as np
 
 from gis_radar.arrays import Floats
 from gis_radar.errors import GisRadarError, InputError, OutputError
-from gis_radar.live.following import (
+from gis_radar.live.hours import hour_name
+from gis_radar.live.returns import unpack_returns
+from gis_radar.live.vehicles.clocks import ReturnFrame
+from gis_radar.live.vehicles.coverage import Finished
+from gis_radar.live.vehicles.follower import (
     POSES_KEPT,
-    Finished,
     FollowedSite,
     VehicleFollower,
 )
-from gis_radar.live.returns import unpack_returns
-from gis_radar.live.vehicle_clocks import ReturnFrame
-from gis_radar.live.vehicle_settings import FollowSettings
-from gis_radar.live.vehicle_store import FollowedPose, VehicleStore
-from gis_radar.live.vehicles_now import NowFilter, VehiclesNow
+from gis_radar.live.vehicles.now import NowFilter, VehiclesNow
+from gis_radar.live.vehicles.settings import FollowSettings
+from gis_radar.live.vehicles.store import FollowedPose, VehicleStore
 from gis_radar.processes import watch_parent
 from gis_radar.site.hours import HOUR_STEPS
 from gis_radar.steps import STEPS_PER_SECOND, iso_from_step
@@ -145,7 +146,8 @@ class _Worker:
         self._newest_s = -np.inf
         self._work: Future[_Found] | None = None
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="blocks")
-        self._said, self._anew_after = "", 0.0
+        self._said, self._anew_after = set[str](), 0.0
+        self._failing: dict[int, float] = {}  # hours that could not be written, and since when
         self._unwritten: set[int] = set()
 
     def run(self) -> None:
@@ -248,7 +250,7 @@ class _Worker:
                 found = done.result()
             except Exception as error:  # noqa: BLE001 - whatever it is, the next block is another
                 self._counts["failed"] += 1
-                self._say(_told_of(error))
+                self._say(f"vehicles of a minute are left out: {_told_of(error)}")
             else:
                 self._done(found)
         self._begin_work(everything=now - self._heard > self._settings.silent_s)
@@ -302,6 +304,9 @@ class _Worker:
             self._write(hour)
         aside = self._site.put_aside(begin // HOUR_STEPS)
         self._store.drop_from(begin)
+        for hour in sorted(hour for hour in self._failing if hour >= begin // HOUR_STEPS):
+            self._say(f"vehicles of {hour_name(hour)} could not be written: they are dropped")
+            self._forget(hour)
         self._say(
             f"clocks were set back: vehicles are followed anew from {iso_from_step(begin)} on"
             + "".join(f"; {old} is put aside as {new}" for old, new in aside)
@@ -321,18 +326,29 @@ class _Worker:
         self._newest_s = (self._follower.newest_step + 1) / STEPS_PER_SECOND
 
     def _write(self, hour: int) -> None:
+        """Write an hour; where that fails, it is tried again with each block, for a day."""
         try:
             path = self._follower.write_hour(hour)
-        except (GisRadarError, OSError) as error:  # tried again with the next block; pieces stay
-            self._say(getattr(error, "message", str(error)))
+        except Exception as error:  # noqa: BLE001 - a piece may be what it never can be
+            since = self._failing.setdefault(hour, time.monotonic())
+            name = f"vehicles of {hour_name(hour)}"
+            self._say(f"{name} cannot be written: {_told_of(error)}; trying on")
+            if time.monotonic() - since >= self._settings.give_up_s:
+                self._say(f"{name} could not be written for too long: they are dropped")
+                self._forget(hour)
             return
-        self._unwritten.discard(hour)
+        self._forget(hour)
+        self._said.clear()
         if path is not None:
             self._tell(written=path)
 
+    def _forget(self, hour: int) -> None:
+        self._unwritten.discard(hour)
+        self._failing.pop(hour, None)
+
     def _say(self, text: str) -> None:
-        if text != self._said:  # once, however often it is tried again
-            self._said = text
+        if text not in self._said:  # once, however often it is tried again
+            self._said.add(text)
             self._tell(said=text)
 
     def _tell(self, **news: Any) -> None:
@@ -340,6 +356,7 @@ class _Worker:
         counts = {
             **self._counts,
             "late": follower.late, "unknown": follower.unknown, "repeated": follower.repeated,
+            "failing_hours": len(self._failing),
             "skipped_s": follower.skipped_steps / STEPS_PER_SECOND,
             "until_s": np.nan if follower.done is None else (follower.done + 1) / STEPS_PER_SECOND,
             "newest_s": self._newest_s if np.isfinite(self._newest_s) else np.nan,
@@ -356,4 +373,4 @@ def _shown_since(done: int) -> int:
 def _told_of(error: Exception) -> str:
     if isinstance(error, GisRadarError):
         return error.message
-    return f"vehicles of a minute cannot be followed: {type(error).__name__}: {error}"
+    return f"{type(error).__name__}: {error}"

@@ -31,6 +31,7 @@ from gis_radar.vehicles.pieces import BlockEdge
 from gis_radar.vehicles.tables import FRAMES, TRACKS, VEHICLES, TableKind
 from gis_radar.vehicles.visibility import SensorView
 
+FARTHEST_M, LONGEST_M = 1e9, 1e3  # of places in a map, and of vehicles
 LOCK_S = 5.0  # for another program to let go of the file
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS notes (name TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
@@ -54,11 +55,24 @@ _COLUMNS = {
         "first_step", "last_step", "tracks", "vehicles", "frames", "poses", "edge", "found",
     ),
 }  # fmt: skip
-_SOUND = {
-    "views": "typeof(tiles) = 'blob' AND length(tiles) % 8 = 0",
-    "poses": "json_valid(content) AND typeof(hold_s) = 'real'",
-    "frames": "typeof(time_us) = 'integer' AND typeof(content) = 'blob'",
-    "pieces": "typeof(last_step) = 'integer' AND json_valid(poses) AND typeof(found) = 'integer'",
+_SOUND = {  # steps up to the year 2150, pieces of an hour at most
+    "notes": "typeof(name) = 'text' AND typeof(value) = 'text'",
+    "views": "typeof(sensor) = 'text' AND typeof(view) = 'text' AND typeof(tiles) = 'blob' AND "
+    "length(tiles) % 8 = 0 AND typeof(coalesce(road_m, 0.0)) = 'real' AND "
+    "abs(coalesce(road_m, 0.0)) < 1e9 AND typeof(easting) = 'real' AND abs(easting) < 1e9 AND "
+    "typeof(northing) = 'real' AND abs(northing) < 1e9 AND typeof(height) = 'real' AND "
+    "abs(height) < 1e9",
+    "poses": "typeof(sensor) = 'text' AND typeof(view) = 'text' AND typeof(hold_s) = 'real' AND "
+    "hold_s > 0 AND hold_s < 1e4 AND typeof(content) = 'text' AND "
+    "json_type(content) = 'object' AND "
+    "(sensor, view) IN (SELECT sensor, view FROM views)",
+    "frames": "typeof(time_us) = 'integer' AND typeof(sensor) = 'text' AND "
+    "typeof(pose) = 'integer' AND typeof(content) = 'blob'",
+    "pieces": "first_step BETWEEN 0 AND 113605632000 AND typeof(last_step) = 'integer' AND "
+    "last_step BETWEEN first_step AND first_step + 72000 AND "
+    "typeof(found) = 'integer' AND found >= 0 AND json_type(poses) = 'array' AND NOT EXISTS "
+    "(SELECT 1 FROM json_each(pieces.poses) AS each WHERE each.value NOT IN (SELECT id FROM poses)"
+    " OR each.type != 'integer')",
 }
 _OLD_POSES = """
 DELETE FROM poses WHERE id NOT IN (SELECT value FROM json_each(?))
@@ -160,14 +174,14 @@ class VehicleStore:
         if damage_of(self._database, _COLUMNS, _SOUND):
             return True
         try:
-            self.edge(), self.views()
-            for each in self.poses().values():
-                pose_from_dict(each.content, what=f"the pose of {each.sensor}")
-            for _ in self.pieces(-(2**62), 2**62):
-                pass
-        except (GisRadarError, pa.ArrowException, ValueError, TypeError, KeyError):
+            self.edge()
+            for pose in self.poses().values():
+                pose_from_dict(pose.content, what=f"the pose of {pose.sensor}")
+            views = {(view.sensor, view.view) for view, _ in self.views()}
+            return not all(_is_sound(each.piece, views) for each in self.pieces(-(2**62), 2**62))
+        except (GisRadarError, pa.ArrowException, ValueError, TypeError, LookupError,
+                ArithmeticError):  # fmt: skip
             return True
-        return False
 
     def _put_aside(self) -> None:
         """Keep the file under another name, with its log, and begin a new one."""
@@ -303,6 +317,8 @@ class VehicleStore:
         if row is None:
             return None
         table = pd.DataFrame(json.loads(row[2]), columns=[*BlockEdge.COLUMNS])
+        if not np.isfinite(table.to_numpy(np.float64)).all():
+            raise ValueError("an edge with what is no number")
         return BlockEdge(step=row[0], found=row[1], table=table)
 
     def piece_hours(self, steps: int) -> list[int]:
@@ -343,6 +359,25 @@ class VehicleStore:
                     f"{self.path}: cannot be written: {error}",
                     hint="vehicles of this time may be missing",
                 ) from error
+
+
+def _is_sound(piece: VehiclePiece, views: set[tuple[str, str]]) -> bool:
+    """Return whether the tables of a piece fit to it and to each other."""
+    tracks, vehicles, frames = piece.tracks, piece.vehicles, piece.frames
+    inside = tracks["step"].between(piece.first_step, piece.last_step)
+    numbers = tracks[["easting", "northing", "heading", "speed"]]
+    sizes = vehicles[["length_m", "width_m", "p_heavy"]]
+    return bool(
+        inside.all()
+        and vehicles["vehicle"].is_unique
+        and tracks["vehicle"].isin(vehicles["vehicle"]).all()
+        and not tracks.duplicated(["step", "vehicle"]).any()
+        and (numbers.abs() < FARTHEST_M).all(axis=None)
+        and (sizes.abs() < LONGEST_M).all(axis=None)
+        and {*zip(frames["sensor"], frames["view"], strict=True)} <= views
+        and frames["first_step"].between(piece.first_step, frames["last_step"]).all()
+        and (frames["last_step"] <= piece.last_step).all()
+    )
 
 
 def _packed(kind: TableKind, table: pd.DataFrame) -> bytes:

@@ -18,14 +18,15 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 
-from gis_radar.arrays import Floats, Integers
+from gis_radar.arrays import Integers
 from gis_radar.errors import InputError, OutputError
 from gis_radar.lanelets.graph import LaneGraph
 from gis_radar.live.hours import LIVE_RECORDING, hour_name, hour_of
 from gis_radar.live.returns import FrameReturns, unpack_returns
-from gis_radar.live.vehicle_clocks import Ascending, ReturnFrame
-from gis_radar.live.vehicle_settings import DEFAULTS, FollowSettings
-from gis_radar.live.vehicle_store import FollowedPose, ReturnRow, StoredPiece, VehicleStore
+from gis_radar.live.vehicles.clocks import Ascending, ReturnFrame
+from gis_radar.live.vehicles.coverage import Finished, LiveCoverage
+from gis_radar.live.vehicles.settings import DEFAULTS, FollowSettings
+from gis_radar.live.vehicles.store import FollowedPose, ReturnRow, StoredPiece, VehicleStore
 from gis_radar.occupancy.folder import frames_of, frames_table
 from gis_radar.occupancy.frame_steps import Runs, union
 from gis_radar.poses.pose import pose_from_dict
@@ -33,12 +34,11 @@ from gis_radar.recordings.recording import Detections
 from gis_radar.site.hours import HOUR_STEPS
 from gis_radar.steps import STEP_US, STEPS_PER_SECOND
 from gis_radar.vehicles.blocks import Block, frames_within
-from gis_radar.vehicles.coverage import CoverageEngine
 from gis_radar.vehicles.echoes import Echoes, echoes_of
-from gis_radar.vehicles.folder import VehiclePiece, hold_frames, write_vehicles
+from gis_radar.vehicles.folder import write_vehicles
 from gis_radar.vehicles.pieces import PieceMaker
 from gis_radar.vehicles.provenance import Provenance
-from gis_radar.vehicles.tables import FRAMES, TRACKS, VEHICLES
+from gis_radar.vehicles.tables import FRAMES
 from gis_radar.vehicles.tracker import vehicles_in
 from gis_radar.vehicles.visibility import SensorView
 
@@ -99,30 +99,6 @@ class FollowedSite:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finished:
-    """What a block adds to the counts.
-
-    Parameters
-    ----------
-    first_step, last_step : int
-        The block.
-    visible, covered : (n,) int64 arrays
-        By position of the tiles, steps in which each was visible, and covered while it was.
-    passages : DataFrame
-        As :data:`gis_radar.vehicles.tables.PASSAGES`.
-    stood : (k, 5) array
-        Who stood at its end: east and north from the origin of the graph, heading (rad), 0, length.
-    """
-
-    first_step: int
-    last_step: int
-    visible: Integers
-    covered: Integers
-    passages: pd.DataFrame
-    stood: Floats
-
-
-@dataclass(frozen=True, kw_only=True)
 class _Held:
     """Frames of a sensor in one view, in memory until no block needs them."""
 
@@ -138,78 +114,6 @@ class _Held:
             self, steps=self.steps[self.steps * STEP_US < time_us],
             echoes=self.echoes.take(self.echoes.time < time_us / 1e6),
         )  # fmt: skip
-
-
-class LiveCoverage:
-    """Counts what vehicles cover, piece by piece.
-
-    Parameters
-    ----------
-    tiles : GeoDataFrame
-        All tiles.
-    """
-
-    def __init__(self, tiles: gpd.GeoDataFrame) -> None:
-        self._tile_id = tiles["tile_id"].to_numpy(np.int64)
-        self._engine = CoverageEngine(tiles, [])
-        self._recent = FRAMES.empty()
-
-    def add_view(self, view: SensorView) -> None:
-        """Take in what a sensor sees from a pose."""
-        self._engine.add_view(view)
-
-    def add(self, piece: VehiclePiece, hold_s: Mapping[str, float], origin: Floats) -> Finished:
-        """Return what a piece adds, which follows those so far."""
-        tracks, vehicles = TRACKS.typed(piece.tracks), VEHICLES.typed(piece.vehicles)
-        frames = FRAMES.typed(piece.frames.sort_values(["sensor", "view", "first_step"]))
-        late = self._recent["last_step"] >= piece.first_step - HOUR_STEPS // 60
-        self._recent = pd.concat([self._recent[late], frames], ignore_index=True)
-        held = hold_frames(self._recent, dict(hold_s), piece.last_step)
-        span = (piece.first_step, piece.last_step + 1)
-        passages = self._engine.advance(tracks, vehicles, held, span)
-        covered, visible = self._engine.flush()
-        seen, both = self._steps(covered, visible, piece)
-        return Finished(
-            first_step=piece.first_step, last_step=piece.last_step, visible=seen, covered=both,
-            passages=passages, stood=_stood(tracks, vehicles, piece.last_step, origin),
-        )  # fmt: skip
-
-    def _steps(
-        self, covered: pd.DataFrame, visible: pd.DataFrame, piece: VehiclePiece
-    ) -> tuple[Integers, Integers]:
-        """Return the visible steps of each tile, and those in which it was covered, too."""
-        count = len(self._tile_id)
-        tile = np.searchsorted(self._tile_id, visible["tile_id"])
-        size = (visible["last_step"] - visible["first_step"] + 1).to_numpy(np.int64)
-        seen = np.bincount(tile, size, count).astype(np.int64)
-        some = np.unique(covered["tile_id"].to_numpy(np.int64))
-        flags = [
-            _flags(runs[runs["tile_id"].isin(some)], some, piece) for runs in (covered, visible)
-        ]
-        both = np.zeros(count, np.int64)
-        both[np.searchsorted(self._tile_id, some)] = (flags[0] & flags[1]).sum(axis=1)
-        return seen, both
-
-
-def _flags(runs: pd.DataFrame, tiles: Integers, piece: VehiclePiece) -> np.ndarray:
-    """Return (tile, step) flags of runs."""
-    edges = np.zeros((len(tiles), piece.last_step - piece.first_step + 2), np.int8)
-    row = np.searchsorted(tiles, runs["tile_id"].to_numpy(np.int64))
-    for name, sign, more in (("first_step", 1, 0), ("last_step", -1, 1)):
-        np.add.at(edges, (row, runs[name].to_numpy(np.int64) - piece.first_step + more), sign)
-    return np.asarray(np.cumsum(edges[:, :-1], axis=1) > 0)
-
-
-def _stood(tracks: pd.DataFrame, vehicles: pd.DataFrame, step: int, origin: Floats) -> Floats:
-    """Return who stands at the end of a piece."""
-    rows = tracks[(tracks["step"] == step) & (tracks["speed"] < DEFAULTS.gone_mps)]
-    length = vehicles.set_index("vehicle")["length_m"].reindex(rows["vehicle"]).to_numpy()
-    return np.column_stack(
-        [
-            rows[["easting", "northing"]].to_numpy(np.float64) - origin,
-            np.radians(rows["heading"]), np.zeros(len(rows)), length,
-        ]
-    )  # fmt: skip
 
 
 @dataclass(kw_only=True)
@@ -288,7 +192,10 @@ class VehicleFollower:
             for row in rows:
                 with suppress(InputError):
                     _, frames = unpack_returns(row.content)
-                    found += [ReturnFrame(row.sensor, row.pose, each) for each in frames]
+                    found += [
+                        ReturnFrame(row.sensor, row.pose, each) for each in frames
+                        if each.time_us == row.time_us
+                    ]  # fmt: skip
             late = self.late
             self._follow(self._order.take(self._known(found))[0])
             self.late = late  # counted when it came
@@ -347,7 +254,12 @@ class VehicleFollower:
         return self._order.repeated
 
     def _known(self, frames: Sequence[ReturnFrame]) -> list[ReturnFrame]:
-        return [e for e in frames if e.sensor in self._number and e.pose in self._poses]
+        poses = self._poses
+        return [
+            each for each in frames
+            if each.sensor in self._number and each.pose in poses
+            and poses[each.pose][0].sensor == each.sensor
+        ]  # fmt: skip
 
     def _of_before(self, frames: Sequence[ReturnFrame]) -> bool:
         """Return whether all frames are a block or more before what was followed."""
@@ -460,6 +372,9 @@ class VehicleFollower:
             del self._poses[number]
         if old:
             self.store.forget_poses([*self._poses])
+        views = {(each.sensor, each.view) for each, _ in self._poses.values()}
+        self._road_m = {each: self._road_m[each] for each in views if each in self._road_m}
+        self._coverage.keep_views(views)
 
     def finish(
         self, block: Block, poses: tuple[int, ...], *, unwritten: Collection[int] = ()

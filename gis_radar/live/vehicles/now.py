@@ -18,7 +18,7 @@ import shapely
 
 from gis_radar.arrays import Floats
 from gis_radar.lanelets.graph import LaneGraph
-from gis_radar.live.vehicle_settings import DEFAULTS, FollowSettings
+from gis_radar.live.vehicles.settings import DEFAULTS, FollowSettings
 from gis_radar.vehicles.bodies import are_persons, usual_rcs
 from gis_radar.vehicles.columns import FRONT, HEADING, HITS, LAST, NUMBER, REAR, SPEED, X, Y
 from gis_radar.vehicles.echoes import Echoes

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from gis_radar.live.returns import FrameReturns, pack_returns
-from gis_radar.live.vehicle_store import ReturnRow
+from gis_radar.live.vehicles.store import ReturnRow
 from gis_radar.steps import STEP_US
 
 BACK_US = 2_000_000  # a clock counts as set back once frames before the last go on for so long

@@ -25,6 +25,9 @@ class FollowSettings:
         Once nothing came for so long, what there is is followed, seconds.
     behind_steps : int
         Where following takes longer than the traffic, what is older is left out.
+    give_up_s : float
+        An hour that cannot be written is tried again for so long, seconds: an outage of a day
+        survives, as at the sensors; then its vehicles are dropped, 100 MB of a busy hour.
     now_s, reorder_s : float
         How often the vehicles of now are told, and how long frames wait for those of other
         sensors, seconds.
@@ -45,6 +48,7 @@ class FollowSettings:
     late_s: float = 2.0
     silent_s: float = 30.0
     behind_steps: int = 12_000
+    give_up_s: float = 86_400.0
     now_s: float = 0.5
     reorder_s: float = 0.3
     sure_hits: int = 6
