@@ -7,6 +7,7 @@ Matplotlib is imported where it is used, so that other work does not wait for it
 
 from __future__ import annotations
 
+import json
 from base64 import b64encode
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -96,6 +97,10 @@ def _whole(title: str, table: str, picture: bytes) -> str:
 
 
 SMALL_IN, SMALL_DPI = (4.6, 3.6), 80  # beside a card of figures
+MOST_TICKS = 5
+EDGE_IN = 0.1  # around a picture
+LABELS_IN = 0.42  # what ticks and label of an axis take
+PANELS = "Panels"  # of a picture: where its panels lie, for pages that lay them out anew
 FONTS: dict[Any, Any] = {"font.family": ["DejaVu Sans"], "text.usetex": False, "font.size": 8}
 
 
@@ -112,10 +117,36 @@ def label_map(ax: Any) -> None:
     """Give axes in metres of the map their labels and equal scales."""
     ax.set_aspect("equal")
     ax.set(xlabel=tr("easting, m"), ylabel=tr("northing, m"))
+    ax.xaxis.set_major_locator(_locator(0.6))
+    ax.yaxis.set_major_locator(_locator(1.0))
     ax.ticklabel_format(useOffset=False, style="plain")
-    (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
-    ax.locator_params(axis="y", nbins=5)
-    ax.locator_params(axis="x", nbins=5 if right - left > 0.6 * (high - low) else 2)
+
+
+def _locator(share: float) -> Any:
+    """Return a locator of as many ticks as have room, at most five.
+
+    Along x that is a share of what matplotlib reckons with, which are labels of four figures.
+    """
+    from matplotlib.ticker import MaxNLocator  # noqa: PLC0415
+
+    class Roomy(MaxNLocator):
+        def __call__(self) -> Any:
+            room = int(self.axis.get_tick_space() * share) if self.axis is not None else 1
+            self.set_params(nbins=min(max(room, 1), MOST_TICKS), min_n_ticks=1)
+            return super().__call__()
+
+    return Roomy()
+
+
+def legend_below(ax: Any, handles: Sequence[Any] | None = None) -> Any:
+    """Write a legend below axes of a map, clear of their labels however flat they are."""
+    from matplotlib.transforms import ScaledTranslation  # noqa: PLC0415
+
+    down = ScaledTranslation(0.0, -LABELS_IN, ax.figure.dpi_scale_trans)
+    return ax.legend(
+        handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0.0),
+        bbox_transform=ax.transAxes + down, ncols=2, frameon=False,
+    )  # fmt: skip
 
 
 def label_times(ax: Any) -> None:
@@ -130,7 +161,12 @@ def label_times(ax: Any) -> None:
 
 @contextmanager
 def picture_file(
-    path: str | Path, size_in: tuple[float, float], dpi: int, *, tight: bool = False
+    path: str | Path,
+    size_in: tuple[float, float],
+    dpi: int,
+    *,
+    tight: bool = False,
+    letters_pt: float = 8.0,
 ) -> Iterator[Any]:
     """Yield a new figure in the package's font and write it as PNG, without pyplot.
 
@@ -143,16 +179,40 @@ def picture_file(
     dpi : int
         Pixels an inch.
     tight : bool
-        Fit the picture to what is drawn: axes true to scale outgrow a constrained layout.
+        Fit the picture to what is drawn, for axes true to scale outgrow a constrained layout; and
+        note in the file where each panel lies (:data:`PANELS`).
+    letters_pt : float
+        Size of its words.
     """
     import matplotlib as mpl  # noqa: PLC0415
     from matplotlib.figure import Figure  # noqa: PLC0415
 
-    with mpl.rc_context(FONTS):
+    letters = {"font.size": letters_pt, "axes.titlesize": "medium"}
+    with mpl.rc_context(FONTS | letters):
         figure = Figure(figsize=size_in, dpi=dpi, layout="constrained")
         yield figure
+        how = _fitted(figure) if tight else {}
         with whole_file(Path(path)) as part:
-            figure.savefig(part, format="png", bbox_inches="tight" if tight else None)
+            figure.savefig(part, format="png", **how)
+
+
+def _fitted(figure: Any) -> dict[str, Any]:
+    """Return how to save a figure cut to what is drawn, and where its panels then lie.
+
+    Left, top, width and height of each are shares of the picture.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415
+
+    FigureCanvasAgg(figure)
+    figure.draw_without_rendering()
+    whole = figure.get_tightbbox().padded(EDGE_IN)
+    panels = []
+    for ax in figure.axes:
+        box = ax.get_tightbbox().transformed(figure.dpi_scale_trans.inverted())
+        left, top = (box.x0 - whole.x0) / whole.width, (whole.y1 - box.y1) / whole.height
+        size = box.width / whole.width, box.height / whole.height
+        panels.append([round(float(each), 4) for each in (left, top, *size)])
+    return {"bbox_inches": whole, "metadata": {PANELS: json.dumps(panels)}}
 
 
 def small_picture(draw: Callable[[Any], Any]) -> bytes:

@@ -244,7 +244,8 @@ def percent(share: float, digits: int = 1, *, off: float = math.nan) -> str:
 
 def plus_minus(value: float, digits: int, unit: str = "") -> str:
     """Return one standard deviation; a dash where it is not known."""
-    return f"± {figure_text(value, digits)}{unit}" if math.isfinite(value) else NOTHING
+    text = f"±{THIN}{figure_text(value, digits)}{unit.replace(' ', THIN)}"
+    return text if math.isfinite(value) else NOTHING
 
 
 def wind_of(east_m: float, north_m: float) -> str:

@@ -17,6 +17,7 @@ from test_heatmap import T0, lane_tiles, make_site
 
 import gis_radar as gr
 from gis_radar.heatmap import style
+from gis_radar.heatmap.picture import STRIPE
 
 
 @pytest.fixture(autouse=True)
@@ -74,7 +75,8 @@ def test_a_heat_map_is_drawn_by_interval(heat):
     for drawn in (first, last):
         assert drawn.count(named(1.0)) == 1
         assert drawn.count(named(0.0)) == 2
-        assert drawn.count(tuple(np.round(to_rgb(style.NOT_OBSERVED), 3))) == 3
+        unseen = [tuple(np.round(to_rgb(each), 3)) for each in (style.NOT_OBSERVED, STRIPE)]
+        assert sum(map(drawn.count, unseen)) == 3
     with pytest.raises(gr.UsageError, match="interval 2 of 2"):
         heat.plot(interval=2)
 

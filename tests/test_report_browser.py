@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 from io import BytesIO
+from itertools import pairwise
 
 import pypdf
 import pytest
@@ -190,7 +191,45 @@ def test_names_for_a_screen_reader(page):
     assert named("banner") == [""] == named("main")
 
 
-@pytest.mark.parametrize("width", [1280, 800, 400])
+def test_all_words_can_be_read_on_a_phone(page):
+    """None is under 10 pixels, charts are as wide as the page, pictures those with large words."""
+    wide(page, 390)
+    small = page.execute_script(
+        "const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);"
+        "const found = []; let each;"
+        "while ((each = walker.nextNode())) {"
+        "  const holder = each.parentElement;"
+        "  if (!each.data.trim() || holder.closest('script')) continue;"
+        "  if (parseFloat(getComputedStyle(holder).fontSize) < 10) found.push(each.data);"
+        "} return found"
+    )
+    assert small == []
+    widths = page.execute_script(
+        "return [...document.querySelectorAll('.strip > svg')]"
+        ".map(each => each.getBoundingClientRect().width)"
+    )
+    assert len(widths) > 2
+    assert min(widths) > 250
+    labels = page.execute_script(
+        "return [...document.querySelectorAll('.ends text')]"
+        ".map(each => each.getBoundingClientRect()).filter(each => each.width)"
+        ".map(each => [each.left, each.right])"
+    )
+    assert labels
+    assert all(one[1] < other[0] for one, other in pairwise(labels))
+    pictures = "document.querySelectorAll('picture > source')"
+    shown = (
+        f"return [...{pictures}].map(each => each.parentElement.querySelector('img'))"
+        ".map(each => each.currentSrc === each.src)"
+    )
+    page.execute_script("for (const each of document.images) each.loading = 'eager'")
+    WebDriverWait(page, WAIT_S).until(lambda each: not any(each.execute_script(shown)))
+    assert len(page.execute_script(shown)) >= 3  # the map's words, the lanes, what sensors see
+    wide(page, 1280)
+    WebDriverWait(page, WAIT_S).until(lambda each: all(each.execute_script(shown)))
+
+
+@pytest.mark.parametrize("width", [1280, 800, 390])
 def test_nothing_is_wider_than_the_window(page, width):
     wide(page, width)
     assert page.execute_script("return document.documentElement.scrollWidth") <= width

@@ -36,9 +36,12 @@ HALO = [withStroke(linewidth=2.6, foreground="white")]
 LEAST_MARGIN_M = 12.0  # around what was observed: sensors stand beside the road
 MARGIN = 0.05  # of the longer side, where that is more
 FINEST_M = 0.04  # finer pixels show no more of tiles of 0.5 m
-STRIPES = 7  # pixels from one stripe of tiles not observed to the next, at 1000 pixels
+# Pixels from one stripe to the next, at 1000 pixels: of tiles not observed, which a phone shows as
+# stripes, too, and of uncertain ones.
+STRIPES, HATCHES = 12, 7
 OVERLAY_IN = 5.2  # width of the figure over a picture: the narrower, the larger its words
-BAR_IN = 1.4  # the longest scale bar
+NARROW_IN, NARROW_PIXELS = 3.1, 800  # on a phone: a page as wide as this, of so many pixels
+BAR_IN, BAR_SHARE = 1.4, 0.27  # the longest scale bar; in the corner of a map, of its width
 
 # Places in the palette; the classes of occupancy follow.
 NO_TILE, OUTLINE, UNSEEN, STRIPED, HATCH_DARK, HATCH_LIGHT, CLASSES = range(7)
@@ -82,9 +85,9 @@ class MapPicture:
         top = self.cover.highest((2 * place + uncertain).astype(np.uint8))
         top, vague = np.divmod(top, 2)
         row, column = np.divmod(self.cover.pixel, self.grid.width)
-        apart = max(4, round(STRIPES * self.grid.width / 1000))
+        apart, close = (max(4, round(n * self.grid.width / 1000)) for n in (STRIPES, HATCHES))
         striped = (top == UNSEEN) & ((row + column) % apart < max(1, apart // 3))
-        hatched = (vague > 0) & ((row - column) % apart < max(1, apart // 4))
+        hatched = (vague > 0) & ((row - column) % close < max(1, close // 4))
         colours = [HATCH_DARK if each == style.HATCH_DARK else HATCH_LIGHT for each in _HATCHES]
         lines = np.array([0] * CLASSES + colours, np.uint8)[top]
         picture = self.ground.copy()
@@ -121,15 +124,17 @@ class MapPicture:
         ax.axis("off")
         return figure, ax
 
-    def overlay(self, poses: Sequence[Pose]) -> Image.Image:
+    def overlay(self, poses: Sequence[Pose], width_in: float = OVERLAY_IN) -> Image.Image:
         """Draw scale bar, north arrow and sensors on nothing, to go over a painted picture.
 
         Parameters
         ----------
         poses : sequence of Pose
             Of the sensors, each with its name.
+        width_in : float
+            Of the figure: the narrower, the larger its words.
         """
-        figure, ax = self.blank()
+        figure, ax = self.blank(width_in)
         for pose in poses:
             _add_sensor(ax, pose)
         add_corner_scale(figure, ax)
@@ -223,13 +228,22 @@ def png(image: Image.Image) -> bytes:
     return buffer.getvalue()
 
 
+def for_a_phone(image: Image.Image) -> Image.Image:
+    """Return a picture no wider than a phone shows."""
+    narrow = image.copy()
+    narrow.thumbnail((NARROW_PIXELS, 4 * NARROW_PIXELS), Image.Resampling.LANCZOS)
+    return narrow
+
+
 def round_length(longest_m: float) -> float:
     """Return the longest length of 1, 2 or 5 times a power of ten that is not over `longest_m`."""
     power = 10.0 ** math.floor(math.log10(longest_m))
     return max(factor * power for factor in (1, 2, 5) if factor * power <= longest_m * (1 + 1e-9))
 
 
-def add_scale_bar(figure: Figure, corner_in: tuple[float, float], metre_in: float) -> float:
+def add_scale_bar(
+    figure: Figure, corner_in: tuple[float, float], metre_in: float, longest_in: float = BAR_IN
+) -> float:
     """Draw a scale bar and a north arrow.
 
     Parameters
@@ -240,6 +254,8 @@ def add_scale_bar(figure: Figure, corner_in: tuple[float, float], metre_in: floa
         Right end and lower edge of both, inches.
     metre_in : float
         Inches on paper of a metre of the map.
+    longest_in : float
+        The bar is no longer, inches.
 
     Returns
     -------
@@ -248,7 +264,7 @@ def add_scale_bar(figure: Figure, corner_in: tuple[float, float], metre_in: floa
     """
     tip, base = corner_in[0] - 0.1, corner_in[1]
     right = corner_in[0] - 0.5
-    bar_m = round_length(BAR_IN / metre_in)
+    bar_m = round_length(longest_in / metre_in)
     bar_in = bar_m * metre_in
     left = right - bar_in
     inches = figure.dpi_scale_trans
@@ -273,7 +289,8 @@ def add_corner_scale(figure: Figure, ax: Axes) -> None:
     """Draw scale bar and north arrow on white in the lower right corner of a picture."""
     width_in = float(figure.get_size_inches()[0])
     west, east = ax.get_xlim()
-    left = add_scale_bar(figure, (width_in - 0.16, 0.2), width_in / (east - west))
+    longest_in = min(BAR_IN, BAR_SHARE * width_in)
+    left = add_scale_bar(figure, (width_in - 0.16, 0.2), width_in / (east - west), longest_in)
     ground = Rectangle(
         (left - 0.2, 0.1), width_in - 0.1 - (left - 0.2), 0.56, transform=figure.dpi_scale_trans,
         facecolor="white", alpha=0.9, zorder=6,
@@ -295,6 +312,6 @@ def _add_sensor(ax: Axes, pose: Pose) -> None:
     ax.add_patch(Polygon(triangle, facecolor=SENSOR, edgecolor="white", linewidth=1.2, zorder=5))
     ax.annotate(
         pose.sensor, (place[0], place[1]), xytext=(0, -11), textcoords="offset points",
-        ha="center", va="top", fontsize=9, fontweight="bold", color=SENSOR, zorder=6,
+        ha="center", va="top", fontsize=9, fontweight="bold", color=SENSOR, zorder=9,
         path_effects=HALO, annotation_clip=True, parse_math=False,
     )  # fmt: skip

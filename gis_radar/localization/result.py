@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +16,14 @@ from gis_radar.errors import NoAnswerError
 from gis_radar.lanelets import LaneletMap
 from gis_radar.localization.state import State
 from gis_radar.localization.traces import Moving
-from gis_radar.notebooks import axes_or_new, card, label_map, picture_file, small_picture
+from gis_radar.notebooks import (
+    axes_or_new,
+    card,
+    label_map,
+    legend_below,
+    picture_file,
+    small_picture,
+)
 from gis_radar.poses.pose import COMPONENTS, Pose, View, draw_sensor, ellipse
 from gis_radar.sight import Sight, SightTiles
 from gis_radar.steps import iso_from_step, step_of
@@ -28,12 +36,14 @@ STAGE = "finding the pose"
 
 DPI = 216
 SIZE_IN = (6.6, 6.6)
-WITH_ONE_IN, WITH_TWO_IN = (7.8, 4.6), (7.8, 8.6)  # as wide as a page: words stay legible
-BELOW, BESIDE = (0.5, -0.16), (1.01, 1.0)  # a legend, from the axes
+WITH_ONE_IN, WITH_TWO_IN = (7.8, 4.8), (7.8, 9.4)  # as wide as a page: words stay legible
+LETTERS_PT = 9.0
+LINE = 46  # letters of a title, as wide as a panel
 MARGIN_M = 12.0
 ROAD_POINTS = 60_000
 ARROW_EVERY_M = 12.0
-ROAD, LANE, AWAY, NEAR, PLAIN = ("#c9c5bd", "#6f7780", "#c2410c", "#1d4ed8", "#7c3aed")
+# Traces in a light and a dark colour, which grey paper tells apart, too.
+ROAD, LANE, AWAY, NEAR, PLAIN = ("#c9c5bd", "#6f7780", "#e8850c", "#1e2f97", "#7c3aed")
 
 Extent = tuple[Floats, Floats]  # south-west and north-east, metres
 
@@ -138,8 +148,7 @@ class Localization:
         draw_sensor(ax, place, ahead, ring, tr("sensor"))
         label_map(ax)
         ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), title=self._title())
-        beside: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": BESIDE, "frameon": False}
-        for handle in ax.legend(**beside).legend_handles:  # on the map it would cover the road
+        for handle in legend_below(ax).legend_handles:  # on the map it would cover the road
             if hasattr(handle, "set_sizes"):
                 handle.set_sizes([18.0])  # points too small to tell their colours
         return ax
@@ -155,7 +164,8 @@ class Localization:
             ))  # fmt: skip
         if not self.observable:
             parts.append(tr("the scene leaves part of it open"))
-        return f"{self.pose.sensor}: {'; '.join(parts)}"
+        parts[0] = f"{self.pose.sensor}: {parts[0]}"
+        return ";\n".join(fill(each, LINE) for each in parts)
 
     def _summary(self) -> str:
         sigma = self.pose.evidence.get("sigma")
@@ -230,10 +240,10 @@ def draw_localization(
 
     beside = [name for name, each in (("look", look), ("sight", seen)) if each is not None]
     size_in = WITH_ONE_IN if len(beside) == 1 else WITH_TWO_IN if beside else SIZE_IN
-    rows = [["traces", *beside]] if len(beside) < 2 else [["traces", "traces"], beside]
-    with picture_file(path, size_in, DPI, tight=True) as figure:
+    rows = [["traces", *beside]] if len(beside) < 2 else [["traces", each] for each in beside]
+    with picture_file(path, size_in, DPI, tight=True, letters_pt=LETTERS_PT) as figure:
         panels = figure.subplot_mosaic(rows)
-        found.plot(roads, road_points, ax=panels["traces"])
+        found.plot(roads, road_points, ax=panels["traces"]).set_anchor("N")
         if look is not None:
             draw_surroundings(panels["look"], look)
         if seen is not None:
@@ -244,7 +254,7 @@ def draw_localization(
             share = counts["hidden"] / max(counts["in_sight"] + counts["hidden"], 1)
             text = "Lanes in its view:\n{seen} in sight, {hidden} hidden"
             ax.set_title(tr(text, seen=percent(1 - share, 0), hidden=percent(share, 0)))
-            ax.legend(loc="upper center", bbox_to_anchor=BELOW, ncols=2, frameon=False)
+            legend_below(ax)
 
 
 def _trace_extent(traces: Floats, place: Floats) -> Extent:

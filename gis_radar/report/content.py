@@ -178,6 +178,11 @@ class Figure:
         What it shows, for who cannot see it.
     tallest_mm : float
         How high it may be on paper.
+    narrow : bytes
+        PNG for a phone, with larger words; empty where it is the same.
+    panels : sequence of bytes
+        PNG of each of its panels, for a page that lays them out as wide as it is; none where it is
+        one.
     """
 
     png: bytes
@@ -187,6 +192,50 @@ class Figure:
     caption: str
     alt: str
     tallest_mm: float = 165.0
+    narrow: bytes = b""
+    panels: Sequence[bytes] = ()
+
+
+class Strip(NamedTuple):
+    """One lane over the time, as the page draws it.
+
+    Parameters
+    ----------
+    name : str
+        Of the lane, in one line or two.
+    line, band : str
+        Paths, 1000 units wide and 100 high, y downwards: the share, and its standard error.
+    unseen : sequence of (begin, length)
+        Where nothing was seen, as shares of the width.
+    """
+
+    name: str
+    line: str
+    band: str
+    unseen: Sequence[tuple[float, float]]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Chart(Figure):
+    """Strips over time: a picture on paper, drawn anew on a page as wide as that is.
+
+    Parameters
+    ----------
+    heading, below : str
+        What the strips show, and in which zone times are.
+    top : str
+        The highest value of the scale.
+    strips : sequence of Strip
+        From top to bottom.
+    times : sequence of (place, label)
+        Below the last: as shares of the width.
+    """
+
+    heading: str
+    below: str
+    top: str
+    strips: Sequence[Strip]
+    times: Sequence[tuple[float, str]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -199,8 +248,8 @@ class MapSeries:
         The whole time.
     frames : sequence of Figure
         The intervals, as large as `whole`; none where the heat map has but one.
-    overlay : bytes
-        PNG with scale, north and sensors, to go over each of them.
+    overlay, narrow : bytes
+        PNG with scale, north and sensors, to go over each of them; with larger words for a phone.
     caption : str
         Below the map.
     note : str
@@ -210,6 +259,7 @@ class MapSeries:
     whole: Figure
     frames: Sequence[Figure]
     overlay: bytes
+    narrow: bytes
     caption: str
     note: str
 

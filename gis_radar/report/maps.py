@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from io import BytesIO
 
@@ -17,7 +18,10 @@ from gis_radar.crs import name_of
 from gis_radar.heatmap import HeatMap
 from gis_radar.heatmap.covering import CoverageShares, mean_coverage
 from gis_radar.heatmap.picture import (
+    NARROW_IN,
+    OVERLAY_IN,
     MapPicture,
+    for_a_phone,
     image_of_figure,
     image_of_pixels,
     map_extent,
@@ -30,7 +34,7 @@ from gis_radar.progress import Reporter
 from gis_radar.report.content import WORDS, Figure, MapSeries
 from gis_radar.report.lanes import TileShares, hits_of, shown_of
 from gis_radar.report.results import Results
-from gis_radar.sight import HIDDEN, IN_SIGHT, VIEW_ONLY, SightTiles
+from gis_radar.sight import HIDDEN, IN_SIGHT, VIEW_ONLY, Sight, SightTiles
 from gis_radar.sight.picture import COLOURS, NAMES, draw_sight
 from gis_radar.steps import Clock
 from gis_radar.tiles.tiles import quads
@@ -47,6 +51,7 @@ HITS = (
     "vehicles on the map and hardly a hit here is one that the sensors see badly."
 )
 
+SIGHT_IN = 3.4  # width of a sensor's picture: alone on a phone's page its words can be read
 MOST_SIGHTS = 6  # sensors of which it is drawn what they see
 
 
@@ -95,10 +100,12 @@ def draw_maps(results: Results, picture: MapPicture, clock: Clock, reporter: Rep
         caption.append(tr("Sources: {sources}.", sources="; ".join(sources)))
     with mpl.rc_context(FONTS):
         overlay = png(picture.overlay(poses))
+        narrow = png(for_a_phone(picture.overlay(poses, NARROW_IN)))
     return MapSeries(
         whole=_map(picture, shown_of(heat), tr("Whole time"), heat, heat.uncertain()),
         frames=frames,
         overlay=overlay,
+        narrow=narrow,
         caption=" ".join(caption),
         note=note,
     )
@@ -118,10 +125,12 @@ def draw_hits(results: Results, picture: MapPicture) -> Figure:
     with Image.open(BytesIO(figure.png)) as tiles:
         whole = tiles.convert("RGBA")
     with mpl.rc_context(FONTS):
-        whole.alpha_composite(picture.overlay(results.poses).resize(whole.size))
+        overlays = [picture.overlay(results.poses, each) for each in (OVERLAY_IN, NARROW_IN)]
+    wide, narrow = (Image.alpha_composite(whole, each.resize(whole.size)) for each in overlays)
     return replace(
         figure,
-        png=png(whole.convert("RGB").quantize(128, dither=Image.Dither.NONE)),
+        png=png(wide.convert("RGB").quantize(128, dither=Image.Dither.NONE)),
+        narrow=png(for_a_phone(narrow.convert("RGB")).quantize(128, dither=Image.Dither.NONE)),
         caption=f"{tr(HITS)} {figure.caption}",
     )
 
@@ -171,18 +180,8 @@ def draw_sights(results: Results) -> list[Figure]:
     if occupancy is None or not poses:
         return []
     sights = [sight_of_views(occupancy.views, pose, tiles) for pose in poses]
-    columns = min(len(sights), 3)
-    rows = math.ceil(len(sights) / columns)
-    with mpl.rc_context(FONTS):
-        figure = MplFigure(figsize=(3.6 * columns, 3.6 * rows), dpi=150, layout="constrained")
-        for number, sight in enumerate(sights, start=1):
-            ax = figure.add_subplot(rows, columns, number)
-            draw_sight(ax, sight, tiles)
-            ax.set_title(sight.pose.sensor, fontsize=9)
-            ax.axis("off")
-        handles = [Patch(color=COLOURS[state], label=tr(NAMES[state])) for state in NAMES]
-        figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
-        picture = image_of_figure(figure).convert("RGB")
+    picture = _sight_picture(sights, tiles, columns=min(len(sights), 3))
+    narrow = _sight_picture(sights, tiles, columns=1)
     how = tr(
         "what stands in the airborne scan hides the tiles behind it"
         if occupancy.sight != VIEW_ONLY
@@ -196,7 +195,8 @@ def draw_sights(results: Results) -> list[Figure]:
     )  # fmt: skip
     return [
         Figure(
-            png=png(picture.quantize(64, dither=Image.Dither.NONE)),
+            png=png(picture),
+            narrow=png(narrow),
             width=picture.width,
             height=picture.height,
             tallest_mm=120.0,
@@ -204,3 +204,21 @@ def draw_sights(results: Results) -> list[Figure]:
             alt=tr("Maps of the tiles in sight of each sensor: {shares}.", shares=shares),
         )
     ]
+
+
+def _sight_picture(sights: Sequence[Sight], tiles: SightTiles, *, columns: int) -> Image.Image:
+    """Return what sensors see, so many side by side."""
+    rows = math.ceil(len(sights) / columns)
+    with mpl.rc_context(FONTS):
+        size_in = (SIGHT_IN * columns, SIGHT_IN * rows)
+        figure = MplFigure(figsize=size_in, dpi=150, layout="constrained")
+        for number, sight in enumerate(sights, start=1):
+            ax = figure.add_subplot(rows, columns, number)
+            draw_sight(ax, sight, tiles)
+            ax.set_title(sight.pose.sensor, fontsize=9)
+            ax.axis("off")
+        handles = [Patch(color=COLOURS[state], label=tr(NAMES[state])) for state in NAMES]
+        figure.legend(
+            handles=handles, loc="outside lower center", ncols=min(columns + 1, 3), frameon=False
+        )
+        return image_of_figure(figure).convert("RGB").quantize(64, dither=Image.Dither.NONE)

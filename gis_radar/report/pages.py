@@ -73,6 +73,7 @@ def page_of(content: Content) -> str:
         script=Markup(script),  # noqa: S704 - our own file
         policy=_policy(css, script),
         data_uri=_data_uri,
+        share=lambda part: f"{part * 100:.6g}%",
     )
 
 

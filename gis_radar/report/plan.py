@@ -18,10 +18,12 @@ from gis_radar.arrays import Floats, Integers
 from gis_radar.heatmap.picture import (
     HALO,
     INK,
+    NARROW_IN,
     PAPER,
     SOFT,
     MapPicture,
     add_corner_scale,
+    for_a_phone,
     image_of_figure,
     image_of_pixels,
     png,
@@ -85,22 +87,16 @@ def draw_plan(
         for lane in shown
         if lane.number in known
     }
-    with mpl.rc_context(FONTS):
-        figure, ax = picture.blank(PLAN_IN)
-        whole = [centres[lane.rows] for lane in shown]
-        ax.add_collection(LineCollection(whole, colors=SOFT, linewidths=0.5))
-        for lane in shown:
-            if inside[lane.rows[-1]]:
-                _add_tip(ax, centres[lane.rows])
-        point_m = (east - west) / (PLAN_IN * 72.0)
-        bounds = shapely.box(west, south, east, north)
-        for number, placed in place_numbers(ways, point_m, bounds).items():
-            _add_number(ax, number, placed)
-        add_corner_scale(figure, ax)
-        over = image_of_figure(figure).convert("RGBA")
-    drawn = Image.alpha_composite(_tinted(picture, len(tiles), lanes), over)
+    ground = _tinted(picture, len(tiles), lanes)
+    tips = [centres[lane.rows] for lane in shown if inside[lane.rows[-1]]]
+    drawn = {
+        width_in: _drawn(picture, width_in, [centres[lane.rows] for lane in shown], tips, ways)
+        for width_in in (PLAN_IN, NARROW_IN)
+    }
+    wide, narrow = (Image.alpha_composite(ground, over).convert("RGB") for over in drawn.values())
     return Figure(
-        png=png(drawn.convert("RGB").quantize(128, dither=Image.Dither.NONE)),
+        png=png(wide.quantize(128, dither=Image.Dither.NONE)),
+        narrow=png(for_a_phone(narrow).quantize(128, dither=Image.Dither.NONE)),
         width=picture.grid.width,
         height=picture.grid.height,
         caption=tr(
@@ -111,6 +107,28 @@ def draw_plan(
             n=figure_text(len(lanes)),
         ),
     )
+
+
+def _drawn(
+    picture: MapPicture,
+    width_in: float,
+    lines: Sequence[Floats],
+    tips: Sequence[Floats],
+    ways: dict[int, Floats],
+) -> Image.Image:
+    """Return lines, arrows, numbers and scale of a figure so wide, on nothing."""
+    west, east, south, north = picture.grid.bounds
+    with mpl.rc_context(FONTS):
+        figure, ax = picture.blank(width_in)
+        ax.add_collection(LineCollection(list(lines), colors=SOFT, linewidths=0.5))
+        for way in tips:
+            _add_tip(ax, way)
+        point_m = (east - west) / (width_in * 72.0)
+        bounds = shapely.box(west, south, east, north)
+        for number, placed in place_numbers(ways, point_m, bounds).items():
+            _add_number(ax, number, placed)
+        add_corner_scale(figure, ax)
+        return image_of_figure(figure).convert("RGBA")
 
 
 def place_numbers(

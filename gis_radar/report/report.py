@@ -32,6 +32,7 @@ from gis_radar.report.chart import draw_lanes_over_time
 from gis_radar.report.content import (
     WORDS,
     Chapter,
+    Chart,
     Column,
     Content,
     Figure,
@@ -194,7 +195,7 @@ class _Pictures(NamedTuple):
 
     maps: MapSeries
     plan: Figure
-    over_time: Sequence[Figure]
+    over_time: Sequence[Chart]
     hits: Sequence[Figure]
 
 
@@ -424,7 +425,8 @@ def _lane_columns(clock: Clock, measure: str) -> list[Column]:
     def spot(row: pd.Series) -> str:
         place = f"{figure_text(row['busiest_spot_m'])}{THIN}m"
         share = percent(row["busiest_spot"], 0, off=row["busiest_spot_se"])
-        return tr("{share} at {place}", share=share, place=place)
+        text = tr("{share} at {place}", share=share, place=place)
+        return text.replace(f" {place}", f"{THIN}{place}")  # no line ends before it
 
     def leads_to(row: pd.Series) -> str:
         return ", ".join(filter(None, [row["street"], direction(row["east_m"], row["north_m"])]))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyogrio
 from PIL import Image
 
@@ -19,6 +21,7 @@ from gis_radar.heatmap import HeatMap, read_heatmap
 from gis_radar.heatmap.layers import FILE as PACKAGE
 from gis_radar.heatmap.picture import png
 from gis_radar.lanelets.lanes import LANES
+from gis_radar.notebooks import PANELS
 from gis_radar.occupancy import Occupancy, merge_occupancies, read_occupancy
 from gis_radar.poses.files import read_track
 from gis_radar.poses.pose import ANGLES, POSITION, Pose, View, pose_from_dict
@@ -29,6 +32,7 @@ from gis_radar.spreadsheets import write_csv
 from gis_radar.vehicles import Vehicles, read_vehicles
 from gis_radar.words import (
     NOTHING,
+    THIN,
     direction,
     figure_text,
     plus_minus,
@@ -42,6 +46,7 @@ RUN = "run.json"
 NOT_KNOWN = "not known here"
 FIGURE_PIXELS, FINE_FIGURES = 1600, 6  # width of a picture; more than that many are coarser
 COARSE_PIXELS, MOST_FIGURES = 1000, 20
+PAD, LEAST_PANEL = 6, 40  # pixels: around a panel, and what none is smaller than
 TALLEST_MM = 195.0  # on paper: a page each, so that its words can be read
 
 
@@ -292,12 +297,14 @@ def pose_figures(results: Results) -> list[Figure]:
         image = _flat_picture(results.figures[pose.sensor], width)
         if image is None:
             continue
+        boxes = _panels(results.figures[pose.sensor], image)
         found.append(
             Figure(
                 png=png(image),
                 width=image.width,
                 height=image.height,
                 tallest_mm=TALLEST_MM,
+                panels=[png(image.crop(box)) for box in boxes],
                 caption=tr("Sensor {line}", line=f"{pose.sensor}: {how_found(pose.evidence)}."),
                 alt=tr(
                     "How the pose of {sensor} was found: paths of vehicles on the map's lanes; "
@@ -323,6 +330,24 @@ def _flat_picture(path: Path, width: int) -> Image.Image | None:
     flat = whole.convert("RGB")
     flat.thumbnail((width, width * 4))
     return flat
+
+
+def _panels(path: Path, image: Image.Image) -> list[tuple[int, int, int, int]]:
+    """Return where the panels of a picture lie, in its pixels; none where they are not told."""
+    with Image.open(path) as file:
+        told = file.info.get(PANELS)
+    try:
+        shares = np.array(json.loads(str(told)), np.float64).reshape(-1, 4)
+    except (TypeError, ValueError):
+        return []
+    if len(shares) < 2:
+        return []
+    size = np.array([image.width, image.height])
+    low, high = shares[:, :2] * size - PAD, (shares[:, :2] + shares[:, 2:]) * size + PAD
+    boxes = np.hstack([np.maximum(low, 0), np.minimum(high, size)])
+    if not np.isfinite(boxes).all() or (boxes[:, 2:] - boxes[:, :2] < LEAST_PANEL).any():
+        return []
+    return [(int(left), int(top), int(right), int(base)) for left, top, right, base in boxes]
 
 
 def sensor_table(results: Results, *, figures: int) -> Table:
@@ -360,7 +385,8 @@ def _sensor_columns() -> list[Column]:
     """Return how a pose is read."""
 
     def angles(pose: Pose) -> str:
-        return f"{_measured(pose, 'pitch', 1)}, {_measured(pose, 'roll', 1)}"
+        both = [_measured(pose, name, 1).replace(" ", THIN) for name in ("pitch", "roll")]
+        return ", ".join(both)
 
     def sees(pose: Pose) -> str:
         view = pose.view or View()

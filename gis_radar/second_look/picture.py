@@ -14,7 +14,7 @@ from matplotlib.transforms import Affine2D
 
 from gis_radar.arrays import Booleans, Floats
 from gis_radar.grid import CELL_M
-from gis_radar.notebooks import label_map, picture_file
+from gis_radar.notebooks import label_map, legend_below, picture_file
 from gis_radar.second_look.second_look import SecondLook
 from gis_radar.second_look.surroundings import Structure
 from gis_radar.words import tr, tr_message
@@ -29,8 +29,7 @@ CANOPY, ROOF, TALL = ("#d3e8c4", "#4f9a51"), ("#e6ddd3", "#a8927e"), ("#dfe5d3",
 WALL = "#6b5c4f"
 RUSTLING = 0.15  # share of a cell's detections
 FITS = 0.3
-LINE = 46  # letters of the title beside each other
-BELOW = (0.5, -0.12)  # the legend, from the axes
+LINE, LEGEND_LINE = 46, 22  # letters of title and legend beside each other
 
 
 def draw_second_look(look: SecondLook, path: str | Path) -> None:
@@ -70,9 +69,7 @@ def draw_surroundings(ax: Axes, look: SecondLook) -> None:
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     label_map(ax)
     ax.set_title(_title(look))
-    ax.legend(
-        handles=handles, loc="upper center", bbox_to_anchor=BELOW, ncols=2, frameon=False
-    )  # fmt: skip
+    legend_below(ax, handles)
     if look.surface.size:
         _draw_surface(ax.inset_axes(_corner(look, low, high)), look)
 
@@ -117,19 +114,23 @@ def _draw_standing(ax: Axes, look: SecondLook) -> list[Line2D]:
     east, north = look.level.to_map(found.points[:, :2]).T
     off = look.closeness < FITS if len(look.closeness) else np.zeros(len(found), bool)
     leaves = ~off & (found.rustles > RUSTLING)
-    kinds: tuple[tuple[Booleans, str, str], ...] = (
-        (~off & ~leaves, ON, "stands"), (leaves, LEAVES, "moves in place, as leaves do"),
-        (off, OFF, "stands where the scan shows nothing"),
-    )  # fmt: skip
+    kinds: tuple[tuple[Booleans, str, str, float, str], ...] = (
+        (~off & ~leaves, ON, "o", 3.0, "stands"),
+        (leaves, LEAVES, "o", 3.0, "moves in place, as leaves do"),
+        (off, OFF, "x", 9.0, "stands where the scan shows nothing"),  # told without its colour
+    )
     handles = []
-    for which, colour, label in kinds:
+    for which, colour, marker, size, label in kinds:
         if which.any():
-            ax.scatter(east[which], north[which], s=3.0, color=colour, linewidths=0, zorder=3)
+            thin = 0.7 if marker == "x" else 0.0
+            look = {"color": colour, "marker": marker, "s": size, "linewidths": thin}
+            ax.scatter(east[which], north[which], zorder=3, **look)
             handles.append(
                 Line2D(
-                    [], [], color=colour, marker="o", markersize=4, linestyle="", label=tr(label)
+                    [], [], color=colour, marker=marker, markersize=4, linestyle="",
+                    label=fill(tr(label), LEGEND_LINE),
                 )
-            )
+            )  # fmt: skip
     return handles
 
 
@@ -170,7 +171,7 @@ def _draw_surface(ax: Axes, look: SecondLook) -> None:
     span = (-shift_m, shift_m)
     ax.set(xlim=span, ylim=span, aspect="equal", xticks=(span[0], 0, span[1]), yticks=())
     ax.set_facecolor("black")
-    ax.tick_params(labelsize=6, length=2, pad=1)
-    ax.set_title(tr("score if moved, m"), fontsize=7, pad=4).set_bbox(
+    ax.tick_params(labelsize=8, length=2, pad=1)
+    ax.set_title(tr("score if moved, m"), fontsize=8, pad=4).set_bbox(
         {"facecolor": "white", "alpha": 0.85, "edgecolor": "none", "pad": 1.5}
     )

@@ -1,0 +1,128 @@
+"""Pictures of a report: what can be read on a phone, without colours, and in the reader's words."""
+
+from __future__ import annotations
+
+import re
+from datetime import UTC, datetime, timedelta
+from itertools import pairwise
+from zoneinfo import ZoneInfo
+
+import numpy as np
+import pypdf
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure as MplFigure
+from matplotlib.patches import StepPatch
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
+from report_site import write_results, write_run
+
+import gis_radar as gr
+from gis_radar.heatmap import picture
+from gis_radar.languages import catalogue, messages
+from gis_radar.notebooks import label_map, legend_below, picture_file
+from gis_radar.report import chart, maps, plan
+from gis_radar.report.results import _flat_picture, _panels
+from gis_radar.steps import Clock
+
+PHONE_PX, LEAST_PX = 350, 10  # of a page 390 pixels wide, between its edges
+LONELY = np.array([0.2, np.nan, 0.4]), np.array([0.1, np.nan, 0.1])
+
+
+def test_the_band_of_a_lonely_interval_is_drawn():
+    """Of a lane that is seen in one interval, then not."""
+    strip = chart._strip("1", np.array([0.0, 0.25, 0.5, 1.0]), *LONELY)
+    assert strip.line == "M0 80 250 80M500 60 1000 60"
+    assert strip.band == "M0 70 250 70L250 90 0 90ZM500 50 1000 50L1000 70 500 70Z"
+    assert strip.unseen == [(0.25, 0.25)]
+    ax = MplFigure().add_subplot()
+    chart._add_strip(ax, np.array([0.0, 5.0, 10.0, 20.0]), *LONELY, 1.0)
+    bands = [each for each in ax.patches if isinstance(each, StepPatch) and each.get_fill()]
+    assert len(bands) == 2
+    low, high = ax.get_ylim()
+    assert (low < 0.0, high > 1.0) == (True, True)  # a line of 0 is not hidden in the axis
+
+
+@pytest.mark.parametrize(
+    ("minutes", "count", "begin", "labels"),
+    [
+        (15, 96, 22, ["00:00", "04:00", "08:00", "12:00", "16:00", "20:00", "00:00"]),
+        (15, 96, 22.1, None),
+        (60, 5, 7, ["09:00", "10:00", "11:00", "12:00", "13:00", "14:00"]),
+    ],
+)
+def test_times_below_a_chart_are_round(minutes, count, begin, labels):
+    first = datetime(2025, 6, 11, tzinfo=UTC) + timedelta(hours=begin)
+    edges = [first + timedelta(minutes=minutes) * i for i in range(count + 1)]
+    clock = Clock(zone=ZoneInfo("Europe/Berlin"), first=first, last=edges[-1], to_seconds=False)
+    seconds = np.array([(each - first).total_seconds() for each in edges])
+    times = chart._times(edges, seconds, clock)
+    assert len(times) <= chart.MOST_TICKS + 1
+    if labels is not None:
+        assert [label.split("\n")[0] for _, label in times] == labels
+
+
+@pytest.mark.parametrize("size_m", [(12.0, 90.0), (90.0, 12.0), (60.0, 60.0)])
+def test_ticks_and_legend_of_a_map_are_clear_of_each_other(size_m):
+    figure = MplFigure(figsize=(3.9, 4.8), layout="constrained")
+    FigureCanvasAgg(figure)
+    ax = figure.add_subplot()
+    ax.scatter([0], [0], label="here")
+    label_map(ax)
+    ax.set(xlim=(677_940, 677_940 + size_m[0]), ylim=(5_403_600, 5_403_600 + size_m[1]))
+    legend = legend_below(ax)
+    figure.draw_without_rendering()
+    boxes = [each.get_window_extent() for each in ax.get_xticklabels() if each.get_text()]
+    low, high = ax.get_window_extent().x0 - 1, ax.get_window_extent().x1 + 1
+    shown = [box for box in boxes if low <= (box.x0 + box.x1) / 2 <= high]
+    assert shown
+    assert all(one.x1 < other.x0 for one, other in pairwise(shown))
+    assert legend.get_window_extent().y1 <= ax.xaxis.label.get_window_extent().y0 + 1
+
+
+def test_panels_of_a_picture_are_found_again(tmp_path):
+    with picture_file(tmp_path / "p.png", (6.0, 4.0), 100, tight=True) as figure:
+        for ax in figure.subplot_mosaic([["a", "b"], ["a", "c"]]).values():
+            ax.set(xlabel="below", title="above")
+    drawn = _flat_picture(tmp_path / "p.png", 500)
+    boxes = _panels(tmp_path / "p.png", drawn)
+    assert len(boxes) == 3
+    ink = np.asarray(drawn.convert("L")) < 200
+    for left, top, right, base in boxes:
+        assert ink[top:base, left:right].any()
+        ink[top:base, left:right] = False
+    assert not ink.any()
+
+
+@pytest.mark.parametrize("told", ["[[0, 0, NaN, 1], [0, 0, 1, 1]]", "[[1]]", "{}", "no", "[]"])
+def test_a_picture_whose_panels_are_not_told_is_shown_whole(tmp_path, told):
+
+    about = PngInfo()
+    about.add_text("Panels", told)
+    Image.new("RGB", (300, 300)).save(tmp_path / "p.png", pnginfo=about)
+    assert _panels(tmp_path / "p.png", _flat_picture(tmp_path / "p.png", 500)) == []
+
+
+def test_words_in_pictures_can_be_read_on_a_phone():
+    for letters_pt, width_in in (
+        (plan.LETTERS_PT, picture.NARROW_IN),
+        (7.0, picture.NARROW_IN),  # of the north arrow, the smallest of a map
+        (8.0, maps.SIGHT_IN),
+    ):
+        assert letters_pt * PHONE_PX / (72.0 * width_in) >= LEAST_PX
+
+
+def test_no_english_is_left_in_a_german_report(tmp_path):
+    folder = write_results(tmp_path, names=("R1",), steps=400)
+    write_run(folder, title="Kreuzung Süd")
+    gr.write_report(folder, language="de")
+    text = "\n".join(page.extract_text() for page in pypdf.PdfReader(folder / "report.pdf").pages)
+    words = {each.strip("()[]:;,„“") for each in text.split()}
+    pairs = [*catalogue("de").items(), *messages("de").items()]
+    english, german = (
+        {word for part in parts for word in re.findall(r"[^\W\d_]{3,}", part)}
+        for parts in zip(*pairs, strict=True)
+    )
+    found = words & (english - german)
+    assert found <= {"zone", "ours", "theirs", "Town"}  # a name of EPSG; the site's own words
+    assert "Fahrstreifen" in words
