@@ -12,6 +12,7 @@ import pytest
 
 from gis_radar.heatmap import style
 from gis_radar.heatmap.layers import BEGIN, END
+from gis_radar.heatmap.picture import STRIPE
 
 
 def lightness(colour: str) -> float:
@@ -68,10 +69,13 @@ def rgba(colour):
     return ",".join(map(str, [*bytes.fromhex(colour[1:]), 255]))
 
 
-def test_the_ground_has_the_colour_of_what_is_not_observed():
-    options = ET.fromstring(style.ground_qml()).findall(".//Option[@name]")  # noqa: S314
-    fills = {one.get("value") for one in options if one.get("name").endswith("color")}
-    assert fills == {rgba(style.NOT_OBSERVED)}
+def test_the_ground_has_the_colour_of_what_is_not_observed_and_its_stripes():
+    fill, hatch = ET.fromstring(style.ground_qml()).findall(".//symbols/symbol/layer")  # noqa: S314
+    colours = [
+        {one.get("value") for one in each.iter("Option") if str(one.get("name")).endswith("color")}
+        for each in (fill, hatch)
+    ]
+    assert colours == [{rgba(style.NOT_OBSERVED)}, {rgba(STRIPE)}]
 
 
 def test_a_pixel_on_a_break_has_the_class_of_its_tile():

@@ -159,9 +159,10 @@ def sidecar_qml(measure: str = "occupancy", least_s: float = 0.0) -> str:
 
 
 def ground_qml() -> str:
-    """Return the QGIS style of all tiles as the ground below a heat map, in one colour.
+    """Return the QGIS style of all tiles as the ground below a heat map, in one colour and hatched.
 
-    Where nothing is drawn above it, nothing was observed.
+    Where nothing is drawn above it, nothing was observed; on grey paper the hatch tells it from
+    classes as light as it is.
     """
     return (_HERE / "ground.qml").read_text(encoding="utf-8")
 

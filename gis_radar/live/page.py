@@ -6,6 +6,7 @@ import asyncio
 import hmac
 import json
 import logging
+import re
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
@@ -48,8 +49,12 @@ MOST_READERS = 200  # p99 of 50 readers at 4 Hz is 10 ms; a city's page stands b
 COOKIE = "gis_radar"
 WEB = Path(__file__).with_name("web")
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
-OCCUPIED = "#0058b0"  # of a tile that is occupied now: blue is no colour of the ramp
-VEHICLE = "#12805c"  # so is green; heavy ones are longer, and outlined in black as all
+# Long words may break before these on a phone, whose browser need not know where German words do.
+SEAMS = re.compile(r"(?<=\w)(?=belegung|streifen|fahrten|zyklen)")
+# Of a tile that is occupied now: blue is no colour of the ramp, as light as this not for eyes that
+# confuse red and green, whose purple is a deep blue.
+OCCUPIED = "#0090e0"
+VEHICLE = "#12805c"  # so is green; all are rimmed in white, heavy ones are longer
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: "
     "blob:; connect-src 'self'; worker-src 'self' blob:; base-uri 'none'; form-action 'none'; "
@@ -385,7 +390,7 @@ def _page(place: Place, language: str, *, followed: bool) -> str:
     with speaking(language):
         classes = [(each.colour, class_label(each.label, language))
                    for each in style.colour_classes()]  # fmt: skip
-        legend = [*classes, (style.NOT_OBSERVED, tr("not observed"))]
+        legend = [(style.NOT_OBSERVED, tr("not observed")), *classes]  # from the last to the first
         words = {"online": tr("online"), "offline": tr("offline"), "late": tr("no connection"),
                  "occupied": tr("{n} tiles are occupied now"),
                  "vehicles": tr("{n} vehicles now, {heavy} of them heavy"), "no_map": tr(
@@ -399,6 +404,7 @@ def _page(place: Place, language: str, *, followed: bool) -> str:
             _template().render(
                 place=place, followed=followed, legend=legend, language=language, tr=tr,
                 words=words, colours=colours, languages=LANGUAGES,
+                seamed=lambda text: SEAMS.sub("\u00ad", text),
             )
         )  # fmt: skip
 

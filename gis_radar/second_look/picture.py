@@ -123,8 +123,10 @@ def _draw_standing(ax: Axes, look: SecondLook) -> list[Line2D]:
     for which, colour, marker, size, label in kinds:
         if which.any():
             thin = 0.7 if marker == "x" else 0.0
-            look = {"color": colour, "marker": marker, "s": size, "linewidths": thin}
-            ax.scatter(east[which], north[which], zorder=3, **look)
+            ax.scatter(
+                east[which], north[which], s=size, color=colour, marker=marker, linewidths=thin,
+                zorder=3,
+            )  # fmt: skip
             handles.append(
                 Line2D(
                     [], [], color=colour, marker=marker, markersize=4, linestyle="",

@@ -111,6 +111,7 @@ function showLanes() {
     return row([lane.number, lane.street, lane.direction, share === null ? words.none : percent(share), ...more], [3, 4, 5, 6]);
   });
   byId("lane-rows").replaceChildren(...lines);
+  byId("lane-rows").closest("table").classList.toggle("nameless", !known.some(([lane]) => lane.street));
 }
 
 function showVehicles() {
@@ -171,6 +172,9 @@ async function draw() {
   shown.addLayer({ id: "tiles", type: "fill", source: "tiles", minzoom: NEAR,
     paint: { "fill-color": paints.lately, "fill-antialias": false } });
   shown.addSource("vehicles", { type: "geojson", data: vehicleLayer(), tolerance: 0, maxzoom: 20 });
+  // a white rim sets vehicles off from every colour of the tiles, for eyes that see no green, too
+  shown.addLayer({ id: "rims", type: "line", source: "vehicles",
+    paint: { "line-color": "#fff", "line-width": ["step", ["zoom"], 5, CLOSE, 4] } });
   shown.addLayer({ id: "vehicles", type: "fill", source: "vehicles", paint: { "fill-color": colours.vehicle } });
   shown.addLayer({ id: "outlines", type: "line", source: "vehicles", maxzoom: CLOSE, // so that small ones are seen
     paint: { "line-color": colours.vehicle, "line-width": 2 } });
@@ -178,9 +182,12 @@ async function draw() {
     paint: { "line-color": "#1d2126", "line-width": 1 } });
   const healthy = ["case", ["get", "online"], "#1d2126", "#9c1c1c"];
   shown.addLayer({ id: "views", type: "line", source: "sensors", filter: ["==", ["geometry-type"], "Polygon"],
-    paint: { "line-color": healthy, "line-width": 1, "line-dasharray": [4, 3] } });
+    paint: { "line-color": healthy, "line-width": ["case", ["get", "online"], 1, 2.5], "line-dasharray": [4, 3] } });
   shown.addLayer({ id: "masts", type: "circle", source: "sensors", filter: ["==", ["geometry-type"], "Point"],
-    paint: { "circle-color": healthy, "circle-radius": 6, "circle-stroke-color": "#fff", "circle-stroke-width": 2 } });
+    paint: { // one with a fault is a ring
+      "circle-color": ["case", ["get", "online"], "#1d2126", "#fff"], "circle-radius": 6,
+      "circle-stroke-color": ["case", ["get", "online"], "#fff", "#9c1c1c"],
+      "circle-stroke-width": ["case", ["get", "online"], 2, 4] } });
   map = shown;
   colour(new Set(Object.keys(state.classes).map(Number)));
   colourLanes(state.lanes);
