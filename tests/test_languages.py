@@ -199,7 +199,7 @@ def test_a_finished_sentence_is_known_again_with_its_values():
           "19\u202f%; am besten passt es 0,1 m und 0,2 Grad entfernt")),
         ("localize R1, tiles: a.osm: 4 lanelets repaired, see layer problems",
          ("Standort und Ausrichtung suchen: R1, Kacheln: a.osm: 4 Lanelets ausgebessert, siehe "
-          "Layer problems")),
+          "Layer „problems“")),
         ("poses together: R2: alone: no other sensor sees enough of the same vehicles",
          ("Standorte und Ausrichtungen gemeinsam: R2: allein: kein anderer Sensor sieht genug von "
           "denselben Fahrzeugen")),

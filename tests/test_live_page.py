@@ -343,13 +343,13 @@ def test_nothing_is_lost_on_a_phone_or_without_colours(live, address, chromium):
     live.at, live.silent = live.first + 1200, {"R2"}
     wide(chromium, 390)
     chromium.get(f"{address}/?lang=de")
-    wait_for(lambda: chromium.find_elements(By.CSS_SELECTOR, "#lane-rows tr"), WAIT_S)
+    wait_for(lambda: chromium.find_elements(By.CSS_SELECTOR, "#lane-rows tr"))
     beyond = (
         "return [...document.querySelectorAll('.wide')].map(e => e.scrollWidth - e.clientWidth)"
     )
     assert max(chromium.execute_script(beyond)) <= 0
     picture = chromium.find_element(By.ID, "map")
-    wait_for(lambda: colours_of(picture)["#9c1c1c"] > 20, WAIT_S)  # a fault is a ring with
+    wait_for(lambda: colours_of(picture)["#9c1c1c"] > 20)  # a fault is a ring with
     assert colours_of(picture)["#ffffff"] > 20  # white in it, and so are the rims of vehicles
     legend = chromium.find_element(By.CLASS_NAME, "legend").text.splitlines()
     assert legend[-3:] == ["nicht beobachtet", "Sensor", "Sensor mit Störung"]
