@@ -34,7 +34,13 @@ def test_a_map_across_zones_gets_one_zone(tmp_path):
     road = read_map(path)
     assert road.crs.to_epsg() == 25832
     assert road.lanelets.length[0] == pytest.approx(2 * (143.4 + 11.1), rel=0.01)
-    assert read_map(path, crs="EPSG:25831").crs.to_epsg() == 25831
+    told = (
+        "lies on the border of EPSG:25831 and EPSG:25832, all of it is in EPSG:25832; --crs names"
+    )
+    assert [text for text in road.remarks if "border" in text] == [f"{told} another"]
+    named = read_map(path, crs="EPSG:25831")
+    assert named.crs.to_epsg() == 25831
+    assert not any("border" in text for text in named.remarks)
 
 
 def test_a_geographic_crs_is_refused_by_name(tmp_path):

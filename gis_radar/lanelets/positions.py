@@ -14,10 +14,11 @@ import numpy as np
 from pyproj import CRS
 
 from gis_radar.arrays import Booleans, Floats
-from gis_radar.crs import metric_crs, require_true_scale, transformer, utm_zone
+from gis_radar.crs import metric_crs, name_of, require_true_scale, transformer, utm_zone
 from gis_radar.errors import CrsError, InputError, UsageError
 from gis_radar.lanelets.osm import OsmMap
 
+WIDEST_DEG = 0.5  # of longitude, from the middle of a map; what is farther is misplaced
 SCALE_TOLERANCE = 0.001  # 10 cm in 100 m; UTM is as far off at the edge of its zone
 # Fewer than this share of heights, all equal, come from a template, not from a survey.
 KNOWN_HEIGHTS = 0.25
@@ -100,6 +101,8 @@ def place_nodes(
             wrong = error.message.removeprefix("--crs: ")
             hint = "are the latitudes and longitudes of its nodes true?"
             raise CrsError(f"{osm.path}: {wrong}", hint=hint) from error
+        if crs is None:
+            remarks += _border_remarks(osm.geographic[geographic], target)
     if crs is not None:
         remarks += _scale_remarks(target, plane[used])
     heights, more = _heights(osm, used)
@@ -108,6 +111,21 @@ def place_nodes(
         count = f"heights of {len(osm.odd_heights)} nodes are not used"
         more += (f"{count}: ele is no number of metres, such as {text[:20]!r} of node {node}",)
     return Positions(xyz=np.column_stack([plane, heights]), crs=target, remarks=remarks + more)
+
+
+def _border_remarks(geographic: Floats, chosen: CRS) -> tuple[str, ...]:
+    """Return which zone was chosen where a map lies in two: others may have taken the other."""
+    longitude, latitude = np.median(geographic, axis=0)
+    near = geographic[np.abs(geographic[:, 0] - longitude) < WIDEST_DEG, 0]
+    one, other = (
+        name_of(utm_zone(float(end), float(latitude))) for end in (near.min(), near.max())
+    )
+    if one == other:
+        return ()
+    whole = name_of(chosen)
+    return (
+        f"lies on the border of {one} and {other}, all of it is in {whole}; --crs names another",
+    )
 
 
 def _scale_remarks(target: CRS, plane: Floats) -> tuple[str, ...]:

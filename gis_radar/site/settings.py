@@ -220,7 +220,7 @@ class Site(TomlTable):
     title: Text = key('"Example junction"')
     """What the site is called."""
     timezone: Zone = key('"Europe/Berlin"', "UTC")
-    """Zone of the times in pictures, report and summary; data files keep UTC."""
+    """Zone of the times in pictures, report and summary, for all sensors; data files keep UTC."""
     language: Literal["en", "de"] = key('"de"', "en")
     """Language of report, pictures, summary and QGIS project: en or de."""
     csv_locale: Literal["en", "de"] = key('"de"', "en")
