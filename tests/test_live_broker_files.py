@@ -36,6 +36,8 @@ def test_systemd_finds_no_fault_in_the_units(site):
     assert [unit.name for unit in units] == [
         "gis-radar-broker.service", "gis-radar-edge@.service", "gis-radar-live.service",
     ]  # fmt: skip
+    # A signal is fusion's to pass on: its process of vehicles would begin anew.
+    assert all("\nKillMode=mixed\n" in unit.read_text() for unit in units)
     text = units[1].read_text()  # of another machine, where the program is elsewhere
     assert "ExecStart=/usr/local/lib/gis_radar/bin/gis-radar edge %i.toml\n" in text
     units[1].write_text(text.replace("/usr/local/lib/gis_radar/bin/gis-radar", sys.executable))

@@ -131,6 +131,7 @@ WorkingDirectory={folder}
 Restart=always
 RestartSec=5
 TimeoutStopSec={stop_s}
+KillMode=mixed
 ProtectSystem=strict
 ReadWritePaths="{folder}"
 ProtectHome=read-only
