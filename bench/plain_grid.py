@@ -18,7 +18,7 @@ class TileGridNumpy(TileGrid):
         span = (cells.width, cells.height)
         within = np.flatnonzero(((points >= 0.0) & (points <= span)).all(axis=1))
         column, row = (points[within] * (1.0 / cells.cell_m)).astype(np.int64).T
-        cell = row * cells.columns + column
+        cell = row * cells.columns + column + 1
         counts = cells.first[cell + 1] - cells.first[cell]
         begins = np.cumsum(counts) - counts
         point = np.repeat(within, counts)

@@ -8,12 +8,17 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import gis_radar as gr
 from gis_radar.clocks import SensorClock
 from gis_radar.errors import InputError
-from gis_radar.occupancy.hit_counter import FrameCounter
+from gis_radar.occupancy.counting_loop import DETECTIONS, TILES_HIT
+from gis_radar.occupancy.hit_counter import FrameCounter, HitCounter, rows_of_columns
+from gis_radar.occupancy.placing import PLACED_AT_ONCE, PoseNumbers
 from gis_radar.occupancy.tile_sets import decode_tiles
+from gis_radar.recordings.recording import RangeCounts
 from gis_radar.sight import SightTiles
 
 SAMPLE = gr.sample_folder()
@@ -106,6 +111,64 @@ def test_the_compiled_pass_finds_what_the_plain_one_finds(tmp_path, tiles, optio
         assert sum(len(step) for step, _ in found.hits()) > 200
         assert len(set(found.frames["view"])) > 1
     assert written[0] == written[1]
+
+
+@pytest.fixture(scope="module")
+def tree(tiles):
+    return gr.TileTree(gr.quads(tiles))
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    rows=st.integers(1, 3 * PLACED_AT_ONCE),  # of a frame: more than are placed at once
+    kind=st.sampled_from([np.float32, np.float64]),
+    level=st.booleans(),
+    least=st.sampled_from([None, 0.3]),
+    backwards=st.booleans(),
+)
+@settings(deadline=None, max_examples=25)  # compiled at the first call
+def test_any_rows_hit_what_the_tree_and_numpy_say(
+    tiles, tree, seed, rows, kind, level, least, backwards
+):
+    rng = np.random.default_rng(seed)
+    points = rng.normal(0.0, [60.0, 60.0, 2.0], (rows, 3)).astype(kind)
+    points[:, 2] = np.nan if level else points[:, 2]
+    points[rng.random(rows) < 0.1] = np.nan
+    points[rng.random(rows) < 0.01] *= 1e4
+    rate = rng.normal(0.0, 1.0, rows).astype(kind)
+    time = np.sort(BEGIN + rng.integers(0, 4, rows) * 0.04)
+    pose = replace(gr.read_pose(SAMPLE / "R1.json"), yaw=float(rng.uniform(-180.0, 180.0)))
+    road = SightTiles.of(tiles)
+    ids = road.tile_id[::-1].copy() if backwards else road.tile_id
+    ranges = RangeCounts()
+    counter = HitCounter(
+        road, gr.TileGrid(road.quads), filters=gr.Filters(min_speed=least), tile_id=ids,
+        ranges=ranges,
+    )  # fmt: skip
+    columns = rows_of_columns(time, *np.ascontiguousarray(points.T), rate, rate[:0])
+    road_m = pose.height - 3.0
+    numbers = PoseNumbers.of(pose, road_m=road_m)
+    found = [*counter.add(columns, 0, rows, numbers), *counter.end()]
+
+    points = points.astype(np.float64)
+    range_m = np.sqrt((np.nan_to_num(points) ** 2).sum(axis=1))
+    present = ~np.isnan(points[:, 0])
+    hits = present if least is None else present & (np.abs(rate) >= least)
+    hits = hits & ~(np.isnan(points[:, 2]) & (range_m <= 3.0))
+    place = pose.to_map(points[hits], road_m=road_m)
+    point, tile = tree.assign(place[:, 0], place[:, 1])
+    time_us = np.rint(time * 1e6).astype(np.int64)
+    expected = np.unique(np.stack([time_us[hits][point] // 50_000, ids[tile]]), axis=1)
+    steps, tiles_hit = (np.concatenate([getattr(e, n) for e in found]) for n in ("step", "tile"))
+    assert np.array_equal(np.stack([steps, tiles_hit]), expected)
+    frames = np.concatenate([each.frames for each in found])
+    times, frame = np.unique(time_us, return_inverse=True)
+    pairs = np.unique(np.stack([frame[hits][point], tile]), axis=1)
+    assert frames[:, 0].tolist() == times.tolist()
+    assert frames[:, TILES_HIT].tolist() == np.bincount(pairs[0], minlength=len(times)).tolist()
+    assert frames[:, DETECTIONS].tolist() == np.bincount(frame, present).astype(int).tolist()
+    metres = np.minimum(range_m[present], len(ranges.counts) - 1).astype(np.int64)
+    assert np.array_equal(ranges.counts, np.bincount(metres, minlength=len(ranges.counts)))
 
 
 def as_before(folder):

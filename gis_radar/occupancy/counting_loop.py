@@ -1,8 +1,10 @@
 """The compiled loop from detections to the tiles that each frame hits.
 
-One pass over the rows of a recording: each detection is filtered, moved to the map and tested
-against the tiles of its cell; a tile is stamped with the frame and the step that hit it, so that it
-counts once in each. What :mod:`gis_radar.occupancy.plain_pass` finds in NumPy, bit for bit.
+One pass over the rows of a recording: the detections of a frame are placed in the map
+(:mod:`gis_radar.occupancy.placing`), and those over cells with tiles are filtered and tested
+against these. A tile is stamped with the frame that hit it, so that it counts once in it; those of
+a step are bits, so that they come out ascending without a sort. What
+:mod:`gis_radar.occupancy.plain_pass` finds in NumPy, bit for bit.
 """
 
 from __future__ import annotations
@@ -14,18 +16,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gis_radar.arrays import Floats, Integers, compiled
-from gis_radar.poses.pose import Pose
+from gis_radar.occupancy.placing import Places, PoseNumbers, fill_places, height_of
 from gis_radar.steps import STEP_US
-from gis_radar.tiles.lookup import TileCells, cell_at, is_inside
+from gis_radar.tiles.lookup import Numbers, TileCells, is_inside
 
 # Columns of the frames: what is found of each.
 TIME_US, SHIFT_US, DETECTIONS, MOVING, WILD, TILES_HIT, CHECKSUM, POSE = range(8)
 FRAME_COLUMNS = 8
-# Places in `Open.counts`: frames and steps begun so far, the step, tiles that wait for its end.
-FRAMES, STEPS, STEP, WAITING = range(4)
+# Places in `Open.counts`: frames begun so far, the step, tiles that wait for its end; frames and
+# hits that are filled in.
+FRAMES, STEP, WAITING, FILLED_FRAMES, FILLED_HITS = range(5)
+COUNTS = 5
 NO_STEP = int(np.iinfo(np.int64).min)
+# Each power of two times this number has another beginning: from that, its exponent.
+DE_BRUIJN, SHIFT, ONE = np.uint64(0x03F79D71B4CB0A89), np.uint64(58), np.uint64(1)
+PLACE_OF = np.argsort([(0x03F79D71B4CB0A89 << k) % 2**64 >> 58 for k in range(64)])
 PRIME = 65521  # the largest under 2**16
 Bits = NDArray[np.uint32]
+Bits64 = NDArray[np.uint64]
 
 
 class RowColumns(NamedTuple):
@@ -37,7 +45,8 @@ class RowColumns(NamedTuple):
         UNIX seconds, corrected, float64; microseconds added by the correction, int64, empty where
         there is none.
     x, y, z, range_rate, rcs : arrays
-        Of the detections, float64; `rcs` may be empty where no filter asks for it.
+        Of the detections, all float64 or all float32; `rcs` may be empty where no filter asks for
+        it.
     x_bits, y_bits : uint32 arrays
         The float32 of x and y as whole numbers.
     """
@@ -51,49 +60,6 @@ class RowColumns(NamedTuple):
     rcs: Floats
     x_bits: Bits
     y_bits: Bits
-
-
-class PoseNumbers(NamedTuple):
-    """A pose as compiled code takes it.
-
-    Parameters
-    ----------
-    xx, xy, xz, yx, yy, yz, zx, zy, zz : float
-        Rotation from the sensor frame to the map frame, by rows.
-    easting, northing, height : float
-        Position of the sensor, metres.
-    drop_m, drop_m2 : float
-        How far the road lies under the sensor, metres, and its square: where detections without
-        elevation are placed; 0 where not known.
-    number : int
-        Of the pose; frames carry it.
-    """
-
-    xx: float
-    xy: float
-    xz: float
-    yx: float
-    yy: float
-    yz: float
-    zx: float
-    zy: float
-    zz: float
-    easting: float
-    northing: float
-    height: float
-    drop_m: float
-    drop_m2: float
-    number: int
-
-    @classmethod
-    def of(cls, pose: Pose, *, road_m: float = math.nan, number: int = 0) -> PoseNumbers:
-        """Return a pose over a road of some height (metres in the map; NaN where not known)."""
-        drop_m = 0.0 if math.isnan(road_m) else pose.height - road_m
-        (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = pose.R_map_sensor.tolist()
-        return cls(
-            xx, xy, xz, yx, yy, yz, zx, zy, zz, float(pose.easting), float(pose.northing),
-            float(pose.height), float(drop_m), float(drop_m**2), number,
-        )  # fmt: skip
 
 
 class Limits(NamedTuple):
@@ -143,15 +109,17 @@ class Open(NamedTuple):
     Parameters
     ----------
     counts, time, frame : arrays
-        Frames and steps begun, step, tiles waiting; the frame's time, NaN where none is open; its
-        columns so far.
-    of_frame, of_step, moved : (n,) int64 arrays
-        By tile the number of the last frame and of the last step that hit it, and of the last frame
-        with movement on it.
-    waiting : (n,) int64 array
-        Ids of the tiles hit in the step so far.
-    inside : (m,) int64 array
-        Room for the tiles around one detection.
+        As of `FRAMES` and the following; the frame's time, NaN where none is open; its columns so
+        far.
+    of_frame, moved : (n,) int64 arrays
+        By tile the number of the last frame that hit it, and of the last one with movement on it.
+    hit : (n + 1,) int64 array
+        Room for tiles that a frame hits.
+    waiting, words : uint64 arrays
+        The tiles hit in the step so far, a bit each; and, a bit a word, the words of these bits
+        that are not empty.
+    inside, places : (m,) int64 array, Places
+        Room for the tiles around one detection, and for the places of some.
     ranges : (r,) int64 array
         Detections by their range in whole metres, the last place for all beyond.
     movement : (n,) int64 array
@@ -162,10 +130,12 @@ class Open(NamedTuple):
     time: Floats
     frame: Integers
     of_frame: Integers
-    of_step: Integers
     moved: Integers
-    waiting: Integers
+    hit: Integers
+    waiting: Bits64
+    words: Bits64
     inside: Integers
+    places: Places
     ranges: Integers
     movement: Integers
 
@@ -178,7 +148,7 @@ class Found(NamedTuple):
     frames : (f, 8) int64 array
         Rows of frames.
     step, tile : (k,) int64 arrays
-        Hits: ascending by step, then by tile. Room for all tiles at least.
+        Hits: ascending by step, then in the order of the tiles. Room for all tiles at least.
     """
 
     frames: Integers
@@ -190,27 +160,26 @@ class Found(NamedTuple):
 def count_rows(  # pragma: no cover - compiled
     rows: RowColumns, begin: int, end: int, pose: PoseNumbers, limits: Limits, ground: Ground,
     opened: Open, found: Found,
-) -> tuple[int, int, int]:  # fmt: skip
+) -> int:  # fmt: skip
     """Count some rows, all seen from one pose, as far as there is room for what is found.
 
     Returns
     -------
-    row, frames, hits : int
-        The first row that is not counted; how many frames and hits were filled in.
+    int
+        The first row that is not counted.
     """
-    frames = hits = 0
-    row = begin
+    counts, row = opened.counts, begin
     while row < end:
         if rows.time[row] != opened.time[0]:
-            if frames == len(found.frames) or hits + opened.counts[WAITING] > len(found.tile):
-                return row, frames, hits
-            frames = end_frame(opened, found, frames)
+            room = len(found.tile) - counts[FILLED_HITS]
+            if counts[FILLED_FRAMES] == len(found.frames) or counts[WAITING] > room:
+                return row
+            end_frame(opened, found)
             time_us = int(np.rint(rows.time[row] * 1e6))
-            if opened.counts[STEP] != time_us // limits.step_us:
-                hits = end_step(opened, found, hits)
-                opened.counts[STEPS] += 1
-                opened.counts[STEP] = time_us // limits.step_us
-            opened.counts[FRAMES] += 1
+            if counts[STEP] != time_us // limits.step_us:
+                end_step(opened, ground, found)
+                counts[STEP] = time_us // limits.step_us
+            counts[FRAMES] += 1
             opened.time[0] = rows.time[row]
             opened.frame[TIME_US] = time_us
             opened.frame[SHIFT_US] = rows.shift_us[row] if len(rows.shift_us) else 0
@@ -220,31 +189,42 @@ def count_rows(  # pragma: no cover - compiled
             row += 1
         _tally(rows.x_bits, rows.y_bits, rows.range_rate, begin, row, limits, opened.frame)
         _count_frame(rows, begin, row, pose, limits, ground, opened)
-    return end, frames, hits
+    return end
 
 
 @compiled
-def end_frame(opened: Open, found: Found, frames: int) -> int:  # pragma: no cover - compiled
-    """Fill in the open frame and close it; return how many frames are filled in."""
-    if np.isnan(opened.time[0]):
-        return frames
-    found.frames[frames] = opened.frame
-    found.frames[frames, CHECKSUM] %= PRIME
-    opened.frame[:] = 0
-    opened.time[0] = np.nan
-    return frames + 1
+def end_frame(opened: Open, found: Found) -> None:  # pragma: no cover - compiled
+    """Fill in the open frame, if any, and close it."""
+    if not math.isnan(opened.time[0]):
+        row = found.frames[opened.counts[FILLED_FRAMES]]
+        row[:] = opened.frame
+        row[CHECKSUM] %= PRIME
+        opened.counts[FILLED_FRAMES] += 1
+        opened.frame[:] = 0
+        opened.time[0] = math.nan
 
 
 @compiled
-def end_step(opened: Open, found: Found, hits: int) -> int:  # pragma: no cover - compiled
-    """Fill in the hits of the open step and close it; return how many hits are filled in."""
-    count = opened.counts[WAITING]
-    tiles = opened.waiting[:count]
-    tiles.sort()
-    found.tile[hits : hits + count] = tiles
-    found.step[hits : hits + count] = opened.counts[STEP]
-    opened.counts[WAITING], opened.counts[STEP] = 0, NO_STEP
-    return int(hits + count)
+def end_step(opened: Open, ground: Ground, found: Found) -> None:  # pragma: no cover - compiled
+    """Fill in the hits of the open step and close it."""
+    waiting, words, counts = opened.waiting, opened.words, opened.counts
+    first = hits = counts[FILLED_HITS]
+    for number in range(len(words)):
+        while words[number]:
+            word = 64 * number + _lowest(words[number])
+            words[number] &= words[number] - ONE
+            while waiting[word]:
+                found.tile[hits] = ground.tile_id[64 * word + _lowest(waiting[word])]
+                waiting[word] &= waiting[word] - ONE
+                hits += 1
+    found.step[first:hits] = counts[STEP]
+    counts[FILLED_HITS], counts[WAITING], counts[STEP] = hits, 0, NO_STEP
+
+
+@compiled
+def _lowest(bits: np.uint64) -> int:  # pragma: no cover - compiled
+    """Return the place of the lowest bit that is set; one is."""
+    return int(PLACE_OF[((bits & (~bits + ONE)) * DE_BRUIJN) >> SHIFT])
 
 
 @compiled
@@ -269,42 +249,86 @@ def _count_frame(  # pragma: no cover - compiled
     opened: Open,
 ) -> None:  # fmt: skip
     """Count rows of the open frame on the tiles under them."""
-    xs, ys, zs = rows.x[begin:end], rows.y[begin:end], rows.z[begin:end]
-    rates, strengths = rows.range_rate[begin:end], rows.rcs[begin:end]
-    cells, road_m, inside, ranges = ground.cells, ground.road_m, opened.inside, opened.ranges
-    first, tiles, edges, per_m = cells.first, cells.tiles, cells.edges, 1.0 / cells.cell_m
-    of_frame, of_step, waiting = opened.of_frame, opened.of_step, opened.waiting
-    movement, counts, frame = opened.movement, opened.counts, opened.frame
+    places, ranges, last_m = opened.places, opened.ranges, len(opened.ranges) - 1.0
+    for low in range(begin, end, len(places.cell)):
+        high = min(low + len(places.cell), end)
+        over = fill_places(
+            rows.x[low:high], rows.y[low:high], rows.z[low:high], pose, ground.cells, last_m, places
+        )
+        present = 0
+        for k in range(high - low):
+            if places.metres[k] >= 0:
+                ranges[places.metres[k]] += 1
+                present += 1
+        opened.frame[DETECTIONS] += present
+        _note(opened, _hit_by(rows, low, over, pose, limits, ground, opened))
+
+
+@compiled
+def _hit_by(  # pragma: no cover - compiled
+    rows: RowColumns, low: int, over: int, pose: PoseNumbers, limits: Limits, ground: Ground,
+    opened: Open,
+) -> int:  # fmt: skip
+    """List the tiles that detections over cells with tiles hit, as the first ones of the frame.
+
+    `low` is the row of the first detection placed. Returns how many tiles it lists.
+    """
+    # An array taken from its tuple is a count of references, slower than the test: not in the loop.
+    xs, ys, zs, rates, strengths = rows.x, rows.y, rows.z, rows.range_rate, rows.rcs
+    first, tiles, edges = ground.cells.first, ground.cells.tiles, ground.cells.edges
+    east, north, range_m, cell, _, nth_over = opened.places
+    road_m, inside, moved, movement = ground.road_m, opened.inside, opened.moved, opened.movement
+    of_frame, hit, number, count = opened.of_frame, opened.hit, opened.counts[FRAMES], 0
     picked = not (math.isnan(limits.min_speed) and math.isnan(limits.min_rcs))
-    number, tracked, asked = counts[FRAMES], len(movement) > 0, not math.isnan(limits.lowest_m)
-    for row in range(len(xs)):
-        x, y, z = xs[row], ys[row], zs[row]
-        if math.isnan(x) or math.isnan(y):
-            continue
-        level = math.isnan(z)
-        range_m = math.sqrt(x * x + y * y + (0.0 if level else z * z))
-        ranges[int(range_m) if range_m < len(ranges) else len(ranges) - 1] += 1
-        frame[DETECTIONS] += 1
-        hits = not level or range_m > pose.drop_m  # nearer than the road: not on it
+    tracked, asked = len(movement) > 0, not math.isnan(limits.lowest_m)
+    for nth in range(over):
+        k = nth_over[nth]
+        row, begin, end = low + k, first[cell[k]], first[cell[k] + 1]
+        # Without elevation and nearer than the road: not on it.
+        hits = not math.isnan(zs[row]) or range_m[k] > pose.drop_m
         hits &= not picked or _passes(rates, strengths, row, limits)
         moves = tracked and abs(rates[row]) >= limits.sight_mps
-        if not (hits or moves):
+        if not moves and not asked:
+            for at in range(begin, end if hits else begin):
+                tile = tiles[at]
+                stamp, is_hit = of_frame[tile], is_inside(edges, tile, east[k], north[k])
+                hit[count] = tile
+                count += is_hit * (stamp != number)
+                of_frame[tile] = number if is_hit else stamp
             continue
-        east, north, height = _on_plane(x, y, pose) if level else _in_map(x, y, z, pose)
-        east, north = east - cells.west, north - cells.south
-        cell = cell_at(east, north, cells.width, cells.height, per_m, cells.columns)
-        if cell < 0:
-            continue
-        around = _inside(tiles, edges, first[cell], first[cell + 1], east, north, inside)
+        around = _inside(tiles, edges, begin, end, east[k], north[k], inside)
+        height = height_of(xs[row], ys[row], zs[row], pose)
         if moves:
-            _move(inside, around, height, limits, road_m, opened.moved, number, movement)
+            _move(inside, around, height, limits, road_m, moved, number, movement)
         if hits and asked:
-            around = _fitting(inside, around, height, range_m, limits, road_m)
-        for k in range(around if hits else 0):
-            if of_frame[inside[k]] != number:
-                of_frame[inside[k]] = number
-                frame[TILES_HIT] += 1
-                _hit(inside[k], of_step, counts, ground.tile_id, waiting)
+            around = _fitting(inside, around, height, range_m[k], limits, road_m)
+        for at in range(around if hits else 0):
+            count = _list(inside[at], number, of_frame, hit, count)
+    return count
+
+
+@compiled
+def _list(  # pragma: no cover - compiled
+    tile: int, number: int, of_frame: Integers, hit: Integers, count: int
+) -> int:
+    """Stamp a tile with the frame and list it, unless it is; return how many are listed."""
+    hit[count] = tile
+    count += of_frame[tile] != number
+    of_frame[tile] = number
+    return count
+
+
+@compiled
+def _note(opened: Open, count: int) -> None:  # pragma: no cover - compiled
+    """Add the tiles listed to the open frame and to the open step."""
+    hit, waiting, words, new = opened.hit, opened.waiting, opened.words, 0
+    for k in range(count):
+        word, bit = hit[k] >> 6, ONE << np.uint64(hit[k] & 63)
+        new += not waiting[word] & bit
+        waiting[word] |= bit
+        words[word >> 6] |= ONE << np.uint64(word & 63)
+    opened.frame[TILES_HIT] += count
+    opened.counts[WAITING] += new
 
 
 @compiled
@@ -317,43 +341,8 @@ def _passes(  # pragma: no cover - compiled
 
 
 @compiled
-def _hit(  # pragma: no cover - compiled
-    tile: int, of_step: Integers, counts: Integers, tile_id: Integers, waiting: Integers
-) -> None:
-    """Stamp a tile with the step, and note it at the first time."""
-    if of_step[tile] != counts[STEPS]:
-        of_step[tile] = counts[STEPS]
-        waiting[counts[WAITING]] = tile_id[tile]
-        counts[WAITING] += 1
-
-
-@compiled
-def _in_map(  # pragma: no cover - compiled
-    x: float, y: float, z: float, to: PoseNumbers
-) -> tuple[float, float, float]:
-    """Return a place in the map, as :meth:`Pose.to_map` does."""
-    return (
-        ((x * to.xx + z * to.xz) + y * to.xy) + to.easting,
-        ((x * to.yx + z * to.yz) + y * to.yy) + to.northing,
-        ((x * to.zx + z * to.zz) + y * to.zy) + to.height,
-    )
-
-
-@compiled
-def _on_plane(  # pragma: no cover - compiled
-    x: float, y: float, to: PoseNumbers
-) -> tuple[float, float, float]:
-    """Return the place of a detection without elevation, as :meth:`Pose.to_map` does."""
-    east, north = x * to.xx + y * to.xy, x * to.yx + y * to.yy
-    range_m, length = math.hypot(x, y), math.hypot(east, north)
-    flat_m = math.sqrt(max(range_m * range_m - to.drop_m2, 0.0))
-    share = flat_m / length if length > 0.0 else 0.0
-    return east * share + to.easting, north * share + to.northing, to.height - to.drop_m
-
-
-@compiled
 def _inside(  # pragma: no cover - compiled
-    tiles: NDArray[np.int32], edges: Floats, begin: int, end: int, x: float, y: float,
+    tiles: Numbers, edges: Floats, begin: int, end: int, x: float, y: float,
     inside: Integers,
 ) -> int:  # fmt: skip
     """Fill in the tiles of a cell that a point is in; return how many."""

@@ -13,22 +13,27 @@ from gis_radar.arrays import Floats, Integers
 from gis_radar.errors import InputError
 from gis_radar.occupancy.counting_loop import (
     CHECKSUM,
+    COUNTS,
     DETECTIONS,
+    FILLED_FRAMES,
+    FILLED_HITS,
     FRAME_COLUMNS,
     MOVING,
     NO_STEP,
+    STEP,
     TIME_US,
     WILD,
     Found,
     Ground,
     Limits,
     Open,
-    PoseNumbers,
     RowColumns,
     count_rows,
     end_frame,
     end_step,
 )
+from gis_radar.occupancy.hits import distinct
+from gis_radar.occupancy.placing import Places, PoseNumbers
 from gis_radar.occupancy.settings import DEFAULTS, Filters, OccupancySettings
 from gis_radar.poses.pose import Pose
 from gis_radar.recordings.recording import Detections, RangeCounts
@@ -38,7 +43,7 @@ from gis_radar.sight.settings import DEFAULTS as SIGHT_DEFAULTS
 from gis_radar.steps import STEP_US
 from gis_radar.tiles.lookup import TileGrid
 
-ROOM_FRAMES, ROOM_HITS = 1 << 12, 1 << 16  # filled in at once; 256 KiB, 1 MiB
+ROOM_FRAMES, ROOM_HITS = 1 << 12, 1 << 17  # filled in at once; 256 KiB, 2 MiB
 NO_TILES: Integers = np.empty(0, np.int64)
 
 
@@ -93,17 +98,20 @@ class HitCounter:
     ) -> None:
         count = len(tiles.tile_id)
         ids = np.arange(count) if tile_id is None else tile_id
+        self._ascends = bool((np.diff(ids) > 0).all())
         self._ground = Ground(ids, np.ascontiguousarray(tiles.height), grid.cells)
         self._limits = limits_of(filters or Filters(), settings, step_us)
         self._open = Open(
-            counts=np.array([0, 0, NO_STEP, 0], np.int64),
+            counts=np.zeros(COUNTS, np.int64),
             time=np.array([math.nan]),
             frame=np.zeros(FRAME_COLUMNS, np.int64),
             of_frame=np.zeros(count, np.int64),
-            of_step=np.zeros(count, np.int64),
             moved=np.zeros(count, np.int64),
-            waiting=np.empty(count, np.int64),
+            hit=np.empty(count + 1, np.int64),
+            waiting=np.zeros(count // 64 + 1, np.uint64),
+            words=np.zeros(count // 64**2 + 1, np.uint64),
             inside=np.empty(grid.most_in_a_cell + 1, np.int64),
+            places=Places.empty(),
             ranges=(ranges or RangeCounts()).counts,
             movement=NO_TILES,
         )
@@ -112,6 +120,7 @@ class HitCounter:
             step=np.empty(max(ROOM_HITS, count), np.int64),
             tile=np.empty(max(ROOM_HITS, count), np.int64),
         )
+        self._open.counts[STEP] = NO_STEP
 
     def add(
         self,
@@ -138,26 +147,32 @@ class HitCounter:
         Yields
         ------
         Counted
-            What is complete so far.
+            What is complete, as often as there is no room for more.
         """
         opened = self._open._replace(movement=movement)
-        while begin < end:
-            begin, frames, hits = count_rows(
+        while True:
+            begin = count_rows(
                 rows, begin, end, placing, self._limits, self._ground, opened, self._found
             )
-            yield self._copied(frames, hits)
+            if begin == end:
+                return
+            yield self._taken()
 
-    def end(self) -> Counted:
-        """Return the frame and the step that are open, and close them."""
-        frames = end_frame(self._open, self._found, 0)
-        return self._copied(frames, end_step(self._open, self._found, 0))
+    def end(self) -> Iterator[Counted]:
+        """Yield what was not yielded, and close the frame and the step that are open."""
+        yield self._taken()
+        end_frame(self._open, self._found)
+        end_step(self._open, self._ground, self._found)
+        yield self._taken()
 
-    def _copied(self, frames: int, hits: int) -> Counted:
-        return Counted(
-            frames=self._found.frames[:frames].copy(),
-            step=self._found.step[:hits].copy(),
-            tile=self._found.tile[:hits].copy(),
-        )
+    def _taken(self) -> Counted:
+        """Return what is filled in, and begin anew."""
+        frames, hits = self._open.counts[[FILLED_FRAMES, FILLED_HITS]].tolist()
+        self._open.counts[[FILLED_FRAMES, FILLED_HITS]] = 0
+        step, tile = self._found.step[:hits].copy(), self._found.tile[:hits].copy()
+        if not self._ascends:
+            step, tile = distinct(step, tile)
+        return Counted(frames=self._found.frames[:frames].copy(), step=step, tile=tile)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -238,7 +253,7 @@ class FrameCounter:
                 wild=frame[WILD], checksum=frame[CHECKSUM],
                 tiles=each.tile[each.step == frame[TIME_US]],
             )
-            for each in (*self._counter.add(rows, 0, len(time), numbers), self._counter.end())
+            for each in (*self._counter.add(rows, 0, len(time), numbers), *self._counter.end())
             for frame in each.frames.tolist()
         ]  # fmt: skip
 

@@ -23,7 +23,7 @@ from gis_radar.occupancy.tile_sets import decode_sets, encode_sets
 
 Rows = tuple[Integers, ...]
 CHECKED = {"page_checksum_verification": True}
-SETS_LEVEL = 9  # of zstd: sets of tiles are most of a folder, and few to compress
+SETS_LEVEL = 3  # of zstd: at 9 sets of tiles are 0.3 % smaller and take three times as long
 
 
 @contextmanager

@@ -1,8 +1,8 @@
 """The pass over a recording in NumPy, a sentence of the paper a line; any engine finds the tiles.
 
-What :mod:`gis_radar.occupancy.counting_loop` compiles, bit for bit, at half its speed: tests
-and benchmarks compare with it, and `--engine rtree` runs the paper's R-tree in it ("Local Sensor
-Data Processing").
+What :mod:`gis_radar.occupancy.counting_loop` compiles, bit for bit, at a quarter of its speed:
+tests and benchmarks compare with it, and `--engine rtree` runs the paper's R-tree in it ("Local
+Sensor Data Processing").
 """
 
 from __future__ import annotations

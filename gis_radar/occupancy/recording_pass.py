@@ -11,11 +11,12 @@ import numpy as np
 import pandas as pd
 
 from gis_radar.arrays import Floats, Integers
-from gis_radar.occupancy.counting_loop import POSE, TIME_US, PoseNumbers
+from gis_radar.occupancy.counting_loop import POSE, TIME_US
 from gis_radar.occupancy.folder import frames_of
 from gis_radar.occupancy.frame_steps import FrameTimes, Runs, union
 from gis_radar.occupancy.hit_counter import NO_TILES, Counted, HitCounter, rows_of_columns
 from gis_radar.occupancy.hits import SortedTableWriter
+from gis_radar.occupancy.placing import PoseNumbers
 from gis_radar.occupancy.settings import Filters, OccupancySettings
 from gis_radar.occupancy.views import PlacedRecording, ViewBook, places_of
 from gis_radar.recordings.raw_rows import RawRows, read_raw
@@ -163,9 +164,9 @@ def _count(found: RecordingPass, target: Target) -> Iterator[Counted]:
                 placed[index] = PoseNumbers.of(pose, road_m=road_m, number=index)
             movement = found.movement_at(index, target).count
             yield from counter.add(rows, begin, end, placed[index], movement=movement)
-        found.level |= bool((np.isnan(raw.z) & ~np.isnan(raw.x)).any())
+        found.level |= raw.level
         found.rows += len(raw)
-    yield counter.end()
+    yield from counter.end()
 
 
 def _corrected(raw: RawRows, source: PlacedRecording) -> tuple[Floats, Integers]:

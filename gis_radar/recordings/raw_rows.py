@@ -7,7 +7,7 @@ code looks whether a batch is sound, and only where it may not be, the checks by
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pyarrow as pa
@@ -29,8 +29,11 @@ class RawRows:
     ----------
     time : (n,) float64 array
         UNIX seconds, ascending.
-    x, y, z, range_rate, rcs : (n,) float64 arrays
-        As of :class:`Detections`. `rcs` is empty where it was not asked for.
+    x, y, z, range_rate, rcs : (n,) arrays
+        As of :class:`Detections`, float32 where all are so in the file, else float64. `rcs` is
+        empty where it was not asked for.
+    level : bool
+        Whether detections, as far as there are any so far, have no height.
     """
 
     time: Floats
@@ -39,6 +42,7 @@ class RawRows:
     z: Floats
     range_rate: Floats
     rcs: Floats
+    level: bool = False
 
     def __len__(self) -> int:
         return len(self.time)
@@ -70,22 +74,28 @@ def read_raw(recording: Recording, *, rcs: bool) -> Iterator[RawRows]:
         for batch in recording.batches(names):
             rows = _columns(batch, rcs=rcs)
             sound, flat = _look(rows, checks) if rows is not None else (False, None)
-            if rows is None or not sound:
-                rows = _by_name(batch, checks)
-            else:
+            if sound and rows is not None:
                 checks.pass_over(rows.time, flat=flat)
+            else:
+                checked = _by_name(batch, checks)
+                rows = checked if rows is None else rows
             if len(rows):
-                yield rows
+                yield replace(rows, level=bool(checks.flat))
 
 
 def _columns(batch: pa.RecordBatch, *, rcs: bool) -> RawRows | None:
-    """Return the columns of a batch as float64; None where one is neither that nor float32."""
+    """Return the columns of a batch as they are; None where one is neither float64 nor float32."""
     names = COLUMNS if rcs else RAW_COLUMNS
-    if not {batch.column(name).type for name in names} <= {pa.float32(), pa.float64()}:
+    kinds = {batch.column(name).type for name in names}
+    if not kinds <= {pa.float32(), pa.float64()}:
         return None
-    columns = [batch.column(name).to_numpy(zero_copy_only=False) for name in names]
-    time, x, y, z, rate, *rest = (np.asarray(values, np.float64) for values in columns)
-    return RawRows(time=time, x=x, y=y, z=z, range_rate=rate, rcs=rest[0] if rest else x[:0])
+    time, *columns = (batch.column(name).to_numpy(zero_copy_only=False) for name in names)
+    kind = np.result_type(*columns)
+    x, y, z, rate, *rest = (np.asarray(values, kind) for values in columns)
+    rcs_column = rest[0] if rest else x[:0]
+    return RawRows(
+        time=np.asarray(time, np.float64), x=x, y=y, z=z, range_rate=rate, rcs=rcs_column
+    )
 
 
 def _by_name(batch: pa.RecordBatch, checks: RowChecks) -> RawRows:

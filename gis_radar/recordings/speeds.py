@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gis_radar.arrays import Floats
+from gis_radar.recordings.raw_rows import read_raw
 from gis_radar.recordings.recording import Recording
 from gis_radar.recordings.units import LEAST_JUDGED, MOVING_MPS, compare_speeds
 
@@ -30,11 +31,13 @@ def odd_speeds(recording: Recording) -> str:
     """
     pieces: list[tuple[Floats, Floats, Floats]] = []
     frames = moving = rows = wild = 0
-    for piece in recording.read():
+    for piece in read_raw(recording, rcs=False):
         speed = np.abs(piece.range_rate)
-        moves = piece.present & (speed >= MOVING_MPS)
-        pieces.append((piece.time[moves], piece.points[moves], piece.range_rate[moves]))
-        frames += len(np.unique(piece.time))
+        moves = ~np.isnan(piece.x) & (speed >= MOVING_MPS)
+        columns = (piece.x, piece.y, piece.z, piece.range_rate)
+        x, y, z, fast = (values[moves].astype(np.float64) for values in columns)
+        pieces.append((piece.time[moves], np.column_stack([x, y, z]), fast))
+        frames += 1 + int(np.count_nonzero(np.diff(piece.time)))
         rows, moving = rows + len(speed), moving + int(moves.sum())
         wild += int((speed > FASTEST_MPS).sum())
         if frames >= MOST_FRAMES or moving >= ENOUGH:

@@ -66,9 +66,12 @@ def find_gaps(
     bins = _bins(tiles, frames > 0, settings)
     counted, looked = bins.sums(count), bins.sums(frames)
     moved = counted > 0
-    if not _empty(counted, _expected(counted, looked, moved, bins), settings).any():
+    empty = _empty(counted, _expected(counted, looked, moved, bins), settings)
+    if not empty.any():
         return []
-    moved = _own(tiles, bins, moved, settings)
+    # Less is expected of own pieces alone: no other stretch can have an empty piece then.
+    asked = moved & np.isin(bins.stretch, bins.stretch[empty])
+    moved &= ~_shared(tiles, bins, asked, settings)
     return list(_gaps(bins, counted, _expected(counted, looked, moved, bins), settings))
 
 
@@ -142,18 +145,21 @@ def _empty(counted: Floats, expected: Floats, settings: GapSettings) -> Booleans
     return (expected > 0) & (counted <= settings.share * expected)
 
 
-def _own(tiles: SightTiles, bins: _Bins, moved: Booleans, settings: GapSettings) -> Booleans:
-    """Return the pieces with movement whose tiles overlap no tile of another lanelet."""
-    own = moved.copy()
-    shapes = np.asarray(shapely.polygons(tiles.quads))
-    asked = np.flatnonzero(bins.known & np.append(moved, False)[bins.of_tile])
-    one, other = shapely.STRtree(shapes).query(shapes[asked], predicate="intersects")
-    one = asked[one]
+def _shared(tiles: SightTiles, bins: _Bins, asked: Booleans, settings: GapSettings) -> Booleans:
+    """Return those of some pieces that have a tile which overlaps one of another lanelet."""
+    found = np.zeros(len(asked), np.bool_)
+    mine = bins.known & np.append(asked, False)[bins.of_tile]
+    low, high = tiles.quads.min(axis=1), tiles.quads.max(axis=1)
+    near = (low <= high[mine].max(axis=0)).all(axis=1) & (high >= low[mine].min(axis=0)).all(axis=1)
+    shapes = np.full(len(near), None)
+    shapes[near] = shapely.polygons(tiles.quads[near])
+    one, other = shapely.STRtree(shapes).query(shapes[mine], predicate="intersects")
+    one = np.flatnonzero(mine)[one]
     apart = tiles.lanelet_id[one] != tiles.lanelet_id[other]
     one, other = one[apart], other[apart]
     shared = shapely.area(shapely.intersection(shapes[one], shapes[other]))
-    own[bins.of_tile[one[shared > settings.shared * shapely.area(shapes[one])]]] = False
-    return own
+    found[bins.of_tile[one[shared > settings.shared * shapely.area(shapes[one])]]] = True
+    return found
 
 
 def _gaps(bins: _Bins, counted: Floats, expected: Floats, settings: GapSettings) -> Iterator[Gap]:
