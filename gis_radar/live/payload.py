@@ -391,6 +391,8 @@ def read_record(data: bytes, *, what: str, version: int | None = None) -> dict[s
         raise InputError(f"{what}: {len(data):,} bytes, expected {MOST_BYTES:,} at most")
     try:
         record = json.loads(data)
+        if b"\\ud" in data.lower():  # perhaps half a character, which no file takes
+            json.dumps(record, ensure_ascii=False).encode()
     except (ValueError, RecursionError) as error:
         raise InputError(f"{what}: no JSON") from error
     if not isinstance(record, dict):

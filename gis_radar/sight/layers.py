@@ -252,8 +252,11 @@ def _read(path: Path) -> tuple[pd.DataFrame, dict[str, str]]:
 
 def _sight_of(pose: Pose, scan: str, rows: pd.DataFrame, tiles: SightTiles) -> Sight:
     """Return sight from its rows; tiles without a row are out of view."""
+    wanted = rows["tile_id"]
+    if not (pd.api.types.is_integer_dtype(wanted) and wanted.isin(tiles.tile_id).all()):
+        raise ValueError("a row is of none of these tiles")
     order = np.argsort(tiles.tile_id)
-    place = order[np.searchsorted(tiles.tile_id, rows["tile_id"].to_numpy(np.int64), sorter=order)]
+    place = order[np.searchsorted(tiles.tile_id, wanted.to_numpy(np.int64), sorter=order)]
     count = len(tiles.tile_id)
     state, hider = np.full(count, OUT_OF_VIEW, np.uint8), np.zeros(count, np.uint8)
     uncovered, hidden_at_m = np.zeros(count, np.bool_), np.full(count, np.nan)

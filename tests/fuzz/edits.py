@@ -215,7 +215,8 @@ def _change(base: sqlite3.Connection, program: Program) -> None:
         base.execute(of_row, (program.value(), row))
     elif what < 6:
         old = base.execute(f'SELECT "{column}" FROM "{name}" WHERE rowid = ?', (row,)).fetchone()  # noqa: S608
-        blob = bytearray(old[0]) if old and isinstance(old[0], bytes) else bytearray(b"GP\0\1")
+        kept = old[0] if old and isinstance(old[0], bytes) else b""
+        blob = bytearray(kept or b"GP\0\1")
         for _ in range(1 + program.below(4)):
             at = program.below(len(blob))
             blob[at : at + 1] = bytes([program.below(256)])

@@ -140,6 +140,14 @@ FOUND = [
             "UPDATE notes SET value = CAST(X'FF' AS TEXT) WHERE name = 'stream'",
         )
     ),
+    ("live records", "live/pose", instead(b'"event":""', b'"event":"\\ud800"')),
+    *(
+        ("sight", "sight.gpkg", statement(text))
+        for text in (
+            "UPDATE sight SET tile_id = 99999 WHERE rowid = 1",
+            "UPDATE sight SET tile_id = NULL WHERE rowid = 1",
+        )
+    ),
     ("live buffer bytes", "live/buffer", zeroed(4096)),
     ("live buffer bytes", "live/buffer", lambda data, path: path.write_bytes(data[:5000])),
     *(
