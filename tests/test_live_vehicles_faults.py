@@ -22,6 +22,7 @@ import gis_radar as gr
 from gis_radar.live.returns import FrameReturns, pack_returns
 from gis_radar.live.vehicles import follower as follower_module
 from gis_radar.live.vehicles import in_fusion
+from gis_radar.live.vehicles import worker as worker_module
 from gis_radar.live.vehicles.clocks import ReturnFrame
 from gis_radar.live.vehicles.counts import VehicleCounts
 from gis_radar.live.vehicles.coverage import Finished
@@ -392,7 +393,8 @@ def test_clocks_that_are_set_back_far_begin_anew_and_nothing_counts_twice(sent, 
     assert any("clocks were set back" in each.said for each in told)
 
 
-def test_vehicles_are_followed_anew_while_the_process_runs(sent, tmp_path):
+def test_vehicles_are_followed_anew_while_the_process_runs(sent, tmp_path, monkeypatch):
+    monkeypatch.setattr(worker_module, "COMMIT_S", 1e9)  # what is committed only in between
     here = sent.at(tmp_path / "here")
     follower = here.follower(SHORT)
     begin = 400_001 * 72_000

@@ -280,6 +280,7 @@ class _Worker:
         if begin is None or not everything or time.monotonic() < self._anew_after:
             return False
         self._anew_after = time.monotonic() + self._settings.silent_s
+        self._commit()  # else what was followed comes to the store behind the clearing
         self._work = self._pool.submit(self._make_room, begin)
         return True
 
