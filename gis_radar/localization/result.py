@@ -38,6 +38,7 @@ DPI = 216
 SIZE_IN = (6.6, 6.6)
 WITH_ONE_IN, WITH_TWO_IN = (7.8, 4.8), (7.8, 9.4)  # as wide as a page: words stay legible
 LETTERS_PT = 9.0
+LARGER = 1.3  # a panel of 6/8 of a picture's width to one of a half, with its gap
 LINE = 46  # letters of a title, as wide as a panel
 MARGIN_M = 12.0
 ROAD_POINTS = 60_000
@@ -235,15 +236,20 @@ def draw_localization(
         Drawn beside it: which tiles the sensor sees from there, and which something hides.
     """
     # not at the top: whoever draws nothing does not wait for matplotlib
+    from matplotlib.text import Text  # noqa: PLC0415
+
     from gis_radar.second_look.picture import draw_surroundings  # noqa: PLC0415
     from gis_radar.sight.picture import draw_sight  # noqa: PLC0415
 
     beside = [name for name, each in (("look", look), ("sight", seen)) if each is not None]
     size_in = WITH_ONE_IN if len(beside) == 1 else WITH_TWO_IN if beside else SIZE_IN
-    rows = [["traces", *beside]] if len(beside) < 2 else [["traces", each] for each in beside]
+    rows = [["traces", *beside]] if len(beside) < 2 else _under_each_other(beside)
     with picture_file(path, size_in, DPI, tight=True, letters_pt=LETTERS_PT) as figure:
         panels = figure.subplot_mosaic(rows)
         found.plot(roads, road_points, ax=panels["traces"]).set_anchor("N")
+        if len(beside) == 2:  # on a phone it is as wide as the others, so its words grow with it
+            for text in panels["traces"].findobj(match=Text):
+                text.set_fontsize(LARGER * text.get_fontsize())
         if look is not None:
             draw_surroundings(panels["look"], look)
         if seen is not None:
@@ -255,6 +261,12 @@ def draw_localization(
             text = "Lanes in its view:\n{seen} in sight, {hidden} hidden"
             ax.set_title(tr(text, seen=percent(1 - share, 0), hidden=percent(share, 0)))
             legend_below(ax)
+
+
+def _under_each_other(beside: list[str]) -> list[list[str]]:
+    """Return a mosaic with the traces in the middle, larger, and two panels below."""
+    one, other = beside
+    return [[".", *(["traces"] * 6), "."], [*([one] * 4), *([other] * 4)]]
 
 
 def _trace_extent(traces: Floats, place: Floats) -> Extent:
