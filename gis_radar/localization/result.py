@@ -36,9 +36,9 @@ STAGE = "finding the pose"
 
 DPI = 216
 SIZE_IN = (6.6, 6.6)
-WITH_ONE_IN, WITH_TWO_IN = (7.8, 4.8), (7.8, 9.4)  # as wide as a page: words stay legible
+WITH_ONE_IN, WITH_TWO_IN = (7.8, 4.8), (7.8, 10.6)  # as wide as a page: words stay legible
 LETTERS_PT = 9.0
-LARGER = 1.3  # a panel of 6/8 of a picture's width to one of a half, with its gap
+LARGER = 1.3  # a panel over two others to these: it is larger, too
 LINE = 46  # letters of a title, as wide as a panel
 MARGIN_M = 12.0
 ROAD_POINTS = 60_000
@@ -243,7 +243,7 @@ def draw_localization(
 
     beside = [name for name, each in (("look", look), ("sight", seen)) if each is not None]
     size_in = WITH_ONE_IN if len(beside) == 1 else WITH_TWO_IN if beside else SIZE_IN
-    rows = [["traces", *beside]] if len(beside) < 2 else _under_each_other(beside)
+    rows = [["traces", *beside]] if len(beside) < 2 else [["traces", "traces"], beside]
     with picture_file(path, size_in, DPI, tight=True, letters_pt=LETTERS_PT) as figure:
         panels = figure.subplot_mosaic(rows)
         found.plot(roads, road_points, ax=panels["traces"]).set_anchor("N")
@@ -261,12 +261,6 @@ def draw_localization(
             text = "Lanes in its view:\n{seen} in sight, {hidden} hidden"
             ax.set_title(tr(text, seen=percent(1 - share, 0), hidden=percent(share, 0)))
             legend_below(ax)
-
-
-def _under_each_other(beside: list[str]) -> list[list[str]]:
-    """Return a mosaic with the traces in the middle, larger, and two panels below."""
-    one, other = beside
-    return [[".", *(["traces"] * 6), "."], [*([one] * 4), *([other] * 4)]]
 
 
 def _trace_extent(traces: Floats, place: Floats) -> Extent:
