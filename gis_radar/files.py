@@ -6,19 +6,17 @@ import atexit
 import ctypes
 import errno
 import json
-import math
 import os
 import secrets
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from datetime import date
 from pathlib import Path
-from typing import Any
 
-from gis_radar.errors import GisRadarError, InputError, OutputError, first_line
+from gis_radar.errors import GisRadarError, OutputError, first_line
 from gis_radar.leftovers import (
     PLAN,
     PRIVATE,
@@ -439,61 +437,3 @@ def _taken(lock: Path, path: Path, reporter: Reporter) -> int:
             if os.path.samestat(lock.stat(), os.fstat(handle)):
                 return handle
         os.close(handle)
-
-
-def read_json(path: str | Path, *, what: str, hint: str = "") -> Any:
-    """Read a file of JSON.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file, in UTF-8.
-    what : str
-        What it should be, for the message: `a pose`.
-    hint : str
-        How to come by one.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read, or is no JSON that Python can hold.
-    """
-    try:
-        text = Path(path).read_text(encoding="utf-8-sig")
-        found = json.loads(text)
-        if "\\ud" in text.lower():  # perhaps half a character, which no file takes
-            json.dumps(found, ensure_ascii=False).encode()
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise InputError(f"{path}: cannot be read: {reason}", hint=hint) from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not {what}: not UTF-8 text", hint=hint) from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not {what}: not JSON: {first_line(error)}", hint=hint) from error
-    return found
-
-
-def json_text(
-    document: Any, *, indent: int | None = None, default: Callable[[Any], Any] | None = None
-) -> str:
-    """Return a document as JSON for other programs: what is no finite number is null.
-
-    Parameters
-    ----------
-    document : object
-        Of what JSON can hold, and numbers that it cannot.
-    indent : int, optional
-        By how many blanks; by default one line.
-    default : callable, optional
-        Turns other objects into what JSON can hold; without it they are refused.
-    """
-    options: dict[str, Any] = {"indent": indent, "default": default}
-    return json.dumps(_finite(document), ensure_ascii=False, allow_nan=False, **options)
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {name: _finite(each) for name, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(each) for each in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -158,8 +158,10 @@ def _is_abandoned(private: Path, *, alone: bool = False) -> bool:
     made = alone or age_s > _MAKING_S  # else its file and the lock may come in a moment
     try:
         handle = os.open(private / _ALIVE, os.O_RDWR)
-    except OSError:
+    except FileNotFoundError:
         return made
+    except OSError:  # of somebody else, or no more files can be opened
+        return age_s > _ABANDONED_S
     try:
         return lock_descriptor(handle, blocking=False) and (made or os.fstat(handle).st_size > 0)
     except OSError:  # no locks here

@@ -1,5 +1,6 @@
 """After `kill -9`: the old result or the new one, nothing in the way, nobody locked out."""
 
+import errno
 import json
 import os
 import random
@@ -248,6 +249,22 @@ def test_a_file_that_was_never_begun_goes_after_a_minute(tmp_path):
         with whole_file(tmp_path / "a") as part:
             part.write_text("new")
         assert names(tmp_path) == left
+
+
+def test_a_run_that_can_open_no_more_files_clears_nothing(tmp_path, monkeypatch):
+    """Whether somebody writes there cannot be told then."""
+    private = tmp_path / ".a.00000000.part"
+    private.mkdir()
+    (private / leftovers._ALIVE).write_text("\n")
+    os.utime(private, (time.time() - 3600.0,) * 2)
+
+    def refuse(*_, **__):
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    monkeypatch.setattr(leftovers.os, "open", refuse)
+    assert not leftovers._is_abandoned(private)
+    monkeypatch.undo()
+    assert leftovers._is_abandoned(private)
 
 
 def test_a_look_of_another_run_does_not_cost_the_lock(tmp_path):

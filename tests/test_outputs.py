@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gis_radar.errors import OutputError
-from gis_radar.files import json_text, only_writer, refuse_inputs, whole_file, whole_folder
+from gis_radar.files import only_writer, refuse_inputs, whole_file, whole_folder
+from gis_radar.json_documents import json_text
 from gis_radar.progress import Reporter
 
 

@@ -21,7 +21,7 @@ from rich.table import Table
 from rich.text import Text
 
 from gis_radar.errors import GisRadarError, OutputError, UsageError, first_line
-from gis_radar.files import json_text
+from gis_radar.json_documents import json_text
 from gis_radar.languages import LANGUAGES
 from gis_radar.processes import free_address_space, watch_input
 from gis_radar.progress import Level, Reporter

@@ -26,7 +26,8 @@ from gis_radar.clocks.offsets import (
 from gis_radar.clocks.settings import DEFAULTS, ClockSettings
 from gis_radar.crs import metric_crs, require_same
 from gis_radar.errors import InputError, NoAnswerError, UsageError
-from gis_radar.files import read_json, whole_file
+from gis_radar.files import whole_file
+from gis_radar.json_documents import read_json
 from gis_radar.notebooks import card
 from gis_radar.poses.files import PoseTrack, as_track
 from gis_radar.poses.pose import Pose

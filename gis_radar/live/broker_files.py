@@ -145,9 +145,8 @@ WantedBy=multi-user.target
 # Where docs/live.md puts things on the computer of a sensor, which is another one.
 _THERE, _PROGRAM = "/var/lib/gis_radar", "/usr/local/lib/gis_radar/bin/gis-radar"
 _USER = "gis_radar"
-_STOP_S = (
-    300  # fusion follows the last minutes and writes the hour; the first time it compiles, too
-)
+# Fusion follows the last minutes and writes the hour; the first time it compiles, too.
+_STOP_S = 300
 
 
 _IMAGE = """\

@@ -18,6 +18,7 @@ import numpy as np
 
 from gis_radar.arrays import Integers
 from gis_radar.errors import InputError
+from gis_radar.json_documents import parsed_json
 from gis_radar.occupancy.hit_counter import CountedFrame
 from gis_radar.occupancy.tile_sets import decode_tiles, encode_tiles
 from gis_radar.steps import FIRST_YEAR, LAST_YEAR, LONGEST_CYCLE_S, in_known_years
@@ -390,9 +391,7 @@ def read_record(data: bytes, *, what: str, version: int | None = None) -> dict[s
     if len(data) > MOST_BYTES:
         raise InputError(f"{what}: {len(data):,} bytes, expected {MOST_BYTES:,} at most")
     try:
-        record = json.loads(data)
-        if b"\\ud" in data.lower():  # perhaps half a character, which no file takes
-            json.dumps(record, ensure_ascii=False).encode()
+        record = parsed_json(data.decode())
     except (ValueError, RecursionError) as error:
         raise InputError(f"{what}: no JSON") from error
     if not isinstance(record, dict):

@@ -20,7 +20,8 @@ import pyarrow.parquet as pq
 
 from gis_radar.arrays import Integers
 from gis_radar.errors import InputError, UsageError
-from gis_radar.files import read_json, whole_folder
+from gis_radar.files import whole_folder
+from gis_radar.json_documents import read_json
 from gis_radar.notebooks import card
 from gis_radar.occupancy.frame_log import COLUMNS, FILE, FRAME_LOG, merge_frame_logs
 from gis_radar.occupancy.frame_steps import Runs, covered_until, hold_hits, steps_in

@@ -17,7 +17,8 @@ from pyproj import CRS
 from gis_radar.arrays import Floats, Integers
 from gis_radar.crs import metric_crs, name_of
 from gis_radar.errors import InputError
-from gis_radar.files import read_json, whole_file
+from gis_radar.files import whole_file
+from gis_radar.json_documents import read_json
 from gis_radar.notebooks import table_card
 from gis_radar.poses.pose import ANGLES, POSITION, Pose, View, pose_from_dict
 from gis_radar.steps import iso_from_step, seconds_from_iso, step_of

@@ -15,11 +15,11 @@ from PIL import Image
 
 from gis_radar.crs import name_of, same_plane
 from gis_radar.errors import InputError
-from gis_radar.files import read_json
 from gis_radar.geopackage import opened_package
 from gis_radar.heatmap import HeatMap, read_heatmap
 from gis_radar.heatmap.layers import FILE as PACKAGE
 from gis_radar.heatmap.picture import png
+from gis_radar.json_documents import read_json
 from gis_radar.lanelets.lanes import LANES
 from gis_radar.notebooks import PANELS
 from gis_radar.occupancy import Occupancy, merge_occupancies, read_occupancy

@@ -20,13 +20,13 @@ from jinja2 import Environment
 
 from gis_radar.errors import GisRadarError, InputError, NoAnswerError, UsageError
 from gis_radar.files import (
-    json_text,
     only_writer,
     output_errors,
     refuse_foreign,
     refuse_inputs,
     whole_file,
 )
+from gis_radar.json_documents import json_text
 from gis_radar.notebooks import card
 from gis_radar.processes import workers_here
 from gis_radar.progress import QUIET, Reporter, warnings_once

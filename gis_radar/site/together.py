@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gis_radar.errors import InputError, NoAnswerError
-from gis_radar.files import read_json, whole_file
+from gis_radar.files import whole_file
+from gis_radar.json_documents import read_json
 from gis_radar.poses.files import read_pose
 from gis_radar.poses.pose import Pose, pose_from_dict
 from gis_radar.progress import Reporter

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from gis_radar.errors import InputError
-from gis_radar.files import read_json
+from gis_radar.json_documents import read_json
 
 RULES = 2
 MANIFEST = "manifest.json"
