@@ -3,6 +3,7 @@
 import struct
 from pathlib import Path
 
+import laspy
 import numpy as np
 import pytest
 from maps import Listener
@@ -102,6 +103,34 @@ def test_a_table_of_other_chunks_is_refused(tmp_path, whole):
 def test_chunks_of_every_count_are_read(tmp_path, points):
     path = write_points(tmp_path / "s.laz", np.zeros((points, 3)))
     assert read_header(path).point_count == points
+
+
+def layered(path, point_format, points):
+    """Write points whose parts are compressed in layers, with bytes of their own."""
+    header = laspy.LasHeader(point_format=point_format, version="1.4")
+    header.add_extra_dim(laspy.ExtraBytesParams(name="own", type="3u1"))
+    data = laspy.LasData(header)
+    data.x = data.y = data.z = np.linspace(0.0, 100.0, points)
+    data.write(path)
+    return path
+
+
+@pytest.mark.parametrize("point_format", [6, 7, 8, 9, 10])
+@pytest.mark.parametrize("points", [1, 50_001])
+def test_layers_are_read(tmp_path, point_format, points):
+    path = layered(tmp_path / "s.laz", point_format, points)
+    assert read_header(path).point_count == points
+
+
+@pytest.mark.parametrize("layer", range(9 + 1 + 3))
+def test_layers_longer_than_their_chunk(tmp_path, layer):
+    """lazrs takes the memory first, and ends the process where there is none."""
+    data = layered(tmp_path / "s.laz", 7, 10).read_bytes()
+    heads = 8 + 30 + 6 + 3 + 4  # the table's place, a point in full, the number of points
+    at = struct.unpack_from("<I", data, POINTS_AT)[0] + heads + 4 * layer
+    path = changed(data, tmp_path / "s.laz", at, "<I", 0xFFF00000)
+    with pytest.raises(InputError, match=r"s\.laz: .*chunk 0 claims layers longer than itself"):
+        read_header(path)
 
 
 def test_a_flip_never_gives_another_road(tmp_path, whole):

@@ -117,6 +117,8 @@ def _border_remarks(geographic: Floats, chosen: CRS) -> tuple[str, ...]:
     """Return which zone was chosen where a map lies in two: others may have taken the other."""
     longitude, latitude = np.median(geographic, axis=0)
     near = geographic[np.abs(geographic[:, 0] - longitude) < WIDEST_DEG, 0]
+    if not len(near):  # half of the nodes lie here, half far away
+        return ()
     one, other = (
         name_of(utm_zone(float(end), float(latitude))) for end in (near.min(), near.max())
     )

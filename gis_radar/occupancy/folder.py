@@ -376,6 +376,9 @@ def _check_table(path: Path, fingerprint: str) -> None:
     for column in {"step", "tile_id", "first_step", "last_step"} & set(schema.names):
         if not pa.types.is_integer(kind := schema.field(column).type):
             raise InputError(f"{path}: column {column} is {kind}, expected whole numbers")
+    for column in {"sensor", "view"} & set(schema.names):
+        if not _is_text(kind := schema.field(column).type):
+            raise InputError(f"{path}: column {column} is {kind}, expected text")
     if "tiles" in needed and not pa.types.is_binary(kind := schema.field("tiles").type):
         raise InputError(f"{path}: column tiles is {kind}, expected bytes")
     other = (
@@ -383,6 +386,11 @@ def _check_table(path: Path, fingerprint: str) -> None:
     )
     if other != fingerprint:
         raise InputError(f"{path}: was made from tiles {other}, its folder from {fingerprint}")
+
+
+def _is_text(kind: pa.DataType) -> bool:
+    kind = kind.value_type if pa.types.is_dictionary(kind) else kind
+    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
 
 
 def _with_view_names(

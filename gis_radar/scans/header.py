@@ -9,7 +9,7 @@ ends the process where there is not as much.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -35,6 +35,9 @@ _LASZIP_BYTES, _ITEM_BYTES = 34, 6
 # Sizes of the parts of a compressed point by type (laszip 3.4, "laszip.hpp"); bytes have any.
 _ITEM_SIZES = {6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29}
 _ITEMS_OF_ANY_SIZE = {0, 14}
+# Layers that each part of a point is stored in, by the same types; bytes have one each.
+_LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
+_LAYERED = 3  # the method of point formats 6 to 10
 _OF_ANY_LENGTH = 0xFFFFFFFF  # chunks of as many points as the table says
 _MOST_CHUNK = 10_000_000  # points; laszip's own chunks have 50,000, COPC's under 100,000
 _SMALLEST_SCALE, _LARGEST_SCALE = 1e-12, 1e3
@@ -158,7 +161,7 @@ def _unfit(head: bytes, size: int) -> str:
 
 
 def _unfit_compression(file: BinaryIO, head: bytes, size: int) -> str:
-    """Return what in the record and the table of the compression cannot be, or nothing."""
+    """Return what in the record of the compression and in its chunks cannot be, or nothing."""
     begin, points_at, count = struct.unpack_from("<HII", head, 94)
     file.seek(begin)
     records = file.read(points_at - begin)
@@ -170,6 +173,12 @@ def _unfit_compression(file: BinaryIO, head: bytes, size: int) -> str:
         at += _VLR_BYTES + length
     if fault := _unfit_record(record, struct.unpack_from("<H", head, 105)[0]):
         return f"its record of the compression {fault}"
+    return _unfit_chunks(file, head, record, size)
+
+
+def _unfit_chunks(file: BinaryIO, head: bytes, record: bytes, size: int) -> str:
+    """Return what in the table of the chunks and in their heads cannot be, or nothing."""
+    (points_at,) = struct.unpack_from("<I", head, 96)
     each = struct.unpack_from("<I", record, 12)[0]
     points = struct.unpack_from("<I", head, 107)[0]
     if head[25] >= 4:
@@ -192,6 +201,26 @@ def _unfit_compression(file: BinaryIO, head: bytes, size: int) -> str:
         return "its table claims chunks longer than the file"
     if each == _OF_ANY_LENGTH and sum(held for held, _ in table) != points:
         return f"its chunks do not hold its {points} points"
+    if struct.unpack_from("<H", record)[0] == _LAYERED:
+        lengths = [length for _, length in table]
+        return _unfit_layers(file, points_at + 8, lengths, _items(record))
+    return ""
+
+
+def _unfit_layers(
+    file: BinaryIO, at: int, lengths: Sequence[int], items: Sequence[tuple[int, int]]
+) -> str:
+    """Return what in the heads of the chunks cannot be: layers longer than their chunk."""
+    first = sum(size for _, size in items)  # one point in full, the number of points, the layers
+    layers = sum(size if kind in _ITEMS_OF_ANY_SIZE else _LAYERS[kind] for kind, size in items)
+    form = struct.Struct(f"<{first + 4}x{layers}I")
+    for number, length in enumerate(lengths):
+        if length:
+            file.seek(at)
+            head = file.read(min(form.size, length))
+            if len(head) < form.size or sum(form.unpack(head)) > length - form.size:
+                return f"chunk {number} claims layers longer than itself"
+        at += length
     return ""
 
 
@@ -208,14 +237,21 @@ def _unfit_record(record: bytes, point_bytes: int) -> str:
         return f"claims chunks of {each} points"
     if len(record) < _LASZIP_BYTES + count * _ITEM_BYTES:
         return f"claims {count} parts of a point"
-    items = [
-        struct.unpack_from("<HH", record, _LASZIP_BYTES + k * _ITEM_BYTES) for k in range(count)
-    ]
+    items = _items(record)
     wrong = [kind for kind, size in items
              if kind not in _ITEMS_OF_ANY_SIZE and _ITEM_SIZES.get(kind) != size]  # fmt: skip
+    if compressor == _LAYERED:
+        wrong += [kind for kind, _ in items if kind not in {*_LAYERS, *_ITEMS_OF_ANY_SIZE}]
     if wrong or sum(size for _, size in items) != point_bytes:
         return f"and its points of {point_bytes} bytes do not fit each other"
     return ""
+
+
+def _items(record: bytes) -> list[tuple[int, int]]:
+    """Return type and size of each part of a compressed point."""
+    (count,) = struct.unpack_from("<H", record, 32)
+    places = range(_LASZIP_BYTES, _LASZIP_BYTES + count * _ITEM_BYTES, _ITEM_BYTES)
+    return [struct.unpack_from("<HH", record, at) for at in places]
 
 
 def _not_in_file(header: Any, size: int) -> str:

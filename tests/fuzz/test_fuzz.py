@@ -23,7 +23,7 @@ import pytest
 
 import fuzz.__main__ as front
 from fuzz import edits
-from fuzz.targets import TARGETS, Bench
+from fuzz.targets import FIRST_CLOUD, TARGETS, Bench
 
 TESTS = Path(__file__).parents[1]
 RUNS = 12  # a target
@@ -84,6 +84,13 @@ def zeroed(at):
 
 def infinite_azimuth(data, path):
     path.write_bytes(data[:101] + b"\x7f\x80\0\0" + data[105:])
+
+
+def half_moved(data, path):
+    """Move every other node of a map by three degrees."""
+    first, *nodes = data.split(b'lon="11')
+    parts = [(b'lon="14' if k % 2 else b'lon="11') + node for k, node in enumerate(nodes)]
+    path.write_bytes(first + b"".join(parts))
 
 
 LISTS = pa.list_(pa.int64())
@@ -148,6 +155,9 @@ FOUND = [
             "UPDATE sight SET tile_id = NULL WHERE rowid = 1",
         )
     ),
+    ("osm", "map.osm", half_moved),
+    ("pcd", FIRST_CLOUD, instead(b"SIZE 4", b"SIZE ,,,1")),
+    ("occupancy", "occupancy/frames.parquet", column("sensor", b"R1", pa.binary())),
     ("live buffer bytes", "live/buffer", zeroed(4096)),
     ("live buffer bytes", "live/buffer", lambda data, path: path.write_bytes(data[:5000])),
     *(

@@ -30,7 +30,11 @@ WHOLE = {10: 1.0, 13: 1e-3, 16: 1e-6, 19: 1e-9}
 LONGEST_HEADER = 1 << 14  # bytes; usual are some hundred
 LONGEST_NUMBER = 32  # letters of a number in text and the gap after it
 MOST_COUNT = 65_536  # numbers of a field; descriptors of points have some hundred
-_KINDS = {"F": "f", "I": "i", "U": "u"}
+_KINDS = {
+    ("F", "2"): "f2", ("F", "4"): "f4", ("F", "8"): "f8",
+    ("I", "1"): "i1", ("I", "2"): "i2", ("I", "4"): "i4", ("I", "8"): "i8",
+    ("U", "1"): "u1", ("U", "2"): "u2", ("U", "4"): "u4", ("U", "8"): "u8",
+}  # fmt: skip
 _DATE = re.compile(
     r"(\d{4})-?(\d\d)-?(\d\d)[T_ -]?(\d\d)[-:_h]?(\d\d)[-:_m]?(\d\d)(?:[._,-](\d{1,9}))?Z?"
 )
@@ -155,7 +159,7 @@ def _header(file: Any) -> _Header:
         words[key.upper()] = rest
     try:
         names, counts = words["FIELDS"], words.get("COUNT", ["1"] * len(words["FIELDS"]))
-        kinds = [_KINDS[k] + s for k, s in zip(words["TYPE"], words["SIZE"], strict=True)]
+        kinds = [_KINDS[each] for each in zip(words["TYPE"], words["SIZE"], strict=True)]
         # Gaps are fields named _, several of them.
         unique = [f"_{i}" if name == "_" else name for i, name in enumerate(names)]
         fields = [
