@@ -32,12 +32,12 @@ from gis_radar.arrays import Integers
 from gis_radar.live.broker import BrokerAddress, Link, SensorTopics
 from gis_radar.live.broker_files import write_broker_files
 from gis_radar.live.buffer import DiskBuffer, Waiting
-from gis_radar.live.edge import TileFinder
 from gis_radar.live.fusion import Fusion
 from gis_radar.live.outbox import Outbox
 from gis_radar.live.payload import HITS, POSE, PoseContent, pack_hits
 from gis_radar.live.settings import read_live_site
 from gis_radar.live.sources import frames_of_recording
+from gis_radar.live.tile_finder import TileFinder
 from gis_radar.live.windows import Seen
 from gis_radar.occupancy.hit_counter import CountedFrame
 from gis_radar.processes import stopped_by_signals

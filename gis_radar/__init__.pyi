@@ -1,6 +1,6 @@
 from .clocks import Clocks, SensorClock, measure_clocks, read_clocks
 from .crs import yaw_from_compass
-from .demo import run_demo, sample_folder
+from .demo import run_demo
 from .errors import (
     CrsError,
     GisRadarError,
@@ -31,6 +31,7 @@ from .quality import Quality, measure_quality
 from .recordings import Conversion, convert
 from .recordings.recording import open_recording
 from .report import Report, write_report
+from .sample import sample_folder
 from .scans.mask import RoadMask, mask_road
 from .scans.roads import Roads, read_roads
 from .scans.scan import read_road

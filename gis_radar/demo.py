@@ -7,28 +7,13 @@ import math
 from pathlib import Path
 from typing import Any
 
-from gis_radar.errors import InputError
 from gis_radar.files import whole_file
 from gis_radar.poses.files import read_pose
 from gis_radar.poses.pose import ANGLES, Pose
 from gis_radar.progress import QUIET, Reporter
+from gis_radar.sample import sample_folder
 
 ERRORS = "pose_errors.csv"
-
-
-def sample_folder() -> Path:
-    """Return the folder of the sample junction: inside an installed package, or beside it.
-
-    Raises
-    ------
-    InputError
-        If neither is there.
-    """
-    package = Path(__file__).parent
-    for folder in (package / "sample_maps", package.parent / "sample_maps"):
-        if (folder / "junction.osm").is_file():
-            return folder
-    raise InputError("the sample maps are missing", hint="install gis_radar again")
 
 
 def run_demo(

@@ -117,15 +117,22 @@ def run_child(
         child.wait()
 
 
+class _StopSignal(threading.Event):
+    """A stop that signals set; what may be broken off is interrupted by it."""
+
+    interrupts = False
+
+
 @contextmanager
 def stopped_by_signals() -> Iterator[threading.Event]:
     """Yield an event that Ctrl-C or SIGTERM sets; the second one interrupts as always."""
-    stop = threading.Event()
+    stop = _StopSignal()
 
     def note(_number: int, _frame: FrameType | None) -> None:
-        if stop.is_set():
-            raise KeyboardInterrupt
+        interrupts = stop.is_set() or stop.interrupts
         stop.set()
+        if interrupts:
+            raise KeyboardInterrupt
 
     # the only thread that signals reach
     on_main = threading.current_thread() is threading.main_thread()
@@ -135,6 +142,30 @@ def stopped_by_signals() -> Iterator[threading.Event]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def run_unless_stopped(work: Callable[[], object], stop: threading.Event) -> None:
+    """Do what takes long and may be broken off anywhere, unless it is stopped.
+
+    Parameters
+    ----------
+    work : callable
+        What is to be done.
+    stop : Event
+        That of :func:`stopped_by_signals` interrupts the work; one that another thread sets is
+        only looked at before.
+    """
+    if isinstance(stop, _StopSignal):
+        stop.interrupts = True
+    try:
+        if not stop.is_set():
+            work()
+    except KeyboardInterrupt:
+        if not stop.is_set():
+            raise
+    finally:
+        if isinstance(stop, _StopSignal):
+            stop.interrupts = False
 
 
 def watch_input() -> None:

@@ -102,6 +102,7 @@ class LiveSite:
     names, recordings = ("R1", "R2"), SAMPLE
     map_file = SAMPLE / "junction.osm"
     scheme, host, authority = "mqtt", "127.0.0.1", ""
+    vehicles = "false"  # else a process begins with each fusion
     of_site = ""  # more of SITE.toml, and of its table [live]
     of_live = ""
 
@@ -137,6 +138,7 @@ file = "{self.map_file}"
 site = "junction"
 tiles = "{self.tiles}"
 broker = {{ address = "{self.address}"{secret} }}
+vehicles = {self.vehicles}
 {self.of_live}
 {sensors}
 """

@@ -11,7 +11,8 @@ PACKAGE = Path(__file__).parents[1] / "gis_radar"
 # `__init__.py`: what `import gis_radar` offers.
 ROWS = """
     errors arrays languages progress processes renamed words
-    crs grid steps spreadsheets leftovers files json_documents geopackage vector_files notebooks
+    crs grid sample steps spreadsheets leftovers files json_documents geopackage vector_files
+    notebooks
     poses
     lanelets recordings scans
     tiles

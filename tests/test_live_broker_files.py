@@ -5,6 +5,7 @@ import shutil
 import stat
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 import yaml
@@ -58,6 +59,8 @@ def test_the_compose_file_names_what_is_there(site):
     assert fusion["command"] == ["gis-radar", "live", "SITE.toml"]
     assert fusion["working_dir"] == str(site.folder.resolve())
     assert "ro" in broker["volumes"][0]
+    kept = Path(fusion["environment"]["NUMBA_CACHE_DIR"])  # all else is read only there
+    assert kept.is_relative_to(site.folder.resolve())
     image = (folder / "Dockerfile").read_text()
     assert image.count("\nRUN ") == 2
     copied = [line for line in image.splitlines() if line.startswith(("COPY", "ADD"))]

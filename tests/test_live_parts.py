@@ -15,7 +15,6 @@ import gis_radar as gr
 from gis_radar.errors import GisRadarError, InputError
 from gis_radar.live.broker import BrokerAddress, parts_of
 from gis_radar.live.buffer import BLOCK, ROW_BYTES, DiskBuffer, FullError, hours_held
-from gis_radar.live.edge import TileFinder
 from gis_radar.live.health import SensorHealth, prometheus_text
 from gis_radar.live.map_of_now import MapOfNow
 from gis_radar.live.payload import (
@@ -40,6 +39,7 @@ from gis_radar.live.returns import (
     unpack_returns,
 )
 from gis_radar.live.sources import Replay, frames_of_recording
+from gis_radar.live.tile_finder import TileFinder
 from gis_radar.live.windows import Seen, Windows
 from gis_radar.occupancy.frame_log import NO_FURTHER
 from gis_radar.occupancy.hit_counter import CountedFrame

@@ -156,7 +156,7 @@ def test_a_follower_that_begins_anew_goes_on_as_if_it_had_not(sent, tmp_path):
 @needs_mosquitto
 @takes_long
 def test_fusion_follows_vehicles_in_a_process_that_may_be_killed(tmp_path, once):
-    site = LiveSite(tmp_path, once)
+    site = LiveSite(tmp_path, once, vehicles="true")
     site.broker.start()
     fusion = Fusion(read_live_site(site.file))
     middle = Background(fusion.run)

@@ -10,6 +10,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 from queue import Queue
+from threading import Event
 from types import SimpleNamespace
 
 import numpy as np
@@ -35,7 +36,7 @@ from gis_radar.live.vehicles.worker import (
     FramesMessage,
     PoseMessage,
     Told,
-    _Worker,
+    VehicleWorker,
 )
 from gis_radar.steps import STEP_US
 from gis_radar.vehicles.visibility import SensorView
@@ -175,6 +176,7 @@ def test_a_store_that_cannot_be_opened_is_tried_again(sent, tmp_path, monkeypatc
     said = []
     reporter = SimpleNamespace(log=lambda text, _: said.append(text))
     vehicles = LiveVehicles(site_of(sent, tmp_path), sent.tiles, sent.book, reporter=reporter)
+    vehicles.make_ready(Event())
     first = vehicles._process
 
     def lost():
@@ -217,7 +219,7 @@ def worker(here, settings=SHORT):
     store = VehicleStore(here.site.folder / "store", fingerprint=here.site.fingerprint)
     inbox, told = Queue(), []
     outbox = SimpleNamespace(put=told.append)
-    return _Worker(here.site, store, inbox, outbox, settings), inbox, told
+    return VehicleWorker(here.site, store, inbox, outbox.put, settings), inbox, told
 
 
 def finished(told):

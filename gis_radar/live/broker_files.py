@@ -128,7 +128,7 @@ StartLimitIntervalSec=0
 ExecStart={words}
 User={user}
 WorkingDirectory={folder}
-Restart=always
+{more}Restart=always
 RestartSec=5
 TimeoutStopSec={stop_s}
 KillMode=mixed
@@ -142,10 +142,12 @@ NoNewPrivileges=true
 [Install]
 WantedBy=multi-user.target
 """
+# Where compiled code is kept: homes are read only, and an account may have none.
+_KEPT = "CacheDirectory=gis_radar\nEnvironment=NUMBA_CACHE_DIR=%C/gis_radar\n"
 # Where docs/live.md puts things on the computer of a sensor, which is another one.
 _THERE, _PROGRAM = "/var/lib/gis_radar", "/usr/local/lib/gis_radar/bin/gis-radar"
 _USER = "gis_radar"
-# Fusion follows the last minutes and writes the hour; the first time it compiles, too.
+# Fusion follows the last minutes and writes the hour.
 _STOP_S = 300
 
 
@@ -198,6 +200,7 @@ def compose_text(site: LiveSite, file: Path, folder: Path) -> str:
         "fusion": common | {
             "depends_on": ["broker"],
             "working_dir": str(file.parent),
+            "environment": {"NUMBA_CACHE_DIR": str(site.folder / "compiled")},
             "command": ["gis-radar", "live", file.name],
             "volumes": [f"{file.parent}:{file.parent}"],
             "stop_signal": "SIGTERM",
@@ -239,7 +242,11 @@ def units(site: LiveSite, file: Path, folder: Path) -> dict[str, str]:
     }
     return {
         f"gis-radar-{key}.service": _UNIT.format(
-            about=about, words=_command(words, instance=key == "edge@"), stop_s=_STOP_S, **where
+            about=about,
+            words=_command(words, instance=key == "edge@"),
+            stop_s=_STOP_S,
+            more="" if key == "broker" else _KEPT,
+            **where,
         )
         for key, (about, words, where) in rows.items()
     }

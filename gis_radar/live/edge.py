@@ -17,6 +17,7 @@ from gis_radar.crs import require_same
 from gis_radar.errors import InputError, NoAnswerError
 from gis_radar.live.broker import Link, SensorTopics
 from gis_radar.live.buffer import DiskBuffer
+from gis_radar.live.first_run import compile_first, run_sensor_once
 from gis_radar.live.outbox import OFFLINE, Outbox, status_message
 from gis_radar.live.own_pose import (
     AGAIN_FRAMES,
@@ -40,50 +41,18 @@ from gis_radar.live.payload import (
 from gis_radar.live.returns import FrameReturns, ReturnFinder, pack_returns
 from gis_radar.live.settings import DEFAULTS, EdgeFile, LiveSettings, read_edge_file
 from gis_radar.live.sources import IDLE_S, Frames, Radar, Replay
+from gis_radar.live.tile_finder import TileFinder
 from gis_radar.localization.settings import DEFAULTS as LOCALIZATION
-from gis_radar.occupancy import Filters
 from gis_radar.occupancy.frame_steps import holds_of
-from gis_radar.occupancy.hit_counter import CountedFrame, FrameCounter
+from gis_radar.occupancy.hit_counter import CountedFrame
 from gis_radar.occupancy.settings import DEFAULTS as OCCUPANCY
-from gis_radar.occupancy.views import road_near
 from gis_radar.poses.files import read_track
 from gis_radar.poses.pose import ANGLES, POSITION, Pose
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Detections
-from gis_radar.sight import SightTiles, find_sight
+from gis_radar.sight import SightTiles
 from gis_radar.steps import STEP_US
 from gis_radar.tiles import TileGrid, read_tiles
-
-
-class TileFinder:
-    """Finds the tiles that frames hit, as `gis-radar occupancy` does.
-
-    Parameters
-    ----------
-    road : SightTiles
-        All tiles.
-    grid : TileGrid
-        Of the same tiles.
-    filters : Filters
-        Which detections count.
-    pose : Pose
-        Of the sensor.
-    """
-
-    def __init__(self, road: SightTiles, grid: TileGrid, filters: Filters, pose: Pose) -> None:
-        self.pose = pose
-        self._grid = grid
-        self._road_m = road_near(find_sight(pose, road), road)
-        self._counter = FrameCounter(road, grid=grid, filters=filters)
-
-    def find(self, frame: Detections) -> CountedFrame:
-        """Return the tiles that a frame hits."""
-        (found,) = self._counter.count(frame, self.pose, road_m=self._road_m)
-        return found
-
-    def returns(self, frame: Detections, finder: ReturnFinder) -> FrameReturns:
-        """Return what a tracker needs of a frame."""
-        return finder.find(frame, self.pose, road_m=self._road_m)
 
 
 class Edge:
@@ -154,6 +123,7 @@ class Edge:
             If the source cannot be read.
         """
         file = self._file
+        compile_first(run_sensor_once, stop, self._reporter)
         topics = SensorTopics(file.site, file.sensor)
         most = int(file.buffer.megabytes * 1e6)
         with DiskBuffer(

@@ -16,6 +16,7 @@ from gis_radar.errors import GisRadarError, OutputError
 from gis_radar.files import whole_file
 from gis_radar.live.aside import Aside
 from gis_radar.live.broker import Link, SensorTopics
+from gis_radar.live.first_run import compile_first, run_fusion_once
 from gis_radar.live.health import HealthServer, prometheus_text
 from gis_radar.live.hour_copy import write_copied
 from gis_radar.live.hours import HOUR_US
@@ -149,6 +150,9 @@ class Fusion:
             Set from outside.
         """
         live = self._site.live
+        compile_first(run_fusion_once, stop, self._reporter)
+        if self.vehicles is not None:
+            self.vehicles.make_ready(stop)
         topics = SensorTopics(live.site, "+")
         own = SensorTopics(live.site, FUSION).of("status")
         link = Link(

@@ -7,6 +7,7 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 from queue import Full
+from threading import Event
 from typing import Any
 
 import geopandas as gpd
@@ -21,15 +22,14 @@ from gis_radar.live.store import KnownPose
 from gis_radar.live.vehicles.counts import VehicleCounts
 from gis_radar.live.vehicles.follower import POSES_KEPT, FollowedSite
 from gis_radar.live.vehicles.now import VehiclesNow, layer_of
+from gis_radar.live.vehicles.process import follow_in_process
 from gis_radar.live.vehicles.settings import DEFAULTS, FollowSettings
 from gis_radar.live.vehicles.store import FollowedPose
 from gis_radar.live.vehicles.worker import (
-    STORE_FILE,
     EndMessage,
     FramesMessage,
     PoseMessage,
     Told,
-    follow_in_process,
 )
 from gis_radar.occupancy.views import ViewBook
 from gis_radar.poses.pose import pose_from_dict
@@ -43,6 +43,7 @@ from gis_radar.vehicles.visibility import SensorView
 HAND_ON_S = 0.1
 CHANNEL = 100  # parcels that may wait for the process: 10 s
 AGAIN_S = 10.0  # after the process ended unasked
+READY_S = 0.05  # between two looks whether it is
 END_S = 120.0  # for the last minutes to be followed and written
 OLD_S = 5.0  # vehicles of now that are older are none
 POSES_NAMED = POSES_KEPT // 2  # the process knows more, so it knows these
@@ -106,10 +107,20 @@ class LiveVehicles:
         self._outbox: Any = None
         self._known: dict[int, tuple[str, str]] = {}  # by row, sensor and view; used last is last
         self._handed = self._started = self._heard = 0.0
-        self._ended, self._refused, self._lost = False, False, False
+        self._ended = self._refused = self._lost = self._ready = self._broken_off = False
         self._behind, self._said = 0.0, ""
-        if self._site is not None and (site.folder / STORE_FILE).exists():
-            self._start()  # what an earlier run left is finished
+
+    def make_ready(self, stop: Event) -> None:
+        """Start the process, and wait until it can follow: the first time it compiles."""
+        if self._process is None:
+            self._start()  # what an earlier run left is finished, too
+        while self._process is not None and self._process.is_alive() and not self._lost:
+            self._take_in()
+            if self._ready:
+                return
+            if stop.wait(READY_S):
+                self._broken_off = True
+                return
 
     def take(
         self, health: SensorHealth, stream: str, content: bytes,
@@ -176,7 +187,7 @@ class LiveVehicles:
         context = multiprocessing.get_context("spawn")
         self._inbox = context.Queue(CHANNEL)
         self._outbox, theirs = context.Pipe(duplex=False)
-        self._refused = self._lost = False
+        self._refused = self._lost = self._ready = False
         self._known, self._started, self._ended = {}, time.monotonic(), False
         self._process = context.Process(
             target=follow_in_process,
@@ -250,6 +261,7 @@ class LiveVehicles:
             self._reporter.log(told.said, "warning")
             self._said = told.said
         self._ended, self._refused = self._ended or told.ended, self._refused or told.refused
+        self._ready = self._ready or told.ready
         skipped = self._told.get("skipped_s", 0.0)
         if skipped > self._behind:
             self._reporter.log(
@@ -267,14 +279,14 @@ class LiveVehicles:
             if not self._started:
                 return
             self._start()  # it was lost a moment ago
-        until = time.monotonic() + END_S
+        until = time.monotonic() + (0.0 if self._broken_off else END_S)
         told = False
         while self._process.is_alive() and not self._ended and time.monotonic() < until:
             told = told or self._hand_on(EndMessage())
             self._take_in()
             time.sleep(0.02)
         self._take_in()
-        if not self._ended:
+        if not self._ended and not self._broken_off:
             self._reporter.log("the last vehicles are written with the next start", "warning")
         stop_workers([self._process])
         self._inbox.cancel_join_thread()

@@ -1,4 +1,4 @@
-"""The process that follows vehicles: beside fusion, which only hands on what sensors send.
+"""What the process that follows vehicles does: fusion only hands on what sensors send.
 
 Its main thread takes frames in, keeps them on disk and tells the vehicles of now; a second one
 follows blocks and writes hours.
@@ -8,15 +8,13 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from contextlib import suppress
 from dataclasses import dataclass
-from multiprocessing.connection import Connection
 from multiprocessing.queues import Queue as Channel
 from pathlib import Path
-from queue import Empty, Full, Queue
-from threading import Thread
-from typing import Any
+from queue import Empty, Queue
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -34,15 +32,12 @@ from gis_radar.live.vehicles.follower import (
 from gis_radar.live.vehicles.now import NowFilter, VehiclesNow
 from gis_radar.live.vehicles.settings import FollowSettings
 from gis_radar.live.vehicles.store import FollowedPose, VehicleStore
-from gis_radar.processes import watch_parent
 from gis_radar.site.hours import HOUR_STEPS
 from gis_radar.steps import STEPS_PER_SECOND, iso_from_step
 from gis_radar.vehicles.blocks import Block
 from gis_radar.vehicles.visibility import SensorView
 
-STORE_FILE = "vehicles.sqlite"
 COMMIT_S, WAIT_S = 1.0, 0.1
-TOLD = 1_000  # that may wait for fusion
 AHEAD_S = 10.0  # a frame further in the future is of a wrong clock
 SHOWN_STEPS = HOUR_STEPS // 4  # of what is told again after a restart, before the hour
 
@@ -79,65 +74,38 @@ class Told:
     written: Path | None = None
     said: str = ""
     anew: int | None = None  # the step from which on all counts are told anew
+    ready: bool = False  # takes in what is handed on
     ended: bool = False
     refused: bool = False  # could not begin; it is tried again
 
 
-class _Outbox:
-    """What is told goes on a thread of its own: fusion may be busy, and a pipe holds little."""
-
-    def __init__(self, connection: Connection[Told, Any]) -> None:
-        self._connection = connection
-        self._waiting: Queue[Told | None] = Queue(TOLD)
-        self._thread = Thread(target=self._send, daemon=True, name="told")
-        self._thread.start()
-
-    def _send(self) -> None:
-        with suppress(OSError):  # fusion has closed its end: it wants no more
-            while (told := self._waiting.get()) is not None:
-                self._connection.send(told)
-
-    def put(self, told: Told) -> None:
-        with suppress(Full):  # the vehicles of now come again; all else waits
-            self._waiting.put(told, block=told.now is None, timeout=60.0)
-
-    def close(self) -> None:
-        """Have all sent that was told."""
-        with suppress(Full):
-            self._waiting.put(None, timeout=60.0)
-        self._thread.join(60.0)
-
-
-def follow_in_process(
-    site: FollowedSite, inbox: Channel[Any], outbox: Connection[Told, Any],
-    settings: FollowSettings,
-) -> None:  # fmt: skip
-    """Work until the end is told; what a process of its own runs."""
-    watch_parent()
-    telling = _Outbox(outbox)
-    try:
-        store = VehicleStore(site.folder / STORE_FILE, fingerprint=site.fingerprint)
-    except GisRadarError as error:
-        telling.put(Told(counts={}, said=error.message, refused=True))
-    else:
-        if store.put_aside is not None:
-            said = f"{store.path}: it is damaged: put aside as {store.put_aside.name}"
-            telling.put(Told(counts={}, said=f"{said}; vehicles of the last hour may be missing"))
-        _Worker(site, store, inbox, telling, settings).run()
-        store.close()
-    telling.close()
-
-
+Inbox: TypeAlias = "Channel[Any] | Queue[Any]"
 _Found = tuple[float, Floats] | int | None  # a block's, or the step from which on it begins anew
 
 
-class _Worker:
+class VehicleWorker:
+    """Takes frames in, has blocks followed, and tells what it finds.
+
+    Parameters
+    ----------
+    site : FollowedSite
+        The site.
+    store : VehicleStore
+        Returns and pieces on disk.
+    inbox : Queue
+        Of messages.
+    tell : callable
+        Receives what is told.
+    settings : FollowSettings
+        Constants.
+    """
+
     def __init__(
-        self, site: FollowedSite, store: VehicleStore, inbox: Channel[Any], outbox: _Outbox,
-        settings: FollowSettings,
+        self, site: FollowedSite, store: VehicleStore, inbox: Inbox,
+        tell: Callable[[Told], object], settings: FollowSettings,
     ) -> None:  # fmt: skip
         self._site, self._store, self._settings = site, store, settings
-        self._inbox, self._outbox = inbox, outbox
+        self._inbox, self._hand_back = inbox, tell
         self._follower = VehicleFollower(site=site, store=store, settings=settings)
         self._now = NowFilter(graph=site.graph, tracker=settings.tracker(), settings=settings)
         self._counts: Counter[str] = Counter()
@@ -362,7 +330,7 @@ class _Worker:
             "until_s": np.nan if follower.done is None else (follower.done + 1) / STEPS_PER_SECOND,
             "newest_s": self._newest_s if np.isfinite(self._newest_s) else np.nan,
         }  # fmt: skip
-        self._outbox.put(Told(counts=counts, **news))
+        self._hand_back(Told(counts=counts, **news))
 
 
 def _shown_since(done: int) -> int:

@@ -1,0 +1,91 @@
+"""What runs often is compiled before a program begins: it runs once, on the sample's first frames.
+
+Later, compiling would hold up the frames that come meanwhile. Where the machine code is kept (see
+:func:`gis_radar.arrays.compiled`), later starts only load it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import cache
+from itertools import islice
+from threading import Event
+
+import geopandas as gpd
+import numpy as np
+
+from gis_radar.errors import GisRadarError
+from gis_radar.lanelets import read_map
+from gis_radar.live.payload import pack_hits, unpack_hits
+from gis_radar.live.returns import ReturnFinder, pack_returns
+from gis_radar.live.sources import frames_of_recording
+from gis_radar.live.tile_finder import TileFinder
+from gis_radar.occupancy import Filters
+from gis_radar.occupancy.hit_counter import CountedFrame
+from gis_radar.poses.files import read_pose
+from gis_radar.poses.pose import Pose
+from gis_radar.processes import run_unless_stopped
+from gis_radar.progress import Reporter
+from gis_radar.recordings.recording import Detections
+from gis_radar.sample import sample_folder
+from gis_radar.sight import SightTiles
+from gis_radar.tiles import TileGrid, make_tiles
+
+COMPILING = "compiling what runs often: up to minutes at the first start, seconds at later ones"
+NOT_COMPILED = "what runs often is compiled only when it is needed: {}"
+
+
+def compile_first(work: Callable[[], object], stop: Event, reporter: Reporter) -> None:
+    """Run once what is compiled by that, and say so; a stop breaks it off.
+
+    Parameters
+    ----------
+    work : callable
+        One of this module.
+    stop : Event
+        As of :func:`gis_radar.processes.run_unless_stopped`.
+    reporter : Reporter
+        Receives what is done.
+    """
+    reporter.log(COMPILING)
+    try:
+        run_unless_stopped(work, stop)
+    except (GisRadarError, OSError) as error:
+        reporter.log(NOT_COMPILED.format(error), "warning")
+
+
+class SampleSensor:
+    """A radar of the sample junction with its tiles."""
+
+    def __init__(self) -> None:
+        folder = sample_folder()
+        self.map_file = folder / "junction.osm"
+        self.roads = read_map(self.map_file)
+        self.tiles: gpd.GeoDataFrame = make_tiles(self.roads)
+        self.road = SightTiles.of(self.tiles)
+        self.pose: Pose = read_pose(folder / "R1.json")
+        self._recording = folder / "R1.parquet"
+
+    def frames(self, count: int) -> Iterator[Detections]:
+        """Yield the first frames of its recording."""
+        return islice(frames_of_recording(self._recording), count)
+
+
+@cache
+def run_sensor_once() -> None:
+    """Do with a frame what a sensor's program does with each."""
+    sample = SampleSensor()
+    finder = TileFinder(sample.road, TileGrid(sample.road.quads), Filters(), sample.pose)
+    returns = ReturnFinder(sample.road)
+    for frame in sample.frames(1):
+        pack_hits([finder.find(frame)], pose=1, fingerprint=sample.road.fingerprint)
+        pack_returns([finder.returns(frame, returns)], pose=1)
+
+
+@cache
+def run_fusion_once() -> None:
+    """Read a message of hits as fusion reads each."""
+    frame = CountedFrame(
+        time_us=0, detections=1, moving=0, wild=0, checksum=0, tiles=np.array([1, 3])
+    )
+    unpack_hits(pack_hits([frame], pose=1, fingerprint="0" * 16), tiles=4)
