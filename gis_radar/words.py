@@ -10,9 +10,11 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cache
+from itertools import count
 
 from gis_radar.errors import UsageError
 from gis_radar.languages import LANGUAGES, catalogue, messages
+from gis_radar.languages.site_keys import keys_for_options
 
 NOTHING, MINUS = "\u2013", "\u2212"  # a dash; a minus as wide as a plus
 THIN = "\u202f"  # narrow, and no line ends there
@@ -131,7 +133,7 @@ def stage_words(stage: str) -> str:
 
 def _known(text: str, semicolons: int = 0) -> str:
     language = _CURRENT.get()
-    if exact := messages(language).get(text) or catalogue(language).get(text):
+    if exact := _messages(language).get(text) or catalogue(language).get(text):
         return exact
     for each in _with_holes(language):
         values = each.values_in(text) if each.text.count("; ") >= semicolons else []
@@ -184,9 +186,24 @@ def _pattern(text: str) -> re.Pattern[str]:
 
 
 @cache
+def _messages(language: str) -> dict[str, str]:
+    """Return the messages with their translations, also those in the words of the site file."""
+    known = messages(language)
+    # Holes are numbered first: a key may stand before a value that its option stands behind.
+    numbered = {_numbered(text): found for text, found in known.items()}
+    in_keys = {keys_for_options(text): keys_for_options(numbered[text]) for text in numbered}
+    return {text: in_keys[text] for text in in_keys.keys() - numbered.keys()} | known
+
+
+def _numbered(text: str) -> str:
+    numbers = count()
+    return re.sub(r"\{\}", lambda _: f"{{{next(numbers)}}}", text)
+
+
+@cache
 def _with_holes(language: str) -> list[_Message]:
     """Return the messages with holes, those with the most letters of their own first."""
-    told = [(text, found) for text, found in messages(language).items() if _HOLE.search(text)]
+    told = [(text, found) for text, found in _messages(language).items() if _HOLE.search(text)]
     told += [
         (text, found) for text, found in catalogue(language).items()
         if _HOLE.search(text) and _own_letters(text) >= _LEAST_LETTERS
@@ -258,6 +275,19 @@ def wind_of(east_m: float, north_m: float) -> str:
 def direction(east_m: float, north_m: float) -> str:
     """Return the wind of :func:`wind_of` in the reader's language; a dash where there is none."""
     return tr(wind_of(east_m, north_m) or NOTHING)
+
+
+def street_label(street: object, part: object = None) -> str:
+    """Return how a street is called, with its place where several have its name; empty if unknown.
+
+    Examples
+    --------
+    >>> street_label("Ring", "north-east")
+    'Ring (north-east)'
+    """
+    if not (isinstance(street, str) and street):
+        return ""
+    return f"{street} ({tr(part)})" if isinstance(part, str) and part else street
 
 
 def listed(words: Sequence[str]) -> str:

@@ -10,6 +10,8 @@ from maps import SHARED, Listener, needs_shared_maps, write_osm
 
 import gis_radar as gr
 from gis_radar.lanelets.lanes import chain_lanelets
+from gis_radar.lanelets.streets import name_streets
+from gis_radar.progress import QUIET
 from gis_radar.tiles.lanes import lanes_of
 
 
@@ -201,8 +203,35 @@ def test_two_streets_of_one_name_are_told(tmp_path):
     streets = gpd.GeoDataFrame({"name": ["Ring", "Ring"]}, geometry=list(roads.lanelets["centre"]))
     lanes, warned = told(roads, streets=streets.set_crs(roads.crs))
     assert lanes["street"].tolist() == ["Ring", "Ring"]
+    assert sorted(lanes["street_part"]) == ["east", "west"]
     assert lanes["turn"].isna().all()
     assert warned == [
         "no lanelet of the map follows another: each is a lane of its own, without turns",
         "streets: 2 streets are called Ring; their lanes differ by number",
     ]
+
+
+def test_two_streets_of_one_name_in_the_map_are_told_too(tmp_path):
+    lanes, warned = told(two_lanes(tmp_path, apart_m=2000.0, road_name="Ring"))
+    assert sorted(lanes["street_part"]) == ["east", "west"]
+    assert warned[1:] == ["2 streets are called Ring; their lanes differ by number"]
+
+
+def test_a_street_whose_middle_has_no_lanes_is_one(tmp_path):
+    roads = two_lanes(tmp_path, apart_m=2000.0)
+    first, last = (shapely.get_coordinates(each)[:, :2] for each in roads.lanelets["centre"])
+    whole = shapely.LineString(np.concatenate([first, last]))
+    streets = gpd.GeoDataFrame({"name": ["Ring"]}, geometry=[whole], crs=roads.crs)
+    lanes, warned = told(roads, streets=streets)
+    assert lanes["street"].tolist() == ["Ring", "Ring"]
+    assert lanes["street_part"].isna().all()
+    assert len(warned) == 1
+
+
+def test_three_streets_in_a_row_are_told_apart_by_numbers():
+    lines = [shapely.LineString([(x, 0), (x + 50, 0)]) for x in (0, 1000, 2000, 5000)]
+    names = ["Ring", "Ring", "Ring", None]
+    lanes = gpd.GeoDataFrame({"street": names}, geometry=lines, crs=25832)
+    named = name_streets(lanes, None, None, QUIET)
+    assert named["street_part"].tolist()[:3] == ["1", "2", "3"]
+    assert named["street_part"].isna().tolist() == [False, False, False, True]

@@ -7,9 +7,13 @@ import re
 from pathlib import Path
 
 import gis_radar as gr
-from gis_radar.site.messages import KEYS, in_site_words
+from gis_radar.languages import messages
+from gis_radar.languages.site_keys import KEYS, keys_for_options
+from gis_radar.site.messages import in_site_words
 from gis_radar.site.settings import site_template
+from gis_radar.words import speaking, tr_message
 
+HOLE = re.compile(r"\{\w*\}")
 PACKAGE = Path(gr.__file__).parent
 # Of `gis-radar run` itself, and of commands that no run calls.
 IMAGE = {"--build-arg", "--no-install-recommends", "--no-cache-dir"}  # of a Dockerfile
@@ -20,7 +24,7 @@ def options_named():
     """Return the options in texts of all rooms but the command line."""
     found = set()
     for path in PACKAGE.rglob("*.py"):
-        if path.relative_to(PACKAGE).parts[0] in {"cli", "demo.py"} or path.name == "messages.py":
+        if path.relative_to(PACKAGE).parts[0] in {"cli", "demo.py"} or path.name == "site_keys.py":
             continue
         tree = ast.parse(path.read_text(encoding="utf-8"))
         doc = {id(node.body[0].value) for node in ast.walk(tree)
@@ -58,3 +62,16 @@ def test_a_command_to_type_keeps_its_options():
     assert in_site_words(text, "UTC") == (
         "is the pose off? gis-radar sight --recording lists the tiles; use files in [scan]"
     )
+
+
+def test_messages_in_the_words_of_the_site_file_have_their_german():
+    said = {text: keys_for_options(HOLE.sub("7", text)) for text in messages("de")}
+    other = {text: words for text, words in said.items() if words != HOLE.sub("7", text)}
+    assert len(other) > 10
+    with speaking("de"):
+        assert [words for words in other.values() if tr_message(words) == words] == []
+        cycle = in_site_words(
+            "R1 delivers every 57 ms, and a frame holds 100 ms: 3 % of the 50 ms steps read as not "
+            "observed by it; --cycle R1=57ms lets a frame cover its whole cycle", "UTC",
+        )  # fmt: skip
+        assert 'cycle = "57ms" in [[sensor]] R1' in tr_message(cycle)

@@ -172,7 +172,10 @@ def lanes(
     -------
     GeoDataFrame
         One row a lane, by `lane` (int64, its number: its smallest lanelet id). `lanelets` (tuple of
-        int, in driving order); `subtype` of the first; `street` (None where unknown); `direction`
+        int, in driving order); `subtype` of the first; `street` (None where unknown);
+        `street_part` (where the map or the layer has several streets of that name, more than 250 m
+        apart: where among them this one lies, a compass wind such as `north-east`, or a number
+        where winds do not tell them apart; None elsewhere); `direction`
         (of eight compass winds of the map's grid, where its last 5 m lead to); `turn` (`left`,
         `straight`, `right`, `back`, joined by `;`: what it or the lanes that it leads to do in a
         junction, by the map's tags, else by their geometry; None elsewhere); `stop_line_m` (metres

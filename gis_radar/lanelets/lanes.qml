@@ -45,12 +45,13 @@
     <alias index="1" field="lanelets" name="Lanelets" />
     <alias index="2" field="subtype" name="Kind" />
     <alias index="3" field="street" name="Street" />
-    <alias index="4" field="direction" name="Leads to the" />
-    <alias index="5" field="turn" name="Turns" />
-    <alias index="6" field="stop_line_m" name="Stop line after (m)" />
-    <alias index="7" field="length_m" name="Length (m)" />
+    <alias index="4" field="street_part" name="Which street of that name" />
+    <alias index="5" field="direction" name="Leads to the" />
+    <alias index="6" field="turn" name="Turns" />
+    <alias index="7" field="stop_line_m" name="Stop line after (m)" />
+    <alias index="8" field="length_m" name="Length (m)" />
   </aliases>
   <previewExpression>"lane"</previewExpression>
-  <mapTip enabled="1">&lt;b&gt;[% "lane" %]&lt;/b&gt;[% coalesce(' ' || "street", '') %]&lt;br&gt;[% "direction" %][% coalesce(', ' || "turn", '') %], [% format_number("length_m", 0) %] m</mapTip>
+  <mapTip enabled="1">&lt;b&gt;[% "lane" %]&lt;/b&gt;[% coalesce(' ' || "street", '') %][% coalesce(' (' || "street_part" || ')', '') %]&lt;br&gt;[% "direction" %][% coalesce(', ' || "turn", '') %], [% format_number("length_m", 0) %] m</mapTip>
   <layerGeometryType>1</layerGeometryType>
 </qgis>

@@ -9,6 +9,7 @@ from typing import Any
 
 import geopandas as gpd
 import numpy as np
+import scipy
 import shapely
 
 from gis_radar.arrays import Floats
@@ -16,11 +17,13 @@ from gis_radar.errors import CrsError, InputError
 from gis_radar.lanelets.tagging import STREET
 from gis_radar.progress import Reporter
 from gis_radar.vector_files import read_vector
+from gis_radar.words import wind_of
 
 NAME_FIELDS = (
     "name", "street", "street_name", "road_name", "strassenname", "straßenname", "str_name",
     "strname", "strasse", "straße", "bezeichnung", "nom_voie", "naam", "straatnaam",
 )  # fmt: skip
+PART = "street_part"  # on which of several streets of one name a lane is
 NEAR_M = 20.0  # from the middle of a street to its outermost lane: six lanes and a tram
 PARALLEL_RAD = math.radians(30.0)
 SAMPLE_M = 5.0  # of lanes, to ask which street is there
@@ -35,7 +38,8 @@ def name_streets(
 ) -> gpd.GeoDataFrame:
     """Return lanes with the names of streets where the map has none.
 
-    A lane takes the name of the street that is nearest and parallel along most of it.
+    A lane takes the name of the street that is nearest and parallel along most of it. Where streets
+    far apart have one name, `street_part` tells on which of them a lane is.
 
     Parameters
     ----------
@@ -55,9 +59,25 @@ def name_streets(
     CrsError
         If they state no coordinate system.
     """
-    if streets is None:
-        return lanes
-    what = str(streets) if isinstance(streets, str | Path) else "streets"
+    named, known, prefix = lanes.copy(), _no_streets(lanes.crs), ""
+    if streets is not None:
+        what = str(streets) if isinstance(streets, str | Path) else "streets"
+        prefix = f"{what}: "
+        known = _known_streets(streets, field, lanes.crs, what, reporter)
+    if len(known):
+        names = [_name_along(line, known) for line in lanes.geometry]
+        named[STREET] = [tag or name for tag, name in zip(lanes[STREET], names, strict=True)]
+        _tell_bare(named, prefix, reporter)
+    place = list(named.columns).index(STREET) + 1
+    named.insert(place, PART, _parts_of(named, known, prefix, reporter))
+    return named
+
+
+def _known_streets(
+    streets: gpd.GeoDataFrame | str | Path, field: str | None, crs: Any, what: str,
+    reporter: Reporter,
+) -> gpd.GeoDataFrame:  # fmt: skip
+    """Return the lines that have a name, in the CRS of the lanes."""
     table = _read(streets, what)
     name = _field_of(table, field, what)
     if name is None:
@@ -66,17 +86,17 @@ def name_streets(
             f"{what}: no column of names ({usual}, ...); lanes stay without names of streets",
             "warning",
         )
-        return lanes
+        return _no_streets(crs)
     named = {STREET: table[name].to_numpy()}
     known = gpd.GeoDataFrame(named, geometry=table.geometry.array).explode(ignore_index=True)
     texts = known[STREET].map(lambda value: str(value).strip() if isinstance(value, str) else "")
     known = known.assign(**{STREET: texts})
     known = known[(known[STREET] != "") & (known.geometry.geom_type == "LineString")]
-    known = _moved(known, lanes.crs, what)
-    names = [_name_along(line, known) for line in lanes.geometry]
-    found = [tag or name for tag, name in zip(lanes[STREET], names, strict=True)]
-    _warn(lanes.assign(**{STREET: found}), known, what, reporter)
-    return lanes.assign(**{STREET: found})
+    return _moved(known, crs, what)
+
+
+def _no_streets(crs: Any) -> gpd.GeoDataFrame:
+    return gpd.GeoDataFrame({STREET: np.empty(0, object)}, geometry=[], crs=crs)
 
 
 def _read(streets: gpd.GeoDataFrame | str | Path, what: str) -> gpd.GeoDataFrame:
@@ -152,22 +172,52 @@ def _on(line: shapely.LineString, at: Floats) -> tuple[Floats, Floats]:
     return points, np.arctan2(way[:, 1], way[:, 0])
 
 
-def _warn(
-    lanes: gpd.GeoDataFrame, streets: gpd.GeoDataFrame, what: str, reporter: Reporter
-) -> None:
-    """Report lanes without a name, and names that two streets have."""
+def _tell_bare(lanes: gpd.GeoDataFrame, prefix: str, reporter: Reporter) -> None:
+    """Report lanes without a name."""
     bare = int(lanes[STREET].isna().sum())
     if bare:
         reporter.log(
-            f"{what}: {bare} of {len(lanes)} lanes run along none of its streets with a name and "
+            f"{prefix}{bare} of {len(lanes)} lanes run along none of its streets with a name and "
             "stay without",
             "warning" if bare == len(lanes) else "info",
         )
-    for name, lines in streets[streets[STREET].isin(set(lanes[STREET]))].groupby(STREET):
-        around = shapely.union_all(shapely.buffer(lines.geometry.array, APART_M / 2.0))
-        pieces = [part for part in shapely.get_parts(around) if lanes.intersects(part).any()]
-        if len(pieces) > 1:
+
+
+def _parts_of(
+    lanes: gpd.GeoDataFrame, streets: gpd.GeoDataFrame, prefix: str, reporter: Reporter
+) -> list[str | None]:
+    """Return on which of several streets of its name each lane is; a line tells of each name."""
+    parts = np.full(len(lanes), None, object)
+    names = lanes[STREET].to_numpy(object)
+    for name in sorted({each for each in names if isinstance(each, str)}):
+        mine = np.flatnonzero(names == name)
+        drawn = streets.geometry.array[np.flatnonzero(streets[STREET] == name)]
+        pieces = _pieces([*lanes.geometry.array[mine], *drawn])[: len(mine)]
+        if len(set(pieces)) > 1:
+            words = _told_apart(lanes.geometry.array[mine], pieces)
+            parts[mine] = [words[piece] for piece in pieces]
             reporter.log(
-                f"{what}: {len(pieces)} streets are called {name}; their lanes differ by number",
+                f"{prefix}{len(words)} streets are called {name}; their lanes differ by number",
                 "warning",
             )
+    return parts.tolist()
+
+
+def _pieces(lines: list[shapely.LineString]) -> list[int]:
+    """Return the number of the street that each line is part of: near ones are one street."""
+    near = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=APART_M)
+    links = scipy.sparse.coo_array((np.ones(near.shape[1]), near), shape=(len(lines), len(lines)))
+    return list(scipy.sparse.csgraph.connected_components(links, directed=False)[1].tolist())
+
+
+def _told_apart(lanes: Any, pieces: list[int]) -> dict[int, str]:
+    """Return a word for each street: where it lies among those of its name, else a number."""
+    known = sorted(set(pieces))
+    middles = shapely.get_coordinates(
+        [shapely.union_all(lanes[np.equal(pieces, each)]).centroid for each in known]
+    )
+    off = middles - middles.mean(axis=0)
+    words = [wind_of(*each) for each in off]
+    if len(set(words)) < len(known) or np.hypot(*off.T).min() < APART_M / 4.0:  # one in the middle
+        words = [str(number) for number in range(1, len(known) + 1)]
+    return dict(zip(known, words, strict=True))

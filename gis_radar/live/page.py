@@ -40,7 +40,7 @@ from gis_radar.live.features import feature_routes
 from gis_radar.live.health import ALARMS
 from gis_radar.live.snapshot import DEGREES, LiveMap, Place, ShownSensor, Snapshot, geometries
 from gis_radar.steps import step_begin
-from gis_radar.words import speaking, tr, tr_message
+from gis_radar.words import speaking, street_label, tr, tr_message
 
 _LOGGER = logging.getLogger(__name__)
 EVENTS_PER_S = 3.0  # what a person can follow; a step is 50 ms
@@ -417,11 +417,15 @@ def _site_json(place: Place, language: str) -> bytes:
         named = [
             {
                 "number": str(number),  # ids reach 9e18, numbers of a browser 9e15
-                "street": street if isinstance(street, str) else "",
+                "street": street_label(street, part),
                 "direction": tr(direction),
             }
-            for number, street, direction in zip(
-                place.lane_numbers, lanes["street"], lanes["direction"], strict=True
+            for number, street, part, direction in zip(
+                place.lane_numbers,
+                lanes["street"],
+                lanes["street_part"],
+                lanes["direction"],
+                strict=True,
             )
         ]
     content = {

@@ -24,6 +24,7 @@ from gis_radar.errors import GisRadarError, InputError
 from gis_radar.live.snapshot import Place, geometries
 from gis_radar.site.live_table import SensorThingsTable
 from gis_radar.steps import STEP_S, iso_from_step
+from gis_radar.words import street_label
 
 TIMEOUT_S = 30.0
 AT_ONCE = 500  # observations in a request
@@ -196,7 +197,8 @@ class LaneServer:
         lanes = place.lanes.set_index("lane")
         shapes = geometries(place.in_degrees(place.lanes).geometry.to_numpy())
         self._shapes = dict(zip(lanes.index.tolist(), shapes, strict=True))
-        self._streets = dict(zip(lanes.index.tolist(), lanes["street"].tolist(), strict=True))
+        names = map(street_label, lanes["street"], lanes["street_part"])
+        self._streets = dict(zip(lanes.index.tolist(), names, strict=True))
 
     def push(self, measures: Sequence[LaneMeasure], *, again: bool = False) -> int:
         """Push measures; return how many the server did not take.
@@ -276,14 +278,14 @@ class LaneServer:
 
     def _thing(self, lane: int, stream: str) -> dict[str, Any]:
         title, street = self._place.title, self._streets.get(lane)
-        where = f"{street}, {title}" if isinstance(street, str) and street else title
+        where = f"{street}, {title}" if street else title
         about = f"Lane {lane} of {where}"
         name = f"{self._site}/lane/{lane}"
         location = {"name": name, "description": about, "encodingType": "application/geo+json",
                     "location": self._shapes[lane]}  # fmt: skip
         return {
             "name": name, "description": about,
-            "properties": {"site": self._site, "lane": lane, "street": street},
+            "properties": {"site": self._site, "lane": lane, "street": street or None},
             "Locations": [location],
             "Datastreams": [{
                 "name": stream, "description": f"Hit occupancy of lane {lane}",

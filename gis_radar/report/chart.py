@@ -20,7 +20,7 @@ from gis_radar.notebooks import FONTS
 from gis_radar.report.content import Chart, Strip
 from gis_radar.report.lanes import LaneSums
 from gis_radar.steps import Clock
-from gis_radar.words import direction, figure_text, percent, tr
+from gis_radar.words import direction, figure_text, percent, street_label, tr
 
 STRIPS, MOST_CHARTS = 14, 4  # lanes of a chart, which fills a page; as many charts
 WIDTH_IN, STRIP_IN, EDGES_IN = 7.0, 0.56, 1.0
@@ -77,7 +77,8 @@ def draw_lanes_over_time(
 
 def _named(row: pd.Series) -> str:
     """Return how a strip is called."""
-    street = shorten(str(row.get("street") or ""), STREET_LETTERS, placeholder="\u2026")
+    known = shorten(str(row.get("street") or ""), STREET_LETTERS, placeholder="\u2026")
+    street = street_label(known, row.get("street_part"))
     number = f"{row['lane']} {direction(row['east_m'], row['north_m'])}"
     return f"{street}\n{number}" if street else number
 

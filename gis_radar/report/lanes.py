@@ -269,7 +269,7 @@ def write_lanes(path: Path, table: pd.DataFrame, clock: Clock, measure: str) -> 
     covered = measure == "coverage"
     header = (
         "lane", *(("rank", "tracks") if covered else ()),
-        "lanelets", "subtype", "street", "leads_to", "length_m",
+        "lanelets", "subtype", "street", "street_part", "leads_to", "length_m",
         "visible_m" if covered else "observed_m", *(_COVERED if covered else _HITS),
         "busiest_spot", *(("busiest_spot_se",) if covered else ()), "busiest_spot_m",
         "over_20_percent_m", "busiest_begin_utc", "busiest_begin_local", "busiest_end_utc",
@@ -297,6 +297,7 @@ def write_lanes(path: Path, table: pd.DataFrame, clock: Clock, measure: str) -> 
                 lanelets[0] if len(lanelets) == 1 else " ".join(map(str, lanelets)),
                 row["subtype"],
                 row.get("street", ""),
+                row.get("street_part", ""),
                 wind_of(row["east_m"], row["north_m"]) or NOTHING,
                 *(round(float(row[name]), number) for name, number in digits.items()),
                 *times,

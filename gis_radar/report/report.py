@@ -74,6 +74,7 @@ from gis_radar.words import (
     percent,
     plural,
     speaking,
+    street_label,
     tr,
 )
 
@@ -179,7 +180,8 @@ def _find(results: Results, title: str, timezone: str | None, reporter: Reporter
     zone = timezone or results.timezone
     sums = sum_by_lane(heat)
     table = lane_table(heat, sums, tracks_of(results.vehicles, sums.lanes))
-    table["street"] = [results.streets.get(int(lane), "") for lane in table["lane"]]
+    known = [results.streets.get(int(lane), ("", "")) for lane in table["lane"]]
+    table["street"], table["street_part"] = zip(*known, strict=True) if known else ((), ())
     return Findings(
         results=results,
         title=title,
@@ -429,7 +431,8 @@ def _lane_columns(clock: Clock, measure: str) -> list[Column]:
         return text.replace(f" {place}", f"{THIN}{place}")  # no line ends before it
 
     def leads_to(row: pd.Series) -> str:
-        return ", ".join(filter(None, [row["street"], direction(row["east_m"], row["north_m"])]))
+        street = street_label(row["street"], row["street_part"])
+        return ", ".join(filter(None, [street, direction(row["east_m"], row["north_m"])]))
 
     columns = [
         Column(tr("Lane"), "", 0.9, lambda row: str(row["lane"])),

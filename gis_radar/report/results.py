@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pyogrio
 from PIL import Image
 
@@ -37,6 +38,7 @@ from gis_radar.words import (
     figure_text,
     plus_minus,
     speaking,
+    stage_words,
     tr,
     tr_message,
 )
@@ -68,7 +70,8 @@ class Results:
     vehicles : Vehicles or None
         What coverage was made of; None where it is not there.
     streets : mapping
-        Name of a lane's street, by the lane's number, where it is known.
+        Name of a lane's street, and which of several of that name it is (else empty), by the lane's
+        number, where it is known.
     figures : mapping
         Picture of how a sensor's pose was found, by its name.
     run : mapping
@@ -82,7 +85,7 @@ class Results:
     occupancy: Occupancy | None
     poses: Sequence[Pose]
     vehicles: Vehicles | None
-    streets: Mapping[int, str]
+    streets: Mapping[int, tuple[str, str]]
     figures: Mapping[str, Path]
     run: Mapping[str, Any]
     missing: Sequence[str]
@@ -137,7 +140,8 @@ class Results:
         """The warnings of the run, each once, after the stages that raised it."""
         raised: dict[str, list[str]] = {}
         for each in self.stages:
-            texts = raised.setdefault(str(each.get("part_of") or each["name"]), [])
+            stage = stage_words(str(each.get("part_of") or each["name"]))
+            texts = raised.setdefault(stage, [])
             texts += [tr_message(text) for text in each.get("warnings") or []]
         return warnings_once(raised)
 
@@ -244,7 +248,7 @@ def _vehicles(folder: Path, heat: HeatMap) -> Vehicles | None:
     return found if found.provenance.fingerprint == heat.fingerprint else None
 
 
-def _streets(folder: Path) -> dict[int, str]:
+def _streets(folder: Path) -> dict[int, tuple[str, str]]:
     """Return the streets of lanes by their numbers, as far as the run's tiles know them."""
     path = folder / "tiles.gpkg"
     if not path.is_file():
@@ -255,7 +259,9 @@ def _streets(folder: Path) -> dict[int, str]:
     except InputError:
         return {}  # of an older version
     named = table.dropna(subset=["street"])
-    return dict(zip(named["lane"].astype(int), named["street"].astype(str), strict=True))
+    parts = named.get("street_part", pd.Series("", named.index)).fillna("")  # not of version 0.1
+    names = zip(named["street"].astype(str), parts.astype(str), strict=True)
+    return dict(zip(named["lane"].astype(int), names, strict=True))
 
 
 def _poses(folder: Path, occupancy: Occupancy | None) -> list[Pose]:
