@@ -26,7 +26,19 @@ class GisRadarError(Exception):
             message = " ".join(message.split())
         super().__init__(message)
         self.message = message
+        self._hint = ""
         self.hint = hint
+
+    @property
+    def hint(self) -> str:
+        """What to do about it, or nothing; tracebacks and notebooks show it below the message."""
+        return self._hint
+
+    @hint.setter
+    def hint(self, hint: str) -> None:
+        others = getattr(self, "__notes__", [])[bool(self._hint) :]
+        self._hint = hint
+        self.__notes__ = [hint, *others] if hint else others
 
 
 class UsageError(GisRadarError):

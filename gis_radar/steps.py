@@ -133,7 +133,7 @@ def moment_in(value: Any, zone: ZoneInfo, *, what: str) -> datetime:
     Parameters
     ----------
     value : str, datetime or numpy.datetime64
-        Such as `2025-06-12 07:30`, or `2025-06-12T05:30Z`.
+        Such as `2025-06-12 07:30`, or `2025-06-12T05:30Z`; 24:00 is the end of a day.
     zone : ZoneInfo
         Whose clocks.
     what : str
@@ -145,22 +145,30 @@ def moment_in(value: Any, zone: ZoneInfo, *, what: str) -> datetime:
         If it is no time, or by those clocks there are two such times or none.
     """
     try:
-        moment = value if isinstance(value, datetime) else datetime.fromisoformat(str(value))
-    except ValueError as error:
+        moment = value if isinstance(value, datetime) else _moment(str(value))
+        if moment.tzinfo is not None:
+            return moment.astimezone(UTC)
+        both = [moment.replace(tzinfo=zone, fold=fold) for fold in (0, 1)]
+        in_utc = both[0].astimezone(UTC)
+    except (ValueError, OverflowError) as error:  # the latter at both ends of the calendar
         raise UsageError(
             f"{what} is {str(value)!r}, expected a time such as 2026-11-20 09:00"
         ) from error
-    if moment.tzinfo is not None:
-        return moment.astimezone(UTC)
-    both = [moment.replace(tzinfo=zone, fold=fold) for fold in (0, 1)]
     if both[0].utcoffset() != both[1].utcoffset():
-        there = both[0].astimezone(UTC).astimezone(zone).replace(tzinfo=None) == moment
+        there = in_utc.astimezone(zone).replace(tzinfo=None) == moment
         how = "is twice" if there else "is left out"
+        earlier, later = (_offset(each)[3:].replace(MINUS, "-") for each in both)  # to be typed
         raise UsageError(
             f"{what} is {moment}, which {how} that day in {zone}",
-            hint=f"add the offset, such as {_offset(both[0]).removeprefix('UTC')}",
+            hint=f"add the offset, {earlier} or {later}",
         )
-    return both[0].astimezone(UTC)
+    return in_utc
+
+
+def _moment(text: str) -> datetime:
+    """Return an ISO 8601 time; Python reads 24:00, the end of a day, from version 3.14 on."""
+    begin_of_day = re.sub(r"(?<=^.{10}[ T])24(?=:00(?:$|[Z+-]|:00(?:$|[Z+-])))", "00", text)
+    return datetime.fromisoformat(begin_of_day) + timedelta(days=begin_of_day != text)
 
 
 def step_at(value: Any, zone: ZoneInfo, *, what: str) -> int:

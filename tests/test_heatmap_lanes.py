@@ -128,10 +128,29 @@ def test_times_that_are_refused(heat, options, words):
 
 def test_the_hour_that_is_twice_needs_its_offset():
     for text, how in (("2025-10-26 02:30", "is twice"), ("2025-03-30 02:30", "is left out")):
-        with pytest.raises(gr.UsageError, match=f"which {how} that day in Europe/Berlin"):
+        told = pytest.raises(gr.UsageError, match=f"which {how} that day in Europe/Berlin")
+        with told as caught:
             moment_in(text, BERLIN, what="begin")
+        assert set(caught.value.hint.split()) >= {"+01:00", "+02:00"}
     assert moment_in("2025-10-26 02:30+01:00", BERLIN, what="begin").hour == 1
     assert moment_in(datetime(2025, 7, 1, 12), BERLIN, what="begin").hour == 10  # noqa: DTZ001
+
+
+def test_offsets_are_told_as_they_are_typed():
+    zone = zone_of("America/New_York")
+    with pytest.raises(gr.UsageError) as caught:
+        moment_in("2025-11-02 01:30", zone, what="begin")
+    typed = [word for word in caught.value.hint.split() if ":" in word]
+    hours = [moment_in(f"2025-11-02 01:30{word}", zone, what="").hour for word in typed]
+    assert hours == [5, 6]
+
+
+@pytest.mark.parametrize("text", ["2025-10-26 24:00", "2025-10-26T24:00:00+01:00", "2025-10-27"])
+def test_a_day_ends_at_24_as_pictures_say(text):
+    assert moment_in(text, BERLIN, what="end").isoformat() == "2025-10-26T23:00:00+00:00"
+    for none in ("2025-10-26 24:01", "2025-10-26 24:00:01", "9999-12-31 24:00", "0001-01-01"):
+        with pytest.raises(gr.UsageError, match="expected a time"):
+            moment_in(none, BERLIN, what="end")
 
 
 def test_the_day_of_a_clock_change_has_25_hours():
@@ -148,6 +167,22 @@ def test_pictures_say_which_clocks(heat):
     heat.plot(ax, begin=heat.times[1], end=heat.times[3], legend=False)
     assert heat.times[1].strftime("%H:%M:%S") in ax.get_title()
     assert heat.times[3].strftime("%H:%M:%S") in ax.get_title()
+
+
+def test_plots_speak_the_language_of_the_labels():
+    tiles = lane_tiles(14)
+    occupancy, vehicles, _, _ = both_of(tiles)
+    labels = gr.MapLabels(timezone="Europe/Berlin", language="de")
+    heat = gr.make_heatmap(occupancy, tiles, vehicles=vehicles, labels=labels)
+    ax = heat.plot(Figure().add_subplot())
+    assert " bis " in ax.get_title()
+    assert ax.get_xlabel() == "Ostwert, m"
+    legend = ax.get_legend()
+    assert legend.get_title().get_text() == "Fahrzeugbelegung"
+    assert [text.get_text() for text in legend.get_texts()][-2:] == ["unsicher", "nicht einsehbar"]
+    page = heat.explore(tiles=None).get_root().render()
+    assert "0 %, kein Fahrzeug" in page
+    assert ax.get_title() in page
 
 
 def test_several_folders_of_occupancy_are_one(tmp_path):

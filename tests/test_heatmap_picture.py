@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.patches import Polygon, Rectangle
 from test_heatmap import lane_tiles, make_site
+from test_heatmap_coverage import both_of
 
 from gis_radar.heatmap import MapLabels, make_heatmap
 from gis_radar.heatmap.figure import _figure, busiest_window, free_corner
@@ -80,3 +81,16 @@ def test_the_words_over_the_map_end_before_the_scale_bar(title):
     ends = {text.get_text(): text.get_window_extent().x1 for text in figure.texts}
     assert [end < bar for words, end in ends.items() if "October" in words] == [True]
     assert ends[title or "Occupancy heat map"] < arrow
+
+
+@pytest.mark.parametrize("language", ["en", "de"])
+def test_the_figures_beside_a_wide_map_end_above_the_words_below(language):
+    tiles = lane_tiles(120, turn=0.0).iloc[:60]
+    occupancy, vehicles, _, _ = both_of(tiles)
+    labels = MapLabels(sources=["Map: City of Example, CC BY 4.0"] * 3, language=language)
+    figure = _figure(make_heatmap(occupancy, tiles, vehicles=vehicles, labels=labels))
+    wide, tall = figure.get_size_inches()
+    assert wide > tall
+    heights = [text.get_window_extent() for text in figure.texts]
+    below = max(box.y1 for box in heights if box.y1 < figure.bbox.height / 2)
+    assert min(text.get_window_extent().y0 for text in figure.axes[-1].texts) > below

@@ -1,6 +1,7 @@
 """A message names the file and the place in it, also where what raises it knows neither."""
 
 import json
+import traceback
 
 import pytest
 
@@ -48,6 +49,17 @@ def test_a_table_without_usable_times_names_its_file(tmp_path, count):
 
 def test_a_place_is_named_once_and_the_kind_of_the_error_stays():
     for message in ("a.json: wrong", "wrong"):
-        with pytest.raises(CrsError, match=r"^a\.json: wrong$") as caught, placed("a.json"):
+        with pytest.raises(CrsError, match=r"(?m)^a\.json: wrong$") as caught, placed("a.json"):
             raise CrsError(message, hint="mend it")
         assert caught.value.hint == "mend it"
+
+
+def test_a_traceback_ends_with_what_to_do():
+    def last_lines(error):
+        return traceback.format_exception(error)[-2:]
+
+    wrong = InputError("a.json: wrong", hint="mend it")
+    assert last_lines(wrong) == ["gis_radar.errors.InputError: a.json: wrong\n", "mend it\n"]
+    wrong.hint = "mend a.json"  # in the words of who calls
+    assert last_lines(wrong)[1] == "mend a.json\n"
+    assert last_lines(InputError("wrong")) == ["gis_radar.errors.InputError: wrong\n"]

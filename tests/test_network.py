@@ -207,7 +207,7 @@ def test_a_layer_that_is_none_is_named_with_its_file(tmp_path):
     path = tmp_path / "t.gpkg"
     gpd.GeoDataFrame(geometry=[BOX], crs=UTM).to_file(path)
     with (
-        pytest.raises(InputError, match=r"t\.gpkg: not a thing: text$") as caught,
+        pytest.raises(InputError, match=r"(?m)t\.gpkg: not a thing: text$") as caught,
         opened_package(path, what="a thing", hint="make it"),
     ):
         raise sqlite3.OperationalError("text\nmore")

@@ -57,7 +57,7 @@ def people(speeds, count=40, frames=900):
     ],
 )
 def test_without_traffic_there_is_no_answer(tmp_path, what, made):
-    line = r"^R1: [0-4] moving vehicles in \d+ frames, at least 5 are needed$"
+    line = r"(?m)^R1: [0-4] moving vehicles in \d+ frames, at least 5 are needed$"
     with pytest.raises(gr.NoAnswerError, match=line) as refusal:
         localized(tmp_path, *made())
     assert refusal.value.exit_code == 4, what

@@ -192,7 +192,7 @@ def test_the_stage_of_a_dead_worker_is_named_alone(root, source):
     stages = diamond(root, source)
     stages[1] = stage(root, "a1", ["road"], sensor="a", wait_s=6.0)
     stages[2] = stage(root, "b1", ["road"], work="die", sensor="b", wait_s=1.0)
-    with pytest.raises(GisRadarError, match=r"^b1: a worker process ended with signal 9$"):
+    with pytest.raises(GisRadarError, match=r"(?m)^b1: a worker process ended with signal 9$"):
         execute(stages, root, most=2, pool=process_pool)
     assert all_gone(root)
 
@@ -212,7 +212,7 @@ def test_where_nobody_knows_which_worker_died_all_at_work_are_named(root, source
     stages = [stage(root, name, [source], sensor=name) for name in ("a1", "b1", "c1")]
     state = RunState(root / ".gis-radar" / "state.json", root)
     pool = Pool(executor=Breaking(), send=events.put, events=events)
-    with pytest.raises(GisRadarError, match=r"^a1, c1: a worker process ended$"):
+    with pytest.raises(GisRadarError, match=r"(?m)^a1, c1: a worker process ended$"):
         execution.Execution(stages=stages, state=state, pool=pool, reporter=Listener()).run()
 
 

@@ -177,6 +177,15 @@ def test_moving_pandas_measures_the_ways(vehicles):
         assert each.crs == vehicles.provenance.map["crs"]
 
 
+def test_moving_pandas_is_silent_about_extras_of_its_own(vehicles, monkeypatch):
+    pytest.importorskip("movingpandas", reason="movingpandas is not installed")
+    monkeypatch.delitem(sys.modules, "movingpandas")
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        gr.to_trajectories(vehicles)
+    assert not [each for each in said if each.category is UserWarning]
+
+
 def test_a_time_without_vehicles(vehicles):
     pytest.importorskip("movingpandas", reason="movingpandas is not installed")
     assert gr.track_points(vehicles, begin="2101-01-01").empty

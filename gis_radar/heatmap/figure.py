@@ -31,6 +31,7 @@ from gis_radar.heatmap.picture import (
     map_extent,
     map_picture,
 )
+from gis_radar.languages import class_label
 from gis_radar.notebooks import FONTS, axes_or_new, label_map
 from gis_radar.progress import Reporter
 from gis_radar.steps import Clock
@@ -41,7 +42,7 @@ DPI = 200
 FINER = 2  # pixels of the picture for each of the figure's, so that edges are smooth
 WIDTH_IN = 10.0
 MAP_WIDTH_IN = 7.15
-MAP_HEIGHT_IN = (5.1, 8.6)  # lowest, which the legend needs, and highest
+MAP_HEIGHT_IN = (5.5, 8.6)  # lowest, which the legend needs, and highest
 EDGE_IN = 0.3
 TITLE_IN = 0.85
 SMALL, LINE = 8.5, 132  # points of all small words; as many letters of them in a line
@@ -79,7 +80,7 @@ def draw(
 ) -> Axes:
     """Draw the tiles in the classes of all heat maps, the busiest on top.
 
-    Where vehicles are known it shows coverage, else occupancy.
+    Where vehicles are known it shows coverage, else occupancy; in the language of the labels.
 
     Parameters
     ----------
@@ -110,10 +111,11 @@ def draw(
     ax = axes_or_new(ax, (8.5, 6.0))
     extent = _extent(tally, (0.0, np.inf))
     map_picture(quads(tally.tiles), extent, most_pixels).show(ax, share, vague)
-    label_map(ax)
-    ax.set_title(time_span(tally, chosen), fontsize="medium")
-    if legend:
-        _add_legend(ax, tally.measure)
+    with speaking(tally.labels.language):
+        label_map(ax)
+        ax.set_title(time_span(tally, chosen), fontsize="medium")
+        if legend:
+            _add_legend(ax, tally.measure)
     return ax
 
 
@@ -136,10 +138,10 @@ def _swatch(corner: tuple[float, float], size: tuple[float, float], colour: str)
 
 def _add_legend(ax: Axes, measure: str) -> None:
     """Write the classes of a measure beside axes."""
-    colours, labels = zip(*style.legend(measure), strict=True)
+    colours, labels = zip(*legend_in_words(measure), strict=True)
     handles = [_swatch((0, 0), (1, 1), colour) for colour in colours]
     ax.legend(
-        handles, labels, title=style.WORDS[measure].title, loc="upper left",
+        handles, labels, title=tr(style.WORDS[measure].title), loc="upper left",
         bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, frameon=False, fontsize="small",
         title_fontsize="small", alignment="left",
     )  # fmt: skip
@@ -386,7 +388,6 @@ def _frame(ax: Axes, colour: str) -> None:
         spine.set(color=colour, linewidth=0.8)
 
 
-CLASS = "share of the time"
 SHOWN = ("tile_id", "lanelet_id", "s_m", "occupied_s", "observed_s", "occupancy")
 
 
@@ -421,25 +422,27 @@ def show_in_browser(
     tiles = tiles.sort_values(measure, kind="stable")  # the busiest on top
     levels = style.colour_classes(measure)
     place = np.searchsorted([level.upper for level in levels], tiles[measure])
-    labels = [level.label for level in levels]
+    with speaking(tally.labels.language):
+        labels = [class_label(level.label, tally.labels.language) for level in levels]
+        name, caption = tr(style.WORDS[measure].title), time_span(tally, part)
     popup = SHOWN if known is None else (*SHOWN, *known._fields)
     # what a browser reads has no 64-bit integers
     tiles = tiles.assign(lanelet_id=tiles["lanelet_id"].astype(str))
-    tiles[CLASS] = np.array(labels, object)[place]
+    tiles[name] = np.array(labels, object)[place]
     chosen: dict[str, Any] = {
-        "column": CLASS,
+        "column": name,
         "categorical": True,
         "categories": labels,
         "cmap": [level.colour for level in levels],
         "style_kwds": {"weight": 0.3, "fillOpacity": 0.9},
-        "tooltip": [CLASS],
+        "tooltip": [name],
         "popup": list(popup),
         "tiles": "OpenStreetMap",
         "max_zoom": 21,
-        "legend_kwds": {"caption": time_span(tally, part)},
+        "legend_kwds": {"caption": caption},
     }
     try:
-        return tiles[[*popup, CLASS, "geometry"]].round(4).explore(**chosen | options)
+        return tiles[[*popup, name, "geometry"]].round(4).explore(**chosen | options)
     except ImportError as error:
         raise InputError(
             f"explore needs folium and mapclassify: {error.name or 'one'} is missing",

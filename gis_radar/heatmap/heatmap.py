@@ -113,7 +113,7 @@ class HeatMap(Tally):
             for (name, array), about in zip(arrays.items(), self.definitions.values(), strict=True)
         }
         attributes = {
-            "title": "Occupancy of lane tiles",
+            "title": f"{' and '.join(dict.fromkeys((self.measure, 'occupancy')))} of lane tiles",
             "crs": name_of(self.crs),
             "fingerprint": self.fingerprint,
             "sensors": ", ".join(self.sensors),

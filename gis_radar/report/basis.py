@@ -132,9 +132,11 @@ def _highest(found: Findings) -> Fact:
     name, top = tr("Highest lane"), found.table.iloc[0]
     if top["rank"] != 1:
         return Fact(name, tr("none to be named"), tr("see: Lanes"))
+    ranked = int((found.table["rank"] > 0).sum())
     rests = tr(
-        "{tracks}, {share} of its length",
+        "{tracks}, {share} of its length; first of {lanes}",
         tracks=plural(int(top["tracks"]), "{n} track", "{n} tracks"),
+        lanes=plural(ranked, "{n} ranked lane", "{n} ranked lanes"),
         share=percent(top["base_m"] / top["length_m"], 0),
     )
     share = percent(top["share"], off=top["share_se"])
@@ -178,7 +180,7 @@ def _recorded(found: Findings) -> list[str]:
         follows = tr("Holds for this time, and not for other hours or days.")
         if seconds < SHORT_S:
             follows = tr("A few cycles of a signal: nothing about a usual hour or day.")
-        elif seconds < DAY_S:
+        elif round(seconds) < DAY_S:  # the last frame ends a day some milliseconds early
             follows = tr("Less than a day: nothing about the hours that were not recorded.")
     return [tr("Recorded"), f"{here}; {found.clock.name}", follows]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -106,7 +107,9 @@ def to_trajectories(vehicles: Vehicles, **options: Any) -> movingpandas.Trajecto
         If MovingPandas is not installed, or there is no state in that time.
     """
     try:
-        import movingpandas as mpd  # noqa: PLC0415 - an extra
+        with warnings.catch_warnings():  # of extras of its own, which nobody needs here
+            warnings.simplefilter("ignore", UserWarning)
+            import movingpandas as mpd  # noqa: PLC0415 - an extra
     except ImportError as error:
         raise InputError(
             "trajectories need movingpandas, which is missing", hint=TRAJECTORIES
