@@ -16,7 +16,7 @@ from sites import EAST, NORTH, START, crossing, lane_quads, pose, recording, til
 
 import gis_radar as gr
 from gis_radar.cli import group
-from gis_radar.cli.console import Result, TerminalConsole
+from gis_radar.cli.console import JsonConsole, Result, TerminalConsole
 
 COMMANDS = sorted(group.commands)
 
@@ -333,6 +333,34 @@ def test_a_summary_says_what_is_not_known(capfd):
         console.result(result)
     told = [line.split() for line in capfd.readouterr().out.splitlines() if line.strip()]
     assert told == [["tiles", "66,549"], ["epoch", "not", "known"]]
+
+
+def test_people_read_the_clocks_of_the_site_and_programs_utc(capfd):
+    summary = {"sensors": {"R1": {"begin": "2025-06-12T07:30:00.050Z"}}, "end": "2025-12-12T23:30Z"}
+    result = Result(outputs=[], summary=summary, timezone="Europe/Berlin")
+    TerminalConsole().result(result)
+    printed = capfd.readouterr().out
+    assert "2025-06-12 09:30:00.050 UTC+02:00" in printed
+    assert "2025-12-13 00:30 UTC+01:00" in printed
+    assert "Europe/Berlin" in printed
+    JsonConsole().result(result)
+    assert json.loads(capfd.readouterr().out)["summary"] == summary
+
+
+def test_sentences_of_a_summary_are_lines_of_their_own(capfd):
+    summary = {
+        "facts": {"Recorded": "100 s", "Sensors": "2 (R1, R2)"},
+        "basis": [["What", "Here"], ["Recorded", "100 s"], ["Sensors", "two of them"]],
+        "remarks": ["Recorded were 100 s only", "R2 stands alone"],
+        "highest_lane": 17863,
+    }
+    TerminalConsole().result(Result(outputs=[], summary=summary))
+    lines = [line.strip() for line in capfd.readouterr().out.splitlines()]
+    assert lines == [
+        "facts         Recorded: 100 s", "Sensors: 2 (R1, R2)",
+        "remarks       Recorded were 100 s only", "R2 stands alone", "highest lane  17863",
+        "basis", "What      Here", "Recorded  100 s", "Sensors   two of them",
+    ]  # fmt: skip
 
 
 def test_another_pipe_that_breaks_is_told():

@@ -10,6 +10,7 @@ import sys
 import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn, Self
@@ -25,9 +26,11 @@ from gis_radar.json_documents import json_text
 from gis_radar.languages import LANGUAGES
 from gis_radar.processes import free_address_space, watch_input
 from gis_radar.progress import Level, Reporter
+from gis_radar.steps import Clock, zone_of
 from gis_radar.words import speaking, tr_message
 
 WIDE = 160
+FOR_PROGRAMS = {"settings", "found"}  # constants in effect, what `remarks` repeats: for --json
 MOST_LETTERS = 500  # of a message
 MOST_BARS = 8  # with more than that, those that are full make way
 
@@ -46,12 +49,15 @@ class Result:
         What is missing, reported as an error after the result.
     advice : str
         What to do next; for people only.
+    timezone : str
+        IANA zone whose clocks people read in the summary; JSON keeps UTC.
     """
 
     outputs: list[Path]
     summary: Mapping[str, Any] = field(default_factory=dict)
     failure: GisRadarError | None = None
     advice: str = ""
+    timezone: str = "UTC"
 
 
 LANGUAGE = "GIS_RADAR_LANGUAGE"  # of remarks and errors; in QGIS the plugin sets it
@@ -155,19 +161,20 @@ class TerminalConsole(Console):
         """Print the figures as a table, then the outputs."""
         out = rich.console.Console()
         table = Table(show_header=False, box=None, pad_edge=False)
-        for name, value in result.summary.items():
-            if name == "settings":
-                continue  # constants in effect: for --json and the files
-            if isinstance(value, Mapping) and not all(
-                isinstance(row, Mapping) for row in value.values()
-            ):
-                table.add_row(name.replace("_", " "), Text(json_text(value)))
-            elif isinstance(value, Mapping):
+        tables = []
+        for name, value in _by_local_clocks(result).items():
+            if name in FOR_PROGRAMS:
+                continue
+            if isinstance(value, list) and value and isinstance(value[0], list):
+                tables.append((name, value))
+            elif _is_table(value):
                 # A number that is cut short is a wrong number: rather a line too long.
                 rich.console.Console(width=max(out.width, WIDE)).print(_grid(name, value))
             else:
-                table.add_row(name.replace("_", " "), Text(_readable(value)))
+                table.add_row(name.replace("_", " "), Text(_lines(name, value)))
         out.print(table)
+        for name, rows in tables:
+            out.print(_rows(name, rows))
         for path in result.outputs:
             out.print(f"wrote {path}", markup=False, highlight=False, soft_wrap=True)
         if result.advice:
@@ -179,6 +186,52 @@ class TerminalConsole(Console):
         message = _printable(in_users_language(error.message))
         text = _printable(f"gis-radar: {_shortened(message)}{hint}")
         self._rich.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+def _by_local_clocks(result: Result) -> dict[str, Any]:
+    """Return the summary with times of the site for UTC, and the name of its zone."""
+    summary = dict(result.summary)
+    if result.timezone == "UTC":
+        return summary
+    moment = datetime(1970, 1, 1, tzinfo=UTC)  # each time in a text tells its own offset
+    clock = Clock(zone=zone_of(result.timezone), first=moment, last=moment)
+
+    def local(value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return {name: local(each) for name, each in value.items()}
+        if isinstance(value, list | tuple):
+            return [local(each) for each in value]
+        return clock.localised(value) if isinstance(value, str) else value
+
+    shown = {name: local(value) for name, value in summary.items()}
+    return {**shown, "timezone": result.timezone} if shown != summary else summary
+
+
+def _is_table(value: Any) -> bool:
+    return isinstance(value, Mapping) and all(isinstance(row, Mapping) for row in value.values())
+
+
+def _lines(name: str, value: Any) -> str:
+    """Return a value as text: sentences a line each; a lane's number is no amount."""
+    if name.endswith("lane"):
+        return str(value)
+    if isinstance(value, Mapping):
+        worded = all(isinstance(each, str) for each in value.values())
+        return "\n".join(f"{k}: {v}" for k, v in value.items()) if worded else json_text(value)
+    if isinstance(value, list) and any(" " in str(each) for each in value):
+        return "\n".join(map(_readable, value))
+    return _readable(value)
+
+
+def _rows(name: str, rows: list[list[Any]]) -> Table:
+    """Return rows below their head as a table that wraps."""
+    head, *rest = rows
+    table = Table(box=None, pad_edge=False, title=name.replace("_", " "), title_justify="left")
+    for title in head:
+        table.add_column(Text(str(title)), overflow="fold")  # nothing is cut
+    for row in rest:
+        table.add_row(*(Text(_readable(each)) for each in row))
+    return table
 
 
 def _printable(text: str) -> str:

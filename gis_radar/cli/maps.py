@@ -108,7 +108,7 @@ def heatmap(
     merged = gr.merge_occupancies([gr.read_occupancy(each, reporter=reporter) for each in folders])
     heat = gr.make_heatmap(merged, gr.read_tiles(tiles_path), reporter=reporter, **options)
     outputs = heat.write(output, reporter=reporter)
-    return Result(outputs=outputs, summary=heat.figures())
+    return Result(outputs=outputs, summary=heat.figures(), timezone=zone)
 
 
 @command(example="gis-radar footprints vehicles/ -o footprints.gpkg")

@@ -223,4 +223,4 @@ def quality(
     merged = gr.merge_occupancies([gr.read_occupancy(each, reporter=reporter) for each in folders])
     found = gr.measure_quality(merged, timezone=timezone, reporter=reporter)
     outputs = [] if output is None else [found.write(output, csv_locale=csv_locale)]
-    return Result(outputs=outputs, summary=found.figures())
+    return Result(outputs=outputs, summary=found.figures(), timezone=timezone)

@@ -41,7 +41,7 @@ def run(*, site: Path, output: Path, reporter: Reporter, **options: Any) -> Resu
     done = gr.run_site(site, output, reporter=reporter, **options)
     return Result(
         outputs=done.outputs, summary=done.figures(), failure=done.failure,
-        advice=_to_open(done.outputs),
+        advice=_to_open(done.outputs), timezone=done.site.timezone,
     )  # fmt: skip
 
 
@@ -62,8 +62,9 @@ def check(*, site: Path, reporter: Reporter) -> Result:
     """
     found = gr.check_site(site, reporter=reporter)
     return Result(
-        outputs=[], summary=found.figures(), advice=f"the site can be run: gis-radar run {site}"
-    )
+        outputs=[], summary=found.figures(), timezone=found.site.timezone,
+        advice=f"the site can be run: gis-radar run {site}",
+    )  # fmt: skip
 
 
 @command(example="gis-radar report results --timezone Europe/Berlin")
@@ -89,7 +90,9 @@ def report(*, folder: Path, reporter: Reporter, **options: Any) -> Result:
     DIR holds the results of gis-radar run or demo, or a heat map.
     """
     made = gr.write_report(folder, reporter=reporter, **options)
-    return Result(outputs=list(made.outputs), summary=made.summary)
+    return Result(
+        outputs=list(made.outputs), summary=made.summary, timezone=made.summary["timezone"]
+    )
 
 
 @command(example="gis-radar qgis map/ --sensors sensors.gpkg -o site.qgz")
@@ -151,4 +154,5 @@ def sample(*, output: Path, reporter: Reporter) -> Result:
 def demo(*, output: Path, reporter: Reporter) -> Result:
     """Go the whole way on the sample junction."""
     outputs, summary = gr.run_demo(output, reporter=reporter)
-    return Result(outputs=outputs, summary=summary, advice=_to_open(outputs))
+    zone = gr.read_site(gr.sample_folder() / "SITE.toml").timezone
+    return Result(outputs=outputs, summary=summary, advice=_to_open(outputs), timezone=zone)

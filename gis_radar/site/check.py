@@ -22,6 +22,7 @@ from gis_radar.recordings.overlaps import overlap_warnings
 from gis_radar.recordings.recording import RangeCounts, Recording, open_recording
 from gis_radar.recordings.speeds import odd_speeds
 from gis_radar.scans.scan import open_scan, road_crs
+from gis_radar.site.messages import in_site_words
 from gis_radar.site.settings import Sensor, Site, read_site
 from gis_radar.steps import iso_from_step, step_of, zone_of
 
@@ -155,6 +156,7 @@ def check_site(
         found[sensor.name] = _read_sensor(sensor, settings, warnings)
     reporter.progress("reading recordings", len(site.sensor), len(site.sensor))
     warnings += _time_warnings(found)
+    warnings = [in_site_words(line, site.timezone) for line in warnings]
     for line in warnings:
         reporter.log(line, "warning")
     return SiteCheck(
