@@ -184,11 +184,23 @@ def test_the_print_layout_of_a_project(results, tmp_path):
     assert texts[3] == "Source: Stadt & Land"
     names = {layer.findtext("id"): layer.findtext("layername") for layer in root.iter("maplayer")}
     shown = [names[layer.text] for layer in layout.iter("Layer")]
-    assert shown == ["Sensors", "Uncertainty (95 %)", "Views",
+    assert shown == ["Sensors", "Views",
                      "Occupancy, whole time", "Road, not observed"]  # fmt: skip
     explained = [names[leaf.get("id")] for leaf in layout.iter("layer-tree-layer")]
     assert explained[:2] == ["Occupancy, whole time", "Road, not observed"]
     assert sorted(explained) == sorted(shown)
+
+
+def test_layers_without_features_are_in_no_legend(results, tmp_path):
+    gr.write_sensors([a_pose()], tmp_path / "sensors.gpkg")  # no sigma: no ellipse
+    gr.write_qgis_project(
+        tmp_path / "site.qgz", heatmap=results / "heatmap", sensors=tmp_path / "sensors.gpkg"
+    )
+    root = read_project(tmp_path / "site.qgz")
+    ids = [node.get("id") for node in root.iter("layer-tree-layer")]
+    assert "gis_radar_sensors" in ids
+    assert "gis_radar_uncertainty" not in ids
+    assert "gis_radar_uncertainty" not in [layer.text for layer in root.iter("Layer")]
 
 
 @given(

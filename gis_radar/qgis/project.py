@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 import sqlite3
+from collections.abc import Sequence
 from contextlib import closing
 from datetime import datetime
 from importlib.resources import files
@@ -204,11 +205,9 @@ def _lane_layers(path: Path) -> dict[str, LayerSource]:
     """Return the layers of lanes of a file of tiles; none where an older version wrote it."""
     if not path.is_file():
         return {}
-    there = {str(name) for name, _ in pyogrio.list_layers(path)}
     return {
         f"gis_radar_{table}": LayerSource(path, lane_style(table), table)
-        for table in (LANES, STOP_LINES)
-        if table in there
+        for table in _filled(path, (LANES, STOP_LINES))
     }
 
 
@@ -282,8 +281,18 @@ def _sensor_layers(path: Path) -> dict[str, LayerSource]:
     """Return the layers of a file of sensors."""
     return {
         f"gis_radar_{table}": LayerSource(path, read_style(table), table)
-        for table in (SENSORS, UNCERTAINTY, VIEWS)
+        for table in _filled(path, (SENSORS, UNCERTAINTY, VIEWS))
     }
+
+
+def _filled(path: Path, tables: Sequence[str]) -> list[str]:
+    """Return those of the tables that are there with rows: legends name nothing that is not."""
+    there = {str(name) for name, _ in pyogrio.list_layers(path)}
+    return [
+        table for table in tables
+        if table in there
+        and pyogrio.read_info(path, layer=table, force_feature_count=True)["features"] > 0
+    ]  # fmt: skip
 
 
 def _measure(package: Path) -> str:
