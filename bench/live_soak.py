@@ -4,8 +4,8 @@
 
 Each sensor sends 20 frames a second of the sample's hits, by the program's own outbox, and keeps
 what fusion has not stored. From a frame's time to the map that has it is measured in fusion, for
-each frame; one that comes too late for its window counts as never. Figures go to
-`out/bench-live-soak.json`.
+each frame; one that comes too late for its window counts as never. Clients have other cores than
+fusion and broker, where there are two or more. Figures go to `out/bench-live-soak.json`.
 """
 
 from __future__ import annotations
@@ -277,6 +277,7 @@ file = "{(SAMPLE / "junction.osm").resolve()}"
 site = "{SITE}"
 tiles = "tiles.gpkg"
 lateness = "50ms"
+vehicles = false
 [live.broker]
 address = "mqtt://127.0.0.1:{port}"
 """
@@ -289,6 +290,23 @@ address = "mqtt://127.0.0.1:{port}"
             config.write("user root\n")
 
 
+def cores_apart() -> tuple[list[int], list[int]]:
+    """Return the cores of fusion and broker, and those of the clients: others, where there are."""
+    if not hasattr(os, "sched_getaffinity"):
+        return [], []
+    cores = sorted(os.sched_getaffinity(0))
+    half = len(cores) // 2
+    return cores[:half] or cores, cores[half:]
+
+
+def started(words: list[str], cores: list[int], **options: Any) -> subprocess.Popen[bytes]:
+    """Start a program on some cores, or wherever the system likes."""
+    program = subprocess.Popen(words, **options)
+    if cores:
+        os.sched_setaffinity(program.pid, cores)  # it has no other threads yet
+    return program
+
+
 def soak(folder: Path, *, sensors: int, processes: int, seconds: float, port: int) -> Figures:
     """Run all programs, and return the figures."""
     names = [f"S{k:04d}" for k in range(sensors)]
@@ -296,21 +314,21 @@ def soak(folder: Path, *, sensors: int, processes: int, seconds: float, port: in
     mosquitto = shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin")
     if mosquitto is None:
         sys.exit("Mosquitto is not installed: sh tools/get_mosquitto.sh, as root")
-    load = os.getloadavg()
+    load, (own, others) = os.getloadavg(), cores_apart()
     programs, mine = [], [sys.executable, __file__]
     try:
         with (folder / "mosquitto.log").open("wb") as log:
-            broker = subprocess.Popen([mosquitto, "-c", "broker/mosquitto.conf"], cwd=folder,
-                                      stdout=log, stderr=log)  # fmt: skip
+            broker = started([mosquitto, "-c", "broker/mosquitto.conf"], own, cwd=folder,
+                             stdout=log, stderr=log)  # fmt: skip
         programs.append(broker)
         time.sleep(1.0)
-        fusion = subprocess.Popen([*mine, "--fuse", str(folder)])
+        fusion = started([*mine, "--fuse", str(folder)], own)
         programs.append(fusion)
         time.sleep(5.0)
         shares = [names[k::processes] for k in range(processes)]
         senders = [
-            subprocess.Popen([*mine, "--send", str(folder), "--names", *share,
-                              "--sensors", str(sensors), "--seconds", str(seconds)])
+            started([*mine, "--send", str(folder), "--names", *share,
+                     "--sensors", str(sensors), "--seconds", str(seconds)], others)
             for share in shares
         ]  # fmt: skip
         programs += senders
@@ -335,6 +353,7 @@ def soak(folder: Path, *, sensors: int, processes: int, seconds: float, port: in
                 each.wait()
     return gathered(folder, shares, cores, memory, load) | {
         "sensors": sensors, "seconds": seconds, "processes": processes,
+        "cores_of_fusion_and_broker": own, "cores_of_senders": others,
     }  # fmt: skip
 
 

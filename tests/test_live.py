@@ -1,13 +1,15 @@
 """The live system with a real broker: what it stores is what the batch counts, whatever breaks."""
 
 import math
+from threading import Event
 
 import numpy as np
 import pytest
 from live_programs import HeldEdge, Lines, assert_same_tables, columns, measured
-from live_site import SAMPLE, Background, LiveSite, needs_mosquitto, wait_for
+from live_site import LONGEST_S, SAMPLE, Background, LiveSite, needs_mosquitto, wait_for
 
 import gis_radar as gr
+from gis_radar.errors import OutputError
 from gis_radar.live.broker import BrokerAddress, Link, Received
 from gis_radar.live.edge import Edge
 from gis_radar.live.fusion import Fusion
@@ -167,9 +169,62 @@ def test_odd_messages_are_counted_and_the_rest_goes_on(site):
     assert (state.received, state.health.counts["not_counted"]) == (5, 1)
     assert "moved" in state.health.alarms
     assert state.health.counts["frames"] == 1
-    fusion._commit()
+    fusion._commit(wait=True)
     assert state.stored == 5
     again = fusion._journal.mark("R1", stream.hex())
     assert again == (5, 5)
     assert fusion.metrics().count("gis_radar_not_counted_total") == 4
     fusion._journal.__exit__()
+
+
+def test_a_disk_that_is_slow_or_full_holds_no_frame_up(site, monkeypatch):
+    """Frames are taken while others go to the disk; acknowledged is what has come there."""
+    said = Lines()
+    fusion = Fusion(read_live_site(site.file), reporter=said)
+    state, journal = fusion.sensors["R1"], fusion._journal
+    fingerprint = fusion._book.road.fingerprint
+    disk, full, write = Event(), [False], journal.write
+
+    def slow():
+        disk.wait(LONGEST_S)
+        if full[0]:
+            raise OutputError("the disk is full")
+        write()
+
+    monkeypatch.setattr(journal, "write", slow)
+
+    def send(number):
+        frame = CountedFrame(
+            time_us=1_749_713_400_000_000 + 50_000 * number, detections=3, moving=1, wild=0,
+            checksum=5, tiles=np.array([4, 9]),
+        )  # fmt: skip
+        content = pack_hits([frame], pose=1, fingerprint=fingerprint)
+        if number == 1:
+            record = gr.read_pose(SAMPLE / "R1.json").as_dict()
+            content = PoseContent(pose=record, since_step=0, fingerprint=fingerprint).pack()
+        kind = POSE if number == 1 else HITS
+        envelope = Envelope(kind=kind, stream=b"abcd", number=number, previous=number - 1)
+        payload = pack_message(envelope, content)
+        topic = f"v1/junction/R1/{'pose' if number == 1 else 'hits'}"
+        fusion.intake.handle(Received(topic, payload, 1.0, retained=False))
+
+    for number in (1, 2):
+        send(number)
+    fusion._commit()
+    send(3)
+    fusion._commit()  # one at a time
+    assert (state.received, state.stored) == (3, 0)
+    disk.set()
+    fusion._take_committed(wait=True)
+    assert (state.stored, journal.mark("R1", b"abcd".hex())) == (2, (3, 2))
+    full[0] = True
+    fusion._commit(wait=True)
+    send(4)
+    assert said.told("the disk is full")
+    assert (state.stored, journal.mark("R1", b"abcd".hex())) == (2, (4, 2))
+    full[0] = False
+    fusion._commit(wait=True)
+    assert (state.stored, journal.mark("R1", b"abcd".hex())) == (4, (4, 4))
+    kept = [row.time_us for rows in journal.frames("R1", 0, 2**60) for row in rows]
+    assert len(kept) == len({*kept}) == 3
+    journal.__exit__()

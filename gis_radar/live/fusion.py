@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import secrets
 import time
 from collections.abc import Iterable
@@ -100,6 +101,8 @@ class Fusion:
         self._written: dict[Path, None] = {}
         self._writer, self._exporter = Aside[Path | None]("hour"), Aside[None]("export")
         self._hour = (0, 0.0)  # that is being written, and when a frame of it came last
+        self._committer = Aside[None]("commit")
+        self._committing: list[tuple[SensorState, str, int]] = []  # up to which number of a stream
         self._session = secrets.token_hex(4)
         self._committed = self._exported = time.monotonic()
         self.intake = Intake(
@@ -164,6 +167,9 @@ class Fusion:
         server = HealthServer(live.health, self.metrics) if live.health else None
         if self._page is not None:
             self._reporter.log(f"the page is at {self._page.open()}")
+        self._export(self.state())  # the first takes long, before frames come
+        gc.collect()
+        gc.freeze()  # what is there now stays: to look through it holds frames up for 0.3 s
         link.open()
         connections = 0
         try:
@@ -178,6 +184,7 @@ class Fusion:
                 self._regular()
             self._finish()
         finally:
+            gc.unfreeze()
             link.close(own, b'{"version": 1, "state": "offline"}')
             if server is not None:
                 server.close()
@@ -210,9 +217,9 @@ class Fusion:
     def _regular(self) -> None:
         """Do what the clock asks for: commit, acknowledge, write hours and files."""
         now = time.monotonic()
+        self._take_committed()
         if now - self._committed >= self._settings.commit_s:
             self._commit()
-            self._forget()
             for each in self.sensors.values():
                 each.health.look(time.time())
             self._write_what_is_over(now)
@@ -229,18 +236,35 @@ class Fusion:
         if self.vehicles is not None:
             self.vehicles.turn()
 
-    def _commit(self) -> None:
-        """Bring frames to the disk; only then is anything acknowledged."""
+    def _commit(self, *, wait: bool = False) -> None:
+        """Begin to bring frames to the disk, on another thread: the map goes on meanwhile."""
+        self._take_committed(wait=wait)
+        if self._committer.busy:
+            return
         self._committed = time.monotonic()
+        if self._journal.collect():
+            self._committing = [
+                (each, each.stream, each.received) for each in self.sensors.values()
+            ]
+            self._committer.begin(self._journal.write)
+            self._take_committed(wait=wait)
+
+    def _take_committed(self, *, wait: bool = False) -> None:
+        """Acknowledge what has come to the disk; nothing else ever is."""
+        if not self._committer.busy:
+            return
         try:
-            self._journal.commit()
+            self._committer.take(wait=wait)
         except OutputError as error:
             self._say(error)
             return
-        for each in self.sensors.values():
-            if each.stored != each.received:
-                each.stored, each.due = each.received, True
-                self._acknowledge(each)
+        if self._committer.busy:
+            return
+        for sensor, stream, number in self._committing:
+            if sensor.stream == stream and sensor.stored < number:
+                sensor.stored, sensor.due = number, True
+                self._acknowledge(sensor)
+        self._forget()
 
     def _forget(self) -> None:
         try:
@@ -295,7 +319,7 @@ class Fusion:
             self._written[path] = None
 
     def _finish(self) -> None:
-        self._commit()
+        self._commit(wait=True)
         self._take_written(wait=True)
         for hour in list(self.intake.touched):
             self._begin_hour(hour, here=True)

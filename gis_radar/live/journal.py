@@ -156,6 +156,8 @@ class Journal:
         self.path: Path = path
         self._waiting: list[FrameRow] = []
         self._marks: dict[tuple[str, str], int] = {}
+        self._going: list[FrameRow] = []  # to the disk, by `write`
+        self._going_marks: dict[tuple[str, str], int] = {}
         self._lock, self._watched = RLock(), -1
         with self._errors():
             self._database = sqlite3.connect(
@@ -211,11 +213,12 @@ class Journal:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._database.close()
+        with self._lock:  # another thread may be writing
+            self._database.close()
 
     @property
     def waiting(self) -> int:
-        """Frames that are not on disk yet."""
+        """Frames that the next commit brings to the disk."""
         return len(self._waiting)
 
     def marks(self) -> dict[tuple[str, str], int]:
@@ -225,8 +228,11 @@ class Journal:
 
     def mark(self, sensor: str, stream: str) -> tuple[int, int]:
         """Return up to which number a stream was taken, and up to which it is on disk."""
-        stored = self.marks().get((sensor, stream), 0)
-        return max(stored, self._marks.get((sensor, stream), 0)), stored
+        key = (sensor, stream)
+        with self._lock:  # not in the midst of a commit
+            stored = self.marks().get(key, 0)
+        taken = (self._going_marks.get(key, 0), self._marks.get(key, 0))
+        return max(stored, *taken), stored
 
     def poses(self, sensor: str) -> list[PoseRow]:
         """Return the poses of a sensor, in order."""
@@ -254,14 +260,13 @@ class Journal:
 
     def poses_named(self, sensor: str) -> set[int]:
         """Return the ids of the poses that frames of a sensor name, on disk or not yet."""
+        rows = [*self._going, *self._waiting]  # before the query: a commit may end meanwhile
         found = self._database.execute(
             "SELECT DISTINCT pose FROM frames WHERE sensor = ? "
             "UNION SELECT DISTINCT pose FROM late WHERE sensor = ?",
             (sensor, sensor),
         ).fetchall()
-        return {pose for (pose,) in found} | {
-            row.pose for row in self._waiting if row.sensor == sensor
-        }
+        return {pose for (pose,) in found} | {row.pose for row in rows if row.sensor == sensor}
 
     def drop_poses(self, ids: Iterable[int]) -> None:
         """Drop poses that nothing names any more, all or none: others stand for them."""
@@ -281,30 +286,46 @@ class Journal:
         OutputError
             If the disk is full or fails: what was taken stays taken, for the next commit.
         """
-        if not self._marks:
-            return
+        if self.collect():
+            self.write()
+
+    def collect(self) -> bool:
+        """Collect what was taken for the next :meth:`write`; return whether there is anything."""
+        self._going += self._waiting
+        self._going_marks |= self._marks
+        self._waiting, self._marks = [], {}
+        return bool(self._going_marks)
+
+    def write(self) -> None:
+        """Bring what was collected to the disk; meanwhile another thread may take more.
+
+        Raises
+        ------
+        OutputError
+            As :meth:`commit`.
+        """
         with self._errors(), as_one(self._database):
             for table, rows in self._by_table().items():
                 self._database.executemany(_INSERT[table], rows)
             self._database.executemany(
                 "INSERT INTO marks VALUES (?, ?, ?) ON CONFLICT DO UPDATE "
                 "SET stored = max(stored, excluded.stored)",
-                [(*key, number) for key, number in self._marks.items()],
+                [(*key, number) for key, number in self._going_marks.items()],
             )
-        self._waiting, self._marks = [], {}
+        self._going, self._going_marks = [], {}
 
     def _by_table(self) -> dict[str, list[FrameRow]]:
-        """Return the frames that wait by the table where they go."""
+        """Return the frames that go to the disk by the table where they go."""
         if self._watched < 0:
-            return {"frames": self._waiting}
+            return {"frames": self._going}
         begin, end = self._watched * HOUR_US, (self._watched + 1) * HOUR_US
-        late = [row for row in self._waiting if begin <= row.time_us < end]
-        rest = [row for row in self._waiting if not begin <= row.time_us < end]
+        late = [row for row in self._going if begin <= row.time_us < end]
+        rest = [row for row in self._going if not begin <= row.time_us < end]
         return {"frames": rest, "late": late}
 
     @property
     def streams_waiting(self) -> int:
-        """Streams of which frames or numbers are not on disk yet."""
+        """Streams of which the next commit brings frames or numbers to the disk."""
         return len(self._marks)
 
     def watch(self, hour: int) -> None:
