@@ -156,6 +156,7 @@ FOUND = [
         )
     ),
     ("osm", "map.osm", half_moved),
+    ("rosbag2 metadata", "bag/metadata.yaml", instead(b"nanoseconds: ", b"nanoseconds: &a ")),
     ("pcd", FIRST_CLOUD, instead(b"SIZE 4", b"SIZE ,,,1")),
     ("occupancy", "occupancy/frames.parquet", column("sensor", b"R1", pa.binary())),
     ("live buffer bytes", "live/buffer", zeroed(4096)),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 import struct
+import warnings
 from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager, suppress
 from itertools import count
@@ -144,12 +145,15 @@ def _opened(source: str) -> Iterator[Any]:
     """Open a bag of either kind; report damage in one line."""
     # Here and not above: the library takes a fifth of a second to load.
     from rosbags import rosbag1, rosbag2  # noqa: PLC0415
+    from ruamel.yaml.error import YAMLWarning  # noqa: PLC0415
 
     limit_rosbags()
     kind = rosbag1 if Path(source).suffix.lower() == ".bag" else rosbag2
     reader = kind.Reader(source)
     try:
-        reader.open()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", YAMLWarning)  # of a style that YAML allows
+            reader.open()
         if odd := [each.topic for each in reader.connections if not _is_count(each.msgcount)]:
             raise ValueError(f"the number of messages of {odd[0]} is no number")
     except _unreadable() as error:
