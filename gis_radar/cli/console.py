@@ -26,7 +26,6 @@ from gis_radar.json_documents import json_text
 from gis_radar.languages import LANGUAGES
 from gis_radar.processes import free_address_space, watch_input
 from gis_radar.progress import Level, Reporter
-from gis_radar.steps import Clock, zone_of
 from gis_radar.words import speaking, tr_message
 
 WIDE = 160
@@ -193,6 +192,8 @@ def _by_local_clocks(result: Result) -> dict[str, Any]:
     summary = dict(result.summary)
     if result.timezone == "UTC":
         return summary
+    from gis_radar.steps import Clock, zone_of  # noqa: PLC0415 - NumPy
+
     moment = datetime(1970, 1, 1, tzinfo=UTC)  # each time in a text tells its own offset
     clock = Clock(zone=zone_of(result.timezone), first=moment, last=moment)
 
