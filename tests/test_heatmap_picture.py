@@ -13,7 +13,14 @@ from test_heatmap_coverage import both_of
 from gis_radar.heatmap import MapLabels, make_heatmap
 from gis_radar.heatmap.figure import _figure, busiest_window, free_corner
 from gis_radar.heatmap.intervals import HOUR
-from gis_radar.heatmap.picture import round_length
+from gis_radar.heatmap.picture import (
+    NARROW_IN,
+    OVERLAY_IN,
+    _add_sensor,
+    map_picture,
+    round_length,
+)
+from gis_radar.poses.pose import Pose
 from gis_radar.steps import step_of
 
 SITE = np.array([677_000.0, 5_403_000.0])
@@ -94,3 +101,20 @@ def test_the_figures_beside_a_wide_map_end_above_the_words_below(language):
     heights = [text.get_window_extent() for text in figure.texts]
     below = max(box.y1 for box in heights if box.y1 < figure.bbox.height / 2)
     assert min(text.get_window_extent().y0 for text in figure.axes[-1].texts) > below
+
+
+@pytest.mark.parametrize("at", [(1.0, 50.0), (99.0, 50.0), (50.0, 1.0), (99.0, 1.0)])
+def test_the_name_of_a_sensor_at_the_edge_is_whole(at):
+    corners = np.array([[(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)]])
+    picture = map_picture(corners, (np.zeros(2), np.full(2, 100.0)), 40_000)
+    pose = Pose(
+        sensor="R3 east", crs="EPSG:25832", easting=at[0], northing=at[1], height=0.0,
+        yaw=0.0, pitch=0.0, roll=0.0,
+    )  # fmt: skip
+    names = []
+    for width_in in (OVERLAY_IN, NARROW_IN):
+        _, ax = picture.blank(width_in)
+        _add_sensor(ax, pose)
+        box, held = ax.texts[0].get_window_extent(), ax.get_window_extent()
+        names.append((box.x0 >= held.x0 - 1, box.x1 <= held.x1 + 1, box.y0 >= held.y0 - 1))
+    assert names == [(True, True, True)] * 2

@@ -33,7 +33,7 @@ def test_classes_cover_zero_to_one_without_gap():
 
 
 def test_darker_is_busier_in_even_steps():
-    light = [lightness(level.colour) for level in style.colour_classes()[1:]]
+    light = [lightness(level.colour) for level in style.colour_classes()]
     steps = -np.diff(light)
     assert (steps > 7.0).all()
     assert steps.max() < 2 * steps.min()

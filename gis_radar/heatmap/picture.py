@@ -19,6 +19,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 from matplotlib.patheffects import withStroke
+from matplotlib.text import Annotation
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -30,7 +31,7 @@ from gis_radar.poses.pose import Pose
 from gis_radar.words import current_language
 
 INK, SOFT, SENSOR = "#1d2126", "#59616a", "#00519e"
-PAPER, STRIPE = "#ffffff", "#84898e"
+PAPER, STRIPE = "#ffffff", "#5c6268"
 HALO = [withStroke(linewidth=2.6, foreground="white")]
 
 LEAST_MARGIN_M = 12.0  # around what was observed: sensors stand beside the road
@@ -310,8 +311,20 @@ def _add_sensor(ax: Axes, pose: Pose) -> None:
         [ahead, -0.5 * ahead + 0.6 * side, -0.5 * ahead - 0.6 * side]
     )
     ax.add_patch(Polygon(triangle, facecolor=SENSOR, edgecolor="white", linewidth=1.2, zorder=5))
-    ax.annotate(
+    name = ax.annotate(
         pose.sensor, (place[0], place[1]), xytext=(0, -11), textcoords="offset points",
         ha="center", va="top", fontsize=9, fontweight="bold", color=SENSOR, zorder=9,
         path_effects=HALO, annotation_clip=True, parse_math=False,
     )  # fmt: skip
+    _keep_inside(ax, name)
+
+
+def _keep_inside(ax: Axes, name: Annotation) -> None:
+    """Move a name that would be cut at the map's edge; above its sensor, if it were below all."""
+    box, held, dot = name.get_window_extent(), ax.get_window_extent(), ax.figure.dpi / 72.0
+    x, y = name.xyann
+    x += max(held.x0 - box.x0, 0.0) / dot - max(box.x1 - held.x1, 0.0) / dot
+    if box.y0 < held.y0:
+        y = 11.0
+        name.set_verticalalignment("bottom")
+    name.xyann = (x, y)

@@ -22,9 +22,9 @@ from xml.etree.ElementTree import Element, SubElement, indent, parse, tostring
 
 BREAKS = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)  # occupancy, shares of 1
 RAMP = (
-    "#f8eca1", "#f3be56", "#ef891a", "#df5028", "#ba1c4d", "#830460", "#480d58", "#18083b",
+    "#f1dd88", "#f3be56", "#ef891a", "#df5028", "#ba1c4d", "#830460", "#480d58", "#18083b",
 )  # fmt: skip
-NEVER_HIT = "#dce8f1"
+NEVER_HIT = "#f1f6fb"  # nearly paper: the one step that grey print would not show else
 NOT_OBSERVED = "#b9bdc1"  # for pictures; layers leave such tiles transparent
 UNCERTAIN = "uncertain"  # its label; drawn as a hatch over the colour of the class
 UNCERTAIN_FROM = 0.02  # a standard error as large as the coverage, and over this, is uncertain

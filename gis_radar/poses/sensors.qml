@@ -42,20 +42,15 @@
       <text-style fieldName="&quot;sensor&quot; || coalesce(' ± ' || format_number(sqrt(&quot;sigma_easting&quot;^2 + &quot;sigma_northing&quot;^2), 2) || ' m', '')" isExpression="1" fontSize="9" fontSizeUnit="Point" fontFamily="Open Sans" fontWeight="75" namedStyle="Bold" textColor="17,24,39,255" textOpacity="1">
         <text-buffer bufferDraw="1" bufferSize="0.9" bufferSizeUnits="MM" bufferColor="255,255,255,255" bufferOpacity="0.9" bufferJoinStyle="128" />
       </text-style>
-      <placement placement="1" offsetUnits="MM" xOffset="0" yOffset="0" quadOffset="4" priority="8" overlapHandling="AllowOverlapIfRequired" />
+      <placement placement="6" offsetType="0" dist="2.5" distUnits="MM" predefinedPositionOrder="R,TR,BR,T,B,TL,BL,L" priority="10" overlapHandling="AllowOverlapIfRequired" />
       <rendering drawLabels="1" obstacle="0" scaleVisibility="0" />
-      <!-- The label stands behind its sensor, so that it leaves the arrow free: by eighths of a turn from east. -->
+      <!-- The label stands behind its sensor, so that it leaves the arrow free; where that is beyond the map's edge, as near to there as fits: by eighths of a turn from east. -->
       <dd_properties>
         <Option type="Map">
           <Option name="properties" type="Map">
-            <Option name="OffsetQuad" type="Map">
+            <Option name="PredefinedPositionOrder" type="Map">
               <Option name="active" type="bool" value="true" />
-              <Option name="expression" type="QString" value="array_get(array(5, 2, 1, 0, 3, 6, 7, 8), (round(((&quot;yaw&quot; + 900) % 360) / 45) % 8))" />
-              <Option name="type" type="int" value="3" />
-            </Option>
-            <Option name="OffsetXY" type="Map">
-              <Option name="active" type="bool" value="true" />
-              <Option name="expression" type="QString" value="array(-2.5 * cos(radians(&quot;yaw&quot;)), 2.5 * sin(radians(&quot;yaw&quot;)))" />
+              <Option name="expression" type="QString" value="array_to_string(array_foreach(array(0, 1, 7, 2, 6, 3, 5, 4), array_get(array('R', 'TR', 'T', 'TL', 'L', 'BL', 'B', 'BR'), (round(((&quot;yaw&quot; + 900) % 360) / 45) + @element) % 8)))" />
               <Option name="type" type="int" value="3" />
             </Option>
           </Option>

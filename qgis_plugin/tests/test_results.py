@@ -13,10 +13,12 @@ from qgis.core import (
     QgsDateTimeRange,
     QgsFeatureRequest,
     QgsGraduatedSymbolRenderer,
+    QgsLabelingEngineSettings,
     QgsLayerTreeModel,
     QgsMapRendererSequentialJob,
     QgsMapSettings,
     QgsProject,
+    QgsRectangle,
     QgsVectorLayer,
     QgsVectorLayerTemporalContext,
 )
@@ -276,6 +278,27 @@ def test_the_sensor_comes_with_view_and_ellipse(run, site, tmp_path, fake_worker
     page = Path(results["REPORT"]).read_text(encoding="utf-8")
     assert "R1.png" in page
     assert "fitness" in page
+
+
+@pytest.mark.parametrize("at", [(0.02, 0.5), (0.98, 0.5), (0.5, 0.02), (0.5, 0.98), (0.98, 0.02)])
+def test_a_sensor_near_the_edge_of_a_map_has_its_name(site, qgis_new_project, at):
+    sensors = QgsVectorLayer(f"{site}/sensors.gpkg|layername=sensors", "Sensors", "ogr")
+    place = next(sensors.getFeatures()).geometry().asPoint()
+    west, south = place.x() - 200.0 * at[0], place.y() - 200.0 * at[1]
+    settings = QgsMapSettings()
+    settings.setLayers([sensors])
+    settings.setDestinationCrs(sensors.crs())
+    settings.setOutputSize(QSize(600, 600))
+    settings.setExtent(QgsRectangle(west, south, west + 200.0, south + 200.0))
+    engine = settings.labelingEngineSettings()
+    # Half a name is none, as on sheets.
+    engine.setFlag(QgsLabelingEngineSettings.UsePartialCandidates, False)
+    settings.setLabelingEngineSettings(engine)
+    job = QgsMapRendererSequentialJob(settings)
+    job.start()
+    job.waitForFinished()
+    names = [label.labelText for label in job.takeLabelingResults().allLabels()]
+    assert any(name.startswith("R1") for name in names)
 
 
 def test_the_log_of_a_run_shows_no_hits_beside_coverage(provider):
