@@ -6,7 +6,7 @@ import hashlib
 import marshal
 import sqlite3
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
 from threading import Lock
@@ -336,18 +336,18 @@ _OF_VIEWERS = {"layer_styles", "qgis_projects", "gpkg_ogr_contents"}
 _WITH_TIMES = {"gpkg_contents", "gpkg_metadata_reference"}
 
 
-def content_digest(path: Path) -> str | None:
+def content_digest(path: Path, but: Collection[str] = ()) -> str | None:
     """Return a digest of what tables of a GeoPackage hold; None where it cannot be read.
 
     It does not cover what viewers write: the pages' order, counters, and styles; nor when the file
-    was written.
+    was written; nor the layers `but`.
     """
     digest = hashlib.blake2b(digest_size=16)
     try:
         with closing(sqlite3.connect(f"{_uri(path)}?mode=ro", uri=True)) as database:
             query = "SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name"
             for (name,) in database.execute(query).fetchall():
-                if name not in _OF_VIEWERS | _WITH_TIMES and not name.startswith(
+                if name not in {*_OF_VIEWERS, *_WITH_TIMES, *but} and not name.startswith(
                     ("rtree_", "sqlite_")
                 ):
                     _add_table(digest, database, name)

@@ -617,6 +617,25 @@ def test_a_changed_view_repeats_no_localization(copied, blank_paper):
     assert gr.read_pose(out / "sensors" / "R1" / "pose.json").view.max_range_m == 120.0
 
 
+def test_names_of_streets_that_come_later_count_nothing_anew(copied, blank_paper):
+    path, out = copied
+    before = lanes_of(out)
+    middle = gpd.read_file(out / "tiles.gpkg", layer="lanes").geometry.iloc[:1]
+    street = gpd.GeoDataFrame({"name": ["Newly Named Street"]}, geometry=middle)
+    street.to_file(path.parent / "streets.gpkg")
+    change(path, "[map]\n", '[map]\nstreets = "streets.gpkg"\n')
+    done = gr.run_site(path, out)
+    assert {name for name in done_by(done) if name != "QGIS project"} == {"tiles", "report"}
+    after = lanes_of(out)
+    assert "Newly Named Street" in set(after["street"])
+    counted = ["lane", "coverage", "occupancy", "visible_m"]
+    pd.testing.assert_frame_equal(after[counted], before[counted])
+
+
+def lanes_of(out):
+    return pd.read_csv(out / "lanes.csv")
+
+
 def test_a_given_pose_with_a_bad_covariance_stops_its_sensor_alone(copied, blank_paper):
     path, out = copied
     pose = path.parent / "R2.json"

@@ -267,6 +267,11 @@ def discard(paths: Sequence[Path]) -> None:
 # What earlier runs have left: hashes of files, and records of stages.
 
 
+# The input of which stages read the tiles only, and the layers beside them: names of streets that
+# come later change no count.
+_TILES, _BESIDE_TILES = "tile_file", ("lanes", "stop_lines", "problems")
+
+
 class _Record(BaseModel):
     """A stage that ended, with a result or with a refusal."""
 
@@ -355,6 +360,20 @@ class RunState:
             self._packages[name] = (of_bytes, content_digest(path) or of_bytes)
         return self._packages[name][1]
 
+    def _hash_of_tiles(self, path: Path) -> str | None:
+        """Return the hash of a file of tiles but for layers that stages do not count by."""
+        from gis_radar.geopackage import content_digest  # noqa: PLC0415 - 1 s, needed rarely
+
+        whole, name = self.hash_of(path), f"{path.resolve()}: tiles"
+        if whole is not None and self._packages.get(name, ("", ""))[0] != whole:
+            self._packages[name] = (whole, content_digest(path, _BESIDE_TILES) or whole)
+        return None if whole is None else self._packages[name][1]
+
+    def _hash_for(self, stage: Stage, path: Path) -> str | None:
+        """Return the hash of what a stage reads of a file."""
+        of_tiles = stage.inputs.get(_TILES) == path
+        return self._hash_of_tiles(path) if of_tiles else self.hash_of(path)
+
     def key_of(self, stage: Stage) -> str:
         """Return the hash of all that a stage's result depends on; its inputs must be there."""
         return _digest(
@@ -362,7 +381,9 @@ class RunState:
                 "work": stage.work.__name__,
                 "options": dict(stage.options),
                 "software": software(),
-                "inputs": [(self._name(p), held) for p in stage.reads if (held := self.hash_of(p))],
+                "inputs": [
+                    (self._name(p), held) for p in stage.reads if (held := self._hash_for(stage, p))
+                ],
                 "outputs": [self._name(path) for path in stage.outputs],
             }
         )
