@@ -182,13 +182,14 @@ class TimedFusion(Fusion):
     """Fusion that notes how old each frame is when the map has it."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
-        self.finish_s = 0.0
+        self.finish_s, self.finishing = 0.0, threading.Event()
         self.ages = np.zeros(MOST_MS + 1, np.int64)  # by milliseconds
         super().__init__(*args, **options)
         self.phases = {name: phase_us(name, len(self.sensors)) for name in self.sensors}
 
     def _finish(self) -> None:
         begin = time.monotonic()
+        self.finishing.set()
         super()._finish()
         self.finish_s = time.monotonic() - begin
 
@@ -209,12 +210,11 @@ def fuse(folder: Path) -> None:
     fusion = TimedFusion(read_live_site(folder / "SITE.toml"), reporter=told)
     start_s = time.monotonic() - begin
     fusion.ages[:] = 0
-    ended = threading.Event()
     rows: list[dict[str, float]] = []
 
     def look() -> None:
         before = fusion.ages.copy()
-        while not ended.wait(LOOK_S):
+        while not fusion.finishing.wait(LOOK_S):  # writing the rest takes memory of its own
             ages, before = fusion.ages - before, fusion.ages.copy()
             counts = [each.health.counts for each in fusion.sensors.values()]
             row = {
@@ -228,7 +228,6 @@ def fuse(folder: Path) -> None:
     threading.Thread(target=look, daemon=True).start()
     with stopped_by_signals() as stop:
         fusion.run(stop)
-    ended.set()
     counts: dict[str, int] = {}
     for each in fusion.sensors.values():
         for name, count in each.health.counts.items():

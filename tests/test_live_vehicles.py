@@ -161,8 +161,8 @@ def test_fusion_follows_vehicles_in_a_process_that_may_be_killed(tmp_path, once)
     fusion = Fusion(read_live_site(site.file))
     middle = Background(fusion.run)
     try:
+        wait_for(lambda: fusion._link is not None and fusion._link.connected)
         work = [Background(Edge(read_edge_file(short(site, name))).run) for name in NAMES]
-        wait_for(lambda: fusion.vehicles._process is not None)
         process = fusion.vehicles._process
         for each in work:
             each.join()

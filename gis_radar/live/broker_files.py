@@ -200,7 +200,7 @@ def compose_text(site: LiveSite, file: Path, folder: Path) -> str:
         "fusion": common | {
             "depends_on": ["broker"],
             "working_dir": str(file.parent),
-            "environment": {"NUMBA_CACHE_DIR": str(site.folder / "compiled")},
+            "environment": {"NUMBA_CACHE_DIR": str(file.parent / site.folder / "compiled")},
             "command": ["gis-radar", "live", file.name],
             "volumes": [f"{file.parent}:{file.parent}"],
             "stop_signal": "SIGTERM",
