@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from itertools import pairwise
+from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -13,6 +15,7 @@ import pytest
 from gis_radar.heatmap import style
 from gis_radar.heatmap.layers import BEGIN, END
 from gis_radar.heatmap.picture import STRIPE
+from gis_radar.vehicles.layer import footprint_style
 
 
 def lightness(colour: str) -> float:
@@ -41,6 +44,24 @@ def test_darker_is_busier_in_even_steps():
 
 def test_not_observed_is_unlike_never_hit():
     assert lightness(style.NEVER_HIT) - lightness(style.NOT_OBSERVED) > 12.0
+
+
+def test_road_without_vehicles_is_seen_on_the_live_page():
+    page = (Path(style.__file__).parents[1] / "live" / "web" / "page.css").read_text()
+    ground = lightness(re.search(r"#map {.*background: (#\w{6});", page)[1])
+    assert lightness(style.NEVER_HIT) - ground > 5.0
+    assert ground - lightness(style.NOT_OBSERVED) > 5.0
+
+
+def test_heavy_and_light_vehicles_are_told_apart_in_grey():
+    root = ET.fromstring(footprint_style())  # noqa: S314
+    light, heavy = (
+        root.find(f".//symbol[@name='{name}']/layer/Option/Option[@name='color']").get("value")
+        for name in ("0", "2")
+    )
+    shades = [lightness("#" + bytes(map(int, each.split(",")[:3])).hex())
+              for each in (light, heavy)]  # fmt: skip
+    assert shades[0] - shades[1] > 15.0
 
 
 @pytest.mark.parametrize("interval_s", [None, 900.0])

@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
-from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.colors import BoundaryNorm, LinearSegmentedColormap, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from scenes import SceneFiles
@@ -32,6 +32,8 @@ from gis_radar.heatmap.style import BREAKS, NEVER_HIT, NOT_OBSERVED, RAMP, legen
 sys.path.append(str(Path(__file__).parents[1]))  # what all benches share
 import pages
 
+# Light is less, dark is more: its two ends are not alike in grey.
+LESS_TO_MORE = LinearSegmentedColormap.from_list("off", ["#bfe0ff", "#a4a8ac", "#7a0c1f"])
 OFF = 25.0  # percentage points at which the colours of errors end
 AROUND = (690_335.0, 690_505.0, 5_336_110.0, 5_336_262.0)  # of its far ends little is in sight
 WIDTH_PX = 1600
@@ -91,7 +93,7 @@ def draw(quads: pd.Series, true: pd.Series, given: pd.Series) -> Figure:
     handles.append(Patch(facecolor=NOT_OBSERVED, label="not in sight"))
     axes[0].legend(handles=handles, loc="lower right", fontsize="small", frameon=False)
     off = 100.0 * (given - true).dropna()
-    drawn = _add(axes[2], quads, off, cmap="RdBu_r", clim=(-OFF, OFF))
+    drawn = _add(axes[2], quads, off, cmap=LESS_TO_MORE, clim=(-OFF, OFF))
     axes[2].set_title("estimated less true, percentage points")
     figure.colorbar(drawn, ax=axes[2], shrink=0.7, extend="both", format="%+d")
     return figure

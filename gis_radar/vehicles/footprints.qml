@@ -132,7 +132,7 @@
         </data_defined_properties>
         <layer class="SimpleFill" enabled="1" pass="0">
           <Option type="Map">
-            <Option name="color" type="QString" value="0,135,85,255" />
+            <Option name="color" type="QString" value="0,74,46,255" />
             <Option name="style" type="QString" value="solid" />
             <Option name="outline_color" type="QString" value="255,255,255,255" />
             <Option name="outline_style" type="QString" value="solid" />
@@ -187,7 +187,7 @@
           <Option type="Map">
             <Option name="color" type="QString" value="255,255,255,255" />
             <Option name="style" type="QString" value="solid" />
-            <Option name="outline_color" type="QString" value="0,135,85,255" />
+            <Option name="outline_color" type="QString" value="0,74,46,255" />
             <Option name="outline_style" type="QString" value="solid" />
             <Option name="outline_width" type="QString" value="0.45" />
             <Option name="outline_width_unit" type="QString" value="MM" />
@@ -202,7 +202,7 @@
             <layer class="SimpleMarker" enabled="1" pass="0">
               <Option type="Map">
                 <Option name="name" type="QString" value="equilateral_triangle" />
-                <Option name="color" type="QString" value="0,135,85,255" />
+                <Option name="color" type="QString" value="0,74,46,255" />
                 <Option name="outline_style" type="QString" value="no" />
                 <Option name="size" type="QString" value="1.6" />
                 <Option name="size_unit" type="QString" value="MapUnit" />
