@@ -53,6 +53,22 @@ def trees() -> dict[Path, ast.Module]:
     return found
 
 
+@cache
+def nodes(path: Path) -> tuple[ast.AST, ...]:
+    """Return all nodes of a module; to walk its tree for each question took seconds."""
+    return tuple(ast.walk(trees()[path]))
+
+
+@cache
+def calls(path: Path) -> dict[str, list[ast.Call]]:
+    """Return the calls in a module by the name that is called."""
+    found: dict[str, list[ast.Call]] = {}
+    for node in nodes(path):
+        if isinstance(node, ast.Call):
+            found.setdefault(name_of(node.func), []).append(node)
+    return found
+
+
 def name_of(node: ast.AST | None) -> str:
     return getattr(node, "id", "") or getattr(node, "attr", "")
 
@@ -62,7 +78,7 @@ def exceptions() -> frozenset[str]:
     """Return the names of all exceptions of the package, and those of Python that it raises."""
     names = {"Exception", "ValueError", "TypeError"}
     classes = [
-        node for tree in trees().values() for node in ast.walk(tree)
+        node for path in trees() for node in nodes(path)
         if isinstance(node, ast.ClassDef)
     ]  # fmt: skip
     while more := {
@@ -95,7 +111,7 @@ def named(path: Path) -> dict[str, ast.AST]:
 def imported(path: Path) -> dict[str, tuple[Path, str]]:
     """Return what a module takes from others of the package: their file and their name."""
     found = {}
-    for node in ast.walk(trees()[path]):
+    for node in nodes(path):
         if isinstance(node, ast.ImportFrom) and str(node.module).startswith("gis_radar"):
             place = PACKAGE.parent.joinpath(*str(node.module).split("."))
             files = (place.with_suffix(".py"), place / "__init__.py")
@@ -170,18 +186,17 @@ def given(path: Path, function: ast.FunctionDef, name: str) -> Iterator[tuple[Pa
         for each, value in zip(arguments.kwonlyargs, arguments.kw_defaults, strict=True)
         if value is not None
     }
-    for source, tree in trees().items():
+    for source in trees():
         if source != path and called not in imported(source):
             continue
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Call) and name_of(node.func) == called:
-                by_name = {each.arg: each.value for each in node.keywords}
-                if name in by_name:
-                    yield source, by_name[name]
-                elif name in places and places.index(name) < len(node.args):
-                    yield source, node.args[places.index(name)]
-                elif name in defaults:
-                    yield path, defaults[name]
+        for node in calls(source).get(called, []):
+            by_name = {each.arg: each.value for each in node.keywords}
+            if name in by_name:
+                yield source, by_name[name]
+            elif name in places and places.index(name) < len(node.args):
+                yield source, node.args[places.index(name)]
+            elif name in defaults:
+                yield path, defaults[name]
 
 
 def parameters(function: ast.FunctionDef) -> set[str]:
@@ -297,11 +312,11 @@ def of_name(path: Path, node: ast.Name, deep: int, *, inner: bool) -> list[str]:
 
 def told() -> Iterator[tuple[Path, ast.AST]]:
     """Yield all expressions that a user meets as an error, a hint or a remark."""
-    for path, tree in trees().items():
+    for path in trees():
         if "live" in path.relative_to(PACKAGE).with_suffix("").parts:
-            yield from ((path, each) for each in alarmed(path, tree))
+            yield from ((path, each) for each in alarmed(path))
             continue  # servers, whose log is English
-        for node in ast.walk(tree):
+        for node in nodes(path):
             if isinstance(node, ast.FunctionDef) and TELLING.fullmatch(node.name):
                 yield from ((path, each) for each in told_lines(node))
             if not isinstance(node, ast.Call):
@@ -315,9 +330,9 @@ def told() -> Iterator[tuple[Path, ast.AST]]:
                 yield from ((path, each) for each in node.args[:1])
 
 
-def alarmed(path: Path, tree: ast.Module) -> Iterator[ast.AST]:
+def alarmed(path: Path) -> Iterator[ast.AST]:
     """Yield what the page of the live system shows beside an alarm: details, damaged messages."""
-    for node in ast.walk(tree):
+    for node in nodes(path):
         if isinstance(node, ast.Call):
             name = name_of(node.func)
             if name in ALARMED:

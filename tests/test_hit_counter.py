@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numba
 import numpy as np
 import pandas as pd
 import pyarrow as pa
@@ -44,6 +45,20 @@ def test_each_frame_has_the_tiles_that_it_hits(tiles):
         assert [each.time_us for each in found] == np.rint(times[:50] * 1e6).tolist()
         assert [each.tiles.tolist() for each in found] == expected
     assert sum(map(len, expected)) > 1000
+
+
+def test_the_loop_is_compiled_for_one_kind_of_tiles(tiles):
+    """Another kind of the same arrays costs a user eight seconds of compiling anew."""
+    quads, road = gr.quads(tiles), SightTiles.of(tiles)
+    ids = tiles["tile_id"].to_numpy()
+    kept, free = ids.copy(), ids.copy()
+    kept.flags.writeable = False
+    grids = [gr.TileGrid(each) for each in (quads, np.asfortranarray(quads))]
+    counters = [
+        HitCounter(road, grid, tile_id=each) for grid in grids for each in (kept, free, None)
+    ]
+    assert len({numba.typeof(each._ground) for each in counters}) == 1
+    assert free.flags.writeable
 
 
 def test_a_frame_without_positions_hits_nothing(tiles):

@@ -97,7 +97,8 @@ class HitCounter:
         ranges: RangeCounts | None = None,
     ) -> None:
         count = len(tiles.tile_id)
-        ids = np.arange(count) if tile_id is None else tile_id
+        ids = (np.arange(count) if tile_id is None else tile_id).view()
+        ids.flags.writeable = False  # as those of a table are: else the loop is compiled twice
         self._ascends = bool((np.diff(ids) > 0).all())
         self._ground = Ground(ids, np.ascontiguousarray(tiles.height), grid.cells)
         self._limits = limits_of(filters or Filters(), settings, step_us)

@@ -138,7 +138,7 @@ class TileGrid:
 
     def __init__(self, quads: Floats) -> None:
         origin = _origin(quads)
-        local = quads - origin
+        local = np.ascontiguousarray(quads - origin)  # one layout, one compiled form
         span = local.reshape(-1, 2).max(axis=0) if len(quads) else np.ones(2)
         cell_m = max(LENGTH_M, math.sqrt(float(span.prod()) / MOST_CELLS))
         columns, rows = (int(side * (1.0 / cell_m)) + 1 for side in span)  # rounded as in cell_at
@@ -166,7 +166,7 @@ class TileGrid:
         point, tile : (k,) int64 arrays
             Positions in the inputs and in the quads, ascending by point, then by tile.
         """
-        x, y = np.asarray(easting, np.float64), np.asarray(northing, np.float64)
+        x, y = (np.ascontiguousarray(each, np.float64) for each in (easting, northing))
         room = len(x) + len(x) // 4 + 1024
         point, tile = np.empty(room, np.int64), np.empty(room, np.int64)
         done = found = 0
