@@ -192,7 +192,8 @@ def test_the_options_of_the_command_reach_their_arguments(monkeypatch, tmp_path)
 
     def listen(folder, **options):
         told.update(folder=folder, **options)
-        return SimpleNamespace(outputs=[tmp_path / "report.html"], summary={"pictures": 3})
+        summary = {"pictures": 3, "timezone": "Europe/Berlin"}
+        return SimpleNamespace(outputs=[tmp_path / "report.html"], summary=summary)
 
     monkeypatch.setattr(gr, "write_report", listen)
     words = [
@@ -202,7 +203,7 @@ def test_the_options_of_the_command_reach_their_arguments(monkeypatch, tmp_path)
     done = CliRunner().invoke(group, words)
     assert done.exit_code == 0, done.output
     (line,) = done.stdout.splitlines()
-    assert json.loads(line)["summary"] == {"pictures": 3}
+    assert json.loads(line)["summary"] == {"pictures": 3, "timezone": "Europe/Berlin"}
     assert told.pop("reporter") is not None
     assert told == {
         "folder": Path("results"), "output": Path("out"), "title": "Main Street",
