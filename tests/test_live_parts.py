@@ -405,7 +405,7 @@ def test_addresses_of_brokers(text, host, port, tls):
 
 
 @pytest.mark.parametrize("text", ["broker:1883", "http://a", "mqtt://", "mqtt://a:x", "mqtt://a/b",
-                                  "mqtt://a?tls=1"])  # fmt: skip
+                                  "mqtt://a?tls=1", "mqtts://a[b:8883"])  # fmt: skip
 def test_what_is_no_address_is_refused(text):
     with pytest.raises(gr.UsageError, match="no address of a broker"):
         BrokerAddress.of(text)

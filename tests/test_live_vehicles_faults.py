@@ -1,6 +1,9 @@
 """What may happen to following vehicles live: links away, sensors silent, processes killed."""
 
+import multiprocessing.spawn
 import os
+import pickle
+import shutil
 import signal
 import sqlite3
 import struct
@@ -8,9 +11,10 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from multiprocessing import resource_tracker
 from pathlib import Path
 from queue import Queue
-from threading import Event
+from threading import Event, Thread
 from types import SimpleNamespace
 
 import numpy as np
@@ -140,7 +144,7 @@ def test_vehicles_of_now_are_none_once_all_sensors_are_silent(sent, tmp_path, mo
     assert len(vehicles.now()) == 0
 
 
-def die_in_the_midst(_site, _inbox, outbox, _settings):
+def die_in_the_midst(_inbox, outbox, _settings):
     """Die as a process that is killed while it tells much."""
     os.write(outbox.fileno(), struct.pack("!i", 10_000_000) + bytes(30_000))
     os.kill(os.getpid(), signal.SIGKILL)
@@ -168,6 +172,28 @@ def test_a_process_killed_while_it_tells_holds_nothing_up(tmp_path):
         capture_output=True, env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
     )  # fmt: skip
     assert done.stdout.split() == [b"lost"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there is no false")
+def test_a_process_that_dies_at_its_start_holds_nothing_up(sent, tmp_path, monkeypatch):
+    said = []
+    reporter = SimpleNamespace(log=lambda text, _: said.append(text))
+    vehicles = LiveVehicles(site_of(sent, tmp_path), sent.tiles, sent.book, reporter=reporter)
+    assert len(pickle.dumps(vehicles._site)) > 100_000  # more than a pipe holds
+    resource_tracker.ensure_running()  # it is started by the same program
+    # What starts the process, for spawn: a program that reads nothing and ends.
+    monkeypatch.setattr(multiprocessing.spawn, "_python_exe", shutil.which("false").encode())
+    starting = Thread(target=vehicles._start, daemon=True)
+    starting.start()
+    starting.join(LONGEST_S)
+    assert not starting.is_alive()
+
+    def lost():
+        vehicles.turn()
+        return vehicles.restarts == 1
+
+    wait_for(lost)
+    assert "has ended (1); a new one takes up where it was" in said[0]
 
 
 def test_a_store_that_cannot_be_opened_is_tried_again(sent, tmp_path, monkeypatch):

@@ -68,11 +68,11 @@ class BrokerAddress:
         UsageError
             If it is no such address.
         """
-        parts = urlsplit(address)
         try:
+            parts = urlsplit(address)
             port = parts.port
         except ValueError:
-            port = 0
+            parts, port = urlsplit(""), 0
         if parts.username is not None:
             raise UsageError(
                 "the address of a broker holds a user", hint="state user and password_file"

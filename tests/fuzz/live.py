@@ -48,7 +48,7 @@ from gis_radar.occupancy.folder import frames_of
 from gis_radar.occupancy.frame_steps import Runs
 from gis_radar.occupancy.hit_counter import CountedFrame
 from gis_radar.occupancy.tile_sets import decode_tiles, encode_tiles
-from gis_radar.occupancy.views import ViewBook
+from gis_radar.occupancy.views import ViewBook, name_of_view
 from gis_radar.sight import SightTiles
 from gis_radar.sight.layers import SightFile, write_sights
 from gis_radar.sight.sight import find_sight
@@ -145,14 +145,13 @@ def _build_vehicles(folder: Path, returns: list[FrameReturns]) -> None:
     tracks = drive(1, last - 19, EAST + np.arange(20) * 0.5, lanelet_id=tiles["lanelet_id"].iloc[0])
     tracks["northing"] = NORTH
     store = VehicleStore(folder / "live" / "followed", fingerprint=road.fingerprint)
-    store.add_view(
-        SensorView(sensor="R1", view="v", tile_id=road.tile_id, position=pose.position), 0.0
-    )
-    row = store.add_pose(FollowedPose(sensor="R1", view="v", hold_s=0.1, content=pose.as_dict()))
+    view, position = name_of_view(road.tile_id), pose.position
+    store.add_view(SensorView(sensor="R1", view=view, tile_id=road.tile_id, position=position), 0.0)
+    row = store.add_pose(FollowedPose(sensor="R1", view=view, hold_s=0.1, content=pose.as_dict()))
     steps = np.array([last - 19]), np.array([last])
     piece = VehiclePiece(
         first_step=last - 19, last_step=last, tracks=tracks, vehicles=rows_of(tracks),
-        frames=frames_of("R1", "v", Runs(first=steps[0], last=steps[1])),
+        frames=frames_of("R1", view, Runs(first=steps[0], last=steps[1])),
     )  # fmt: skip
     table = pd.DataFrame([(0, BEGIN_US / 1e6, 3.0, 1)], columns=[*BlockEdge.COLUMNS])
     store.add_piece(

@@ -181,6 +181,7 @@ FOUND = [
             "UPDATE poses SET sensor = '1969-12-31T23:59:59Z'",
             "UPDATE poses SET id = 7",
             "UPDATE views SET easting = 'a'",
+            "UPDATE views SET tiles = X'FFFFFFFFFFFFFF7F'",
         )
     ),
 ]

@@ -191,9 +191,10 @@ class LiveVehicles:
         self._known, self._started, self._ended = {}, time.monotonic(), False
         self._process = context.Process(
             target=follow_in_process,
-            args=(self._site, self._inbox, theirs, self._settings),
-            daemon=True, name="vehicles",
+            args=(self._inbox, theirs, self._settings), daemon=True, name="vehicles",
         )  # fmt: skip
+        # Not as an argument: its pipe would be full, for ever where the process dies at its start.
+        self._inbox.put_nowait(self._site)
         self._process.start()
         theirs.close()  # only so the end of the process ends what it tells
 

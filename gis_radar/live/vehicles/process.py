@@ -50,11 +50,11 @@ class _Outbox:
 
 
 def follow_in_process(
-    site: FollowedSite, inbox: Channel[Any], outbox: Connection[Told, Any],
-    settings: FollowSettings,
-) -> None:  # fmt: skip
-    """Work until the end is told; what a process of its own runs."""
+    inbox: Channel[Any], outbox: Connection[Told, Any], settings: FollowSettings
+) -> None:
+    """Work until the end is told; what a process of its own runs. The site comes first."""
     watch_parent()
+    site: FollowedSite = inbox.get()
     telling = _Outbox(outbox)
     _run_once(settings, telling)
     telling.put(Told(counts={}, ready=True))

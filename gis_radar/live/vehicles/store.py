@@ -24,6 +24,7 @@ import pyarrow.parquet as pq
 
 from gis_radar.errors import GisRadarError, OutputError
 from gis_radar.live.database import as_one, damage_of, is_damage
+from gis_radar.occupancy.views import name_of_view
 from gis_radar.poses.pose import pose_from_dict
 from gis_radar.steps import STEP_US
 from gis_radar.vehicles.folder import VehiclePiece
@@ -177,8 +178,11 @@ class VehicleStore:
             self.edge()
             for pose in self.poses().values():
                 pose_from_dict(pose.content, what=f"the pose of {pose.sensor}")
-            views = {(view.sensor, view.view) for view, _ in self.views()}
-            return not all(_is_sound(each.piece, views) for each in self.pieces(-(2**62), 2**62))
+            views = [view for view, _ in self.views()]
+            if any(view.view != name_of_view(view.tile_id) for view in views):
+                return True
+            named = {(view.sensor, view.view) for view in views}
+            return not all(_is_sound(each.piece, named) for each in self.pieces(-(2**62), 2**62))
         except (GisRadarError, pa.ArrowException, ValueError, TypeError, LookupError,
                 ArithmeticError):  # fmt: skip
             return True
