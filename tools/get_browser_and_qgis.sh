@@ -1,9 +1,11 @@
 #!/bin/sh
 # Get what the checks use beside Python: MapLibre, Chromium and QGIS, those two one after the other as apt wants it.
 # What cannot be had is left out; with GIS_RADAR_CHROMIUM=required a missing Chromium is a failure.
+#
+#   tools/get_browser_and_qgis.sh --apt    only what apt installs, which needs no .venv
 set -eu
 cd "$(dirname "$0")/.."
 sh tools/get_maplibre.sh || [ "${GIS_RADAR_CHROMIUM:-}" != required ]
 sh tools/get_mosquitto.sh || [ "${GIS_RADAR_MOSQUITTO:-}" != required ]
 sh tools/get_chromium.sh || [ "${GIS_RADAR_CHROMIUM:-}" != required ]
-sh tools/get_qgis.sh 2>/dev/null || true # tools/test_qgis.sh says why
+sh tools/get_qgis.sh "$@" 2>/dev/null || true # tools/test_qgis.sh says why

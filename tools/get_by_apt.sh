@@ -32,9 +32,7 @@ is_debian || fail "it is fetched on Debian only"
 echo "set-up: installing $name by apt ($size, once)."
 log=$(mktemp)
 trap 'rm -f "$log"' EXIT
-{
-    apt-get update -qq || true # one bad source need not matter
-    # shellcheck disable=SC2086 # a word a package
-    DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $packages
-} >"$log" 2>&1 || fail "apt could not install it ($(sed -n 's/^E: *//p' "$log" | head -n 1))"
+# shellcheck disable=SC2086 # a word a package
+sh "$(dirname "$0")/apt_install.sh" "$log" $packages ||
+    fail "apt could not install it ($(sed -n 's/^E: *//p' "$log" | head -n 1))"
 are_there || fail "apt installed none that is found"

@@ -3,6 +3,7 @@
 # mirror that this machine's apt uses already. Where it is there, this says nothing.
 #
 #   tools/get_qgis.sh          where it cannot be had, one line says why, and the exit code is 1
+#   tools/get_qgis.sh --apt    only what apt installs, which needs no .venv
 set -eu
 cd "$(dirname "$0")/.."
 
@@ -72,11 +73,9 @@ install() {
     # QGIS alone comes from there: a whole suite would drag more in.
     printf 'Package: src:qgis\nPin: release n=bookworm-backports\nPin-Priority: 990\n' >$pinned
     echo "set-up: installing QGIS by apt (250 MB, once; about a minute)."
-    {
-        apt-get update -qq || true # one bad source need not matter
-        # shellcheck disable=SC2086 # one word a package
-        DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $wanted
-    } >"$log" 2>&1 || fail "apt could not install QGIS ($(sed -n 's/^E: *//p' "$log" | head -n 1))"
+    # shellcheck disable=SC2086 # one word a package
+    sh tools/apt_install.sh "$log" $wanted ||
+        fail "apt could not install QGIS ($(sed -n 's/^E: *//p' "$log" | head -n 1))"
 }
 
 # Python for the tests: QGIS's own, and pytest beside it. None of the geographic wheels.
@@ -103,4 +102,4 @@ if ! all_is_there; then
     install
     qgis_is_new_enough || fail "apt installed a QGIS that does not run"
 fi
-make_venv
+[ "${1:-}" = --apt ] || make_venv

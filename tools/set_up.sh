@@ -5,6 +5,8 @@
 #   tools/set_up.sh dev    and what its checks and its documentation need
 #   tools/set_up.sh bench  and the extra packages that the benchmarks compare with
 #
+# With --programs behind it, apt begins to fetch the programs of the checks, and goes on afterwards.
+#
 # PYTHON=... names the Python to use (3.11 or newer). PDAL is fetched meanwhile (tools/get_pdal.sh).
 # Where all is in place already, this says nothing and uses no network.
 set -eu
@@ -65,10 +67,7 @@ install_system() {
     command -v apt-get >/dev/null 2>&1 || fail "missing on this system, please install: $*"
     [ "$(id -u)" -eq 0 ] || fail "system packages are missing. As root: apt-get install $*"
     echo "set-up: installing by apt: $*"
-    {
-        apt-get update -qq || true # one bad source need not matter
-        DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$@"
-    } >"$apt_log" 2>&1 || {
+    sh tools/apt_install.sh "$apt_log" "$@" || {
         cat "$apt_log" >&2
         fail "apt could not install: $*"
     }
@@ -136,6 +135,7 @@ find_python
 missing=$(list_missing)
 # shellcheck disable=SC2086 # one word a package
 install_system $missing
+[ "${2:-}" != --programs ] || nice -n 10 sh tools/get_browser_and_qgis.sh --apt 2>/dev/null &
 echo "set-up: filling $venv with Python $(version "$python"); the first time takes about a minute."
 make_venv
 install_packages

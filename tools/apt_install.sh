@@ -1,0 +1,18 @@
+#!/bin/sh
+# Install packages by apt, as root, from the mirror that this machine's apt uses already. Calls at
+# the same time wait for each other.
+#
+#   tools/apt_install.sh LOG PACKAGE...
+#
+# What apt says goes to the file LOG.
+set -eu
+log=$1
+shift
+if command -v flock >/dev/null 2>&1; then
+    exec 9</var/lib/apt/lists
+    flock 9
+fi
+{
+    apt-get update -qq || true # one bad source need not matter
+    DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$@"
+} >"$log" 2>&1 9<&-
