@@ -6,6 +6,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pyarrow as pa
@@ -333,6 +334,24 @@ def test_a_summary_says_what_is_not_known(capfd):
         console.result(result)
     told = [line.split() for line in capfd.readouterr().out.splitlines() if line.strip()]
     assert told == [["tiles", "66,549"], ["epoch", "not", "known"]]
+
+
+def test_a_log_hears_now_and_then_of_a_long_count(capfd, monkeypatch):
+    """Bars are for terminals; without one a run is not silent for hours."""
+    monkeypatch.setattr("gis_radar.cli.console.SILENT_S", 0.2)
+    with TerminalConsole() as console:
+        for done in range(5):
+            console.progress("all stages", 1, 4)
+            console.progress("occupancy R1", 10 * done, 100)
+        assert capfd.readouterr().err == ""
+        time.sleep(0.25)
+        console.progress("reading", 10, None)
+        console.progress("occupancy R1", 50, 100)
+        assert capfd.readouterr().err == "all stages 25 %, occupancy R1 40 %, reading 10\n"
+        time.sleep(0.25)
+        for stage, total in (("reading", 20), ("occupancy R1", 100), ("all stages", 4)):
+            console.progress(stage, total, total)
+    assert capfd.readouterr().err == "all stages 25 %, occupancy R1 50 %\n"
 
 
 def test_people_read_the_clocks_of_the_site_and_programs_utc(capfd):

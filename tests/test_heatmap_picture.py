@@ -17,6 +17,7 @@ from gis_radar.heatmap.picture import (
     NARROW_IN,
     OVERLAY_IN,
     _add_sensor,
+    add_corner_scale,
     map_picture,
     round_length,
 )
@@ -113,8 +114,26 @@ def test_the_name_of_a_sensor_at_the_edge_is_whole(at):
     )  # fmt: skip
     names = []
     for width_in in (OVERLAY_IN, NARROW_IN):
-        _, ax = picture.blank(width_in)
-        _add_sensor(ax, pose)
+        figure, ax = picture.blank(width_in)
+        _add_sensor(ax, pose, add_corner_scale(figure, ax))
         box, held = ax.texts[0].get_window_extent(), ax.get_window_extent()
         names.append((box.x0 >= held.x0 - 1, box.x1 <= held.x1 + 1, box.y0 >= held.y0 - 1))
     assert names == [(True, True, True)] * 2
+
+
+@pytest.mark.parametrize("width_in", [OVERLAY_IN, NARROW_IN])
+def test_the_name_of_a_sensor_beside_the_scale_bar_is_not_under_its_ground(width_in):
+    corners = np.array([[(0.0, 0.0), (100.0, 0.0), (100.0, 60.0), (0.0, 60.0)]])
+    picture = map_picture(corners, (np.zeros(2), np.array([100.0, 60.0])), 40_000)
+    for up in range(5, 55, 5):
+        figure, ax = picture.blank(width_in)
+        taken = add_corner_scale(figure, ax)
+        pose = Pose(
+            sensor="R3", crs="EPSG:25832", easting=90.0, northing=float(up), height=0.0,
+            yaw=0.0, pitch=0.0, roll=0.0,
+        )  # fmt: skip
+        dot = ax.transData.transform((90.0, up))
+        if taken.y0 <= dot[1] <= taken.y1:
+            continue  # the sensor itself is under it
+        _add_sensor(ax, pose, taken)
+        assert not ax.texts[0].get_window_extent().overlaps(taken)

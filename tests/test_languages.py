@@ -110,14 +110,28 @@ def test_errors_are_german_wherever_they_stand(told, german):
 
 
 @pytest.fixture(scope="module")
-def reports(tmp_path_factory):
+def written(tmp_path_factory):
     """Write the same report in both languages."""
     folder = write_results(tmp_path_factory.mktemp("site"))
     write_run(folder, title="Kreuzung Süd")
-    places = {name: tmp_path_factory.mktemp(name) for name in ("en", "de")}
-    for name, place in places.items():
-        gr.write_report(folder, output=place, language=name)
-    return places
+    return {
+        name: gr.write_report(folder, output=tmp_path_factory.mktemp(name), language=name)
+        for name in ("en", "de")
+    }
+
+
+@pytest.fixture(scope="module")
+def reports(written):
+    """Return where the reports are."""
+    return {name: made.outputs[0].parent for name, made in written.items()}
+
+
+def test_a_run_logs_what_a_german_report_found_as_all_else_in_english(written):
+    """The console translates for who wants German; here it would be one line among English."""
+    found = [made.summary["found"] for made in written.values()]
+    assert found[0] == found[1]
+    assert found[0][0].startswith("Recorded were")
+    assert written["de"].summary["remarks"][0].startswith("Aufgezeichnet sind")
 
 
 def test_no_words_of_a_german_report_are_english(reports):

@@ -370,6 +370,15 @@ def test_the_page_shows_coverage_and_tells_vehicles(live, address, chromium):
     chromium.find_element(By.CSS_SELECTOR, "input[value=covers]").click()
     paint = "return document.querySelector('input[value=covers]').checked"
     assert chromium.execute_script(paint)
+    side = chromium.find_element(By.CLASS_NAME, "side").text.splitlines()
+    assert side[4:6] == ["Coverage", "share of the visible time with a vehicle, last 15 minutes"]
+    assert "0 %, no vehicle" in side
+    assert not {"Share of the observed time", "0 %, never hit", "occupied now"} & set(side)
+    chromium.find_element(By.CSS_SELECTOR, "input[value=now]").click()
+    side = chromium.find_element(By.CLASS_NAME, "side").text.splitlines()
+    assert side[4] == "Now"
+    assert "occupied now" in side
+    assert "0 %, no vehicle" not in side
     assert [each for each in chromium.get_log("browser") if each["level"] == "SEVERE"] == []
 
 

@@ -191,6 +191,17 @@ def test_the_print_layout_of_a_project(results, tmp_path):
     assert sorted(explained) == sorted(shown)
 
 
+def test_a_sheet_ends_with_what_was_recorded_and_not_with_its_last_interval(results, tmp_path):
+    """As the report; a quarter of an hour goes on when the recording has ended."""
+    tiles = gr.read_tiles(results / "tiles.gpkg")
+    occupancy = gr.read_occupancy(results / "occupancy" / "R1")
+    gr.make_heatmap(occupancy, tiles, interval="15min").write(tmp_path / "heatmap")
+    gr.write_qgis_project(tmp_path / "site.qgz", heatmap=tmp_path / "heatmap")
+    layout = read_project(tmp_path / "site.qgz").find("Layouts/Layout")
+    texts = [item.get("labelText") for item in layout.iter("LayoutItem")]
+    assert "12 June 2025, 07:30:00 to 07:31:40 (UTC)" in texts
+
+
 def test_layers_without_features_are_in_no_legend(results, tmp_path):
     gr.write_sensors([a_pose()], tmp_path / "sensors.gpkg")  # no sigma: no ellipse
     gr.write_qgis_project(

@@ -229,6 +229,19 @@ def test_all_words_can_be_read_on_a_phone(page):
     WebDriverWait(page, WAIT_S).until(lambda each: all(each.execute_script(shown)))
 
 
+def test_pictures_have_their_room_before_they_are_seen(chromium, report):
+    """Else what is below jumps, and a link leads beside its chapter."""
+    wide(chromium, 1280)
+    chromium.get(report.as_uri())
+    shape = (
+        "return [...document.querySelectorAll('.plate-of-lanes img, .plate-of-hits img')]"
+        ".map(e => [e.loading, e.width > 50 && e.height > 50])"
+    )
+    found = chromium.execute_script(shape)
+    assert found == [["auto", True]] * len(found)  # as wide as they are: lazy ones have no size yet
+    assert found
+
+
 @pytest.mark.parametrize("width", [1280, 800, 390])
 def test_nothing_is_wider_than_the_window(page, width):
     wide(page, width)

@@ -2,26 +2,47 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from io import BytesIO
 from types import SimpleNamespace
+from zoneinfo import ZoneInfo
 
 import pypdf
 import pytest
 from PIL import Image
 
-from gis_radar.report.content import Table
-from gis_radar.report.pages import Paper, _add_table, _composed, bound
+from gis_radar.report.content import Fact, Figure, Table
+from gis_radar.report.pages import Paper, _add_facts, _add_map, _add_table, _composed, bound
 from gis_radar.report.report import _lane_columns
+from gis_radar.steps import Clock
 from gis_radar.words import speaking
 
 
-def words_of(columns, cells):
-    """Write a table of one row; return the words that stand on the page."""
+def a_paper():
     named = SimpleNamespace(
         measure="coverage", title="T", subtitle="", zone="UTC", made_by="gis_radar"
     )  # fmt: skip
     paper = Paper(named)
     paper.add_page()
+    return paper
+
+
+def places_of(paper):
+    """Return where on the first page each piece of text begins: from the left, from below."""
+    found = {}
+    page = pypdf.PdfReader(BytesIO(bytes(paper.output()))).pages[0]
+
+    def note(text, _, matrix, *__):
+        if text.strip():
+            found[text.strip()] = (matrix[4], matrix[5])
+
+    page.extract_text(visitor_text=note)
+    return found
+
+
+def words_of(columns, cells):
+    """Write a table of one row; return the words that stand on the page."""
+    paper = a_paper()
     _add_table(paper, Table(name="t", caption="Lanes", columns=columns, rows=[cells]))
     page = pypdf.PdfReader(BytesIO(bytes(paper.output()))).pages[0]
     return page.extract_text().split()
@@ -38,6 +59,44 @@ def test_heads_and_numbers_of_lanes_are_not_broken(language, lane):
         for word in f"{column.title} {column.unit}".split():
             assert word in found
     assert lane in found
+
+
+def test_streets_of_a_full_table_are_not_broken():
+    """As in a town: four digits of length, five of a lane, and why a lane has no rank."""
+    with speaking("de"):
+        moment = datetime(2025, 6, 12, tzinfo=UTC)
+        clock = Clock(zone=ZoneInfo("Europe/Berlin"), first=moment, last=moment)
+        columns = _lane_columns(clock, "coverage")
+        cells = ["17863", "zu wenig davon einsehbar", "Bahnhofsvorplatz (West), Nordost",
+                 "27,8 ± 24,4 %", "41", "1 700", "100 %", "100 ± 26 % bei 1 266 m", "194,3",
+                 "23:13:20 bis 23:13:40: 35 ± 4 %"]  # fmt: skip
+        found = words_of(columns, cells)
+    assert {"einsehbar", "Bahnhofsvorplatz"} <= set(found)
+
+
+def test_what_a_figure_rests_on_stands_in_its_field():
+    rests = "19 Spuren, 61 % der Länge; der erste von 3 Fahrstreifen mit Rang"
+    facts = [Fact("Aufgezeichnet", "40 s", "in 40 s"), Fact("Sensoren", "3", "R1"),
+             Fact("Höchster Fahrstreifen", "17863: 28 %", rests), Fact("Vierte", "4")]  # fmt: skip
+    paper = a_paper()
+    _add_facts(paper, SimpleNamespace(facts=facts))
+    places = places_of(paper)
+    assert rests not in places  # on one line it would be too small to read
+    last = min(y for text, (_, y) in places.items() if text in rests)
+    assert last > places["Vierte"][1] + 10
+
+
+def test_the_legend_of_a_flat_map_ends_above_the_words_below_it():
+    picture = BytesIO()
+    Image.new("RGB", (300, 60), "white").save(picture, "PNG")
+    flat = Figure(
+        png=picture.getvalue(), width=300, height=60, alt="", caption="Below the map"
+    )  # fmt: skip
+    paper = a_paper()
+    part = SimpleNamespace(whole=flat, overlay=None, caption="and the note")
+    _add_map(paper, SimpleNamespace(map=part, measure="coverage"))
+    places = places_of(paper)
+    assert places["Below the map"][1] < places["not visible"][1] - 8
 
 
 def test_no_line_ends_between_a_number_and_its_percent_sign():

@@ -151,6 +151,10 @@ def test_west_and_half_hours():
             "11 June 2025, 00:00, to 12 June 2025, 24:00 (Europe/Berlin, UTC+02:00)",
         ),
         (
+            "2025-06-12T07:30Z", "2025-06-12T07:31:40.050Z",  # the last frame's step
+            "12 June 2025, 09:30:00 to 09:31:40 (Europe/Berlin, UTC+02:00)",
+        ),
+        (
             "2025-06-12T07:30Z", "2025-06-12T07:31:40Z",
             "12 June 2025, 09:30:00 to 09:31:40 (Europe/Berlin, UTC+02:00)",
         ),

@@ -75,3 +75,11 @@ def test_messages_in_the_words_of_the_site_file_have_their_german():
             "observed by it; --cycle R1=57ms lets a frame cover its whole cycle", "UTC",
         )  # fmt: skip
         assert 'cycle = "57ms" in [[sensor]] R1' in tr_message(cycle)
+
+
+def test_remarks_name_files_from_the_folder_of_the_site_on(tmp_path):
+    """A report goes out: where its site lay on somebody's computer is nobody's business."""
+    told = f"{tmp_path}/streets.gpkg: 2 streets are called Ring; their lanes differ by number"
+    shown = "streets.gpkg: 2 streets are called Ring; their lanes differ by number"
+    assert in_site_words(told, "UTC", tmp_path) == shown
+    assert in_site_words("/else/streets.gpkg: x", "UTC", tmp_path) == "/else/streets.gpkg: x"

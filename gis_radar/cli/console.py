@@ -7,6 +7,7 @@ import io
 import os
 import signal
 import sys
+import time
 import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -31,6 +32,7 @@ from gis_radar.words import speaking, tr_message
 WIDE = 160
 FOR_PROGRAMS = {"settings", "found"}  # constants in effect, what `remarks` repeats: for --json
 MOST_LETTERS = 500  # of a message
+SILENT_S = 30.0  # between lines of progress in a log
 MOST_BARS = 8  # with more than that, those that are full make way
 
 
@@ -134,6 +136,8 @@ class TerminalConsole(Console):
             disable=not self._rich.is_terminal,
         )
         self._tasks: dict[str, TaskID] = {}
+        self._shares: dict[str, str] = {}  # of what is under way, for lines where no bars are
+        self._told_at = time.monotonic()
 
     def __enter__(self) -> Self:
         self._bars.start()
@@ -143,12 +147,25 @@ class TerminalConsole(Console):
         self._bars.stop()
 
     def progress(self, stage: str, done: int, total: int | None) -> None:
-        """Move the stage's bar."""
+        """Move the stage's bar; without a terminal print a line now and then."""
+        if not self._rich.is_terminal:
+            self._tell(stage, done, total)
         if stage not in self._tasks:
             self._tasks[stage] = self._bars.add_task(stage, total=total)
         self._bars.update(self._tasks[stage], completed=done, total=total)
         if done == total and len(self._tasks) > MOST_BARS:
             self._bars.update(self._tasks[stage], visible=False)
+
+    def _tell(self, stage: str, done: int, total: int | None) -> None:
+        """Print how far each stage is, where nothing was printed of it for a while."""
+        self._shares.pop(stage, None)
+        if done != total:
+            self._shares[stage] = f"{100 * done // total} %" if total else f"{done:,}"
+        if self._shares and time.monotonic() - self._told_at >= SILENT_S:
+            self._told_at = time.monotonic()
+            shares = (f"{in_users_language(name)} {each}" for name, each in self._shares.items())
+            text = _printable(", ".join(shares))
+            self._rich.print(text, markup=False, highlight=False, soft_wrap=True)
 
     def log(self, message: str, level: Level = "info") -> None:
         """Print a remark."""

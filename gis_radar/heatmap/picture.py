@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 from matplotlib.patheffects import withStroke
 from matplotlib.text import Annotation
+from matplotlib.transforms import BboxBase
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -136,9 +137,9 @@ class MapPicture:
             Of the figure: the narrower, the larger its words.
         """
         figure, ax = self.blank(width_in)
+        scale = add_corner_scale(figure, ax)
         for pose in poses:
-            _add_sensor(ax, pose)
-        add_corner_scale(figure, ax)
+            _add_sensor(ax, pose, scale)
         return image_of_figure(figure)
 
 
@@ -286,8 +287,8 @@ def add_scale_bar(
     return left
 
 
-def add_corner_scale(figure: Figure, ax: Axes) -> None:
-    """Draw scale bar and north arrow on white in the lower right corner of a picture."""
+def add_corner_scale(figure: Figure, ax: Axes) -> BboxBase:
+    """Draw scale bar and north arrow on white in the lower right corner; return where, pixels."""
     width_in = float(figure.get_size_inches()[0])
     west, east = ax.get_xlim()
     longest_in = min(BAR_IN, BAR_SHARE * width_in)
@@ -297,9 +298,10 @@ def add_corner_scale(figure: Figure, ax: Axes) -> None:
         facecolor="white", alpha=0.9, zorder=6,
     )  # fmt: skip
     figure.add_artist(ground)
+    return ground.get_window_extent()
 
 
-def _add_sensor(ax: Axes, pose: Pose) -> None:
+def _add_sensor(ax: Axes, pose: Pose, taken: BboxBase) -> None:
     """Draw the outline of a sensor's view, a triangle that points ahead, and its name."""
     rim = np.asarray(pose.outline().exterior.coords)
     dashed: dict[str, Any] = {"linewidth": 0.8, "linestyle": (0, (4, 3)), "alpha": 0.5}
@@ -316,15 +318,15 @@ def _add_sensor(ax: Axes, pose: Pose) -> None:
         ha="center", va="top", fontsize=9, fontweight="bold", color=SENSOR, zorder=9,
         path_effects=HALO, annotation_clip=True, parse_math=False,
     )  # fmt: skip
-    _keep_inside(ax, name)
+    _keep_inside(ax, name, taken)
 
 
-def _keep_inside(ax: Axes, name: Annotation) -> None:
-    """Move a name that would be cut at the map's edge; above its sensor, if it were below all."""
+def _keep_inside(ax: Axes, name: Annotation, taken: BboxBase) -> None:
+    """Move a name that would be cut at the map's edge; above its sensor, if there is no room."""
     box, held, dot = name.get_window_extent(), ax.get_window_extent(), ax.figure.dpi / 72.0
     x, y = name.xyann
     x += max(held.x0 - box.x0, 0.0) / dot - max(box.x1 - held.x1, 0.0) / dot
-    if box.y0 < held.y0:
+    if box.y0 < held.y0 or box.overlaps(taken):
         y = 11.0
         name.set_verticalalignment("bottom")
     name.xyann = (x, y)

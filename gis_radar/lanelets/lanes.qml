@@ -30,15 +30,55 @@
       </symbol>
     </symbols>
   </renderer-v2>
-  <labeling type="simple">
-    <settings>
-      <text-style fieldName="lane" isExpression="0" fontSize="7.5" fontSizeUnit="Point" fontFamily="Open Sans" fontWeight="75" namedStyle="Bold" textColor="17,24,39,255" textOpacity="1">
-        <text-buffer bufferDraw="1" bufferSize="0.7" bufferSizeUnits="MM" bufferColor="255,255,255,255" bufferOpacity="0.92" bufferJoinStyle="128" />
-      </text-style>
-      <!-- On the lane, along it; beyond its ends where it is shorter than its number; none is left out. -->
-      <placement placement="2" placementFlags="9" dist="0" distUnits="MM" overrunDistance="8" overrunDistanceUnit="MM" lineAnchorPercent="0.5" lineAnchorType="0" lineAnchorClipping="0" priority="9" overlapHandling="AllowOverlapIfRequired" allowDegraded="1" />
-      <rendering drawLabels="1" obstacle="0" scaleVisibility="0" labelPerPart="0" mergeLines="0" minFeatureSize="0" limitNumLabels="0" upsidedownLabels="0" unplacedVisibility="0" />
-    </settings>
+  <labeling type="rule-based">
+    <rules key="lanes">
+      <!-- On the lane, along it, where there is room for five side by side; none is left out. -->
+      <rule key="long" description="long" filter='coalesce(@map_scale, 0) &gt; 5000 or length(coalesce(intersection($geometry, @map_extent), $geometry)) / coalesce(@map_scale, 1000) * 1000 &gt; 6 + 6 * length(to_string("lane"))'>
+        <settings>
+          <text-style fieldName="lane" isExpression="0" fontSize="7.5" fontSizeUnit="Point" fontFamily="Open Sans" fontWeight="75" namedStyle="Bold" textColor="17,24,39,255" textOpacity="1">
+            <text-buffer bufferDraw="1" bufferSize="0.7" bufferSizeUnits="MM" bufferColor="255,255,255,255" bufferOpacity="0.92" bufferJoinStyle="128" />
+          </text-style>
+          <placement placement="2" placementFlags="9" dist="0" distUnits="MM" overrunDistance="8" overrunDistanceUnit="MM" lineAnchorPercent="0.5" lineAnchorType="0" lineAnchorClipping="0" priority="9" overlapHandling="AllowOverlapIfRequired" allowDegraded="1" />
+          <rendering drawLabels="1" obstacle="0" scaleVisibility="0" labelPerPart="0" mergeLines="0" minFeatureSize="0" limitNumLabels="0" upsidedownLabels="0" unplacedVisibility="0" />
+        </settings>
+      </rule>
+      <!-- Else as near its middle as others leave room, on a spiral from there, with a line to it. -->
+      <rule key="short" description="short" filter="ELSE">
+        <settings calloutType="simple">
+          <text-style fieldName="lane" isExpression="0" fontSize="7.5" fontSizeUnit="Point" fontFamily="Open Sans" fontWeight="75" namedStyle="Bold" textColor="17,24,39,255" textOpacity="1">
+            <text-buffer bufferDraw="1" bufferSize="0.7" bufferSizeUnits="MM" bufferColor="255,255,255,255" bufferOpacity="0.92" bufferJoinStyle="128" />
+          </text-style>
+          <placement placement="4" placementFlags="9" dist="0" distUnits="MM" lineAnchorPercent="0" lineAnchorType="0" lineAnchorClipping="0" priority="9" overlapHandling="AllowOverlapIfRequired" allowDegraded="1" geometryGeneratorEnabled="1" geometryGeneratorType="LineGeometry" geometryGenerator="with_variable('seen', coalesce(intersection($geometry, @map_extent), $geometry), with_variable('at', closest_point(@seen, centroid(@seen)), with_variable('mm', coalesce(@map_scale, 1000) / 1000, make_line(array_foreach(generate_series(0, 35), make_point(x(@at) + 0.4 * @element * @mm * cos(0.7 * @element), y(@at) + 0.32 * @element * @mm * sin(0.7 * @element)))))))" />
+          <rendering drawLabels="1" obstacle="0" scaleVisibility="0" labelPerPart="0" mergeLines="0" minFeatureSize="0" limitNumLabels="0" upsidedownLabels="0" unplacedVisibility="0" />
+          <callout type="simple">
+            <Option type="Map">
+              <Option name="enabled" type="QString" value="1" />
+              <Option name="labelAnchorPoint" type="QString" value="point_on_exterior" />
+              <Option name="minLength" type="double" value="0.6" />
+              <Option name="minLengthUnit" type="QString" value="MM" />
+              <Option name="offsetFromLabel" type="double" value="0.2" />
+              <Option name="offsetFromLabelUnit" type="QString" value="MM" />
+              <Option name="lineSymbol" type="QString" value="&lt;symbol type=&quot;line&quot; name=&quot;symbol&quot; alpha=&quot;1&quot; clip_to_extent=&quot;1&quot; force_rhr=&quot;0&quot;&gt;&lt;layer class=&quot;SimpleLine&quot; enabled=&quot;1&quot; pass=&quot;0&quot;&gt;&lt;Option type=&quot;Map&quot;&gt;&lt;Option name=&quot;line_color&quot; type=&quot;QString&quot; value=&quot;17,24,39,200&quot; /&gt;&lt;Option name=&quot;line_width&quot; type=&quot;QString&quot; value=&quot;0.15&quot; /&gt;&lt;Option name=&quot;line_width_unit&quot; type=&quot;QString&quot; value=&quot;MM&quot; /&gt;&lt;/Option&gt;&lt;/layer&gt;&lt;/symbol&gt;" />
+              <Option name="ddProperties" type="Map">
+                <Option name="properties" type="Map">
+                  <Option name="DestinationX" type="Map">
+                    <Option name="active" type="bool" value="true" />
+                    <Option name="expression" type="QString" value="x(start_point($geometry))" />
+                    <Option name="type" type="int" value="3" />
+                  </Option>
+                  <Option name="DestinationY" type="Map">
+                    <Option name="active" type="bool" value="true" />
+                    <Option name="expression" type="QString" value="y(start_point($geometry))" />
+                    <Option name="type" type="int" value="3" />
+                  </Option>
+                </Option>
+                <Option name="type" type="QString" value="collection" />
+              </Option>
+            </Option>
+          </callout>
+        </settings>
+      </rule>
+    </rules>
   </labeling>
   <aliases>
     <alias index="0" field="lane" name="Lane" />

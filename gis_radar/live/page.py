@@ -12,7 +12,7 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jinja2 import Environment, StrictUndefined
@@ -377,6 +377,22 @@ def _language(request: Request) -> str:
     return next((each for each in short if each in LANGUAGES), LANGUAGES[0])
 
 
+class Legend(NamedTuple):
+    """What the colours of the map mean.
+
+    Parameters
+    ----------
+    title, note : str
+        The measure, and what it is.
+    classes : list of (str, str)
+        Colours with their words, from top to bottom.
+    """
+
+    title: str
+    note: str
+    classes: list[tuple[str, str]]
+
+
 @cache
 def _template() -> Any:
     environment = Environment(
@@ -388,25 +404,50 @@ def _template() -> Any:
 
 def _page(place: Place, language: str, *, followed: bool) -> str:
     with speaking(language):
-        classes = [(each.colour, class_label(each.label, language))
-                   for each in style.colour_classes()]  # fmt: skip
-        legend = [(style.NOT_OBSERVED, tr("not observed")), *classes]  # from the last to the first
+        legends = _legends(language, followed=followed)
         words = {"online": tr("online"), "offline": tr("offline"), "late": tr("no connection"),
                  "occupied": tr("{n} tiles are occupied now"),
                  "vehicles": tr("{n} vehicles now, {heavy} of them heavy"), "no_map": tr(
                      "This browser cannot draw the map (it lacks WebGL); the tables below go on."),
                  "none": tr("not observed"),
                  "alarms": {kind: tr(text) for kind, text in ALARMS.items()}}  # fmt: skip
-        colours = {"classes": [colour for colour, _ in classes], "unobserved": style.NOT_OBSERVED,
-                   "free": style.NEVER_HIT, "occupied": OCCUPIED, "vehicle": VEHICLE,
+        colours = {"classes": [each.colour for each in style.colour_classes()],
+                   "unobserved": style.NOT_OBSERVED, "free": style.NEVER_HIT,
+                   "occupied": OCCUPIED, "vehicle": VEHICLE,
                    "breaks": [round(1000 * each) for each in style.BREAKS[:-1]]}  # fmt: skip
         return str(
             _template().render(
-                place=place, followed=followed, legend=legend, language=language, tr=tr,
+                place=place, followed=followed, legends=legends, language=language, tr=tr,
                 words=words, colours=colours, languages=LANGUAGES,
                 seamed=lambda text: SEAMS.sub("\u00ad", text),
             )
         )  # fmt: skip
+
+
+def _legends(language: str, *, followed: bool) -> dict[str, Legend]:
+    """Return by what the page may show its title, its meaning, and colours with their words."""
+    hits = _colours_in_words("occupancy", language)
+    found = {
+        "lately": Legend(
+            tr("Share of the observed time"), tr("in which a tile is hit, last 15 minutes"), hits
+        ),
+        "now": Legend(
+            tr("Now"), tr("which tiles are hit; lanes from afar by their last 15 minutes"), hits
+        ),
+    }
+    if followed:
+        covers = _colours_in_words("coverage", language)
+        note = tr("share of the visible time with a vehicle, last 15 minutes")
+        found["covers"] = Legend(tr("Coverage"), note, covers)
+    return found
+
+
+def _colours_in_words(measure: str, language: str) -> list[tuple[str, str]]:
+    """Return the classes of a measure, highest first, and what is not known last."""
+    classes = [
+        (each.colour, class_label(each.label, language)) for each in style.colour_classes(measure)
+    ]
+    return [*reversed(classes), (style.NOT_OBSERVED, tr(style.WORDS[measure].unknown))]
 
 
 def _site_json(place: Place, language: str) -> bytes:

@@ -130,7 +130,7 @@ def write_qgis_project(
         played = played and played._replace(step_s=LAYER_DEFAULTS.shown_s)
     played = played and played._replace(timezone=timezone)
     with speaking(language):
-        time = _local_time(played) if played else ""
+        time = _local_time(*_recorded(package, played), timezone) if played else ""
     content = ProjectContent(
         title=title or path.stem, time=time,
         source=source, crs=crs, box=box, layers=layers, played=played, measure=measure,
@@ -270,10 +270,16 @@ def _time_range(package: Path) -> TimeRange | None:
     return TimeRange(begin, end, round(length_s, 3))
 
 
-def _local_time(played: TimeRange) -> str:
-    """Return the time that a project covers by the site's clock, with its zone and offset."""
-    begin, end = (datetime.fromisoformat(text) for text in (played.begin, played.end))
-    clock = Clock(zone=zone_of(played.timezone), first=begin, last=end)
+def _recorded(package: Path, played: TimeRange) -> tuple[str, str]:
+    """Return begin and end of what was recorded: the last interval may end later."""
+    told = pyogrio.read_info(package, layer=WIDE)["layer_metadata"] or {}
+    return told.get("begin", played.begin), told.get("end", played.end)
+
+
+def _local_time(since: str, until: str, timezone: str) -> str:
+    """Return a span of time by the site's clock, with its zone and offset."""
+    begin, end = (datetime.fromisoformat(text) for text in (since, until))
+    clock = Clock(zone=zone_of(timezone), first=begin, last=end)
     return clock.whole_in_zone(begin, end)
 
 

@@ -215,12 +215,13 @@ def _caption(measure: str) -> str:
     if measure == "coverage":
         text = (
             "Each lane over the time, all on one scale: the mean coverage of its tiles in each "
-            "interval, and in the band what its standard error leaves open. Grey: not visible."
+            "interval, and in the band what its standard error leaves open. Hatched grey: not "
+            "visible."
         )
     else:
         text = (
             "Each lane over the time, all on one scale: the share of the observed time in which "
-            "radar hit its tiles. Compare a lane with itself only. Grey: not observed."
+            "radar hit its tiles. Compare a lane with itself only. Hatched grey: not observed."
         )
     return tr(text)
 

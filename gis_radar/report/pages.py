@@ -21,6 +21,7 @@ from jinja2 import Environment, StrictUndefined, Template
 from markupsafe import Markup
 from PIL import Image
 
+from gis_radar.arrays import Floats
 from gis_radar.heatmap import style
 from gis_radar.heatmap.picture import INK, SENSOR, SOFT, STRIPE, legend_in_words
 from gis_radar.report.content import WORDS, Content, Figure, MapSeries, Table, Terms
@@ -41,7 +42,9 @@ TITLE, HEADING, LEAD, BODY, SMALL, CELL = (
     8.5,
     8.0,
 )  # points; no words are smaller
+CROWDED = (7.5, 7.0)  # but those of a table that is wider than the page
 FACTS_ACROSS = 3
+REST = 3.6  # of a line below a figure
 MAP_PIXELS = 1500  # width of the map
 
 Box = tuple[float, float, float, float]  # left, top, width, height, millimetres
@@ -282,12 +285,13 @@ def _add_table(paper: Paper, content: Table) -> None:
 
 
 def _add_rows(paper: Paper, content: Table) -> None:
-    paper.write_with(CELL)
+    size, widths = _fitted(paper, content)
+    paper.write_with(size)
     paper.set_draw_color(LINE)
     paper.set_fill_color(255)
     columns = content.columns
     with paper.table(
-        col_widths=_widths(paper, content),
+        col_widths=widths,
         text_align=tuple("RIGHT" if column.is_number else "LEFT" for column in columns),
         headings_style=FontFace(emphasis="BOLD", color=INK, fill_color=LINE),
         borders_layout=TableBordersLayout.HORIZONTAL_LINES,
@@ -299,23 +303,39 @@ def _add_rows(paper: Paper, content: Table) -> None:
             table.row(list(map(bound, cells)))
 
 
-def _widths(paper: Paper, content: Table) -> tuple[float, ...]:
-    """Return the columns' shares of the page: no word is broken where there is room for it."""
-    columns = content.columns
-    wanted = np.array([column.width for column in columns])
+def _fitted(paper: Paper, content: Table) -> tuple[float, tuple[float, ...]]:
+    """Return the size of a table's words, and its columns' shares of the page.
+
+    No word is broken where there is room for it: in smaller letters, if need be.
+    """
+    wanted = np.array([column.width for column in content.columns])
     wanted *= paper.epw / wanted.sum()
-    paper.write_with(CELL, bold=True)
-    heads = np.array([_longest_word(paper, f"{each.title} {each.unit}") for each in columns])
-    paper.write_with(CELL)
+    for size in (CELL, *CROWDED):
+        heads, cells = _longest_words(paper, content, size)
+        if (widths := _shares(wanted, np.maximum(heads, cells))) is not None:
+            return size, widths
+    heads, _ = _longest_words(paper, content, CELL)
+    return CELL, _shares(wanted, heads) or tuple(wanted)
+
+
+def _longest_words(paper: Paper, content: Table, size: float) -> tuple[Floats, Floats]:
+    """Return by column how wide the longest word of its head is, and of its cells."""
+    paper.write_with(size, bold=True)
+    heads = [_longest_word(paper, f"{each.title} {each.unit}") for each in content.columns]
+    paper.write_with(size)
     cells = [_longest_word(paper, " ".join(texts)) for texts in zip(*content.rows, strict=True)]
-    for least in (np.maximum(heads, cells), heads):
-        over = wanted - least
-        lacking = -over[over < 0].sum()
-        if lacking <= over[over > 0].sum():
-            # what columns lack is taken from the others by what they have to spare
-            spare = np.maximum(over, 0.0)
-            return tuple(least + spare * (1.0 - lacking / max(spare.sum(), 1e-9)))
-    return tuple(wanted)
+    return np.array(heads), np.array(cells)
+
+
+def _shares(wanted: Floats, least: Floats) -> tuple[float, ...] | None:
+    """Return widths of columns, none below its least; None where the page is too narrow."""
+    over = wanted - least
+    lacking = -over[over < 0].sum()
+    if lacking > over[over > 0].sum():
+        return None
+    # what columns lack is taken from the others by what they have to spare
+    spare = np.maximum(over, 0.0)
+    return tuple(least + spare * (1.0 - lacking / max(spare.sum(), 1e-9)))
 
 
 def _longest_word(paper: Paper, text: str) -> float:
@@ -385,17 +405,24 @@ def _add_title(paper: Paper, content: Content) -> None:
 def _add_facts(paper: Paper, content: Content) -> None:
     """Draw the figures in rows."""
     begin, width = paper.get_y(), (paper.epw - 2 * (FACTS_ACROSS - 1)) / FACTS_ACROSS
+    paper.write_with(SMALL)
+    rests = [paper.multi_cell(width - 5, REST, fact.rests, align="L", padding=0, dry_run=True,
+                              output=MethodReturnValue.HEIGHT)
+             for fact in content.facts]  # fmt: skip
+    tall = 14.2 + max(cast("float", each) for each in rests)
     for i, fact in enumerate(content.facts):
         row, column = divmod(i, FACTS_ACROSS)
-        left, top = MARGIN + column * (width + 2), begin + row * 20.0
+        left, top = MARGIN + column * (width + 2), begin + row * (tall + 2)
         paper.set_fill_color(WASH)
-        paper.rect(left, top, width, 18.0, style="F")
+        paper.rect(left, top, width, tall, style="F")
         paper.set_fill_color(SENSOR)
-        paper.rect(left, top, 0.9, 18.0, style="F")
+        paper.rect(left, top, 0.9, tall, style="F")
         paper.write_line(left + 3, top + 1.7, fact.name, SMALL, colour=SOFT, width=width - 5)
         paper.write_line(left + 3, top + 7.0, fact.value, LEAD, bold=True, width=width - 5)
-        paper.write_line(left + 3, top + 12.6, fact.rests, SMALL, colour=SOFT, width=width - 5)
-    paper.set_xy(MARGIN, begin + -(-len(content.facts) // FACTS_ACROSS) * 20.0 + 2)
+        paper.set_xy(left + 3, top + 12.6)
+        paper.write_with(SMALL, colour=SOFT)
+        paper.multi_cell(width - 5, REST, fact.rests, align="L", padding=0)
+    paper.set_xy(MARGIN, begin + -(-len(content.facts) // FACTS_ACROSS) * (tall + 2) + 2)
 
 
 def _add_remark(paper: Paper, text: str) -> None:
@@ -419,21 +446,22 @@ def _add_map(paper: Paper, content: Content) -> None:
     top = paper.get_y()
     image = _composed(figure.png, part.overlay, MAP_PIXELS)
     _add_picture(paper, image, figure.alt, (MARGIN, top, height / shape, height))
-    _add_legend(paper, MARGIN + height / shape + GAP, top, content.measure)
-    paper.set_xy(MARGIN, top + height + 2)
+    beside = _add_legend(paper, MARGIN + height / shape + GAP, top, content.measure)
+    paper.set_xy(MARGIN, max(top + height, beside) + 2)
     paper.write_paragraph(figure.caption)
     paper.write_paragraph(part.caption, size=SMALL, colour=SOFT)
 
 
-def _add_legend(paper: Paper, left: float, top: float, measure: str) -> None:
-    """Draw the classes of the map, highest first."""
-    named = style.WORDS[measure]
+def _add_legend(paper: Paper, left: float, top: float, measure: str) -> float:
+    """Draw the classes of the map, highest first; return where it ends."""
+    named, classes = style.WORDS[measure], legend_in_words(measure)
     paper.write_line(left, top, tr(named.title), BODY, bold=True)
     paper.write_line(left, top + 4.4, tr(named.subtitle), SMALL, colour=SOFT)
-    for i, (colour, label) in enumerate(legend_in_words(measure)):
+    for i, (colour, label) in enumerate(classes):
         y = top + 10.5 + i * 6
         _add_swatch(paper, left, y, colour)
         paper.write_line(left + 11, y + 0.3, label, SMALL, width=LEGEND - 11)
+    return top + 10.5 + len(classes) * 6
 
 
 def _add_swatch(paper: Paper, left: float, top: float, colour: str) -> None:

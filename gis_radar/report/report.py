@@ -292,9 +292,15 @@ def _summary(found: Findings, content: Content) -> dict[str, Any]:
                   for fact in content.facts},
         "basis": [[each.title for each in content.basis.columns], *map(list, content.basis.rows)],
         "lanes_named": _top_lanes(found),
-        "found": own_remarks(found),
+        "found": _english_remarks(found),
         "remarks": list(content.remarks),
     }  # fmt: skip
+
+
+def _english_remarks(found: Findings) -> list[str]:
+    """Return what it finds for a run's log: all there is English until the console translates."""
+    with speaking("en"):
+        return own_remarks(found)
 
 
 def _top_lanes(found: Findings) -> list[list[str]]:

@@ -63,6 +63,8 @@ class Execution:
         Shows progress: a bar for each stage, and one for all.
     timezone : str
         The site's, for times in messages.
+    folder : Path, optional
+        The site's: remarks name its files from there on.
     """
 
     stages: list[Stage]
@@ -70,6 +72,7 @@ class Execution:
     pool: Pool
     reporter: Reporter
     timezone: str = "UTC"
+    folder: Path | None = None
     outcomes: dict[str, Outcome] = field(default_factory=dict)
     _begun: dict[Future[Mapping[str, Any]], _Begun] = field(default_factory=dict)
     _logged: set[str] = field(default_factory=set)
@@ -183,7 +186,7 @@ class Execution:
         if "worker" in event:
             begun.worker = event["worker"]
         elif "message" in event:
-            message = in_site_words(event["message"], self.timezone)
+            message = in_site_words(event["message"], self.timezone, self.folder)
             if event["level"] == "warning":
                 begun.warnings.append(message)
             if message not in self._logged:  # each stage that reads the map repeats it

@@ -5,15 +5,19 @@ The library speaks of options, as its commands are used alone; a run's reader kn
 
 from __future__ import annotations
 
+import os
 from datetime import UTC, datetime
+from pathlib import Path
 
 from gis_radar.errors import GisRadarError
 from gis_radar.languages.site_keys import keys_for_options
 from gis_radar.steps import Clock, zone_of
 
 
-def in_site_words(text: str, timezone: str) -> str:
+def in_site_words(text: str, timezone: str, folder: Path | None = None) -> str:
     """Return a message with keys of the site file for options, and times of the site for UTC.
+
+    Files are named from the folder of the site on, where it is given.
 
     Examples
     --------
@@ -22,6 +26,8 @@ def in_site_words(text: str, timezone: str) -> str:
     >>> in_site_words("no frame from 2025-06-12T07:30Z on", "Europe/Berlin")
     'no frame from 2025-06-12 09:30 UTC+02:00 on'
     """
+    if folder is not None:
+        text = text.replace(f"{folder}{os.sep}", "")
     any_time = datetime(1970, 1, 1, tzinfo=UTC)
     return Clock(zone=zone_of(timezone), first=any_time, last=any_time).localised(
         keys_for_options(text)

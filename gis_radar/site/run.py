@@ -196,7 +196,7 @@ def run_site(
         try:
             execution = Execution(
                 stages=stages_of(site, root), state=kept, pool=pool, reporter=reporter,
-                timezone=site.timezone,
+                timezone=site.timezone, folder=site.path.absolute().parent,
             )  # fmt: skip
             execution.run()
             execution.stages += later_stages(site, root)

@@ -139,7 +139,7 @@ class Algorithm(QgsProcessingAlgorithm):  # type: ignore[misc]
         return tr(self.HELP).split("\n", maxsplit=1)[0]
 
     def shortHelpString(self) -> str:  # noqa: N802
-        paragraphs = tr(self.HELP).split("\n")
+        paragraphs = tr(self.HELP).replace(" %", "\u202f%").split("\n")
         return "".join(f"<p>{paragraph}</p>" for paragraph in paragraphs if paragraph)
 
     def icon(self) -> QIcon:

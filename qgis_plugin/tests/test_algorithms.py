@@ -87,6 +87,7 @@ def test_ids_are_stable(provider):
 def test_each_says_what_it_is(provider, name):
     one = algorithm(name)
     assert one.shortHelpString().startswith("<p>")
+    assert not any(" %" in each.shortHelpString() for each in provider.algorithms())
     assert one.displayName() and one.group() and one.groupId().isalpha()
     assert not one.icon().isNull()
     assert Path(one.svgIconPath()).is_file()

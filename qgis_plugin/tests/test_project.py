@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import zipfile
 
+import pytest
 from conftest import ROOT, WORKER, worker
 from helpers import layer_called
 from qgis.core import (
@@ -13,7 +14,10 @@ from qgis.core import (
     QgsExpression,
     QgsExpressionContext,
     QgsExpressionContextScope,
+    QgsExpressionContextUtils,
+    QgsFeature,
     QgsFeatureRequest,
+    QgsGeometry,
     QgsLayoutExporter,
     QgsLayoutItemLabel,
     QgsLayoutItemLegend,
@@ -23,15 +27,19 @@ from qgis.core import (
     QgsMapRendererParallelJob,
     QgsMapRendererSequentialJob,
     QgsMapSettings,
+    QgsPointXY,
     QgsProject,
     QgsRasterLayer,
     QgsRectangle,
     QgsRenderContext,
+    QgsVectorLayer,
     QgsVectorLayerTemporalContext,
 )
 from qgis.PyQt.QtCore import QDateTime, QSize, Qt
 from qgis.PyQt.QtGui import QImage
 from test_results import STYLE, colours, drawn
+
+LANE_STYLE = ROOT / "gis_radar" / "lanelets" / "lanes.qml"
 
 
 def test_the_project_of_a_run_opens(qgis_new_project, project):
@@ -232,6 +240,44 @@ def test_every_lane_shows_its_number_and_no_two_collide(qgis_new_project, projec
         shapes = [label.labelGeometry for label in labels]
         pairs = ((a, b) for k, a in enumerate(shapes) for b in shapes[k + 1 :])
         assert not any(a.intersects(b) and a.intersection(b).area() > 0.001 for a, b in pairs)
+
+
+def test_numbers_of_many_short_lanes_side_by_side_do_not_collide(qgis_new_project):
+    """At 1:3000, where a lane is narrower than its number is high: lines lead to their lanes."""
+    layer = QgsVectorLayer("LineString?crs=EPSG:25832&field=lane:integer", "Lanes", "memory")
+    rows = []
+    for arm in range(12):
+        row = QgsFeature(layer.fields())
+        west, north = 500_000.0 + 30.0 * (arm // 4), 5_400_000.0 + 3.5 * (arm % 4)
+        row.setGeometry(QgsGeometry.fromWkt(f"LINESTRING({west} {north}, {west + 9.0} {north})"))
+        row["lane"] = 1040 + 7 * arm
+        rows.append(row)
+    assert layer.dataProvider().addFeatures(rows)
+    layer.updateExtents()
+    assert layer.loadNamedStyle(str(LANE_STYLE))[1]
+    settings = QgsMapSettings()
+    settings.setLayers([layer])
+    settings.setDestinationCrs(layer.crs())
+    settings.setOutputSize(QSize(600, 600))
+    half = 3000.0 * 300 * 0.0254 / settings.outputDpi()
+    middle = layer.extent().center()
+    settings.setExtent(QgsRectangle.fromCenterAndSize(middle, 2 * half, 2 * half))
+    context = QgsExpressionContext()
+    context.appendScope(QgsExpressionContextUtils.mapSettingsScope(settings))
+    settings.setExpressionContext(context)
+    assert settings.scale() == pytest.approx(3000, rel=0.05)
+    job = QgsMapRendererSequentialJob(settings)
+    job.start()
+    job.waitForFinished()
+    found = job.takeLabelingResults()
+    labels = [label for label in found.allLabels() if not label.isUnplaced]
+    assert {label.labelText for label in labels} == {str(row["lane"]) for row in rows}
+    shapes = [label.labelGeometry for label in labels]
+    assert not any(a.intersects(b) for k, a in enumerate(shapes) for b in shapes[k + 1 :])
+    lines = found.calloutsWithinRectangle(settings.visibleExtent())
+    assert len(lines) > 3
+    ends = [QgsGeometry.fromPointXY(QgsPointXY(line.destination())) for line in lines]
+    assert all(any(end.distance(row.geometry()) < 0.5 for row in rows) for end in ends)
 
 
 def test_a_project_that_was_saved_in_qgis_stays(qgis_new_project, site, tmp_path):

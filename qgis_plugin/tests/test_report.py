@@ -18,7 +18,7 @@ from qgis.core import (
     QgsProject,
     QgsVectorLayer,
 )
-from qgis.PyQt.QtCore import QDateTime
+from qgis.PyQt.QtCore import QDateTime, Qt
 from qgis.PyQt.QtGui import QImage
 
 
@@ -303,3 +303,18 @@ def test_one_interval_is_the_whole_time(qgis_app):
     assert [page.whole for page in pages_of([place], spans, whole=False, each=True)] == [False]
     spans.append((time.addSecs(60), time.addSecs(120)))
     assert len(list(pages_of([place], spans, whole=True, each=True))) == 3
+
+
+def test_a_sheet_of_the_whole_time_ends_with_what_was_recorded(site, qgis_app):
+    """The last interval may go on: the report and the project name what was recorded, too."""
+    from gis_radar_plugin.report.pages import Place, pages_of, recorded_in
+
+    recorded = recorded_in(site / "heatmap" / "heatmap.gpkg")
+    begin, end = (each.toString(Qt.DateFormat.ISODate) for each in recorded)
+    assert (begin, end) == ("2025-06-12T07:30:00Z", "2025-06-12T07:31:40Z")
+    spans = [(recorded[0], recorded[0].addSecs(900))]
+    (page,) = pages_of(
+        [Place("all", QgsGeometry())], spans, whole=True, each=True, recorded=recorded
+    )
+    assert page.end == recorded[1]
+    assert recorded_in(site / "no.gpkg") is None

@@ -44,7 +44,7 @@ function take(event) {
   colour(touched);
   if (Object.keys(event.sensors).length) showSensors();
   if (Object.keys(event.lanes).length || Object.keys(event.traffic).length) showLanes();
-  colourLanes(event.lanes);
+  colourLanes(event.lanes, event.traffic);
   if (Date.now() - told > SUMMARY_MS) summarise();
 }
 
@@ -69,12 +69,20 @@ function colour(tiles) {
   }
 }
 
-function colourLanes(changed) {
+function levelOf(share) {
+  return share === null ? -1 : colours.breaks.filter((each) => share > each).length;
+}
+
+function colourLanes(lanes, traffic) {
   if (!map) return;
-  for (const [id, share] of Object.entries(changed)) {
-    const level = share === null ? -1 : colours.breaks.filter((each) => share > each).length;
-    map.setFeatureState({ source: "lanes", id: Number(id) }, { level });
-  }
+  const paint = (id, look) => map.setFeatureState({ source: "lanes", id: Number(id) }, look);
+  for (const [id, share] of Object.entries(lanes)) paint(id, { level: levelOf(share) });
+  for (const [id, [cover]] of Object.entries(traffic)) paint(id, { covers: levelOf(cover) });
+}
+
+function show(measure) {
+  map.setPaintProperty("tiles", "fill-color", paints[measure]);
+  map.setPaintProperty("lanes", "line-color", measure === "covers" ? covers : lately);
 }
 
 function row(cells, numbers) {
@@ -190,10 +198,10 @@ async function draw() {
       "circle-stroke-width": ["case", ["get", "online"], 2, 4] } });
   map = shown;
   colour(new Set(Object.keys(state.classes).map(Number)));
-  colourLanes(state.lanes);
+  colourLanes(state.lanes, state.traffic);
   for (const choice of document.querySelectorAll("input[name=measure]")) {
-    choice.addEventListener("change", () => map.setPaintProperty("tiles", "fill-color", paints[choice.value]));
-    if (choice.checked) map.setPaintProperty("tiles", "fill-color", paints[choice.value]);
+    choice.addEventListener("change", () => show(choice.value));
+    if (choice.checked) show(choice.value);
   }
   document.body.dataset.drawn = "true";
 }

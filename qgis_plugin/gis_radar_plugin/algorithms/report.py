@@ -46,7 +46,16 @@ from ..report.export import (
 )
 from ..report.folder import earlier, move, private_folder
 from ..report.layout import Texts, make_layout
-from ..report.pages import Page, Place, junction_places, pages_of, places_of, timezone, zone_name
+from ..report.pages import (
+    Page,
+    Place,
+    junction_places,
+    pages_of,
+    places_of,
+    recorded_in,
+    timezone,
+    zone_name,
+)
 from ..timeline import intervals_of
 from ..words import speaks_german, tr
 
@@ -229,7 +238,7 @@ class ExportReport(Algorithm):
             )
             for one in (True, False)
         }
-        pages = self._pages(parameters, context, whole, each)
+        pages = self._pages(parameters, context, package, whole, each)
         layer = write_pages(folder / PAGES, pages, shown, whole.crs(), zone)
         project.addMapLayer(layer)
         project.layerTreeRoot().findLayer(layer.id()).setItemVisibilityChecked(False)
@@ -239,12 +248,14 @@ class ExportReport(Algorithm):
         self,
         parameters: dict[str, Any],
         context: QgsProcessingContext,
+        package: Path,
         whole: QgsVectorLayer,
         each: QgsVectorLayer,
     ) -> list[Page]:
         places = self._places(parameters, context, whole)
         what = self.parameterAsEnum(parameters, "WHAT", context)
-        pages = list(pages_of(places, intervals_of(each), whole=what != 2, each=what != 1))
+        spans, recorded = intervals_of(each), recorded_in(package)
+        pages = list(pages_of(places, spans, whole=what != 2, each=what != 1, recorded=recorded))
         if len(pages) > MOST_PAGES:
             text = tr("{count} pages are more than {most}: take fewer places or longer intervals.")
             raise QgsProcessingException(text.format(count=len(pages), most=MOST_PAGES))

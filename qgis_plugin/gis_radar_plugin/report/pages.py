@@ -21,7 +21,7 @@ from qgis.core import (
     QgsProject,
     QgsVectorLayer,
 )
-from qgis.PyQt.QtCore import QDateTime, QLocale, QTimeZone
+from qgis.PyQt.QtCore import QDateTime, QLocale, Qt, QTimeZone
 
 from ..words import speaks_german, tr
 from .junctions import junctions_of
@@ -148,12 +148,17 @@ def _distinct(places: Sequence[Place]) -> list[Place]:
 
 
 def pages_of(
-    places: Sequence[Place], intervals: Sequence[Interval], *, whole: bool, each: bool
+    places: Sequence[Place],
+    intervals: Sequence[Interval],
+    *,
+    whole: bool,
+    each: bool,
+    recorded: Interval | None = None,
 ) -> Iterator[Page]:
-    """Yield the pages, place by place: the whole time, then the intervals."""
+    """Yield the pages, place by place: the whole time that was recorded, then the intervals."""
     for place in places:
         if whole:
-            yield Page(place, intervals[0][0], intervals[-1][1], whole=True)
+            yield Page(place, *(recorded or (intervals[0][0], intervals[-1][1])), whole=True)
         if each and not (whole and len(intervals) == 1):  # they would be the same page
             for begin, end in intervals:
                 yield Page(place, begin, end, whole=False)
@@ -161,13 +166,33 @@ def pages_of(
 
 def zone_name(package: Path) -> str:
     """Return the site's time zone that a heat map was made with; nothing where it holds none."""
-    data = ogr.Open(str(package)) if package.is_file() else None
-    layer = data.GetLayerByName("heatmap") if data is not None else None
-    text = layer.GetMetadataItem("labels") if layer is not None else None
     try:
-        return str(json.loads(text or "{}").get("timezone", ""))
+        return str(json.loads(_told_in(package, "labels") or "{}").get("timezone", ""))
     except (ValueError, AttributeError):
         return ""
+
+
+def recorded_in(package: Path) -> Interval | None:
+    """Return begin and end of what was recorded, to the second: the last interval may end later."""
+    begin, end = (
+        QDateTime.fromString(_told_in(package, name), Qt.DateFormat.ISODateWithMs)
+        for name in ("begin", "end")
+    )
+    if not (begin.isValid() and end.isValid()):
+        return None
+    return _to_second(begin), _to_second(end)
+
+
+def _to_second(moment: QDateTime) -> QDateTime:
+    seconds = (moment.toMSecsSinceEpoch() + 500) // 1000
+    return QDateTime.fromSecsSinceEpoch(seconds).toUTC()
+
+
+def _told_in(package: Path, item: str) -> str:
+    """Return what a heat map's file tells of itself."""
+    data = ogr.Open(str(package)) if package.is_file() else None
+    layer = data.GetLayerByName("heatmap") if data is not None else None
+    return (layer.GetMetadataItem(item) if layer is not None else None) or ""
 
 
 def timezone(name: str) -> QTimeZone:
