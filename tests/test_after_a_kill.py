@@ -241,6 +241,22 @@ def test_a_run_that_was_killed_while_it_made_its_folder_leaves_nothing(tmp_path,
     assert names(tmp_path) == ["a"]
 
 
+AS_MADE = (
+    "def look(event, words):\n"
+    "    if event == 'os.mkdir':\n        print('filelock' in sys.modules)\n"
+    "sys.addaudithook(look)\n"
+    "with getattr(files, sys.argv[2])(*[place][: int(sys.argv[3])]):\n    pass\n"
+)
+
+
+@pytest.mark.parametrize(("writer", "words"), [("whole_files", 1), ("scratch_folder", 0)])
+def test_what_locks_a_folder_is_loaded_before_it_is_made(tmp_path, writer, words):
+    """Who is killed in between leaves it for a minute."""
+    command = [sys.executable, "-c", BEGIN + AS_MADE, tmp_path / "a", writer, str(words)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
+    assert done.stdout.split() == ["True"]
+
+
 def test_a_file_that_was_never_begun_goes_after_a_minute(tmp_path):
     private = tmp_path / ".a.00000000.part"
     private.mkdir()
