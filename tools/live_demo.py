@@ -12,14 +12,16 @@ import shutil
 import socket
 import subprocess
 import sys
-import time
 import urllib.request
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import gis_radar as gr
 from gis_radar.live.broker_files import write_broker_files
+from gis_radar.processes import stopped_by_signals
 
-PATIENCE_S = 20.0
+PATIENCE_S = 120.0
 STATUS_S = 10.0
 SENSORS = ("R1", "R2")
 SITE = """\
@@ -60,7 +62,7 @@ file = "{name}.buffer"
 
 
 def main(folder: Path) -> None:
-    """Write what it needs, start the programs, and wait for Ctrl-C."""
+    """Write what it needs, start the programs, and wait for Ctrl-C or SIGTERM."""
     mosquitto = shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin")
     if mosquitto is None:
         sys.exit("live-demo: Mosquitto is not installed: sh tools/get_mosquitto.sh, as root")
@@ -80,15 +82,23 @@ def main(folder: Path) -> None:
             f"page: {page}; for QGIS: {page}ogc, {folder / 'live' / 'now.gpkg'}; health: {health}\n"
         )
         sys.stdout.flush()
-        while all(each.poll() is None for each in programs):
-            time.sleep(STATUS_S)
-            _show(health)
-        sys.stdout.write("live-demo: a program has ended\n")
-    except KeyboardInterrupt:
-        sys.stdout.write("stopping; the hour is written\n")
+        with stopped_by_signals() as stop:
+            while all(each.poll() is None for each in programs) and not stop.wait(STATUS_S):
+                _show(health)
+            said = "stopping; the hour is written" if stop.is_set() else "a program has ended"
+            sys.stdout.write(f"live-demo: {said}\n")
+            sys.stdout.flush()
+            _end(programs)
     finally:
-        for each in reversed(programs):  # the sensors first, the broker last
-            each.terminate()
+        for each in programs:
+            each.kill()
+
+
+def _end(programs: Sequence[subprocess.Popen[bytes]]) -> None:
+    """End the sensors first and the broker last."""
+    for each in reversed(programs):
+        each.terminate()
+        with suppress(subprocess.TimeoutExpired):
             each.wait(PATIENCE_S)
 
 
