@@ -411,9 +411,10 @@ def test_what_is_no_address_is_refused(text):
         BrokerAddress.of(text)
 
 
-def test_a_user_in_the_address_of_a_broker_is_refused_and_the_password_not_repeated():
+@pytest.mark.parametrize("place", ["a", "a:99999", "a:b", "[a", "", "a/b"])
+def test_a_user_in_the_address_of_a_broker_is_refused_and_the_password_not_repeated(place):
     with pytest.raises(gr.UsageError, match="holds a user") as caught:
-        BrokerAddress.of("mqtt://R1:secret@a")
+        BrokerAddress.of(f"mqtt://R1:secret@{place}")
     assert "secret" not in f"{caught.value}{caught.value.hint}"
 
 

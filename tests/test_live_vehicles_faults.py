@@ -15,6 +15,7 @@ from multiprocessing import resource_tracker
 from pathlib import Path
 from queue import Queue
 from threading import Event, Thread
+from threading import enumerate as enumerate_threads
 from types import SimpleNamespace
 
 import numpy as np
@@ -144,7 +145,7 @@ def test_vehicles_of_now_are_none_once_all_sensors_are_silent(sent, tmp_path, mo
     assert len(vehicles.now()) == 0
 
 
-def die_in_the_midst(_inbox, outbox, _settings):
+def die_in_the_midst(_sites, _inbox, outbox, _settings):
     """Die as a process that is killed while it tells much."""
     os.write(outbox.fileno(), struct.pack("!i", 10_000_000) + bytes(30_000))
     os.kill(os.getpid(), signal.SIGKILL)
@@ -194,6 +195,8 @@ def test_a_process_that_dies_at_its_start_holds_nothing_up(sent, tmp_path, monke
 
     wait_for(lost)
     assert "has ended (1); a new one takes up where it was" in said[0]
+    assert vehicles._failed == 1  # so that the next try comes later
+    wait_for(lambda: "site" not in {thread.name for thread in enumerate_threads()})
 
 
 def test_a_store_that_cannot_be_opened_is_tried_again(sent, tmp_path, monkeypatch):

@@ -8,11 +8,11 @@
 set -eu
 log=$1
 shift
-if command -v flock >/dev/null 2>&1; then
-    exec 9</var/lib/apt/lists
+if command -v flock >/dev/null 2>&1 && [ -d /var/lib/dpkg ]; then
+    exec 9</var/lib/dpkg
     flock 9
 fi
 {
     apt-get update -qq || true # one bad source need not matter
     DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$@"
-} >"$log" 2>&1 9<&-
+} >"$log" 2>&1 8<&- 9<&- # a service that it starts would keep the locks

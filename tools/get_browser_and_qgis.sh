@@ -5,7 +5,11 @@
 #   tools/get_browser_and_qgis.sh --apt    only what apt installs, which needs no .venv
 set -eu
 cd "$(dirname "$0")/.."
-sh tools/get_maplibre.sh || [ "${GIS_RADAR_CHROMIUM:-}" != required ]
+if command -v flock >/dev/null 2>&1; then # another one may be at it
+    exec 8<tools
+    flock 8
+fi
+[ "${1:-}" = --apt ] || sh tools/get_maplibre.sh || [ "${GIS_RADAR_CHROMIUM:-}" != required ]
 sh tools/get_mosquitto.sh || [ "${GIS_RADAR_MOSQUITTO:-}" != required ]
 sh tools/get_chromium.sh || [ "${GIS_RADAR_CHROMIUM:-}" != required ]
 sh tools/get_qgis.sh "$@" 2>/dev/null || true # tools/test_qgis.sh says why

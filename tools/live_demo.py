@@ -2,7 +2,8 @@
 
     python tools/live_demo.py out/live-demo
 
-Ctrl-C ends it; the folders of the hours and `now.gpkg`, for QGIS, are then in `live` there.
+Ctrl-C or SIGTERM ends it; the folders of the hours and `now.gpkg`, for QGIS, are then in `live`
+there.
 """
 
 from __future__ import annotations
@@ -15,13 +16,14 @@ import sys
 import urllib.request
 from collections.abc import Sequence
 from contextlib import suppress
+from http.client import HTTPException
 from pathlib import Path
 
 import gis_radar as gr
 from gis_radar.live.broker_files import write_broker_files
 from gis_radar.processes import stopped_by_signals
 
-PATIENCE_S = 120.0
+PATIENCE_S = 180.0  # for the last vehicles and the hour
 STATUS_S = 10.0
 SENSORS = ("R1", "R2")
 SITE = """\
@@ -68,38 +70,41 @@ def main(folder: Path) -> None:
         sys.exit("live-demo: Mosquitto is not installed: sh tools/get_mosquitto.sh, as root")
     folder.mkdir(parents=True, exist_ok=True)
     health, page = _write_files(folder, _free_port(), _free_port(), _free_port())
-    command = [sys.executable, "-m", "gis_radar"]
-    # in sessions of their own: Ctrl-C is for this program alone
-    programs = [subprocess.Popen([mosquitto, "-c", "broker/mosquitto.conf"], cwd=folder,
-                                 stderr=subprocess.DEVNULL, start_new_session=True)]  # fmt: skip
-    try:
-        words = [["live", "SITE.toml"], *(["edge", f"{name}.toml"] for name in SENSORS)]
-        programs += [
-            subprocess.Popen([*command, *each], cwd=folder, start_new_session=True)
-            for each in words
-        ]
-        sys.stdout.write(
-            f"page: {page}; for QGIS: {page}ogc, {folder / 'live' / 'now.gpkg'}; health: {health}\n"
-        )
-        sys.stdout.flush()
-        with stopped_by_signals() as stop:
+    broker = [mosquitto, "-c", "broker/mosquitto.conf"]
+    ours = [["live", "SITE.toml"], *(["edge", f"{name}.toml"] for name in SENSORS)]
+    programs: list[subprocess.Popen[bytes]] = []
+    with stopped_by_signals() as stop:
+        try:
+            for words in (broker, *([sys.executable, "-m", "gis_radar", *each] for each in ours)):
+                errors = subprocess.DEVNULL if words is broker else None
+                # in sessions of their own: Ctrl-C is for this program alone
+                programs.append(
+                    subprocess.Popen(words, cwd=folder, stderr=errors, start_new_session=True)
+                )
+            _say(f"page: {page}; for QGIS: {page}ogc, {folder / 'live' / 'now.gpkg'}; "
+                 f"health: {health}")  # fmt: skip
             while all(each.poll() is None for each in programs) and not stop.wait(STATUS_S):
                 _show(health)
-            said = "stopping; the hour is written" if stop.is_set() else "a program has ended"
-            sys.stdout.write(f"live-demo: {said}\n")
-            sys.stdout.flush()
+            _say("stopping; the hour is being written" if stop.is_set() else "a program has ended")
+        finally:
             _end(programs)
-    finally:
-        for each in programs:
-            each.kill()
+
+
+def _say(text: str) -> None:
+    """Print a line; where nobody reads any more, the system goes on to its end."""
+    with suppress(BrokenPipeError):
+        sys.stdout.write(f"{text}\n")
+        sys.stdout.flush()
 
 
 def _end(programs: Sequence[subprocess.Popen[bytes]]) -> None:
-    """End the sensors first and the broker last."""
+    """End the sensors first and the broker last; kill what does not end."""
     for each in reversed(programs):
         each.terminate()
         with suppress(subprocess.TimeoutExpired):
             each.wait(PATIENCE_S)
+        each.kill()
+        each.wait()
 
 
 def _write_files(folder: Path, port: int, health: int, page: int) -> tuple[str, str]:
@@ -127,12 +132,11 @@ def _show(address: str) -> None:
     try:
         with urllib.request.urlopen(address, timeout=5.0) as answer:  # noqa: S310 - our own
             lines = answer.read().decode().splitlines()
-    except OSError:
+    except (OSError, HTTPException):
         return
     frames = [line for line in lines if line.startswith("gis_radar_frames_total{")]
     alarms = [line for line in lines if line.startswith("gis_radar_alarm{") and line[-1] == "1"]
-    sys.stdout.write("  ".join(frames + alarms).replace("gis_radar_", "") + "\n")
-    sys.stdout.flush()
+    _say("  ".join(frames + alarms).replace("gis_radar_", ""))
 
 
 def _free_port() -> int:

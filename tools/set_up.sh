@@ -135,7 +135,10 @@ find_python
 missing=$(list_missing)
 # shellcheck disable=SC2086 # one word a package
 install_system $missing
-[ "${2:-}" != --programs ] || nice -n 10 sh tools/get_browser_and_qgis.sh --apt 2>/dev/null &
+# In a group of its own and to its end: broken off, apt leaves half of a package.
+if [ "${2:-}" = --programs ]; then
+    $own_group nice -n 10 sh tools/get_browser_and_qgis.sh --apt >/dev/null 2>&1 &
+fi
 echo "set-up: filling $venv with Python $(version "$python"); the first time takes about a minute."
 make_venv
 install_packages

@@ -68,15 +68,15 @@ class BrokerAddress:
         UsageError
             If it is no such address.
         """
+        if "@" in address:  # a password may stand before it: it is not repeated
+            raise UsageError(
+                "the address of a broker holds a user", hint="state user and password_file"
+            )
         try:
             parts = urlsplit(address)
             port = parts.port
         except ValueError:
             parts, port = urlsplit(""), 0
-        if parts.username is not None:
-            raise UsageError(
-                "the address of a broker holds a user", hint="state user and password_file"
-            )
         if (
             parts.scheme not in PORTS
             or not parts.hostname

@@ -5,9 +5,11 @@ from __future__ import annotations
 import multiprocessing
 import time
 from collections.abc import Mapping
+from contextlib import suppress
+from multiprocessing.connection import Connection
 from pathlib import Path
 from queue import Full
-from threading import Event
+from threading import Event, Thread
 from typing import Any
 
 import geopandas as gpd
@@ -42,7 +44,8 @@ from gis_radar.vehicles.visibility import SensorView
 
 HAND_ON_S = 0.1
 CHANNEL = 100  # parcels that may wait for the process: 10 s
-AGAIN_S = 10.0  # after the process ended unasked
+AGAIN_S = 10.0  # after the process ended unasked; twice as long each time that it was not ready
+MOST_FAILED = 8  # so at most 43 minutes
 READY_S = 0.05  # between two looks whether it is
 END_S = 120.0  # for the last minutes to be followed and written
 OLD_S = 5.0  # vehicles of now that are older are none
@@ -108,7 +111,7 @@ class LiveVehicles:
         self._known: dict[int, tuple[str, str]] = {}  # by row, sensor and view; used last is last
         self._handed = self._started = self._heard = 0.0
         self._ended = self._refused = self._lost = self._ready = self._broken_off = False
-        self._behind, self._said = 0.0, ""
+        self._behind, self._said, self._failed = 0.0, "", 0
 
     def make_ready(self, stop: Event) -> None:
         """Start the process, and wait until it can follow: the first time it compiles."""
@@ -187,16 +190,18 @@ class LiveVehicles:
         context = multiprocessing.get_context("spawn")
         self._inbox = context.Queue(CHANNEL)
         self._outbox, theirs = context.Pipe(duplex=False)
+        site_from, site_to = context.Pipe(duplex=False)
         self._refused = self._lost = self._ready = False
         self._known, self._started, self._ended = {}, time.monotonic(), False
         self._process = context.Process(
             target=follow_in_process,
-            args=(self._inbox, theirs, self._settings), daemon=True, name="vehicles",
+            args=(site_from, self._inbox, theirs, self._settings), daemon=True, name="vehicles",
         )  # fmt: skip
-        # Not as an argument: its pipe would be full, for ever where the process dies at its start.
-        self._inbox.put_nowait(self._site)
         self._process.start()
         theirs.close()  # only so the end of the process ends what it tells
+        site_from.close()
+        # As an argument it would fill the pipe of the start, and block if the process died there.
+        Thread(target=_hand_over, args=(site_to, self._site), daemon=True, name="site").start()
 
     def _hand_on(self, message: object) -> bool:
         try:
@@ -209,7 +214,7 @@ class LiveVehicles:
     def turn(self) -> None:
         """Hand on what came, and take in what was found; called often."""
         if self._process is None:
-            if self._started and time.monotonic() - self._started > AGAIN_S:
+            if self._started and time.monotonic() - self._started > AGAIN_S * 2**self._failed:
                 self._start()
             return
         if (self._lost or not self._process.is_alive()) and not self._ended:
@@ -227,6 +232,7 @@ class LiveVehicles:
     def _lose(self) -> None:
         """Go on without the process; a new one takes up what the old one kept on disk."""
         self.dropped += len(self._waiting)
+        self._failed = 0 if self._ready else min(self._failed + 1, MOST_FAILED)
         stop_workers([self._process])
         if not self._refused:
             self.restarts += 1
@@ -326,3 +332,9 @@ class LiveVehicles:
     def layer(self) -> gpd.GeoDataFrame:
         """Return the vehicles of now as points in the map."""
         return layer_of(self.now(), self._crs)
+
+
+def _hand_over(connection: Connection[FollowedSite, Any], site: FollowedSite) -> None:
+    """Send the site to the process, on a thread of its own: it may have ended already."""
+    with suppress(OSError), connection:
+        connection.send(site)

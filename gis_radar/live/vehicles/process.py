@@ -50,11 +50,12 @@ class _Outbox:
 
 
 def follow_in_process(
-    inbox: Channel[Any], outbox: Connection[Told, Any], settings: FollowSettings
-) -> None:
+    sites: Connection[Any, FollowedSite], inbox: Channel[Any], outbox: Connection[Told, Any],
+    settings: FollowSettings,
+) -> None:  # fmt: skip
     """Work until the end is told; what a process of its own runs. The site comes first."""
     watch_parent()
-    site: FollowedSite = inbox.get()
+    site = sites.recv()
     telling = _Outbox(outbox)
     _run_once(settings, telling)
     telling.put(Told(counts={}, ready=True))
