@@ -51,7 +51,7 @@ def threads(most, _scratch):
         yield Pool(executor=executor, send=events.put, events=events)
 
 
-def execute(stages, root, *, most=1, reporter=QUIET, pool=threads):
+def execute(stages, root, *, most=1, reporter=QUIET, pool=threads, site=None):
     """Execute stages in a folder; return how each ended, by name."""
     folder = Path(root) / ".gis-radar"
     (folder / "scratch").mkdir(parents=True, exist_ok=True)
@@ -60,7 +60,7 @@ def execute(stages, root, *, most=1, reporter=QUIET, pool=threads):
         only_writer(Path(root), lock=folder / "lock", reporter=reporter),
         pool(most, folder / "scratch") as workers,
     ):
-        run = Execution(stages=stages, state=state, pool=workers, reporter=reporter)
+        run = Execution(stages=stages, state=state, pool=workers, reporter=reporter, folder=site)
         return {outcome.stage.name: outcome for outcome in run.run()}
 
 

@@ -48,6 +48,10 @@ def fail(*, outputs, reporter, text="", **_inputs):
     raise InputError("bad data")
 
 
+def name_its_input(*, first, **_inputs):
+    raise InputError(f"{first[0]}: bad data")
+
+
 def cannot_write(*, outputs, reporter, **_inputs):
     raise OutputError("disk full")
 

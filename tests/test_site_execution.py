@@ -158,6 +158,12 @@ def test_a_sensor_that_fails_does_not_stop_the_others(root, source, work, kind):
     assert (root / "map").read_text() == "SroadSroada1a2Sroadb1b2map"
 
 
+def test_errors_name_files_from_the_folder_of_the_site_on(root, source):
+    stages = [stage(root, "a1", [source], work="name_its_input", sensor="a")]
+    found = execute(stages, root, site=source.parent)
+    assert found["a1"].error.message == "source: bad data"
+
+
 def test_without_any_sensor_there_is_no_map(root, source):
     stages = diamond(root, source)
     execute(stages, root)

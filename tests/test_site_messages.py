@@ -6,10 +6,13 @@ import ast
 import re
 from pathlib import Path
 
+import pytest
+
 import gis_radar as gr
+from gis_radar.errors import InputError
 from gis_radar.languages import messages
 from gis_radar.languages.site_keys import KEYS, keys_for_options
-from gis_radar.site.messages import in_site_words
+from gis_radar.site.messages import error_in_site_words, in_site_words
 from gis_radar.site.settings import site_template
 from gis_radar.words import speaking, tr_message
 
@@ -83,3 +86,20 @@ def test_remarks_name_files_from_the_folder_of_the_site_on(tmp_path):
     shown = "streets.gpkg: 2 streets are called Ring; their lanes differ by number"
     assert in_site_words(told, "UTC", tmp_path) == shown
     assert in_site_words("/else/streets.gpkg: x", "UTC", tmp_path) == "/else/streets.gpkg: x"
+
+
+@pytest.mark.parametrize(
+    ("told", "shown"),
+    [("/data/a.osm: x", "a.osm: x"), ("no file matches '/data/b*'", "no file matches 'b*'"),
+     ("/mnt/data/maps/a.osm: x", "/mnt/data/maps/a.osm: x"),
+     ("a.osm,/data/b.osm (/data/c)", "a.osm,b.osm (c)"), ("~/data/a.osm", "~/data/a.osm")],
+)  # fmt: skip
+def test_a_folder_is_cut_at_the_start_of_a_path_only(told, shown):
+    assert in_site_words(told, "UTC", Path("/data")) == shown
+
+
+def test_errors_name_files_from_the_folder_of_the_site_on():
+    told = InputError("/data/R1.parquet: is damaged", hint="look at /data/R1.parquet")
+    error = error_in_site_words(told, "UTC", Path("/data"))
+    assert (error.message, error.hint) == ("R1.parquet: is damaged", "look at R1.parquet")
+    assert "/data" not in str(error)

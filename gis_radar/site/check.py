@@ -156,7 +156,8 @@ def check_site(
         found[sensor.name] = _read_sensor(sensor, settings, warnings)
     reporter.progress("reading recordings", len(site.sensor), len(site.sensor))
     warnings += _time_warnings(found)
-    warnings = [in_site_words(line, site.timezone) for line in warnings]
+    folder = site.path.absolute().parent  # as in remarks of a run
+    warnings = [in_site_words(line, site.timezone, folder) for line in warnings]
     for line in warnings:
         reporter.log(line, "warning")
     return SiteCheck(

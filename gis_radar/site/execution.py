@@ -211,7 +211,7 @@ class Execution:
         except OutputError:
             raise  # no other stage could write either
         except GisRadarError as caught:
-            error = error_in_site_words(caught, self.timezone)
+            error = error_in_site_words(caught, self.timezone, self.folder)
             state = "refused" if isinstance(caught, NoAnswerError) else "failed"
         del self._begun[future]
         outcome = Outcome(
