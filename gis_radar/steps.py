@@ -310,7 +310,7 @@ class Clock:
         return tr("{begin} to {end}", begin=self.time(begin), end=until)
 
     def whole(self, begin: datetime, end: datetime) -> str:
-        """Return the time of all data in a sentence's words, to the second but for a moment's."""
+        """Return the time of all data for a sentence; milliseconds only where it is under 10 s."""
         if end - begin >= timedelta(seconds=10):
             begin, end = _to_second(begin), _to_second(end)
         since, until = (_finest(self._local(each)) for each in (begin, end))

@@ -4,6 +4,7 @@ import shutil
 import sqlite3
 import zipfile
 from contextlib import closing
+from importlib.resources import files
 from xml.etree import ElementTree as ET
 
 import geopandas as gpd
@@ -15,6 +16,8 @@ from hypothesis import strategies as st
 from maps import Listener
 
 import gis_radar as gr
+from gis_radar.heatmap import style
+from gis_radar.languages import LANGUAGES, translated
 from gis_radar.poses.pose import ellipse
 from gis_radar.qgis.project_xml import TimeRange, fit_box, map_clock
 
@@ -270,6 +273,17 @@ def test_a_guess_in_another_system(code):
 def test_a_guess_in_degrees_is_refused():
     with pytest.raises(gr.CrsError):
         gr.crs.moved_position((11.5, 48.1), "EPSG:4326", gr.crs.metric_crs(25832, what=""))
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
+@pytest.mark.parametrize("measure", style.WORDS)
+def test_the_words_of_a_sheet_name_hatched_grey_as_its_legend_does(measure, language):
+    with files("gis_radar.qgis").joinpath("sheet.qpt").open("rb") as template:
+        sheet = ET.parse(template)  # noqa: S314 - our own text
+    (meaning,) = sheet.iterfind(f".//LayoutItem[@id='meaning {measure}']")
+    (ground,) = sheet.iterfind(".//layer-tree-layer[@id='gis_radar_ground']")
+    what = translated(ground.get("name"), language).split()[-1]  # Road, not *observed*
+    assert what in translated(meaning.get("labelText"), language)
 
 
 def test_a_project_in_german(results, tmp_path):

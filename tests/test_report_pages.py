@@ -86,6 +86,14 @@ def test_what_a_figure_rests_on_stands_in_its_field():
     assert last > places["Vierte"][1] + 10
 
 
+def test_no_figures_take_no_room():
+    paper = a_paper()
+    begin = paper.get_y()
+    _add_facts(paper, SimpleNamespace(facts=[]))
+    assert paper.get_y() == pytest.approx(begin + 2.0)
+    paper.output()  # closes its fonts
+
+
 def test_the_legend_of_a_flat_map_ends_above_the_words_below_it():
     picture = BytesIO()
     Image.new("RGB", (300, 60), "white").save(picture, "PNG")

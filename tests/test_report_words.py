@@ -158,6 +158,10 @@ def test_west_and_half_hours():
             "2025-06-12T07:30Z", "2025-06-12T07:31:40Z",
             "12 June 2025, 09:30:00 to 09:31:40 (Europe/Berlin, UTC+02:00)",
         ),
+        (
+            "2025-06-12T07:30Z", "2025-06-12T07:30:00.300Z",
+            "12 June 2025, 09:30:00 to 09:30:00.300 (Europe/Berlin, UTC+02:00)",
+        ),
     ],
 )  # fmt: skip
 def test_a_whole_day_ends_at_24_and_names_each_offset_once(begin, end, text):

@@ -409,7 +409,7 @@ def _add_facts(paper: Paper, content: Content) -> None:
     rests = [paper.multi_cell(width - 5, REST, fact.rests, align="L", padding=0, dry_run=True,
                               output=MethodReturnValue.HEIGHT)
              for fact in content.facts]  # fmt: skip
-    tall = 14.2 + max(cast("float", each) for each in rests)
+    tall = 14.2 + max((cast("float", each) for each in rests), default=0.0)
     for i, fact in enumerate(content.facts):
         row, column = divmod(i, FACTS_ACROSS)
         left, top = MARGIN + column * (width + 2), begin + row * (tall + 2)

@@ -10,6 +10,8 @@ from conftest import ROOT, WORKER, worker
 from helpers import layer_called
 from qgis.core import (
     Qgis,
+    QgsCoordinateReferenceSystem,
+    QgsCoordinateTransform,
     QgsDateTimeRange,
     QgsExpression,
     QgsExpressionContext,
@@ -212,7 +214,34 @@ def test_vehicles_and_coverage_move_with_the_time(qgis_new_project, site):
     assert same == frame(25, [map_of_interval]) != later  # the map changes with its interval
 
 
-def test_every_lane_shows_its_number_and_no_two_collide(qgis_new_project, project):
+def into(settings, crs, layer):
+    """Give a map its coordinate system; return the way there from a layer's."""
+    settings.setDestinationCrs(QgsCoordinateReferenceSystem(crs))
+    return QgsCoordinateTransform(layer.crs(), settings.destinationCrs(), QgsProject.instance())
+
+
+def labels_of(settings, layer):
+    """Draw a map as the canvas does; return all labels and, of a layer, those that have a place."""
+    context = QgsExpressionContext()
+    context.appendScope(QgsExpressionContextUtils.mapSettingsScope(settings))
+    settings.setExpressionContext(context)
+    job = QgsMapRendererParallelJob(settings)
+    job.start()
+    job.waitForFinished()
+    found = job.takeLabelingResults()
+    return found, [label for label in found.allLabels()
+                   if label.layerID == layer.id() and not label.isUnplaced]  # fmt: skip
+
+
+def shape_on(way, feature):
+    """Return where a feature lies on the map."""
+    shape = QgsGeometry(feature.geometry())
+    shape.transform(way)
+    return shape
+
+
+@pytest.mark.parametrize("crs", ["EPSG:25832", "EPSG:3857"])  # the layer's, and that of web tiles
+def test_every_lane_shows_its_number_and_no_two_collide(qgis_new_project, project, crs):
     shown = QgsProject.instance()
     assert shown.read(str(project))
     layer = layer_called("Lanes")
@@ -222,27 +251,23 @@ def test_every_lane_shows_its_number_and_no_two_collide(qgis_new_project, projec
         settings = QgsMapSettings()
         settings.setLayers([node.layer() for node in shown.layerTreeRoot().findLayers()
                             if node.isVisible() and "interval" not in node.name()])  # fmt: skip
-        settings.setDestinationCrs(shown.crs())
+        way = into(settings, crs, layer)
         settings.setOutputSize(QSize(1400, 1200))
-        box = layer.extent()
+        box = way.transformBoundingBox(layer.extent())
         box.scale(1.05 * scale)
         settings.setExtent(box)
-        job = QgsMapRendererParallelJob(settings)
-        job.start()
-        job.waitForFinished()
-        labels = [
-            label for label in job.takeLabelingResults().allLabels()
-            if label.layerID == layer.id() and not label.isUnplaced
-        ]  # fmt: skip
-        request = QgsFeatureRequest().setFilterRect(settings.visibleExtent())
-        there = {str(feature["lane"]) for feature in layer.getFeatures(request)}
+        _, labels = labels_of(settings, layer)
+        seen = QgsGeometry.fromRect(settings.visibleExtent())
+        there = {str(each["lane"]) for each in layer.getFeatures()
+                 if shape_on(way, each).intersects(seen)}  # fmt: skip
         assert {label.labelText for label in labels} == there
         shapes = [label.labelGeometry for label in labels]
         pairs = ((a, b) for k, a in enumerate(shapes) for b in shapes[k + 1 :])
         assert not any(a.intersects(b) and a.intersection(b).area() > 0.001 for a, b in pairs)
 
 
-def test_numbers_of_many_short_lanes_side_by_side_do_not_collide(qgis_new_project):
+@pytest.mark.parametrize("crs", ["EPSG:25832", "EPSG:3857"])
+def test_numbers_of_many_short_lanes_side_by_side_do_not_collide(qgis_new_project, crs):
     """At 1:3000, where a lane is narrower than its number is high: lines lead to their lanes."""
     layer = QgsVectorLayer("LineString?crs=EPSG:25832&field=lane:integer", "Lanes", "memory")
     rows = []
@@ -257,27 +282,23 @@ def test_numbers_of_many_short_lanes_side_by_side_do_not_collide(qgis_new_projec
     assert layer.loadNamedStyle(str(LANE_STYLE))[1]
     settings = QgsMapSettings()
     settings.setLayers([layer])
-    settings.setDestinationCrs(layer.crs())
+    way = into(settings, crs, layer)
     settings.setOutputSize(QSize(600, 600))
     half = 3000.0 * 300 * 0.0254 / settings.outputDpi()
     middle = layer.extent().center()
-    settings.setExtent(QgsRectangle.fromCenterAndSize(middle, 2 * half, 2 * half))
-    context = QgsExpressionContext()
-    context.appendScope(QgsExpressionContextUtils.mapSettingsScope(settings))
-    settings.setExpressionContext(context)
-    assert settings.scale() == pytest.approx(3000, rel=0.05)
-    job = QgsMapRendererSequentialJob(settings)
-    job.start()
-    job.waitForFinished()
-    found = job.takeLabelingResults()
-    labels = [label for label in found.allLabels() if not label.isUnplaced]
+    settings.setExtent(
+        way.transformBoundingBox(QgsRectangle.fromCenterAndSize(middle, 2 * half, 2 * half))
+    )
+    found, labels = labels_of(settings, layer)
+    stretched = 1.0 if crs == "EPSG:25832" else 1.52  # 1 / cos(48.75 degrees)
+    assert settings.scale() == pytest.approx(3000 * stretched, rel=0.05)
     assert {label.labelText for label in labels} == {str(row["lane"]) for row in rows}
     shapes = [label.labelGeometry for label in labels]
     assert not any(a.intersects(b) for k, a in enumerate(shapes) for b in shapes[k + 1 :])
     lines = found.calloutsWithinRectangle(settings.visibleExtent())
     assert len(lines) > 3
     ends = [QgsGeometry.fromPointXY(QgsPointXY(line.destination())) for line in lines]
-    assert all(any(end.distance(row.geometry()) < 0.5 for row in rows) for end in ends)
+    assert all(any(end.distance(shape_on(way, row)) < 0.5 for row in rows) for end in ends)
 
 
 def test_a_project_that_was_saved_in_qgis_stays(qgis_new_project, site, tmp_path):

@@ -5,6 +5,7 @@ import shutil
 import pytest
 from conftest import SAMPLE, WORKER
 from helpers import Feedback, leftovers, one_sentence, run_algorithm
+from osgeo import ogr
 from qgis.core import (
     QgsCoordinateReferenceSystem,
     QgsFeature,
@@ -318,3 +319,24 @@ def test_a_sheet_of_the_whole_time_ends_with_what_was_recorded(site, qgis_app):
     )
     assert page.end == recorded[1]
     assert recorded_in(site / "no.gpkg") is None
+
+
+@pytest.mark.parametrize(
+    ("end", "text"),
+    [
+        ("07:30:00.300", "07:30:00.000 \u2013 07:30:00.300 (UTC)"),
+        ("07:30:09.950", "07:30:00.000 \u2013 07:30:09.950 (UTC)"),
+        ("07:30:10.050", "07:30:00 \u2013 07:30:10 (UTC)"),
+    ],
+)  # fmt: skip
+def test_a_sheet_of_a_moment_names_its_milliseconds(qgis_app, tmp_path, end, text):
+    """As the report, whose bound is 10 s: begin and end are never the same."""
+    from gis_radar_plugin.report.pages import local_time, recorded_in, timezone
+
+    package = ogr.GetDriverByName("GPKG").CreateDataSource(str(tmp_path / "heatmap.gpkg"))
+    layer = package.CreateLayer("heatmap")
+    layer.SetMetadataItem("begin", "2025-06-12T07:30:00Z")
+    layer.SetMetadataItem("end", f"2025-06-12T{end}Z")
+    del layer, package
+    recorded = recorded_in(tmp_path / "heatmap.gpkg")
+    assert local_time(*recorded, timezone("UTC")).endswith(text)

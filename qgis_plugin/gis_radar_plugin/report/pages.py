@@ -27,6 +27,7 @@ from ..words import speaks_german, tr
 from .junctions import junctions_of
 
 NAMES = ("name", "junction", "sensor", "id")
+TO_SECOND_MS = 10_000  # times this long are told to the second, here and in the report
 Interval = tuple[QDateTime, QDateTime]
 
 
@@ -173,13 +174,18 @@ def zone_name(package: Path) -> str:
 
 
 def recorded_in(package: Path) -> Interval | None:
-    """Return begin and end of what was recorded, to the second: the last interval may end later."""
+    """Return begin and end of what was recorded: the last interval may end later.
+
+    They are to the second, as in the report; to the millisecond where it is under 10 s.
+    """
     begin, end = (
         QDateTime.fromString(_told_in(package, name), Qt.DateFormat.ISODateWithMs)
         for name in ("begin", "end")
     )
     if not (begin.isValid() and end.isValid()):
         return None
+    if begin.msecsTo(end) < TO_SECOND_MS:
+        return begin.toUTC(), end.toUTC()
     return _to_second(begin), _to_second(end)
 
 
@@ -216,6 +222,8 @@ def local_time(begin: QDateTime, end: QDateTime, zone: QTimeZone) -> str:
     first, last = begin.toTimeZone(zone), end.toTimeZone(zone)
     locale = QLocale("de" if speaks_german() else "en")
     clock = "HH:mm:ss" if first.time().second() or last.time().second() else "HH:mm"
+    if first.time().msec() or last.time().msec():
+        clock = "HH:mm:ss.zzz"
     day = "ddd dd.MM.yyyy " if speaks_german() else "ddd yyyy-MM-dd "
     same_day = first.date() == last.date()
     text = f"{locale.toString(first, day + clock)} \u2013 "
