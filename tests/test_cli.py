@@ -6,7 +6,6 @@ import signal
 import sqlite3
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pyarrow as pa
@@ -336,22 +335,53 @@ def test_a_summary_says_what_is_not_known(capfd):
     assert told == [["tiles", "66,549"], ["epoch", "not", "known"]]
 
 
-def test_a_log_hears_now_and_then_of_a_long_count(capfd, monkeypatch):
+@pytest.fixture
+def clock(monkeypatch):
+    """Set the console's clock: seconds, to be moved."""
+    clock = [1000.0]
+    monkeypatch.setattr("gis_radar.cli.console.monotonic", lambda: clock[0])
+    return clock
+
+
+def test_a_log_hears_now_and_then_of_what_moves(capfd, clock):
     """Bars are for terminals; without one a run is not silent for hours."""
-    monkeypatch.setattr("gis_radar.cli.console.SILENT_S", 0.2)
     with TerminalConsole() as console:
         for done in range(5):
             console.progress("all stages", 1, 4)
             console.progress("occupancy R1", 10 * done, 100)
+            clock[0] += 5.9
         assert capfd.readouterr().err == ""
-        time.sleep(0.25)
-        console.progress("reading", 10, None)
+        clock[0] += 0.6
+        console.progress("running PDAL", 65_536, None)  # of what, and of how many, nobody knows
+        assert capfd.readouterr().err == "all stages 25 %, occupancy R1 40 %, running PDAL\n"
+        clock[0] += 31.0
         console.progress("occupancy R1", 50, 100)
-        assert capfd.readouterr().err == "all stages 25 %, occupancy R1 40 %, reading 10\n"
-        time.sleep(0.25)
-        for stage, total in (("reading", 20), ("occupancy R1", 100), ("all stages", 4)):
-            console.progress(stage, total, total)
-    assert capfd.readouterr().err == "all stages 25 %, occupancy R1 50 %\n"
+        assert capfd.readouterr().err == "occupancy R1 50 %\n"
+        clock[0] += 31.0
+        console.progress("occupancy R1", 100, 100)
+    assert capfd.readouterr().err == ""
+
+
+def test_a_remark_ends_the_silence_of_a_log(capfd, clock):
+    with TerminalConsole() as console:
+        clock[0] += 29.0
+        console.log("R1: its clock jumps")
+        clock[0] += 29.0
+        console.progress("occupancy R1", 10, 100)
+        assert capfd.readouterr().err == "R1: its clock jumps\n"
+        clock[0] += 1.0
+        console.progress("occupancy R1", 20, 100)
+    assert capfd.readouterr().err == "occupancy R1 20 %\n"
+
+
+def test_lines_of_progress_are_german_for_who_wants_it(capfd, clock, monkeypatch):
+    monkeypatch.setenv("GIS_RADAR_LANGUAGE", "de")
+    with TerminalConsole() as console:
+        console.progress("all stages", 1, 4)
+        clock[0] += 31.0
+        console.progress("localize R1", 50, 100)
+    told = "alle Schritte 25 %, Standort und Ausrichtung suchen: R1 50 %\n"
+    assert capfd.readouterr().err == told
 
 
 def test_people_read_the_clocks_of_the_site_and_programs_utc(capfd):

@@ -1,6 +1,7 @@
 """Parts of the live system without a network: messages, buffer, windows, map of now, health."""
 
 import sqlite3
+import time
 from collections import Counter
 from contextlib import suppress
 from dataclasses import replace
@@ -10,12 +11,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from live_site import SAMPLE
+from pydantic import ValidationError
 
 import gis_radar as gr
 from gis_radar.errors import GisRadarError, InputError
+from gis_radar.languages import catalogue
 from gis_radar.live.broker import BrokerAddress, parts_of
 from gis_radar.live.buffer import BLOCK, ROW_BYTES, DiskBuffer, FullError, hours_held
-from gis_radar.live.health import SensorHealth, prometheus_text
+from gis_radar.live.health import ALARMS, SensorHealth, prometheus_text
 from gis_radar.live.map_of_now import MapOfNow
 from gis_radar.live.payload import (
     HITS,
@@ -38,6 +41,7 @@ from gis_radar.live.returns import (
     pack_returns,
     unpack_returns,
 )
+from gis_radar.live.server import access_of
 from gis_radar.live.sources import Replay, frames_of_recording
 from gis_radar.live.tile_finder import TileFinder
 from gis_radar.live.windows import Seen, Windows
@@ -46,6 +50,7 @@ from gis_radar.occupancy.hit_counter import CountedFrame
 from gis_radar.progress import Reporter
 from gis_radar.recordings.recording import Detections
 from gis_radar.sight import SightTiles
+from gis_radar.site.live_table import PageTable
 
 PRINT = "00112233445566778899aabbccddeeff"
 COUNT = st.integers(0, 10_000)
@@ -421,3 +426,48 @@ def test_a_user_in_the_address_of_a_broker_is_refused_and_the_password_not_repea
 def test_topics():
     assert parts_of("v1/junction/R1/hits") == ("R1", "hits")
     assert parts_of("v2/junction/R1/hits") == parts_of("$SYS/broker") == ("", "")
+
+
+def test_a_state_that_was_given_does_not_change():
+    current = MapOfNow(3, interval=10)
+    current.views["v"] = np.array([True, True, False])
+    current.take(1, {"R1": Seen(np.array([0]), "v")})
+    before = current.state()
+    kept = before.occupied.copy(), before.observed_steps.copy()
+    current.take(2, {"R1": Seen(np.array([1]), "v")})
+    assert (before.occupied == kept[0]).all()
+    assert (before.observed_steps == kept[1]).all()
+    assert current.state().observed_steps.tolist() == [2, 2, 0]
+
+
+def test_alarms_keep_their_last_words_and_end():
+    health = SensorHealth(name="R1")
+    health.alarm("damaged", "number 1")
+    health.alarm("damaged", "number 2")
+    assert health.alarms == {"damaged": "number 2"}
+    health.heard_s = now = time.time()
+    health.look(now + 1.0)
+    assert health.alarms == {"damaged": "number 2"}
+    health.heard_s = now + 1_000.0
+    health.look(now + 1_000.0)
+    assert health.alarms == {}
+
+
+def test_every_alarm_has_its_german():
+    assert set(ALARMS.values()) <= set(catalogue("de"))
+
+
+@pytest.mark.parametrize(
+    "address", ["127.0.0.1:8080/", "a@127.0.0.1:80", "127.0.0.1:80?x", "::1:80"]
+)
+def test_addresses_that_are_none_are_refused(address):
+    with pytest.raises(ValidationError):
+        PageTable(address=address)
+
+
+@pytest.mark.parametrize("token", ["", "zwei wörter", "ünicode", "a b"])
+def test_tokens_that_cannot_be_sent_are_refused(tmp_path, token):
+    file = tmp_path / "page.token"
+    file.write_text(token, encoding="utf-8")
+    with pytest.raises(InputError, match=r"page\.token: holds no token"):
+        access_of(PageTable.model_construct(address="0.0.0.0:80", token_file=file))

@@ -7,12 +7,12 @@ import io
 import os
 import signal
 import sys
-import time
 import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
+from time import monotonic
 from types import FrameType
 from typing import Any, NoReturn, Self
 
@@ -27,7 +27,7 @@ from gis_radar.json_documents import json_text
 from gis_radar.languages import LANGUAGES
 from gis_radar.processes import free_address_space, watch_input
 from gis_radar.progress import Level, Reporter
-from gis_radar.words import speaking, tr_message
+from gis_radar.words import speaking, stage_words, tr_message
 
 WIDE = 160
 FOR_PROGRAMS = {"settings", "found"}  # constants in effect, what `remarks` repeats: for --json
@@ -66,11 +66,13 @@ LANGUAGE = "GIS_RADAR_LANGUAGE"  # of remarks and errors; in QGIS the plugin set
 
 def in_users_language(text: str) -> str:
     """Return a remark or an error in the language that the environment names, else in English."""
-    language = os.environ.get(LANGUAGE, "en")
-    if language not in LANGUAGES or language == "en":
-        return text
-    with speaking(language):
+    with speaking(_users_language()):
         return tr_message(text)
+
+
+def _users_language() -> str:
+    language = os.environ.get(LANGUAGE, "en")
+    return language if language in LANGUAGES else "en"
 
 
 class Console(Reporter):
@@ -136,8 +138,8 @@ class TerminalConsole(Console):
             disable=not self._rich.is_terminal,
         )
         self._tasks: dict[str, TaskID] = {}
-        self._shares: dict[str, str] = {}  # of what is under way, for lines where no bars are
-        self._told_at = time.monotonic()
+        self._shares: dict[str, str] = {}  # of what moved since the last line, where no bars are
+        self._told_at = monotonic()
 
     def __enter__(self) -> Self:
         self._bars.start()
@@ -157,18 +159,21 @@ class TerminalConsole(Console):
             self._bars.update(self._tasks[stage], visible=False)
 
     def _tell(self, stage: str, done: int, total: int | None) -> None:
-        """Print how far each stage is, where nothing was printed of it for a while."""
+        """Print how far each stage is that moves, where nothing was printed for a while."""
         self._shares.pop(stage, None)
         if done != total:
-            self._shares[stage] = f"{100 * done // total} %" if total else f"{done:,}"
-        if self._shares and time.monotonic() - self._told_at >= SILENT_S:
-            self._told_at = time.monotonic()
-            shares = (f"{in_users_language(name)} {each}" for name, each in self._shares.items())
+            self._shares[stage] = f" {100 * done // total} %" if total else ""
+        if self._shares and monotonic() - self._told_at >= SILENT_S:
+            self._told_at = monotonic()
+            with speaking(_users_language()):
+                shares = [f"{stage_words(name)}{each}" for name, each in self._shares.items()]
+            self._shares.clear()  # one that failed or has no end would stay for ever
             text = _printable(", ".join(shares))
             self._rich.print(text, markup=False, highlight=False, soft_wrap=True)
 
     def log(self, message: str, level: Level = "info") -> None:
         """Print a remark."""
+        self._told_at = monotonic()
         prefix = f"{in_users_language('warning')}: " if level == "warning" else ""
         text = in_users_language(message)
         self._rich.print(f"{prefix}{text}", markup=False, highlight=False, soft_wrap=True)

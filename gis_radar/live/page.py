@@ -338,7 +338,8 @@ def _traffic(snapshot: Snapshot) -> dict[int, list[float | None]]:
 
 
 def _permille(share: float) -> int | None:
-    return None if np.isnan(share) else round(1000 * share)
+    """Return a share in permille; what is more than nothing never reads as nothing."""
+    return None if np.isnan(share) else max(round(1000 * share), int(share > 0.0))
 
 
 def _sensor(place: Place, state: ShownSensor) -> dict[str, Any]:
@@ -427,17 +428,18 @@ def _page(place: Place, language: str, *, followed: bool) -> str:
 def _legends(language: str, *, followed: bool) -> dict[str, Legend]:
     """Return by what the page may show its title, its meaning, and colours with their words."""
     hits = _colours_in_words("occupancy", language)
+    now = [(OCCUPIED, tr("occupied now")), (style.NEVER_HIT, tr("not hit now")), hits[-1]]
     found = {
         "lately": Legend(
             tr("Share of the observed time"), tr("in which a tile is hit, last 15 minutes"), hits
         ),
         "now": Legend(
-            tr("Now"), tr("which tiles are hit; lanes from afar by their last 15 minutes"), hits
+            tr("Now"), tr("which tiles are hit; zoomed out: lanes, last 15 minutes"), now
         ),
     }
     if followed:
         covers = _colours_in_words("coverage", language)
-        note = tr("share of the visible time with a vehicle, last 15 minutes")
+        note = tr("share of time with a vehicle while a tile was visible, last 15 minutes")
         found["covers"] = Legend(tr("Coverage"), note, covers)
     return found
 

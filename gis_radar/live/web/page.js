@@ -80,7 +80,19 @@ function colourLanes(lanes, traffic) {
   for (const [id, [cover]] of Object.entries(traffic)) paint(id, { covers: levelOf(cover) });
 }
 
-function show(measure) {
+function chosen() {
+  return document.querySelector("input[name=measure]:checked").value;
+}
+
+function explain() { // zoomed out there are lanes in place of tiles, of which there is no now
+  const far = map && map.getZoom() < NEAR, measure = chosen();
+  byId("side").dataset.measure = measure === "now" && far ? "now-far" : measure;
+}
+
+function show() {
+  const measure = chosen();
+  explain();
+  if (!map) return;
   map.setPaintProperty("tiles", "fill-color", paints[measure]);
   map.setPaintProperty("lanes", "line-color", measure === "covers" ? covers : lately);
 }
@@ -199,10 +211,8 @@ async function draw() {
   map = shown;
   colour(new Set(Object.keys(state.classes).map(Number)));
   colourLanes(state.lanes, state.traffic);
-  for (const choice of document.querySelectorAll("input[name=measure]")) {
-    choice.addEventListener("change", () => show(choice.value));
-    if (choice.checked) show(choice.value);
-  }
+  map.on("zoom", explain);
+  show();
   document.body.dataset.drawn = "true";
 }
 
@@ -219,6 +229,8 @@ function listen() {
 }
 
 async function begin() {
+  for (const choice of document.querySelectorAll("input[name=measure]")) choice.addEventListener("change", show);
+  show();
   site = await (await fetch(`/site.json?lang=${language}`)).json();
   let stream = listen();
   let drawn = true;
