@@ -57,10 +57,10 @@ test: set-up-test lint ## Run every check: lint, types, tests, the plugin in a r
 	@rm -rf $(DEMO) $(BUILT_DOCS) && mkdir -p $(dir $(DEMO))
 	$(ONE_THREAD) $(BIN)/python tools/side_by_side.py \
 		'sh -c "$(BIN)/gis-radar demo -o $(DEMO) --json >$(DEMO).jsonl || { tail -n 1 $(DEMO).jsonl; exit 1; }"' \
-		'$(BESIDE) $(BIN)/python tools/build_docs.py $(BUILT_DOCS)' \
+		'$(BESIDE) $(BIN)/mypy' '$(BESIDE) $(BIN)/python tools/build_docs.py $(BUILT_DOCS)' \
 		'$(BESIDE) sh tools/get_browser_and_qgis.sh'
 	GIS_RADAR_DEMO=$(DEMO) GIS_RADAR_DOCS=$(BUILT_DOCS) $(ONE_THREAD) $(BIN)/python tools/side_by_side.py \
-		'$(BIN)/pytest -n $(TESTERS) --dist worksteal' '$(BESIDE) $(BIN)/mypy' '$(BESIDE) sh tools/test_qgis.sh'
+		'$(BIN)/pytest -n $(TESTERS) --dist worksteal' '$(BESIDE) sh tools/test_qgis.sh'
 
 faults: set-up-dev ## Run every input kind with every fault; `make test` runs a sample
 	GIS_RADAR_FAULTS=all $(ONE_THREAD) $(BIN)/pytest -n 2 --dist worksteal tests/faults
