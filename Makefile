@@ -8,8 +8,6 @@ DEMO := out/test/demo
 BUILT_DOCS := out/test/docs
 # What is waited for comes first: what runs beside it takes what it leaves of the cores.
 BESIDE := nice -n 10
-# Live tests wait for half of their time: a third process uses it.
-TESTERS := 3
 # Checks run side by side: threads of one would wait for those of another.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 # Hundreds of processes start, each faster with what earlier ones compiled.
@@ -60,7 +58,7 @@ test: set-up-test lint ## Run every check: lint, types, tests, the plugin in a r
 		'$(BESIDE) $(BIN)/mypy' '$(BESIDE) $(BIN)/python tools/build_docs.py $(BUILT_DOCS)' \
 		'$(BESIDE) sh tools/get_browser_and_qgis.sh'
 	GIS_RADAR_DEMO=$(DEMO) GIS_RADAR_DOCS=$(BUILT_DOCS) $(ONE_THREAD) $(BIN)/python tools/side_by_side.py \
-		'$(BIN)/pytest -n $(TESTERS) --dist worksteal' '$(BESIDE) sh tools/test_qgis.sh'
+		'$(BIN)/pytest -n 2 --dist worksteal' '$(BESIDE) sh tools/test_qgis.sh'
 
 faults: set-up-dev ## Run every input kind with every fault; `make test` runs a sample
 	GIS_RADAR_FAULTS=all $(ONE_THREAD) $(BIN)/pytest -n 2 --dist worksteal tests/faults

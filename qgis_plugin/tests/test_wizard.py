@@ -144,7 +144,7 @@ def test_from_the_map_to_a_run(wizard, place):
     found = check.found.toPlainText()
     assert "SITE.toml was there already: it is now SITE_1.toml." in found
     assert (
-        "R1: Thu 2025-06-12 09:30:00 – 09:31:39 (Europe/Berlin, UTC+02:00); 167,616 detections"
+        "R1: Thu 2025-06-12 09:30:00 – 09:31:40 (Europe/Berlin, UTC+02:00); 167,616 detections"
         in found
     )
     text = (place / "SITE.toml").read_text(encoding="utf-8")

@@ -218,7 +218,9 @@ def timezone(name: str) -> QTimeZone:
 
 
 def local_time(begin: QDateTime, end: QDateTime, zone: QTimeZone) -> str:
-    """Return a span of time in local form, with the zone and its offset."""
+    """Return a span of time in local form, to the second but for short ones; with the zone."""
+    if begin.msecsTo(end) >= TO_SECOND_MS:
+        begin, end = _to_second(begin), _to_second(end)
     first, last = begin.toTimeZone(zone), end.toTimeZone(zone)
     locale = QLocale("de" if speaks_german() else "en")
     clock = "HH:mm:ss" if first.time().second() or last.time().second() else "HH:mm"
