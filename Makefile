@@ -8,6 +8,8 @@ DEMO := out/test/demo
 BUILT_DOCS := out/test/docs
 # What is waited for comes first: what runs beside it takes what it leaves of the cores.
 BESIDE := nice -n 10
+# Beside the set-up for `make test`, browser, broker and QGIS are fetched by apt.
+PROGRAMS := $(if $(filter test,$(MAKECMDGOALS)),--programs)
 # Checks run side by side: threads of one would wait for those of another.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 # Hundreds of processes start, each faster with what earlier ones compiled.
@@ -19,7 +21,7 @@ BENCHES := bench-assignment bench-tiles bench-occupancy bench-memory bench-truth
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help set-up set-up-dev set-up-bench set-up-test pdal demo live-demo docs test test-qgis lint format types faults live-test soak fuzz test-lowest test-newest bench \
+.PHONY: help set-up set-up-dev set-up-bench pdal demo live-demo docs test test-qgis lint format types faults live-test soak fuzz test-lowest test-newest bench \
 	$(BENCHES) samples wheel plugin-zip constraints clean
 
 help: ## List the targets
@@ -29,7 +31,7 @@ set-up: ## Set up .venv for gis-radar itself
 	@sh tools/set_up.sh run
 
 set-up-dev: ## Set up .venv for the checks too
-	@sh tools/set_up.sh dev
+	@sh tools/set_up.sh dev $(PROGRAMS)
 
 set-up-bench: set-up-dev ## Set up .venv for bench-localization: Open3D too, 1.5 GB
 	@sh tools/set_up.sh bench
@@ -48,10 +50,7 @@ live-demo: set-up-dev ## Run the live system on the sample junction until Ctrl-C
 docs: set-up-dev ## Build the documentation in out/docs/html, with the notebooks run
 	$(BIN)/python tools/build_docs.py --run-notebooks
 
-set-up-test: ## Set up .venv for the checks, and begin to get browser, broker and QGIS by apt
-	@sh tools/set_up.sh dev --programs
-
-test: set-up-test lint ## Run every check: lint, types, tests, the plugin in a real QGIS
+test: lint ## Run every check: lint, types, tests, the plugin in a real QGIS
 	@rm -rf $(DEMO) $(BUILT_DOCS) && mkdir -p $(dir $(DEMO))
 	$(ONE_THREAD) $(BIN)/python tools/side_by_side.py \
 		'sh -c "$(BIN)/gis-radar demo -o $(DEMO) --json >$(DEMO).jsonl || { tail -n 1 $(DEMO).jsonl; exit 1; }"' \
