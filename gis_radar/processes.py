@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from multiprocessing.process import BaseProcess
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from types import FrameType
 from typing import IO
 
@@ -28,6 +29,8 @@ WATCHDOG_VARIABLE = "GIS_RADAR_PARENT_WATCHDOG"
 
 STOPPING = (signal.SIGINT, signal.SIGTERM)
 _POLL_S = 0.2  # an interruption reaches Python only between two waits; 5 Hz is not felt
+_LOOK_S = 0.05  # between two looks whether a child is to be stopped; Popen sleeps as long
+_GONE_S = 5.0  # for a child that was killed: only a disk that does not answer takes longer
 STOP_PATIENCE_S = 0.7
 """How long a stopped worker may clear up, seconds: it has files to remove, not work to end."""
 
@@ -95,26 +98,61 @@ def run_child(
     GisRadarError
         If it does not start.
     """
-    try:
-        child = subprocess.Popen(  # noqa: S603 - the caller has found the program
-            command,
-            stdin=stdin,
-            stdout=subprocess.DEVNULL,
-            stderr=stderr,
-            env=dict(environment),
-        )
-    except OSError as error:
-        raise GisRadarError(f"{command[0]}: does not start: {error.strerror}") from error
+    child = _Child(lambda: subprocess.Popen(  # noqa: S603 - the caller has found the program
+        command, stdin=stdin, stdout=subprocess.DEVNULL, stderr=stderr, env=dict(environment)
+    ))  # fmt: skip
     start = time.monotonic()
     try:
+        child.start()
         while True:
             try:
-                return child.wait(timeout=_POLL_S)
-            except subprocess.TimeoutExpired:
+                ended = child.told.get(timeout=_POLL_S)
+            except Empty:
                 waiting(time.monotonic() - start)
+                continue
+            if isinstance(ended, OSError):
+                raise GisRadarError(f"{command[0]}: does not start: {ended.strerror}") from ended
+            if isinstance(ended, Exception):
+                raise ended
+            return ended
     finally:
-        child.kill()
-        child.wait()
+        child.stop()
+
+
+class _Child(threading.Thread):
+    """A program that runs, on a thread of its own: signals reach the main thread only.
+
+    There they would break off Popen between its start and its return, or its wait between taking
+    its lock and the block that gives it back. Queues of this kind wait in C, whole or not at all.
+    """
+
+    def __init__(self, start: Callable[[], subprocess.Popen[bytes]]) -> None:
+        super().__init__(daemon=True, name="child")
+        self.told: SimpleQueue[int | Exception] = SimpleQueue()
+        self._gone: SimpleQueue[None] = SimpleQueue()
+        self._start_it, self._stopped = start, False
+
+    def run(self) -> None:
+        try:
+            self.told.put(self._run())
+        except Exception as error:  # noqa: BLE001 - raised where it is waited for
+            self.told.put(error)
+        self._gone.put(None)
+
+    def _run(self) -> int:
+        process = self._start_it()
+        while True:
+            try:
+                return process.wait(timeout=_LOOK_S)
+            except subprocess.TimeoutExpired:
+                if self._stopped:
+                    process.kill()
+
+    def stop(self) -> None:
+        """Kill it if it still runs, and wait for its end."""
+        self._stopped = True
+        with suppress(Empty):
+            self._gone.get(timeout=_GONE_S)
 
 
 class _StopSignal(threading.Event):

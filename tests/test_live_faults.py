@@ -4,7 +4,7 @@ import sqlite3
 
 import numpy as np
 import pytest
-from live_site import SAMPLE
+from live_site import LONGEST_S, SAMPLE
 
 import gis_radar as gr
 from gis_radar.errors import InputError, NoAnswerError
@@ -277,7 +277,7 @@ def test_a_follower_that_ended_takes_nothing_and_a_fault_in_it_is_raised(monkeyp
         monkeypatch.setattr(own_pose, "Follower", lambda *_, fault=fault, **__: Faulty(fault))
         follower = own_pose.PoseFollower(None, gr.read_pose(SAMPLE / "R1.json"), begin)
         follower.push(frame)
-        follower._thread.join()
+        follower._thread.join(LONGEST_S)
         for _ in range(50):
             follower.push(frame)
         assert follower._frames.empty()

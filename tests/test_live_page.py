@@ -59,8 +59,7 @@ def served(live, access=None):
     thread = threading.Thread(target=server.run)
     thread.start()
     try:
-        while not server.started:
-            time.sleep(0.01)
+        wait_for(lambda: server.started)
         yield f"http://127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}"
     finally:
         server.should_exit = True
@@ -353,10 +352,14 @@ def test_nothing_is_lost_on_a_phone_or_without_colours(live, address, chromium):
 def picture_of_tiles(page, measure):
     """Choose what the map shows; count its colours once it stands still."""
     page.find_element(By.CSS_SELECTOR, f"input[value={measure}]").click()
-    seen = [Counter(), colours_of(page.find_element(By.ID, "map"))]
-    while seen[-1] != seen[-2]:
+    seen = [Counter()]
+
+    def stands_still():
         time.sleep(0.3)
         seen.append(colours_of(page.find_element(By.ID, "map")))
+        return seen[-1] == seen[-2]
+
+    wait_for(stands_still)
     return seen[-1]
 
 
@@ -367,9 +370,13 @@ def test_zoomed_out_the_map_and_its_legend_are_of_lanes(live, address, chromium)
     wait_for(lambda: chromium.execute_script("return document.body.dataset.drawn"))
     side = chromium.find_element(By.ID, "side")
     chromium.find_element(By.CSS_SELECTOR, "input[value=now]").click()
-    while side.get_attribute("data-measure") == "now":
+
+    def is_far():
         chromium.find_element(By.CLASS_NAME, "maplibregl-ctrl-zoom-out").click()
         time.sleep(0.4)
+        return side.get_attribute("data-measure") != "now"
+
+    wait_for(is_far)
     pictures = {each: picture_of_tiles(chromium, each) for each in ("lately", "covers", "now")}
     ten = style.colour_classes()[5]  # of all lanes
     assert ten.lower < 0.1 <= ten.upper

@@ -356,7 +356,7 @@ def test_whatever_the_push_meets_fusion_goes_on_and_says_it_once(server, place, 
     for _ in range(2):
         push._try_at = 0.0
         push.regular()
-        push._work._thread.join()
+        push._work._thread.join(LONGEST_S)
         push.regular()
     assert len(said.lines) == 1
     assert said.told("lane measures cannot be pushed: ")

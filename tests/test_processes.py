@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from gis_radar.processes import WATCHDOG_VARIABLE, watch_parent
+from gis_radar.errors import GisRadarError
+from gis_radar.processes import WATCHDOG_VARIABLE, run_child, watch_parent
 
 ROOT = Path(__file__).parents[1]
 posix = pytest.mark.skipif(os.name == "nt", reason="process groups")
@@ -34,6 +35,63 @@ def test_a_worker_that_is_let_go_stops(tmp_path):
     assert json.loads(last)["message"].startswith("interrupted")
     left = [path for path in (tmp_path / "out").rglob("*") if ".part" in path.name]
     assert left == []
+
+
+INTERRUPTED = """
+import os, signal, subprocess, sys, tempfile
+from gis_radar.processes import run_child
+told = []
+
+def interrupting(call):
+    def called(*words):
+        answer = call(*words)
+        if not told:
+            told.append(popen.pid)
+            print(popen.pid, flush=True)
+            os.kill(os.getpid(), signal.SIGINT)
+        return answer
+    return called
+
+class Popen(subprocess.Popen):
+    def _execute_child(self, *words):
+        global popen
+        popen = self
+        if sys.argv[1] == "while it starts":
+            self._close_pipe_fds = interrupting(self._close_pipe_fds)
+        else:
+            self._waitpid_lock = Lock(self._waitpid_lock)
+        super()._execute_child(*words)
+
+class Lock:
+    def __init__(self, lock):
+        self.acquire, self.release = interrupting(lock.acquire), lock.release
+    def __enter__(self):
+        self.acquire()
+    def __exit__(self, *_):
+        self.release()
+
+subprocess.Popen = Popen
+with tempfile.TemporaryFile() as file:
+    run_child(["sleep", "60"], stdin=file, stderr=file, environment=os.environ, waiting=print)
+"""
+
+
+@posix
+@pytest.mark.parametrize("moment", ["while it starts", "while it is asked whether it has ended"])
+def test_an_interrupt_amid_a_call_of_the_standard_library_ends_the_child(moment):
+    """Ctrl-C there left a child behind, or a lock that was then waited for without end."""
+    words = [sys.executable, "-c", INTERRUPTED, moment]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=45.0, check=False)
+    assert done.stderr.endswith("KeyboardInterrupt\n")
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(done.stdout.split()[0]), 0)
+
+
+@posix
+@pytest.mark.parametrize("name", ["no such program", "a\0b"])
+def test_what_cannot_be_started_is_an_error_at_once(tmp_path, name):
+    with (tmp_path / "a").open("w+b") as file, pytest.raises((GisRadarError, ValueError)):
+        run_child([name], stdin=file, stderr=file, environment={}, waiting=print)
 
 
 @posix
