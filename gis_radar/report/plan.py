@@ -41,6 +41,7 @@ LETTERS_PT = 7.5
 GLYPH = (0.68, 1.25)  # width of a bold figure and height of its line, of the size of the letters
 TRIES = (0.5, 0.4, 0.6, 0.3, 0.7, 0.2, 0.8, 0.1, 0.9)  # where on a lane its number may stand
 ASIDE_PT = (14.0, 22.0, 32.0, 46.0, 64.0, 90.0)  # or how far beside it, at the end of a line
+AROUND_PT, AROUND = (46.0, 64.0, 90.0, 125.0, 175.0), 24  # or in so many directions of its middle
 SCALE_IN = (2.2, 0.75)  # the corner of the scale bar
 # Four tints that neighbours can take in turn, told apart without colour by their numbers.
 TINTS = ("#cfe3f5", "#f7dfb2", "#d8ead0", "#ead6ea")
@@ -170,7 +171,7 @@ def place_numbers(
 
 
 def _candidates(way: Floats, text: str, point_m: float) -> Iterator[PlacedNumber]:
-    """Yield where a number may stand: along its lane, then beside it, farther and farther."""
+    """Yield where a number may stand: along its lane, beside it, then all around its middle."""
     half = np.array([GLYPH[0] * len(text), GLYPH[1]]) * LETTERS_PT * point_m / 2.0
     at = np.unique((np.array(TRIES) * (len(way) - 1)).astype(int), return_index=True)
     spots: Integers = at[0][np.argsort(at[1])]
@@ -188,6 +189,11 @@ def _candidates(way: Floats, text: str, point_m: float) -> Iterator[PlacedNumber
             for side in (left, -left):
                 middle = way[k] + side * aside * point_m
                 yield PlacedNumber(middle, 0.0, _box(middle, half, 0.0), way[k])
+    foot = way[len(way) // 2]
+    for aside in AROUND_PT:
+        for angle in np.arange(AROUND) * (2.0 * np.pi / AROUND):
+            middle = foot + aside * point_m * np.array([np.cos(angle), np.sin(angle)])
+            yield PlacedNumber(middle, 0.0, _box(middle, half, 0.0), foot)
 
 
 def _ahead(way: Floats, k: int) -> Floats:
