@@ -57,7 +57,7 @@ test: lint ## Run every check: lint, types, tests, the plugin in a real QGIS
 		'$(BESIDE) $(BIN)/mypy' '$(BESIDE) $(BIN)/python tools/build_docs.py $(BUILT_DOCS)' \
 		'$(BESIDE) sh tools/get_browser_and_qgis.sh'
 	GIS_RADAR_DEMO=$(DEMO) GIS_RADAR_DOCS=$(BUILT_DOCS) $(ONE_THREAD) $(BIN)/python tools/side_by_side.py \
-		'$(BIN)/pytest -n 2 --dist worksteal' '$(BESIDE) sh tools/test_qgis.sh'
+		'$(BIN)/pytest -n 2 --dist worksteal' 'nice -n 3 sh tools/test_qgis.sh'
 
 faults: set-up-dev ## Run every input kind with every fault; `make test` runs a sample
 	GIS_RADAR_FAULTS=all $(ONE_THREAD) $(BIN)/pytest -n 2 --dist worksteal tests/faults

@@ -401,6 +401,15 @@ def test_a_fit_on_a_bump_begins_again_from_the_lowest_place(scene):
     assert again.state.position[:2] == pytest.approx(fit.state.position[:2], abs=0.05)
 
 
+def test_without_a_second_look_a_fit_is_only_measured(scene):
+    scene, state, _ = scene
+    prior, calm = prior_at(state), scene.settings.hypotheses
+    fit = solve(scene, state, prior)
+    bump = replace(fit, cost=fit.cost + 30.0)
+    once = replace(scene, settings=replace(scene.settings, hypotheses=replace(calm, looks=0)))
+    assert along_valley(once, bump, prior, MODEL).state == fit.state
+
+
 def test_a_rival_that_is_the_same_answer_widens_sigma(scene):
     scene, state, _ = scene
     fit = solve(scene, state, prior_at(state))

@@ -24,10 +24,11 @@ if [ $# -gt 0 ]; then
     $pytest "$@"
     exit 0
 fi
-# The results that most tests show, made once for all processes: by `make test`, or here.
+# The results that most tests show, made once for both: by `make test`, or here.
 export GIS_RADAR_QGIS_SITE="${GIS_RADAR_DEMO:-$place/site}"
 [ -n "${GIS_RADAR_DEMO:-}" ] || "$GIS_RADAR_PYTHON" -m gis_radar demo -o "$place/site" >/dev/null
-# Some with QGIS's libraries in front of all others, as the desktop has them; these beside the rest.
+# Some with QGIS's libraries in front of all others, as the desktop has them; these beside the rest,
+# which one process does: with two, and those of `make test`, all take longer.
 core=$(ls /usr/lib/libqgis_core.so.3.*.* /usr/lib/*/libqgis_core.so.3.*.* 2>/dev/null | head -n 1)
 (
     export LD_PRELOAD="$core"
@@ -37,7 +38,7 @@ preload=$!
 trap 'kill $preload 2>/dev/null || true; rm -rf "$place"' EXIT
 trap 'exit 130' INT TERM HUP
 code=0
-$pytest -n 2 --dist worksteal -m "not preload" qgis_plugin/tests || code=$?
+$pytest -m "not preload" qgis_plugin/tests || code=$?
 wait $preload || code=$?
 echo "QGIS: some under LD_PRELOAD=$core"
 cat "$place/preload.log"

@@ -185,7 +185,7 @@ def along_valley(scene: Scene, fit: Fit, prior: Prior, model: Model) -> Fit:
         With which it was found.
     """
     settings = scene.settings.hypotheses
-    for _ in range(settings.looks):
+    for look in range(settings.looks + 1):  # the last one only measures
         hold, way = _weakest(fit, scene.settings.answer)
         curved_m = float(np.sqrt(hold @ way))
         sides = [
@@ -194,7 +194,7 @@ def along_valley(scene: Scene, fit: Fit, prior: Prior, model: Model) -> Fit:
         ]
         sigma_m = max(_deviation(scene, fit, side) for side in sides)
         lowest = min((other for side in sides for _, other in side), key=_cost, default=fit)
-        if lowest.cost > fit.cost - settings.look_gain:
+        if look == settings.looks or lowest.cost > fit.cost - settings.look_gain:
             break
         again = solve(scene, lowest.state, prior, schedule=settings.fine, model=model)
         if not again.converged or again.cost > fit.cost - settings.look_gain:

@@ -1,6 +1,5 @@
 """A site made once by the real worker, the provider in a real QGIS, and workers that misbehave."""
 
-import fcntl
 import json
 import os
 import shutil
@@ -15,7 +14,7 @@ import tomllib
 ROOT = Path(__file__).parents[2]
 VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
 SAMPLE = ROOT / "sample_maps"
-SITE = os.environ.get("GIS_RADAR_QGIS_SITE")  # made once for all processes
+SITE = os.environ.get("GIS_RADAR_QGIS_SITE")  # made once for both processes
 WORKER = os.environ.get("GIS_RADAR_PYTHON", str(ROOT / ".venv" / "bin" / "python"))
 sys.path.insert(0, os.environ.get("GIS_RADAR_PLUGINS", str(ROOT / "qgis_plugin")))
 
@@ -29,19 +28,16 @@ def worker(*words):
 
 @pytest.fixture(scope="session")
 def once(tmp_path_factory):
-    """Give a function that has a folder made once for all processes of a run, only to be read."""
+    """Give a function that has a folder made once, only to be read."""
     root = tmp_path_factory.getbasetemp()
-    root = root.parent if "PYTEST_XDIST_WORKER" in os.environ else root
 
     def make(name, work):
         folder, made = root / name, root / f"{name}.made"
-        with (root / f"{name}.lock").open("w") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
-            if not made.exists():
-                shutil.rmtree(folder, ignore_errors=True)  # of one that failed
-                folder.mkdir()
-                work(folder)
-                made.touch()
+        if not made.exists():
+            shutil.rmtree(folder, ignore_errors=True)  # of one that failed
+            folder.mkdir()
+            work(folder)
+            made.touch()
         return folder
 
     return make

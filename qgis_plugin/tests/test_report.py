@@ -65,6 +65,19 @@ def earlier_report(report, tmp_path):
     return shutil.copytree(report, tmp_path / "report")
 
 
+def test_lanes_are_there_though_qgis_has_not_counted_them(provider, site, monkeypatch):
+    """Once it was asked for many layers of a file it says of some that it does not know."""
+    from gis_radar_plugin.report import export
+
+    class Uncounted(QgsVectorLayer):
+        def featureCount(self):
+            return -1
+
+    monkeypatch.setattr(export, "QgsVectorLayer", Uncounted)
+    layers = export.lane_layers(site / "heatmap" / "heatmap.gpkg")
+    assert [each.name() for each in layers] == ["Lanes", "Stop lines"]
+
+
 def test_a_page_for_each_place_and_time(report):
     names = sorted(path.name for path in report.iterdir())
     times = ["20250612T073000Z", "20250612T073020Z", "20250612T073040Z", "20250612T073100Z",

@@ -9,6 +9,7 @@ from typing import Any
 from qgis.core import (
     Qgis,
     QgsFeature,
+    QgsFeatureRequest,
     QgsFeatureSink,
     QgsField,
     QgsFields,
@@ -81,7 +82,7 @@ def lane_layers(package: Path) -> list[QgsMapLayer]:
     """Return lanes by number and stop lines, where the tiles of the heat map lie beside it."""
     beside = package.parent.parent / TILES
     counts = [
-        QgsVectorLayer(f"{path}|layername={name}", "", "ogr").featureCount()
+        _count(QgsVectorLayer(f"{path}|layername={name}", "", "ogr"))
         for path, name in ((beside, "tiles"), (package, "heatmap"))
     ]
     return _tables(beside, LANE_TABLES) if beside.is_file() and counts[0] == counts[1] else []
@@ -93,7 +94,16 @@ def _tables(package: Path, names: dict[str, str]) -> list[QgsMapLayer]:
         QgsVectorLayer(f"{package}|layername={table}", tr(name), "ogr")
         for name, table in names.items()
     ]
-    return [layer for layer in layers if layer.isValid() and layer.featureCount() > 0]
+    return [layer for layer in layers if _count(layer) > 0]
+
+
+def _count(layer: QgsVectorLayer) -> int:
+    """Return how many features a layer has; QGIS itself may say that it does not know (-1)."""
+    known = int(layer.featureCount()) if layer.isValid() else 0
+    if known >= 0:
+        return known
+    bare = QgsFeatureRequest().setNoAttributes().setFlags(QgsFeatureRequest.Flag.NoGeometry)
+    return sum(1 for _ in layer.getFeatures(bare))
 
 
 def explained(project: QgsProject) -> dict[str, QgsMapLayer]:
