@@ -16,6 +16,9 @@ ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 unexport PYTHONDONTWRITEBYTECODE
 MADE := .venv .pdal .pdal.part.* .qgis out build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis qgis_plugin/tests/.qgis-settings
 
+# With errors as recorded two starts a sensor: fifty take half an hour for each of them.
+RECORDED = $(BIN)/python bench/localization $(QUICK) --only table --starts 2 --conditions
+
 BENCHES := bench-assignment bench-tiles bench-occupancy bench-memory bench-truth bench-mask \
 	bench-localization bench-vehicles bench-clocks bench-convert bench-alarm bench-sight bench-sizes
 
@@ -118,6 +121,8 @@ bench-mask: set-up-dev ## Measure the road mask: time, and memory from few tiles
 
 bench-localization: set-up-bench ## Measure localization beside the paper's (QUICK=--quick for a look)
 	$(BIN)/python bench/localization $(QUICK)
+	for method in lane icp; do $(RECORDED) "radar as recorded, walkers" --methods $$method || exit 1; done
+	$(RECORDED) "drivers as recorded" --methods lane
 
 bench-vehicles: set-up-bench ## Measure vehicles and coverage against the true traffic
 	$(BIN)/python bench/vehicles
