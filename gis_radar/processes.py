@@ -141,12 +141,13 @@ class _Child(threading.Thread):
 
     def _run(self) -> int:
         process = self._start_it()
-        while True:
-            try:
-                return process.wait(timeout=_LOOK_S)
-            except subprocess.TimeoutExpired:
-                if self._stopped:
-                    process.kill()
+        try:
+            while not self._stopped:
+                with suppress(subprocess.TimeoutExpired):
+                    return process.wait(timeout=_LOOK_S)
+        finally:
+            process.kill()  # of one that has ended nothing
+        return process.wait()
 
     def stop(self) -> None:
         """Kill it if it still runs, and wait for its end."""

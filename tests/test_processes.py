@@ -88,6 +88,22 @@ def test_an_interrupt_amid_a_call_of_the_standard_library_ends_the_child(moment)
 
 
 @posix
+def test_a_child_whose_end_cannot_be_waited_for_is_killed(tmp_path, monkeypatch):
+    wait, waited_for = subprocess.Popen.wait, []
+
+    def fail_once(process, timeout=None):
+        waited_for.append(process)
+        if len(waited_for) == 1:
+            raise MemoryError
+        return wait(process, timeout)
+
+    monkeypatch.setattr(subprocess.Popen, "wait", fail_once)
+    with (tmp_path / "a").open("w+b") as file, pytest.raises(MemoryError):
+        run_child(["sleep", "60"], stdin=file, stderr=file, environment=os.environ, waiting=print)
+    assert wait(waited_for[0]) == -signal.SIGKILL
+
+
+@posix
 @pytest.mark.parametrize("name", ["no such program", "a\0b"])
 def test_what_cannot_be_started_is_an_error_at_once(tmp_path, name):
     with (tmp_path / "a").open("w+b") as file, pytest.raises((GisRadarError, ValueError)):
