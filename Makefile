@@ -53,6 +53,7 @@ live-demo: set-up-dev ## Run the live system on the sample junction until Ctrl-C
 docs: set-up-dev ## Build the documentation in out/docs/html, with the notebooks run
 	$(BIN)/python tools/build_docs.py --run-notebooks
 
+# QGIS is one process of three then, and would end last if it took only what the others leave.
 test: lint ## Run every check: lint, types, tests, the plugin in a real QGIS
 	@rm -rf $(DEMO) $(BUILT_DOCS) && mkdir -p $(dir $(DEMO))
 	$(ONE_THREAD) $(BIN)/python tools/side_by_side.py \

@@ -29,7 +29,7 @@ WATCHDOG_VARIABLE = "GIS_RADAR_PARENT_WATCHDOG"
 
 STOPPING = (signal.SIGINT, signal.SIGTERM)
 _POLL_S = 0.2  # an interruption reaches Python only between two waits; 5 Hz is not felt
-_LOOK_S = 0.05  # between two looks whether a child is to be stopped; Popen sleeps as long
+_LOOK_S = 0.05  # between two looks whether a child has ended
 _GONE_S = 5.0  # for a child that was killed: only a disk that does not answer takes longer
 STOP_PATIENCE_S = 0.7
 """How long a stopped worker may clear up, seconds: it has files to remove, not work to end."""
@@ -103,7 +103,11 @@ def run_child(
     ))  # fmt: skip
     start = time.monotonic()
     try:
-        child.start()
+        try:
+            _thread.start_new_thread(child.run, ())  # in C: no signal breaks it off half-way
+        except RuntimeError:  # no memory for a thread
+            child.gone.put(None)
+            raise
         while True:
             try:
                 ended = child.told.get(timeout=_POLL_S)
@@ -116,44 +120,43 @@ def run_child(
                 raise ended
             return ended
     finally:
-        child.stop()
+        child.asked.put(None)  # called here, for it is in C: a second Ctrl-C comes after it
+        with suppress(Empty):
+            child.gone.get(timeout=_GONE_S)
 
 
-class _Child(threading.Thread):
-    """A program that runs, on a thread of its own: signals reach the main thread only.
+class _Child:
+    """A program that runs, for a thread of its own: signals reach the main thread only.
 
     There they would break off Popen between its start and its return, or its wait between taking
     its lock and the block that gives it back. Queues of this kind wait in C, whole or not at all.
     """
 
     def __init__(self, start: Callable[[], subprocess.Popen[bytes]]) -> None:
-        super().__init__(daemon=True, name="child")
         self.told: SimpleQueue[int | Exception] = SimpleQueue()
-        self._gone: SimpleQueue[None] = SimpleQueue()
-        self._start_it, self._stopped = start, False
+        self.asked: SimpleQueue[None] = SimpleQueue()  # to end it
+        self.gone: SimpleQueue[None] = SimpleQueue()
+        self._start = start
 
     def run(self) -> None:
+        """Run it to its end, and tell the exit code or the error."""
         try:
             self.told.put(self._run())
         except Exception as error:  # noqa: BLE001 - raised where it is waited for
             self.told.put(error)
-        self._gone.put(None)
+        finally:
+            self.gone.put(None)
 
     def _run(self) -> int:
-        process = self._start_it()
+        process = self._start()
         try:
-            while not self._stopped:
-                with suppress(subprocess.TimeoutExpired):
-                    return process.wait(timeout=_LOOK_S)
+            while process.poll() is None:
+                with suppress(Empty):
+                    self.asked.get(timeout=_LOOK_S)
+                    break
         finally:
             process.kill()  # of one that has ended nothing
         return process.wait()
-
-    def stop(self) -> None:
-        """Kill it if it still runs, and wait for its end."""
-        self._stopped = True
-        with suppress(Empty):
-            self._gone.get(timeout=_GONE_S)
 
 
 class _StopSignal(threading.Event):

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from gis_radar.errors import GisRadarError
-from gis_radar.processes import WATCHDOG_VARIABLE, run_child, watch_parent
+from gis_radar.processes import _GONE_S, WATCHDOG_VARIABLE, run_child, watch_parent
 
 ROOT = Path(__file__).parents[1]
 posix = pytest.mark.skipif(os.name == "nt", reason="process groups")
@@ -87,27 +87,64 @@ def test_an_interrupt_amid_a_call_of_the_standard_library_ends_the_child(moment)
         os.kill(int(done.stdout.split()[0]), 0)
 
 
-@posix
-def test_a_child_whose_end_cannot_be_waited_for_is_killed(tmp_path, monkeypatch):
-    wait, waited_for = subprocess.Popen.wait, []
+TWICE = """
+import os, sys, tempfile
+from gis_radar.processes import run_child
+body = f"echo $$ >{sys.argv[1]}/part; mv {sys.argv[1]}/part {sys.argv[1]}/pid; exec sleep 60"
+with tempfile.TemporaryFile() as file:
+    run_child(["sh", "-c", body], stdin=file, stderr=file, environment=os.environ, waiting=print)
+"""
 
-    def fail_once(process, timeout=None):
-        waited_for.append(process)
-        if len(waited_for) == 1:
+
+@posix
+def test_ctrl_c_twice_leaves_no_child(tmp_path):
+    with subprocess.Popen([sys.executable, "-c", TWICE, tmp_path], stderr=subprocess.PIPE,
+                          stdout=subprocess.DEVNULL) as parent:  # fmt: skip
+        wait_for((tmp_path / "pid").exists)
+        for _ in range(2):
+            parent.send_signal(signal.SIGINT)
+            time.sleep(0.002)
+        parent.communicate(timeout=45.0)
+    wait_for(lambda: is_gone(int((tmp_path / "pid").read_text())), 30.0)
+
+
+@posix
+@pytest.mark.parametrize("failing", ["poll", "waiting"])
+def test_a_child_that_cannot_be_waited_for_is_killed(tmp_path, monkeypatch, failing):
+    poll, asked = subprocess.Popen.poll, []
+
+    def poll_or_fail(process):
+        asked.append(process)
+        if failing == "poll" and len(asked) == 1:
             raise MemoryError
-        return wait(process, timeout)
+        return poll(process)
 
-    monkeypatch.setattr(subprocess.Popen, "wait", fail_once)
+    def wait_or_fail(_seconds):
+        raise MemoryError
+
+    monkeypatch.setattr(subprocess.Popen, "poll", poll_or_fail)
     with (tmp_path / "a").open("w+b") as file, pytest.raises(MemoryError):
-        run_child(["sleep", "60"], stdin=file, stderr=file, environment=os.environ, waiting=print)
-    assert wait(waited_for[0]) == -signal.SIGKILL
+        run_child(["sleep", "60"], stdin=file, stderr=file, environment=os.environ,
+                  waiting=wait_or_fail)  # fmt: skip
+    assert asked[0].wait(45.0) == -signal.SIGKILL
 
 
 @posix
-@pytest.mark.parametrize("name", ["no such program", "a\0b"])
-def test_what_cannot_be_started_is_an_error_at_once(tmp_path, name):
-    with (tmp_path / "a").open("w+b") as file, pytest.raises((GisRadarError, ValueError)):
+@pytest.mark.parametrize(
+    ("name", "error", "match"),
+    [("no such program", GisRadarError, "no such program: does not start: No such file"),
+     ("a\0b", ValueError, "null byte"), ("", RuntimeError, "can't start new thread")],
+)  # fmt: skip
+def test_what_cannot_be_started_is_an_error_at_once(tmp_path, monkeypatch, name, error, match):
+    def no_thread(*_words):
+        raise RuntimeError("can't start new thread")
+
+    if not name:
+        monkeypatch.setattr("gis_radar.processes._thread.start_new_thread", no_thread)
+    begin = time.monotonic()
+    with (tmp_path / "a").open("w+b") as file, pytest.raises(error, match=match):
         run_child([name], stdin=file, stderr=file, environment={}, waiting=print)
+    assert time.monotonic() - begin < _GONE_S
 
 
 @posix

@@ -27,8 +27,8 @@ fi
 # The results that most tests show, made once for both: by `make test`, or here.
 export GIS_RADAR_QGIS_SITE="${GIS_RADAR_DEMO:-$place/site}"
 [ -n "${GIS_RADAR_DEMO:-}" ] || "$GIS_RADAR_PYTHON" -m gis_radar demo -o "$place/site" >/dev/null
-# Some with QGIS's libraries in front of all others, as the desktop has them; these beside the rest,
-# which one process does: with two, and those of `make test`, all take longer.
+# Some with QGIS's libraries in front of all others, as the desktop has them; these beside the
+# rest, which runs in one process: a second one, beside those of `make test`, would make all slower.
 core=$(ls /usr/lib/libqgis_core.so.3.*.* /usr/lib/*/libqgis_core.so.3.*.* 2>/dev/null | head -n 1)
 (
     export LD_PRELOAD="$core"

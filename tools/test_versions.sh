@@ -18,7 +18,7 @@ esac
 parts="same_bytes hostile_tables tiles pose osm projection formats_bags formats_captures
     formats_pcd formats_tables heatmap_files heatmap_raster scans mask report_pages vehicles_folder
     geopackage_styles qgis_project site_file"
-tools="pytest hypothesis dpkt python-pcapng pypdf"
+tools="pytest pytest-timeout hypothesis dpkt python-pcapng pypdf"
 venv=out/versions/$name
 uv=.venv/bin/uv
 

@@ -65,7 +65,7 @@ def earlier_report(report, tmp_path):
     return shutil.copytree(report, tmp_path / "report")
 
 
-def test_lanes_are_there_though_qgis_has_not_counted_them(provider, site, monkeypatch):
+def test_lanes_are_there_though_qgis_does_not_know_how_many(provider, site, monkeypatch):
     """Once it was asked for many layers of a file it says of some that it does not know."""
     from gis_radar_plugin.report import export
 

@@ -98,11 +98,11 @@ def _tables(package: Path, names: dict[str, str]) -> list[QgsMapLayer]:
 
 
 def _count(layer: QgsVectorLayer) -> int:
-    """Return how many features a layer has; QGIS itself may say that it does not know (-1)."""
+    """Return how many features a layer has; QGIS itself may not know, and says less than 0."""
     known = int(layer.featureCount()) if layer.isValid() else 0
     if known >= 0:
         return known
-    bare = QgsFeatureRequest().setNoAttributes().setFlags(QgsFeatureRequest.Flag.NoGeometry)
+    bare = QgsFeatureRequest().setFlags(QgsFeatureRequest.Flag.NoGeometry).setNoAttributes()
     return sum(1 for _ in layer.getFeatures(bare))
 
 
