@@ -19,7 +19,7 @@ MADE := .venv .pdal .pdal.part.* .qgis out build dist .mypy_cache .ruff_cache .p
 # With errors as recorded two starts a sensor: fifty take half an hour for each of them.
 RECORDED = $(BIN)/python bench/localization $(QUICK) --only table --starts 2 --conditions
 
-BENCHES := bench-assignment bench-tiles bench-occupancy bench-memory bench-truth bench-mask \
+BENCHES := bench-assignment bench-tiles bench-dataset bench-truth bench-mask \
 	bench-localization bench-vehicles bench-clocks bench-convert bench-alarm bench-sight bench-sizes
 
 .DEFAULT_GOAL := help
@@ -108,13 +108,10 @@ bench-assignment: set-up-dev ## Measure tile assignment against its targets
 bench-tiles: set-up-dev ## Measure a million tiles, made and written
 	$(BIN)/python bench/tiles.py
 
-bench-occupancy: set-up-dev ## Measure occupancy against real time; memory and disk of an hour
-	$(BIN)/python bench/occupancy.py
+bench-dataset: set-up-dev ## Measure a dataset: time, memory, bytes (BEFORE=FOLDER, a checkout to compare with)
+	$(BIN)/python bench/dataset.py $(if $(BEFORE),--before $(BEFORE))
 
-bench-memory: set-up-dev ## Measure memory over a recording and one ten times as long
-	$(BIN)/python bench/memory.py
-
-bench-truth: set-up-dev ## Compare hit occupancy with the true traffic
+bench-truth: set-up-dev ## Compare hit share with the true traffic
 	$(BIN)/python bench/truth.py
 
 bench-mask: set-up-dev ## Measure the road mask: time, and memory from few tiles to many
@@ -125,7 +122,7 @@ bench-localization: set-up-bench ## Measure localization beside the paper's (QUI
 	for method in lane icp; do $(RECORDED) "radar as recorded, walkers" --methods $$method || exit 1; done
 	$(RECORDED) "drivers as recorded" --methods lane
 
-bench-vehicles: set-up-bench ## Measure vehicles and coverage against the true traffic
+bench-vehicles: set-up-bench ## Measure vehicles and occupancy against the true traffic
 	$(BIN)/python bench/vehicles
 
 bench-convert: set-up-dev ## Measure the conversion of captures: time, and memory from short to long

@@ -5,7 +5,7 @@ recorded, walkers and cyclists. From these:
 
 - *noticed*: the same detections as a sensor gives them that was moved by 0.3 m in eight directions
   or turned by half a degree, after what there is of an hour: how often within ten minutes, by which
-  of both witnesses;
+  of both change detectors;
 - *rest*: hours drawn anew from those minutes (`alarm_hours.py`). `day` adds what changes: traffic
   from night to rush hour, habits by stretch, of all drivers and of trucks, obstacles that all go
   round, still targets that wander for hours, parked cars that leave, rain, a mast that drifts as
@@ -38,10 +38,10 @@ from gis_radar.arrays import Floats
 from gis_radar.localization.lanes import sample_lanes
 from gis_radar.localization.state import State
 from gis_radar.localization.traces import Moving
-from gis_radar.tracking.alarm import Alarm, Witness, witnesses
-from gis_radar.tracking.lane_places import Cells, LanePlaces, cells_along, lane_places
-from gis_radar.tracking.settings import DEFAULTS
-from gis_radar.tracking.still_targets import StillTargets, by_move
+from gis_radar.monitor.alarm import Alarm, ChangeDetector, detectors
+from gis_radar.monitor.lane_places import Cells, LanePlaces, cells_along, lane_places
+from gis_radar.monitor.settings import DEFAULTS
+from gis_radar.monitor.still_targets import StillTargets, by_move
 from simulation.demand import ALL_KINDS, Flow
 from simulation.driving import DrivenRoads, LaneKeeping
 from simulation.network import RoadNetwork, build_network, read_network
@@ -199,7 +199,7 @@ class Scores:
 
     @property
     def whole(self) -> float:
-        """What the alarm goes by, as :func:`gis_radar.tracking.watch.decided`."""
+        """What the alarm goes by, as :func:`gis_radar.monitor.watch.decided`."""
         return self.still if self.sees else max(self.still, self.vehicles)
 
 
@@ -254,13 +254,13 @@ class Sensor:
         since, until = now - 60.0 - ALARM.settle_s, now - ALARM.settle_s
         return lane_places(moving, self.cells, self.state, since=since, until=until, traces=TRACES)
 
-    def witnesses(self) -> tuple[Witness, Witness]:
+    def detectors(self) -> tuple[ChangeDetector, ChangeDetector]:
         """Return how vehicles show moves."""
-        return witnesses(self.cells, self.state.position[:2], ALARM)
+        return detectors(self.cells, self.state.position[:2], ALARM)
 
 
 class Both:
-    """Both witnesses of a sensor, asked as the track asks them.
+    """Both change detectors of a sensor, asked as the track asks them.
 
     Parameters
     ----------
@@ -358,7 +358,7 @@ def summary(trials: Sequence[Sequence[Scores]]) -> dict[str, object]:
 
 
 def learnt(sensor: Sensor, pieces: Sequence[Path]) -> tuple[StillTargets, list[Minute]]:
-    """Return the still targets of all pieces, and what both witnesses see in each minute."""
+    """Return the still targets of all pieces, and what both change detectors see in each minute."""
     first, parts = Both(sensor), [sensor.load(path) for path in pieces]
     for piece in parts:
         for minute in range(MINUTES):
@@ -381,7 +381,7 @@ def rest(
 ) -> tuple[dict[str, object], dict[str, Floats]]:
     """Let days pass in which the sensor stands still; and move it in them, with fewer targets."""
     targets, minutes = learnt(sensor, pieces)
-    hours = Hours(minutes, sensor.witnesses(), sensor.state.R_map_sensor, seed)
+    hours = Hours(minutes, sensor.detectors(), sensor.state.R_map_sensor, seed)
     every = np.arange(len(targets))
     report: dict[str, object] = {"targets": len(targets)}
     kept: dict[str, Floats] = {}

@@ -16,10 +16,10 @@ import numpy as np
 from scipy.stats import genpareto
 
 from gis_radar.arrays import Booleans, Floats
-from gis_radar.tracking.alarm import Witness
-from gis_radar.tracking.lane_places import LanePlaces
-from gis_radar.tracking.settings import DEFAULTS, HOUR_S
-from gis_radar.tracking.still_targets import by_move
+from gis_radar.monitor.alarm import ChangeDetector
+from gis_radar.monitor.lane_places import LanePlaces
+from gis_radar.monitor.settings import DEFAULTS, HOUR_S
+from gis_radar.monitor.still_targets import by_move
 
 ALARM, STILL = DEFAULTS.alarm, DEFAULTS.still
 RUN = 3  # minutes that stay together
@@ -41,7 +41,7 @@ GATE = np.array([STILL.gate_m, STILL.gate_rad, np.inf])
 
 @dataclass(frozen=True, kw_only=True)
 class Minute:
-    """What both witnesses see in a minute.
+    """What both change detectors see in a minute.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ class Hours:
     ----------
     minutes : sequence of Minute
         The latter.
-    witnesses : (Witness, Witness)
+    detectors : (ChangeDetector, ChangeDetector)
         Of vehicles.
     turn : (3, 3) array
         R_map_sensor.
@@ -117,20 +117,20 @@ class Hours:
     def __init__(
         self,
         minutes: Sequence[Minute],
-        witnesses: tuple[Witness, Witness],
+        detectors: tuple[ChangeDetector, ChangeDetector],
         turn: Floats,
         seed: int,
     ) -> None:
-        self.minutes, self.witnesses, self.turn = minutes, witnesses, turn
+        self.minutes, self.detectors, self.turn = minutes, detectors, turn
         self.rng = np.random.default_rng(seed)
-        cells = len(witnesses[0].stretch)
+        cells = len(detectors[0].stretch)
         places = [minute.places for minute in minutes]
         self.mean = [_means([(m.cell, _values(m)[k]) for m in places], cells) for k in range(2)]
         self.middle = np.nanmedian([part for minute in minutes for part in minute.still], axis=0)
 
     def drawn(self, hours: float, day: Day) -> Iterator[tuple[Minute, Floats]]:
         """Yield minutes, and how far the mast has drifted (map axes, m and rad)."""
-        rng, slow = self.rng, _Slow(self.rng, day, self.witnesses[0], self.middle)
+        rng, slow = self.rng, _Slow(self.rng, day, self.detectors[0], self.middle)
         first = int(rng.integers(24 * 60))
         used: list[int] = []
         place, signs = 0, np.ones(3)
@@ -153,11 +153,11 @@ class Hours:
     def _driven(self, seen: LanePlaces, share: float, signs: Floats, slow: _Slow) -> LanePlaces:
         kept = self.rng.random(seen.vehicles)[seen.vehicle] < share
         values = []
-        for mean, sign, witness, value in zip(
-            self.mean, signs, self.witnesses, _values(seen), strict=False
+        for mean, sign, detector, value in zip(
+            self.mean, signs, self.detectors, _values(seen), strict=False
         ):
             own = sign * (value - mean[seen.cell])
-            values.append((mean + slow.change(witness))[seen.cell] + own)
+            values.append((mean + slow.change(detector))[seen.cell] + own)
         kept &= np.abs(values[0]) < ALARM.within_m
         return LanePlaces(
             vehicle=np.unique(seen.vehicle[kept], return_inverse=True)[1],
@@ -185,7 +185,9 @@ def _means(parts: Sequence[tuple[np.ndarray, Floats]], cells: int) -> Floats:
 class _Slow:
     """What changes slowly, minute by minute."""
 
-    def __init__(self, rng: np.random.Generator, day: Day, across: Witness, still: Floats) -> None:
+    def __init__(
+        self, rng: np.random.Generator, day: Day, across: ChangeDetector, still: Floats
+    ) -> None:
         self._rng, self._day = rng, day
         self._stretches = int(across.stretch.max()) + 1
         sigma = np.full(self._stretches + 2, day.stretch_m)
@@ -244,15 +246,15 @@ class _Slow:
         lost = self._lost & (self._wet_left > 0)
         return np.where(lost[:, None], np.nan, self._still.value + self._parked)
 
-    def change(self, witness: Witness) -> Floats:
+    def change(self, detector: ChangeDetector) -> Floats:
         """Return how far the mean of each cell is changed."""
-        changed = witness.by_move @ self.moved[list(witness.moved)]
+        changed = detector.by_move @ self.moved[list(detector.moved)]
         habits = self._habits.value
-        if len(witness.moved) == 2:  # heights: habits of the same size, and no obstacles
-            return np.asarray(changed + habits[witness.stretch] + habits[-2])
-        changed = changed + habits[witness.stretch] + witness.by_habit @ habits[-2:]
+        if len(detector.moved) == 2:  # heights: habits of the same size, and no obstacles
+            return np.asarray(changed + habits[detector.stretch] + habits[-2])
+        changed = changed + habits[detector.stretch] + detector.by_habit @ habits[-2:]
         for stretch, by, _ in self._obstacles:
-            changed = changed + by * (witness.stretch == stretch)
+            changed = changed + by * (detector.stretch == stretch)
         return np.asarray(changed)
 
 

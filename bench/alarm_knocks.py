@@ -26,12 +26,12 @@ from simulated import ROOT
 import gis_radar as gr
 from gis_radar.arrays import Floats
 from gis_radar.localization.result import Problem
+from gis_radar.monitor import follow
+from gis_radar.monitor.moves import Scatter
+from gis_radar.monitor.settings import DEFAULTS, TrackingSettings
+from gis_radar.monitor.track import MOVED, REJECTED
+from gis_radar.monitor.windows import WindowFitter
 from gis_radar.recordings.recording import Detections
-from gis_radar.tracking import follow
-from gis_radar.tracking.moves import Scatter
-from gis_radar.tracking.settings import DEFAULTS, TrackingSettings
-from gis_radar.tracking.track import MOVED, REJECTED
-from gis_radar.tracking.windows import WindowFitter
 
 PART_S = 300.0
 SIGMA = {"easting": 0.1, "northing": 0.1, "height": 0.1, "yaw": 0.1, "pitch": 0.1, "roll": 0.1}
@@ -54,22 +54,22 @@ class Heard(Scatter):
 def main() -> None:
     """Follow, print and keep the figures."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--pieces", type=int, default=2, help="of ten minutes, of each kind")
+    parser.add_argument("--batches", type=int, default=2, help="of ten minutes, of each kind")
     parser.add_argument("--json", type=Path, default=ROOT / "out" / "bench-alarm-knocks.json")
     arguments = parser.parse_args()
     report: dict[str, object] = {}
     largest: list[float] = []
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
-    for witness, settings in (("traffic", BY_TRAFFIC), ("both", DEFAULTS)):
+    for detector, settings in (("traffic", BY_TRAFFIC), ("both", DEFAULTS)):
         for kind, mast in (("ordinary", 0), ("ordinary", 1), ("light", 0)):
             name = make_samples.MASTS[mast].sensor
-            paths = sorted((alarm.OUT / kind).glob(f"{name}_*_all.npz"))[: arguments.pieces]
+            paths = sorted((alarm.OUT / kind).glob(f"{name}_*_all.npz"))[: arguments.batches]
             if not paths:
-                parser.error(f"no pieces in {alarm.OUT / kind}: run bench/alarm.py first")
+                parser.error(f"no batches in {alarm.OUT / kind}: run bench/alarm.py first")
             figures, parts = rest(mast, paths, settings)
-            report[f"{kind}, {name}, {witness}"] = figures
-            print(f"{kind}, {name}, {witness}: {json.dumps(figures)}", flush=True)
-            largest += parts if witness == "traffic" else []
+            report[f"{kind}, {name}, {detector}"] = figures
+            print(f"{kind}, {name}, {detector}: {json.dumps(figures)}", flush=True)
+            largest += parts if detector == "traffic" else []
         report.setdefault("traffic, all", tail(np.array(largest), part_min=PART_S / 60.0))
         arguments.json.write_text(json.dumps(report, indent=1) + "\n")
     print(f"traffic, all: {json.dumps(report['traffic, all'])}")
@@ -93,9 +93,9 @@ def rest(
     heard = follower.scatter = Heard(settings)
     sensor, largest, unmoved = alarm.Sensor.of(mast), [0.0], []
     for number, path in enumerate(paths):
-        piece, begin = sensor.load(path), 60.0 * alarm.MINUTES * number
+        batch, begin = sensor.load(path), 60.0 * alarm.MINUTES * number
         for end in np.arange(settings.cycle_s, 60.0 * alarm.MINUTES + 1.0, settings.cycle_s):
-            part = piece.between(end - settings.cycle_s, end)
+            part = batch.between(end - settings.cycle_s, end)
             follower.push(_detections(part, make_samples.START + begin))
             follower.cycle(make_samples.START + begin + end)
             unmoved.append(follower.watch.unmoved)

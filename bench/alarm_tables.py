@@ -47,7 +47,7 @@ def main() -> None:
 
 
 def noticed(report: Report) -> str:
-    """Return how often a move was noticed within ten minutes, by which witness."""
+    """Return how often a move was noticed within ten minutes, by which change detector."""
     rows = []
     for traffic, about in TRAFFIC.items():
         made = [

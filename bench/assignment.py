@@ -77,14 +77,14 @@ def _input(site: Path, count: int) -> tuple[gpd.GeoDataFrame, Floats, Floats]:
     """Return a site's tiles and `count` footprints on them, in the order they were seen."""
     tiles = gr.make_tiles(gr.read_map(next(site.glob("*.osm"))))
     grid = gr.TileGrid(gr.quads(tiles))
-    pieces = []
+    batches = []
     for path in sorted(site.glob("R*.parquet")):
         pose = true_pose(site, path.stem)
         for detections in gr.open_recording(path).read():
             footprint = pose.to_map(detections.points[detections.present])[:, :2]
             on_road, _ = grid.assign(footprint[:, 0], footprint[:, 1])
-            pieces.append(footprint[np.unique(on_road)])
-    points = np.concatenate(pieces)
+            batches.append(footprint[np.unique(on_road)])
+    points = np.concatenate(batches)
     repeated = np.tile(points, (-(-count // len(points)), 1))[:count]
     return tiles, np.ascontiguousarray(repeated[:, 0]), np.ascontiguousarray(repeated[:, 1])
 

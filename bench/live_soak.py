@@ -33,13 +33,14 @@ from gis_radar.live.broker import BrokerAddress, Link, SensorTopics
 from gis_radar.live.broker_files import write_broker_files
 from gis_radar.live.buffer import DiskBuffer, Waiting
 from gis_radar.live.fusion import Fusion
+from gis_radar.live.hits_folder.folder import merge_stored_hits, read_stored_hits
 from gis_radar.live.outbox import Outbox
 from gis_radar.live.payload import HITS, POSE, PoseContent, pack_hits
 from gis_radar.live.settings import read_live_site
 from gis_radar.live.sources import frames_of_recording
 from gis_radar.live.tile_finder import TileFinder
 from gis_radar.live.windows import Seen
-from gis_radar.occupancy.hit_counter import CountedFrame
+from gis_radar.measures.hit_counter import CountedFrame
 from gis_radar.processes import stopped_by_signals
 from gis_radar.progress import Reporter
 from gis_radar.sight import SightTiles
@@ -167,7 +168,7 @@ def send(folder: Path, names: list[str], sensors: int, seconds: float) -> None:
         each.link.close()
 
 
-class Told(Reporter):
+class WorkerEvent(Reporter):
     """Keeps warnings."""
 
     def __init__(self) -> None:
@@ -205,7 +206,7 @@ class TimedFusion(Fusion):
 
 def fuse(folder: Path) -> None:
     """Run fusion until it is stopped; write how it did."""
-    told = Told()
+    told = WorkerEvent()
     begin = time.monotonic()
     fusion = TimedFusion(read_live_site(folder / "SITE.toml"), reporter=told)
     start_s = time.monotonic() - begin
@@ -366,7 +367,9 @@ def gathered(
     """Return all figures in one table."""
     sent = [json.loads((folder / f"sent-{share[0]}.json").read_text()) for share in shares]
     fused = json.loads((folder / "fused.json").read_text())
-    hours = gr.read_occupancy(sorted((folder / "live" / "occupancy").iterdir()))
+    hours = merge_stored_hits(
+        [read_stored_hits(each) for each in sorted((folder / "live" / "hits").iterdir())]
+    )
     stored = sum(len(each[0]) for each in hours.frame_log(hours.sensors))
     rows = [row for row in fused["rows"] if "memory_mb" in row]
     size = sum(each.stat().st_size for each in folder.rglob("*.parquet"))

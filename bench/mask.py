@@ -5,7 +5,7 @@ tiles of two million points side by side, masked in a process of its own; the fi
 memory that Linux saw it hold since it began. Exit code 1 over a target.
 
 With `--sensitivity SITE`, a folder with `map.osm`, `als.laz`, `truth.json` and recordings: every
-number of the settings halved and doubled; the mask against the map's heights, and the second look
+number of the settings halved and doubled; the mask against the map's heights, and the scan check
 at the true pose of the first sensor and 3.5 m beside it.
 """
 
@@ -29,11 +29,11 @@ from pyproj import CRS
 
 import gis_radar as gr
 from gis_radar.errors import GisRadarError
+from gis_radar.scan_check.settings import ScanCheckSettings
 from gis_radar.scans.engines import write_layer
 from gis_radar.scans.pdal import find_pdal
 from gis_radar.scans.roads import RoadLevel, Roads, roads_of_map
 from gis_radar.scans.settings import MaskSettings, RoadSettings
-from gis_radar.second_look.settings import SecondLookSettings
 
 ROOT = Path(__file__).parent.parent
 TARGET_READS = 5.0
@@ -112,12 +112,12 @@ def _memory(count: int, folder: Path) -> dict[str, float]:
 
 
 def _sensitivity(site: Path) -> None:
-    """Print the figures of mask and second look with each setting halved and doubled."""
+    """Print the figures of mask and scan check with each setting halved and doubled."""
     roads = RoadSettings()
     cases: tuple[tuple[Callable[[Path, Any], str], Any, Callable[[Any], Any]], ...] = (
         (_measure_mask, roads, lambda changed: MaskSettings(roads=changed)),
         (_measure_mask, MaskSettings(), lambda changed: changed),
-        (_measure_look, SecondLookSettings(), lambda changed: changed),
+        (_measure_look, ScanCheckSettings(), lambda changed: changed),
     )
     for measure, settings, read in cases:
         print(f"as set: {measure(site, read(settings))}", flush=True)
@@ -142,7 +142,7 @@ def _measure_mask(site: Path, settings: MaskSettings) -> str:
     return " ".join(f"{figure:.4f}" for figure in figures)
 
 
-def _measure_look(site: Path, settings: SecondLookSettings) -> str:
+def _measure_look(site: Path, settings: ScanCheckSettings) -> str:
     """Return score and verdict at the true pose of a sensor, and a lane beside it."""
     sensor, truth = next(iter(json.loads((site / "truth.json").read_text()).items()))
     names = ("easting", "northing", "height", "yaw", "pitch", "roll")
@@ -152,8 +152,8 @@ def _measure_look(site: Path, settings: SecondLookSettings) -> str:
     found = []
     for one in (pose, beside):
         scans = [site / "als.laz"]
-        look = gr.second_look(site / f"{sensor}.parquet", one, scans, settings=settings)
-        found.append(f"{look.verdict} {look.score:.2f} {look.lead:.1f}")
+        look = gr.check_against_scan(site / f"{sensor}.parquet", one, scans, settings=settings)
+        found.append(f"{look.verdict} {look.score:.2f} {look.z_score:.1f}")
     return ", ".join(found)
 
 

@@ -21,9 +21,9 @@ from simulated import ROOT, sites, true_pose
 
 import gis_radar as gr
 from gis_radar.heatmap import HeatMap
-from gis_radar.heatmap.covering import Coverage
 from gis_radar.heatmap.intervals import Timeline
 from gis_radar.heatmap.layers import write_package
+from gis_radar.heatmap.occupancy import Occupancy
 from gis_radar.progress import QUIET
 from gis_radar.tiles.tiles import fingerprint
 
@@ -70,7 +70,7 @@ def projected(site: Path, path: Path) -> float:
 
 
 def day(tiles: int, intervals: int, *, busy: bool) -> HeatMap:
-    """Return a heat map with coverage: as usual, or with each tile busy in each interval."""
+    """Return a heat map with occupancy: as usual, or with each tile busy in each interval."""
     rng = np.random.default_rng(1)
     lane = np.arange(tiles) // TILES_A_LANE
     lanes = int(lane[-1]) + 1
@@ -82,29 +82,29 @@ def day(tiles: int, intervals: int, *, busy: bool) -> HeatMap:
     observed[:, : VIEWS if busy else 1] -= rng.integers(0, 3000, (intervals, 1))
     of_tile, shape = observed[:, group], (intervals, len(seen))
     if busy:
-        hidden, covered = rng.integers(129, 3000, shape), rng.uniform(0.02, 0.9, shape)
+        hidden, occupied = rng.integers(129, 3000, shape), rng.uniform(0.02, 0.9, shape)
     else:
         hidden = (rng.random(shape) < 0.3) * rng.integers(0, 2000, shape)
-        rate = _by_hour(intervals)[:, None] * rng.gamma(0.7, 0.15, lanes)[lane[seen]]
+        rate = by_hour(intervals)[:, None] * rng.gamma(0.7, 0.15, lanes)[lane[seen]]
         vehicles = rng.poisson(120.0 * rate)  # a quarter hour
-        covered = np.minimum(vehicles * rng.uniform(6, 40, shape) / QUARTER, 0.95)
+        occupied = np.minimum(vehicles * rng.uniform(6, 40, shape) / QUARTER, 0.95)
     visible = of_tile - hidden
-    steps = (visible * covered).astype(np.uint32)
+    steps = (visible * occupied).astype(np.uint32)
     error = np.clip(np.sqrt(6.0 * steps) / visible, 2.0 / visible, 1.0).astype(np.float32)
     edges = FIRST + QUARTER * np.arange(intervals + 1)
     return HeatMap(
-        tiles=table, fingerprint=fingerprint(table), sensors=("R1", "R2"), seen=seen, group=group,
-        whole=Timeline(begin=edges[:1], end=edges[-1:]), observed=observed,
+        tiles=table, fingerprint=fingerprint(table), sensors=("R1", "R2"), seen=seen,
+        whole=Timeline(begin=edges[:1], end=edges[-1:]), observed=of_tile.astype(np.uint32),
         timeline=Timeline(begin=edges[:-1], end=edges[1:]),
-        occupied=(steps * rng.uniform(0.1, 0.4, shape)).astype(np.uint32),
-        coverage=Coverage(
-            visible=visible.astype(np.uint32), covered=steps, error=error,
+        hit=(steps * rng.uniform(0.1, 0.4, shape)).astype(np.uint32),
+        occupancy=Occupancy(
+            visible=visible.astype(np.uint32), occupied=steps, error=error,
             error_whole=error.mean(axis=0),
         ),
     )  # fmt: skip
 
 
-def _by_hour(intervals: int) -> np.ndarray:
+def by_hour(intervals: int) -> np.ndarray:
     """Return traffic over a day, 1 at most: little at night."""
     hour = 24.0 * np.arange(intervals) / intervals
     return np.clip(np.sin((hour - 4.0) / 20.0 * np.pi), 0.02, 1.0) ** 1.5

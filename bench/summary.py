@@ -5,7 +5,7 @@ run or a target, and compared with those of `bench/accepted.json`. Exit code 1 w
 user relies on got worse by more than it changes by chance.
 
 Example: ``python bench/summary.py``; with ``--accept`` the figures become the accepted ones, with
-``--into README.md`` those of speed and memory go between that page's marks *speed*.
+``--into docs/speed.md`` those of speed and memory go between that page's marks *speed*.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 import pages
+from dataset import TARGETS
 from simulated import ROOT
 
 ACCEPTED = ROOT / "bench" / "accepted.json"
@@ -166,34 +167,20 @@ def _tiles(report: Mapping[str, Any]) -> Iterator[Figure]:
     )  # fmt: skip
 
 
-def _occupancy(report: Mapping[str, Any]) -> Iterator[Figure]:
-    size = f"500 detections at 20 Hz, {report['hours']:.1f} h"
-    yield Figure(
-        what="`occupancy`, Parquet to folder", ours=report["times_real_time"], unit="x real time",
-        peer=report["plain_times_real_time"], peer_name="the pass in NumPy", more_is_better=True,
-        chance=TIMES, size=size,
-    )  # fmt: skip
-    yield Figure(
-        what="bare decoding in `occupancy`", ours=100.0 * report["decoding_share"], unit="%",
-        peer=40.0, peer_name=TARGET, more_is_better=True, chance=TIMES, size=size,
-    )  # fmt: skip
-    for name, size_a_pair in report["bytes_a_pair"].items():
-        yield Figure(
-            what=f"hits on disk, {name}", ours=size_a_pair, unit="bytes a pair", peer=0.9,
-            peer_name=TARGET,
-        )  # fmt: skip
-    for what, mib in (
-        ("memory of `occupancy`", report["memory_mib"]),
-        ("folder of `occupancy`", sum(report["disk_mib"].values())),
-    ):
-        yield Figure(what=what, ours=mib, unit="MiB", chance=TIMES, size=size)
-
-
-def _memory(report: Mapping[str, Any]) -> Iterator[Figure]:
-    yield Figure(
-        what="memory of `occupancy` of 1000 s", ours=report["long_mib"], unit="MiB",
-        peer=report["short_mib"], peer_name="that of 100 s", chance=TIMES,
-    )  # fmt: skip
+def _dataset(report: Mapping[str, Any]) -> Iterator[Figure]:
+    for what, (sense, bound) in TARGETS.items():
+        if what in report:
+            yield Figure(
+                what=what, ours=report[what], unit="", peer=bound, peer_name=TARGET,
+                more_is_better=sense == ">=", chance=SHARES if "byte" in what else TIMES,
+            )  # fmt: skip
+    for name, value in report.items():
+        what, _, version = name.rpartition(", ")
+        if version == "now" and what not in TARGETS:
+            yield Figure(
+                what=what, ours=value, unit="", peer=report.get(f"{what}, before"),
+                peer_name="before", more_is_better="real time" in what, chance=TIMES,
+            )  # fmt: skip
 
 
 def _mask(report: Mapping[str, Any]) -> Iterator[Figure]:
@@ -282,17 +269,17 @@ def _localization(kind: str) -> Any:
 
 def _vehicles(report: Mapping[str, Any]) -> Iterator[Figure]:
     for scene, methods in report["scenes"].items():
-        found = methods.get("vehicles, found poses", {}).get("coverage")
-        peers = [methods[name]["coverage"] for name in methods if "Stone Soup" in name]
+        found = methods.get("vehicles, found poses", {}).get("occupancy")
+        peers = [methods[name]["occupancy"] for name in methods if "Stone Soup" in name]
         if found is None:
             continue
         peer = peers[0] if peers else {}
         yield Figure(
-            what=f"coverage, {scene}: rank", ours=found["rank"], peer=peer.get("rank"),
+            what=f"occupancy, {scene}: rank", ours=found["rank"], peer=peer.get("rank"),
             peer_name="Stone Soup", more_is_better=True, chance=SAME,
         )  # fmt: skip
         yield Figure(
-            what=f"coverage, {scene}: mean error", ours=found["mae_percent"], unit="% of the time",
+            what=f"occupancy, {scene}: mean error", ours=found["mae_percent"], unit="% of the time",
             peer=peer.get("mae_percent"), peer_name="Stone Soup",
         )  # fmt: skip
 
@@ -300,8 +287,7 @@ def _vehicles(report: Mapping[str, Any]) -> Iterator[Figure]:
 READERS: Mapping[str, Any] = {
     "bench-assignment.json": _assignment,
     "bench-tiles.json": _tiles,
-    "bench-occupancy.json": _occupancy,
-    "bench-memory.json": _memory,
+    "bench-dataset.json": _dataset,
     "bench-mask.json": _mask,
     "bench-convert.json": _convert,
     "bench-clocks.json": _clocks,

@@ -1,11 +1,11 @@
-"""Hit occupancy against the true traffic: how well it ranks tiles, and how it scales.
+"""Hit share against the true traffic: how well it ranks tiles, and how it scales.
 
 For each simulated site the true share of time in which a vehicle's footprint covers a tile's
 centre is counted from the vehicles' positions at every step. A radar hits a vehicle in few places a
-frame, so hit occupancy lies below the true share: `scale` is the sum of hit over the sum of true
-occupancy, `rho` Spearman's rank correlation; first over all observed tiles (also those hidden
+frame, so hit share lies below the true share: `scale` is the sum of hit over the sum of true
+hit share, `rho` Spearman's rank correlation; first over all observed tiles (also those hidden
 behind houses and queues), then over those that were hit. `false hits` is the share of the tiles
-without any vehicle whose occupancy is over half a percent.
+without any vehicle whose hit share is over half a percent.
 """
 
 from __future__ import annotations
@@ -56,17 +56,17 @@ def _compare(site: Path, filters: gr.Filters) -> dict[str, float]:
     tiles = gr.make_tiles(gr.read_map(next(site.glob("*.osm"))))
     recordings = sorted(site.glob("R*.parquet"))
     with tempfile.TemporaryDirectory() as folder:
-        occupancy = gr.measure_occupancy(
-            recordings, [true_pose(site, path.stem) for path in recordings], tiles,
-            Path(folder) / "occupancy", filters=filters,
+        dataset = gr.measure(
+            recordings, [true_pose(site, path.stem) for path in recordings], tiles, None,
+            Path(folder) / "site", filters=filters, hits_only=True,
         )  # fmt: skip
-        heat = gr.make_heatmap(occupancy, tiles).wide()
+        heat = gr.make_heatmap(dataset).wide()
     traffic = pd.read_parquet(site / "vehicles.parquet").rename(columns=NAMES)
     if "kind" in traffic:
         traffic = traffic[~traffic["kind"].isin(NO_VEHICLES)]
     true = _true_share(tiles, traffic)
-    observed = heat["occupancy"].notna().to_numpy()
-    hit, true = heat["occupancy"].to_numpy()[observed], true[observed]
+    observed = heat["hit_share"].notna().to_numpy()
+    hit, true = heat["hit_share"].to_numpy()[observed], true[observed]
     was_hit, empty = hit > 0.0, true == 0.0
     return {
         "tiles": int(observed.sum()),
@@ -89,13 +89,13 @@ def _true_share(tiles: gpd.GeoDataFrame, vehicles: pd.DataFrame) -> Floats:
     level = road if "height" in vehicles else road + 372.0
     at = vehicles["time"].rank(method="dense").to_numpy(np.int64) - 1
     steps = np.unique(at).size
-    covered: Integers = np.zeros(len(tiles), np.int64)
+    occupied: Integers = np.zeros(len(tiles), np.int64)
     grid = gr.TileGrid(_footprints(vehicles))
     point, vehicle = grid.assign(centres[:, 0], centres[:, 1])
     same_level = ~(np.abs(height[point] - level[vehicle]) > 2.5)
     pairs = np.unique(np.stack([point[same_level], at[vehicle[same_level]]]), axis=1)
-    np.add.at(covered, pairs[0], 1)
-    return covered / steps
+    np.add.at(occupied, pairs[0], 1)
+    return occupied / steps
 
 
 def _footprints(vehicles: pd.DataFrame) -> Floats:

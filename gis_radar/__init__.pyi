@@ -1,5 +1,9 @@
 from .clocks import Clocks, SensorClock, measure_clocks, read_clocks
 from .crs import yaw_from_compass
+from .dataset import Dataset, open_dataset
+from .dataset.hour_job import MeasureSettings
+from .dataset.measure import measure
+from .dataset.upkeep import relink, withdraw
 from .demo import run_demo
 from .errors import (
     CrsError,
@@ -10,21 +14,21 @@ from .errors import (
     UsageError,
 )
 from .heatmap import HeatMap, MapLabels, make_heatmap, read_heatmap
+from .joint import JointCalibration, localize_together
 from .lanelets import LaneletMap, lanes, read_map, stop_lines
 from .live.edge import Edge, run_edge
 from .live.fusion import Fusion, run_fusion
 from .localization import Localization, localize, localize_files
 from .localization.result import draw_localization
-from .network import Together, localize_together
-from .occupancy import (
+from .measures import (
     Filters,
-    Occupancy,
-    measure_occupancy,
-    merge_occupancies,
-    read_occupancy,
 )
+from .monitor import Track, track
+from .monitor.track import draw_track
 from .poses import Pose, PoseTrack, View, read_pose, read_track, write_pose, write_track
 from .poses.layers import write_sensors
+from .products.footprints import write_footprints
+from .products.trajectories import to_trajectories, track_points, write_trajectories
 from .projection import project, write_projection
 from .qgis import write_qgis_project, write_site_project
 from .quality import Quality, measure_quality
@@ -32,11 +36,11 @@ from .recordings import Conversion, convert
 from .recordings.recording import open_recording
 from .report import Report, write_report
 from .sample import sample_folder
+from .scan_check import ScanCheck, check_against_scan
+from .scan_check.picture import draw_scan_check
 from .scans.mask import RoadMask, mask_road
 from .scans.roads import Roads, read_roads
 from .scans.scan import read_road
-from .second_look import SecondLook, second_look
-from .second_look.picture import draw_second_look
 from .sight import (
     Sight,
     SightScan,
@@ -57,27 +61,24 @@ from .tiles import (
     with_road_heights,
     write_tiles,
 )
-from .tracking import Track, track
-from .tracking.track import draw_track
-from .vehicles import Vehicles, find_vehicles, merge_vehicles, read_vehicles
-from .vehicles.layer import write_footprints
-from .vehicles.trajectories import to_trajectories, track_points, write_trajectories
 
 __all__ = [
     "Clocks",
     "Conversion",
     "CrsError",
+    "Dataset",
     "Edge",
     "Filters",
     "Fusion",
     "GisRadarError",
     "HeatMap",
     "InputError",
+    "JointCalibration",
     "LaneletMap",
     "Localization",
     "MapLabels",
+    "MeasureSettings",
     "NoAnswerError",
-    "Occupancy",
     "OutputError",
     "Pose",
     "PoseTrack",
@@ -85,7 +86,7 @@ __all__ = [
     "Report",
     "RoadMask",
     "Roads",
-    "SecondLook",
+    "ScanCheck",
     "SensorClock",
     "Sight",
     "SightScan",
@@ -95,18 +96,16 @@ __all__ = [
     "SiteRun",
     "TileGrid",
     "TileTree",
-    "Together",
     "Track",
     "UsageError",
-    "Vehicles",
     "View",
+    "check_against_scan",
     "check_site",
     "convert",
     "draw_localization",
-    "draw_second_look",
+    "draw_scan_check",
     "draw_track",
     "find_sight",
-    "find_vehicles",
     "fingerprint",
     "lanes",
     "localize",
@@ -115,37 +114,35 @@ __all__ = [
     "make_heatmap",
     "make_tiles",
     "mask_road",
+    "measure",
     "measure_clocks",
-    "measure_occupancy",
     "measure_quality",
-    "merge_occupancies",
-    "merge_vehicles",
+    "open_dataset",
     "open_recording",
     "project",
     "quads",
     "read_clocks",
     "read_heatmap",
     "read_map",
-    "read_occupancy",
     "read_pose",
     "read_road",
     "read_roads",
     "read_site",
     "read_tiles",
     "read_track",
-    "read_vehicles",
+    "relink",
     "run_demo",
     "run_edge",
     "run_fusion",
     "run_site",
     "sample_folder",
-    "second_look",
     "site_template",
     "stop_lines",
     "to_trajectories",
     "track",
     "track_points",
     "with_road_heights",
+    "withdraw",
     "write_footprints",
     "write_pose",
     "write_projection",

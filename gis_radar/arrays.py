@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cached_property, update_wrapper
 from pathlib import Path
 from types import FunctionType
@@ -18,17 +20,27 @@ Booleans: TypeAlias = NDArray[np.bool_]
 
 
 def ranges(first: Integers, count: Integers) -> Integers:
-    """Return so many whole numbers from each of `first` on, one range after the other."""
+    """Return the integers of several ranges, each given by its first value and its length."""
     return np.arange(count.sum()) + np.repeat(first + count - np.cumsum(count), count)
 
 
 def nearest(known: Floats, wanted: Floats) -> Integers:
-    """Return the position in `known`, one value at least in any order, nearest to each wanted."""
+    """Return the index of the nearest element of `known`, which is non-empty and unsorted."""
     order = np.argsort(known, kind="stable")
     later = np.clip(np.searchsorted(known[order], wanted), 0, len(known) - 1)
     earlier = np.maximum(later - 1, 0)
     is_earlier = np.abs(wanted - known[order[earlier]]) <= np.abs(known[order[later]] - wanted)
     return np.asarray(order[np.where(is_earlier, earlier, later)])
+
+
+def give_back_memory() -> None:
+    """Give the memory of arrays that are gone back to the system, where the C library keeps it.
+
+    That of glibc does, in pieces between arrays that are still there: of large arrays that come
+    and go, memory would grow to twice what they need.
+    """
+    with suppress(OSError, AttributeError, TypeError):  # other systems have no such function
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 Given = ParamSpec("Given")
@@ -103,7 +115,7 @@ class _Compiled(Generic[Given, Answer]):
 
     @property
     def _known(self) -> dict[str, Any]:
-        """What stands behind the names that the function uses."""
+        """Objects behind the names that the function uses."""
         of = self.function.__globals__
         return {name: of[name] for name in self.function.__code__.co_names if name in of}
 

@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from gis_radar.files import whole_file
+from gis_radar.files import atomic_write
 from gis_radar.poses.files import read_pose
 from gis_radar.poses.pose import ANGLES, Pose
 from gis_radar.progress import QUIET, Reporter
@@ -73,7 +73,7 @@ def pose_errors(found: Pose, true: Pose) -> dict[str, float]:
 
 
 def _write(errors: dict[str, dict[str, float]], path: Path) -> None:
-    with whole_file(path) as part, part.open("w", encoding="utf-8", newline="") as file:
+    with atomic_write(path) as part, part.open("w", encoding="utf-8", newline="") as file:
         columns = ["sensor", *next(iter(errors.values()))]
         writer = csv.DictWriter(file, columns, lineterminator="\n")
         writer.writeheader()

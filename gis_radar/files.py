@@ -42,6 +42,7 @@ _LEAST_FREE = 1 << 16  # bytes: less is a full disk, whatever a library says of 
 _HERE, _EXCHANGE = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of Linux
 
 _unfinished: set[Path] = set()
+_CLEARING_FILES = 4  # file descriptors to remove a folder in a folder
 
 
 def refuse_inputs(output: str | Path, *inputs: str | Path) -> None:
@@ -90,7 +91,7 @@ def require_folder(output: str | Path) -> None:
 
 
 @contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
+def atomic_write(path: Path) -> Iterator[Path]:
     """Write a file that appears only when the block ends well.
 
     Parameters
@@ -110,13 +111,13 @@ def whole_file(path: Path) -> Iterator[Path]:
     """
     if path.is_dir():
         raise OutputError(f"{path}: is a folder", hint="name a file for the output")
-    with whole_files(path) as (private, places):
+    with atomic_writes(path) as (private, places):
         places[private / path.name] = path
         yield private / path.name
 
 
 @contextmanager
-def whole_files(path: Path) -> Iterator[tuple[Path, dict[Path, Path]]]:
+def atomic_writes(path: Path) -> Iterator[tuple[Path, dict[Path, Path]]]:
     """Write several files that appear only when the block ends well.
 
     Parameters
@@ -153,7 +154,7 @@ def whole_files(path: Path) -> Iterator[tuple[Path, dict[Path, Path]]]:
 
 
 @contextmanager
-def whole_folder(
+def atomic_folder(
     path: Path, *, owned: tuple[str, ...], reporter: Reporter = QUIET
 ) -> Iterator[Path]:
     """Write a folder that appears only when the block ends well.
@@ -208,7 +209,7 @@ def _replace_folder(path: Path, fresh: Path, earlier: Path) -> None:
 
 
 def _exchanged(one: Path, other: Path) -> bool:
-    """Let two folders change places at once, where the system can: Linux since 3.15."""
+    """Exchange two folders in one step, where the system can: Linux since 3.15."""
     if not sys.platform.startswith("linux"):
         return False
     with suppress(OSError, AttributeError):
@@ -260,12 +261,16 @@ def _beside(path: Path, *, alone: bool = False) -> Iterator[Path]:
     private = path.with_name(f"{hidden_stem(path)}.{secrets.token_hex(4)}.part")
     # Entered before it exists: an interruption may come at any moment, in the clearing up too.
     _unfinished.add(private)
+    spare = list[int]()  # kept for the clearing up, where a work leaves no file descriptor
     try:
         with output_errors(path):
+            spare += (os.open(os.devnull, os.O_RDONLY) for _ in range(_CLEARING_FILES))
             private.mkdir(mode=0o700)
         with living(private), writing_errors(path):
             yield private
     finally:
+        for each in spare:
+            os.close(each)
         shutil.rmtree(private, ignore_errors=True)
         _unfinished.discard(private)
 

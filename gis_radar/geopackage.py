@@ -378,7 +378,7 @@ _writing = Lock()
 
 @contextmanager
 def _same_date() -> Iterator[None]:
-    """Let GDAL write the same date always, within the block; one thread writes at a time."""
+    """Make GDAL write a fixed date within the block; one thread writes at a time."""
     with _writing:
         earlier = pyogrio.get_gdal_config_option(_DATE_OF_GDAL)
         pyogrio.set_gdal_config_options({_DATE_OF_GDAL: _WRITTEN})

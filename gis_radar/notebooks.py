@@ -17,7 +17,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-from gis_radar.files import whole_file
+from gis_radar.files import atomic_write
 from gis_radar.words import tr
 
 MOST_ROWS = 24  # of a table: about a screen
@@ -129,13 +129,13 @@ def _locator(share: float) -> Any:
     """
     from matplotlib.ticker import MaxNLocator  # noqa: PLC0415
 
-    class Roomy(MaxNLocator):
+    class FewTicks(MaxNLocator):
         def __call__(self) -> Any:
             room = int(self.axis.get_tick_space() * share) if self.axis is not None else 1
             self.set_params(nbins=min(max(room, 1), MOST_TICKS), min_n_ticks=1)
             return super().__call__()
 
-    return Roomy()
+    return FewTicks()
 
 
 def legend_below(ax: Any, handles: Sequence[Any] | None = None) -> Any:
@@ -192,7 +192,7 @@ def picture_file(
         figure = Figure(figsize=size_in, dpi=dpi, layout="constrained")
         yield figure
         how = _fitted(figure) if tight else {}
-        with whole_file(Path(path)) as part:
+        with atomic_write(Path(path)) as part:
             figure.savefig(part, format="png", **how)
 
 

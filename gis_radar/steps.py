@@ -21,7 +21,9 @@ STEP_S = 0.05
 STEPS_PER_SECOND = 20
 
 SHORTEST_CYCLE_S, LONGEST_CYCLE_S = 0.001, 2.0  # of any radar; beyond, a unit is mistaken
-CYCLE_HINT = "a cycle is stated, such as 150ms, and never measured; without one, frames hold 100 ms"
+CYCLE_HINT = (
+    "a cycle is stated, such as 150ms, and never measured; without one, frames are valid for 100 ms"
+)
 
 # Nanosecond time stamps hold 1677 to 2262; the longest interval fits in on either side.
 FIRST_YEAR, LAST_YEAR = 1800, 2150
@@ -355,7 +357,7 @@ class Clock:
         return self._day_of(self.first, self.last)
 
     def _day_of(self, begin: datetime, end: datetime) -> bool:
-        """Tell whether a span is in one day, which it may fill."""
+        """Return whether a span is in one day, which it may fill."""
         last = end - timedelta(microseconds=1)
         return self._local(begin).date() == self._local(last).date()
 

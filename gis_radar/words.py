@@ -29,7 +29,7 @@ _HOLE = re.compile(r"\{\w*\}")
 # which begin so.
 _VERDICTS = frozenset({"confirms", "doubts", "alone", "refused"})
 _STAGES = frozenset({
-    "road", "mask", "convert", "localize", "poses", "pose", "tiles", "occupancy", "vehicles",
+    "road", "mask", "convert", "localize", "poses", "pose", "tiles", "measure",
     "heat", "QGIS", "report",
 })  # fmt: skip
 
@@ -39,7 +39,7 @@ _CURRENT: ContextVar[str] = ContextVar("language", default="en")
 
 @contextmanager
 def speaking(language: str) -> Iterator[None]:
-    """Let texts, numbers and days be in a language for as long as the block runs.
+    """Set the language of texts, numbers and days within the block.
 
     Raises
     ------
@@ -54,7 +54,7 @@ def speaking(language: str) -> Iterator[None]:
 
 
 def speak(language: str) -> None:
-    """Let texts, numbers and days be in a language from now on: of a process of its own."""
+    """Set the language of texts, numbers and days for the whole process."""
     _CURRENT.set(known_language(language))
 
 

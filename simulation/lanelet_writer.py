@@ -10,7 +10,7 @@ from pyproj import CRS
 
 from gis_radar.arrays import Floats
 from gis_radar.crs import transformer
-from gis_radar.files import whole_file
+from gis_radar.files import atomic_write
 from simulation.network import Lane, RoadNetwork, Turn
 from simulation.terrain import Terrain
 
@@ -161,7 +161,7 @@ def write_lanelets(
     for walk in crosswalks:
         sides = (("left", walk.left), ("right", walk.right))
         drawing.relation([("way", s, drawing.way(p, "zebra")) for s, p in sides], _WALK)
-    with whole_file(path) as part:
+    with atomic_write(path) as part:
         part.write_text(_xml(drawing, crs), encoding="utf-8")
 
 

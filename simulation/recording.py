@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from gis_radar.arrays import Floats
-from gis_radar.files import whole_file
+from gis_radar.files import atomic_write
 from simulation.movement import Traffic
 from simulation.radar import Radar
 
@@ -120,7 +120,7 @@ def write_packed(table: pd.DataFrame, path: Path, *, repeated: tuple[str, ...]) 
         Columns with few distinct values, written as a dictionary.
     """
     split = [name for name in table.columns if name not in repeated]
-    with whole_file(path) as part:
+    with atomic_write(path) as part:
         pq.write_table(
             pa.Table.from_pandas(table, preserve_index=False).replace_schema_metadata(None),
             part,

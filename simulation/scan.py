@@ -13,7 +13,7 @@ from pyproj import CRS
 from scipy.spatial import cKDTree
 
 from gis_radar.arrays import Floats, Integers
-from gis_radar.files import whole_file
+from gis_radar.files import atomic_write
 from simulation.scene import Building, ParkedCar, Scene, Tree
 from simulation.terrain import Terrain
 
@@ -295,5 +295,5 @@ def write_scan(scan: Scan, path: Path, *, crs: CRS, flown: date) -> None:
     las.return_number = scan.echo.astype(np.uint8)
     las.number_of_returns = scan.echoes.astype(np.uint8)
     las.point_source_id = scan.strip.astype(np.uint16)
-    with whole_file(path) as part:
+    with atomic_write(path) as part:
         las.write(part)

@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 from gis_radar.errors import InputError, NoAnswerError, OutputError
-from gis_radar.files import whole_file
+from gis_radar.files import atomic_write
 
 
 def join(*, outputs, reporter, text="", wait_s=0.0, **inputs):
@@ -17,7 +17,7 @@ def join(*, outputs, reporter, text="", wait_s=0.0, **inputs):
     reporter.progress("joining", 0, 2)
     read = [path.read_text() for paths in inputs.values() for path in paths]
     for output in outputs:
-        with whole_file(output) as part:
+        with atomic_write(output) as part:
             part.write_text("".join(read) + text)
             time.sleep(wait_s)
     reporter.progress("joining", 2, 2)

@@ -17,7 +17,11 @@ import pytest
 from live_site import LONGEST_S, SAMPLE, free_port
 
 import gis_radar as gr
+from gis_radar.dataset.tables import FRAMES, HITS, OBSERVED
 from gis_radar.live.edge import Edge
+from gis_radar.live.hits_folder.folder import merge_stored_hits, read_stored_hits
+from gis_radar.live.hits_folder.tables import LOG_COLUMNS
+from gis_radar.measures.validity import valid_steps
 from gis_radar.progress import Reporter
 
 LONG = os.environ.get("GIS_RADAR_LIVE") == "all"
@@ -185,33 +189,91 @@ def columns(stream):
     return [np.concatenate(each) for each in zip(*stream, strict=True)]
 
 
-def assert_same_tables(one, other):
-    """Compare all tables of two occupancies exactly."""
-    assert one.fingerprint == other.fingerprint
-    assert one.frames.equals(other.frames)
-    assert one.views.equals(other.views)
-    assert one.hold_s == other.hold_s
-    names = one.sensors
-    for read in ("hits_by_sensor", "frame_log"):
-        mine, theirs = (columns(getattr(each, read)(names)) for each in (one, other))
-        assert len(mine[0])
-        for number, (a, b) in enumerate(zip(mine, theirs, strict=True)):
-            assert np.array_equal(a, b), f"{read}, column {number}"
+def assert_same_tables(live, batch):
+    """Compare what fusion stored with a dataset of the same frames, row by row."""
+    assert live.fingerprint == batch.manifest.fingerprint
+    assert live.sensors == batch.sensors
+    tile, step = valid_pairs(live, columns(live.hits_by_sensor(live.sensors)))
+    hits = rows_of(batch, HITS, ("tile_id", "step"))
+    assert len(tile)
+    assert np.array_equal([tile, step], hits)
+    log = dict(zip(LOG_COLUMNS, columns(live.frame_log(live.sensors)), strict=True))
+    order = np.lexsort((log["time_us"], log["sensor"]))
+    names = [name for name in LOG_COLUMNS if name != "sensor"]
+    for name, theirs in zip(names, rows_of(batch, FRAMES, names), strict=True):
+        assert np.array_equal(log[name][order], theirs), name
+    assert np.array_equal(observed_steps(live), steps_of_runs(batch))
+
+
+def rows_of(dataset, table, names):
+    """Return columns of a table of a dataset."""
+    parts = [part.select(names) for part in dataset.batches(table, columns=names)]
+    return [np.concatenate([part[name].to_numpy() for part in parts]) for name in names]
+
+
+def valid_pairs(live, rows):
+    """Return (tile, step) of hits in all steps that their frames are valid, each once, ascending.
+
+    A frame is valid in its own step and those up to its sensor's next frame, but a tenth of a
+    second at most.
+    """
+    found = []
+    for number, sensor in enumerate(live.sensors):
+        step, tile = (column[rows[2] == number] for column in rows[:2])
+        for k in range(valid_steps(live.validity_s[sensor]) + 1):
+            held = k < steps_to_next(live, sensor, step)
+            found.append(np.stack([tile[held], step[held] + k]))
+    return np.unique(np.concatenate(found, axis=1), axis=1)
+
+
+def steps_to_next(live, sensor, step):
+    """Return how many steps after each of some frames of a sensor its next frame comes."""
+    runs = live.frames[live.frames["sensor"] == sensor]
+    spans = zip(runs["first_step"], runs["last_step"] + 1, strict=True)
+    frames = np.unique(np.concatenate([np.arange(*span) for span in spans]))
+    after = np.append(frames, np.iinfo(np.int64).max)[np.searchsorted(frames, step, "right")]
+    return after - step
+
+
+def observed_steps(live):
+    """Return how many steps each tile is in sight of a valid frame, tiles ascending."""
+    seen = {view: set(rows["tile_id"]) for view, rows in live.views.groupby("view")}
+    by_tile = {}
+    for (sensor, view), runs in live.frames.groupby(["sensor", "view"]):
+        spans = zip(runs["first_step"], runs["last_step"] + 1, strict=True)
+        step = np.concatenate([np.arange(*span) for span in spans])
+        last = np.minimum(
+            valid_steps(live.validity_s[sensor]), steps_to_next(live, sensor, step) - 1
+        )
+        steps = np.concatenate([step[last >= k] + k for k in range(int(last.max()) + 1)])
+        for tile in seen.get(view, ()):
+            by_tile.setdefault(tile, []).append(steps)
+    sums = {tile: len(np.unique(np.concatenate(by_tile[tile]))) for tile in sorted(by_tile)}
+    return np.array([[*sums], [*sums.values()]])
+
+
+def steps_of_runs(dataset):
+    """Return the same of a dataset."""
+    tile, first, last = rows_of(dataset, OBSERVED, ("tile_id", "first_step", "last_step"))
+    ids, number = np.unique(tile, return_inverse=True)
+    return np.array([ids, np.bincount(number, last - first + 1).astype(np.int64)])
 
 
 def stored(folder):
-    """Return all hours that fusion wrote, as one occupancy."""
-    return gr.read_occupancy(sorted((folder / "live" / "occupancy").iterdir()))
+    """Return all hours that fusion wrote, as one."""
+    hours = sorted((folder / "live" / "hits").iterdir())
+    return merge_stored_hits([read_stored_hits(each) for each in hours])
 
 
 def measured(names):
-    """Return what makes the batch's occupancy of the sample's recordings, for `once`."""
+    """Return what makes the dataset of the hits of the sample's recordings, for `once`."""
 
     def make(folder):
-        tiles = gr.make_tiles(gr.read_map(SAMPLE / "junction.osm"))
+        roads = SAMPLE / "junction.osm"
         poses = [gr.read_pose(SAMPLE / f"{name}.json") for name in names]
         recordings = [SAMPLE / f"{name}.parquet" for name in names]
-        gr.measure_occupancy(recordings, poses, tiles, folder / "occupancy")
-        return folder / "occupancy"
+        tiles = gr.make_tiles(gr.read_map(roads))
+        gr.measure(recordings, poses, tiles, roads, folder / "dataset", hits_only=True)
+        return folder / "dataset"
 
     return make

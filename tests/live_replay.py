@@ -1,4 +1,4 @@
-"""A live map of the sample's occupancy, played step by step, for tests of what shows it."""
+"""A live map of the sample's hit share, played step by step, for tests of what shows it."""
 
 from __future__ import annotations
 
@@ -6,17 +6,18 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 import pandas as pd
+from live_programs import rows_of
 
 import gis_radar as gr
+from gis_radar.dataset.tables import HITS, OBSERVED
 from gis_radar.live.snapshot import Place, ShownSensor, Snapshot
-from gis_radar.live.vehicles.counts import Lately, TileCoverage
+from gis_radar.live.vehicles.counts import Lately, TileOccupancy
 from gis_radar.live.vehicles.now import VehiclesNow
-from gis_radar.occupancy.hits import merge_rows
 from gis_radar.steps import step_begin
 
 
 class Replay:
-    """The map at any step of an occupancy; `at` sets which, `silent` takes sensors off."""
+    """The map at any step of a dataset; `at` sets which, `silent` takes sensors off."""
 
     def __init__(self, folder):
         self.alarms = {}  # by sensor, as ShownSensor has them
@@ -26,11 +27,14 @@ class Replay:
         names = ["R1", "R2"]
         self.poses = {name: gr.read_pose(sample / f"{name}.json") for name in names}
         recordings = [sample / f"{name}.parquet" for name in names]
-        occupancy = gr.measure_occupancy(recordings, list(self.poses.values()), tiles, folder)
-        step, tile = next(merge_rows([occupancy.hits()], 2))
-        self.first, self.last = int(step[0]), int(step[-1])
+        batch = gr.measure(
+            recordings, list(self.poses.values()), tiles, sample / "junction.osm", folder,
+            hits_only=True,
+        )  # fmt: skip
+        tile, step = rows_of(batch, HITS, ("tile_id", "step"))
+        self.first, self.last = int(step.min()), int(step.max())
         self.step, self.tile = step, np.searchsorted(tiles["tile_id"], tile)
-        self.seen = np.isin(tiles["tile_id"], occupancy.views["tile_id"])
+        self.seen = np.isin(tiles["tile_id"], rows_of(batch, OBSERVED, ("tile_id",))[0])
         self.place = Place(
             title="Sample junction",
             zone=ZoneInfo("Europe/Berlin"),
@@ -46,7 +50,7 @@ class Replay:
             step=self.at,
             now=now,
             observed_now=self.seen,
-            occupied=np.bincount(self.tile[past], minlength=len(self.seen)),
+            hit=np.bincount(self.tile[past], minlength=len(self.seen)),
             observed=np.where(self.seen, self.at - self.first + 1, 0),
             sensors=[
                 ShownSensor(
@@ -67,16 +71,16 @@ class Replay:
         return VehiclesNow.of(self.at / 20.0, np.array(rows).reshape(-1, 6))
 
     def lately(self, past):
-        """Return the hits as if they were covered."""
+        """Return the hits as if they were occupied."""
         hits = np.bincount(self.tile[past], minlength=len(self.seen))
         visible = np.where(self.seen, self.at - self.first + 1, 0)
         count = len(self.place.lane_numbers)
         lanes = pd.DataFrame(
-            {"lane": self.place.lane_numbers, "covered_s": 6.0, "visible_s": 60.0,
+            {"lane": self.place.lane_numbers, "occupied_s": 6.0, "visible_s": 60.0,
              "passages": np.arange(count), "speed": np.where(np.arange(count), 10.0, np.nan)}
         )  # fmt: skip
         return Lately(
-            until_step=self.at, tiles=TileCoverage(visible=visible, covered=hits), lanes=lanes
+            until_step=self.at, tiles=TileOccupancy(visible=visible, occupied=hits), lanes=lanes
         )
 
     def lane_intervals(self):
@@ -86,7 +90,7 @@ class Replay:
                 "lane": self.place.lane_numbers,
                 "begin": pd.Timestamp(begin),
                 "end": pd.Timestamp(begin) + pd.Timedelta("15min"),
-                "occupied_s": 1.0,
+                "hit_s": 1.0,
                 "observed_s": 60.0,
             }
         )

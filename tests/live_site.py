@@ -151,7 +151,7 @@ vehicles = {self.vehicles}
             source = f'recording = "{self.recordings / name}.parquet"\n{source}'
         keys = {
             "pose": f'"{SAMPLE / name}.json"', "tiles": f'"{self.tiles}"', "follow": "false",
-            "returns": "false",
+            "detections": "false",
         } | keys  # fmt: skip
         keys = {key: value for key, value in keys.items() if value is not None}
         address = f"{self.scheme}://{self.host}:{port or self.port}"

@@ -10,17 +10,18 @@ import pandas as pd
 from scipy.optimize import linear_sum_assignment
 
 import gis_radar as gr
+from gis_radar.dataset.tables import OCCUPIED, PASSAGES, TRACKS, VISIBLE
 from gis_radar.lanelets.graph import lane_graph
-from gis_radar.live.returns import ReturnFinder, pack_returns, unpack_returns
+from gis_radar.live.detections import DetectionSelector, pack_detections, unpack_detections
 from gis_radar.live.sources import frames_of_recording
-from gis_radar.live.vehicles.clocks import ReturnFrame
+from gis_radar.live.vehicles.clocks import SensorFrame
 from gis_radar.live.vehicles.follower import FollowedSite, VehicleFollower
 from gis_radar.live.vehicles.settings import DEFAULTS
 from gis_radar.live.vehicles.store import FollowedPose, VehicleStore
-from gis_radar.occupancy.views import ViewBook
+from gis_radar.measures.views import ViewBook
 from gis_radar.sight import SightTiles
-from gis_radar.vehicles.map_check import map_of_tiles
-from gis_radar.vehicles.visibility import SensorView
+from gis_radar.tracking.map_check import map_of_tiles
+from gis_radar.tracking.visibility import SensorView
 
 SAME_M = 2.0
 
@@ -40,10 +41,10 @@ class Sent:
         )  # fmt: skip
         self.messages = []
         for recording, pose in zip(recordings, poses, strict=bool(recordings)):
-            finder = ReturnFinder(road)
+            finder = DetectionSelector(road)
             road_m = self.book.road_m[pose.sensor, self.views[pose.sensor]]
             for frame in frames_of_recording(recording):
-                content = pack_returns([finder.find(frame, pose, road_m=road_m)], pose=1)
+                content = pack_detections([finder.find(frame, pose, road_m=road_m)], pose=1)
                 self.messages.append((float(frame.time[0]), pose.sensor, content))
         self.messages.sort(key=lambda each: each[0])
 
@@ -69,7 +70,7 @@ class Sent:
             store.add_view(seen, road_m)
             made.add_view(seen, road_m)
             followed = FollowedPose(
-                sensor=pose.sensor, view=view, hold_s=0.1, content=pose.as_dict()
+                sensor=pose.sensor, view=view, validity_s=0.1, content=pose.as_dict()
             )
             self.rows[pose.sensor] = store.add_pose(followed)
             made.add_pose(self.rows[pose.sensor], followed)
@@ -80,8 +81,8 @@ class Sent:
         for begin in range(0, len(messages), at_once):
             found = []
             for _, sensor, content in messages[begin : begin + at_once]:
-                _, frames = unpack_returns(content)
-                found += [ReturnFrame(sensor, self.rows[sensor], one, content) for one in frames]
+                _, frames = unpack_detections(content)
+                found += [SensorFrame(sensor, self.rows[sensor], one, content) for one in frames]
             each(follower.take(found))
             follower.keep()
             while (span := follower.due()) is not None:
@@ -93,10 +94,9 @@ class Sent:
             yield follower.finish(*follower.begin(span))
 
 
-def compare(mine, theirs, tiles, *, every=10):
-    """Compare two folders of vehicles, the first by the second."""
-    one, other = (gr.read_vehicles(each) for each in (mine, theirs))
-    states = [pd.concat(list(each.tracks())) for each in (one, other)]
+def compare(mine, theirs, tiles, *, every=20):
+    """Compare a folder of vehicles of an hour by a dataset."""
+    states = [pd.read_parquet(mine / "tracks.parquet"), states_of(theirs)]
     both, off = 0, []
     mine_by_step, theirs_by_step = (
         dict(list(each[each["step"] % every == 0].groupby("step"))) for each in states
@@ -110,28 +110,49 @@ def compare(mine, theirs, tiles, *, every=10):
         near = apart[row, column][apart[row, column] < SAME_M]
         both += len(near)
         off += near.tolist()
-    shares = [coverage(each, tiles) for each in (one, other)]
+    runs = [
+        [pd.read_parquet(mine / f"{name}.parquet") for name in ("occupied", "visible")],
+        [table_of(theirs, kind) for kind in (OCCUPIED, VISIBLE)],
+    ]
+    shares = [occupancy(*each, tiles) for each in runs]
     known = np.isfinite(shares[0]) & np.isfinite(shares[1])
-    passed = [each.passages.groupby("lanelet_id").size() for each in (one, other)]
+    passages = [pd.read_parquet(mine / "passages.parquet"), table_of(theirs, PASSAGES)]
+    passed = [each.groupby("lanelet_id").size() for each in passages]
     return {
         "recall": both / sum(map(len, theirs_by_step.values())),
         "precision": both / sum(map(len, mine_by_step.values())),
         "rms_m": float(np.sqrt(np.mean(np.square(off)))),
-        "coverage": float(shares[0][known].mean()),
-        "coverage_batch": float(shares[1][known].mean()),
-        "coverage_error": float(np.abs(shares[0] - shares[1])[known].mean()),
+        "occupancy": float(shares[0][known].mean()),
+        "occupancy_batch": float(shares[1][known].mean()),
+        "occupancy_error": float(np.abs(shares[0] - shares[1])[known].mean()),
         "passages": int(passed[0].sum()),
         "passages_batch": int(passed[1].sum()),
         "passages_off": int(passed[0].sub(passed[1], fill_value=0).abs().sum()),
     }
 
 
-def coverage(vehicles, tiles):
-    """Return the coverage of each tile over the whole time, NaN where not visible."""
+def frames_in(folder):
+    """Return the runs of frames of a folder of vehicles."""
+    return pd.read_parquet(folder / "frames.parquet")
+
+
+def table_of(dataset, kind):
+    """Return a table of a dataset as its files hold it."""
+    return pd.concat([part.to_pandas() for part in dataset.batches(kind)], ignore_index=True)
+
+
+def states_of(dataset):
+    """Return the states of a dataset's vehicles, metres."""
+    rows = table_of(dataset, TRACKS)
+    east, north = dataset.manifest.origin
+    return rows.assign(easting=0.01 * rows["x_cm"] + east, northing=0.01 * rows["y_cm"] + north)
+
+
+def occupancy(occupied, visible, tiles):
+    """Return the occupancy of each tile over the whole time, NaN where not visible."""
     sums = np.zeros((2, len(tiles)))
-    for block in vehicles.blocks():
-        for row, runs in enumerate((block.covered, block.visible)):
-            tile = np.searchsorted(tiles["tile_id"], runs["tile_id"])
-            np.add.at(sums[row], tile, runs["last_step"] - runs["first_step"] + 1)
+    for row, runs in enumerate((occupied, visible)):
+        tile = np.searchsorted(tiles["tile_id"], runs["tile_id"])
+        np.add.at(sums[row], tile, runs["last_step"] - runs["first_step"] + 1)
     with np.errstate(invalid="ignore"):
         return sums[0] / np.where(sums[1] > 0, sums[1], np.nan)

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from sites import EAST, NORTH, lane_quads, pose, recording, tiles_of
 
+from gis_radar.dataset.measure import measure
 from gis_radar.heatmap import make_heatmap
-from gis_radar.occupancy import measure_occupancy, merge_occupancies
 from gis_radar.poses.pose import View
 
 FILES = [
@@ -37,25 +37,22 @@ def report_tiles():
 
 
 def write_results(folder: Path, *, names=("R1", "R2"), interval="20s", steps=STEPS) -> Path:
-    """Write occupancies and a heat map as `gis-radar run` lays them out."""
+    """Write a dataset and a heat map as `gis-radar run` lays them out."""
     rng = np.random.default_rng(7)
-    (folder / "occupancy").mkdir(exist_ok=True)
-    tiles, parts = report_tiles(), []
+    paths, poses = [], []
     for number, name in enumerate(names):
         time = BEGIN + np.arange(steps) * 0.05
         ahead = 10.0 + (np.arange(steps) * 0.4 + 7 * number) % 25.0
         points = np.column_stack([ahead, rng.normal(0, 0.8, steps), np.full(steps, -4.5)])
-        path = recording(folder / f"{number}.parquet", time, points, range_rate=8.0)
+        paths.append(recording(folder / f"{number}.parquet", time, points, range_rate=8.0))
         seen = pose(
             sensor=name,
             view=View(max_range_m=60.0 - 25.0 * number, elevation_deg=90.0),
             evidence={"sigma": SIGMA, "method": "lane", "fitness": 0.91},
         )
-        parts.append(
-            measure_occupancy([path], [seen], tiles, folder / "occupancy" / f"sensor{number}")
-        )
-    heat = make_heatmap(merge_occupancies(parts), tiles, interval=interval)
-    heat.write(folder / "heatmap")
+        poses.append(seen)
+    dataset = measure(paths, poses, report_tiles(), None, folder / "dataset", hits_only=True)
+    make_heatmap(dataset, interval=interval).write(folder / "heatmap")
     return folder
 
 

@@ -24,7 +24,7 @@ crs = "EPSG:25832"
 files = ["scan*.laz"]
 engine = "laspy"
 
-[occupancy]
+[measure]
 clearance = [-0.5, 4.5]
 
 [heatmap]

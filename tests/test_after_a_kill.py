@@ -16,7 +16,13 @@ from filelock import lock_descriptor
 
 from gis_radar import files, leftovers
 from gis_radar.errors import OutputError
-from gis_radar.files import scratch_folder, whole_file, whole_files, whole_folder, writing_errors
+from gis_radar.files import (
+    atomic_folder,
+    atomic_write,
+    atomic_writes,
+    scratch_folder,
+    writing_errors,
+)
 
 ROOT = Path(__file__).parents[1]
 
@@ -37,9 +43,9 @@ BEGIN = (
     "place = Path(sys.argv[1])\n"
     "def stop():\n    print('ready', flush=True); time.sleep(60)\n"
 )
-FILE = BEGIN + "with files.whole_file(place) as part:\n    part.write_text('half'); stop()\n"
+FILE = BEGIN + "with files.atomic_write(place) as part:\n    part.write_text('half'); stop()\n"
 FOLDER = BEGIN + (
-    "with files.whole_folder(place, owned=('a',)) as part:\n    (part / 'a').write_text('half')\n"
+    "with files.atomic_folder(place, owned=('a',)) as part:\n    (part / 'a').write_text('half')\n"
     "    stop()\n"
 )
 BETWEEN = BEGIN + (
@@ -48,7 +54,7 @@ BETWEEN = BEGIN + (
     "    calls.append(1)\n"
     "    stop() if len(calls) == 2 else rename(self, target)\n"
     "Path.rename = stopping\n"
-    "with files.whole_folder(place, owned=('a',)) as part:\n    (part / 'a').write_text('new')\n"
+    "with files.atomic_folder(place, owned=('a',)) as part:\n    (part / 'a').write_text('new')\n"
 )
 SEVERAL = BEGIN + (
     "import os\nreplace = os.replace\ncalls = []\n"
@@ -56,7 +62,7 @@ SEVERAL = BEGIN + (
     "    stop() if len(calls) == int(sys.argv[2]) else replace(part, target)\n"
     "    calls.append(1)\n"
     "os.replace = stopping\n"
-    "with files.whole_files(place) as (private, places):\n"
+    "with files.atomic_writes(place) as (private, places):\n"
     "    for name in ('road.laz', 'road.json', 'road.gpkg'):\n"
     "        (private / name).write_text('new'); places[private / name] = place.with_name(name)\n"
 )
@@ -73,22 +79,22 @@ def names(folder):
 def test_the_next_run_clears_what_a_killed_one_left_of_a_file(tmp_path):
     killed(FILE, tmp_path / "a.txt")
     assert len(names(tmp_path)) == 1
-    with whole_file(tmp_path / "a.txt") as part:
+    with atomic_write(tmp_path / "a.txt") as part:
         part.write_text("new")
     assert names(tmp_path) == ["a.txt"]
 
 
 def test_the_next_run_clears_what_a_killed_one_left_of_a_folder(tmp_path):
     killed(FOLDER, tmp_path / "o")
-    with whole_folder(tmp_path / "o", owned=("a",)) as part:
+    with atomic_folder(tmp_path / "o", owned=("a",)) as part:
         (part / "a").write_text("new")
     assert names(tmp_path) == ["o"]
 
 
 def test_what_another_run_is_writing_is_not_cleared(tmp_path):
-    with whole_file(tmp_path / "a.txt") as part:
+    with atomic_write(tmp_path / "a.txt") as part:
         part.write_text("first")
-        with whole_file(tmp_path / "a.txt") as other:
+        with atomic_write(tmp_path / "a.txt") as other:
             other.write_text("second")
         assert part.read_text() == "first"
     assert (tmp_path / "a.txt").read_text() == "first"
@@ -99,7 +105,7 @@ def test_other_hidden_files_stay(tmp_path):
     kept = [".a.txt.part", ".a.txt.0000000g.part", ".b.txt.00000000.part", "a.txt.00000000.part"]
     for name in kept:
         (tmp_path / name).mkdir()
-    with whole_file(tmp_path / "a.txt") as part:
+    with atomic_write(tmp_path / "a.txt") as part:
         part.write_text("new")
     assert names(tmp_path) == sorted([*kept, "a.txt"])
 
@@ -108,18 +114,18 @@ def test_a_killed_report_does_not_lock_the_folder_of_a_heat_map(tmp_path):
     (tmp_path / "o").mkdir()
     (tmp_path / "o" / "a").write_text("old")
     killed(FILE, tmp_path / "o" / "report.html")
-    with whole_folder(tmp_path / "o", owned=("a",)) as part:
+    with atomic_folder(tmp_path / "o", owned=("a",)) as part:
         (part / "a").write_text("new")
     assert names(tmp_path / "o") == ["a"]
 
 
 def test_a_folder_into_which_another_run_writes_is_not_replaced(tmp_path):
     (tmp_path / "o").mkdir()
-    with whole_file(tmp_path / "o" / "report.html") as part:
+    with atomic_write(tmp_path / "o" / "report.html") as part:
         part.write_text("report")
         with (
             pytest.raises(OutputError, match="another run is writing into it"),
-            whole_folder(tmp_path / "o", owned=("a",)),
+            atomic_folder(tmp_path / "o", owned=("a",)),
         ):
             pass
     assert names(tmp_path / "o") == ["report.html"]
@@ -131,7 +137,7 @@ def test_a_kill_between_two_renames_hides_nothing_for_good(tmp_path):
     (tmp_path / "o" / "a").write_text("old")
     killed(BETWEEN, tmp_path / "o")
     assert not (tmp_path / "o").exists()
-    with pytest.raises(RuntimeError), whole_folder(tmp_path / "o", owned=("a",)):
+    with pytest.raises(RuntimeError), atomic_folder(tmp_path / "o", owned=("a",)):
         raise RuntimeError
     assert (tmp_path / "o" / "a").read_text() == "old"
     assert names(tmp_path) == ["o"]
@@ -145,7 +151,7 @@ def test_folders_change_places_at_once(tmp_path, monkeypatch):
     (tmp_path / "o").mkdir()
     (tmp_path / "o" / "a").write_text("old")
     monkeypatch.setattr(Path, "rename", refuse)
-    with whole_folder(tmp_path / "o", owned=("a",)) as part:
+    with atomic_folder(tmp_path / "o", owned=("a",)) as part:
         (part / "a").write_text("new")
     assert (tmp_path / "o" / "a").read_text() == "new"
     assert names(tmp_path) == ["o"]
@@ -161,7 +167,7 @@ def test_several_files_are_whole_after_the_next_run(tmp_path, moved, before):
     killed(SEVERAL, tmp_path / "road.laz", moved)
     there = tmp_path / "road.laz"
     assert (there.read_text() == "old") if before else (not there.exists())
-    with pytest.raises(RuntimeError), whole_files(there):
+    with pytest.raises(RuntimeError), atomic_writes(there):
         raise RuntimeError
     assert names(tmp_path) == trio
     assert {(tmp_path / name).read_text() for name in trio} == {"new"}
@@ -174,7 +180,7 @@ def test_a_plan_moves_nothing_elsewhere(tmp_path):
     (private / leftovers._ALIVE).write_text("\n")
     (private / leftovers.PLAN).write_text(json.dumps([["a", str(tmp_path / "sub" / "a")]]))
     (tmp_path / "sub").mkdir()
-    with whole_file(tmp_path / "a") as part:
+    with atomic_write(tmp_path / "a") as part:
         part.write_text("new")
     assert names(tmp_path / "sub") == []
 
@@ -236,7 +242,7 @@ def test_a_run_that_was_killed_while_it_made_its_folder_leaves_nothing(tmp_path,
     private.mkdir()
     if locked:
         (private / leftovers._ALIVE).touch()
-    with whole_folder(tmp_path / "a", owned=("a",)) as part:
+    with atomic_folder(tmp_path / "a", owned=("a",)) as part:
         (part / "a1").write_text("new")
     assert names(tmp_path) == ["a"]
 
@@ -249,7 +255,7 @@ AS_MADE = (
 )
 
 
-@pytest.mark.parametrize(("writer", "words"), [("whole_files", 1), ("scratch_folder", 0)])
+@pytest.mark.parametrize(("writer", "words"), [("atomic_writes", 1), ("scratch_folder", 0)])
 def test_what_locks_a_folder_is_loaded_before_it_is_made(tmp_path, writer, words):
     """Who is killed in between leaves it for a minute."""
     command = [sys.executable, "-c", BEGIN + AS_MADE, tmp_path / "a", writer, str(words)]
@@ -262,7 +268,7 @@ def test_a_file_that_was_never_begun_goes_after_a_minute(tmp_path):
     private.mkdir()
     for age_s, left in (30.0, [private.name, "a"]), (90.0, ["a"]):
         os.utime(private, (time.time() - age_s,) * 2)
-        with whole_file(tmp_path / "a") as part:
+        with atomic_write(tmp_path / "a") as part:
             part.write_text("new")
         assert names(tmp_path) == left
 
@@ -297,9 +303,9 @@ def test_a_look_of_another_run_does_not_cost_the_lock(tmp_path):
 @pytest.mark.parametrize("length", [200, 231, 232, 240, 255])
 def test_names_of_every_legal_length(tmp_path, length):
     name = "x" * (length - 4) + ".txt"
-    with whole_file(tmp_path / name) as part:
+    with atomic_write(tmp_path / name) as part:
         part.write_text("new")
-    with whole_folder(tmp_path / f"y{name[1:]}", owned=("a",)) as part:
+    with atomic_folder(tmp_path / f"y{name[1:]}", owned=("a",)) as part:
         (part / "a").write_text("new")
     assert names(tmp_path) == [name, f"y{name[1:]}"]
 
@@ -309,7 +315,7 @@ LOOP = (
     "place = Path(sys.argv[1])\nprint('ready', flush=True)\nnumber = 0\n"
     "while True:\n"
     "    number += 1\n"
-    "    with files.whole_folder(place, owned=('a',)) as part:\n"
+    "    with files.atomic_folder(place, owned=('a',)) as part:\n"
     "        for name in ('a1', 'a2', 'a3'):\n"
     "            (part / name).write_text(str(number) * 1000)\n"
 )
@@ -331,7 +337,7 @@ def test_kills_at_any_moment(tmp_path):
             texts = {path.read_text() for path in place.iterdir()}
             assert len(texts) == 1
             assert len(names(place)) == 3
-    with whole_folder(place, owned=("a",)) as part:
+    with atomic_folder(place, owned=("a",)) as part:
         (part / "a1").write_text("end")
     assert names(tmp_path) == ["o"]
 
@@ -344,13 +350,13 @@ class OfLibraryError(RuntimeError):
 def test_what_libraries_raise_that_write_names_the_output(tmp_path, monkeypatch, module):
     monkeypatch.setattr(OfLibraryError, "__module__", module)
     odd = pytest.raises(OutputError, match=r"a: cannot be written: odd$")
-    with odd, whole_file(tmp_path / "a"):
+    with odd, atomic_write(tmp_path / "a"):
         raise OfLibraryError("odd\nmore")
     full = pytest.raises(OutputError, match="a: cannot be written: the disk is full")
-    with full, whole_file(tmp_path / "a"):
+    with full, atomic_write(tmp_path / "a"):
         raise OfLibraryError("sqlite3_exec(...) failed: database or disk is full")
     monkeypatch.setattr(files, "_LEAST_FREE", 1 << 62)
-    with full, whole_file(tmp_path / "a"):
+    with full, atomic_write(tmp_path / "a"):
         raise OfLibraryError("something went wrong")
 
 
@@ -365,10 +371,10 @@ def test_the_folder_of_a_stranger_is_left_alone(tmp_path):
     """A private folder without a lock is of an earlier version: it goes after a day."""
     private = tmp_path / ".a.00000000.part"
     private.mkdir()
-    with whole_file(tmp_path / "a") as part:
+    with atomic_write(tmp_path / "a") as part:
         part.write_text("new")
     assert private.exists()
     os.utime(private, (1.0, 1.0))
-    with whole_file(tmp_path / "a") as part:
+    with atomic_write(tmp_path / "a") as part:
         part.write_text("new")
     assert names(tmp_path) == ["a"]

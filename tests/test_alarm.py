@@ -12,17 +12,17 @@ from streets import Street
 from gis_radar.localization.lanes import sample_lanes
 from gis_radar.localization.state import State
 from gis_radar.localization.traces import Moving
+from gis_radar.monitor import track
+from gis_radar.monitor.alarm import Alarm, Displacement, Memory, detectors, habits_of
+from gis_radar.monitor.filter import Estimate, Innovation, Measurement
+from gis_radar.monitor.lane_places import LanePlaces, cells_along, lane_places
+from gis_radar.monitor.moves import MoveTest, Scatter, score
+from gis_radar.monitor.settings import ALARM, DEFAULTS
+from gis_radar.monitor.track import MOVED
+from gis_radar.monitor.watch import Watch
+from gis_radar.monitor.windows import WindowTraffic
 from gis_radar.progress import Reporter
 from gis_radar.steps import seconds_from_iso
-from gis_radar.tracking import track
-from gis_radar.tracking.alarm import Alarm, Displacement, Memory, habits_of, witnesses
-from gis_radar.tracking.filter import Estimate, Innovation, Measurement
-from gis_radar.tracking.lane_places import LanePlaces, cells_along, lane_places
-from gis_radar.tracking.moves import MoveTest, Scatter, score
-from gis_radar.tracking.settings import ALARM, DEFAULTS
-from gis_radar.tracking.track import MOVED
-from gis_radar.tracking.watch import Watch
-from gis_radar.tracking.windows import WindowTraffic
 
 STREET = Street()
 POSE = STREET.pose()
@@ -118,7 +118,7 @@ def test_obstacles_habits_and_few_vehicles_are_no_moves(cells, taught):
 
 def test_a_lasting_habit_becomes_the_reference_and_memory_is_bounded(cells, taught):
     few = replace(ALARM, reference_h=0.2, reference_vehicles=100)
-    memory = Memory(witnesses(cells, np.zeros(2), few)[0], replace(DEFAULTS, alarm=few))
+    memory = Memory(detectors(cells, np.zeros(2), few)[0], replace(DEFAULTS, alarm=few))
     for k, block in enumerate(taught):
         memory.push(block, block.across_m, 60.0 * k)
     assert len(memory._recent) <= ALARM.blocks[-1]
@@ -127,7 +127,7 @@ def test_a_lasting_habit_becomes_the_reference_and_memory_is_bounded(cells, taug
         memory.push(seen, seen.across_m + 0.2, 60.0 * (40 + k))
     assert len(memory._recent) == ALARM.blocks[-1]
     assert memory.reference.vehicles < 1.2 * 60 * 12  # 0.2 h
-    mean = np.linalg.lstsq(memory.reference.weight, memory.reference.pull, rcond=None)[0]
+    mean = np.linalg.lstsq(memory.reference.weight, memory.reference.gradient, rcond=None)[0]
     seen = np.diag(memory.reference.weight) > 100.0
     assert np.median(mean[seen]) == pytest.approx(0.3, abs=0.07)
 
@@ -138,15 +138,15 @@ def test_habits_are_the_normal_equations_of_vehicles_with_a_place_of_their_own(c
     found = habits_of(seen, seen.across_m, sigma=(0.3, sway, 1.0), time=0.0)
     shown = found.cell
     assert 0 < len(shown) <= count
-    weight, pull = np.zeros((count, count)), np.zeros(count)
+    weight, gradient = np.zeros((count, count)), np.zeros(count)
     for number in range(seen.vehicles):
         rows = seen.vehicle == number
         design = np.eye(count)[seen.cell[rows]]
         spread = 0.3**2 + np.diag(0.4**2 + 1.0 / seen.count[rows])
         weight += design.T @ np.linalg.solve(spread, design)
-        pull += design.T @ np.linalg.solve(spread, seen.across_m[rows])
+        gradient += design.T @ np.linalg.solve(spread, seen.across_m[rows])
     assert np.allclose(found.weight, weight[np.ix_(shown, shown)])
-    assert np.allclose(found.pull, pull[shown])
+    assert np.allclose(found.gradient, gradient[shown])
     assert weight.sum() == pytest.approx(found.weight.sum())
 
 
@@ -154,24 +154,24 @@ def test_the_move_is_that_of_least_squares_over_all_vehicles_at_once(cells, taug
     """Reference, move and habits in one dense system; no tapering, no reweighting, no drift."""
     alarm = replace(ALARM, dispersion=1.0, dispersion_blocks=1e12, outlier=1e9, blocks=(5, 9, 30))
     settings = replace(DEFAULTS, alarm=alarm, drift=(1e-9,) * 6)
-    witness = replace(witnesses(cells, np.zeros(2), alarm)[0], edge_m=(np.inf, np.inf))
-    memory = Memory(witness, settings)
+    detector = replace(detectors(cells, np.zeros(2), alarm)[0], edge_m=(np.inf, np.inf))
+    memory = Memory(detector, settings)
     for k, seen in enumerate(taught):
         memory.push(seen, seen.across_m, 60.0 * k)
     found = {each.seconds: each for each in memory.displacements(2400.0)}[540.0]
-    parts = [habits_of(s, s.across_m, sigma=witness.sigma, time=0.0) for s in taught]
+    parts = [habits_of(s, s.across_m, sigma=detector.sigma, time=0.0) for s in taught]
     known = np.unique(np.concatenate([part.cell for part in parts]))
     effects = np.eye(cells.stretches)[cells.stretch]
-    design = np.hstack([witness.by_move, witness.by_habit, effects])[known]
+    design = np.hstack([detector.by_move, detector.by_habit, effects])[known]
     size = len(known) + design.shape[1]
     square, force = np.zeros((size, size)), np.zeros(size)
     for k, part in enumerate(parts):
-        weight, pull = part.over(known)
+        weight, gradient = part.over(known)
         rows = np.hstack([np.eye(len(known)), design * (k >= 31)])
         square += rows.T @ weight @ rows
-        force += rows.T @ pull
+        force += rows.T @ gradient
     stretch_m = np.full(cells.stretches, alarm.stretch_habit_m)
-    prior = np.concatenate([np.full(3, 1e-6), witness.habit_m**-2.0, stretch_m**-2.0])
+    prior = np.concatenate([np.full(3, 1e-6), detector.habit_m**-2.0, stretch_m**-2.0])
     square[len(known) :, len(known) :] += np.diag(prior)
     whole = np.linalg.inv(square)
     move = slice(len(known), len(known) + 3)

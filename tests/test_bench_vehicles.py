@@ -17,15 +17,15 @@ import gis_radar as gr
 sys.path.append(str(Path(__file__).parents[1] / "bench" / "vehicles"))
 
 from passages import lanes_of, score_passages, true_passages
-from score import agreement, coverage_of_folder, score_coverage
+from score import agreement, score_occupancy
 from tracks import Scored, hota, matched, score_tracks, similarity
-from true_coverage import (
+from true_occupancy import (
     Sensor,
-    TrueCoverage,
-    covered_steps,
-    frames_cover,
+    TrueOccupancy,
+    frames_valid,
     hidden_too_long,
-    true_coverage,
+    occupied_steps,
+    true_occupancy,
 )
 from true_traffic import strip, traffic_of
 
@@ -58,56 +58,56 @@ def drive(*rows, kind="car", length=4.0, width=1.8, **more):
     return pd.DataFrame(columns | more)
 
 
-def covered_by(table, tiles=None, count=3):
+def occupied_by(table, tiles=None, count=3):
     tiles = lane() if tiles is None else tiles
-    return covered_steps(tiles, traffic_of(table), FIRST, count)
+    return occupied_steps(tiles, traffic_of(table), FIRST, count)
 
 
-def test_tiles_whose_middle_line_is_under_the_footprint_are_covered():
-    covered = covered_by(drive((0.0, 4.0, 1.5), (0.05, 4.5, 1.5)))
+def test_tiles_whose_middle_line_is_under_the_footprint_are_occupied():
+    occupied = occupied_by(drive((0.0, 4.0, 1.5), (0.05, 4.5, 1.5)))
     # from 2.0 to 6.0: middle lines at 2.25 to 5.75; then half a metre on
-    assert np.flatnonzero(covered[:, 0]).tolist() == list(range(4, 12))
-    assert np.flatnonzero(covered[:, 1]).tolist() == list(range(5, 13))
-    assert not covered[:, 2].any()
+    assert np.flatnonzero(occupied[:, 0]).tolist() == list(range(4, 12))
+    assert np.flatnonzero(occupied[:, 1]).tolist() == list(range(5, 13))
+    assert not occupied[:, 2].any()
 
 
 @pytest.mark.parametrize(
     ("north", "covers"), [(3.4, True), (3.42, False), (-0.4, True), (-0.42, False)]
 )
 def test_half_a_metre_of_overlap_covers(north, covers):
-    assert covered_by(drive((0.0, 4.0, north)))[5, 0] == covers
+    assert occupied_by(drive((0.0, 4.0, north)))[5, 0] == covers
 
 
 def test_half_of_a_narrow_vehicle_or_lane_covers():
     motorcycle = drive((0.0, 4.0, 3.0), width=0.8)
-    assert covered_by(motorcycle)[5, 0]
-    assert not covered_by(motorcycle.assign(northing=3.02))[5, 0]
+    assert occupied_by(motorcycle)[5, 0]
+    assert not occupied_by(motorcycle.assign(northing=3.02))[5, 0]
     path = lane(width=0.6)
-    assert covered_by(drive((0.0, 4.0, 1.2)), path)[5, 0]
-    assert not covered_by(drive((0.0, 4.0, 1.22)), path)[5, 0]
+    assert occupied_by(drive((0.0, 4.0, 1.2)), path)[5, 0]
+    assert not occupied_by(drive((0.0, 4.0, 1.22)), path)[5, 0]
 
 
 def test_a_bridge_and_the_road_below_are_two_levels():
-    assert not covered_by(drive((0.0, 4.0, 1.5), height=103.0)).any()
+    assert not occupied_by(drive((0.0, 4.0, 1.5), height=103.0)).any()
     unknown = lane().assign(height_m=np.nan)
-    assert covered_by(drive((0.0, 4.0, 1.5), height=103.0), unknown).any()
+    assert occupied_by(drive((0.0, 4.0, 1.5), height=103.0), unknown).any()
 
 
 def test_walkers_and_cyclists_cover_nothing():
-    assert not covered_by(drive((0.0, 4.0, 1.5), kind="walker")).any()
+    assert not occupied_by(drive((0.0, 4.0, 1.5), kind="walker")).any()
 
 
-def test_crossing_lanelets_are_covered_together():
+def test_crossing_lanelets_are_occupied_together():
     both = pd.concat([lane(), lane(south=0.5)], ignore_index=True)
-    covered = covered_by(drive((0.0, 4.0, 1.5)), both)
-    assert covered[5, 0]
-    assert covered[25, 0]
+    occupied = occupied_by(drive((0.0, 4.0, 1.5)), both)
+    assert occupied[5, 0]
+    assert occupied[25, 0]
 
 
 def test_a_vehicle_at_rest_covers_all_its_steps():
-    covered = covered_by(drive(*((k * 0.05, 4.0, 1.5) for k in range(3))))
-    assert covered[4:12].all()
-    assert covered.sum() == 24
+    occupied = occupied_by(drive(*((k * 0.05, 4.0, 1.5) for k in range(3))))
+    assert occupied[4:12].all()
+    assert occupied.sum() == 24
 
 
 def test_a_long_vehicle_is_the_strip_behind_its_front():
@@ -133,9 +133,9 @@ def test_parts_of_a_vehicle_are_one():
 def test_frames_hold_until_the_next_one_and_no_longer_than_100_ms():
     times = START + np.array([0.0, 0.16, 0.5])
     # at 0.0 steps 0 and those that begin by 0.1; at 0.16 step 3 to 5; at 0.5 step 10 to 12
-    assert np.flatnonzero(frames_cover(times, FIRST, 20)).tolist() == [0, 1, 2, 3, 4, 5, 10, 11, 12]
+    assert np.flatnonzero(frames_valid(times, FIRST, 20)).tolist() == [0, 1, 2, 3, 4, 5, 10, 11, 12]
     regular = START + 0.0572 * np.arange(40)
-    assert frames_cover(regular, FIRST, 40).all()
+    assert frames_valid(regular, FIRST, 40).all()
 
 
 def test_what_is_hidden_for_more_than_ten_seconds_is_not_visible():
@@ -154,28 +154,28 @@ def test_a_lorry_hides_what_is_behind_it_but_not_where_it_stands():
     )  # fmt: skip
     times = START + 0.05 * np.arange(steps)
     sensor = Sensor(pose=pose, in_sight=np.ones(20, bool), times=times)
-    truth = true_coverage(lane(), [sensor], traffic_of(lorry))
-    assert np.flatnonzero(truth.covered.all(axis=1)).tolist() == list(range(2, 10))
+    truth = true_occupancy(lane(), [sensor], traffic_of(lorry))
+    assert np.flatnonzero(truth.occupied.all(axis=1)).tolist() == list(range(2, 10))
     assert np.flatnonzero(truth.blocked.all(axis=1)).tolist() == list(range(10, 20))
     assert truth.visible.all()  # for ten seconds
     table = truth.table()
-    assert table["coverage"].tolist() == [0.0] * 2 + [1.0] * 8 + [0.0] * 10
+    assert table["occupancy"].tolist() == [0.0] * 2 + [1.0] * 8 + [0.0] * 10
     assert table["visible_s"].tolist() == pytest.approx([2.0] * 20)
 
 
 def made_truth():
-    covered = np.zeros((4, 100), bool)
-    covered[1, :50] = covered[2, :100] = covered[3, :10] = True
+    occupied = np.zeros((4, 100), bool)
+    occupied[1, :50] = occupied[2, :100] = occupied[3, :10] = True
     visible = np.ones((4, 100), bool)
     visible[3] = False
-    return TrueCoverage(
-        tile_id=np.array([3, 5, 8, 9]), first_step=0, covered=covered, visible=visible,
+    return TrueOccupancy(
+        tile_id=np.array([3, 5, 8, 9]), first_step=0, occupied=occupied, visible=visible,
         blocked=~visible,
     )  # fmt: skip
 
 
 def test_the_truth_itself_scores_full():
-    score = score_coverage(made_truth(), made_truth().table())
+    score = score_occupancy(made_truth(), made_truth().table())
     assert (score.tiles, score.answered, score.beyond) == (3, 1.0, 0.0)
     assert score.rank == pytest.approx(1.0)
     assert (score.scale, score.mae_percent, score.r2) == (1.0, 0.0, 1.0)
@@ -183,8 +183,8 @@ def test_the_truth_itself_scores_full():
 
 
 def test_what_is_not_answered_and_what_lies_beyond_is_told():
-    table = pd.DataFrame({"tile_id": [3, 5, 9, 77], "coverage": [0.1, 0.0, 0.5, 0.5]})
-    score = score_coverage(made_truth(), table)
+    table = pd.DataFrame({"tile_id": [3, 5, 9, 77], "occupancy": [0.1, 0.0, 0.5, 0.5]})
+    score = score_occupancy(made_truth(), table)
     assert score.answered == pytest.approx(2 / 3)
     assert score.beyond == 0.5
     assert score.mae_percent == pytest.approx(30.0)
@@ -193,26 +193,15 @@ def test_what_is_not_answered_and_what_lies_beyond_is_told():
 
 
 def test_standard_errors_are_checked():
-    table = made_truth().table().assign(coverage_se=0.1)
-    table["coverage"] += [0.0, 0.15, 0.25, 0.0]
-    score = score_coverage(made_truth(), table)
+    table = made_truth().table().assign(occupancy_se=0.1)
+    table["occupancy"] += [0.0, 0.15, 0.25, 0.0]
+    score = score_occupancy(made_truth(), table)
     assert score.within_2_se == pytest.approx(2 / 3)
 
 
 def test_nothing_to_compare_is_not_a_number():
     assert np.isnan(agreement(np.array([]), np.array([]))["rank"])
     assert np.isnan(agreement(np.zeros(3), np.arange(3.0))["rank"])
-
-
-def test_a_folder_of_vehicles_is_summed_over_visible_steps(tmp_path):
-    columns = ["tile_id", "first_step", "last_step"]
-    visible = pd.DataFrame([[3, 0, 9], [3, 20, 29], [5, 0, 9]], columns=columns)
-    covered = pd.DataFrame([[3, 5, 24], [8, 0, 9]], columns=columns)
-    visible.to_parquet(tmp_path / "visible.parquet")
-    covered.to_parquet(tmp_path / "covered.parquet")
-    table = coverage_of_folder(tmp_path).set_index("tile_id")
-    assert table["visible_s"].to_dict() == pytest.approx({3: 1.0, 5: 0.5})
-    assert table["covered_s"].to_dict() == pytest.approx({3: 0.5, 5: 0.0})
 
 
 def states(*rows, length=4.0):
@@ -313,8 +302,8 @@ def test_a_passage_is_of_the_lanelet_that_is_followed(turns, second):
     north = 1.5 + 12.0 * (1.0 - np.cos(angle))
     table = drive(*zip(t, east, north, strict=True), length=0.2)
     table["heading"] = np.degrees(angle)
-    truth = TrueCoverage(
-        tile_id=np.arange(60), first_step=FIRST, covered=np.zeros((60, 40), bool),
+    truth = TrueOccupancy(
+        tile_id=np.arange(60), first_step=FIRST, occupied=np.zeros((60, 40), bool),
         visible=np.ones((60, 40), bool), blocked=np.zeros((60, 40), bool),
     )  # fmt: skip
     passed = true_passages(lanes_of(tiles, roads), traffic_of(table), truth)

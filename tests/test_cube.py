@@ -1,4 +1,4 @@
-"""Occupancy as xarray, against a count by pandas; and heat maps read back."""
+"""Hit share as xarray, against a count by pandas; and heat maps read back."""
 
 from __future__ import annotations
 
@@ -11,20 +11,15 @@ from contextlib import closing
 import numpy as np
 import pandas as pd
 import pytest
+from datasets import recordings_of, write_dataset
 from test_heatmap import T0, lane_tiles, two_sensors
 
 import gis_radar as gr
+from gis_radar.dataset import STEPS_PER_HOUR
+from gis_radar.dataset.tables import FRAMES, OBSERVED
 from gis_radar.heatmap.heatmap import require_room
 
 xr = pytest.importorskip("xarray")
-
-
-def as_occupancy(site):
-    return gr.Occupancy(
-        fingerprint=site.fingerprint, frames=site.frames, views=site.views,
-        hits_by_sensor=lambda _: ((*rows, np.zeros_like(rows[0])) for rows in site.held_hits()),
-        sources=[], hold_s={"R1": 0.0, "R2": 0.0},
-    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +28,7 @@ def site():
 
 
 def counted(site, steps, within=None):
-    """Count occupied and observed steps by tile and interval with pandas, step by step."""
+    """Count hit and observed steps by tile and interval with pandas, step by step."""
     rows = [
         (step, tile)
         for key, delivered in site.delivered.items()
@@ -54,25 +49,25 @@ def compared(cube, expected):
     for tile in cube["tile_id"].to_numpy():
         for time in cube["time"].to_numpy():
             cell = cube.sel(tile_id=tile, time=time)
-            occupied, observed = float(cell["occupied_s"]), float(cell["observed_s"])
+            hit, observed = float(cell["hit_s"]), float(cell["observed_s"])
             if (tile, time) in expected.index:
                 sum_s, count_s = expected.loc[(tile, time)]
-                assert (occupied, observed) == pytest.approx((sum_s, count_s))
-                assert float(cell["occupancy"]) == pytest.approx(sum_s / count_s)
+                assert (hit, observed) == pytest.approx((sum_s, count_s))
+                assert float(cell["hit_share"]) == pytest.approx(sum_s / count_s)
             else:
                 assert observed == 0.0
-                assert np.isnan([occupied, float(cell["occupancy"])]).all()
+                assert np.isnan([hit, float(cell["hit_share"])]).all()
 
 
 def test_a_heat_map_as_a_cube(site):
-    heat = gr.make_heatmap(as_occupancy(site), site.tiles, interval="5s")
+    heat = gr.make_heatmap(site.dataset, interval="5s")
     cube = heat.to_xarray()
     assert dict(cube.sizes) == {"tile": 16, "time": 4}
     compared(cube, counted(site, 100))
     assert cube.attrs["crs"] == "EPSG:25832"
-    assert cube.attrs["fingerprint"] == site.fingerprint
+    assert cube.attrs["fingerprint"] == site.dataset.manifest.fingerprint
     assert {name: cube[name].attrs["units"] for name in cube} == {
-        "occupied_s": "s", "observed_s": "s", "occupancy": "1",
+        "hit_s": "s", "observed_s": "s", "hit_share": "1",
     }  # fmt: skip
     assert cube["begin"].dtype == np.dtype("datetime64[ns]")
     assert ((cube["end"] - cube["begin"]) == np.timedelta64(5, "s")).all()
@@ -85,7 +80,7 @@ def test_a_heat_map_as_a_cube(site):
 def test_a_series_of_chosen_tiles_and_times(site, interval, steps):
     begin, end = (pd.Timestamp((T0 + k) * 50, unit="ms", tz="UTC") for k in (90, 171))
     cube = gr.make_heatmap(
-        as_occupancy(site), site.tiles, interval=interval, tile_ids=[9, 2, 5], begin=begin, end=end
+        site.dataset, interval=interval, tile_ids=[9, 2, 5], begin=begin, end=end
     ).to_xarray()
     assert cube["tile_id"].to_numpy().tolist() == [2, 5, 9]
     assert cube["begin"].to_numpy().max() < end.to_datetime64() <= cube["end"].to_numpy().max()
@@ -93,42 +88,46 @@ def test_a_series_of_chosen_tiles_and_times(site, interval, steps):
     cut = expected.reset_index()
     cut["time"] = cut["time"].clip(lower=begin.tz_localize(None))  # intervals are cut at the ends
     compared(cube, cut.set_index(["tile", "time"]))
-    assert float(cube["occupied_s"].sum()) > 0.0
+    assert float(cube["hit_s"].sum()) > 0.0
 
 
-def test_memory_is_that_of_the_result():
-    """Hits of 40 times the memory allowed pass through."""
-    tiles = lane_tiles(400)
-    steps, tile_ids = 60_000, tiles["tile_id"].to_numpy()
-    frames = pd.DataFrame({"sensor": ["R1"], "view": ["a"], "first_step": [T0],
-                           "last_step": [T0 + steps - 1]})  # fmt: skip
-    views = pd.DataFrame({"sensor": "R1", "view": "a", "tile_id": tile_ids})
-
-    def hits(_):
-        for begin in range(T0, T0 + steps, 100):
-            step = np.repeat(np.arange(begin, begin + 100), 400)
-            yield step, np.tile(tile_ids, 100), np.zeros_like(step)
-
-    fingerprint = gr.fingerprint(tiles)
-    occupancy = gr.Occupancy(
-        fingerprint=fingerprint, frames=frames, views=views, hits_by_sensor=hits, sources=[],
-        hold_s={"R1": 0.1},
+def test_memory_is_that_of_the_result(tmp_path):
+    """Hits of 20 times the memory allowed pass through."""
+    tiles, steps = lane_tiles(400), 60_000
+    ids = tiles["tile_id"].to_numpy()
+    step = np.arange(T0, T0 + steps)
+    frames = {"sensor": np.full(steps, "R1"), "time_us": step * 50_000, "first_step": step,
+              "last_step": step, "pose": np.full(steps, "R1-a")}  # fmt: skip
+    zeros = [name for name in FRAMES.names if name not in frames]
+    hours = np.unique(step // STEPS_PER_HOUR)
+    edges = [(max(T0, h * STEPS_PER_HOUR), min(T0 + steps, (h + 1) * STEPS_PER_HOUR) - 1)
+             for h in hours.tolist()]  # fmt: skip
+    runs = np.array([(tile, *edge) for tile in ids.tolist() for edge in edges])
+    tables = {
+        "frames": frames | dict.fromkeys(zeros, np.zeros(steps, np.int64)),
+        "hits": {"tile_id": np.repeat(ids, steps), "step": np.tile(step, len(ids))},
+        "observed": dict(zip(OBSERVED.names, runs.T, strict=True)),
+    }
+    dataset = write_dataset(
+        tmp_path / "site", tables, tiles=tiles, vehicles=False, recordings=recordings_of({"R1"}),
+        sights={"pose": np.full(len(ids), "R1-a"), "tile_id": ids},
     )  # fmt: skip
+    del tables
     tracemalloc.start()
-    cube = gr.make_heatmap(occupancy, tiles, interval="1min").to_xarray()
+    cube = gr.make_heatmap(dataset, interval="1min").to_xarray()
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert float(cube["occupied_s"].sum()) == pytest.approx(400 * steps / 20)
-    assert peak < 400 * steps * 16 / 40
+    assert float(cube["hit_s"].sum()) == pytest.approx(400 * steps / 20)
+    assert peak < 400 * steps * 16 / 5
 
 
 def test_too_large_a_cube_is_refused(site):
-    heat = gr.make_heatmap(as_occupancy(site), site.tiles, interval="50ms")
+    heat = gr.make_heatmap(site.dataset, interval="50ms")
     with pytest.raises(gr.UsageError, match=r"16 tiles in .* over 0.01 MiB") as error:
         heat.to_xarray(most_mib=0.01)
     for way in ("longer interval", "tile_ids", "begin"):
         assert way in error.value.hint
-    with pytest.raises(gr.UsageError, match="60000 tiles in 1728000 intervals take 1582031 MiB"):
+    with pytest.raises(gr.UsageError, match="60000 tiles in 1728000 intervals take 3164062 MiB"):
         require_room(60_000, 1_728_000, 1024.0)
 
 
@@ -144,11 +143,11 @@ def test_too_large_a_cube_is_refused(site):
 )
 def test_what_makes_no_sense_is_refused(site, options, error, words):
     with pytest.raises(error, match=words):
-        gr.make_heatmap(as_occupancy(site), site.tiles, interval="1s", **options)
+        gr.make_heatmap(site.dataset, interval="1s", **options)
 
 
 def test_a_map_of_some_tiles_is_not_written(site, tmp_path):
-    heat = gr.make_heatmap(as_occupancy(site), site.tiles, tile_ids=[3])
+    heat = gr.make_heatmap(site.dataset, tile_ids=[3])
     assert len(heat.wide()) == 1
     with pytest.raises(gr.UsageError, match="a heat map of some tiles is not written"):
         heat.write(tmp_path / "map")
@@ -157,13 +156,13 @@ def test_a_map_of_some_tiles_is_not_written(site, tmp_path):
 def test_without_xarray_the_install_line_is_given(site, monkeypatch):
     monkeypatch.setitem(sys.modules, "xarray", None)
     with pytest.raises(gr.InputError, match="needs xarray") as error:
-        gr.make_heatmap(as_occupancy(site), site.tiles).to_xarray()
+        gr.make_heatmap(site.dataset).to_xarray()
     assert error.value.hint == "pip install gis_radar[notebooks]"
 
 
 @pytest.mark.parametrize("options", [{}, {"interval": "5s"}, {"interval": "50ms"}])
 def test_a_heat_map_is_read_back_as_it_was(site, tmp_path, options):
-    made = gr.make_heatmap(as_occupancy(site), site.tiles, **options)
+    made = gr.make_heatmap(site.dataset, **options)
     made.write(tmp_path / "heat")
     for path in (tmp_path / "heat", tmp_path / "heat" / "heatmap.gpkg"):
         read = gr.read_heatmap(path)
@@ -176,13 +175,13 @@ def test_a_heat_map_is_read_back_as_it_was(site, tmp_path, options):
             )
         assert read.wide().geometry.geom_equals(made.wide().geometry).all()
     read.write(tmp_path / "again")
-    names = ("heatmap.tif", "heatmap.parquet", "heatmap.qml")
+    names = ("hits.tif", "heatmap.parquet", "heatmap.qml")
     for name in names:
         assert (tmp_path / "again" / name).read_bytes() == (tmp_path / "heat" / name).read_bytes()
 
 
 def test_a_heat_map_that_was_changed_is_not_read(site, tmp_path):
-    gr.make_heatmap(as_occupancy(site), site.tiles).write(tmp_path / "heat")
+    gr.make_heatmap(site.dataset).write(tmp_path / "heat")
     file = tmp_path / "heat" / "heatmap.gpkg"
     changes = (
         ("UPDATE tiles SET lanelet_id = 8 WHERE tile_id = 15", "changed since"),

@@ -37,13 +37,13 @@ def test_parquet_and_csv_read_the_same(tmp_path):
     assert one.further.to_pydict() == other.further.to_pydict() == {"object": list("abcdef")}
 
 
-def test_a_long_recording_comes_in_pieces(tmp_path):
+def test_a_long_recording_comes_in_batches(tmp_path):
     rows = ROWS_AT_ONCE * 2 + 10
     time = START + np.arange(rows) // 500 * 0.05
     path = recording(tmp_path / "r.parquet", time, np.ones((rows, 3)))
-    pieces = read(path)
-    assert max(map(len, pieces)) <= ROWS_AT_ONCE
-    np.testing.assert_array_equal(np.concatenate([piece.time for piece in pieces]), time)
+    batches = read(path)
+    assert max(map(len, batches)) <= ROWS_AT_ONCE
+    np.testing.assert_array_equal(np.concatenate([batch.time for batch in batches]), time)
 
 
 def test_times_may_repeat_but_not_go_back(tmp_path):
@@ -54,7 +54,7 @@ def test_times_may_repeat_but_not_go_back(tmp_path):
         read(recording(tmp_path / "r.parquet", time, points))
 
 
-def test_time_going_back_between_pieces_is_seen(tmp_path):
+def test_time_going_back_between_batches_is_seen(tmp_path):
     rows = ROWS_AT_ONCE + 5
     time = np.full(rows, START)
     time[ROWS_AT_ONCE:] -= 1.0

@@ -24,8 +24,6 @@ from doc_pages import DOCS, PAGES, ROOT, blocks, commands, sayings
 
 import gis_radar as gr
 from gis_radar.cli import group
-from gis_radar.occupancy.folder import MANIFEST, NEEDED
-from gis_radar.occupancy.frame_log import COLUMNS as DELIVERIES
 from gis_radar.poses.files import TRACK_FIELDS
 from gis_radar.quality.counting import Count
 from gis_radar.quality.quality import _row, faults_of
@@ -159,8 +157,10 @@ def test_the_tutorial_runs_as_it_stands(tmp_path, monkeypatch):
     names = {}
     for code in blocks(DOCS / "tutorial.md", "python"):
         exec(compile(code, "tutorial.md", "exec"), names)  # noqa: S102 - our own example
-    assert names["lanes"]["coverage"].dropna().between(0.0, 1.0).all()
-    assert 0.0 < names["sums"].loc["school", "covered_s"] < names["sums"].loc["school", "visible_s"]
+    assert names["lanes"]["occupancy"].dropna().between(0.0, 1.0).all()
+    assert (
+        0.0 < names["sums"].loc["school", "occupied_s"] < names["sums"].loc["school", "visible_s"]
+    )
     table = pd.read_csv("lanes.csv", sep=";", decimal=",", encoding="utf-8-sig", index_col="lane")
     assert table["length_m"].round(6).equals(names["lanes"]["length_m"].round(6))
     assert pd.read_csv("quality.csv")["verdict"].eq("good").all()
@@ -235,10 +235,10 @@ def text_of(name):
 def test_every_measure_of_a_file_is_defined():
     defined = set(re.findall(r"`([\w.]+)`", text_of("definitions.md")))
     row = set(_row("R1", 0, Count(), [], ZoneInfo("UTC")))
-    tables = {column for columns in NEEDED.values() for column in columns} | {*DELIVERIES, *TILES}
     track = {name.removeprefix("sigma_").partition("_")[0] for name in TRACK_FIELDS}
-    layers = {"occupied_s", "observed_s", "occupancy", "begin", "end"}
-    assert (row | tables | track | layers | {*NEEDED, MANIFEST}) - defined == set()
+    measures = {"occupied_s", "visible_s", "occupancy", "occupancy_se", "hit_s", "observed_s"}
+    layers = measures | {"hit_share", "begin", "end"}
+    assert (row | {*TILES} | track | layers) - defined == set()
 
 
 def test_the_verdicts_on_quality_are_listed():
@@ -273,12 +273,24 @@ def test_every_notebook_has_a_title_for_the_site():
         assert "".join(first["source"]).startswith("# "), path
 
 
-def test_readme_has_the_accuracy_that_the_benchmarks_measured():
-    """In plain words: after new figures run python tools/plain_accuracy.py."""
-    spec = importlib.util.spec_from_file_location(
-        "plain_accuracy", ROOT / "tools" / "plain_accuracy.py"
-    )
+def tool_named(name):
+    spec = importlib.util.spec_from_file_location(name, ROOT / "tools" / f"{name}.py")
     tool = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(tool)
-    table = tool.plain_table((ROOT / "docs" / "accuracy.md").read_text(encoding="utf-8"))
-    assert table in (ROOT / "README.md").read_text(encoding="utf-8")
+    return tool
+
+
+def test_the_tables_of_a_dataset_are_those_of_the_schema():
+    """After a change of the schema run python tools/dataset_page.py."""
+    assert tool_named("dataset_page").tables() in text_of("dataset.md")
+
+
+def test_the_accuracy_in_plain_words_is_what_the_benchmarks_measured():
+    """After new figures run python tools/plain_accuracy.py, and look at README's last lines."""
+    table = tool_named("plain_accuracy").plain_table(text_of("accuracy.md"))
+    assert table in text_of("accuracy.md")
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    for least, most in re.findall(r"([\d.]+) to ([\d.]+) m off", table):
+        assert f"{least}-{most} m" in readme
+    for error in re.findall(r"mostly ([\d.]+) percentage points", table):
+        assert re.search(rf"\b{re.escape(error)} (percentage points )?(in|on)\b", readme), error

@@ -22,21 +22,20 @@ NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 @pytest.fixture
 def elsewhere(tmp_path, monkeypatch, once):
-    """A folder to work in. Vehicles that several examples search with the same words are one."""
+    """A folder to work in. Datasets that several examples measure with the same words are one."""
+    measure = gr.measure
 
-    find = gr.find_vehicles
-
-    def found(recordings, poses, tiles, map_path, out, **options):
+    def measured(recordings, poses, tiles, map_path, out, **options):
         asked = [recordings, [vars(pose) for pose in poses], fingerprint(tiles), map_path, options]
-        name = f"vehicles-{hashlib.sha256(repr(asked).encode()).hexdigest()[:16]}"
+        name = f"dataset-{hashlib.sha256(repr(asked).encode()).hexdigest()[:16]}"
 
-        def search(folder):
-            find(recordings, poses, tiles, map_path, folder / "made", **options)
+        def make(folder):
+            measure(recordings, poses, tiles, map_path, folder / "made", **options)
             return folder / "made"
 
-        return gr.read_vehicles(shutil.copytree(once(name, search), out))
+        return gr.open_dataset(shutil.copytree(once(name, make), out))
 
-    monkeypatch.setattr(gr, "find_vehicles", found, raising=False)
+    monkeypatch.setattr(gr, "measure", measured, raising=False)
     monkeypatch.chdir(tmp_path)
     mpl.use("Agg")
     yield tmp_path
@@ -48,13 +47,13 @@ def test_the_python_of_the_readme(elsewhere, capsys):
     exec(compile(code, "README.md", "exec"), {})  # noqa: S102 - our own example
     printed = capsys.readouterr().out
     assert "HeatMap" in printed
-    assert "coverage" in printed
-    assert (elsewhere / "occupancy" / "hits_by_sensor.parquet").is_file()
+    assert "lanelet_id" in printed
+    assert (elsewhere / "dataset" / "dataset.json").is_file()
 
 
 def test_the_commands_of_the_readme_exist():
-    shown = set(re.findall(r"^gis-radar (\w+)", README, flags=re.MULTILINE))
-    assert len(shown) >= 4
+    shown = set(re.findall(r"`gis-radar (\w+)", README))
+    assert len(shown) >= 3
     assert shown <= set(group.commands)
 
 
@@ -97,4 +96,4 @@ def test_a_notebook_is_stripped_and_needs_the_public_interface_only(path):
 
 
 def test_there_are_notebooks():
-    assert [path.stem.split("_")[0] for path in NOTEBOOKS] == ["1", "2", "3", "4", "5"]
+    assert [path.stem.split("_")[0] for path in NOTEBOOKS] == ["1", "2", "3", "4", "5", "6"]

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from gis_radar.poses.pose import Pose
-from gis_radar.tracking.filter import (
+from gis_radar.monitor.filter import (
     LEVER,
     Estimate,
     Innovation,
@@ -23,7 +22,8 @@ from gis_radar.tracking.filter import (
     same_sign,
     widened,
 )
-from gis_radar.tracking.settings import DEFAULTS
+from gis_radar.monitor.settings import DEFAULTS
+from gis_radar.poses.pose import Pose
 
 HOUR_S = 3600.0
 LEVEL = np.array([0.0, 0.0, 0.0, 1.0])

@@ -1,6 +1,5 @@
 """Recordings of sensors without elevation: z is NaN, from the reader to every consumer."""
 
-import json
 import re
 
 import numpy as np
@@ -8,6 +7,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
+from datasets import measured
 from hypothesis import given
 from hypothesis import strategies as st
 from radars import START, Notes, times
@@ -20,11 +20,11 @@ from gis_radar.cli import group
 from gis_radar.clocks.lane_detections import LaneMatcher
 from gis_radar.clocks.settings import ClockSettings
 from gis_radar.errors import InputError, NoAnswerError
-from gis_radar.occupancy import Filters, measure_occupancy, read_occupancy
+from gis_radar.measures import Filters
 from gis_radar.poses.files import as_track, write_pose
 from gis_radar.projection import project
 from gis_radar.recordings.recording import RangeCounts, open_recording
-from gis_radar.second_look.surroundings import read_slow
+from gis_radar.scan_check.surroundings import read_slow
 from gis_radar.tiles.tiles import write_tiles
 
 ROAD_M = 370.0  # of the crossing; the sensor is 5 m over it
@@ -220,51 +220,40 @@ def traffic(frames=200):
     )
 
 
-def pairs(occupancy):
-    return {
-        (int(s), int(t))
-        for steps, tiles in occupancy.hits()
-        for s, t in zip(steps, tiles, strict=True)
-    }
+def pairs(dataset):
+    return set(dataset.hits().itertuples(index=False, name=None))
 
 
-def test_occupancy_places_them_on_the_road(tmp_path):
+def test_hits_places_them_on_the_road(tmp_path):
     time, place = traffic()
     looks, notes = pose(yaw=7.0), Notes()
     points = looks.to_sensor(place)
     full = recording(tmp_path / "full.parquet", time, points)
     level = recording(tmp_path / "level.parquet", time, slant(points))
     tiles = crossing(ROAD_M)
-    expected = measure_occupancy([full], [looks], tiles, tmp_path / "full")
-    found = measure_occupancy([level], [looks], tiles, tmp_path / "level", reporter=notes)
+    expected = measured([full], [looks], tiles, tmp_path / "ds-full")
+    found = measured([level], [looks], tiles, tmp_path / "ds-level", reporter=notes)
     assert len(pairs(expected)) > 100
     # float32 moves what is on an edge
     assert len(pairs(expected) ^ pairs(found)) <= 2
     assert "R1 measures no elevation" in notes.text
     assert "370.0 m" in notes.text
-    sources = json.loads((tmp_path / "level" / "manifest.json").read_text())["sources"]
-    assert [source["elevation"] for source in sources] == [False]
-    assert (
-        "elevation"
-        not in json.loads((tmp_path / "full" / "manifest.json").read_text())["sources"][0]
-    )
-    assert (
-        "measures no elevation"
-        in gr.measure_quality(read_occupancy(tmp_path / "level")).lines()["R1"]
-    )
+    assert found.recordings()["has_elevation"].tolist() == [False]
+    assert expected.recordings()["has_elevation"].tolist() == [True]
+    assert "measures no elevation" in gr.measure_quality(found).lines()["R1"]
     assert "elevation" not in gr.measure_quality(expected).lines()["R1"]
 
 
 def test_what_is_nearer_than_the_road_hits_nothing(tmp_path):
     looks = pose(easting=EAST + 15.0)  # over the lane
     path = level_recording(tmp_path / "r.parquet", [[4.9, 0.0], [-3.0, 0.0], [7.0, 0.0]])
-    found = measure_occupancy([path], [looks], crossing(ROAD_M), tmp_path / "occ")
-    assert len({step for step, _ in pairs(found)}) == 1
+    found = measured([path], [looks], crossing(ROAD_M), tmp_path / "occ")
+    assert len({time for _, time in pairs(found)}) == 3  # the frame is valid in three steps
 
 
 def test_tiles_of_unknown_height_take_them_at_the_slant_range(tmp_path):
     path = level_recording(tmp_path / "r.parquet", [[20.0, 0.0]])
-    found = measure_occupancy([path], [pose()], crossing(np.nan), tmp_path / "occ")
+    found = measured([path], [pose()], crossing(np.nan), tmp_path / "occ")
     assert pairs(found)
 
 
@@ -273,7 +262,7 @@ def test_a_clearance_is_refused(tmp_path):
     with pytest.raises(
         InputError, match=r"r\.parquet: the sensor measures no elevation.*clearance"
     ):
-        measure_occupancy(
+        measured(
             [path], [pose()], crossing(), tmp_path / "o", filters=Filters(clearance=(-0.5, 4.5))
         )
     assert not (tmp_path / "o").exists()
@@ -301,7 +290,7 @@ def test_clocks_match_them_to_lanes(tmp_path):
     assert counts[1] > 0.8 * counts[0]
 
 
-def test_the_second_look_has_nothing_to_compare(tmp_path):
+def test_the_scan_check_has_nothing_to_compare(tmp_path):
     slow = read_slow(level_recording(tmp_path / "r.parquet"))
     assert len(slow.points) == 0
 
@@ -338,7 +327,9 @@ def test_the_commands(tmp_path):
     words = [str(path), "--pose", str(tmp_path / "R1.json")]
     tiles = ["--tiles", str(tmp_path / "tiles.gpkg")]
     runner = CliRunner()
-    done = runner.invoke(group, ["occupancy", *words, *tiles, "-o", str(tmp_path / "occ")])
+    done = runner.invoke(
+        group, ["measure", *words, *tiles, "--hits-only", "-o", str(tmp_path / "occ")]
+    )
     assert done.exit_code == 0, done.output
     assert "R1 measures no elevation" in done.output
     done = runner.invoke(group, ["quality", str(tmp_path / "occ")])

@@ -233,9 +233,9 @@ def test_the_commands_are_there_before_numpy():
     ("first", "not_loaded"),
     [
         ("import gis_radar as gr; gr.run_site", {"scipy.spatial", "geopandas", "matplotlib"}),
-        ("import gis_radar.site.recipes", {"scipy.spatial", "geopandas", "gis_radar.vehicles"}),
+        ("import gis_radar.site.recipes", {"scipy.spatial", "geopandas", "gis_radar.tracking"}),
         (
-            "import gis_radar as gr; gr.read_occupancy, gr.read_tiles",
+            "import gis_radar as gr; gr.open_dataset, gr.read_tiles",
             {"scipy.spatial", "laspy.lib"},
         ),
         ("import gis_radar as gr; gr.measure_quality", {"scipy.ndimage", "matplotlib"}),

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from datasets import measured
 from maps import Listener
 from sites import EAST, NORTH, lane_quads, tiles_of
 from test_sight import ROAD_M, SENSOR
@@ -29,7 +30,7 @@ def test_what_a_house_hides_without_a_scan_is_named(tmp_path, unseen, tiles):
     heard = Listener()
     path = traffic(tmp_path / "R1.parquet", unseen=unseen)
     road = tiles_of([lane()], height_m=ROAD_M)
-    gr.measure_occupancy([path], [SENSOR], road, tmp_path / "o", reporter=heard)
+    measured([path], [SENSOR], road, tmp_path / "o", reporter=heard)
     said = [line for line in map(str, heard.messages) if "never passed" in line]
     assert len(said) == (tiles > 0)
     if tiles:
@@ -109,10 +110,10 @@ def test_range_rates_in_another_unit_are_named_where_the_pose_is_given(tmp_path)
     """Nobody looks for a pose there, which would not be found."""
     path, pose = recorded(tmp_path / "R1.parquet", 3.6), gr.read_pose(SAMPLE / "R1.json")
     heard, road = Listener(), tiles_of([lane_quads(pose.easting, pose.northing + 20.0, 0.0)])
-    gr.measure_occupancy([path], [pose], road, tmp_path / "o", reporter=heard)
+    measured([path], [pose], road, tmp_path / "o", reporter=heard)
     assert "R1.parquet: ranges change 0.28 times as fast" in str(heard.messages)
     (tmp_path / "SITE.toml").write_text(
-        f'title = "A"\ntime_zone = "Europe/Berlin"\n[map]\nfile = "{SAMPLE}/junction.osm"\n'
+        f'title = "A"\ntimezone = "Europe/Berlin"\n[map]\nfile = "{SAMPLE}/junction.osm"\n'
         f'crs = "EPSG:25832"\n[[sensor]]\nname = "R1"\nrecordings = ["R1.parquet"]\n'
         f'pose = "{SAMPLE}/R1.json"\n'
     )

@@ -14,6 +14,7 @@ import shapely
 from test_qgis_project import a_pose
 
 import gis_radar as gr
+from gis_radar.dataset.measure import measure
 from gis_radar.geopackage import content_digest, read_styles
 from gis_radar.site.execution import RunState
 
@@ -95,10 +96,9 @@ def test_styles_of_heat_maps_survive(tmp_path):
     sample = gr.sample_folder()
     tiles = gr.make_tiles(gr.read_map(sample / "junction.osm"))
     pose = gr.read_pose(sample / "R1.json")
-    place = tmp_path / "occupancy"
-    heat = gr.make_heatmap(
-        gr.measure_occupancy([sample / "R1.parquet"], [pose], tiles, place), tiles
-    )
+    place = tmp_path / "dataset"
+    dataset = measure([sample / "R1.parquet"], [pose], tiles, None, place, hits_only=True)
+    heat = gr.make_heatmap(dataset)
     heat.write(tmp_path / "map")
     package = tmp_path / "map" / "heatmap.gpkg"
     saved(package, "heatmap", "grey")

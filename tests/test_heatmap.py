@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+import tempfile
 from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
 
 import geopandas as gpd
 import numpy as np
-import pandas as pd
 import pytest
 import shapely
+from datasets import stepwise_dataset
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from gis_radar.errors import InputError
 from gis_radar.heatmap import HeatMap, make_heatmap
 from gis_radar.progress import Reporter
-from gis_radar.tiles.tiles import fingerprint
 
 T0 = 1_700_000_000 * 20  # a step of today's size, the begin of an aligned 20 s
 EAST, NORTH = 677_885.3, 5_403_673.1
+FOLDERS = tempfile.TemporaryDirectory()
 
 
 def lane_tiles(
@@ -52,45 +54,22 @@ def lane_tiles(
     )
 
 
-def runs_of(steps: list[int]) -> list[np.ndarray]:
-    ordered = np.array(steps, dtype=np.int64)
-    return np.split(ordered, np.flatnonzero(np.diff(ordered) > 1) + 1)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Site:
-    """An occupancy that is also kept as sets, for the oracle."""
+    """A dataset that is also kept as sets, for the oracle."""
 
     tiles: gpd.GeoDataFrame
     delivered: dict[tuple[str, str], set[int]]  # steps that a frame covers, of each view
     seen: dict[tuple[str, str], set[int]]  # tiles, of each view
     hit: set[tuple[int, int]]
-    fingerprint: str = ""
 
-    @property
-    def frames(self) -> pd.DataFrame:
-        rows = [
-            (*key, run[0], run[-1])
-            for key, steps in self.delivered.items() if steps
-            for run in runs_of(sorted(steps))
-        ]  # fmt: skip
-        return pd.DataFrame(rows, columns=["sensor", "view", "first_step", "last_step"])
-
-    @property
-    def views(self) -> pd.DataFrame:
-        rows = [(*key, tile) for key, tiles in self.seen.items() for tile in sorted(tiles)]
-        return pd.DataFrame(rows, columns=["sensor", "view", "tile_id"])
-
-    def covered_frames(self) -> pd.DataFrame:
-        return self.frames
-
-    def held_hits(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        ordered = np.array(sorted(self.hit), dtype=np.int64).reshape(-1, 2)
-        for start in range(0, len(ordered), 7):
-            yield ordered[start : start + 7, 0], ordered[start : start + 7, 1]
+    @cached_property
+    def dataset(self):
+        folder = Path(tempfile.mkdtemp(dir=FOLDERS.name)) / "site"
+        return stepwise_dataset(folder, self.tiles, self.delivered, self.seen, self.hit)
 
     def counts(self, first: int, after: int) -> dict[int, tuple[int, int]]:
-        """Count (occupied, observed) steps of each tile, in the plainest way."""
+        """Count (hit, observed) steps of each tile, in the plainest way."""
         result = {}
         for tile in self.tiles["tile_id"]:
             observed = {
@@ -98,8 +77,8 @@ class Site:
                 for key, steps in self.delivered.items() if tile in self.seen.get(key, set())
                 for step in steps if first <= step < after
             }  # fmt: skip
-            occupied = {step for step, hit in self.hit if hit == tile} & observed
-            result[tile] = (len(occupied), len(observed))
+            hit = {step for step, hit in self.hit if hit == tile} & observed
+            result[tile] = (len(hit), len(observed))
         return result
 
 
@@ -109,9 +88,7 @@ def make_site(
     seen: dict[tuple[str, str], set[int]],
     hit: set[tuple[int, int]],
 ) -> Site:
-    return Site(
-        tiles=tiles, delivered=delivered, seen=seen, hit=hit, fingerprint=fingerprint(tiles)
-    )
+    return Site(tiles=tiles, delivered=delivered, seen=seen, hit=hit)
 
 
 def two_sensors(steps: int = 400) -> Site:
@@ -154,20 +131,20 @@ def assert_like_oracle(site: Site, heatmap: HeatMap) -> None:
     spans += [(i, int(timeline.begin[i]), int(timeline.end[i])) for i in range(len(timeline))]
     for interval, first, after in spans:
         shares = heatmap.shares(interval)
-        for position, (occupied, observed) in enumerate(site.counts(first, after).values()):
+        for position, (hit, observed) in enumerate(site.counts(first, after).values()):
             assert shares.observed_s[position] == observed / 20
             if observed:
-                assert shares.occupied_s[position] == occupied / 20
-                assert shares.occupancy[position] == occupied / observed
+                assert shares.hit_s[position] == hit / 20
+                assert shares.hit_share[position] == hit / observed
             else:
-                assert np.isnan(shares.occupied_s[position])
-                assert np.isnan(shares.occupancy[position])
+                assert np.isnan(shares.hit_s[position])
+                assert np.isnan(shares.hit_share[position])
 
 
 @pytest.mark.parametrize("interval", [None, "50ms", "1s", "1.5s", "7s", "20s", "15min"])
 def test_counts_are_those_of_the_oracle(interval):
     site = two_sensors()
-    assert_like_oracle(site, make_heatmap(site, site.tiles, interval=interval))
+    assert_like_oracle(site, make_heatmap(site.dataset, interval=interval))
 
 
 steps = st.sets(st.integers(T0, T0 + 60), max_size=40)
@@ -185,11 +162,11 @@ def test_any_views_frames_and_hits_count_as_in_the_oracle(delivered, seen, hit, 
     site = make_site(lane_tiles(6), delivered, seen, hit)
     if not any(delivered.values()) or not any(seen.values()):
         with pytest.raises(InputError):
-            make_heatmap(site, site.tiles, interval=interval)
+            make_heatmap(site.dataset, interval=interval)
         return
-    heatmap = make_heatmap(site, site.tiles, interval=interval)
+    heatmap = make_heatmap(site.dataset, interval=interval)
     assert_like_oracle(site, heatmap)
-    assert np.nanmax(np.append(heatmap.long()["occupancy"], 0.0)) <= 1.0
+    assert np.nanmax(np.append(heatmap.long()["hit_share"], 0.0)) <= 1.0
 
 
 def test_225_of_2000_steps_are_11_25_seconds():
@@ -197,43 +174,43 @@ def test_225_of_2000_steps_are_11_25_seconds():
     view = ("R1", "a")
     hit = {(T0 + 7 * k, 1) for k in range(225)}
     site = make_site(tiles, {view: set(range(T0, T0 + 2000))}, {view: {0, 1}}, hit)
-    row = make_heatmap(site, tiles).wide().iloc[1]
-    assert row["occupied_s"] == 11.25
+    row = make_heatmap(site.dataset).wide().iloc[1]
+    assert row["hit_s"] == 11.25
     assert row["observed_s"] == 100.0
-    assert row["occupancy"] == 0.1125
+    assert row["hit_share"] == 0.1125
 
 
 def test_overlapping_views_never_count_twice():
     both = {("R1", "a"): {T0, T0 + 1}, ("R2", "a"): {T0 + 1, T0 + 2}}
     site = make_site(lane_tiles(1), both, {key: {0} for key in both}, {(T0 + 1, 0)})
-    shares = make_heatmap(site, site.tiles).shares()
+    shares = make_heatmap(site.dataset).shares()
     assert shares.observed_s[0] == 0.15
-    assert shares.occupied_s[0] == 0.05
+    assert shares.hit_s[0] == 0.05
 
 
 def test_a_hit_where_the_tile_is_out_of_view_does_not_count():
     delivered = {("R1", "a"): {T0}, ("R2", "a"): {T0 + 1}}
     hit = {(T0, 0), (T0 + 1, 0)}
     site = make_site(lane_tiles(2), delivered, {("R1", "a"): {0}, ("R2", "a"): {1}}, hit)
-    shares = make_heatmap(site, site.tiles).shares()
-    assert shares.occupied_s.tolist() == [0.05, 0.0]
-    assert shares.occupancy.tolist() == [1.0, 0.0]
+    shares = make_heatmap(site.dataset).shares()
+    assert shares.hit_s.tolist() == [0.05, 0.0]
+    assert shares.hit_share.tolist() == [1.0, 0.0]
 
 
 def test_the_map_of_one_moment():
     site = two_sensors()
-    heatmap = make_heatmap(site, site.tiles, at="2023-11-14T22:13:21.02Z")
+    heatmap = make_heatmap(site.dataset, at="2023-11-14T22:13:21.02Z")
     assert_like_oracle(site, heatmap)
     assert (int(heatmap.whole.begin[0]), int(heatmap.whole.end[0])) == (T0 + 20, T0 + 21)
-    assert set(heatmap.wide()["occupied_s"].dropna()) == {0.0, 0.05}
+    assert set(heatmap.wide()["hit_s"].dropna()) == {0.0, 0.05}
     assert len(heatmap.long()) == len(site.tiles)
 
 
 def test_inputs_are_not_changed_and_other_columns_are_left():
     site = two_sensors()
-    tiles = site.tiles.rename_geometry("geom").assign(occupied_s=1.0, note="x")
+    tiles = site.tiles.rename_geometry("geom").assign(hit_s=1.0, note="x")
     before = tiles.copy()
-    wide = make_heatmap(site, tiles).wide()
+    wide = make_heatmap(site.dataset).wide()
     assert tiles.equals(before)
     assert "note" not in wide
     assert wide.geometry.name == "geometry"
@@ -241,20 +218,18 @@ def test_inputs_are_not_changed_and_other_columns_are_left():
 
 def test_repr_says_the_time_of_the_site_and_ranks_nothing_by_hits():
     site = two_sensors()
-    text = repr(make_heatmap(site, site.tiles, interval="5s", timezone="Europe/Berlin"))
+    text = repr(make_heatmap(site.dataset, interval="5s", timezone="Europe/Berlin"))
     assert "HeatMap(2023-11-14T23:13:20+01:00 to 2023-11-14T23:13:40+01:00 (Europe/Berlin)" in text
     assert "4 intervals" in text
     assert "13 of 16 tiles observed" in text
     assert "busiest" not in text
     empty = make_site(site.tiles, {("R1", "a"): {T0}}, {("R1", "a"): {0}}, set())
-    assert "(UTC), 1 interval, 1 of 16 tiles observed, 0 hit)" in repr(
-        make_heatmap(empty, site.tiles)
-    )
+    assert "(UTC), 1 interval, 1 of 16 tiles observed, 0 hit)" in repr(make_heatmap(empty.dataset))
 
 
 def test_a_heat_maps_card_shows_the_time_of_the_site():
     site = two_sensors()
-    page = make_heatmap(site, site.tiles, timezone="Europe/Berlin")._repr_html_()
+    page = make_heatmap(site.dataset, timezone="Europe/Berlin")._repr_html_()
     assert "2023-11-14T23:13:20+01:00" in page
     assert "Europe/Berlin" in page
     assert "busiest" not in page
@@ -263,7 +238,7 @@ def test_a_heat_maps_card_shows_the_time_of_the_site():
 def test_figures_are_plain_numbers_and_text():
     tiles, view = lane_tiles(2), ("R1", "a")
     site = make_site(tiles, {view: set(range(T0, T0 + 40))}, {view: {0, 1}}, {(T0 + 3, 1)})
-    figures = make_heatmap(site, tiles, interval="1s").figures()
+    figures = make_heatmap(site.dataset, interval="1s").figures()
     assert json.loads(json.dumps(figures)) == {
         "begin": "2023-11-14T22:13:20Z",
         "end": "2023-11-14T22:13:22Z",

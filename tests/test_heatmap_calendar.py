@@ -5,6 +5,7 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 import pytest
+from datasets import measured
 from hypothesis import given
 from hypothesis import strategies as st
 from sites import START, crossing, pose, recording
@@ -12,7 +13,6 @@ from sites import START, crossing, pose, recording
 from gis_radar.errors import UsageError
 from gis_radar.heatmap import make_heatmap
 from gis_radar.heatmap.intervals import local_intervals
-from gis_radar.occupancy import measure_occupancy
 from gis_radar.steps import interval_steps, step_begin
 
 BERLIN = ZoneInfo("Europe/Berlin")
@@ -74,19 +74,15 @@ def test_in_utc_nothing_changes(tmp_path):
     path = recording(
         tmp_path / "r.parquet", START + np.arange(0, 9000, 60.0), [[12.25, 0, -5]] * 150
     )
-    occupancy = measure_occupancy([path], [pose()], crossing(), tmp_path / "occ")
+    dataset = measured([path], [pose()], crossing(), tmp_path / "site")
     for interval in ("20min", "1h", "6h", "1d"):
         plain, local = (
-            make_heatmap(occupancy, crossing(), interval=interval, timezone=zone).wide()
-            for zone in (None, "UTC")
+            make_heatmap(dataset, interval=interval, timezone=zone).wide() for zone in (None, "UTC")
         )
         assert plain.drop(columns="geometry").equals(local.drop(columns="geometry"))
-    half = make_heatmap(occupancy, crossing(), interval="1h", timezone="Asia/Kathmandu")
+    half = make_heatmap(dataset, interval="1h", timezone="Asia/Kathmandu")
     assert {begin.minute for begin in half.long()["begin"]} == {15}
-    assert (
-        half.long()["occupied_s"].sum()
-        == make_heatmap(occupancy, crossing()).wide()["occupied_s"].sum()
-    )
+    assert half.long()["hit_s"].sum() == make_heatmap(dataset).wide()["hit_s"].sum()
 
 
 @pytest.mark.parametrize(
@@ -99,6 +95,6 @@ def test_in_utc_nothing_changes(tmp_path):
 )
 def test_what_makes_no_sense(tmp_path, options, said):
     path = recording(tmp_path / "r.parquet", [START], [[12.25, 0.0, -5.0]])
-    occupancy = measure_occupancy([path], [pose()], crossing(), tmp_path / "occ")
+    dataset = measured([path], [pose()], crossing(), tmp_path / "site")
     with pytest.raises(UsageError, match=said):
-        make_heatmap(occupancy, crossing(), **options)
+        make_heatmap(dataset, **options)

@@ -24,13 +24,13 @@ from gis_radar.errors import InputError, OutputError
 from gis_radar.heatmap import make_heatmap, read_heatmap
 from gis_radar.progress import Reporter
 
-FILES = ["heatmap.gpkg", "heatmap.parquet", "heatmap.png", "heatmap.qml", "heatmap.tif"]
+FILES = ["heatmap.gpkg", "heatmap.parquet", "heatmap.png", "heatmap.qml", "hits.qml", "hits.tif"]
 
 
 @pytest.fixture(scope="module")
 def heatmap():
     site = two_sensors()
-    return make_heatmap(site, site.tiles, interval="5s")
+    return make_heatmap(site.dataset, interval="5s")
 
 
 @pytest.fixture(scope="module")
@@ -60,11 +60,11 @@ def test_foreign_files_are_not_replaced(heatmap, tmp_path):
 
 
 def test_a_failure_leaves_nothing(heatmap, tmp_path, monkeypatch):
-    def fail(*_):
+    def fail(*_, **__):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("gis_radar.heatmap.heatmap.write_raster", fail)
-    with pytest.raises(OutputError, match=r"heatmap\.tif: cannot be written: the disk is full"):
+    with pytest.raises(OutputError, match=r"hits\.tif: cannot be written: the disk is full"):
         heatmap.write(tmp_path / "map")
     assert list(tmp_path.iterdir()) == []
 
@@ -79,7 +79,7 @@ class Impatient(Reporter):
 
 
 @pytest.mark.parametrize(
-    "stage", ["writing occupancy by interval", "writing bands", "drawing the picture"]
+    "stage", ["writing measures by interval", "writing bands", "drawing the picture"]
 )
 def test_ctrl_c_leaves_nothing_and_stays_ctrl_c(heatmap, tmp_path, stage):
     with pytest.raises(KeyboardInterrupt):
@@ -119,7 +119,7 @@ def test_damaged_labels_are_refused_by_name(folder, tmp_path, labels):
 
 
 def test_long_layer_reads_back_equal(heatmap, folder):
-    read = pyogrio.read_dataframe(folder / "heatmap.gpkg", layer="occupancy_by_interval")
+    read = pyogrio.read_dataframe(folder / "heatmap.gpkg", layer="by_interval")
     long = heatmap.long()
     assert read.geometry.geom_equals(long.geometry).all()
     pd.testing.assert_frame_equal(
@@ -135,14 +135,14 @@ def rows(folder, query, *values):
 
 
 def test_times_are_utc_with_z(folder):
-    begin, end = rows(folder, "SELECT begin, end FROM occupancy_by_interval LIMIT 1")[0]
+    begin, end = rows(folder, "SELECT begin, end FROM by_interval LIMIT 1")[0]
     assert (begin, end) == ("2023-11-14T22:13:20.000Z", "2023-11-14T22:13:25.000Z")
 
 
 def test_not_observed_is_null_and_never_zero(folder):
-    unseen = "SELECT occupied_s, observed_s, occupancy FROM heatmap WHERE tile_id = 15"
+    unseen = "SELECT hit_s, observed_s, hit_share FROM heatmap WHERE tile_id = 15"
     assert rows(folder, unseen) == [(None, 0.0, None)]
-    never = "SELECT occupied_s, occupancy FROM heatmap WHERE tile_id = 9"
+    never = "SELECT hit_s, hit_share FROM heatmap WHERE tile_id = 9"
     assert rows(folder, never) == [(0.0, 0.0)]
 
 
@@ -156,21 +156,17 @@ def test_geopackage_is_of_version_1_2_with_indexes_and_no_log(folder):
 
 def test_the_layer_by_interval_is_a_view_of_whole_steps(folder):
     """No polygon a row; an interval is found by its time, without a look at other rows."""
-    assert rows(folder, "SELECT type FROM sqlite_master WHERE name = 'occupancy_by_interval'") == [
-        ("view",)
-    ]
-    kinds = "SELECT DISTINCT typeof(occupied), typeof(observed) FROM steps_by_interval"
+    assert rows(folder, "SELECT type FROM sqlite_master WHERE name = 'by_interval'") == [("view",)]
+    kinds = "SELECT DISTINCT typeof(hit), typeof(observed) FROM steps_by_interval"
     assert set(rows(folder, kinds)) == {("integer", "integer"), ("null", "integer")}
-    plan = rows(
-        folder, "EXPLAIN QUERY PLAN SELECT * FROM occupancy_by_interval WHERE begin = ?", "x"
-    )
+    plan = rows(folder, "EXPLAIN QUERY PLAN SELECT * FROM by_interval WHERE begin = ?", "x")
     assert [step[3].split(" USING ")[0] for step in plan] == ["SCAN i", "SEARCH s", "SEARCH t"]
 
 
 def test_rows_of_views_are_known_without_a_count(heatmap, folder):
     known = dict(rows(folder, "SELECT table_name, feature_count FROM gpkg_ogr_contents"))
     assert known["heatmap"] == len(heatmap.wide())
-    assert known["occupancy_by_interval"] == len(heatmap.long())
+    assert known["by_interval"] == len(heatmap.long())
 
 
 def test_default_styles_are_registered(folder):
@@ -179,25 +175,25 @@ def test_default_styles_are_registered(folder):
         "SELECT f_table_name, f_geometry_column, useAsDefault, styleQML, styleSLD "
         "FROM layer_styles ORDER BY f_table_name",
     )
-    assert [row[0] for row in found] == ["heatmap", "occupancy_by_interval"]
+    assert [row[0] for row in found] == ["by_interval", "heatmap"]
     columns = dict(rows(folder, "SELECT table_name, column_name FROM gpkg_geometry_columns"))
     for name, geometry, default, qml, sld in found:
         assert geometry == columns[name]
         assert default == 1
         assert "graduatedSymbol" in qml
-        assert ('mode="1"' in qml) == (name == "occupancy_by_interval")
+        assert ('mode="1"' in qml) == (name == "by_interval")
         assert "StyledLayerDescriptor" in sld
     kind = "SELECT data_type FROM gpkg_contents WHERE table_name = 'layer_styles'"
     assert rows(folder, kind) == [("attributes",)]
 
 
 def test_fingerprint_travels_in_every_file(heatmap, folder):
-    for layer in ("heatmap", "occupancy_by_interval"):
+    for layer in ("heatmap", "by_interval"):
         info = pyogrio.read_info(folder / "heatmap.gpkg", layer=layer)
         assert info["layer_metadata"]["fingerprint"] == heatmap.fingerprint
-        assert "occupied_s" in json.loads(info["layer_metadata"]["definitions"])
+        assert "hit_s" in json.loads(info["layer_metadata"]["definitions"])
     assert gpd.read_parquet(folder / "heatmap.parquet").attrs["fingerprint"] == heatmap.fingerprint
-    with rasterio.open(folder / "heatmap.tif") as raster:
+    with rasterio.open(folder / "hits.tif") as raster:
         assert raster.tags()["fingerprint"] == heatmap.fingerprint
 
 
@@ -258,5 +254,5 @@ def test_plot_draws_on_given_axes(heatmap):
 def test_picture_of_almost_nothing(tmp_path, hit):
     view = ("R1", "a")
     site = make_site(lane_tiles(1), {view: {T0}}, {view: {0}}, hit)
-    make_heatmap(site, site.tiles, at="2023-11-14T22:13:20Z").write(tmp_path / "map")
+    make_heatmap(site.dataset, at="2023-11-14T22:13:20Z").write(tmp_path / "map")
     assert image.imread(tmp_path / "map" / "heatmap.png").std() > 0.05

@@ -11,7 +11,7 @@ import pytest
 import shapely
 from matplotlib.figure import Figure
 from test_heatmap import lane_tiles
-from test_heatmap_coverage import both_of
+from test_heatmap_occupancy import both_of
 
 import gis_radar as gr
 from gis_radar.heatmap.intervals import intervals_at, local_intervals
@@ -23,35 +23,32 @@ BERLIN = zone_of("Europe/Berlin")
 @pytest.fixture(scope="module")
 def heat():
     tiles = lane_tiles(14).assign(lane=lambda table: np.where(table["lanelet_id"] == 7, 70, 90))
-    occupancy, vehicles, _, _ = both_of(tiles, steps=400)
-    return gr.make_heatmap(
-        occupancy, tiles, interval="5s", vehicles=vehicles, timezone="Europe/Berlin"
-    )
+    return gr.make_heatmap(both_of(tiles, steps=400)[0], interval="5s", timezone="Europe/Berlin")
 
 
 def by_pandas(heat, which):
     """Sum the tables of all tiles, as anybody would."""
     long = heat.long() if which is None else heat.long()[lambda t: t["begin"].isin(which)]
     lane = heat.tiles.set_index("tile_id")["lane"]
-    sums = long.groupby(long["tile_id"].map(lane))[["covered_s", "visible_s"]].sum()
-    return sums["covered_s"] / sums["visible_s"], sums["visible_s"]
+    sums = long.groupby(long["tile_id"].map(lane))[["occupied_s", "visible_s"]].sum()
+    return sums["occupied_s"] / sums["visible_s"], sums["visible_s"]
 
 
-def test_coverage_by_lane_is_that_of_its_tiles(heat):
+def test_occupancy_by_lane_is_that_of_its_tiles(heat):
     table = heat.by_lane()
     share, visible_s = by_pandas(heat, None)
     assert table.index.tolist() == [70, 90]
-    np.testing.assert_allclose(table["coverage"], share)
+    np.testing.assert_allclose(table["occupancy"], share)
     np.testing.assert_allclose(table["visible_s"], visible_s / [7, 7])
-    np.testing.assert_allclose(table["coverage"], table["covered_s"] / table["visible_s"])
-    known = heat.coverage_shares()
+    np.testing.assert_allclose(table["occupancy"], table["occupied_s"] / table["visible_s"])
+    known = heat.occupancy_shares()
     mine = (heat.tiles["lane"] == 70).to_numpy() & (known.visible_s > 0)
-    mean = np.average(known.coverage_se[mine], weights=known.visible_s[mine])
-    assert table.loc[70, "coverage_se"] == pytest.approx(mean)
+    mean = np.average(known.occupancy_se[mine], weights=known.visible_s[mine])
+    assert table.loc[70, "occupancy_se"] == pytest.approx(mean)
     hits = heat.shares()
     mine = (heat.tiles["lane"] == 90).to_numpy()
-    occupancy = hits.occupied_s[mine].sum() / hits.observed_s[mine].sum()
-    assert table.loc[90, "occupancy"] == pytest.approx(occupancy)
+    share = hits.hit_s[mine].sum() / hits.observed_s[mine].sum()
+    assert table.loc[90, "hit_share"] == pytest.approx(share)
 
 
 def test_each_interval_by_lane(heat):
@@ -60,7 +57,7 @@ def test_each_interval_by_lane(heat):
     assert table.index.names == ["begin", "lane"]
     for begin in heat.times:
         share, _ = by_pandas(heat, [begin])
-        np.testing.assert_allclose(table.loc[begin, "coverage"], share)
+        np.testing.assert_allclose(table.loc[begin, "occupancy"], share)
         pd.testing.assert_frame_equal(table.loc[begin], heat.by_lane(begin))
 
 
@@ -107,7 +104,7 @@ def test_begin_and_end_take_whole_intervals(heat):
     second = pd.Timedelta(seconds=1)
     assert heat.chosen(begin=times[0] + second, end=times[3] + second) == slice(1, 3)
     np.testing.assert_allclose(
-        heat.by_lane(begin=times[1], end=times[3])["coverage"], by_pandas(heat, times[1:3])[0]
+        heat.by_lane(begin=times[1], end=times[3])["occupancy"], by_pandas(heat, times[1:3])[0]
     )
 
 
@@ -171,30 +168,15 @@ def test_pictures_say_which_clocks(heat):
 
 def test_plots_speak_the_language_of_the_labels():
     tiles = lane_tiles(14)
-    occupancy, vehicles, _, _ = both_of(tiles)
+    dataset, *_ = both_of(tiles)
     labels = gr.MapLabels(timezone="Europe/Berlin", language="de")
-    heat = gr.make_heatmap(occupancy, tiles, vehicles=vehicles, labels=labels)
+    heat = gr.make_heatmap(dataset, labels=labels)
     ax = heat.plot(Figure().add_subplot())
     assert " bis " in ax.get_title()
     assert ax.get_xlabel() == "Ostwert, m"
     legend = ax.get_legend()
-    assert legend.get_title().get_text() == "Fahrzeugbelegung"
+    assert legend.get_title().get_text() == "Belegungsgrad"
     assert [text.get_text() for text in legend.get_texts()][-2:] == ["unsicher", "nicht einsehbar"]
     page = heat.explore(tiles=None).get_root().render()
     assert "0 %, kein Fahrzeug" in page
     assert ax.get_title() in page
-
-
-def test_several_folders_of_occupancy_are_one(tmp_path):
-    sample = gr.sample_folder()
-    tiles = gr.make_tiles(gr.read_map(sample / "junction.osm"))
-    for name in ("R1", "R2"):
-        pose = gr.read_pose(sample / f"{name}.json")
-        gr.measure_occupancy([sample / f"{name}.parquet"], [pose], tiles, tmp_path / name)
-    folders = [tmp_path / "R1", tmp_path / "R2"]
-    both = gr.read_occupancy(folders)
-    merged = gr.merge_occupancies([gr.read_occupancy(each) for each in folders])
-    assert both.sensors == merged.sensors
-    pd.testing.assert_frame_equal(both.frames, merged.frames)
-    with pytest.raises(gr.UsageError, match="no occupancy folder"):
-        gr.read_occupancy([])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.patches import Polygon, Rectangle
 from test_heatmap import lane_tiles, make_site
-from test_heatmap_coverage import both_of
+from test_heatmap_occupancy import both_of
 
 from gis_radar.heatmap import MapLabels, make_heatmap
 from gis_radar.heatmap.figure import _figure, busiest_window, free_corner
@@ -79,7 +79,7 @@ def test_the_words_over_the_map_end_before_the_scale_bar(title):
     day = set(range(int(begin), int(begin) + 25 * HOUR, HOUR - 1))
     site = make_site(lane_tiles(2), {view: day}, {view: {0, 1}}, {(int(begin), 1)})
     labels = MapLabels(title=title, timezone="Europe/Berlin")
-    figure = _figure(make_heatmap(site, site.tiles, labels=labels))
+    figure = _figure(make_heatmap(site.dataset, labels=labels))
     bar = min(
         patch.get_window_extent().x0 for patch in figure.artists if isinstance(patch, Rectangle)
     )
@@ -88,15 +88,15 @@ def test_the_words_over_the_map_end_before_the_scale_bar(title):
     )
     ends = {text.get_text(): text.get_window_extent().x1 for text in figure.texts}
     assert [end < bar for words, end in ends.items() if "October" in words] == [True]
-    assert ends[title or "Occupancy heat map"] < arrow
+    assert ends[title or "Hit share heat map"] < arrow
 
 
 @pytest.mark.parametrize("language", ["en", "de"])
 def test_the_figures_beside_a_wide_map_end_above_the_words_below(language):
     tiles = lane_tiles(120, turn=0.0).iloc[:60]
-    occupancy, vehicles, _, _ = both_of(tiles)
+    dataset, *_ = both_of(tiles)
     labels = MapLabels(sources=["Map: City of Example, CC BY 4.0"] * 3, language=language)
-    figure = _figure(make_heatmap(occupancy, tiles, vehicles=vehicles, labels=labels))
+    figure = _figure(make_heatmap(dataset, labels=labels))
     wide, tall = figure.get_size_inches()
     assert wide > tall
     heights = [text.get_window_extent() for text in figure.texts]

@@ -10,13 +10,14 @@ import rasterio.features
 import shapely
 from test_heatmap import T0, Remarks, lane_tiles, make_site, two_sensors
 
+from gis_radar.errors import UsageError
 from gis_radar.heatmap import make_heatmap
 
 
 @pytest.fixture(scope="module")
 def heatmap():
     site = two_sensors()
-    return make_heatmap(site, site.tiles, interval="5s")
+    return make_heatmap(site.dataset, interval="5s")
 
 
 @pytest.fixture(scope="module")
@@ -27,8 +28,8 @@ def folder(heatmap, tmp_path_factory):
 
 
 def highest_at_centres(heatmap, interval, raster):
-    """Find the highest occupancy at each pixel's centre with shapely alone."""
-    share = heatmap.shares(interval).occupancy
+    """Find the highest hit share at each pixel's centre with shapely alone."""
+    share = heatmap.shares(interval).hit_share
     columns, lines = np.meshgrid(np.arange(raster.width), np.arange(raster.height))
     x = raster.bounds.left + (columns.ravel() + 0.5) * 0.5
     y = raster.bounds.top - (lines.ravel() + 0.5) * 0.5
@@ -40,7 +41,7 @@ def highest_at_centres(heatmap, interval, raster):
 
 
 def test_pixels_follow_the_tiles(heatmap, folder):
-    with rasterio.open(folder / "heatmap.tif") as raster:
+    with rasterio.open(folder / "hits.tif") as raster:
         assert raster.count == 5
         for band, interval in enumerate([None, 0, 1, 2, 3], start=1):
             wanted = highest_at_centres(heatmap, interval, raster)
@@ -50,10 +51,10 @@ def test_pixels_follow_the_tiles(heatmap, folder):
 
 
 def test_pixels_are_those_of_gdal(heatmap, folder):
-    share = heatmap.shares().occupancy
+    share = heatmap.shares().hit_share
     order = np.argsort(share)  # later ones overwrite; NaN is last and left out
     shapes = [(heatmap.tiles.geometry[i], share[i]) for i in order if not np.isnan(share[i])]
-    with rasterio.open(folder / "heatmap.tif") as raster:
+    with rasterio.open(folder / "hits.tif") as raster:
         burnt = rasterio.features.rasterize(
             shapes, raster.shape, fill=np.nan, transform=raster.transform, dtype="float32"
         )
@@ -61,7 +62,7 @@ def test_pixels_are_those_of_gdal(heatmap, folder):
 
 
 def test_pixels_are_aligned_and_bands_described(heatmap, folder):
-    with rasterio.open(folder / "heatmap.tif") as raster:
+    with rasterio.open(folder / "hits.tif") as raster:
         assert raster.dtypes[0] == "float32"
         assert np.isnan(raster.nodata)
         assert raster.crs.to_epsg() == 25832
@@ -88,8 +89,8 @@ def test_no_half_pixel_shift(tmp_path):
     view = ("R1", "a")
     hit = {(T0 + k, tile) for tile in range(4) for k in range(tile)}
     site = make_site(tiles, {view: set(range(T0, T0 + 4))}, {view: set(range(4))}, hit)
-    make_heatmap(site, tiles).write(tmp_path / "map")
-    with rasterio.open(tmp_path / "map" / "heatmap.tif") as raster:
+    make_heatmap(site.dataset).write(tmp_path / "map")
+    with rasterio.open(tmp_path / "map" / "hits.tif") as raster:
         assert raster.bounds == (677_885.0, 5_403_673.5, 677_888.5, 5_403_675.5)
         centres = [(x + 0.25, y + 0.25) for x, y in corners]
         assert [float(value[0]) for value in raster.sample(centres)] == [0.0, 0.25, 0.5, 0.75]
@@ -97,7 +98,7 @@ def test_no_half_pixel_shift(tmp_path):
 
 
 def test_raster_is_cloud_optimised(folder):
-    with rasterio.open(folder / "heatmap.tif") as raster:
+    with rasterio.open(folder / "hits.tif") as raster:
         structure = raster.tags(ns="IMAGE_STRUCTURE")
         assert structure["LAYOUT"] == "COG"
         assert structure["COMPRESSION"] == "DEFLATE"
@@ -110,8 +111,8 @@ def test_overviews_are_means_of_what_was_observed(tmp_path):
     tiles = tiles.set_geometry([shapely.box(500_000, 5_000_000, 500_300.5, 5_000_301)], crs=25832)
     view = ("R1", "a")
     site = make_site(tiles, {view: {T0, T0 + 1}}, {view: {0}}, {(T0, 0)})
-    make_heatmap(site, tiles).write(tmp_path / "map")
-    with rasterio.open(tmp_path / "map" / "heatmap.tif") as raster:
+    make_heatmap(site.dataset).write(tmp_path / "map")
+    with rasterio.open(tmp_path / "map" / "hits.tif") as raster:
         assert raster.overviews(1) == [2]
         small = raster.read(1, out_shape=(301, 301))
     assert (small == 0.5).all()  # the half-filled last column too: no-data does not count
@@ -122,8 +123,8 @@ def test_a_small_map_of_many_intervals_has_no_overviews_of_another_kind(tmp_path
     tiles = lane_tiles(1)
     tiles = tiles.set_geometry([shapely.box(500_000, 5_000_000, 500_100, 5_000_001)], crs=25832)
     site = make_site(tiles, {("R1", "a"): set(range(T0, T0 + 70))}, {("R1", "a"): {0}}, {(T0, 0)})
-    make_heatmap(site, tiles, interval="50ms").write(tmp_path / "map")
-    with rasterio.open(tmp_path / "map" / "heatmap.tif") as raster:
+    make_heatmap(site.dataset, interval="50ms").write(tmp_path / "map")
+    with rasterio.open(tmp_path / "map" / "hits.tif") as raster:
         assert raster.profile["blockxsize"] == 128 < raster.width
         assert raster.overviews(1) == []
 
@@ -134,8 +135,8 @@ def test_tiles_far_apart_make_an_empty_middle_of_little_size(tmp_path):
     tiles = tiles.set_geometry(far, crs=25832)
     view = ("R1", "a")
     site = make_site(tiles, {view: {T0}}, {view: {0, 1}}, {(T0, 1)})
-    make_heatmap(site, tiles).write(tmp_path / "map")
-    path = tmp_path / "map" / "heatmap.tif"
+    make_heatmap(site.dataset).write(tmp_path / "map")
+    path = tmp_path / "map" / "hits.tif"
     assert path.stat().st_size < 2e6
     with rasterio.open(path) as raster:
         assert raster.shape == (8006, 8006)
@@ -146,19 +147,40 @@ def test_tiles_far_apart_make_an_empty_middle_of_little_size(tmp_path):
 def test_more_than_500_intervals_make_one_band(tmp_path):
     view = ("R1", "a")
     site = make_site(lane_tiles(2), {view: set(range(T0, T0 + 501))}, {view: {0}}, {(T0 + 3, 0)})
-    make_heatmap(site, site.tiles, interval="50ms", reporter=Remarks()).write(tmp_path / "map")
-    with rasterio.open(tmp_path / "map" / "heatmap.tif") as raster:
+    make_heatmap(site.dataset, interval="50ms", reporter=Remarks()).write(tmp_path / "map")
+    with rasterio.open(tmp_path / "map" / "hits.tif") as raster:
         assert raster.count == 1
-    info = pyogrio.read_info(tmp_path / "map" / "heatmap.gpkg", layer="occupancy_by_interval")
+    info = pyogrio.read_info(tmp_path / "map" / "heatmap.gpkg", layer="by_interval")
     assert info["features"] == 1002
 
 
 def test_500_bands_are_possible(tmp_path):
     view = ("R1", "a")
     site = make_site(lane_tiles(2), {view: set(range(T0, T0 + 500))}, {view: {0}}, {(T0 + 3, 0)})
-    make_heatmap(site, site.tiles, interval="50ms").write(tmp_path / "map")
-    with rasterio.open(tmp_path / "map" / "heatmap.tif") as raster:
+    make_heatmap(site.dataset, interval="50ms").write(tmp_path / "map")
+    with rasterio.open(tmp_path / "map" / "hits.tif") as raster:
         assert raster.count == 501
         assert raster.descriptions[500] == "2023-11-14T22:13:44.950Z"
         assert np.nanmax(raster.read(5)) == 1.0
         assert np.nanmax(raster.read(6)) == 0.0
+
+
+def test_a_share_of_the_time_has_a_map_and_a_style(tmp_path):
+    """That of the hits is the map of the hit share, pixel by pixel."""
+    heat = make_heatmap(two_sensors().dataset, interval="5s", further=["hit_steps", "hidden_steps"])
+    assert {"hidden_steps.tif", "hidden_steps.qml"} <= {each.name for each in heat.write(tmp_path)}
+    with (
+        rasterio.open(tmp_path / "hits.tif") as wanted,
+        rasterio.open(tmp_path / "hit_steps.tif") as found,
+        rasterio.open(tmp_path / "hidden_steps.tif") as hidden,
+    ):
+        np.testing.assert_array_equal(found.read(), wanted.read())
+        assert found.descriptions == wanted.descriptions
+        np.testing.assert_array_equal(np.isnan(hidden.read()), np.isnan(wanted.read()))
+    with pytest.raises(UsageError, match="no inferred_steps"):
+        heat.shown(0, "inferred_steps")
+
+
+def test_a_map_of_what_is_no_share_is_refused():
+    with pytest.raises(UsageError, match="'observed_steps'"):
+        make_heatmap(two_sensors().dataset, further=["observed_steps"])

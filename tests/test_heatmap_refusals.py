@@ -5,10 +5,9 @@ from __future__ import annotations
 import pytest
 from test_heatmap import T0, lane_tiles, make_site, two_sensors
 
-from gis_radar.errors import CrsError, InputError, UsageError
+from gis_radar.errors import InputError, UsageError
 from gis_radar.heatmap import make_heatmap
 from gis_radar.heatmap.intervals import HeatMapSettings
-from gis_radar.tiles.tiles import fingerprint
 
 
 def test_too_many_rows_are_refused(monkeypatch):
@@ -16,7 +15,7 @@ def test_too_many_rows_are_refused(monkeypatch):
     monkeypatch.setattr("gis_radar.heatmap.intervals.SETTINGS", few)
     site = two_sensors(2000)
     with pytest.raises(UsageError, match="more than a heat map can hold") as caught:
-        make_heatmap(site, site.tiles, interval="50ms")
+        make_heatmap(site.dataset, interval="50ms")
     assert "longer interval" in caught.value.hint
 
 
@@ -24,47 +23,25 @@ def test_a_moment_without_frames_names_the_nearest_step():
     view = ("R1", "a")
     site = make_site(lane_tiles(1), {view: {T0, T0 + 30}}, {view: {0}}, set())
     with pytest.raises(InputError, match="no sensor delivered a frame") as caught:
-        make_heatmap(site, site.tiles, at="2023-11-14T22:13:21.00Z")
+        make_heatmap(site.dataset, at="2023-11-14T22:13:21.00Z")
     assert "2023-11-14T22:13:21.500Z" in caught.value.hint
 
 
 def test_interval_and_moment_exclude_each_other():
     site = two_sensors()
     with pytest.raises(UsageError, match="at and interval"):
-        make_heatmap(site, site.tiles, at="2023-11-14T22:13:21Z", interval="1s")
+        make_heatmap(site.dataset, at="2023-11-14T22:13:21Z", interval="1s")
 
 
-def test_other_tiles_are_refused():
-    site = two_sensors()
-    other = lane_tiles(16, turn=0.31)
-    with pytest.raises(InputError, match=site.fingerprint) as caught:
-        make_heatmap(site, other)
-    assert fingerprint(other) in caught.value.message
-
-
-@pytest.mark.parametrize("crs", [None, "EPSG:4326", "EPSG:2263"])
-def test_tiles_need_metres(crs):
-    site = two_sensors()
-    with pytest.raises(CrsError, match="tiles"):
-        make_heatmap(site, site.tiles.set_crs(crs, allow_override=True))
-
-
-def test_tiles_need_their_columns():
-    site = two_sensors()
-    with pytest.raises(InputError, match="lanelet_id"):
-        make_heatmap(site, site.tiles.drop(columns="lanelet_id"))
-
-
-def test_occupancy_without_frames_or_views_is_refused():
+def test_a_dataset_without_frames_or_sight_is_refused():
     tiles = lane_tiles(2)
     with pytest.raises(InputError, match="no frame"):
-        make_heatmap(make_site(tiles, {}, {("R1", "a"): {0}}, set()), tiles)
+        make_heatmap(make_site(tiles, {}, {("R1", "a"): {0}}, set()).dataset)
     with pytest.raises(InputError, match="no sensor sees"):
-        make_heatmap(make_site(tiles, {("R1", "a"): {T0}}, {}, set()), tiles)
+        make_heatmap(make_site(tiles, {("R1", "a"): {T0}}, {}, set()).dataset)
 
 
 def test_unknown_tiles_are_refused():
-    tiles, view = lane_tiles(2), ("R1", "a")
-    for seen, hit in (({0, 5}, set()), ({0}, {(T0, 5)})):
-        with pytest.raises(InputError, match="tile 5"):
-            make_heatmap(make_site(tiles, {view: {T0}}, {view: seen}, hit), tiles)
+    site = make_site(lane_tiles(2), {("R1", "a"): {T0}}, {("R1", "a"): {0, 5}}, set())
+    with pytest.raises(InputError, match="tile 5"):
+        make_heatmap(site.dataset)

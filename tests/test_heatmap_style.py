@@ -15,7 +15,7 @@ import pytest
 from gis_radar.heatmap import style
 from gis_radar.heatmap.layers import BEGIN, END
 from gis_radar.heatmap.picture import STRIPE
-from gis_radar.vehicles.layer import footprint_style
+from gis_radar.products.footprints import footprint_style
 
 
 def lightness(colour: str) -> float:
@@ -68,7 +68,7 @@ def test_heavy_and_light_vehicles_are_told_apart_in_grey():
 def test_vector_qml(interval_s):
     root = ET.fromstring(style.vector_qml(interval_s=interval_s))  # noqa: S314
     renderer = root.find("renderer-v2")
-    assert renderer.get("attr") == "occupancy"
+    assert renderer.get("attr") == "hit_share"
     ranges = renderer.findall("ranges/range")
     assert [(float(r.get("lower")), float(r.get("upper"))) for r in ranges] == [
         (level.lower, level.upper) for level in style.colour_classes()

@@ -4,21 +4,15 @@ from dataclasses import replace
 
 import numba
 import numpy as np
-import pandas as pd
-import pyarrow as pa
-import pyarrow.compute as pc
-import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import gis_radar as gr
-from gis_radar.clocks import SensorClock
 from gis_radar.errors import InputError
-from gis_radar.occupancy.counting_loop import DETECTIONS, TILES_HIT
-from gis_radar.occupancy.hit_counter import FrameCounter, HitCounter, rows_of_columns
-from gis_radar.occupancy.placing import PLACED_AT_ONCE, PoseNumbers
-from gis_radar.occupancy.tile_sets import decode_tiles
+from gis_radar.measures.counting_loop import DETECTIONS, TILES_HIT
+from gis_radar.measures.hit_counter import FrameCounter, HitCounter, rows_of_columns
+from gis_radar.measures.placing import PLACED_AT_ONCE, PoseNumbers
 from gis_radar.recordings.recording import RangeCounts
 from gis_radar.sight import SightTiles
 
@@ -57,7 +51,7 @@ def test_the_loop_is_compiled_for_one_kind_of_tiles(tiles):
     counters = [
         HitCounter(road, grid, tile_id=each) for grid in grids for each in (kept, free, None)
     ]
-    assert len({numba.typeof(each._ground) for each in counters}) == 1
+    assert len({numba.typeof(each._index) for each in counters}) == 1
     assert free.flags.writeable
 
 
@@ -72,60 +66,6 @@ def test_a_frame_without_positions_hits_nothing(tiles):
     first.time[-1] = np.nan
     with pytest.raises(InputError, match="not finite"):
         frames.count(first, pose)
-
-
-class PlainGrid(gr.TileGrid):
-    """Any engine but the grid itself is asked by the pass in NumPy."""
-
-
-def shortened(path, *, seconds, level=False):
-    """Write the first seconds of the sample recording, with a frame without detections."""
-    table = pq.read_table(SAMPLE / "R1.parquet")
-    time = table["time"]
-    table = table.filter(pc.less(time, pc.add(time[0], seconds)))
-    columns = {name: table[name].to_numpy().copy() for name in table.column_names}
-    for name in ("x", "y", "z", "range_rate", "rcs"):
-        columns[name][-1] = np.nan
-    columns["time"][-1] += 0.2
-    if level:
-        columns["z"][:] = np.nan
-    pq.write_table(pa.table(columns), path)
-    return path
-
-
-def moving_track(pose):
-    """Give a pose that is corrected twice, the second time after a knock."""
-    other = replace(pose, yaw=pose.yaw + 0.1)
-    moved = replace(pose, easting=pose.easting + 3.0, evidence={"event": "moved"})
-    since = np.array([-np.inf, BEGIN + 1.0, BEGIN + 2.3])
-    return gr.PoseTrack(poses=(pose, other, moved), since=since)
-
-
-CLEARANCE = gr.Filters(clearance=(-0.5, 2.0), min_speed=0.2, min_rcs=-9.0, elevation_error_deg=0.2)
-
-
-@pytest.mark.parametrize(
-    ("options", "level"),
-    [
-        ({"filters": CLEARANCE}, False),
-        ({"scans": [SAMPLE / "scan.laz"]}, False),
-        ({"clocks": {"R1": SensorClock(offset_s=0.0123, drift_ppm=20.0, at=BEGIN)}}, True),
-    ],
-)
-def test_the_compiled_pass_finds_what_the_plain_one_finds(tmp_path, tiles, options, level):
-    recording = shortened(tmp_path / "R1.parquet", seconds=4.0, level=level)
-    track = moving_track(gr.read_pose(SAMPLE / "R1.json"))
-    heights = np.where(tiles["tile_id"] % 7 == 0, np.nan, 515.0 + tiles["tile_id"] % 5)
-    if "filters" in options:
-        tiles = tiles.assign(height_m=heights)
-    written = []
-    for engine in (gr.TileGrid, PlainGrid):
-        folder = tmp_path / engine.__name__
-        found = gr.measure_occupancy([recording], [track], tiles, folder, engine=engine, **options)
-        written.append({path.name: path.read_bytes() for path in folder.iterdir()})
-        assert sum(len(step) for step, _ in found.hits()) > 200
-        assert len(set(found.frames["view"])) > 1
-    assert written[0] == written[1]
 
 
 @pytest.fixture(scope="module")
@@ -184,29 +124,3 @@ def test_any_rows_hit_what_the_tree_and_numpy_say(
     assert frames[:, DETECTIONS].tolist() == np.bincount(frame, present).astype(int).tolist()
     metres = np.minimum(range_m[present], len(ranges.counts) - 1).astype(np.int64)
     assert np.array_equal(ranges.counts, np.bincount(metres, minlength=len(ranges.counts)))
-
-
-def as_before(folder):
-    """Write the hits of a folder as they were before sets of tiles: a row a pair."""
-    path = folder / "hits_by_sensor.parquet"
-    table = pd.read_parquet(path)
-    table["tile_id"] = [decode_tiles(each) for each in table.pop("tiles")]
-    rows = table.explode("tile_id").astype({"tile_id": np.int64})
-    rows = rows.sort_values(["step", "tile_id", "sensor"], ignore_index=True)
-    rows[["step", "tile_id", "sensor"]].to_parquet(path)
-    return len(rows)
-
-
-def test_folders_of_the_older_form_are_read_and_merge_with_newer_ones(tmp_path, tiles):
-    recordings = [shortened(tmp_path / "R1.parquet", seconds=1.0), SAMPLE / "R2.parquet"]
-    poses = [gr.read_pose(SAMPLE / f"{name}.json") for name in ("R1", "R2")]
-    gr.measure_occupancy(recordings, poses, tiles, tmp_path / "both")
-    for name, recording, pose in zip(("a", "b"), recordings, poses, strict=True):
-        gr.measure_occupancy([recording], [pose], tiles, tmp_path / name)
-    assert as_before(tmp_path / "b") > 10_000
-    gr.read_occupancy([tmp_path / "a", tmp_path / "b"]).write(tmp_path / "merged")
-    gr.read_occupancy(tmp_path / "b").write(tmp_path / "renewed")
-    gr.read_occupancy([tmp_path / "renewed", tmp_path / "a"]).write(tmp_path / "again")
-    expected = (tmp_path / "both" / "hits_by_sensor.parquet").read_bytes()
-    for name in ("merged", "again"):
-        assert (tmp_path / name / "hits_by_sensor.parquet").read_bytes() == expected

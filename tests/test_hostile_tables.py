@@ -10,7 +10,9 @@ import numpy as np
 import pandas as pd
 import pytest
 import shapely
+from faults.inputs import HOUR, part_of
 
+import gis_radar as gr
 from gis_radar.cli.console import UNFORESEEN
 
 
@@ -49,7 +51,18 @@ def change(path, **columns):
     )
 
 
-HEATMAP = ("heatmap", "occupancy", "--tiles", "tiles.gpkg", "-o", "out")
+def as_recorded(folder, table):
+    """Let the record of the hour give the size that a part has."""
+    path = folder / "dataset" / "hours" / f"{HOUR}.json"
+    record = json.loads(path.read_text())
+    record["parts"][table]["size"] = (folder / part_of(table)).stat().st_size
+    path.write_text(json.dumps(record))
+
+
+MEASURE = (
+    "measure", "R1.parquet", "--pose", "R1.json", "--tiles", "tiles.gpkg", "--map", "map.osm",
+    "-o", "o",
+)  # fmt: skip
 STEPS = {
     "text": lambda steps: steps.astype(str),
     "huge text": lambda steps: ["x" * 100] * len(steps),
@@ -61,25 +74,16 @@ STEPS = {
 
 @pytest.mark.parametrize("kind", STEPS)
 @pytest.mark.parametrize(
-    ("file", "column"),
-    [("frames", "first_step"), ("frames", "last_step"), ("views", "tile_id"),
-     ("hits_by_sensor", "step")],
+    ("table", "column"),
+    [("frames", "first_step"), ("frames", "last_step"), ("observed", "tile_id"),
+     ("visible", "last_step"), ("occupied", "first_step")],
 )  # fmt: skip
-def test_tables_of_an_occupancy_with_other_values(run, here, file, column, kind):
-    change(here / "occupancy" / f"{file}.parquet", **{column: STEPS[kind]})
-    refused(run(*HEATMAP), "occupancy")
-
-
-@pytest.mark.parametrize("tiles", ["text", None, 5, b"\x80", b"\xff" * 9])
-def test_sets_of_tiles_that_are_none(run, here, tiles):
-    table = here / "occupancy" / "hits_by_sensor.parquet"
-    change(table, tiles=lambda sets: pd.Series([tiles] * len(sets)))
-    refused(run(*HEATMAP), "hits_by_sensor.parquet")
-
-
-def test_frames_that_end_before_they_begin(run, here):
-    change(here / "occupancy" / "frames.parquet", last_step=lambda steps: steps - 10_000)
-    refused(run(*HEATMAP), "frames.parquet")
+def test_parts_of_a_dataset_with_other_values(here, table, column, kind):
+    change(here / part_of(table), **{column: STEPS[kind]})
+    as_recorded(here, table)
+    with pytest.raises(gr.InputError, match=f"{table}/") as caught:
+        getattr(gr.open_dataset("dataset"), table)()
+    assert len(caught.value.message.splitlines()) == 1
 
 
 @pytest.mark.parametrize("corner", [np.nan, np.inf])
@@ -90,8 +94,7 @@ def test_tiles_with_corners_that_are_no_numbers(run, here, corner):
     with np.errstate(invalid="ignore"):
         tiles.loc[0, "geometry"] = shapely.Polygon(ring)
     tiles.to_file(here / "tiles.gpkg", layer="tiles")
-    refused(run("occupancy", "R1.parquet", "--pose", "R1.json", "--tiles", "tiles.gpkg", "-o", "o"),
-            "tiles.gpkg")  # fmt: skip
+    refused(run(*MEASURE), "tiles.gpkg")
 
 
 @pytest.mark.parametrize("values", ["520 ft"])
@@ -99,10 +102,7 @@ def test_tiles_with_heights_that_are_none(run, here, values):
     tiles = gpd.read_file(here / "tiles.gpkg", layer="tiles")
     tiles["height_m"] = values
     tiles.to_file(here / "tiles.gpkg", layer="tiles")
-    answer = run(
-        "occupancy", "R1.parquet", "--pose", "R1.json", "--tiles", "tiles.gpkg", "-o", "out"
-    )
-    refused(answer, "tiles.gpkg")
+    refused(run(*MEASURE), "tiles.gpkg")
 
 
 @pytest.mark.parametrize("sigma", ["0.1", -1.0, None, {"easting": "x"}, {"easting": -1.0}, [1]])

@@ -206,7 +206,7 @@ def test_a_finished_sentence_is_known_again_with_its_values():
         ("R1: frozen: 3 % of the frames repeat the last (in 2 of its hours, first in that from x)",
          ("R1: eingefroren: 3 % der Messzyklen wiederholen den vorigen (in 2 seiner Stunden, "
          "zuerst in der ab x)")),
-        (("localize R1: second look: confirms: 93% of what stands lies on the scan's canopy and "
+        (("localize R1: scan check: confirms: 93% of what stands lies on the scan's canopy and "
           "walls, by chance 19%; most of all 0.1 m and 0.2 deg away"),
          ("Standort und Ausrichtung suchen: R1: Gegenprobe mit dem Laserscan: bestätigt: 93\u202f% "
           "dessen, was steht, liegt im Laserscan auf Kronen und Wänden, zufällig wären es "
@@ -254,7 +254,6 @@ def test_each_stage_of_a_run_has_its_german():
     ]  # fmt: skip
     firsts = [each.values[0] if isinstance(each, ast.JoinedStr) else each for each in named]
     begins = {each.value.strip() for each in firsts if isinstance(each, ast.Constant)}
-    begins |= {"occupancy"}  # of its parts, by a variable
     assert len(begins) > 9
     with speaking("de"):
         assert [each for each in begins if stage_words(f"{each} R1") == f"{each} R1"] == []

@@ -10,21 +10,22 @@ PACKAGE = Path(__file__).parents[1] / "gis_radar"
 # Lowest first. A module imports only what stands before it. "gis_radar" is the package's own front,
 # `__init__.py`: what `import gis_radar` offers.
 ROWS = """
-    errors arrays languages progress processes renamed words
+    errors arrays languages progress processes words
     crs grid sample steps spreadsheets leftovers files json_documents geopackage vector_files
     notebooks
     poses
     lanelets recordings scans
     tiles
     sight
-    projection clocks occupancy
-    second_look localization network tracking
-    vehicles
-    quality heatmap
+    projection clocks measures
+    scan_check localization joint monitor
+    tracking
+    dataset
+    quality heatmap products
     qgis report
     site
     live
-    demo earlier
+    demo
     gis_radar
     cli
     __main__
@@ -98,6 +99,12 @@ def test_imports_go_one_way():
     known = {m: found for m, found in read_imports(PACKAGE).items() if top(m) in ORDER}
     known = {m: {t for t in found if top(t) in ORDER} for m, found in known.items()}
     assert against_the_order(known, ORDER) == []
+
+
+def test_folders_of_live_hours_are_for_live_alone():
+    own = ("live.hits_folder", "live.vehicles")
+    others = {m: found for m, found in read_imports(PACKAGE).items() if top(m) != "live"}
+    assert not [m for m, found in others.items() for t in found if t.startswith(own)]
 
 
 def test_no_cycle_between_files():

@@ -5,7 +5,7 @@ from threading import Event
 
 import numpy as np
 import pytest
-from live_programs import HeldEdge, Lines, assert_same_tables, columns, measured
+from live_programs import HeldEdge, Lines, assert_same_tables, measured, stored
 from live_site import LONGEST_S, SAMPLE, Background, LiveSite, needs_mosquitto, wait_for
 
 import gis_radar as gr
@@ -22,7 +22,7 @@ from gis_radar.live.payload import (
     pack_message,
 )
 from gis_radar.live.settings import read_edge_file, read_live_site
-from gis_radar.occupancy.hit_counter import CountedFrame
+from gis_radar.measures.hit_counter import CountedFrame
 
 NAMES = ("R1", "R2")
 pytestmark = needs_mosquitto
@@ -39,8 +39,8 @@ def site(tmp_path, once):
 
 @pytest.fixture(scope="session")
 def batch(once):
-    """Give the folder that the batch makes of the sample's recordings."""
-    return gr.read_occupancy(once("live_batch", measured(NAMES)))
+    """Give the dataset that the batch makes of the sample's recordings."""
+    return gr.open_dataset(once("live_batch", measured(NAMES)))
 
 
 def test_what_fusion_stores_equals_the_batch(site, batch):
@@ -52,13 +52,13 @@ def test_what_fusion_stores_equals_the_batch(site, batch):
         each.join()
         each.end()
     middle.end()
-    hours = sorted((site.folder / "live" / "occupancy").iterdir())
+    hours = sorted((site.folder / "live" / "hits").iterdir())
     assert [path.name for path in hours] == ["2025-06-12T07Z"]
-    assert_same_tables(gr.read_occupancy(hours), batch)
+    assert_same_tables(stored(site.folder), batch)
     assert [edge.frames for edge in edges] == [2000, 2002]
 
 
-def test_a_broker_that_is_killed_and_a_fusion_that_begins_anew_lose_nothing(site, batch):
+def test_a_broker_that_is_killed_and_a_fusion_that_begins_anew_lose_nothing(site, once):
     """Everything breaks in the midst of a replay; fusion is left without a word, as if killed."""
     middle = Fusion(read_live_site(site.file))
     first = Background(middle.run)
@@ -79,15 +79,8 @@ def test_a_broker_that_is_killed_and_a_fusion_that_begins_anew_lose_nothing(site
     work.end()
     second.end()
     assert again.sensors["R1"].health.counts["frames"] > 400
-    live = gr.read_occupancy(sorted((site.folder / "live" / "occupancy").iterdir()))
-    names = ["R1"]
-    mine = columns(live.hits_by_sensor(names))
-    theirs = columns(batch.hits_by_sensor(list(NAMES)))
-    own = theirs[2] == 0
-    for a, b in zip(mine, theirs, strict=True):
-        assert np.array_equal(a, b[own])
-    log, whole = columns(live.frame_log(names)), columns(batch.frame_log(list(NAMES)))
-    assert np.array_equal(log[0], whole[0][whole[1] == 0])
+    batch = gr.open_dataset(once("live_batch_R1", measured(["R1"])))
+    assert_same_tables(stored(site.folder), batch)
 
 
 def test_nobody_gets_past_the_broker(site):

@@ -46,7 +46,7 @@ def site(tmp_path, once):
 @pytest.fixture(scope="session")
 def batch(once):
     """Give what the batch makes of the first sensor's recording."""
-    return gr.read_occupancy(once("live_batch_R1", measured(["R1"])))
+    return gr.open_dataset(once("live_batch_R1", measured(["R1"])))
 
 
 def frames_on_disk(site):

@@ -77,10 +77,10 @@ def test_a_damaged_journal_is_named_and_kept(tmp_path, damage, says):
         Journal(path, fingerprint=PRINT)
 
 
-@pytest.mark.parametrize("hold_s", [0.0, -1.0, float("nan"), float("inf"), 1e6])
-def test_a_pose_with_an_impossible_hold_is_refused(hold_s):
+@pytest.mark.parametrize("validity_s", [0.0, -1.0, float("nan"), float("inf"), 1e6])
+def test_a_pose_with_an_impossible_hold_is_refused(validity_s):
     """Frames would cover no time, or years of it, in what is written."""
     pose = gr.read_pose(SAMPLE / "R1.json").as_dict()
-    content = PoseContent(pose=pose, since_step=0, fingerprint=PRINT, hold_s=hold_s)
-    with pytest.raises(InputError, match="hold_s is"):
+    content = PoseContent(pose=pose, since_step=0, fingerprint=PRINT, validity_s=validity_s)
+    with pytest.raises(InputError, match="validity_s is"):
         PoseContent.unpack(content.pack())

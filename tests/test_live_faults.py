@@ -11,6 +11,8 @@ from gis_radar.errors import InputError, NoAnswerError
 from gis_radar.live import own_pose
 from gis_radar.live.broker import Received, SensorTopics
 from gis_radar.live.buffer import DiskBuffer
+from gis_radar.live.hits_folder.folder import read_stored_hits
+from gis_radar.live.hits_folder.tile_sets import pack_tiles
 from gis_radar.live.hour_copy import write_copied
 from gis_radar.live.hours import HOUR_US
 from gis_radar.live.intake import Intake
@@ -34,9 +36,8 @@ from gis_radar.live.payload import (
 from gis_radar.live.sources import Radar, frames_of_recording
 from gis_radar.live.store import KnownPose, Store
 from gis_radar.live.windows import Windows
-from gis_radar.occupancy.hit_counter import CountedFrame
-from gis_radar.occupancy.tile_sets import encode_tiles
-from gis_radar.occupancy.views import ViewBook
+from gis_radar.measures.hit_counter import CountedFrame
+from gis_radar.measures.views import ViewBook
 from gis_radar.progress import Reporter
 from gis_radar.sight import SightTiles
 
@@ -67,7 +68,7 @@ def counted(time_us, *tiles):
 
 
 def row(sensor, time_us, pose=1):
-    return FrameRow(sensor, time_us, pose, 1, 1, 0, 5, encode_tiles(np.array([1])))
+    return FrameRow(sensor, time_us, pose, 1, 1, 0, 5, pack_tiles(np.array([1])))
 
 
 def pose_content(fingerprint=PRINT, **changes):
@@ -106,7 +107,7 @@ def test_frames_of_a_sensor_that_left_the_site_stay_in_the_journal(tmp_path, roa
         assert any("R2" in line and "no longer names" in line for line in reporter.lines)
         store.write_hour(HOUR, journal, known, {"v": np.arange(10)}, ["R1", "R2"])  # named again
         assert journal.hours() == []
-    assert gr.read_occupancy(store.path_of(HOUR)).sensors == ["R1", "R2"]
+    assert read_stored_hits(store.path_of(HOUR)).sensors == ["R1", "R2"]
 
 
 def test_an_hour_that_another_process_writes_is_the_same(tmp_path):
@@ -152,7 +153,7 @@ def test_frames_that_come_while_their_hour_is_written_are_kept_for_the_next_time
     assert journal.hours() == [HOUR, HOUR + 1]
     store.write_hour(HOUR, journal, known, views, ["R1"])
     journal.__exit__()
-    found = gr.read_occupancy(store.path_of(HOUR)).frame_log(["R1"])
+    found = read_stored_hits(store.path_of(HOUR)).frame_log(["R1"])
     assert [each for piece in found for each in piece[0]] == times
 
 
@@ -263,7 +264,7 @@ def test_views_of_an_old_journal_are_those_of_the_scan_of_now(tmp_path, road):
         intake = intake_of(journal, road)
         assert {each.view for each in intake.poses.values()} == set(intake._map.views)
         store.write_hour(HOUR, journal, intake.poses, intake._book.tiles, ["R1"])
-    views = gr.read_occupancy(store.path_of(HOUR)).views
+    views = read_stored_hits(store.path_of(HOUR)).views
     assert set(views["tile_id"]) == set(*intake._book.tiles.values())
 
 

@@ -15,7 +15,7 @@ OF_SENSOR = """
 import gis_radar as gr
 from gis_radar.arrays import _Compiled
 from gis_radar.live import first_run
-from gis_radar.live.returns import ReturnFinder, pack_returns
+from gis_radar.live.detections import DetectionSelector, pack_detections
 from gis_radar.live.payload import pack_hits, unpack_hits
 from gis_radar.live.sources import frames_of_recording
 from gis_radar.live.tile_finder import TileFinder
@@ -35,11 +35,11 @@ sample = gr.sample_folder()
 road = SightTiles.of(gr.make_tiles(gr.read_map(sample / "junction.osm")))
 for filters in (gr.Filters(), gr.Filters(min_speed=1.0, min_rcs=-10.0)):
     finder = TileFinder(road, gr.TileGrid(road.quads), filters, gr.read_pose(sample / "R2.json"))
-    returns = ReturnFinder(road)
+    selector = DetectionSelector(road)
     for k, frame in zip(range(20), frames_of_recording(sample / "R2.parquet")):
         content = pack_hits([finder.find(frame)], pose=1, fingerprint=road.fingerprint)
         unpack_hits(content, tiles=len(road.tile_id))
-        pack_returns([finder.returns(frame, returns)], pose=1)
+        pack_detections([finder.detections(frame, selector)], pose=1)
 print({name: count for name, count in compiled().items() if before.get(name) != count})
 print(sorted(before))
 """

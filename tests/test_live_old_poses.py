@@ -11,8 +11,8 @@ from gis_radar.live.hours import HOUR_US
 from gis_radar.live.journal import Journal
 from gis_radar.live.old_poses import FEW
 from gis_radar.live.payload import HITS, POSE, pack_hits
-from gis_radar.occupancy.hit_counter import CountedFrame
-from gis_radar.occupancy.views import ViewBook
+from gis_radar.measures.hit_counter import CountedFrame
+from gis_radar.measures.views import ViewBook
 from gis_radar.poses.files import PoseTrack
 from gis_radar.poses.pose import pose_from_dict
 

@@ -40,7 +40,7 @@ from gis_radar.errors import OutputError, UsageError
 from gis_radar.heatmap import style
 from gis_radar.live.edge import Edge
 from gis_radar.live.fusion import Fusion
-from gis_radar.live.page import OCCUPIED, VEHICLE, Access, difference, make_app, whole_event
+from gis_radar.live.page import HIT, VEHICLE, Access, difference, make_app, whole_event
 from gis_radar.live.server import Page
 from gis_radar.live.settings import read_edge_file, read_live_site
 from gis_radar.live.snapshot import NOT_OBSERVED, Snapshot
@@ -68,7 +68,7 @@ def served(live, access=None):
 
 @pytest.fixture(scope="module")
 def live(tmp_path_factory):
-    return Replay(tmp_path_factory.mktemp("live") / "occupancy")
+    return Replay(tmp_path_factory.mktemp("live") / "hits")
 
 
 @pytest.fixture(scope="module")
@@ -110,10 +110,10 @@ def events(address, count):
 
 def apply(shown, change):
     """Change a map as the page does it."""
-    for name in ("occupied", "unobserved"):
+    for name in ("hit", "unobserved"):
         tiles = set(shown[name]) - set(change[name]["off"]) | set(change[name]["on"])
         shown[name] = sorted(tiles)
-    for name in ("classes", "lanes", "sensors", "covers", "traffic"):
+    for name in ("classes", "lanes", "sensors", "occupancy", "traffic"):
         if not change[name]:
             continue
         shown[name] |= {type(next(iter(shown[name])))(k): v for k, v in change[name].items()}
@@ -131,14 +131,14 @@ def test_differences_add_up_to_the_map(live):
         assert len(json.dumps(change)) < len(json.dumps(whole)) / 4
         shown = apply(shown, change)
         assert shown == whole
-    assert shown["occupied"]
+    assert shown["hit"]
 
 
 def test_the_stream_begins_with_the_whole_map_and_goes_on_with_changes(live, address):
     live.at = live.first + 500
     first = events(address, 1)[0]
     assert first["whole"]
-    assert first["occupied"] == live.snapshot().now.tolist()
+    assert first["hit"] == live.snapshot().now.tolist()
     with closing(stream_of(address)) as stream:
         assert next(stream)["whole"]
         assert not next(stream).get("whole")
@@ -152,10 +152,10 @@ def test_the_stream_begins_with_the_whole_map_and_goes_on_with_changes(live, add
 
 def test_classes_are_those_of_the_legend(live):
     observed = np.array([0, 1000, 1000, 1000, 1000, 1000])
-    occupied = np.array([0, 0, 1, 5, 6, 1000])
+    hit = np.array([0, 0, 1, 5, 6, 1000])
     snapshot = Snapshot(step=0, now=np.empty(0, np.int64), observed_now=observed > 0,
-                        occupied=occupied, observed=observed)  # fmt: skip
-    share, found = occupied[1:] / 1000, snapshot.classes()
+                        hit=hit, observed=observed)  # fmt: skip
+    share, found = hit[1:] / 1000, snapshot.classes()
     assert found[0] == NOT_OBSERVED
     for value, number in zip(share, found[1:], strict=True):
         each = style.colour_classes()[number]
@@ -172,12 +172,12 @@ def test_features_are_the_tiles_that_are_observed(live, address):
         shown += page["features"]
         link = next((each["href"] for each in page["links"] if each["rel"] == "next"), None)
     assert page["numberMatched"] == len(shown) == live.seen.sum()
-    share = snapshot.occupancy()
+    share = snapshot.hit_share()
     for each in shown[::97]:
         row, found = each["id"], each["properties"]
         assert found["tile_id"] == tiles["tile_id"][row]
-        assert found["occupied_now"] == (row in snapshot.now)
-        assert found["occupancy_15min"] == pytest.approx(share[row], abs=1e-4)
+        assert found["hit_now"] == (row in snapshot.now)
+        assert found["hit_share_15min"] == pytest.approx(share[row], abs=1e-4)
     one = shapely.from_geojson(json.dumps(shown[0]["geometry"]))
     degrees = live.place.in_degrees(tiles).geometry
     assert one.hausdorff_distance(degrees[shown[0]["id"]]) < 1e-6
@@ -192,11 +192,11 @@ def test_features_are_the_tiles_that_are_observed(live, address):
 def test_features_are_chosen_by_a_property(live, address):
     live.at = live.first + 700
     items = f"{address}/ogc/collections/tiles/items?limit=20000"
-    now = get_json(f"{items}&occupied_now=true")
+    now = get_json(f"{items}&hit_now=true")
     assert [each["id"] for each in now["features"]] == live.snapshot().now.tolist()
     first = now["features"][0]["properties"]
-    share = json.dumps(first["occupancy_15min"])
-    alike = get_json(f"{items}&occupancy_15min={share}&lane={first['lane']}")["features"]
+    share = json.dumps(first["hit_share_15min"])
+    alike = get_json(f"{items}&hit_share_15min={share}&lane={first['lane']}")["features"]
     assert first in [each["properties"] for each in alike]
 
 
@@ -300,7 +300,7 @@ def test_the_page_in_a_browser(live, address, chromium, width, language):
     picture = chromium.find_element(By.ID, "map")
     wait_for(lambda: colours_of(picture)[VEHICLE] > 5)  # drawn after the tiles
     colours = colours_of(picture)
-    assert colours[OCCUPIED] > 20
+    assert colours[HIT] > 20
     assert colours[style.NOT_OBSERVED] > 200
     assert sum(colours[each.colour] for each in style.colour_classes()[1:]) > 200
     rows = chromium.find_elements(By.CSS_SELECTOR, "#sensor-rows tr")
@@ -377,10 +377,10 @@ def test_zoomed_out_the_map_and_its_legend_are_of_lanes(live, address, chromium)
         return side.get_attribute("data-measure") != "now"
 
     wait_for(is_far)
-    pictures = {each: picture_of_tiles(chromium, each) for each in ("lately", "covers", "now")}
+    pictures = {each: picture_of_tiles(chromium, each) for each in ("lately", "occupancy", "now")}
     ten = style.colour_classes()[5]  # of all lanes
     assert ten.lower < 0.1 <= ten.upper
-    assert pictures["covers"][ten.colour] > 20
+    assert pictures["occupancy"][ten.colour] > 20
     assert max(pictures[each][ten.colour] for each in ("lately", "now")) < 10
     told = side.text.splitlines()
     assert told[4] == "Jetzt"
@@ -395,13 +395,13 @@ def test_the_legend_asks_nothing_of_browsers_that_some_lack():
 
 def test_a_little_traffic_does_not_read_as_none(live):
     snapshot = live.snapshot()
-    snapshot.lately.lanes["covered_s"] = 0.02  # of 60
+    snapshot.lately.lanes["occupied_s"] = 0.02  # of 60
     assert {each[0] for each in whole_event(live.place, snapshot)["traffic"].values()} == {1}
-    snapshot.lately.lanes["covered_s"] = 0.0
+    snapshot.lately.lanes["occupied_s"] = 0.0
     assert {each[0] for each in whole_event(live.place, snapshot)["traffic"].values()} == {0}
 
 
-def test_the_page_shows_coverage_and_tells_vehicles(live, address, chromium):
+def test_the_page_shows_occupancy_and_tells_vehicles(live, address, chromium):
     live.at, live.silent = live.first + 1200, set()
     wide(chromium, 1280)
     chromium.get(f"{address}/?lang=en")
@@ -414,20 +414,20 @@ def test_the_page_shows_coverage_and_tells_vehicles(live, address, chromium):
     first = chromium.find_element(By.CSS_SELECTOR, "#lane-rows tr").find_elements(By.TAG_NAME, "td")
     assert first[3].text == "10.0 %"
     classes = [each.colour for each in style.colour_classes()]
-    painted = picture_of_tiles(chromium, "covers")
-    assert painted[OCCUPIED] == 0
+    painted = picture_of_tiles(chromium, "occupancy")
+    assert painted[HIT] == 0
     assert sum(painted[each] for each in classes[1:]) > 200
     side = chromium.find_element(By.CLASS_NAME, "side").text.splitlines()
     words = "share of time with a vehicle while a tile was visible, last 15 minutes"
-    assert side[4:6] == ["Coverage", words]
+    assert side[4:6] == ["Occupancy", words]
     assert "0 %, no vehicle" in side
-    assert not {"Share of the observed time", "0 %, never hit", "occupied now"} & set(side)
+    assert not {"Share of the observed time", "0 %, never hit", "hit now"} & set(side)
     painted = picture_of_tiles(chromium, "now")
     assert painted[classes[0]] > 200
     assert sum(painted[each] for each in classes[1:]) == 0
     side = chromium.find_element(By.CLASS_NAME, "side").text.splitlines()
     assert [side[4], *side[6:10]] == [
-        "Now", "occupied now", "not hit now", "not observed", "vehicle now"
+        "Now", "hit now", "not hit now", "not observed", "vehicle now"
     ]  # fmt: skip
     assert [each for each in chromium.get_log("browser") if each["level"] == "SEVERE"] == []
 
@@ -439,7 +439,7 @@ def test_vehicles_of_now_are_features(live, address):
     assert found["numberMatched"] == len(now) > 0
     assert {each["properties"]["heavy"] for each in found["features"]} == {False, True}
     lanes = get_json(f"{address}/ogc/collections/lanes/items")["features"]
-    assert lanes[0]["properties"]["coverage_15min"] == pytest.approx(0.1)
+    assert lanes[0]["properties"]["occupancy_15min"] == pytest.approx(0.1)
 
 
 def test_what_is_not_observed_has_no_share(live):
@@ -466,14 +466,14 @@ def test_the_page_shows_what_a_sensor_sends_now(tmp_path, once):
         sensor = Background(edge.run)
         wait_for(lambda: is_open(port))
         address = f"http://127.0.0.1:{port}"
-        wait_for(lambda: len(events(address, 1)[0]["occupied"]))  # numba may compile
+        wait_for(lambda: len(events(address, 1)[0]["hit"]))  # numba may compile
         state = get_json(f"{address}/state.json")
         assert state["sensors"]["R1"]["online"]
         assert not state["sensors"]["R2"]["online"]
         assert state["sensors"]["R1"]["at"] == pytest.approx((11.561, 48.150), abs=0.002)
-        assert {state["classes"][str(tile)] for tile in state["occupied"]} <= set(range(1, 9))
+        assert {state["classes"][str(tile)] for tile in state["hit"]} <= set(range(1, 9))
         lanes = get_json(f"{address}/ogc/collections/intervals/items")["features"]
-        assert any(each["properties"]["occupied_s"] > 0 for each in lanes)
+        assert any(each["properties"]["hit_s"] > 0 for each in lanes)
         assert 'gis_radar_frames_total{sensor="R1"}' in get(f"{address}/metrics")[0]
         sensor.end()
     finally:

@@ -5,24 +5,36 @@ import time
 from collections import Counter
 from contextlib import suppress
 from dataclasses import replace
+from operator import itemgetter
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from live_programs import rows_of
 from live_site import SAMPLE
 from pydantic import ValidationError
 
 import gis_radar as gr
+from gis_radar.dataset.tables import HITS as HIT_ROWS
+from gis_radar.dataset.tables import OBSERVED
 from gis_radar.errors import GisRadarError, InputError
 from gis_radar.languages import catalogue
 from gis_radar.live.broker import BrokerAddress, parts_of
-from gis_radar.live.buffer import BLOCK, ROW_BYTES, DiskBuffer, FullError, hours_held
+from gis_radar.live.buffer import BLOCK, ROW_BYTES, DiskBuffer, FullError
+from gis_radar.live.detections import (
+    FARTHEST,
+    DetectionSelector,
+    FrameDetections,
+    head_of,
+    pack_detections,
+    unpack_detections,
+)
 from gis_radar.live.health import ALARMS, SensorHealth, prometheus_text
 from gis_radar.live.map_of_now import MapOfNow
 from gis_radar.live.payload import (
+    DETECTIONS,
     HITS,
-    RETURNS,
     Acknowledgement,
     Envelope,
     PoseContent,
@@ -33,24 +45,18 @@ from gis_radar.live.payload import (
     unpack_message,
 )
 from gis_radar.live.recent import RecentCounts
-from gis_radar.live.returns import (
-    FARTHEST,
-    FrameReturns,
-    ReturnFinder,
-    head_of,
-    pack_returns,
-    unpack_returns,
-)
 from gis_radar.live.server import access_of
 from gis_radar.live.sources import Replay, frames_of_recording
 from gis_radar.live.tile_finder import TileFinder
 from gis_radar.live.windows import Seen, Windows
-from gis_radar.occupancy.frame_log import NO_FURTHER
-from gis_radar.occupancy.hit_counter import CountedFrame
+from gis_radar.measures.frames import NO_FURTHER
+from gis_radar.measures.hit_counter import CountedFrame
 from gis_radar.progress import Reporter
 from gis_radar.recordings.recording import Detections
 from gis_radar.sight import SightTiles
+from gis_radar.sight.sight import IN_SIGHT, find_sight
 from gis_radar.site.live_table import PageTable
+from gis_radar.steps import STEP_US
 
 PRINT = "00112233445566778899aabbccddeeff"
 COUNT = st.integers(0, 10_000)
@@ -94,12 +100,14 @@ def test_frames_come_out_of_a_message_as_they_went_in(rows, number, pose, stream
         max_size=60,
     )
 )  # fmt: skip
-def test_returns_come_out_as_they_went_in(rows):
+def test_detections_come_out_as_they_went_in(rows):
     values = np.array(rows, np.int64).reshape(-1, 5)
-    frame = FrameReturns(time_us=1, points=values[:, :3], rates=values[:, 3], rcs_db=values[:, 4])
-    content = pack_returns([frame, replace(frame, time_us=50_001)], pose=9)
+    frame = FrameDetections(
+        time_us=1, points=values[:, :3], rates=values[:, 3], rcs_db=values[:, 4]
+    )
+    content = pack_detections([frame, replace(frame, time_us=50_001)], pose=9)
     assert head_of(content) == (9, 2)
-    pose, found = unpack_returns(content)
+    pose, found = unpack_detections(content)
     assert (pose, [each.time_us for each in found]) == (9, [1, 50_001])
     for back in found:
         assert np.array_equal(np.column_stack([back.points, back.rates, back.rcs_db]), values)
@@ -117,9 +125,9 @@ def test_what_is_not_measured_is_not_known_again():
                       height=np.array([np.nan]), crs="EPSG:25832", fingerprint="")  # fmt: skip
     pose = gr.Pose(sensor="R1", crs="EPSG:25832", easting=0.0, northing=0.0, height=5.0, yaw=0.0,
                    pitch=0.0, roll=0.0)  # fmt: skip
-    found = ReturnFinder(road).find(frame, pose, road_m=0.0)
-    _, (back,) = unpack_returns(pack_returns([found], pose=1))
-    read = back.detections()
+    found = DetectionSelector(road).find(frame, pose, road_m=0.0)
+    _, (back,) = unpack_detections(pack_detections([found], pose=1))
+    read = back.as_rows()
     assert np.isnan(read.points[:, 2]).all()
     assert np.isnan(read.rcs).all()
     assert read.range_rate[0] == 0.0  # stands; the next one just does not
@@ -132,7 +140,7 @@ def test_what_is_not_measured_is_not_known_again():
 def test_what_is_no_message_is_refused_and_nothing_else_is_raised(noise, start):
     good = pack_message(Envelope(kind=HITS, stream=b"abcd", number=5), b"")
     data = good[: [0, 2, 6, len(good)][start]] + noise
-    for read in (unpack_message, Acknowledgement.unpack, PoseContent.unpack, unpack_returns,
+    for read in (unpack_message, Acknowledgement.unpack, PoseContent.unpack, unpack_detections,
                  head_of, lambda each: unpack_hits(each, tiles=10)):  # fmt: skip
         with suppress(InputError):
             read(data)
@@ -142,7 +150,7 @@ def test_what_is_no_message_is_refused_and_nothing_else_is_raised(noise, start):
     ("data", "says"),
     [
         (b"\x02\x01abcd\x01\x00", "version 2, expected 1"),
-        (b"\x01\x83abcd\x00\x00", "version 1, expected 2"),  # returns of an earlier sensor
+        (b"\x01\x83abcd\x00\x00", "version 1, expected 2"),  # detections of an earlier sensor
         (b"", "version none"),
         (b"\x01\x07abcd\x01\x00", "of kind 7"),
         (b"\x01\x01ab", "4 bytes"),
@@ -185,13 +193,13 @@ def test_messages_are_as_small_as_stated(finder):
         len(pack_message(envelope, pack_hits([finder.find(f)], pose=number, fingerprint=PRINT)))
         for f in frames
     ]
-    envelope, returned = replace(envelope, kind=RETURNS), ReturnFinder(road)
-    returns = [
-        len(pack_message(envelope, pack_returns([finder.returns(f, returned)], pose=number)))
+    envelope, returned = replace(envelope, kind=DETECTIONS), DetectionSelector(road)
+    detections = [
+        len(pack_message(envelope, pack_detections([finder.detections(f, returned)], pose=number)))
         for f in frames
     ]
     assert np.percentile(hits, 99) < 150
-    assert np.percentile(returns, 99) < 600
+    assert np.percentile(detections, 99) < 600
 
 
 def test_a_day_fits_in_the_default_buffer(tmp_path):
@@ -202,8 +210,8 @@ def test_a_day_fits_in_the_default_buffer(tmp_path):
             buffer.append(HITS, content)
         each = (buffer.bytes_used - before) / 3_000
     assert each - len(content) < ROW_BYTES
-    held = hours_held(400_000_000, message_bytes=150, messages_per_second=20)
-    assert held > 24  # of the 99th percentile throughout
+    hours = 400_000_000 / ((150 + ROW_BYTES) * 20 * 3600.0)  # of the 99th percentile throughout
+    assert hours > 24
 
 
 def test_only_what_is_acknowledged_leaves_the_buffer(tmp_path):
@@ -277,40 +285,40 @@ def test_windows_close_in_order_at_their_lateness():
     assert windows.early == 1
 
 
-def test_the_map_of_now_counts_as_a_heat_map_does(tmp_path, finder):
-    """Every window of both sensors: the same seconds as of the folder, tile by tile."""
+def test_the_map_of_now_counts_as_the_batch_does(tmp_path):
+    """Every window of both sensors: the same steps as of the dataset, tile by tile."""
     tiles = gr.make_tiles(gr.read_map(SAMPLE / "junction.osm"))
     names = ("R1", "R2")
-    batch = gr.measure_occupancy(
-        [SAMPLE / f"{name}.parquet" for name in names],
-        [gr.read_pose(SAMPLE / f"{name}.json") for name in names], tiles, tmp_path / "o",
-    )  # fmt: skip
-    tile_id = tiles["tile_id"].to_numpy()
+    poses = [gr.read_pose(SAMPLE / f"{name}.json") for name in names]
+    recordings = [SAMPLE / f"{name}.parquet" for name in names]
+    batch = gr.measure(
+        recordings, poses, tiles, SAMPLE / "junction.osm", tmp_path / "o", hits_only=True
+    )
+    road = SightTiles.of(tiles)
     windows, current = Windows(0.2), MapOfNow(len(tiles), interval=1 << 40)
-    current.holds_s = dict(batch.hold_s)
-    for name, group in batch.views.groupby("sensor"):
-        current.views[name] = np.isin(tile_id, group["tile_id"])
-    rows = [np.concatenate(c) for c in zip(*batch.hits_by_sensor(names), strict=True)]
-    log = [np.concatenate(c) for c in zip(*batch.frame_log(names), strict=True)]
-    frames = sorted(set(zip((log[0] // 50_000).tolist(), log[1].tolist(), strict=True)))
-    by_frame = {key: [] for key in frames}
-    for step, tile, sensor in zip(*rows, strict=True):
-        by_frame[int(step), int(sensor)].append(int(tile))
-    last = frames[-1][0]
-    for step, sensor in frames:
-        place = np.searchsorted(tile_id, by_frame[step, sensor])
-        assert windows.add(names[sensor], step, Seen(place, names[sensor]))
+    frames = []
+    for name, pose, recording in zip(names, poses, recordings, strict=True):
+        finder = TileFinder(road, gr.TileGrid(road.quads), gr.Filters(), pose)
+        current.holds_s[name], current.views[name] = 0.1, find_sight(pose, road).state == IN_SIGHT
+        counted = map(finder.find, frames_of_recording(recording))
+        frames += [(each.time_us // STEP_US, name, each.tiles) for each in counted]
+    last = max(step for step, _, _ in frames)
+    for step, name, place in sorted(frames, key=itemgetter(0, 1)):
+        assert windows.add(name, step, Seen(place, name))
         for closed in windows.close(step * 50_000):
             current.take(*closed)
     for closed in windows.close((last + 1) * 50_000 + 200_000):
         current.take(*closed)
     state = current.state()
     assert state.step == last
-    heatmap = gr.make_heatmap(batch, tiles).wide()
-    occupied_s = np.nan_to_num(heatmap["occupied_s"].to_numpy())  # NaN where not observed
-    assert np.array_equal(state.occupied_steps, np.rint(occupied_s * 20.0))
-    assert np.array_equal(state.observed_steps, np.rint(heatmap["observed_s"].to_numpy() * 20.0))
-    assert state.occupied_steps.max() > 100
+    hit_tile, step = rows_of(batch, HIT_ROWS, ("tile_id", "step"))
+    tile, first, until = rows_of(batch, OBSERVED, ("tile_id", "first_step", "last_step"))
+    count = np.minimum(until, last) - first + 1
+    counted = (step <= last) & np.isin(hit_tile, tile)  # hits of tiles that are observed
+    both = [np.searchsorted(road.tile_id, each) for each in (hit_tile[counted], tile)]
+    assert np.array_equal(state.hit_steps, np.bincount(both[0], minlength=len(tiles)))
+    assert np.array_equal(state.observed_steps, np.bincount(both[1], count, len(tiles)))
+    assert state.hit_steps.max() > 100
 
 
 def test_a_clock_that_is_set_back_begins_the_map_anew():
@@ -322,11 +330,11 @@ def test_a_clock_that_is_set_back_begins_the_map_anew():
         for closed, frames in windows.close(step * 50_000 + 200_000):
             current.take(closed, frames)
             state = current.state()
-            recent.take(closed, state.occupied, state.observed)
+            recent.take(closed, state.hit, state.observed)
         return current.state()
 
     windows.add("R1", 100_000, seen(0))
-    assert close(100_001).occupied.tolist() == [True, False, False]
+    assert close(100_001).hit.tolist() == [True, False, False]
     windows.add("R1", 172_000, seen(1))
     windows.close(100_002 * 50_000)
     ahead = close(172_001)
@@ -334,13 +342,13 @@ def test_a_clock_that_is_set_back_begins_the_map_anew():
     windows.add("R1", 99_990, seen(2))  # within what a map may be late by: nothing happens
     assert close(171_990).step == 172_000
     back = close(100_010)
-    assert (back.step, back.occupied.any()) == (100_009, False)
+    assert (back.step, back.hit.any()) == (100_009, False)
     assert windows.add("R1", 100_011, seen(2))
     after = close(100_012)
-    assert (after.step, after.occupied.tolist()) == (100_011, [False, False, True])
-    assert after.occupied_steps.tolist() == [0, 0, 1]
-    occupied, observed = recent.last_minutes()
-    assert (occupied.tolist(), observed.max()) == ([0, 0, 1], 1)
+    assert (after.step, after.hit.tolist()) == (100_011, [False, False, True])
+    assert after.hit_steps.tolist() == [0, 0, 1]
+    hit, observed = recent.last_minutes()
+    assert (hit.tolist(), observed.max()) == ([0, 0, 1], 1)
     assert len(recent.lane_intervals()) == 1
 
 
@@ -350,9 +358,9 @@ def test_cumulative_counts_begin_anew_with_the_interval():
     for step in range(5, 13):
         current.take(step, {"R1": seen(0)} if step in {6, 9, 11} else {})
     state = current.state()
-    # a frame holds its own step and two more, on tiles that are seen
+    # a frame is valid in its own step and two more, on tiles that are seen
     assert state.begin == 10
-    assert state.occupied_steps.tolist() == [3, 0, 0]
+    assert state.hit_steps.tolist() == [3, 0, 0]
     assert state.observed_steps.tolist() == [3, 3, 0]
 
 
@@ -433,9 +441,9 @@ def test_a_state_that_was_given_does_not_change():
     current.views["v"] = np.array([True, True, False])
     current.take(1, {"R1": Seen(np.array([0]), "v")})
     before = current.state()
-    kept = before.occupied.copy(), before.observed_steps.copy()
+    kept = before.hit.copy(), before.observed_steps.copy()
     current.take(2, {"R1": Seen(np.array([1]), "v")})
-    assert (before.occupied == kept[0]).all()
+    assert (before.hit == kept[0]).all()
     assert (before.observed_steps == kept[1]).all()
     assert current.state().observed_steps.tolist() == [2, 2, 0]
 

@@ -32,13 +32,13 @@ def test_sums_are_those_of_the_steps(gaps, seed):
     chance = np.random.default_rng(seed)
     steps = FIRST + np.cumsum(gaps)
     observed = chance.random((len(steps), 4)) < 0.8
-    occupied = observed & (chance.random((len(steps), 4)) < 0.5)
+    hit = observed & (chance.random((len(steps), 4)) < 0.5)
     counts = RecentCounts(LANE_OF_TILE, LANES)
-    for step, one, other in zip(steps.tolist(), occupied, observed, strict=True):
+    for step, one, other in zip(steps.tolist(), hit, observed, strict=True):
         counts.take(step, one, other)
     lately = steps // 4 > steps[-1] // 4 - 3
     assert [each.tolist() for each in counts.last_minutes()] == [
-        occupied[lately].sum(axis=0).tolist(), observed[lately].sum(axis=0).tolist(),
+        hit[lately].sum(axis=0).tolist(), observed[lately].sum(axis=0).tolist(),
     ]  # fmt: skip
     table = counts.lane_intervals()
     met = sorted(set((steps // 12).tolist()))
@@ -47,7 +47,7 @@ def test_sums_are_those_of_the_steps(gaps, seed):
         part = table[3 * place : 3 * place + 3]
         chosen = steps // 12 == number
         assert part["begin"].tolist() == [pd.Timestamp(number * 600, unit="ms", tz="UTC")] * 3
-        for name, values in (("occupied_s", occupied), ("observed_s", observed)):
+        for name, values in (("hit_s", hit), ("observed_s", observed)):
             by_tile = values[chosen].sum(axis=0) * 0.05
             expected = [by_tile[lane == LANE_OF_TILE].mean() for lane in range(3)]
             assert part[name].to_numpy() == pytest.approx(expected)

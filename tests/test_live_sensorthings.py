@@ -199,7 +199,7 @@ def until_sent(push):
 
 
 def count(push, place, first, steps):
-    """Let half of the time every tile be occupied, all observed."""
+    """Let half of the time every tile be hit, all observed."""
     tiles = len(place.tiles)
     for step in range(first, first + steps):
         push.take(step, np.full(tiles, step % 2 == 0), np.ones(tiles, np.bool_))

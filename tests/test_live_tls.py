@@ -79,7 +79,7 @@ def test_fusion_and_a_sensor_speak_through_tls(tmp_path, once, authority):
         assert "does it speak mqtts://?" in said.lines[0]
     finally:
         site.broker.kill()
-    batch = gr.read_occupancy(once("live_batch_R1", measured(["R1"])))
+    batch = gr.open_dataset(once("live_batch_R1", measured(["R1"])))
     assert_same_tables(stored(site.folder), batch)
 
 

@@ -28,7 +28,7 @@ pytestmark = [
 ]
 
 
-class Witness:
+class Observer:
     """Keeps the poses that sensors publish, as fusion may read them."""
 
     def __init__(self, site):
@@ -105,7 +105,7 @@ def test_a_town_with_a_scan_and_poses_that_are_found_and_followed(tmp_path, once
     }  # fmt: skip
     said = Lines()
     try:
-        witness = Witness(site)
+        witness = Observer(site)
         middle = Background(Fusion(read_live_site(site.file), reporter=said).run)
         edges = [Edge(read_edge_file(site.edge(name, **own[name])), reporter=said)
                  for name in NAMES]  # fmt: skip
@@ -120,9 +120,10 @@ def test_a_town_with_a_scan_and_poses_that_are_found_and_followed(tmp_path, once
     assert [len(track.poses) for track in tracks][::2] == [1, 1]
     assert len(tracks[1].poses) > 2, said.lines  # it was followed
     recordings = [TOWN / f"{name}.parquet" for name in NAMES]
-    batch = gr.measure_occupancy(
-        recordings, tracks, gr.read_tiles(site.tiles), tmp_path / "batch", scans=[scan]
-    )
+    batch = gr.measure(
+        recordings, tracks, gr.read_tiles(site.tiles), TOWN / "map.osm", tmp_path / "batch",
+        scans=[scan], hits_only=True,
+    )  # fmt: skip
     live = stored(tmp_path)
     assert live.sensors == list(NAMES)
     assert_same_tables(live, batch)

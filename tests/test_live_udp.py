@@ -97,9 +97,9 @@ def test_a_radar_on_udp_is_stored_as_its_capture_is_counted(tmp_path, once, port
     site.broker.kill()
     capture = write_pcap(tmp_path / "r.pcap", packets)
     gr.convert(capture, tmp_path / "R1.parquet")
-    batch = gr.measure_occupancy(
+    batch = gr.measure(
         [tmp_path / "R1.parquet"], [gr.read_pose(SAMPLE / "R1.json")], gr.read_tiles(site.tiles),
-        tmp_path / "batch",
+        SAMPLE / "junction.osm", tmp_path / "batch", hits_only=True,
     )  # fmt: skip
     assert_same_tables(stored(site.folder), batch)
 
@@ -157,10 +157,10 @@ def test_a_clock_of_fusion_that_is_stepped_ends_nothing(tmp_path, once, monkeypa
     def follows():
         return abs(fusion.state().step - clock.time() * 20.0) < 20.0
 
-    wait_for(lambda: follows() and fusion.state().occupied.any())
+    wait_for(lambda: follows() and fusion.state().hit.any())
     for clock.ahead_s in (3600.0, -5.0, 0.0):
         wait_for(follows)
-    wait_for(lambda: fusion.state().occupied.any() and edge.frames > 40)
+    wait_for(lambda: fusion.state().hit.any() and edge.frames > 40)
     work.stop.set()
     work.join()
     stored_now = fusion.sensors["R1"]

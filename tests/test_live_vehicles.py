@@ -9,11 +9,12 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import pytest
-from live_programs import takes_long
+from live_programs import stored, takes_long
 from live_site import SAMPLE, Background, LiveSite, needs_mosquitto, wait_for
-from live_vehicles import Sent, compare, coverage
+from live_vehicles import Sent, compare, frames_in, occupancy, states_of
 
 import gis_radar as gr
+from gis_radar.dataset.tables.tracks import EVERY
 from gis_radar.live.edge import Edge
 from gis_radar.live.fusion import Fusion
 from gis_radar.live.settings import read_edge_file, read_live_site
@@ -30,15 +31,15 @@ HOUR = "2025-06-12T07Z"
 
 @pytest.fixture(scope="session")
 def batch(once):
-    """Give the folder of vehicles that the batch makes of the sample's recordings."""
+    """Give the dataset that the batch makes of the sample's recordings."""
 
     def make(folder):
         tiles = gr.make_tiles(gr.read_map(MAP))
         poses = [gr.read_pose(SAMPLE / f"{name}.json") for name in NAMES]
-        gr.find_vehicles(RECORDINGS, poses, tiles, MAP, folder / "vehicles")
-        return folder / "vehicles"
+        gr.measure(RECORDINGS, poses, tiles, MAP, folder / "dataset")
+        return folder / "dataset"
 
-    return once("live_vehicles_batch", make)
+    return gr.open_dataset(once("live_vehicles_batch", make))
 
 
 @pytest.fixture(scope="module")
@@ -54,9 +55,9 @@ def followed(sent):
     now = NowFilter(graph=sent.site.graph, tracker=follower.settings.tracker())
     told = []
 
-    def look(echoes):
-        now.take(echoes)
-        now.go_on(float(echoes.time[-1]) - 0.3)
+    def look(detections):
+        now.take(detections)
+        now.go_on(float(detections.time[-1]) - 0.3)
         told.append(now.now())
 
     blocks = []
@@ -75,8 +76,8 @@ def test_vehicles_are_those_of_the_recordings_within_bounds(sent, followed, batc
     assert found["recall"] > 0.85
     assert found["precision"] > 0.95
     assert found["rms_m"] < 0.5
-    assert found["coverage_error"] < 0.01
-    assert found["coverage"] == pytest.approx(found["coverage_batch"], rel=0.05)
+    assert found["occupancy_error"] < 0.01
+    assert found["occupancy"] == pytest.approx(found["occupancy_batch"], rel=0.05)
     assert found["passages"] == pytest.approx(found["passages_batch"], rel=0.05)
     assert found["passages_off"] < 0.1 * found["passages_batch"]
 
@@ -86,31 +87,28 @@ def test_counts_of_blocks_are_those_of_the_folder(sent, followed):
     counts = VehicleCounts(sent.tiles, interval=18_000)
     for block in [*blocks, blocks[0]]:  # told again: nothing counts twice
         counts.add(block)
-    whole = gr.read_vehicles(folder)
+    occupied, visible = (pd.read_parquet(folder / f"{k}.parquet") for k in ("occupied", "visible"))
     lately = counts.last_minutes()
-    sums = np.zeros(len(sent.tiles))
-    for block in whole.blocks():
-        np.add.at(
-            sums, np.searchsorted(sent.tiles["tile_id"], block.visible["tile_id"]),
-            block.visible["last_step"] - block.visible["first_step"] + 1,
-        )  # fmt: skip
-    assert np.array_equal(lately.visible, sums)
-    share, known = coverage(whole, sent.tiles), lately.visible > 0
-    assert np.nanmean(np.abs(share - lately.share())[known]) < 0.01  # covered, not visible too
+    tile = np.searchsorted(sent.tiles["tile_id"], visible["tile_id"])
+    steps = visible["last_step"] - visible["first_step"] + 1
+    assert np.array_equal(lately.visible, np.bincount(tile, steps, len(sent.tiles)))
+    share, known = occupancy(occupied, visible, sent.tiles), lately.visible > 0
+    assert np.nanmean(np.abs(share - lately.share())[known]) < 0.01  # occupied, not visible too
     lanes = counts.lanes_lately()
-    assert lanes["passages"].sum() <= len(whole.passages)
-    assert lanes["passages"].sum() > 0.5 * len(whole.passages)
-    assert counts.intervals()["covered_s"].sum() == pytest.approx(lanes["covered_s"].sum())
+    passages = len(pd.read_parquet(folder / "passages.parquet"))
+    assert 0.5 * passages < lanes["passages"].sum() <= passages
+    assert counts.intervals()["occupied_s"].sum() == pytest.approx(lanes["occupied_s"].sum())
 
 
 def test_vehicles_of_now_are_where_the_batch_has_them(sent, followed, batch):
     """The filter alone, half a second late: most vehicles, within two metres."""
     _, _, told = followed
-    states = gr.read_vehicles(batch).tracks()
-    table = next(states)
+    table = states_of(batch)
     true = found = shown = 0
-    for now in told[100::10]:
+    for now in told[100::2]:
         step = round(now.time * STEPS_PER_SECOND)
+        if step % EVERY:
+            continue
         rows = table[(table["step"] == step) & table["seen"]]
         true, shown = true + len(rows), shown + len(now)
         assert len(set(now.vehicle.tolist())) == len(now)
@@ -125,7 +123,7 @@ def test_vehicles_of_now_are_where_the_batch_has_them(sent, followed, batch):
 
 @takes_long
 def test_a_follower_that_begins_anew_goes_on_as_if_it_had_not(sent, tmp_path):
-    """Killed in the midst of a block: the same vehicles, coverage and passages, each once."""
+    """Killed in the midst of a block: the same vehicles, occupancy and passages, each once."""
     begin = sent.messages[0][0]
     messages = [each for each in sent.messages if each[0] < begin + 66 and each[1] == "R1"]
     short = replace(DEFAULTS, steps=400, margin_steps=200)
@@ -143,12 +141,12 @@ def test_a_follower_that_begins_anew_goes_on_as_if_it_had_not(sent, tmp_path):
     second = cut.follower(short)
     again = list(second.again(0))
     assert [each.last_step for each in again] == [each.last_step for each in found]
-    assert np.array_equal(again[0].covered, found[0].covered)
+    assert np.array_equal(again[0].occupied, found[0].occupied)
     second.resume()
     found += [*cut.feed(second, messages[880:]), *cut.end(second)]  # some come twice
     folders.append(second.write_hour(hour))
     assert [each.last_step for each in found] == [each.last_step for each in blocks]
-    for name in ("tracks", "vehicles", "passages", "covered", "visible", "frames"):
+    for name in ("tracks", "vehicles", "passages", "occupied", "visible", "frames"):
         one, other = (pd.read_parquet(each / f"{name}.parquet") for each in folders)
         pd.testing.assert_frame_equal(one, other)
 
@@ -167,25 +165,22 @@ def test_fusion_follows_vehicles_in_a_process_that_may_be_killed(tmp_path, once)
         for each in work:
             each.join()
             each.end()
-        taken = sum(each.health.counts["returns"] for each in fusion.sensors.values())
+        taken = sum(each.health.counts["detections"] for each in fusion.sensors.values())
         assert taken == sum(map(len, map(times, NAMES)))
-        wait_for(lambda: fusion.vehicles._told.get("frames", 0) == taken)
+        wait_for(lambda: fusion.vehicles._event_counts.get("frames", 0) == taken)
         time.sleep(1.5)  # on disk within a second
         os.kill(process.pid, signal.SIGKILL)
         wait_for(lambda: fusion.vehicles.restarts)
     finally:
         middle.end()
         site.broker.kill()
-    found = gr.read_vehicles(site.folder / "live" / "vehicles" / HOUR)
-    assert found.sensors == [*NAMES]
-    assert len(found.vehicles) > 10
-    assert fusion.vehicles.counts.last_minutes().covered.sum() > 1000
+    hour = site.folder / "live" / "vehicles" / HOUR
+    assert sorted(frames_in(hour)["sensor"].unique()) == [*NAMES]
+    assert len(pd.read_parquet(hour / "vehicles.parquet")) > 10
+    assert fusion.vehicles.counts.last_minutes().occupied.sum() > 1000
     now = gpd.read_file(site.folder / "live" / "now.gpkg", layer="now")
-    assert now["coverage"].max() > 0.1
-    hour = site.folder / "live" / "occupancy" / HOUR
-    tiles = gr.read_tiles(site.tiles)
-    heatmap = gr.make_heatmap(gr.read_occupancy(hour), tiles, vehicles=found)
-    assert heatmap.wide()["coverage"].max() > 0.1
+    assert now["occupancy"].max() > 0.1
+    assert stored(site.folder).sensors == [*NAMES]
 
 
 def times(name):
@@ -199,7 +194,7 @@ def short(site, name):
     table = pd.read_parquet(SAMPLE / f"{name}.parquet")
     path = site.folder / f"{name}.parquet"
     table[table["time"] <= times(name)[-1]].to_parquet(path, index=False)
-    several = {"returns": "true", "frames_a_message": "5"}
+    several = {"detections": "true", "frames_a_message": "5"}
     file = site.edge(name, source="speed = 10.0", **several)
     file.write_text(file.read_text().replace(str(SAMPLE / f"{name}.parquet"), str(path)))
     return file

@@ -22,29 +22,29 @@ import numpy as np
 import pandas as pd
 import pytest
 from live_site import LONGEST_S, SAMPLE, Background, wait_for
-from live_vehicles import Sent
+from live_vehicles import Sent, frames_in
 
 import gis_radar as gr
-from gis_radar.live.returns import FrameReturns, pack_returns
+from gis_radar.live.detections import FrameDetections, pack_detections
 from gis_radar.live.vehicles import follower as follower_module
 from gis_radar.live.vehicles import in_fusion
 from gis_radar.live.vehicles import worker as worker_module
-from gis_radar.live.vehicles.clocks import ReturnFrame
+from gis_radar.live.vehicles.clocks import SensorFrame
 from gis_radar.live.vehicles.counts import VehicleCounts
-from gis_radar.live.vehicles.coverage import Finished
 from gis_radar.live.vehicles.in_fusion import LiveVehicles
 from gis_radar.live.vehicles.now import VehiclesNow
+from gis_radar.live.vehicles.occupancy import Finished
 from gis_radar.live.vehicles.settings import DEFAULTS
 from gis_radar.live.vehicles.store import VehicleStore
 from gis_radar.live.vehicles.worker import (
     EndMessage,
     FramesMessage,
     PoseMessage,
-    Told,
     VehicleWorker,
+    WorkerEvent,
 )
 from gis_radar.steps import STEP_US
-from gis_radar.vehicles.visibility import SensorView
+from gis_radar.tracking.visibility import SensorView
 
 NAMES = ("R1", "R2")
 SHORT = replace(DEFAULTS, steps=100, margin_steps=40, behind_steps=10**6)
@@ -60,8 +60,8 @@ def empty(sensor, pose, time_us):
     """Return a frame without a detection."""
     none = np.zeros(0, np.int64)
     points = np.zeros((0, 3), np.int64)
-    found = FrameReturns(time_us=time_us, points=points, rates=none, rcs_db=none)
-    return ReturnFrame(sensor, pose, found)
+    found = FrameDetections(time_us=time_us, points=points, rates=none, rcs_db=none)
+    return SensorFrame(sensor, pose, found)
 
 
 def site_of(sent, tmp_path):
@@ -95,7 +95,7 @@ def test_a_pose_beside_a_sensor_that_follows_stays_known(sent, tmp_path, monkeyp
     assert len(follower._poses) < 7
     assert {*follower.store.poses()} == {*follower._poses}
     assert len(follower.store.views()) == len(follower._poses)
-    assert len(follower._coverage._engine._visibility._views) == len(follower._poses)
+    assert len(follower._occupancy._engine._visibility._views) == len(follower._poses)
     assert len(follower._road_m) == len(follower._poses)
     assert not follower.knows(here.rows["R2"])
     follower.take([empty("R2", here.rows["R2"], int(times[-1]))])
@@ -112,14 +112,14 @@ def test_fusion_names_a_pose_again_that_was_not_used_for_long(sent, tmp_path, mo
     def name(sensor, row):
         known = SimpleNamespace(
             view=sent.views[sensor],
-            content=SimpleNamespace(hold_s=0.1, pose=content[sensor], trusted=True),
+            content=SimpleNamespace(validity_s=0.1, pose=content[sensor], trusted=True),
         )
         vehicles._process = vehicles
-        health = SimpleNamespace(name=sensor, counts={"returns": 0, "left_out": 0})
+        health = SimpleNamespace(name=sensor, counts={"detections": 0, "left_out": 0})
         vehicles.take(
             health,
             "s",
-            pack_returns([empty(sensor, 1, 10**15).returns], pose=1),
+            pack_detections([empty(sensor, 1, 10**15).detections], pose=1),
             {("s", 1): row},
             {row: known},
         )
@@ -138,10 +138,10 @@ def test_vehicles_of_now_are_none_once_all_sensors_are_silent(sent, tmp_path, mo
     vehicles._process = object()
     now = VehiclesNow.of(100.0, np.ones((1, 6)))
     for newest in (100.1, 100.2):
-        vehicles._note(Told(counts={"newest_s": newest}, now=now))
+        vehicles._note(WorkerEvent(counts={"newest_s": newest}, now=now))
     assert len(vehicles.now()) == 1
     clock.now += in_fusion.OLD_S + 0.1
-    vehicles._note(Told(counts={"newest_s": 100.2}, now=now))
+    vehicles._note(WorkerEvent(counts={"newest_s": 100.2}, now=now))
     assert len(vehicles.now()) == 0
 
 
@@ -263,7 +263,7 @@ def minutes(begin, count):
 def message(follower, here, times):
     """Return a message of frames of R1, after its pose."""
     pose, _ = follower._poses[here.rows["R1"]]
-    contents = [pack_returns([empty("R1", 1, int(each)).returns], pose=1) for each in times]
+    contents = [pack_detections([empty("R1", 1, int(each)).detections], pose=1) for each in times]
     return [
         PoseMessage(number=7, pose=pose),
         FramesMessage(rows=[("R1", 7, each) for each in contents]),
@@ -283,7 +283,7 @@ def test_an_hour_is_written_though_its_process_was_killed_long_ago(sent, tmp_pat
     again.run()
     written = [each.written for each in told if each.written]
     assert {*written} == {here.site.path_of(hour), here.site.path_of(hour + 2)}
-    assert len(gr.read_vehicles(here.site.path_of(hour)).sensors) == 1
+    assert frames_in(here.site.path_of(hour))["sensor"].unique().tolist() == ["R1"]
     again._store.close()
 
 
@@ -300,7 +300,7 @@ def test_an_hour_that_cannot_be_written_is_kept(sent, tmp_path):
     inbox.put(EndMessage())
     running.run()
     assert not [each for each in told if each.written]
-    assert running._store.piece_hours(72_000) == [hour + k for k in range(4)]
+    assert running._store.batch_hours(72_000) == [hour + k for k in range(4)]
     assert told[-1].counts["failing_hours"] == 4
     running._store.close()
 
@@ -315,7 +315,7 @@ def test_an_hour_that_cannot_be_written_for_a_day_is_given_up_by_name(sent, tmp_
             inbox.put(each)
     inbox.put(EndMessage())
     running.run()
-    assert running._store.piece_hours(72_000) == [400_002, 400_003]  # as of those written
+    assert running._store.batch_hours(72_000) == [400_002, 400_003]  # as of those written
     assert told[-1].counts["failing_hours"] == 0
     said = [each.said for each in told if each.said.endswith("they are dropped")]
     assert len(said) == 4
@@ -356,7 +356,7 @@ def test_a_vehicle_passes_a_lane_once_over_the_edge_of_a_block(sent):
         passages = pd.DataFrame({"vehicle": vehicles, "lanelet_id": lanelet, "speed": 10.0})
         counts.add(
             Finished(
-                first_step=1200 * k, last_step=1200 * k + 1199, visible=zeros, covered=zeros,
+                first_step=1200 * k, last_step=1200 * k + 1199, visible=zeros, occupied=zeros,
                 passages=passages, stood=np.zeros((0, 5)),
             )
         )  # fmt: skip
@@ -402,12 +402,12 @@ def test_clocks_that_are_set_back_far_begin_anew_and_nothing_counts_twice(sent, 
     work.end()
     running._store.close()
     (folder,) = {each.written for each in told if each.written and each.written.exists()}
-    frames = gr.read_vehicles(folder).frames
+    frames = frames_in(folder)
     least = begin if back == 350 else again
     assert (frames["first_step"].min(), frames["last_step"].max()) == (least, again + 139)
     (aside,) = (each for each in folder.parent.iterdir() if each.name.count("."))
     assert aside.name.startswith("2015-08-19T17Z.")
-    first = gr.read_vehicles(aside).frames
+    first = frames_in(aside)
     assert (first["first_step"].min(), first["last_step"].max()) == (begin, begin + 399)
     counts = VehicleCounts(sent.tiles, interval=18_000)
     for each in told:

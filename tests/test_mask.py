@@ -221,7 +221,7 @@ def test_only_things_on_the_road(tmp_path):
         gr.mask_road([tmp_path / "scan.laz"], box_roads(ROAD), engine="laspy")
 
 
-def test_order_and_pieces_change_nothing(tmp_path, monkeypatch):
+def test_order_and_batches_change_nothing(tmp_path, monkeypatch):
     points = hidden(ground(AROUND, slope), (3.0, 3.0, 8.0, 5.0), lambda x, y: slope(x, y) + 1.4)
     whole, _ = masked(tmp_path / "whole.laz", points)
     shuffled = np.random.default_rng(1).permutation(points)

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gis_radar.errors import OutputError
-from gis_radar.files import only_writer, refuse_inputs, whole_file, whole_folder
+from gis_radar.files import atomic_folder, atomic_write, only_writer, refuse_inputs
 from gis_radar.json_documents import json_text
 from gis_radar.progress import Reporter
 
@@ -20,7 +20,7 @@ def contents(folder):
 
 
 def test_a_file_appears_whole(tmp_path):
-    with whole_file(tmp_path / "a.txt") as part:
+    with atomic_write(tmp_path / "a.txt") as part:
         part.write_text("new")
         assert not (tmp_path / "a.txt").exists()
     assert (tmp_path / "a.txt").read_text() == "new"
@@ -30,7 +30,7 @@ def test_a_file_appears_whole(tmp_path):
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
 def test_a_failed_file_leaves_the_old_one(tmp_path, error):
     (tmp_path / "a.txt").write_text("old")
-    with pytest.raises(error), whole_file(tmp_path / "a.txt") as part:
+    with pytest.raises(error), atomic_write(tmp_path / "a.txt") as part:
         part.write_text("half")
         raise error
     assert (tmp_path / "a.txt").read_text() == "old"
@@ -39,7 +39,7 @@ def test_a_failed_file_leaves_the_old_one(tmp_path, error):
 
 def test_a_folder_is_replaced_as_a_whole(tmp_path):
     for text in ("one", "two"):
-        with whole_folder(tmp_path / "map", owned=("heat",)) as part:
+        with atomic_folder(tmp_path / "map", owned=("heat",)) as part:
             (part / f"heat-{text}").write_text(text)
     assert contents(tmp_path) == ["map", "map/heat-two"]
 
@@ -49,7 +49,7 @@ def test_a_failed_folder_leaves_the_old_one(tmp_path):
     (tmp_path / "map" / "heat").write_text("old")
     with (
         pytest.raises(KeyboardInterrupt),
-        whole_folder(tmp_path / "map", owned=("heat",)) as part,
+        atomic_folder(tmp_path / "map", owned=("heat",)) as part,
     ):
         (part / "heat").write_text("half")
         raise KeyboardInterrupt
@@ -61,7 +61,7 @@ def test_foreign_files_are_not_replaced(tmp_path):
     (tmp_path / "thesis.doc").write_text("years of work")
     with (
         pytest.raises(OutputError, match=r"thesis\.doc"),
-        whole_folder(tmp_path, owned=("heat",)),
+        atomic_folder(tmp_path, owned=("heat",)),
     ):
         pass
     assert contents(tmp_path) == ["thesis.doc"]
@@ -69,11 +69,11 @@ def test_foreign_files_are_not_replaced(tmp_path):
 
 def test_places_that_cannot_be_written(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(OutputError, match="cannot be written"), whole_file(tmp_path / "no" / "a"):
+    with pytest.raises(OutputError, match="cannot be written"), atomic_write(tmp_path / "no" / "a"):
         pass
-    with pytest.raises(OutputError, match="is a folder"), whole_file(tmp_path):
+    with pytest.raises(OutputError, match="is a folder"), atomic_write(tmp_path):
         pass
-    with pytest.raises(OutputError, match="is a file"), whole_folder(tmp_path / "file", owned=()):
+    with pytest.raises(OutputError, match="is a file"), atomic_folder(tmp_path / "file", owned=()):
         pass
 
 
@@ -108,7 +108,7 @@ def test_an_earlier_folder_outlives_a_stopped_move(earlier, monkeypatch, error, 
     monkeypatch.setattr("gis_radar.files._exchanged", lambda *_: False)
     stop_renames(monkeypatch, error, after=after, done=done)
     expected = KeyboardInterrupt if isinstance(error, KeyboardInterrupt) else OutputError
-    with pytest.raises(expected), whole_folder(earlier, owned=("heat",)) as part:
+    with pytest.raises(expected), atomic_folder(earlier, owned=("heat",)) as part:
         (part / "heat").write_text("new")
     assert contents(earlier.parent) == ["map", "map/heat"]
     assert (earlier / "heat").read_text() == left
@@ -119,7 +119,7 @@ def test_the_working_folder_is_not_replaced(earlier, monkeypatch):
     for name in (".", "", "..", "../map"):
         with (
             pytest.raises(OutputError, match=r"is the folder you are in|is not part of"),
-            whole_folder(Path(name), owned=("heat", "map")),
+            atomic_folder(Path(name), owned=("heat", "map")),
         ):
             pass
     assert contents(earlier.parent) == ["map", "map/heat"]
@@ -127,7 +127,7 @@ def test_the_working_folder_is_not_replaced(earlier, monkeypatch):
 
 def test_a_relative_folder_lies_where_the_program_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with whole_folder(Path("a") / ".." / "map", owned=()) as part:
+    with atomic_folder(Path("a") / ".." / "map", owned=()) as part:
         (part / "heat").write_text("new")
     assert contents(tmp_path) == ["map", "map/heat"]
 
@@ -139,7 +139,7 @@ def test_a_file_that_cannot_be_moved_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr("os.replace", busy)
     with (
         pytest.raises(OutputError, match=r"a\.txt: cannot be written: Permission denied"),
-        whole_file(tmp_path / "a.txt") as part,
+        atomic_write(tmp_path / "a.txt") as part,
     ):
         part.write_text("new")
     assert contents(tmp_path) == []
@@ -160,14 +160,14 @@ def test_an_input_is_not_replaced(tmp_path, monkeypatch):
 
 
 def test_two_runs_do_not_write_one_folder(tmp_path):
-    with whole_folder(tmp_path / "o", owned=("a",)) as part:
+    with atomic_folder(tmp_path / "o", owned=("a",)) as part:
         (part / "a").write_text("first")
         with (
             pytest.raises(OutputError, match="o: another run is writing it"),
-            whole_folder(tmp_path / "o", owned=("a",)),
+            atomic_folder(tmp_path / "o", owned=("a",)),
         ):
             pass
-        with whole_folder(tmp_path / "p", owned=("a",)):
+        with atomic_folder(tmp_path / "p", owned=("a",)):
             pass
     assert (tmp_path / "o" / "a").read_text() == "first"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["o", "p"]
@@ -175,17 +175,17 @@ def test_two_runs_do_not_write_one_folder(tmp_path):
 
 def test_a_lock_that_a_killed_run_left_does_not_count(tmp_path):
     (tmp_path / ".o.lock").write_text("")
-    with whole_folder(tmp_path / "o", owned=("a",)):
+    with atomic_folder(tmp_path / "o", owned=("a",)):
         pass
-    with pytest.raises(RuntimeError), whole_folder(tmp_path / "o", owned=("a",)):
+    with pytest.raises(RuntimeError), atomic_folder(tmp_path / "o", owned=("a",)):
         raise RuntimeError
     assert [path.name for path in tmp_path.iterdir()] == ["o"]
 
 
 def test_another_process_holds_the_lock(tmp_path):
     code = (
-        "import sys; from pathlib import Path; from gis_radar.files import whole_folder\n"
-        "with whole_folder(Path(sys.argv[1]), owned=()): print('in', flush=True); input()"
+        "import sys; from pathlib import Path; from gis_radar.files import atomic_folder\n"
+        "with atomic_folder(Path(sys.argv[1]), owned=()): print('in', flush=True); input()"
     )
     other = subprocess.Popen(
         [sys.executable, "-c", code, tmp_path / "o"],
@@ -195,18 +195,18 @@ def test_another_process_holds_the_lock(tmp_path):
         assert other.stdout.readline().strip() == b"in"
         with (
             pytest.raises(OutputError, match=f"another run .* .process {other.pid}"),
-            whole_folder(tmp_path / "o", owned=()),
+            atomic_folder(tmp_path / "o", owned=()),
         ):
             pass
         other.kill()
-    with whole_folder(tmp_path / "o", owned=()):
+    with atomic_folder(tmp_path / "o", owned=()):
         pass
 
 
 def test_an_interruption_of_the_clearing_up_leaves_nothing(tmp_path):
     """A worker whose parent dies is stopped twice: by the broken pipe and by the watchdog."""
     code = (
-        "import shutil, sys; from pathlib import Path; from gis_radar.files import whole_folder\n"
+        "import shutil, sys; from pathlib import Path; from gis_radar.files import atomic_folder\n"
         "remove, told = shutil.rmtree, []\n"
         "def rmtree(*words, **options):\n"
         "    if not told:\n"
@@ -214,7 +214,7 @@ def test_an_interruption_of_the_clearing_up_leaves_nothing(tmp_path):
         "        raise KeyboardInterrupt\n"
         "    remove(*words, **options)\n"
         "shutil.rmtree = rmtree\n"
-        "with whole_folder(Path(sys.argv[1]), owned=()) as part:\n"
+        "with atomic_folder(Path(sys.argv[1]), owned=()) as part:\n"
         "    (part / 'half').touch()\n"
         "    raise BrokenPipeError\n"
     )
@@ -236,10 +236,10 @@ def test_an_interruption_of_the_clearing_up_leaves_nothing(tmp_path):
 def test_a_full_disk_is_said_and_leaves_nothing(tmp_path, error):
     place = tmp_path / "o"
     said = pytest.raises(OutputError, match="o: cannot be written: the disk is full")
-    with said, whole_folder(place, owned=()) as part:
+    with said, atomic_folder(place, owned=()) as part:
         (part / "half").write_text("half")
         raise error
-    with said, whole_file(place):
+    with said, atomic_write(place):
         raise error
     assert list(tmp_path.iterdir()) == []
 
@@ -257,7 +257,7 @@ def test_a_file_system_without_locks_is_said(tmp_path, monkeypatch):
     monkeypatch.setattr("filelock.lock_descriptor", refuse)
     with only_writer(tmp_path / "o", reporter=Listener()):
         pass
-    with whole_folder(tmp_path / "p", owned=(), reporter=Listener()):
+    with atomic_folder(tmp_path / "p", owned=(), reporter=Listener()):
         pass
     assert said == [
         ("warning", f"{tmp_path / name}: cannot be locked: Operation not supported")

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from datasets import measured
 from maps import EAST, NORTH, Listener, one, write_osm, write_road
 from pyproj import CRS
 
@@ -45,7 +46,7 @@ def tiles(tmp_path_factory):
 def test_a_recording_in_millimetres_is_refused(tmp_path, tiles, unit):
     path = recording(tmp_path / "R1.parquet", scale=unit)
     for use in (
-        lambda: gr.measure_occupancy([path], [POSE], tiles, tmp_path / "o"),
+        lambda: measured([path], [POSE], tiles, tmp_path / "o"),
         lambda: gr.write_projection(path, POSE, tmp_path / "h.gpkg"),
     ):
         with pytest.raises(InputError, match=r"R1\.parquet: half of the .* beyond any radar"):
@@ -56,7 +57,7 @@ def test_a_few_far_detections_are_no_fault(tmp_path, tiles):
     rows = table()
     rows.loc[::5, "x"] = 50_000.0
     rows.to_parquet(tmp_path / "R1.parquet")
-    gr.measure_occupancy([tmp_path / "R1.parquet"], [POSE], tiles, tmp_path / "o")
+    measured([tmp_path / "R1.parquet"], [POSE], tiles, tmp_path / "o")
 
 
 @pytest.mark.parametrize(("x", "named"), [(1.0, False), (300.0, True)])
@@ -64,30 +65,16 @@ def test_a_recording_without_a_hit_is_named(tmp_path, tiles, x, named):
     heard = Listener()
     path = recording(tmp_path / "R1.parquet", x=x)
     pose = replace(POSE, easting=EAST)
-    gr.measure_occupancy([path], [pose], tiles, tmp_path / "o", reporter=heard)
+    measured([path], [pose], tiles, tmp_path / "o", reporter=heard)
     assert ("no detection of R1 lies on a tile" in str(heard.messages)) is named
 
 
 def test_a_heat_map_of_zeros_is_named(tmp_path, tiles):
     path = recording(tmp_path / "R1.parquet", x=300.0)
-    found = gr.measure_occupancy([path], [POSE], tiles, tmp_path / "o")
+    found = measured([path], [POSE], tiles, tmp_path / "o")
     heard = Listener()
-    gr.make_heatmap(found, tiles, reporter=heard)
+    gr.make_heatmap(found, reporter=heard)
     assert "no tile was hit while it was observed" in str(heard.messages)
-
-
-def test_hits_outside_the_time_of_the_frames_are_named(tmp_path, tiles):
-    path = recording(tmp_path / "R1.parquet", x=1.0)
-    found = gr.measure_occupancy([path], [replace(POSE, easting=EAST)], tiles, tmp_path / "o")
-    heard = Listener()
-    gr.make_heatmap(found, tiles, reporter=heard)
-    assert "hits" not in str(heard.messages)
-    for name in ("first_step", "last_step"):
-        last = int(found.frames["last_step"].max())
-        cut = found.frames.assign(**{name: last - 5 if name == "first_step" else last - 35})
-        gr.make_heatmap(replace(found, frames=cut), tiles, reporter=heard)
-        assert "hits are in steps in which no frame observes their tile" in str(heard.messages)
-        heard.messages.clear()
 
 
 # Poses.

@@ -33,7 +33,7 @@ def heat():
     steps = set(range(T0, T0 + 40))
     hit = {(s, 0) for s in range(T0, T0 + 20)} | {(s, 1) for s in range(T0 + 20, T0 + 40)}
     site = make_site(lane_tiles(6), {("R1", "a"): steps}, {("R1", "a"): {0, 1, 2}}, hit)
-    return gr.make_heatmap(site, site.tiles, interval="1s")
+    return gr.make_heatmap(site.dataset, interval="1s")
 
 
 def colours(ax, tiles):

@@ -11,7 +11,6 @@ import re
 import subprocess
 import sys
 import time
-import tomllib
 import zipfile
 from pathlib import Path
 
@@ -428,16 +427,6 @@ def drafts(plugin):
     return draft
 
 
-def test_the_wizard_opens_a_file_with_the_earlier_name_of_the_time_zone(drafts, tmp_path):
-    text = 'title = "A"\ntime_zone = "Europe/Berlin"\n[map]\nfile = "a.osm"\n'
-    site = drafts.open_draft(tomllib.loads(text), text, tmp_path)
-    assert site.timezone == "Europe/Berlin"
-    assert site.text(tmp_path) == text
-    site.title = "B"
-    assert tomllib.loads(site.text(tmp_path))["timezone"] == "Europe/Berlin"
-    assert "time_zone" not in site.text(tmp_path)
-
-
 def test_what_the_wizard_writes_is_a_site_file(drafts, tmp_path):
     """Read back by the code that the command line reads it with, quotes and umlauts and all."""
     sample = ROOT / "sample_maps"
@@ -468,7 +457,7 @@ def test_what_the_wizard_writes_is_a_site_file(drafts, tmp_path):
     assert (read.timezone, read.language) == ("Europe/Berlin", "de")
     assert read.map.origin == (690400.0, 5336200.0)
     assert read.credits == ["Stadt", "Land", "Wir"]
-    assert read.occupancy.clearance == (-0.5, 4.5)
+    assert read.measure.clearance == (-0.5, 4.5)
     assert (read.vehicles.follow, read.vehicles.footprints) == (True, True)
     assert read.heatmap.intervals == ("15min", "1h")
     one, other = read.sensor
@@ -510,7 +499,7 @@ def test_the_wizard_knows_every_key_that_it_can(drafts):
         "method", "tied", "convert", "compass", "min_range_m",  # the defaults serve; a drag is one
     }  # fmt: skip
     keys = {"title", "timezone", "language", "csv_locale", "attribution", "map", "scan",
-            "occupancy", "vehicles", "heatmap", "sensor"}  # fmt: skip
+            "measure", "vehicles", "heatmap", "sensor"}  # fmt: skip
     assert set(Site.model_fields) - left_out == keys
     fields = {"name", "recordings", "guess", "heading", "pose", "cycle", "view"}
     assert set(Sensor.model_fields) - left_out == fields

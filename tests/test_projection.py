@@ -110,7 +110,7 @@ def test_a_failure_leaves_no_file(made, tmp_path):
 
 @pytest.fixture
 def long(tmp_path):
-    """Three pieces, the middle one without any detection, with a column that can be null."""
+    """Three batches, the middle one without any detection, with a column that can be null."""
     rows = 3 * ROWS_AT_ONCE
     points = np.full((rows, 3), np.nan, np.float32)
     points[[0, 1, -1]] = [[10, 0, -5], [20, 5, -4], [30, -5, -3]]
@@ -119,7 +119,7 @@ def long(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_pieces_without_detections_add_nothing(long, tmp_path, suffix):
+def test_batches_without_detections_add_nothing(long, tmp_path, suffix):
     path, time, points, further = long
     path = recording(path, time, points, **further)
     assert write_projection(path, pose(), tmp_path / f"hits.{suffix}") == 3
@@ -139,7 +139,7 @@ def test_a_night_without_detections(tmp_path, suffix):
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_trouble_in_a_late_piece_keeps_its_name(long, tmp_path, suffix):
+def test_trouble_in_a_late_batch_keeps_its_name(long, tmp_path, suffix):
     path, time, points, further = long
     points[-2, 0] = np.inf
     late = recording(path, time, points, **further)

@@ -6,12 +6,13 @@ from zoneinfo import ZoneInfo
 import numpy as np
 import pandas as pd
 import pytest
+from datasets import write_dataset
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from sites import START, crossing, pose, recording
 
+from gis_radar.dataset.measure import measure
 from gis_radar.errors import InputError, UsageError
-from gis_radar.occupancy import measure_occupancy, merge_occupancies
 from gis_radar.quality import QualitySettings, measure_quality
 from gis_radar.quality.counting import hour_begins
 
@@ -30,11 +31,11 @@ def drive(time, rng=None):
 
 def measured(folder, name, time, points, rate, **changes):
     path = recording(folder / f"{name}.parquet", time, points, range_rate=np.float32(rate))
-    return measure_occupancy([path], [pose(**changes)], crossing(), folder / name)
+    return measure([path], [pose(**changes)], crossing(), None, folder / name, hits_only=True)
 
 
-def row_of(occupancy, **options):
-    (row,) = measure_quality(occupancy, **options).table.to_dict("records")
+def row_of(dataset, **options):
+    (row,) = measure_quality(dataset, **options).table.to_dict("records")
     return row
 
 
@@ -61,9 +62,11 @@ def test_a_sensor_that_stops_is_at_fault_hour_by_hour(tmp_path):
     """R1 delivers over three hours, R2 stops in the second: a slow 0.5 Hz keeps it small."""
     begin = 1_700_002_800.0 - 1800.0
     slow = begin + np.arange(0, 7200, 1.0)
-    one = measured(tmp_path, "a", *drive(slow))
-    other = measured(tmp_path, "b", *drive(slow[:2400]), sensor="R2")
-    table = measure_quality(merge_occupancies([one, other])).table
+    measured(tmp_path, "a", *drive(slow))
+    time, points, rate = drive(slow[:2400], np.random.default_rng(1))
+    path = recording(tmp_path / "b.parquet", time, points, range_rate=np.float32(rate))
+    both = measure([path], [pose(sensor="R2")], crossing(), None, tmp_path / "a", hits_only=True)
+    table = measure_quality(both).table
     seen = table[["sensor", "frames_expected", "frames", "verdict"]].to_numpy().tolist()
     assert seen == [
         ["R1", 1800, 1800, "good"],
@@ -73,7 +76,7 @@ def test_a_sensor_that_stops_is_at_fault_hour_by_hour(tmp_path):
         ["R2", 3600, 600, "17 % of the frames expected"],
         ["R2", 1800, 0, "no data"],
     ]
-    lines = measure_quality(merge_occupancies([one, other])).figures()
+    lines = measure_quality(both).figures()
     assert lines["R1"] == "3 of 3 hours good"
     assert "no data (1 h)" in lines["R2"]
 
@@ -104,18 +107,16 @@ def test_too_many_tiles_hit(tmp_path):
     centres = tiles.geometry.centroid
     points = np.column_stack([centres.x - 678_000.0, centres.y - 5_403_600.0, -5.0 + 0 * centres.x])
     time = START + np.arange(120) * 0.05
-    occupancy = measured(
-        tmp_path, "a", np.repeat(time, len(points)), np.tile(points, (120, 1)), 3.0
-    )
-    assert "over 70 % of its tiles hit in 100 % of the frames" in row_of(occupancy)["verdict"]
+    dataset = measured(tmp_path, "a", np.repeat(time, len(points)), np.tile(points, (120, 1)), 3.0)
+    assert "over 70 % of its tiles hit in 100 % of the frames" in row_of(dataset)["verdict"]
 
 
 def test_thresholds_are_those_in_effect(tmp_path):
-    occupancy = measured(tmp_path, "a", *drive(START + np.arange(400) * 0.05))
-    strict = measure_quality(occupancy, settings=QualitySettings(least_moving=0.6))
+    dataset = measured(tmp_path, "a", *drive(START + np.arange(400) * 0.05))
+    strict = measure_quality(dataset, settings=QualitySettings(least_moving=0.6))
     assert strict.table["verdict"].tolist() == ["hits without motion"]
     assert strict.figures()["settings"]["least_moving"] == 0.6
-    assert measure_quality(occupancy).figures()["R1"] == "1 of 1 hours good"
+    assert measure_quality(dataset).figures()["R1"] == "1 of 1 hours good"
 
 
 def test_pose_and_its_age(tmp_path):
@@ -143,28 +144,27 @@ def test_hours_are_those_of_the_calendar(times):
 def test_the_hour_that_comes_twice(tmp_path):
     """On 25 October 2026 clocks in Berlin go back from 03:00 to 02:00."""
     begin = datetime(2026, 10, 25, 0, 0, tzinfo=ZoneInfo("UTC")).timestamp()
-    occupancy = measured(tmp_path, "a", *drive(begin + np.arange(0, 7200, 1.0)))
-    table = measure_quality(occupancy, timezone="Europe/Berlin").table
+    dataset = measured(tmp_path, "a", *drive(begin + np.arange(0, 7200, 1.0)))
+    table = measure_quality(dataset, timezone="Europe/Berlin").table
     assert table["hour"].tolist() == [2, 2]
     assert table["frames"].tolist() == [3600, 3600]
     assert table["begin"].is_unique
     assert set(table["weekday"]) == {"Sunday"}
 
 
-@settings(max_examples=10, deadline=None)
-@given(seed=st.integers(0, 99), cut=st.integers(1, 599), again=st.booleans())
-def test_quality_of_merged_folders_is_that_of_the_whole(tmp_path_factory, seed, cut, again):
+@settings(max_examples=5, deadline=None)
+@given(seed=st.integers(0, 99), cut=st.integers(1, 599))
+def test_quality_of_a_recording_in_two_is_that_of_the_whole(tmp_path_factory, seed, cut):
     folder = tmp_path_factory.mktemp("q")
     rng = np.random.default_rng(seed)
     time = 1_700_002_780.0 + np.sort(rng.choice(700, 600, replace=False)) * 0.06
     rows = drive(time, rng)
     whole = measured(folder, "whole", *rows)
-    parts = [
-        measured(folder, name, *(column[part] for column in rows))
-        for name, part in (("a", slice(2 * cut)), ("b", slice(2 * cut, None)))
-    ]
-    merged = merge_occupancies([*parts[::-1], *(parts if again else [])])
-    pd.testing.assert_frame_equal(measure_quality(merged).table, measure_quality(whole).table)
+    for name, part in (("b", slice(2 * cut, None)), ("a", slice(2 * cut))):
+        time_s, points, rate = (column[part] for column in rows)
+        path = recording(folder / f"{name}.parquet", time_s, points, range_rate=np.float32(rate))
+        parts = measure([path], [pose()], crossing(), None, folder / "parts", hits_only=True)
+    pd.testing.assert_frame_equal(measure_quality(parts).table, measure_quality(whole).table)
     table = measure_quality(whole).table
     assert len(table) == 2
     lost = np.round(np.diff(time) / 0.06).astype(int).sum() - 599
@@ -186,10 +186,9 @@ def test_written_tables_are_in_utc(tmp_path):
         quality.write(tmp_path / "q.xlsx")
 
 
-def test_an_occupancy_without_frame_log_is_refused(tmp_path):
-    occupancy = measured(tmp_path, "a", *drive([START]))
+def test_what_is_refused(tmp_path):
+    dataset = measured(tmp_path, "a", *drive([START]))
     with pytest.raises(UsageError, match="no time zone"):
-        measure_quality(occupancy, timezone="Europe/Bayern")
-    (tmp_path / "a" / "deliveries.parquet").unlink()
-    with pytest.raises(InputError, match="no frame log"):
-        measure_quality(occupancy)
+        measure_quality(dataset, timezone="Europe/Bayern")
+    with pytest.raises(InputError, match="holds no frame"):
+        measure_quality(write_dataset(tmp_path / "empty", hours=[472_222]))

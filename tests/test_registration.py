@@ -401,13 +401,25 @@ def test_a_fit_on_a_bump_begins_again_from_the_lowest_place(scene):
     assert again.state.position[:2] == pytest.approx(fit.state.position[:2], abs=0.05)
 
 
-def test_without_a_second_look_a_fit_is_only_measured(scene):
+def test_without_a_scan_check_a_fit_is_only_measured(scene):
     scene, state, _ = scene
     prior, calm = prior_at(state), scene.settings.hypotheses
     fit = solve(scene, state, prior)
     bump = replace(fit, cost=fit.cost + 30.0)
     once = replace(scene, settings=replace(scene.settings, hypotheses=replace(calm, looks=0)))
     assert along_valley(once, bump, prior, MODEL).state == fit.state
+
+
+def test_a_fit_of_the_last_look_is_measured_where_it_came_to_rest(scene):
+    scene, state, _ = scene
+    prior, calm = prior_at(state), scene.settings.hypotheses
+    fit = solve(scene, state, prior)
+    off = fit.state.moved(np.array([0.3, 0.3, 0, 0, 0, 0, 0]))
+    bump = replace(fit, state=off, cost=fit.cost + 30.0, information=1e-3 * fit.information)
+    one = replace(scene, settings=replace(scene.settings, hypotheses=replace(calm, looks=1)))
+    found, known = (along_valley(each, bump, prior, MODEL) for each in (one, scene))
+    assert found.state.position == pytest.approx(known.state.position)
+    assert found.information == pytest.approx(known.information)
 
 
 def test_a_rival_that_is_the_same_answer_widens_sigma(scene):

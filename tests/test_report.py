@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pypdf
 import pytest
-from report_site import FILES, SIGMA, Page, report_tiles, write_whole_run
+from report_site import FILES, SIGMA, Page, write_whole_run
 
 import gis_radar as gr
 from gis_radar.spreadsheets import csv_for, write_csv
@@ -38,7 +38,7 @@ def page(made):
 
 
 def long_layer(folder):
-    layer = gpd.read_file(folder / "heatmap" / "heatmap.gpkg", layer="occupancy_by_interval")
+    layer = gpd.read_file(folder / "heatmap" / "heatmap.gpkg", layer="by_interval")
     return pd.DataFrame(layer.drop(columns="geometry"))
 
 
@@ -55,12 +55,12 @@ def test_lanes_are_the_sums_of_their_tiles(results, made):
         observed = mine["observed_s"].sum()
         assert table.loc[lane, "observed_tile_s"] == pytest.approx(observed, abs=0.006)
         if observed == 0:
-            assert pd.isna(table.loc[lane, "occupancy"])
+            assert pd.isna(table.loc[lane, "hit_share"])
             continue
-        share = mine["occupied_s"].sum() / observed
-        assert table.loc[lane, "occupancy"] == pytest.approx(share, abs=1e-6)
-        by_tile = mine.groupby("tile_id")[["occupied_s", "observed_s"]].sum()
-        shares = by_tile["occupied_s"] / by_tile["observed_s"].where(by_tile["observed_s"] > 0)
+        share = mine["hit_s"].sum() / observed
+        assert table.loc[lane, "hit_share"] == pytest.approx(share, abs=1e-6)
+        by_tile = mine.groupby("tile_id")[["hit_s", "observed_s"]].sum()
+        shares = by_tile["hit_s"] / by_tile["observed_s"].where(by_tile["observed_s"] > 0)
         assert table.loc[lane, "busiest_spot"] == pytest.approx(shares.max(), abs=1e-6)
         assert table.loc[lane, "over_20_percent_m"] == pytest.approx(0.5 * (shares >= 0.2).sum())
         assert table.loc[lane, "observed_m"] == pytest.approx(0.5 * shares.notna().sum())
@@ -96,9 +96,9 @@ def test_intervals_of_lanes(results, made):
         mine = rows[rows["lanelet_id"].isin(LANES[row["lane"]]) & rows["begin"].eq(begin)]
         observed = mine["observed_s"].sum()
         if observed == 0:
-            assert pd.isna(row["occupancy"])
+            assert pd.isna(row["hit_share"])
         else:
-            assert row["occupancy"] == pytest.approx(mine["occupied_s"].sum() / observed, abs=1e-6)
+            assert row["hit_share"] == pytest.approx(mine["hit_s"].sum() / observed, abs=1e-6)
 
 
 def test_the_busiest_interval_is_that_of_the_table(made):
@@ -106,22 +106,22 @@ def test_the_busiest_interval_is_that_of_the_table(made):
     intervals = pd.read_csv(made / "lanes_by_interval.csv")
     for lane in (100, 102):
         mine = intervals[intervals["lane"].eq(lane)]
-        best = mine.loc[mine["occupancy"].idxmax()]
+        best = mine.loc[mine["hit_share"].idxmax()]
         assert lanes.loc[lane, "busiest_begin_utc"] == best["begin_utc"]
-        assert lanes.loc[lane, "busiest_occupancy"] == best["occupancy"]
+        assert lanes.loc[lane, "busiest_hit_share"] == best["hit_share"]
 
 
 def test_the_page_says_what_the_tables_say(made, page):
     lanes = pd.read_csv(made / "lanes.csv")
     (table,) = (each for each in page.tables if each[0][0] == "Lane")
     head, *rows = table
-    seen = lanes[lanes["occupancy"].notna()]
+    seen = lanes[lanes["hit_share"].notna()]
     assert [int(row[0]) for row in rows] == seen["lane"].tolist()
     for row, (_, known) in zip(rows, seen.iterrows(), strict=True):
         shown = (
-            row[head.index("Occupancy of observed time")].replace("\u202f", "").removesuffix("%")
+            row[head.index("Hit share of observed time")].replace("\u202f", "").removesuffix("%")
         )
-        assert float(shown) == pytest.approx(100 * known["occupancy"], abs=0.05)
+        assert float(shown) == pytest.approx(100 * known["hit_share"], abs=0.05)
     assert len(lanes) - len(seen) == 1
     assert "1 lane of the map was not observed." in " ".join(page.words)
 
@@ -159,9 +159,9 @@ def test_sensors_have_their_sigma(page, made):
     assert "91\u202f% of the vehicle paths lie on the lanes" in table[1][7]
 
 
-def test_quality_is_that_of_the_occupancy(results, page, made):
-    parts = [gr.read_occupancy(path) for path in sorted((results / "occupancy").iterdir())]
-    known = gr.measure_quality(gr.merge_occupancies(parts), timezone="Europe/Berlin").table
+def test_quality_is_that_of_the_dataset(results, page, made):
+    dataset = gr.open_dataset(results / "dataset")
+    known = gr.measure_quality(dataset, timezone="Europe/Berlin").table
     written = pd.read_csv(made / "quality.csv")
     assert written["verdict"].tolist() == known["verdict"].tolist()
     assert written["frames"].tolist() == known["frames"].tolist()
@@ -240,13 +240,12 @@ def test_the_same_results_give_the_same_report(results, made, tmp_path):
         assert (tmp_path / name).read_bytes() == (made / name).read_bytes(), name
 
 
-def test_an_occupancy_from_elsewhere(results, made, tmp_path):
+def test_a_dataset_from_elsewhere(results, made, tmp_path):
     shutil.copytree(results / "heatmap", tmp_path / "map")
-    occupancies = sorted((results / "occupancy").iterdir())
-    gr.write_report(tmp_path / "map", occupancies=occupancies, timezone="Europe/Berlin", title="x")
+    place = results / "dataset"
+    gr.write_report(tmp_path / "map", dataset=place, timezone="Europe/Berlin", title="x")
     for name in ("quality.csv", "sensors.csv", "lanes.csv"):
         assert (tmp_path / "map" / name).read_bytes() == (made / name).read_bytes()
     # a new heat map takes the place of all that
-    parts = gr.merge_occupancies([gr.read_occupancy(path) for path in occupancies])
-    gr.make_heatmap(parts, report_tiles()).write(tmp_path / "map")
+    gr.make_heatmap(gr.open_dataset(place)).write(tmp_path / "map")
     assert not (tmp_path / "map" / "quality.csv").exists()

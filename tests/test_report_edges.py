@@ -92,9 +92,7 @@ def test_a_heat_map_alone(results, tmp_path, blank_paper):
     assert repr(report).startswith("Report('map', 5 files: ")
     assert "report.html" in report._repr_html_()
     # a new heat map takes the place of both
-    parts = [gr.read_occupancy(path) for path in sorted((results / "occupancy").iterdir())]
-    tiles = gr.read_tiles(tiles_file(tmp_path))
-    make_heatmap(gr.merge_occupancies(parts), tiles).write(tmp_path / "map")
+    make_heatmap(gr.open_dataset(results / "dataset")).write(tmp_path / "map")
     assert not (tmp_path / "map" / "report.html").exists()
 
 
@@ -115,8 +113,7 @@ def test_a_pose_in_another_plane_is_told(results, tmp_path, blank_paper):
 def test_a_file_of_somebody_beside_a_heat_map_stays(results, tmp_path):
     shutil.copytree(results / "heatmap", tmp_path / "map")
     (tmp_path / "map" / "heatmap_notes.txt").write_text("mine")
-    parts = [gr.read_occupancy(path) for path in sorted((results / "occupancy").iterdir())]
-    heat = make_heatmap(gr.merge_occupancies(parts), gr.read_tiles(tiles_file(tmp_path)))
+    heat = make_heatmap(gr.open_dataset(results / "dataset"))
     with pytest.raises(gr.OutputError, match="heatmap_notes"):
         heat.write(tmp_path / "map")
     assert (tmp_path / "map" / "heatmap_notes.txt").read_text() == "mine"
@@ -198,7 +195,7 @@ def test_the_options_of_the_command_reach_their_arguments(monkeypatch, tmp_path)
     monkeypatch.setattr(gr, "write_report", listen)
     words = [
         "report", "results", "-o", "out", "--title", "Main Street", "--timezone", "Europe/Berlin",
-        "--language", "de", "--occupancy", "a", "--occupancy", "b", "--json",
+        "--language", "de", "--dataset", "a", "--json",
     ]  # fmt: skip
     done = CliRunner().invoke(group, words)
     assert done.exit_code == 0, done.output
@@ -208,7 +205,7 @@ def test_the_options_of_the_command_reach_their_arguments(monkeypatch, tmp_path)
     assert told == {
         "folder": Path("results"), "output": Path("out"), "title": "Main Street",
         "timezone": "Europe/Berlin", "language": "de", "csv_locale": "en",
-        "occupancies": (Path("a"), Path("b")),
+        "dataset": Path("a"),
     }  # fmt: skip
 
 
@@ -226,7 +223,7 @@ def test_a_table_of_an_earlier_report_does_not_stay(results, tmp_path, blank_pap
     shutil.copytree(results, tmp_path / "run")
     gr.write_report(tmp_path / "run")
     assert (tmp_path / "run" / "quality.csv").is_file()
-    shutil.rmtree(tmp_path / "run" / "occupancy")
+    shutil.rmtree(tmp_path / "run" / "dataset")
     gr.write_report(tmp_path / "run")
     assert sorted(path.name for path in (tmp_path / "run").glob("*.csv")) == [
         "lanes.csv", "lanes_by_interval.csv", "sensors.csv",

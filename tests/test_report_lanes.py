@@ -13,11 +13,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from sites import EAST, NORTH, lane_quads, tiles_of
 from test_heatmap import lane_tiles
-from test_heatmap_coverage import both_of
+from test_heatmap_occupancy import both_of
 
 import gis_radar as gr
 from gis_radar.heatmap import make_heatmap
-from gis_radar.heatmap.covering import surest
+from gis_radar.heatmap.occupancy import surest
 from gis_radar.heatmap.picture import image_of_figure
 from gis_radar.report import chart
 from gis_radar.report.lanes import lane_table, sum_by_lane, write_lanes
@@ -123,8 +123,7 @@ def test_the_busiest_spot_is_not_the_one_of_which_least_is_known(share, error, t
 @pytest.mark.parametrize("street", ["", "Heinrich-von-Stephan", "Wilhelm WWWWWWWWWWW"])
 def test_names_of_lanes_are_whole_in_the_chart(monkeypatch, street):
     tiles = lane_tiles(14).assign(lane=lambda t: np.where(t["lanelet_id"] == 7, 2**63 - 1, 90))
-    occupancy, vehicles, _, _ = both_of(tiles, steps=400)
-    heat = make_heatmap(occupancy, tiles, interval="5s", vehicles=vehicles)
+    heat = make_heatmap(both_of(tiles, steps=400)[0], interval="5s")
     sums = sum_by_lane(heat)
     table = lane_table(heat, sums).assign(street=street, east_m=-1.0, north_m=1.0)
     drawn = []
@@ -145,23 +144,22 @@ def test_names_of_lanes_are_whole_in_the_chart(monkeypatch, street):
 def test_the_error_of_a_lane_is_the_mean_of_its_tiles(tmp_path):
     """Weighted by visible time; that of the busiest interval too, and both are in the table."""
     tiles = lane_tiles(14)
-    occupancy, vehicles, _, _ = both_of(tiles, steps=400)
-    heat = make_heatmap(occupancy, tiles, interval="5s", vehicles=vehicles)
+    heat = make_heatmap(both_of(tiles, steps=400)[0], interval="5s")
     table = lane_table(heat, sum_by_lane(heat))
     begins = [begin for begin, _ in heat.timeline.spans()]
     for _, row in table.iterrows():
         mine = tiles["lanelet_id"].isin(row["lanelets"]).to_numpy()
         interval = begins.index(row["busiest_begin"])
         for which, name in ((None, "share_se"), (interval, "busiest_share_se")):
-            known = heat.coverage_shares(which)
+            known = heat.occupancy_shares(which)
             seen = mine & (known.visible_s > 0)
-            mean = np.average(known.coverage_se[seen], weights=known.visible_s[seen])
+            mean = np.average(known.occupancy_se[seen], weights=known.visible_s[seen])
             assert row[name] == pytest.approx(mean, rel=1e-6)
     clock = Clock(zone=ZoneInfo("UTC"), first=begins[0], last=begins[-1])
     write_lanes(tmp_path / "lanes.csv", table, clock, heat.measure)
     read = pd.read_csv(tmp_path / "lanes.csv")
-    np.testing.assert_allclose(read["coverage_se"], table["share_se"], atol=1e-6)
-    np.testing.assert_allclose(read["busiest_coverage_se"], table["busiest_share_se"], atol=1e-6)
+    np.testing.assert_allclose(read["occupancy_se"], table["share_se"], atol=1e-6)
+    np.testing.assert_allclose(read["busiest_occupancy_se"], table["busiest_share_se"], atol=1e-6)
 
 
 @given(st.integers(1, 30), st.integers(0, 2**31))

@@ -20,7 +20,7 @@ from gis_radar.words import speaking
 
 def a_paper():
     named = SimpleNamespace(
-        measure="coverage", title="T", subtitle="", zone="UTC", made_by="gis_radar"
+        measure="occupancy", title="T", subtitle="", zone="UTC", made_by="gis_radar"
     )  # fmt: skip
     paper = Paper(named)
     paper.add_page()
@@ -52,7 +52,7 @@ def words_of(columns, cells):
 @pytest.mark.parametrize("lane", ["7", "10944738", str(2**63 - 1)])
 def test_heads_and_numbers_of_lanes_are_not_broken(language, lane):
     with speaking(language):
-        columns = _lane_columns(None, "coverage")
+        columns = _lane_columns(None, "occupancy")
         cells = [lane, "too few tracks", "north-west", *["12.3 % ± 1.2 %"] * (len(columns) - 3)]
         found = words_of(columns, cells)
     for column in columns:
@@ -66,7 +66,7 @@ def test_streets_of_a_full_table_are_not_broken():
     with speaking("de"):
         moment = datetime(2025, 6, 12, tzinfo=UTC)
         clock = Clock(zone=ZoneInfo("Europe/Berlin"), first=moment, last=moment)
-        columns = _lane_columns(clock, "coverage")
+        columns = _lane_columns(clock, "occupancy")
         cells = ["17863", "zu wenig davon einsehbar", "Bahnhofsvorplatz (West), Nordost",
                  "27,8 ± 24,4 %", "41", "1 700", "100 %", "100 ± 26 % bei 1 266 m", "194,3",
                  "23:13:20 bis 23:13:40: 35 ± 4 %"]  # fmt: skip
@@ -102,7 +102,7 @@ def test_the_legend_of_a_flat_map_ends_above_the_words_below_it():
     )  # fmt: skip
     paper = a_paper()
     part = SimpleNamespace(whole=flat, overlay=None, caption="and the note")
-    _add_map(paper, SimpleNamespace(map=part, measure="coverage"))
+    _add_map(paper, SimpleNamespace(map=part, measure="occupancy"))
     places = places_of(paper)
     assert places["Below the map"][1] < places["not visible"][1] - 8
 

@@ -9,13 +9,11 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 import pytest
-from test_heatmap import lane_tiles
-from test_heatmap_coverage import BEGIN, occupancy_in
+from test_heatmap_occupancy import BEGIN
 
 from gis_radar.crs import bearing_of
 from gis_radar.heatmap.intervals import HOUR
-from gis_radar.occupancy.folder import frames_of, frames_table
-from gis_radar.occupancy.frame_steps import Runs
+from gis_radar.measures.validity import Runs
 from gis_radar.report.basis import _recorded
 from gis_radar.steps import Clock, utc_offsets
 from gis_radar.words import WINDS, direction, figure_text, listed, percent, wind_of
@@ -180,9 +178,10 @@ def test_a_whole_day_ends_at_24_and_names_each_offset_once(begin, end, text):
 def test_a_recording_of_a_day_is_not_called_less(steps, told):
     """The last frame of a day begins before its end."""
     begin = BEGIN + np.zeros(1, np.int64)
-    frames = frames_table(frames_of("R1", "a", Runs(first=begin, last=begin + steps - 1)))
-    occupancy = occupancy_in(lane_tiles(2), {BEGIN}, frames=frames)
+    runs = Runs(first=begin, last=begin + steps - 1)
+    dataset = SimpleNamespace(frame_steps=lambda *_: runs, sensors=["R1"])
     found = SimpleNamespace(
-        results=SimpleNamespace(occupancy=occupancy), clock=clock(at(2025, 6, 12), at(2025, 6, 13))
+        results=SimpleNamespace(dataset=dataset),
+        clock=clock(at(2025, 6, 12), at(2025, 6, 13)),
     )
     assert _recorded(found)[2] == told

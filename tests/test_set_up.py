@@ -14,6 +14,7 @@ from packaging.requirements import Requirement
 ROOT = Path(__file__).parents[1]
 SCRIPT = ROOT / "tools" / "get_pdal.sh"
 CONDA_NAMES = {
+    "duckdb": ["python-duckdb"],
     "laspy": ["laspy", "lazrs-python"],
     "matplotlib": ["matplotlib-base"],
     "tzdata": ["python-tzdata"],

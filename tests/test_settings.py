@@ -37,10 +37,11 @@ def test_every_room_of_the_core_has_its_record():
     rooms = {param.values[0].__module__.split(".")[1] for param in records()}
     assert {
         "localization",
-        "network",
+        "joint",
+        "monitor",
         "tracking",
-        "second_look",
+        "scan_check",
         "scans",
         "clocks",
-        "occupancy",
+        "measures",
     } <= rooms

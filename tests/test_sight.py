@@ -1,20 +1,19 @@
 """Sight: what stands in a scan hides tiles; crowns and decks let rays pass."""
 
-import json
 import re
 from dataclasses import fields, replace
 
 import geopandas as gpd
 import numpy as np
 import pytest
+from datasets import measured
 from maps import Listener
 from matplotlib.figure import Figure
 from scans import ground, hidden, strewn, write_points
 from sites import EAST, NORTH, START, lane_quads, pose, recording, tiles_of
 
 from gis_radar.errors import InputError
-from gis_radar.occupancy import measure_occupancy
-from gis_radar.occupancy.views import sight_of_views
+from gis_radar.measures.views import sight_of_tiles
 from gis_radar.poses.pose import View
 from gis_radar.sight import (
     HIDDEN,
@@ -186,21 +185,20 @@ def test_a_scan_that_misses_the_rim_of_a_view_is_no_warning(tmp_path):
     assert rank == "info"
 
 
-def test_occupancy_observes_what_is_in_sight_and_names_the_scan(tmp_path):
+def test_a_dataset_observes_what_is_in_sight_and_names_the_scan(tmp_path):
     path = write_points(tmp_path / "scan.laz", flat((HOUSE, ROOF_M)))
     tiles = tiles_of([lane_quads(EAST + 100.0, NORTH - 60.0, 90.0, count=240)], height_m=ROAD_M)
     track = recording(
         tmp_path / "r.parquet", START + np.arange(3), np.tile([100.0, 0, -6.0], (3, 1))
     )
-    found = measure_occupancy([track], [SENSOR], tiles, tmp_path / "occ", scans=[path])
+    found = measured([track], [SENSOR], tiles, tmp_path / "ds", scans=[path])
     road = SightTiles.of(tiles)
     seen = find_sight(SENSOR, road, SightScan([path], road)).seen
-    np.testing.assert_array_equal(np.sort(found.views["tile_id"]), seen)
-    manifest = json.loads((tmp_path / "occ" / "manifest.json").read_text())
-    assert manifest["sources"][0]["sight"]["files"] == ["scan.laz"]
-    plain = measure_occupancy([track], [SENSOR], tiles, tmp_path / "plain")
-    assert len(plain.views) == 240
-    assert plain.sources[0]["sight"] == "view only"
+    np.testing.assert_array_equal(found.sight_of("R1"), seen)
+    assert found.manifest.settings["sight"]["files"] == ["scan.laz"]
+    plain = measured([track], [SENSOR], tiles, tmp_path / "plain")
+    assert len(plain.sights()) == 240
+    assert plain.manifest.settings["sight"] == "view only"
 
 
 def test_the_layer_has_a_row_a_tile_in_view_and_names_what_hides_it(tmp_path):
@@ -229,14 +227,14 @@ def test_a_picture_shows_each_tile_near_by_its_state(tmp_path):
     assert ax.get_xlim()[1] > EAST + 100.0
 
 
-def test_an_occupancy_has_the_sight_that_it_was_measured_with(tmp_path):
+def test_a_dataset_has_the_sight_that_it_was_measured_with(tmp_path):
     """What a report draws: hidden is what a scan took from the view."""
     path = write_points(tmp_path / "scan.laz", flat((HOUSE, ROOF_M)))
     table = tiles_of([lane_quads(EAST + 100.0, NORTH - 60.0, 90.0, count=240)], height_m=ROAD_M)
     road = SightTiles.of(table)
     track = recording(tmp_path / "r.parquet", [START], [[100.0, 0, -6.0]])
-    found = measure_occupancy([track], [SENSOR], table, tmp_path / "occ", scans=[path])
-    sight = sight_of_views(found.views, SENSOR, road)
+    found = measured([track], [SENSOR], table, tmp_path / "ds", scans=[path])
+    sight = sight_of_tiles(found.sight_of("R1"), SENSOR, road)
     true = find_sight(SENSOR, road, SightScan([path], road))
     np.testing.assert_array_equal(sight.state, true.state)
 

@@ -14,8 +14,8 @@ from test_sight import HOUSE, ROAD_M, ROOF_M, SENSOR, across, flat, left_m, sigh
 
 import gis_radar as gr
 from gis_radar.errors import InputError, UsageError
-from gis_radar.occupancy.settings import OccupancySettings
-from gis_radar.occupancy.views import ViewBook
+from gis_radar.measures.settings import HitSettings
+from gis_radar.measures.views import ViewBook
 from gis_radar.poses.files import as_track
 from gis_radar.poses.pose import View
 from gis_radar.progress import QUIET
@@ -243,33 +243,34 @@ def rebuilt(tmp_path, monkeypatch):
     return table
 
 
-def test_the_corrected_sight_serves_occupancy(rebuilt, run, tmp_path):
+def test_the_corrected_sight_serves_hits(rebuilt, run, tmp_path):
     """The whole way: a warning with a scan, a corrected sight, and none with that."""
     given = ("R1.parquet", "--pose", "R1.json", "--tiles", "tiles.gpkg")
-    code, _, err = run("occupancy", *given, "--scan", "scan.laz", "-o", "plain")
+    code, _, err = run("measure", *given, "--hits-only", "--scan", "scan.laz", "-o", "plain")
     assert code == 0
     assert "contradicts its sight: nothing moves on" in " ".join(err.split())
     words = ("--pose", "R1.json", "--tiles", "tiles.gpkg", "--scan", "scan.laz")
     code, _, err = run("sight", *words, "--recording", "R1.parquet", "-o", "sight.gpkg")
     assert (code, "contradicts its sight" in " ".join(err.split())) == (0, True)
-    code, out, err = run("occupancy", *given, "--sight", "sight.gpkg", "-o", "occ", "--json")
+    code, out, err = run(
+        "measure", *given, "--hits-only", "--sight", "sight.gpkg", "-o", "occ", "--json"
+    )
     assert code == 0
     assert "contradicts" not in out
-    plain, found = gr.read_occupancy("plain"), gr.read_occupancy("occ")
+    plain, found = gr.open_dataset("plain"), gr.open_dataset("occ")
     layer = gpd.read_file("sight.gpkg", layer="sight")
     in_sight = layer.loc[layer["state"] == "in sight", "tile_id"]
-    assert sorted(found.views["tile_id"]) == sorted(in_sight)
-    assert 80 <= len(plain.views) - len(found.views) <= 110  # 50 m of half metres
+    assert sorted(found.sights()["tile_id"]) == sorted(in_sight)
+    assert 80 <= len(plain.sights()) - len(found.sights()) <= 110  # 50 m of half metres
     road = SightTiles.of(rebuilt)
     digest = SightFile("sight.gpkg", road).digest
-    assert found.sources[0]["sight"] == {"file": "sight.gpkg", "digest": digest}
-    assert found.sight == "with a scan"
+    assert found.manifest.settings["sight"] == {"file": "sight.gpkg", "digest": digest}
 
 
-def test_occupancy_says_nothing_of_sight_after_a_short_recording(rebuilt, run, tmp_path):
+def test_hits_says_nothing_of_sight_after_a_short_recording(rebuilt, run, tmp_path):
     traffic(tmp_path / "R1.parquet", unseen=(BEHIND_THE_HOUSE,), seconds=200)
     given = ("R1.parquet", "--pose", "R1.json", "--tiles", "tiles.gpkg")
-    code, _, err = run("occupancy", *given, "--scan", "scan.laz", "-o", "plain")
+    code, _, err = run("measure", *given, "--hits-only", "--scan", "scan.laz", "-o", "plain")
     assert (code, "contradicts" in err) == (0, False)
 
 
@@ -302,7 +303,7 @@ def test_a_short_recording_corrects_no_sight(rebuilt, run, tmp_path):
 def test_sensors_that_see_the_same_tiles_keep_their_own_sight():
     lanes = [lane_quads(EAST + 20.0, NORTH - 10.0, 90.0), lane_quads(EAST + 60.0, NORTH, 90.0)]
     road = SightTiles.of(tiles_of(lanes, height_m=[370.0, 374.0]))
-    book = ViewBook(road=road, settings=OccupancySettings(road_tiles=20))
+    book = ViewBook(road=road, settings=HitSettings(road_tiles=20))
     near, far = pose(), pose(sensor="R2", easting=EAST + 80.0, yaw=180.0)
     (one,), (other,) = book.enter_all([as_track(near), as_track(far)], QUIET)
     assert one == other
@@ -318,6 +319,6 @@ def test_recordings_of_sight_are_one_a_pose(rebuilt, run):
     code, _, err = run("sight", *words[:4], "-o", "sight.gpkg")
     assert (code, "no scan is given" in err) == (2, True)
     code, _, err = run(
-        "occupancy", "R1.parquet", *words, "--sight", "sight.gpkg", "-o", "occ",
+        "measure", "R1.parquet", *words, "--sight", "sight.gpkg", "--hits-only", "-o", "occ",
     )  # fmt: skip
     assert (code, "both scans and a file of sight are given" in err) == (2, True)

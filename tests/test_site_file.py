@@ -28,7 +28,7 @@ origin = [690000, 5336000]
 files = ["scan_*.laz"]
 [tiles]
 length = 1
-[occupancy]
+[measure]
 clearance = [-0.5, 4.5]
 [heatmap]
 intervals = ["15min", "1H"]
@@ -102,21 +102,6 @@ def test_the_least_that_will_do(read):
     assert site.timezone == "UTC"
 
 
-def test_the_earlier_name_of_a_key_works_with_a_warning(read, refuse, tmp_path):
-    earlier = WHOLE.replace("timezone", "time_zone")
-    site = read(earlier)
-    assert site.timezone == "Europe/Berlin"
-    (told,) = site.remarks
-    assert told.startswith(f"{tmp_path / 'SITE.toml'}:2: time_zone is an earlier name of timezone ")
-    assert told.endswith("write timezone")
-    with pytest.warns(DeprecationWarning, match="use timezone") as caught:
-        assert site.time_zone == "Europe/Berlin"
-    assert caught[0].filename == __file__
-    assert read(WHOLE).remarks == ()
-    refuse(earlier.replace("Europe/Berlin", "Mars/Base"), ":2: timezone: is 'Mars/Base'", "IANA")
-    refuse('timezone = "UTC"\n' + earlier, ":3: has both timezone and time_zone", "keep one")
-
-
 @pytest.mark.parametrize(
     ("old", "new", "parts"),
     [
@@ -147,7 +132,7 @@ def test_the_earlier_name_of_a_key_works_with_a_warning(read, refuse, tmp_path):
         ("length = 1", "length = true", ("tiles.length: is true",)),
         ("length = 1", "length = 0", ("tiles.length: is 0", "0.05 to 100")),
         ("length = 1", "length = nan", ("tiles.length: is nan", "0.05 to 100")),
-        ("[-0.5, 4.5]", "[4.5, -0.5]", (":12: occupancy.clearance:", "ascending")),
+        ("[-0.5, 4.5]", "[4.5, -0.5]", (":12: measure.clearance:", "ascending")),
         ('"1H"', '"soon"', (":14: heatmap.intervals:", "'soon'", "no duration")),
         ('"1H"', '"60min"', None),
         ('"1H"', '"900s"', ("intervals", "differ")),

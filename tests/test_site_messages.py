@@ -20,7 +20,8 @@ HOLE = re.compile(r"\{\w*\}")
 PACKAGE = Path(gr.__file__).parent
 # Of `gis-radar run` itself, and of commands that no run calls.
 IMAGE = {"--build-arg", "--no-install-recommends", "--no-cache-dir"}  # of a Dockerfile
-OTHERS = IMAGE | {"--fresh", "--jobs", "--template", "--layer", "--version", "--stdin"}
+ASKING = {"--timeout", "--memory", "--relink", "--withdraw"}  # of gis-radar query and dataset
+OTHERS = IMAGE | ASKING | {"--fresh", "--jobs", "--template", "--layer", "--version", "--stdin"}
 
 
 def options_named():
@@ -74,8 +75,9 @@ def test_messages_in_the_words_of_the_site_file_have_their_german():
     with speaking("de"):
         assert [words for words in other.values() if tr_message(words) == words] == []
         cycle = in_site_words(
-            "R1 delivers every 57 ms, and a frame holds 100 ms: 3 % of the 50 ms steps read as not "
-            "observed by it; --cycle R1=57ms lets a frame cover its whole cycle", "UTC",
+            "R1 delivers every 57 ms, and a frame is valid for 100 ms: 3 % of the 50 ms steps read "
+            "as not observed by it; --cycle R1=57ms makes a frame valid for its whole cycle",
+            "UTC",
         )  # fmt: skip
         assert 'cycle = "57ms" in [[sensor]] R1' in tr_message(cycle)
 

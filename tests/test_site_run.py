@@ -122,7 +122,27 @@ def change(path, old, new):
 def results(out):
     files = (path for path in sorted(out.rglob("*")) if path.is_file())
     shown = [path for path in files if ".gis-radar" not in path.relative_to(out).parts]
-    return {path.relative_to(out).as_posix(): path.read_bytes() for path in shown}
+    return {path.relative_to(out).as_posix(): content(path) for path in shown}
+
+
+def content(path):
+    """Return what does not depend on where the recordings lie, and which of them a run counted."""
+    if path.name == "recordings.parquet":
+        table = pd.read_parquet(path)
+        return table.assign(path=table["path"].map(os.path.basename)).to_json()
+    if path.name == "run.json":
+        return without_remarks(json.loads(path.read_text(encoding="utf-8")))
+    lines = path.read_bytes().splitlines()
+    return [line for line in lines if path.name != "summary.md" or b".parquet: " not in line]
+
+
+def without_remarks(document):
+    """Return a document without the warnings about single recordings."""
+    if isinstance(document, dict):
+        return {key: without_remarks(value) for key, value in document.items()}
+    if isinstance(document, list):
+        return [without_remarks(each) for each in document if ".parquet: " not in str(each)[:60]]
+    return document
 
 
 def same(one, other, but=()):
@@ -143,24 +163,22 @@ def test_the_whole_way(small):
     found = gr.read_pose(out / "sensors" / "R1" / "pose.json")
     assert found.sensor == "R1"
     assert found.view.max_range_m == 150.0
-    assert found.evidence["second_look"]["verdict"] == "nothing to compare"  # a bare road
+    assert found.evidence["scan_check"]["verdict"] == "nothing to compare"  # a bare road
     assert (np.abs(errors(found, true["R1"])) < [0.4, 0.4, 0.2, 0.5, 0.5, 0.3]).all()
     given = gr.read_pose(out / "sensors" / "R2" / "pose.json")
     assert given.sensor == "R2"
     assert errors(given, true["R2"]) == pytest.approx(np.zeros(6), abs=1e-9)
     assert gr.read_tiles(out / "tiles.gpkg")["height_m"].notna().all()
     # The same by hand.
-    tiles = gr.read_tiles(out / "tiles.gpkg")
-    parts = [gr.read_occupancy(out / "occupancy" / name) for name in ("R1", "R2")]
-    vehicles = gr.read_vehicles(out / "vehicles")
-    heat = gr.make_heatmap(gr.merge_occupancies(parts), tiles, interval="10s", vehicles=vehicles)
+    measured = gr.open_dataset(out / "dataset")
+    heat = gr.make_heatmap(measured, interval="10s")
     wide = gpd.read_parquet(out / "heatmap" / "heatmap.parquet")
-    for column in ("occupied_s", "visible_s", "coverage"):
+    for column in ("hit_s", "visible_s", "occupancy"):
         assert wide[column].to_numpy() == pytest.approx(heat.wide()[column].to_numpy(), nan_ok=True)
-    assert wide["covered_s"].sum() > 0
+    assert wide["occupied_s"].sum() > 0
     stages = json.loads((out / "run.json").read_text())["stages"]
-    (stage,) = [stage for stage in stages if stage["name"] == "vehicles"]
-    assert stage["figures"]["vehicles"] == len(vehicles.vehicles) > 0
+    (stage,) = [stage for stage in stages if stage["name"] == "measure"]
+    assert stage["figures"]["vehicles"] == len(measured.vehicles()) > 0
     names = {"road.laz", "tiles.gpkg", "run.json", "summary.md", "sensors/R1/localization.png",
              "heatmap/heatmap.gpkg", "heatmap/heatmap.tif", "heatmap/heatmap.png",
              "sensors.gpkg", "sight.gpkg", "site.qgz", "report.html", "report.pdf", "lanes.csv",
@@ -168,18 +186,12 @@ def test_the_whole_way(small):
     assert names <= set(results(out))
 
 
-def test_the_project_shows_the_sensors_of_the_heat_map(small, tmp_path):
+def test_the_project_shows_the_sensors_of_the_heat_map(small):
     _, out, _ = small
     assert list(gpd.read_file(out / "sensors.gpkg", layer="sensors")["sensor"]) == ["R1", "R2"]
     stages = json.loads((out / "run.json").read_text())["stages"]
     (stage,) = [stage for stage in stages if stage["name"] == "QGIS project"]
     assert stage["outputs"] == ["sensors.gpkg", "sight.gpkg", "site.qgz"]
-    moved = shutil.copytree(out, tmp_path / "moved")
-    project = (moved / "site.qgz").read_bytes()
-    shutil.rmtree(moved / "occupancy" / "R2")
-    gr.write_site_project(moved, **stage["options"])
-    assert list(gpd.read_file(moved / "sensors.gpkg", layer="sensors")["sensor"]) == ["R1"]
-    assert (moved / "site.qgz").read_bytes() == project
 
 
 def test_single_vehicles_are_shown_by_choice(copied, blank_paper):
@@ -189,7 +201,7 @@ def test_single_vehicles_are_shown_by_choice(copied, blank_paper):
         given = f"{text}\n[vehicles]\nfootprints = {str(chosen).lower()}\n"
         path.write_text(given, encoding="utf-8")
         done = gr.run_site(path, out)
-        assert states(done)["vehicles"] == "kept"
+        assert states(done)["measure"] == "kept"
         assert (out / "footprints.gpkg").exists() == chosen
         assert (out / "footprints.gpkg" in done.outputs) == chosen
     # Without its state, a folder is still a result, which is made again.
@@ -225,7 +237,7 @@ def test_what_was_in_effect_is_beside_the_results(small):
     assert set(run["inputs"]) == {each.name for each in path.parent.iterdir()}
     assert all(re.fullmatch("[0-9a-f]{32}", found) for found in run["inputs"].values())
     assert run["site"]["sensor"][0]["recordings"] == ["R1.parquet"]
-    assert run["site"]["occupancy"]["clearance"] == [-0.5, 4.5]
+    assert run["site"]["measure"]["clearance"] == [-0.5, 4.5]
     assert {"gis_radar", "numpy", "python"} <= set(run["software"])
     summary = (out / "summary.md").read_text(encoding="utf-8")
     assert (
@@ -235,7 +247,7 @@ def test_what_was_in_effect_is_beside_the_results(small):
 
 
 def test_what_stands_elsewhere_is_a_warning(small, copied):
-    """A second look that doubts is no failure; it is in pose, picture, figures and summary."""
+    """A scan check that doubts is no failure; it is in pose, picture, figures and summary."""
     path, out = copied
     scan = laspy.read(path.parent / "scan_1.laz")
     pose = small[2]["R1"]
@@ -258,11 +270,11 @@ def test_what_stands_elsewhere_is_a_warning(small, copied):
     with only_pictures("localization.png"):
         done = gr.run_site(path, out)
     assert done.failure is None
-    look = gr.read_pose(out / "sensors" / "R1" / "pose.json").evidence["second_look"]
+    look = gr.read_pose(out / "sensors" / "R1" / "pose.json").evidence["scan_check"]
     assert look["verdict"] == "doubts", look
-    assert done.figures()["sensors"]["R1"]["second_look"] == "doubts"
+    assert done.figures()["sensors"]["R1"]["scan_check"] == "doubts"
     summary = (out / "summary.md").read_text(encoding="utf-8")
-    assert "- localize R1: second look: doubts: " in summary
+    assert "- localize R1: scan check: doubts: " in summary
     assert "| doubts | good |" in summary
     picture = plt.imread(out / "sensors" / "R1" / "localization.png")
     assert picture.shape[0] > 7 * 216  # a second row of panels: alone the traces have 6.6 inches
@@ -274,16 +286,20 @@ def test_a_cycle_and_clocks_of_the_site_file_are_used(copied, blank_paper):
     change(path, "[heatmap]", 'clocks = "clocks.json"\n\n[heatmap]')
     clocks = {"clocks": {"R2": {"offset_s": 2.0}}}
     (path.parent / "clocks.json").write_text(json.dumps(clocks), encoding="utf-8")
-    before = gr.read_occupancy(out / "occupancy" / "R2").frames
+    before = frames_of(out, "R2")
     done = gr.run_site(path, out)
     assert done.failure is None
-    after = gr.read_occupancy(out / "occupancy" / "R2")
-    (source,) = after.sources
-    assert (after.hold_s, source["clock"]["offset_s"]) == ({"R2": 0.225}, 2.0)
-    assert after.frames["first_step"].min() == before["first_step"].min() - 40
-    assert after.frames["last_step"].max() == before["last_step"].max() - 40
+    after = frames_of(out, "R2")
+    assert after["begin"].min() == before["begin"].min() - pd.Timedelta(seconds=2)
+    rows = gr.open_dataset(out / "dataset").recordings().set_index("sensor")
+    assert rows.loc["R2", ["clock_offset", "validity_s"]].tolist() == [2.0, 0.225]
     assert "the clock of R1 is not corrected" in (out / "summary.md").read_text(encoding="utf-8")
     assert "clocks.json" in json.loads((out / "run.json").read_text(encoding="utf-8"))["inputs"]
+
+
+def frames_of(out, sensor):
+    frames = gr.open_dataset(out / "dataset").frames()
+    return frames[frames["sensor"] == sensor]
 
 
 def test_nothing_is_done_twice(small, copied):
@@ -323,7 +339,7 @@ def test_a_run_that_was_stopped_and_killed_ends_with_the_same_files(small, tmp_p
     words = [sys.executable, "-m", "gis_radar", "run", str(path), "-o", str(out), "--json"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=environment()) as run:
         for line in run.stdout:
-            if json.loads(line).get("stage", "").startswith("occupancy"):
+            if json.loads(line).get("stage") == "measure":
                 break
         run.send_signal(signal.SIGKILL)
     # As if it had been killed in the midst of writing.
@@ -340,7 +356,7 @@ def test_a_run_that_was_stopped_and_killed_ends_with_the_same_files(small, tmp_p
     same(out, unbroken)
     assert not [each for each in out.rglob(".*") if each.suffix in {".part", ".before"}]
     assert {path.name for path in (out / product.STATE).iterdir()} == {
-        ".gitignore", "parts", "sights", "state.json",
+        ".gitignore", "sights", "state.json",
     }  # fmt: skip
 
 
@@ -399,27 +415,24 @@ def test_ctrl_c_ends_with_130_and_leaves_no_process(small, tmp_path):
     assert soon_gone(children)
 
 
-@pytest.mark.parametrize("again", [False, True])
-def test_a_worker_ended_while_it_follows_vehicles_leaves_nothing_half_written(copied, again):
+def test_a_worker_ended_while_it_measures_leaves_nothing_that_counts(copied):
     path, out = copied
-    before = results(out / "vehicles")
-    if not again:
-        shutil.rmtree(out / "vehicles")
+    before = results(out / "dataset")
+    shutil.rmtree(out / "dataset")
 
     class Ending(Listener):
-        """Ends the stage as a worker's signal handler does, while its folder is being written."""
+        """Ends the stage as a worker's signal handler does, while an hour is being written."""
 
         def progress(self, stage, done, total):
             super().progress(stage, done, total)
-            if list(out.glob(".vehicles.*.part/**/tracks.parquet")):
+            if list(out.glob("dataset/hits/*/*")):
                 raise SystemExit(143)
 
-    stages = product.later_stages(gr.read_site(path), out)
-    (stage,) = [each for each in stages if each.name == "vehicles"]
+    (stage,) = [each for each in stages_of(gr.read_site(path), out) if each.name == "measure"]
     with pytest.raises(SystemExit):
         stage.work(outputs=list(stage.outputs), reporter=Ending(), **stage.arguments)
-    assert results(out / "vehicles") == (before if again else {})
-    assert not list(out.glob(".vehicles*"))
+    stage.work(outputs=list(stage.outputs), reporter=Listener(), **stage.arguments)
+    assert results(out / "dataset") == before
 
 
 def children_of(pid):
@@ -475,11 +488,10 @@ def test_what_is_changed_is_done_again_and_what_is_taken_out_is_gone(copied, bla
     done = gr.run_site(path, out, jobs=1, reporter=heard)
     assert done.failure is None
     assert {name for name, state in states(done).items() if state == "done"} == {
-        "vehicles 20231114T22Z", "vehicles", "heat map", "QGIS project", "report",
+        "measure", "heat map", "QGIS project", "report",
     }  # fmt: skip
-    assert not (out / "occupancy" / "R2").exists()
     assert not (out / "sensors" / "R2").exists()
-    assert set(gr.read_occupancy(out / "occupancy" / "R1").frames["sensor"]) == {"R1"}
+    assert gr.open_dataset(out / "dataset").sensors == ["R1"]
     assert json.loads((out / "run.json").read_text())["sensors_in_heat_maps"] == ["R1"]
     assert any("no longer part of the site" in text for _, text in heard.messages)
     state = RunState(out / product.STATE / "state.json", out)
@@ -503,35 +515,31 @@ def done_by(run):
     return [name for name, state in states(run).items() if state == "done"]
 
 
-def test_what_is_added_is_counted_alone_and_as_if_all_were_counted_anew(small, copied, blank_paper):
+def test_what_is_added_is_measured_alone_and_as_if_all_were_measured_anew(
+    small, copied, blank_paper
+):
     path, out = copied
-    after_all = ["occupancy R2", "vehicles", "heat map", "QGIS project", "report"]
+    after_all = ["measure", "heat map", "QGIS project", "report"]
+    hour = out / "dataset" / "hours" / "2023-11-14" / "22.json"
     add_recording(path.parent, 1, later_s=2795.0)  # over the hour: 22:59:55 to 23:00:05
-    hours = ["vehicles 20231114T22Z", "vehicles 20231114T23Z"]
-    first = done_by(gr.run_site(path, out))
-    assert sorted(first) == sorted([*after_all, *hours, "occupancy R2 R2_1.parquet"])
+    assert sorted(done_by(gr.run_site(path, out))) == sorted(after_all)
+    made = hour.stat().st_mtime_ns
     add_recording(path.parent, 2, later_s=86_400.0)
-    heard = Listener()
-    added = gr.run_site(path, out, reporter=heard)
-    next_day = ["occupancy R2 R2_2.parquet", "vehicles 20231115T22Z"]
-    assert sorted(done_by(added)) == sorted([*after_all, *next_day])
-    said = [text for _, text in heard.messages]
-    assert "occupancy R2: kept 2 of 3 recordings" in said
-    assert "vehicles: kept 2 of 3 hours" in said
+    added = gr.run_site(path, out)
+    assert sorted(done_by(added)) == sorted(after_all)
+    assert hour.stat().st_mtime_ns == made
+    assert len(gr.open_dataset(out / "dataset").hours()) == 3
     assert not any(product.STATE in place.parts for place in added.outputs)
-    # the same bytes as all counted anew
+    # the same bytes as all measured anew
     anew = shutil.copytree(out, path.parent.parent / "anew")
-    shutil.rmtree(anew / product.STATE / "parts")
-    assert set(hours) < set(done_by(gr.run_site(path, anew)))
+    shutil.rmtree(anew / "dataset")
+    assert "measure" in done_by(gr.run_site(path, anew))
     same(anew, out, but=PAPER)
     # and the same as before, once they are taken out
     for number in (1, 2):
         (path.parent / f"R2_{number}.parquet").unlink()
-    less = done_by(gr.run_site(path, out))
-    assert sorted(less) == sorted([*after_all, hours[0]])
-    same(out, small[1], but=PAPER)
-    parts = out / product.STATE / "parts"
-    assert len(list(parts.rglob("manifest.json"))) == 3  # two recordings, an hour
+    assert sorted(done_by(gr.run_site(path, out))) == sorted(after_all)
+    same(out, small[1], but=(*PAPER, "recordings.parquet"))
 
 
 def test_a_pose_is_searched_again_only_where_it_was_not_found(copied, blank_paper):
@@ -547,24 +555,24 @@ def test_a_pose_is_searched_again_only_where_it_was_not_found(copied, blank_pape
     assert state.kept(more) is None
 
 
-def test_the_report_shows_coverage_and_hits_beside_it(small):
+def test_the_report_shows_occupancy_and_hits_beside_it(small):
     _, out, _ = small
     wide = gpd.read_parquet(out / "heatmap" / "heatmap.parquet")
     lanes = pd.read_csv(out / "lanes.csv")
-    sums = {name: wide[name].sum() for name in ("covered_s", "visible_s", "occupied_s")}
+    sums = {name: wide[name].sum() for name in ("occupied_s", "visible_s", "hit_s")}
     for name, total in sums.items():
         column = name.replace("_s", "_tile_s")
         assert lanes[column].sum() == pytest.approx(total, abs=0.01 * len(lanes))
-    sure = wide["coverage"] - wide["coverage_se"]
+    sure = wide["occupancy"] - wide["occupancy_se"]
     top = sure.idxmax()
     best = (lanes["busiest_spot"] - lanes["busiest_spot_se"]).idxmax()
-    assert lanes.loc[best, "busiest_spot"] == pytest.approx(wide["coverage"][top], abs=1e-6)
-    assert lanes.loc[best, "busiest_spot_se"] == pytest.approx(wide["coverage_se"][top], abs=1e-6)
+    assert lanes.loc[best, "busiest_spot"] == pytest.approx(wide["occupancy"][top], abs=1e-6)
+    assert lanes.loc[best, "busiest_spot_se"] == pytest.approx(wide["occupancy_se"][top], abs=1e-6)
     by_interval = pd.read_csv(out / "lanes_by_interval.csv")
-    assert by_interval["covered_tile_s"].sum() == pytest.approx(sums["covered_s"], abs=0.5)
     assert by_interval["occupied_tile_s"].sum() == pytest.approx(sums["occupied_s"], abs=0.5)
+    assert by_interval["hit_tile_s"].sum() == pytest.approx(sums["hit_s"], abs=0.5)
     text = (out / "report.html").read_text(encoding="utf-8")
-    named = ("Traffic coverage report", "Diagnosis: radar hits", "Seen and inferred")
+    named = ("Traffic occupancy report", "Diagnosis: radar hits", "Seen and inferred")
     for words in (
         *named,
         "no count of vehicles",
@@ -572,20 +580,20 @@ def test_the_report_shows_coverage_and_hits_beside_it(small):
         "Map of radar hits",
     ):
         assert words in text
-    shown, error = (100 * wide[name][top] for name in ("coverage", "coverage_se"))
+    shown, error = (100 * wide[name][top] for name in ("occupancy", "occupancy_se"))
     assert f"{shown:.0f}\u202f±\u202f{error:.0f}\u202f%" in text
     about = pypdf.PdfReader(out / "report.pdf").metadata
-    assert about.subject == "Traffic coverage report"
+    assert about.subject == "Traffic occupancy report"
 
 
 def test_vehicles_that_are_not_followed_leave_heat_maps_of_hits(copied, blank_paper):
     path, out = copied
     change(path, "[heatmap]", "[vehicles]\nfollow = false\n\n[heatmap]")
     done = gr.run_site(path, out)
-    assert "vehicles" not in states(done)
-    assert not (out / "vehicles").exists()
-    assert gr.read_heatmap(out / "heatmap").measure == "occupancy"
-    assert not (out / "heatmap" / "occupancy.tif").exists()
+    assert states(done)["measure"] == "done"
+    assert not (out / "dataset" / "tracks").exists()
+    assert gr.read_heatmap(out / "heatmap").measure == "hit_share"
+    assert not (out / "heatmap" / "heatmap.tif").exists()
 
 
 def test_recordings_without_range_rates_leave_heat_maps_of_hits(copied, blank_paper):
@@ -594,10 +602,9 @@ def test_recordings_without_range_rates_leave_heat_maps_of_hits(copied, blank_pa
         pd.read_parquet(each).assign(range_rate=np.float32(np.nan)).to_parquet(each)
     done = gr.run_site(path, out)
     assert done.failure is None
-    assert not (out / "vehicles").exists()
-    assert gr.read_heatmap(out / "heatmap").measure == "occupancy"
+    assert not (out / "dataset" / "tracks").exists()
+    assert gr.read_heatmap(out / "heatmap").measure == "hit_share"
     summary = (out / "summary.md").read_text(encoding="utf-8")
-    assert "- vehicles: the heat maps show hits, not coverage: " in summary
     assert "has no range rates" in summary
     again = gr.run_site(path, out)  # known, so not tried again
     assert set(states(again).values()) == {"kept"}
@@ -611,8 +618,7 @@ def test_a_changed_view_repeats_no_localization(copied, blank_paper):
     done = gr.run_site(path, out)
     again = {name for name, state in states(done).items() if state == "done"}
     assert again == {
-        "pose R1", "occupancy R1 R1.parquet", "occupancy R1", "occupancy R2 R2_0.parquet",
-        "occupancy R2", "vehicles 20231114T22Z", "vehicles", "heat map", "QGIS project", "report",
+        "pose R1", "measure", "heat map", "QGIS project", "report",
     }  # fmt: skip
     assert gr.read_pose(out / "sensors" / "R1" / "pose.json").view.max_range_m == 120.0
 
@@ -628,7 +634,7 @@ def test_names_of_streets_that_come_later_count_nothing_anew(copied, blank_paper
     assert {name for name in done_by(done) if name != "QGIS project"} == {"tiles", "report"}
     after = lanes_of(out)
     assert "Newly Named Street" in set(after["street"])
-    counted = ["lane", "coverage", "occupancy", "visible_m"]
+    counted = ["lane", "occupancy", "hit_share", "visible_m"]
     pd.testing.assert_frame_equal(after[counted], before[counted])
 
 
@@ -668,12 +674,8 @@ def test_a_track_and_a_road_that_are_there(small, tmp_path, in_this_process, bla
     assert (tmp_path / "out" / "sensors" / "R1" / "track.csv").is_file()
     shown = gpd.read_file(tmp_path / "out" / "sensors.gpkg", layer="sensors")
     assert list(shown["sensor"]) == ["R1", "R2"]
-    for name in ("R1", "R2"):
-        one, other = (
-            [tuple(map(np.ndarray.tolist, hits)) for hits in gr.read_occupancy(each).hits()]
-            for each in (out / "occupancy" / name, tmp_path / "out" / "occupancy" / name)
-        )
-        assert one == other
+    one, other = (gr.open_dataset(each / "dataset").hits() for each in (out, tmp_path / "out"))
+    pd.testing.assert_frame_equal(one, other)
 
 
 def test_bad_places_for_results(small, tmp_path):
@@ -732,7 +734,7 @@ def test_other_formats_are_converted_first(small, tmp_path, monkeypatch):
     stage = stages["convert R1"]
     assert "convert R2" not in stages
     assert stages["localize R1"].inputs["recordings"] == stage.outputs
-    assert (stages["occupancy R1 recording.parquet"].inputs["recording"],) == stage.outputs
+    assert set(stage.outputs) < set(stages["measure"].reads)
     recorder = Recorder()
     monkeypatch.setattr("gis_radar.recordings.convert", recorder.convert)
     stage.outputs[0].parent.mkdir(parents=True)
@@ -793,7 +795,7 @@ def test_the_demo_finds_its_sensors(demo):
         assert abs(off["height_m"]) < 0.3
         assert max(abs(off[f"{name}_deg"]) for name in ("yaw", "pitch", "roll")) < 0.5
         assert {name: float(rows[sensor][name]) for name in off} == off
-    for name in ("road.laz", "tiles.gpkg", "occupancy/R1/frames.parquet", "heatmap/heatmap.gpkg"):
+    for name in ("road.laz", "tiles.gpkg", "dataset/dataset.json", "heatmap/heatmap.gpkg"):
         assert (folder / name).is_file()
 
 
@@ -802,13 +804,15 @@ def test_the_scan_of_a_site_gives_sight(demo):
     tiles = gr.read_tiles(folder / "tiles.gpkg")
     road = gr.SightTiles.of(tiles)
     scan = gr.SightScan([gr.sample_folder() / "scan.laz"], road)
+    measured = gr.open_dataset(folder / "dataset")
+    recordings, sights = measured.recordings(), measured.sights()
     for sensor in ("R1", "R2"):
-        (source,) = gr.read_occupancy(folder / "occupancy" / sensor).sources
-        assert source["sight"]["scan"] == scan.digest
+        assert measured.manifest.settings["sight"]["scan"] == scan.digest
         seen = gr.find_sight(gr.read_pose(folder / "sensors" / sensor / "pose.json"), road, scan)
         assert seen.figures()["hidden"] > 0
-        views = pd.read_parquet(folder / "occupancy" / sensor / "views.parquet")
-        assert sorted(views["tile_id"]) == seen.seen.tolist()
+        (row,) = recordings[recordings["sensor"] == sensor].itertuples()
+        mine = sights[sights["pose"] == row.pose]
+        assert sorted(mine["tile_id"]) == seen.seen.tolist()
     kept = list((folder / ".gis-radar" / "sights").rglob("*.npz"))
     assert len(kept) == 2  # found once a sensor: recordings and hours share it
 

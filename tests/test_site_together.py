@@ -14,7 +14,7 @@ from fake_stages import execute
 from maps import Listener
 from sites import UTM, recording
 from small_site import write_map
-from test_together import LONG, TRAFFIC, stated
+from test_joint import LONG, TRAFFIC, stated
 
 import gis_radar as gr
 from gis_radar.localization import AmbiguousError
@@ -175,7 +175,7 @@ def test_a_damaged_recording_beside_a_good_one_stops_no_other(site, run):
     (site.folder / "R5.parquet").write_bytes(whole[: len(whole) // 2])
     alone["R5"] = stated(replace(site.true["R2"], sensor="R5"))
     found = run(alone)
-    assert found.done.failure is None  # its occupancy would say so
+    assert found.done.failure is None  # its hit share would say so
     assert re.search(r"R5: alone: .*R5\.parquet: ", found.summary)
 
 
@@ -184,7 +184,7 @@ def test_what_changes_is_solved_again(site, run):
     assert {each.state for each in run(alone).outcomes} == {"done"}
     assert {each.state for each in run(alone).outcomes} == {"kept"}
     (site.folder / "clocks.json").write_text(json.dumps({"clocks": {"R2": {"offset_s": 0.0}}}))
-    later = run(alone, more='[occupancy]\nclocks = "clocks.json"\n')
+    later = run(alone, more='[measure]\nclocks = "clocks.json"\n')
     states = {each.stage.name: each.state for each in later.outcomes}
     assert states == {
         "road": "kept", "localize R1": "kept", "localize R2": "kept", "poses together": "done",
@@ -201,7 +201,7 @@ def test_measured_clocks_are_used_and_others_are_found(site, run):
         "poses together: the clock of R4 is 2.00 s ahead of"
     ]
     (site.folder / "clocks.json").write_text(json.dumps({"clocks": {"R4": {"offset_s": 2.0}}}))
-    quiet = run(alone, more='[occupancy]\nclocks = "clocks.json"\n')
+    quiet = run(alone, more='[measure]\nclocks = "clocks.json"\n')
     assert "warning" not in {level for level, _ in quiet.heard.messages}
     assert "vehicles shared with R1" in quiet.summary
 

@@ -12,11 +12,11 @@ from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
 from gis_radar.localization.state import State
+from gis_radar.monitor.alarm import Displacement
+from gis_radar.monitor.settings import DEFAULTS
+from gis_radar.monitor.still_targets import StillTargets, Verdict, by_move, polar_of
+from gis_radar.monitor.watch import Watch, decided
 from gis_radar.recordings.recording import Detections
-from gis_radar.tracking.alarm import Displacement
-from gis_radar.tracking.settings import DEFAULTS
-from gis_radar.tracking.still_targets import StillTargets, Verdict, by_move, polar_of
-from gis_radar.tracking.watch import Watch, decided
 
 OF = DEFAULTS.still
 FRAME_S, FRAMES = 0.5, 40  # one frame of ten

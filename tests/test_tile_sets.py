@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gis_radar.errors import InputError
-from gis_radar.occupancy.tile_sets import (
-    decode_sets,
-    decode_tiles,
-    encode_sets,
-    encode_tiles,
+from gis_radar.live.hits_folder.tile_sets import (
+    pack_sets,
+    pack_tiles,
+    unpack_sets,
+    unpack_tiles,
 )
 
 LAST = 2**63 - 1
@@ -35,23 +35,23 @@ def plainly(tiles):
 def test_sets_are_written_as_stated_and_read_back(sets):
     begins = np.cumsum([0, *map(len, sets)])
     tiles = np.array([tile for each in sets for tile in each], np.int64)
-    data, at = encode_sets(tiles, begins)
+    data, at = pack_sets(tiles, begins)
     assert [data[a:b].tobytes() for a, b in pairwise(at)] == [*map(plainly, sets)]
-    read, places = decode_sets(data, at)
+    read, places = unpack_sets(data, at)
     assert read.tolist() == tiles.tolist()
     assert places.tolist() == begins.tolist()
     for each in sets:
-        assert decode_tiles(encode_tiles(np.array(each, np.int64))).tolist() == each
+        assert unpack_tiles(pack_tiles(np.array(each, np.int64))).tolist() == each
 
 
 @settings(deadline=None)
 @given(st.binary(max_size=24))
 def test_any_bytes_are_one_set_or_refused(blob):
     try:
-        tiles = decode_tiles(blob)
+        tiles = unpack_tiles(blob)
     except InputError:
         return
-    assert encode_tiles(tiles) == blob
+    assert pack_tiles(tiles) == blob
     assert (np.diff(tiles, prepend=-1) > 0).all()
 
 
@@ -66,21 +66,21 @@ def test_any_bytes_are_one_set_or_refused(blob):
 )
 def test_damage_is_named(blob, reason):
     with pytest.raises(InputError, match=f"the packet: damaged: set 1: .*{reason}"):
-        decode_tiles(blob, what="the packet")
+        unpack_tiles(blob, what="the packet")
 
 
 def test_a_tile_that_is_not_there_is_refused():
-    assert decode_tiles(encode_tiles(np.array([7])), below=8).tolist() == [7]
+    assert unpack_tiles(pack_tiles(np.array([7])), below=8).tolist() == [7]
     with pytest.raises(InputError, match="names tile 7 of 7"):
-        decode_tiles(encode_tiles(np.array([7])), below=7)
+        unpack_tiles(pack_tiles(np.array([7])), below=7)
 
 
 @pytest.mark.parametrize("tiles", [[3, 3], [4, 3], [-1, 2]])
 def test_what_is_no_set_is_not_written(tiles):
     with pytest.raises(InputError, match=f"tile {tiles[0] if tiles[0] < 0 else 3} is in no place"):
-        encode_tiles(np.array(tiles))
+        pack_tiles(np.array(tiles))
 
 
 def test_bytes_of_one_set_never_complete_another():
     with pytest.raises(InputError, match="set 1"):
-        decode_sets(np.array([0x80, 0x01], np.uint8), np.array([0, 1, 2]))
+        unpack_sets(np.array([0x80, 0x01], np.uint8), np.array([0, 1, 2]))

@@ -61,7 +61,7 @@ def test_voxels_are_centres_of_cells():
     assert voxels(points, 0.5).tolist() == [[-0.25, 0.25, 0.25], [0.25, 0.25, 0.25]]
 
 
-def piece(time, rate):
+def batch(time, rate):
     count = len(time)
     return Detections(
         time=np.asarray(time, dtype=float),
@@ -72,11 +72,11 @@ def piece(time, rate):
     )
 
 
-def test_a_window_keeps_the_last_frames_across_pieces():
+def test_a_window_keeps_the_last_frames_across_batches():
     window = MovingWindow(frames=3)
-    window.push(piece([0, 0, 1, 1], [1, 0, 1, 1]))
-    window.push(piece([1, 2, 3], [1, 0.1, -2]))
-    window.push(piece([4], [5]))
+    window.push(batch([0, 0, 1, 1], [1, 0, 1, 1]))
+    window.push(batch([1, 2, 3], [1, 0.1, -2]))
+    window.push(batch([4], [5]))
     found = window.moving()
     assert found.time.tolist() == [3.0, 4.0]
     assert found.range_rate.tolist() == [-2.0, 5.0]
@@ -87,8 +87,8 @@ def test_a_window_keeps_the_last_frames_across_pieces():
 def test_a_window_forgets_what_is_old():
     window = MovingWindow(frames=5)
     for frame in range(1000):
-        window.push(piece([frame] * 10, [3.0] * 10))
-        assert sum(len(kept[0]) for kept in window._pieces) <= 60
+        window.push(batch([frame] * 10, [3.0] * 10))
+        assert sum(len(kept[0]) for kept in window._batches) <= 60
     assert len(window.moving()) == 50
 
 

@@ -20,17 +20,17 @@ import gis_radar as gr
 from gis_radar.cli import group
 from gis_radar.errors import CrsError, InputError, NoAnswerError
 from gis_radar.localization.traces import Moving
+from gis_radar.monitor import track
+from gis_radar.monitor.filter import Measurement
+from gis_radar.monitor.follow import Follower, _cycles, start_estimate
+from gis_radar.monitor.moves import agreement
+from gis_radar.monitor.settings import DEFAULTS
+from gis_radar.monitor.track import draw_track
+from gis_radar.monitor.windows import WindowFitter, WindowTraffic
 from gis_radar.poses.files import read_track, write_track
 from gis_radar.progress import Reporter
 from gis_radar.recordings.recording import open_recording
 from gis_radar.steps import seconds_from_iso
-from gis_radar.tracking import track
-from gis_radar.tracking.filter import Measurement
-from gis_radar.tracking.follow import Follower, _cycles, start_estimate
-from gis_radar.tracking.moves import agreement
-from gis_radar.tracking.settings import DEFAULTS
-from gis_radar.tracking.track import draw_track
-from gis_radar.tracking.windows import WindowFitter, WindowTraffic
 
 STREET = Street()
 FRAMES, VEHICLES = 2000, 140  # 100 s
@@ -223,7 +223,7 @@ def test_a_move_of_half_a_metre_is_told(seen, tmp_path):
     assert nees(last, after) < 22.5  # chi2(6) at 99.9 %
 
 
-def test_occupancy_uses_the_corrected_poses(moved, seen, tmp_path):
+def test_hits_uses_the_corrected_poses(moved, seen, tmp_path):
     """What stands at a place of the map after the knock falls on its tile by the track alone."""
     found, after, _ = moved
     write_track(found.poses, tmp_path / "track.csv")
@@ -240,12 +240,11 @@ def test_occupancy_uses_the_corrected_poses(moved, seen, tmp_path):
     gr.write_tiles(tiles, tmp_path / "tiles.gpkg", problems=problems)
     off = {}
     for pose in ("track.csv", "fixed.json"):
-        words = ["occupancy", str(path), "--pose", str(tmp_path / pose), "--tiles",
+        words = ["measure", str(path), "--hits-only", "--pose", str(tmp_path / pose), "--tiles",
                  str(tmp_path / "tiles.gpkg"), "-o", str(tmp_path / f"occ_{pose}")]  # fmt: skip
         done = CliRunner().invoke(group, words, catch_exceptions=False)
         assert done.exit_code == 0
-        hits = gr.read_occupancy(tmp_path / f"occ_{pose}").hits()
-        tile = np.unique(np.concatenate([number for _, number in hits]))
+        tile = gr.open_dataset(tmp_path / f"occ_{pose}").hits()["tile_id"].unique()
         centres = tiles.geometry.centroid[tile]
         off[pose] = max(np.hypot(centres.x - target[0], centres.y - target[1]))
     assert off["track.csv"] < 0.75

@@ -1,28 +1,30 @@
-"""Recordings read in blocks: their spans, and what says that a recording cannot be used."""
+"""The blocks of an hour: their spans, and that two hours make the one at their edge alike."""
 
 from functools import cache
 from itertools import pairwise
 
 import numpy as np
 import pyarrow as pa
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import gis_radar as gr
 from gis_radar.lanelets.graph import lane_graph
-from gis_radar.occupancy.views import PlacedRecording
+from gis_radar.measures.counting_loop import FRAME_COLUMNS
+from gis_radar.measures.frame_hash import HashedFrames
+from gis_radar.measures.hour import STEPS_PER_HOUR, HourWindow
+from gis_radar.measures.sensor_reading import SensorHour
+from gis_radar.measures.views import PlacedRecording
 from gis_radar.poses.files import as_track
-from gis_radar.progress import QUIET
 from gis_radar.recordings.recording import COLUMNS, Recording
 from gis_radar.steps import STEPS_PER_SECOND
-from gis_radar.vehicles.blocks import SourceReader
-from gis_radar.vehicles.settings import BlockSettings, VehicleSettings
+from gis_radar.tracking.hour_blocks import blocks_of
+from gis_radar.tracking.settings import BlockSettings, VehicleSettings
 
 SAMPLE = gr.sample_folder()
-BEGIN = 1_700_000_000 * STEPS_PER_SECOND
-STEPS = 20
-SETTINGS = VehicleSettings(blocks=BlockSettings(steps=STEPS, margin_steps=10))
+HOUR = 472_222
+BEGIN = HOUR * STEPS_PER_HOUR
+SETTINGS = VehicleSettings(blocks=BlockSettings(steps=30, margin_steps=10))
 
 
 @cache
@@ -30,78 +32,77 @@ def graph():
     return lane_graph(gr.read_map(SAMPLE / "junction.osm").lanelets)
 
 
-def placed(steps, *, name="R1", sensor="R1", detections=False, rate=1.0):
-    """Make a recording with one row in each of some steps, in memory."""
-    time = (BEGIN + np.asarray(steps)) / STEPS_PER_SECOND
-    place = 30.0 if detections else np.nan
-    values = {"time": time, "x": place, "y": place, "z": -2.0, "range_rate": rate, "rcs": 1.0}
-    if not detections:
-        values = dict.fromkeys(COLUMNS, np.nan) | {"time": time}
-    columns = {column: np.broadcast_to(values[column], time.shape) for column in COLUMNS}
-    batch = pa.RecordBatch.from_pydict({n: np.array(each) for n, each in columns.items()})
-    return PlacedRecording(
-        recording=Recording(path=SAMPLE / name, rows=len(time), batches=lambda _: iter([batch])),
+def sensor_of(steps, window, sensor="R1"):
+    """What a sensor delivered that has one detection in each of some steps, in memory."""
+    first, after = window.span
+    time = (BEGIN + np.array(sorted(steps))) / STEPS_PER_SECOND
+    values = {"x": 30.0, "y": 30.0, "z": -2.0, "range_rate": 1.0, "rcs": 1.0}
+    columns = {name: np.full(len(time), values.get(name)) for name in COLUMNS} | {"time": time}
+    batch = pa.RecordBatch.from_pydict({n: np.array(each, float) for n, each in columns.items()})
+    source = PlacedRecording(
+        recording=Recording(path=SAMPLE / "R1", rows=len(time), batches=lambda _: iter([batch])),
         track=as_track(gr.read_pose(SAMPLE / f"{sensor}.json")), views=["view"], clock=None,
+    )  # fmt: skip
+    step = np.rint(time * STEPS_PER_SECOND)
+    inside = time[(step >= first) & (step < after)]
+    none = np.zeros(len(inside), np.int64)
+    return SensorHour(
+        sensor=sensor, sources=[source], source=none, pose=none, step=[], tile=[], evidence=[],
+        frames=HashedFrames(time=inside, hash=none.astype(np.uint64), detections=none),
+        counted=np.empty((0, FRAME_COLUMNS), np.int64),
     )  # fmt: skip
 
 
-def reader_of(*sources):
-    return SourceReader(
-        sources, graph(), dict.fromkeys([("R1", "view"), ("R2", "view")], np.nan), SETTINGS, QUIET
+def blocks(steps, hour=HOUR):
+    window = HourWindow(hour=hour, margin=20)
+    found = blocks_of(
+        [sensor_of(steps, window)], window, graph(), {("R1", "view"): np.nan}, SETTINGS
     )
+    return [block for _, block in found]
 
 
-def spans(*sources):
-    return [
-        (block.first_step - BEGIN, block.last_step - BEGIN)
-        for block in reader_of(*sources).blocks()
-    ]
+def spans(steps, hour=HOUR):
+    return [(b.first_step - BEGIN, b.last_step - BEGIN) for b in blocks(steps, hour)]
 
 
-def test_inner_blocks_are_whole_where_frames_are_missing_at_their_edges():
-    assert spans(placed([3, 4, 15, 27, 33, 45])) == [(3, 19), (20, 39), (40, 45)]
+def test_blocks_are_whole_where_frames_are_missing_at_their_inner_edges():
+    assert spans([13, 14, 25, 35, 44, 63, 75]) == [(13, 29), (30, 59), (63, 75)]
+
+
+def test_a_block_ends_with_its_last_frame_where_none_follows_in_the_margin():
+    assert spans([13, 14, 45, 200]) == [(13, 14), (45, 45), (200, 200)]
+    assert spans([13, 24, 39, 200]) == [(13, 29), (30, 39), (200, 200)]
 
 
 def test_a_long_gap_belongs_to_no_block():
-    assert spans(placed([3, 105, 106])) == [(3, 19), (100, 106)]
+    assert spans([13, 305, 306]) == [(13, 13), (305, 306)]
 
 
-@settings(max_examples=30, deadline=None)
-@given(st.sets(st.integers(0, 200), min_size=1), st.sets(st.integers(0, 200), min_size=1))
-def test_blocks_hold_each_frame_once_and_leave_out_no_step_between_neighbours(one, other):
-    sources = placed(sorted(one)), placed(sorted(other), name="R2", sensor="R2")
-    blocks = list(reader_of(*sources).blocks())
-    held = [
-        (row.sensor, step - BEGIN)
-        for block in blocks
-        for row in block.frames.itertuples()
-        for step in range(row.first_step, row.last_step + 1)
+def test_the_first_block_straddles_the_begin_of_the_hour():
+    assert spans([-3, 2, 9, 12]) == [(-3, 9), (10, 12)]
+    assert spans([-15, 2, 12]) == [(-10, 9), (10, 12)]
+    assert spans([STEPS_PER_HOUR - 2, STEPS_PER_HOUR + 3]) == [
+        (STEPS_PER_HOUR - 2, STEPS_PER_HOUR + 3)
     ]
-    assert sorted(held) == [("R1", s) for s in sorted(one)] + [("R2", s) for s in sorted(other)]
-    assert [blocks[0].first_step, blocks[-1].last_step] == [
-        BEGIN + min(one | other), BEGIN + max(one | other),
-    ]  # fmt: skip
-    for before, after in pairwise(blocks):
-        assert (before.last_step + 1) % STEPS == 0 == after.first_step % STEPS
-        assert before.last_step < after.first_step
-    assert [block.begins for block in blocks] == [True, *[False] * (len(blocks) - 1)]
-    assert [block.ends for block in blocks] == [*[False] * (len(blocks) - 1), True]
 
 
-def test_a_recording_of_empty_frames_is_read():
-    reader = reader_of(placed([0, 1, 2]))
-    assert [len(block.echoes) for block in reader.blocks()] == [0]
-    assert reader.records()[0]["rows"] == 3
+@settings(max_examples=25, deadline=None)
+@given(st.sets(st.integers(-60, 60), min_size=1))
+def test_two_hours_make_the_block_at_their_edge_alike(steps):
+    at_edge = [
+        [
+            (b.first_step, b.last_step, b.detections.time.tolist())
+            for b in blocks(steps, hour)
+            if -10 <= b.first_step - BEGIN < 10
+        ]
+        for hour in (HOUR - 1, HOUR)
+    ]
+    assert at_edge[0] == at_edge[1]
 
 
-def test_a_recording_whose_rows_another_one_holds_is_read():
-    whole = placed([0, 1, 2, 3], detections=True)
-    reader = reader_of(whole, placed([1, 2], name="again", detections=True))
-    assert len(list(reader.blocks())) == 1
-    assert [line for line in reader.warnings() if "again: overlaps another" in line]
-
-
-def test_detections_without_a_range_rate_are_refused():
-    reader = reader_of(placed([0, 1], detections=True, rate=np.nan))
-    with pytest.raises(gr.InputError, match="no range rates"):
-        list(reader.blocks())
+@settings(max_examples=25, deadline=None)
+@given(st.sets(st.integers(0, 300), min_size=1))
+def test_each_frame_of_the_hour_lies_in_one_block(steps):
+    found = spans(steps)
+    assert all(after > last for (_, last), (after, _) in pairwise(found))
+    assert {s for s in steps if any(a <= s <= b for a, b in found)} == steps

@@ -5,20 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from test_vehicles_evidence import driven, echoes_at, road_of, setting_off
+from test_vehicles_evidence import detections_at, driven, road_of, setting_off
 
-from gis_radar.vehicles import lives
-from gis_radar.vehicles.bodies import is_person, without_faint_ends
-from gis_radar.vehicles.detectability import Detectability, Occluders
-from gis_radar.vehicles.life_settings import StandingSettings
-from gis_radar.vehicles.lives import _at_drives
-from gis_radar.vehicles.motion import fit_motion
-from gis_radar.vehicles.pieces import pose_warnings
-from gis_radar.vehicles.resting import _rate_without
-from gis_radar.vehicles.settings import PieceSettings, VehicleSettings
-from gis_radar.vehicles.standing import Stand, _heard_parts
-from gis_radar.vehicles.strips import Strips
-from gis_radar.vehicles.sweeps import Sweeps
+from gis_radar.tracking import track_management
+from gis_radar.tracking.batches import pose_warnings
+from gis_radar.tracking.bodies import is_person, without_faint_ends
+from gis_radar.tracking.detectability import Detectability, Occluders
+from gis_radar.tracking.management_settings import StationarySettings
+from gis_radar.tracking.motion import fit_motion
+from gis_radar.tracking.passes import Passes
+from gis_radar.tracking.resting import _rate_without
+from gis_radar.tracking.settings import BatchSettings, VehicleSettings
+from gis_radar.tracking.stationary import StationaryTarget, _heard_parts
+from gis_radar.tracking.strips import Strips
+from gis_radar.tracking.track_management import _at_drives
 
 RATE = 20
 
@@ -26,26 +26,26 @@ RATE = 20
 def followed(rcs, speeds):
     """Motions of so many dBm2 and m/s, twenty detections each, beside a hundred still ones."""
     count = 20 * len(rcs)
-    echoes = echoes_at(
+    detections = detections_at(
         np.tile(np.arange(20.0) / RATE, len(rcs) + 5), np.full((count + 100, 2), 30.0)
     )
-    echoes.rcs[:count] = np.repeat(rcs, 20)
-    echoes.range_rate[count:] = 0.0
+    detections.rcs[:count] = np.repeat(rcs, 20)
+    detections.range_rate[count:] = 0.0
     motions = [driven(0.0, 1.0, v, 20 * k + np.arange(20)) for k, v in enumerate(speeds)]
-    return echoes, motions
+    return detections, motions
 
 
 @pytest.mark.parametrize("ghosts", [0, 2])
 def test_where_no_vehicle_drives_walkers_are_none(ghosts):
     rcs, speeds = [-17.0, -16.0, -3.0] + ghosts * [-18.0], [1.4, 4.0, 3.0] + ghosts * [12.0]
-    echoes, motions = followed(rcs, speeds)  # what stands returns 0 dBm2
-    persons = is_person(echoes, motions, VehicleSettings())
+    detections, motions = followed(rcs, speeds)  # what stands returns 0 dBm2
+    persons = is_person(detections, motions, VehicleSettings())
     assert persons == [True, True, False] + ghosts * [True]
 
 
 def test_persons_are_weaker_than_who_drives_fast():
-    echoes, motions = followed([-6.0, -1.0, 0.0], [1.4, 12.0, 10.0])
-    assert is_person(echoes, motions, VehicleSettings()) == [True, False, False]
+    detections, motions = followed([-6.0, -1.0, 0.0], [1.4, 12.0, 10.0])
+    assert is_person(detections, motions, VehicleSettings()) == [True, False, False]
 
 
 def seen_by(sensor, shift, ways, rng, on=1.0):
@@ -74,7 +74,7 @@ def test_a_pose_that_is_off_is_named(shift, said):
     seen = pd.concat(
         [seen_by(0, (0.0, 0.2), [0, 9, -4], rng), seen_by(1, shift, [0, 4, 9, -4], rng)]
     )
-    lines = pose_warnings(seen, ["R1", "R2"], PieceSettings())
+    lines = pose_warnings(seen, ["R1", "R2"], BatchSettings())
     assert len(lines) == len(said)
     for line, part in zip(lines, said, strict=True):
         assert line.startswith("R2: ")
@@ -84,13 +84,13 @@ def test_a_pose_that_is_off_is_named(shift, said):
 def test_across_one_road_only_a_pose_is_judged_across_it():
     rng = np.random.default_rng(2)
     along, across = (seen_by(0, shift, [0, 9], rng) for shift in ((9.0, 0.0), (0.0, 1.2)))
-    assert pose_warnings(along, ["R1"], PieceSettings()) == []
-    assert "1.2 m north" in pose_warnings(across, ["R1"], PieceSettings())[0]
+    assert pose_warnings(along, ["R1"], BatchSettings()) == []
+    assert "1.2 m north" in pose_warnings(across, ["R1"], BatchSettings())[0]
 
 
 def test_a_pose_whose_vehicles_follow_no_lane_is_named():
     seen = seen_by(0, (0.0, 0.0), [0, 9], np.random.default_rng(3), on=0.7)
-    (line,) = pose_warnings(seen, ["R1"], PieceSettings())
+    (line,) = pose_warnings(seen, ["R1"], BatchSettings())
     assert "follow no lanelet" in line
 
 
@@ -98,7 +98,7 @@ def test_a_pose_turned_off_is_named_by_what_others_measure():
     rng = np.random.default_rng(4)
     right, turned = (seen_by(k, (0.0, 0.0), [0, 4, 9, -4], rng) for k in (0, 1))
     turned["left_m"] += 1.2 * (turned.groupby("way").cumcount() % 3 - 1)
-    (line,) = pose_warnings(pd.concat([right, turned]), ["R1", "R2"], PieceSettings())
+    (line,) = pose_warnings(pd.concat([right, turned]), ["R1", "R2"], BatchSettings())
     assert line.startswith("R2: ")
     assert "farther from their lanes' centres" in line
 
@@ -107,9 +107,9 @@ def test_a_shift_that_few_vehicles_of_one_lane_seem_to_show_is_not_named():
     """Eight that turn out of a queue, all 0.7 m off to one side, may be drivers of that lane."""
     seen = seen_by(0, (0.0, 0.0), [0], np.random.default_rng(6)).head(8)
     few = seen.assign(left_m=[-0.9, -0.8, -0.8, *5 * [np.nan]], count=[9, 9, 9, *5 * [0]])
-    assert pose_warnings(few, ["R1"], PieceSettings()) == []
+    assert pose_warnings(few, ["R1"], BatchSettings()) == []
     many = pd.concat([seen.assign(vehicle=seen["vehicle"] + 10 * k, left_m=-1.2) for k in range(5)])
-    assert "m south" in pose_warnings(many, ["R1"], PieceSettings())[0]
+    assert "m south" in pose_warnings(many, ["R1"], BatchSettings())[0]
 
 
 def test_a_sensor_that_sees_no_straight_lane_hides_no_other():
@@ -117,31 +117,33 @@ def test_a_sensor_that_sees_no_straight_lane_hides_no_other():
     right, turned = (seen_by(k, (0.0, 0.0), [0, 4, 9, -4], rng) for k in (0, 1))
     turned["left_m"] += 1.2 * (turned.groupby("way").cumcount() % 3 - 1)
     bends = seen_by(2, (0.0, 0.0), [0], rng).assign(count=0, left_m=np.nan)
-    (line,) = pose_warnings(pd.concat([right, turned, bends]), ["R1", "R2", "R3"], PieceSettings())
+    (line,) = pose_warnings(pd.concat([right, turned, bends]), ["R1", "R2", "R3"], BatchSettings())
     assert line.startswith("R2: ")
 
 
 def test_few_vehicles_judge_no_pose():
     seen = seen_by(0, (2.0, 0.0), [0, 4], np.random.default_rng(5)).head(7)
-    assert pose_warnings(seen, ["R1"], PieceSettings()) == []
+    assert pose_warnings(seen, ["R1"], BatchSettings()) == []
 
 
 def test_a_person_followed_with_a_vehicle_is_cut_off():
-    echoes, (motion,) = followed([0.0], [10.0])
-    echoes.rcs[:10] = -15.0
-    states = np.zeros((len(echoes), 6))
-    states[:, :2], states[:, 3] = echoes.points, 10.0
+    detections, (motion,) = followed([0.0], [10.0])
+    detections.rcs[:10] = -15.0
+    states = np.zeros((len(detections), 6))
+    states[:, :2], states[:, 3] = detections.points, 10.0
     _, fast = followed([0.0, 0.0], [10.0, 10.0])
     fast = [each for each in fast if each.rows[0] == 20]
-    (cut, whole) = without_faint_ends(echoes, [motion, *fast], states, VehicleSettings())
+    (cut, whole) = without_faint_ends(detections, [motion, *fast], states, VehicleSettings())
     assert cut.rows.tolist() == list(range(10, 20))
     assert whole is fast[0]
 
 
 def test_a_few_faint_returns_are_of_the_vehicle():
-    echoes, (motion,) = followed([0.0], [10.0])
-    echoes.rcs[:4] = -15.0
-    (whole,) = without_faint_ends(echoes, [motion], np.zeros((len(echoes), 6)), VehicleSettings())
+    detections, (motion,) = followed([0.0], [10.0])
+    detections.rcs[:4] = -15.0
+    (whole,) = without_faint_ends(
+        detections, [motion], np.zeros((len(detections), 6)), VehicleSettings()
+    )
     assert whole is motion
 
 
@@ -151,14 +153,14 @@ def test_a_few_faint_returns_are_of_the_vehicle():
 def test_who_is_elsewhere_after_a_long_silence_is_joined_by_links(silent_s, moved_m, parts):
     time = np.concatenate([np.arange(20.0) / RATE, silent_s + 1.0 + np.arange(20.0) / RATE])
     points = np.column_stack([30.0 + np.repeat([0.0, moved_m], 20), np.full(40, 0.5)])
-    echoes = echoes_at(time, points)
-    echoes.range_rate[:] = 0.0
+    detections = detections_at(time, points)
+    detections.range_rate[:] = 0.0
     states = np.zeros((40, 6))
-    states[:, :2] = echoes.points
-    motion = fit_motion(echoes, np.arange(40), states, VehicleSettings().motion)
-    sweeps = Sweeps.of([], echoes, Strips.of(road_of(1)), StandingSettings())
+    states[:, :2] = detections.points
+    motion = fit_motion(detections, np.arange(40), states, VehicleSettings().motion)
+    passes = Passes.of([], detections, Strips.of(road_of(1)), StationarySettings())
     free = np.zeros(40, bool)
-    found = _at_drives(motion, echoes, states, free, sweeps, VehicleSettings())
+    found = _at_drives(motion, detections, states, free, passes, VehicleSettings())
     assert len(found) == parts
 
 
@@ -169,17 +171,19 @@ def test_who_is_silent_while_others_drive_over_its_place_has_left(driver_y, part
     points = np.column_stack([np.full(40, 60.0), np.full(40, 0.5)])
     driver = np.column_stack([20.0 + 12.0 * (drives - 4.0), np.full(120, driver_y)])
     order = np.argsort(np.concatenate([time, drives]), kind="stable")
-    echoes = echoes_at(np.concatenate([time, drives])[order], np.vstack([points, driver])[order])
+    detections = detections_at(
+        np.concatenate([time, drives])[order], np.vstack([points, driver])[order]
+    )
     moves = np.flatnonzero(order >= 40)
-    echoes.range_rate[:] = np.where(order >= 40, 12.0, 0.0)
+    detections.range_rate[:] = np.where(order >= 40, 12.0, 0.0)
     states = np.zeros((160, 6))
-    states[:, :2], states[moves, 3] = echoes.points, 12.0
+    states[:, :2], states[moves, 3] = detections.points, 12.0
     stays, other = (
-        fit_motion(echoes, rows, states, VehicleSettings().motion)
+        fit_motion(detections, rows, states, VehicleSettings().motion)
         for rows in (np.flatnonzero(order < 40), moves)
     )
-    sweeps = Sweeps.of([other], echoes, Strips.of(road_of(1)), StandingSettings())
-    found = _at_drives(stays, echoes, states, np.zeros(160, bool), sweeps, VehicleSettings())
+    passes = Passes.of([other], detections, Strips.of(road_of(1)), StationarySettings())
+    found = _at_drives(stays, detections, states, np.zeros(160, bool), passes, VehicleSettings())
     assert len(found) == parts
 
 
@@ -189,11 +193,11 @@ def test_who_hides_others_is_numbered_as_the_parts_after_cuts(monkeypatch):
     points = np.column_stack([30.0 + np.repeat([0.0, 9.0], 20), np.full(40, 0.5)])
     later = 30.0 + np.arange(40.0) / RATE
     ahead = np.column_stack([60.0 + 10.0 * (later - 30.0), np.full(40, 0.5)])
-    echoes = echoes_at(np.concatenate([time, later]), np.vstack([points, ahead]))
+    detections = detections_at(np.concatenate([time, later]), np.vstack([points, ahead]))
     states = np.zeros((80, 6))
-    states[:, :2], states[40:, 3] = echoes.points, 10.0
+    states[:, :2], states[40:, 3] = detections.points, 10.0
     motions = [
-        fit_motion(echoes, rows, states, VehicleSettings().motion)
+        fit_motion(detections, rows, states, VehicleSettings().motion)
         for rows in (np.arange(40), np.arange(40, 80))
     ]
     asked = []
@@ -202,9 +206,11 @@ def test_who_hides_others_is_numbered_as_the_parts_after_cuts(monkeypatch):
         asked.append((number, motion, given[-2].occluders))
         return motion
 
-    monkeypatch.setattr(lives, "with_rest", record)
+    monkeypatch.setattr(track_management, "with_rest", record)
     free = np.zeros(80, np.bool_)
-    lives.with_standing(echoes, road_of(1), motions, states, free, VehicleSettings())
+    track_management.complete_tracks(
+        detections, road_of(1), motions, states, free, VehicleSettings()
+    )
     assert len(asked) == 3
     for number, motion, occluders in asked:
         own = Occluders.of([motion])
@@ -212,20 +218,22 @@ def test_who_hides_others_is_numbered_as_the_parts_after_cuts(monkeypatch):
 
 
 def test_where_no_rate_is_known_nothing_stands():
-    stand = Stand(strip=0, rear_m=0.0, front_m=4.0, begin=0.0, end=9.0, rows=np.arange(60))
-    echoes = echoes_at(np.arange(60.0) / 6.0, np.tile([30.0, 0.0], (60, 1)))
-    assert _heard_parts(stand, echoes, 0.0, StandingSettings()) == []
-    assert len(_heard_parts(stand, echoes, 900.0, StandingSettings())) == 1
+    target = StationaryTarget(
+        strip=0, rear_m=0.0, front_m=4.0, begin=0.0, end=9.0, rows=np.arange(60)
+    )
+    detections = detections_at(np.arange(60.0) / 6.0, np.tile([30.0, 0.0], (60, 1)))
+    assert _heard_parts(target, detections, 0.0, StationarySettings()) == []
+    assert len(_heard_parts(target, detections, 900.0, StationarySettings())) == 1
 
 
 def test_what_is_there_once_the_followers_have_gone_is_of_the_road():
-    echoes, drives = setting_off(fixed=True)  # until 60 s
-    states = np.zeros((len(echoes), 6))
-    states[:, 0] = echoes.points[:, 0]
-    motion = fit_motion(echoes, drives, states, VehicleSettings().motion)
-    free = echoes.range_rate == 0.0
-    seen = Detectability.learned(echoes, [], VehicleSettings().detectability)
-    follower = Occluders.standing(1, (41.0, 50.0), 50.0, 0.0, 0.0, 4.5)
+    detections, drives = setting_off(fixed=True)  # until 60 s
+    states = np.zeros((len(detections), 6))
+    states[:, 0] = detections.points[:, 0]
+    motion = fit_motion(detections, drives, states, VehicleSettings().motion)
+    free = detections.range_rate == 0.0
+    seen = Detectability.learned(detections, [], VehicleSettings().detectability)
+    follower = Occluders.stationary(1, (41.0, 50.0), 50.0, 0.0, 0.0, 4.5)
     seen = replace(seen, occluders=follower)
-    rate = _rate_without(0, motion, 0, echoes, free, seen, VehicleSettings())
+    rate = _rate_without(0, motion, 0, detections, free, seen, VehicleSettings())
     assert rate == pytest.approx(5.0, rel=0.2)

@@ -8,40 +8,40 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gis_radar.lanelets.graph import LaneGraph
-from gis_radar.vehicles.detectability import Detectability, Occluders
-from gis_radar.vehicles.doubles import distinct_stands, join_tall, without_doubles
-from gis_radar.vehicles.echoes import Echoes, still_rate
-from gis_radar.vehicles.forward import ForwardFilter
-from gis_radar.vehicles.life_settings import (
+from gis_radar.tracking.detectability import Detectability, Occluders
+from gis_radar.tracking.detections import MapDetections, still_rate
+from gis_radar.tracking.duplicates import distinct_targets, join_tall, without_duplicates
+from gis_radar.tracking.forward import ForwardFilter
+from gis_radar.tracking.links import Part, chains
+from gis_radar.tracking.management_settings import (
     DetectabilitySettings,
-    LifeSettings,
-    StandingSettings,
+    StationarySettings,
     TallSettings,
+    TrackManagementSettings,
 )
-from gis_radar.vehicles.links import Part, chains
-from gis_radar.vehicles.lives import _as_strong
-from gis_radar.vehicles.motion import Motion, fit_motion
-from gis_radar.vehicles.paths import Path
-from gis_radar.vehicles.resting import _rate_without, unbroken, with_rest
-from gis_radar.vehicles.settings import (
-    EchoSettings,
+from gis_radar.tracking.motion import Motion, fit_motion
+from gis_radar.tracking.passes import Passes
+from gis_radar.tracking.paths import Path
+from gis_radar.tracking.resting import _rate_without, unbroken, with_rest
+from gis_radar.tracking.settings import (
+    DetectionSettings,
     ForwardSettings,
     MotionSettings,
     VehicleSettings,
 )
-from gis_radar.vehicles.size import size_of
-from gis_radar.vehicles.standing import Stand, not_built
-from gis_radar.vehicles.strips import Strips
-from gis_radar.vehicles.sweeps import Sweeps
-from gis_radar.vehicles.tall import one_tall_odds, tall_odds
+from gis_radar.tracking.size import size_of
+from gis_radar.tracking.stationary import StationaryTarget, not_built
+from gis_radar.tracking.strips import Strips
+from gis_radar.tracking.tall import one_tall_odds, tall_odds
+from gis_radar.tracking.track_management import _as_strong
 
 BEGIN = 1_700_000_000.0
 RATE = 20
 
 
-def echoes_at(time, points, height_m=0.7):
+def detections_at(time, points, height_m=0.7):
     away = np.hypot(points[:, 0], points[:, 1])
-    return Echoes(
+    return MapDetections(
         time=time,
         points=points,
         height_m=np.full(len(time), height_m),
@@ -78,12 +78,12 @@ def learned_from_two_passages():
     count = 10 * RATE
     time = np.concatenate([BEGIN + np.arange(count) / RATE, BEGIN + 60.0 + np.arange(count) / RATE])
     x = np.tile(10.0 / RATE * np.arange(count), 2)
-    echoes = echoes_at(time, np.column_stack([x, np.full(len(x), 30.0)]))
+    detections = detections_at(time, np.column_stack([x, np.full(len(x), 30.0)]))
     motions = [
         driven(BEGIN, 10.0, 10.0, np.arange(count)),
         driven(BEGIN + 60.0, 10.0, 10.0, count + np.arange(count)),
     ]
-    return Detectability.learned(echoes, motions, DetectabilitySettings())
+    return Detectability.learned(detections, motions, DetectabilitySettings())
 
 
 def halves(begin, seconds):
@@ -106,7 +106,7 @@ def test_nothing_is_due_while_the_sensor_is_off(learned):
 
 
 def test_nothing_is_due_behind_another_vehicle(learned):
-    in_the_way = Occluders.standing(
+    in_the_way = Occluders.stationary(
         7, (BEGIN, BEGIN + 10.0), 25.0, 15.0, np.arctan2(30.0, 50.0), 4.5
     )
     hidden = Detectability(**{**vars(learned), "occluders": in_the_way})
@@ -178,8 +178,8 @@ def test_heights_tell_lorries_from_cars_when_they_are_near():
     assert tall_odds(np.full(3, 1.8), near[:3], settings) == 0.0
 
 
-def stand(rear, front, rows, begin=0.0, end=30.0):
-    return Stand(strip=1, rear_m=rear, front_m=front, begin=begin, end=end, rows=rows)
+def target(rear, front, rows, begin=0.0, end=30.0):
+    return StationaryTarget(strip=1, rear_m=rear, front_m=front, begin=begin, end=end, rows=rows)
 
 
 @pytest.mark.parametrize(
@@ -192,9 +192,9 @@ def stand(rear, front, rows, begin=0.0, end=30.0):
 )
 def test_two_tall_neighbours_are_one_lorry(height, second, count):
     points = np.tile([30.0, 0.0], (200, 1))
-    echoes = echoes_at(BEGIN + np.arange(200.0) / 10, points, height)
-    pair = [stand(0.0, 4.5, np.arange(100)), stand(*second, np.arange(100, 200))]
-    joined = join_tall(pair, echoes, TallSettings())
+    detections = detections_at(BEGIN + np.arange(200.0) / 10, points, height)
+    pair = [target(0.0, 4.5, np.arange(100)), target(*second, np.arange(100, 200))]
+    joined = join_tall(pair, detections, TallSettings())
     assert len(joined) == count
     if count == 1:
         assert (joined[0].rear_m, joined[0].front_m) == (0.0, 11.5)
@@ -202,12 +202,12 @@ def test_two_tall_neighbours_are_one_lorry(height, second, count):
 
 
 def test_lorries_that_stand_one_after_the_other_are_two():
-    echoes = echoes_at(BEGIN + np.arange(200.0) / 10, np.tile([30.0, 0.0], (200, 1)), 2.0)
+    detections = detections_at(BEGIN + np.arange(200.0) / 10, np.tile([30.0, 0.0], (200, 1)), 2.0)
     pair = [
-        stand(0.0, 4.5, np.arange(100), 0.0, 10.0),
-        stand(7.0, 11.5, np.arange(100, 200), 9.0, 20.0),
+        target(0.0, 4.5, np.arange(100), 0.0, 10.0),
+        target(7.0, 11.5, np.arange(100, 200), 9.0, 20.0),
     ]
-    assert len(join_tall(pair, echoes, TallSettings())) == 2
+    assert len(join_tall(pair, detections, TallSettings())) == 2
 
 
 def test_who_stands_on_does_so_until_a_silence():
@@ -238,9 +238,11 @@ def road_of(lanes):
 def test_branches_that_stay_on_each_other_are_one_way():
     count = 5000
     s = 0.03 * np.arange(count)
-    echoes = echoes_at(0.003 * np.arange(count), np.column_stack([10.0 + s, np.zeros(count)]))
+    detections = detections_at(
+        0.003 * np.arange(count), np.column_stack([10.0 + s, np.zeros(count)])
+    )
     forward = ForwardFilter(road_of(2), ForwardSettings())
-    number, _ = forward.push(echoes)
+    number, _ = forward.push(detections)
     assert set(number[10:].tolist()) == {0}
     assert len(forward.bodies) == 1
     assert forward.branches == 1
@@ -249,9 +251,9 @@ def test_branches_that_stay_on_each_other_are_one_way():
 @pytest.mark.parametrize("lanes", [1, 2, 3])
 def test_a_detection_on_lanes_that_overlap_counts_once_for_a_new_vehicle(lanes):
     x = 50.0 + 0.5 * np.arange(3.0)
-    echoes = echoes_at(0.05 * np.arange(3.0), np.column_stack([x, np.zeros(3)]))
-    two, _ = ForwardFilter(road_of(lanes), ForwardSettings()).push(echoes.take(slice(0, 2)))
-    three, _ = ForwardFilter(road_of(lanes), ForwardSettings()).push(echoes)
+    detections = detections_at(0.05 * np.arange(3.0), np.column_stack([x, np.zeros(3)]))
+    two, _ = ForwardFilter(road_of(lanes), ForwardSettings()).push(detections.take(slice(0, 2)))
+    three, _ = ForwardFilter(road_of(lanes), ForwardSettings()).push(detections)
     assert two.tolist() == [-1, -1]
     assert three.tolist() == [0, 0, 0]
 
@@ -266,65 +268,65 @@ def setting_off(fixed):
     time = np.concatenate([still, moving])
     x = np.concatenate([np.full(len(still), 50.0), 50.0 + (moving - 40.0) ** 2])
     order = np.argsort(time, kind="stable")
-    echoes = echoes_at(time[order], np.column_stack([x[order], np.zeros(len(time))]))
+    detections = detections_at(time[order], np.column_stack([x[order], np.zeros(len(time))]))
     drives = (order >= len(still)).nonzero()[0]
-    echoes.range_rate[:] = 0.0
-    echoes.range_rate[drives] = 2.0 * (echoes.time[drives] - 40.0)
-    return echoes, drives
+    detections.range_rate[:] = 0.0
+    detections.range_rate[drives] = 2.0 * (detections.time[drives] - 40.0)
+    return detections, drives
 
 
 @pytest.mark.parametrize("fixed", [False, True])
 def test_who_sets_off_stood_before_unless_its_place_returns_without_it(fixed):
-    echoes, drives = setting_off(fixed)
-    states = np.zeros((len(echoes), 6))
-    states[:, 0], states[:, 3] = echoes.points[:, 0], echoes.range_rate
-    motion = fit_motion(echoes, drives, states, MotionSettings())
-    free = np.abs(echoes.range_rate) < 0.15
+    detections, drives = setting_off(fixed)
+    states = np.zeros((len(detections), 6))
+    states[:, 0], states[:, 3] = detections.points[:, 0], detections.range_rate
+    motion = fit_motion(detections, drives, states, MotionSettings())
+    free = np.abs(detections.range_rate) < 0.15
     free[drives] = False
-    sweeps = Sweeps.of([], echoes, Strips.of(road_of(1)), StandingSettings())
-    seen = Detectability.learned(echoes, [], DetectabilitySettings())
-    whole = with_rest(0, motion, echoes, free, states, sweeps, seen, VehicleSettings())
+    passes = Passes.of([], detections, Strips.of(road_of(1)), StationarySettings())
+    seen = Detectability.learned(detections, [], DetectabilitySettings())
+    whole = with_rest(0, motion, detections, free, states, passes, seen, VehicleSettings())
     begin = whole.first_step / RATE
     assert begin > 39.0 if fixed else begin < 1.0
 
 
 def test_a_place_is_judged_by_the_seconds_that_were_recorded():
-    echoes, _ = setting_off(fixed=True)
-    echoes = echoes.take(echoes.time < 44.0)
-    drives = np.flatnonzero(echoes.range_rate > 0.0)
-    states = np.zeros((len(echoes), 6))
-    states[:, 0], states[:, 3] = echoes.points[:, 0], echoes.range_rate
-    motion = fit_motion(echoes, drives, states, MotionSettings())
-    free = np.abs(echoes.range_rate) < 0.15
+    detections, _ = setting_off(fixed=True)
+    detections = detections.take(detections.time < 44.0)
+    drives = np.flatnonzero(detections.range_rate > 0.0)
+    states = np.zeros((len(detections), 6))
+    states[:, 0], states[:, 3] = detections.points[:, 0], detections.range_rate
+    motion = fit_motion(detections, drives, states, MotionSettings())
+    free = np.abs(detections.range_rate) < 0.15
     free[drives] = False
-    seen = Detectability.learned(echoes, [], DetectabilitySettings())
-    rate = _rate_without(0, motion, 0, echoes, free, seen, VehicleSettings())
+    seen = Detectability.learned(detections, [], DetectabilitySettings())
+    rate = _rate_without(0, motion, 0, detections, free, seen, VehicleSettings())
     assert rate == pytest.approx(5.0, rel=0.2)
 
 
 def test_a_follower_that_takes_the_place_is_not_of_the_road():
-    echoes, drives = setting_off(fixed=True)
-    states = np.zeros((len(echoes), 6))
-    states[:, 0], states[:, 3] = echoes.points[:, 0], echoes.range_rate
-    motion = fit_motion(echoes, drives, states, MotionSettings())
-    free = np.abs(echoes.range_rate) < 0.15
+    detections, drives = setting_off(fixed=True)
+    states = np.zeros((len(detections), 6))
+    states[:, 0], states[:, 3] = detections.points[:, 0], detections.range_rate
+    motion = fit_motion(detections, drives, states, MotionSettings())
+    free = np.abs(detections.range_rate) < 0.15
     free[drives] = False
-    sweeps = Sweeps.of([], echoes, Strips.of(road_of(1)), StandingSettings())
-    follower = Occluders.standing(1, (41.0, 60.0), 50.0, 0.0, 0.0, 4.5)
-    seen = Detectability.learned(echoes, [], DetectabilitySettings())
+    passes = Passes.of([], detections, Strips.of(road_of(1)), StationarySettings())
+    follower = Occluders.stationary(1, (41.0, 60.0), 50.0, 0.0, 0.0, 4.5)
+    seen = Detectability.learned(detections, [], DetectabilitySettings())
     seen = Detectability(**{**vars(seen), "occluders": follower})
-    whole = with_rest(0, motion, echoes, free, states, sweeps, seen, VehicleSettings())
+    whole = with_rest(0, motion, detections, free, states, passes, seen, VehicleSettings())
     assert whole.first_step / RATE < 1.0
 
 
 @pytest.mark.parametrize(("crosses_m", "since"), [(2.0, 20.0), (None, 0.0)])
 def test_nobody_stood_where_another_crossed_the_place_of_its_front(crosses_m, since):
     """One of 8 m sets off at 40 s; across the lane another drives 2 m ahead of its middle."""
-    echoes, drives = setting_off(fixed=False)
-    states = np.zeros((len(echoes), 6))
-    states[:, 0], states[:, 3] = echoes.points[:, 0], echoes.range_rate
-    motion = replace(fit_motion(echoes, drives, states, MotionSettings()), length_m=8.0)
-    free = np.abs(echoes.range_rate) < 0.15
+    detections, drives = setting_off(fixed=False)
+    states = np.zeros((len(detections), 6))
+    states[:, 0], states[:, 3] = detections.points[:, 0], detections.range_rate
+    motion = replace(fit_motion(detections, drives, states, MotionSettings()), length_m=8.0)
+    free = np.abs(detections.range_rate) < 0.15
     free[drives] = False
     over = []
     if crosses_m is not None:
@@ -333,12 +335,14 @@ def test_nobody_stood_where_another_crossed_the_place_of_its_front(crosses_m, si
         across = np.column_stack([np.full(40, front), 12.0 * (time - 19.0)])
         way = np.zeros((40, 6))
         way[:, :2], way[:, 2], way[:, 3] = across, 0.5 * np.pi, 12.0
-        seen_across = echoes_at(time, across)
+        seen_across = detections_at(time, across)
         other = fit_motion(seen_across, np.arange(40), way, MotionSettings())
-        over = [replace(other, rows=np.flatnonzero((echoes.time > 17.9) & (echoes.time < 20.1)))]
-    sweeps = Sweeps.of(over, echoes, Strips.of(road_of(1)), StandingSettings())
-    seen = Detectability.learned(echoes, [], DetectabilitySettings())
-    whole = with_rest(0, motion, echoes, free, states, sweeps, seen, VehicleSettings())
+        over = [
+            replace(other, rows=np.flatnonzero((detections.time > 17.9) & (detections.time < 20.1)))
+        ]
+    passes = Passes.of(over, detections, Strips.of(road_of(1)), StationarySettings())
+    seen = Detectability.learned(detections, [], DetectabilitySettings())
+    whole = with_rest(0, motion, detections, free, states, passes, seen, VehicleSettings())
     assert since - 2.0 < whole.first_step / RATE < since + 2.0
 
 
@@ -356,42 +360,45 @@ def lasting(x, seconds, rows, begin=0.0, left_m=0.0):
 
 def test_the_begin_of_a_life_on_another_vehicle_is_that_ones():
     time = np.arange(0.0, 30.0, 0.05)
-    echoes = echoes_at(time, np.zeros((len(time), 2)) + 1.0)
+    detections = detections_at(time, np.zeros((len(time), 2)) + 1.0)
     strong, weak = lasting(0.0, 10.0, 200), lasting(1.0, 30.0, 600)
     weak.rows = np.arange(0, 600, 6)
     weak.along_m = weak.left_m = np.zeros(100)
-    one, other = without_doubles([strong, weak], echoes, VehicleSettings())
+    one, other = without_duplicates([strong, weak], detections, VehicleSettings())
     assert one is strong
     assert other.first_step == pytest.approx(10.0 * RATE, abs=RATE // 2)
     assert other.last_step == weak.last_step
-    assert echoes.time[other.rows].min() >= 9.9
+    assert detections.time[other.rows].min() >= 9.9
     apart = lasting(20.0, 30.0, 100)
-    assert without_doubles([strong, apart], echoes, VehicleSettings()) == [strong, apart]
+    assert without_duplicates([strong, apart], detections, VehicleSettings()) == [strong, apart]
 
 
 def test_who_lies_on_another_vehicle_in_between_stays_one():
     time = np.arange(0.0, 30.0, 0.05)
-    echoes = echoes_at(time, np.zeros((len(time), 2)) + 1.0)
+    detections = detections_at(time, np.zeros((len(time), 2)) + 1.0)
     whole, over = lasting(0.0, 30.0, 100), lasting(100.0, 5.0, 400, begin=10.0)
-    assert without_doubles([whole, over], echoes, VehicleSettings()) == [whole, over]
+    assert without_duplicates([whole, over], detections, VehicleSettings()) == [whole, over]
 
 
 def test_one_of_which_too_little_is_left_hides_no_other():
     time = np.arange(0.0, 30.0, 0.05)
-    echoes = echoes_at(time, np.zeros((len(time), 2)) + 1.0)
+    detections = detections_at(time, np.zeros((len(time), 2)) + 1.0)
     strong, weak, third = lasting(0.0, 8.0, 600), lasting(3.0, 20.0, 500), lasting(6.2, 20.0, 400)
     weak.rows = np.arange(160)  # all while it lies on the first
     third.rows = np.arange(200, 300)
     third.along_m = third.left_m = np.zeros(100)
     weak.along_m = weak.left_m = np.zeros(160)
-    assert without_doubles([strong, weak, third], echoes, VehicleSettings()) == [strong, third]
+    assert without_duplicates([strong, weak, third], detections, VehicleSettings()) == [
+        strong,
+        third,
+    ]
 
 
 def test_what_was_cut_away_hides_no_other():
     time = np.arange(0.0, 30.0, 0.05)
-    echoes = echoes_at(time, np.zeros((len(time), 2)) + 1.0)
+    detections = detections_at(time, np.zeros((len(time), 2)) + 1.0)
     first, second, third = lasting(0.0, 8.0, 600), lasting(3.0, 30.0, 500), lasting(6.2, 8.0, 400)
-    kept = without_doubles([first, second, third], echoes, VehicleSettings())
+    kept = without_duplicates([first, second, third], detections, VehicleSettings())
     assert kept[0] is first
     assert kept[1].first_step >= 7.5 * RATE
     assert kept[2] is third
@@ -420,10 +427,10 @@ def test_one_lorry_needs_two_tall_parts(odds, more):
     assert one_tall_odds((4.0, -3.0), settings) < 0.0 < one_tall_odds((2.0, 2.0), settings)
 
 
-def part(begin, end, places, speeds, *, stands=False):
+def part(begin, end, places, speeds, *, stationary=False):
     return Part(
         time=np.array([begin, end]), place=np.array([[x, 0.0] for x in places]),
-        heading=np.zeros(2), speed=np.array(speeds, float), stands=stands,
+        heading=np.zeros(2), speed=np.array(speeds, float), stationary=stationary,
     )  # fmt: skip
 
 
@@ -434,14 +441,14 @@ def part(begin, end, places, speeds, *, stands=False):
         (part(12.0, 20.0, (56.0, 150.0), (10.0, 10.0)), False),  # 6 m in 2 s between 10 m/s
         (part(18.0, 20.0, (130.0, 150.0), (10.0, 10.0)), False),  # missed for too long
         (part(12.0, 20.0, (40.0, 150.0), (10.0, 10.0)), False),  # behind
-        (part(12.0, 20.0, (70.0, 70.0), (0.0, 0.0), stands=True), False),  # from 10 m/s to none
+        (part(12.0, 20.0, (70.0, 70.0), (0.0, 0.0), stationary=True), False),  # from 10 m/s to none
     ],
 )
 def test_who_drove_on_unseen_is_one(other, follows, learned):
-    sweeps = Sweeps.of([], echoes_at(np.zeros(1), np.ones((1, 2))), Strips.of(road_of(1)),
-                       StandingSettings())  # fmt: skip
+    passes = Passes.of([], detections_at(np.zeros(1), np.ones((1, 2))), Strips.of(road_of(1)),
+                       StationarySettings())  # fmt: skip
     one = part(0.0, 10.0, (0.0, 50.0), (10.0, 10.0))
-    found = chains([one, other], sweeps, learned, VehicleSettings())
+    found = chains([one, other], passes, learned, VehicleSettings())
     assert found == ([[0, 1]] if follows else [[0], [1]])
 
 
@@ -451,9 +458,9 @@ def test_who_waited_is_one_unless_its_place_was_driven_over(driven_over, follows
     other = part(40.0, 50.0, (51.0, 150.0), (0.5, 10.0))
     time = np.arange(0.0, 60.0, 0.05)
     over = [lasting(-150.0, 30.0, 600)] if driven_over else []
-    echoes = echoes_at(time, np.ones((len(time), 2)))
-    sweeps = Sweeps.of(over, echoes, Strips.of(road_of(1)), StandingSettings())
-    found = chains([one, other], sweeps, learned, VehicleSettings())
+    detections = detections_at(time, np.ones((len(time), 2)))
+    passes = Passes.of(over, detections, Strips.of(road_of(1)), StationarySettings())
+    found = chains([one, other], passes, learned, VehicleSettings())
     assert found == ([[0, 1]] if follows else [[0], [1]])
 
 
@@ -482,31 +489,33 @@ def stopping_at(*stops):
 @pytest.mark.parametrize("stops", [(50,), (50, 120), (120, 50)])
 def test_what_lies_on_a_vehicle_at_one_of_its_stops_is_that_one(stops):
     begin = 27.0 * stops.index(50)
-    on_it = stand(47.7, 52.3, np.arange(5), begin + 1.0, begin + 19.0)
-    beside = stand(67.7, 72.3, np.arange(5), begin + 1.0, begin + 19.0)
+    on_it = target(47.7, 52.3, np.arange(5), begin + 1.0, begin + 19.0)
+    beside = target(67.7, 72.3, np.arange(5), begin + 1.0, begin + 19.0)
     places = [(np.array([50.0, 0.0]), 0.0), (np.array([70.0, 0.0]), 0.0)]
-    assert distinct_stands([on_it, beside], places, [stopping_at(*stops)], LifeSettings()) == [1]
+    assert distinct_targets(
+        [on_it, beside], places, [stopping_at(*stops)], TrackManagementSettings()
+    ) == [1]
 
 
 @pytest.mark.parametrize("unknown", [0, 1, 9])
 def test_a_weak_return_is_refused_though_some_cross_sections_are_unknown(unknown):
-    echoes = echoes_at(np.arange(20.0) / RATE, np.tile([30.0, 0.0], (20, 1)))
-    echoes.rcs[:] = np.repeat([10.0, -20.0], 10)
-    echoes.rcs[:unknown] = np.nan
-    weak, strong = stand(0.0, 4.0, np.arange(10, 20)), stand(0.0, 4.0, np.arange(10))
+    detections = detections_at(np.arange(20.0) / RATE, np.tile([30.0, 0.0], (20, 1)))
+    detections.rcs[:] = np.repeat([10.0, -20.0], 10)
+    detections.rcs[:unknown] = np.nan
+    weak, strong = target(0.0, 4.0, np.arange(10, 20)), target(0.0, 4.0, np.arange(10))
     fast = driven(0.0, 2.0, 10.0, np.arange(10))
-    assert _as_strong([weak, strong], echoes, [fast], VehicleSettings()) == [strong]
+    assert _as_strong([weak, strong], detections, [fast], VehicleSettings()) == [strong]
 
 
 @pytest.mark.parametrize("through", [True, False])
 def test_what_is_seen_while_others_drive_over_it_holds_no_vehicle(through):
     graph = road_of(1)
     time = np.arange(0.0, 60.0, 0.1)
-    echoes = echoes_at(time, np.tile([100.0, 0.0], (len(time), 1)))
+    detections = detections_at(time, np.tile([100.0, 0.0], (len(time), 1)))
     beside_m = 0.0 if through else 30.0
     drivers = [lasting(0.0, 20.0, len(time), begin, beside_m) for begin in (0, 20, 40)]
-    sweeps = Sweeps.of(drivers, echoes, Strips.of(graph), StandingSettings())
-    left = not_built(echoes, np.ones(len(time), bool), sweeps, StandingSettings())
+    passes = Passes.of(drivers, detections, Strips.of(graph), StationarySettings())
+    left = not_built(detections, np.ones(len(time), bool), passes, StationarySettings())
     assert left.all() != through
     assert left.any() != through
 
@@ -515,22 +524,24 @@ def test_what_comes_more_often_than_the_road_returns_is_none_of_it():
     """The road returns all the time; one stands on it between the second and the third driver."""
     rng = np.random.default_rng(3)
     begins, graph = (0, 20, 60, 80), road_of(1)
-    road, stands = np.sort(rng.uniform(0.0, 100.0, 4000)), np.sort(rng.uniform(30.0, 55.0, 1500))
-    time = np.concatenate([road, stands])
+    road, still = np.sort(rng.uniform(0.0, 100.0, 4000)), np.sort(rng.uniform(30.0, 55.0, 1500))
+    time = np.concatenate([road, still])
     order = np.argsort(time)
     places = rng.uniform([97.0, -1.0], [103.0, 1.0], (len(time), 2))
-    echoes = echoes_at(time[order], places[order])
+    detections = detections_at(time[order], places[order])
     drivers = [lasting(0.0, 20.0, len(time), begin) for begin in begins]
-    sweeps = Sweeps.of(drivers, echoes, Strips.of(graph), StandingSettings())
-    left = echoes.time[not_built(echoes, np.ones(len(time), bool), sweeps, StandingSettings())]
+    passes = Passes.of(drivers, detections, Strips.of(graph), StationarySettings())
+    left = detections.time[
+        not_built(detections, np.ones(len(time), bool), passes, StationarySettings())
+    ]
     inside = (left > 29.0) & (left < 56.0)
     assert inside.mean() > 0.97
-    assert inside.sum() > 0.9 * len(stands)
+    assert inside.sum() > 0.9 * len(still)
 
 
 def test_a_radar_with_more_noise_needs_more_to_seem_to_move():
     rng = np.random.default_rng(1)
-    settings = EchoSettings()
+    settings = DetectionSettings()
     quiet, noisy = (rng.normal(0.0, sigma, 50_000) for sigma in (0.016, 0.05))
     driven = rng.uniform(-20.0, 20.0, 5_000)
     assert still_rate(np.append(quiet, driven), settings) == settings.moving_mps
@@ -553,15 +564,15 @@ def test_fixed_returns_do_not_hold_one_who_drives_across_the_view():
     away = points - [100.0, -30.0]
     sight = away / np.hypot(*away.T)[:, None]
     rate = np.append(10.0 * sight[: len(time), 0], np.zeros(len(time)))
-    echoes = Echoes(
+    detections = MapDetections(
         time=when[order], points=points[order], height_m=np.full(len(when), 0.7),
         range_rate=rate[order], sight=sight[order], range_m=np.hypot(*away.T)[order],
         sensor=np.zeros(len(when), np.int64), rcs=np.zeros(len(when)),
     )  # fmt: skip
-    number, state = ForwardFilter(road_of(1), ForwardSettings()).push(echoes)
+    number, state = ForwardFilter(road_of(1), ForwardSettings()).push(detections)
     fixed = order >= len(time)
     assert (number[fixed] < 0).all()
-    moving = ~fixed & (np.abs(echoes.range_rate) > 0.15)
+    moving = ~fixed & (np.abs(detections.range_rate) > 0.15)
     assert len(np.unique(number[moving])) == 1
     assert state[moving][-1, 3] == pytest.approx(10.0, abs=0.5)
 
@@ -570,9 +581,9 @@ def test_fixed_returns_do_not_hold_one_who_drives_across_the_view():
 def test_a_fixed_thing_that_returns_seldom_is_built_too(rate):
     rng = np.random.default_rng(4)
     time = np.sort(rng.uniform(0.0, 300.0, int(300.0 * rate)))
-    echoes = echoes_at(time, np.tile([100.0, 0.0], (len(time), 1)))
+    detections = detections_at(time, np.tile([100.0, 0.0], (len(time), 1)))
     drivers = [lasting(0.0, 20.0, len(time), begin) for begin in range(0, 280, 20)]
-    settings = replace(StandingSettings(), built_share=0.2)
-    sweeps = Sweeps.of(drivers, echoes, Strips.of(road_of(1)), settings)
-    left = not_built(echoes, np.ones(len(time), bool), sweeps, settings)
+    settings = replace(StationarySettings(), built_share=0.2)
+    passes = Passes.of(drivers, detections, Strips.of(road_of(1)), settings)
+    left = not_built(detections, np.ones(len(time), bool), passes, settings)
     assert left.mean() < 0.1

@@ -9,7 +9,9 @@ from maps import Listener
 from pyproj import CRS
 
 import gis_radar as gr
-from gis_radar.vehicles.settings import BlockSettings, VehicleSettings
+from gis_radar.tracking.batches import joined_rows
+from gis_radar.tracking.map_check import describe_map
+from gis_radar.tracking.settings import BlockSettings, VehicleSettings
 
 SAMPLE = gr.sample_folder()
 
@@ -34,11 +36,13 @@ def site(tmp_path_factory):
     return tiles, folder
 
 
-def found(site, name, recordings=None, **options):
+def found(site, name, recordings=None, *, vehicles=None, **options):
     tiles, folder = site
     given = recordings or [folder / "R1.parquet", folder / "R2.parquet"]
     poses = [gr.read_pose(SAMPLE / f"{path.stem[:2]}.json") for path in given]
-    return gr.find_vehicles(given, poses, tiles, SAMPLE / "junction.osm", folder / name, **options)
+    if vehicles is not None:
+        options["settings"] = gr.MeasureSettings(vehicles=vehicles)
+    return gr.measure(given, poses, tiles, SAMPLE / "junction.osm", folder / name, **options)
 
 
 @pytest.fixture(scope="module")
@@ -47,15 +51,17 @@ def whole(site, once):
         found(site, folder / "whole")
         return folder / "whole"
 
-    return gr.read_vehicles(once("vehicles of the sample", search))
+    return gr.open_dataset(once("vehicles of the sample", search))
 
 
-def covered_s(vehicles, tiles):
-    seconds = np.zeros(len(tiles))
-    for block in vehicles.blocks():
-        steps = block.covered["last_step"] - block.covered["first_step"] + 1
-        np.add.at(seconds, block.covered["tile_id"].to_numpy(), steps.to_numpy() / 20.0)
+def occupied_s(ds, tiles):
+    runs, seconds = ds.occupied(), np.zeros(len(tiles))
+    np.add.at(seconds, runs["tile_id"], (runs["end"] - runs["begin"]).dt.total_seconds())
     return seconds
+
+
+def steps_of(tracks):
+    return (tracks["time"].astype("datetime64[us, UTC]").astype("int64") // 50_000).to_numpy()
 
 
 def moving_detections():
@@ -75,9 +81,11 @@ def test_most_moving_vehicles_near_the_sensors_are_followed(whole):
     eyes = [gr.read_pose(SAMPLE / f"{name}.json").position[:2] for name in ("R1", "R2")]
     places = truth[["easting", "northing"]].to_numpy()
     near = np.min([np.hypot(*(places - eye).T) for eye in eyes], axis=0) < 80.0
+    of_states = (truth["t"] * 20).round() % 4 == 0
     vehicle = ~truth["kind"].isin(["walker", "cyclist"])
-    rows = truth[near & vehicle & (truth["speed"] > 3.0)].iloc[::20]
-    by_step = dict(iter(pd.concat(whole.tracks()).groupby("step")))
+    rows = truth[near & vehicle & (truth["speed"] > 3.0) & of_states].iloc[::5]
+    tracks = whole.tracks()
+    by_step = dict(iter(tracks.groupby(steps_of(tracks))))
     seen = moving_detections()
     hit, detected = [], []
     for row in rows.itertuples():
@@ -95,14 +103,14 @@ def test_most_moving_vehicles_near_the_sensors_are_followed(whole):
     assert np.mean(np.array(hit)[detected]) > 0.85
 
 
-def test_blocks_neither_lose_nor_double_coverage(site, whole):
+def test_blocks_neither_lose_nor_double_occupancy(site, whole):
     settings = VehicleSettings(blocks=BlockSettings(steps=300, margin_steps=200))
-    cut = found(site, "cut", settings=settings)
+    cut = found(site, "cut", vehicles=settings)
     tiles, _ = site
-    uncut, in_blocks = covered_s(whole, tiles), covered_s(cut, tiles)
+    uncut, in_blocks = occupied_s(whole, tiles), occupied_s(cut, tiles)
     assert in_blocks.sum() == pytest.approx(uncut.sum(), rel=0.1)
     assert np.corrcoef(in_blocks, uncut)[0, 1] > 0.9
-    assert len(cut.vehicles) < 1.3 * len(whole.vehicles)
+    assert len(cut.vehicles()) < 1.3 * len(whole.vehicles())
 
 
 def test_frames_missing_around_the_edge_of_a_block_part_no_vehicle(site, tmp_path):
@@ -111,67 +119,43 @@ def test_frames_missing_around_the_edge_of_a_block_part_no_vehicle(site, tmp_pat
     edge, gap = -(-int(step.min()) // 240) * 240, 12
     kept = table[(step < edge + 160) & ~step.between(edge - gap, edge + gap)]
     kept.to_parquet(tmp_path / "R1.parquet", index=False)
-    around = (edge - gap, edge + gap)
     states = []
     for name, steps in (("gap-whole", 6000), ("gap-cut", 240)):
         settings = VehicleSettings(blocks=BlockSettings(steps=steps, margin_steps=240))
-        made = found(site, name, [tmp_path / "R1.parquet"], settings=settings)
-        states.append(pd.concat(made.tracks(around)))
+        made = found(site, name, [tmp_path / "R1.parquet"], vehicles=settings)
+        tracks = made.tracks()
+        step = steps_of(tracks)
+        states.append(tracks[(abs(step - edge) <= gap) & (step % 4 == 0)])
     whole, cut = (each.groupby("vehicle").size() for each in states)
-    through = 2 * gap + 1  # steps
+    through = 2 * gap // 4 + 1  # states
     assert (whole == through).sum() > 3
     assert (cut == through).sum() == (whole == through).sum()
     assert len(states[1]) == pytest.approx(len(states[0]), rel=0.05)
 
 
-def test_two_recordings_of_the_same_time_count_once(site, tmp_path):
-    table = begin_of(SAMPLE / "R1.parquet", 15.0)
-    middle = table["time"].mean()
-    whole, first, second = (tmp_path / f"R1{part}.parquet" for part in ("", "-a", "-b"))
-    table.to_parquet(whole, index=False)
-    table[table["time"] < middle + 3.0].to_parquet(first, index=False)
-    table[table["time"] > middle - 3.0].to_parquet(second, index=False)
-    other = tmp_path / "R2.parquet"
-    begin_of(SAMPLE / "R2.parquet", 15.0).to_parquet(other, index=False)
-    heard = Listener()
-    once = found(site, "once", [whole, other])
-    again = found(site, "twice", [first, second, other], reporter=heard)
-    tiles, _ = site
-    assert np.array_equal(covered_s(again, tiles), covered_s(once, tiles))
-    assert covered_s(once, tiles).sum() > 0.0
-    assert any("R1-b.parquet: overlaps another recording" in text for _, text in heard.messages)
-
-
-def test_without_range_rates_it_is_refused(site, tmp_path):
-    table = begin_of(SAMPLE / "R1.parquet").assign(range_rate=np.float32(np.nan))
-    table.to_parquet(tmp_path / "R1.parquet", index=False)
-    with pytest.raises(gr.InputError, match="no range rates"):
-        found(site, "no-rates", [tmp_path / "R1.parquet"])
-
-
-def test_where_nothing_moves_coverage_is_zero_with_a_warning(site, tmp_path):
+def test_where_nothing_moves_occupancy_is_zero_with_a_warning(site, tmp_path):
     table = begin_of(SAMPLE / "R1.parquet", 10.0)
     still = table[table["range_rate"].abs() < 0.05]
     still.to_parquet(tmp_path / "R1.parquet", index=False)
     heard = Listener()
     none = found(site, "still", [tmp_path / "R1.parquet"], reporter=heard)
-    assert len(none.vehicles) == 0
-    assert any("coverage is zero" in text for rank, text in heard.messages if rank == "warning")
+    assert len(none.vehicles()) == 0
+    assert any("occupancy is zero" in text for rank, text in heard.messages if rank == "warning")
 
 
-def test_a_quiet_recording_has_coverage_zero(site, tmp_path, run):
+def test_a_quiet_recording_has_occupancy_zero(site, tmp_path, run):
     columns = dict.fromkeys(["x", "y", "z", "range_rate", "rcs"], np.float32(np.nan))
     quiet = pd.DataFrame({"time": 1.7e9 + 0.05 * np.arange(200)}).assign(**columns)
     quiet.to_parquet(tmp_path / "R1.parquet", index=False)
     code, out, _ = run(
-        "vehicles", tmp_path / "R1.parquet", "--pose", SAMPLE / "R1.json", "--tiles",
+        "measure", tmp_path / "R1.parquet", "--pose", SAMPLE / "R1.json", "--tiles",
         site[1] / "tiles.gpkg", "--map", SAMPLE / "junction.osm", "-o", tmp_path / "v", "--json",
     )  # fmt: skip
     assert code == 0
-    assert "no vehicle moves in these recordings: the coverage is zero" in out
-    made = gr.read_vehicles(tmp_path / "v")
-    assert covered_s(made, site[0]).sum() == 0.0
-    assert sum(len(block.visible) for block in made.blocks()) > 0
+    assert "no vehicle moves in these recordings: the occupancy is zero" in out
+    made = gr.open_dataset(tmp_path / "v")
+    assert occupied_s(made, site[0]).sum() == 0.0
+    assert len(made.visible()) > 0
 
 
 def test_without_cross_sections_vehicles_are_followed_all_the_same(site, tmp_path):
@@ -179,7 +163,7 @@ def test_without_cross_sections_vehicles_are_followed_all_the_same(site, tmp_pat
     table = table[table["time"] < table["time"].iloc[0] + 8.0]
     for value in (np.nan, np.inf):
         table.assign(rcs=np.float32(value)).to_parquet(tmp_path / "R1.parquet", index=False)
-        assert len(found(site, "no-rcs", [tmp_path / "R1.parquet"]).vehicles) > 3
+        assert len(found(site, f"no-rcs-{value}", [tmp_path / "R1.parquet"]).vehicles()) > 3
 
 
 @pytest.mark.parametrize("crs", ["EPSG:25833", "EPSG:32632"])
@@ -187,7 +171,7 @@ def test_a_pose_in_another_system_than_the_tiles_is_refused(site, crs):
     pose = replace(gr.read_pose(SAMPLE / "R1.json"), crs=CRS.from_user_input(crs))
     given = [site[1] / "R1.parquet"], [pose], site[0], SAMPLE / "junction.osm"
     with pytest.raises(gr.CrsError, match=f"the pose of R1 is in {crs}, but the tiles in"):
-        gr.find_vehicles(*given, site[1] / "other-crs")
+        gr.measure(*given, site[1] / "other-crs")
 
 
 def test_another_map_is_refused(site, tmp_path):
@@ -197,22 +181,20 @@ def test_another_map_is_refused(site, tmp_path):
     other = other.replace('<relation id="', '<relation id="9')
     (tmp_path / "other.osm").write_text(other)
     with pytest.raises(gr.InputError, match="of the tiles"):
-        gr.find_vehicles(
-            [SAMPLE / "R1.parquet"], [pose], tiles, tmp_path / "other.osm", folder / "other"
-        )
+        gr.measure([SAMPLE / "R1.parquet"], [pose], tiles, tmp_path / "other.osm", folder / "other")
 
 
-def test_the_command_writes_a_folder(site, tmp_path, run):
+def test_the_command_writes_a_dataset(site, tmp_path, run):
     begin_of(SAMPLE / "R1.parquet", 15.0).to_parquet(tmp_path / "R1.parquet", index=False)
     code, _, _ = run(
-        "vehicles", tmp_path / "R1.parquet", "--pose", SAMPLE / "R1.json", "--tiles",
-        site[1] / "tiles.gpkg", "--map", SAMPLE / "junction.osm", "-o", tmp_path / "vehicles",
+        "measure", tmp_path / "R1.parquet", "--pose", SAMPLE / "R1.json", "--tiles",
+        site[1] / "tiles.gpkg", "--map", SAMPLE / "junction.osm", "-o", tmp_path / "site",
     )  # fmt: skip
     assert code == 0
-    read = gr.read_vehicles(tmp_path / "vehicles")
-    assert len(read.vehicles) > 10
-    assert read.provenance.sources[0]["recording"] == "R1.parquet"
-    assert read.provenance.sight == "view only"
+    read = gr.open_dataset(tmp_path / "site")
+    assert len(read.vehicles()) > 10
+    assert read.recordings()["path"].tolist() == [(tmp_path / "R1.parquet").as_posix()]
+    assert read.manifest.settings["sight"] == "view only"
 
 
 def test_a_file_of_sight_stands_for_the_scan(site, tmp_path):
@@ -225,9 +207,28 @@ def test_a_file_of_sight_stands_for_the_scan(site, tmp_path):
     begin_of(SAMPLE / "R1.parquet", 10.0).to_parquet(given[0], index=False)
     by_file = found(site, "by-file", given, sight=folder / "sight.gpkg")
     by_scan = found(site, "by-scan", given, scans=[SAMPLE / "scan.laz"])
-    visible = [
-        pd.concat([block.visible for block in each.blocks()])["tile_id"].nunique()
-        for each in (by_file, by_scan)
-    ]
+    visible = [each.visible()["tile_id"].nunique() for each in (by_file, by_scan)]
     assert visible[0] == visible[1] > 0
-    assert by_file.provenance.sight["file"] == "sight.gpkg"
+    assert by_file.manifest.settings["sight"]["file"] == "sight.gpkg"
+
+
+def test_the_map_of_the_tiles_is_told_from_others():
+    path = SAMPLE / "junction.osm"
+    roads = gr.read_map(path)
+    tiles = gr.make_tiles(roads)
+    known = describe_map(path, roads, tiles, origin=(1, 2))
+    assert (known["crs"], known["origin"], len(known["digest"])) == ("EPSG:25832", [1.0, 2.0], 32)
+    with pytest.raises(gr.InputError, match=r"junction\.osm: lacks lanelet 5 of the tiles"):
+        describe_map(path, roads, tiles.assign(lanelet_id=5))
+    tiles.geometry = tiles.geometry.translate(0.0, 0.3)
+    with pytest.raises(gr.InputError, match=r"lanelet \d+ lies 0\.30 m from its tiles"):
+        describe_map(path, roads, tiles)
+
+
+def test_lanelets_of_two_parts_of_a_vehicle_follow_each_other():
+    row = {"length_sigma_m": 0.3, "first_step": 1, "last_step": 2, "continues": False}
+    one = row | {"lanelets": np.array([4, 7, 8]), "length_m": 4.0}
+    other = row | {"lanelets": np.array([7, 8, 9]), "length_m": 5.0, "length_sigma_m": 0.1}
+    joined = joined_rows(one, other)
+    assert joined["lanelets"].tolist() == [4, 7, 8, 9]
+    assert joined["length_m"] == 5.0

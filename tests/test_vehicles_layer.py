@@ -4,19 +4,18 @@ import re
 import sqlite3
 import zipfile
 from contextlib import closing
-from dataclasses import replace
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
 import pytest
 import shapely
+from datasets import stepwise_dataset
+from driven import FIRST, drive, driven, straight_tiles
 from shapely.affinity import rotate, translate
-from test_heatmap_coverage import occupancy_in
-from test_vehicles_folder import FIRST, drive, straight_tiles, write
 
 import gis_radar as gr
-from gis_radar.vehicles.layer import footprint_style
+from gis_radar.products.footprints import footprint_style
 
 CARS = pd.concat(
     [
@@ -27,17 +26,17 @@ CARS = pd.concat(
 
 
 def layer_of(folder, tracks, **options):
-    """Write tracks as a folder and as a layer; give the layer and the file."""
-    vehicles = write(folder / "vehicles", straight_tiles(), tracks, **options)
+    """Write tracks as a dataset and as a layer; give the layer and the file."""
+    dataset = driven(folder / "dataset", straight_tiles(), tracks, **options)
     path = folder / "footprints.gpkg"
-    rows = gr.write_footprints(vehicles, path)
+    rows = gr.write_footprints(dataset, path)
     layer = gpd.read_file(path, layer="footprints")
     assert len(layer) == rows
     return layer, path
 
 
 def test_a_vehicle_has_a_row_each_half_second(tmp_path):
-    layer, _ = layer_of(tmp_path, CARS, cuts=[FIRST + 33])
+    layer, _ = layer_of(tmp_path, CARS)
     steps = layer["begin"].astype("datetime64[ms, UTC]").astype(np.int64) // 50
     wanted = CARS[CARS["step"] % 10 == 0].sort_values(["step", "vehicle"])
     assert list(zip(steps, layer["vehicle"], strict=True)) == list(
@@ -99,11 +98,13 @@ def test_the_style_shows_every_kind_and_state(tmp_path):
     assert values == {f"{k}, {s}" for k in ("light", "heavy") for s in ("moving", "standing")}
 
 
-def test_no_vehicle_is_an_empty_layer(tmp_path):
-    some = write(tmp_path / "vehicles", straight_tiles(), CARS)
-    none = replace(some, vehicles=some.vehicles[:0], read_tracks=lambda _: iter(()))
+def test_an_hour_without_vehicles_is_an_empty_layer(tmp_path):
+    hits = stepwise_dataset(
+        tmp_path / "dataset", straight_tiles(), {("R1", "a"): {FIRST}}, {("R1", "a"): {0}}, set(),
+        occupied={}, visible={(0, True): {FIRST}},
+    )  # fmt: skip
     path = tmp_path / "none.gpkg"
-    assert gr.write_footprints(none, path) == 0
+    assert gr.write_footprints(hits, path) == 0
     layer = gpd.read_file(path, layer="footprints")
     assert layer.empty
     assert layer.crs == "EPSG:25832"
@@ -111,17 +112,20 @@ def test_no_vehicle_is_an_empty_layer(tmp_path):
 
 def test_layers_that_are_refused(tmp_path):
     layer_of(tmp_path, CARS)
-    vehicles = gr.read_vehicles(tmp_path / "vehicles")
+    dataset = gr.open_dataset(tmp_path / "dataset")
     with pytest.raises(gr.UsageError, match=r"footprints are written as GeoPackage"):
-        gr.write_footprints(vehicles, tmp_path / "footprints.shp")
+        gr.write_footprints(dataset, tmp_path / "footprints.shp")
+    hits = stepwise_dataset(
+        tmp_path / "hits", straight_tiles(), {("R1", "a"): {FIRST}}, {("R1", "a"): {0}}, set()
+    )
+    with pytest.raises(gr.InputError, match="holds no vehicles"):
+        gr.write_footprints(hits, tmp_path / "footprints.gpkg")
 
 
 def test_the_project_of_a_site_plays_vehicles_only_where_asked(tmp_path):
     """Tracks of single vehicles are shown by choice, and gone when the choice is taken back."""
-    tiles = straight_tiles()
-    layer_of(tmp_path, CARS)
-    occupancy = occupancy_in(tiles, range(FIRST, FIRST + 100))
-    gr.make_heatmap(occupancy, tiles, interval="1s").write(tmp_path / "heatmap")
+    dataset = driven(tmp_path / "dataset", straight_tiles(), CARS)
+    gr.make_heatmap(dataset, interval="1s").write(tmp_path / "heatmap")
     for asked in (True, False):
         made = [path.name for path in gr.write_site_project(tmp_path, footprints=asked)]
         assert ("footprints.gpkg" in made) == asked

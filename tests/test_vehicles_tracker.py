@@ -9,17 +9,17 @@ from hypothesis import strategies as st
 
 import gis_radar as gr
 from gis_radar.lanelets.graph import lane_graph
-from gis_radar.vehicles.bodies import join_directions
-from gis_radar.vehicles.columns import NONE
-from gis_radar.vehicles.echoes import Echoes
-from gis_radar.vehicles.forward import ForwardFilter
-from gis_radar.vehicles.life_settings import StandingSettings
-from gis_radar.vehicles.motion import _without_way_back, fit_motion
-from gis_radar.vehicles.paths import Path, path_through
-from gis_radar.vehicles.settings import VehicleSettings
-from gis_radar.vehicles.standing import pack
-from gis_radar.vehicles.strips import Strips
-from gis_radar.vehicles.tracker import vehicles_in
+from gis_radar.tracking.bodies import join_directions
+from gis_radar.tracking.columns import NONE
+from gis_radar.tracking.detections import MapDetections
+from gis_radar.tracking.forward import ForwardFilter
+from gis_radar.tracking.management_settings import StationarySettings
+from gis_radar.tracking.motion import _without_way_back, fit_motion
+from gis_radar.tracking.paths import Path, path_through
+from gis_radar.tracking.settings import VehicleSettings
+from gis_radar.tracking.stationary import pack
+from gis_radar.tracking.strips import Strips
+from gis_radar.tracking.tracker import vehicles_in
 
 SETTINGS = VehicleSettings()
 
@@ -49,11 +49,11 @@ def straight():
     )
 
 
-def echoes_at(time, points, rate, eye=(-50.0, 0.0)):
+def detections_at(time, points, rate, eye=(-50.0, 0.0)):
     time, points = np.asarray(time, float), np.asarray(points, float)
     away = points - eye
     range_m = np.hypot(*away.T)
-    return Echoes(
+    return MapDetections(
         time=time, points=points, height_m=np.full(len(time), 0.8), range_rate=np.asarray(rate),
         sight=away / range_m[:, None], range_m=range_m, sensor=np.zeros(len(time), np.int64),
         rcs=np.zeros(len(time)),
@@ -99,8 +99,8 @@ def test_the_filter_follows_one_vehicle_from_end_to_end(straight):
     rng = np.random.default_rng(1)
     time, points, rate = driving(12.0, 0.0, 15.0, 5.0, rng)
     keep = rng.random(len(time)) < 0.5
-    echoes = echoes_at(time[keep], points[keep] - straight.origin, rate[keep])
-    number, state = ForwardFilter(straight, SETTINGS.forward).push(echoes)
+    detections = detections_at(time[keep], points[keep] - straight.origin, rate[keep])
+    number, state = ForwardFilter(straight, SETTINGS.forward).push(detections)
     assert set(number.tolist()) <= {NONE, 0}
     assert (number == 0).mean() > 0.95
     assert state[number == 0][50:, 3] == pytest.approx(12.0, abs=0.5)
@@ -138,13 +138,13 @@ def through(fork, *, turns, strays=False):
     sight = (true - eye) / np.hypot(*(true - eye).T)[:, None]
     rate = 8.0 * (sight * way).sum(axis=1)
     points = true + rng.normal(0.0, 0.2, true.shape) - fork.origin
-    return echoes_at(1e9 + (s - 60.0) / 8.0, points, rate, eye - fork.origin), true, angle
+    return detections_at(1e9 + (s - 60.0) / 8.0, points, rate, eye - fork.origin), true, angle
 
 
 @pytest.mark.parametrize("turns", [False, True])
 def test_where_lanes_fork_the_filter_follows_the_branch_that_was_taken(fork, turns):
-    echoes, true, angle = through(fork, turns=turns)
-    number, state = ForwardFilter(fork, SETTINGS.forward).push(echoes)
+    detections, true, angle = through(fork, turns=turns)
+    number, state = ForwardFilter(fork, SETTINGS.forward).push(detections)
     assert set(number[10:].tolist()) == {0}
     away = state[10:, :2] + fork.origin - true[10:]
     assert np.hypot(*away.T).max() < 2.0  # also where the lanes still lie on each other
@@ -153,10 +153,10 @@ def test_where_lanes_fork_the_filter_follows_the_branch_that_was_taken(fork, tur
 
 
 def test_what_comes_later_tells_which_branch_was_taken(fork):
-    echoes, _, _ = through(fork, turns=False, strays=True)
-    number, state = ForwardFilter(fork, SETTINGS.forward).push(echoes)
+    detections, _, _ = through(fork, turns=False, strays=True)
+    number, state = ForwardFilter(fork, SETTINGS.forward).push(detections)
     alone = ForwardFilter(fork, SETTINGS.forward)
-    singly = [alone.push(echoes.take(slice(k, k + 1))) for k in range(len(echoes))]
+    singly = [alone.push(detections.take(slice(k, k + 1))) for k in range(len(detections))]
     then = np.vstack([each for _, each in singly])
     own = number[10:] == 0
     assert own.mean() > 0.95
@@ -167,10 +167,12 @@ def test_what_comes_later_tells_which_branch_was_taken(fork):
 
 @pytest.mark.parametrize("size", [1, 3, 50])
 def test_detections_in_chunks_are_of_the_same_vehicles(fork, size):
-    echoes, _, _ = through(fork, turns=True)
-    whole, state = ForwardFilter(fork, SETTINGS.forward).push(echoes)
+    detections, _, _ = through(fork, turns=True)
+    whole, state = ForwardFilter(fork, SETTINGS.forward).push(detections)
     chunked = ForwardFilter(fork, SETTINGS.forward)
-    parts = [chunked.push(echoes.take(slice(k, k + size))) for k in range(0, len(echoes), size)]
+    parts = [
+        chunked.push(detections.take(slice(k, k + size))) for k in range(0, len(detections), size)
+    ]
     assert np.concatenate([each for each, _ in parts])[50:].tolist() == whole[50:].tolist()
     assert parts[-1][1][-1] == pytest.approx(state[-1])
 
@@ -179,9 +181,9 @@ def test_of_branches_only_the_best_is_a_body(fork):
     s = np.arange(60.0, 104.0, 0.4)
     points = np.column_stack([s, np.zeros(len(s))]) - fork.origin
     eye = np.array([-50.0, 0.0]) - fork.origin
-    echoes = echoes_at(1e9 + (s - 60.0) / 8.0, points, np.full(len(s), 8.0), eye)
+    detections = detections_at(1e9 + (s - 60.0) / 8.0, points, np.full(len(s), 8.0), eye)
     forward = ForwardFilter(fork, SETTINGS.forward)
-    forward.push(echoes)
+    forward.push(detections)
     assert len(forward.bodies) == 1
 
 
@@ -230,10 +232,10 @@ def test_a_few_detections_of_something_else_do_not_spoil_a_motion(at):
     rates = np.concatenate([np.full(len(time), 12.0), np.full(3, 0.5)])[order]
     walks = (np.arange(len(order)) >= len(time))[order]
     eye = np.array([-200.0, -10.0])
-    echoes = echoes_at(1e9 + all_time[order], points, rates, eye)
+    detections = detections_at(1e9 + all_time[order], points, rates, eye)
     states = np.column_stack([points, np.zeros(len(points)), rates, np.full((len(points), 2), 2.0)])
-    motion = fit_motion(echoes, np.arange(len(points)), states, SETTINGS.motion)
-    s_m, speed = motion.at(echoes.time[~walks])
+    motion = fit_motion(detections, np.arange(len(points)), states, SETTINGS.motion)
+    s_m, speed = motion.at(detections.time[~walks])
     sure = (time > 1.5) & (time < 6.5)
     assert speed[sure] == pytest.approx(12.0, abs=0.5)
     assert np.abs(motion.path.at(s_m)[0][:, 0] - places[~walks])[sure].max() < 4.0
@@ -247,10 +249,10 @@ def test_who_is_followed_for_long_is_not_given_up_for_one_who_comes_behind():
     s[behind] = 34.0
     rate = np.where((time > 16.0) & ~behind, 6.0 * (time - 16.0), 0.0)
     points = np.column_stack([s, np.zeros(len(s))])
-    echoes = echoes_at(1e9 + time, points, rate, (-200.0, -10.0))
+    detections = detections_at(1e9 + time, points, rate, (-200.0, -10.0))
     states = np.column_stack([points, np.zeros(len(s)), rate, np.full((len(s), 2), 2.0)])
-    motion = fit_motion(echoes, np.arange(len(s)), states, SETTINGS.motion)
-    s_m, _ = motion.at(echoes.time[~behind])
+    motion = fit_motion(detections, np.arange(len(s)), states, SETTINGS.motion)
+    s_m, _ = motion.at(detections.time[~behind])
     assert motion.path.at(s_m)[0][:, 0] == pytest.approx(s[~behind], abs=4.0)
     assert motion.speed[-1] > 10.0  # as far as its own detections tell
 
@@ -289,13 +291,15 @@ def test_speed_place_and_length_of_a_vehicle_that_stops_and_goes(straight):
     points += rng.normal(0.0, (0.1, 0.2), points.shape)
     rate = speed + rng.normal(0, 0.02, len(time))
     rate[speed == 0.0] = 0.0
-    (one,) = vehicles_in(echoes_at(time + 1e9, points - straight.origin, rate), straight, SETTINGS)
+    (one,) = vehicles_in(
+        detections_at(time + 1e9, points - straight.origin, rate), straight, SETTINGS
+    )
     own = np.arange(one.first_step, one.last_step + 1) / 20.0 - 1e9
     assert own[[0, -1]] == pytest.approx([0.0, 32.0], abs=0.3)
-    standing = (own > 10.0) & (own < 19.0)
-    assert one.speed[standing].max() < 0.2
+    stationary = (own > 10.0) & (own < 19.0)
+    assert one.speed[stationary].max() < 0.2
     place, _ = one.places
-    assert place[standing, 0] + straight.origin[0] == pytest.approx(70.0, abs=1.0)
+    assert place[stationary, 0] + straight.origin[0] == pytest.approx(70.0, abs=1.0)
     assert one.length_m == pytest.approx(4.5, abs=1.0)
 
 
@@ -303,8 +307,8 @@ def test_a_sign_at_the_edge_of_a_lane_is_no_vehicle(straight):
     rng = np.random.default_rng(3)
     time = np.arange(0.0, 60.0, 0.05) + 1e9
     points = np.column_stack([rng.normal(60, 0.1, len(time)), rng.normal(-1.7, 0.05, len(time))])
-    echoes = echoes_at(time, points - straight.origin, np.zeros(len(time)))
-    assert vehicles_in(echoes, straight, SETTINGS) == []
+    detections = detections_at(time, points - straight.origin, np.zeros(len(time)))
+    assert vehicles_in(detections, straight, SETTINGS) == []
 
 
 def test_what_others_drive_over_does_not_stand(straight):
@@ -315,7 +319,7 @@ def test_what_others_drive_over_does_not_stand(straight):
     parts += [driving(12.0, at, at + 12.0, 5.0, rng) for at in (3.0, 12.0, 21.0, 30.0, 39.0, 48.0)]
     order = np.argsort(np.concatenate([each[0] for each in parts]), kind="stable")
     time, points, rate = (np.concatenate([each[k] for each in parts])[order] for k in range(3))
-    found = vehicles_in(echoes_at(time, points - straight.origin, rate), straight, SETTINGS)
+    found = vehicles_in(detections_at(time, points - straight.origin, rate), straight, SETTINGS)
     standing_s = sum(float((each.speed < 0.5).sum()) / 20.0 for each in found)
     assert sum(each.speed.max() > 5.0 for each in found) == 6
     assert standing_s < 30.0
@@ -324,7 +328,7 @@ def test_what_others_drive_over_does_not_stand(straight):
 @settings(deadline=None)
 @given(gap_m=st.floats(1.5, 6.0), count=st.integers(1, 4))
 def test_a_queue_is_packed_into_its_vehicles(gap_m, count):
-    limits = StandingSettings()
+    limits = StationarySettings()
     weights = np.zeros((3, 400))
     rears = [10.0 + k * (4.5 + gap_m) for k in range(count)]
     for rear in rears:

@@ -45,7 +45,6 @@ def stage(folder: Path) -> None:
         for name in [Path(below) / path.relative_to(root)]
     }
     sources[Path("changes.md")] = ROOT / "CHANGELOG.md"
-    sources[Path("readme.txt")] = ROOT / "README.md"  # pages include its tables
     if folder.exists():
         for path in [path for path in folder.rglob("*") if path.is_file()]:
             if path.relative_to(folder) not in sources:

@@ -2,7 +2,7 @@
 
     python tools/count_entered.py
 
-From a recording to occupancy, from there to a heat map, and from a recording to a pose. The figures
+From a recording to a dataset of hits alone and of all, to a heat map, and to a pose. The figures
 are a length of the way through the code: they should not grow without a reason. Compiled functions,
 comprehensions and code that runs at import are not counted.
 """
@@ -41,7 +41,7 @@ def entered(work: Callable[[], Any]) -> tuple[Any, set[tuple[str, str, int]]]:
 
 
 def main(folder: Path) -> None:
-    """Count for the three ways."""
+    """Count for all ways."""
     sample = gr.sample_folder()
     recording, pose = sample / "R1.parquet", gr.read_pose(sample / "R1.json")
     roads = gr.read_map(sample / "junction.osm")
@@ -50,10 +50,11 @@ def main(folder: Path) -> None:
     gr.mask_road([sample / "scan.laz"], area, engine="laspy").write(folder / "road.laz")
     road = gr.read_road(folder / "road.laz", roads.crs)
     place = (pose.easting, pose.northing)
-    out = folder / "occupancy"
-    occupancy, counted = entered(lambda: gr.measure_occupancy([recording], [pose], tiles, out))
-    show("measure_occupancy", counted)
-    show("make_heatmap", entered(lambda: gr.make_heatmap(occupancy, tiles))[1])
+    made = [recording], [pose], tiles
+    dataset, counted = entered(lambda: gr.measure(*made, None, folder / "hits", hits_only=True))
+    show("measure, hits only", counted)
+    show("measure", entered(lambda: gr.measure(*made, sample / "junction.osm", folder / "site"))[1])
+    show("make_heatmap", entered(lambda: gr.make_heatmap(dataset))[1])
     show("localize", entered(lambda: gr.localize(recording, roads, road, guess=place))[1])
 
 

@@ -4,9 +4,9 @@
     python tools/docs_pictures.py demo              all
     python tools/docs_pictures.py demo qgis report  some
 
-heatmap, localize: from the demo's own files; report: in Chromium; coverage: beside the truth; qgis:
+heatmap, localize: from the demo's own files; report: in Chromium; occupancy: beside truth; qgis:
 the desktop on a virtual screen with its toolbox and a dialog at work, and a sheet of its report;
-wizard: a radar that is placed on the map; readme: what README's first command and its Python print.
+wizard: a radar that is placed on the map.
 Needs Chromium, and QGIS with Xvfb, openbox and ImageMagick (tools/get_browser_and_qgis.sh). Look at
 each afterwards.
 """
@@ -14,7 +14,6 @@ each afterwards.
 from __future__ import annotations
 
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -25,15 +24,10 @@ from PIL import Image
 from qgis_desktop import WAIT_S, desktop_script, run_desktop, virtual_screen
 
 sys.path.append(str(Path(__file__).parents[1] / "bench"))
-import pages
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 SCREEN = (1440, 860)
-PRINTED = (
-    "tiles visible", "mean coverage", "wrote out/demo/heatmap", "wrote out/demo/site.qgz",
-    "wrote out/demo/report.html",
-)  # fmt: skip
 FLAGS = ("--headless=new", "--no-sandbox", "--hide-scrollbars", "--force-device-scale-factor=1")
 
 DESKTOP = """
@@ -174,11 +168,11 @@ def report(demo: Path) -> None:
         keep(Image.open(path), "report", 1180)
 
 
-def coverage(demo: Path) -> None:
+def occupancy(demo: Path) -> None:
     """Draw the truth beside the estimate, and put the figures below it."""
     tool, page = ROOT / "bench" / "vehicles" / "demo_picture.py", DOCS / "limits.md"
-    run(sys.executable, tool, demo, DOCS / "coverage.png", "--into", page)
-    keep(Image.open(DOCS / "coverage.png"), "coverage", 1600)
+    run(sys.executable, tool, demo, DOCS / "occupancy.png", "--into", page)
+    keep(Image.open(DOCS / "occupancy.png"), "occupancy", 1600)
 
 
 def qgis(demo: Path) -> None:
@@ -213,26 +207,9 @@ def wizard(_demo: Path) -> None:
         keep(Image.open(place / "wizard.png"), "qgis-wizard", SCREEN[0])
 
 
-def readme(demo: Path) -> None:
-    """Put what README's first commands and its Python print into README."""
-    page, around = ROOT / "README.md", {**os.environ, "PYTHONPATH": str(ROOT)}
-    printed = run(sys.executable, "-m", "gis_radar", "demo", "-o", demo, around=around)
-    lines = printed.replace(str(demo), "out/demo").splitlines()
-    at = next(i for i, line in enumerate(lines) if line.startswith("errors of the poses"))
-    shown = [line.rstrip() for line in lines if line.startswith(PRINTED)]
-    by_demo = "\n".join(["```text", *lines[at : at + 3], *shown, "```"])
-    pages.put(page, {"printed by the demo": by_demo})
-    (code,) = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
-    with tempfile.TemporaryDirectory() as place:
-        program = f"import os\nos.chdir({place!r})\n{code}"
-        printed = run(sys.executable, "-c", program, around=around)
-    at = printed.index("HeatMap(")
-    pages.put(page, {"printed by Python": f"```text\n{printed[at:].strip()}\n```"})
-
-
 PICTURES = {
-    "heatmap": heatmap, "localize": localize, "report": report, "coverage": coverage, "qgis": qgis,
-    "wizard": wizard, "readme": readme,
+    "heatmap": heatmap, "localize": localize, "report": report, "occupancy": occupancy,
+    "qgis": qgis, "wizard": wizard,
 }  # fmt: skip
 
 

@@ -122,9 +122,22 @@ def names_of(lines: Iterable[str]) -> set[str]:
 
 
 def is_of_extra(error: Exception) -> bool:
-    """Tell whether what a module of ours lacks comes with an extra only: gis_radar[live]."""
+    """Tell whether a module lacks what comes with an extra only: gis_radar[live], duckdb[all]."""
     missing = (error.name or "") if isinstance(error, ModuleNotFoundError) else ""
-    return missing.partition(".")[0] in names_of(chain.from_iterable(extras().values()))
+    ours = chain.from_iterable(extras().values())
+    theirs = chain.from_iterable(map(of_extras, requirements("dev")))
+    return missing.partition(".")[0] in {
+        name.replace("-", "_") for name in names_of(chain(ours, theirs))
+    }
+
+
+def of_extras(package: str) -> list[str]:
+    """Return what the extras of an installed package ask for."""
+    try:
+        lines = importlib.metadata.requires(package) or []
+    except importlib.metadata.PackageNotFoundError:
+        return []
+    return [line for line in lines if "extra ==" in line]
 
 
 def modules_of(packages: set[str]) -> list[str]:

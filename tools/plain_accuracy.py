@@ -1,4 +1,4 @@
-"""Put how good the results are, in plain words, into README: from the tables of docs/accuracy.md.
+"""Put how good the results are, in plain words, before the tables of docs/accuracy.md.
 
 python tools/plain_accuracy.py
 """
@@ -14,15 +14,15 @@ sys.path.append(str(Path(__file__).parents[1] / "bench"))
 import pages
 
 ROOT = Path(__file__).parents[1]
-SOURCE, README, NAME = ROOT / "docs" / "accuracy.md", ROOT / "README.md", "plain accuracy"
+PAGE, NAME = ROOT / "docs" / "accuracy.md", "plain accuracy"
 FOUND = "`vehicles`, found poses"
 # Of the true share of time with a vehicle, percent: up to where traffic is called so.
 TRAFFIC = (("light traffic", 5.0), ("busy roads", 12.0), ("queues", 100.0))
 
 
 def plain_table(text: str) -> str:
-    """Return README's table from the page with the figures."""
-    return "\n".join(["| what | how good |", "|---|---|", *_poses(text), *_coverage(text)])
+    """Return the table in plain words from the page with the figures."""
+    return "\n".join(["| what | how good |", "|---|---|", *_poses(text), *_occupancy(text)])
 
 
 def _rows(text: str, mark: str) -> list[dict[str, str]]:
@@ -50,7 +50,7 @@ def _poses(text: str) -> list[str]:
     return [f"| {what} | {text} |" for what, text in rows.items()]
 
 
-def _coverage(text: str) -> list[str]:
+def _occupancy(text: str) -> list[str]:
     rows = _rows(text, "vehicles")
     lines, least = [], 0.0
     for words, most in TRAFFIC:
@@ -71,8 +71,8 @@ def _coverage(text: str) -> list[str]:
 
 
 def main() -> None:
-    """Write the table into README."""
-    pages.put(README, {NAME: plain_table(SOURCE.read_text(encoding="utf-8"))})
+    """Write the table into the page."""
+    pages.put(PAGE, {NAME: plain_table(PAGE.read_text(encoding="utf-8"))})
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ newest) resolution=highest ;;
 *) echo "test-versions: what is \"$name\"? Give lowest or newest." >&2 && exit 2 ;;
 esac
 parts="same_bytes hostile_tables tiles pose osm projection formats_bags formats_captures
-    formats_pcd formats_tables heatmap_files heatmap_raster scans mask report_pages vehicles_folder
+    formats_pcd formats_tables heatmap_files heatmap_raster scans mask report_pages
     geopackage_styles qgis_project site_file"
 tools="pytest pytest-timeout hypothesis dpkt python-pcapng pypdf"
 venv=out/versions/$name

@@ -17,7 +17,7 @@ from workers import workers
 
 import gis_radar as gr
 from gis_radar.arrays import Floats
-from gis_radar.files import whole_file
+from gis_radar.files import atomic_write
 from gis_radar.localization.settings import DEFAULTS
 
 METHODS = ("lane", "icp")
@@ -209,6 +209,6 @@ def _cut(recording: Path, frames: int) -> Path:
         table = pd.read_parquet(recording)
         table = table[table["time"] >= np.unique(table["time"])[-frames]]
         made.parent.mkdir(exist_ok=True)
-        with whole_file(made) as part:
+        with atomic_write(made) as part:
             table.to_parquet(part, index=False)
     return made

@@ -9,7 +9,6 @@ counted beside it; so are those of the scenes as they are, to compare with.
 from __future__ import annotations
 
 import re
-import signal
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -22,18 +21,18 @@ import numpy as np
 import own
 import pandas as pd
 from causes import DOUBLE_M, near
-from methods import MISSING, NotThereError
+from found import estimated_states
 from peers import beside_vehicles
 from scenes import SceneFiles, scene
-from tracks import EVERY, compared, estimated_states, matched
-from true_coverage import middle_lines
+from tracks import EVERY, compared, matched
+from true_occupancy import middle_lines
 
 import gis_radar as gr
 from gis_radar.arrays import Integers
 from gis_radar.poses.files import write_pose
 from gis_radar.steps import STEP_S
 from gis_radar.tiles.lookup import with_road_heights
-from gis_radar.vehicles.pieces import POSE_HINT
+from gis_radar.tracking.batches import POSE_HINT
 
 LASTS_S = 10.0
 MOVING_MPS = 0.15
@@ -97,13 +96,9 @@ class Case:
 
 def try_all(names: list[str] | None = None) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield each case and how it went."""
-    if not own.has("vehicles"):
-        raise NotThereError(MISSING)
     for name, case in CASES.items():
         if names is None or name in names:
             yield name, try_case(case)
-    if names is None or KILLED in names:
-        yield KILLED, try_killed()
 
 
 def try_case(case: Case) -> dict[str, Any]:
@@ -113,10 +108,10 @@ def try_case(case: Case) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
         given = case.change(site, inputs_of(site), folder)
-        ended = own.run(*_command(given, folder / "vehicles"))
+        ended = own.run(*_command(given, folder / "site"))
         lasting = doubled = 0
         if ended.code == 0:
-            found = estimated_states(folder / "vehicles")
+            found = estimated_states(gr.open_dataset(folder / "site"))
             if case.back is not None:
                 found = found.assign(step=case.back(site, found["step"].to_numpy()))
             lasting, doubled = lasting_false(site, found)
@@ -135,41 +130,12 @@ def try_case(case: Case) -> dict[str, Any]:
 
 def _command(given: Inputs, output: Path) -> list[object]:
     """Return the words of a command."""
-    words: list[object] = ["vehicles", *given.recordings]
+    words: list[object] = ["measure", *given.recordings]
     for pose in given.poses:
         words += ["--pose", pose]
     words += ["--tiles", given.tiles, "--map", given.map]
     words += [] if given.scan is None else ["--scan", given.scan]
     return [*words, "-o", output]
-
-
-def try_killed() -> dict[str, Any]:
-    """Kill the command when a part of its result is on disk, and run it again.
-
-    Nothing may stand under the result's name then; the next run ends as one that was never
-    disturbed, and leaves nothing beside its result.
-    """
-    site = scene("light")
-    site.tiles()
-    with tempfile.TemporaryDirectory() as made, tempfile.TemporaryDirectory() as apart:
-        output, whole = Path(made) / "vehicles", Path(apart) / "vehicles"
-        code = own.run_and_kill(output.parent, *_command(inputs_of(site), output))
-        left = sorted(each.name for each in output.parent.iterdir())
-        codes = [own.run(*_command(inputs_of(site), each)).code for each in (output, whole)]
-        still = sorted(each.name for each in output.parent.iterdir() if each != output)
-        alike = codes == [0, 0] and _tables_in(output) == _tables_in(whole)
-    said = (
-        f"{', '.join(left) or 'nothing'} left; {', '.join(still) or 'nothing'} by the next run, "
-        f"whose tables are {'' if alike else 'NOT '}those of an undisturbed one"
-    )
-    good = code == -signal.SIGKILL and output.name not in left and alike and not still
-    counts = {"false": 0, "doubled": 0}
-    return {"code": code, "said": said, "lines": [said], **counts, "good": good}
-
-
-def _tables_in(folder: Path) -> dict[str, bytes]:
-    """Return the tables of a folder as they are on disk."""
-    return {path.name: path.read_bytes() for path in sorted(folder.glob("*.parquet"))}
 
 
 def inputs_of(site: SceneFiles) -> Inputs:
@@ -448,7 +414,6 @@ def _cut_file(_: SceneFiles, given: Inputs, folder: Path) -> Inputs:
     return replace(given, recordings=[folder / "R1.parquet", *given.recordings[1:]])
 
 
-KILLED = "killed midway"
 CASES: Mapping[str, Case] = {
     "nothing wrong (light)": Case(scene="light", change=_as_it_is),
     "nothing wrong (harsh)": Case(scene="harsh", change=_as_it_is),

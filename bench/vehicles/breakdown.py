@@ -1,20 +1,19 @@
-"""Where an estimated coverage is wrong: by range, by what hides, by standing and moving traffic.
+"""Where an estimated occupancy is wrong: by range, by what hides, by standing and moving traffic.
 
-Tiles are grouped by the truth alone. Steps are compared one by one where a folder of vehicles is
-given: what is missed in plain view, what is missed while other vehicles hide it, what is false.
+Tiles are grouped by the truth alone. Steps are compared one by one: what is missed in plain view,
+what is missed while other vehicles hide it, what is false.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from pathlib import Path
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-from score import agreement, with_coverage
-from true_coverage import TrueCoverage, middle_lines
+from score import agreement, with_occupancy
+from true_occupancy import TrueOccupancy, middle_lines
 
 import gis_radar as gr
 from gis_radar.arrays import Booleans
@@ -27,7 +26,7 @@ BESIDE = 8  # tiles, 4 m: a false step so near to a true one is a vehicle that i
 
 
 def tile_groups(
-    tiles: gpd.GeoDataFrame, truth: TrueCoverage, poses: Sequence[gr.Pose]
+    tiles: gpd.GeoDataFrame, truth: TrueOccupancy, poses: Sequence[gr.Pose]
 ) -> dict[str, Booleans]:
     """Return groups of the truth's tiles."""
     place = middle_lines(tiles.set_index("tile_id").loc[truth.tile_id]).mean(axis=1)
@@ -35,8 +34,8 @@ def tile_groups(
     reach = np.hypot(*np.moveaxis(place[:, None] - eyes, -1, 0)).min(axis=1)
     visible = truth.visible.sum(axis=1)
     hidden = (truth.blocked & truth.visible).sum(axis=1) > HIDDEN * visible
-    begins = truth.covered[:, 0] + (truth.covered[:, 1:] & ~truth.covered[:, :-1]).sum(axis=1)
-    stays = truth.covered.sum(axis=1) * STEP_S / np.maximum(begins, 1)
+    begins = truth.occupied[:, 0] + (truth.occupied[:, 1:] & ~truth.occupied[:, :-1]).sum(axis=1)
+    stays = truth.occupied.sum(axis=1) * STEP_S / np.maximum(begins, 1)
     busy = begins > 0
     return {
         **{f"{a:.0f}-{b:.0f} m": (a <= reach) & (reach < b) for a, b in pairwise(RANGES_M)},
@@ -46,16 +45,16 @@ def tile_groups(
 
 
 def by_group(
-    truth: TrueCoverage, table: pd.DataFrame, groups: dict[str, Booleans]
+    truth: TrueOccupancy, table: pd.DataFrame, groups: dict[str, Booleans]
 ) -> dict[str, dict[str, float]]:
     """Return rank, scale, error and the share within two standard errors of each group."""
-    given = with_coverage(table).set_index("tile_id")
+    given = with_occupancy(table).set_index("tile_id")
     true = truth.table()
-    estimate = true["tile_id"].map(given["coverage"]).to_numpy(np.float64)
-    exact = true["coverage"].to_numpy()
+    estimate = true["tile_id"].map(given["occupancy"]).to_numpy(np.float64)
+    exact = true["occupancy"].to_numpy()
     error = np.full(len(true), np.nan)
-    if "coverage_se" in given:
-        stated = true["tile_id"].map(given["coverage_se"]).to_numpy(np.float64)
+    if "occupancy_se" in given:
+        stated = true["tile_id"].map(given["occupancy_se"]).to_numpy(np.float64)
         error = np.abs(estimate - exact) / np.maximum(stated, 1e-9)
     told = np.isfinite(estimate) & np.isfinite(exact)
     found = {}
@@ -69,17 +68,19 @@ def by_group(
     return found
 
 
-def step_errors(folder: Path, tiles: gpd.GeoDataFrame, truth: TrueCoverage) -> dict[str, float]:
-    """Return what is missed and what is false, as shares of the truly covered and visible time.
+def step_errors(
+    occupied: Booleans, tiles: gpd.GeoDataFrame, truth: TrueOccupancy
+) -> dict[str, float]:
+    """Return what is missed and what is false, as shares of the truly occupied and visible time.
 
     `late` is what a vehicle covers that is there, but up to 4 m from where it was put; `false` the
     rest.
     """
-    given = _covered(folder, truth) & truth.visible
-    true = truth.covered & truth.visible
+    given = occupied & truth.visible
+    true = truth.occupied & truth.visible
     total = max(int(true.sum()), 1)
     missed, false = true & ~given, given & ~true
-    near = _spread(truth.covered, tiles, truth)
+    near = _spread(truth.occupied, tiles, truth)
     return {
         "missed_in_view": float((missed & ~truth.blocked).sum() / total),
         "missed_hidden": float((missed & truth.blocked).sum() / total),
@@ -89,32 +90,16 @@ def step_errors(folder: Path, tiles: gpd.GeoDataFrame, truth: TrueCoverage) -> d
     }
 
 
-def _covered(folder: Path, truth: TrueCoverage) -> Booleans:
-    """Return (tiles, steps): what a folder calls covered."""
-    runs = pd.read_parquet(folder / "covered.parquet")
-    row = np.searchsorted(truth.tile_id, runs["tile_id"])
-    row = np.minimum(row, len(truth.tile_id) - 1)
-    count = truth.covered.shape[1]
-    first = (runs["first_step"] - truth.first_step).to_numpy()
-    after = (runs["last_step"] - truth.first_step + 1).to_numpy()
-    known = (truth.tile_id[row] == runs["tile_id"]) & (first < count) & (after > 0)
-    row, first, after = row[known], np.maximum(first[known], 0), np.minimum(after[known], count)
-    change = np.zeros((len(truth.tile_id), count + 1), np.int32)
-    np.add.at(change, (row, first), 1)
-    np.add.at(change, (row, after), -1)
-    return np.asarray(np.cumsum(change, axis=1)[:, :-1] > 0)
-
-
-def _spread(covered: Booleans, tiles: gpd.GeoDataFrame, truth: TrueCoverage) -> Booleans:
-    """Return where a tile of the same lanelet within 4 m is covered."""
+def _spread(occupied: Booleans, tiles: gpd.GeoDataFrame, truth: TrueOccupancy) -> Booleans:
+    """Return where a tile of the same lanelet within 4 m is occupied."""
     known = tiles.set_index("tile_id").loc[truth.tile_id]
     lanelet, index = (known[name].to_numpy(np.int64) for name in ("lanelet_id", "index"))
     order = np.lexsort((index, lanelet))
-    count = np.zeros((len(order) + 1, covered.shape[1]), np.int32)
-    np.cumsum(covered[order], axis=0, out=count[1:])
+    count = np.zeros((len(order) + 1, occupied.shape[1]), np.int32)
+    np.cumsum(occupied[order], axis=0, out=count[1:])
     key = np.unique(lanelet[order], return_inverse=True)[1] * 1_000_000 + index[order]
     low = np.searchsorted(key, key - BESIDE)
     high = np.searchsorted(key, key + BESIDE, side="right")
-    near = np.empty_like(covered)
+    near = np.empty_like(occupied)
     near[order] = count[high] > count[low]
     return near

@@ -1,6 +1,6 @@
-"""Vehicles and coverage, measured against the true traffic of simulated scenes.
+"""Vehicles and occupancy, measured against the true traffic of simulated scenes.
 
-    python bench/vehicles --scene town --score-only vehicles/    a vehicles folder, or a table
+    python bench/vehicles --scene town --score-only dataset/    a dataset, or a table
     python bench/vehicles --make town,light                      only make scenes
     python bench/vehicles --scene town --methods hits,true       some methods on some scenes
     python bench/vehicles --ablation                             what each component is worth
@@ -9,7 +9,7 @@
     python bench/vehicles                                        all methods, development scenes
 
 From Python, with bench/vehicles in the path: `from scenes import scene`, `from score import
-score_coverage`; `score_coverage(scene("town").truth(), table)`. A scene has `.map`, `.scan`,
+score_occupancy`; `score_occupancy(scene("town").truth(), table)`. A scene has `.map`, `.scan`,
 `.recordings`, `.poses` (true ones), `.tiles()`, `.truth()`, `.traffic()`. Figures are collected in
 out/bench-vehicles/bench.json, those of components in ablation.json. Needs Eclipse SUMO to make
 scenes.
@@ -29,10 +29,12 @@ import pandas as pd
 import tables
 from bad_input import try_all
 from components import ablate
-from methods import METHODS, SHORT, NotThereError, figures_of_folder, figures_of_table
-from pictures import draw_coverage
+from found import estimated_occupancy
+from methods import METHODS, SHORT, NotThereError, figures_of_dataset, figures_of_table
+from pictures import draw_occupancy
 from scenes import OUT, RECIPES, SHARED, is_there, scene
-from score import coverage_of_folder
+
+import gis_radar as gr
 
 sys.path.append(str(Path(__file__).parents[1]))  # what all benches share
 import pages
@@ -72,7 +74,7 @@ def _options() -> argparse.Namespace:
     )
     parser.add_argument("--scene", help=f"of {', '.join(names)}")
     parser.add_argument("--make", metavar="SCENES", help="only make these")
-    parser.add_argument("--score-only", type=Path, metavar="DIR", help="vehicles folder, or table")
+    parser.add_argument("--score-only", type=Path, metavar="DIR", help="dataset, or table")
     parser.add_argument("--picture", type=Path, metavar="PNG", help="with --score-only: draw it")
     parser.add_argument("--methods", default=",".join(SHORT), help=f"of {', '.join(SHORT)}")
     parser.add_argument("--ablation", action="store_true", help="each component off in turn")
@@ -105,16 +107,16 @@ def make(name: str) -> None:
     made = scene(name)
     middle = time.perf_counter()
     true = made.truth().table()
-    share = true["coverage"].mean()
+    share = true["occupancy"].mean()
     end = time.perf_counter()
     about = f"{len(made.recordings)} radars, {len(true)} tiles in sight, mean {share:.1%}"
     print(f"{name}: {about}; {middle - begin:.0f} s, truth {end - middle:.0f} s", flush=True)
 
 
 def score(name: str, given: Path) -> dict[str, Any]:
-    """Return the figures of a vehicles folder, or of a coverage table, on a scene."""
+    """Return the figures of a dataset, or of a table of occupancy, on a scene."""
     if given.is_dir():
-        return figures_of_folder(scene(name), given)
+        return figures_of_dataset(scene(name), given)
     return figures_of_table(scene(name), pd.read_parquet(given))
 
 
@@ -144,13 +146,10 @@ def run_ablation(names: list[str]) -> None:
 
 def run_bad_input() -> None:
     """Try each bad input, print and keep how it went."""
-    try:
-        for name, row in try_all():
-            keep("bad input", name, None, row)
-            verdict = "as it should be" if row["good"] else "NOT as it should be"
-            print(f"{name}: {verdict}", flush=True)
-    except NotThereError as error:
-        print(f"left out: {error}")
+    for name, row in try_all():
+        keep("bad input", name, None, row)
+        verdict = "as it should be" if row["good"] else "NOT as it should be"
+        print(f"{name}: {verdict}", flush=True)
     print(tables.bad_input(kept()))
 
 
@@ -199,6 +198,7 @@ def print_kept(into: Path | None = None) -> None:
 def draw(name: str, given: Path, path: Path) -> None:
     """Draw an estimate beside the truth."""
     site = scene(name)
-    table = coverage_of_folder(given) if given.is_dir() else pd.read_parquet(given)
-    draw_coverage(site, site.truth(), table, path, title=given.name)
+    whole = given.is_dir()
+    table = estimated_occupancy(gr.open_dataset(given)) if whole else pd.read_parquet(given)
+    draw_occupancy(site, site.truth(), table, path, title=given.name)
     print(path)

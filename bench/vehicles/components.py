@@ -1,6 +1,6 @@
 """What each component of the tracker is worth: the figures of a scene with it turned off.
 
-A component is turned off from outside: by the settings of `gis_radar.vehicles`, or by a function or
+A component is turned off from outside: by the settings of `gis_radar.tracking`, or by a function or
 constant of its modules that is replaced in this process. All run with true poses and on the same
 detections, which are read once.
 """
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from importlib import import_module
@@ -17,29 +17,32 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
+from found import found_in
 from methods import Figures
 from passages import score_passages
 from scenes import SceneFiles
-from score import coverage_of_folder, score_coverage
+from score import score_occupancy
 from tables import NOTHING, NOTHING_FIRST, SECOND
-from tracks import compared, estimated_states, score_tracks
-from true_coverage import TrueCoverage, true_coverage
+from tracks import compared, score_tracks
+from true_occupancy import TrueOccupancy, true_occupancy
 
 import gis_radar as gr
 from gis_radar.arrays import Floats, Integers, compiled
 from gis_radar.lanelets.graph import LaneGraph
-from gis_radar.vehicles.blocks import Block, SourceReader
-from gis_radar.vehicles.bodies import rows_by_number
-from gis_radar.vehicles.columns import NONE
-from gis_radar.vehicles.echoes import Echoes
-from gis_radar.vehicles.forward import ForwardFilter
-from gis_radar.vehicles.motion import Motion, fit_motion
-from gis_radar.vehicles.settings import ForwardSettings, VehicleSettings
-from gis_radar.vehicles.size import Size
-from gis_radar.vehicles.sweeps import Sweeps
+from gis_radar.measures.hour import HourWindow
+from gis_radar.measures.sensor_reading import SensorHour
+from gis_radar.tracking.blocks import Block
+from gis_radar.tracking.bodies import rows_by_number
+from gis_radar.tracking.columns import NONE
+from gis_radar.tracking.detections import MapDetections
+from gis_radar.tracking.forward import ForwardFilter
+from gis_radar.tracking.hour_blocks import blocks_of
+from gis_radar.tracking.motion import Motion, fit_motion
+from gis_radar.tracking.passes import Passes
+from gis_radar.tracking.settings import ForwardSettings, VehicleSettings
+from gis_radar.tracking.size import Size
 
-ROOM = "gis_radar.vehicles."
+ROOM = "gis_radar.tracking."
 FAR = 1e9  # of any unit: what no value reaches
 
 
@@ -52,7 +55,7 @@ class Off:
     settings : mapping
         New values by their places in `VehicleSettings`, such as ``links.end_cost``.
     replaced : mapping
-        New functions and constants by module and name, such as ``lives:find_stands``.
+        New functions and constants by module and name, such as ``lives:find_stationary``.
     sensors : int or None
         Only so many sensors; all where None. Figures are then those of what these see.
     """
@@ -63,20 +66,22 @@ class Off:
 
 
 def _as_time_runs(
-    echoes: Echoes, graph: LaneGraph, settings: ForwardSettings, moving_mps: float
+    detections: MapDetections, graph: LaneGraph, settings: ForwardSettings, moving_mps: float
 ) -> tuple[tuple[Integers, Integers], tuple[Floats, Floats]]:
     """Follow vehicles as time runs only."""
-    number, state = ForwardFilter(graph, settings, moving_mps=moving_mps).push(echoes)
+    number, state = ForwardFilter(graph, settings, moving_mps=moving_mps).push(detections)
     return (number, np.full_like(number, NONE)), (state, state)
 
 
-def _filter_alone(echoes: Echoes, graph: LaneGraph, settings: VehicleSettings) -> list[Motion]:
+def _filter_alone(
+    detections: MapDetections, graph: LaneGraph, settings: VehicleSettings
+) -> list[Motion]:
     """Return the vehicles that the filter follows as time runs, as it follows them."""
     (number, _), (state, _) = _as_time_runs(
-        echoes, graph, settings.forward, settings.echoes.moving_mps
+        detections, graph, settings.forward, settings.detections.moving_mps
     )
     return [
-        fit_motion(echoes, rows, state, settings.motion)
+        fit_motion(detections, rows, state, settings.motion)
         for rows in rows_by_number(number)
         if len(rows) >= settings.bodies.least_rows
     ]
@@ -90,15 +95,15 @@ def _no_look_back(
 
 
 def _swept_without(**none: Any) -> Any:
-    """Return a maker of sweeps of which some parts hold nothing."""
-    made = Sweeps.of
+    """Return a maker of passes of which some parts hold nothing."""
+    made = Passes.of
     return classmethod(lambda _, *given: replace(made(*given), **none))
 
 
 SMOOTHING = {"motion:_look_back": _no_look_back}
 COMPONENTS: Mapping[str, Off] = {
     "all but the filter as time runs": Off(
-        replaced={**SMOOTHING, "find:vehicles_in": _filter_alone}
+        replaced={**SMOOTHING, "hour_vehicles:vehicles_in": _filter_alone}
     ),
     "filter against time": Off(replaced={"tracker:follow_both_ways": _as_time_runs}),
     "smoothing over later detections": Off(replaced=SMOOTHING),
@@ -106,9 +111,9 @@ COMPONENTS: Mapping[str, Off] = {
     "branches at forks": Off(replaced={"forward:FORK_M": -1.0}),
     "three detections for a birth": Off(settings={"forward.births": 1}),
     "way and returns of one that drove": Off(
-        settings={"lives.least_moving": 0, "lives.least_way_m": -1.0}
+        settings={"management.least_moving": 0, "management.least_way_m": -1.0}
     ),
-    "heights of detections": Off(settings={"echoes.low_m": -FAR, "echoes.high_m": FAR}),
+    "heights of detections": Off(settings={"detections.low_m": -FAR, "detections.high_m": FAR}),
     "joining parts of one body": Off(settings={"bodies.least_odds": FAR}),
     "splitting parts that do not fit": Off(settings={"bodies.least_pure": 0.0}),
     "walkers and cyclists told apart": Off(
@@ -120,20 +125,20 @@ COMPONENTS: Mapping[str, Off] = {
         replaced={"resting:_in_span": lambda *_: np.zeros(0, np.int64)}
     ),
     "what a place returns while empty": Off(replaced={"resting:_rate_without": lambda *_: 0.0}),
-    "standing vehicles on lanes": Off(replaced={"lives:find_stands": lambda *_: []}),
-    "those that never move": Off(replaced={"lives:_standing_only": lambda *_: None}),
+    "standing vehicles on lanes": Off(replaced={"track_management:find_stationary": lambda *_: []}),
+    "those that never move": Off(replaced={"track_management:_stationary_only": lambda *_: None}),
     "order in the lane: driven over": Off(
-        replaced={"sweeps:Sweeps.of": _swept_without(times={}, near_m=-1.0)}
+        replaced={"passes:Passes.of": _swept_without(times={}, near_m=-1.0)}
     ),
     "order in the lane: room in a queue": Off(
-        settings={"standing.gap_m": 0.0, "standing.easy_m": 0.0, "standing.tight": 0.0}
+        settings={"stationary.gap_m": 0.0, "stationary.easy_m": 0.0, "stationary.tight": 0.0}
     ),
-    "order in the lane: standing as before": Off(settings={"standing.stick": 0.0}),
-    "built into the road": Off(replaced={"sweeps:Sweeps.of": _swept_without(fast={})}),
-    "hanging above the road": Off(settings={"standing.high_m": FAR}),
-    "inside of the lane only": Off(settings={"standing.inside_m": 0.0}),
-    "standing as often seen as others": Off(settings={"standing.rate_share": 0.0}),
-    "standing as strong as others": Off(settings={"lives.weaker_db": FAR}),
+    "order in the lane: standing as before": Off(settings={"stationary.stick": 0.0}),
+    "built into the road": Off(replaced={"passes:Passes.of": _swept_without(fast={})}),
+    "hanging above the road": Off(settings={"stationary.high_m": FAR}),
+    "inside of the lane only": Off(settings={"stationary.inside_m": 0.0}),
+    "standing as often seen as others": Off(settings={"stationary.rate_share": 0.0}),
+    "standing as strong as others": Off(settings={"management.weaker_db": FAR}),
     "hidden by other vehicles": Off(
         replaced={
             "detectability:Occluders.join": classmethod(
@@ -143,26 +148,26 @@ COMPONENTS: Mapping[str, Off] = {
             )
         }
     ),
-    "detections that are due": Off(
-        replaced={"detectability:Detectability.due": lambda *_: 0.0}
-    ),
-    "due while silent: a life ends": Off(
-        replaced={"lives:_at_silences": lambda _, motion, *__: [motion]}
+    "detections that are due": Off(replaced={"detectability:Detectability.due": lambda *_: 0.0}),
+    "due while silent: a track ends": Off(
+        replaced={"track_management:_at_silences": lambda _, motion, *__: [motion]}
     ),
     "due between parts: no link": Off(replaced={"links:_is_missed": lambda *_: False}),
     "links": Off(settings={"links.end_cost": 0.0}),
     "links of who waits": Off(settings={"links.waiting_mps": -1.0}),
     "links of who drives unseen": Off(settings={"links.unseen_s": -FAR}),
-    "doubles: stands": Off(
-        replaced={"lives:distinct_stands": lambda stands, *_: list(range(len(stands)))}
+    "duplicates: stationary targets": Off(
+        replaced={"track_management:distinct_targets": lambda stands, *_: list(range(len(stands)))}
     ),
-    "doubles: lives": Off(replaced={"tracker:without_doubles": lambda motions, *_: list(motions)}),
+    "duplicates: tracks": Off(
+        replaced={"tracker:without_duplicates": lambda motions, *_: list(motions)}
+    ),
     "lane changes: drift across the lane": Off(settings={"forward.sideways_mps": 0.0}),
     "lane changes: between lanelets": Off(settings={"routes.change": FAR}),
     "likeliest lanelets": Off(settings={"routes.change": 0.0, "routes.off_lane": FAR}),
-    "a second beyond either end": Off(settings={"pieces.unseen_steps": 0}),
+    "a second beyond either end": Off(settings={"batches.unseen_steps": 0}),
     SECOND: Off(sensors=1),
-}  # fmt: skip
+}
 
 
 def ablate(
@@ -188,36 +193,37 @@ def ablate(
                 yield name, _found(site, off, read, Path(folder) / str(number), truth)
             elif off.sensors < len(site.recordings):
                 tiles, sensors = site.tiles(), site.sensors()[: off.sensors]
-                seen = true_coverage(tiles, sensors, site.traffic())
+                seen = true_occupancy(tiles, sensors, site.traffic())
                 yield NOTHING_FIRST, _figures(site, whole, seen, off.sensors)
                 yield name, _found(site, off, read, Path(folder) / str(number), seen)
 
 
 def _found(
-    site: SceneFiles, off: Off, read: _ReadOnce, folder: Path, truth: TrueCoverage
+    site: SceneFiles, off: Off, read: _ReadOnce, folder: Path, truth: TrueOccupancy
 ) -> Figures:
     """Find vehicles without a component, into a folder; return the figures."""
     settings, count = changed(VehicleSettings(), off.settings), off.sensors
-    with replaced({**off.replaced, "blocks:SourceReader.blocks": read.blocks}):
+    with replaced({**off.replaced, "hour_vehicles:blocks_of": read.blocks_of}):
         begin = time.process_time()
-        gr.find_vehicles(
+        gr.measure(
             site.recordings[:count], site.poses[:count], site.tiles(), site.map, folder,
-            scans=[site.scan], settings=settings,
+            scans=[site.scan], settings=gr.MeasureSettings(vehicles=settings),
         )  # fmt: skip
         cpu_s = time.process_time() - begin
     return _figures(site, folder, truth, count) | {"cpu_s": cpu_s}
 
 
-def _figures(site: SceneFiles, folder: Path, truth: TrueCoverage, count: int | None) -> Figures:
-    """Return the figures of coverage, vehicles and passages."""
+def _figures(site: SceneFiles, folder: Path, truth: TrueOccupancy, count: int | None) -> Figures:
+    """Return the figures of occupancy, vehicles and passages."""
     tiles, traffic = site.tiles(), site.traffic()
-    scored = compared(tiles, truth, site.poses[:count], traffic, estimated_states(folder))
+    found = found_in(gr.open_dataset(folder), truth)
+    scored = compared(tiles, truth, site.poses[:count], traffic, found.states)
     vehicles = score_tracks(scored, traffic.kinds)
     del vehicles["by"]
-    passed = pd.read_parquet(folder / "passages.parquet")
+    passed = found.passages
     passed = passed[passed["lanelet_id"].isin(site.lanelets_in_sight())]
     return {
-        "coverage": asdict(score_coverage(truth, coverage_of_folder(folder))),
+        "occupancy": asdict(score_occupancy(truth, found.occupancy)),
         "vehicles": vehicles,
         "passages": score_passages(site.passages(), passed) if count is None else {},
     }
@@ -270,17 +276,14 @@ class _ReadOnce:
     """Blocks of detections, kept: reading them takes longer than anything else."""
 
     def __init__(self) -> None:
-        self._kept: dict[Any, list[Block]] = {}
-        self._read: Callable[[SourceReader], Iterator[Block]] = SourceReader.blocks
+        self._kept: dict[Any, list[tuple[tuple[int, int], Block]]] = {}
 
-    @property
-    def blocks(self) -> Callable[[SourceReader], Iterator[Block]]:
-        """What stands for the method of `SourceReader`."""
-
-        def blocks(reader: SourceReader) -> Iterator[Block]:
-            key = (tuple(reader.sensors), reader._settings.echoes)  # noqa: SLF001
-            if key not in self._kept:
-                self._kept[key] = list(self._read(reader))
-            yield from self._kept[key]
-
-        return blocks
+    def blocks_of(
+        self, sensors: Sequence[SensorHour], window: HourWindow, graph: LaneGraph,
+        road_m: Mapping[tuple[str, str], float], settings: VehicleSettings,
+    ) -> Iterator[tuple[tuple[int, int], Block]]:  # fmt: skip
+        """Stand for the function of `hour_blocks`."""
+        key = (tuple(each.sensor for each in sensors), window.hour, settings.detections)
+        if key not in self._kept:
+            self._kept[key] = list(blocks_of(sensors, window, graph, road_m, settings))
+        yield from self._kept[key]

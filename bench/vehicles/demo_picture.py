@@ -1,7 +1,7 @@
-"""The demo's true coverage beside the estimated one and the difference, and how far it is off.
+"""The demo's true occupancy beside the estimated one and the difference, and how far it is off.
 
     gis-radar demo -o demo
-    python bench/vehicles/demo_picture.py demo docs/coverage.png --into docs/limits.md
+    python bench/vehicles/demo_picture.py demo docs/occupancy.png --into docs/limits.md
 
 Both maps have the colours of all heat maps. With `--into`, the figures are put below the picture in
 a page, between its marks.
@@ -17,13 +17,14 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from found import estimated_occupancy
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import BoundaryNorm, LinearSegmentedColormap, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from scenes import SceneFiles
-from score import CoverageScore, coverage_of_folder, score_coverage, with_coverage
+from score import OccupancyScore, score_occupancy, with_occupancy
 
 import gis_radar as gr
 from gis_radar.arrays import Floats
@@ -52,19 +53,19 @@ def main() -> None:
         site = SceneFiles(name="sample", folder=gr.sample_folder(), kept=Path(kept))
         truth = site.truth()
         tiles = site.tiles()
-        table = coverage_of_folder(options.demo / "vehicles", tiles)
-        text = caption(score_coverage(truth, table))
+        table = estimated_occupancy(gr.open_dataset(options.demo / "dataset"))
+        text = caption(score_occupancy(truth, table))
         quads = pd.Series(list(gr.quads(tiles)), index=tiles["tile_id"])
-    true = truth.table().set_index("tile_id")["coverage"].dropna()
-    given = with_coverage(table).set_index("tile_id")["coverage"].dropna()
+    true = truth.table().set_index("tile_id")["occupancy"].dropna()
+    given = with_occupancy(table).set_index("tile_id")["occupancy"].dropna()
     figure = draw(quads, true, given[given.index.isin(true.index)])
     figure.savefig(options.picture, dpi=WIDTH_PX / figure.get_figwidth())
     print(text)
     if options.into is not None:
-        pages.put(options.into, {"demo coverage": text})
+        pages.put(options.into, {"demo occupancy": text})
 
 
-def caption(score: CoverageScore) -> str:
+def caption(score: OccupancyScore) -> str:
     """Return what the picture is off by, in words."""
     return (
         f"*Over {score.tiles:,} tiles in sight and 100 s: rank correlation {score.rank:.2f}, "
@@ -81,13 +82,13 @@ def draw(quads: pd.Series, true: pd.Series, given: pd.Series) -> Figure:
     axes = figure.subplots(1, 3)
     shares = (ListedColormap([NEVER_HIT, *RAMP]), BoundaryNorm([-1.0, *BREAKS[:-1], 1.001], 9))
     for ax, values, title in zip(
-        axes, (true, given), ("true coverage", "estimated by the demo"), strict=False
+        axes, (true, given), ("true occupancy", "estimated by the demo"), strict=False
     ):
         # The least above a break belongs to the class below, and 0 to its own.
         below = pd.Series(np.nextafter(values, -1.0), index=values.index)
         _add(ax, quads, below, cmap=shares[0], norm=shares[1])
         ax.set_title(title)
-    classes = legend("occupancy")[:-2]
+    classes = legend("hit_share")[:-2]
     handles = [Patch(facecolor=colour, label=label) for colour, label in classes]
     handles.append(Patch(facecolor=NEVER_HIT, label="0 %, no vehicle"))
     handles.append(Patch(facecolor=NOT_OBSERVED, label="not in sight"))

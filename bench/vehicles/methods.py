@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
@@ -12,14 +13,16 @@ import own
 import pandas as pd
 from breakdown import by_group, step_errors, tile_groups
 from causes import causes
+from found import Found, found_by_peer, found_in
 from passages import score_passages
 from peers import hits, hits_closed, oracle
 from scenes import SceneFiles
-from score import coverage_of_folder, score_coverage
-from tracks import compared, estimated_states, score_tracks
+from score import score_occupancy
+from tracks import compared, score_tracks
+
+import gis_radar as gr
 
 Figures = dict[str, Any]
-MISSING = "there is no `gis-radar vehicles` yet"
 
 
 class NotThereError(Exception):
@@ -27,26 +30,30 @@ class NotThereError(Exception):
 
 
 def figures_of_table(site: SceneFiles, table: pd.DataFrame) -> Figures:
-    """Return the figures of a table of coverage: whole, and by groups of tiles."""
+    """Return the figures of a table of occupancy: whole, and by groups of tiles."""
     truth = site.truth()
     groups = tile_groups(site.tiles(), truth, site.poses)
     return {
-        "coverage": asdict(score_coverage(truth, table)),
+        "occupancy": asdict(score_occupancy(truth, table)),
         "by_tiles": by_group(truth, table, groups),
     }
 
 
-def figures_of_folder(site: SceneFiles, folder: Path) -> Figures:
-    """Return all figures of a folder of vehicles."""
+def figures_of_dataset(site: SceneFiles, folder: Path) -> Figures:
+    """Return all figures of a dataset."""
+    return figures_of(site, found_in(gr.open_dataset(folder), site.truth()))
+
+
+def figures_of(site: SceneFiles, found: Found) -> Figures:
+    """Return all figures of vehicles that were found."""
     tiles, truth, traffic = site.tiles(), site.truth(), site.traffic()
-    figures = figures_of_table(site, coverage_of_folder(folder, tiles))
-    given = estimated_states(folder)
-    scored = compared(tiles, truth, site.poses, traffic, given)
+    figures = figures_of_table(site, found.occupancy)
+    scored = compared(tiles, truth, site.poses, traffic, found.states)
     figures["vehicles"] = score_tracks(scored, traffic.kinds)
     figures["by_vehicles"] = figures["vehicles"].pop("by")
     figures["causes"] = causes(site, scored)
-    figures["steps"] = step_errors(folder, tiles, truth)
-    passed = pd.read_parquet(folder / "passages.parquet")
+    figures["steps"] = step_errors(found.occupied, tiles, truth)
+    passed = found.passages
     passed = passed[passed["lanelet_id"].isin(site.lanelets_in_sight())]
     figures["passages"] = score_passages(site.passages(), passed)
     return figures
@@ -70,30 +77,29 @@ def _stone_soup(site: SceneFiles) -> Figures:
     except ImportError as error:
         raise NotThereError(str(error)) from error
     begin = time.process_time()
-    folder = stone_soup(site, site.poses, site.kept / "peer-stone-soup")
+    found = stone_soup(site, site.poses)
     minutes = own.sensor_minutes(site, [pose.sensor for pose in site.poses])
     cost = {"sensor_minutes": minutes, "cpu_s": (time.process_time() - begin) / minutes}
-    return figures_of_folder(site, folder) | {"costs": cost}
+    return figures_of(site, found_by_peer(site, found)) | {"costs": cost}
 
 
 def _true_poses(site: SceneFiles) -> Figures:
-    return _own(site, own.true_pose_files(site), "vehicles-true")
+    return _own(site, own.true_pose_files(site), "dataset-true")
 
 
 def _found_poses(site: SceneFiles) -> Figures:
     files = own.found_poses(site)
     known = {"pose_errors": own.pose_errors(site, files)}
-    return _own(site, files, "vehicles-found") | known
+    return _own(site, files, "dataset-found") | known
 
 
 def _own(site: SceneFiles, files: list[Path], name: str) -> Figures:
-    if not own.has("vehicles"):
-        raise NotThereError(MISSING)
     folder = site.kept / name
-    ran = own.find_vehicles(site, files, folder)
+    shutil.rmtree(folder, ignore_errors=True)
+    ran = own.measure(site, files, folder)
     figures: Figures = {"code": ran.code, "warnings": ran.warnings, "errors": ran.errors}
     if ran.code == 0:
-        figures |= figures_of_folder(site, folder) | {"costs": own.costs(site, files, ran)}
+        figures |= figures_of_dataset(site, folder) | {"costs": own.costs(site, files, ran)}
     return figures
 
 

@@ -1,4 +1,4 @@
-"""The package's own commands on a scene: found poses, vehicles, and what they cost."""
+"""The package's own commands on a scene: found poses, the dataset, and what they cost."""
 
 from __future__ import annotations
 
@@ -9,9 +9,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -87,31 +85,6 @@ def run(*arguments: object) -> Ran:
     )
 
 
-def run_and_kill(place: Path, *arguments: object) -> int:
-    """Run a command, kill it when a table below a folder has rows on disk; return its exit code."""
-    command = [sys.executable, "-m", "gis_radar", *map(str, arguments)]
-    with subprocess.Popen(
-        command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    ) as started:
-        while started.poll() is None and not _has_rows(place):
-            time.sleep(0.02)
-        started.kill()
-    return started.returncode
-
-
-def _has_rows(place: Path) -> bool:
-    """Tell whether a table below a folder is longer than Parquet's four bytes of a head."""
-    with suppress(FileNotFoundError):  # it may be moved meanwhile
-        return any(path.stat().st_size > 4 for path in place.rglob("*.parquet"))
-    return False
-
-
-@cache
-def has(command: str) -> bool:
-    """Tell whether the package has a command."""
-    return run(command, "--help").code == 0
-
-
 def found_poses(site: SceneFiles) -> list[Path]:
     """Return pose files, kept: as `gis-radar localize` finds them, else the true ones.
 
@@ -173,34 +146,35 @@ def pose_errors(site: SceneFiles, files: Sequence[Path]) -> dict[str, list[float
     return found
 
 
-def find_vehicles(site: SceneFiles, files: Sequence[Path], folder: Path) -> Ran:
-    """Run `gis-radar vehicles` on a scene with some pose files."""
-    return run("vehicles", *_sources(site, files), "--map", site.map, "-o", folder)
+def measure(site: SceneFiles, files: Sequence[Path], folder: Path) -> Ran:
+    """Run `gis-radar measure` on a scene with some pose files."""
+    return run("measure", *_sources(site, files), "-o", folder)
 
 
 def _sources(site: SceneFiles, files: Sequence[Path]) -> list[object]:
-    """Return the arguments that `vehicles` and `occupancy` have in common."""
+    """Return the arguments of `measure`, but the output."""
     site.tiles()
     recordings = {path.stem: path for path in site.recordings}
     given: list[object] = [recordings[path.stem] for path in files]
     for path in files:
         given += ["--pose", path]
-    return [*given, "--tiles", site.kept / "tiles.gpkg", "--scan", site.scan]
+    tiles = site.kept / "tiles.gpkg"
+    return [*given, "--tiles", tiles, "--map", site.map, "--scan", site.scan]
 
 
-def costs(site: SceneFiles, files: Sequence[Path], vehicles: Ran) -> dict[str, float]:
-    """Return CPU seconds and memory a sensor-minute, also beside decoding and occupancy."""
+def costs(site: SceneFiles, files: Sequence[Path], whole: Ran) -> dict[str, float]:
+    """Return CPU seconds and memory a sensor-minute, also beside those of hits alone."""
     with tempfile.TemporaryDirectory() as folder:
-        plain = run("occupancy", *_sources(site, files), "-o", Path(folder) / "occupancy")
+        plain = run("measure", *_sources(site, files), "--hits-only", "-o", Path(folder) / "hits")
     minutes = sensor_minutes(site, [path.stem for path in files])
     return {
         "sensor_minutes": minutes,
-        "cpu_s": vehicles.cpu_s / minutes,
+        "cpu_s": whole.cpu_s / minutes,
         "occupancy_cpu_s": plain.cpu_s / minutes,
-        "times_occupancy": vehicles.cpu_s / plain.cpu_s,
-        "peak_mb": vehicles.peak_mb,
+        "times_occupancy": whole.cpu_s / plain.cpu_s,
+        "peak_mb": whole.peak_mb,
         "occupancy_peak_mb": plain.peak_mb,
-        "wall_s": vehicles.wall_s,
+        "wall_s": whole.wall_s,
     }
 
 

@@ -13,7 +13,7 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 from scipy.spatial import cKDTree
-from true_coverage import TrueCoverage, middle_lines
+from true_occupancy import TrueOccupancy, middle_lines
 from true_traffic import HEAVY_M, TrueTraffic
 
 import gis_radar as gr
@@ -117,11 +117,11 @@ def _middles(tiles: gpd.GeoDataFrame) -> Floats:
     return np.asarray(tiles["s_m"] + tiles["length_m"] / 2.0, np.float64)
 
 
-def true_passages(lanes: Lanes, traffic: TrueTraffic, truth: TrueCoverage) -> pd.DataFrame:
+def true_passages(lanes: Lanes, traffic: TrueTraffic, truth: TrueOccupancy) -> pd.DataFrame:
     """Return the passages that are visible: ``vehicle lanelet_id step speed heavy``."""
     tree, rows = cKDTree(lanes.middle), []
     sight = {t: k for k, t in enumerate(truth.tile_id.tolist())}
-    last = truth.first_step + truth.covered.shape[1] - 1
+    last = truth.first_step + truth.occupied.shape[1] - 1
     traffic = traffic.within(truth.first_step, last)
     at_half = {
         int(k): int(t)

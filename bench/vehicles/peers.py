@@ -1,16 +1,16 @@
-"""Peers: other ways from a scene's recordings to a coverage, on the same poses and tiles."""
+"""Peers: other ways from a scene's recordings to a occupancy, on the same poses and tiles."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 from scenes import SceneFiles
-from true_coverage import HIDDEN_STEPS, covered_pairs
+from true_occupancy import HIDDEN_STEPS, occupied_pairs
 
 import gis_radar as gr
 from gis_radar.arrays import Booleans, Floats
+from gis_radar.dataset.tables import HITS
 from gis_radar.steps import STEP_S, step_of
 
 CLOSED_STEPS = 20  # 1 s
@@ -18,58 +18,56 @@ BESIDE_M = 0.5  # a detection may lie so far beside its vehicle
 
 
 def hits(site: SceneFiles) -> pd.DataFrame:
-    """Return hit occupancy, the paper's."""
-    occupancy = _occupancy(site)
-    wide = gr.make_heatmap(occupancy, site.tiles()).wide()
-    renamed = {"occupied_s": "covered_s", "observed_s": "visible_s"}
+    """Return hit share, the paper's."""
+    wide = gr.make_heatmap(_hits_only(site)).wide()
+    renamed = {"hit_s": "occupied_s", "observed_s": "visible_s"}
     return pd.DataFrame(wide[["tile_id", *renamed]]).rename(columns=renamed)
 
 
 def hits_closed(site: SceneFiles) -> pd.DataFrame:
-    """Return hit occupancy with gaps of a second and less between hits of a tile closed."""
-    occupancy = _occupancy(site)
-    step, tile = (np.concatenate(c) for c in zip(*occupancy.held_hits(), strict=True))
-    order = np.lexsort([step, tile])
-    step, tile = step[order], tile[order]
+    """Return hit share with gaps of a second and less between hits of a tile closed."""
+    found = pa.concat_tables(_hits_only(site).batches(HITS))
+    tile, step = (found[name].to_numpy() for name in ("tile_id", "step"))
     gap = np.diff(step, append=step[-1:])
     same = np.append(tile[1:] == tile[:-1], False)
     steps = np.where(same & (gap <= CLOSED_STEPS + 1), gap, 1)
     closed = pd.Series(steps * STEP_S).groupby(tile).sum()
     table = hits(site)
     table = table[table["visible_s"] > 0.0]
-    return table.assign(covered_s=table["tile_id"].map(closed).fillna(0.0))
+    return table.assign(occupied_s=table["tile_id"].map(closed).fillna(0.0))
 
 
-def _occupancy(site: SceneFiles) -> gr.Occupancy:
-    folder: Path = site.kept / "occupancy-sight"
-    if not folder.exists():
-        gr.measure_occupancy(site.recordings, site.poses, site.tiles(), folder, scans=[site.scan])
-    return gr.read_occupancy(folder)
+def _hits_only(site: SceneFiles) -> gr.Dataset:
+    """Return the hits of a scene; made again only where its files have changed."""
+    return gr.measure(
+        site.recordings, site.poses, site.tiles(), None, site.kept / "hits", scans=[site.scan],
+        hits_only=True, only=True,
+    )  # fmt: skip
 
 
 def oracle(site: SceneFiles) -> pd.DataFrame:
-    """Return the coverage of true footprints between detections on them: perfect association.
+    """Return the occupancy of true footprints between detections on them: perfect association.
 
     A vehicle counts from its first detection to its last, but for gaps of over ten seconds. What is
     missing here no tracker has data for.
     """
     truth, traffic, tiles = site.truth(), site.traffic(), site.tiles()
-    count = truth.covered.shape[1]
+    count = truth.occupied.shape[1]
     traffic = traffic.within(truth.first_step, truth.first_step + count - 1)
     hit = steps_with_detections(site, traffic.states)
     seen = tiles[tiles["tile_id"].isin(truth.tile_id)]
-    pairs = covered_pairs(seen, traffic, truth.first_step)
+    pairs = occupied_pairs(seen, traffic, truth.first_step)
     known = pd.DataFrame({**pairs, "at": pairs["step"] + truth.first_step})
     last = pd.merge_asof(known.sort_values("at"), hit, on="at", by="vehicle")
     both = pd.merge_asof(last, hit.rename(columns={"hit": "next"}), on="at", by="vehicle",
                          direction="forward")  # fmt: skip
     held = both[both["next"] - both["hit"] <= HIDDEN_STEPS]
-    covered = np.zeros_like(truth.covered)
-    covered[held["tile"], held["step"]] = True
+    occupied = np.zeros_like(truth.occupied)
+    occupied[held["tile"], held["step"]] = True
     return pd.DataFrame(
         {
             "tile_id": truth.tile_id,
-            "covered_s": (covered & truth.visible).sum(axis=1) * STEP_S,
+            "occupied_s": (occupied & truth.visible).sum(axis=1) * STEP_S,
             "visible_s": truth.visible.sum(axis=1) * STEP_S,
         }
     )

@@ -1,4 +1,4 @@
-"""Pictures: true coverage, an estimate beside it, and what it is off by; frames of a queue."""
+"""Pictures: true occupancy, an estimate beside it, and what it is off by; frames of a queue."""
 
 from __future__ import annotations
 
@@ -11,29 +11,29 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from scenes import SceneFiles
-from score import with_coverage
-from true_coverage import TrueCoverage
+from score import with_occupancy
+from true_occupancy import TrueOccupancy
 
 import gis_radar as gr
 from gis_radar.arrays import Floats
 
 mpl.use("Agg")
-OFF = 0.1  # coverage at which the colours of errors end
+OFF = 0.1  # occupancy at which the colours of errors end
 
 
-def draw_coverage(
-    site: SceneFiles, truth: TrueCoverage, table: pd.DataFrame, path: Path, *, title: str
+def draw_occupancy(
+    site: SceneFiles, truth: TrueOccupancy, table: pd.DataFrame, path: Path, *, title: str
 ) -> None:
-    """Draw true and estimated coverage of a scene, and the difference.
+    """Draw true and estimated occupancy of a scene, and the difference.
 
     Parameters
     ----------
     site : SceneFiles
         The scene.
-    truth : TrueCoverage
+    truth : TrueOccupancy
         Its truth.
     table : DataFrame
-        The estimate, as `score_coverage` takes it.
+        The estimate, as `score_occupancy` takes it.
     path : Path
         The PNG.
     title : str
@@ -41,14 +41,14 @@ def draw_coverage(
     """
     tiles = site.tiles()
     quads = pd.Series(list(gr.quads(tiles)), index=tiles["tile_id"])
-    true = truth.table().set_index("tile_id")["coverage"].dropna()
-    given = with_coverage(table).set_index("tile_id")["coverage"].dropna()
+    true = truth.table().set_index("tile_id")["occupancy"].dropna()
+    given = with_occupancy(table).set_index("tile_id")["occupancy"].dropna()
     shown = given[given.index.isin(true.index)]
     off = (given - true).dropna()
     most = max(float(np.quantile(true, 0.98)), 0.02)
     figure = Figure(figsize=(18, 6.5), layout="constrained")
     parts = (
-        (true, f"{site.name}: true coverage", "viridis", (0.0, most)),
+        (true, f"{site.name}: true occupancy", "viridis", (0.0, most)),
         (shown, f"estimated: {title}", "viridis", (0.0, most)),
         (off, "estimated - true", "RdBu_r", (-OFF, OFF)),
     )

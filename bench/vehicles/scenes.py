@@ -38,7 +38,7 @@ from simulated import true_pose  # noqa: E402
 from standing import in_sight, write_standing  # noqa: E402
 from street_plans import PLANS, StreetPlan, axis  # noqa: E402
 from town import MASTS, TERRAIN, poses, town_plan  # noqa: E402
-from true_coverage import Sensor, TrueCoverage, true_coverage  # noqa: E402
+from true_occupancy import Sensor, TrueOccupancy, true_occupancy  # noqa: E402
 from true_traffic import TrueTraffic, read_traffic  # noqa: E402
 from wide_map import widen  # noqa: E402
 
@@ -110,7 +110,7 @@ RECIPES: Mapping[str, Recipe] = {
     "wide": Recipe(plan="junction, wide map", seed=50, per_hour=900, radars=2),
     "wide-light": Recipe(plan="roundabout, wide map", seed=51, per_hour=350, radars=1, minutes=3.0),
     "parked": Recipe(plan="junction, parked", seed=40, per_hour=700, radars=2),
-    "hours": Recipe(plan="junction", seed=60, per_hour=1200, radars=2, minutes=4.5),
+    "hours": Recipe(plan="junction", seed=60, per_hour=1200, radars=2, minutes=10.0),
     "town-held": Recipe(plan="town", seed=111, per_hour=2200, radars=("R3", "R5", "R6")),
     "motorway-held": Recipe(
         plan="motorway", seed=112, per_hour=5200, radars=1, stand_m=(110.0, 170.0), aim_deg=5.0
@@ -180,19 +180,19 @@ class SceneFiles:
             gr.write_tiles(gr.make_tiles(roads), path, problems=roads.problems)
         return gr.read_tiles(path)
 
-    def truth(self) -> TrueCoverage:
-        """Return the true coverage, which is kept too."""
-        path = self.kept / f"truth-{_digest('true_traffic', 'true_coverage', 'standing')}.npz"
+    def truth(self) -> TrueOccupancy:
+        """Return the true occupancy, which is kept too."""
+        path = self.kept / f"truth-{_digest('true_traffic', 'true_occupancy', 'standing')}.npz"
         if path.exists():
             return _read_truth(path)
         tiles = self.tiles()
-        truth = true_coverage(tiles, self.sensors(), self.traffic())
+        truth = true_occupancy(tiles, self.sensors(), self.traffic())
         _write_truth(truth, path)
         return truth
 
     def passages(self) -> pd.DataFrame:
         """Return the true passages, which are kept too."""
-        code = ("true_traffic", "true_coverage", "standing", "passages")
+        code = ("true_traffic", "true_occupancy", "standing", "passages")
         path = self.kept / f"passages-{_digest(*code)}.parquet"
         if not path.exists():
             lanes = lanes_of(self.tiles(), gr.read_map(self.map))
@@ -219,22 +219,22 @@ class SceneFiles:
         ]
 
 
-def _write_truth(truth: TrueCoverage, path: Path) -> None:
+def _write_truth(truth: TrueOccupancy, path: Path) -> None:
     flags: dict[str, Any] = {n: np.packbits(getattr(truth, n), axis=1) for n in _FLAGS}
-    count = truth.covered.shape[1]
+    count = truth.occupied.shape[1]
     np.savez_compressed(
         path, tile_id=truth.tile_id, first_step=truth.first_step, count=count, **flags
     )
 
 
-_FLAGS = ("covered", "visible", "blocked")
+_FLAGS = ("occupied", "visible", "blocked")
 
 
-def _read_truth(path: Path) -> TrueCoverage:
+def _read_truth(path: Path) -> TrueOccupancy:
     with np.load(path) as kept:
         count = int(kept["count"])
         flags = {n: np.unpackbits(kept[n], axis=1, count=count).astype(np.bool_) for n in _FLAGS}
-        return TrueCoverage(tile_id=kept["tile_id"], first_step=int(kept["first_step"]), **flags)
+        return TrueOccupancy(tile_id=kept["tile_id"], first_step=int(kept["first_step"]), **flags)
 
 
 def scene(name: str) -> SceneFiles:

@@ -8,7 +8,7 @@ import geopandas as gpd
 import laspy
 import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
-from true_coverage import sight_points
+from true_occupancy import sight_points
 
 import gis_radar as gr
 from gis_radar.arrays import Booleans, Floats

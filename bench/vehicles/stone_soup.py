@@ -10,12 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from folders import ground_of, write_states
 from scenes import SceneFiles
 from sklearn.cluster import DBSCAN
 from stonesoup.dataassociator.tree import DetectionKDTreeGNN2D
@@ -50,13 +48,11 @@ REACH_M = 8.0  # clusters farther from a prediction are not looked at
 CAR_M, LONGEST_M, WIDTH_M = 4.2, 18.0, 1.8
 BLIND_M = 0.6  # extents of clusters fall short by so much
 SLOW_MPS = 1.0  # below, a heading is the last one
-SEEN_STEPS = 10
 
 
-def stone_soup(site: SceneFiles, poses: Sequence[gr.Pose], folder: Path) -> Path:
-    """Write a folder of the vehicles that Stone Soup's components find."""
-    tracks = _smoothed(_tracked(site, poses))
-    return write_states(ground_of(site, poses), _states(tracks), folder)
+def stone_soup(site: SceneFiles, poses: Sequence[gr.Pose]) -> pd.DataFrame:
+    """Return the states of the vehicles that Stone Soup's components find."""
+    return _states(_smoothed(_tracked(site, poses)))
 
 
 def clusters(
@@ -122,7 +118,7 @@ def _tracked(site: SceneFiles, poses: Sequence[gr.Pose]) -> tuple[list[Any], Any
 
 
 def _smoothed(tracked: tuple[list[Any], Any, Floats]) -> list[dict[str, Floats]]:
-    """Return of each track steps, smoothed states, extents and which were measured."""
+    """Return of each track steps, smoothed states and extents."""
 
     tracks, moves, origin = tracked
     smoother, found = KalmanSmoother(moves), []
@@ -142,7 +138,6 @@ def _smoothed(tracked: tuple[list[Any], Any, Floats]) -> list[dict[str, Floats]]
             {
                 "step": step_of(np.array(time)), "place": vectors[:, [0, 2]] + origin,
                 "speed": np.hypot(vectors[:, 1], vectors[:, 3]), "heading": heading,
-                "measured": np.array(measured[:last]),
                 "length": np.clip(np.quantile(extents, 0.9) + BLIND_M, CAR_M, LONGEST_M),
             }
         )  # fmt: skip
@@ -165,8 +160,6 @@ def _states(tracks: list[dict[str, Floats]]) -> pd.DataFrame:
         if len(at) < 2:
             continue
         step = np.arange(at[0], at[-1] + 1)
-        hit = at[track["measured"]]
-        late = np.abs(step[:, None] - hit).min(axis=1)
         parts.append(
             pd.DataFrame(
                 {
@@ -176,7 +169,6 @@ def _states(tracks: list[dict[str, Floats]]) -> pd.DataFrame:
                     "heading": np.interp(step, at, track["heading"]),
                     "speed": np.interp(step, at, track["speed"]),
                     "length": float(track["length"]), "width": WIDTH_M,
-                    "seen": late <= SEEN_STEPS,
                 }
             )
         )  # fmt: skip

@@ -9,7 +9,7 @@ from typing import Any
 
 Report = Mapping[str, Any]
 
-COVERAGE = {
+OCCUPANCY = {
     "tiles": "d", "true_mean": ".1%", "answered": ".0%", "rank": ".2f", "scale": ".2f",
     "mae_percent": ".2f", "r2": ".2f", "false_zeros": ".0%", "false_busy": ".0%", "beyond": ".0%",
     "within_2_se": ".0%",
@@ -37,7 +37,7 @@ COSTS = {
     "peak_mb": ".0f", "occupancy_peak_mb": ".0f",
 }  # fmt: skip
 PARTS = {
-    "coverage": COVERAGE, "vehicles": VEHICLES, "passages": PASSAGES, "steps": STEPS,
+    "occupancy": OCCUPANCY, "vehicles": VEHICLES, "passages": PASSAGES, "steps": STEPS,
     "causes": CAUSES, "costs": COSTS,
 }  # fmt: skip
 TARGETS = {
@@ -60,8 +60,8 @@ NOTHING, SECOND = "nothing", "second sensor"
 NOTHING_FIRST = "nothing, where the first sensor sees"
 CHANGES = {
     "rank / scale / mean error, without": {
-        ("coverage", "rank"): ".2f", ("coverage", "scale"): ".2f",
-        ("coverage", "mae_percent"): ".2f",
+        ("occupancy", "rank"): ".2f", ("occupancy", "scale"): ".2f",
+        ("occupancy", "mae_percent"): ".2f",
     },
     "recall / precision / passages off, without": {
         ("vehicles", "recall"): ".0%", ("vehicles", "precision"): ".0%",
@@ -132,14 +132,14 @@ def everything(rows: Mapping[str, Report]) -> str:
 
 
 def readme(report: Report) -> str:
-    """Return the tables of docs/accuracy.md from the bench's JSON: coverage, then vehicles."""
+    """Return the tables of docs/accuracy.md from the bench's JSON: occupancy, then vehicles."""
     scenes: Mapping[str, Report] = report.get("scenes", {})
     names = {m: h for m, h in READERS.items() if any(m in rows for rows in scenes.values())}
     first = table(
         ["rank / scale / mean error, % of the time", "true mean", *names.values(), "target"],
         (
             [name, shown(_mean(rows), ".1%"),
-             *(_cell(rows.get(method, {}).get("coverage", {})) for method in names),
+             *(_cell(rows.get(method, {}).get("occupancy", {})) for method in names),
              TARGETS.get(name.removesuffix("-held"), "")]
             for name, rows in scenes.items()
         ),
@@ -154,9 +154,9 @@ def readme(report: Report) -> str:
         ("passages", "count_error"): ("passages a lanelet, error", ".0%"),
         ("vehicles", "speed_mps"): ("speed, median error m/s", ".2f"),
         ("vehicles", "length_m"): ("length, median error m", ".2f"),
-        ("coverage", "within_2_se"): ("within 2 standard errors", ".0%"),
+        ("occupancy", "within_2_se"): ("within 2 standard errors", ".0%"),
         ("costs", "cpu_s"): ("CPU s a sensor-minute", ".1f"),
-        ("costs", "times_occupancy"): ("times decoding + occupancy", ".1f"),
+        ("costs", "times_occupancy"): ("times decoding + hit share", ".1f"),
     }
     second = table(
         ["`vehicles`, found poses", "poses off by, m", *(head for head, _ in heads.values())],
@@ -175,14 +175,14 @@ def _poses(errors: Mapping[str, Sequence[float]]) -> str:
 
 
 def _mean(rows: Mapping[str, Report]) -> object:
-    found = (row["coverage"]["true_mean"] for row in rows.values() if "coverage" in row)
+    found = (row["occupancy"]["true_mean"] for row in rows.values() if "occupancy" in row)
     return next(found, None)
 
 
 def ablation(report: Report) -> str:
     """Return what each component of the tracker is worth: how figures change without it.
 
-    Two tables, a row a component and a column a scene: coverage, vehicles. A dash where nothing
+    Two tables, a row a component and a column a scene: occupancy, vehicles. A dash where nothing
     changes.
     """
     scenes: Mapping[str, Report] = report.get("ablation", {})

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import geopandas as gpd
@@ -16,7 +15,7 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
-from true_coverage import TrueCoverage, middle_lines
+from true_occupancy import TrueOccupancy, middle_lines
 from true_traffic import HEAVY_M, TrueTraffic
 
 import gis_radar as gr
@@ -47,24 +46,15 @@ class Scored:
     given: pd.DataFrame = field(repr=False)
 
 
-def estimated_states(folder: Path) -> pd.DataFrame:
-    """Return the states of a folder of vehicles, with `COLUMNS`."""
-    tracks = pd.read_parquet(folder / "tracks.parquet")
-    vehicles = pd.read_parquet(folder / "vehicles.parquet").set_index("vehicle")
-    length = tracks["vehicle"].map(vehicles["length_m"])
-    table = tracks.assign(length=length, heading=np.radians(tracks["heading"]))
-    return table[list(COLUMNS)]
-
-
 def compared(
-    tiles: gpd.GeoDataFrame, truth: TrueCoverage, poses: list[gr.Pose], traffic: TrueTraffic,
+    tiles: gpd.GeoDataFrame, truth: TrueOccupancy, poses: list[gr.Pose], traffic: TrueTraffic,
     given: pd.DataFrame,
 ) -> Scored:  # fmt: skip
     """Return the states that are compared, with what is due."""
     seen = tiles[tiles["tile_id"].isin(truth.tile_id)]
     middles = middle_lines(seen).mean(axis=1)
     tree, eyes = cKDTree(middles), np.array([pose.position[:2] for pose in poses])
-    last = truth.first_step + truth.covered.shape[1] - 1
+    last = truth.first_step + truth.occupied.shape[1] - 1
     sides = {}
     for name, table in (("true", traffic.states[list(COLUMNS)]), ("given", given)):
         inside = table["step"].between(truth.first_step, last)

@@ -6,7 +6,7 @@ from typing import NoReturn
 
 import click
 
-from gis_radar.cli import live, maps, poses, recordings, sites
+from gis_radar.cli import datasets, live, maps, poses, recordings, sites
 from gis_radar.cli.console import run_group
 from gis_radar.processes import go_offline
 
@@ -20,9 +20,10 @@ def group() -> None:
 for verb in (
     *(maps.tiles, maps.mask, maps.heatmap, maps.footprints, maps.trajectories),
     maps.project,
-    *(recordings.convert, recordings.occupancy, recordings.vehicles),
+    *(recordings.convert, recordings.measure),
     *(recordings.clocks, recordings.quality),
     *(poses.localize, poses.track, poses.sensors, poses.sight),
+    *(datasets.query, datasets.dataset),
     *(live.edge, live.live),
     *(sites.run, sites.check, sites.report, sites.qgis, sites.sample, sites.demo),
 ):

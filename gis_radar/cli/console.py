@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -52,6 +52,8 @@ class Result:
         What to do next; for people only.
     timezone : str
         IANA zone whose clocks people read in the summary; JSON keeps UTC.
+    rows : sequence of mappings, optional
+        Of an answer, values as they are: a table for people, objects in JSON.
     """
 
     outputs: list[Path]
@@ -59,6 +61,7 @@ class Result:
     failure: GisRadarError | None = None
     advice: str = ""
     timezone: str = "UTC"
+    rows: Sequence[Mapping[str, Any]] | None = None
 
 
 LANGUAGE = "GIS_RADAR_LANGUAGE"  # of remarks and errors; in QGIS the plugin sets it
@@ -107,7 +110,8 @@ class JsonConsole(Console):
     def result(self, result: Result) -> None:
         """Write what was done."""
         outputs = [str(path) for path in result.outputs]
-        self._write(event="result", outputs=outputs, summary=dict(result.summary))
+        rows = {} if result.rows is None else {"rows": result.rows}
+        self._write(event="result", outputs=outputs, summary={**result.summary, **rows})
 
     def error(self, error: GisRadarError) -> None:
         """Write what went wrong; the code is the exit code."""
@@ -196,6 +200,8 @@ class TerminalConsole(Console):
         out.print(table)
         for name, rows in tables:
             out.print(_rows(name, rows))
+        if result.rows:
+            rich.console.Console(width=max(out.width, WIDE)).print(_answer(result.rows))
         for path in result.outputs:
             out.print(f"wrote {path}", markup=False, highlight=False, soft_wrap=True)
         if result.advice:
@@ -255,6 +261,22 @@ def _rows(name: str, rows: list[list[Any]]) -> Table:
     for row in rest:
         table.add_row(*(Text(_readable(each)) for each in row))
     return table
+
+
+def _answer(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Return the rows of an answer as a table, whole numbers as they are."""
+    table = Table(box=None, pad_edge=False)
+    for name in rows[0] if rows else ():
+        table.add_column(Text(name), overflow="fold")
+    for row in rows:
+        texts = (_number(each) if isinstance(each, float) else each for each in row.values())
+        table.add_row(*(Text("" if each is None else _printable(str(each))) for each in texts))
+    return table
+
+
+def _number(value: float) -> str:
+    """Return a number with six digits, a coordinate with its millimetres."""
+    return f"{value:.3f}" if 1e3 <= abs(value) < 1e12 else f"{value:.6g}"
 
 
 def _printable(text: str) -> str:

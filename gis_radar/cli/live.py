@@ -45,7 +45,7 @@ def edge(*, sensor: Path, reporter: Reporter) -> Result:
     help="Write files for Mosquitto, systemd units and a compose file, and do no more.",
 )  # fmt: skip
 def live(*, site: Path, broker_files: Path | None, reporter: Reporter) -> Result:
-    """Run the live system's middle: the map of now, and an occupancy folder an hour.
+    """Run the live system's middle: the map of now, and a folder of hits an hour.
 
     It ends with Ctrl-C; what was stored is then written.
     """

@@ -9,7 +9,7 @@ import click
 
 import gis_radar as gr
 from gis_radar.cli.console import Result, command
-from gis_radar.cli.options import FILE, WORDS, occupancies, origin, output, scan_crs, tile_file
+from gis_radar.cli.options import FILE, WORDS, dataset, origin, output, scan_crs
 from gis_radar.files import refuse_inputs
 from gis_radar.progress import Reporter
 
@@ -69,14 +69,16 @@ def mask(
     return Result(outputs=outputs, summary=summary)
 
 
-@command(example="gis-radar heatmap occupancy/ --tiles tiles.gpkg --interval 15min -o map/")
-@occupancies
-@tile_file
+@command(example="gis-radar heatmap dataset/ --interval 15min -o map/")
+@dataset
 @output
 @click.option("--interval", help="Length of the intervals: 20s, 15min, 1h, ...")
+@click.option("--begin", help="Only from this time on: '2025-06-12 07:30'.")
+@click.option("--end", help="Only before this time.")
 @click.option(
     "--timezone",
-    help="Whose hours and days the intervals follow, and whose clock the picture: Europe/Berlin.",
+    help="Whose hours and days the intervals follow, and whose clock the picture; by default the "
+    "dataset's.",
 )
 @click.option("--title", default="", help="Of the picture, and of a report of it.")
 @click.option(
@@ -90,42 +92,42 @@ def mask(
 )
 @click.option("--at", help="Map of the one 50 ms step at this time (ISO 8601 with Z).")
 @click.option(
-    "--vehicles", "vehicle_folders", type=FILE, multiple=True,
-    help="A folder of vehicles: adds coverage, the share of time that they stand on a tile.",
-)  # fmt: skip
+    "--map-of",
+    "further",
+    multiple=True,
+    metavar="COLUMN",
+    help="A further GeoTIFF: hidden_steps shows for which share of the observed time vehicles hid "
+    "a tile; so do hit_steps, occupied_steps, inferred_steps; repeatable.",
+)
 def heatmap(
-    *, folders: tuple[Path, ...], tiles_path: Path, output: Path,
-    vehicle_folders: tuple[Path, ...], title: str, language: str, sources: tuple[str, ...],
+    *, folder: Path, output: Path, title: str, language: str, sources: tuple[str, ...],
     reporter: Reporter, **options: Any,
 ) -> Result:  # fmt: skip
-    """Make heat maps of occupancy and coverage: GeoPackage, GeoTIFF, GeoParquet, picture."""
-    refuse_inputs(output, *folders, *vehicle_folders, tiles_path)
-    if vehicle_folders:
-        read = [gr.read_vehicles(each) for each in vehicle_folders]
-        options["vehicles"] = gr.merge_vehicles(read)
-    zone = options.get("timezone") or "UTC"
+    """Make heat maps of occupancy: GeoPackage, GeoTIFF, GeoParquet, picture."""
+    refuse_inputs(output, folder)
+    measured = gr.open_dataset(folder)
+    zone = options["timezone"] = options["timezone"] or measured.timezone
     options["labels"] = gr.MapLabels(title=title, timezone=zone, sources=sources, language=language)
-    merged = gr.merge_occupancies([gr.read_occupancy(each, reporter=reporter) for each in folders])
-    heat = gr.make_heatmap(merged, gr.read_tiles(tiles_path), reporter=reporter, **options)
+    heat = gr.make_heatmap(measured, reporter=reporter, **options)
     outputs = heat.write(output, reporter=reporter)
     return Result(outputs=outputs, summary=heat.figures(), timezone=zone)
 
 
-@command(example="gis-radar footprints vehicles/ -o footprints.gpkg")
-@click.argument("vehicles", metavar="VEHICLES", type=FILE)
+@command(example="gis-radar footprints dataset/ -o footprints.gpkg")
+@dataset
 @output
-def footprints(*, vehicles: Path, output: Path, reporter: Reporter) -> Result:
+def footprints(*, folder: Path, output: Path, reporter: Reporter) -> Result:
     """Write single vehicles as a layer that moves with the time of QGIS (.gpkg).
 
     A row a vehicle and half second: a working file, not to be published.
     """
-    refuse_inputs(output, vehicles)
-    count = gr.write_footprints(gr.read_vehicles(vehicles), output, reporter=reporter)
+    refuse_inputs(output, folder)
+    count = gr.write_footprints(gr.open_dataset(folder), output, reporter=reporter)
     return Result(outputs=[output], summary={"rows": count})
 
 
-@command(example="gis-radar trajectories vehicles/ -o tracks.json")
-@click.argument("vehicles", metavar="VEHICLES", type=FILE)
+@command(example="gis-radar trajectories dataset/ -o tracks.json")
+@dataset
 @output
 @click.option("--every", default="500ms", show_default=True, help="How far apart in time.")
 @click.option("--begin", help="Only from this time on: '2025-06-12 07:30'.")
@@ -133,13 +135,13 @@ def footprints(*, vehicles: Path, output: Path, reporter: Reporter) -> Result:
 @click.option(
     "--timezone", default="UTC", show_default=True, help="Whose clocks they are by: Europe/Berlin."
 )
-def trajectories(*, vehicles: Path, output: Path, reporter: Reporter, **options: Any) -> Result:
+def trajectories(*, folder: Path, output: Path, reporter: Reporter, **options: Any) -> Result:
     """Write tracks of single vehicles as OGC Moving Features (.json).
 
     A working file, not to be published.
     """
-    refuse_inputs(output, vehicles)
-    read = gr.read_vehicles(vehicles)
+    refuse_inputs(output, folder)
+    read = gr.open_dataset(folder)
     count = gr.write_trajectories(read, output, reporter=reporter, **options)
     return Result(outputs=[output], summary={"vehicles": count})
 

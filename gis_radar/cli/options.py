@@ -169,7 +169,8 @@ view = in_order(
 frame_times = in_order(
     click.option(
         "--cycle", "cycles", type=CYCLES,
-        help="Of sensors slower than 10 Hz, the time from frame to frame: a frame holds 1.5 of it.",
+        help="Of sensors slower than 10 Hz, the time from frame to frame: one is valid for 1.5 of "
+        "it.",
     ),
     click.option(
         "--clocks", metavar="auto|FILE",
@@ -189,7 +190,7 @@ recordings = click.argument(
 poses = click.option(
     "--pose", "poses", type=FILE, multiple=True, required=True, help="One a recording."
 )
-occupancies = click.argument("folders", metavar="OCCUPANCY...", type=FILE, nargs=-1, required=True)
+dataset = click.argument("folder", metavar="DATASET", type=FILE)
 
 csv_locale = click.option(
     "--csv-locale", type=click.Choice(["en", "de"]), default="en", show_default=True,

@@ -59,7 +59,7 @@ from gis_radar.progress import Reporter
 )  # fmt: skip
 @click.option(
     "--scan", "scans", metavar="SCAN.laz", type=FILE, multiple=True,
-    help="Airborne scan for a second look: what stands against canopy and walls. May be repeated.",
+    help="Airborne scan to check the pose: what stands against canopy and walls. May be repeated.",
 )  # fmt: skip
 @scan_crs
 @click.option("--figure", type=FILE, help="Draw the traces over lanes and scan (PNG).")

@@ -1,4 +1,4 @@
-"""The commands about recordings: convert, occupancy, clocks, quality."""
+"""The commands about recordings: convert, measure, clocks, quality."""
 
 from __future__ import annotations
 
@@ -14,10 +14,9 @@ from gis_radar.cli.options import (
     FILE,
     PAIRS,
     csv_locale,
+    dataset,
     frame_times,
-    lanes,
     numbers,
-    occupancies,
     output,
     poses,
     recordings,
@@ -27,8 +26,6 @@ from gis_radar.cli.options import (
 )  # fmt: skip
 from gis_radar.files import refuse_inputs
 from gis_radar.progress import Reporter
-
-ENGINES = {"grid": "TileGrid", "rtree": "TileTree"}
 
 
 @command(example="gis-radar convert capture.pcap -o R1.parquet")
@@ -54,54 +51,59 @@ def convert(*, inputs: tuple[str, ...], output: Path, reporter: Reporter, **opti
 
 
 @command(
-    example="gis-radar occupancy R1.parquet R2.parquet --pose R1.json --pose R2.json "
-    "--tiles tiles.gpkg -o occupancy/",
+    example="gis-radar measure R1.parquet R2.parquet --pose R1.json --pose R2.json "
+    "--tiles tiles.gpkg --map MAP.osm --scan SCAN.laz -o dataset/",
 )
 @recordings
 @poses
 @tile_file
+@click.option(
+    "--map", "map_path", metavar="MAP.osm", type=FILE, help="The lanes; hits alone need none."
+)
 @output
 @view
-@click.option("--min-speed", type=float, help="Least absolute range rate, m/s; off by default.")
-@click.option("--min-rcs", type=float, help="Least radar cross section, dBm2; off by default.")
-@click.option("--clearance", type=numbers("LOW,HIGH"), help="Heights over the road that count, m.")
+@click.option("--hits-only", is_flag=True, help="Leave out the vehicles.")
+@click.option("--min-speed", type=float, help="Least absolute range rate of a hit, m/s.")
+@click.option("--min-rcs", type=float, help="Least radar cross section of a hit, dBm2.")
+@click.option("--clearance", type=numbers("LOW,HIGH"), help="Heights of hits over the road, m.")
 @click.option(
     "--elevation-error", "elevation_error_deg", type=float, default=0.5, show_default=True,
     help="The radar's elevation error, deg (1 sigma): widens the clearance with range.",
 )  # fmt: skip
 @frame_times
 @sight
-@click.option("--engine", type=click.Choice(sorted(ENGINES)), default="grid", show_default=True)
-@click.option("--pairs", is_flag=True, help="Also write hits.parquet: each pair of step and tile.")
-def occupancy(
+@click.option("--timezone", default="UTC", show_default=True, help="The site's: Europe/Berlin.")
+@click.option("--jobs", "processes", type=click.IntRange(1), help="Hours at once; all cores.")
+def measure(
     *,
     recordings: tuple[Path, ...],
     poses: tuple[Path, ...],
     tiles_path: Path,
+    map_path: Path | None,
     output: Path,
     clocks: str | None,
-    engine: str,
-    pairs: bool,
-    cycles: dict[str, float] | None,
-    scans: tuple[Path, ...],
-    scan_crs: str | None,
     sight: Path | None,
+    scans: tuple[Path, ...],
     reporter: Reporter,
     **options: Any,
 ) -> Result:
-    """Join recordings to tiles: which tile was hit in which 50 ms step."""
-    from gis_radar.site.recipes import join_recordings  # noqa: PLC0415 - --help needs no NumPy
+    """Measure traffic: hits, tracks, passages, occupancy, by the hour, as a dataset.
 
-    refuse_inputs(output, *recordings, *poses, tiles_path, *scans, *_files(clocks, sight))
+    A dataset that is there is added to; what did not change is not made again.
+    """
+    from gis_radar.site.recipes import measure_recordings  # noqa: PLC0415 - --help needs no NumPy
+
+    files = [*_files(clocks, sight), *([] if map_path is None else [map_path])]
+    refuse_inputs(output, *recordings, *poses, tiles_path, *scans, *files)
     tracks = _tracks(poses, options, reporter)
-    result = join_recordings(
-        recordings, tracks, tiles_path, output, filters=options, clocks=clocks, cycles=cycles,
-        engine=getattr(gr, ENGINES[engine]), pairs=pairs, scans=scans, scan_crs=scan_crs,
-        sight=sight, reporter=reporter,
+    names = ("min_speed", "min_rcs", "clearance", "elevation_error_deg")
+    found = measure_recordings(
+        recordings, tracks, tiles_path, map_path, output, clocks=clocks, scans=scans, sight=sight,
+        filters={name: options.pop(name) for name in names}, reporter=reporter, **options,
     )  # fmt: skip
-    for line in gr.measure_quality(result).warnings():
+    for line in gr.measure_quality(found).warnings():
         reporter.log(line, "warning")
-    return Result(outputs=[output], summary=result.figures())
+    return Result(outputs=[output], summary=found.figures())
 
 
 def _files(clocks: str | None, sight: Path | None) -> list[Path]:
@@ -133,51 +135,13 @@ def _seeing(
 
 
 @command(
-    example="gis-radar vehicles R1.parquet R2.parquet --pose R1.json --pose R2.json "
-    "--tiles tiles.gpkg --map MAP.osm --scan SCAN.laz -o vehicles/",
-)
-@recordings
-@poses
-@tile_file
-@lanes
-@output
-@view
-@frame_times
-@sight
-def vehicles(
-    *,
-    recordings: tuple[Path, ...],
-    poses: tuple[Path, ...],
-    tiles_path: Path,
-    map_path: Path,
-    output: Path,
-    clocks: str | None,
-    reporter: Reporter,
-    scans: tuple[Path, ...],
-    sight: Path | None,
-    **options: Any,
-) -> Result:
-    """Follow the vehicles in recordings: which tiles they covered, and for how long."""
-    from gis_radar.site.recipes import follow_vehicles  # noqa: PLC0415 - --help needs no NumPy
-
-    files = _files(clocks, sight)
-    refuse_inputs(output, *recordings, *poses, tiles_path, map_path, *scans, *files)
-    tracks = _tracks(poses, options, reporter)
-    found = follow_vehicles(
-        recordings, tracks, tiles_path, map_path, output, clocks=clocks, scans=scans, sight=sight,
-        reporter=reporter, **options,
-    )  # fmt: skip
-    return Result(outputs=[output], summary=found.figures())
-
-
-@command(
     example="gis-radar clocks R1.parquet R2.parquet --pose R1.json --pose R2.json "
     "--tiles tiles.gpkg -o clocks.json",
 )
 @recordings
 @poses
 @tile_file
-@click.option("-o", "--output", type=FILE, help="A file for gis-radar occupancy --clocks (JSON).")
+@click.option("-o", "--output", type=FILE, help="A file for gis-radar measure --clocks (JSON).")
 @click.option("--reference", help="The sensor whose clock counts as right.")
 def clocks(
     *,
@@ -202,25 +166,22 @@ def clocks(
     return Result(outputs=outputs, summary=found.figures())
 
 
-@command(example="gis-radar quality occupancy/ --timezone Europe/Berlin -o quality.csv")
-@occupancies
+@command(example="gis-radar quality dataset/ --timezone Europe/Berlin -o quality.csv")
+@dataset
 @click.option("--timezone", default="UTC", show_default=True, help="Whose hours: Europe/Berlin.")
 @click.option(
     "-o", "--output", type=FILE, help="The table, a row a sensor and hour (CSV, Parquet)."
 )
 @csv_locale
 def quality(
-    *, folders: tuple[Path, ...], timezone: str, output: Path | None, csv_locale: str,
-    reporter: Reporter,
-) -> Result:  # fmt: skip
-    """Show what an occupancy rests on: frames, detections, clocks, poses, and a verdict."""
+    *, folder: Path, timezone: str, output: Path | None, csv_locale: str, reporter: Reporter
+) -> Result:
+    """Show what a dataset rests on: frames, detections, clocks, poses, and a verdict."""
     if output is not None:
         from gis_radar.quality.quality import require_table_name  # noqa: PLC0415 - late as above
 
         require_table_name(output)
-        inside = [file for folder in folders if folder.is_dir() for file in folder.iterdir()]
-        refuse_inputs(output, *folders, *(file for file in inside if file.stem != "quality"))
-    merged = gr.merge_occupancies([gr.read_occupancy(each, reporter=reporter) for each in folders])
-    found = gr.measure_quality(merged, timezone=timezone, reporter=reporter)
+        refuse_inputs(output, folder, *folder.rglob("*"))
+    found = gr.measure_quality(gr.open_dataset(folder), timezone=timezone, reporter=reporter)
     outputs = [] if output is None else [found.write(output, csv_locale=csv_locale)]
     return Result(outputs=outputs, summary=found.figures(), timezone=timezone)

@@ -11,7 +11,7 @@ import click
 import gis_radar as gr
 from gis_radar.cli.console import Result, command
 from gis_radar.cli.options import FILE, csv_locale, output
-from gis_radar.files import refuse_inputs, whole_folder
+from gis_radar.files import atomic_folder, refuse_inputs
 from gis_radar.progress import Reporter
 
 SAMPLE_KINDS = (".osm", ".laz", ".parquet", ".json", ".toml", ".md")
@@ -33,7 +33,7 @@ def _print_template(context: click.Context, _option: click.Parameter, wanted: ob
     help="Print a site file to fill in, and do nothing else.",
 )  # fmt: skip
 def run(*, site: Path, output: Path, reporter: Reporter, **options: Any) -> Result:
-    """Go the whole way for all sensors of a site; go on where an earlier run ended.
+    """Run all stages for all sensors of a site; continue where an earlier run ended.
 
     Exit code 4: a sensor has no trustworthy pose; 3: its data are bad; the heat maps show the
     others.
@@ -81,8 +81,7 @@ def check(*, site: Path, reporter: Reporter) -> Result:
 )  # fmt: skip
 @csv_locale
 @click.option(
-    "--occupancy", "occupancies", type=FILE, multiple=True,
-    help="What the heat map was made of, where it is not in DIR.",
+    "--dataset", type=FILE, help="What the heat map was made of, where it is not in DIR.",
 )  # fmt: skip
 def report(*, folder: Path, reporter: Reporter, **options: Any) -> Result:
     """Write a report for people without QGIS: HTML, PDF, and tables (CSV).
@@ -139,7 +138,7 @@ def sample(*, output: Path, reporter: Reporter) -> Result:
     files = sorted(path for path in source.iterdir() if path.suffix in SAMPLE_KINDS)
     refuse_inputs(output, *files)
     owned = tuple(path.name for path in files)
-    with whole_folder(output, owned=owned, reporter=reporter) as fresh:
+    with atomic_folder(output, owned=owned, reporter=reporter) as fresh:
         for done, path in enumerate(files, start=1):
             shutil.copyfile(path, fresh / path.name)
             reporter.progress("copying the sample", done, len(files))
@@ -152,7 +151,7 @@ def sample(*, output: Path, reporter: Reporter) -> Result:
     help="Where the results go.",
 )  # fmt: skip
 def demo(*, output: Path, reporter: Reporter) -> Result:
-    """Go the whole way on the sample junction."""
+    """Run all stages on the sample junction."""
     outputs, summary = gr.run_demo(output, reporter=reporter)
     zone = gr.read_site(gr.sample_folder() / "SITE.toml").timezone
     return Result(outputs=outputs, summary=summary, advice=_to_open(outputs), timezone=zone)

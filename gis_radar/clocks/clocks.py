@@ -26,7 +26,7 @@ from gis_radar.clocks.offsets import (
 from gis_radar.clocks.settings import DEFAULTS, ClockSettings
 from gis_radar.crs import metric_crs, require_same
 from gis_radar.errors import InputError, NoAnswerError, UsageError
-from gis_radar.files import whole_file
+from gis_radar.files import atomic_write
 from gis_radar.json_documents import read_json
 from gis_radar.notebooks import card
 from gis_radar.poses.files import PoseTrack, as_track
@@ -132,7 +132,7 @@ class Clocks:
         return lines | {sensor: f"no answer: {why}" for sensor, why in self.refused.items()}
 
     def write(self, path: str | Path) -> Path:
-        """Write a file of clocks (JSON), which `occupancy` corrects times by."""
+        """Write a file of clocks (JSON), which `measure` corrects times by."""
         pairs = [
             {"one": one, "other": other, "offset_s": offset.offset_s, "sigma_s": offset.sigma_s,
              "vehicles": offset.vehicles}
@@ -145,7 +145,7 @@ class Clocks:
             "pairs": pairs,
             "settings": asdict(self.settings),
         }
-        with whole_file(Path(path)) as part:
+        with atomic_write(Path(path)) as part:
             text = json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False)
             part.write_text(text + "\n", encoding="utf-8")
         return Path(path)

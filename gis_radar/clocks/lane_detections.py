@@ -148,15 +148,15 @@ def read_lane_detections(
     around: list[LaneDetections] = []
     before_s, after_s = lanes.settings.window_s
     done, begin_s = 0, np.nan
-    for piece in recording.read():
-        begin_s = float(piece.time[0]) if done == 0 else begin_s
-        done += len(piece)
+    for batch in recording.read():
+        begin_s = float(batch.time[0]) if done == 0 else begin_s
+        done += len(batch)
         reporter.progress(f"{STAGE}: {recording.path.name}", done, recording.rows)
-        if piece.time[0] > max(latest_s, begin_s) + after_s:
+        if batch.time[0] > max(latest_s, begin_s) + after_s:
             break
-        keep = np.abs(piece.time - latest_s - (before_s + after_s) / 2) <= (after_s - before_s) / 2
+        keep = np.abs(batch.time - latest_s - (before_s + after_s) / 2) <= (after_s - before_s) / 2
         if keep.any():
-            around.append(lanes.match(piece.take(keep), track))
-        elif not around and piece.time[0] <= begin_s + after_s - before_s:
-            parts.append(lanes.match(piece, track))
+            around.append(lanes.match(batch.take(keep), track))
+        elif not around and batch.time[0] <= begin_s + after_s - before_s:
+            parts.append(lanes.match(batch, track))
     return LaneDetections.joined(around or parts)

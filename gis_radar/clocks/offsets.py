@@ -80,7 +80,7 @@ def _best_lag(
     best = int(score.argmax())
     elsewhere = np.abs(np.arange(len(score)) - best) > apart
     second = float(score[elsewhere & allowed].max(initial=0.0))
-    if score[best] < max(settings.rough_score, settings.rough_lead * second):
+    if score[best] < max(settings.rough_score, settings.rough_ratio * second):
         raise NoAnswerError("no lag stands out in their common traffic")
     near = slice(max(best - width // 2, 0), best + width // 2 + 1)
     weight = np.maximum(agreement[near] - around[best] / width, 1e-9)
@@ -349,7 +349,7 @@ def validate_offset(
     share, *decoys = (there + back) / 2
     if not share >= settings.least_share:
         raise NoAnswerError("at no lag do they see the same vehicles")
-    if not share >= settings.least_lead * np.nanmax([0.0, *decoys]):
+    if not share >= settings.least_ratio * np.nanmax([0.0, *decoys]):
         raise NoAnswerError("their common traffic looks alike at other lags too")
 
 

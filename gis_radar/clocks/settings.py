@@ -34,7 +34,7 @@ class ClockSettings:
     peak_bins, around_bins, apart_bins : int
         Width of a peak (1.25 s, a vehicle's time in a cell), of its surroundings (40 s, within a
         cycle of signals), and how far off a second peak is another one (5 s).
-    rough_score, rough_lead : float
+    rough_score, rough_ratio : float
         Least height of the best lag in robust standard deviations over the agreement at other
         lags, of which there are tens of thousands; and over the next best lag.
     rough_pairs : int
@@ -77,7 +77,7 @@ class ClockSettings:
         Both saw a vehicle where place, time and speed differ by less.
     decoys_s : tuple of float
         Lags, seconds off the answer, at which far less may agree.
-    least_share, least_lead : float
+    least_share, least_ratio : float
         Least share seen by both at the answer, and over that at any decoy.
     least_checked : int
         Least detections of a sensor where and while the other one recorded.
@@ -100,7 +100,7 @@ class ClockSettings:
     around_bins: int = 161
     apart_bins: int = 20
     rough_score: float = 8.0
-    rough_lead: float = 1.25
+    rough_ratio: float = 1.25
     rough_pairs: int = 20
     pair_s: float = 0.35
     pair_mps: float = 1.5
@@ -131,7 +131,7 @@ class ClockSettings:
     near_mps: float = 1.0
     decoys_s: tuple[float, ...] = (-3.0, -2.0, -1.5, 1.5, 2.0, 3.0)
     least_share: float = 0.45
-    least_lead: float = 1.3
+    least_ratio: float = 1.3
     least_checked: int = 50
     drift_sigmas: float = 3.0
     contradiction_sigmas: float = 4.0

@@ -41,7 +41,7 @@ def table_by_lane(
     each: bool = False,
     lanes: gpd.GeoDataFrame | None = None,
 ) -> pd.DataFrame | gpd.GeoDataFrame:
-    """Return coverage and occupancy of each lane.
+    """Return occupancy and hit share of each lane.
 
     Parameters
     ----------
@@ -59,10 +59,10 @@ def table_by_lane(
     DataFrame, or GeoDataFrame with lanes
         By `lane`, its number; with `each` by `begin` (the interval's, in the site's time zone) and
         `lane`. `length_m` of its tiles; `seen_m`, of those with a share. Where vehicles are known
-        `visible_s` and `covered_s`, seconds, the mean of its tiles; `coverage`, their quotient, NaN
-        where not visible, and its standard error `coverage_se`: the mean of its tiles', by visible
-        time, as a vehicle that was missed, or is none, is so all along a lane. `observed_s`,
-        `occupied_s` and `occupancy`: the same of hits, for which no error is known.
+        `visible_s` and `occupied_s`, seconds, the mean of its tiles; `occupancy`, their quotient,
+        NaN where not visible, and its standard error `occupancy_se`: the mean of its tiles', by
+        visible time, as a vehicle that was missed, or is none, is so all along a lane.
+        `observed_s`, `hit_s` and `hit_share`: the same of hits, for which no error is known.
     """
     tiled, lane_of_tile = lanes_with_tiles(tally.tiles)
     index = pd.Index([lane.number for lane in tiled], name=LANE)
@@ -95,23 +95,23 @@ def _sums(
 
     count = total(np.ones(len(lane_of_tile)))
     length_m = tally.tiles["length_m"].to_numpy(np.float64)
-    hits, known = tally.shares(interval), tally.coverage_shares(interval)
+    hits, known = tally.shares(interval), tally.occupancy_shares(interval)
     shown_s = hits.observed_s if known is None else known.visible_s
     columns = {"length_m": total(length_m), "seen_m": total(np.where(shown_s > 0, length_m, 0.0))}
     if known is not None:
-        visible_s, covered_s = total(known.visible_s), total(known.covered_s)
-        error_s = total(known.coverage_se * known.visible_s)
+        visible_s, occupied_s = total(known.visible_s), total(known.occupied_s)
+        error_s = total(known.occupancy_se * known.visible_s)
         columns |= {
             "visible_s": visible_s / count,
-            "covered_s": np.where(visible_s > 0, covered_s / count, np.nan),
-            "coverage": _share(covered_s, visible_s),
-            "coverage_se": _share(error_s, visible_s),
+            "occupied_s": np.where(visible_s > 0, occupied_s / count, np.nan),
+            "occupancy": _share(occupied_s, visible_s),
+            "occupancy_se": _share(error_s, visible_s),
         }
-    observed_s, occupied_s = total(hits.observed_s), total(hits.occupied_s)
+    observed_s, hit_s = total(hits.observed_s), total(hits.hit_s)
     columns |= {
         "observed_s": observed_s / count,
-        "occupied_s": np.where(observed_s > 0, occupied_s / count, np.nan),
-        "occupancy": _share(occupied_s, observed_s),
+        "hit_s": np.where(observed_s > 0, hit_s / count, np.nan),
+        "hit_share": _share(hit_s, observed_s),
     }
     return pd.DataFrame(columns, index=index)
 

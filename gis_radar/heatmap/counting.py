@@ -1,17 +1,13 @@
-"""Count in how many steps each tile was observed and occupied, interval by interval.
+"""Count in how many steps each tile was hit, observed, occupied and visible, by interval.
 
-Occupied(tile, interval) is the number of steps that frames with a hit in the tile cover,
-observed(tile, interval) that of the steps that frames of any sensor cover whose view sees the tile:
-a union over the sensors, so that overlapping views never count twice (the paper's section
-"Global Occupancy Heat Map"). A hit counts only where the tile was observed in that step: a
-detection on the corner of a tile whose centre lies outside the view is left out, and occupied
-never exceeds observed.
+Intervals of whole quarters of an hour are sums of the dataset's tile counts; finer ones are counted
+from its exact tables, an hour at a time.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from typing import Any, NamedTuple, Self
 from zoneinfo import ZoneInfo
 
@@ -22,36 +18,37 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from gis_radar.arrays import Booleans, Floats, Integers
-from gis_radar.errors import InputError
-from gis_radar.heatmap.covering import (
-    COVERAGE_DEFINITIONS,
-    Coverage,
-    CoverageShares,
-    count_coverage,
-    mean_coverage,
-)
+from gis_radar.dataset import Dataset
+from gis_radar.dataset.parts import STEPS_PER_HOUR
+from gis_radar.dataset.tables import TILE_COUNTS
+from gis_radar.dataset.tile_counts import STEPS_PER_QUARTER, HourSpans, count_spans
+from gis_radar.errors import InputError, UsageError
 from gis_radar.heatmap.intervals import SETTINGS, MapLabels, Timeline, When, intervals_at
-from gis_radar.occupancy import Occupancy
-from gis_radar.occupancy.frame_steps import Runs, common_steps, steps_in, union
-from gis_radar.occupancy.hits import Rows
+from gis_radar.heatmap.occupancy import (
+    OCCUPANCY_DEFINITIONS,
+    Occupancy,
+    OccupancyShares,
+    mean_occupancy,
+    occupancy_of,
+)
+from gis_radar.measures.validity import Runs
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.steps import STEP_US, STEPS_PER_SECOND, Clock, iso_from_step, zone_of
-from gis_radar.vehicles import Vehicles
+from gis_radar.tiles.tiles import own_columns
 
 DEFINITIONS = {
-    "occupied_s": (
-        "seconds in which the tile was occupied: 0.05 s for each step of 50 ms that a frame of any "
-        "sensor with a kept detection in it covers, while it was observed (hit occupancy)"
+    "hit_s": (
+        "seconds in which the tile was hit: 0.05 s for each step of 50 ms in which a frame with a "
+        "detection in it that counts is valid, while it was observed"
     ),
     "observed_s": (
-        "seconds in which the tile was observed: 0.05 s for each step of 50 ms that a frame of a "
-        "sensor that sees the tile's centre covers; overlapping views count once"
+        "seconds in which the tile was observed: 0.05 s for each step of 50 ms in which a frame of "
+        "a sensor that has it in sight is valid; overlapping views count once"
     ),
-    "occupancy": "occupied_s / observed_s, 0 to 1; no data where not observed",
+    "hit_share": "hit_s / observed_s, 0 to 1; no data where not observed",
 }
 
 Counts = NDArray[np.uint32]
-LEAST_COUNTED = 0.5  # of hits on tiles that a sensor sees; what does not count is at edges of views
 NO_LABELS = MapLabels()
 
 
@@ -60,20 +57,20 @@ class Shares(NamedTuple):
 
     Parameters
     ----------
-    occupied_s, observed_s : (n,) float64 arrays
-        Seconds; occupied is NaN where not observed, observed is 0 there.
-    occupancy : (n,) float64 array
+    hit_s, observed_s : (n,) float64 arrays
+        Seconds; hit is NaN where not observed, observed is 0 there.
+    hit_share : (n,) float64 array
         Their quotient, NaN where not observed.
     """
 
-    occupied_s: Floats
+    hit_s: Floats
     observed_s: Floats
-    occupancy: Floats
+    hit_share: Floats
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Tally:
-    """Steps in which tiles were occupied and observed.
+    """Steps in which tiles were hit and observed.
 
     Parameters
     ----------
@@ -88,17 +85,16 @@ class Tally:
     timeline : Timeline
         The intervals; `whole` where none were asked for.
     seen : (k,) int64 array
-        Positions of the tiles that some view sees.
-    group : (k,) int64 array
-        For each of them its column in `observed`: tiles that the same views see share one.
-    occupied : (intervals, k) uint32 array
-        Steps in which a tile was occupied.
-    observed : (intervals, groups) int64 array
-        Steps in which a group of tiles was observed.
-    coverage : Coverage, optional
-        Steps in which they were visible and covered, where vehicles are known.
+        Positions of the tiles that are in sight from some pose.
+    hit, observed : (intervals, k) uint32 arrays
+        Steps in which they were hit and observed, and observed.
+    occupancy : Occupancy, optional
+        Steps in which they were visible and occupied, where vehicles are known.
     labels : MapLabels
         What stands beside its numbers.
+    further : mapping
+        Of further columns of `tile_counts` that are a share of another one, by name: steps of the
+        column and of the other, (intervals, k) uint32 arrays each.
     """
 
     tiles: gpd.GeoDataFrame
@@ -107,21 +103,21 @@ class Tally:
     whole: Timeline
     timeline: Timeline
     seen: Integers
-    group: Integers
-    occupied: Counts
-    observed: Integers
-    coverage: Coverage | None = None
+    hit: Counts
+    observed: Counts
+    occupancy: Occupancy | None = None
     labels: MapLabels = NO_LABELS
+    further: Mapping[str, tuple[Counts, Counts]] = field(default_factory=dict)
 
     @property
     def measure(self) -> str:
-        """What maps of it show: `coverage` where vehicles are known, else `occupancy`."""
-        return "occupancy" if self.coverage is None else "coverage"
+        """What maps of it show: `occupancy` where vehicles are known, else `hit_share`."""
+        return "hit_share" if self.occupancy is None else "occupancy"
 
     @property
     def definitions(self) -> dict[str, str]:
         """What its columns mean."""
-        return DEFINITIONS | ({} if self.coverage is None else COVERAGE_DEFINITIONS)
+        return DEFINITIONS | ({} if self.occupancy is None else OCCUPANCY_DEFINITIONS)
 
     @property
     def crs(self) -> CRS:
@@ -138,83 +134,74 @@ class Tally:
     @classmethod
     def count(
         cls,
-        occupancy: Occupancy,
-        tiles: gpd.GeoDataFrame,
+        dataset: Dataset,
         whole: Timeline,
         timeline: Timeline,
         *,
         chosen: Integers | None = None,
-        vehicles: Vehicles | None = None,
         labels: MapLabels | None = None,
+        further: Sequence[str] = (),
         reporter: Reporter = QUIET,
     ) -> Self:
-        """Count the steps in which tiles were observed, and occupied while they were.
+        """Count the steps in which tiles were hit, observed, occupied and visible.
 
         Parameters
         ----------
-        occupancy : Occupancy
-            Its hits are read once, chunk by chunk.
-        tiles : GeoDataFrame
-            All of its tiles, from :func:`checked`.
+        dataset : Dataset
+            What was measured.
         whole, timeline : Timeline
             The whole time, and the intervals.
         chosen : (k,) int64 array, optional
             Positions of the tiles to count, ascending; without it, all.
-        vehicles : Vehicles, optional
-            Of the same tiles, sensors, poses and sight; only steps that both hold count.
         labels : MapLabels, optional
             What stands beside its numbers.
+        further : sequence of str
+            Further columns of `tile_counts` to keep, each a share of another one.
         reporter : Reporter
             Where progress goes.
 
         Raises
         ------
+        UsageError
+            If a column is no share of another one.
         InputError
-            If no view sees any tile, or a view or a hit names a tile that is not there.
+            If no tile is in sight, or a part of the dataset is damaged.
         """
-        tile_ids = tiles["tile_id"].to_numpy(np.int64)
-        seen, group, runs = _observe(occupancy, tile_ids)
-        if vehicles is not None:
-            both = vehicles.covered_frames()
-            runs = tuple(common_steps(each, both) for each in runs)
+        for name in further:
+            _require_share(name)
+        tiles = own_tiles(dataset)
+        ids = tiles["tile_id"].to_numpy(np.int64)
+        seen = positions(ids, np.unique(dataset.sights()["tile_id"].to_numpy(np.int64)))
+        if not len(seen):
+            raise InputError(
+                "no sensor sees any of the tiles", hint="do the poses belong to this place?"
+            )
         if chosen is not None:
-            wanted = np.isin(seen, chosen)
-            seen, group = seen[wanted], group[wanted]
-        column = np.full(len(tile_ids), -1)
-        column[seen] = np.arange(len(seen))
-        observed, shift = _runs_of_groups(runs, timeline)
-        occupied = np.zeros((len(timeline), len(seen)), np.uint32)
-        done = found = counted = 0
-        outside: list[int] = []
-        for step, tile_id in _hits_within(occupancy.held_hits(), timeline, whole, outside):
-            place, row = column[positions(tile_ids, tile_id)], timeline.find(step)
-            kept = np.flatnonzero((place >= 0) & (row >= 0))
-            found += len(kept)
-            kept = kept[observed.find(step[kept] + shift[group[place[kept]]]) >= 0]
-            np.add.at(occupied.reshape(-1), row[kept] * len(seen) + place[kept], 1)
-            counted += len(kept)
-            done += len(step)
-            reporter.progress("counting hits", done, None)
-        found += sum(outside) if vehicles is None else 0
-        if chosen is None and (doubt := _doubt(found, counted)):
-            reporter.log(doubt, "warning")
-        coverage = None
-        if vehicles is not None:
-            either = steps_in(occupancy.covered_frames())
-            steps = common_steps(either, both)
-            coverage = count_coverage(vehicles, tiles, seen, timeline, steps, reporter)
+            seen = seen[np.isin(seen, chosen)]
+        steps = dataset.frame_steps()
+        of_quarters = _of_quarters(timeline, steps)
+        sums = over = _sums(dataset, ids[seen], timeline, reporter, of_quarters=of_quarters)
+        if dataset.has_vehicles and not of_quarters:
+            cut = whole.cut_at(STEPS_PER_QUARTER)
+            exact = not _of_quarters(cut, steps)
+            over = _sums(dataset, ids[seen], cut, reporter, of_quarters=not exact)
+        if not sums["hit_steps"].any():
+            reporter.log("no tile was hit while it was observed: the map shows zeros", "warning")
         return cls(
             tiles=tiles if chosen is None else tiles.iloc[chosen].reset_index(drop=True),
-            fingerprint=occupancy.fingerprint,
-            sensors=tuple(sorted(map(str, occupancy.frames["sensor"].unique()))),
+            fingerprint=dataset.manifest.fingerprint,
+            sensors=tuple(dataset.sensors),
             whole=whole,
             timeline=timeline,
             seen=seen if chosen is None else np.searchsorted(chosen, seen),
-            group=group,
-            occupied=occupied,
-            observed=np.stack([timeline.counts(each) for each in runs], axis=1),
-            coverage=coverage,
+            hit=sums["hit_steps"].astype(np.uint32),
+            observed=sums["observed_steps"].astype(np.uint32),
+            occupancy=occupancy_of(sums, over, tiles, seen) if dataset.has_vehicles else None,
             labels=labels or NO_LABELS,
+            further={
+                name: (sums[name].astype(np.uint32), sums[SHARES[name]].astype(np.uint32))
+                for name in further
+            },
         )
 
     def chosen(
@@ -249,7 +236,7 @@ class Tally:
         return steps.tz_convert(self.zone).rename("begin")
 
     def shares(self, interval: When = None) -> Shares:
-        """Return seconds and occupancy of all tiles.
+        """Return seconds and hit share of all tiles.
 
         Parameters
         ----------
@@ -262,18 +249,18 @@ class Tally:
         UsageError
             If there is no such interval.
         """
-        occupied, observed = self.steps(interval)
-        occupied_s = np.full(len(self.tiles), np.nan)
+        hit, observed = self.steps(interval)
+        hit_s = np.full(len(self.tiles), np.nan)
         observed_s = np.zeros(len(self.tiles))
         known = observed > 0
-        occupied_s[self.seen[known]] = occupied[known] / STEPS_PER_SECOND
+        hit_s[self.seen[known]] = hit[known] / STEPS_PER_SECOND
         observed_s[self.seen] = observed / STEPS_PER_SECOND
         share = np.full(len(self.tiles), np.nan)
-        share[self.seen[known]] = occupied[known] / observed[known]
-        return Shares(occupied_s, observed_s, share)
+        share[self.seen[known]] = hit[known] / observed[known]
+        return Shares(hit_s, observed_s, share)
 
-    def coverage_shares(self, interval: When = None) -> CoverageShares | None:
-        """Return visible and covered seconds and coverage of all tiles, where vehicles are known.
+    def occupancy_shares(self, interval: When = None) -> OccupancyShares | None:
+        """Return visible and occupied seconds and occupancy of all tiles, where vehicles are known.
 
         Parameters
         ----------
@@ -281,47 +268,71 @@ class Tally:
             As for :meth:`shares`.
         """
         part = self.chosen(interval)
-        if self.coverage is None:
+        if self.occupancy is None:
             return None
-        return self.coverage.shares(self.seen, len(self.tiles), part)
+        return self.occupancy.shares(self.seen, len(self.tiles), part)
 
-    def shown(self, interval: When = None) -> Floats:
-        """Return for all tiles what maps show: coverage where vehicles are known, else occupancy.
+    def shown(self, interval: When = None, measure: str | None = None) -> Floats:
+        """Return for all tiles what a map shows, 0 to 1; NaN where nothing is known.
 
         Parameters
         ----------
         interval : int, slice, str or datetime, optional
             As for :meth:`shares`.
+        measure : str, optional
+            `occupancy`, `hit_share`, or one of `further`; without it, :attr:`measure`.
+
+        Raises
+        ------
+        UsageError
+            If it was not counted.
         """
-        known = self.coverage_shares(interval)
-        return self.shares(interval).occupancy if known is None else known.coverage
+        measure = measure or self.measure
+        if measure == "hit_share":
+            return self.shares(interval).hit_share
+        known = self.occupancy_shares(interval)
+        if measure == "occupancy" and known is not None:
+            return known.occupancy
+        if measure not in self.further:
+            raise UsageError(f"the heat map has no {measure}")
+        asked = self.chosen(interval)
+        rows = slice(asked) if asked is None else asked
+        part, whole = (
+            np.atleast_2d(counts[rows]).sum(axis=0, dtype=np.int64)
+            for counts in self.further[measure]
+        )
+        share = np.full(len(self.tiles), np.nan)
+        share[self.seen[whole > 0]] = part[whole > 0] / whole[whole > 0]
+        return share
 
     def least_visible_s(self, interval: When = None) -> float:
         """Return the seconds below which a tile was visible for too short to be certain of it."""
         part = self.chosen(interval)
-        return 0.0 if self.coverage is None else self.coverage.least_visible_s(part)
+        return 0.0 if self.occupancy is None else self.occupancy.least_visible_s(part)
 
     def uncertain(self, interval: When = None) -> Booleans:
-        """Return for all tiles whether their coverage is uncertain; maps hatch those.
+        """Return for all tiles whether their occupancy is uncertain; maps hatch those.
 
         Parameters
         ----------
         interval : int, slice, str or datetime, optional
             As for :meth:`shares`.
         """
-        known = self.coverage_shares(interval)
+        known = self.occupancy_shares(interval)
         if known is None:
             return np.zeros(len(self.tiles), np.bool_)
         return known.uncertain(self.least_visible_s(interval))
 
     def steps(self, interval: When = None) -> tuple[Integers, Integers]:
-        """Return the steps in which each of the `seen` tiles was occupied and observed."""
+        """Return the steps in which each of the `seen` tiles was hit and observed."""
         chosen = self.chosen(interval)
         part = slice(None) if chosen is None else chosen
         if isinstance(part, int):
-            return self.occupied[part].astype(np.int64), self.observed[part][self.group]
-        occupied = self.occupied[part].sum(axis=0, dtype=np.int64)
-        return occupied, self.observed[part].sum(axis=0)[self.group]
+            return self.hit[part].astype(np.int64), self.observed[part].astype(np.int64)
+        hit, observed = (
+            each[part].sum(axis=0, dtype=np.int64) for each in (self.hit, self.observed)
+        )
+        return hit, observed
 
     @property
     def whole_iso(self) -> tuple[str, str]:
@@ -343,20 +354,22 @@ class Tally:
 
     def figures(self) -> dict[str, Any]:
         """Return a few figures worth a look: the time, and how much was observed and hit."""
-        occupied, observed = self.steps()
+        hit, observed = self.steps()
         begin, end = self.whole_iso
         figures: dict[str, Any] = {
             "begin": begin,
             "end": end,
             "intervals": len(self.timeline),
             "tiles_observed": int(np.count_nonzero(observed)),
-            "tiles_hit": int(np.count_nonzero(occupied)),
+            "tiles_hit": int(np.count_nonzero(hit)),
         }
-        known = self.coverage_shares()
+        known = self.occupancy_shares()
         if known is not None:
             figures["tiles_visible"] = int(np.count_nonzero(known.visible_s))
-            figures["covered_s"] = float(np.nansum(known.covered_s))
-            figures["mean_coverage"], figures["mean_coverage_se"] = mean_coverage(self.tiles, known)
+            figures["occupied_s"] = float(np.nansum(known.occupied_s))
+            figures["mean_occupancy"], figures["mean_occupancy_se"] = mean_occupancy(
+                self.tiles, known
+            )
         return figures
 
     @property
@@ -376,33 +389,14 @@ class Tally:
         )
         if "tiles_visible" not in known:
             return f"{text}{known['tiles_hit']} hit)"
-        mean, error = known["mean_coverage"], known["mean_coverage_se"]
-        return f"{text}{known['tiles_visible']} visible; mean coverage {mean:.4f}, se {error:.4f})"
+        mean, error = known["mean_occupancy"], known["mean_occupancy_se"]
+        return f"{text}{known['tiles_visible']} visible; mean occupancy {mean:.4f}, se {error:.4f})"
 
 
-def _doubt(found: int, counted: int) -> str:
-    """Return what to say where hits and observation do not fit each other, or nothing."""
-    if found == 0:
-        return "no tile was hit while it was observed: the map shows zeros"
-    lost = f"{found - counted} of {found} hits are in steps in which no frame observes their tile"
-    return f"{lost}, and do not count" if counted < LEAST_COUNTED * found else ""
-
-
-def _observe(
-    occupancy: Occupancy, tile_ids: Integers
-) -> tuple[Integers, Integers, tuple[Runs, ...]]:
-    """Return the positions of the tiles in view, the group of each, and each group's steps."""
-    frames, views = occupancy.covered_frames(), occupancy.views
-    if views.empty:
-        raise InputError(
-            "no sensor sees any of the tiles", hint="do the poses belong to this place?"
-        )
-    codes, tiles = _view_codes(frames, views)
-    position = positions(tile_ids, views["tile_id"].to_numpy(np.int64))
-    seen, group, members = _group(position, tiles)
-    of_view: dict[Any, Runs] = {code: steps_in(rows) for code, rows in frames.groupby(codes)}
-    runs = tuple(union([of_view.get(code, _NO_RUNS) for code in each]) for each in members)
-    return seen, group, runs
+def own_tiles(dataset: Dataset) -> gpd.GeoDataFrame:
+    """Return the tiles of a dataset by id, with their own columns only."""
+    tiles = dataset.tiles().sort_values("tile_id", ignore_index=True)
+    return gpd.GeoDataFrame(tiles[[*own_columns(tiles), "geometry"]], crs=tiles.crs)
 
 
 def positions(tile_ids: Integers, wanted: Integers) -> Integers:
@@ -417,70 +411,71 @@ def positions(tile_ids: Integers, wanted: Integers) -> Integers:
     known = position < len(tile_ids)
     known[known] = tile_ids[position[known]] == wanted[known]
     if not known.all():
-        raise InputError(f"the occupancy names tile {wanted[~known][0]}, which the tiles lack")
+        raise InputError(f"the dataset names tile {wanted[~known][0]}, which its tiles lack")
     return position
 
 
-def _hits_within(
-    hits: Iterator[Rows], timeline: Timeline, whole: Timeline, outside: list[int]
-) -> Iterator[Rows]:
-    """Yield the hits in a span of time, count those beyond all frames; later ones are not read."""
-    first, after = int(timeline.begin[0]), int(timeline.end[-1])
-    for step, tile in hits:
-        begin, end = np.searchsorted(step, [whole.begin[0], whole.end[-1]])
-        outside.append(int(len(step) - (end - begin)))
-        if len(step) == 0 or step[-1] < first:
+COUNTED = tuple(name for name in TILE_COUNTS.names if name not in TILE_COUNTS.order)
+SHARES = TILE_COUNTS.shares
+
+
+def _require_share(name: str) -> None:
+    """Refuse a column that is no share of another one."""
+    if name not in SHARES:
+        raise UsageError(f"no map shows {name!r}", hint=f"choose one of {', '.join(SHARES)}")
+
+
+def _sums(
+    dataset: Dataset, ids: Integers, timeline: Timeline, reporter: Reporter, *, of_quarters: bool
+) -> dict[str, Floats]:
+    """Return the sums of the columns of tile counts: (intervals, tiles) arrays."""
+    sums = {name: np.zeros((len(timeline), len(ids))) for name in COUNTED}
+    source = _by_quarter if of_quarters else _by_step
+    for done, (tile, interval, counts) in enumerate(source(dataset, timeline)):
+        place = np.minimum(np.searchsorted(ids, tile), len(ids) - 1)
+        kept = (interval >= 0) & (ids[place] == tile)
+        cell = interval[kept] * len(ids) + place[kept]
+        for name, total in sums.items():
+            more = np.bincount(cell, counts[name][kept], total.size)
+            sums[name] = total + more.reshape(total.shape)
+        reporter.progress("counting tiles", done + 1, None)
+    return sums
+
+
+_Counted = tuple[Integers, Integers, dict[str, Floats]]  # tiles, intervals, counts
+
+
+def _of_quarters(timeline: Timeline, steps: Runs) -> bool:
+    """Return whether no interval cuts a quarter of an hour in which frames are valid."""
+    begin, end = timeline.begin, timeline.end
+    begins_there = (begin % STEPS_PER_QUARTER == 0) | (begin <= steps.first[0])
+    ends_there = (end % STEPS_PER_QUARTER == 0) | (end > steps.last[-1])
+    return bool((begins_there & ends_there).all())
+
+
+def _by_quarter(dataset: Dataset, timeline: Timeline) -> Iterator[_Counted]:
+    """Yield the tile counts of each date, with the interval that each quarter lies in."""
+    first = timeline.begin // STEPS_PER_QUARTER * STEPS_PER_QUARTER
+    last = -(-timeline.end // STEPS_PER_QUARTER) * STEPS_PER_QUARTER
+    quarters = Timeline(begin=first, end=last)
+    span = int(first[0]), int(last[-1]) - 1
+    for rows in dataset.batches(TILE_COUNTS, span, ["tile_id", "first_step", *COUNTED]):
+        counts = {name: rows[name].to_numpy().astype(np.float64) for name in COUNTED}
+        yield rows["tile_id"].to_numpy(), quarters.find(rows["first_step"].to_numpy()), counts
+
+
+def _by_step(dataset: Dataset, timeline: Timeline) -> Iterator[_Counted]:
+    """Yield the counts of each hour in the intervals that it has a part in."""
+    records = dataset.records((int(timeline.begin[0]), int(timeline.end[-1]) - 1))
+    for hour, record in records.items():
+        begin = hour * STEPS_PER_HOUR
+        low = int(np.searchsorted(timeline.end, begin, side="right"))
+        high = int(np.searchsorted(timeline.begin, begin + STEPS_PER_HOUR))
+        if low == high:
             continue
-        low, high = np.searchsorted(step, [first, after])
-        yield step[low:high], tile[low:high]
-        if high < len(step):
-            return
-
-
-def _runs_of_groups(runs: Sequence[Runs], timeline: Timeline) -> tuple[Timeline, Integers]:
-    """Return the runs of all groups in one ascending list, and what each group's are shifted by."""
-    first, after = int(timeline.begin[0]), int(timeline.end[-1])
-    parts = [each.within(first, after - 1) for each in runs]
-    shift = np.arange(len(parts)) * (after - first) - first
-    shifts = np.repeat(shift, [len(each) for each in parts])
-    begin = np.concatenate([each.first for each in parts]) + shifts
-    return Timeline(
-        begin=begin, end=np.concatenate([each.last for each in parts]) + 1 + shifts
-    ), shift
-
-
-_NO_RUNS = Runs(first=np.empty(0, np.int64), last=np.empty(0, np.int64))
-
-
-def _view_codes(frames: pd.DataFrame, views: pd.DataFrame) -> tuple[Integers, Integers]:
-    """Return a number for the view of each row of `frames` and of each row of `views`."""
-    columns = ["sensor", "view"]
-    both = pd.concat([frames[columns], views[columns]], ignore_index=True).astype(str)
-    codes = np.asarray(both.groupby(columns, sort=False).ngroup(), dtype=np.int64)
-    return codes[: len(frames)], codes[len(frames) :]
-
-
-def _group(position: Integers, code: Integers) -> tuple[Integers, Integers, list[list[int]]]:
-    """Group tiles by the set of views that see them.
-
-    Returns
-    -------
-    seen, group : (k,) int64 arrays
-        Position and group of each tile that is seen.
-    members : list of lists of int
-        The views of each group.
-    """
-    views = code.max() + 1
-    tile, codes = np.divmod(np.unique(position * views + code), views)
-    seen, start = np.unique(tile, return_index=True)
-    stop = np.append(start[1:], len(tile))
-    numbers: dict[bytes, int] = {}
-    group = np.array(
-        [
-            numbers.setdefault(codes[low:high].tobytes(), len(numbers))
-            for low, high in zip(start.tolist(), stop.tolist(), strict=True)
-        ],
-        dtype=np.int64,
-    )
-    members = [np.frombuffer(text, np.int64).tolist() for text in numbers]
-    return seen, group, members
+        spans = HourSpans(
+            first=np.maximum(timeline.begin[low:high] - begin, 0),
+            last=np.minimum(timeline.end[low:high] - begin, STEPS_PER_HOUR) - 1,
+        )
+        tiles, sums = count_spans(dataset.folder, record, spans)
+        yield np.repeat(tiles, high - low), np.tile(np.arange(low, high), len(tiles)), sums

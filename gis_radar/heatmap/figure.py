@@ -19,8 +19,8 @@ from gis_radar.crs import name_of
 from gis_radar.errors import NOTEBOOKS, InputError
 from gis_radar.heatmap import style
 from gis_radar.heatmap.counting import Tally
-from gis_radar.heatmap.covering import surest
 from gis_radar.heatmap.intervals import When
+from gis_radar.heatmap.occupancy import surest
 from gis_radar.heatmap.picture import (
     INK,
     SOFT,
@@ -52,13 +52,13 @@ LINE_IN = 0.16
 FRAME = "#9aa1a8"
 HATCH, UNSURE_HATCH = "////", "\\\\\\"
 APART = {style.NEVER_HIT, style.UNCERTAIN, style.NOT_OBSERVED}  # in the legend
-TITLES = {"occupancy": "Occupancy heat map", "coverage": "Coverage heat map"}
+TITLES = {"hit_share": "Hit share heat map", "occupancy": "Occupancy heat map"}
 MEANINGS = {
-    "occupancy": (
-        "A tile is occupied in a step of 50 ms when a radar detection falls in it; overlapping "
+    "hit_share": (
+        "A tile is hit in a step of 50 ms when a radar detection falls in it; overlapping "
         "views count once."
     ),
-    "coverage": (
+    "occupancy": (
         "20 % are 12 seconds of every minute with a vehicle on the tile, moving or waiting. "
         "Uncertain: the standard error (±) is as large as the value and 2 points or more, or the "
         "tile was visible for less than half as long as the best seen one. Not visible: no sensor "
@@ -80,7 +80,7 @@ def draw(
 ) -> Axes:
     """Draw the tiles in the classes of all heat maps, the busiest on top.
 
-    Where vehicles are known it shows coverage, else occupancy; in the language of the labels.
+    Where vehicles are known it shows occupancy, else hit share; in the language of the labels.
 
     Parameters
     ----------
@@ -284,15 +284,15 @@ def _facts(tally: Tally) -> list[tuple[str, str]]:
         (tr("Tiles observed"), figure_text(known["tiles_observed"])),
         (tr("Tiles hit"), figure_text(known["tiles_hit"])),
     ]
-    shares = tally.coverage_shares()
+    shares = tally.occupancy_shares()
     if shares is not None:
         part, whole = figure_text(known["tiles_visible"]), figure_text(len(tally.tiles))
         facts[1:] = [(tr("Tiles visible"), tr("{part} of {all}", part=part, all=whole))]
-        mean = percent(known["mean_coverage"], off=known["mean_coverage_se"])
-        facts.append((tr("Mean coverage"), mean))
-        if np.any(shares.coverage > 0):
-            top = surest(shares.coverage, shares.coverage_se)
-            best = percent(shares.coverage[top], off=shares.coverage_se[top])
+        mean = percent(known["mean_occupancy"], off=known["mean_occupancy_se"])
+        facts.append((tr("Mean occupancy"), mean))
+        if np.any(shares.occupancy > 0):
+            top = surest(shares.occupancy, shares.occupancy_se)
+            best = percent(shares.occupancy[top], off=shares.occupancy_se[top])
             facts.append((tr("Highest tile"), best))
     return facts
 
@@ -308,14 +308,14 @@ Box = tuple[float, float, float, float]
 
 
 def busiest_window(centres: Floats, share: Floats, extent: Extent) -> Extent | None:
-    """Return the square window with the highest sum of occupancy.
+    """Return the square window with the highest sum of shares.
 
     Parameters
     ----------
     centres : (n, 2) array
         Centres of the tiles, metres.
     share : (n,) array
-        Their occupancy, NaN where not observed.
+        Their occupancy or hit share, NaN where there is no data.
     extent : (south-west, north-east)
         The map's.
 
@@ -388,7 +388,7 @@ def _frame(ax: Axes, colour: str) -> None:
         spine.set(color=colour, linewidth=0.8)
 
 
-SHOWN = ("tile_id", "lanelet_id", "s_m", "occupied_s", "observed_s", "occupancy")
+SHOWN = ("tile_id", "lanelet_id", "s_m", "hit_s", "observed_s", "hit_share")
 
 
 def show_in_browser(
@@ -416,7 +416,7 @@ def show_in_browser(
         If folium is not installed.
     """
     part = tally.chosen(interval, begin=begin, end=end)
-    measure, known = tally.measure, tally.coverage_shares(part)
+    measure, known = tally.measure, tally.occupancy_shares(part)
     columns = tally.shares(part)._asdict() | ({} if known is None else known._asdict())
     tiles = tally.tiles.assign(**columns).dropna(subset=measure)
     tiles = tiles.sort_values(measure, kind="stable")  # the busiest on top

@@ -1,25 +1,24 @@
-"""From occupancy to heat map: its figures, plots and files, and a labelled cube for xarray."""
+"""From a dataset to a heat map: its figures, plots and files, and a labelled cube for xarray."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import geopandas as gpd
 import numpy as np
 import shapely
 from numpy.typing import ArrayLike
 
 from gis_radar.arrays import Integers
-from gis_radar.crs import metric_crs, name_of
+from gis_radar.crs import name_of
+from gis_radar.dataset import Dataset
 from gis_radar.errors import NOTEBOOKS, InputError, UsageError
-from gis_radar.files import output_errors, whole_folder, writing_errors
+from gis_radar.files import atomic_folder, output_errors, writing_errors
 from gis_radar.geopackage import keep_styles
 from gis_radar.heatmap.by_lane import table_by_lane
-from gis_radar.heatmap.counting import Shares, Tally, positions
-from gis_radar.heatmap.covering import CoverageShares, require_same_origin
+from gis_radar.heatmap.counting import SHARES, Shares, Tally, positions
 from gis_radar.heatmap.figure import SMALL_PIXELS, draw, show_in_browser, write_figure
 from gis_radar.heatmap.intervals import (
     MapLabels,
@@ -33,27 +32,28 @@ from gis_radar.heatmap.layers import (
     write_package,
     write_table,
 )
+from gis_radar.heatmap.occupancy import OccupancyShares
 from gis_radar.heatmap.raster import write_raster
 from gis_radar.heatmap.style import sidecar_qml
+from gis_radar.measures.validity import Runs
 from gis_radar.notebooks import card, small_picture
-from gis_radar.occupancy import Occupancy
-from gis_radar.occupancy.frame_steps import Runs, common_steps, steps_in
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.steps import STEP_US, iso_from_step, step_at, zone_of
-from gis_radar.tiles.tiles import COLUMNS, fingerprint, own_columns
-from gis_radar.vehicles import Vehicles
+from gis_radar.tiles.tiles import fingerprint
 
 if TYPE_CHECKING:
     import xarray
 
 MOST_MIB = 1024.0  # of a cube
 LANELET, START = "lanelet of the tile", "start of the tile along its lanelet"
-CELL_BYTES = 3 * 4 + 4  # of a tile and interval: three numbers, and the count they come from
+CELL_BYTES = 7 * 4 + 4  # of a tile and interval: seven numbers, and the count they come from
+NO_OCCUPANCY = "occupancy is missing: no vehicles were measured; the map shows the hit share"
 MOST_DRAWN = 60_000  # tiles in the small picture of a notebook
 # A report of it may stand there; it goes when the heat map does.
 OWNED = (
     "heatmap.",
-    "occupancy.tif",
+    "hits.",
+    *(f"{name}." for name in SHARES),
     "report.",
     "lanes.csv",
     "lanes_by_interval.csv",
@@ -63,7 +63,7 @@ OWNED = (
 
 
 class HeatMap(Tally):
-    """How long each tile was occupied, of the time it was observed.
+    """Occupancy and hit share of each tile, over a time and its intervals.
 
     Made by :func:`make_heatmap`; what it holds is described at :class:`Tally`.
     """
@@ -77,9 +77,9 @@ class HeatMap(Tally):
     def to_xarray(self, *, most_mib: float = MOST_MIB) -> xarray.Dataset:
         """Return the heat map as an xarray Dataset over (tile, time).
 
-        `occupied_s`, `observed_s` and `occupancy` are float32; where a tile was not observed,
-        `observed_s` is 0 and the others are NaN. So are `visible_s`, `covered_s`, `coverage` and
-        `coverage_se`, where vehicles are known. Coordinates of a tile: `tile_id` (an index, so
+        `hit_s`, `observed_s` and `hit_share` are float32; where a tile was not observed,
+        `observed_s` is 0 and the others are NaN. So are `visible_s`, `occupied_s`, `occupancy` and
+        `occupancy_se`, where vehicles are known. Coordinates of a tile: `tile_id` (an index, so
         that `sel(tile_id=7)` works), `lanelet_id`, `s_m`, `easting`, `northing` (of its centre, m);
         of a time: `time` and `begin`, `end` (exclusive), datetime64 in UTC; the attribute
         `timezone` names the site's.
@@ -100,20 +100,21 @@ class HeatMap(Tally):
         xr = _require_xarray()
         require_room(len(self.tiles), len(self.timeline), most_mib)
         shape = (len(self.tiles), len(self.timeline))
-        names = (*Shares._fields, *(() if self.coverage is None else CoverageShares._fields))
+        names = (*Shares._fields, *(() if self.occupancy is None else OccupancyShares._fields))
         arrays = {name: np.full(shape, np.nan, np.float32) for name in names}
         for column in range(shape[1]):
-            known = self.coverage_shares(column)
+            known = self.occupancy_shares(column)
             shares = self.shares(column)._asdict() | ({} if known is None else known._asdict())
             for name, value in shares.items():
                 arrays[name][:, column] = value
+        about = self.definitions
         units = {name: "s" if name.endswith("_s") else "1" for name in names}
         values = {
-            name: (("tile", "time"), array, {"long_name": about, "units": units[name]})
-            for (name, array), about in zip(arrays.items(), self.definitions.values(), strict=True)
+            name: (("tile", "time"), array, {"long_name": about[name], "units": units[name]})
+            for name, array in arrays.items()
         }
         attributes = {
-            "title": f"{' and '.join(dict.fromkeys((self.measure, 'occupancy')))} of lane tiles",
+            "title": f"{' and '.join(dict.fromkeys((self.measure, 'hit_share')))} of lane tiles",
             "crs": name_of(self.crs),
             "fingerprint": self.fingerprint,
             "sensors": ", ".join(self.sensors),
@@ -131,10 +132,11 @@ class HeatMap(Tally):
         return card("Heat map", self.figures() | self.local_span, picture=picture)
 
     def write(self, folder: str | Path, reporter: Reporter = QUIET) -> list[Path]:
-        """Write `heatmap.gpkg`, `heatmap.tif`, `heatmap.parquet`, `heatmap.png`.
+        """Write `heatmap.gpkg`, `heatmap.tif`, `hits.tif`, `heatmap.parquet`, `heatmap.png`.
 
         Beside them `heatmap.qml` lets QGIS show the GeoTIFF and the table in the same colours.
-        Where vehicles are known, these show coverage, and `occupancy.tif` stands beside.
+        Where vehicles were not looked for, all show the hit share, and `heatmap.tif` is missing.
+        Each of `further` has a GeoTIFF of its name with its style; reading back leaves them out.
 
         Parameters
         ----------
@@ -161,17 +163,21 @@ class HeatMap(Tally):
                 f"{folder}: a heat map of some tiles is not written",
                 hint="make it without tile_ids; wide() and long() give its tables",
             )
-        style = sidecar_qml(self.measure, least_s=self.least_visible_s())
         writers: dict[str, Callable[[Tally, Path, Reporter], object]] = {
             "heatmap.gpkg": write_package,
-            "heatmap.tif": write_raster,
             "heatmap.parquet": write_table,
             "heatmap.png": write_figure,
-            "heatmap.qml": lambda _, path, __: path.write_text(style, encoding="utf-8"),
+            "heatmap.qml": _write_style,
         }
-        if self.coverage is not None:
-            writers["occupancy.tif"] = partial(write_raster, measure="occupancy")
-        with whole_folder(folder, owned=OWNED, reporter=reporter) as fresh:
+        writers["hits.tif"] = partial(write_raster, measure="hit_share")
+        if self.occupancy is not None:
+            writers["heatmap.tif"] = write_raster
+        else:
+            writers["hits.qml"] = writers["heatmap.qml"]
+        for name in self.further:
+            writers[f"{name}.tif"] = partial(write_raster, measure=name)
+            writers[f"{name}.qml"] = partial(_write_style, measure=name)
+        with atomic_folder(folder, owned=OWNED, reporter=reporter) as fresh:
             for name, write in writers.items():
                 with output_errors(folder / name), writing_errors(folder / name):
                     write(self, fresh / name, reporter)
@@ -180,8 +186,7 @@ class HeatMap(Tally):
 
 
 def make_heatmap(
-    occupancy: Occupancy,
-    tiles: gpd.GeoDataFrame,
+    dataset: Dataset,
     *,
     interval: str | None = None,
     at: str | None = None,
@@ -189,26 +194,21 @@ def make_heatmap(
     end: Any = None,
     tile_ids: ArrayLike | None = None,
     timezone: str | None = None,
-    vehicles: Vehicles | None = None,
     labels: MapLabels | None = None,
+    further: Sequence[str] = (),
     reporter: Reporter = QUIET,
 ) -> HeatMap:
     """Make the heat map of all tiles (the paper's section "Global Occupancy Heat Map").
 
-    A tile's occupancy is the share of the steps in which it was observed that it was also
-    occupied in. Only hits in steps in which the tile was observed count.
+    A tile's occupancy is the share of the steps in which it was visible that a vehicle was on it,
+    its hit share that of the steps in which it was observed that it was hit.
 
     Parameters
     ----------
-    occupancy : Occupancy
-        Hits, frames and views of any number of sensors.
-    tiles : GeoDataFrame
-        The tiles of the same map.
+    dataset : Dataset
+        As from :func:`gis_radar.open_dataset`.
     interval : str, optional
         Length of intervals such as `15min`; they begin at multiples of it since the UNIX epoch.
-    timezone : str, optional
-        Whose hours and days intervals follow, such as Europe/Berlin, and whose clocks pictures
-        show where `labels` are not given; tables and layers stay in UTC.
     at : str, optional
         ISO 8601 time: the map of the one step that contains it, instead of the whole time.
     begin, end : str or datetime, optional
@@ -216,11 +216,14 @@ def make_heatmap(
         the clocks of `timezone`. Intervals are cut at both.
     tile_ids : array of int, optional
         Only these tiles.
-    vehicles : Vehicles, optional
-        Of the same tiles, sensors, poses and sight, as from :func:`gis_radar.read_vehicles`: adds
-        coverage, which maps then show. The whole time is what both hold.
+    timezone : str, optional
+        Whose hours and days intervals follow, such as Europe/Berlin, and whose clocks pictures
+        show where `labels` are not given; tables and layers stay in UTC. By default the dataset's.
     labels : MapLabels, optional
         Title, time zone and sources for pictures and reports.
+    further : sequence of str
+        Columns of `tile_counts` that become further maps, each as a share of its
+        time: `hidden_steps` shows how much of the observed time vehicles hid a tile.
     reporter : Reporter
         Where progress and remarks go.
 
@@ -233,11 +236,8 @@ def make_heatmap(
     UsageError
         If `interval` is no duration, stands beside `at`, or is too short for this much data;
         if there is no such time zone.
-    CrsError
-        If the tiles' coordinate system is not a projected one in metres.
     InputError
-        If there is no frame, no tile in view, the tiles are not those of the occupancy, or the
-        vehicles were made from other tiles, sensors, poses or sight, or at another time.
+        If there is no frame, no tile in sight, or a part of the dataset is damaged.
 
     Examples
     --------
@@ -245,31 +245,43 @@ def make_heatmap(
     >>> sample = gr.sample_folder()
     >>> tiles = gr.make_tiles(gr.read_map(sample / "junction.osm"))
     >>> pose = gr.read_pose(sample / "R1.json")
-    >>> occupancy = gr.measure_occupancy([sample / "R1.parquet"], [pose], tiles, "occupancy")
-    >>> heat = gr.make_heatmap(occupancy, tiles, interval="20s").wide()
-    >>> seen = heat[heat["observed_s"] > 0]
+    >>> ds = gr.measure([sample / "R1.parquet"], [pose], tiles, sample / "junction.osm", "site")
+    >>> heat = gr.make_heatmap(ds, interval="20s").wide()
+    >>> seen = heat[heat["visible_s"] > 0]
     >>> bool(seen["occupancy"].between(0, 1).all())
     True
     """
     if at is not None and (interval, begin, end) != (None, None, None):
         raise UsageError("at and interval, begin, end do not go together", hint="give one of them")
-    labels = labels or MapLabels(timezone=timezone or "UTC")
+    labels = labels or MapLabels(timezone=timezone or dataset.timezone)
     zone = None if timezone is None else zone_of(timezone)
-    tiles, runs = checked(occupancy, tiles, vehicles)
     span = [
         None if time is None else step_at(time, zone_of(labels.timezone), what=what)
         for time, what in ((begin, "begin"), (end, "end"))
     ]
-    runs = _within(runs, *span)
-    chosen = None if tile_ids is None else _chosen(tiles["tile_id"].to_numpy(np.int64), tile_ids)
+    runs = _within(dataset.frame_steps(), *span)
+    ids = np.sort(dataset.tiles()["tile_id"].to_numpy(np.int64))
+    chosen = None if tile_ids is None else _chosen(ids, tile_ids)
     whole = timeline = whole_of(runs, at)
     if interval is not None:
-        counted = len(tiles if chosen is None else chosen)
-        timeline = intervals_of(runs, interval, zone, counted, reporter).cut(*span)
+        counted = len(ids if chosen is None else chosen)
+        frames = _within(dataset.frame_steps(valid=False), *span)
+        timeline = intervals_of(frames, interval, zone, counted, reporter).cut(*span)
+        # What is valid after the last interval, by a frame in it, is no part of the whole either.
+        whole = whole.cut(None, int(timeline.end[-1]))
+    if not dataset.has_vehicles:
+        reporter.log(NO_OCCUPANCY)
     return HeatMap.count(
-        occupancy, tiles, whole, timeline, chosen=chosen, vehicles=vehicles, reporter=reporter,
-        labels=labels,
-    )  # fmt: skip
+        dataset, whole, timeline, chosen=chosen, labels=labels, further=further, reporter=reporter
+    )
+
+
+def _write_style(
+    tally: Tally, path: Path, _reporter: Reporter, *, measure: str | None = None
+) -> None:
+    """Write the style by which QGIS shows the raster and the table of that name."""
+    style = sidecar_qml(measure or tally.measure, least_s=tally.least_visible_s())
+    path.write_text(style, encoding="utf-8")
 
 
 def _within(runs: Runs, first: int | None, after: int | None) -> Runs:
@@ -356,52 +368,11 @@ def _coordinates(tally: Tally) -> dict[str, Any]:
     }
 
 
-def _chosen(all_ids: Integers, tile_ids: ArrayLike | None) -> Integers:
+def _chosen(all_ids: Integers, tile_ids: ArrayLike) -> Integers:
     """Return the positions of the chosen tiles, ascending."""
-    if tile_ids is None:
-        return np.arange(len(all_ids))
     wanted = np.unique(np.asarray(tile_ids, dtype=np.int64))
     if len(wanted) == 0:
         raise UsageError("tile_ids names no tile")
     if unknown := np.setdiff1d(wanted, all_ids).tolist():
         raise InputError(f"tile_ids names tile {unknown[0]}, which the tiles lack")
     return positions(all_ids, wanted)
-
-
-def checked(
-    occupancy: Occupancy, tiles: gpd.GeoDataFrame, vehicles: Vehicles | None = None
-) -> tuple[gpd.GeoDataFrame, Runs]:
-    """Return the tiles with their own columns only, and the steps that any sensor's frames cover.
-
-    With vehicles, these are the steps that both hold.
-
-    Raises
-    ------
-    InputError
-        If there is no frame, the tiles are not those of the occupancy, or the vehicles are of
-        other sensors, poses or sight, or of no common time.
-    """
-    if occupancy.frames.empty:
-        raise InputError("the occupancy holds no frame", hint="was the recording empty?")
-    missing = [name for name in COLUMNS if name not in tiles]
-    if missing:
-        raise InputError(f"the tiles lack the column(s) {', '.join(missing)}")
-    metric_crs(tiles.crs, what="tiles")
-    got = fingerprint(tiles)
-    if got != occupancy.fingerprint:
-        raise InputError(
-            f"the tiles have the fingerprint {got}, the occupancy was made with "
-            f"{occupancy.fingerprint}",
-            hint="use the tiles that the occupancy was made with",
-        )
-    attributes = tiles[own_columns(tiles)].reset_index(drop=True)
-    shapes = tiles.geometry.reset_index(drop=True)
-    own = gpd.GeoDataFrame(attributes, geometry=shapes, crs=tiles.crs)
-    steps = steps_in(occupancy.covered_frames())
-    if vehicles is None:
-        return own, steps
-    require_same_origin(occupancy, vehicles)
-    steps = common_steps(steps, vehicles.covered_frames())
-    if len(steps) == 0:
-        raise InputError(f"{occupancy.place} and {vehicles.place} have no time in common")
-    return own, steps

@@ -15,7 +15,7 @@ import numpy as np
 from gis_radar.arrays import Integers, ranges
 from gis_radar.errors import InputError, UsageError
 from gis_radar.grid import CELL_M
-from gis_radar.occupancy.frame_steps import Runs, union
+from gis_radar.measures.validity import Runs, union
 from gis_radar.progress import Reporter
 from gis_radar.steps import (
     STEPS_PER_SECOND,
@@ -104,6 +104,12 @@ class Timeline:
     def spans(self) -> list[tuple[datetime, datetime]]:
         """Return begin and end of all intervals, UTC."""
         return [self.span(i) for i in range(len(self))]
+
+    def cut_at(self, steps: int) -> Timeline:
+        """Return the parts of the only interval between whole multiples of some steps."""
+        low, high = int(self.begin[0]), int(self.end[0])
+        edges = np.arange(low // steps + 1, (high - 1) // steps + 1, dtype=np.int64) * steps
+        return Timeline(begin=np.append(low, edges), end=np.append(edges, high))
 
     def cut(self, first: int | None, after: int | None) -> Timeline:
         """Return the parts of intervals from one step until before another."""
@@ -227,7 +233,7 @@ _A_MONDAY = date(1970, 1, 5)
 
 
 def follows_utc(steps: int) -> bool:
-    """Tell whether intervals begin alike in every zone: zones differ by whole quarter hours."""
+    """Return whether intervals begin alike in every zone: zones differ by whole quarter hours."""
     return QUARTER % steps == 0
 
 
@@ -330,7 +336,7 @@ def intervals_of(
     note = f"only the {filled} intervals in which a sensor delivered a frame are kept"
     if filled > SETTINGS.most_columns:
         note += (
-            f"; more than {SETTINGS.most_columns}, so they are rows of occupancy_by_interval, "
+            f"; more than {SETTINGS.most_columns}, so they are rows of by_interval, "
             "not columns and bands"
         )
     reporter.log(note)

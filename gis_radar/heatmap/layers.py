@@ -24,21 +24,27 @@ from gis_radar.geopackage import (
     opened_package,
 )
 from gis_radar.heatmap import style
-from gis_radar.heatmap.counting import Counts, Tally
-from gis_radar.heatmap.covering import Coverage
+from gis_radar.heatmap.counting import Tally
 from gis_radar.heatmap.intervals import MapLabels, Timeline
+from gis_radar.heatmap.occupancy import Occupancy
 from gis_radar.heatmap.registering import list_last
 from gis_radar.heatmap.step_table import (
     BEGIN,
     END,
     ERROR,
     LONG,
-    STEPS,
     read_times,
     step_columns,
     write_steps,
 )
-from gis_radar.heatmap.wide_table import TILES, WIDE, interval_columns, whole_columns, write_wide
+from gis_radar.heatmap.wide_table import (
+    STEPS,
+    TILES,
+    WIDE,
+    interval_columns,
+    whole_columns,
+    write_wide,
+)
 from gis_radar.progress import Reporter
 from gis_radar.steps import STEPS_PER_SECOND, seconds_from_iso, step_of
 from gis_radar.tiles.tiles import COLUMNS, FIELDS, LANE, fingerprint, own_columns
@@ -55,17 +61,17 @@ def wide_layer(tally: Tally) -> gpd.GeoDataFrame:
     Returns
     -------
     GeoDataFrame
-        The tiles' columns, then `occupied_s`, `observed_s`, `occupancy` over the whole time, and
-        `occ_...`, the occupied seconds of each interval, NaN where not observed in it. Where
-        vehicles are known also `visible_s`, `covered_s`, `coverage`, `coverage_se`, and `cov_...`,
-        the covered seconds of each interval, NaN where not visible in it.
+        The tiles' columns, then `hit_s`, `observed_s`, `hit_share` over the whole time, and
+        `hit_...`, the hit seconds of each interval, NaN where not observed in it. Where
+        vehicles are known also `visible_s`, `occupied_s`, `occupancy`, `occupancy_se`, and
+        `occ_...`, the occupied seconds of each interval, NaN where not visible in it.
     """
     columns, stamps = whole_columns(tally), interval_columns(tally)
     for i, stamp in zip(tally.columns, stamps, strict=True):
-        columns[f"occ_{stamp}"] = tally.shares(i).occupied_s
+        columns[f"hit_{stamp}"] = tally.shares(i).hit_s
     for i, stamp in zip(tally.columns, stamps, strict=True):
-        if (part := tally.coverage_shares(i)) is not None:
-            columns[f"cov_{stamp}"] = part.covered_s
+        if (part := tally.occupancy_shares(i)) is not None:
+            columns[f"occ_{stamp}"] = part.occupied_s
     shares = pd.DataFrame(columns, index=tally.tiles.index)
     attributes = tally.tiles.drop(columns="geometry")
     return gpd.GeoDataFrame(
@@ -79,17 +85,17 @@ def long_layer(tally: Tally) -> gpd.GeoDataFrame:
     Returns
     -------
     GeoDataFrame
-        `tile_id`, `lanelet_id`, `begin` and `end` (UTC; the end is exclusive), `occupied_s`,
-        `observed_s`, `occupancy`, where vehicles are known also `visible_s`, `covered_s`,
-        `coverage`, `coverage_se`, and geometry, ordered by interval, then by tile. Where a tile was
-        not observed, `observed_s` is 0 and the other two are NaN.
+        `tile_id`, `lanelet_id`, `begin` and `end` (UTC; the end is exclusive), `hit_s`,
+        `observed_s`, `hit_share`, where vehicles are known also `visible_s`, `occupied_s`,
+        `occupancy`, `occupancy_se`, and geometry, ordered by interval, then by tile. Where a tile
+        was not observed, `observed_s` is 0 and the other two are NaN.
     """
     parts = []
     tiles = tally.tiles[["tile_id", "lanelet_id"]]
     for i in range(len(tally.timeline)):
         times = (int(step[i]) * _STEP_MS for step in (tally.timeline.begin, tally.timeline.end))
         begin, end = (pd.Timestamp(time, unit="ms", tz="UTC").as_unit("ms") for time in times)
-        known = tally.coverage_shares(i)
+        known = tally.occupancy_shares(i)
         shares = tally.shares(i)._asdict() | ({} if known is None else known._asdict())
         parts.append(tiles.assign(**{BEGIN: begin, END: end}, **shares))
     geometry = np.tile(tally.tiles.geometry.to_numpy(), len(tally.timeline))
@@ -137,13 +143,13 @@ def write_package(tally: Tally, path: Path, reporter: Reporter) -> None:
 
 
 _TITLES = {
-    "occupied_s": "Hit (s)",
+    "hit_s": "Hit (s)",
     "observed_s": "Observed (s)",
-    "occupancy": "Hit occupancy",
+    "hit_share": "Hit share",
     "visible_s": "Visible (s)",
-    "covered_s": "Covered (s)",
-    "coverage": "Coverage",
-    "coverage_se": "Coverage, standard error",
+    "occupied_s": "Occupied (s)",
+    "occupancy": "Occupancy",
+    "occupancy_se": "Occupancy, standard error",
 }
 
 
@@ -201,11 +207,10 @@ def _fields(place: Path, path: Path) -> dict[str, Any]:
     )
     counts = _read_counts(path, tiles["tile_id"].to_numpy(np.int64), len(timeline), names)
     errors = pyogrio.read_dataframe(
-        place, layer=WIDE, columns=["coverage_se"], read_geometry=False, use_arrow=True
+        place, layer=WIDE, columns=["occupancy_se"], read_geometry=False, use_arrow=True
     )
-    occupied, observed = counts["occupied"], counts["observed"]
+    hit, observed = counts["hit"], counts["observed"]
     seen = np.flatnonzero(observed.any(axis=0))
-    first, group = _alike(observed[:, seen])
     return {
         "tiles": tiles[[*own_columns(tiles), "geometry"]],
         "fingerprint": notes["fingerprint"],
@@ -213,10 +218,9 @@ def _fields(place: Path, path: Path) -> dict[str, Any]:
         "whole": whole,
         "timeline": whole if timeline.spans() == whole.spans() else timeline,
         "seen": seen,
-        "group": group,
-        "occupied": occupied[:, seen].astype(np.uint32),
-        "observed": observed[:, seen[first]].astype(np.int64),
-        "coverage": _coverage_of(counts, seen, errors),
+        "hit": hit[:, seen].astype(np.uint32),
+        "observed": observed[:, seen].astype(np.uint32),
+        "occupancy": _occupancy_of(counts, seen, errors),
         "labels": _labels_of(notes.get("labels", "{}"), path),
     }
 
@@ -229,15 +233,15 @@ def _labels_of(text: str, path: Path) -> MapLabels:
         raise InputError(f"{path}: its labels cannot be read: {error}", hint=_HINT) from error
 
 
-def _coverage_of(counts: Counted, seen: Integers, errors: pd.DataFrame) -> Coverage | None:
-    """Return visible and covered steps and errors of the tiles that are seen, if there are any."""
+def _occupancy_of(counts: Counted, seen: Integers, errors: pd.DataFrame) -> Occupancy | None:
+    """Return visible and occupied steps and errors of the tiles that are seen, if there are any."""
     if "visible" not in counts:
         return None
-    return Coverage(
+    return Occupancy(
         visible=counts["visible"][:, seen].astype(np.uint32),
-        covered=counts["covered"][:, seen].astype(np.uint32),
-        error=counts["coverage_se"][:, seen].astype(np.float32),
-        error_whole=errors["coverage_se"].to_numpy(np.float32)[seen],
+        occupied=counts["occupied"][:, seen].astype(np.uint32),
+        error=counts["occupancy_se"][:, seen].astype(np.float32),
+        error_whole=errors["occupancy_se"].to_numpy(np.float32)[seen],
     )
 
 
@@ -279,11 +283,3 @@ def _read_counts(path: Path, tile_ids: Integers, intervals: int, names: list[str
     if done != rows or not rows:
         raise InputError(f"{path}: {STEPS} is damaged: not one row a tile and interval", hint=_HINT)
     return {name: values.reshape(intervals, len(tile_ids)) for name, values in counts.items()}
-
-
-def _alike(observed: Counts) -> tuple[Integers, Integers]:
-    """Group tiles observed alike in all intervals: the first tile of each group, and the groups."""
-    rows = np.ascontiguousarray(observed.T)
-    whole = rows.view(np.dtype((np.void, rows.strides[0]))).ravel()
-    _, first, group = np.unique(whole, return_index=True, return_inverse=True)
-    return first, group

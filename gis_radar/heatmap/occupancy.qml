@@ -12,7 +12,7 @@
   </pipe>
   <!-- A row is shown from its begin for a fixed time. -->
   <temporal enabled="1" mode="1" limitMode="0" startField="begin" endField="end" fixedDuration="0" durationUnit="ms" durationField="" accumulate="0" startExpression="" endExpression="" />
-  <renderer-v2 type="graduatedSymbol" attr="occupancy" symbollevels="0" graduatedMethod="GraduatedColor" forceraster="0" enableorderby="1">
+  <renderer-v2 type="graduatedSymbol" attr="hit_share" symbollevels="0" graduatedMethod="GraduatedColor" forceraster="0" enableorderby="1">
     <ranges>
       <range symbol="0" render="true" label="" lower="0" upper="0" />
     </ranges>
@@ -33,7 +33,7 @@
     </symbols>
     <!-- Where tiles overlap, the busiest is on top. -->
     <orderby>
-      <orderByClause asc="1" nullsFirst="1">"occupancy"</orderByClause>
+      <orderByClause asc="1" nullsFirst="1">"hit_share"</orderByClause>
     </orderby>
   </renderer-v2>
   <!-- Filled in by style.py. -->

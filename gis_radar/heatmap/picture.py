@@ -45,7 +45,7 @@ OVERLAY_IN = 5.2  # width of the figure over a picture: the narrower, the larger
 NARROW_IN, NARROW_PIXELS = 3.1, 800  # on a phone: a page as wide as this, of so many pixels
 BAR_IN, BAR_SHARE = 1.4, 0.27  # the longest scale bar; in the corner of a map, of its width
 
-# Places in the palette; the classes of occupancy follow.
+# Places in the palette; the classes of hit share follow.
 NO_TILE, OUTLINE, UNSEEN, STRIPED, HATCH_DARK, HATCH_LIGHT, CLASSES = range(7)
 
 _HATCHES = style.hatches()
@@ -78,7 +78,7 @@ class MapPicture:
         Parameters
         ----------
         share : (n,) array
-            Occupancy of all tiles, NaN where not observed: striped, unlike a 0.
+            Hit share of all tiles, NaN where not observed: striped, unlike a 0.
         uncertain : (n,) bool array
             Which of them are hatched over their colour.
         """

@@ -1,7 +1,7 @@
 """Heat maps on pixels: the tiles of each pixel, and the cloud-optimised GeoTIFF.
 
 The centre of a pixel decides in which tiles it is; of overlapping tiles the highest
-occupancy counts, and those that were not observed do not. The GeoTIFF has pixels of 0.5 m,
+hit share counts, and those that were not observed do not. The GeoTIFF has pixels of 0.5 m,
 aligned to multiples of 0.5 m of the map's coordinates, and a band an interval; it covers the
 tiles that were ever observed.
 """
@@ -25,7 +25,7 @@ from gis_radar.arrays import Floats, Integers, ranges
 from gis_radar.errors import OutputError
 from gis_radar.heatmap.counting import Tally
 from gis_radar.heatmap.intervals import SETTINGS
-from gis_radar.occupancy.frame_steps import Runs, union
+from gis_radar.measures.validity import Runs, union
 from gis_radar.progress import Reporter
 from gis_radar.steps import iso_from_step
 from gis_radar.tiles.lookup import TileGrid
@@ -170,7 +170,7 @@ def write_raster(
     reporter : Reporter
         Where progress goes.
     measure : str, optional
-        `occupancy` or `coverage`; without it, what the tally shows.
+        As for :meth:`Tally.shown`; without it, what the tally shows.
     """
     corners = quads(tally.tiles)[tally.seen]
     intervals = [None, *tally.columns]
@@ -214,21 +214,18 @@ def _check_crs(path: Path) -> None:
 
 
 def _write_bands(
-    raster: Any, tally: Tally, covered: Cover, measure: str | None, reporter: Reporter
+    raster: Any, tally: Tally, occupied: Cover, measure: str | None, reporter: Reporter
 ) -> None:
     """Write the whole time and each interval, block by block; empty blocks stay out of the file."""
-    row, column = np.divmod(covered.pixel, raster.width)
+    row, column = np.divmod(occupied.pixel, raster.width)
     down, across = row // raster.profile["blockysize"], column // raster.profile["blockxsize"]
     order = np.lexsort((across, down))
     row, column, down, across = (each[order] for each in (row, column, down, across))
     starts = np.flatnonzero(np.diff(down, prepend=-1) | np.diff(across, prepend=-1))
     intervals = [None, *tally.columns]
     for band, interval in enumerate(intervals, start=1):
-        all_tiles = tally.shown(interval)
-        if measure == "occupancy":
-            all_tiles = tally.shares(interval).occupancy
-        share = all_tiles[tally.seen].astype(np.float32)
-        values = covered.highest(share)[order]
+        share = tally.shown(interval, measure)[tally.seen].astype(np.float32)
+        values = occupied.highest(share)[order]
         for start, stop in pairwise([*starts.tolist(), len(order)]):
             window = raster.block_window(band, down[start], across[start])
             part = np.full((window.height, window.width), np.nan, np.float32)

@@ -29,7 +29,7 @@ FROM gpkg_metadata_reference WHERE table_name = :like
 def register_table(
     database: sqlite3.Connection, table: str, kind: str, *, like: str, rows: int
 ) -> None:
-    """Tell readers of a GeoPackage of a table or view that SQL made.
+    """Register a table or view made by SQL, so that readers of the GeoPackage see it.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def register_table(
 
 
 def list_last(database: sqlite3.Connection, layer: str) -> None:
-    """Let a layer stand behind all others: programs that are given none open the first."""
+    """Move a layer behind all others: programs open the first one by default."""
     for catalogue in ("gpkg_contents", "gpkg_geometry_columns"):
         last = f"(SELECT max(rowid) + 1 FROM {catalogue})"  # noqa: S608 - our own names
         database.execute(f"UPDATE {catalogue} SET rowid = {last} WHERE table_name = ?", (layer,))  # noqa: S608

@@ -3,7 +3,7 @@
 A row of the table is a tile in an interval: whole steps, no polygon, so that a day of quarter hours
 takes a tenth of the room. Stored is what is mostly zero, the steps in which a tile was not observed
 and those in which it was observed but hidden; observed and visible ones are computed. The view
-of the name `occupancy_by_interval` joins the polygons of the layer `tiles` and the times; QGIS and
+of the name `by_interval` joins the polygons of the layer `tiles` and the times; QGIS and
 GDAL open it like any other layer.
 """
 
@@ -16,20 +16,20 @@ from typing import Any
 import numpy as np
 
 from gis_radar.heatmap.counting import Tally
-from gis_radar.heatmap.covering import ERROR_UNIT, error_roots
+from gis_radar.heatmap.occupancy import ERROR_UNIT, error_roots
 from gis_radar.heatmap.registering import register_table
-from gis_radar.heatmap.wide_table import TILES
+from gis_radar.heatmap.wide_table import STEPS, TILES
 from gis_radar.progress import Reporter
 from gis_radar.steps import STEPS_PER_SECOND, step_begin
 
-LONG = "occupancy_by_interval"
-STEPS, TIMES = "steps_by_interval", "intervals"
+LONG = "by_interval"
+TIMES = "intervals"
 BEGIN, END = "begin", "end"
-ERROR = "coverage_se"
-ROOT = "coverage_se_root"  # of the standard error: a whole number of 2 bytes, a real one takes 8
+ERROR = "occupancy_se"
+ROOT = "occupancy_se_root"  # of the standard error: a whole number of 2 bytes, a real one takes 8
 UNOBSERVED, HIDDEN = "unobserved", "hidden"
-OCCUPANCY_COLUMNS = ("occupied", "observed")
-COVERAGE_COLUMNS = ("covered", "visible", ERROR)
+HIT_COLUMNS = ("hit", "observed")
+OCCUPANCY_COLUMNS = ("occupied", "visible", ERROR)
 _STORED = {"observed": UNOBSERVED, "visible": HIDDEN, ERROR: ROOT}  # in place of what is computed
 
 # Seconds and shares are computed on reading: columns with types of their own, unlike expressions of
@@ -62,7 +62,7 @@ def write_steps(database: sqlite3.Connection, tally: Tally, reporter: Reporter) 
     reporter : Reporter
         Where progress goes.
     """
-    columns = [*OCCUPANCY_COLUMNS, *(() if tally.coverage is None else COVERAGE_COLUMNS)]
+    columns = [*HIT_COLUMNS, *(() if tally.occupancy is None else OCCUPANCY_COLUMNS)]
     database.execute(_TIMES)
     database.execute(_steps_table(columns, tally))
     times = f'INSERT INTO "{TIMES}" VALUES (?, ?, ?, ?, ?)'  # noqa: S608 - our own names
@@ -76,12 +76,12 @@ def write_steps(database: sqlite3.Connection, tally: Tally, reporter: Reporter) 
     for interval in range(len(tally.timeline)):
         database.executemany(insert, _rows(tally, interval))
         done = (interval + 1) * len(tally.tiles)
-        reporter.progress("writing occupancy by interval", done, total)
+        reporter.progress("writing measures by interval", done, total)
     _add_view(database, tally, columns)
 
 
 def _counts_up(tile_ids: Any) -> bool:
-    """Tell whether tiles are numbered from 0 without a gap, so that the row gives the tile."""
+    """Return whether tiles are numbered from 0 without a gap, so that the row gives the tile."""
     return bool(np.array_equal(tile_ids, np.arange(len(tile_ids))))
 
 
@@ -106,9 +106,9 @@ def _steps_table(columns: list[str], tally: Tally) -> str:
         else f'"{name}" INTEGER'
         for name in columns
     )
-    measures = [("occupied", "observed", "occupancy")]
+    measures = [("hit", "observed", "hit_share")]
     if ERROR in columns:
-        measures.append(("covered", "visible", "coverage"))
+        measures.append(("occupied", "visible", "occupancy"))
     shares = ", ".join(
         _SHARES.format(part=part, whole=whole, share=share, rate=STEPS_PER_SECOND)
         for part, whole, share in measures
@@ -139,17 +139,17 @@ def _times(tally: Tally) -> Iterator[tuple[int, str, str, int, int]]:
 def _rows(tally: Tally, interval: int) -> Iterator[tuple[Any, ...]]:
     """Yield the rows of an interval: null where a tile was not observed, or not visible."""
     count = len(tally.tiles)
-    occupied, observed = (np.zeros(count, np.int64) for _ in range(2))
-    occupied[tally.seen], observed[tally.seen] = tally.steps(interval)
-    columns = [_known(occupied, observed), _known(_longest(tally) - observed, observed)]
-    if tally.coverage is not None:
-        covered, visible = (np.zeros(count, np.int64) for _ in range(2))
+    hit, observed = (np.zeros(count, np.int64) for _ in range(2))
+    hit[tally.seen], observed[tally.seen] = tally.steps(interval)
+    columns = [_known(hit, observed), _known(_longest(tally) - observed, observed)]
+    if tally.occupancy is not None:
+        occupied, visible = (np.zeros(count, np.int64) for _ in range(2))
         error = np.zeros(count)
-        covered[tally.seen] = tally.coverage.covered[interval]
-        visible[tally.seen] = tally.coverage.visible[interval]
-        error[tally.seen] = tally.coverage.error[interval]
+        occupied[tally.seen] = tally.occupancy.occupied[interval]
+        visible[tally.seen] = tally.occupancy.visible[interval]
+        error[tally.seen] = tally.occupancy.error[interval]
         roots = error_roots(np.nan_to_num(error))
-        columns += [_known(values, visible) for values in (covered, observed - visible, roots)]
+        columns += [_known(values, visible) for values in (occupied, observed - visible, roots)]
     first = interval * count + 1
     numbers = range(first, first + count)
     if _counts_up(tally.tiles["tile_id"]):
@@ -169,9 +169,9 @@ def _add_view(database: sqlite3.Connection, tally: Tally, columns: list[str]) ->
     geometry = database.execute(
         "SELECT column_name FROM gpkg_geometry_columns WHERE table_name = ?", (TILES,)
     ).fetchone()[0]
-    shown = ["occupied_s", "observed_s", "occupancy"]
+    shown = ["hit_s", "observed_s", "hit_share"]
     if ERROR in columns:
-        shown += ["visible_s", "covered_s", "coverage", ERROR]
+        shown += ["visible_s", "occupied_s", "occupancy", ERROR]
     values = ", ".join(f's."{name}" AS "{name}"' for name in shown)
     # CROSS JOIN keeps the order: from the times to the rows of each, which follow each other.
     database.execute(f"""
@@ -197,4 +197,4 @@ def read_times(database: sqlite3.Connection) -> list[tuple[str, str]]:
 def step_columns(database: sqlite3.Connection) -> list[str]:
     """Return the columns of the table of steps that hold what was counted."""
     known = {row[1] for row in database.execute(f'PRAGMA table_xinfo("{STEPS}")')}
-    return [name for name in (*OCCUPANCY_COLUMNS, *COVERAGE_COLUMNS) if name in known]
+    return [name for name in (*HIT_COLUMNS, *OCCUPANCY_COLUMNS) if name in known]

@@ -5,7 +5,7 @@ standard library only, so that a Python without the geographic packages can load
 
 The ramp runs from light yellow over red to near-black violet, in equal steps of lightness, so
 that it reads the same in grey and for colour-blind eyes; dark is high, as in the paper's
-section "Scalable Dynamic Occupancy Map". The breaks follow a 1-2-5 series, because hit occupancy
+section "Scalable Dynamic Occupancy Map". The breaks follow a 1-2-5 series, because occupancy
 is mostly small (0.5 to 30 %), and never depend on the data, so that maps compare.
 """
 
@@ -20,14 +20,14 @@ from types import MappingProxyType
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement, indent, parse, tostring
 
-BREAKS = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)  # occupancy, shares of 1
+BREAKS = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)  # occupancy and hit share
 RAMP = (
     "#f1dd88", "#f3be56", "#ef891a", "#df5028", "#ba1c4d", "#830460", "#480d58", "#18083b",
 )  # fmt: skip
 NEVER_HIT = "#f1f6fb"  # nearly paper: the one step that grey print would not show else
 NOT_OBSERVED = "#b9bdc1"  # for pictures; layers leave such tiles transparent
 UNCERTAIN = "uncertain"  # its label; drawn as a hatch over the colour of the class
-UNCERTAIN_FROM = 0.02  # a standard error as large as the coverage, and over this, is uncertain
+UNCERTAIN_FROM = 0.02  # a standard error as large as the occupancy, and over this, is uncertain
 UNCERTAIN_SEEN = 0.5  # so is what was visible for a smaller share of the longest visible time
 HATCH_DARK, HATCH_LIGHT = "#6b7278", "#ffffff"  # over pale colours and over deep ones
 _PALE = 4  # classes, from 0 up
@@ -48,26 +48,28 @@ class MeasureWords(NamedTuple):
 
 
 WORDS = {
-    "occupancy": MeasureWords(LEGEND_TITLE, LEGEND_SUBTITLE, "never hit", "not observed"),
-    "coverage": MeasureWords(
-        "Coverage", "share of time with a vehicle", "no vehicle", "not visible"
+    "hit_share": MeasureWords(LEGEND_TITLE, LEGEND_SUBTITLE, "never hit", "not observed"),
+    "occupancy": MeasureWords(
+        "Occupancy", "share of time with a vehicle", "no vehicle", "not visible"
     ),
 }
 
 
+OTHER_SHARE = MeasureWords("Share of time", "", "never", "no data")  # of a column of tile counts
+
 _SEEN = """([% format_number("{}_s", 0) %] s)[% coalesce('<br>' || attribute('lane'), '') %]"""
 # What QGIS shows under the cursor, numbers as its language writes them.
 _TIPS = {
-    "occupancy": """<b>[% coalesce(format_number(100 * "occupancy", 1) || ' %', '\u2013') %]</b> """
+    "hit_share": """<b>[% coalesce(format_number(100 * "hit_share", 1) || ' %', '\u2013') %]</b> """
     + _SEEN.format("observed"),
-    "coverage": """<b>[% coalesce(format_number(100 * "coverage", 1) || ' \u00b1 ' ||"""
-    """ format_number(100 * "coverage_se", 1) || ' %', '\u2013') %]</b> """
+    "occupancy": """<b>[% coalesce(format_number(100 * "occupancy", 1) || ' \u00b1 ' ||"""
+    """ format_number(100 * "occupancy_se", 1) || ' %', '\u2013') %]</b> """
     + _SEEN.format("visible"),
 }
 
 
 class ColourClass(NamedTuple):
-    """A class of occupancy or coverage: more than `lower` up to `upper`; the first is exactly 0."""
+    """A class of a share: more than `lower` up to `upper`; the first is exactly 0."""
 
     lower: float
     upper: float
@@ -75,22 +77,22 @@ class ColourClass(NamedTuple):
     label: str
 
 
-def colour_classes(measure: str = "occupancy") -> tuple[ColourClass, ...]:
-    """Return the classes of occupancy or coverage from 0 to 1, lowest first."""
+def colour_classes(measure: str = "hit_share") -> tuple[ColourClass, ...]:
+    """Return the classes of hit share or occupancy from 0 to 1, lowest first."""
     bounds = zip(pairwise(BREAKS), RAMP, strict=True)
     return (
-        ColourClass(0.0, 0.0, NEVER_HIT, f"0 %, {WORDS[measure].zero}"),
+        ColourClass(0.0, 0.0, NEVER_HIT, f"0 %, {WORDS.get(measure, OTHER_SHARE).zero}"),
         *(ColourClass(low, high, colour, _label(low, high)) for (low, high), colour in bounds),
     )
 
 
-def legend(measure: str = "occupancy") -> tuple[tuple[str, str], ...]:
+def legend(measure: str = "hit_share") -> tuple[tuple[str, str], ...]:
     """Return colours with their labels, highest class first, not observed last.
 
-    Of coverage the one before the last is what is uncertain: no colour but a hatch, `UNCERTAIN`.
+    Of occupancy the one before the last is what is uncertain: no colour but a hatch, `UNCERTAIN`.
     """
     classes = [(each.colour, each.label) for each in reversed(colour_classes(measure))]
-    unsure = ((UNCERTAIN, UNCERTAIN),) if measure == "coverage" else ()
+    unsure = ((UNCERTAIN, UNCERTAIN),) if measure == "occupancy" else ()
     return (*classes, *unsure, (NOT_OBSERVED, WORDS[measure].unknown))
 
 
@@ -102,7 +104,7 @@ def hatches() -> tuple[str, ...]:
 
 def uncertain_rule(least_s: float) -> str:
     """Return what is uncertain as an expression of QGIS; `least_s` is half the longest time."""
-    vague = f'"coverage_se" >= {UNCERTAIN_FROM} AND "coverage_se" >= "coverage"'
+    vague = f'"occupancy_se" >= {UNCERTAIN_FROM} AND "occupancy_se" >= "occupancy"'
     return f'{vague} OR "visible_s" < {least_s:.10g}'
 
 
@@ -115,7 +117,7 @@ def _label(lower: float, upper: float) -> str:
 def vector_qml(
     *,
     interval_s: float | None = None,
-    measure: str = "occupancy",
+    measure: str = "hit_share",
     least_s: float = 0.0,
     titles: Mapping[str, str] = MappingProxyType({}),
 ) -> str:
@@ -124,12 +126,12 @@ def vector_qml(
     Parameters
     ----------
     measure : str
-        The column that it shows, `occupancy` or `coverage`.
+        The column that it shows, `hit_share` or `occupancy`.
     interval_s : float, optional
         Length of the interval of each row, seconds: the temporal controller shows a row for so
         long from its `begin`. Without it, the layer holds the whole time.
     least_s : float
-        Coverage of tiles that were visible for less, seconds, is hatched as uncertain.
+        Occupancy of tiles that were visible for less, seconds, is hatched as uncertain.
     titles : mapping
         Of fields, by name.
 
@@ -148,7 +150,7 @@ def vector_qml(
     return _document(root, _QGIS_DOCTYPE)
 
 
-def sidecar_qml(measure: str = "occupancy", least_s: float = 0.0) -> str:
+def sidecar_qml(measure: str = "hit_share", least_s: float = 0.0) -> str:
     """Return the QGIS style of files that carry none: a GeoTIFF (first band) or a table.
 
     QGIS loads it by itself where it has the name of the file and the ending `.qml`.
@@ -175,9 +177,9 @@ def _measure_style(measure: str, least_s: float, *, without: tuple[str, ...]) ->
     for parent in ("pipe//colorrampshader", "renderer-v2/ranges", "renderer-v2/symbols"):
         if (entries := root.find(parent)) is not None:
             _repeat_for_each_class(entries, measure)
-    if measure == "coverage":
+    if measure == "occupancy":
         _hatch(_element(root, "renderer-v2"), least_s)
-    _element(root, "mapTip").text = _TIPS[measure]
+    _element(root, "mapTip").text = _TIPS.get(measure, "")
     _element(root, "renderer-v2").set("attr", measure)
     _element(root, "renderer-v2/orderby/orderByClause").text = f'"{measure}"'
     return root
@@ -203,7 +205,7 @@ def _repeat_for_each_class(entries: Element, measure: str) -> None:
 
 
 def _hatch(renderer: Element, least_s: float) -> None:
-    """Let each class hatch what is uncertain, and add an entry to the legend.
+    """Hatch uncertain tiles in each class, and add an entry to the legend.
 
     The entry is a class of its own, above all shares, that no tile is in.
     """
@@ -250,10 +252,10 @@ def _shown_ms(interval_s: float) -> int:
     return max(0, round(interval_s * 1000) - 10)
 
 
-def sld(layer: str, measure: str = "occupancy", *, least_s: float = 0.0) -> str:
+def sld(layer: str, measure: str = "hit_share", *, least_s: float = 0.0) -> str:
     """Return the style of a layer as Styled Layer Descriptor 1.0, for map servers.
 
-    Coverage of tiles that were visible for less than `least_s` is hatched as uncertain.
+    Occupancy of tiles that were visible for less than `least_s` is hatched as uncertain.
     """
     root = Element("StyledLayerDescriptor", {
         "version": "1.0.0",
@@ -269,7 +271,7 @@ def sld(layer: str, measure: str = "occupancy", *, least_s: float = 0.0) -> str:
         _add_filter(SubElement(rule, "ogc:Filter"), level, measure)
         fill = SubElement(SubElement(rule, "PolygonSymbolizer"), "Fill")
         SubElement(fill, "CssParameter", name="fill").text = level.colour
-    if measure == "coverage":
+    if measure == "occupancy":
         _add_hatch_rule(style, least_s)
     return _document(root, '<?xml version="1.0" encoding="UTF-8"?>')
 
@@ -279,9 +281,9 @@ def _add_hatch_rule(style: Element, least_s: float) -> None:
     SubElement(rule, "Name").text = UNCERTAIN
     either = SubElement(SubElement(rule, "ogc:Filter"), "ogc:Or")
     vague, least = SubElement(either, "ogc:And"), "ogc:PropertyIsGreaterThanOrEqualTo"
-    _add_comparison(vague, least, "coverage_se", UNCERTAIN_FROM)
+    _add_comparison(vague, least, "occupancy_se", UNCERTAIN_FROM)
     beside = SubElement(vague, least)
-    for name in ("coverage_se", "coverage"):
+    for name in ("occupancy_se", "occupancy"):
         SubElement(beside, "ogc:PropertyName").text = name
     _add_comparison(either, "ogc:PropertyIsLessThan", "visible_s", least_s)
     fill = SubElement(SubElement(rule, "PolygonSymbolizer"), "Fill")

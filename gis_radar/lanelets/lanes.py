@@ -351,7 +351,7 @@ def _stopped(
 
 
 def _ends_at(centre: shapely.LineString, line: shapely.LineString) -> bool:
-    """Tell whether a lanelet, or what lies straight ahead of it, meets a stop line."""
+    """Return whether a lanelet, or what lies straight ahead of it, meets a stop line."""
     before, end = shapely.get_coordinates(centre)[-2:]
     ahead = (end - before) / max(float(np.hypot(*(end - before))), 1e-9)
     longer = shapely.LineString([before, end + STOP_NEAR_M * ahead])

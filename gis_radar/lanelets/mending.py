@@ -195,7 +195,7 @@ def _backward(left: Floats, right: Floats) -> bool:
 
 
 def _without_fold_backs(left: Floats, right: Floats, repairs: list[str]) -> tuple[Floats, Floats]:
-    """Take out the stretches where a bound runs backwards.
+    """Remove the stretches where a bound runs backwards.
 
     A very slanted rung can make a backward stretch look forward; so where that leaves slices
     that cross themselves, slanted rungs are made dearer.

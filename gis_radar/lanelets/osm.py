@@ -137,12 +137,12 @@ def read_osm(path: str | Path) -> OsmMap:
 
 
 def _parse(parser: expat.XMLParserType, file: BinaryIO, collector: _Collector) -> None:
-    """Parse a file piece by piece: a tag without an end is refused before it fills the memory."""
+    """Parse a file in batches: a tag without an end is refused before it fills the memory."""
     read = 0
-    while piece := file.read(_BYTES_AT_ONCE):
-        parser.Parse(piece)
-        read += len(piece)
-        # Expat looks through an open tag from its begin on, again with every piece.
+    while batch := file.read(_BYTES_AT_ONCE):
+        parser.Parse(batch)
+        read += len(batch)
+        # Expat looks through an open tag from its begin on, again with every batch.
         if read - max(parser.CurrentByteIndex, 0) > LONGEST_TAG + _BYTES_AT_ONCE:
             collector.refuse(f"a tag of over {LONGEST_TAG >> 20} MiB, a map has none")
     parser.Parse(b"", True)

@@ -316,7 +316,7 @@ class SensorTopics:
     sensor: str
 
     def of(self, kind: str) -> str:
-        """Return the topic of `hits`, `returns`, `status`, `pose` or `ack`."""
+        """Return the topic of `hits`, `detections`, `status`, `pose` or `ack`."""
         return f"{TOPICS}/{self.site}/{self.sensor}/{kind}"
 
 

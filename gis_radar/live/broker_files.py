@@ -13,7 +13,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from gis_radar.files import whole_folder
+from gis_radar.files import atomic_folder
 from gis_radar.live.broker import IN_FLIGHT, TOPICS, BrokerAddress
 from gis_radar.live.intake import FUSION
 from gis_radar.live.payload import MOST_BYTES
@@ -46,7 +46,7 @@ def write_broker_files(path: str | Path, folder: str | Path) -> list[Path]:
     site, place = read_live_site(path), Path(folder)
     users = [FUSION, *(each.name for each in site.sensor)]
     known = {user: secrets.token_urlsafe(18) for user in users}
-    with whole_folder(place, owned=OWNED) as part:
+    with atomic_folder(place, owned=OWNED) as part:
         texts = {
             CONFIG: broker_config(site, place.resolve()),
             ACCESS: broker_access(site.live.site),
@@ -67,7 +67,7 @@ def write_broker_files(path: str | Path, folder: str | Path) -> list[Path]:
 def broker_config(site: LiveSite, folder: Path) -> str:
     """Return Mosquitto's configuration: a log-in for all, bounded messages and queues."""
     address = BrokerAddress.of(site.live.broker.address)
-    # What all sensors may have on their way, hits and returns; the rest is asked for again.
+    # What all sensors may have on their way, hits and detections; the rest is asked for again.
     queued = 2 * DEFAULTS.unacknowledged * len(site.sensor)
     size = MOST_BYTES + _HEADER_BYTES
     lines = [
@@ -97,8 +97,8 @@ def broker_config(site: LiveSite, folder: Path) -> str:
 def broker_access(site: str) -> str:
     """Return who may publish and read what: a sensor its own topics, fusion those of all."""
     root = f"{TOPICS}/{site}"
-    own = [f"pattern write {root}/%u/{kind}" for kind in ("hits", "returns", "status", "pose")]
-    of_all = [f"topic read {root}/+/{kind}" for kind in ("hits", "returns", "status", "pose")]
+    own = [f"pattern write {root}/%u/{kind}" for kind in ("hits", "detections", "status", "pose")]
+    of_all = [f"topic read {root}/+/{kind}" for kind in ("hits", "detections", "status", "pose")]
     lines = [
         f"user {FUSION}", *of_all, f"topic write {root}/+/ack", f"topic write {root}/{FUSION}/#",
         "", *own, f"pattern read {root}/%u/ack",

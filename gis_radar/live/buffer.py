@@ -262,21 +262,6 @@ class DiskBuffer:
         return tuple(found)
 
 
-def hours_held(most_bytes: int, *, message_bytes: float, messages_per_second: float) -> float:
-    """Return how long an outage a buffer survives, hours.
-
-    Parameters
-    ----------
-    most_bytes : int
-        How large it may become.
-    message_bytes : float
-        Of a message's content.
-    messages_per_second : float
-        How many are made.
-    """
-    return most_bytes / ((message_bytes + ROW_BYTES) * messages_per_second * 3600.0)
-
-
 @contextmanager
 def _errors(path: Path) -> Iterator[None]:
     """Name the file where SQLite cannot write it."""

@@ -17,6 +17,7 @@ from gis_radar.crs import require_same
 from gis_radar.errors import InputError, NoAnswerError
 from gis_radar.live.broker import Link, SensorTopics
 from gis_radar.live.buffer import DiskBuffer
+from gis_radar.live.detections import DetectionSelector, FrameDetections, pack_detections
 from gis_radar.live.first_run import compile_first, run_sensor_once
 from gis_radar.live.outbox import OFFLINE, Outbox, status_message
 from gis_radar.live.own_pose import (
@@ -28,24 +29,23 @@ from gis_radar.live.own_pose import (
     view_of,
 )
 from gis_radar.live.payload import (
+    DETECTIONS,
     HITS,
     MOST_CONTENT,
     POSE,
-    RETURNS,
     Envelope,
     PoseContent,
     in_parts,
     pack_hits,
     pack_message,
 )
-from gis_radar.live.returns import FrameReturns, ReturnFinder, pack_returns
 from gis_radar.live.settings import DEFAULTS, EdgeFile, LiveSettings, read_edge_file
 from gis_radar.live.sources import IDLE_S, Frames, Radar, Replay
 from gis_radar.live.tile_finder import TileFinder
 from gis_radar.localization.settings import DEFAULTS as LOCALIZATION
-from gis_radar.occupancy.frame_steps import holds_of
-from gis_radar.occupancy.hit_counter import CountedFrame
-from gis_radar.occupancy.settings import DEFAULTS as OCCUPANCY
+from gis_radar.measures.hit_counter import CountedFrame
+from gis_radar.measures.settings import DEFAULTS as HITS_FOLDER
+from gis_radar.measures.validity import validity_of
 from gis_radar.poses.files import read_track
 from gis_radar.poses.pose import ANGLES, POSITION, Pose
 from gis_radar.progress import QUIET, Reporter
@@ -88,15 +88,15 @@ class Edge:
         self._grid = TileGrid(self._road.quads)
         self._given = self._read_pose(tiles)
         cycles = None if file.cycle is None else {file.sensor: file.cycle}
-        self._hold_s = holds_of(cycles, [file.sensor])[file.sensor]
+        self._validity_s = validity_of(cycles, [file.sensor])[file.sensor]
         self._finder: TileFinder | None = None
         self._pose_number, self._last_step, self._trusted = 0, -1, True
         self._last_time, self._doubted = -np.inf, False
         self._next: Followed | None = None
         self._follower: PoseFollower | None = None
         self._waiting: list[CountedFrame] = []
-        self._returns: list[FrameReturns] = []
-        self._return_finder = ReturnFinder(self._road)
+        self._detections: list[FrameDetections] = []
+        self._selector = DetectionSelector(self._road)
         self._gathered: deque[Detections] = deque(maxlen=LOCALIZATION.traces.frames)
         self._try_at = LOCALIZATION.traces.frames
 
@@ -193,7 +193,7 @@ class Edge:
                 self._outbox.pump()
 
     def _look_at_clock(self, frame: Detections) -> None:
-        """Where the clock was set back, let what was gathered and followed begin anew."""
+        """Reset the buffers after a backward clock jump."""
         time = float(frame.time[0])
         if time < self._last_time:
             self._flush()
@@ -290,8 +290,8 @@ class Edge:
         step = int(np.rint(frame.time[0] * 1e6)) // STEP_US
         content = PoseContent(
             pose=found.pose.as_dict(), since_step=step, fingerprint=self._road.fingerprint,
-            filters=asdict(self._filters), settings=asdict(OCCUPANCY),
-            hold_s=self._hold_s, trusted=found.trusted,
+            filters=asdict(self._filters), settings=asdict(HITS_FOLDER),
+            validity_s=self._validity_s, trusted=found.trusted,
         )  # fmt: skip
         number = self._outbox.put(POSE, content.pack())
         if number:  # else the buffer is full: by the earlier pose, as that is the one that is known
@@ -307,8 +307,8 @@ class Edge:
         self.hits += len(found.tiles)
         self._last_step = found.time_us // STEP_US
         self._waiting.append(found)
-        if self._file.returns:
-            self._returns.append(self._finder.returns(frame, self._return_finder))
+        if self._file.detections:
+            self._detections.append(self._finder.detections(frame, self._selector))
         if len(self._waiting) >= self._file.frames_a_message:
             self._flush()
 
@@ -320,12 +320,14 @@ class Edge:
         pack = partial(pack_hits, pose=pose, fingerprint=fingerprint)
         for content in in_parts(self._waiting, pack):
             self._outbox.put(HITS, content)
-        if self._returns and not self._outbox.behind:
-            envelope = Envelope(kind=RETURNS, stream=self._stream)
-            for returns in in_parts(self._returns, partial(pack_returns, pose=pose)):
-                if len(returns) <= MOST_CONTENT:
-                    self._link.publish(self._topics.of("returns"), pack_message(envelope, returns))
-        self._waiting, self._returns = [], []
+        if self._detections and not self._outbox.behind:
+            envelope = Envelope(kind=DETECTIONS, stream=self._stream)
+            for detections in in_parts(self._detections, partial(pack_detections, pose=pose)):
+                if len(detections) <= MOST_CONTENT:
+                    self._link.publish(
+                        self._topics.of("detections"), pack_message(envelope, detections)
+                    )
+        self._waiting, self._detections = [], []
 
 
 def _is_same(one: Pose, other: Pose) -> bool:

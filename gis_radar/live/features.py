@@ -74,7 +74,7 @@ def feature_routes(live: LiveMap) -> list[Route]:
 
 
 class _Service:
-    """What is answered at each address of the service."""
+    """Responses by address of the service."""
 
     def __init__(self, live: LiveMap) -> None:
         self._live, self._collections = live, _collections(live)
@@ -89,7 +89,7 @@ class _Service:
         at = _root(request)
         content = {
             "title": self._live.place.title,
-            "description": "Which tiles of the roads are occupied, now and lately",
+            "description": "Which tiles of the roads are hit, now and lately",
             "links": [
                 _link(at, "self", JSON, "this page"),
                 _link(f"{at}/api", "service-desc", OPENAPI, "the API"),
@@ -144,13 +144,13 @@ def _collections(live: LiveMap) -> dict[str, Collection]:
             title="Vehicles", layer=layers.vehicles, description="Those of now: speed in m/s"
         ),
         "lanes": Collection(
-            title="Lanes", layer=layers.lanes, description="Occupancy of the last 15 minutes"
+            title="Lanes", layer=layers.lanes, description="Hit share of the last 15 minutes"
         ),
         "intervals": Collection(
             title="Lanes by 15 minutes",
             layer=layers.intervals,
             times=("begin", "end"),
-            description="Occupied and observed seconds of each lane in intervals of 15 minutes",
+            description="Hit and observed seconds of each lane in intervals of 15 minutes",
         ),
         "sensors": Collection(
             title="Sensors", layer=layers.sensors, description="Where they stand, and their state"
@@ -178,12 +178,12 @@ class _Layers:
     def lanes(self) -> gpd.GeoDataFrame:
         now = self._live.snapshot()
         known = pd.Series(now.by_lane(self._place), index=self._place.lane_numbers)
-        table = self._lanes.assign(occupancy_15min=known.reindex(self._lanes["lane"]).to_numpy())
+        table = self._lanes.assign(hits_15min=known.reindex(self._lanes["lane"]).to_numpy())
         if now.lately is None:
             return table
         found = now.lately.lanes.set_index("lane").reindex(table["lane"])
         return table.assign(
-            coverage_15min=(found["covered_s"] / found["visible_s"]).to_numpy(),
+            occupancy_15min=(found["occupied_s"] / found["visible_s"]).to_numpy(),
             passages_15min=found["passages"].to_numpy(), speed_15min=found["speed"].to_numpy(),
         )  # fmt: skip
 
@@ -210,24 +210,24 @@ class _Layers:
 
     def intervals(self) -> gpd.GeoDataFrame:
         table = self._live.lane_intervals().reset_index(drop=True)
-        share = table["occupied_s"] / table["observed_s"].where(table["observed_s"] > 0)
+        share = table["hit_s"] / table["observed_s"].where(table["observed_s"] > 0)
         shapes = [self._shapes.get(lane) for lane in table["lane"]]
-        return gpd.GeoDataFrame(table.assign(occupancy=share), geometry=shapes)
+        return gpd.GeoDataFrame(table.assign(hit_share=share), geometry=shapes)
 
 
 def _measures(now: Snapshot) -> dict[str, Any]:
-    occupied = np.zeros(len(now.observed), bool)
-    occupied[now.now] = True
+    hit = np.zeros(len(now.observed), bool)
+    hit[now.now] = True
     return {
         "observed_now": now.observed_now,
-        "occupied_now": occupied,
-        "occupancy_15min": now.occupancy(),
+        "hit_now": hit,
+        "hit_share_15min": now.hit_share(),
         "observed_15min_s": now.observed * STEP_S,
         **(
             {}
             if now.lately is None
             else {
-                "coverage_15min": now.lately.tiles.share(),
+                "occupancy_15min": now.lately.tiles.share(),
                 "visible_15min_s": now.lately.tiles.visible * STEP_S,
             }
         ),

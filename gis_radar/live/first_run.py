@@ -16,12 +16,12 @@ import numpy as np
 
 from gis_radar.errors import GisRadarError
 from gis_radar.lanelets import read_map
+from gis_radar.live.detections import DetectionSelector, pack_detections
 from gis_radar.live.payload import pack_hits, unpack_hits
-from gis_radar.live.returns import ReturnFinder, pack_returns
 from gis_radar.live.sources import frames_of_recording
 from gis_radar.live.tile_finder import TileFinder
-from gis_radar.occupancy import Filters
-from gis_radar.occupancy.hit_counter import CountedFrame
+from gis_radar.measures import Filters
+from gis_radar.measures.hit_counter import CountedFrame
 from gis_radar.poses.files import read_pose
 from gis_radar.poses.pose import Pose
 from gis_radar.processes import run_unless_stopped
@@ -76,10 +76,10 @@ def run_sensor_once() -> None:
     """Do with a frame what a sensor's program does with each."""
     sample = SampleSensor()
     finder = TileFinder(sample.road, TileGrid(sample.road.quads), Filters(), sample.pose)
-    returns = ReturnFinder(sample.road)
+    selector = DetectionSelector(sample.road)
     for frame in sample.frames(1):
         pack_hits([finder.find(frame)], pose=1, fingerprint=sample.road.fingerprint)
-        pack_returns([finder.returns(frame, returns)], pose=1)
+        pack_detections([finder.detections(frame, selector)], pose=1)
 
 
 @cache

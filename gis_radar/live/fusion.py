@@ -1,4 +1,4 @@
-"""Fusion: what all sensors of a site send becomes the map of now, and an occupancy hour by hour."""
+"""Fusion: what all sensors of a site send becomes the map of now, and a folder of hits an hour."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gis_radar.errors import GisRadarError, OutputError
-from gis_radar.files import whole_file
-from gis_radar.live.aside import Aside
+from gis_radar.files import atomic_write
+from gis_radar.live.background import BackgroundTask
 from gis_radar.live.broker import Link, SensorTopics
 from gis_radar.live.first_run import compile_first, run_fusion_once
 from gis_radar.live.health import HealthServer, prometheus_text
@@ -31,7 +31,7 @@ from gis_radar.live.snapshot import place_of
 from gis_radar.live.store import Store
 from gis_radar.live.vehicles.in_fusion import LiveVehicles
 from gis_radar.live.windows import Seen, Windows
-from gis_radar.occupancy.views import ViewBook
+from gis_radar.measures.views import ViewBook
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.sight import SightTiles, describe_sight, open_sight
 from gis_radar.steps import STEP_US, interval_steps
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 TAKEN_AT_ONCE = 500  # messages between two looks at the clock
 WAIT_S = 0.01
-OCCUPANCY_FOLDER, JOURNAL_FILE, NOW_FILE = "occupancy", "journal.sqlite", "now.gpkg"
+HITS_FOLDER_NAME, JOURNAL_FILE, NOW_FILE = "hits", "journal.sqlite", "now.gpkg"
 PUSH_FILE = "sensorthings.json"
 
 
@@ -87,7 +87,7 @@ class Fusion:
             raise OutputError(f"{folder}: cannot be made: {error.strerror}") from error
         self._journal = Journal(folder / JOURNAL_FILE, fingerprint=road.fingerprint)
         self._store = Store(
-            folder=folder / OCCUPANCY_FOLDER, fingerprint=road.fingerprint, tile_id=road.tile_id,
+            folder=folder / HITS_FOLDER_NAME, fingerprint=road.fingerprint, tile_id=road.tile_id,
             sight=describe_sight(scan),
         )  # fmt: skip
         self._windows = Windows(site.live.lateness)
@@ -99,9 +99,12 @@ class Fusion:
         self._page = _page(self, site)
         self._push = _push(site, self.tiles, reporter)
         self._written: dict[Path, None] = {}
-        self._writer, self._exporter = Aside[Path | None]("hour"), Aside[None]("export")
+        self._writer, self._exporter = (
+            BackgroundTask[Path | None]("hour"),
+            BackgroundTask[None]("export"),
+        )
         self._hour = (0, 0.0)  # that is being written, and when a frame of it came last
-        self._committer = Aside[None]("commit")
+        self._committer = BackgroundTask[None]("commit")
         self._committing: list[tuple[SensorState, str, int]] = []  # up to which number of a stream
         self._session = secrets.token_hex(4)
         self._committed = self._exported = time.monotonic()
@@ -160,7 +163,7 @@ class Fusion:
         own = SensorTopics(live.site, FUSION).of("status")
         link = Link(
             self._site.address(), name=f"{live.site}-fusion",
-            topics=tuple(topics.of(kind) for kind in ("pose", "status", "hits", "returns")),
+            topics=tuple(topics.of(kind) for kind in ("pose", "status", "hits", "detections")),
             will=(own, b'{"version": 1, "state": "offline"}'), reporter=self._reporter,
         )  # fmt: skip
         self._link = link
@@ -209,10 +212,10 @@ class Fusion:
             self._map.take(step, frames)
             if self._page is not None:
                 state = self._map.state()
-                self._page.take(step, state.occupied, state.observed)
+                self._page.take(step, state.hit, state.observed)
             if self._push is not None:
                 state = self._map.state()
-                self._push.take(step, state.occupied, state.observed)
+                self._push.take(step, state.hit, state.observed)
 
     def _regular(self) -> None:
         """Do what the clock asks for: commit, acknowledge, write hours and files."""
@@ -332,19 +335,19 @@ class Fusion:
     def _export(self, state: MapState) -> None:
         """Replace the files for QGIS."""
         observed_s = state.observed_steps * (STEP_US / 1e6)
-        occupied_s = state.occupied_steps * (STEP_US / 1e6)
+        hit_s = state.hit_steps * (STEP_US / 1e6)
         share = np.divide(
-            occupied_s, observed_s, out=np.full(len(observed_s), np.nan), where=observed_s > 0
+            hit_s, observed_s, out=np.full(len(observed_s), np.nan), where=observed_s > 0
         )
         table = self.tiles[["tile_id", "lanelet_id", "geometry"]].assign(
-            time=state.time, occupied=state.occupied.astype(np.int8),
-            observed=state.observed.astype(np.int8), occupied_s=occupied_s,
-            observed_s=observed_s, occupancy=share,
+            time=state.time, hit=state.hit.astype(np.int8),
+            observed=state.observed.astype(np.int8), hit_s=hit_s,
+            observed_s=observed_s, hit_share=share,
         )  # fmt: skip
         if self.vehicles is not None:
             table = table.assign(**self.vehicles.columns())
         try:
-            with whole_file(self._site.folder / NOW_FILE) as part:
+            with atomic_write(self._site.folder / NOW_FILE) as part:
                 table.to_file(part, layer="now", driver="GPKG", engine="pyogrio")
                 if self.vehicles is not None:
                     layer = self.vehicles.layer()
@@ -406,8 +409,6 @@ def run_fusion(
         If its folder cannot be written, or another fusion runs in it.
     """
     site = read_live_site(path)
-    for line in site.remarks:
-        reporter.log(line, "warning")
     fusion = Fusion(site, reporter=reporter)
     fusion.run(stop or Event())
     return fusion

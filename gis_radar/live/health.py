@@ -26,8 +26,8 @@ COUNTS = {
     "damaged": "messages that could not be read",
     "refused": "messages that were not taken: other tiles, version or pose",
     "not_counted": "frames of a moved sensor, whose tiles count as not observed",
-    "returns": "frames of returns, by which vehicles are followed",
-    "left_out": "frames of returns of an unknown pose: vehicles are not followed by them",
+    "detections": "frames of detections, by which vehicles are followed",
+    "left_out": "frames of detections of an unknown pose: vehicles are not followed by them",
 }
 ALARMS = {
     "offline": "the sensor is not linked",
@@ -38,7 +38,7 @@ ALARMS = {
     "damaged": "messages cannot be read",
     "twins": "two sensors have its name",
     "lost": "its buffer is full: frames are lost",
-    "returns": "its vehicles are not followed",
+    "detections": "its vehicles are not followed",
 }
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 
-from gis_radar.site.hours import HOUR_STEPS
-from gis_radar.steps import STEP_US
+from gis_radar.steps import STEP_US, STEPS_PER_SECOND
 
+HOUR_STEPS = 3600 * STEPS_PER_SECOND
 HOUR_US = HOUR_STEPS * STEP_US
 _NAME = "%Y-%m-%dT%HZ"
 LIVE_RECORDING = "live"  # in the place of a recording's name, in the manifest of an hour

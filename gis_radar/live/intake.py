@@ -16,16 +16,17 @@ from gis_radar.crs import require_same
 from gis_radar.errors import InputError, OutputError, placed
 from gis_radar.live.broker import Received, SensorTopics, parts_of
 from gis_radar.live.health import SensorHealth
-from gis_radar.live.hours import HOUR_US
+from gis_radar.live.hits_folder.tile_sets import unpack_tiles
+from gis_radar.live.hours import HOUR_STEPS, HOUR_US
 from gis_radar.live.journal import FrameRow, Journal, PoseRow
 from gis_radar.live.map_of_now import MapOfNow
 from gis_radar.live.old_poses import PosesOfSensor, drop_old_poses
 from gis_radar.live.outbox import ONLINE
 from gis_radar.live.payload import (
+    DETECTIONS,
     FINGERPRINT_BYTES,
     KINDS,
     POSE,
-    RETURNS,
     VERSION,
     Envelope,
     PoseContent,
@@ -37,12 +38,10 @@ from gis_radar.live.payload import (
 from gis_radar.live.settings import DEFAULTS, LiveSettings
 from gis_radar.live.store import KnownPose
 from gis_radar.live.windows import Seen, Windows
-from gis_radar.occupancy.hit_counter import CountedFrame
-from gis_radar.occupancy.tile_sets import decode_tiles
-from gis_radar.occupancy.views import SharedViews, ViewBook
+from gis_radar.measures.hit_counter import CountedFrame
+from gis_radar.measures.views import SharedViews, ViewBook
 from gis_radar.poses.pose import Pose, pose_from_dict
 from gis_radar.progress import QUIET, Reporter
-from gis_radar.site.hours import HOUR_STEPS
 from gis_radar.steps import STEP_US
 
 if TYPE_CHECKING:
@@ -178,7 +177,7 @@ class Intake:
                 heads = {}
             heads.pop(row.standing, None)  # the one in force comes last
             heads[row.standing] = by_id[row.standing]
-            self._map.holds_s[name] = content.hold_s
+            self._map.holds_s[name] = content.validity_s
         known = [
             (number, pose_from_dict(PoseContent.unpack(row.content).pose, what=name))
             for number, row in heads.items()
@@ -208,7 +207,7 @@ class Intake:
         with placed(str(self._journal.path)):
             for name in self.sensors:
                 for row in chain.from_iterable(self._journal.frames(name, begin_us, now_us)):
-                    tiles = decode_tiles(row.tiles, below=count, what="tiles of a frame")
+                    tiles = unpack_tiles(row.tiles, below=count, what="tiles of a frame")
                     seen = Seen(tiles, self.poses[row.pose].view)
                     self._windows.add(name, row.time_us // STEP_US, seen)
         yield from self._windows.close(now_us, most=HOUR_STEPS)
@@ -231,8 +230,8 @@ class Intake:
             else:
                 self._handle_numbered(sensor, message)
         except VersionError as error:
-            if kind == KINDS[RETURNS]:
-                sensor.health.alarm("returns", error.message)
+            if kind == KINDS[DETECTIONS]:
+                sensor.health.alarm("detections", error.message)
             else:
                 self._refuse(sensor, error.message)
         except InputError as error:
@@ -268,12 +267,12 @@ class Intake:
 
     def _handle_numbered(self, sensor: SensorState, message: Received) -> None:
         envelope, content = unpack_message(message.payload)
-        if envelope.kind == RETURNS:
+        if envelope.kind == DETECTIONS:
             if self.vehicles is not None:
                 self.vehicles.take(
                     sensor.health, envelope.stream.hex(), content, sensor.poses, self.poses
                 )
-                sensor.health.alarm("returns", None)
+                sensor.health.alarm("detections", None)
             return
         if not (message.retained and sensor.stream):
             self._use_stream(sensor, envelope.stream.hex())
@@ -363,7 +362,7 @@ class Intake:
         self.poses[row_id] = KnownPose(content=found, view=view)
         sensor.poses[sensor.stream, envelope.number] = row_id
         sensor.pose = pose
-        self._map.holds_s[name] = found.hold_s
+        self._map.holds_s[name] = found.validity_s
         sensor.health.alarm("moved", None if found.trusted else "its pose is not known")
         return True
 

@@ -13,9 +13,9 @@ import numpy as np
 
 from gis_radar.arrays import Booleans, Integers
 from gis_radar.errors import GisRadarError
-from gis_radar.files import whole_file
+from gis_radar.files import atomic_write
 from gis_radar.heatmap.by_lane import lane_totals
-from gis_radar.live.aside import Aside
+from gis_radar.live.background import BackgroundTask
 from gis_radar.live.sensorthings import LaneMeasure, LaneServer, Service
 from gis_radar.live.snapshot import Place
 from gis_radar.progress import QUIET, Reporter
@@ -44,19 +44,19 @@ class LaneIntervals:
         self._steps, self._number = steps, -1
         self._counts = np.zeros((2, len(self._lane_of_tile)), np.int64)
 
-    def take(self, step: int, occupied: Booleans, observed: Booleans) -> list[LaneMeasure]:
+    def take(self, step: int, hit: Booleans, observed: Booleans) -> list[LaneMeasure]:
         """Count a step; return the measures of the interval that it ends, if it does."""
         done: list[LaneMeasure] = []
         if (number := step // self._steps) != self._number:
             if 0 <= self._number < number:  # else the clock was set back
                 done = self._measures()
             self._counts[:], self._number = 0, number
-        self._counts[0] += occupied
+        self._counts[0] += hit
         self._counts[1] += observed
         return done
 
     def _measures(self) -> list[LaneMeasure]:
-        occupied, observed = (self._by_lane(row) for row in self._counts)
+        hit, observed = (self._by_lane(row) for row in self._counts)
         begin = self._number * self._steps
         return [
             LaneMeasure(
@@ -64,7 +64,7 @@ class LaneIntervals:
                 round(seen / tiles * STEP_S, DIGITS),
             )
             for lane, hit, seen, tiles in zip(
-                self._lanes, occupied, observed, self._tiles.tolist(), strict=True
+                self._lanes, hit, observed, self._tiles.tolist(), strict=True
             )
             if seen > 0
         ]  # fmt: skip
@@ -106,7 +106,7 @@ class LanePush:
         lanes = {*place.lane_numbers}  # another map may have others: no server takes those
         self._waiting = [each for each in _read(path, reporter) if each.lane in lanes]
         self._sending: list[LaneMeasure] = []
-        self._work = Aside[int]("sensorthings")
+        self._work = BackgroundTask[int]("sensorthings")
         self._again = True  # what a new start counts again may have arrived before
         self._newest = -1  # begin of an interval
         self._try_at, self._patience_s, self._said = 0.0, FIRST_RETRY_S, ""
@@ -116,9 +116,9 @@ class LanePush:
         """Measures that the server has not taken yet."""
         return len(self._waiting)
 
-    def take(self, step: int, occupied: Booleans, observed: Booleans) -> None:
+    def take(self, step: int, hit: Booleans, observed: Booleans) -> None:
         """Count a closed step."""
-        done = self._intervals.take(step, occupied, observed)
+        done = self._intervals.take(step, hit, observed)
         if done and done[0].begin <= self._newest:  # the clock was set back
             self._again = True
         known = {(each.lane, each.begin) for each in self._waiting} if done else set()
@@ -170,7 +170,7 @@ class LanePush:
 
     def _keep(self) -> None:
         try:
-            with whole_file(self._path) as part:
+            with atomic_write(self._path) as part:
                 part.write_text(json.dumps(self._waiting), encoding="utf-8")
         except GisRadarError as error:
             self._reporter.log(error.message, "warning")

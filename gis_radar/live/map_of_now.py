@@ -1,4 +1,4 @@
-"""The map of now: which tiles are occupied at this moment, and how long they were lately."""
+"""The map of now: which tiles are hit at this moment, and how long they were lately."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from gis_radar.arrays import Booleans, Integers
 from gis_radar.live.windows import Seen
-from gis_radar.occupancy.frame_steps import steps_held
+from gis_radar.measures.validity import valid_steps
 from gis_radar.steps import iso_from_step
 
 
@@ -23,17 +23,17 @@ class MapState:
         The last step that counts.
     begin : int
         The step from which the cumulative counts run.
-    occupied, observed : (n,) bool arrays
+    hit, observed : (n,) bool arrays
         In that step, by position of the tiles.
-    occupied_steps, observed_steps : (n,) int64 arrays
+    hit_steps, observed_steps : (n,) int64 arrays
         Steps since the begin.
     """
 
     step: int
     begin: int
-    occupied: Booleans
+    hit: Booleans
     observed: Booleans
-    occupied_steps: Integers
+    hit_steps: Integers
     observed_steps: Integers
 
     @property
@@ -43,7 +43,7 @@ class MapState:
 
 
 class MapOfNow:
-    """Counts closed windows: a frame covers steps as in an occupancy that is read.
+    """Counts closed windows; frames are valid in steps as in a dataset.
 
     Parameters
     ----------
@@ -59,8 +59,8 @@ class MapOfNow:
         self._tiles, self._interval = tiles, interval
         self._latest: dict[str, tuple[int, Seen]] = {}
         nowhere, never = np.zeros(tiles, np.bool_), np.zeros(tiles, np.int64)
-        self._state = MapState(step=0, begin=0, occupied=nowhere, observed=nowhere,
-                               occupied_steps=never, observed_steps=never)  # fmt: skip
+        self._state = MapState(step=0, begin=0, hit=nowhere, observed=nowhere,
+                               hit_steps=never, observed_steps=never)  # fmt: skip
 
     def take(self, step: int, frames: Mapping[str, Seen]) -> None:
         """Count a closed step; steps come in order, none left out, until a clock is set back.
@@ -73,24 +73,24 @@ class MapOfNow:
             What sensors that have a frame in it report.
         """
         last, begin = self._state, step - step % self._interval
-        occupied, observed = (np.zeros(self._tiles, np.bool_) for _ in range(2))
+        hit, observed = (np.zeros(self._tiles, np.bool_) for _ in range(2))
         set_back = step <= last.step
         if set_back:
             self._latest.clear()
         for sensor, seen in frames.items():
             self._latest[sensor] = (step, seen)
         for sensor, (since, seen) in self._latest.items():
-            if step - since <= steps_held(self.holds_s.get(sensor, 0.0)):
-                occupied[seen.tiles] = True
+            if step - since <= valid_steps(self.holds_s.get(sensor, 0.0)):
+                hit[seen.tiles] = True
                 view = self.views.get(seen.view)
                 if view is not None:
                     observed |= view
-        occupied &= observed  # as a heat map: a hit beyond every view is none
+        hit &= observed  # as a heat map: a hit beyond every view is none
         anew = set_back or begin != last.begin
         # whoever looks meanwhile has the last one: arrays of a state never change
         self._state = MapState(
-            step=step, begin=begin, occupied=occupied, observed=observed,
-            occupied_steps=occupied + (0 if anew else last.occupied_steps),
+            step=step, begin=begin, hit=hit, observed=observed,
+            hit_steps=hit + (0 if anew else last.hit_steps),
             observed_steps=observed + (0 if anew else last.observed_steps),
         )  # fmt: skip
 

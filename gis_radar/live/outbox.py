@@ -105,7 +105,7 @@ class Outbox:
         return len(self._on_way) >= self._settings.unacknowledged // 2
 
     def pump(self) -> None:
-        """Take in what fusion says, and send what is due."""
+        """Process acknowledgements of fusion, and send what is due."""
         while (message := self._link.take(0.0)) is not None:
             self._heard(message.payload)
         if not self._link.connected:

@@ -21,15 +21,15 @@ from gis_radar.lanelets import LaneletMap, read_map
 from gis_radar.live.settings import EdgeFile
 from gis_radar.localization import localize_files
 from gis_radar.localization.result import Problem
+from gis_radar.monitor.follow import Follower, start_estimate
+from gis_radar.monitor.settings import DEFAULTS as TRACKING
+from gis_radar.monitor.track import MOVED, track_of
+from gis_radar.monitor.windows import WindowFitter
 from gis_radar.poses.files import DECIMALS
 from gis_radar.poses.pose import ANGLES, POSITION, Pose, View
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.recording import Detections
 from gis_radar.scans.scan import read_road
-from gis_radar.tracking.follow import Follower, start_estimate
-from gis_radar.tracking.settings import DEFAULTS as TRACKING
-from gis_radar.tracking.track import MOVED, track_of
-from gis_radar.tracking.windows import WindowFitter
 
 AGAIN_FRAMES = 500  # that come before the next try, where no pose follows: 25 s
 WAITING_FRAMES = 2_000  # for a fit to end: 100 s

@@ -50,10 +50,10 @@ COOKIE = "gis_radar"
 WEB = Path(__file__).with_name("web")
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 # Long words may break before these on a phone, whose browser need not know where German words do.
-SEAMS = re.compile(r"(?<=\w)(?=belegung|streifen|fahrten|zyklen)")
-# Of a tile that is occupied now: blue is no colour of the ramp, as light as this not for eyes that
+SEAMS = re.compile(r"(?<=\w)(?=grad|anteil|streifen|fahrten|zyklen)")
+# Of a tile that is hit now: blue is no colour of the ramp, as light as this not for eyes that
 # confuse red and green, whose purple is a deep blue.
-OCCUPIED = "#0090e0"
+HIT = "#0090e0"
 VEHICLE = "#12805c"  # so is green; all are rimmed in white, heavy ones are longer
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: "
@@ -144,7 +144,7 @@ def make_app(live: LiveMap, access: Access | None = None) -> Starlette:
 
 
 class _Answers:
-    """What is answered at each address of the page."""
+    """Responses by address of the page."""
 
     def __init__(self, live: LiveMap, changes: Changes) -> None:
         self._live, self._changes = live, changes
@@ -282,7 +282,7 @@ class Changes:
 
 
 def whole_event(place: Place, snapshot: Snapshot) -> dict[str, Any]:
-    """Return the map as the page takes it: occupied tiles, classes by tile, lanes, sensors."""
+    """Return the map as the page takes it: hit tiles, classes by tile, lanes, sensors."""
     begin = step_begin(snapshot.step)
     share = snapshot.by_lane(place)
     return {
@@ -290,13 +290,13 @@ def whole_event(place: Place, snapshot: Snapshot) -> dict[str, Any]:
         "tiles": place.fingerprint,
         "step": snapshot.step,
         "clock": f"{begin.astimezone(place.zone):%H:%M:%S}",
-        "occupied": snapshot.now.tolist(),
+        "hit": snapshot.now.tolist(),
         "unobserved": np.flatnonzero(~snapshot.observed_now).tolist(),
         "classes": dict(enumerate(snapshot.classes().tolist())),
         "lanes": {i: _permille(each) for i, each in enumerate(share.tolist())},
         "sensors": {each.name: _sensor(place, each) for each in snapshot.sensors},
         "vehicles": _vehicles(place, snapshot),
-        "covers": dict(enumerate(snapshot.coverage_classes().tolist())),
+        "occupancy": dict(enumerate(snapshot.occupancy_classes().tolist())),
         "traffic": _traffic(snapshot),
     }
 
@@ -304,10 +304,10 @@ def whole_event(place: Place, snapshot: Snapshot) -> dict[str, Any]:
 def difference(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
     """Return what of the map differs from what was shown before."""
     changed: dict[str, Any] = {name: after[name] for name in ("step", "clock", "vehicles")}
-    for name in ("occupied", "unobserved"):
+    for name in ("hit", "unobserved"):
         old, new = set(before[name]), set(after[name])
         changed[name] = {"on": sorted(new - old), "off": sorted(old - new)}
-    for name in ("classes", "lanes", "sensors", "covers", "traffic"):
+    for name in ("classes", "lanes", "sensors", "occupancy", "traffic"):
         old = before[name]
         changed[name] = {k: v for k, v in after[name].items() if old.get(k, ...) != v}
     return changed
@@ -325,15 +325,15 @@ def _vehicles(place: Place, snapshot: Snapshot) -> list[list[float]] | None:
 
 
 def _traffic(snapshot: Snapshot) -> dict[int, list[float | None]]:
-    """Return by lane coverage in permille, passages, and their mean speed in km/h."""
+    """Return by lane occupancy in permille, passages, and their mean speed in km/h."""
     if snapshot.lately is None:
         return {}
     table = snapshot.lately.lanes
-    share = table["covered_s"] / table["visible_s"].where(table["visible_s"] > 0)
+    share = table["occupied_s"] / table["visible_s"].where(table["visible_s"] > 0)
     rows = zip(share.tolist(), table["passages"].tolist(), table["speed"].tolist(), strict=True)
     return {
-        i: [_permille(cover), count, None if np.isnan(speed) else round(3.6 * speed)]
-        for i, (cover, count, speed) in enumerate(rows)
+        i: [_permille(share), count, None if np.isnan(speed) else round(3.6 * speed)]
+        for i, (share, count, speed) in enumerate(rows)
     }
 
 
@@ -407,14 +407,14 @@ def _page(place: Place, language: str, *, followed: bool) -> str:
     with speaking(language):
         legends = _legends(language, followed=followed)
         words = {"online": tr("online"), "offline": tr("offline"), "late": tr("no connection"),
-                 "occupied": tr("{n} tiles are occupied now"),
+                 "hit": tr("{n} tiles are hit now"),
                  "vehicles": tr("{n} vehicles now, {heavy} of them heavy"), "no_map": tr(
                      "This browser cannot draw the map (it lacks WebGL); the tables below go on."),
                  "none": tr("not observed"),
                  "alarms": {kind: tr(text) for kind, text in ALARMS.items()}}  # fmt: skip
         colours = {"classes": [each.colour for each in style.colour_classes()],
                    "unobserved": style.NOT_OBSERVED, "free": style.NEVER_HIT,
-                   "occupied": OCCUPIED, "vehicle": VEHICLE,
+                   "hit": HIT, "vehicle": VEHICLE,
                    "breaks": [round(1000 * each) for each in style.BREAKS[:-1]]}  # fmt: skip
         return str(
             _template().render(
@@ -427,8 +427,8 @@ def _page(place: Place, language: str, *, followed: bool) -> str:
 
 def _legends(language: str, *, followed: bool) -> dict[str, Legend]:
     """Return by what the page may show its title, its meaning, and colours with their words."""
-    hits = _colours_in_words("occupancy", language)
-    now = [(OCCUPIED, tr("occupied now")), (style.NEVER_HIT, tr("not hit now")), hits[-1]]
+    hits = _colours_in_words("hit_share", language)
+    now = [(HIT, tr("hit now")), (style.NEVER_HIT, tr("not hit now")), hits[-1]]
     found = {
         "lately": Legend(
             tr("Share of the observed time"), tr("in which a tile is hit, last 15 minutes"), hits
@@ -438,9 +438,9 @@ def _legends(language: str, *, followed: bool) -> dict[str, Legend]:
         ),
     }
     if followed:
-        covers = _colours_in_words("coverage", language)
+        occupancy = _colours_in_words("occupancy", language)
         note = tr("share of time with a vehicle while a tile was visible, last 15 minutes")
-        found["covers"] = Legend(tr("Coverage"), note, covers)
+        found["occupancy"] = Legend(tr("Occupancy"), note, occupancy)
     return found
 
 

@@ -1,7 +1,7 @@
 """Messages between sensors and fusion: their bytes.
 
 What must not be lost is a stream of numbered messages: frames with the tiles that they hit, and the
-poses that these were found by. Returns, for following vehicles, are of the moment and have no
+poses that these were found by. Detections, for tracking, are of the moment and have no
 number. Numbers are varints (LEB128); `docs/live.md` has the layout. Status and acknowledgement are
 JSON.
 """
@@ -19,19 +19,19 @@ import numpy as np
 from gis_radar.arrays import Integers
 from gis_radar.errors import InputError
 from gis_radar.json_documents import parsed_json
-from gis_radar.occupancy.hit_counter import CountedFrame
-from gis_radar.occupancy.tile_sets import decode_tiles, encode_tiles
+from gis_radar.live.hits_folder.tile_sets import pack_tiles, unpack_tiles
+from gis_radar.measures.hit_counter import CountedFrame
 from gis_radar.steps import FIRST_YEAR, LAST_YEAR, LONGEST_CYCLE_S, in_known_years
 
-VERSION, RETURNS_VERSION = 1, 2
-HITS, POSE, RETURNS = 1, 2, 3
-KINDS = {HITS: "hits", POSE: "pose", RETURNS: "returns"}
+VERSION, DETECTIONS_VERSION = 1, 2
+HITS, POSE, DETECTIONS = 1, 2, 3
+KINDS = {HITS: "hits", POSE: "pose", DETECTIONS: "detections"}
 _LIVE = 0x80  # of the byte with the kind: sent as soon as it was made
 _HEAD = struct.Struct(">BB4s")
 STREAM_BYTES, FINGERPRINT_BYTES = 4, 4
 MOST_BYTES = 65_536  # of a message; a frame takes 100
 MOST_FRAMES = 1_000  # in a message
-MOST_HOLD_S = 1.5 * LONGEST_CYCLE_S  # that a frame covers: up to the next one, with some delay
+MOST_VALIDITY_S = 1.5 * LONGEST_CYCLE_S  # of a frame: up to the next one, with some delay
 _MOST_VARINT = 9  # bytes of a number under 2**63
 MOST_CONTENT = MOST_BYTES - _HEAD.size - 2 * _MOST_VARINT  # of a message, without its envelope
 T = TypeVar("T")
@@ -44,7 +44,7 @@ class Envelope:
     Parameters
     ----------
     kind : int
-        `HITS`, `POSE` or `RETURNS`.
+        `HITS`, `POSE` or `DETECTIONS`.
     stream : bytes
         Which buffer it is from: 4 random bytes.
     number : int
@@ -72,7 +72,7 @@ def pack_message(envelope: Envelope, content: bytes) -> bytes:
 
 def version_of(kind: int) -> int:
     """Return the version of messages of a kind."""
-    return RETURNS_VERSION if kind == RETURNS else VERSION
+    return DETECTIONS_VERSION if kind == DETECTIONS else VERSION
 
 
 def unpack_message(data: bytes) -> tuple[Envelope, bytes]:
@@ -124,7 +124,7 @@ def pack_hits(frames: Sequence[CountedFrame], *, pose: int, fingerprint: str) ->
     parts = [bytes.fromhex(fingerprint)[:FINGERPRINT_BYTES], varint(pose), varint(len(frames))]
     before = 0
     for frame in frames:
-        tiles = encode_tiles(frame.tiles)
+        tiles = pack_tiles(frame.tiles)
         head = (
             frame.time_us - before, frame.detections, frame.moving, frame.wild, frame.checksum,
             len(tiles),
@@ -180,7 +180,7 @@ def unpack_hits(content: bytes, *, tiles: int) -> HitsContent:
         gap, detections, moving, wild, checksum, size = (read.take() for _ in range(6))
         time_us += gap
         sets.append(read.bytes(size))
-        found = decode_tiles(sets[-1], below=tiles, what="a frame's tiles")
+        found = unpack_tiles(sets[-1], below=tiles, what="a frame's tiles")
         frames.append(
             CountedFrame(
                 time_us=time_us, detections=detections, moving=moving, wild=wild,
@@ -287,9 +287,9 @@ class PoseContent:
     fingerprint : str
         Of the tiles.
     filters, settings : dict
-        Which detections count, and the constants of the occupancy.
-    hold_s : float
-        How long a frame holds, seconds.
+        Which detections count, and the constants of the hit share.
+    validity_s : float
+        How long a frame is valid, seconds.
     trusted : bool
         False after the sensor was moved, until its pose is known again: frames then do not count.
     """
@@ -299,7 +299,7 @@ class PoseContent:
     fingerprint: str
     filters: dict[str, Any] = field(default_factory=dict)
     settings: dict[str, Any] = field(default_factory=dict)
-    hold_s: float = 0.1
+    validity_s: float = 0.1
     trusted: bool = True
 
     def pack(self) -> bytes:
@@ -317,9 +317,11 @@ class PoseContent:
         """
         record = read_record(content, what="a pose")
         kinds = {"pose": dict, "since_step": int, "fingerprint": str, "filters": dict,
-                 "settings": dict, "hold_s": float | int, "trusted": bool}  # fmt: skip
+                 "settings": dict, "validity_s": float | int, "trusted": bool}  # fmt: skip
         odd = [name for name, kind in kinds.items() if not isinstance(record.get(name), kind)]
-        odd += ["hold_s"] if not odd and not 0.0 < record["hold_s"] <= MOST_HOLD_S else []
+        odd += (
+            ["validity_s"] if not odd and not 0.0 < record["validity_s"] <= MOST_VALIDITY_S else []
+        )
         if odd:
             raise InputError(f"a message with a pose: {odd[0]} is {record.get(odd[0])!r:.80}")
         return cls(**{name: record[name] for name in kinds})

@@ -20,7 +20,7 @@ KEPT = 96  # intervals: a day
 
 
 class RecentCounts:
-    """Counts steps in which tiles are occupied and observed; safe to read from another thread.
+    """Counts steps in which tiles are hit and observed; safe to read from another thread.
 
     Parameters
     ----------
@@ -33,28 +33,28 @@ class RecentCounts:
     def __init__(self, lane_of_tile: Integers, lanes: Sequence[int]) -> None:
         self._lane_of_tile, self._lanes = lane_of_tile, list(lanes)
         self._tiles_of_lane = np.maximum(np.bincount(lane_of_tile, minlength=len(lanes)), 1)
-        # a row a minute, in turn: occupied, observed
+        # a row a minute, in turn: hit, observed
         self._by_minute = np.zeros((2, MINUTES, len(lane_of_tile)), np.int64)
         self._interval = np.zeros((2, len(lane_of_tile)), np.int64)
         self._done: deque[tuple[int, Floats]] = deque(maxlen=KEPT)
         self._minute = self._number = -1
         self._lock = Lock()
 
-    def take(self, step: int, occupied: Booleans, observed: Booleans) -> None:
+    def take(self, step: int, hit: Booleans, observed: Booleans) -> None:
         """Count a step; steps ascend, until a clock is set back.
 
         Parameters
         ----------
         step : int
             The step.
-        occupied, observed : (n,) bool arrays
+        hit, observed : (n,) bool arrays
             Which tiles are, in it.
         """
         with self._lock:
             self._begin_anew(step)
             slot = self._by_minute[:, self._minute % MINUTES]
             for counts in (slot, self._interval):
-                counts[0] += occupied
+                counts[0] += hit
                 counts[1] += observed
 
     def _begin_anew(self, step: int) -> None:
@@ -76,13 +76,13 @@ class RecentCounts:
             self._number = number
 
     def last_minutes(self) -> tuple[Integers, Integers]:
-        """Return the steps in which each tile was occupied and observed: 14 to 15 minutes."""
+        """Return the steps in which each tile was hit and observed: 14 to 15 minutes."""
         with self._lock:
-            occupied, observed = self._by_minute.sum(axis=1)
-        return occupied, observed
+            hit, observed = self._by_minute.sum(axis=1)
+        return hit, observed
 
     def lane_intervals(self) -> pd.DataFrame:
-        """Return `lane, begin, end` (UTC), `occupied_s, observed_s`: means of a lane's tiles."""
+        """Return `lane, begin, end` (UTC), `hit_s, observed_s`: means of a lane's tiles."""
         with self._lock:
             rows = [*self._done]
             if self._number >= 0:
@@ -93,13 +93,13 @@ class RecentCounts:
                     "lane": self._lanes,
                     "begin": step_begin(number * INTERVAL),
                     "end": step_begin((number + 1) * INTERVAL),
-                    "occupied_s": seconds[0],
+                    "hit_s": seconds[0],
                     "observed_s": seconds[1],
                 }
             )
             for number, seconds in rows
         ]
-        names = ["lane", "begin", "end", "occupied_s", "observed_s"]
+        names = ["lane", "begin", "end", "hit_s", "observed_s"]
         return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame(columns=names)
 
     def _by_lane(self) -> Floats:

@@ -1,6 +1,6 @@
 """Push of lane measures to a server that speaks the OGC SensorThings API 1.1 (OGC 18-088).
 
-A lane is a Thing with its line as Location and one Datastream: its hit occupancy over an interval,
+A lane is a Thing with its line as Location and one Datastream: its hit share over an interval,
 in percent, with the observed seconds as a parameter. Nothing finer than a lane leaves the site.
 """
 
@@ -32,10 +32,10 @@ ASKED_BACK = 100  # intervals of a lane that a server is asked for: what FROST a
 MEASUREMENT = "http://www.opengis.net/def/observationType/OGC-OM/2.0/OM_Measurement"
 PERCENT = {"name": "percent", "symbol": "%", "definition": "https://qudt.org/vocab/unit/PERCENT"}
 PROPERTY = {
-    "name": "hit occupancy",
-    "definition": "urn:gis_radar:hit_occupancy",
+    "name": "hit share",
+    "definition": "urn:gis_radar:hit_share",
     "description": "Share of the observed time in which a radar hit something on a tile of the "
-    "lane, the mean of its tiles. It is below the share in which vehicles cover them.",
+    "lane, the mean of its tiles. It is below the share in which vehicles occupy them.",
 }
 COMPONENTS = ["phenomenonTime", "resultTime", "result", "parameters"]
 _NOT_OFFERED = {404, 405, 501}  # of a server without the extension for many observations at once
@@ -43,7 +43,7 @@ _UNWRITTEN = "error"  # what such a server puts in the place of a link
 
 
 class LaneMeasure(NamedTuple):
-    """What is pushed: the occupancy of a lane over an interval.
+    """What is pushed: the hit share of a lane over an interval.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class LaneMeasure(NamedTuple):
     begin, end : int
         Steps, the end left out.
     percent : float
-        Occupied of observed steps.
+        Hit of observed steps.
     observed_s : float
         Seconds that its tiles were observed, their mean.
     """
@@ -266,7 +266,7 @@ class LaneServer:
     def _stream(self, lane: int) -> Any:
         """Return the id of a lane's Datastream; it is made where there is none."""
         if lane not in self._streams:
-            name = f"{self._site}/lane/{lane}/occupancy"
+            name = f"{self._site}/lane/{lane}/hits"
             found = self._service.find("Datastreams", name)
             if found is None:
                 self._service.post("Things", self._thing(lane, name))
@@ -288,7 +288,7 @@ class LaneServer:
             "properties": {"site": self._site, "lane": lane, "street": street or None},
             "Locations": [location],
             "Datastreams": [{
-                "name": stream, "description": f"Hit occupancy of lane {lane}",
+                "name": stream, "description": f"Hit share of lane {lane}",
                 "observationType": MEASUREMENT, "unitOfMeasurement": PERCENT,
                 "Sensor": {"@iot.id": self._entity("Sensors", self._sensor())},
                 "ObservedProperty": {"@iot.id": self._entity("ObservedProperties", PROPERTY)},

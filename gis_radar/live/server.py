@@ -70,13 +70,13 @@ class ShownMap:
     def snapshot(self) -> Snapshot:
         """Return the map of now."""
         state = self._fusion.state()
-        occupied, observed = self._recent.last_minutes()
+        hit, observed = self._recent.last_minutes()
         rates, followed = self._rates(), self._fusion.vehicles
         return Snapshot(
             step=state.step,
-            now=np.flatnonzero(state.occupied),
+            now=np.flatnonzero(state.hit),
             observed_now=state.observed,
-            occupied=occupied,
+            hit=hit,
             observed=observed,
             sensors=[
                 self._shown(name, each, rates.get(name, 0.0))
@@ -87,7 +87,7 @@ class ShownMap:
         )
 
     def lane_intervals(self) -> pd.DataFrame:
-        """Return occupied and observed seconds of each lane in intervals of 15 minutes."""
+        """Return hit and observed seconds of each lane in intervals of 15 minutes."""
         table = self._recent.lane_intervals()
         followed = self._fusion.vehicles
         known = followed.counts.intervals() if followed is not None else pd.DataFrame()
@@ -187,9 +187,9 @@ class Page:
         self._server = uvicorn.Server(config)
         self._thread = Thread(target=self._run, daemon=True, name="page")
 
-    def take(self, step: int, occupied: Booleans, observed: Booleans) -> None:
+    def take(self, step: int, hit: Booleans, observed: Booleans) -> None:
         """Count a closed step."""
-        self._recent.take(step, occupied, observed)
+        self._recent.take(step, hit, observed)
 
     def open(self) -> str:
         """Begin to serve; return the address.

@@ -10,9 +10,9 @@ from pydantic import Field, PrivateAttr, model_validator
 
 from gis_radar.errors import InputError
 from gis_radar.live.broker import BrokerAddress
-from gis_radar.occupancy import Filters
+from gis_radar.measures import Filters
 from gis_radar.site.live_table import BrokerTable, Duration, LiveTable, TopicWord
-from gis_radar.site.settings import MapTable, OccupancyTable, Sensor, Site, ViewTable
+from gis_radar.site.settings import MapTable, MeasureTable, Sensor, Site, ViewTable
 from gis_radar.site.toml_file import read_toml, toml_reference, toml_template
 from gis_radar.site.values import (
     CompassBearing,
@@ -130,14 +130,14 @@ class EdgeFile(TomlTable):
     """Whether the pose is followed every 5 s."""
     road: File | None = key('"road.laz"', None, "none")
     """The scanned road, from `gis-radar mask`, to find and follow the pose by."""
-    cycle: Cycle | None = key('"150ms"', None, "a frame holds 100 ms")
+    cycle: Cycle | None = key('"150ms"', None, "a frame is valid for 100 ms")
     """Of a sensor under 10 Hz, the time from frame to frame."""
     frames_a_message: Annotated[int, Meaning("1 to 100"), Field(strict=True, ge=1, le=100)] = key(
         "5", 1, "1"
     )
     """Frames that wait for each other: fewer messages, and a later map."""
-    returns: Switch = key("false", True, "true")
-    """Whether returns for following vehicles are sent, too."""
+    detections: Switch = key("false", True, "true")
+    """Whether detections for tracking are sent, too."""
     source: SourceTable
     """Where the frames come from."""
     broker: BrokerTable
@@ -146,7 +146,7 @@ class EdgeFile(TomlTable):
     """The lanes, to find and follow the pose by."""
     view: ViewTable | None = None
     """What it sees, where its pose does not state it."""
-    occupancy: OccupancyTable = OccupancyTable()
+    measure: MeasureTable = MeasureTable()
     """Which detections count, as in SITE.toml."""
     buffer: BufferTable = BufferTable()
     """The disk buffer."""
@@ -162,7 +162,7 @@ class EdgeFile(TomlTable):
                 message="its pose is to be found, which needs lanes and road",
                 hint="give road and a table [map], or a pose",
             )
-        if self.occupancy.clocks is not None:
+        if self.measure.clocks is not None:
             raise Unfit(message="clocks are not corrected here", hint="set the clock by PTP or NTP")
         return self
 
@@ -182,7 +182,7 @@ class EdgeFile(TomlTable):
 
     def filters(self) -> Filters:
         """Return which detections count."""
-        return filters_of(self.occupancy)
+        return filters_of(self.measure)
 
 
 class LiveSensor(Sensor):
@@ -248,7 +248,7 @@ def broker_address(table: BrokerTable, *, user: str) -> BrokerAddress:
     return BrokerAddress.of(table.address, user=name, password=password, authority=table.authority)
 
 
-def filters_of(table: OccupancyTable) -> Filters:
+def filters_of(table: MeasureTable) -> Filters:
     """Return which detections count, as a file states it."""
     return Filters(
         min_speed=table.min_speed, min_rcs=table.min_rcs, clearance=table.clearance,

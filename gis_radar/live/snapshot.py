@@ -154,51 +154,51 @@ class Snapshot:
     step : int
         The last step that is complete.
     now : (k,) int64 array
-        Positions of the tiles that are occupied in it, ascending.
+        Positions of the tiles that are hit in it, ascending.
     observed_now : (n,) bool array
         Which tiles are observed in it.
-    occupied, observed : (n,) int64 arrays
+    hit, observed : (n,) int64 arrays
         Steps of the last 15 minutes in which each tile is.
     sensors : sequence of ShownSensor
         All that the site file names.
     vehicles : VehiclesNow, optional
         Those of this moment, where vehicles are followed.
     lately : Lately, optional
-        What vehicles covered in the 15 minutes up to the last block, once there is one.
+        What vehicles occupied in the 15 minutes up to the last block, once there is one.
     """
 
     step: int
     now: Integers
     observed_now: Booleans
-    occupied: Integers
+    hit: Integers
     observed: Integers
     sensors: Sequence[ShownSensor] = field(default=())
     vehicles: VehiclesNow | None = None
     lately: Lately | None = None
 
-    def occupancy(self) -> Floats:
-        """Return the occupancy of each tile over the last 15 minutes, NaN where not observed."""
+    def hit_share(self) -> Floats:
+        """Return the hit share of each tile over the last 15 minutes, NaN where not observed."""
         share = np.full(len(self.observed), np.nan)
-        np.divide(self.occupied, self.observed, out=share, where=self.observed > 0)
+        np.divide(self.hit, self.observed, out=share, where=self.observed > 0)
         return share
 
     def classes(self) -> Integers:
-        """Return the class of each tile's occupancy: 0 never hit, then as in the legend; or -1."""
-        return classes_of(self.occupancy())
+        """Return the class of each tile's hit share: 0 never hit, then as in the legend; or -1."""
+        return classes_of(self.hit_share())
 
-    def coverage_classes(self) -> Integers:
-        """Return the same of each tile's coverage; -1 where it was not visible."""
+    def occupancy_classes(self) -> Integers:
+        """Return the same of each tile's occupancy; -1 where it was not visible."""
         if self.lately is None:
             return np.full(len(self.observed), NOT_OBSERVED)
         return classes_of(self.lately.tiles.share())
 
     def by_lane(self, place: Place) -> Floats:
-        """Return the occupancy of each lane over the last 15 minutes, NaN where not observed."""
+        """Return the hit share of each lane over the last 15 minutes, NaN where not observed."""
         size = len(place.lane_numbers)
         observed = lane_totals(self.observed.astype(float), place.lane_of_tile, size)
-        occupied = lane_totals(self.occupied.astype(float), place.lane_of_tile, size)
+        hit = lane_totals(self.hit.astype(float), place.lane_of_tile, size)
         share = np.full(size, np.nan)
-        np.divide(occupied, observed, out=share, where=observed > 0)
+        np.divide(hit, observed, out=share, where=observed > 0)
         return share
 
 
@@ -219,7 +219,7 @@ class LiveMap(Protocol):
         """Return the map of now."""
 
     def lane_intervals(self) -> pd.DataFrame:
-        """Return `lane, begin, end` (UTC), `occupied_s, observed_s` of intervals of 15 minutes.
+        """Return `lane, begin, end` (UTC), `hit_s, observed_s` of intervals of 15 minutes.
 
         One row a lane and interval, the newest interval last, at most the last 24 hours.
         """

@@ -17,7 +17,7 @@ from threading import Thread
 import numpy as np
 
 from gis_radar.errors import NoAnswerError
-from gis_radar.occupancy.frame_log import NO_FURTHER, FrameIndex, rows_of, whole_frames
+from gis_radar.measures.frames import NO_FURTHER, FrameIndex, rows_of, whole_frames
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings.conversion import format_of
 from gis_radar.recordings.frame_clock import AGREEING_S

@@ -1,4 +1,4 @@
-"""The store: an occupancy folder an hour, from the frames of the journal."""
+"""The store: a folder of hits an hour, from the frames of the journal."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ import pandas as pd
 
 from gis_radar.arrays import Integers
 from gis_radar.errors import InputError
-from gis_radar.files import output_errors, whole_folder
+from gis_radar.files import atomic_folder, output_errors
+from gis_radar.live.hits_folder.folder import (
+    OWNED,
+    StoredHits,
+    merge_stored_hits,
+    read_stored_hits,
+    runs_of_frames,
+    table_of_frames,
+    table_of_views,
+)
+from gis_radar.live.hits_folder.streams import merge_distinct
+from gis_radar.live.hits_folder.tables import merge_logs
+from gis_radar.live.hits_folder.tile_sets import unpack_sets
 from gis_radar.live.hours import HOUR_US, LIVE_RECORDING, hour_name
 from gis_radar.live.journal import FrameRow
 from gis_radar.live.payload import PoseContent
-from gis_radar.occupancy.folder import (
-    HITS_FILE,
-    OWNED,
-    Occupancy,
-    frames_of,
-    frames_table,
-    merge_occupancies,
-    read_occupancy,
-    views_table,
-)
-from gis_radar.occupancy.frame_log import merge_frame_logs
-from gis_radar.occupancy.frame_steps import Runs, union
-from gis_radar.occupancy.hits import HITS, Rows, merge_rows
-from gis_radar.occupancy.tile_sets import decode_sets
+from gis_radar.measures.rows import Rows
+from gis_radar.measures.validity import Runs, union
 from gis_radar.steps import STEP_US
 
 
@@ -121,15 +121,13 @@ class Store:
         path = self.path_of(hour)
         if not with_frames:
             return None
-        occupancy = found.occupancy(with_frames)
+        hits_folder = found.hits_folder(with_frames)
         if path.exists():
-            occupancy = merge_occupancies([read_occupancy(path), occupancy])
+            hits_folder = merge_stored_hits([read_stored_hits(path), hits_folder])
         with output_errors(self.folder):
             self.folder.mkdir(parents=True, exist_ok=True)
-        with whole_folder(path, owned=OWNED) as part:
-            names = occupancy.sensors
-            HITS.write(occupancy.hits_by_sensor(names), part / HITS_FILE, self.fingerprint, names)
-            occupancy.write_beside_hits(part, pairs=False)
+        with atomic_folder(path, owned=OWNED) as part:
+            hits_folder.write(part)
             for file in part.iterdir():
                 _sync(file)
             _sync(part)
@@ -139,7 +137,7 @@ class Store:
 
 
 class _Hour:
-    """The frames of an hour, as the tables of an occupancy."""
+    """The frames of an hour, as the tables of a folder of hits."""
 
     def __init__(
         self, store: Store, hour: int, journal: StoredFrames, poses: Mapping[int, KnownPose],
@@ -164,24 +162,24 @@ class _Hour:
         self._met[sensor] = sorted(met)
         return bool(met)
 
-    def occupancy(self, sensors: Sequence[str]) -> Occupancy:
-        """Return the hour's occupancy; its hits are read when they are asked for."""
-        frames = frames_table(
-            pd.concat([frames_of(*key, union(runs)) for key, runs in self._steps.items()])
+    def hits_folder(self, sensors: Sequence[str]) -> StoredHits:
+        """Return the hour's hit share; its hits are read when they are asked for."""
+        frames = table_of_frames(
+            pd.concat([runs_of_frames(*key, union(runs)) for key, runs in self._steps.items()])
         )
-        return Occupancy(
+        return StoredHits(
             fingerprint=self._store.fingerprint,
             frames=frames,
-            views=views_table(frames, dict(self._tiles)),
-            hits_by_sensor=lambda names: merge_rows(
+            views=table_of_views(frames, dict(self._tiles)),
+            hits_by_sensor=lambda names: merge_distinct(
                 [self._hits(sensor, names.index(sensor)) for sensor in sensors], 3
             ),
-            frame_log=lambda names: merge_frame_logs(
+            frame_log=lambda names: merge_logs(
                 [self._log(sensor, names.index(sensor)) for sensor in sensors]
             ),
             sources=[self._source(sensor) for sensor in sensors],
-            hold_s={
-                sensor: self._poses[self._met[sensor][-1]].content.hold_s for sensor in sensors
+            validity_s={
+                sensor: self._poses[self._met[sensor][-1]].content.validity_s for sensor in sensors
             },
         )
 
@@ -203,7 +201,7 @@ class _Hour:
         for rows in self._journal.frames(sensor, *self._span):
             sizes = np.cumsum([0, *(len(row.tiles) for row in rows)])
             data = np.frombuffer(b"".join(row.tiles for row in rows), np.uint8)
-            tiles, begins = decode_sets(data, sizes, what=str(self._journal.path))
+            tiles, begins = unpack_sets(data, sizes, what=str(self._journal.path))
             if len(tiles) and tiles.max() >= len(self._store.tile_id):
                 last, count = int(tiles.max()), len(self._store.tile_id)
                 raise InputError(f"{self._journal.path}: damaged: names tile {last} of {count}")

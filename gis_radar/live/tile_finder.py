@@ -1,11 +1,11 @@
-"""The tiles that a sensor's frames hit, and the returns that a tracker needs of them."""
+"""The tiles that a sensor's frames hit, and the detections that a tracker needs of them."""
 
 from __future__ import annotations
 
-from gis_radar.live.returns import FrameReturns, ReturnFinder
-from gis_radar.occupancy import Filters
-from gis_radar.occupancy.hit_counter import CountedFrame, FrameCounter
-from gis_radar.occupancy.views import road_near
+from gis_radar.live.detections import DetectionSelector, FrameDetections
+from gis_radar.measures import Filters
+from gis_radar.measures.hit_counter import CountedFrame, FrameCounter
+from gis_radar.measures.views import road_near
 from gis_radar.poses.pose import Pose
 from gis_radar.recordings.recording import Detections
 from gis_radar.sight import SightTiles, find_sight
@@ -13,7 +13,7 @@ from gis_radar.tiles import TileGrid
 
 
 class TileFinder:
-    """Finds the tiles that frames hit, as `gis-radar occupancy` does.
+    """Finds the tiles that frames hit, as `gis-radar hits` does.
 
     Parameters
     ----------
@@ -38,6 +38,6 @@ class TileFinder:
         (found,) = self._counter.count(frame, self.pose, road_m=self._road_m)
         return found
 
-    def returns(self, frame: Detections, finder: ReturnFinder) -> FrameReturns:
+    def detections(self, frame: Detections, finder: DetectionSelector) -> FrameDetections:
         """Return what a tracker needs of a frame."""
         return finder.find(frame, self.pose, road_m=self._road_m)

@@ -65,8 +65,8 @@ def bent(scene: Scene, fit: Fit, model: Model) -> Model:
     """Return the model with that part of the elevation's noise set apart that lasts for seconds.
 
     The variance is split as is likeliest with the random effects of the vehicles integrated out
-    (by Laplace's method): where the returns of one agree better than those of different ones, they
-    share an error, and do not count as many.
+    (by Laplace's method): where the detections of one agree better than those of different ones,
+    they share an error, and do not count as many.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How certain a fit is: covariance, unobservable directions, and lead over another fit."""
+"""How certain a fit is: covariance, unobservable directions, z score against another fit."""
 
 from __future__ import annotations
 
@@ -63,8 +63,8 @@ def certainty(
     """
     inverse: Floats = np.asarray(np.linalg.inv(fit.information), dtype=np.float64)
     noise = _widened(inverse, fit)
-    pulls = zip(fit.streets, settings.street_sigma_m, strict=True)
-    streets = [sigma_m * pull for pull, sigma_m in pulls]
+    gradients = zip(fit.streets, settings.street_sigma_m, strict=True)
+    streets = [sigma_m * gradient for gradient, sigma_m in gradients]
     effects = np.vstack([fit.considered(), *streets]) @ inverse
     covariance = noise + effects.T @ effects
     to_angles = _to_angles(fit.state)

@@ -57,16 +57,16 @@ def by_lanes(
     best = widen_by_profile(scene, answers[0])
     others, clear = answers[1:], settings.answer.clear
     beside = [h for h in others if _one_answer(best, h, settings.answer)]
-    lead, rival = _lead(best, [h for h in others if not any(h is b for b in beside)], scene)
+    z_score, rival = _z_score(best, [h for h in others if not any(h is b for b in beside)], scene)
     reporter.progress(STAGE, 5, 5)
-    if rival is not None and lead < clear:
+    if rival is not None and z_score < clear:
         open_ones = [best, *_others(best, others, scene)]
-        each = [_answer(problem, moving, scene, h, tried, lead) for h in open_ones]
+        each = [_answer(problem, moving, scene, h, tried, z_score) for h in open_ones]
         raise _ambiguous(problem, best, rival, tuple(each))
-    beside_lead, same = _lead(best, beside, scene)
-    if same is not None and beside_lead < clear:
+    beside_z_score, same = _z_score(best, beside, scene)
+    if same is not None and beside_z_score < clear:
         best = replace(best, rival=same.fit.state)
-    return _answer(problem, moving, scene, best, tried, lead)
+    return _answer(problem, moving, scene, best, tried, z_score)
 
 
 def lanes_around(
@@ -129,8 +129,8 @@ def _refuse_mirrored(
     if search_score(turned, heading=heading) < least:
         return
     other, part = find_hypotheses(turned, heading=heading)[0], rough(scene).samples
-    lead = advantage(other.fit, best.fit, part)
-    if lead > settings.clear and other.fit.fitness > settings.least_fitness:
+    z_score = advantage(other.fit, best.fit, part)
+    if z_score > settings.clear and other.fit.fitness > settings.least_fitness:
         raise NoAnswerError(
             f"the recording fits the lanes only when mirrored ({other.fit.fitness:.0%} of the "
             f"traces, {best.fit.fitness:.0%} as it is)",
@@ -138,13 +138,13 @@ def _refuse_mirrored(
         )
 
 
-def _lead(
+def _z_score(
     answer: Hypothesis, others: list[Hypothesis], scene: Scene
 ) -> tuple[float, Hypothesis | None]:
     """Return how clearly the vehicles prefer an answer to its closest rival, and that."""
     settings, guess_m = scene.settings.answer, scene.settings.search.guess_m
     best, known = answer.fit, certainty(answer.fit, settings)
-    lead, closest = math.inf, None
+    z_score, closest = math.inf, None
     for other in others:
         away_m = float(np.hypot(*other.fit.state.position[:2]))
         if away_m > guess_m or other.fit.fitness < settings.least_fitness:
@@ -154,9 +154,9 @@ def _lead(
         apart = gap[:2] @ np.linalg.solve(known.covariance[:2, :2], gap[:2])
         turned = (gap[5] / known.sigma[5]) ** 2
         ahead = advantage(best, other.fit, scene.samples)
-        if apart + turned > settings.same_chi2 and ahead < lead:
-            lead, closest = ahead, other
-    return lead, closest
+        if apart + turned > settings.same_chi2 and ahead < z_score:
+            z_score, closest = ahead, other
+    return z_score, closest
 
 
 def _within_reach(problem: Problem, answers: list[Hypothesis], scene: Scene) -> list[Hypothesis]:
@@ -226,7 +226,7 @@ def _answer(
     scene: Scene,
     best: Hypothesis,
     tried: list[Hypothesis],
-    lead: float,
+    z_score: float,
 ) -> Localization:
     known = certainty(best.fit, scene.settings.answer, rival=best.rival)
     samples = scene.samples
@@ -255,7 +255,7 @@ def _answer(
         ),
         vehicles=samples.tracks,
         samples=len(samples),
-        lead=lead,
+        z_score=z_score,
         traces=samples.points,
         range_rate=samples.range_rate,
     )

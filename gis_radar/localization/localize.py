@@ -35,7 +35,7 @@ from gis_radar.tiles.lookup import with_road_heights
 from gis_radar.tiles.tiles import make_tiles
 
 if TYPE_CHECKING:  # its image filters are loaded by those who have a scan
-    from gis_radar.second_look import SecondLook
+    from gis_radar.scan_check import ScanCheck
 
 FIGURE_TILE_M = 2.0  # length of the tiles in the figure of what a sensor sees
 MOST_TRIES = 5  # recordings tried for a pose, in turn: a quiet day or two in between
@@ -163,7 +163,7 @@ def localize_files(
     """Find the pose of a sensor from its recordings, a map and a scanned road, all files.
 
     Read map and road, take guess and compass to the map's CRS, localize by the first recording
-    that gives a pose, take a second look where there are scans, and draw the figure.
+    that gives a pose, check it against scans where there are some, and draw the figure.
 
     Parameters
     ----------
@@ -190,8 +190,9 @@ def localize_files(
     method : str
         `lane` or `icp`, as for :func:`gis_radar.localize`.
     scans : sequence of paths
-        Airborne scans for a :func:`gis_radar.second_look`; with them the range that the recording
-        reaches (99.9th percentile) becomes the view's `max_range_m`, unless a view is given.
+        Airborne scans for a :func:`gis_radar.check_against_scan`; with them the range that the
+        recording reaches (99.9th percentile) becomes the view's `max_range_m`, unless a view is
+        given.
     scan_crs : CRS, str or int, optional
         The scans' coordinate system, for files that do not state it.
     sensor : str, optional
@@ -224,7 +225,7 @@ def localize_files(
         place = moved_position(place, guess_crs, roads.crs)
     if scans:
         # not at the top: whoever has no scan does not wait for scipy's image filters
-        from gis_radar.second_look import require_scans_near, second_look  # noqa: PLC0415
+        from gis_radar.scan_check import check_against_scan, require_scans_near  # noqa: PLC0415
 
         require_scans_near(scans, roads.crs, place, scan_crs=scan_crs)
     if compass is not None:
@@ -234,14 +235,14 @@ def localize_files(
         guess=place, heading=heading, method=method, settings=settings, reporter=reporter,
     )  # fmt: skip
     if scans:
-        look_at = partial(second_look, scans=scans, scan_crs=scan_crs, reporter=reporter)
+        look_at = partial(check_against_scan, scans=scans, scan_crs=scan_crs, reporter=reporter)
         ask = partial(_decided, localize=ask, look_at=look_at, reporter=reporter)
     recording, found = _first_answer(_tried(recordings), ask, reporter)
     pose = replace(found.pose, sensor=sensor or found.pose.sensor, view=view)
     found, look = replace(found, pose=pose, recording=recording.name), None
     if scans:
-        look = second_look(recording, pose, scans, scan_crs=scan_crs, reporter=reporter)
-        found = found.with_second_look(look)
+        look = check_against_scan(recording, pose, scans, scan_crs=scan_crs, reporter=reporter)
+        found = found.with_scan_check(look)
     if figure is not None:
         seen = _sight(found.pose, roads, points, scans, scan_crs, reporter) if scans else None
         draw_localization(found, roads, points, figure, look=look, seen=seen)
@@ -285,7 +286,7 @@ def _decided(
     recording: Path,
     *,
     localize: Callable[[Path], Localization],
-    look_at: Callable[[Path, Pose], SecondLook],
+    look_at: Callable[[Path, Pose], ScanCheck],
     reporter: Reporter,
 ) -> Localization:
     """Localize; where the traffic fits several poses, take the one that what stands confirms."""

@@ -46,7 +46,7 @@ class Model:
     vehicle : float
         How vehicles differ in the height at which they reflect.
     bent : float
-        By which angle neighbours and the ground bend all returns of a vehicle up or down, one
+        By which angle neighbours and the ground bend all detections of a vehicle up or down, one
         standard deviation.
     lasting : float
         For how many seconds: those of a Matern covariance of order 3/2.

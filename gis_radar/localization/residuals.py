@@ -211,10 +211,10 @@ def _mixed(  # pragma: no cover - compiled
     for j in range(len(value)):
         whole += density[j]
     for j in range(len(value)):
-        chance, pull = density[j] / whole, value[j] / square[j]
+        chance, gradient = density[j] / whole, value[j] / square[j]
         precision += chance / square[j]
-        mean += chance * pull
-        spread += chance * pull**2
+        mean += chance * gradient
+        spread += chance * gradient**2
     centre = mean / precision if precision > 0.0 else 0.0
     return centre, precision, precision - (spread - mean**2), -np.log(whole)
 
@@ -253,8 +253,8 @@ def height(compared: Comparison, effect: Floats) -> Residuals:
 def height_covariance(samples: Samples, model: Model) -> Floats:
     """Return the covariance of how much higher each vehicle appears, spell by spell.
 
-    It reflects from higher than others all the time, and all its returns are bent up or down by an
-    angle that changes over seconds.
+    It reflects from higher than others all the time, and all its detections are bent up or down by
+    an angle that changes over seconds.
 
     Parameters
     ----------
@@ -392,17 +392,17 @@ def assemble(families: list[Residuals], effects: list[Floats], *, curved: bool =
     for family, b in zip(families, effects, strict=True):
         p = family.weight * (_curvature(family, b.size) if curved else family.precision)
         force = family.weight * family.precision * family.value
-        squares, coupled, mass, pull, pulls = _summed(
+        squares, coupled, mass, forces, gradients = _summed(
             p, force, family.jacobian, family.group, b.size
         )
         g = -coupled.reshape(*b.shape, SIZE)
-        mass, pull = mass.reshape(b.shape), pull.reshape(b.shape)
+        mass, forces = mass.reshape(b.shape), forces.reshape(b.shape)
         covariance = _inverse(family.stiffness, mass)
-        gradient = _times(family.stiffness, b) - pull
+        gradient = _times(family.stiffness, b) - forces
         taken = covariance @ g
         across, flat = taken.transpose(0, 2, 1), taken.reshape(-1, SIZE)
         information += squares - g.reshape(-1, SIZE).T @ flat
-        scores += pulls.reshape(*b.shape, SIZE).sum(axis=1) - _times(across, gradient)
+        scores += gradients.reshape(*b.shape, SIZE).sum(axis=1) - _times(across, gradient)
         shared.append((gradient, g, covariance))
         offsets.append(g.sum(axis=1) - _times(across, mass))
     return Normal(
@@ -457,22 +457,22 @@ def _summed(  # pragma: no cover - compiled
     p: Floats, force: Floats, jacobian: Floats, track: Integers, tracks: int
 ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     """Return `sum p J J'`; and by track the sums of `p J`, `p`, `force` and `force J`."""
-    squares, mass, pull = np.zeros((SIZE, SIZE)), np.zeros(tracks), np.zeros(tracks)
-    coupled, pulls = np.zeros((tracks, SIZE)), np.zeros((tracks, SIZE))
+    squares, mass, forces = np.zeros((SIZE, SIZE)), np.zeros(tracks), np.zeros(tracks)
+    coupled, gradients = np.zeros((tracks, SIZE)), np.zeros((tracks, SIZE))
     for i in range(len(p)):
         k = track[i]
         mass[k] += p[i]
-        pull[k] += force[i]
+        forces[k] += force[i]
         for a in range(SIZE):
             pj = p[i] * jacobian[i, a]
             coupled[k, a] += pj
-            pulls[k, a] += force[i] * jacobian[i, a]
+            gradients[k, a] += force[i] * jacobian[i, a]
             for b in range(a + 1):
                 squares[a, b] += pj * jacobian[i, b]
     for a in range(SIZE):
         for b in range(a):
             squares[b, a] = squares[a, b]
-    return squares, coupled, mass, pull, pulls
+    return squares, coupled, mass, forces, gradients
 
 
 def sums(track: Integers, rows: Floats, tracks: int) -> Floats:

@@ -30,7 +30,7 @@ from gis_radar.steps import iso_from_step, step_of
 from gis_radar.words import figure_text, percent, tr
 
 if TYPE_CHECKING:  # what it takes to make one is loaded by those who do
-    from gis_radar.second_look import SecondLook
+    from gis_radar.scan_check import ScanCheck
 
 STAGE = "finding the pose"
 
@@ -70,7 +70,7 @@ class Localization:
         What was tried, the best first.
     vehicles, samples : int
         Moving objects and detections used.
-    lead : float
+    z_score : float
         By how many standard deviations the vehicles prefer the answer to the next hypothesis;
         infinite where there is none.
     traces : (n, 3) array
@@ -87,14 +87,14 @@ class Localization:
     hypotheses: tuple[tuple[float, float, float, float], ...] = ()
     vehicles: int = 0
     samples: int = 0
-    lead: float = math.inf
+    z_score: float = math.inf
     traces: Floats = field(repr=False, default_factory=lambda: np.empty((0, 3)))
     range_rate: Floats = field(repr=False, default_factory=lambda: np.empty(0))
 
     def figures(self) -> Mapping[str, Any]:
         """Return figures worth a look, by name."""
         sigma = self.pose.evidence.get("sigma", {})
-        look = self.pose.evidence.get("second_look")
+        look = self.pose.evidence.get("scan_check")
         return {
             **{name: round(getattr(self.pose, name), 3) for name in COMPONENTS},
             **{f"sigma_{name}": float(f"{value:.2g}") for name, value in sigma.items()},
@@ -102,16 +102,16 @@ class Localization:
             "observable": self.observable,
             "vehicles": self.vehicles,
             "hypotheses": len(self.hypotheses),
-            **({"second_look": look["verdict"]} if look else {}),
+            **({"scan_check": look["verdict"]} if look else {}),
         }
 
-    def with_second_look(self, look: SecondLook) -> Localization:
-        """Return the same answer with a second look's verdict and the range that it measured.
+    def with_scan_check(self, look: ScanCheck) -> Localization:
+        """Return the same answer with a scan check's verdict and the range that it measured.
 
         The verdict goes into the pose's evidence; the range (99.9th percentile) into its view,
         unless it has one.
         """
-        evidence = {**self.pose.evidence, "second_look": dict(look.figures())}
+        evidence = {**self.pose.evidence, "scan_check": dict(look.figures())}
         pose = replace(self.pose, evidence=evidence)
         if look.range_m > View.min_range_m:
             pose = pose.with_view(View(max_range_m=look.range_m))
@@ -215,7 +215,7 @@ def draw_localization(
     road_points: Floats,
     path: str | Path,
     *,
-    look: SecondLook | None = None,
+    look: ScanCheck | None = None,
     seen: tuple[Sight, SightTiles] | None = None,
 ) -> None:
     """Draw the traces at the found pose over lanes and scanned road (PNG).
@@ -230,7 +230,7 @@ def draw_localization(
         The scanned road.
     path : str or Path
         The picture; appears whole or not at all.
-    look : SecondLook, optional
+    look : ScanCheck, optional
         Drawn beside it: what stands, over canopy, roofs and walls.
     seen : (Sight, SightTiles), optional
         Drawn beside it: which tiles the sensor sees from there, and which something hides.
@@ -238,7 +238,7 @@ def draw_localization(
     # not at the top: whoever draws nothing does not wait for matplotlib
     from matplotlib.text import Text  # noqa: PLC0415
 
-    from gis_radar.second_look.picture import draw_surroundings  # noqa: PLC0415
+    from gis_radar.scan_check.picture import draw_surroundings  # noqa: PLC0415
     from gis_radar.sight.picture import draw_sight  # noqa: PLC0415
 
     beside = [name for name, each in (("look", look), ("sight", seen)) if each is not None]

@@ -315,14 +315,14 @@ def _described(cost: _Cost, here: _Here, converged: bool) -> Fit:  # noqa: FBT00
         settings.least_curvature * known + settings.floor * np.eye(len(known)),
     )
     street, count = _streets(cost.scene, here.matches)
-    pulls = [sums(street, offsets, count) for offsets in normal.offsets]
+    gradients = [sums(street, offsets, count) for offsets in normal.offsets]
     return Fit(
         state=here.point.state,
         information=information,
         data_information=information - cost.prior.information,
         scores=sums(cost.scene.samples.vehicles, normal.scores, cost.scene.samples.tracks),
         habits=_habits(cost, here, normal, street),
-        streets=pulls,
+        streets=gradients,
         cost=here.total,
         loss=across.weight * across.loss,
         aside=0.5 * np.square(effects[0][:, 0]) * across.stiffness[:, 0, 0],

@@ -47,7 +47,7 @@ class TraceSettings:
         Where a track begins and how it goes is taken over so long; of one vehicle's tracks the
         range rates differ by no more: more than `rate_mps`, as it may turn while it is hidden.
     pace_points : int
-        Fewer returns in `pace_s` are no pace: of three the middle one may be a limb.
+        Fewer detections in `pace_s` are no pace: of three the middle one may be a limb.
     spell_s : float
         Time over which they share an error of elevation (`Model.bent`), much shorter than the time
         in which it changes.

@@ -66,7 +66,7 @@ class MovingWindow(RollingWindow):
         frames: int = DEFAULTS.traces.frames,
         min_speed: float = DEFAULTS.traces.min_speed_mps,
     ) -> None:
-        super().__init__(frames=frames, keep=lambda piece: np.abs(piece.range_rate) > min_speed)
+        super().__init__(frames=frames, keep=lambda batch: np.abs(batch.range_rate) > min_speed)
 
     def moving(self) -> Moving:
         """Return what moved in the window."""
@@ -109,9 +109,9 @@ def read_moving(
     """
     recording, done = open_recording(path), 0
     window = MovingWindow(frames=frames, min_speed=min_speed)
-    for piece in recording.read():
-        window.push(piece)
-        done += len(piece)
+    for batch in recording.read():
+        window.push(batch)
+        done += len(batch)
         reporter.progress(STAGE, done, recording.rows)
     return window.moving()
 
@@ -240,8 +240,8 @@ def link_tracks(moving: Moving, settings: TraceSettings = DEFAULTS.traces) -> In
     s = settings
     limits = np.array([s.link_s, s.rate_mps, s.range_m, s.across_m, s.across_mps])
     root = _link(limits, time, reach, np.arctan2(y, x), moving.range_rate)
-    table = pd.DataFrame({"root": root, "piece": (time / settings.segment_s).astype(np.int64)})
-    number = np.asarray(table.groupby(["root", "piece"], sort=True).ngroup(), dtype=np.int64)
+    table = pd.DataFrame({"root": root, "segment": (time / settings.segment_s).astype(np.int64)})
+    number = np.asarray(table.groupby(["root", "segment"], sort=True).ngroup(), dtype=np.int64)
     good = _goes_somewhere(number, time, moving, settings)
     renumbered = np.where(good, np.cumsum(good) - 1, NONE)
     return np.asarray(renumbered[number])

@@ -17,7 +17,7 @@ from pyproj import CRS
 from gis_radar.arrays import Floats, Integers
 from gis_radar.crs import metric_crs, name_of
 from gis_radar.errors import InputError
-from gis_radar.files import whole_file
+from gis_radar.files import atomic_write
 from gis_radar.json_documents import read_json
 from gis_radar.notebooks import table_card
 from gis_radar.poses.pose import ANGLES, POSITION, Pose, View, pose_from_dict
@@ -99,7 +99,7 @@ def as_track(pose: Pose | PoseTrack) -> PoseTrack:
 
 def write_pose(pose: Pose, path: str | Path) -> None:
     """Write a pose as JSON, whole or not at all."""
-    with whole_file(Path(path)) as part:
+    with atomic_write(Path(path)) as part:
         part.write_text(json.dumps(pose.as_dict(), indent=1) + "\n", encoding="utf-8")
 
 
@@ -144,7 +144,7 @@ def write_track(track: PoseTrack, path: str | Path) -> None:
     """
     seen = any(pose.view is not None for pose in track.poses)
     names = (*TRACK_FIELDS, *(VIEW_FIELDS if seen else ()))
-    with whole_file(Path(path)) as part, part.open("w", encoding="utf-8", newline="") as file:
+    with atomic_write(Path(path)) as part, part.open("w", encoding="utf-8", newline="") as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(names)
         last = track.poses[0].quaternion

@@ -15,7 +15,7 @@ import shapely
 
 from gis_radar.crs import require_same
 from gis_radar.errors import UsageError
-from gis_radar.files import whole_file
+from gis_radar.files import atomic_write
 from gis_radar.geopackage import add_layer, add_styles, keep_styles
 from gis_radar.poses.pose import ANGLES, POSITION, Pose, View, ellipse
 
@@ -51,7 +51,7 @@ def write_sensors(poses: Sequence[Pose], path: str | Path) -> None:
     poses = sorted(poses, key=lambda pose: pose.sensor)  # in whatever order they were given
     layers = {SENSORS: _points(poses), VIEWS: _views(poses), UNCERTAINTY: _ellipses(poses)}
     kinds = {SENSORS: "Point", VIEWS: "Polygon", UNCERTAINTY: "Polygon"}
-    with whole_file(path) as part:
+    with atomic_write(path) as part:
         for name, table in layers.items():
             add_layer(table, part, name, geometry_type=kinds[name])
         with closing(sqlite3.connect(part)) as database, database:

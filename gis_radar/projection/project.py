@@ -20,7 +20,7 @@ import shapely
 from gis_radar.arrays import Floats
 from gis_radar.crs import name_of, require_same, require_true_scale
 from gis_radar.errors import UsageError
-from gis_radar.files import WRITTEN, refuse_inputs, whole_file
+from gis_radar.files import WRITTEN, atomic_write, refuse_inputs
 from gis_radar.geopackage import write_stream
 from gis_radar.lanelets import LaneletMap
 from gis_radar.poses.files import PoseTrack, as_track
@@ -110,7 +110,7 @@ def write_projection(
     source = as_recording(recording)
     refuse_inputs(path, source.path)
     points = _PointStream(source, as_track(pose), reporter, roads)
-    with whole_file(path) as part:
+    with atomic_write(path) as part:
         WRITERS[path.suffix.lower()](points, part)
     return points.rows
 
@@ -189,8 +189,8 @@ class _PointStream:
             require_same(track.poses[0].crs, roads.crs, what=track.sensor, other_what="the map")
         self._lanes = None if roads is None else OnLanes(roads)
         placed = LANE_COLUMNS if self._lanes else pa.schema([])
-        self._pieces = recording.read(further=True)
-        self._first = next(self._pieces)
+        self._batches = recording.read(further=True)
+        self._first = next(self._batches)
         further = self._first.further.schema
         self.names = _distinct_names(further.names, (*TAKEN, *placed.names))
         kept = [pa.field(self.names[field.name], _plain(field.type)) for field in further]
@@ -209,11 +209,11 @@ class _PointStream:
 
     def __iter__(self) -> Iterator[pa.RecordBatch]:
         done = 0
-        for piece in chain([self._first], self._pieces):
-            batch = self._batch(piece.take(piece.present))
+        for rows in chain([self._first], self._batches):
+            batch = self._batch(rows.take(rows.present))
             self.rows += len(batch)
             yield batch
-            done += len(piece)
+            done += len(rows)
             self.reporter.progress(STAGE, done, self._recording.rows)
 
     def _batch(self, detections: Detections) -> pa.RecordBatch:

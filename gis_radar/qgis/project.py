@@ -6,6 +6,7 @@ The plugin makes its reports from the same `sheet.qpt`.
 from __future__ import annotations
 
 import itertools
+import json
 import sqlite3
 from collections.abc import Sequence
 from contextlib import closing
@@ -17,6 +18,7 @@ import pyogrio
 from pyproj import CRS
 
 from gis_radar.crs import Box, metric_crs
+from gis_radar.dataset import Dataset, open_dataset
 from gis_radar.errors import OutputError, UsageError
 from gis_radar.geopackage import opened_package, read_styles
 from gis_radar.heatmap import style
@@ -24,26 +26,22 @@ from gis_radar.heatmap.step_table import LONG, TIMES
 from gis_radar.heatmap.wide_table import WIDE
 from gis_radar.lanelets.lanes import LANES, STOP_LINES, lane_style
 from gis_radar.languages import LANGUAGES
-from gis_radar.occupancy import read_occupancy
-from gis_radar.occupancy.views import sight_of_views
+from gis_radar.measures.views import sight_of_tiles
 from gis_radar.poses.files import read_track
 from gis_radar.poses.layers import SENSORS, UNCERTAINTY, VIEWS, read_style, write_sensors
 from gis_radar.poses.pose import pose_from_dict
-from gis_radar.progress import QUIET, Reporter
-from gis_radar.qgis.project_file import was_edited, write_project_file
-from gis_radar.qgis.project_xml import LayerSource, ProjectContent, TimeRange, project_xml
-from gis_radar.renamed import renamed
-from gis_radar.sight import SightTiles, write_sights
-from gis_radar.sight.layers import SIGHT_LAYER
-from gis_radar.steps import Clock, seconds_from_iso, zone_of
-from gis_radar.tiles.tiles import read_tiles
-from gis_radar.vehicles import read_vehicles
-from gis_radar.vehicles.layer import (
+from gis_radar.products.footprints import (
     FOOTPRINTS,
     LAYER_DEFAULTS,
     footprint_style,
     write_footprints,
 )
+from gis_radar.progress import QUIET, Reporter
+from gis_radar.qgis.project_file import was_edited, write_project_file
+from gis_radar.qgis.project_xml import LayerSource, ProjectContent, TimeRange, project_xml
+from gis_radar.sight import SightTiles, write_sights
+from gis_radar.sight.layers import SIGHT_LAYER
+from gis_radar.steps import Clock, seconds_from_iso, zone_of
 from gis_radar.words import speaking
 
 MAP_MARGIN = 0.05
@@ -52,7 +50,6 @@ MAP_MARGIN = 0.05
 _TIMES = f'SELECT min("begin"), min("end"), max("end") FROM "{TIMES}"'  # noqa: S608 - our own name
 
 
-@renamed(time_zone="timezone")
 def write_qgis_project(
     path: str | Path,
     *,
@@ -139,7 +136,6 @@ def write_qgis_project(
     write_project_file(path, project_xml(content, path.resolve().parent))
 
 
-@renamed(time_zone="timezone")
 def write_site_project(
     folder: str | Path,
     *,
@@ -158,10 +154,10 @@ def write_site_project(
     ----------
     folder : str or Path
         Holds `heatmap/`, the poses as `sensors/NAME/pose.json` or `track.csv`, of which the last
-        pose counts, and `occupancy/NAME/` of the sensors that the heat map shows; without any
-        `occupancy/`, all sensors are shown.
+        pose counts, and `dataset/` of the sensors that the heat map shows; without it, all sensors
+        are shown.
     footprints : bool
-        Whether the single vehicles of `vehicles/` are written as a layer that the project plays;
+        Whether the single vehicles of the dataset are written as a layer that the project plays;
         without it, an earlier such layer is deleted.
     title : str
         Of the project; by default the folder's name.
@@ -173,17 +169,19 @@ def write_site_project(
     Returns
     -------
     list of Path
-        `sensors.gpkg`, where there is a pose, `sight.gpkg`, where there are occupancies,
+        `sensors.gpkg`, where there is a pose, `sight.gpkg`, where there is a dataset,
         `footprints.gpkg`, where they are asked for and there are vehicles, and `site.qgz`;
         `site_2.qgz` where that was edited.
     """
     folder = Path(folder)
-    poses = _poses(folder)
+    place = folder / "dataset"
+    dataset = open_dataset(place) if place.is_dir() else None
+    poses = _poses(folder, dataset)
     sensors = folder / "sensors.gpkg" if poses else None
     if sensors is not None:
         write_sensors([read_track(path).poses[-1] for path in poses], sensors)
-    sight = _write_sight(folder)
-    vehicles = _write_footprints(folder, asked=footprints, reporter=reporter)
+    sight = _write_sight(folder, dataset)
+    vehicles = _write_footprints(folder, dataset if footprints else None, reporter)
     numbered = (folder / f"site_{number}.qgz" for number in itertools.count(2))
     names = itertools.chain([folder / "site.qgz"], numbered)
     project = next(name for name in names if not was_edited(name))
@@ -211,41 +209,36 @@ def _lane_layers(path: Path) -> dict[str, LayerSource]:
     }
 
 
-def _write_sight(folder: Path) -> Path | None:
-    """Write what the sensors see, as their occupancies have it; None where there are none."""
-    found = [
-        read_occupancy(path.parent) for path in sorted(folder.glob("occupancy/*/manifest.json"))
-    ]
-    if not found or not (folder / "tiles.gpkg").is_file():
+def _write_sight(folder: Path, dataset: Dataset | None) -> Path | None:
+    """Write what the sensors see, as the dataset has it; None where there is none."""
+    if dataset is None:
         return None
-    tiles = read_tiles(folder / "tiles.gpkg")
-    road = SightTiles.of(tiles)
-    sights = [
-        sight_of_views(
-            each.views, pose_from_dict(each.sources[-1]["poses"][-1], what=each.place), road
-        )
-        for each in found
-    ]
+    tiles, poses = dataset.tiles(), dataset.poses()
+    road, sights = SightTiles.of(tiles), []
+    for sensor in dataset.sensors:
+        document = poses.loc[poses["sensor"] == sensor, "document"].iloc[-1]
+        pose = pose_from_dict(json.loads(document), what=f"{dataset.folder}: a pose")
+        sights.append(sight_of_tiles(dataset.sight_of(sensor), pose, road))
     write_sights(sights, tiles, folder / "sight.gpkg")
     return folder / "sight.gpkg"
 
 
-def _write_footprints(folder: Path, *, asked: bool, reporter: Reporter) -> Path | None:
+def _write_footprints(folder: Path, dataset: Dataset | None, reporter: Reporter) -> Path | None:
     """Write the layer of single vehicles; None where it is not asked for, or there are none."""
-    path, vehicles = folder / f"{FOOTPRINTS}.gpkg", folder / "vehicles"
-    if not asked or not vehicles.is_dir():
+    path = folder / f"{FOOTPRINTS}.gpkg"
+    if dataset is None or not dataset.has_vehicles:
         path.unlink(missing_ok=True)
         return None
-    write_footprints(read_vehicles(vehicles), path, reporter=reporter)
+    write_footprints(dataset, path, reporter=reporter)
     return path
 
 
-def _poses(folder: Path) -> list[Path]:
+def _poses(folder: Path, dataset: Dataset | None) -> list[Path]:
     """Return the poses of the sensors that the heat map shows, by name."""
-    shown = {path.name for path in (folder / "occupancy").glob("*/")}
     found = {path.parent.name: path for path in (folder / "sensors").glob("*/track.csv")}
     found |= {path.parent.name: path for path in (folder / "sensors").glob("*/pose.json")}
-    return [found[name] for name in sorted(found) if not shown or name in shown]
+    shown = found.keys() if dataset is None else dataset.sensors
+    return [found[name] for name in sorted(found) if name in shown]
 
 
 def _observed_box(package: Path) -> tuple[CRS, Box]:
@@ -302,20 +295,22 @@ def _filled(path: Path, tables: Sequence[str]) -> list[str]:
 
 
 def _measure(package: Path) -> str:
-    """Return what a heat map shows: coverage, where it was made with vehicles."""
+    """Return what a heat map shows: occupancy, where it was made with vehicles."""
     fields = pyogrio.read_info(package, layer=WIDE)["fields"]
-    return "coverage" if "coverage" in fields else "occupancy"
+    return "occupancy" if "occupancy" in fields else "hit_share"
 
 
 def _heatmap_layers(folder: Path, measure: str) -> dict[str, LayerSource]:
     """Return the layers of a heat map, as their own file styles them."""
-    package, raster = folder / "heatmap.gpkg", folder / "heatmap.tif"
+    package = folder / "heatmap.gpkg"
+    raster = folder / ("heatmap.tif" if measure == "occupancy" else "hits.tif")
     qml = read_styles(package)
     layers = {
-        "heatmap_by_interval": LayerSource(package, qml[LONG], LONG),
+        "by_interval": LayerSource(package, qml[LONG], LONG),
         "heatmap": LayerSource(package, qml[WIDE], WIDE),
         "ground": LayerSource(package, style.ground_qml(), WIDE),
     }
     if raster.is_file():
         layers["raster"] = LayerSource(raster, style.sidecar_qml(measure))
+    # No id may begin as another: QGIS's lists of layers would drop the wrong one.
     return {f"gis_radar_{name}": layer for name, layer in layers.items()}

@@ -6,7 +6,7 @@ import hashlib
 import zipfile
 from pathlib import Path
 
-from gis_radar.files import whole_file
+from gis_radar.files import atomic_write
 
 _MARK = b"gis_radar "
 
@@ -16,7 +16,7 @@ def write_project_file(path: Path, text: str) -> None:
 
     Its mark is gone once QGIS, or anybody else, has saved the project.
     """
-    with whole_file(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
+    with atomic_write(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr(zipfile.ZipInfo(f"{path.stem}.qgs"), text, zipfile.ZIP_DEFLATED)
         archive.comment = _mark(text.encode())
 

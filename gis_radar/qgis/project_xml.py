@@ -76,7 +76,7 @@ def project_xml(content: ProjectContent, home: Path) -> str:
     if "gis_radar_footprints" in content.layers:
         _find(root, "ProjectTimeSettings").set("frameRate", _FRAMES_A_SECOND)
     _fill_place(root, content.crs, content.box)
-    if content.measure != "occupancy":
+    if content.measure != "hit_share":
         _rename_layers(root, content.measure)
     _translate(root, content.language)
     indent(root)
@@ -84,12 +84,12 @@ def project_xml(content: ProjectContent, home: Path) -> str:
 
 
 def _rename_layers(root: Element, measure: str) -> None:
-    """Call the layers of the template, which are of occupancy, by another measure."""
+    """Call the layers of the template, which are of hit share, by another measure."""
     for element in root.iter():
-        if (name := element.get("name", "")).startswith("Occupancy"):
-            element.set("name", name.replace("Occupancy", measure.capitalize()))
-        if element.tag == "layername" and (element.text or "").startswith("Occupancy"):
-            element.text = (element.text or "").replace("Occupancy", measure.capitalize())
+        if (name := element.get("name", "")).startswith("Hit share"):
+            element.set("name", name.replace("Hit share", measure.capitalize()))
+        if element.tag == "layername" and (element.text or "").startswith("Hit share"):
+            element.text = (element.text or "").replace("Hit share", measure.capitalize())
 
 
 _NAMED = {"layer-tree-group", "layer-tree-layer"}
@@ -223,7 +223,7 @@ def _fill_time(root: Element, played: TimeRange | None, language: str) -> None:
 
 
 _FIGURES = "yyyy-MM-ddTHH:mm:ss"  # of the map's time: UTC, whatever QGIS takes them for
-_TIMED = ("gis_radar_heatmap_by_interval", "gis_radar_footprints")  # layers that have a time
+_TIMED = ("gis_radar_by_interval", "gis_radar_footprints")  # layers that have a time
 
 
 def map_clock(played: TimeRange, language: str) -> str:

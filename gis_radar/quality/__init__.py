@@ -1,4 +1,4 @@
-"""Data quality of an occupancy, by sensor and hour."""
+"""Data quality of a dataset, by sensor and hour."""
 
 from gis_radar.quality.quality import Quality, QualitySettings, measure_quality
 

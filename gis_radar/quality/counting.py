@@ -1,8 +1,9 @@
-"""Count frames by sensor and hour, from the frame log of an occupancy."""
+"""Count frames by sensor and hour, from the table of frames of a dataset."""
 
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import dataclass
 from zoneinfo import ZoneInfo
 
@@ -10,9 +11,9 @@ import numpy as np
 import pandas as pd
 
 from gis_radar.arrays import Integers
-from gis_radar.occupancy import Occupancy
-from gis_radar.occupancy.frame_log import COLUMNS
-from gis_radar.occupancy.frame_steps import FrameTimes
+from gis_radar.dataset import Dataset
+from gis_radar.dataset.tables import FRAMES
+from gis_radar.measures.validity import FrameTimes
 from gis_radar.progress import Reporter
 from gis_radar.steps import LONGEST_CYCLE_S
 
@@ -90,12 +91,27 @@ class Count:
         self.seen = max(self.seen, int(seen.max()))
 
 
-def frame_times(occupancy: Occupancy) -> dict[int, FrameTimes]:
-    """Return when frames came, by the sensor's number among `occupancy.sensors`."""
+COLUMNS = (
+    "time_us", "detections", "moving", "wild", "tiles_hit", "tiles_seen", "checksum", "shift_us",
+)  # fmt: skip
+
+
+def _frames(dataset: Dataset) -> Iterator[tuple[int, Columns]]:
+    """Yield the frames of an hour, sensor by sensor, with the sensor's number among all."""
+    numbers = {name: number for number, name in enumerate(dataset.sensors)}
+    for rows in dataset.batches(FRAMES, columns=["sensor", *COLUMNS]):
+        sensors = rows["sensor"].to_pandas()
+        for name, places in sensors.groupby(sensors, sort=True).indices.items():
+            part = slice(int(places[0]), int(places[-1]) + 1)
+            columns = {each: rows[each].to_numpy().astype(np.int64)[part] for each in COLUMNS}
+            yield numbers[str(name)], columns
+
+
+def frame_times(dataset: Dataset) -> dict[int, FrameTimes]:
+    """Return when frames came, by the sensor's number among `dataset.sensors`."""
     found: dict[int, FrameTimes] = defaultdict(FrameTimes)
-    for time_us, sensor, *_ in occupancy.frame_log(occupancy.sensors):
-        for number in np.unique(sensor).tolist():
-            found[number].add(time_us[sensor == number])
+    for number, columns in _frames(dataset):
+        found[number].add(columns["time_us"])
     return dict(found)
 
 
@@ -104,7 +120,7 @@ Gap = tuple[int, int, int]  # the sensor's number, and when the gap begins and e
 
 
 def count_frames(
-    occupancy: Occupancy, times: dict[int, FrameTimes], zone: ZoneInfo, high: float,
+    dataset: Dataset, times: dict[int, FrameTimes], zone: ZoneInfo, high: float,
     reporter: Reporter,
 ) -> Counts:  # fmt: skip
     """Count by sensor (its number) and hour (the UTC second of its begin).
@@ -115,8 +131,8 @@ def count_frames(
 
     Parameters
     ----------
-    occupancy : Occupancy
-        With a frame log.
+    dataset : Dataset
+        With its frames.
     times : dict
         When frames came, as from :func:`frame_times`.
     zone : ZoneInfo
@@ -132,17 +148,14 @@ def count_frames(
     before: dict[int, Columns] = {}
     done = 0
     lost: list[Gap] = []
-    for rows in occupancy.frame_log(occupancy.sensors):
-        named = dict(zip(COLUMNS, rows, strict=True))
-        for number in np.unique(named["sensor"]).tolist():
-            mine = {name: rows[named["sensor"] == number] for name, rows in named.items()}
-            lost += _compare(mine, before.get(number, mine), number, times[number].cycle_us)
-            before[number] = {name: column[-1:] for name, column in mine.items()}
-            hours = hour_begins(mine["time_us"], zone)
-            for hour in np.unique(hours).tolist():
-                part = {name: column[hours == hour] for name, column in mine.items()}
-                counts[number, hour].add(part, high)
-        done += len(rows[0])
+    for number, mine in _frames(dataset):
+        lost += _compare(mine, before.get(number, mine), number, times[number].cycle_us)
+        before[number] = {name: column[-1:] for name, column in mine.items()}
+        hours = hour_begins(mine["time_us"], zone)
+        for hour in np.unique(hours).tolist():
+            part = {name: column[hours == hour] for name, column in mine.items()}
+            counts[number, hour].add(part, high)
+        done += len(mine["time_us"])
         reporter.progress(STAGE, done, None)
     for number, each in times.items():
         # As if a frame came just beyond both ends: what is missing up to there counts too.

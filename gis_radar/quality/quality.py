@@ -1,11 +1,12 @@
 """Measure data quality: one row a sensor and hour, with a verdict in words.
 
 The verdicts are those that freeway operators use for loop detectors (PeMS), adapted to radar: no
-data, too few samples, never occupied, occupied too much, constant, and hits without motion.
+data, too few samples, never hit, hit too much, constant, and hits without motion.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from datetime import UTC
@@ -17,10 +18,10 @@ import numpy as np
 import pandas as pd
 
 from gis_radar.clocks.settings import CLOCK_SET_S
+from gis_radar.dataset import Dataset
 from gis_radar.errors import InputError, UsageError
-from gis_radar.files import whole_file
+from gis_radar.files import atomic_write
 from gis_radar.notebooks import axes_or_new, table_card
-from gis_radar.occupancy import Occupancy
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.quality.counting import HOUR_S, Count, count_frames, frame_times
 from gis_radar.spreadsheets import csv_style
@@ -112,7 +113,7 @@ def _faults_of_frames(count: Count, settings: QualitySettings) -> Iterator[str]:
             f"{100 * count.high / count.frames:.0f} % of the frames"
         )
     elif count.fewest == count.most:
-        yield "occupancy is constant"
+        yield "hit share is constant"
     if count.hits and count.moving < settings.least_moving * count.detections:
         yield "hits without motion"
     if count.wild > settings.most_wild * count.detections:
@@ -125,7 +126,7 @@ KINDS = {"good": "#a8c8e8", "at fault": "#d9641a", "no data": "#e5e7eb"}
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Quality:
-    """Data quality of an occupancy, by sensor and hour.
+    """Data quality of a dataset, by sensor and hour.
 
     Parameters
     ----------
@@ -193,7 +194,7 @@ class Quality:
         path = Path(path)
         require_table_name(path)
         style = csv_style(csv_locale)
-        with whole_file(path) as part:
+        with atomic_write(path) as part:
             if path.suffix.lower() == ".csv":
                 self.table.to_csv(part, index=False, date_format="%Y-%m-%dT%H:%M:%SZ", **style)
             else:
@@ -260,18 +261,18 @@ def require_table_name(path: str | Path) -> None:
 
 
 def measure_quality(
-    occupancy: Occupancy,
+    dataset: Dataset,
     *,
     timezone: str = "UTC",
     settings: QualitySettings = DEFAULTS,
     reporter: Reporter = QUIET,
 ) -> Quality:
-    """Measure by sensor and hour which frames an occupancy is made from, and judge them.
+    """Measure by sensor and hour which frames a dataset is made from, and judge them.
 
     Parameters
     ----------
-    occupancy : Occupancy
-        With the frame log of its sensors; merged ones give what the whole would have given.
+    dataset : Dataset
+        As from :func:`gis_radar.open_dataset`.
     timezone : str
         Whose hours, days and weekdays: a name such as Europe/Berlin.
     settings : QualitySettings
@@ -284,7 +285,7 @@ def measure_quality(
     UsageError
         If there is no such time zone.
     InputError
-        If the occupancy has no frame log.
+        If the dataset holds no frame.
 
     Examples
     --------
@@ -292,27 +293,25 @@ def measure_quality(
     >>> sample = gr.sample_folder()
     >>> tiles = gr.make_tiles(gr.read_map(sample / "junction.osm"))
     >>> pose = gr.read_pose(sample / "R1.json")
-    >>> occupancy = gr.measure_occupancy([sample / "R1.parquet"], [pose], tiles, "occupancy")
-    >>> gr.measure_quality(occupancy)
+    >>> ds = gr.measure([sample / "R1.parquet"], [pose], tiles, sample / "junction.osm", "site")
+    >>> gr.measure_quality(ds)
     Quality(R1: 1 of 1 hours good)
     """
     zone = zone_of(timezone)
-    times = frame_times(occupancy)
+    times = frame_times(dataset)
     if not times:
-        raise InputError(
-            "the occupancy has no frame log (deliveries.parquet)",
-            hint="make it again with: gis-radar occupancy",
-        )
-    counts = count_frames(occupancy, times, zone, settings.high, reporter)
-    poses = _poses(occupancy.sources)
+        raise InputError(f"{dataset.folder}: holds no frame", hint="were the recordings empty?")
+    counts = count_frames(dataset, times, zone, settings.high, reporter)
+    poses = _poses(dataset.poses())
     hours = sorted({hour for _, hour in counts})
     rows = [
         _row(sensor, hour, counts.get((number, hour)), poses.get(sensor, []), zone, settings)
-        for number, sensor in enumerate(occupancy.sensors)
+        for number, sensor in enumerate(dataset.sensors)
         if number in times
         for hour in hours
     ]
-    level = {each["sensor"] for each in occupancy.sources if each.get("elevation") is False}
+    recordings = dataset.recordings()
+    level = set(recordings.loc[~recordings["has_elevation"], "sensor"])
     return Quality(
         table=pd.DataFrame(rows), timezone=timezone, settings=settings,
         without_elevation=frozenset(level),
@@ -322,17 +321,17 @@ def measure_quality(
 Poses = list[tuple[float, str]]
 
 
-def _poses(sources: list[dict[str, Any]]) -> dict[str, Poses]:
+def _poses(table: pd.DataFrame) -> dict[str, Poses]:
     """Return by sensor when its poses were found (NaN where not known), and their text."""
     found: dict[str, set[tuple[float, str]]] = {}
-    for source in sources:
-        for pose in source.get("poses", []):
-            text = ", ".join(
-                f"{pose[name]:.2f} {unit}"
-                for name, unit in (("easting", "E"), ("northing", "N"), ("height", "m"))
-            )
-            angles = " ".join(f"{name} {pose[name]:.2f}" for name in ("yaw", "pitch", "roll"))
-            found.setdefault(source["sensor"], set()).add((_time_of(pose), f"{text}, {angles}"))
+    for document in table["document"]:
+        pose = json.loads(document)
+        text = ", ".join(
+            f"{pose[name]:.2f} {unit}"
+            for name, unit in (("easting", "E"), ("northing", "N"), ("height", "m"))
+        )
+        angles = " ".join(f"{name} {pose[name]:.2f}" for name in ("yaw", "pitch", "roll"))
+        found.setdefault(pose["sensor"], set()).add((_time_of(pose), f"{text}, {angles}"))
     return {  # those of known times first; two NaN do not compare
         sensor: sorted(poses, key=lambda pose: (np.isnan(pose[0]), np.nan_to_num(pose[0]), pose[1]))
         for sensor, poses in found.items()

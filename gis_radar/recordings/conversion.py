@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from gis_radar.errors import InputError, OutputError, UsageError, first_line, placed
-from gis_radar.files import refuse_inputs, whole_files
+from gis_radar.files import atomic_writes, refuse_inputs
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.recordings import readers
 from gis_radar.recordings.frame_clock import CLOCKS, Clock, FrameClock
@@ -318,7 +318,7 @@ def convert(
     )
     opened = [partial(_read, form, name) for form, name in zip(formats, names, strict=True)]
     with (
-        whole_files(place) as (private, places),
+        atomic_writes(place) as (private, places),
         Tracks(private, place, clock, context) as tracks,
     ):
         told = names[0] + (f" and {len(names) - 1} more" if len(names) > 1 else "")

@@ -79,6 +79,24 @@ def first_group_of(path: Path, column: str, least: float) -> tuple[int, int]:
     return metadata.num_row_groups, rows
 
 
+def spans_of_groups(path: Path, column: str) -> list[tuple[float, float]] | None:
+    """Return the least and the greatest value of a column in each row group that has rows.
+
+    None where the file does not state them as numbers.
+    """
+    metadata, found = pq.read_metadata(path), []
+    place = next(k for k, name in enumerate(metadata.schema.names) if name == column)
+    for number in range(metadata.num_row_groups):
+        group = metadata.row_group(number)
+        stated = group.column(place).statistics
+        if group.num_rows == 0:
+            continue
+        if stated is None or not stated.has_min_max or not isinstance(stated.min, float):
+            return None
+        found.append((stated.min, stated.max))
+    return found or None
+
+
 def _texts(path: Path) -> dict[str, pa.DataType]:
     return {
         field.name: field.type

@@ -48,8 +48,10 @@ class RawRows:
         return len(self.time)
 
 
-def read_raw(recording: Recording, *, rcs: bool) -> Iterator[RawRows]:
-    """Read a recording piece by piece, in bounded memory.
+def read_raw(
+    recording: Recording, *, rcs: bool, begin: float = -np.inf, end: float = np.inf
+) -> Iterator[RawRows]:
+    """Read a recording in batches, in bounded memory.
 
     Parameters
     ----------
@@ -57,11 +59,13 @@ def read_raw(recording: Recording, *, rcs: bool) -> Iterator[RawRows]:
         It.
     rcs : bool
         Whether radar cross sections are needed.
+    begin, end : float
+        UNIX seconds: batches without a row between them are left out.
 
     Yields
     ------
     RawRows
-        Consecutive rows; a frame may go on in the next piece.
+        Consecutive rows; a frame may go on in the next batch.
 
     Raises
     ------
@@ -69,9 +73,10 @@ def read_raw(recording: Recording, *, rcs: bool) -> Iterator[RawRows]:
         As of :meth:`Recording.read`.
     """
     names = COLUMNS if rcs else RAW_COLUMNS
-    checks = RowChecks(path=recording.path)
+    before, batches = recording.batches_since(begin, names)
+    checks = RowChecks(path=recording.path, row=before)
     with checks.reading():
-        for batch in recording.batches(names):
+        for batch in batches:
             rows = _columns(batch, rcs=rcs)
             sound, flat = _look(rows, checks) if rows is not None else (False, None)
             if sound and rows is not None:
@@ -79,7 +84,9 @@ def read_raw(recording: Recording, *, rcs: bool) -> Iterator[RawRows]:
             else:
                 checked = _by_name(batch, checks)
                 rows = checked if rows is None else rows
-            if len(rows):
+            if len(rows) and rows.time[0] > end:
+                return
+            if len(rows) and rows.time[-1] >= begin:
                 yield replace(rows, level=bool(checks.flat))
 
 
@@ -102,10 +109,10 @@ def _by_name(batch: pa.RecordBatch, checks: RowChecks) -> RawRows:
     """Check a batch as all readers do."""
     if "rcs" not in batch.schema.names:
         batch = batch.append_column("rcs", pa.nulls(len(batch), pa.float32()))
-    piece = checks.take(batch)
-    x, y, z = np.ascontiguousarray(piece.points.T)
-    rate, rcs = piece.range_rate, piece.rcs
-    return RawRows(time=piece.time, x=x, y=y, z=z, range_rate=rate, rcs=rcs)
+    rows = checks.take(batch)
+    x, y, z = np.ascontiguousarray(rows.points.T)
+    rate, rcs = rows.range_rate, rows.rcs
+    return RawRows(time=rows.time, x=x, y=y, z=z, range_rate=rate, rcs=rcs)
 
 
 def _look(rows: RawRows, checks: RowChecks) -> tuple[bool, bool | None]:

@@ -1,4 +1,4 @@
-"""Recordings: radar detections over time, Parquet or CSV, read in pieces and checked."""
+"""Recordings: radar detections over time, Parquet or CSV, read in batches and checked."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gis_radar.arrays import Booleans, Floats
 from gis_radar.errors import InputError, NoAnswerError, first_line
 from gis_radar.recordings import settings
 from gis_radar.recordings.csv_table import open_csv_table, refuse_many_columns
-from gis_radar.recordings.parquet_table import first_group_of, parquet_batches
+from gis_radar.recordings.parquet_table import first_group_of, parquet_batches, spans_of_groups
 from gis_radar.recordings.units import refuse_positions_in_other_units
 from gis_radar.steps import FIRST_YEAR, LAST_YEAR, UNIX_SECONDS_HINT, in_known_years
 
@@ -76,7 +76,7 @@ class Detections:
 
 
 class RangeCounts:
-    """Histogram of slant ranges, counted piece by piece.
+    """Histogram of slant ranges, counted in batches.
 
     Attributes
     ----------
@@ -87,9 +87,9 @@ class RangeCounts:
     def __init__(self) -> None:
         self.counts = np.zeros(4096, np.int64)  # a metre each; beyond the reach of any radar
 
-    def add(self, piece: Detections) -> None:
-        """Count the detections of a piece."""
-        metres = piece.range_m[piece.present]
+    def add(self, rows: Detections) -> None:
+        """Count the detections of a batch."""
+        metres = rows.range_m[rows.present]
         bins = np.minimum(metres, len(self.counts) - 1).astype(np.int64)
         self.counts += np.bincount(bins, minlength=len(self.counts))
 
@@ -114,17 +114,23 @@ class Recording:
         Starts reading some columns, or with None all: an iterator over record batches of bounded
         size.
     batches_from : callable, optional
-        Takes a time (UNIX seconds) and starts reading where rows of that time and later may be:
-        how many rows are before, and the iterator. Only where the file tells that.
+        Takes a time (UNIX seconds) and columns, and starts reading where rows of that time and
+        later may be: how many rows are before, and the iterator. Only where the file tells that.
+    time_spans : callable, optional
+        Returns first and last time of consecutive parts of the file, without reading them; None
+        where it does not tell them.
     """
 
     path: Path
     rows: int | None
     batches: Callable[[Sequence[str] | None], Iterator[pa.RecordBatch]]
-    batches_from: Callable[[float], tuple[int, Iterator[pa.RecordBatch]]] | None = None
+    batches_from: Callable[[float, Sequence[str]], tuple[int, Iterator[pa.RecordBatch]]] | None = (
+        None
+    )
+    time_spans: Callable[[], list[tuple[float, float]] | None] | None = None
 
     def read(self, *, further: bool = False) -> Iterator[Detections]:
-        """Read the recording piece by piece, in bounded memory.
+        """Read the recording in batches, in bounded memory.
 
         Parameters
         ----------
@@ -134,7 +140,7 @@ class Recording:
         Yields
         ------
         Detections
-            Consecutive rows; a frame may go on in the next piece.
+            Consecutive rows; a frame may go on in the next batch.
 
         Raises
         ------
@@ -147,29 +153,43 @@ class Recording:
         checks = RowChecks(path=self.path)
         with checks.reading():
             for batch in self.batches(None if further else COLUMNS):
-                piece = checks.take(batch)
-                if len(piece):
-                    yield piece
+                rows = checks.take(batch)
+                if len(rows):
+                    yield rows
 
     def read_between(self, begin: float, end: float) -> Iterator[Detections]:
-        """Read the pieces with rows between two times (UNIX seconds), as :meth:`read` does."""
-        before, batches = 0, None
-        if self.batches_from is not None:
-            before, batches = self.batches_from(begin)
+        """Read the batches with rows between two times (UNIX seconds), as :meth:`read` does."""
+        before, batches = self.batches_since(begin, COLUMNS)
         checks = RowChecks(path=self.path, row=before)
         with checks.reading():
-            for batch in batches or self.batches(COLUMNS):
-                piece = checks.take(batch)
-                if len(piece) and piece.time[0] > end:
+            for batch in batches:
+                rows = checks.take(batch)
+                if len(rows) and rows.time[0] > end:
                     return
-                if len(piece) and piece.time[-1] >= begin:
-                    yield piece
+                if len(rows) and rows.time[-1] >= begin:
+                    yield rows
+
+    def batches_since(
+        self, begin: float, columns: Sequence[str]
+    ) -> tuple[int, Iterator[pa.RecordBatch]]:
+        """Start reading where rows of a time (UNIX seconds) may be.
+
+        Returns
+        -------
+        before : int
+            How many rows are left out.
+        batches : iterator
+            Of the columns.
+        """
+        if self.batches_from is None or begin == -np.inf:
+            return 0, self.batches(columns)
+        return self.batches_from(begin, columns)
 
     def measures_elevation(self) -> bool:
         """Return whether the sensor measures elevation: whether the first detection has a z."""
-        for piece in self.read():
-            if piece.present.any():
-                return bool(np.isfinite(piece.points[piece.present, 2][0]))
+        for rows in self.read():
+            if rows.present.any():
+                return bool(np.isfinite(rows.points[rows.present, 2][0]))
         return True
 
     def require_elevation(self, what: str) -> None:
@@ -188,7 +208,7 @@ class Recording:
         if not self.measures_elevation():
             raise NoAnswerError(
                 f"{self.path}: the sensor measures no elevation (z is empty), so {what}",
-                hint="survey the sensor and give its pose; occupancy and project take it",
+                hint="survey the sensor and give its pose; measure and project take it",
             )
 
 
@@ -240,12 +260,14 @@ def _open_parquet(path: Path) -> Recording:
             _require_numbers(file.schema_arrow.field(name).type, name, path)
         rows = file.metadata.num_rows
 
-    def batches_from(begin: float) -> tuple[int, Iterator[pa.RecordBatch]]:
+    def batches_from(begin: float, columns: Sequence[str]) -> tuple[int, Iterator[pa.RecordBatch]]:
         group, before = first_group_of(path, "time", begin)
-        return before, parquet_batches(path, COLUMNS, first_group=group)
+        return before, parquet_batches(path, columns, first_group=group)
 
-    batches = partial(parquet_batches, path)
-    return Recording(path=path, rows=rows, batches=batches, batches_from=batches_from)
+    return Recording(
+        path=path, rows=rows, batches=partial(parquet_batches, path), batches_from=batches_from,
+        time_spans=partial(spans_of_groups, path, "time"),
+    )  # fmt: skip
 
 
 def _open_csv(path: Path) -> Recording:
@@ -313,11 +335,11 @@ class RowChecks:
 
     def take(self, batch: pa.RecordBatch) -> Detections:
         """Return the next rows as detections, or refuse them."""
-        piece = _checked(batch, path=self.path, row=self.row, last=self.last)
-        flat = _refuse_mixed(piece, self.path, self.row, flat=self.flat)
-        refuse_positions_in_other_units(piece.points[piece.present], str(self.path))
-        self.pass_over(piece.time, flat=flat)
-        return piece
+        rows = _checked(batch, path=self.path, row=self.row, last=self.last)
+        flat = _refuse_mixed(rows, self.path, self.row, flat=self.flat)
+        refuse_positions_in_other_units(rows.points[rows.present], str(self.path))
+        self.pass_over(rows.time, flat=flat)
+        return rows
 
     def pass_over(self, time: Floats, *, flat: bool | None) -> None:
         """Go on after rows that were found sound, if they can be of frames."""
@@ -375,15 +397,15 @@ def _refuse_positions(points: Floats, path: Path, row: int) -> None:
     _refuse_rows(far, reason, row, hint="x, y and z are metres from the sensor")
 
 
-def _refuse_mixed(piece: Detections, path: Path, row: int, *, flat: bool | None) -> bool | None:
+def _refuse_mixed(rows: Detections, path: Path, row: int, *, flat: bool | None) -> bool | None:
     """Return whether detections have no height; refuse where some have one and others do not."""
-    if not piece.present.any():
+    if not rows.present.any():
         return flat
-    level = np.isnan(piece.points[:, 2])
-    first = bool(level[piece.present][0]) if flat is None else flat
+    level = np.isnan(rows.points[:, 2])
+    first = bool(level[rows.present][0]) if flat is None else flat
     reason = f"{path}: z is {'there' if first else 'missing'}, unlike before,"
     _refuse_rows(
-        np.asarray(piece.present & (level != first)),
+        np.asarray(rows.present & (level != first)),
         reason,
         row,
         hint="a sensor measures elevation in all detections or in none: leave out such rows",

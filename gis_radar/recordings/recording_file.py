@@ -80,7 +80,7 @@ class RecordingFile:
                 writer.close()
 
     def abandon(self) -> None:
-        """Let go of a file that is not finished; of one that is, do nothing."""
+        """Remove an unfinished file; a finished one is kept."""
         if self._writer is not None:
             with suppress(OSError):
                 self._writer.close()

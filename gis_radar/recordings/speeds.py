@@ -29,22 +29,22 @@ def odd_speeds(recording: Recording) -> str:
     str
         For a message that begins with the file's name.
     """
-    pieces: list[tuple[Floats, Floats, Floats]] = []
+    batches: list[tuple[Floats, Floats, Floats]] = []
     frames = moving = rows = wild = 0
-    for piece in read_raw(recording, rcs=False):
-        speed = np.abs(piece.range_rate)
-        moves = ~np.isnan(piece.x) & (speed >= MOVING_MPS)
-        columns = (piece.x, piece.y, piece.z, piece.range_rate)
+    for batch in read_raw(recording, rcs=False):
+        speed = np.abs(batch.range_rate)
+        moves = ~np.isnan(batch.x) & (speed >= MOVING_MPS)
+        columns = (batch.x, batch.y, batch.z, batch.range_rate)
         x, y, z, fast = (values[moves].astype(np.float64) for values in columns)
-        pieces.append((piece.time[moves], np.column_stack([x, y, z]), fast))
-        frames += 1 + int(np.count_nonzero(np.diff(piece.time)))
+        batches.append((batch.time[moves], np.column_stack([x, y, z]), fast))
+        frames += 1 + int(np.count_nonzero(np.diff(batch.time)))
         rows, moving = rows + len(speed), moving + int(moves.sum())
         wild += int((speed > FASTEST_MPS).sum())
         if frames >= MOST_FRAMES or moving >= ENOUGH:
             break
-    if not pieces:
+    if not batches:
         return ""
-    time, points, rate = (np.concatenate(part) for part in zip(*pieces, strict=True))
+    time, points, rate = (np.concatenate(part) for part in zip(*batches, strict=True))
     if odd := compare_speeds(time, points, rate):
         return odd
     fast = np.abs(rate[np.abs(rate) >= FAST_MPS])

@@ -86,7 +86,7 @@ def unpacked(make: Callable[[], Any], packed: bytes) -> bytes:
 
 @cache
 def limit_rosbags() -> None:
-    """Let the library for bags unpack within limits: it has none of its own."""
+    """Limit how much the library for bags unpacks: it has no limits of its own."""
     from rosbags.rosbag1 import reader as bag1  # noqa: PLC0415 - a fifth of a second
     from rosbags.rosbag2 import reader as bag2  # noqa: PLC0415
     from rosbags.rosbag2 import storage_mcap  # noqa: PLC0415

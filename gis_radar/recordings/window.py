@@ -50,23 +50,23 @@ class RollingWindow:
         self._keep = keep
         self._times: deque[float] = deque(maxlen=frames)
         self._counts: deque[int] = deque(maxlen=frames)
-        self._pieces: deque[tuple[Floats, Floats, Floats]] = deque()
+        self._batches: deque[tuple[Floats, Floats, Floats]] = deque()
 
-    def push(self, piece: Detections) -> None:
-        """Take the next detections; a frame may have begun in the piece before."""
-        stamps, first = np.unique(piece.time, return_index=True)
-        counts = np.add.reduceat(piece.present.astype(np.int64), first)
+    def push(self, batch: Detections) -> None:
+        """Take the next detections; a frame may have begun in the batch before."""
+        stamps, first = np.unique(batch.time, return_index=True)
+        counts = np.add.reduceat(batch.present.astype(np.int64), first)
         if self._times and self._times[-1] == stamps[0]:
             self._counts[-1] += int(counts[0])
             stamps, counts = stamps[1:], counts[1:]
         self._times.extend(stamps.tolist())
         self._counts.extend(counts.tolist())
-        keep = piece.present & self._keep(piece)
-        self._pieces.append((piece.time[keep], piece.points[keep], piece.range_rate[keep]))
-        while self._pieces and (
-            self._pieces[0][0].size == 0 or self._pieces[0][0][-1] < self._times[0]
+        keep = batch.present & self._keep(batch)
+        self._batches.append((batch.time[keep], batch.points[keep], batch.range_rate[keep]))
+        while self._batches and (
+            self._batches[0][0].size == 0 or self._batches[0][0][-1] < self._times[0]
         ):
-            self._pieces.popleft()
+            self._batches.popleft()
 
     def forget(self, before: float) -> None:
         """Drop the frames before a time (UNIX seconds)."""
@@ -86,7 +86,7 @@ class RollingWindow:
         """Return what is in the window."""
         none = (np.empty(0), np.empty((0, 3)), np.empty(0))
         time, points, rate = (
-            np.concatenate(parts) for parts in zip(none, *self._pieces, strict=True)
+            np.concatenate(parts) for parts in zip(none, *self._batches, strict=True)
         )
         inside = time >= self._times[0] if self._times else np.zeros(0, dtype=bool)
         return Window(

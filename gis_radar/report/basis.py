@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from gis_radar.heatmap.covering import mean_coverage
-from gis_radar.occupancy.frame_steps import Runs, steps_in
+from gis_radar.heatmap.occupancy import mean_occupancy
+from gis_radar.measures.validity import Runs
 from gis_radar.quality import Quality
 from gis_radar.quality.quality import GOOD
 from gis_radar.report import names
@@ -47,18 +47,17 @@ class Findings(NamedTuple):
 
 
 def recorded_runs(results: Results) -> dict[str, Runs]:
-    """Return the steps that the frames of each sensor cover; none where that is not known."""
-    if results.occupancy is None:
+    """Return the steps in which frames of each sensor are valid; none where that is not known."""
+    if results.dataset is None:
         return {}
-    covered = results.occupancy.covered_frames()
-    return {str(sensor): steps_in(rows) for sensor, rows in covered.groupby("sensor")}
+    return {name: results.dataset.frame_steps(name) for name in results.dataset.sensors}
 
 
 def recorded_s(results: Results) -> float:
     """Return how long any sensor delivered frames, seconds; NaN where that is not known."""
-    if results.occupancy is None:
+    if results.dataset is None:
         return float("nan")
-    return steps_in(results.occupancy.covered_frames()).steps * STEP_S
+    return results.dataset.frame_steps().steps * STEP_S
 
 
 def totals_of(found: Findings) -> dict[str, Any]:
@@ -66,7 +65,7 @@ def totals_of(found: Findings) -> dict[str, Any]:
     heat, table, measure = found.results.heat, found.table, found.results.heat.measure
     shares, length_m = shown_of(heat), heat.tiles["length_m"].to_numpy(np.float64)
     seen = shares.base_s > 0
-    base, touched = ("visible", "covered") if measure == "coverage" else ("observed", "hit")
+    base, touched = ("visible", "occupied") if measure == "occupancy" else ("observed", "hit")
     seconds = recorded_s(found.results)
     totals = {
         "recorded_s": round(seconds, 2) if np.isfinite(seconds) else None,
@@ -77,19 +76,19 @@ def totals_of(found: Findings) -> dict[str, Any]:
         f"tiles_{base}": int(seen.sum()),
         f"tiles_{touched}": int(np.count_nonzero(shares.part_s[seen])),
     }
-    known = heat.coverage_shares()
+    known = heat.occupancy_shares()
     if known is None or not seen.any():
         return totals
-    mean, error = mean_coverage(heat.tiles, known)
+    mean, error = mean_occupancy(heat.tiles, known)
     top = table.iloc[0] if table["rank"].iloc[0] == 1 else None
     return totals | {
         "lanes_ranked": int(table["rank"].gt(0).sum()),
         "highest_lane": None if top is None else int(top["lane"]),
-        "highest_lane_coverage": None if top is None else round(float(top["share"]), 6),
+        "highest_lane_occupancy": None if top is None else round(float(top["share"]), 6),
         "highest_lane_se": None if top is None else round(float(top["share_se"]), 6),
         "highest_lane_tracks": None if top is None else int(top["tracks"]),
-        "mean_coverage": round(mean, 6),
-        "mean_coverage_se": round(error, 6),
+        "mean_occupancy": round(mean, 6),
+        "mean_occupancy_se": round(error, 6),
         **found.results.traffic,
     }
 
@@ -97,7 +96,7 @@ def totals_of(found: Findings) -> dict[str, Any]:
 def facts_of(found: Findings) -> list[Fact]:
     """Return the figures at the top, each with what it rests on."""
     total, measure = totals_of(found), found.results.heat.measure
-    base = "visible" if measure == "coverage" else "observed"
+    base = "visible" if measure == "occupancy" else "observed"
     sensors, lasts = found.results.sensors, total["recorded_s"]
     length, whole = total[f"lane_length_{base}_m"], total["lane_length_m"]
     names = listed(sensors) if len(sensors) < 5 else ""
@@ -106,18 +105,18 @@ def facts_of(found: Findings) -> list[Fact]:
              _span_text(found)),
         Fact(tr("Sensors"), str(len(sensors)) if sensors else tr(NOT_KNOWN), names),
         Fact(
-            tr("Lane length visible" if measure == "coverage" else "Lane length observed"),
+            tr("Lane length visible" if measure == "occupancy" else "Lane length observed"),
             tr("{part} of {all} m", part=figure_text(length), all=figure_text(whole)),
             tr("{part} of {all} lanes", part=total[f"lanes_{base}"], all=total["lanes"]),
         ),
     ]  # fmt: skip
-    if "mean_coverage" not in total:
+    if "mean_occupancy" not in total:
         return facts
     if "vehicles" in total:
         heavy = tr("{n} of them heavy; no count of vehicles", n=figure_text(total["heavy"]))
         facts.append(Fact(tr("Tracks of vehicles"), figure_text(total["vehicles"]), heavy))
-    mean = percent(total["mean_coverage"], off=total["mean_coverage_se"])
-    facts.append(Fact(tr("Mean coverage"), mean, tr("of all road that was visible")))
+    mean = percent(total["mean_occupancy"], off=total["mean_occupancy_se"])
+    facts.append(Fact(tr("Mean occupancy"), mean, tr("of all road that was visible")))
     return [*facts, _highest(found)]
 
 
@@ -128,7 +127,7 @@ def _span_text(found: Findings) -> str:
 
 
 def _highest(found: Findings) -> Fact:
-    """Return the lane of the highest coverage, where one may be named."""
+    """Return the lane of the highest occupancy, where one may be named."""
     name, top = tr("Highest lane"), found.table.iloc[0]
     if top["rank"] != 1:
         return Fact(name, tr("none to be named"), tr("see: Lanes"))
@@ -187,7 +186,7 @@ def _recorded(found: Findings) -> list[str]:
 
 def _seen(found: Findings) -> list[str]:
     total, measure = totals_of(found), found.results.heat.measure
-    base = "visible" if measure == "coverage" else "observed"
+    base = "visible" if measure == "occupancy" else "observed"
     part, whole = total[f"lane_length_{base}_m"], total["lane_length_m"]
     here = tr(
         "{part} of {all} m of lane ({share})",
@@ -198,8 +197,8 @@ def _seen(found: Findings) -> list[str]:
 
 
 def _tracked(found: Findings) -> list[list[str]]:
-    """Return what is known of vehicles, in reports of coverage."""
-    if found.results.heat.measure != "coverage":
+    """Return what is known of vehicles, in reports of occupancy."""
+    if found.results.heat.measure != "occupancy":
         return []
     total = totals_of(found)
     here, follows = tr(NOT_KNOWN), tr("How many vehicles the figures rest on is not known.")
@@ -212,15 +211,15 @@ def _tracked(found: Findings) -> list[list[str]]:
 
 
 def _ranked(found: Findings) -> list[list[str]]:
-    """Return which lanes are compared, in reports of coverage."""
-    if found.results.heat.measure != "coverage":
+    """Return which lanes are compared, in reports of occupancy."""
+    if found.results.heat.measure != "occupancy":
         text = "Hits compare one place over time; lanes are in the order of their numbers."
         return [[tr("Lanes compared"), tr("none"), tr(text)]]
     number, all_of_them = int(found.table["rank"].gt(0).sum()), len(found.table)
     here = tr("{part} of {all} lanes are ranked", part=number, all=all_of_them)
     rule = tr(
         "Ranked is a lane with {tracks} tracks or more, {share} of its length visible or more, "
-        "and a standard error of at most half its coverage.",
+        "and a standard error of at most half its occupancy.",
         tracks=RANKS.least_tracks, share=percent(RANKS.least_seen, 0),
     )  # fmt: skip
     return [[tr("Lanes compared"), here, rule]]
@@ -242,9 +241,9 @@ def _placed(results: Results) -> list[str]:
 
 def _hidden(results: Results) -> list[str]:
     """Return whether what stands beside the road is known to hide it."""
-    if results.occupancy is None:
+    if results.dataset is None:
         return [tr("What hides road"), tr(NOT_KNOWN), ""]
-    if results.occupancy.sight == VIEW_ONLY:
+    if results.dataset.manifest.settings["sight"] == VIEW_ONLY:
         text = "Road behind houses and trees counts as seen and reads as empty."
         return [tr("What hides road"), tr("not known: no airborne scan"), tr(text)]
     text = "Road behind houses and trees counts as not seen; other vehicles hide it for moments."
@@ -329,7 +328,7 @@ def quality_table(found: Findings) -> Table:
 
 
 def _recorded_in(table: pd.DataFrame, results: Results) -> list[float]:
-    """Return for each sensor and hour the seconds that its frames cover."""
+    """Return for each sensor and hour the seconds in which its frames are valid."""
     runs = recorded_runs(results)
     edges = [
         (begin.timestamp() * STEPS_PER_SECOND, end.timestamp() * STEPS_PER_SECOND)

@@ -206,15 +206,15 @@ def _add_times(ax: Axes, times: Sequence[tuple[float, str]], clock: Clock) -> No
 
 
 def _heading(measure: str) -> str:
-    if measure == "coverage":
-        return tr("Lane; coverage, percent of visible time; band: standard error")
+    if measure == "occupancy":
+        return tr("Lane; occupancy, percent of visible time; band: standard error")
     return tr("Lane; radar hits, percent of observed time")
 
 
 def _caption(measure: str) -> str:
-    if measure == "coverage":
+    if measure == "occupancy":
         text = (
-            "Each lane over the time, all on one scale: the mean coverage of its tiles in each "
+            "Each lane over the time, all on one scale: the mean occupancy of its tiles in each "
             "interval, and in the band what its standard error leaves open. Hatched grey: not "
             "visible."
         )

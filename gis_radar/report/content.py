@@ -58,8 +58,8 @@ class ReportWords(NamedTuple):
 
 
 WORDS = {
-    "occupancy": ReportWords(
-        "Radar hit report", "radar hits", "Occupancy", "of observed time", "occupancy",
+    "hit_share": ReportWords(
+        "Radar hit report", "radar hits", "Hit share", "of observed time", "hit_share",
         "Observed",
         "The map shows in which share of the observed time radar hit each half metre of lane. "
         "Compare one place over time, not places with each other; the figures count neither "
@@ -68,15 +68,15 @@ WORDS = {
         "Radar hit {share} of {n} observed tiles at some time.",
         "{n} lane of the map was not observed.", "{n} lanes of the map were not observed.",
     ),
-    "coverage": ReportWords(
-        "Traffic coverage report", "traffic coverage", "Mean coverage", "of visible time",
-        "coverage", "Visible",
-        "The map shows coverage: for each half metre of lane the estimated share of time in which "
+    "occupancy": ReportWords(
+        "Traffic occupancy report", "traffic occupancy", "Mean occupancy", "of visible time",
+        "occupancy", "Visible",
+        "The map shows occupancy: for each half metre of lane the estimated share of time in which "
         "a vehicle was on it, moving or waiting. 20 % means 12 seconds of every minute. It is an "
         "estimate: radar follows the vehicles, also for moments while others hide them; "
         "± is its standard error. Hatched in colour is uncertain; hatched in grey is road that no "
         "radar saw, which is not 0 %",
-        "Nothing was visible.", "No tile was covered; {n} tiles visible.",
+        "Nothing was visible.", "No tile was occupied; {n} tiles visible.",
         "A vehicle was on {share} of {n} visible tiles at some time.",
         "{n} lane of the map was not visible.", "{n} lanes of the map were not visible.",
     ),
@@ -310,7 +310,7 @@ class Content:
     made_by : str
         The software.
     measure : str
-        What the map shows: `coverage` or `occupancy`.
+        What the map shows: `occupancy` or `hit_share`.
     """
 
     title: str
@@ -324,7 +324,7 @@ class Content:
     map: MapSeries
     chapters: Sequence[Chapter]
     made_by: str
-    measure: str = "occupancy"
+    measure: str = "hit_share"
 
 
 def tie_words(tie: Any) -> str:
@@ -350,7 +350,7 @@ def how_found(evidence: Mapping[str, Any]) -> str:
         words.append(tr("{share} of the vehicle paths lie on the lanes", share=share))
     if evidence.get("observable") is False:
         words.append(tr("the scene leaves part of it open"))
-    if isinstance(look := evidence.get("second_look"), dict) and look.get("verdict"):
+    if isinstance(look := evidence.get("scan_check"), dict) and look.get("verdict"):
         words.append(tr(LOOKS.get(str(look["verdict"]), str(look["verdict"]))))
     if tie := tie_words(evidence.get("together")):
         words.append(tie)

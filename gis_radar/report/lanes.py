@@ -11,16 +11,16 @@ import numpy as np
 import pandas as pd
 
 from gis_radar.arrays import Floats, Integers
+from gis_radar.dataset import Dataset
 from gis_radar.heatmap import HeatMap
 from gis_radar.heatmap.by_lane import lane_totals, lanes_with_tiles
-from gis_radar.heatmap.covering import surest
+from gis_radar.heatmap.occupancy import surest
 from gis_radar.lanelets.lanes import EXIT_M
 from gis_radar.report.content import utc
 from gis_radar.spreadsheets import write_csv
 from gis_radar.steps import Clock
 from gis_radar.tiles.lanes import Lane
 from gis_radar.tiles.tiles import quads
-from gis_radar.vehicles import Vehicles
 from gis_radar.words import NOTHING, wind_of
 
 BUSY = 0.2  # a class break of all heat maps
@@ -37,7 +37,7 @@ class RankSettings:
     least_seen : float
         Share of its length that was visible: less may be its queue alone, or all but its queue.
     most_error : float
-        Standard error, as a share of the coverage: beyond a half, 0 is within two of them.
+        Standard error, as a share of the occupancy: beyond a half, 0 is within two of them.
     """
 
     least_tracks: int = 10
@@ -49,12 +49,12 @@ RANKS = RankSettings()
 
 
 class TileShares(NamedTuple):
-    """What a report shows of tiles: coverage where vehicles are known, else hits.
+    """What a report shows of tiles: occupancy where vehicles are known, else hits.
 
     Parameters
     ----------
     part_s, base_s, share : (tiles,) float64 arrays
-        Seconds covered (or hit), seconds visible (or observed), and their quotient: NaN where the
+        Seconds occupied (or hit), seconds visible (or observed), and their quotient: NaN where the
         seconds below are 0.
     error : (tiles,) float64 array
         Standard error of the quotient, NaN of hits.
@@ -68,14 +68,14 @@ class TileShares(NamedTuple):
 
 def shown_of(heat: HeatMap, interval: int | slice | None = None) -> TileShares:
     """Return what a report shows of the whole time, or of intervals."""
-    known = heat.coverage_shares(interval)
+    known = heat.occupancy_shares(interval)
     if known is None:
         return hits_of(heat, interval)
-    return TileShares(known.covered_s, known.visible_s, known.coverage, known.coverage_se)
+    return TileShares(known.occupied_s, known.visible_s, known.occupancy, known.occupancy_se)
 
 
 def hits_of(heat: HeatMap, interval: int | slice | None = None) -> TileShares:
-    """Return the hit occupancy of the whole time, or of intervals."""
+    """Return the hit share of the whole time, or of intervals."""
     return TileShares(*heat.shares(interval), np.full(len(heat.tiles), np.nan))
 
 
@@ -90,7 +90,7 @@ class LaneSums:
     lane_of_tile : (tiles,) int64 array
         Position of each tile's lane in `lanes`.
     part_s, base_s : (intervals, lanes) float64 arrays
-        Tile-seconds: covered and visible, of hits occupied and observed.
+        Tile-seconds: occupied and visible, of hits hit and observed.
     error_s : (intervals, lanes) float64 array
         Standard error of `part_s`, tile-seconds; NaN of hits. The errors of a lane's tiles are
         taken as one: a vehicle that was missed, or is none, is so all along the lane.
@@ -131,20 +131,20 @@ def _by_lane(
     return part, base, error
 
 
-def tracks_of(vehicles: Vehicles | None, lanes: Sequence[Lane]) -> Integers | None:
+def tracks_of(dataset: Dataset | None, lanes: Sequence[Lane]) -> Integers | None:
     """Return how many tracks of vehicles followed each lane; None where that is not known."""
-    if vehicles is None:
+    if dataset is None or not dataset.has_vehicles:
         return None
     lane_of = {lanelet: i for i, lane in enumerate(lanes) for lanelet in lane.lanelets}
     counts = np.zeros(len(lanes), np.int64)
-    for lanelets in vehicles.vehicles["lanelets"]:
+    for lanelets in dataset.vehicles()["lanelets"]:
         for i in {lane_of[int(each)] for each in lanelets if int(each) in lane_of}:
             counts[i] += 1
     return counts
 
 
 def lane_table(heat: HeatMap, sums: LaneSums, tracks: Integers | None = None) -> pd.DataFrame:
-    """Return one row a lane: those that are ranked by their coverage, then the others.
+    """Return one row a lane: those that are ranked by their occupancy, then the others.
 
     Hits are not ranked: their lanes stay in the order of their numbers. What was not visible
     (observed) comes last.
@@ -153,20 +153,20 @@ def lane_table(heat: HeatMap, sums: LaneSums, tracks: Integers | None = None) ->
     -------
     DataFrame
         `lane`, `lanelets`, `subtype`, `east_m` and `north_m` along its last metres, `length_m`;
-        `base_m`, the length of its tiles with a share; `part_s`, `base_s`, tile-seconds covered and
-        visible, of hits occupied and observed; `share`, their quotient, NaN where there is none,
+        `base_m`, the length of its tiles with a share; `part_s`, `base_s`, tile-seconds occupied
+        and visible, of hits hit and observed; `share`, their quotient, NaN where there is none,
         and its standard error `share_se`, NaN for hits;
         `busiest_spot`, the share of the tile of :func:`surest`, its standard error
         `busiest_spot_se` (NaN for hits), and `busiest_spot_m`, where along the lane; `busy_m`, the
         length of tiles with a share of 20 % or more; `busiest_begin`, `busiest_end`,
         `busiest_share`, `busiest_share_se` of the busiest interval, of those with at least half as
-        much seen as in the best seen; `occupied_s`, `observed_s`, `occupancy`: its hits; `tracks`
+        much seen as in the best seen; `hit_s`, `observed_s`, `hit_share`: its hits; `tracks`
         of vehicles, -1 where not known; `rank`, from 1, 0 of those that are not ranked, and `why`.
     """
-    whole, tiles, known = shown_of(heat), heat.tiles, heat.coverage_shares()
-    error = np.full(len(tiles), np.nan) if known is None else known.coverage_se
+    whole, tiles, known = shown_of(heat), heat.tiles, heat.occupancy_shares()
+    error = np.full(len(tiles), np.nan) if known is None else known.occupancy_se
     part, base, off = sums.of(whole)
-    occupied, observed, _ = sums.of(hits_of(heat))
+    hit, observed, _ = sums.of(hits_of(heat))
     length = tiles["length_m"].to_numpy(np.float64)
     centre = quads(tiles).mean(axis=1)
     rows = []
@@ -189,9 +189,9 @@ def lane_table(heat: HeatMap, sums: LaneSums, tracks: Integers | None = None) ->
                 "base_s": float(base[i]),
                 "share": part[i] / base[i] if seen.any() else np.nan,
                 "share_se": off[i] / base[i] if seen.any() else np.nan,
-                "occupied_s": float(occupied[i]) if observed[i] else np.nan,
+                "hit_s": float(hit[i]) if observed[i] else np.nan,
                 "observed_s": float(observed[i]),
-                "occupancy": occupied[i] / observed[i] if observed[i] else np.nan,
+                "hit_share": hit[i] / observed[i] if observed[i] else np.nan,
                 "busiest_spot": float(mine[top]) if seen.any() else np.nan,
                 "busiest_spot_se": float(error[lane.rows[top]]) if seen.any() else np.nan,
                 "busiest_spot_m": float(long[: top + 1].sum() - long[top] / 2)
@@ -209,7 +209,7 @@ def _in_order(table: pd.DataFrame, measure: str) -> pd.DataFrame:
     """Return the lanes in the order in which they are read, with their ranks."""
     table = table.assign(why=[_why_not(row, measure) for _, row in table.iterrows()])
     table["place"] = table["share"].isna() * 2 + table["why"].ne("")
-    by_share = measure == "coverage"
+    by_share = measure == "occupancy"
     table = table.sort_values(
         ["place", "share", "lane"] if by_share else ["place", "lane"],
         ascending=[True, False, True] if by_share else True, ignore_index=True,
@@ -229,7 +229,7 @@ WHY_NOT = {
 
 def _why_not(row: pd.Series, measure: str, ranks: RankSettings = RANKS) -> str:
     """Return why a lane is not ranked, a key of `WHY_NOT`; nothing where it is."""
-    if measure != "coverage":
+    if measure != "occupancy":
         return "hits"
     reasons = {
         "unseen": np.isnan(row["share"]),
@@ -258,30 +258,30 @@ def _busiest(heat: HeatMap, sums: LaneSums, lane: int) -> dict[str, object]:
     }
 
 
-# The tables: of coverage, with hits as the last columns; of hits where no vehicles are known.
+# The tables: of occupancy, with hits as the last columns; of hits where no vehicles are known.
 
-_HITS = ("occupied_tile_s", "observed_tile_s", "occupancy")
-_COVERED = ("covered_tile_s", "visible_tile_s", "coverage", "coverage_se")
+_HITS = ("hit_tile_s", "observed_tile_s", "hit_share")
+_OCCUPIED = ("occupied_tile_s", "visible_tile_s", "occupancy", "occupancy_se")
 
 
 def write_lanes(path: Path, table: pd.DataFrame, clock: Clock, measure: str) -> None:
     """Write all lanes: one row each, shares from 0 to 1, empty where there is none."""
-    covered = measure == "coverage"
+    occupied = measure == "occupancy"
     header = (
-        "lane", *(("rank", "tracks") if covered else ()),
+        "lane", *(("rank", "tracks") if occupied else ()),
         "lanelets", "subtype", "street", "street_part", "leads_to", "length_m",
-        "visible_m" if covered else "observed_m", *(_COVERED if covered else _HITS),
-        "busiest_spot", *(("busiest_spot_se",) if covered else ()), "busiest_spot_m",
+        "visible_m" if occupied else "observed_m", *(_OCCUPIED if occupied else _HITS),
+        "busiest_spot", *(("busiest_spot_se",) if occupied else ()), "busiest_spot_m",
         "over_20_percent_m", "busiest_begin_utc", "busiest_begin_local", "busiest_end_utc",
-        f"busiest_{measure}", *(("busiest_coverage_se", *_HITS) if covered else ()),
+        f"busiest_{measure}", *(("busiest_occupancy_se", *_HITS) if occupied else ()),
     )  # fmt: skip
     digits = {
         "length_m": 2, "base_m": 2, "part_s": 2, "base_s": 2, "share": 6,
-        **({"share_se": 6} if covered else {}), "busiest_spot": 6,
-        **({"busiest_spot_se": 6} if covered else {}), "busiest_spot_m": 2, "busy_m": 2,
+        **({"share_se": 6} if occupied else {}), "busiest_spot": 6,
+        **({"busiest_spot_se": 6} if occupied else {}), "busiest_spot_m": 2, "busy_m": 2,
     }  # fmt: skip
-    busiest = ("busiest_share", *(("busiest_share_se",) if covered else ()))
-    hits = {"occupied_s": 2, "observed_s": 2, "occupancy": 6} if covered else {}
+    busiest = ("busiest_share", *(("busiest_share_se",) if occupied else ()))
+    hits = {"hit_s": 2, "observed_s": 2, "hit_share": 6} if occupied else {}
     rows = []
     for _, row in table.iterrows():
         begin, end, lanelets = row["busiest_begin"], row["busiest_end"], row["lanelets"]
@@ -291,7 +291,7 @@ def write_lanes(path: Path, table: pd.DataFrame, clock: Clock, measure: str) -> 
                 int(row["lane"]),
                 *(
                     (row["rank"] or "", row["tracks"] if row["tracks"] >= 0 else "")
-                    if covered
+                    if occupied
                     else ()
                 ),
                 lanelets[0] if len(lanelets) == 1 else " ".join(map(str, lanelets)),
@@ -310,10 +310,10 @@ def write_lanes(path: Path, table: pd.DataFrame, clock: Clock, measure: str) -> 
 
 def write_lane_intervals(path: Path, heat: HeatMap, sums: LaneSums, clock: Clock) -> None:
     """Write one row a lane and interval, also where nothing was hit or seen."""
-    covered = heat.measure == "coverage"
+    occupied = heat.measure == "occupancy"
     header = (
         "lane", "begin_utc", "end_utc", "begin_local",
-        *(_COVERED if covered else ()), *_HITS,
+        *(_OCCUPIED if occupied else ()), *_HITS,
     )  # fmt: skip
     rows = (
         (
@@ -323,8 +323,8 @@ def write_lane_intervals(path: Path, heat: HeatMap, sums: LaneSums, clock: Clock
         )
         for i, (begin, end) in enumerate(heat.timeline.spans())
         for times in [(utc(begin), utc(end), clock.iso(begin))]
-        for shown in [(sums.part_s[i], sums.base_s[i], *((sums.error_s[i],) if covered else ()))]
-        for parts in [(shown, sums.of(hits_of(heat, i))[:2]) if covered else (shown,)]
+        for shown in [(sums.part_s[i], sums.base_s[i], *((sums.error_s[i],) if occupied else ()))]
+        for parts in [(shown, sums.of(hits_of(heat, i))[:2]) if occupied else (shown,)]
         for k, lane in enumerate(sums.lanes)
     )
     write_csv(path, header, rows)

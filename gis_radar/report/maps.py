@@ -16,7 +16,7 @@ from PIL import Image
 from gis_radar.arrays import Booleans, Floats
 from gis_radar.crs import name_of
 from gis_radar.heatmap import HeatMap
-from gis_radar.heatmap.covering import CoverageShares, mean_coverage
+from gis_radar.heatmap.occupancy import OccupancyShares, mean_occupancy
 from gis_radar.heatmap.picture import (
     NARROW_IN,
     OVERLAY_IN,
@@ -28,8 +28,8 @@ from gis_radar.heatmap.picture import (
     map_picture,
     png,
 )
+from gis_radar.measures.views import sight_of_tiles
 from gis_radar.notebooks import FONTS
-from gis_radar.occupancy.views import sight_of_views
 from gis_radar.progress import Reporter
 from gis_radar.report.content import WORDS, Figure, MapSeries
 from gis_radar.report.lanes import TileShares, hits_of, shown_of
@@ -47,7 +47,7 @@ ALL_PIXELS = 70_000_000  # of all together: a browser holds four bytes of each
 STAGE = "drawing the maps"
 HITS = (
     "For diagnosis, not for planning: in which share of the observed time radar hit each tile, in "
-    "the colours of the map (hit occupancy, the measure of the paper). A lane that carries "
+    "the colours of the map (hit share, the measure of the paper). A lane that carries "
     "vehicles on the map and hardly a hit here is one that the sensors see badly."
 )
 
@@ -119,9 +119,9 @@ def _groups(heat: HeatMap) -> list[slice]:
 
 
 def draw_hits(results: Results, picture: MapPicture) -> Figure:
-    """Draw what radar hit over the whole time, for diagnosis beside the map of coverage."""
+    """Draw what radar hit over the whole time, for diagnosis beside the map of occupancy."""
     hits, certain = hits_of(results.heat), np.zeros(len(results.heat.tiles), np.bool_)
-    figure = _map(picture, hits, tr("Whole time"), results.heat, certain, measure="occupancy")
+    figure = _map(picture, hits, tr("Whole time"), results.heat, certain, measure="hit_share")
     with Image.open(BytesIO(figure.png)) as tiles:
         whole = tiles.convert("RGBA")
     with mpl.rc_context(FONTS):
@@ -141,8 +141,8 @@ def _map(
 ) -> Figure:  # fmt: skip
     measure = measure or heat.measure
     text = _sentence(shares, heat, measure)
-    alt = "Map of coverage, {time}. {text}"
-    if measure == "occupancy":
+    alt = "Map of occupancy, {time}. {text}"
+    if measure == "hit_share":
         alt = "Map of radar hits, {time}. {text}"
     return Figure(
         png=png(image_of_pixels(picture.paint(shares.share, uncertain))),
@@ -155,7 +155,7 @@ def _map(
 
 
 def _sentence(shares: TileShares, heat: HeatMap, measure: str) -> str:
-    """Describe a map: the mean of what was seen, and how much was seen and hit or covered."""
+    """Describe a map: the mean of what was seen, and how much was seen and hit or occupied."""
     words = WORDS[measure]
     seen, hit = int((shares.base_s > 0).sum()), int((shares.part_s > 0).sum())
     if not seen:
@@ -163,28 +163,28 @@ def _sentence(shares: TileShares, heat: HeatMap, measure: str) -> str:
     if not hit:
         return tr(words.none, n=figure_text(seen))
     text = tr(words.touched, share=percent(hit / seen, 0), n=figure_text(seen))
-    if measure == "occupancy":
+    if measure == "hit_share":
         return text
-    mean, error = mean_coverage(heat.tiles, CoverageShares(*_as_coverage(shares)))
-    return f"{tr('Mean coverage {share}.', share=percent(mean, off=error))} {text}"
+    mean, error = mean_occupancy(heat.tiles, OccupancyShares(*_as_occupancy(shares)))
+    return f"{tr('Mean occupancy {share}.', share=percent(mean, off=error))} {text}"
 
 
-def _as_coverage(shares: TileShares) -> tuple[Floats, Floats, Floats, Floats]:
+def _as_occupancy(shares: TileShares) -> tuple[Floats, Floats, Floats, Floats]:
     return shares.base_s, shares.part_s, shares.share, shares.error
 
 
 def draw_sights(results: Results) -> list[Figure]:
     """Draw what each sensor sees, side by side; nothing where that is not known."""
-    occupancy, tiles = results.occupancy, SightTiles.of(results.heat.tiles)
-    poses = [] if occupancy is None else list(results.poses)[:MOST_SIGHTS]
-    if occupancy is None or not poses:
+    dataset, tiles = results.dataset, SightTiles.of(results.heat.tiles)
+    poses = [] if dataset is None else list(results.poses)[:MOST_SIGHTS]
+    if dataset is None or not poses:
         return []
-    sights = [sight_of_views(occupancy.views, pose, tiles) for pose in poses]
+    sights = [sight_of_tiles(dataset.sight_of(pose.sensor), pose, tiles) for pose in poses]
     picture = _sight_picture(sights, tiles, columns=min(len(sights), 3))
     narrow = _sight_picture(sights, tiles, columns=1)
     how = tr(
         "what stands in the airborne scan hides the tiles behind it"
-        if occupancy.sight != VIEW_ONLY
+        if dataset.manifest.settings["sight"] != VIEW_ONLY
         else "without an airborne scan, houses hide nothing here"
     )
     shares = "; ".join(

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from gis_radar.errors import OutputError, UsageError
-from gis_radar.files import whole_files
+from gis_radar.files import atomic_writes
 from gis_radar.heatmap import HeatMap
 from gis_radar.notebooks import card
 from gis_radar.progress import QUIET, Reporter
@@ -114,7 +114,7 @@ def write_report(
     timezone: str | None = None,
     language: str | None = None,
     csv_locale: str = "en",
-    occupancies: Sequence[str | Path] = (),
+    dataset: str | Path | None = None,
     reporter: Reporter = QUIET,
 ) -> Report:
     """Write a report for people without QGIS: `report.html`, `report.pdf`, and tables as CSV.
@@ -139,8 +139,8 @@ def write_report(
     csv_locale : str
         `de` writes them as a German spreadsheet opens them: semicolons, decimal commas, and the
         mark of UTF-8.
-    occupancies : sequence of str or Path
-        Folders that the heat map was made of, where they are not in `folder`.
+    dataset : str or Path, optional
+        What the heat map was made of, where it is not `dataset` in `folder`.
     reporter : Reporter
         Where progress goes.
 
@@ -160,7 +160,7 @@ def write_report(
     folder = Path(folder)
     if title is not None and not title.strip():
         raise UsageError("the title is empty", hint="leave it out, or give the name of the site")
-    results = read_results(folder, [Path(each) for each in occupancies], reporter=reporter)
+    results = read_results(folder, None if dataset is None else Path(dataset))
     heat = results.heat
     spoken = language or str(results.site.get("language") or heat.labels.language)
     with csv_for(csv_locale), speaking(known_language(spoken)):
@@ -179,7 +179,7 @@ def _find(results: Results, title: str, timezone: str | None, reporter: Reporter
     heat = results.heat
     zone = timezone or results.timezone
     sums = sum_by_lane(heat)
-    table = lane_table(heat, sums, tracks_of(results.vehicles, sums.lanes))
+    table = lane_table(heat, sums, tracks_of(results.dataset, sums.lanes))
     known = [results.streets.get(int(lane), ("", "")) for lane in table["lane"]]
     table["street"], table["street_part"] = zip(*known, strict=True) if known else ((), ())
     return Findings(
@@ -204,12 +204,12 @@ class _Pictures(NamedTuple):
 def _pictures(found: Findings, reporter: Reporter) -> _Pictures:
     """Draw the pictures of a report."""
     results, picture = found.results, lay_out(found.results.heat)
-    covered = results.heat.measure == "coverage"
+    occupied = results.heat.measure == "occupancy"
     return _Pictures(
         maps=draw_maps(results, picture, found.clock, reporter),
         plan=draw_plan(results.heat.tiles, picture, found.lanes.lanes, found.table),
         over_time=draw_lanes_over_time(results.heat, found.lanes, found.table, found.clock),
-        hits=[draw_hits(results, picture)] if covered else [],
+        hits=[draw_hits(results, picture)] if occupied else [],
     )
 
 
@@ -225,10 +225,9 @@ def _clock(heat: HeatMap, timezone: str) -> Clock:
 
 
 def _quality(results: Results, timezone: str, reporter: Reporter) -> Quality | None:
-    occupancy = results.occupancy
-    if occupancy is None or not any(True for _ in occupancy.frame_log(occupancy.sensors)):
+    if results.dataset is None:
         return None
-    return measure_quality(occupancy, timezone=timezone, reporter=reporter)
+    return measure_quality(results.dataset, timezone=timezone, reporter=reporter)
 
 
 def _write(place: Path, found: Findings, content: Content, reporter: Reporter) -> list[Path]:
@@ -242,7 +241,7 @@ def _write(place: Path, found: Findings, content: Content, reporter: Reporter) -
         ) from error
     writers = _writers(found, content)
     before = [place / name for name in names.REPORT_FILES] if (place / names.PAGE).is_file() else []
-    with whole_files(place / names.PAGE) as (private, places):
+    with atomic_writes(place / names.PAGE) as (private, places):
         for done, (name, write) in enumerate(writers.items(), start=1):
             write(private / name)
             places[private / name] = place / name
@@ -354,10 +353,10 @@ def _chapters(found: Findings, drawn: _Pictures) -> list[Chapter]:
 
 
 def _terms(measure: str) -> Terms:
-    """Return what the words of a report mean, of coverage only where it shows that."""
+    """Return what the words of a report mean, of occupancy only where it shows that."""
     text = files("gis_radar.report").joinpath("definitions.toml").read_text(encoding="utf-8")
     groups = tomllib.loads(text)
-    chosen = [name for name in groups if measure == "coverage" or name != "coverage"]
+    chosen = [name for name in groups if measure == "occupancy" or name != "occupancy"]
     pairs = [pair for name in chosen for pair in groups[name].items()]
     return Terms(tuple((tr(term), tr(meaning)) for term, meaning in pairs))
 
@@ -369,19 +368,19 @@ def _lanes(found: Findings, *, intervals: bool) -> Table:
     shown = seen.head(MOST_LANES)
     columns = _lane_columns(found.clock, measure)
     columns = columns if intervals else columns[:-1]
-    notes = [] if measure == "occupancy" else [_ranking(table)]
+    notes = [] if measure == "hit_share" else [_ranking(table)]
     if unseen := len(table) - len(seen):
         notes.append(plural(unseen, words.unseen_one, words.unseen_many))
     if len(seen) > len(shown):
         text = tr("Here are {part} of {all} lanes.", part=len(shown), all=figure_text(len(seen)))
         notes.append(text)
-    if measure == "coverage":
+    if measure == "occupancy":
         notes.append(tr("± is the standard error."))
     notes.append(tr("Where lanes cross, their tiles overlap, and a vehicle there counts on each."))
     return Table(
         name="lanes",
-        caption=tr("Lanes by coverage")
-        if measure == "coverage"
+        caption=tr("Lanes by occupancy")
+        if measure == "occupancy"
         else tr("Lanes in the order of numbers"),
         columns=columns,
         rows=text_rows((row for _, row in shown.iterrows()), columns),
@@ -405,7 +404,7 @@ def _ranking(table: pd.DataFrame) -> str:
     lane, near = int(ranked["lane"].iloc[0]), as_high_as(table)
     rule = tr(
         "Ranked are lanes with {tracks} tracks or more and {share} of their length visible or "
-        "more, whose standard error is at most half their coverage; the others say why not.",
+        "more, whose standard error is at most half their occupancy; the others say why not.",
         tracks=RANKS.least_tracks, share=percent(RANKS.least_seen, 0),
     )  # fmt: skip
     if not near:
@@ -456,4 +455,4 @@ def _lane_columns(clock: Clock, measure: str) -> list[Column]:
         Column(tr("Highest interval"), clock.name if clock else "", 2.3, interval, False),
     ]  # fmt: skip
     of_vehicles = {tr("Rank"), tr("Tracks")}
-    return [each for each in columns if measure == "coverage" or each.title not in of_vehicles]
+    return [each for each in columns if measure == "occupancy" or each.title not in of_vehicles]

@@ -15,6 +15,7 @@ import pyogrio
 from PIL import Image
 
 from gis_radar.crs import name_of, same_plane
+from gis_radar.dataset import Dataset, open_dataset
 from gis_radar.errors import InputError
 from gis_radar.geopackage import opened_package
 from gis_radar.heatmap import HeatMap, read_heatmap
@@ -23,14 +24,12 @@ from gis_radar.heatmap.picture import png
 from gis_radar.json_documents import read_json
 from gis_radar.lanelets.lanes import LANES
 from gis_radar.notebooks import PANELS
-from gis_radar.occupancy import Occupancy, merge_occupancies, read_occupancy
 from gis_radar.poses.files import read_track
 from gis_radar.poses.pose import ANGLES, POSITION, Pose, View, pose_from_dict
-from gis_radar.progress import QUIET, Reporter, warnings_once
+from gis_radar.progress import warnings_once
 from gis_radar.report import names
 from gis_radar.report.content import Column, Figure, Table, how_found, text_rows
 from gis_radar.spreadsheets import write_csv
-from gis_radar.vehicles import Vehicles, read_vehicles
 from gis_radar.words import (
     NOTHING,
     THIN,
@@ -43,7 +42,7 @@ from gis_radar.words import (
     tr_message,
 )
 
-MANIFEST = "manifest.json"
+DATASET = "dataset"
 RUN = "run.json"
 NOT_KNOWN = "not known here"
 FIGURE_PIXELS, FINE_FIGURES = 1600, 6  # width of a picture; more than that many are coarser
@@ -62,13 +61,11 @@ class Results:
         Of the heat map's folder.
     heat : HeatMap
         The heat map.
-    occupancy : Occupancy or None
+    dataset : Dataset or None
         What it was made of; None where it is not there.
     poses : sequence of Pose
         The last pose of each sensor that the heat map shows, by name, where it is in the map's
         coordinate system.
-    vehicles : Vehicles or None
-        What coverage was made of; None where it is not there.
     streets : mapping
         Name of a lane's street, and which of several of that name it is (else empty), by the lane's
         number, where it is known.
@@ -82,9 +79,8 @@ class Results:
 
     name: str
     heat: HeatMap
-    occupancy: Occupancy | None
+    dataset: Dataset | None
     poses: Sequence[Pose]
-    vehicles: Vehicles | None
     streets: Mapping[int, tuple[str, str]]
     figures: Mapping[str, Path]
     run: Mapping[str, Any]
@@ -93,8 +89,8 @@ class Results:
     @property
     def sensors(self) -> list[str]:
         """The sensors that the heat map shows, as far as known."""
-        known = self.occupancy.sensors if self.occupancy else [each.sensor for each in self.poses]
-        return list(known)
+        poses = [each.sensor for each in self.poses]
+        return poses if self.dataset is None else self.dataset.sensors
 
     @property
     def site(self) -> Mapping[str, Any]:
@@ -103,8 +99,8 @@ class Results:
 
     @property
     def timezone(self) -> str:
-        """The site's time zone; runs of earlier versions call it `time_zone`."""
-        stated = self.site.get("timezone") or self.site.get("time_zone")
+        """The site's time zone."""
+        stated = self.site.get("timezone")
         return str(stated or self.heat.labels.timezone)
 
     @property
@@ -115,7 +111,7 @@ class Results:
     @property
     def traffic(self) -> dict[str, int]:
         """How many vehicles the run followed; empty where that is not known."""
-        found = (each.get("figures") or {} for each in self.stages if each["name"] == "vehicles")
+        found = (each.get("figures") or {} for each in self.stages if each["name"] == "measure")
         names = ("vehicles", "heavy", "passages")
         return {n: int(each[n]) for each in found for n in names if n in each}
 
@@ -140,7 +136,7 @@ class Results:
         """The warnings of the run, each once, after the stages that raised it."""
         raised: dict[str, list[str]] = {}
         for each in self.stages:
-            stage = stage_words(str(each.get("part_of") or each["name"]))
+            stage = stage_words(str(each["name"]))
             texts = raised.setdefault(stage, [])
             texts += [tr_message(text) for text in each.get("warnings") or []]
         return warnings_once(raised)
@@ -154,19 +150,15 @@ class Results:
         return list(dict.fromkeys(named))
 
 
-def read_results(
-    folder: Path, occupancies: Sequence[Path] = (), *, reporter: Reporter = QUIET
-) -> Results:
+def read_results(folder: Path, dataset: Path | None = None) -> Results:
     """Read the results of `gis-radar run`, or of the steps one by one.
 
     Parameters
     ----------
     folder : Path
         Holds `heatmap.gpkg`, or a folder with it: `heatmap/`, or the only one that has one.
-    occupancies : sequence of Path
-        Folders of occupancies that are elsewhere; without them `occupancy/` or all in it.
-    reporter : Reporter
-        Receives a warning where one follows older rules.
+    dataset : Path, optional
+        The dataset that it was made of, where it is not the folder `dataset` in it.
 
     Raises
     ------
@@ -175,15 +167,15 @@ def read_results(
     """
     run, place = _run(folder), _heat_map(folder)
     heat = read_heatmap(place)
-    occupancy, missing = _occupancy(folder, heat, occupancies, reporter)
-    if occupancy is None:
+    measured, missing = _dataset(folder, heat, dataset)
+    if measured is None:
         missing.append(
-            "The occupancy that the heat map was made of is not in the folder: what the sensors "
+            "The dataset that the heat map was made of is not in the folder: what the sensors "
             "delivered, their poses and the filters are not known."
         )
     if not run:
         missing.append("The folder is not that of a run: settings are listed only as far as known.")
-    poses = _poses(folder, occupancy)
+    poses = _poses(folder, measured)
     missing += [
         f"The pose of sensor {pose.sensor} is in {name_of(pose.crs)[:24]}, the map in "
         f"{name_of(heat.crs)[:24]}: it is left out."
@@ -194,9 +186,8 @@ def read_results(
     return Results(
         name=place.name,
         heat=heat,
-        occupancy=occupancy,
+        dataset=measured,
         poses=[pose for pose in poses if same_plane(pose.crs, heat.crs)],
-        vehicles=_vehicles(folder, heat),
         streets=_streets(folder),
         figures={path.parent.name: path for path in pictures},
         run=run,
@@ -221,31 +212,20 @@ def _heat_map(folder: Path) -> Path:
     return found[0]
 
 
-def _occupancy(
-    folder: Path, heat: HeatMap, given: Sequence[Path], reporter: Reporter
-) -> tuple[Occupancy | None, list[str]]:
-    """Return the occupancy of the heat map's tiles, and what to know of the others."""
-    whole = folder / "occupancy"
-    inside = [whole] if (whole / MANIFEST).is_file() else sorted(whole.glob("*/"))
-    places = list(given) or [place for place in inside if (place / MANIFEST).is_file()]
-    parts = {place: read_occupancy(place, reporter=reporter) for place in places}
-    fitting = [part for part in parts.values() if part.fingerprint == heat.fingerprint]
-    others = [place for place, part in parts.items() if part.fingerprint != heat.fingerprint]
-    if others and given:
+def _dataset(folder: Path, heat: HeatMap, given: Path | None) -> tuple[Dataset | None, list[str]]:
+    """Return the dataset of the heat map's tiles, and what to know of another one."""
+    place = given or folder / DATASET
+    if given is None and not place.is_dir():
+        return None, []
+    found = open_dataset(place)
+    if found.manifest.fingerprint == heat.fingerprint:
+        return found, []
+    if given is not None:
         raise InputError(
-            f"{folder}: the heat map was not made with the tiles of the occupancy {others[0]}",
-            hint="name the folders that the heat map was made of",
+            f"{folder}: the heat map was not made with the tiles of {given}",
+            hint="name the dataset that the heat map was made of",
         )
-    missing = ["An occupancy in the folder belongs to other tiles and is left out."]
-    return merge_occupancies(fitting) if fitting else None, missing if others else []
-
-
-def _vehicles(folder: Path, heat: HeatMap) -> Vehicles | None:
-    """Return the vehicles of the heat map's tiles."""
-    if heat.measure != "coverage" or not (folder / "vehicles" / MANIFEST).is_file():
-        return None
-    found = read_vehicles(folder / "vehicles")
-    return found if found.provenance.fingerprint == heat.fingerprint else None
+    return None, ["The dataset in the folder belongs to other tiles and is left out."]
 
 
 def _streets(folder: Path) -> dict[int, tuple[str, str]]:
@@ -264,16 +244,15 @@ def _streets(folder: Path) -> dict[int, tuple[str, str]]:
     return dict(zip(named["lane"].astype(int), names, strict=True))
 
 
-def _poses(folder: Path, occupancy: Occupancy | None) -> list[Pose]:
-    """Return the pose that each sensor had last, by the occupancy, or by the files beside."""
+def _poses(folder: Path, dataset: Dataset | None) -> list[Pose]:
+    """Return the pose that each sensor had last, by the dataset, or by the files beside."""
     found: dict[str, Pose] = {}
-    if occupancy is not None:
-        for source in occupancy.sources:
-            for record in source.get("poses", []):
-                pose = pose_from_dict(record, what=f"pose of {source['sensor']}")
-                before = found.get(pose.sensor)
-                if before is None or _since(before) <= _since(pose):
-                    found[pose.sensor] = pose
+    if dataset is not None:
+        for document in dataset.poses()["document"]:
+            pose = pose_from_dict(json.loads(document), what=f"{dataset.folder}: a pose")
+            before = found.get(pose.sensor)
+            if before is None or _since(before) <= _since(pose):
+                found[pose.sensor] = pose
     elif (folder / "sensors").is_dir():
         for path in sorted((folder / "sensors").glob("*/pose.json")):
             found[path.parent.name] = read_track(path).poses[-1]

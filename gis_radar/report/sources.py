@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 from gis_radar.crs import name_of
@@ -38,10 +38,10 @@ def sources_of(results: Results) -> Table:
     ]
     rows += [
         [
-            tr("Recording of {sensor}", sensor=source.get("sensor")),
-            f"{source.get('recording')}, {_detections(int(source.get('rows') or 0))}",
+            tr("Recording of {sensor}", sensor=each.sensor),
+            f"{Path(each.path).name}, {_detections(int(each.rows))}",
         ]
-        for source in (results.occupancy.sources if results.occupancy else ())
+        for each in _recordings(results)
     ]
     rows += [[tr("Attribution"), str(text)] for text in results.site.get("attribution") or []]
     if not rows:
@@ -92,25 +92,27 @@ def _tiles(results: Results) -> str:
 
 
 def _filters(results: Results) -> Iterator[tuple[str, str]]:
-    """Yield what was kept of the detections, a line a filter, by sensor where they differ."""
-    if results.occupancy is None:
+    """Yield which detections count, how long frames are valid, and how clocks were corrected."""
+    if results.dataset is None:
         yield tr("Detections that count"), tr(NOT_KNOWN)
         return
-    by_text: dict[str, list[str]] = {}
-    for source in results.occupancy.sources:
-        text = _filters_in_words(source.get("filters") or {})
-        by_text.setdefault(text, []).append(str(source.get("sensor")))
-    for text, sensors in by_text.items():
-        whose = "" if len(by_text) == 1 else f" ({listed(sorted(set(sensors)))})"
-        yield tr("Detections that count") + whose, text
-    for sensor, hold_s in sorted(results.occupancy.hold_s.items()):
-        held = tr("until its next one, at most {time} ms", time=figure_text(1000 * hold_s))
-        yield tr("A frame of {sensor} holds", sensor=sensor), held
-    for source in results.occupancy.sources:
-        if "clock" in source:
-            clock = json.dumps(source["clock"], sort_keys=True)
-            named = tr("Clock of {sensor} corrected", sensor=source["sensor"])
-            yield named, clock.strip("{}").replace('"', "")
+    filters = results.dataset.manifest.settings["filters"]
+    yield tr("Detections that count"), _filters_in_words(filters)
+    valid = {each.sensor: each.validity_s for each in _recordings(results)}
+    for sensor, validity_s in valid.items():
+        until = tr("until its next one, at most {time} ms", time=figure_text(1000 * validity_s))
+        yield tr("A frame of {sensor} is valid", sensor=sensor), until
+    for each in _recordings(results):
+        if each.clock_offset or each.clock_drift_ppm:
+            clock = f"{figure_text(each.clock_offset, 3)} s, {figure_text(each.clock_drift_ppm, 1)}"
+            yield tr("Clock of {sensor} corrected", sensor=each.sensor), f"{clock} ppm"
+
+
+def _recordings(results: Results) -> list[Any]:
+    """Return what the dataset was made from, a row a recording."""
+    if results.dataset is None:
+        return []
+    return list(results.dataset.recordings().itertuples())
 
 
 def _filters_in_words(filters: Mapping[str, Any]) -> str:

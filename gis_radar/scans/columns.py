@@ -25,7 +25,7 @@ Heights: TypeAlias = NDArray[np.float32]  # to 0.03 mm at 400 m; a window has ma
 
 @dataclass(kw_only=True)
 class Columns:
-    """Heights over the cells of a grid, gathered from pieces of a scan.
+    """Heights over the cells of a grid, gathered from batches of a scan.
 
     Arrays are (columns, rows): the first index counts along x. A cell without such a point has
     -inf as highest and inf as lowest.
@@ -89,7 +89,7 @@ def read_columns(
     *,
     reporter: Reporter = QUIET,
 ) -> float:
-    """Read scans once, piece by piece, into one or more windows.
+    """Read scans once, in batches, into one or more windows.
 
     Parameters
     ----------
@@ -113,11 +113,11 @@ def read_columns(
     for scan in scans:
         if not scan.touches(box, crs):
             continue
-        for piece in scan.pieces(box, crs, reporter=reporter):
-            xyz = np.column_stack([piece.x, piece.y, piece.z])
+        for batch in scan.batches(box, crs, reporter=reporter):
+            xyz = np.column_stack([batch.x, batch.y, batch.z])
             for window in windows:
-                window.add(xyz, piece.category)
-            done, grounds = done + piece.read, grounds + piece.ground
+                window.add(xyz, batch.category)
+            done, grounds = done + batch.read, grounds + batch.ground
             reporter.progress("reading the scan", done, total)
     return grounds / max(done, 1)
 

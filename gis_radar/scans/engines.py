@@ -250,10 +250,10 @@ def _fill_by_laspy(
     passing = passing_classes(roads)
     for number, scan in enumerate(scans):
         ground = 0
-        for piece in scan.pieces(roads.area.bounds, roads.crs, reporter=reporter):
-            ground += piece.ground
-            times += _keep(store, number, piece)
-            done += piece.read
+        for batch in scan.batches(roads.area.bounds, roads.crs, reporter=reporter):
+            ground += batch.ground
+            times += _keep(store, number, batch)
+            done += batch.read
             reporter.progress(STAGE, done, total)
         classified.append(ground >= settings.least_ground * scan.points)
         store.classified(number, ground=classified[-1])
@@ -289,8 +289,8 @@ def _fill_by_pdal(
                 empty = reader.header.point_count == 0
             if not empty:
                 result = open_scan(points, crs=roads.crs)
-                for piece in result.pieces(roads.area.bounds, roads.crs):
-                    times += _keep(store, 0, piece)
+                for batch in result.batches(roads.area.bounds, roads.crs):
+                    times += _keep(store, 0, batch)
             points.unlink()
             reporter.progress("running the pipeline", done + 1, len(parts))
     return ReadStatistics(pipeline=pipeline, on_road=store.total, flown=days_of(times))
@@ -305,12 +305,12 @@ def _parts(pipeline: Pipeline) -> list[Box | None]:
     return [moved_box(scan.bounds, scan.crs, pipeline.roads.crs) for scan in pipeline.scans]
 
 
-def _keep(store: PointStore, number: int, piece: Points) -> list[float]:
+def _keep(store: PointStore, number: int, batch: Points) -> list[float]:
     """Store the points on the roads; return their earliest and latest time, if any."""
-    on_road, block = store.blocks.on_road(piece.x, piece.y)
-    xyz = np.column_stack([piece.x[on_road], piece.y[on_road], piece.z[on_road]])
-    store.add(xyz, piece.category[on_road], block, number)
-    if piece.gps_time is None or len(on_road) == 0:
+    on_road, block = store.blocks.on_road(batch.x, batch.y)
+    xyz = np.column_stack([batch.x[on_road], batch.y[on_road], batch.z[on_road]])
+    store.add(xyz, batch.category[on_road], block, number)
+    if batch.gps_time is None or len(on_road) == 0:
         return []
-    times = piece.gps_time[on_road]
+    times = batch.gps_time[on_road]
     return [float(times.min()), float(times.max())]

@@ -15,7 +15,7 @@ import shapely
 from gis_radar.arrays import Floats
 from gis_radar.crs import moved_box, name_of
 from gis_radar.errors import InputError, NoAnswerError, UsageError
-from gis_radar.files import scratch_folder, whole_files
+from gis_radar.files import atomic_writes, scratch_folder
 from gis_radar.grid import CELL_M
 from gis_radar.lanelets import LaneletMap
 from gis_radar.notebooks import card
@@ -131,7 +131,7 @@ class RoadMask:
         for stage in stages["pipeline"]:
             names = {key: stage[key] for key in ("filename", "datasource") if key in stage}
             stage |= {key: _relative(name, path.resolve().parent) for key, name in names.items()}
-        with whole_files(path) as (private, places):
+        with atomic_writes(path) as (private, places):
             parts = {output: private / output.name for output in outputs}
             write_layer(self.roads, parts[layer], outside=self.outside)
             text = json.dumps(stages, indent=2) + "\n"

@@ -180,7 +180,7 @@ def candidates() -> Iterator[PdalRunner]:
 
 
 def _binding_is_installed() -> bool:
-    """Tell whether there is a package `pdal`; a folder that happens to have the name is none."""
+    """Return whether there is a package `pdal`; a folder that happens to have the name is none."""
     try:
         spec = importlib.util.find_spec("pdal")
     except (ImportError, ValueError):

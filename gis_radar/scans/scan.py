@@ -83,7 +83,7 @@ class Scan:
         west, south, east, north = self.bounds
         return west <= within[2] and within[0] <= east and south <= within[3] and within[1] <= north
 
-    def pieces(self, box: Box, crs: CRS, *, reporter: Reporter = QUIET) -> Iterator[Points]:
+    def batches(self, box: Box, crs: CRS, *, reporter: Reporter = QUIET) -> Iterator[Points]:
         """Yield the points in and around a box, a bounded number at a time.
 
         Withheld points are left out. Heights stay as they are in the file.
@@ -108,11 +108,11 @@ class Scan:
             for record in reader.chunk_iterator(AT_ONCE):
                 outside = max(outside, refuse_outside(record, reader.header, self.path))
                 seen += len(record)
-                piece = _inside(record, within)
+                batch = _inside(record, within)
                 if not same_plane(self.crs, crs):
-                    x, y = transformer(self.crs, crs).transform(piece.x, piece.y)
-                    piece = piece._replace(x=x, y=y)
-                yield piece
+                    x, y = transformer(self.crs, crs).transform(batch.x, batch.y)
+                    batch = batch._replace(x=x, y=y)
+                yield batch
         if seen != self.points:
             raise InputError(f"{self.path}: cut off: {seen} of {self.points} points are there")
         if outside > 0.0:
@@ -129,7 +129,7 @@ def open_scan(path: str | Path, *, crs: Any = None) -> Scan:
     Parameters
     ----------
     path : str or Path
-        LAS, LAZ or COPC; read later, piece by piece.
+        LAS, LAZ or COPC; read later, in batches.
     crs : CRS, str or int, optional
         The scan's coordinate system, for files without one or with a wrong one.
 
@@ -225,8 +225,8 @@ def road_crs(path: str | Path) -> CRS:
 def ground_share(scan: Scan, *, reporter: Reporter = QUIET) -> float:
     """Return the share of a scan's points that bear a class of ground or road."""
     nowhere = (0.0, 0.0, 0.0, 0.0)
-    pieces = scan.pieces(nowhere, scan.crs, reporter=reporter)
-    return sum(piece.ground for piece in pieces) / scan.points
+    batches = scan.batches(nowhere, scan.crs, reporter=reporter)
+    return sum(batch.ground for batch in batches) / scan.points
 
 
 def days_of(times: Sequence[float]) -> Days | None:

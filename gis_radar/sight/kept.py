@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from gis_radar.files import whole_file
+from gis_radar.files import atomic_write
 from gis_radar.poses.pose import Pose, View
 from gis_radar.sight.settings import SightSettings
 from gis_radar.sight.sight import Sight, SightScan
@@ -55,7 +55,7 @@ class KeptSight:
             return kept
         sight = self.scan.find(pose)
         path.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(path) as part, part.open("wb") as file:
+        with atomic_write(path) as part, part.open("wb") as file:
             np.savez_compressed(file, **{name: getattr(sight, name) for name in _ARRAYS})
         return sight
 

@@ -20,7 +20,7 @@ import pyogrio
 import scipy
 
 from gis_radar.errors import GisRadarError, InputError, UsageError
-from gis_radar.files import whole_file
+from gis_radar.files import atomic_write
 from gis_radar.geopackage import add_layer, add_styles, keep_styles, opened_package
 from gis_radar.poses.pose import Pose, View, pose_from_dict
 from gis_radar.progress import QUIET, Reporter
@@ -88,7 +88,7 @@ def write_sights(
         poses = [sight.pose for sight in sights]
         compared = [_differences(poses.index(each.sight.pose), each) for each in contradictions]
         layers[CONTRADICTED_LAYER] = compared
-    with whole_file(path) as part:
+    with atomic_write(path) as part:
         for layer, rows in layers.items():
             table = pd.concat(rows, ignore_index=True)
             add_layer(

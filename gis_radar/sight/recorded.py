@@ -66,7 +66,7 @@ class MovingHits:
 
 @dataclass(kw_only=True)
 class MovementCounter:
-    """Counts the frames in which something moves on each tile, as pieces of a recording come.
+    """Counts the frames in which something moves on each tile, as batches of a recording come.
 
     Parameters
     ----------
@@ -91,12 +91,12 @@ class MovementCounter:
     def __post_init__(self) -> None:
         self.count = np.zeros(len(self.tiles.tile_id), np.int64)
 
-    def add(self, piece: Detections, pose: Pose, *, road_m: float = math.nan) -> None:
+    def add(self, batch: Detections, pose: Pose, *, road_m: float = math.nan) -> None:
         """Add whole frames, seen from a pose; `road_m` as of :meth:`Pose.to_map`."""
-        stamps, frame = np.unique(piece.time, return_inverse=True)
+        stamps, frame = np.unique(batch.time, return_inverse=True)
         self.frames += len(stamps)
-        moves = piece.present & (np.abs(piece.range_rate) >= self.settings.moving_mps)
-        place = pose.to_map(piece.points[moves], road_m=road_m)
+        moves = batch.present & (np.abs(batch.range_rate) >= self.settings.moving_mps)
+        place = pose.to_map(batch.points[moves], road_m=road_m)
         point, tile = self.engine.assign(place[:, 0], place[:, 1])
         over_m = place[point, 2] - self.tiles.height[tile] - REFLECTION_M
         kept = ~(np.abs(over_m) > self.settings.level_m)  # not known: it counts

@@ -147,7 +147,7 @@ def check_site(
     _check_scans(site, roads)
     for sensor in site.sensor:
         _check_place(sensor, roads, settings)
-    warnings = [*site.remarks, *_zone_warning(site, roads, settings)]
+    warnings = list(_zone_warning(site, roads, settings))
     told = _Warnings(warnings)
     lanes(roads, streets=site.map.streets, street_field=site.map.street_field, reporter=told)
     found = {}
@@ -267,7 +267,7 @@ class _Warnings(Reporter):
 
 
 class _ViewCounts:
-    """Histograms of range, azimuth and elevation, counted piece by piece."""
+    """Histograms of range, azimuth and elevation, counted in batches."""
 
     def __init__(self) -> None:
         self._range = RangeCounts()
@@ -278,11 +278,11 @@ class _ViewCounts:
     def add(self, recording: Recording) -> tuple[float, float]:
         """Count a recording, and return its first and last time."""
         first, last = math.nan, math.nan
-        for piece in recording.read():
-            first = float(piece.time[0]) if math.isnan(first) else first
-            last = float(piece.time[-1])
-            self._range.add(piece)
-            x, y, z = piece.points[piece.present].T
+        for batch in recording.read():
+            first = float(batch.time[0]) if math.isnan(first) else first
+            last = float(batch.time[-1])
+            self._range.add(batch)
+            x, y, z = batch.points[batch.present].T
             self.detections += len(x)
             self._azimuth += _degrees(y, x)
             self._elevation += _degrees(z[np.isfinite(z)], np.hypot(x, y)[np.isfinite(z)])

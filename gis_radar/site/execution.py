@@ -16,7 +16,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from gis_radar.errors import GisRadarError, InputError, NoAnswerError, OutputError
-from gis_radar.files import whole_file
+from gis_radar.files import atomic_write
 from gis_radar.progress import Reporter
 from gis_radar.site.messages import error_in_site_words, in_site_words
 from gis_radar.site.plan import Ending, Outcome, Stage
@@ -53,8 +53,7 @@ class Execution:
     Parameters
     ----------
     stages : list of Stage
-        What is to be done; the order follows from what each reads and makes. What is known only
-        once these have ended is added then.
+        What is to be done; the order follows from what each reads and makes.
     state : RunState
         Of earlier runs; this one adds its own.
     pool : Pool
@@ -121,7 +120,6 @@ class Execution:
             return Outcome(stage=stage, state="skipped", error=lacking)
         if (kept := self.state.kept(stage)) is not None:
             return kept
-        self._name_kept_parts(stage)
         key = self.state.key_of(stage)
         future = self.pool.executor.submit(
             carry_out, stage.name, stage.work, stage.arguments, stage.outputs, self.pool.send
@@ -129,17 +127,6 @@ class Execution:
         self._begun[future] = _Begun(stage=stage, key=key, since=time.monotonic())
         self.reporter.progress(stage.name, 0, 100)
         return None
-
-    def _name_kept_parts(self, stage: Stage) -> None:
-        """Say how many of the parts that a stage puts together were known."""
-        ended = [e.state for e in self.outcomes.values() if e.stage.part_of == stage.name]
-        if "kept" in ended:
-            kept, parts = ended.count("kept"), len(ended)
-            self.reporter.log(
-                f"{stage.name}: kept {kept} of {parts} recordings"
-                if stage.sensor
-                else f"{stage.name}: kept {kept} of {parts} hours"
-            )
 
     def _lacking(self, stage: Stage) -> GisRadarError | None:
         """Return why a stage cannot be done: the error of a stage that it needs."""
@@ -242,8 +229,7 @@ class Execution:
             if outcome.error.message not in self._logged:  # of two that contradict each other
                 self.reporter.log(f"{stage.name}: {outcome.error.message}", "warning")
             self._logged.add(outcome.error.message)
-        quiet = outcome.state == "kept" and stage.part_of  # there may be hundreds
-        if outcome.state != "skipped" and not quiet:
+        if outcome.state != "skipped":
             self.reporter.progress(stage.name, 100, 100)
         self.reporter.progress(ALL, len(self.outcomes), len(self.stages))
 
@@ -317,7 +303,7 @@ class RunState:
 
     def save(self) -> None:
         """Write the file, whole or not at all."""
-        with whole_file(self._path) as part:
+        with atomic_write(self._path) as part:
             part.write_text(self._memory.model_dump_json(), encoding="utf-8")
 
     def hash_of(self, path: Path, progress: Callable[[int], None] = lambda _: None) -> str | None:
@@ -328,7 +314,7 @@ class RunState:
         path : Path
             A file, or a folder of which all files count but those that viewers leave beside.
         progress : callable
-            Called with the bytes of each piece that was read.
+            Called with the bytes of each chunk that was read.
         """
         if path.is_dir():
             files = (each for each in path.rglob("*") if each.is_file())
@@ -424,7 +410,7 @@ class RunState:
         self.save()
 
     def outdate(self) -> None:
-        """Let no record hold, so that all is done again."""
+        """Discard all records, so that everything is done again."""
         for record in self.records.values():
             record.key = ""
 
@@ -452,9 +438,9 @@ def _hash(path: Path, progress: Callable[[int], None]) -> str:
     digest = hashlib.blake2b(digest_size=16)
     try:
         with path.open("rb") as file:
-            while piece := file.read(_CHUNK):
-                digest.update(piece)
-                progress(len(piece))
+            while chunk := file.read(_CHUNK):
+                digest.update(chunk)
+                progress(len(chunk))
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
     return digest.hexdigest()

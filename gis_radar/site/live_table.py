@@ -110,7 +110,7 @@ class SensorThingsTable(TomlTable):
     address: ServiceAddress = key('"https://frost.example/FROST-Server/v1.1"')
     """The service's root, with its version."""
     interval: Interval = key('"5min"', "15min", '"15min"')
-    """Over which the occupancy of a lane is pushed."""
+    """Over which the hit share of a lane is pushed."""
     user: Text | None = key('"junction"', None, "none")
     """As whom to log in, with a password."""
     password_file: File | None = key('"sensorthings.password"', None, "none")
@@ -146,7 +146,7 @@ class LiveTable(TomlTable):
     every: Duration = key('"10s"', 10.0, '"10s"')
     """How often the files for QGIS are replaced."""
     vehicles: Switch = key("false", default=True)
-    """Whether vehicles are followed, by what sensors send as `returns`."""
+    """Whether vehicles are followed, by what sensors send as `detections`."""
     health: HostPort | None = key('"127.0.0.1:9464"', None, "none")
     """Where counts and alarms are served as text for Prometheus."""
     broker: BrokerTable

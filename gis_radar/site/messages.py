@@ -40,7 +40,7 @@ def in_site_words(text: str, timezone: str, folder: Path | None = None) -> str:
 def error_in_site_words(
     error: GisRadarError, timezone: str, folder: Path | None = None
 ) -> GisRadarError:
-    """Let an error speak as :func:`in_site_words` does."""
+    """Translate an error into the words of the site file, as :func:`in_site_words` does."""
     error.message = in_site_words(error.message, timezone, folder)
     error.hint = in_site_words(error.hint, timezone, folder)
     error.args = (error.message, *error.args[1:])

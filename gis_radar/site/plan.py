@@ -10,13 +10,11 @@ from typing import Any, Literal
 from gis_radar.errors import GisRadarError
 from gis_radar.report.names import REPORT_FILES
 from gis_radar.site import stages
-from gis_radar.site.hours import hours_of
 from gis_radar.site.settings import ConvertTable, Sensor, Site
-from gis_radar.site.stages import PARTS, STATE
 from gis_radar.site.together import FOUND, RECORDED, SEVERAL
 
 OWNED = (
-    "road.", "tiles.gpkg", "sensors", "occupancy", "vehicles", "heatmap", "sight.gpkg",
+    "road.", "tiles.gpkg", "sensors", "dataset", "heatmap", "sight.gpkg",
     "footprints.gpkg", "site.qgz", "site_", "run.json", "summary.md", "pose_errors.csv",
     "together.json", *REPORT_FILES,
 )  # fmt: skip
@@ -52,8 +50,6 @@ class Stage:
     in_turn : str
         The input of which files are read in turn until one gives a result; its figures have as
         `asked` how many were. What is added behind these changes nothing.
-    part_of : str
-        The stage that puts this one's result and others together. Empty where it stands for itself.
     """
 
     name: str
@@ -66,7 +62,6 @@ class Stage:
     phases: int = 1
     sensor: str = ""
     in_turn: str = ""
-    part_of: str = ""
 
     @property
     def reads(self) -> tuple[Path, ...]:
@@ -139,7 +134,9 @@ class Outcome:
 
 
 def stages_of(site: Site, folder: Path) -> list[Stage]:
-    """Return the stages of a run up to what each sensor counted, each after those that it needs.
+    """Return the stages of a run, each after those that it needs.
+
+    The last is the report: it reads the record of the others, so it is made once they have ended.
 
     Parameters
     ----------
@@ -157,24 +154,9 @@ def stages_of(site: Site, folder: Path) -> list[Stage]:
         *_together(site, folder),
         *(_pose(site, each, folder) for each in sensors),
         _tiles(site, folder),
-        *(stage for each in sensors for stage in _occupancy(site, each, folder)),
+        _measure(site, folder),
+        *_products(site, folder),
     ]
-
-
-def later_stages(site: Site, folder: Path) -> list[Stage]:
-    """Return the stages after those of :func:`stages_of`, once these have ended.
-
-    Which hours there are is known only from the frames that were counted. The last is the report:
-    it reads the record of the others, so it is made once they have ended.
-
-    Parameters
-    ----------
-    site : Site
-        From :func:`gis_radar.read_site`.
-    folder : Path
-        Where the results are.
-    """
-    return [*_vehicles(site, folder), *_products(site, folder)]
 
 
 def _map_options(site: Site) -> dict[str, Any]:
@@ -258,7 +240,7 @@ def _together(site: Site, folder: Path) -> Iterator[Stage]:
     if not tied:
         return
     places = [folder / "sensors" / each.name for each in tied]
-    clocks = site.occupancy.clocks
+    clocks = site.measure.clocks
     ours, converted = _all_recordings(tied, folder)
     yield Stage(
         name="poses together",
@@ -334,52 +316,43 @@ def _tiles(site: Site, folder: Path) -> Stage:
     )
 
 
-def _occupancy(site: Site, sensor: Sensor, folder: Path) -> Iterator[Stage]:
-    """Yield the stages that count a sensor's recordings one by one, and put them together."""
-    (pose,) = _pose(site, sensor, folder).outputs
-    filters = site.occupancy.model_dump()
+def _measure(site: Site, folder: Path) -> Stage:
+    """Return the stage that measures what all sensors with a pose see."""
+    filters = site.measure.model_dump()
     clocks = filters.pop("clocks")
     filters["elevation_error_deg"] = filters.pop("elevation_error")
-    name, parts = f"occupancy {sensor.name}", _counted(sensor, folder)
-    for recording, part in parts.items():
-        yield Stage(
-            name=f"{name} {part.name}",
-            work=stages.occupancy_stage,
-            inputs={
-                "recording": recording,
-                "pose": pose,
-                "tile_file": folder / "tiles.gpkg",
-                **({"clocks": clocks} if clocks else {}),
-                **_scans(site),
+    poses = {each.name: _pose(site, each, folder).outputs[0] for each in site.sensor}
+    ours, converted = _all_recordings(site.sensor, folder)
+    return Stage(
+        name="measure",
+        work=stages.measure_stage,
+        inputs={
+            "map_file": site.map.file,
+            "tile_file": folder / "tiles.gpkg",
+            "recordings": tuple(path for paths in ours.values() for path in paths),
+            **({"clocks": clocks} if clocks else {}),
+            **_scans(site),
+        },
+        parts={"poses": tuple(poses.values())},
+        beside=((*poses.values(), *converted),),
+        options={
+            "sensors": {
+                each.name: {
+                    "recordings": len(ours[each.name]),
+                    "view": _view_of_track(each, poses[each.name]),
+                    "cycle": each.cycle,
+                }
+                for each in site.sensor
             },
-            options={
-                "sensor": sensor.name,
-                "scan_crs": site.scan.crs if site.scan else None,
-                "view": _view_of_track(sensor, pose),
-                "filters": filters,
-                "cycle": sensor.cycle,
-            },
-            outputs=(part,),
-            sensor=sensor.name,
-            part_of=name,
-        )
-    yield Stage(
-        name=name,
-        work=stages.merge_stage,
-        inputs={"parts": tuple(parts.values())},
-        outputs=(folder / "occupancy" / sensor.name,),
-        sensor=sensor.name,
+            **({} if clocks else {"clocks": None}),
+            "scan_crs": site.scan.crs if site.scan else None,
+            "filters": filters,
+            "hits_only": not site.vehicles.follow,
+            "timezone": site.timezone,
+        },
+        outputs=(folder / "dataset",),
+        phases=2,
     )
-
-
-def _counted(sensor: Sensor, folder: Path) -> dict[Path, Path]:
-    """Return where each recording of a sensor is counted: a folder of its name, told apart."""
-    place = folder / STATE / PARTS / "occupancy" / sensor.name
-    found: dict[Path, Path] = {}
-    for path in _recordings(sensor, folder):
-        same = sum(path.name == other.name for other in found)
-        found[path] = place / (f"{path.name} ({same + 1})" if same else path.name)
-    return found
 
 
 def _scans(site: Site) -> dict[str, tuple[Path, ...]]:
@@ -391,72 +364,15 @@ def _view_of_track(sensor: Sensor, pose: Path) -> dict[str, float] | None:
     return _view(sensor) if pose.suffix == ".csv" else None
 
 
-def _vehicles(site: Site, folder: Path) -> Iterator[Stage]:
-    """Yield the stages that follow the vehicles of all counted sensors, hour by hour."""
-    if not site.vehicles.follow:
-        return
-    place = folder / STATE / PARTS / "vehicles"
-    sensors = {each.name: each for each in site.sensor}
-    hours = hours_of(
-        {
-            name: {path: part for path, part in _counted(each, folder).items() if part.is_dir()}
-            for name, each in sensors.items()
-            if (folder / "occupancy" / name).is_dir()
-        }
-    )
-    for hour in hours:
-        poses = {name: _pose(site, sensors[name], folder).outputs[0] for name in hour.recordings}
-        clocks = site.occupancy.clocks
-        yield Stage(
-            name=f"vehicles {hour.name}",
-            work=stages.vehicles_stage,
-            inputs={
-                "map_file": site.map.file,
-                "tile_file": folder / "tiles.gpkg",
-                "recordings": tuple(path for each in hour.recordings.values() for path in each),
-                "poses": tuple(poses.values()),
-                **({"clocks": clocks} if clocks else {}),
-                **_scans(site),
-            },
-            options={
-                "sensors": {
-                    name: {
-                        "recordings": len(paths),
-                        "view": _view_of_track(sensors[name], poses[name]),
-                        "cycle": sensors[name].cycle,
-                    }
-                    for name, paths in hour.recordings.items()
-                },
-                "span": hour.span,
-                "scan_crs": site.scan.crs if site.scan else None,
-            },
-            outputs=(place / hour.name,),
-            part_of="vehicles",
-        )
-    if parts := tuple(place / hour.name for hour in hours):
-        yield Stage(
-            name="vehicles",
-            work=stages.join_hours_stage,
-            inputs={"parts": parts, "tile_file": folder / "tiles.gpkg"},
-            outputs=(folder / "vehicles",),
-        )
-
-
-def _occupancies(site: Site, folder: Path) -> tuple[Path, ...]:
-    return tuple(folder / "occupancy" / each.name for each in site.sensor)
-
-
 def _products(site: Site, folder: Path) -> Iterator[Stage]:
     """Yield the stages of all sensors together: heat maps, project, report."""
-    occupancies = _occupancies(site, folder)
-    vehicles = {"vehicles": (folder / "vehicles",)} if site.vehicles.follow else {}
+    dataset = folder / "dataset"
     for number, interval in enumerate(site.heatmap.intervals or (None,)):
         end = f"_{interval}" if number else ""
         yield Stage(
             name=f"heat map{end.replace('_', ' ')}",
             work=stages.heatmap_stage,
-            inputs={"tile_file": folder / "tiles.gpkg"},
-            parts={"occupancies": occupancies, **vehicles},
+            inputs={"dataset": dataset},
             options={
                 "interval": interval,
                 "labels": {
@@ -472,7 +388,7 @@ def _products(site: Site, folder: Path) -> Iterator[Stage]:
         name="QGIS project",
         work=stages.project_stage,
         inputs={},
-        beside=((folder / "heatmap",), poses, (*occupancies, *vehicles.get("vehicles", ()))),
+        beside=((folder / "heatmap",), poses, (dataset,)),
         options={
             "title": site.title,
             "timezone": site.timezone,
@@ -491,7 +407,7 @@ def _products(site: Site, folder: Path) -> Iterator[Stage]:
         name="report",
         work=stages.report_stage,
         inputs={},
-        beside=((folder / "heatmap",), (folder / "run.json",), occupancies),
+        beside=((folder / "heatmap",), (folder / "run.json",), (dataset,)),
         options={"csv_locale": site.csv_locale},
         outputs=tuple(folder / name for name in REPORT_FILES),
         phases=3,

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gis_radar.crs import name_of, require_same
-from gis_radar.errors import UsageError
+from gis_radar.errors import InputError, UsageError
 from gis_radar.poses.files import PoseTrack
 from gis_radar.poses.pose import Pose
 from gis_radar.progress import Reporter
@@ -23,10 +23,9 @@ if TYPE_CHECKING:
     import geopandas as gpd
 
     from gis_radar.clocks import SensorClock
-    from gis_radar.occupancy import Occupancy
+    from gis_radar.dataset import Dataset
     from gis_radar.sight import MovingHits, Sight, SightTiles
     from gis_radar.sight.sight import SightSource
-    from gis_radar.vehicles import Vehicles
 
 AUTO = "auto"  # clocks: as the recordings themselves show
 
@@ -89,41 +88,61 @@ def mask_scans(
     return road.write(output), road.figures()
 
 
-def join_recordings(
-    recordings: Sequence[Path], tracks: Sequence[PoseTrack], tile_file: Path, output: Path, *,
-    filters: Mapping[str, Any], clocks: str | Path | None, reporter: Reporter, **options: Any,
-) -> Occupancy:  # fmt: skip
-    """Join recordings to the tiles; clocks are those of a file, or `auto`.
+def measure_site(
+    sensors: Mapping[str, tuple[Sequence[Path], PoseTrack]], tile_file: Path, map_file: Path,
+    output: Path, *, reporter: Reporter, **options: Any,
+) -> tuple[Dataset, dict[str, str]]:  # fmt: skip
+    """Measure the recordings of several sensors, by name; leave out those that are refused.
 
-    Options are those of :func:`gis_radar.measure_occupancy`.
+    The dataset is returned, and by sensor why it was left out. Options are those of
+    :func:`measure_recordings`.
     """
-    from gis_radar.occupancy import Filters, measure_occupancy
+    left, refused = dict(sensors), dict[str, str]()
+    while True:
+        recordings = [path for paths, _ in left.values() for path in paths]
+        tracks = [track for paths, track in left.values() for _ in paths]
+        try:
+            made = measure_recordings(
+                recordings, tracks, tile_file, map_file, output, only=True, reporter=reporter,
+                **options,
+            )  # fmt: skip
+        except InputError as error:
+            named = [n for n, (paths, _) in left.items() if _names_one(error.message, paths)]
+            if not named or len(left) == 1:
+                raise
+            reporter.log(f"{named[0]} is left out: {error.message}", "warning")
+            refused[named[0]] = error.message
+            del left[named[0]]
+        else:
+            return made, refused
+
+
+def _names_one(message: str, paths: Sequence[Path]) -> bool:
+    """Return whether a message begins with one of some files."""
+    return any(message.startswith(f"{name}:") for path in paths for name in (path, path.resolve()))
+
+
+def measure_recordings(
+    recordings: Sequence[Path], tracks: Sequence[PoseTrack], tile_file: Path,
+    map_file: Path | None, output: Path, *, filters: Mapping[str, Any],
+    clocks: str | Path | None, reporter: Reporter, processes: int | None = None, **options: Any,
+) -> Dataset:  # fmt: skip
+    """Measure recordings; clocks are those of a file, or `auto`.
+
+    Options are those of :func:`gis_radar.measure`.
+    """
+    from gis_radar.dataset.measure import measure
+    from gis_radar.measures import Filters
+    from gis_radar.processes import workers_here
     from gis_radar.tiles import read_tiles
 
     kept, tiles = Filters(**filters), read_tiles(tile_file)
     known = {} if clocks is None else _clocks(clocks, recordings, tracks, tiles, reporter)
-    return measure_occupancy(
-        recordings, tracks, tiles, output,
-        filters=kept, clocks=known, reporter=reporter, **options,
+    return measure(
+        recordings, tracks, tiles, map_file, output,
+        filters=kept, clocks=known, processes=processes or workers_here(), reporter=reporter,
+        **options,
     )  # fmt: skip
-
-
-def follow_vehicles(
-    recordings: Sequence[Path], tracks: Sequence[PoseTrack], tile_file: Path, map_path: Path,
-    output: Path, *, clocks: str | Path | None, reporter: Reporter, **options: Any,
-) -> Vehicles:  # fmt: skip
-    """Follow the vehicles in recordings; clocks are those of a file, or `auto`.
-
-    Options are those of :func:`gis_radar.find_vehicles`.
-    """
-    from gis_radar.tiles import read_tiles
-    from gis_radar.vehicles import find_vehicles
-
-    tiles = read_tiles(tile_file)
-    known = {} if clocks is None else _clocks(clocks, recordings, tracks, tiles, reporter)
-    return find_vehicles(
-        recordings, tracks, tiles, map_path, output, clocks=known, reporter=reporter, **options
-    )
 
 
 def see_tiles(
@@ -190,7 +209,7 @@ def _sights(
     tracks: Sequence[PoseTrack], road: SightTiles, source: SightSource | None
 ) -> tuple[list[Sight], list[Pose]]:
     """Return what sensors see from each of their views, and the first pose of its place."""
-    from gis_radar.occupancy.views import places_of, standing_for
+    from gis_radar.measures.views import places_of, standing_for
     from gis_radar.sight import find_sight
 
     found: list[Sight] = []
@@ -207,8 +226,8 @@ def _moving_hits(
     reporter: Reporter,
 ) -> list[MovingHits]:  # fmt: skip
     """Return what moves on the tiles, of each place where the sensor stood for long enough."""
-    from gis_radar.occupancy.frame_log import rows_of, whole_frames
-    from gis_radar.occupancy.views import places_of, road_near, standing_for
+    from gis_radar.measures.frames import rows_of, whole_frames
+    from gis_radar.measures.views import places_of, road_near, standing_for
     from gis_radar.recordings.recording import open_recording
     from gis_radar.sight import MovementCounter, MovingHits
     from gis_radar.sight.settings import DEFAULTS
@@ -220,14 +239,14 @@ def _moving_hits(
     counters = defaultdict[int, MovementCounter](lambda: MovementCounter(tiles=road, engine=engine))
     for recording in recordings:
         opened, done = open_recording(recording), 0
-        for piece in whole_frames(opened.read()):
-            pose_of_row = track.at(piece.time)
+        for batch in whole_frames(opened.read()):
+            pose_of_row = track.at(batch.time)
             for index in np.unique(pose_of_row).tolist():
                 counters[int(first[index])].add(
-                    rows_of(piece, pose_of_row == index), track.poses[index],
+                    rows_of(batch, pose_of_row == index), track.poses[index],
                     road_m=road_m[standing[index]],
                 )  # fmt: skip
-            done += len(piece)
+            done += len(batch)
             reporter.progress("comparing with the recording", done, opened.rows)
     hits = [MovingHits.of(sights[id(track.poses[k])], [each]) for k, each in counters.items()]
     for each in hits:

@@ -20,11 +20,11 @@ from jinja2 import Environment
 
 from gis_radar.errors import GisRadarError, InputError, NoAnswerError, UsageError
 from gis_radar.files import (
+    atomic_write,
     only_writer,
     output_errors,
     refuse_foreign,
     refuse_inputs,
-    whole_file,
 )
 from gis_radar.json_documents import json_text
 from gis_radar.notebooks import card
@@ -32,7 +32,7 @@ from gis_radar.processes import workers_here
 from gis_radar.progress import QUIET, Reporter, warnings_once
 from gis_radar.site import stages as work
 from gis_radar.site.execution import Execution, RunState, discard
-from gis_radar.site.plan import OWNED, Outcome, Stage, later_stages, stages_of
+from gis_radar.site.plan import OWNED, Outcome, Stage, stages_of
 from gis_radar.site.settings import Site, read_site
 from gis_radar.site.software import software
 from gis_radar.site.stages import STATE
@@ -73,7 +73,8 @@ class SiteRun:
     @property
     def missing(self) -> dict[str, GisRadarError]:
         """The sensors without a result, and why."""
-        return {
+        refused = {name: InputError(why) for name, why in _refused(self.outcomes).items()}
+        return refused | {
             each.stage.sensor: each.error
             for each in reversed(self.outcomes)
             if each.stage.sensor and each.error is not None
@@ -109,7 +110,7 @@ class SiteRun:
         """Return figures worth a look, by name."""
         by_work = {e.stage.work: e.figures for e in reversed(self.outcomes) if e.has_result}
         heat, tiles = by_work.get(work.heatmap_stage), by_work.get(work.tiles_stage)
-        names = (*_POSE, "fitness", "second_look", "state")
+        names = (*_POSE, "fitness", "scan_check", "state")
         sensors = _sensors_of(self.outcomes, self.site).items()
         return {
             "site": self.site.title,
@@ -119,7 +120,7 @@ class SiteRun:
             **{k: value for k, value in (heat or {}).items() if k not in {"sensors", "tiles"}},
             **{
                 k: value
-                for k, value in (by_work.get(work.join_hours_stage) or {}).items()
+                for k, value in (by_work.get(work.measure_stage) or {}).items()
                 if k in {"vehicles", "heavy", "passages"}
             },
             "warnings": len(_warnings(self.outcomes)),
@@ -143,7 +144,7 @@ def run_site(
     fresh: bool = False,
     reporter: Reporter = QUIET,
 ) -> SiteRun:
-    """Go the whole way for all sensors of a site: road, tiles, poses, occupancy, heat maps.
+    """Run all stages for all sensors of a site: road, poses, tiles, dataset, heat maps.
 
     Stages that an earlier run into the same folder has done are not done again, unless what they
     read, their settings or the software changed. A sensor without a trustworthy answer, or with bad
@@ -179,8 +180,6 @@ def run_site(
     if jobs is not None and jobs < 1:
         raise UsageError(f"jobs is {jobs}, expected 1 or more")
     site, root = read_site(path), Path(folder).absolute()
-    for line in site.remarks:
-        reporter.log(line, "warning")
     refuse_inputs(root, site.path, *site.inputs)
     state = _prepared(root)
     with ExitStack() as stack:
@@ -198,8 +197,6 @@ def run_site(
                 stages=stages_of(site, root), state=kept, pool=pool, reporter=reporter,
                 timezone=site.timezone, folder=site.path.absolute().parent,
             )  # fmt: skip
-            execution.run()
-            execution.stages += later_stages(site, root)
             _forget(kept, execution.stages, reporter)
             _write_record(site, root, execution.run(-1), kept, finished=False)
             outcomes = execution.run()
@@ -280,21 +277,31 @@ def _write_record(
         "software": software(),
         "stages": [_stage(each, base, root) for each in outcomes],
     }
-    with whole_file(root / "run.json") as part:
+    with atomic_write(root / "run.json") as part:
         text = json_text(document, indent=1, default=lambda path: _relative(path, base))
         part.write_text(text + "\n", encoding="utf-8")
     summary = root / "summary.md"
     if not finished:
         summary.unlink(missing_ok=True)
         return
-    with whole_file(summary) as part:
+    with atomic_write(summary) as part:
         part.write_text(_summary(site, outcomes), encoding="utf-8")
 
 
 def _sensors_in(outcomes: Sequence[Outcome]) -> list[str]:
     """Return the sensors that the heat maps are made of."""
-    made = (each.stage for each in outcomes if each.has_result)
-    return sorted(stage.sensor for stage in made if stage.work is work.merge_stage)
+    return [
+        name
+        for each in outcomes
+        if each.has_result and each.stage.work is work.measure_stage
+        for name in each.figures["sensors"]
+    ]
+
+
+def _refused(outcomes: Sequence[Outcome]) -> dict[str, str]:
+    """Return the sensors whose recordings are not in the dataset, and why."""
+    measured = (each.figures for each in outcomes if each.stage.work is work.measure_stage)
+    return {name: why for each in measured for name, why in each.get("refused", {}).items()}
 
 
 def _sensors_of(outcomes: Sequence[Outcome], site: Site) -> dict[str, dict[str, Any]]:
@@ -310,6 +317,8 @@ def _sensors_of(outcomes: Sequence[Outcome], site: Site) -> dict[str, dict[str, 
         elif each.stage.work in {work.localize_stage, work.pose_stage, work.tied_pose_stage}:
             # how a pose was found comes first; the pose in use counts
             found[each.stage.sensor] = {**facts, **each.figures}
+    for name, why in _refused(outcomes).items():
+        found[name]["state"] = why
     return {name: {"state": "ok"} | facts for name, facts in found.items()}
 
 
@@ -320,18 +329,14 @@ def _together(outcomes: Sequence[Outcome]) -> list[str]:
 
 
 def _warnings(outcomes: Sequence[Outcome]) -> list[str]:
-    """Return the warnings of all stages; of recordings and hours those of the whole."""
-    found: dict[str, list[str]] = {}
-    for each in outcomes:
-        found.setdefault(each.stage.part_of or each.stage.name, []).extend(each.warnings)
-    return warnings_once(found)
+    """Return the warnings of all stages, each once."""
+    return warnings_once({each.stage.name: list(each.warnings) for each in outcomes})
 
 
 def _stage(outcome: Outcome, base: Path, root: Path) -> dict[str, Any]:
     stage, error = outcome.stage, outcome.error
     return {
         "name": stage.name,
-        **({"part_of": stage.part_of} if stage.part_of else {}),
         "state": "done" if outcome.has_result else outcome.state,
         "inputs": [_relative(path, root, base) for path in stage.reads],
         "outputs": [_relative(path, root) for path in outcome.made],
@@ -384,7 +389,7 @@ def _summary(site: Site, outcomes: Sequence[Outcome]) -> str:
             facts=told.get("facts") or {}, heard=heard, version=software()["gis_radar"],
             tables=[
                 (tr("What this rests on"), told.get("basis")),
-                (tr("Lanes by coverage"), told.get("lanes_named")),
+                (tr("Lanes by occupancy"), told.get("lanes_named")),
                 (tr("Sensors"), _pose_rows(outcomes, site)),
             ],
             lists={
@@ -409,7 +414,7 @@ def _pose_rows(outcomes: Sequence[Outcome], site: Site) -> list[list[str]]:
     rows = [[
         tr("Sensor"), f"{tr('Easting')}, m", f"{tr('Northing')}, m", f"{tr('Height')}, m",
         f"{tr('Looks to')}, {tr('from grid north')}", tr("Pitch, roll"),
-        tr("Second look"), tr("State"),
+        tr("Scan check"), tr("State"),
     ]]  # fmt: skip
     for name, facts in _sensors_of(outcomes, site).items():
         state = tr("good") if facts["state"] == "ok" else tr_message(str(facts["state"]))
@@ -421,6 +426,6 @@ def _pose_rows(outcomes: Sequence[Outcome], site: Site) -> list[list[str]]:
         bearing = f"{figure_text((90.0 - facts['yaw']) % 360.0, 1)}°"
         angles = ", ".join(f"{figure_text(facts[each], 1)}°" for each in ("pitch", "roll"))
         looks = f"{direction(math.cos(yaw), math.sin(yaw))}, {bearing}"
-        look = tr(str(facts.get("second_look") or NOTHING))
+        look = tr(str(facts.get("scan_check") or NOTHING))
         rows.append([name, *place, looks, angles, look, state])
     return rows

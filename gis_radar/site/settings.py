@@ -5,13 +5,11 @@ The models say it once: types check the values, their fields give template and r
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, PrivateAttr, model_validator
 
-from gis_radar.renamed import warn_of
 from gis_radar.site.live_table import LiveTable
 from gis_radar.site.toml_file import read_toml, toml_reference, toml_template
 from gis_radar.site.values import (
@@ -93,7 +91,7 @@ class TilesTable(TomlTable):
     """Length of a tile along its lanelet, m."""
 
 
-class OccupancyTable(TomlTable):
+class MeasureTable(TomlTable):
     """Which detections count, without a filter all; and whose times are corrected."""
 
     clearance: Span | None = key("[-0.5, 4.5]", None, "all")
@@ -111,7 +109,7 @@ class OccupancyTable(TomlTable):
 
 
 class VehiclesTable(TomlTable):
-    """The vehicles, whose coverage the heat maps show."""
+    """The vehicles, whose occupancy the heat maps show."""
 
     follow: Switch = key("false", True, "true")
     """Whether vehicles are followed; without, the heat maps show hits."""
@@ -180,8 +178,8 @@ class Sensor(TomlTable):
     """Whether vehicles that other sensors see, too, tie its pose to theirs."""
     pose: File | None = key('"R2.json"', None, "none")
     """Its pose (JSON) or pose track (CSV), instead of a guess."""
-    cycle: Cycle | None = key('"150ms"', None, "a frame holds 100 ms")
-    """Of a sensor under 10 Hz, the time from frame to frame: a frame holds 1.5 of it."""
+    cycle: Cycle | None = key('"150ms"', None, "a frame is valid for 100 ms")
+    """Of a sensor under 10 Hz, the time from frame to frame: a frame is valid for 1.5 of it."""
     view: ViewTable | None = None
     """What it sees, where its pose does not state it; without it 120 by 30 deg, 1 to 300 m."""
     convert: ConvertTable | None = None
@@ -233,17 +231,16 @@ class Site(TomlTable):
     """The road from the air; needed where a pose is to be found."""
     tiles: TilesTable = TilesTable()
     """The unit of all statistics."""
-    occupancy: OccupancyTable = OccupancyTable()
+    measure: MeasureTable = MeasureTable()
     """Which detections count."""
     vehicles: VehiclesTable = VehiclesTable()
-    """The vehicles, whose coverage the heat maps show."""
+    """The vehicles, whose occupancy the heat maps show."""
     heatmap: HeatmapTable = HeatmapTable()
     """The heat maps."""
     live: LiveTable | None = None
     """The live system, for `gis-radar live`; a run leaves it alone."""
     sensor: Annotated[tuple[Sensor, ...], Field(min_length=1)]
     """The radars, a table each."""
-    earlier: ClassVar[Mapping[str, str]] = {"time_zone": "timezone"}
     _path: Path = PrivateAttr(Path("SITE.toml"))
 
     @model_validator(mode="after")
@@ -271,12 +268,6 @@ class Site(TomlTable):
         return f"Site({self.title or self.path}: {names})"
 
     @property
-    def time_zone(self) -> str:
-        """An earlier name of `timezone`."""
-        warn_of("Site.time_zone", "timezone", stacklevel=2)
-        return self.timezone
-
-    @property
     def path(self) -> Path:
         """The file it was read from."""
         return self._path
@@ -292,7 +283,7 @@ class Site(TomlTable):
         """All files that a run reads."""
         scanned = (*self.scan.files, self.scan.road) if self.scan else ()
         of_sensors = [path for each in self.sensor for path in (*each.recordings, each.pose)]
-        named = (self.map.file, *scanned, self.occupancy.clocks, *of_sensors)
+        named = (self.map.file, *scanned, self.measure.clocks, *of_sensors)
         return tuple(path for path in named if path is not None)
 
 

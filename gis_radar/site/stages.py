@@ -7,8 +7,6 @@ imports what it calls: a worker waits for the rooms of its own stages only.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import shutil
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,12 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from gis_radar.crs import name_of
-from gis_radar.errors import InputError, NoAnswerError
-from gis_radar.files import scratch_folder, whole_file
+from gis_radar.errors import InputError
+from gis_radar.files import atomic_write, scratch_folder
 from gis_radar.poses.files import PoseTrack, read_track, write_pose
 from gis_radar.poses.pose import COMPONENTS, Pose, View
 from gis_radar.progress import Reporter
-from gis_radar.site.software import software
 from gis_radar.site.together import (
     RECORDED,
     read_together,
@@ -32,8 +29,7 @@ from gis_radar.site.together import (
 )
 
 STATE = ".gis-radar"
-PARTS = "parts"  # in there: what is counted of single recordings and hours
-SIGHTS = "sights"  # and what sensors see, which all of these ask for
+SIGHTS = "sights"  # in there: what sensors see by the scans, which is asked for again
 Figures = dict[str, Any]
 Paths = Sequence[Path]
 
@@ -51,7 +47,7 @@ def road_stage(*, road: Path, outputs: Paths, reporter: Reporter) -> Figures:
 
     crs = road_crs(road)
     points = read_road(road, crs)
-    with whole_file(outputs[0]) as part:
+    with atomic_write(outputs[0]) as part:
         shutil.copyfile(road, part)
     reporter.progress("copying the road", 1, 1)
     return {"crs": name_of(crs), "cells": len(points)}
@@ -76,7 +72,7 @@ def convert_stage(*, recordings: Paths, outputs: Paths, **options: Any) -> Figur
                 f"{recordings[0]}: has several sensors: {names}",
                 hint="name one in [sensor.convert]: sensor = ...",
             )
-        with whole_file(outputs[0]) as part:
+        with atomic_write(outputs[0]) as part:
             shutil.move(made.outputs[0], part)
     return dict(made.figures())
 
@@ -84,7 +80,7 @@ def convert_stage(*, recordings: Paths, outputs: Paths, **options: Any) -> Figur
 def localize_stage(
     *, recordings: Paths, map_file: Path, road: Path, outputs: Paths, **options: Any
 ) -> Figures:
-    """Find a pose from the first recording that gives one; whole scans give a second look.
+    """Find a pose from the first recording that gives one; whole scans check it.
 
     Where several poses fit, these are kept: other sensors may know which.
     """
@@ -166,7 +162,7 @@ def pose_stage(
     if given and view is not None and any(each.view is not None for each in track.poses):
         reporter.log(f"the pose of {sensor} has a view, which counts", "warning")
     if outputs[0].suffix == ".csv":
-        with whole_file(outputs[0]) as part:
+        with atomic_write(outputs[0]) as part:
             shutil.copyfile(pose, part)
         return {"poses": len(track.poses)}
     only = _seeing(track, sensor, view).poses[0]
@@ -188,111 +184,49 @@ def _seeing(track: PoseTrack, sensor: str, view: dict[str, float] | None) -> Pos
     return named if view is None else named.with_view(View(**view))
 
 
-def occupancy_stage(
-    *, recording: Path, pose: Path, tile_file: Path, outputs: Paths, sensor: str,
-    view: dict[str, float] | None, cycle: float | None,
-    clocks: Path | None = None, **options: Any,
-) -> Figures:  # fmt: skip
-    """Join a recording of a sensor to the tiles."""
-    from gis_radar.site.recipes import join_recordings
-
-    tracks = [_seeing(read_track(pose), sensor, view)]
-    cycles = None if cycle is None else {sensor: cycle}
-    return join_recordings(
-        [recording],
-        tracks,
-        tile_file,
-        outputs[0],
-        cycles=cycles,
-        clocks=clocks,
-        sight_cache=_sights_beside(outputs[0]),
-        **options,
-    ).figures()
-
-
-def _sights_beside(part: Path) -> Path:
-    """Return where sights are kept: what other versions found is not taken, and goes."""
-    kept = next(each for each in part.parents if each.name == PARTS).with_name(SIGHTS)
-    of_all = json.dumps(software(), sort_keys=True).encode()
-    mine = kept / hashlib.blake2b(of_all, digest_size=8).hexdigest()
-    for other in kept.glob("*"):
-        if other != mine:
-            shutil.rmtree(other, ignore_errors=True)
-    return mine
-
-
-def merge_stage(*, parts: Paths, outputs: Paths, reporter: Reporter) -> Figures:
-    """Put what was counted of a sensor's recordings together."""
-    from gis_radar.occupancy import read_occupancy
-
-    merged = read_occupancy(parts, reporter=reporter)
-    merged.write(outputs[0])
-    reporter.progress("putting recordings together", 1, 1)
-    return merged.figures()
-
-
-def vehicles_stage(
+def measure_stage(
     *, recordings: Paths, poses: Paths, sensors: dict[str, dict[str, Any]], map_file: Path,
-    tile_file: Path, outputs: Paths, reporter: Reporter, clocks: Path | None = None,
-    **options: Any,
+    tile_file: Path, outputs: Paths, reporter: Reporter, **options: Any,
 ) -> Figures:  # fmt: skip
-    """Follow the vehicles of an hour as all sensors see them, in one likelihood.
+    """Measure what all sensors of a site see: make its dataset, or the hours that are missing.
 
-    `recordings` are those of all sensors, of each as many as `sensors` has; `poses` are one each.
-    Where vehicles cannot be followed, the heat maps show hits: a map without lanes for vehicles, a
-    recording without range rates.
+    `recordings` are those of all sensors, of each as many as `sensors` says beside its view and
+    cycle; what was converted is beside the poses. Sensors without a pose or a recording are left
+    out, as are those whose recordings are refused.
     """
-    from gis_radar.site.recipes import follow_vehicles
+    from gis_radar.site.recipes import measure_site
 
-    tracks = []
-    for pose, (name, each) in zip(poses, sensors.items(), strict=True):
-        tracks += [_seeing(read_track(pose), name, each["view"])] * each["recordings"]
-    try:
-        found = follow_vehicles(
-            recordings, tracks, tile_file, map_file, outputs[0], clocks=clocks, reporter=reporter,
-            cycles={name: each["cycle"] for name, each in sensors.items() if each["cycle"]},
-            sight_cache=_sights_beside(outputs[0]),
-            **options,
-        )  # fmt: skip
-    except (InputError, NoAnswerError) as error:
-        shutil.rmtree(outputs[0], ignore_errors=True)  # of an earlier run
-        reporter.log(f"the heat maps show hits, not coverage: {error.message}", "warning")
-        return {"not_followed": error.message}
-    return found.figures()
-
-
-def join_hours_stage(
-    *, parts: Paths, tile_file: Path, outputs: Paths, reporter: Reporter
-) -> Figures:
-    """Join the hours of vehicles; where one could not be followed, there is no whole."""
-    from gis_radar.tiles import read_tiles
-    from gis_radar.vehicles.hours import join_hours
-
-    if not all(part.is_dir() for part in parts):
-        shutil.rmtree(outputs[0], ignore_errors=True)  # of an earlier run
-        return {"not_followed": True}
-    tiles = read_tiles(tile_file)
-    return join_hours(parts, outputs[0], tiles=tiles, reporter=reporter).figures()
+    numbers = {name: each["recordings"] for name, each in sensors.items()}
+    paths = _by_sensor(recordings, numbers, outputs[0].parent / "sensors")
+    given = {
+        name: (paths[name], _seeing(read_track(pose), name, sensors[name]["view"]))
+        for pose in poses
+        if paths[name := pose.parent.name]
+    }
+    cycles = {name: each["cycle"] for name, each in sensors.items() if each["cycle"]}
+    made, refused = measure_site(
+        given, tile_file, map_file, outputs[0], cycles=cycles, reporter=reporter,
+        sight_cache=outputs[0].parent / STATE / SIGHTS, **options,
+    )  # fmt: skip
+    heavy = {"heavy": int((made.vehicles()["p_heavy"] >= 0.5).sum())} if made.has_vehicles else {}
+    return {**made.figures(), **heavy, "refused": refused}
 
 
 def heatmap_stage(
-    *, occupancies: Paths, tile_file: Path, outputs: Paths, reporter: Reporter,
-    interval: str | None, labels: dict[str, Any], vehicles: Paths = (),
+    *, dataset: Path, outputs: Paths, reporter: Reporter, interval: str | None,
+    labels: dict[str, Any],
 ) -> Figures:  # fmt: skip
-    """Merge the occupancies and make the heat map; where vehicles are known, of their coverage."""
+    """Make a heat map of what was measured."""
+    from gis_radar.dataset import open_dataset
     from gis_radar.heatmap import MapLabels, make_heatmap
-    from gis_radar.occupancy import merge_occupancies, read_occupancy
-    from gis_radar.tiles import read_tiles
-    from gis_radar.vehicles import read_vehicles
 
-    merged = merge_occupancies([read_occupancy(each, reporter=reporter) for each in occupancies])
     zone = None if labels["timezone"] == "UTC" else labels["timezone"]
     heat = make_heatmap(
-        merged, read_tiles(tile_file), interval=interval, timezone=zone, reporter=reporter,
-        vehicles=read_vehicles(vehicles[0]) if vehicles else None, labels=MapLabels(**labels),
+        open_dataset(dataset), interval=interval, timezone=zone, labels=MapLabels(**labels),
+        reporter=reporter,
     )  # fmt: skip
     heat.write(outputs[0], reporter=reporter)
-    return {**merged.figures(), **heat.figures()}
+    return heat.figures()
 
 
 def project_stage(*, outputs: Paths, **options: Any) -> Figures:

@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gis_radar.errors import InputError, NoAnswerError
-from gis_radar.files import whole_file
+from gis_radar.files import atomic_write
 from gis_radar.json_documents import read_json
 from gis_radar.poses.files import read_pose
 from gis_radar.poses.pose import Pose, pose_from_dict
 from gis_radar.progress import Reporter
 
 if TYPE_CHECKING:
+    from gis_radar.joint.network import Solved
     from gis_radar.localization import AmbiguousError
-    from gis_radar.network.network import Solved
 
 FOUND, SEVERAL, RECORDED = "localization.json", "candidates.json", "recording.parquet"
 Record = dict[str, Any]
@@ -70,9 +70,9 @@ def solve_together(
         or why it is not tied.
     """
     from gis_radar.clocks import read_clocks
+    from gis_radar.joint.calibration import adjust_poses
+    from gis_radar.joint.network import Solved
     from gis_radar.lanelets import read_map
-    from gis_radar.network.network import Solved
-    from gis_radar.network.together import tie_poses
     from gis_radar.scans.scan import read_road
 
     alone = {name: _alone(folder / name) for name in sensors}
@@ -81,7 +81,7 @@ def solve_together(
     if len(poses) > 1:
         roads = read_map(map_file, reporter=reporter, **options)
         known = {} if clocks is None else read_clocks(clocks)
-        solved = tie_poses(
+        solved = adjust_poses(
             {name: sensors[name] for name in poses}, poses, roads, read_road(road, roads.crs),
             clocks=known, reporter=reporter,
         )  # fmt: skip
@@ -104,12 +104,12 @@ def _alone(place: Path) -> tuple[tuple[Pose, ...], Record]:
 
 def _entry(name: str, poses: tuple[Pose, ...], solved: Solved, refusal: Record) -> Record:
     """Return what became of a sensor."""
-    from gis_radar.network.network import CLASH_HINT
-    from gis_radar.network.together import gain_line
+    from gis_radar.joint.calibration import gain_line
+    from gis_radar.joint.network import CLASH_HINT
 
     if name in solved.refused:
         return {"message": solved.refused[name], "hint": CLASH_HINT, "line": "refused"}
-    why = solved.untied.get(name, "no other sensor has a pose")
+    why = solved.unmatched.get(name, "no other sensor has a pose")
     if name not in solved.poses:
         if not refusal:
             return {"pose": poses[0].as_dict(), "line": f"alone: {why}"}
@@ -143,7 +143,7 @@ def read_together(path: Path, sensor: str) -> tuple[Pose, str]:
 
 
 def _write(path: Path, record: Record) -> None:
-    with whole_file(path) as part:
+    with atomic_write(path) as part:
         part.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
 
 

@@ -69,31 +69,10 @@ def read_toml(path: Path, root: type[Root], *, of_site: bool, hint: str) -> Root
             hint="make several sites",
         )
     lines = lines_of(text)
-    remarks = _rename_remarks(path, raw, lines, root)
     try:
-        found = root.model_validate(raw, context={"folder": path.parent})
+        return root.model_validate(raw, context={"folder": path.parent})
     except ValidationError as error:
         raise _first_error(path, lines, raw, error, root, of_site=of_site) from None
-    found._remarks = remarks  # noqa: SLF001 - not a key of the file
-    return found
-
-
-def _rename_remarks(
-    path: Path, raw: dict[str, Any], lines: dict[Steps, int], root: type[TomlTable]
-) -> tuple[str, ...]:
-    """Give keys with an earlier name the one that they have now, and say so."""
-    remarks = []
-    for earlier, now in root.earlier.items():
-        if earlier not in raw:
-            continue
-        line = lines.pop((earlier,), 0)
-        where = f"{path}:{line}" if line else str(path)
-        if now in raw:
-            raise InputError(f"{where}: has both {now} and {earlier}", hint="keep one of them")
-        raw[now] = raw.pop(earlier)
-        lines[(now,)] = line
-        remarks.append(f"{where}: {earlier} is an earlier name of {now} and works on; write {now}")
-    return tuple(remarks)
 
 
 # What is wrong, in one line with file, line and key.

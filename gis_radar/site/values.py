@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, ClassVar, Union, get_args, get_origin
+from typing import Annotated, Any, Union, get_args, get_origin
 
 from pydantic import (
     AfterValidator,
@@ -17,7 +17,6 @@ from pydantic import (
     ConfigDict,
     Field,
     PlainValidator,
-    PrivateAttr,
     ValidationInfo,
 )
 from pydantic.fields import FieldInfo
@@ -249,14 +248,6 @@ class TomlTable(BaseModel):
     """A table of the site file: unknown keys are refused, and nothing changes afterwards."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
-    earlier: ClassVar[Mapping[str, str]] = {}
-    """Keys that have another name now: by the earlier name."""
-    _remarks: tuple[str, ...] = PrivateAttr(())
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """What to warn of in the file itself."""
-        return self._remarks
 
 
 def table_of(field: FieldInfo) -> type[TomlTable] | None:

@@ -209,7 +209,7 @@ class TileTree:
 
 
 TileEngine: TypeAlias = TileGrid | TileTree
-"""What finds the tiles that points fall in."""
+"""Objects that find the tiles of points."""
 
 
 def _origin(quads: Floats) -> Floats:

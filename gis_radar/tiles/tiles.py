@@ -20,7 +20,7 @@ from shapely.geometry.base import BaseGeometry
 from gis_radar.arrays import Floats
 from gis_radar.crs import metric_crs, name_of
 from gis_radar.errors import InputError, UsageError
-from gis_radar.files import whole_file
+from gis_radar.files import atomic_write
 from gis_radar.geopackage import (
     LayerNotes,
     add_layer,
@@ -240,7 +240,7 @@ def write_tiles(
         layers.append((LANES, lanes.assign(lanelets=texts), "LineString"))
     if stop_lines is not None:
         layers.append((STOP_LINES, stop_lines, "LineString"))
-    with whole_file(path) as part:
+    with atomic_write(path) as part:
         for layer, table, kind in layers:
             metadata = seal if layer == LAYER else None
             options = {"geometry_type": kind, "layer_metadata": metadata}
@@ -371,7 +371,7 @@ def _coordinates(line: shapely.LineString) -> Floats:
 
 def _say_losses(lanelets: gpd.GeoDataFrame, pieces: list[Floats], reporter: Reporter) -> None:
     shapes = lanelets.geometry.array
-    tiled = np.array([_covered(piece) for piece in pieces])
+    tiled = np.array([_tiled_area(piece) for piece in pieces])
     off = shapely.area(shapely.symmetric_difference(shapes, tiled)) / shapely.area(shapes)
     bad = int(np.count_nonzero(off > AREA_TOLERANCE))
     if not bad:
@@ -385,7 +385,7 @@ def _say_losses(lanelets: gpd.GeoDataFrame, pieces: list[Floats], reporter: Repo
     )
 
 
-def _covered(piece: Floats) -> BaseGeometry:
+def _tiled_area(piece: Floats) -> BaseGeometry:
     shape = outline(piece[:, 0], piece[:, 1])
     if shape.is_valid:
         return shape

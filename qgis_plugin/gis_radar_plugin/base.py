@@ -33,8 +33,8 @@ from .worker import find_python, plugin_version, same_series, worker_version
 PROVIDER = "gisradar"
 SETTING = "gis_radar/worker_python"
 ICONS = Path(__file__).parent / "icons"
-# Figures of hits, for diagnosis: where there is coverage they would be taken for it.
-_OF_HITS = {"hits", "tiles hit", "covered s"}
+# Figures of hits, for diagnosis: where there is occupancy they would be taken for it.
+_OF_HITS = {"hits", "tiles hit", "occupied s"}
 _UNKNOWN = "No such command {name}."
 ALL_STAGES = "all stages"  # as a site's run calls them
 SITE, TRAFFIC, RESULTS, SET_UP = "Site", "Traffic", "Results", "Set-up"
@@ -237,7 +237,7 @@ class WorkerAlgorithm(Algorithm):
 
 
 def stage_words(stage: str) -> str:
-    """Return a stage in the user's language; `occupancy R1 R1.parquet` has names in it."""
+    """Return a stage in the user's language; `hits R1 R1.parquet` has names in it."""
     words = stage.split(" ")
     for most in range(len(words), 0, -1):
         work = " ".join(words[:most])
@@ -249,15 +249,15 @@ def stage_words(stage: str) -> str:
 def summary_lines(summary: dict[str, Any]) -> list[str]:
     """Return a line for each figure; those of each sensor stand in a line of their own.
 
-    Beside coverage there are none of hits, and tracks are not called vehicles: they are no count.
+    Beside occupancy there are none of hits, and tracks are not called vehicles: they are no count.
     """
     lines = []
-    covered = "mean coverage" in summary or "mean_coverage" in summary
+    occupied = bool({"mean occupancy", "mean_occupancy", "passages"} & set(summary))
     for name, value in summary.items():
         title = tr(name.replace("_", " "))
-        if covered and name.replace("_", " ") in _OF_HITS:
+        if occupied and name.replace("_", " ") in _OF_HITS:
             continue
-        if covered and name == "vehicles":
+        if occupied and name == "vehicles":
             title = tr("Tracks of vehicles")
         if isinstance(value, dict) and all(isinstance(part, dict) for part in value.values()):
             lines += [f"{title}: {key}: {readable(part)}" for key, part in value.items()]

@@ -69,5 +69,5 @@ def _is_ours(layer: Any) -> bool:
     return (
         isinstance(layer, QgsVectorLayer)
         and layer.temporalProperties().isActive()
-        and layer.fields().lookupField("occupied_s") >= 0
+        and layer.fields().lookupField("hit_s") >= 0
     )

@@ -23,27 +23,27 @@ from .timeline import show_time, step_of
 from .words import speaks_german, tr
 
 SHAVED_MS = 10  # as in the style that gis_radar stores
-INTERVALS = "occupancy_by_interval"
+INTERVALS = "by_interval"
 Finish = Callable[[QgsMapLayer], None]
 
 
-def shows_coverage(folder: Path) -> bool:
-    """Return whether a heat map was made with vehicles: it then shows coverage, hits beside it."""
-    return (folder / "occupancy.tif").is_file()
+def shows_occupancy(folder: Path) -> bool:
+    """Return whether a heat map shows occupancy; without vehicles it shows the hit share."""
+    return (folder / "heatmap.tif").is_file()
 
 
 def heatmap_titles(folder: Path) -> dict[str, str]:
     """Return what the layers of a heat map are called, by table, and its raster as `raster`."""
-    if shows_coverage(folder):
+    if shows_occupancy(folder):
         return {
-            "heatmap": tr("Coverage, whole time"),
-            INTERVALS: tr("Coverage by interval"),
-            "raster": tr("Coverage, raster"),
+            "heatmap": tr("Occupancy, whole time"),
+            INTERVALS: tr("Occupancy by interval"),
+            "raster": tr("Occupancy, raster"),
         }
     return {
-        "heatmap": tr("Occupancy, whole time"),
-        INTERVALS: tr("Occupancy by interval"),
-        "raster": tr("Occupancy, raster"),
+        "heatmap": tr("Hit share, whole time"),
+        INTERVALS: tr("Hit share by interval"),
+        "raster": tr("Hit share, raster"),
     }
 
 

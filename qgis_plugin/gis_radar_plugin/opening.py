@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from qgis.core import Qgis, QgsApplication
-from qgis.PyQt.QtCore import QUrl
+from qgis.PyQt.QtCore import Q_ARG, QMetaObject, QUrl
 from qgis.PyQt.QtGui import QDesktopServices
 
 from .words import tr
@@ -15,11 +15,24 @@ from .words import tr
 Opened = tuple[str, Path]  # what the button says, and the file or folder that it opens
 
 
+def open_project(window: Any, path: Path) -> None:
+    """Open a project in QGIS's window, which asks first where the present one is not saved.
+
+    Parameters
+    ----------
+    window : QgisInterface
+        The window. Its own `addProject` replaces the present project without a question.
+    path : Path
+        The project.
+    """
+    QMetaObject.invokeMethod(window.mainWindow(), "openFile", Q_ARG(str, str(path)))
+
+
 def open_file(path: Path) -> None:
-    """Open a file as the desktop does; a project in this QGIS, which asks about the present one."""
+    """Open a file as the desktop does, a project as :func:`open_project`."""
     window = _window()
     if path.suffix in (".qgz", ".qgs") and window is not None:
-        window.addProject(str(path))
+        open_project(window, path)
     else:
         QDesktopServices.openUrl(QUrl.fromLocalFile(str(path)))
 

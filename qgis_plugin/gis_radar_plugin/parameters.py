@@ -67,6 +67,15 @@ def add_tiles(algorithm: Algorithm, *, about: str) -> None:
     algorithm.add(QgsProcessingParameterFeatureSource("TILES", tr("Tiles"), polygons), about=about)
 
 
+def add_dataset(algorithm: Algorithm) -> None:
+    """Add the dataset of a site."""
+    folder = QgsProcessingParameterFile.Behavior.Folder
+    algorithm.add(
+        QgsProcessingParameterFile("DATASET", tr("Dataset"), folder),
+        about="A folder from 'Measure traffic', or 'dataset' of a site's run.",
+    )
+
+
 def tile_file(
     algorithm: Algorithm, parameters: dict[str, Any], context: QgsProcessingContext
 ) -> str:

@@ -29,7 +29,7 @@ def _with_times(layer: QgsVectorLayer) -> QgsVectorLayer:
     The limits of a column of a view are found in all its rows.
     """
     source, _, name = layer.source().partition("|layername=")
-    if name == "occupancy_by_interval":
+    if name == "by_interval":
         table = QgsVectorLayer(f"{source}|layername=intervals", "intervals", "ogr")
         if table.isValid() and table.fields().lookupField("begin") >= 0:
             return table

@@ -22,8 +22,7 @@ IDS = (
     "maskroad",
     "localizeradar",
     "convertrecordings",
-    "occupancy",
-    "vehicles",
+    "measure",
     "heatmap",
     "footprints",
     "runsite",
@@ -33,7 +32,7 @@ IDS = (
 )
 # Those of one call each, beside the ones above: tests/test_options.py.
 PLAIN = (
-    "trackpose", "sight", "checksite", "clocks", "detections", "quality", "sitereport",
+    "trackpose", "sight", "checksite", "clocks", "detections", "quality", "dataset", "sitereport",
     "qgisproject",
 )  # fmt: skip
 BY_WORKER = tuple(name for name in IDS if name not in ("exportreport", "setupworker"))
@@ -52,21 +51,14 @@ def parameters_of(name, site, out):
                            "OUTPUT": out / "R1.gpkg"}, "R1.gpkg"),
         "convertrecordings": ({"INPUT": [SAMPLE / "R1.parquet"], "OUTPUT": out / "c.parquet"},
                               "c.parquet"),
-        "occupancy": ({"RECORDINGS": [SAMPLE / "R1.parquet", SAMPLE / "R2.parquet"],
-                       "POSES": [SAMPLE / "R2.json", SAMPLE / "R1.json"],
-                       "TILES": f"{site}/tiles.gpkg|layername=tiles", "CLEARANCE": "-0.5,4.5",
-                       "SCANS": [SAMPLE / "scan.laz"],
-                       "OUTPUT": out / "occ"}, "occ/frames.parquet"),
-        "vehicles": ({"RECORDINGS": [SAMPLE / "R1.parquet", SAMPLE / "R2.parquet"],
-                      "POSES": [site / "sensors" / "R1" / "pose.json",
-                                site / "sensors" / "R2" / "pose.json"],
-                      "TILES": f"{site}/tiles.gpkg|layername=tiles", "MAP": SAMPLE / "junction.osm",
-                      "SCANS": [SAMPLE / "scan.laz"], "OUTPUT": out / "veh"},
-                     "veh/covered.parquet"),
-        "heatmap": ({"OCCUPANCY": site / "occupancy", "INTERVAL": "20s",
-                     "TILES": f"{site}/tiles.gpkg|layername=tiles", "OUTPUT": out / "map"},
+        "measure": ({"RECORDINGS": [SAMPLE / "R1.parquet", SAMPLE / "R2.parquet"],
+                     "POSES": [SAMPLE / "R2.json", SAMPLE / "R1.json"],
+                     "TILES": f"{site}/tiles.gpkg|layername=tiles", "CLEARANCE": "-0.5,4.5",
+                     "MAP": SAMPLE / "junction.osm", "SCANS": [SAMPLE / "scan.laz"],
+                     "OUTPUT": out / "dataset"}, "dataset/dataset.json"),
+        "heatmap": ({"DATASET": site / "dataset", "INTERVAL": "20s", "OUTPUT": out / "map"},
                     "map/heatmap.gpkg"),
-        "footprints": ({"VEHICLES": site / "vehicles", "OUTPUT": out / "moving.gpkg"},
+        "footprints": ({"DATASET": site / "dataset", "OUTPUT": out / "moving.gpkg"},
                        "moving.gpkg"),
         "runsite": ({"SITE": SAMPLE / "SITE.toml", "OUTPUT": out / "run"}, "run/site.qgz"),
         "samplesite": ({"OUTPUT": out / "sample"}, "sample/junction.osm"),
@@ -97,7 +89,7 @@ def test_each_says_what_it_is(provider, name):
 @pytest.mark.preload
 @pytest.mark.parametrize(
     "name",
-    ["maskroad", "splitlanelets", "localizeradar", "convertrecordings", "occupancy", "heatmap",
+    ["maskroad", "splitlanelets", "localizeradar", "convertrecordings", "measure", "heatmap",
      "samplesite"],
 )  # fmt: skip
 def test_run(run, site, tmp_path, name):
@@ -105,9 +97,9 @@ def test_run(run, site, tmp_path, name):
     results, heard = run(name, parameters, load=True)
     assert heard.errors == []
     assert made.is_file()
-    if name == "occupancy":
-        (source, _) = json.loads((made.parent / "manifest.json").read_text())["sources"]
-        assert source["sight"]["files"] == ["scan.laz"]
+    if name == "measure":
+        assert "passages: " in "\n".join(heard.infos)
+        assert not any(line.startswith("hits: ") for line in heard.infos)
     assert results["OUTPUT"] in (str(made), str(made.parent))
     assert heard.percents, "no progress"
     assert heard.percents[-1] <= 100
@@ -141,22 +133,22 @@ def test_stages_that_take_turns(run, site, tmp_path, fake_worker):
         "at('all stages', 0, 4)\n"
         "for share in (10, 50, 99):\n"
         "    at('localize R1', share, 100)\n    at('localize R2', share, 100)\n"
-        "at('localize R1', 100, 100)\nat('all stages', 1, 4)\nat('occupancy R1', 50, 100)\n"
-        "sensor = {'easting': 690360.041, 'second_look': 'confirms'}\n"
+        "at('localize R1', 100, 100)\nat('all stages', 1, 4)\nat('measure R1', 50, 100)\n"
+        "sensor = {'easting': 690360.041, 'scan_check': 'confirms'}\n"
         "say(event='result', outputs=[], summary={'sensors': {'R1': sensor}, 'tiles': 7})"
     )
     parameters, _ = parameters_of("samplesite", site, tmp_path)
     results, heard = run("samplesite", parameters)
     assert results is not None
-    assert heard.stages == ["localize R1", "localize R2", "occupancy R1"]
+    assert heard.stages == ["localize R1", "localize R2", "measure R1"]
     assert heard.percents == sorted(heard.percents)
     assert heard.percents[-1] == pytest.approx(100 * (1 + 0.99 + 0.5) / 4)
-    assert heard.infos[-2:] == ["sensors: R1: easting 690360.04, second look confirms", "tiles: 7"]
+    assert heard.infos[-2:] == ["sensors: R1: easting 690360.04, scan check confirms", "tiles: 7"]
 
 
 def test_cancel_of_the_real_worker_leaves_nothing(run, site, tmp_path):
-    parameters, made = parameters_of("occupancy", site, tmp_path)
-    results, heard = run("occupancy", parameters, feedback=Feedback(cancel_after=1))
+    parameters, made = parameters_of("measure", site, tmp_path)
+    results, heard = run("measure", parameters, feedback=Feedback(cancel_after=1))
     assert results is None
     assert one_sentence(heard) == "Cancelled; nothing was left half-written."
     assert list(tmp_path.iterdir()) == []
@@ -227,14 +219,30 @@ def test_words_of_convert(run, site, tmp_path, fake_worker):
     assert "frames: 2" in heard.infos
 
 
-def test_a_heat_map_with_vehicles_shows_coverage(run, site, tmp_path):
-    parameters, made = parameters_of("heatmap", site, tmp_path)
-    _, heard = run("heatmap", parameters | {"VEHICLES": str(site / "vehicles")}, load=True)
+def test_hits_only_give_a_map_of_the_hit_share(run, site, tmp_path):
+    parameters, _ = parameters_of("measure", site, tmp_path)
+    one = {"RECORDINGS": [str(SAMPLE / "R1.parquet")], "POSES": [str(SAMPLE / "R1.json")]}
+    _, heard = run("measure", parameters | one | {"SCANS": [], "HITS_ONLY": True})
     assert heard.errors == []
-    assert (made.parent / "occupancy.tif").is_file()
-    layer = layer_called("Coverage by interval")
-    assert layer.renderer().classAttribute() == "coverage"
-    assert layer.renderer().ranges()[0].label() == "0 %, no vehicle"
+    assert not (tmp_path / "dataset" / "tracks").exists()
+    parameters, made = parameters_of("heatmap", site, tmp_path)
+    _, heard = run("heatmap", parameters | {"DATASET": str(tmp_path / "dataset")}, load=True)
+    assert heard.errors == []
+    layer = layer_called("Hit share by interval")
+    assert layer.renderer().classAttribute() == "hit_share"
+    assert layer.renderer().ranges()[0].label() == "0 %, never hit"
+
+
+def test_a_recording_is_added_to_a_dataset(run, site, tmp_path):
+    parameters, made = parameters_of("measure", site, tmp_path)
+    for name in ("R1", "R2"):
+        one = {
+            "RECORDINGS": [str(SAMPLE / f"{name}.parquet")],
+            "POSES": [str(SAMPLE / f"{name}.json")],
+        }
+        _, heard = run("measure", parameters | one)
+        assert heard.errors == []
+    assert "sensors: R1, R2" in heard.infos
 
 
 def test_run_of_a_site_loads_all(run, site, tmp_path):
@@ -247,14 +255,14 @@ def test_run_of_a_site_loads_all(run, site, tmp_path):
     assert f"Project that is ready to present: {made}" in heard.infos
     names = {layer.name() for layer in QgsProject.instance().mapLayers().values()}
     assert names == {
-        "Sensors", "Views", "Uncertainty (95 %)", "Vehicles", "Coverage by interval",
-        "Coverage, whole time", "Coverage, raster", "Road, not observed",
+        "Sensors", "Views", "Uncertainty (95 %)", "Vehicles", "Occupancy by interval",
+        "Occupancy, whole time", "Occupancy, raster", "Road, not observed",
     }  # fmt: skip
     assert layer_called("Vehicles").temporalProperties().isActive()
     assert QgsProject.instance().timeSettings().timeStep() == 0.5  # of the vehicles, not the map
     tree = QgsProject.instance().layerTreeRoot().findGroup("Sample junction (simulated)")
     order = [node.name() for node in tree.findLayers()]
-    above = [order.index(name) for name in ("Sensors", "Vehicles", "Coverage by interval")]
+    above = [order.index(name) for name in ("Sensors", "Vehicles", "Occupancy by interval")]
     assert above == sorted(above)
 
 
@@ -283,7 +291,7 @@ def memory_copy(layer, keep):
 
 @pytest.mark.parametrize("kind", ["memory", "filtered", "selected"])
 def test_parts_of_tiles(run, site, tmp_path, kind):
-    """Occupancy and heat map of a part of the tiles, which live in QGIS alone."""
+    """Sight on a part of the tiles, which live in QGIS alone."""
     layer = tiles_layer(site)
     few = layer.uniqueValues(layer.fields().lookupField("lanelet_id"))
     some = sorted(few)[: len(few) // 2]
@@ -301,24 +309,20 @@ def test_parts_of_tiles(run, site, tmp_path, kind):
         if kind == "selected":
             value = QgsProcessingFeatureSourceDefinition(layer.id(), selectedFeaturesOnly=True)
     assert 0 < count < 5387
-    parameters, made = parameters_of("occupancy", site, tmp_path)
-    one = {"RECORDINGS": [str(SAMPLE / "R1.parquet")], "POSES": [str(SAMPLE / "R1.json")]}
-    _, heard = run("occupancy", parameters | one | {"TILES": value, "SCANS": []})
+    package = tmp_path / "sight.gpkg"
+    call = {"POSES": [str(SAMPLE / "R1.json")], "SCANS": [str(SAMPLE / "scan.laz")],
+            "TILES": value, "OUTPUT": str(package)}  # fmt: skip
+    _, heard = run("sight", call)
     assert heard.errors == []
-    if kind != "filtered":
-        return  # the heat map takes its tiles by the same way
-    parameters, made = parameters_of("heatmap", site, tmp_path)
-    parameters |= {"TILES": value, "OCCUPANCY": str(tmp_path / "occ")}
-    _, heard = run("heatmap", parameters, load=True)
-    assert heard.errors == []
-    assert layer_called("Occupancy, whole time").featureCount() == count
+    written = QgsVectorLayer(f"{package}|layername=sight", "sight", "ogr")
+    assert 0 < written.featureCount() <= count
 
 
 def test_scans_and_sight_reach_the_worker(run, site, tmp_path, fake_worker):
     heard_words = tmp_path / "words.json"
     fake_worker(f"open({str(heard_words)!r}, 'w').write(json.dumps(words))\nsys.exit(3)")
-    parameters, _ = parameters_of("occupancy", site, tmp_path)
-    run("occupancy", parameters | {"SIGHT": str(tmp_path / "sight.gpkg"), "SCAN_CRS": "EPSG:25832"})
+    parameters, _ = parameters_of("measure", site, tmp_path)
+    run("measure", parameters | {"SIGHT": str(tmp_path / "sight.gpkg"), "SCAN_CRS": "EPSG:25832"})
     words = json.loads(heard_words.read_text())
     given = dict(zip(words, words[1:]))
     assert given["--scan"] == str(SAMPLE / "scan.laz")

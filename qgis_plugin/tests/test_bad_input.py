@@ -30,10 +30,10 @@ def added(layer):
 
 
 def test_a_wrong_layer(run, site, tmp_path):
-    layer = QgsVectorLayer(f"{site}/heatmap/heatmap.gpkg|layername=occupancy_by_interval", "long",
+    layer = QgsVectorLayer(f"{site}/heatmap/heatmap.gpkg|layername=by_interval", "long",
                            "ogr")  # fmt: skip
-    parameters, made = parameters_of("heatmap", site, tmp_path)
-    refused(run, "heatmap", parameters | {"TILES": added(layer)},
+    parameters, made = parameters_of("measure", site, tmp_path)
+    refused(run, "measure", parameters | {"TILES": added(layer)},
             "'long' is not one of tiles: it lacks index, s_m")  # fmt: skip
     assert not made.exists()
 
@@ -41,8 +41,8 @@ def test_a_wrong_layer(run, site, tmp_path):
 def test_a_layer_without_crs(run, site, tmp_path):
     layer = memory_copy(tiles_layer(site), lambda row: row["tile_id"] < 5)
     layer.setCrs(type(layer.crs())())
-    parameters, _ = parameters_of("occupancy", site, tmp_path)
-    refused(run, "occupancy", parameters | {"TILES": added(layer)},
+    parameters, _ = parameters_of("measure", site, tmp_path)
+    refused(run, "measure", parameters | {"TILES": added(layer)},
             "'in memory' has no coordinate system: set it first")  # fmt: skip
 
 
@@ -51,8 +51,8 @@ def test_a_layer_in_degrees(run, site, tmp_path):
     fields = [field for field in tiles_layer(site).fields() if field.name() != "fid"]
     layer.dataProvider().addAttributes(fields)
     layer.updateFields()
-    parameters, _ = parameters_of("occupancy", site, tmp_path)
-    refused(run, "occupancy", parameters | {"TILES": added(layer)},
+    parameters, _ = parameters_of("measure", site, tmp_path)
+    refused(run, "measure", parameters | {"TILES": added(layer)},
             "'degrees' is in degrees (EPSG:4326)")  # fmt: skip
     parameters, _ = parameters_of("maskroad", site, tmp_path)
     parameters.pop("MAP")
@@ -62,8 +62,8 @@ def test_a_layer_in_degrees(run, site, tmp_path):
 def test_an_empty_selection(run, site, tmp_path):
     key = added(tiles_layer(site))
     nothing = QgsProcessingFeatureSourceDefinition(key, selectedFeaturesOnly=True)
-    parameters, _ = parameters_of("occupancy", site, tmp_path)
-    refused(run, "occupancy", parameters | {"TILES": nothing}, "nothing in it is selected")
+    parameters, _ = parameters_of("measure", site, tmp_path)
+    refused(run, "measure", parameters | {"TILES": nothing}, "nothing in it is selected")
 
 
 def test_map_and_polygons(run, site, tmp_path):
@@ -73,23 +73,37 @@ def test_map_and_polygons(run, site, tmp_path):
 
 
 def test_other_tiles(run, site, tmp_path):
-    """Tiles of which some were taken away do not fit the occupancy of all."""
-    layer = memory_copy(tiles_layer(site), lambda row: row["tile_id"] < 50)
-    parameters, made = parameters_of("heatmap", site, tmp_path)
-    refused(run, "heatmap", parameters | {"TILES": added(layer)}, "fingerprint")
-    assert not made.exists()
+    """Tiles of another length do not fit a dataset."""
+    shutil.copytree(site / "dataset", tmp_path / "dataset")
+    other = {"MAP": str(SAMPLE / "junction.osm"), "LENGTH": 1.0}
+    _, heard = run("splitlanelets", other | {"OUTPUT": str(tmp_path / "other.gpkg")})
+    assert heard.errors == []
+    parameters, made = parameters_of("measure", site, tmp_path)
+    before = made.read_bytes()
+    tiles = f"{tmp_path}/other.gpkg|layername=tiles"
+    refused(run, "measure", parameters | {"TILES": tiles}, str(tmp_path / "dataset"), "tiles")
+    assert made.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("name", "out"), [("heatmap", "map"), ("quality", "q.csv"), ("footprints", "out.gpkg")]
+)
+def test_a_folder_that_is_no_dataset(run, site, tmp_path, name, out):
+    call = {"DATASET": str(site / "heatmap"), "OUTPUT": str(tmp_path / out)}
+    refused(run, name, call, str(site / "heatmap"))
+    assert not (tmp_path / out).exists()
 
 
 def test_poses_and_recordings_that_do_not_pair(run, site, tmp_path):
-    parameters, _ = parameters_of("occupancy", site, tmp_path)
+    parameters, _ = parameters_of("measure", site, tmp_path)
     poses = parameters["POSES"]
-    refused(run, "occupancy", parameters | {"POSES": poses[:1]}, "2 recordings and 1 poses")
+    refused(run, "measure", parameters | {"POSES": poses[:1]}, "2 recordings and 1 poses")
     other = tmp_path / "R9.json"
     other.write_text(Path(poses[0]).read_text().replace('"R2"', '"R9"'))
-    refused(run, "occupancy", parameters | {"POSES": [str(other), poses[1]]}, "Only some")
+    refused(run, "measure", parameters | {"POSES": [str(other), poses[1]]}, "Only some")
 
 
-@pytest.mark.parametrize("name", ["splitlanelets", "maskroad", "occupancy", "heatmap"])
+@pytest.mark.parametrize("name", ["splitlanelets", "maskroad", "measure", "heatmap"])
 def test_a_folder_that_cannot_be_written(run, site, tmp_path, name):
     """As root nothing is read-only, but nobody makes a file in /proc."""
     parameters, made = parameters_of(name, site, tmp_path)
@@ -121,7 +135,7 @@ def test_an_output_that_is_open_in_qgis(run, site, tmp_path):
     QgsProject.instance().clear()
     assert is_whole(made)
     assert sorted(path.name for path in made.parent.iterdir()) == [
-        "heatmap.gpkg", "heatmap.parquet", "heatmap.png", "heatmap.qml", "heatmap.tif",
+        "heatmap.gpkg", "heatmap.parquet", "heatmap.png", "heatmap.qml", "heatmap.tif", "hits.tif",
     ]  # fmt: skip
 
 
@@ -257,9 +271,10 @@ def test_qgis_dies_during_a_run(site, tmp_path, fake_worker):
     from conftest import ROOT, WORKER
 
     out = tmp_path / "occ"
-    words = ["/usr/bin/python3", str(script), str(ROOT / "qgis_plugin"), WORKER, "occupancy",
+    words = ["/usr/bin/python3", str(script), str(ROOT / "qgis_plugin"), WORKER, "measure",
              str(SAMPLE / "R1.parquet"), "--pose", str(SAMPLE / "R1.json"),
-             "--tiles", str(site / "tiles.gpkg"), "-o", str(out)]  # fmt: skip
+             "--tiles", str(site / "tiles.gpkg"),
+             "--map", str(SAMPLE / "junction.osm"), "-o", str(out)]  # fmt: skip
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as qgis:
         assert qgis.stdout.readline()
         tasks = Path(f"/proc/{qgis.pid}/task").glob("*/children")
@@ -272,7 +287,7 @@ def test_qgis_dies_during_a_run(site, tmp_path, fake_worker):
         time.sleep(0.1)
     else:
         pytest.fail("the worker lives on")
-    assert not out.exists() or (out / "manifest.json").exists()
+    assert not list(out.rglob("*.part"))
     assert leftovers(tmp_path) == []
 
 

@@ -28,8 +28,8 @@ def dialog():
     import processing
     global box
     box = processing.createAlgorithmDialog("gisradar:heatmap", {
-        "OCCUPANCY": SITE + "/occupancy", "TILES": SITE + "/tiles.gpkg|layername=tiles",
-        "INTERVAL": "20s", "TIMEZONE": "Europe/Berlin", "OUTPUT": OUT + "/map"})
+        "DATASET": SITE + "/dataset", "INTERVAL": "20s",
+        "TIMEZONE": "Europe/Berlin", "OUTPUT": OUT + "/map"})
     box.show()
     box.runButton().click()
 
@@ -74,20 +74,24 @@ def second():
 """
 
 
+def said_in_desktop(body, profiles, site, place):
+    """Return what the steps of a script say in QGIS's window."""
+    SHOTS.mkdir(parents=True, exist_ok=True)
+    desktop = place / "profiles"
+    shutil.copytree(profiles / "profiles", desktop / "profiles")
+    script = desktop_script(body, SHOTS=str(SHOTS), SITE=str(site), OUT=str(place))
+    with virtual_screen(1600, 950, environment(profiles, TZ="America/New_York")) as around:
+        done = run_desktop(script, place, desktop, around, "--profile", "default")
+    assert done.returncode == 0, done.stdout + done.stderr
+    return [line[5:] for line in done.stdout.splitlines() if line.startswith("SAID ")]
+
+
 def test_the_desktop(profiles, site, tmp_path):
     """A heat map made in the dialog comes up styled, animated, with the clock of the site."""
-    SHOTS.mkdir(parents=True, exist_ok=True)
     names = ("toolbox.png", "dialog.png", "moment1.png", "moment2.png")
     for name in names:
         (SHOTS / name).unlink(missing_ok=True)
-    desktop = tmp_path / "profiles"
-    shutil.copytree(profiles / "profiles", desktop / "profiles")
-    script = desktop_script(BODY, SHOTS=str(SHOTS), SITE=str(site), OUT=str(tmp_path))
-    with virtual_screen(1600, 950, environment(profiles, TZ="America/New_York")) as around:
-        done = run_desktop(script, tmp_path, desktop, around, "--profile", "default")
-    said = [line[5:] for line in done.stdout.splitlines() if line.startswith("SAID ")]
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert said == [
+    assert said_in_desktop(BODY, profiles, site, tmp_path) == [
         "buttons ['Open the picture', 'Show the folder']",
         "mode 1 frames 5",
         "time 2025-06-12 07:30:00",
@@ -97,3 +101,73 @@ def test_the_desktop(profiles, site, tmp_path):
     pictures = [(SHOTS / name).read_bytes() for name in names]
     assert all(len(picture) > 20_000 for picture in pictures)
     assert len(set(pictures)) == len(pictures)
+
+
+OPENING = """
+from qgis.core import QgsProject, QgsSettings
+from qgis.PyQt.QtWidgets import QApplication, QMessageBox, QPushButton
+project = QgsProject.instance()
+QgsSettings().setValue("app/askToSaveMemoryLayers", False)  # what lies in /tmp is none for QGIS
+
+def opened_by(button, wanted):
+    asked = []
+    def answer():
+        box = QApplication.activeModalWidget()
+        if box is not None:
+            shot("unsaved.png")
+            asked.append("asked")
+            box.button(getattr(QMessageBox.StandardButton, wanted)).click()
+    QTimer.singleShot(1000, answer)
+    button.click()
+    say(wanted, *asked, os.path.basename(project.fileName()), project.title())
+
+@after(1)
+def sheets():
+    iface.mainWindow().showMaximized()
+    iface.addProject(SITE + "/site.qgz")
+    import processing
+    global box
+    box = processing.createAlgorithmDialog("gisradar:exportreport", {
+        "HEATMAP": SITE + "/heatmap", "OVER": 2, "DPI": 50, "OUTPUT": OUT + "/sheets"})
+    box.show()
+    box.runButton().click()
+
+@after(1)
+def sheets_are_there():  # made in the window's own thread
+    project.setTitle("not saved")
+    button = box.messageBar().currentItem().findChildren(QPushButton)[1]
+    opened_by(button, "Cancel")
+    opened_by(button, "Discard")
+
+@after(1)
+def wizard():
+    box.close()
+    global window
+    window = plugins["gis_radar_plugin"].new_site()
+    window.check_page.folder_box.setFilePath(SITE)
+    button = window.run_page.open_buttons["site.qgz"]
+    button.setEnabled(True)
+    project.setTitle("saved")
+    opened_by(button, "Cancel")
+    opened_by(button, "Save")
+    opened_by(window.run_page.open_buttons["site.qgz"], "Discard")
+    project.read(OUT + "/sheets/report.qgz")
+    say(project.title())
+
+@after(2)
+def end():
+    shot("opened.png")
+    window.close()
+"""
+
+
+def test_another_project_is_opened_as_qgis_opens_it(profiles, site, tmp_path):
+    """Over a project of gis_radar, from sheets and from the wizard: QGIS asks before it is lost."""
+    assert said_in_desktop(OPENING, profiles, site, tmp_path) == [
+        "Cancel asked site.qgz not saved",
+        "Discard asked report.qgz ",
+        "Cancel asked report.qgz saved",
+        "Save asked site.qgz Sample junction (simulated)",
+        "Discard site.qgz Sample junction (simulated)",
+        "saved",
+    ]

@@ -53,14 +53,11 @@ def test_a_night_on_the_sample(profiles, tmp_path):
     assert (out / "R1.png").stat().st_size > 10_000
     surveyed = out / "surveyed.json"  # as one by hand, without a view
     surveyed.write_text(json.dumps({name: pose[name] for name in POSE}))
-    run(profiles, "occupancy", RECORDINGS=[SAMPLE / "R1.parquet"], POSES=[surveyed],
+    run(profiles, "measure", RECORDINGS=[SAMPLE / "R1.parquet"], POSES=[surveyed], MAP=osm,
         TILES=f"{tiles}|layername=tiles", CLEARANCE="-0.5,4.5", MAX_RANGE=120,
-        OUTPUT=out / "occ")  # fmt: skip
-    assert (out / "occ" / "frames.parquet").is_file()
-    manifest = json.loads((out / "occ" / "manifest.json").read_text())
-    assert [pose["view"]["max_range_m"] for pose in manifest["sources"][0]["poses"]] == [120.0]
-    run(profiles, "heatmap", OCCUPANCY=out / "occ", TILES=f"{tiles}|layername=tiles",
-        INTERVAL="50s", OUTPUT=out / "map")  # fmt: skip
+        OUTPUT=out / "dataset")  # fmt: skip
+    assert [each.name for each in (out / "dataset" / "tracks").rglob("*.parquet")] == ["07.parquet"]
+    run(profiles, "heatmap", DATASET=out / "dataset", INTERVAL="50s", OUTPUT=out / "map")
     assert is_whole(out / "map" / "heatmap.gpkg")
     run(profiles, "exportreport", HEATMAP=out / "map", SENSORS=out / "R1.gpkg", DPI=60,
         PLACES=f"{out}/R1.gpkg|layername=sensors", OUTPUT=out / "report")  # fmt: skip

@@ -34,7 +34,7 @@ def shown(qgis_new_project, provider, site, tmp_path):
     from gis_radar_plugin.loading import dress
 
     shutil.copytree(site / "heatmap", tmp_path / "map")
-    source = f"{tmp_path}/map/heatmap.gpkg|layername=occupancy_by_interval"
+    source = f"{tmp_path}/map/heatmap.gpkg|layername=by_interval"
     for layer in (
         QgsVectorLayer(source, "live", "ogr"),
         QgsRasterLayer(str(tmp_path / "map" / "heatmap.tif"), "pixels"),
@@ -47,8 +47,7 @@ def shown(qgis_new_project, provider, site, tmp_path):
 
 def again(site, folder, interval):
     """Write the heat map anew, as a running site does."""
-    worker("heatmap", site / "occupancy" / "R1", "--tiles", site / "tiles.gpkg",
-           "--interval", interval, "-o", folder)  # fmt: skip
+    worker("heatmap", site / "dataset", "--interval", interval, "-o", folder)
 
 
 def test_layers_follow_their_files(shown, site):
@@ -88,7 +87,7 @@ def test_a_file_that_comes_later(qgis_new_project, provider, site, tmp_path):
     from gis_radar_plugin.live import LiveLook
 
     late = tmp_path / "heatmap.gpkg"
-    layer = QgsVectorLayer(f"{late}|layername=occupancy_by_interval", "late", "ogr")
+    layer = QgsVectorLayer(f"{late}|layername=by_interval", "late", "ogr")
     QgsProject.instance().addMapLayer(layer)
     live = LiveLook()
     assert live.look() == []

@@ -38,16 +38,15 @@ def test_a_model_from_map_to_heat_map(provider, qgis_new_project, site, tmp_path
             MAP=QgsProcessingModelChildParameterSource.fromModelParameter("lanelets"),
         )
     )  # fmt: skip
-    occupancy = child(
-        model, "occupancy",
+    measure = child(
+        model, "measure",
         RECORDINGS=VALUE(str(SAMPLE / "R1.parquet")), POSES=VALUE(str(SAMPLE / "R1.json")),
-        TILES=FROM("splitlanelets", "OUTPUT"),
+        TILES=FROM("splitlanelets", "OUTPUT"), MAP=VALUE(str(SAMPLE / "junction.osm")),
     )  # fmt: skip
-    model.addChildAlgorithm(occupancy)
+    model.addChildAlgorithm(measure)
     heatmap = child(
         model, "heatmap",
-        OCCUPANCY=FROM("occupancy", "OUTPUT"), TILES=FROM("splitlanelets", "OUTPUT"),
-        INTERVAL=VALUE("50s"), LOAD=VALUE(False),
+        DATASET=FROM("measure", "OUTPUT"), INTERVAL=VALUE("50s"), LOAD=VALUE(False),
     )  # fmt: skip
     result = QgsProcessingModelOutput("map", "map")
     result.setChildId("heatmap")

@@ -2,19 +2,25 @@
 
 from helpers import run_algorithm
 from qgis.gui import QgsMessageBar
-from qgis.PyQt.QtWidgets import QPushButton
+from qgis.PyQt.QtCore import pyqtSlot
+from qgis.PyQt.QtWidgets import QMainWindow, QPushButton
 
 
-class Window:
+class Window(QMainWindow):
     """As much of QGIS's window as is asked for."""
 
     def __init__(self):
+        super().__init__()
         self.bar, self.opened = QgsMessageBar(), []
+
+    def mainWindow(self):
+        return self
 
     def messageBar(self):
         return self.bar
 
-    def addProject(self, path):
+    @pyqtSlot(str)
+    def openFile(self, path):
         self.opened.append(path)
 
 

@@ -17,11 +17,11 @@ COMMANDS = {
     "sight": ("sight", {"pose": "POSES", "scan": "SCANS", "recording": "RECORDINGS"}),
     "convert": ("convertrecordings", {"inputs": "INPUT"}),
     "clocks": ("clocks", {"pose": "POSES"}),
-    "occupancy": ("occupancy", {"pose": "POSES", "scan": "SCANS"}),
-    "vehicles": ("vehicles", {"pose": "POSES", "scan": "SCANS"}),
-    "quality": ("quality", {"folders": "OCCUPANCY"}),
-    "heatmap": ("heatmap", {"folders": "OCCUPANCY"}),
-    "footprints": ("footprints", {}),
+    "measure": ("measure", {"pose": "POSES", "scan": "SCANS"}),
+    "dataset": ("dataset", {"folder": "DATASET"}),
+    "quality": ("quality", {"folder": "DATASET"}),
+    "heatmap": ("heatmap", {"folder": "DATASET"}),
+    "footprints": ("footprints", {"folder": "DATASET"}),
     "project": ("detections", {}),
     "run": ("runsite", {}),
     "check": ("checksite", {}),
@@ -34,13 +34,13 @@ LEFT_OUT = {
     "mask": {"map_crs": "a layer of QGIS has its own", "layer": "a layer of QGIS is one"},
     "localize": {"guess_crs": "a click has its own", "together": "the site wizard takes several"},
     "convert": {"duration": "QGIS does not listen to a network"},
-    "occupancy": {"engine": "both give the same; for benchmarks"},
     "run": {"template": "the site wizard writes the file"},
 }
 # Commands without an algorithm, and why.
 NO_ALGORITHM = {
     "sensors": "'Localize a radar' and a site's run make the layer",
     "trajectories": "files for other programs; 'Vehicles that move on the map' shows them here",
+    "query": "a language for programs; the tables open in QGIS as they lie",
     "edge": "a server at a sensor, which runs for years",
     "live": "a server, which runs for years; QGIS shows its files",
     "demo": "'Get the sample site' and 'Run a site file'",
@@ -97,21 +97,19 @@ def test_options_reach_the_worker(run, site, tmp_path, fake_worker):
         "RECORDINGS": [str(SAMPLE / "R1.parquet")], "POSES": [str(SAMPLE / "R1.json")],
         "TILES": f"{site}/tiles.gpkg|layername=tiles", "OUTPUT": str(tmp_path / "out"),
         "MAX_RANGE": 250, "AZIMUTH": 100, "ELEVATION": 25.5, "CYCLE": "R1=150ms", "CLOCKS": "auto",
-        "SIGHT": "sight.gpkg",
+        "SIGHT": "sight.gpkg", "MAP": str(SAMPLE / "junction.osm"),
     }  # fmt: skip
     expected = {
         "--max-range": "250", "--azimuth": "100", "--elevation": "25.5", "--cycle": "R1=150ms",
         "--clocks": "auto", "--sight": "sight.gpkg",
     }  # fmt: skip
-    more = {"MIN_SPEED": 0.5, "ELEVATION_ERROR": 1, "PAIRS": True}
-    words, given = words_of(run, fake_worker, tmp_path, "occupancy", shared | more)
+    more = {"MIN_SPEED": 0.5, "ELEVATION_ERROR": 1, "HITS_ONLY": True, "JOBS": 2}
+    words, given = words_of(run, fake_worker, tmp_path, "measure", shared | more)
     assert {flag: given[flag] for flag in expected} == expected
     assert (given["--min-speed"], given["--elevation-error"]) == ("0.5", "1")
-    assert "--pairs" in words
+    assert (given["--map"], given["--jobs"]) == (str(SAMPLE / "junction.osm"), "2")
+    assert "--hits-only" in words
     assert "--min-rcs" not in words
-    more = {"MAP": str(SAMPLE / "junction.osm")}
-    words, given = words_of(run, fake_worker, tmp_path, "vehicles", shared | more)
-    assert {flag: given[flag] for flag in expected} == expected
 
 
 @pytest.mark.parametrize(
@@ -143,8 +141,16 @@ def test_files_reach_the_worker(run, site, tmp_path, fake_worker):
                     "--reference", "R1"]),
         "detections": ({"RECORDING": recording, "POSE": pose},
                        ["project", recording, "--pose", pose, "-o", out]),
-        "sitereport": ({"RESULTS": str(site), "TIMEZONE": "Europe/Berlin"},
-                       ["report", str(site), "-o", out, "--timezone", "Europe/Berlin",
+        "heatmap": ({"DATASET": "d", "INTERVAL": "15min", "BEGIN": "2025-06-12 07:30"},
+                    ["heatmap", "d", "-o", out, "--interval", "15min",
+                     "--begin", "2025-06-12 07:30"]),
+        "dataset": ({"DATASET": "d", "RELINK": "here", "WITHDRAW": recording},
+                    ["dataset", "d", "--relink", "here", "--withdraw", recording]),
+        "quality": ({"DATASET": "d"}, ["quality", "d", "-o", out]),
+        "footprints": ({"DATASET": "d"}, ["footprints", "d", "-o", out]),
+        "sitereport": ({"RESULTS": str(site), "TIMEZONE": "Europe/Berlin", "DATASET": "d"},
+                       ["report", str(site), "-o", out, "--dataset", "d",
+                        "--timezone", "Europe/Berlin",
                         "--language", "en", "--csv-locale", "en"]),
     }  # fmt: skip
     for name, (call, expected) in calls.items():

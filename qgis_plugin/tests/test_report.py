@@ -126,14 +126,14 @@ def test_the_layout_has_all_of_a_sheet(report, qgis_new_project):
     assert "Verkehr [% 1+1 %]: Nord/Süd" in texts  # as typed, not evaluated
     assert "Source: Stadt [% env('PATH') %]" in texts
     assert any("09:30:00 – 09:30:20 (Europe/Berlin, UTC+02:00)" in text for text in texts)
-    assert any(text.startswith("Coverage: the estimated share") for text in texts)
-    assert not any(text.startswith("Hit occupancy") for text in texts)
+    assert any(text.startswith("Occupancy: the estimated share") for text in texts)
+    assert not any(text.startswith("Hit share") for text in texts)
     assert any(text.endswith("2 / 12") for text in texts)
     (chart,) = [item for item in layout.items() if isinstance(item, QgsLayoutItemMap)]
     assert chart.temporalRange().begin().toString("HH:mm:ss") == "07:30:00"
     shown = {layer.name() for layer in chart.layersToRender()}
-    assert {"Coverage by interval", "Lanes", "Stop lines", "Sensors"} <= shown
-    assert "Coverage, whole time" not in shown
+    assert {"Occupancy by interval", "Lanes", "Stop lines", "Sensors"} <= shown
+    assert "Occupancy, whole time" not in shown
     atlas.endRender()
 
 

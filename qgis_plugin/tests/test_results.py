@@ -36,8 +36,7 @@ def heatmap(run, site, tmp_path, fake_worker):
         " dirs_exist_ok=True)\nsay(event='result', outputs=[], summary={})"
     )
     parameters = {
-        "OCCUPANCY": str(site / "occupancy"), "INTERVAL": "20s",
-        "TILES": f"{site}/tiles.gpkg|layername=tiles", "OUTPUT": str(tmp_path / "map"),
+        "DATASET": str(site / "dataset"), "INTERVAL": "20s", "OUTPUT": str(tmp_path / "map"),
     }  # fmt: skip
     results, heard = run("heatmap", parameters, load=True)
     assert heard.errors == []
@@ -75,23 +74,23 @@ def icon_colours(symbol):
 
 
 def test_the_style_is_the_one_of_all_maps(heatmap):
-    layer = layer_called("Coverage by interval")
+    layer = layer_called("Occupancy by interval")
     renderer = layer.renderer()
     assert isinstance(renderer, QgsGraduatedSymbolRenderer)
-    assert renderer.classAttribute() == "coverage"
+    assert renderer.classAttribute() == "occupancy"
     shown = [(step.symbol().color().name(), step.label()) for step in renderer.ranges()]
     assert shown[:-1] == [
-        (level.colour, level.label) for level in STYLE["colour_classes"]("coverage")
+        (level.colour, level.label) for level in STYLE["colour_classes"]("occupancy")
     ]
     assert shown[-1] == (STYLE["HATCH_DARK"], "uncertain")
     assert shown[0][1] == "0 %, no vehicle"
     plain = {len(icon_colours(step.symbol().clone())) for step in renderer.ranges()[:-1]}
     assert plain == {1}  # the hatch is in the last entry of the legend alone
     assert len(icon_colours(renderer.ranges()[-1].symbol().clone())) > 1
-    raster = layer_called("Coverage, raster")
+    raster = layer_called("Occupancy, raster")
     items = raster.renderer().shader().rasterShaderFunction().colorRampItemList()
     assert [item.color.name() for item in items] == [
-        level.colour for level in STYLE["colour_classes"]("coverage")
+        level.colour for level in STYLE["colour_classes"]("occupancy")
     ]
 
 
@@ -99,7 +98,7 @@ def test_the_list_of_layers_speaks_german(heatmap, monkeypatch):
     """Its legend was made as the layer was loaded, before the labels were translated."""
     from gis_radar_plugin import loading, words
 
-    layer = layer_called("Coverage by interval")
+    layer = layer_called("Occupancy by interval")
     model = QgsLayerTreeModel(QgsProject.instance().layerTreeRoot())
 
     def labels():
@@ -117,7 +116,7 @@ def test_the_list_of_layers_speaks_german(heatmap, monkeypatch):
 def test_vehicles_are_named_in_german(run, site, tmp_path, monkeypatch):
     from gis_radar_plugin import loading, words
 
-    parameters = {"VEHICLES": str(site / "vehicles"), "OUTPUT": str(tmp_path / "moving.gpkg")}
+    parameters = {"DATASET": str(site / "dataset"), "OUTPUT": str(tmp_path / "moving.gpkg")}
     run("footprints", parameters, load=True)
     layer = layer_called("Footprints")
 
@@ -132,7 +131,7 @@ def test_vehicles_are_named_in_german(run, site, tmp_path, monkeypatch):
 
 def test_not_visible_is_transparent(heatmap):
     """A tile that no radar sees is drawn with nothing; a busy one has the darkest colour."""
-    layer = layer_called("Coverage, whole time")
+    layer = layer_called("Occupancy, whole time")
     unseen = QgsVectorLayer(layer.source(), "unseen", "ogr")
     unseen.setSubsetString('"visible_s" = 0')
     assert unseen.featureCount() > 100
@@ -141,12 +140,12 @@ def test_not_visible_is_transparent(heatmap):
         image.pixelColor(x, y).alpha() for x in range(image.width()) for y in range(image.height())
     )
     busy = QgsVectorLayer(layer.source(), "busy", "ogr")
-    busy.setSubsetString('"coverage" > 0.6')
-    assert STYLE["colour_classes"]("coverage")[-1].colour in colours(drawn(busy))
+    busy.setSubsetString('"occupancy" > 0.6')
+    assert STYLE["colour_classes"]("occupancy")[-1].colour in colours(drawn(busy))
 
 
 def test_time_is_on_at_once(heatmap):
-    layer = layer_called("Coverage by interval")
+    layer = layer_called("Occupancy by interval")
     time = layer.temporalProperties()
     assert time.isActive()
     assert time.mode() == Qgis.VectorTemporalMode.FeatureDateTimeInstantFromField
@@ -175,7 +174,7 @@ def begins_shown(layer, after_s, length_s):
 def test_a_moment_shows_its_interval_alone(heatmap, project, way):
     if way == "project":
         assert QgsProject.instance().read(str(project))
-    layer = layer_called("Coverage by interval")
+    layer = layer_called("Occupancy by interval")
     rows = layer.featureCount() / 5
     for number, clock in enumerate(("07:30:00", "07:30:20", "07:30:40", "07:31:00", "07:31:20")):
         assert begins_shown(layer, 20 * number, 20) == ({clock}, rows)
@@ -184,9 +183,9 @@ def test_a_moment_shows_its_interval_alone(heatmap, project, way):
 
 
 def test_two_moments_differ(heatmap):
-    layer = layer_called("Coverage by interval")
+    layer = layer_called("Occupancy by interval")
     first, second = drawn(layer, seconds=0), drawn(layer, seconds=60)
-    assert colours(first) & {level.colour for level in STYLE["colour_classes"]("coverage")}
+    assert colours(first) & {level.colour for level in STYLE["colour_classes"]("occupancy")}
     assert first != second
 
 
@@ -194,12 +193,12 @@ def test_layers_of_a_heat_map_are_a_group(heatmap):
     group = QgsProject.instance().layerTreeRoot().findGroup("map")
     shown = {node.name(): node.itemVisibilityChecked() for node in group.findLayers()}
     assert shown == {
-        "Coverage by interval": True,
-        "Coverage, whole time": False,
-        "Coverage, raster": False,
+        "Occupancy by interval": True,
+        "Occupancy, whole time": False,
+        "Occupancy, raster": False,
         "Road, not observed": True,
     }
-    assert group.findLayers()[0].name() == "Coverage by interval"
+    assert group.findLayers()[0].name() == "Occupancy by interval"
 
 
 NO_SHIFT = """
@@ -214,7 +213,7 @@ sys.path.insert(0, sys.argv[1])
 from gis_radar_plugin.loading import switch_time_on
 from gis_radar_plugin.timeline import extent_of, intervals_of
 from gis_radar_plugin.report.pages import local_time, timezone, zone_name
-layer = QgsVectorLayer(sys.argv[2] + "|layername=occupancy_by_interval", "x", "ogr")
+layer = QgsVectorLayer(sys.argv[2] + "|layername=by_interval", "x", "ogr")
 switch_time_on(layer)
 span = extent_of(layer)
 begin, end = intervals_of(layer)[1]
@@ -301,13 +300,13 @@ def test_a_sensor_near_the_edge_of_a_map_has_its_name(site, qgis_new_project, at
     assert any(name.startswith("R1") for name in names)
 
 
-def test_the_log_of_a_run_shows_no_hits_beside_coverage(provider):
-    """Nor does it call tracks vehicles; without coverage hits are all there is."""
+def test_the_log_of_a_run_shows_no_hits_beside_occupancy(provider):
+    """Nor does it call tracks vehicles; without occupancy hits are all there is."""
     from gis_radar_plugin.base import stage_words, summary_lines
 
     figures = {"hits": 7, "tiles_hit": 499, "vehicles": 126}
-    assert summary_lines({**figures, "mean coverage": 0.1}) == [
-        "Tracks of vehicles: 126", "mean coverage: 0.1",
+    assert summary_lines({**figures, "mean occupancy": 0.1}) == [
+        "Tracks of vehicles: 126", "mean occupancy: 0.1",
     ]  # fmt: skip
     assert len(summary_lines(figures)) == 3
-    assert stage_words("occupancy R1 R1.parquet") == "occupancy R1 R1.parquet"
+    assert stage_words("localize R1 R1.parquet") == "localize R1 R1.parquet"

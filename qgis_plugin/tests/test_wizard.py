@@ -11,16 +11,28 @@ from conftest import SAMPLE, WORKER
 from qgis.core import QgsApplication, QgsCoordinateReferenceSystem, QgsPointXY, QgsProject
 from qgis.gui import QgsMapCanvas, QgsMessageBar
 from qgis.PyQt import sip
-from qgis.PyQt.QtCore import QCoreApplication, QEvent, QPoint, Qt
+from qgis.PyQt.QtCore import QCoreApplication, QEvent, QPoint, Qt, pyqtSlot
 from qgis.PyQt.QtTest import QTest
 from qgis.PyQt.QtWidgets import QApplication, QMainWindow, QMessageBox
+
+
+class Main(QMainWindow):
+    """Is asked to open files."""
+
+    def __init__(self):
+        super().__init__()
+        self.opened = []
+
+    @pyqtSlot(str)
+    def openFile(self, path):
+        self.opened.append(path)
 
 
 class Window:
     """As much of QGIS's window as the wizard asks for."""
 
     def __init__(self):
-        self.main, self.opened = QMainWindow(), []
+        self.main = Main()
         self.canvas, self.bar = QgsMapCanvas(self.main), QgsMessageBar(self.main)
         self.main.setCentralWidget(self.canvas)
         self.main.resize(800, 600)
@@ -34,9 +46,6 @@ class Window:
 
     def messageBar(self):
         return self.bar
-
-    def addProject(self, path):
-        self.opened.append(path)
 
 
 def wait_until(test, seconds=300.0):
@@ -323,6 +332,20 @@ def test_the_run_is_a_task(wizard, place, fake_worker, cancelled):
     assert page.run_button.isEnabled()
 
 
+def test_radars_are_drawn_until_another_project_is_there(wizard, tmp_path):
+    """QGIS asks before it opens one: who cancels keeps all."""
+    from gis_radar_plugin.wizard.draft import SensorDraft
+
+    wizard.lanes.crs = QgsCoordinateReferenceSystem("EPSG:25832")
+    wizard.draft.sensors = [SensorDraft("R1", easting=690356.0, northing=5336183.0)]
+    wizard.draw_sensors(None)
+    wizard.open_project(tmp_path / "site.qgz")
+    assert wizard._iface.main.opened == [str(tmp_path / "site.qgz")]
+    assert len(wizard._items) == 1
+    QgsProject.instance().clear()
+    assert wizard._items == []
+
+
 OPENED = """\
 # by hand
 title = "Old"
@@ -340,7 +363,7 @@ files = ["sc*.laz"]
 [tiles]
 length = 1.0
 
-[occupancy]
+[measure]
 clearance = [0.0, 3.0]
 
 [heatmap]

@@ -18,6 +18,7 @@ from test_formats_pcd import rows_of, write_pcd
 import gis_radar as gr
 
 UTM = "EPSG:25832"
+DAY, HOUR = "2023-11-14", "2023-11-14/22"  # of the recordings
 AROUND = (-5.0, -5.0, 25.0, 8.0)
 
 
@@ -33,9 +34,14 @@ class Kind:
         return f"{self.words.split()[0]} {self.path}"
 
 
+def part_of(table: str) -> str:
+    """Return where the part of a table lies in the dataset of the inputs."""
+    return f"dataset/{table}/date={DAY}/{HOUR[-2:]}.parquet"
+
+
 MASK = "mask scan.laz --engine laspy --map {} -o out.laz"
-OCCUPANCY = "occupancy R1.parquet --pose R1.json --tiles tiles.gpkg -o out"
-HEATMAP = "heatmap occupancy --tiles tiles.gpkg -o out"
+MEASURE = "measure R1.parquet --pose R1.json --tiles tiles.gpkg --map map.osm -o out"
+HEATMAP = "heatmap dataset -o out"
 KINDS = [
     Kind(path="map.osm", words="tiles {} -o out.gpkg"),
     Kind(path="streets.gpkg", words="tiles map.osm --streets {} -o out.gpkg"),
@@ -45,19 +51,23 @@ KINDS = [
     Kind(path="scan.laz", words="mask {} --engine laspy --map roads.gpkg -o out.laz"),
     Kind(path="scan.las", words="mask {} --engine laspy --map roads.gpkg -o out.laz"),
     Kind(path="road.laz", words="tiles map.osm --road {} -o out.gpkg"),
-    Kind(path="R1.parquet", words=OCCUPANCY.replace("R1.parquet", "{}")),
-    Kind(path="R1.csv", words=OCCUPANCY.replace("R1.parquet", "{}")),
+    Kind(path="R1.parquet", words=MEASURE.replace("R1.parquet", "{}")),
+    Kind(path="R1.csv", words=MEASURE.replace("R1.parquet", "{}")),
     Kind(path="R1.parquet", words="project {} --pose R1.json -o out.gpkg"),
     Kind(path="R1.csv", words="project {} --pose R1.json -o out.laz"),
-    Kind(path="R1.json", words=OCCUPANCY.replace("R1.json", "{}")),
+    Kind(path="R1.json", words=MEASURE.replace("R1.json", "{}")),
     Kind(path="R1.json", words="sensors {} -o out.gpkg"),
     Kind(path="track.csv", words="project R1.parquet --pose {} -o out.parquet"),
-    Kind(path="track.csv", words=OCCUPANCY.replace("R1.json", "{}")),
-    Kind(path="tiles.gpkg", words=OCCUPANCY.replace("tiles.gpkg", "{}")),
-    Kind(path="tiles.gpkg", words=HEATMAP.replace("tiles.gpkg", "{}")),
-    *(Kind(path=f"occupancy/{each}", words=HEATMAP)
-      for each in ("manifest.json", "frames.parquet", "views.parquet", "hits_by_sensor.parquet")),
-    Kind(path="occupancy/manifest.json", words="quality occupancy -o out.csv"),
+    Kind(path="track.csv", words=MEASURE.replace("R1.json", "{}")),
+    Kind(path="tiles.gpkg", words=MEASURE.replace("tiles.gpkg", "{}")),
+    Kind(path="map.osm", words=MEASURE.replace("map.osm", "{}")),
+    *(Kind(path=f"dataset/{each}", words=HEATMAP)
+      for each in ("dataset.json", f"hours/{HOUR}.json", "tiles.gpkg", "recordings.parquet")),
+    *(Kind(path=part_of(each), words=HEATMAP) for each in ("frames", "visible")),
+    Kind(path=f"dataset/tile_counts/date={DAY}/day.parquet", words=HEATMAP),
+    Kind(path="dataset/poses.parquet", words="quality dataset -o out.csv"),
+    Kind(path=part_of("frames"), words="quality dataset -o out.csv"),
+    Kind(path=part_of("tracks"), words="trajectories dataset -o out.json"),
     Kind(path="heatmap/heatmap.gpkg", words="report heatmap -o out"),
     Kind(path="heatmap/heatmap.gpkg", words="qgis heatmap -o out.qgz"),
     Kind(path="SITE.toml", words="check {}"),
@@ -104,8 +114,10 @@ def build(folder: Path) -> None:
     tiles = gr.make_tiles(gr.read_map(folder / "map.osm"))
     gr.write_tiles(tiles, folder / "tiles.gpkg", problems=gr.read_map(folder / "map.osm").problems)
     pose = gr.read_pose(folder / "R1.json")
-    found = gr.measure_occupancy([folder / "R1.parquet"], [pose], tiles, folder / "occupancy")
-    gr.make_heatmap(found, tiles, interval="1s").write(folder / "heatmap")
+    found = gr.measure(
+        [folder / "R1.parquet"], [pose], tiles, folder / "map.osm", folder / "dataset"
+    )
+    gr.make_heatmap(found, interval="1s").write(folder / "heatmap")
     missing = [kind.path for kind in KINDS if not (folder / kind.path).is_file()]
     assert not missing, missing
 

@@ -13,48 +13,50 @@ import time
 import zlib
 from contextlib import closing
 
+import pyarrow.parquet as pq
 import pytest
 
 import gis_radar as gr
-from faults.inputs import HEATMAP, MASK, OCCUPANCY, Kind
+from faults.inputs import HEATMAP, MASK, MEASURE, Kind
 from faults.test_faults import ALL, words_of
 
 SAMPLE = gr.sample_folder()
 LANES = f"--map {SAMPLE}/junction.osm --road sample/road.laz"
 
-VEHICLES = "vehicles R1.parquet --pose R1.json --tiles tiles.gpkg --map map.osm -o out"
 COMMANDS = {
     "tiles": "tiles map.osm -o out.gpkg",
     "mask": MASK.format("map.osm"),
     "convert": "convert table.csv -o out.parquet",
-    "occupancy": OCCUPANCY,
+    "measure": MEASURE,
+    "measure hits": f"{MEASURE} --hits-only",
     "heatmap": HEATMAP,
-    "vehicles": VEHICLES,
     "project gpkg": "project R1.parquet --pose R1.json -o out.gpkg",
     "project laz": "project R1.parquet --pose R1.json -o out.laz",
     "project parquet": "project R1.parquet --pose R1.json -o out.parquet",
     "report": "report heatmap -o out",
     "qgis": "qgis heatmap -o out.qgz",
     "sensors": "sensors R1.json -o out.gpkg",
-    "quality": "quality occupancy -o out.csv",
+    "quality": "quality dataset -o out.csv",
     "sight": "sight --pose R1.json --tiles tiles.gpkg --scan scan.laz -o out.gpkg",
     "run": "run SITE.toml -o out",
     "localize": f"localize {SAMPLE}/R1.parquet {LANES} --guess 690356,5336183 -o out.json",
     "track": f"track {SAMPLE}/R1.parquet {LANES} --pose {SAMPLE}/R1.json -o out.csv",
     "clocks": f"clocks {SAMPLE}/R1.parquet {SAMPLE}/R2.parquet --pose {SAMPLE}/R1.json "
     f"--pose {SAMPLE}/R2.json --tiles sample/tiles.gpkg -o out.json",
-    "footprints": "footprints vehicles -o out.gpkg",
-    "trajectories": "trajectories vehicles -o out.json",
+    "footprints": "footprints dataset -o out.gpkg",
+    "trajectories": "trajectories dataset -o out.json",
     "demo": "demo -o out",
 }
 EACH = 4
 CASES = [(name, number) for name in COMMANDS for number in range(EACH)]
-CHOSEN = CASES if ALL else [("mask", 0), ("heatmap", 1), ("project gpkg", 2), ("occupancy", 3)]
+CHOSEN = CASES if ALL else [("mask", 0), ("heatmap", 1), ("project gpkg", 2), ("measure", 3)]
 OLD = b"old"
 # Several files that are moved one after the other, which the next run ends.
 MAIN = {"mask": "out.laz", "report": "out/report.html"}
 RUNS = {"run", "demo"}
-GROWN = {*RUNS, "qgis"}  # a run goes on where it stopped, a project that was edited stays
+DATASETS = {"measure", "measure hits"}  # what has a record is whole, the next run makes the rest
+# A run goes on where it stopped, a project that was edited stays, a dataset is added to.
+GROWN = {*RUNS, *DATASETS, "qgis"}
 LONGEST_S = 1200.0
 PATIENCE_S = 60.0  # for workers of a killed run to see that it is gone
 
@@ -114,6 +116,8 @@ def content(path):
             assert base.execute("PRAGMA integrity_check").fetchone() == ("ok",)
             names = sorted(base.execute("SELECT table_name FROM gpkg_contents"))
             return [(name, *base.execute(f'SELECT count(*) FROM "{name}"')) for (name,) in names]  # noqa: S608
+    if path.name == "recordings.parquet":  # it names where they lie
+        return pq.read_table(path).drop_columns("path").to_pylist()
     alone = path.name in {"out.json", "out.csv"}
     if alone or path.suffix in {".laz", ".parquet", ".tif", ".png"}:
         return hashlib.blake2b(path.read_bytes()).hexdigest()
@@ -147,6 +151,9 @@ def test_kill(commands, tmp_path, name, number):
     if name in MAIN and found not in (old, new):  # the file that is asked for comes last
         assert found.get(MAIN[name], OLD) == OLD
         assert all(each in (old.get(path), new[path]) for path, each in found.items())
+    elif name in DATASETS:
+        if (folder / "out" / "dataset.json").is_file():
+            gr.open_dataset(folder / "out").check()
     elif name not in RUNS:
         assert found in (old, new), f"{state}: {sorted(found)}"
     end = time.monotonic() + PATIENCE_S

@@ -11,8 +11,8 @@ import sys
 import time
 
 import pytest
-from live_site import SAMPLE, LiveSite, needs_mosquitto
-from test_live import assert_same_tables
+from live_programs import assert_same_tables, measured, stored
+from live_site import LiveSite, needs_mosquitto
 
 import gis_radar as gr
 from faults.conftest import ROOT
@@ -64,7 +64,5 @@ def test_hours_equal_the_batch_whatever_is_killed(tmp_path, once, seed):
             each.process.wait()
         site.broker.kill()
     sys.stderr.write(f"kill: live: {fusion.killed} of fusion, {edge.killed} of the edge\n")
-    hours = sorted((site.folder / "live" / "occupancy").iterdir())
-    pose, tiles = gr.read_pose(SAMPLE / "R1.json"), gr.read_tiles(site.tiles)
-    whole = gr.measure_occupancy([SAMPLE / "R1.parquet"], [pose], tiles, tmp_path / "whole")
-    assert_same_tables(gr.read_occupancy(hours), whole)
+    batch = gr.open_dataset(once("live_batch_R1", measured(["R1"])))
+    assert_same_tables(stored(site.folder), batch)

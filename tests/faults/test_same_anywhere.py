@@ -19,8 +19,8 @@ BOTH = "{0}.parquet {1}.parquet --pose {0}.json --pose {1}.json --tiles tiles.gp
 LANES = "--map junction.osm --road road.laz"
 COMMANDS = [
     "mask scan.laz --map junction.osm --engine laspy -o made.laz",
-    f"occupancy {BOTH} --scan scan.laz -o made",
-    f"vehicles {BOTH} --map junction.osm --scan scan.laz -o made",
+    f"measure {BOTH} --map junction.osm --scan scan.laz -o made",
+    f"measure {BOTH} --map junction.osm --hits-only -o made",
     "sight --pose {0}.json --pose {1}.json --tiles tiles.gpkg --scan scan.laz -o made.gpkg",
     f"clocks {BOTH} -o made.json",
     f"localize R1.parquet {LANES} --guess 690356,5336183 -o made.json",

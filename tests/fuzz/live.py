@@ -12,23 +12,27 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 import pandas as pd
+from driven import drive
 from maps import EAST, NORTH
-from test_vehicles_folder import drive, rows_of
 
 import gis_radar as gr
 from gis_radar.lanelets.graph import lane_graph
 from gis_radar.live.broker import BrokerAddress, Link, Received, SensorTopics
 from gis_radar.live.buffer import DiskBuffer
+from gis_radar.live.detections import FrameDetections, pack_detections, unpack_detections
 from gis_radar.live.edge import Edge
 from gis_radar.live.health import prometheus_text
+from gis_radar.live.hits_folder.folder import read_stored_hits, runs_of_frames
+from gis_radar.live.hits_folder.tile_sets import pack_tiles, unpack_tiles
+from gis_radar.live.hours import HOUR_STEPS
 from gis_radar.live.intake import Intake
 from gis_radar.live.journal import Journal
 from gis_radar.live.map_of_now import MapOfNow
 from gis_radar.live.outbox import ONLINE, Outbox, status_message
 from gis_radar.live.payload import (
+    DETECTIONS,
     HITS,
     POSE,
-    RETURNS,
     Acknowledgement,
     Envelope,
     PoseContent,
@@ -36,31 +40,26 @@ from gis_radar.live.payload import (
     pack_message,
     unpack_hits,
 )
-from gis_radar.live.returns import FrameReturns, pack_returns, unpack_returns
 from gis_radar.live.settings import read_edge_file, read_live_site
 from gis_radar.live.store import Store
-from gis_radar.live.vehicles.clocks import ReturnFrame
+from gis_radar.live.vehicles.clocks import SensorFrame
 from gis_radar.live.vehicles.follower import FollowedSite, VehicleFollower
 from gis_radar.live.vehicles.settings import DEFAULTS
-from gis_radar.live.vehicles.store import FollowedPose, StoredPiece, VehicleStore
+from gis_radar.live.vehicles.store import FollowedPose, StoredBatch, VehicleStore
 from gis_radar.live.windows import Windows
-from gis_radar.occupancy.folder import frames_of
-from gis_radar.occupancy.frame_steps import Runs
-from gis_radar.occupancy.hit_counter import CountedFrame
-from gis_radar.occupancy.tile_sets import decode_tiles, encode_tiles
-from gis_radar.occupancy.views import ViewBook, name_of_view
+from gis_radar.measures.hit_counter import CountedFrame
+from gis_radar.measures.validity import Runs
+from gis_radar.measures.views import ViewBook, name_of_view
 from gis_radar.sight import SightTiles
 from gis_radar.sight.layers import SightFile, write_sights
 from gis_radar.sight.sight import find_sight
-from gis_radar.site.hours import HOUR_STEPS
 from gis_radar.steps import STEP_US
-from gis_radar.vehicles.folder import VehiclePiece
-from gis_radar.vehicles.map_check import map_of_tiles
-from gis_radar.vehicles.pieces import BlockEdge
-from gis_radar.vehicles.visibility import SensorView
+from gis_radar.tracking.batches import BlockEdge, VehicleBatch
+from gis_radar.tracking.map_check import map_of_tiles
+from gis_radar.tracking.visibility import SensorView
 
 STREAM, BEGIN_US = b"abcd", 1_700_000_000_000_000
-MESSAGES = ("status", "pose", "hits", "returns")  # in the order in which they come
+MESSAGES = ("status", "pose", "hits", "detections")  # in the order in which they come
 SENSOR = f"""sensor = "R1"
 site = "junction"
 tiles = "tiles.gpkg"
@@ -77,7 +76,7 @@ file = "map.osm"
 crs = "EPSG:25832"
 [view]
 max_range_m = 60.0
-[occupancy]
+[measure]
 min_speed = 1.0
 [buffer]
 megabytes = 400.0
@@ -107,8 +106,8 @@ def build(folder: Path) -> None:
         for k in range(3)
     ]  # fmt: skip
     points = np.array([[600, 150, -400], [700, -150, -400]], np.int64)
-    returns = [
-        FrameReturns(
+    detections = [
+        FrameDetections(
             time_us=each.time_us, points=points, rates=points[:, 0], rcs_db=points[:, 1] // 10
         )
         for each in frames
@@ -116,20 +115,20 @@ def build(folder: Path) -> None:
     hits = pack_hits(frames, pose=1, fingerprint=road.fingerprint)
     status = status_message(ONLINE, stream=STREAM.hex(), lost=0, fingerprint=road.fingerprint)
     (place / "status").write_bytes(status)
-    contents = {POSE: content.pack(), HITS: hits, RETURNS: pack_returns(returns, pose=1)}
+    contents = {POSE: content.pack(), HITS: hits, DETECTIONS: pack_detections(detections, pose=1)}
     for number, (kind, name) in enumerate(zip(contents, MESSAGES[1:], strict=True), 1):
         envelope = Envelope(kind=kind, stream=STREAM, number=number, previous=number - 1)
         (place / name).write_bytes(pack_message(envelope, contents[kind]))
     ack = Acknowledgement(stream=STREAM.hex(), stored=2, session="12345678")
     (place / "ack").write_bytes(ack.pack())
-    (place / "tiles").write_bytes(encode_tiles(np.array([5, 6, 7, 310, 70_000])))
+    (place / "tiles").write_bytes(pack_tiles(np.array([5, 6, 7, 310, 70_000])))
     with DiskBuffer(place / "buffer", most_bytes=1 << 30, fingerprint=road.fingerprint) as buffer:
         for kind, each in contents.items():
             buffer.append(kind, each)
     with Journal(place / "journal", fingerprint=road.fingerprint) as journal:
         _deliver(_intake(folder, journal), folder)
         journal.commit()
-    _build_vehicles(folder, returns)
+    _build_vehicles(folder, detections)
     (folder / "password").write_text("secret\n")
     (folder / "SENSOR.toml").write_text(SENSOR)
     (folder / "LIVE.toml").write_text((folder / "SITE.toml").read_text() + LIVE)
@@ -137,7 +136,7 @@ def build(folder: Path) -> None:
     write_sights([find_sight(pose, road)], tiles, folder / "sight.gpkg")
 
 
-def _build_vehicles(folder: Path, returns: list[FrameReturns]) -> None:
+def _build_vehicles(folder: Path, detections: list[FrameDetections]) -> None:
     """Write a store of vehicles: a block in which one drives, and frames after it."""
     road, pose = _road(folder), gr.read_pose(folder / "R1.json")
     tiles = gr.read_tiles(folder / "tiles.gpkg")
@@ -147,18 +146,26 @@ def _build_vehicles(folder: Path, returns: list[FrameReturns]) -> None:
     store = VehicleStore(folder / "live" / "followed", fingerprint=road.fingerprint)
     view, position = name_of_view(road.tile_id), pose.position
     store.add_view(SensorView(sensor="R1", view=view, tile_id=road.tile_id, position=position), 0.0)
-    row = store.add_pose(FollowedPose(sensor="R1", view=view, hold_s=0.1, content=pose.as_dict()))
+    row = store.add_pose(
+        FollowedPose(sensor="R1", view=view, validity_s=0.1, content=pose.as_dict())
+    )
     steps = np.array([last - 19]), np.array([last])
-    piece = VehiclePiece(
-        first_step=last - 19, last_step=last, tracks=tracks, vehicles=rows_of(tracks),
-        frames=frames_of("R1", view, Runs(first=steps[0], last=steps[1])),
+    row_of_vehicle = {
+        "vehicle": 1, "first_step": last - 19, "last_step": last, "length_m": 4.5, "width_m": 1.8,
+        "length_sigma_m": 0.3, "p_heavy": 0.0, "lanelets": [int(tracks["lanelet_id"].iloc[0])],
+        "continues": False,
+    }  # fmt: skip
+    batch = VehicleBatch(
+        first_step=last - 19, last_step=last, tracks=tracks,
+        vehicles=pd.DataFrame([row_of_vehicle]),
+        frames=runs_of_frames("R1", view, Runs(first=steps[0], last=steps[1])),
     )  # fmt: skip
     table = pd.DataFrame([(0, BEGIN_US / 1e6, 3.0, 1)], columns=[*BlockEdge.COLUMNS])
-    store.add_piece(
-        StoredPiece(piece=piece, poses=(row,)), BlockEdge(step=last, found=2, table=table),
+    store.add_batch(
+        StoredBatch(batch=batch, poses=(row,)), BlockEdge(step=last, found=2, table=table),
         needed_us=0, kept_step=0,
     )  # fmt: skip
-    store.add_frames([ReturnFrame("R1", row, each).row() for each in returns])
+    store.add_frames([SensorFrame("R1", row, each).row() for each in detections])
     store.close()
 
 
@@ -201,7 +208,7 @@ def _copied(folder: Path, name: str) -> Iterator[Path]:
 def tile_set(folder: Path) -> None:
     """Read a set of tiles; it has one form only."""
     data = (folder / "live" / "tiles").read_bytes()
-    assert encode_tiles(decode_tiles(data)) == data
+    assert pack_tiles(unpack_tiles(data)) == data
 
 
 def hits(folder: Path) -> None:
@@ -217,15 +224,15 @@ def hits(folder: Path) -> None:
         assert one.time_us == other.time_us
 
 
-def returns(folder: Path) -> None:
+def detections(folder: Path) -> None:
     """Read returns, and again as they were written."""
-    pose, found = unpack_returns((folder / "live" / "returns").read_bytes()[8:])
-    again = unpack_returns(pack_returns(found, pose=pose))[1]
+    pose, found = unpack_detections((folder / "live" / "detections").read_bytes()[8:])
+    again = unpack_detections(pack_detections(found, pose=pose))[1]
     for one, other in zip(found, again, strict=True):
         assert one.time_us == other.time_us
         for name in ("points", "rates", "rcs_db"):
             assert getattr(one, name).tolist() == getattr(other, name).tolist()
-        one.detections()
+        one.as_rows()
 
 
 def messages(folder: Path) -> None:
@@ -278,9 +285,8 @@ def kept_vehicles(folder: Path) -> None:
         list(follower.again(0))
         while (span := follower.due(everything=True)) is not None:
             follower.finish(*follower.begin(span))
-        for number in store.piece_hours(HOUR_STEPS):
-            if (made := follower.write_hour(number)) is not None:
-                list(gr.read_vehicles(made).blocks())
+        for number in store.batch_hours(HOUR_STEPS):
+            follower.write_hour(number)
         store.close()
 
 
@@ -300,7 +306,7 @@ def _write(folder: Path, intake: Intake, journal: Journal) -> None:
     for number in list(intake.touched):
         path = store.write_hour(number, journal, intake.poses, intake._book.tiles, ["R1"])
         if path is not None:
-            found = gr.read_occupancy(path)
+            found = read_stored_hits(path)
             list(found.hits_by_sensor(found.sensors))
             list(found.frame_log(found.sensors))
     shutil.rmtree(made, ignore_errors=True)

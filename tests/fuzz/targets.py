@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import time
 import traceback
 import warnings
 import xml.etree.ElementTree as ET
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from faults.inputs import UTM, build
+from faults.inputs import DAY, HOUR, UTM, build, part_of
 from pyproj import CRS
 from radars import detection, detection_list
-from test_vehicles_folder import drive, straight_tiles
-from test_vehicles_folder import write as write_drive
 
 import gis_radar as gr
 from fuzz import edits, live
+from gis_radar.dataset.tables import HOUR_TABLES
 from gis_radar.recordings.readers.udp import METHOD, method_of, read_detections
 from gis_radar.recordings.recording import open_recording
 from gis_radar.scans.scan import open_scan
@@ -150,8 +151,6 @@ def build_inputs(folder: Path) -> None:
     build(folder)
     sample = (gr.sample_folder() / "junction.osm").read_bytes()
     (folder / "sample.osm").write_bytes(_few_lanelets(sample, 3))
-    tracks = drive(1, 34_000_000_000, np.arange(40) * 0.5)
-    write_drive(folder / "vehicles", straight_tiles(), tracks)
     for count in range(3):
         payload = detection_list(1_700_000_000.0, [detection()] * count)
         (folder / f"list{count}.bin").write_bytes(payload)
@@ -189,7 +188,7 @@ def _converted(name: str) -> Callable[[Path], object]:
 
 
 def _rows(path: Path) -> int:
-    return sum(len(piece) for piece in open_recording(path).read())
+    return sum(len(batch) for batch in open_recording(path).read())
 
 
 def _pose(folder: Path) -> None:
@@ -213,24 +212,47 @@ def _payload(folder: Path) -> None:
         assert frame is None or len(frame) == len(frame.rcs)
 
 
-def _occupancy(folder: Path) -> None:
-    found = gr.read_occupancy(folder / "occupancy")
-    tiles = gr.read_tiles(folder / "tiles.gpkg")
-    gr.make_heatmap(found, tiles, interval="1s")
-    list(found.frame_log(found.sensors))
+@contextmanager
+def _opened(folder: Path) -> Iterator[gr.Dataset]:
+    """Open the dataset while the record of its hour gives the sizes that its parts have."""
+    path = folder / "dataset" / "hours" / f"{HOUR}.json"
+    record = path.read_bytes()
+    with suppress(ValueError, KeyError, TypeError, AttributeError, OSError, RecursionError):
+        known = json.loads(record)
+        for name, part in known["parts"].items():
+            part["size"] = (folder / part_of(name)).stat().st_size
+        path.write_text(json.dumps(known))
+    try:
+        yield gr.open_dataset(folder / "dataset")
+    finally:
+        path.write_bytes(record)
 
 
-def _vehicles(folder: Path) -> None:
-    found = gr.read_vehicles(folder / "vehicles")
-    list(found.read_tracks(None))
-    list(found.read_tracks((34_000_000_000, 34_000_000_005)))
-    list(found.blocks())
+def _dataset(folder: Path) -> None:
+    """Read all that a dataset holds, whole and in part."""
+    with _opened(folder) as found:
+        for name in ("tiles", "recordings", "poses", "sights", "hours", "continued", "figures"):
+            getattr(found, name)()
+        for name in TIMED:
+            read = getattr(found, name)
+            read()
+            read(begin=34_000_000_005, end=34_000_000_020)
+
+
+def _products(folder: Path) -> None:
+    with _opened(folder) as found:
+        gr.make_heatmap(found, interval="1s")
+        gr.measure_quality(found)
+
+
+def _checked(folder: Path) -> None:
+    gr.open_dataset(folder / "dataset").check()
 
 
 def _scan(name: str) -> Callable[[Path], object]:
     def read(folder: Path) -> None:
         scan = open_scan(folder / name)
-        list(scan.pieces(scan.bounds, scan.crs))
+        list(scan.batches(scan.bounds, scan.crs))
 
     return read
 
@@ -256,10 +278,11 @@ def _road(path: Path) -> object:
     return gr.read_road(path, CRS.from_user_input(UTM))
 
 
-VEHICLES = "tracks", "vehicles", "passages", "covered", "visible", "frames"
-OCCUPANCY = "frames", "views", "hits_by_sensor"
-OF_VEHICLES = " ".join(f"vehicles/{each}.parquet" for each in VEHICLES)
-OF_OCCUPANCY = " ".join(f"occupancy/{each}.parquet" for each in OCCUPANCY)
+TIMED = [table.name for table in HOUR_TABLES if table.name != "continued"] + ["tile_counts"]
+PARTS = " ".join(part_of(table.name) for table in HOUR_TABLES)
+WHOLE = " ".join(f"dataset/{each}.parquet" for each in ("poses", "recordings", "sights"))
+DOCUMENTS = f"dataset/dataset.json dataset/hours/{HOUR}.json"
+COUNTS = f"dataset/tile_counts/date={DAY}/day.parquet"
 OF_LIVE = " ".join(f"live/{each}" for each in live.MESSAGES)
 FIRST_CLOUD = "clouds/1700000000.000000.pcd"
 ROWS = {
@@ -278,10 +301,12 @@ ROWS = {
     "pose values": ("R1.json", _pose, edits.document),
     "track": ("track.csv", _track, edits.replaced),
     "track text": ("track.csv", _track, edits.text),
-    "occupancy": (OF_OCCUPANCY, _occupancy, edits.table),
-    "occupancy manifest": ("occupancy/manifest.json", _occupancy, edits.document),
-    "vehicles": (OF_VEHICLES, _vehicles, edits.table),
-    "vehicles manifest": ("vehicles/manifest.json", _vehicles, edits.document),
+    "dataset": (f"{PARTS} {WHOLE} {COUNTS}", _dataset, edits.table),
+    "dataset bytes": (f"{PARTS} {WHOLE} {COUNTS} {DOCUMENTS}", _dataset, edits.replaced),
+    "dataset documents": (DOCUMENTS, _dataset, edits.document),
+    "dataset tiles": ("dataset/tiles.gpkg", _dataset, edits.database),
+    "dataset products": (f"{PARTS} {WHOLE} {COUNTS}", _products, edits.table),
+    "dataset check": (f"{PARTS} {DOCUMENTS}", _checked, edits.replaced),
     "site": ("SITE.toml", _site, edits.replaced),
     "site text": ("SITE.toml", _site, edits.text),
     "laz header": ("scan.laz", _scan("scan.laz"), edits.head(1000)),
@@ -295,7 +320,7 @@ ROWS = {
     "roads": ("roads.gpkg", _file(gr.read_roads, "roads.gpkg"), edits.database),
     "tile set": ("live/tiles", live.tile_set, edits.replaced),
     "live hits": ("live/hits", live.hits, edits.replaced),
-    "live returns": ("live/returns", live.returns, edits.replaced),
+    "live detections": ("live/detections", live.detections, edits.replaced),
     "live messages": (OF_LIVE, live.messages, edits.replaced),
     "live hour": ("live/hits live/pose", live.hour, edits.replaced),
     "live records": ("live/status live/pose", live.hour, edits.record),

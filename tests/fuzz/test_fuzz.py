@@ -20,6 +20,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from faults.inputs import part_of
 
 import fuzz.__main__ as front
 from fuzz import edits
@@ -41,10 +42,10 @@ def column(name, value, kind):
     return change
 
 
-def fingerprint_of(text):
+def metadata_of(text):
     def change(data, path):
         content = pq.read_table(io.BytesIO(data))
-        pq.write_table(content.replace_schema_metadata({b"fingerprint": text}), path)
+        pq.write_table(content.replace_schema_metadata({b"gis_radar": text}), path)
 
     return change
 
@@ -102,25 +103,18 @@ FOUND = [
     ("ars548", "list2.bin", infinite_azimuth),
     ("csv table", "table.csv", instead(b"6.0", b"6e300")),
     ("pose", "R1.json", instead(b"EPSG:25832", b"\\ud800")),
-    ("occupancy", "occupancy/frames.parquet", fingerprint_of(b"\xff")),
-    ("occupancy", "occupancy/hits_by_sensor.parquet", column("sensor", [], LISTS)),
-    (
-        "occupancy manifest",
-        "occupancy/manifest.json",
-        instead(b'"fingerprint": "', b'"fingerprint": "a\\nb'),
+    ("dataset", part_of("frames"), metadata_of(b"\xff")),
+    ("dataset", part_of("frames"), column("sensor", [], LISTS)),
+    ("dataset", part_of("frames"), column("sensor", b"R1", pa.binary())),
+    ("dataset products", part_of("frames"), column("first_step", -(1 << 60), pa.int64())),
+    ("dataset products", part_of("frames"), column("last_step", 1 << 60, pa.int64())),
+    ("dataset", part_of("tracks"), column("step", "a", pa.string())),
+    ("dataset", part_of("visible"), metadata_of(b"\xff")),
+    *(
+        ("dataset documents", "dataset/dataset.json", instead(b'"fingerprint": "', each))
+        for each in (b'"fingerprint": "a\\nb', b'"fingerprint": "\\ud800')
     ),
-    (
-        "occupancy manifest",
-        "occupancy/manifest.json",
-        instead(b'"fingerprint": "', b'"fingerprint": "\\ud800'),
-    ),
-    ("occupancy", "occupancy/frames.parquet", column("first_step", -(1 << 60), pa.int64())),
-    ("occupancy", "occupancy/frames.parquet", column("last_step", 1 << 60, pa.int64())),
     ("roads csv", "roads.csv", changed_number(b"1e300")),
-    ("vehicles", "vehicles/vehicles.parquet", column("lanelets", None, LISTS)),
-    ("vehicles", "vehicles/vehicles.parquet", column("lanelets", [None], LISTS)),
-    ("vehicles", "vehicles/tracks.parquet", column("step", "a", pa.string())),
-    ("vehicles", "vehicles/visible.parquet", fingerprint_of(b"\xff")),
     ("site", "SITE.toml", instead(b"map.osm", b"9" * 400)),
     ("site", "SITE.toml", instead(b"map.osm", b"~nobody-has-this-name/map.osm")),
     (
@@ -158,7 +152,6 @@ FOUND = [
     ("osm", "map.osm", half_moved),
     ("rosbag2 metadata", "bag/metadata.yaml", instead(b"nanoseconds: ", b"nanoseconds: &a ")),
     ("pcd", FIRST_CLOUD, instead(b"SIZE 4", b"SIZE ,,,1")),
-    ("occupancy", "occupancy/frames.parquet", column("sensor", b"R1", pa.binary())),
     ("live buffer bytes", "live/buffer", zeroed(4096)),
     ("live buffer bytes", "live/buffer", lambda data, path: path.write_bytes(data[:5000])),
     *(

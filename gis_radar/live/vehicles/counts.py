@@ -1,4 +1,4 @@
-"""What vehicles covered lately, by tile and by lane."""
+"""What vehicles occupied lately, by tile and by lane."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ import pandas as pd
 from gis_radar.arrays import Floats, Integers
 from gis_radar.heatmap.by_lane import lane_totals, lanes_with_tiles
 from gis_radar.live.recent import INTERVAL, KEPT
-from gis_radar.live.vehicles.coverage import Finished
+from gis_radar.live.vehicles.occupancy import Finished
 from gis_radar.steps import STEP_S, step_begin
 
 
 @dataclass(frozen=True, kw_only=True)
-class TileCoverage:
-    """Steps of tiles: in which each was visible, and covered while it was.
+class TileOccupancy:
+    """Steps of tiles: in which each was visible, and occupied while it was.
 
     Parameters
     ----------
-    visible, covered : (n,) int64 arrays
+    visible, occupied : (n,) int64 arrays
         By position of the tiles.
     """
 
     visible: Integers
-    covered: Integers
+    occupied: Integers
 
     def share(self) -> Floats:
-        """Return the coverage of each tile, NaN where it was not visible."""
+        """Return the occupancy of each tile, NaN where it was not visible."""
         found = np.full(len(self.visible), np.nan)
-        np.divide(self.covered, self.visible, out=found, where=self.visible > 0)
+        np.divide(self.occupied, self.visible, out=found, where=self.visible > 0)
         return found
 
 
@@ -50,7 +50,7 @@ class _Counted(NamedTuple):
 class _Interval:
     """Sums of lanes over 15 minutes."""
 
-    seconds: Floats  # covered, visible
+    seconds: Floats  # occupied, visible
     passages: Integers
     speeds: Floats
 
@@ -63,14 +63,14 @@ class Lately:
     ----------
     until_step : int
         The last step of that.
-    tiles : TileCoverage
+    tiles : TileOccupancy
         By position of the tiles.
     lanes : DataFrame
-        `lane, covered_s, visible_s, passages, speed` (m/s, mean).
+        `lane, occupied_s, visible_s, passages, speed` (m/s, mean).
     """
 
     until_step: int
-    tiles: TileCoverage
+    tiles: TileOccupancy
     lanes: pd.DataFrame
 
 
@@ -94,7 +94,7 @@ class VehicleCounts:
         self._lane_of = dict(zip(lanelet.tolist(), self._lane_of_tile.tolist(), strict=True))
         self._blocks: deque[_Counted] = deque()
         self._passed: set[tuple[int, int]] = set()  # vehicle and lane, in the last block
-        self._since = TileCoverage(visible=self._zeros(), covered=self._zeros())
+        self._since = TileOccupancy(visible=self._zeros(), occupied=self._zeros())
         self._number = -1
         self._done: dict[int, _Interval] = {}
         self._lately: Lately | None = None
@@ -116,10 +116,10 @@ class VehicleCounts:
                 self._blocks.popleft()
             if (number := block.first_step // self._interval) != self._number:
                 self._number = number
-                self._since = TileCoverage(visible=self._zeros(), covered=self._zeros())
-            self._since = TileCoverage(
+                self._since = TileOccupancy(visible=self._zeros(), occupied=self._zeros())
+            self._since = TileOccupancy(
                 visible=self._since.visible + block.visible,
-                covered=self._since.covered + block.covered,
+                occupied=self._since.occupied + block.occupied,
             )
             self._add_to_interval(*counted)
 
@@ -128,7 +128,7 @@ class VehicleCounts:
         with self._lock:
             self._blocks.clear()
             self._passed, self._number, self.until_step = set(), -1, -1
-            self._since = TileCoverage(visible=self._zeros(), covered=self._zeros())
+            self._since = TileOccupancy(visible=self._zeros(), occupied=self._zeros())
             self._done = {k: each for k, each in self._done.items() if k < step // INTERVAL}
             self._lately = None
 
@@ -159,19 +159,19 @@ class VehicleCounts:
         return lane[keep], table["speed"].to_numpy(np.float64)[keep]
 
     def _by_lane(self, block: Finished) -> Floats:
-        rows = (block.covered, block.visible)
+        rows = (block.occupied, block.visible)
         sums = [lane_totals(row.astype(float), self._lane_of_tile, self._size) for row in rows]
         return np.asarray(sums) / self._tiles_of_lane * STEP_S
 
-    def last_minutes(self) -> TileCoverage:
+    def last_minutes(self) -> TileOccupancy:
         """Return the steps of the 15 minutes up to the last block."""
         with self._lock:
             blocks = [each.block for each in self._blocks]
-        visible, covered = self._zeros(), self._zeros()
+        visible, occupied = self._zeros(), self._zeros()
         for each in blocks:
             visible += each.visible
-            covered += each.covered
-        return TileCoverage(visible=visible, covered=covered)
+            occupied += each.occupied
+        return TileOccupancy(visible=visible, occupied=occupied)
 
     def lately(self) -> Lately | None:
         """Return tiles and lanes of the last 15 minutes, made once a block; None without any."""
@@ -183,12 +183,12 @@ class VehicleCounts:
             )
         return self._lately
 
-    def interval(self) -> TileCoverage:
+    def interval(self) -> TileOccupancy:
         """Return the steps since the interval last began, of the last block."""
         return self._since
 
     def lanes_lately(self) -> pd.DataFrame:
-        """Return `covered_s, visible_s, passages, speed` (m/s, mean) of the last 15 minutes."""
+        """Return `occupied_s, visible_s, passages, speed` (m/s, mean) of the last 15 minutes."""
         with self._lock:
             blocks = list(self._blocks)
         seconds = sum((self._by_lane(each.block) for each in blocks), np.zeros((2, self._size)))
@@ -208,7 +208,7 @@ class VehicleCounts:
         np.divide(found.speeds, found.passages, out=speed, where=found.passages > 0)
         return pd.DataFrame(
             {
-                "lane": self.lanes, "covered_s": found.seconds[0], "visible_s": found.seconds[1],
+                "lane": self.lanes, "occupied_s": found.seconds[0], "visible_s": found.seconds[1],
                 "passages": found.passages, "speed": speed,
             }
         )  # fmt: skip

@@ -9,15 +9,15 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from gis_radar.lanelets.graph import lane_graph
+from gis_radar.live.detections import DetectionSelector, pack_detections
 from gis_radar.live.first_run import SampleSensor
-from gis_radar.live.returns import ReturnFinder, pack_returns
 from gis_radar.live.vehicles.follower import FollowedSite
 from gis_radar.live.vehicles.settings import DEFAULTS, FollowSettings
 from gis_radar.live.vehicles.store import FollowedPose, VehicleStore
 from gis_radar.live.vehicles.worker import EndMessage, FramesMessage, PoseMessage, VehicleWorker
-from gis_radar.occupancy.views import ViewBook
-from gis_radar.vehicles.map_check import describe_map
-from gis_radar.vehicles.visibility import SensorView
+from gis_radar.measures.views import ViewBook
+from gis_radar.tracking.map_check import describe_map
+from gis_radar.tracking.visibility import SensorView
 
 FRAMES = 100  # 5 s: with so many, vehicles are found
 
@@ -32,10 +32,10 @@ def run_vehicles_once(settings: FollowSettings = DEFAULTS) -> None:
     seen = SensorView(
         sensor=name, view=view, tile_id=book.tiles[view], position=pose.position
     )  # fmt: skip
-    named = FollowedPose(sensor=name, view=view, hold_s=0.1, content=pose.as_dict())
-    finder = ReturnFinder(sample.road)
+    named = FollowedPose(sensor=name, view=view, validity_s=0.1, content=pose.as_dict())
+    finder = DetectionSelector(sample.road)
     rows = [
-        (name, 1, pack_returns([finder.find(frame, pose, road_m=road_m)], pose=1))
+        (name, 1, pack_detections([finder.find(frame, pose, road_m=road_m)], pose=1))
         for frame in sample.frames(FRAMES)
     ]
     inbox: Queue[Any] = Queue()

@@ -21,26 +21,24 @@ import pandas as pd
 from gis_radar.arrays import Integers
 from gis_radar.errors import InputError, OutputError
 from gis_radar.lanelets.graph import LaneGraph
-from gis_radar.live.hours import LIVE_RECORDING, hour_name, hour_of
-from gis_radar.live.returns import FrameReturns, unpack_returns
-from gis_radar.live.vehicles.clocks import Ascending, ReturnFrame
-from gis_radar.live.vehicles.coverage import Finished, LiveCoverage
+from gis_radar.live.detections import FrameDetections, unpack_detections
+from gis_radar.live.hits_folder.folder import runs_of_frames, table_of_frames
+from gis_radar.live.hours import HOUR_STEPS, LIVE_RECORDING, hour_name, hour_of
+from gis_radar.live.vehicles.clocks import MonotonicFilter, SensorFrame
+from gis_radar.live.vehicles.folder import write_vehicle_hour
+from gis_radar.live.vehicles.occupancy import Finished, LiveOccupancy
 from gis_radar.live.vehicles.settings import DEFAULTS, FollowSettings
-from gis_radar.live.vehicles.store import FollowedPose, ReturnRow, StoredPiece, VehicleStore
-from gis_radar.occupancy.folder import frames_of, frames_table
-from gis_radar.occupancy.frame_steps import Runs, union
+from gis_radar.live.vehicles.store import DetectionRow, FollowedPose, StoredBatch, VehicleStore
+from gis_radar.measures.validity import Runs, union
 from gis_radar.poses.pose import pose_from_dict
 from gis_radar.recordings.recording import Detections
-from gis_radar.site.hours import HOUR_STEPS
 from gis_radar.steps import STEP_US, STEPS_PER_SECOND
-from gis_radar.vehicles.blocks import Block, frames_within
-from gis_radar.vehicles.echoes import Echoes, echoes_of
-from gis_radar.vehicles.folder import write_vehicles
-from gis_radar.vehicles.pieces import PieceMaker
-from gis_radar.vehicles.provenance import Provenance
-from gis_radar.vehicles.tables import FRAMES
-from gis_radar.vehicles.tracker import vehicles_in
-from gis_radar.vehicles.visibility import SensorView
+from gis_radar.tracking.batches import BatchMaker
+from gis_radar.tracking.blocks import Block
+from gis_radar.tracking.detections import MapDetections, map_detections
+from gis_radar.tracking.tables import FRAMES
+from gis_radar.tracking.tracker import vehicles_in
+from gis_radar.tracking.visibility import SensorView
 
 POSES_KEPT = 1_000  # named last; fusion names those anew that it did not name for long
 
@@ -106,13 +104,13 @@ class _Held:
     view: str
     pose: int
     steps: Integers
-    echoes: Echoes
+    detections: MapDetections
 
     def before(self, time_us: int) -> _Held:
         """Return those before a time."""
         return replace(
             self, steps=self.steps[self.steps * STEP_US < time_us],
-            echoes=self.echoes.take(self.echoes.time < time_us / 1e6),
+            detections=self.detections.take(self.detections.time < time_us / 1e6),
         )  # fmt: skip
 
 
@@ -127,7 +125,7 @@ class VehicleFollower:
     site : FollowedSite
         The site.
     store : VehicleStore
-        Returns and pieces on disk.
+        Detections and batches on disk.
     settings : FollowSettings
         Blocks.
     """
@@ -141,19 +139,19 @@ class VehicleFollower:
     newest_step: int = -1
     done: int | None = None
     _held: list[_Held] = field(default_factory=list)
-    _holds: dict[str, float] = field(default_factory=dict)
-    _order: Ascending = field(default_factory=Ascending)
-    _unstored: list[ReturnRow] = field(default_factory=list)
+    _validity: dict[str, float] = field(default_factory=dict)
+    _order: MonotonicFilter = field(default_factory=MonotonicFilter)
+    _unstored: list[DetectionRow] = field(default_factory=list)
     _anew: dict[str, int] = field(default_factory=dict)
-    _from_before: list[ReturnFrame] = field(default_factory=list)
+    _from_before: list[SensorFrame] = field(default_factory=list)
     _poses: dict[int, tuple[FollowedPose, Any]] = field(default_factory=dict)
     _road_m: dict[tuple[str, str], float] = field(default_factory=dict)
     _not_due: int = -1  # up to which newest step no block is due
 
     def __post_init__(self) -> None:
         self._tracker = self.settings.tracker()
-        self._maker = PieceMaker(self.site.graph, self._tracker)
-        self._coverage = LiveCoverage(self.site.tiles)
+        self._maker = BatchMaker(self.site.graph, self._tracker)
+        self._occupancy = LiveOccupancy(self.site.tiles)
         self._number = {name: k for k, name in enumerate(self.site.sensors)}
         for view, road_m in self.store.views():
             self.add_view(view, road_m)
@@ -166,7 +164,7 @@ class VehicleFollower:
     def add_view(self, view: SensorView, road_m: float) -> None:
         """Take in what a sensor sees from a pose, and the height of the road near it."""
         self._road_m[view.sensor, view.view] = road_m
-        self._coverage.add_view(view)
+        self._occupancy.add_view(view)
 
     def add_pose(self, number: int, pose: FollowedPose) -> None:
         """Take in a pose, by the id of its row in the store."""
@@ -181,33 +179,33 @@ class VehicleFollower:
     def again(self, first: int) -> Iterator[Finished]:
         """Yield what stored blocks from a step on add, as it was before a restart."""
         poses = self.store.poses()
-        for each in self.store.pieces(first, 2**62):
-            self._holds |= _holds(each.poses, poses)
-            yield self._coverage.add(each.piece, self._holds, self.site.graph.origin)
+        for each in self.store.batches(first, 2**62):
+            self._validity |= _validity_of(each.poses, poses)
+            yield self._occupancy.add(each.batch, self._validity, self.site.graph.origin)
 
     def resume(self) -> None:
         """Take the frames that the store holds, as they came before a restart."""
         for rows in self.store.seconds():
-            found: list[ReturnFrame] = []
+            found: list[SensorFrame] = []
             for row in rows:
                 with suppress(InputError):
-                    _, frames = unpack_returns(row.content)
+                    _, frames = unpack_detections(row.content)
                     found += [
-                        ReturnFrame(row.sensor, row.pose, each) for each in frames
+                        SensorFrame(row.sensor, row.pose, each) for each in frames
                         if each.time_us == row.time_us
                     ]  # fmt: skip
             late = self.late
             self._follow(self._order.take(self._known(found))[0])
             self.late = late  # counted when it came
 
-    def take(self, frames: Sequence[ReturnFrame]) -> Echoes:
-        """Take frames; return the echoes of those that are followed, for the vehicles of now."""
+    def take(self, frames: Sequence[SensorFrame]) -> MapDetections:
+        """Take frames; return the detections of those that are followed, for the map of now."""
         known = self._known(frames)
         self.unknown += len(frames) - len(known)
         passed, anew = self._order.take(known)
         if self._of_before(passed):
             self._from_before += passed
-            return Echoes.none()
+            return MapDetections.none()
         for sensor, since_us in anew.items():
             if not self._of_before([each for each in passed if each.sensor == sensor]):
                 self._leave_out(sensor, since_us)
@@ -245,7 +243,7 @@ class VehicleFollower:
         return VehicleFollower(
             site=self.site, store=self.store, settings=self.settings, late=self.late,
             unknown=self.unknown, skipped_steps=self.skipped_steps,
-            _order=Ascending(repeated=self.repeated),
+            _order=MonotonicFilter(repeated=self.repeated),
         )  # fmt: skip
 
     @property
@@ -253,7 +251,7 @@ class VehicleFollower:
         """Frames that came twice."""
         return self._order.repeated
 
-    def _known(self, frames: Sequence[ReturnFrame]) -> list[ReturnFrame]:
+    def _known(self, frames: Sequence[SensorFrame]) -> list[SensorFrame]:
         poses = self._poses
         return [
             each for each in frames
@@ -261,7 +259,7 @@ class VehicleFollower:
             and poses[each.pose][0].sensor == each.sensor
         ]  # fmt: skip
 
-    def _of_before(self, frames: Sequence[ReturnFrame]) -> bool:
+    def _of_before(self, frames: Sequence[SensorFrame]) -> bool:
         """Return whether all frames are a block or more before what was followed."""
         if not frames:
             return bool(self._from_before)
@@ -280,33 +278,35 @@ class VehicleFollower:
         ]
         self._anew[sensor] = min(since_us, self._anew.get(sensor, since_us))
 
-    def _follow(self, frames: Sequence[ReturnFrame]) -> Echoes:
-        by_pose: dict[int, list[FrameReturns]] = {}
+    def _follow(self, frames: Sequence[SensorFrame]) -> MapDetections:
+        by_pose: dict[int, list[FrameDetections]] = {}
         for each in frames:
-            by_pose.setdefault(each.pose, []).append(each.returns)
+            by_pose.setdefault(each.pose, []).append(each.detections)
         for number in by_pose:
             self._poses[number] = self._poses.pop(number)
         found = [self._hold(pose, mine) for pose, mine in by_pose.items()]
-        return Echoes.join([each.echoes for each in found])
+        return MapDetections.join([each.detections for each in found])
 
-    def _hold(self, number: int, frames: Sequence[FrameReturns]) -> _Held:
+    def _hold(self, number: int, frames: Sequence[FrameDetections]) -> _Held:
         pose, placed = self._poses[number]
-        rows = [each.detections() for each in frames]
-        echoes = echoes_of(
+        rows = [each.as_rows() for each in frames]
+        detections = map_detections(
             Detections(
                 time=np.concatenate([each.time for each in rows]),
                 points=np.concatenate([each.points for each in rows]),
                 range_rate=np.concatenate([each.range_rate for each in rows]),
                 rcs=np.concatenate([each.rcs for each in rows]), further=rows[0].further,
             ),
-            placed, self._number[pose.sensor], self.site.graph, self._tracker.echoes,
+            placed, self._number[pose.sensor], self.site.graph, self._tracker.detections,
             road_m=self._road_m.get((pose.sensor, pose.view), np.nan),
         )  # fmt: skip
         steps = np.unique(np.array([each.time_us // STEP_US for each in frames]))
         if self.done is not None:
             self.late += int((steps <= self.done).sum())
         self.newest_step = max(self.newest_step, int(steps[-1]))
-        made = _Held(sensor=pose.sensor, view=pose.view, pose=number, steps=steps, echoes=echoes)
+        made = _Held(
+            sensor=pose.sensor, view=pose.view, pose=number, steps=steps, detections=detections
+        )
         self._held.append(made)
         return made
 
@@ -345,20 +345,20 @@ class VehicleFollower:
         margin, held = self.settings.margin_steps, self._held
         from_s, to_s = ((each) / STEPS_PER_SECOND for each in (begin - margin, end + margin))
         parts = [
-            each.echoes.take((each.echoes.time >= from_s) & (each.echoes.time < to_s))
+            each.detections.take((each.detections.time >= from_s) & (each.detections.time < to_s))
             for each in held
         ]
-        known = frames_table(pd.concat([FRAMES.empty(), *_frames(held)], ignore_index=True))
+        known = table_of_frames(pd.concat([FRAMES.empty(), *_frames(held)], ignore_index=True))
         frames, before = (
-            frames_within(known, begin, end),
-            frames_within(known, begin - margin, begin),
+            _frames_within(known, begin, end),
+            _frames_within(known, begin - margin, begin),
         )
         goes_on = self.newest_step >= end
         self.done = last = end - 1 if goes_on else int(frames["last_step"].max())
         poses = {each.pose for each in held if ((each.steps >= begin) & (each.steps <= last)).any()}
         block = Block(
             first_step=int(frames["first_step"].min()) if before.empty else begin, last_step=last,
-            echoes=Echoes.join(parts), frames=frames, frames_before=before, begins=False,
+            detections=MapDetections.join(parts), frames=frames, frames_before=before, begins=False,
             ends=False,
         )  # fmt: skip
         self._held = [each for each in held if each.steps[-1] > last - margin]
@@ -374,7 +374,7 @@ class VehicleFollower:
             self.store.forget_poses([*self._poses])
         views = {(each.sensor, each.view) for each, _ in self._poses.values()}
         self._road_m = {each: self._road_m[each] for each in views if each in self._road_m}
-        self._coverage.keep_views(views)
+        self._occupancy.keep_views(views)
 
     def finish(
         self, block: Block, poses: tuple[int, ...], *, unwritten: Collection[int] = ()
@@ -386,16 +386,18 @@ class VehicleFollower:
         block, poses : Block, tuple of int
             As from :meth:`begin`.
         unwritten : collection of int
-            Hours since 1970 of which the pieces stay, besides those of the hour before.
+            Hours since 1970 of which the batches stay, besides those of the hour before.
         """
-        piece = self._maker.piece(block, vehicles_in(block.echoes, self.site.graph, self._tracker))
+        batch = self._maker.batch(
+            block, vehicles_in(block.detections, self.site.graph, self._tracker)
+        )
         self._maker.forget_lanes()
-        self._holds |= _holds(poses, {k: self._poses[k][0] for k in poses})
-        found = self._coverage.add(piece, self._holds, self.site.graph.origin)
+        self._validity |= _validity_of(poses, {k: self._poses[k][0] for k in poses})
+        found = self._occupancy.add(batch, self._validity, self.site.graph.origin)
         needed = block.last_step + 1 - self.settings.margin_steps
         hour = min(block.last_step // HOUR_STEPS, *unwritten, 2**62)
-        self.store.add_piece(
-            StoredPiece(piece=piece, poses=poses), self._maker.edge(), needed_us=needed * STEP_US,
+        self.store.add_batch(
+            StoredBatch(batch=batch, poses=poses), self._maker.edge(), needed_us=needed * STEP_US,
             kept_step=(hour - 1) * HOUR_STEPS,
         )  # fmt: skip
         return found
@@ -403,34 +405,34 @@ class VehicleFollower:
     def write_hour(self, hour: int) -> Path | None:
         """Write the folder of an hour since 1970 from its pieces, whole; None without any."""
         begin = hour * HOUR_STEPS
-        found = list(self.store.pieces(begin, begin + HOUR_STEPS - 1))
+        found = list(self.store.batches(begin, begin + HOUR_STEPS - 1))
         if not found:
             return None
         met = sorted({number for each in found for number in each.poses})
         poses = self.store.poses()
-        first, last = found[0].piece.first_step, found[-1].piece.last_step
-        provenance = Provenance(
-            fingerprint=self.site.fingerprint, map=self.site.map, sight=self.site.sight,
-            hold_s=_holds(met, poses), settings={"vehicles": asdict(self._tracker)},
-            sources=_sources(met, poses),
-        )  # fmt: skip
+        first, last = found[0].batch.first_step, found[-1].batch.last_step
+        manifest = {
+            "fingerprint": self.site.fingerprint, "map": self.site.map, "sight": self.site.sight,
+            "validity_s": _validity_of(met, poses), "settings": {"vehicles": asdict(self._tracker)},
+            "sources": _sources(met, poses),
+        }  # fmt: skip
         views = [view for view, _ in self.store.views()]
         path = self.site.path_of(hour)
         path.parent.mkdir(parents=True, exist_ok=True)
-        with write_vehicles(path, tiles=self.site.tiles, views=views, provenance=provenance) as out:
-            *_, before = [None, *self.store.pieces(begin - self.settings.steps, begin - 1)]
-            if before is not None and before.piece.last_step == first - 1:
-                out.warm_up(before.piece)
+        with write_vehicle_hour(path, tiles=self.site.tiles, views=views, manifest=manifest) as out:
+            *_, before = [None, *self.store.batches(begin - self.settings.steps, begin - 1)]
+            if before is not None and before.batch.last_step == first - 1:
+                out.warm_up(before.batch)
             for each in found:
-                table = each.piece.vehicles
+                table = each.batch.vehicles
                 cut = (table["first_step"] <= first) | (table["last_step"] >= last)
-                out.add(replace(each.piece, vehicles=table.assign(continues=cut)))
+                out.add(replace(each.batch, vehicles=table.assign(continues=cut)))
         return path
 
 
-def _holds(met: Sequence[int], poses: Mapping[int, FollowedPose]) -> dict[str, float]:
-    """Return by sensor how long its frames hold, by the latest of some poses."""
-    return {poses[number].sensor: poses[number].hold_s for number in met}
+def _validity_of(met: Sequence[int], poses: Mapping[int, FollowedPose]) -> dict[str, float]:
+    """Return by sensor how long its frames are valid, by the latest of some poses."""
+    return {poses[number].sensor: poses[number].validity_s for number in met}
 
 
 def _sources(met: Sequence[int], poses: Mapping[int, FollowedPose]) -> list[dict[str, Any]]:
@@ -450,4 +452,10 @@ def _frames(held: Sequence[_Held]) -> Iterator[pd.DataFrame]:
         by_view.setdefault((each.sensor, each.view), []).append(each.steps)
     for key, steps in by_view.items():
         every = np.unique(np.concatenate(steps))
-        yield frames_of(*key, union([Runs(first=every, last=every)]))
+        yield runs_of_frames(*key, union([Runs(first=every, last=every)]))
+
+
+def _frames_within(frames: pd.DataFrame, begin: int, end: int) -> pd.DataFrame:
+    """Return the runs of frames from a step to the one before another."""
+    first, last = frames["first_step"].clip(lower=begin), frames["last_step"].clip(upper=end - 1)
+    return table_of_frames(frames.assign(first_step=first, last_step=last)[first <= last])

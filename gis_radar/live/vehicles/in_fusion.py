@@ -17,8 +17,8 @@ import numpy as np
 
 from gis_radar.errors import NoAnswerError
 from gis_radar.lanelets.graph import lane_graph
+from gis_radar.live.detections import head_of
 from gis_radar.live.health import SensorHealth
-from gis_radar.live.returns import head_of
 from gis_radar.live.settings import LiveSite
 from gis_radar.live.store import KnownPose
 from gis_radar.live.vehicles.counts import VehicleCounts
@@ -31,16 +31,16 @@ from gis_radar.live.vehicles.worker import (
     EndMessage,
     FramesMessage,
     PoseMessage,
-    Told,
+    WorkerEvent,
 )
-from gis_radar.occupancy.views import ViewBook
+from gis_radar.measures.views import ViewBook
 from gis_radar.poses.pose import pose_from_dict
 from gis_radar.processes import stop_workers
 from gis_radar.progress import QUIET, Reporter
 from gis_radar.sight import describe_sight
 from gis_radar.steps import STEP_S, interval_steps
-from gis_radar.vehicles.map_check import map_of_tiles
-from gis_radar.vehicles.visibility import SensorView
+from gis_radar.tracking.map_check import map_of_tiles
+from gis_radar.tracking.visibility import SensorView
 
 HAND_ON_S = 0.1
 CHANNEL = 100  # parcels that may wait for the process: 10 s
@@ -72,7 +72,7 @@ class LiveVehicles:
     Attributes
     ----------
     counts : VehicleCounts
-        Coverage and passages lately.
+        Occupancy and passages lately.
     written : dict of Path
         Folders of hours, in order.
 
@@ -103,7 +103,7 @@ class LiveVehicles:
         self.dropped = self.restarts = 0
         self._book, self._settings, self._reporter = book, settings, reporter
         self._now, self._crs = VehiclesNow.none(), tiles.crs
-        self._told: dict[str, float] = {}
+        self._event_counts: dict[str, float] = {}
         self._waiting: list[tuple[str, int, bytes]] = []
         self._process: Any = None
         self._inbox: Any = None
@@ -129,7 +129,7 @@ class LiveVehicles:
         self, health: SensorHealth, stream: str, content: bytes,
         numbered: Mapping[tuple[str, int], int], poses: Mapping[int, KnownPose],
     ) -> None:  # fmt: skip
-        """Take the content of a message of returns.
+        """Take the content of a message of detections.
 
         Parameters
         ----------
@@ -150,7 +150,7 @@ class LiveVehicles:
             If the bytes begin as no such content.
         """
         number, count = head_of(content)
-        health.counts["returns"] += count
+        health.counts["detections"] += count
         row = numbered.get((stream, number))
         if self._site is None or row is None or not poses[row].content.trusted:
             health.counts["left_out"] += count
@@ -176,7 +176,10 @@ class LiveVehicles:
                 position=placed.position,
             )  # fmt: skip
         followed = FollowedPose(
-            sensor=sensor, view=pose.view, hold_s=pose.content.hold_s, content=pose.content.pose
+            sensor=sensor,
+            view=pose.view,
+            validity_s=pose.content.validity_s,
+            content=pose.content.pose,
         )
         road_m = self._book.road_m.get(view, float("nan"))
         if self._hand_on(PoseMessage(number=row, pose=followed, view=seen, road_m=road_m)):
@@ -252,24 +255,24 @@ class LiveVehicles:
         except (EOFError, OSError):  # killed, maybe in the midst of a message
             self._lost = True
 
-    def _note(self, told: Told) -> None:
+    def _note(self, event: WorkerEvent) -> None:
         """Note what the process tells."""
-        if told.counts.get("newest_s") != self._told.get("newest_s"):
+        if event.counts.get("newest_s") != self._event_counts.get("newest_s"):
             self._heard = time.monotonic()
-        self._told = told.counts or self._told
-        self._now = told.now or self._now
-        if told.anew is not None:
-            self.counts.begin_anew(told.anew)
-        if told.finished is not None:
-            self.counts.add(told.finished)
-        if told.written is not None:
-            self.written[told.written] = None
-        if told.said and not (told.refused and told.said == self._said):  # once a reason
-            self._reporter.log(told.said, "warning")
-            self._said = told.said
-        self._ended, self._refused = self._ended or told.ended, self._refused or told.refused
-        self._ready = self._ready or told.ready
-        skipped = self._told.get("skipped_s", 0.0)
+        self._event_counts = event.counts or self._event_counts
+        self._now = event.now or self._now
+        if event.anew is not None:
+            self.counts.begin_anew(event.anew)
+        if event.finished is not None:
+            self.counts.add(event.finished)
+        if event.written is not None:
+            self.written[event.written] = None
+        if event.said and not (event.refused and event.said == self._said):  # once a reason
+            self._reporter.log(event.said, "warning")
+            self._said = event.said
+        self._ended, self._refused = self._ended or event.ended, self._refused or event.refused
+        self._ready = self._ready or event.ready
+        skipped = self._event_counts.get("skipped_s", 0.0)
         if skipped > self._behind:
             self._reporter.log(
                 f"following vehicles takes longer than the traffic: {skipped:.0f} s are left "
@@ -279,7 +282,7 @@ class LiveVehicles:
             self._behind = skipped
 
     def finish(self) -> None:
-        """Have the last minutes followed and written; then stop the process."""
+        """Process and write the last minutes, then stop the process."""
         self._handed = 0.0
         self.turn()
         if self._process is None:
@@ -287,9 +290,9 @@ class LiveVehicles:
                 return
             self._start()  # it was lost a moment ago
         until = time.monotonic() + (0.0 if self._broken_off else END_S)
-        told = False
+        sent = False
         while self._process.is_alive() and not self._ended and time.monotonic() < until:
-            told = told or self._hand_on(EndMessage())
+            sent = sent or self._hand_on(EndMessage())
             self._take_in()
             time.sleep(0.02)
         self._take_in()
@@ -302,31 +305,31 @@ class LiveVehicles:
 
     def now(self) -> VehiclesNow:
         """Return the vehicles of now; none where nothing came for long."""
-        newest = self._told.get("newest_s", np.nan)
+        newest = self._event_counts.get("newest_s", np.nan)
         old = not newest - self._now.time < OLD_S or time.monotonic() - self._heard > OLD_S
         return VehiclesNow.none() if old or self._process is None else self._now
 
     def figures(self) -> dict[str, float]:
         """Return counts and lags, by name, for Prometheus."""
-        told = self._told
-        newest, until = told.get("newest_s", np.nan), told.get("until_s", np.nan)
+        counts = self._event_counts
+        newest, until = counts.get("newest_s", np.nan), counts.get("until_s", np.nan)
         return {
             "vehicles_now": float(len(self.now())),
             "vehicles_lag_seconds": newest - until,
             "vehicles_dropped_messages": float(self.dropped),
-            "vehicles_skipped_seconds": told.get("skipped_s", 0.0),
-            "vehicles_failing_hours": told.get("failing_hours", 0.0),
+            "vehicles_skipped_seconds": counts.get("skipped_s", 0.0),
+            "vehicles_failing_hours": counts.get("failing_hours", 0.0),
             "vehicles_process_restarts": float(self.restarts),
-            "vehicles_cpu_seconds": told.get("cpu_ms", 0.0) / 1000.0,
-            **{f"vehicles_{name}": told.get(name, 0.0) for name in COUNTS},
+            "vehicles_cpu_seconds": counts.get("cpu_ms", 0.0) / 1000.0,
+            **{f"vehicles_{name}": counts.get(name, 0.0) for name in COUNTS},
         }
 
     def columns(self) -> dict[str, Any]:
         """Return the columns of the map for QGIS: seconds since the interval last began."""
         found = self.counts.interval()
         return {
-            "covered_s": found.covered * STEP_S, "visible_s": found.visible * STEP_S,
-            "coverage": found.share(),
+            "occupied_s": found.occupied * STEP_S, "visible_s": found.visible * STEP_S,
+            "occupancy": found.share(),
         }  # fmt: skip
 
     def layer(self) -> gpd.GeoDataFrame:

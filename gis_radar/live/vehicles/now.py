@@ -19,11 +19,11 @@ import shapely
 from gis_radar.arrays import Floats
 from gis_radar.lanelets.graph import LaneGraph
 from gis_radar.live.vehicles.settings import DEFAULTS, FollowSettings
-from gis_radar.vehicles.bodies import are_persons, usual_rcs
-from gis_radar.vehicles.columns import FRONT, HEADING, HITS, LAST, NUMBER, REAR, SPEED, X, Y
-from gis_radar.vehicles.echoes import Echoes
-from gis_radar.vehicles.forward import ForwardFilter
-from gis_radar.vehicles.settings import VehicleSettings
+from gis_radar.tracking.bodies import are_persons, usual_rcs
+from gis_radar.tracking.columns import FRONT, HEADING, HITS, LAST, NUMBER, REAR, SPEED, X, Y
+from gis_radar.tracking.detections import MapDetections
+from gis_radar.tracking.forward import ForwardFilter
+from gis_radar.tracking.settings import VehicleSettings
 
 HEAVY_M = 7.0  # the contract: who is longer counts as heavy
 LENGTHS_M, HEAVY_WIDTH_M, WIDTH_M = (4.6, 18.75), 2.5, 1.85
@@ -102,7 +102,7 @@ class NowFilter:
     graph: LaneGraph
     tracker: VehicleSettings
     settings: FollowSettings = DEFAULTS
-    _waiting: list[Echoes] = field(default_factory=list)
+    _waiting: list[MapDetections] = field(default_factory=list)
     _known: dict[int, _Known] = field(default_factory=dict)
     _stood: dict[int, Floats] = field(default_factory=dict)  # by number, the row and when it was
     _shown: dict[int, Floats] = field(default_factory=dict)
@@ -113,38 +113,38 @@ class NowFilter:
     _still: float = np.nan
 
     def __post_init__(self) -> None:
-        moving = self.tracker.echoes.moving_mps
+        moving = self.tracker.detections.moving_mps
         self._filter = ForwardFilter(self.graph, self.tracker.forward, moving_mps=moving)
 
-    def take(self, echoes: Echoes) -> None:
+    def take(self, detections: MapDetections) -> None:
         """Take detections; what is not later than the last moment told comes too late."""
-        self._waiting.append(echoes.take(echoes.time > self._reached))
+        self._waiting.append(detections.take(detections.time > self._reached))
 
     def go_on(self, until: float) -> None:
         """Follow what came up to a time."""
-        waiting = Echoes.join(self._waiting)
+        waiting = MapDetections.join(self._waiting)
         ready = waiting.time <= until
         self._waiting = [waiting.take(~ready)]
         if until > self._reached + self.tracker.forward.stand_s:  # nothing came for long
             self._stood, self._shown = {}, {}
         self._reached = max(self._reached, until)
-        echoes = waiting.take(ready)
-        if len(echoes):
-            number, states = self._filter.push(echoes)
-            self._learn(echoes, number, states)
+        detections = waiting.take(ready)
+        if len(detections):
+            number, states = self._filter.push(detections)
+            self._learn(detections, number, states)
         self._show()
 
-    def _learn(self, echoes: Echoes, number: np.ndarray, states: Floats) -> None:
+    def _learn(self, detections: MapDetections, number: np.ndarray, states: Floats) -> None:
         """Note cross sections and speeds, by which walkers are told."""
-        still = np.abs(echoes.range_rate) < self.tracker.echoes.moving_mps
-        known = usual_rcs(echoes.rcs[still])
+        still = np.abs(detections.range_rate) < self.tracker.detections.moving_mps
+        known = usual_rcs(detections.rcs[still])
         self._still = known if np.isnan(self._still) else self._still
         if not np.isnan(known):
             self._still += 0.05 * (known - self._still)
         for each in np.unique(number[number >= 0]).tolist():
             rows = number == each
             found = self._known.pop(each, None) or _Known(rcs=deque(maxlen=self.settings.rcs_kept))
-            found.rcs.extend(echoes.rcs[rows].tolist())
+            found.rcs.extend(detections.rcs[rows].tolist())
             found.fast = max(found.fast, float(states[rows, SPEED].max()))
             self._known[each] = found  # the latest last
         while len(self._known) > self.settings.judged:

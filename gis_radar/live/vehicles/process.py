@@ -17,67 +17,69 @@ from gis_radar.live.vehicles.first_run import run_vehicles_once
 from gis_radar.live.vehicles.follower import FollowedSite
 from gis_radar.live.vehicles.settings import FollowSettings
 from gis_radar.live.vehicles.store import VehicleStore
-from gis_radar.live.vehicles.worker import Told, VehicleWorker
+from gis_radar.live.vehicles.worker import VehicleWorker, WorkerEvent
 from gis_radar.processes import watch_parent
 
 STORE_FILE = "vehicles.sqlite"
-TOLD = 1_000  # that may wait for fusion
+MOST_EVENTS = 1_000  # that may wait for fusion
 
 
 class _Outbox:
-    """What is told goes on a thread of its own: fusion may be busy, and a pipe holds little."""
+    """Sends events on a thread of its own: fusion may be busy, and a pipe holds little."""
 
-    def __init__(self, connection: Connection[Told, Any]) -> None:
+    def __init__(self, connection: Connection[WorkerEvent, Any]) -> None:
         self._connection = connection
-        self._waiting: Queue[Told | None] = Queue(TOLD)
-        self._thread = Thread(target=self._send, daemon=True, name="told")
+        self._waiting: Queue[WorkerEvent | None] = Queue(MOST_EVENTS)
+        self._thread = Thread(target=self._send, daemon=True, name="events")
         self._thread.start()
 
     def _send(self) -> None:
         with suppress(OSError):  # fusion has closed its end: it wants no more
-            while (told := self._waiting.get()) is not None:
-                self._connection.send(told)
+            while (event := self._waiting.get()) is not None:
+                self._connection.send(event)
 
-    def put(self, told: Told) -> None:
+    def put(self, event: WorkerEvent) -> None:
         with suppress(Full):  # the vehicles of now come again; all else waits
-            self._waiting.put(told, block=told.now is None, timeout=60.0)
+            self._waiting.put(event, block=event.now is None, timeout=60.0)
 
     def close(self) -> None:
-        """Have all sent that was told."""
+        """Send all events that wait."""
         with suppress(Full):
             self._waiting.put(None, timeout=60.0)
         self._thread.join(60.0)
 
 
 def follow_in_process(
-    sites: Connection[Any, FollowedSite], inbox: Channel[Any], outbox: Connection[Told, Any],
+    sites: Connection[Any, FollowedSite], inbox: Channel[Any], outbox: Connection[WorkerEvent, Any],
     settings: FollowSettings,
 ) -> None:  # fmt: skip
-    """Work until the end is told; what a process of its own runs. The site comes first."""
+    """Work until the end message; runs in a process of its own. The site comes first."""
     watch_parent()
     site = sites.recv()
-    telling = _Outbox(outbox)
-    _run_once(settings, telling)
-    telling.put(Told(counts={}, ready=True))
+    events = _Outbox(outbox)
+    _run_once(settings, events)
+    events.put(WorkerEvent(counts={}, ready=True))
     try:
         store = VehicleStore(site.folder / STORE_FILE, fingerprint=site.fingerprint)
     except GisRadarError as error:
-        telling.put(Told(counts={}, said=error.message, refused=True))
+        events.put(WorkerEvent(counts={}, said=error.message, refused=True))
     else:
         if store.put_aside is not None:
             said = f"{store.path}: it is damaged: put aside as {store.put_aside.name}"
-            telling.put(Told(counts={}, said=f"{said}; vehicles of the last hour may be missing"))
-        VehicleWorker(site, store, inbox, telling.put, settings).run()
+            events.put(
+                WorkerEvent(counts={}, said=f"{said}; vehicles of the last hour may be missing")
+            )
+        VehicleWorker(site, store, inbox, events.put, settings).run()
         store.close()
-    telling.close()
+    events.close()
 
 
-def _run_once(settings: FollowSettings, telling: _Outbox) -> None:
-    """Have all compiled that follows vehicles; whoever stops it has its files removed."""
+def _run_once(settings: FollowSettings, events: _Outbox) -> None:
+    """Compile the tracker; a signal removes its temporary files."""
     before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     try:
         run_vehicles_once(settings)
     except (GisRadarError, OSError) as error:
-        telling.put(Told(counts={}, said=NOT_COMPILED.format(error)))
+        events.put(WorkerEvent(counts={}, said=NOT_COMPILED.format(error)))
     finally:
         signal.signal(signal.SIGTERM, before)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from gis_radar.vehicles.settings import DEFAULTS as OF_RECORDINGS
-from gis_radar.vehicles.settings import BlockSettings, VehicleSettings
+from gis_radar.tracking.settings import DEFAULTS as OF_RECORDINGS
+from gis_radar.tracking.settings import BlockSettings, VehicleSettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,7 +16,7 @@ class FollowSettings:
     ----------
     steps, margin_steps : int
         Steps of a block, at whole multiples, and before and after it those that help to know its
-        vehicles. In a jam half a minute around it costs a tenth of the coverage, a minute nothing;
+        vehicles. In a jam half a minute around it costs a tenth of the occupancy, a minute nothing;
         blocks of five minutes, as of recordings, take two thirds of the time and come late.
     late_s : float
         A block is followed once frames are so far beyond its margin, seconds: sensors do not

@@ -1,8 +1,8 @@
-"""What following vehicles keeps on disk: returns of the last minutes, and vehicles of the hour.
+"""What following vehicles keeps on disk: detections of the last minutes, and vehicles of the hour.
 
-One SQLite file beside the journal. Returns are not acknowledged to sensors: what a kill takes are
-those of the last second. A block and the returns that it makes needless go in one commit, so that
-no vehicle counts twice.
+One SQLite file beside the journal. Detections are not acknowledged to sensors: what a kill takes
+are those of the last second. A block and the detections that it makes needless go in one commit, so
+that no vehicle counts twice.
 """
 
 from __future__ import annotations
@@ -24,13 +24,12 @@ import pyarrow.parquet as pq
 
 from gis_radar.errors import GisRadarError, OutputError
 from gis_radar.live.database import as_one, damage_of, is_damage
-from gis_radar.occupancy.views import name_of_view
+from gis_radar.measures.views import name_of_view
 from gis_radar.poses.pose import pose_from_dict
 from gis_radar.steps import STEP_US
-from gis_radar.vehicles.folder import VehiclePiece
-from gis_radar.vehicles.pieces import BlockEdge
-from gis_radar.vehicles.tables import FRAMES, TRACKS, VEHICLES, TableKind
-from gis_radar.vehicles.visibility import SensorView
+from gis_radar.tracking.batches import BlockEdge, VehicleBatch
+from gis_radar.tracking.tables import FRAMES, TRACKS, VEHICLES, TableKind
+from gis_radar.tracking.visibility import SensorView
 
 FARTHEST_M, LONGEST_M = 1e9, 1e3  # of places in a map, and of vehicles
 LOCK_S = 5.0  # for another program to let go of the file
@@ -40,7 +39,7 @@ CREATE TABLE IF NOT EXISTS views (sensor TEXT, view TEXT, tiles BLOB NOT NULL,
     easting REAL NOT NULL, northing REAL NOT NULL, height REAL NOT NULL, road_m REAL,
     PRIMARY KEY (sensor, view)) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS poses (id INTEGER PRIMARY KEY, sensor TEXT NOT NULL, view TEXT NOT NULL,
-    hold_s REAL NOT NULL, content TEXT NOT NULL, UNIQUE (sensor, view, hold_s, content));
+    validity_s REAL NOT NULL, content TEXT NOT NULL, UNIQUE (sensor, view, validity_s, content));
 CREATE TABLE IF NOT EXISTS frames (time_us INTEGER, sensor TEXT, pose INTEGER NOT NULL,
     content BLOB NOT NULL, PRIMARY KEY (time_us, sensor)) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS pieces (first_step INTEGER PRIMARY KEY, last_step INTEGER NOT NULL,
@@ -50,7 +49,7 @@ CREATE TABLE IF NOT EXISTS pieces (first_step INTEGER PRIMARY KEY, last_step INT
 _COLUMNS = {
     "notes": ("name", "value"),
     "views": ("sensor", "view", "tiles", "easting", "northing", "height", "road_m"),
-    "poses": ("id", "sensor", "view", "hold_s", "content"),
+    "poses": ("id", "sensor", "view", "validity_s", "content"),
     "frames": ("time_us", "sensor", "pose", "content"),
     "pieces": (
         "first_step", "last_step", "tracks", "vehicles", "frames", "poses", "edge", "found",
@@ -63,8 +62,9 @@ _SOUND = {  # steps up to the year 2150, pieces of an hour at most
     "abs(coalesce(road_m, 0.0)) < 1e9 AND typeof(easting) = 'real' AND abs(easting) < 1e9 AND "
     "typeof(northing) = 'real' AND abs(northing) < 1e9 AND typeof(height) = 'real' AND "
     "abs(height) < 1e9",
-    "poses": "typeof(sensor) = 'text' AND typeof(view) = 'text' AND typeof(hold_s) = 'real' AND "
-    "hold_s > 0 AND hold_s < 1e4 AND typeof(content) = 'text' AND "
+    "poses": "typeof(sensor) = 'text' AND typeof(view) = 'text' "
+    "AND typeof(validity_s) = 'real' AND "
+    "validity_s > 0 AND validity_s < 1e4 AND typeof(content) = 'text' AND "
     "json_type(content) = 'object' AND "
     "(sensor, view) IN (SELECT sensor, view FROM views)",
     "frames": "typeof(time_us) = 'integer' AND typeof(sensor) = 'text' AND "
@@ -83,8 +83,8 @@ DELETE FROM poses WHERE id NOT IN (SELECT value FROM json_each(?))
 _OLD_VIEWS = "DELETE FROM views WHERE (sensor, view) NOT IN (SELECT sensor, view FROM poses)"
 
 
-class ReturnRow(NamedTuple):
-    """A frame of returns; `pose` is the id of its row, `content` that of a message."""
+class DetectionRow(NamedTuple):
+    """A frame of detections; `pose` is the id of its row, `content` that of a message."""
 
     time_us: int
     sensor: str
@@ -100,28 +100,28 @@ class FollowedPose:
     ----------
     sensor, view : str
         Whose, and the name of what it sees.
-    hold_s : float
-        How long a frame holds, seconds.
+    validity_s : float
+        How long a frame is valid, seconds.
     content : dict
         As a pose file holds it.
     """
 
     sensor: str
     view: str
-    hold_s: float
+    validity_s: float
     content: dict[str, Any]
 
 
 @dataclass(frozen=True, kw_only=True)
-class StoredPiece:
+class StoredBatch:
     """Vehicles of a block, with the ids of the poses by which they were seen."""
 
-    piece: VehiclePiece
+    batch: VehicleBatch
     poses: tuple[int, ...]
 
 
 class VehicleStore:
-    """Returns and vehicles on disk; safe to use from several threads.
+    """Detections and vehicles on disk; safe to use from several threads.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ class VehicleStore:
             if any(view.view != name_of_view(view.tile_id) for view in views):
                 return True
             named = {(view.sensor, view.view) for view in views}
-            return not all(_is_sound(each.piece, named) for each in self.pieces(-(2**62), 2**62))
+            return not all(_is_sound(each.batch, named) for each in self.batches(-(2**62), 2**62))
         except (GisRadarError, pa.ArrowException, ValueError, TypeError, LookupError,
                 ArithmeticError):  # fmt: skip
             return True
@@ -227,14 +227,16 @@ class VehicleStore:
 
     def add_pose(self, pose: FollowedPose) -> int:
         """Add a pose; return its id, that of the same one where it is known."""
-        row = (pose.sensor, pose.view, pose.hold_s, json.dumps(pose.content, sort_keys=True))
+        row = (pose.sensor, pose.view, pose.validity_s, json.dumps(pose.content, sort_keys=True))
         with self._errors():
             self._database.execute(
-                "INSERT OR IGNORE INTO poses (sensor, view, hold_s, content) VALUES (?, ?, ?, ?)",
+                "INSERT OR IGNORE INTO poses (sensor, view, validity_s, content) "
+                "VALUES (?, ?, ?, ?)",
                 row,
             )
             (found,) = self._database.execute(
-                "SELECT id FROM poses WHERE sensor = ? AND view = ? AND hold_s = ? AND content = ?",
+                "SELECT id FROM poses "
+                "WHERE sensor = ? AND view = ? AND validity_s = ? AND content = ?",
                 row,
             ).fetchone()
         return int(found)
@@ -245,7 +247,7 @@ class VehicleStore:
             rows = self._database.execute("SELECT * FROM poses").fetchall()
         return {
             row[0]: FollowedPose(
-                sensor=row[1], view=row[2], hold_s=row[3], content=json.loads(row[4])
+                sensor=row[1], view=row[2], validity_s=row[3], content=json.loads(row[4])
             )
             for row in rows
         }
@@ -256,12 +258,14 @@ class VehicleStore:
             self._database.execute(_OLD_POSES, (json.dumps([*kept]),))
             self._database.execute(_OLD_VIEWS)
 
-    def add_frames(self, rows: Sequence[ReturnRow], anew: Mapping[str, int] | None = None) -> None:
+    def add_frames(
+        self, rows: Sequence[DetectionRow], anew: Mapping[str, int] | None = None
+    ) -> None:
         """Add frames; one that is there is the same.
 
         Parameters
         ----------
-        rows : sequence of ReturnRow
+        rows : sequence of DetectionRow
             The frames.
         anew : mapping
             By sensor, from when on what is there is dropped first, as one (us).
@@ -273,7 +277,7 @@ class VehicleStore:
                 )
             self._database.executemany("INSERT OR IGNORE INTO frames VALUES (?, ?, ?, ?)", rows)
 
-    def seconds(self) -> Iterator[list[ReturnRow]]:
+    def seconds(self) -> Iterator[list[DetectionRow]]:
         """Yield all frames by time, those of a second at once."""
         begin: int | None = -(2**62)
         while begin is not None:
@@ -285,7 +289,7 @@ class VehicleStore:
                     "SELECT * FROM frames WHERE time_us BETWEEN ? AND ? + 999999", (begin, begin)
                 ).fetchall()
             if begin is not None:
-                yield [ReturnRow(*row) for row in rows]
+                yield [DetectionRow(*row) for row in rows]
                 begin += 1_000_000
 
     def drop_from(self, step: int) -> None:
@@ -294,14 +298,14 @@ class VehicleStore:
             self._database.execute("DELETE FROM frames WHERE time_us >= ?", (step * STEP_US,))
             self._database.execute("DELETE FROM pieces WHERE first_step >= ?", (step,))
 
-    def add_piece(
-        self, found: StoredPiece, edge: BlockEdge, *, needed_us: int, kept_step: int
+    def add_batch(
+        self, found: StoredBatch, edge: BlockEdge, *, needed_us: int, kept_step: int
     ) -> None:
         """Add the vehicles of a block; drop frames and pieces that nobody needs any more."""
-        piece = found.piece
+        batch = found.batch
         row = (
-            piece.first_step, piece.last_step, _packed(TRACKS, piece.tracks),
-            _packed(VEHICLES, piece.vehicles), _packed(FRAMES, piece.frames),
+            batch.first_step, batch.last_step, _packed(TRACKS, batch.tracks),
+            _packed(VEHICLES, batch.vehicles), _packed(FRAMES, batch.frames),
             json.dumps(found.poses), json.dumps(edge.table.to_numpy().tolist()).encode(),
             edge.found,
         )  # fmt: skip
@@ -325,14 +329,14 @@ class VehicleStore:
             raise ValueError("an edge with what is no number")
         return BlockEdge(step=row[0], found=row[1], table=table)
 
-    def piece_hours(self, steps: int) -> list[int]:
+    def batch_hours(self, steps: int) -> list[int]:
         """Return the hours in which pieces begin, each of so many steps, ascending."""
         query = "SELECT DISTINCT first_step / ? FROM pieces ORDER BY 1"
         with self._lock:
             return [hour for (hour,) in self._database.execute(query, (steps,))]
 
-    def pieces(self, first: int, last: int) -> Iterator[StoredPiece]:
-        """Read the pieces that begin from one step to another, in order."""
+    def batches(self, first: int, last: int) -> Iterator[StoredBatch]:
+        """Read the batches that begin from one step to another, in order."""
         with self._lock:
             steps = self._database.execute(
                 "SELECT first_step FROM pieces WHERE first_step BETWEEN ? AND ? ORDER BY 1",
@@ -348,10 +352,10 @@ class VehicleStore:
                 continue
             tables = map(_unpacked, (TRACKS, VEHICLES, FRAMES), row[1:4])
             tracks, vehicles, frames = tables
-            piece = VehiclePiece(
+            batch = VehicleBatch(
                 first_step=step, last_step=row[0], tracks=tracks, vehicles=vehicles, frames=frames
             )
-            yield StoredPiece(piece=piece, poses=tuple(json.loads(row[4])))
+            yield StoredBatch(batch=batch, poses=tuple(json.loads(row[4])))
 
     @contextmanager
     def _errors(self) -> Iterator[None]:
@@ -365,10 +369,10 @@ class VehicleStore:
                 ) from error
 
 
-def _is_sound(piece: VehiclePiece, views: set[tuple[str, str]]) -> bool:
-    """Return whether the tables of a piece fit to it and to each other."""
-    tracks, vehicles, frames = piece.tracks, piece.vehicles, piece.frames
-    inside = tracks["step"].between(piece.first_step, piece.last_step)
+def _is_sound(batch: VehicleBatch, views: set[tuple[str, str]]) -> bool:
+    """Return whether the tables of a batch fit to it and to each other."""
+    tracks, vehicles, frames = batch.tracks, batch.vehicles, batch.frames
+    inside = tracks["step"].between(batch.first_step, batch.last_step)
     numbers = tracks[["easting", "northing", "heading", "speed"]]
     sizes = vehicles[["length_m", "width_m", "p_heavy"]]
     return bool(
@@ -379,8 +383,8 @@ def _is_sound(piece: VehiclePiece, views: set[tuple[str, str]]) -> bool:
         and (numbers.abs() < FARTHEST_M).all(axis=None)
         and (sizes.abs() < LONGEST_M).all(axis=None)
         and {*zip(frames["sensor"], frames["view"], strict=True)} <= views
-        and frames["first_step"].between(piece.first_step, frames["last_step"]).all()
-        and (frames["last_step"] <= piece.last_step).all()
+        and frames["first_step"].between(batch.first_step, frames["last_step"]).all()
+        and (frames["last_step"] <= batch.last_step).all()
     )
 
 

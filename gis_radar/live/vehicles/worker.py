@@ -20,22 +20,21 @@ import numpy as np
 
 from gis_radar.arrays import Floats
 from gis_radar.errors import GisRadarError, InputError, OutputError
-from gis_radar.live.hours import hour_name
-from gis_radar.live.returns import unpack_returns
-from gis_radar.live.vehicles.clocks import ReturnFrame
-from gis_radar.live.vehicles.coverage import Finished
+from gis_radar.live.detections import unpack_detections
+from gis_radar.live.hours import HOUR_STEPS, hour_name
+from gis_radar.live.vehicles.clocks import SensorFrame
 from gis_radar.live.vehicles.follower import (
     POSES_KEPT,
     FollowedSite,
     VehicleFollower,
 )
 from gis_radar.live.vehicles.now import NowFilter, VehiclesNow
+from gis_radar.live.vehicles.occupancy import Finished
 from gis_radar.live.vehicles.settings import FollowSettings
 from gis_radar.live.vehicles.store import FollowedPose, VehicleStore
-from gis_radar.site.hours import HOUR_STEPS
 from gis_radar.steps import STEPS_PER_SECOND, iso_from_step
-from gis_radar.vehicles.blocks import Block
-from gis_radar.vehicles.visibility import SensorView
+from gis_radar.tracking.blocks import Block
+from gis_radar.tracking.visibility import SensorView
 
 COMMIT_S, WAIT_S = 1.0, 0.1
 AHEAD_S = 10.0  # a frame further in the future is of a wrong clock
@@ -54,7 +53,7 @@ class PoseMessage:
 
 @dataclass(frozen=True, kw_only=True)
 class FramesMessage:
-    """Contents of messages of returns: (sensor, fusion's number of the pose, content)."""
+    """Contents of messages of detections: (sensor, fusion's number of the pose, content)."""
 
     rows: list[tuple[str, int, bytes]]
 
@@ -65,7 +64,7 @@ class EndMessage:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Told:
+class WorkerEvent:
     """What the process tells fusion: counts always, the rest where it is new."""
 
     counts: dict[str, float]
@@ -84,25 +83,25 @@ _Found = tuple[float, Floats] | int | None  # a block's, or the step from which 
 
 
 class VehicleWorker:
-    """Takes frames in, has blocks followed, and tells what it finds.
+    """Takes frames in, has blocks followed, and sends what it finds.
 
     Parameters
     ----------
     site : FollowedSite
         The site.
     store : VehicleStore
-        Returns and pieces on disk.
+        Detections and batches on disk.
     inbox : Queue
         Of messages.
     tell : callable
-        Receives what is told.
+        Receives events.
     settings : FollowSettings
         Constants.
     """
 
     def __init__(
         self, site: FollowedSite, store: VehicleStore, inbox: Inbox,
-        tell: Callable[[Told], object], settings: FollowSettings,
+        tell: Callable[[WorkerEvent], object], settings: FollowSettings,
     ) -> None:  # fmt: skip
         self._site, self._store, self._settings = site, store, settings
         self._inbox, self._hand_back = inbox, tell
@@ -110,7 +109,7 @@ class VehicleWorker:
         self._now = NowFilter(graph=site.graph, tracker=settings.tracker(), settings=settings)
         self._counts: Counter[str] = Counter()
         self._pose_ids: dict[int, int] = {}  # fusion's number: the store's
-        self._committed = self._told = self._heard = time.monotonic()
+        self._committed = self._sent = self._heard = time.monotonic()
         self._newest_s = -np.inf
         self._work: Future[_Found] | None = None
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="blocks")
@@ -119,7 +118,7 @@ class VehicleWorker:
         self._unwritten: set[int] = set()
 
     def run(self) -> None:
-        """Take in, follow, tell, until the end."""
+        """Process messages until the end message."""
         self._resume()
         ended = False
         while not ended:
@@ -141,9 +140,9 @@ class VehicleWorker:
         if (done := self._follower.done) is None:
             return
         begin, last = _shown_since(done), done // HOUR_STEPS
-        oldest, *later = self._store.piece_hours(HOUR_STEPS)
+        oldest, *later = self._store.batch_hours(HOUR_STEPS)
         self._unwritten |= {*later, last}
-        if not self._site.path_of(oldest).exists():  # it may be there to be gone on from
+        if not self._site.path_of(oldest).exists():  # it may still be extended
             self._unwritten.add(oldest)
         over = sorted(each for each in self._unwritten if each < time.time() // 3600)
 
@@ -157,7 +156,7 @@ class VehicleWorker:
         self._work = self._pool.submit(work)
 
     def _take_in(self) -> bool:
-        """Take in what fusion hands on; return whether that was the end."""
+        """Process messages of fusion; return whether the end message came."""
         try:
             message = self._inbox.get(timeout=WAIT_S)
         except Empty:
@@ -182,25 +181,25 @@ class VehicleWorker:
             self._pose_ids = {k: v for k, v in self._pose_ids.items() if known(v)}
 
     def _take_frames(self, message: FramesMessage) -> None:
-        found: list[ReturnFrame] = []
+        found: list[SensorFrame] = []
         latest = time.time() + AHEAD_S
         for sensor, number, content in message.rows:
             pose = self._pose_ids.get(number, -1)  # the follower counts those of no pose
             try:
-                _, frames = unpack_returns(content)
+                _, frames = unpack_detections(content)
             except InputError:
                 self._counts["damaged"] += 1
                 continue
             mine = [each for each in frames if 0 < each.time_us < 1e6 * latest]
             self._counts["early"] += len(frames) - len(mine)
             alone = content if len(frames) == 1 else b""
-            found += [ReturnFrame(sensor, pose, each, alone) for each in mine]
+            found += [SensorFrame(sensor, pose, each, alone) for each in mine]
         if found:
             self._counts["frames"] += len(found)
             self._now.take(self._follower.take(found))
             if self._follower.begins_anew is None:
                 self._heard = time.monotonic()
-                newest = max(each.returns.time_us for each in found) / 1e6
+                newest = max(each.detections.time_us for each in found) / 1e6
                 self._newest_s = max(self._newest_s, newest)
 
     def _look(self) -> None:
@@ -208,8 +207,8 @@ class VehicleWorker:
         now = time.monotonic()
         if now - self._committed >= COMMIT_S:
             self._commit()
-        if now - self._told >= self._settings.now_s:
-            self._told = now
+        if now - self._sent >= self._settings.now_s:
+            self._sent = now
             self._now.go_on(self._newest_s - self._settings.reorder_s)
             self._tell(now=self._now.now())
         if self._work is not None and self._work.done():
@@ -298,7 +297,7 @@ class VehicleWorker:
         """Write an hour; where that fails, it is tried again with each block, for a day."""
         try:
             path = self._follower.write_hour(hour)
-        except Exception as error:  # noqa: BLE001 - a piece may be what it never can be
+        except Exception as error:  # noqa: BLE001 - a batch may be what it never can be
             since = self._failing.setdefault(hour, time.monotonic())
             name = f"vehicles of {hour_name(hour)}"
             self._say(f"{name} cannot be written: {_told_of(error)}; trying on")
@@ -330,7 +329,7 @@ class VehicleWorker:
             "until_s": np.nan if follower.done is None else (follower.done + 1) / STEPS_PER_SECOND,
             "newest_s": self._newest_s if np.isfinite(self._newest_s) else np.nan,
         }  # fmt: skip
-        self._hand_back(Told(counts=counts, **news))
+        self._hand_back(WorkerEvent(counts=counts, **news))
 
 
 def _shown_since(done: int) -> int:

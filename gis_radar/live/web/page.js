@@ -12,7 +12,7 @@ const NEAR = 14; // zoom from which tiles are drawn, not lanes: a tile is a twen
 const RETRY_MS = 5000;
 const SILENT_MS = 5000; // without an event the connection counts as broken
 
-const state = { occupied: new Set(), unobserved: new Set(), classes: {}, lanes: {}, sensors: {}, covers: {}, traffic: {} };
+const state = { hit: new Set(), unobserved: new Set(), classes: {}, lanes: {}, sensors: {}, occupancy: {}, traffic: {} };
 let vehicles = null, drawnVehicles = "", drawnAt = 0;
 let site, map, last = Date.now(), told = 0, opened = 0;
 
@@ -27,17 +27,17 @@ function take(event) {
     return;
   }
   const touched = new Set();
-  for (const name of ["occupied", "unobserved"]) {
+  for (const name of ["hit", "unobserved"]) {
     const on = event.whole ? event[name] : event[name].on;
     const off = event.whole ? [...state[name]] : event[name].off;
     for (const tile of off) { state[name].delete(tile); touched.add(tile); }
     for (const tile of on) { state[name].add(tile); touched.add(tile); }
   }
-  for (const name of ["classes", "lanes", "sensors", "covers", "traffic"]) {
+  for (const name of ["classes", "lanes", "sensors", "occupancy", "traffic"]) {
     if (event.whole) state[name] = {};
     Object.assign(state[name], event[name]);
   }
-  for (const tile of [...Object.keys(event.classes), ...Object.keys(event.covers)]) touched.add(Number(tile));
+  for (const tile of [...Object.keys(event.classes), ...Object.keys(event.occupancy)]) touched.add(Number(tile));
   vehicles = event.vehicles;
   showVehicles();
   byId("clock").textContent = event.clock;
@@ -56,15 +56,15 @@ function summarise() {
   const now = vehicles === null ? [] :
     [words.vehicles.replace("{n}", figure.format(vehicles.length)).replace("{heavy}", figure.format(heavy))];
   byId("summary").textContent =
-    [...now, words.occupied.replace("{n}", figure.format(state.occupied.size)), ...sensors].join(". ") + ".";
+    [...now, words.hit.replace("{n}", figure.format(state.hit.size)), ...sensors].join(". ") + ".";
 }
 
 function colour(tiles) {
   if (!map) return;
   for (const id of tiles) {
     map.setFeatureState({ source: "tiles", id }, {
-      occupied: state.occupied.has(id), unobserved: state.unobserved.has(id), level: state.classes[id] ?? -1,
-      covers: state.covers[id] ?? -1,
+      hit: state.hit.has(id), unobserved: state.unobserved.has(id), level: state.classes[id] ?? -1,
+      occupancy: state.occupancy[id] ?? -1,
     });
   }
 }
@@ -77,7 +77,7 @@ function colourLanes(lanes, traffic) {
   if (!map) return;
   const paint = (id, look) => map.setFeatureState({ source: "lanes", id: Number(id) }, look);
   for (const [id, share] of Object.entries(lanes)) paint(id, { level: levelOf(share) });
-  for (const [id, [cover]] of Object.entries(traffic)) paint(id, { covers: levelOf(cover) });
+  for (const [id, [share]] of Object.entries(traffic)) paint(id, { occupancy: levelOf(share) });
 }
 
 function chosen() {
@@ -94,7 +94,7 @@ function show() {
   explain();
   if (!map) return;
   map.setPaintProperty("tiles", "fill-color", paints[measure]);
-  map.setPaintProperty("lanes", "line-color", measure === "covers" ? covers : lately);
+  map.setPaintProperty("lanes", "line-color", measure === "occupancy" ? occupancy : lately);
 }
 
 function row(cells, numbers) {
@@ -126,8 +126,8 @@ function showLanes() {
   known.sort(([, one], [, other]) => (other ?? -1) - (one ?? -1));
   const percent = (share) => share === null ? "–" : `${tenths.format(share / 10)} %`;
   const lines = known.map(([lane, share, place]) => {
-    const [cover, passages, speed] = state.traffic[place] ?? [null, null, null];
-    const more = vehicles === null ? [] : [percent(cover), passages === null ? "–" : figure.format(passages), speed ?? "–"];
+    const [occupancy, passages, speed] = state.traffic[place] ?? [null, null, null];
+    const more = vehicles === null ? [] : [percent(occupancy), passages === null ? "–" : figure.format(passages), speed ?? "–"];
     return row([lane.number, lane.street, lane.direction, share === null ? words.none : percent(share), ...more], [3, 4, 5, 6]);
   });
   byId("lane-rows").replaceChildren(...lines);
@@ -166,12 +166,12 @@ function sensorLayer() {
 
 const lately = ["match", ["feature-state", "level"],
   ...colours.classes.flatMap((each, place) => [place, each]), colours.unobserved];
-const covers = ["match", ["feature-state", "covers"],
+const occupancy = ["match", ["feature-state", "occupancy"],
   ...colours.classes.flatMap((each, place) => [place, each]), colours.unobserved];
 const paints = {
-  covers,
-  lately: ["case", ["boolean", ["feature-state", "occupied"], false], colours.occupied, lately],
-  now: ["case", ["boolean", ["feature-state", "occupied"], false], colours.occupied,
+  occupancy,
+  lately: ["case", ["boolean", ["feature-state", "hit"], false], colours.hit, lately],
+  now: ["case", ["boolean", ["feature-state", "hit"], false], colours.hit,
     ["boolean", ["feature-state", "unobserved"], false], colours.unobserved, colours.free],
 };
 

@@ -269,26 +269,26 @@ class _Parts:
     """The fragments of one datagram that have come so far."""
 
     begun: float
-    pieces: dict[int, bytes] = field(default_factory=dict)
+    fragments: dict[int, bytes] = field(default_factory=dict)
     held: int = 0
     size: int = -1
 
-    def add(self, at: int, piece: bytes, *, last: bool) -> bytes | None:
+    def add(self, at: int, fragment: bytes, *, last: bool) -> bytes | None:
         """Take a fragment; return all of them in order once none is missing."""
-        if at not in self.pieces:
-            self.pieces[at] = piece
-            self.held += len(piece)
+        if at not in self.fragments:
+            self.fragments[at] = fragment
+            self.held += len(fragment)
         if last:
-            self.size = at + len(piece)
+            self.size = at + len(fragment)
         if not 0 <= self.size <= self.held:
             return None
         whole = bytearray(self.size)
         reached = 0
-        for start in sorted(self.pieces):
+        for start in sorted(self.fragments):
             if start > reached:
                 return None
-            whole[start : start + len(self.pieces[start])] = self.pieces[start]
-            reached = max(reached, start + len(self.pieces[start]))
+            whole[start : start + len(self.fragments[start])] = self.fragments[start]
+            reached = max(reached, start + len(self.fragments[start]))
         return bytes(whole[: self.size])
 
 
@@ -353,9 +353,9 @@ class Datagrams:
         source = inet_ntoa(data[start + 12 : start + 16])
         return Datagram(source, port, content[8 : length or len(content)])
 
-    def _reassemble(self, packet: Packet, start: int, flags: int, piece: bytes) -> bytes | None:
+    def _reassemble(self, packet: Packet, start: int, flags: int, fragment: bytes) -> bytes | None:
         at = (flags & _FRAGMENT_OFFSET) * 8
-        if at + len(piece) > LONGEST:
+        if at + len(fragment) > LONGEST:
             return None
         # Who to whom, which protocol, which identification.
         head = packet.data[start : start + 20]
@@ -365,7 +365,7 @@ class Datagrams:
         if parts is None or abs(now - parts.begun) > PATIENCE_S:
             self._forget(key)
             parts = self._pending[key] = _Parts(now)
-        content = parts.add(at, piece, last=not flags & _MORE)
+        content = parts.add(at, fragment, last=not flags & _MORE)
         if content is not None:
             del self._pending[key]
         return content

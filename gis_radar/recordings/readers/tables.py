@@ -44,7 +44,7 @@ def _frames(source: str, context: ReaderContext) -> Generator[Frame]:
     if not context.wants(SENSOR):
         raise NothingHereError(f"{path}: a table has no sensors", hint="leave --sensor away")
     held: Frame | None = None
-    for frame in _pieces(path, layout, context):
+    for frame in _runs_of_one_time(path, layout, context):
         # A frame may go on in the next batch of rows.
         if held is not None and held.sensor_time == frame.sensor_time:
             held = _joined(held, frame)
@@ -88,7 +88,7 @@ def _batches(path: Path, layout: Layout) -> Iterator[pa.RecordBatch]:
         yield from parquet_batches(path)
 
 
-def _pieces(path: Path, layout: Layout, context: ReaderContext) -> Iterator[Frame]:
+def _runs_of_one_time(path: Path, layout: Layout, context: ReaderContext) -> Iterator[Frame]:
     """Yield runs of rows of one time, batch by batch."""
     done = 0
     try:

@@ -2,12 +2,13 @@
 
 from .clocks import CompareClocks
 from .convert import ConvertRecordings
+from .dataset import KeepDataset
 from .detections import ShowDetections
 from .footprints import ShowVehicles
 from .heatmap import MakeHeatMap
 from .localize import LocalizeRadar
 from .mask import MaskRoad
-from .occupancy import MeasureOccupancy
+from .measure import MeasureTraffic
 from .quality import CheckQuality
 from .report import ExportReport
 from .run_site import RunSite
@@ -17,7 +18,6 @@ from .sight import FindSight
 from .site_files import CheckSite, WriteProject, WriteReport
 from .tiles import SplitLanelets
 from .track import FollowPose
-from .vehicles import FollowVehicles
 
 ALGORITHMS = (
     SplitLanelets,
@@ -28,12 +28,12 @@ ALGORITHMS = (
     CheckSite,
     ConvertRecordings,
     CompareClocks,
-    MeasureOccupancy,
-    FollowVehicles,
+    MeasureTraffic,
     MakeHeatMap,
     ShowVehicles,
     ShowDetections,
     CheckQuality,
+    KeepDataset,
     RunSite,
     ExportReport,
     WriteReport,

@@ -24,8 +24,7 @@ class CompareClocks(WorkerAlgorithm):
     HELP = (
         "Finds how far the clocks of several radars are apart, by the vehicles that two of them "
         "see.\n"
-        "Give the result to 'Occupancy from recordings' and 'Vehicles from recordings', or to a "
-        "site: times are then corrected."
+        "Give the result to 'Measure traffic', or to a site: times are then corrected."
     )
     KEYWORDS = ("time", "offset", "synchronization")
 

@@ -7,12 +7,12 @@ from typing import Any
 from qgis.core import (
     QgsProcessingContext,
     QgsProcessingFeedback,
-    QgsProcessingParameterFile,
     QgsProcessingParameterVectorDestination,
 )
 
 from ..base import TRAFFIC, WorkerAlgorithm
 from ..loading import finish_output
+from ..parameters import add_dataset
 from ..words import tr
 
 
@@ -32,12 +32,7 @@ class ShowVehicles(WorkerAlgorithm):
     KEYWORDS = ("tracks", "animation", "temporal")
 
     def initAlgorithm(self, _configuration: Any = None) -> None:  # noqa: N802
-        self.add(
-            QgsProcessingParameterFile(
-                "VEHICLES", tr("Vehicles"), QgsProcessingParameterFile.Behavior.Folder
-            ),
-            about="A folder from 'Vehicles from recordings'.",
-        )
+        add_dataset(self)
         self.add(
             QgsProcessingParameterVectorDestination("OUTPUT", tr("Footprints")),
             about="GeoPackage, a row a vehicle and half second.",
@@ -50,7 +45,7 @@ class ShowVehicles(WorkerAlgorithm):
         feedback: QgsProcessingFeedback,
     ) -> dict[str, Any]:
         dest = self.parameterAsOutputLayer(parameters, "OUTPUT", context)
-        vehicles = self.parameterAsFile(parameters, "VEHICLES", context)
-        self.work(["footprints", vehicles, "-o", dest], [dest], feedback)
+        dataset = self.parameterAsFile(parameters, "DATASET", context)
+        self.work(["footprints", dataset, "-o", dest], [dest], feedback)
         finish_output(context, dest)
         return {"OUTPUT": dest}

@@ -1,32 +1,27 @@
-"""Heat map of coverage and occupancy."""
+"""Heat map of occupancy and hit share."""
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Any
 
 from qgis.core import (
-    QgsProcessing,
     QgsProcessingContext,
     QgsProcessingFeedback,
     QgsProcessingOutputFile,
     QgsProcessingOutputRasterLayer,
     QgsProcessingOutputVectorLayer,
     QgsProcessingParameterBoolean,
-    QgsProcessingParameterFile,
     QgsProcessingParameterFolderDestination,
-    QgsProcessingParameterMultipleLayers,
     QgsProcessingParameterString,
 )
 
 from ..base import TRAFFIC, WorkerAlgorithm, option
-from ..loading import INTERVALS, as_ground, dress, dress_only, heatmap_titles, load
-from ..parameters import add_language, add_text, add_tiles, add_timezone, given_words, tile_file
+from ..loading import INTERVALS, as_ground, dress, dress_only, heatmap_titles, load, shows_occupancy
+from ..parameters import add_dataset, add_language, add_text, add_timezone, given_words
 from ..words import tr
 
-OPTIONS = ("TIMEZONE", "LANGUAGE", "TITLE", "SOURCE", "AT")
-INTERVAL = re.compile(r"\d+(\.\d+)?\s*(ms|s|min|h|d)")
+OPTIONS = ("BEGIN", "END", "TIMEZONE", "LANGUAGE", "TITLE", "SOURCE", "AT")
 
 
 class MakeHeatMap(WorkerAlgorithm):
@@ -36,41 +31,32 @@ class MakeHeatMap(WorkerAlgorithm):
     TITLE = "Heat map"
     GROUP = TRAFFIC
     HELP = (
-        "Makes maps of coverage: the estimated share of time that a vehicle is on a tile, moving "
-        "or waiting. That needs the vehicles; without them the map shows occupancy: the share of "
-        "the observed time in which radar hit a tile, which is several times lower. What was never "
-        "observed is left out, not 0; coverage that is uncertain is hatched.\n"
+        "Makes maps of occupancy: the estimated share of time that a vehicle is on a tile, moving "
+        "or waiting. A dataset without vehicles gives maps of the hit share: the share of the "
+        "observed time in which radar hit a tile, which is several times lower. What was never "
+        "observed is left out, not 0; occupancy that is uncertain is hatched.\n"
         "The result is a GeoPackage (the whole time, and by interval), a GeoTIFF with a band an "
         "interval, a GeoParquet and a picture. Colours are the same on every map, so that maps "
         "compare.\n"
-        "The layer 'by interval' is animated by the temporal controller as it is loaded. Times are "
-        "UTC in the data and in the picture; the clock on the map shows the local time."
+        "The layer 'by interval' is animated by the temporal controller as it is loaded. The data "
+        "are in UTC; the picture and the clock on the map show the local time."
     )
-    KEYWORDS = ("occupancy", "coverage", "raster", "animation")
+    KEYWORDS = ("hits", "occupancy", "raster", "animation")
 
     def initAlgorithm(self, _configuration: Any = None) -> None:  # noqa: N802
-        self.add(
-            QgsProcessingParameterFile(
-                "OCCUPANCY", tr("Occupancy"), QgsProcessingParameterFile.Behavior.Folder
-            ),
-            about="A folder from 'Occupancy from recordings', or the one of all sensors of a site.",
-        )
-        add_tiles(self, about="The tiles that the occupancy was made with.")
-        self.add(
-            QgsProcessingParameterFile(
-                "VEHICLES", tr("Vehicles"), QgsProcessingParameterFile.Behavior.Folder,
-                optional=True,
-            ),
-            about="A folder from 'Vehicles from recordings', made with the same recordings, poses, "
-            "tiles and scans: the maps then show coverage.",
-        )  # fmt: skip
+        add_dataset(self)
         self.add(
             QgsProcessingParameterString("INTERVAL", tr("Interval"), "15min", optional=True),
             about="Length of the intervals: 20s, 15min, 1h; empty for the whole time only.",
         )
         add_timezone(
-            self, "Whose hours and days the intervals follow, such as Europe/Berlin; UTC without."
+            self, "Whose hours and days the intervals follow, such as Europe/Berlin; by default "
+            "the dataset's.",
+        )  # fmt: skip
+        add_text(
+            self, "BEGIN", "Begin", "Only from this time on, in the time zone: 2025-06-12 07:30."
         )
+        add_text(self, "END", "End", "Only before this time.")
         add_language(self)
         add_text(self, "TITLE", "Title")
         add_text(self, "SOURCE", "Source", "Where the data come from, to stand under the picture.")
@@ -78,13 +64,6 @@ class MakeHeatMap(WorkerAlgorithm):
             self, "AT", "One moment only",
             "The map of one step of 50 ms, in UTC: 2025-06-12T07:30:10Z.",
         )  # fmt: skip
-        self.add(
-            QgsProcessingParameterMultipleLayers(
-                "MORE", tr("Further occupancy"), QgsProcessing.SourceType.TypeFile, optional=True
-            ),
-            about="The files manifest.json of more folders, which are merged.",
-            advanced=True,
-        )
         self.add(
             QgsProcessingParameterBoolean("LOAD", tr("Load the layers"), True),
             about="Switch it off in a model that continues with the files.",
@@ -105,16 +84,9 @@ class MakeHeatMap(WorkerAlgorithm):
         feedback: QgsProcessingFeedback,
     ) -> dict[str, Any]:
         dest = self.parameterAsString(parameters, "OUTPUT", context)
-        manifests = self.files(parameters, "MORE", context)
-        folders = [
-            *occupancies_in(self.parameterAsFile(parameters, "OCCUPANCY", context)),
-            *[str(Path(manifest).parent) for manifest in manifests],
-        ]
-        tiles = tile_file(self, parameters, context)
         interval = self.parameterAsString(parameters, "INTERVAL", context).strip()
-        vehicles = self.parameterAsFile(parameters, "VEHICLES", context)
-        words = ["heatmap", *folders, "--tiles", tiles, "-o", dest]
-        words += [*option("--interval", interval), *option("--vehicles", vehicles)]
+        dataset = self.parameterAsFile(parameters, "DATASET", context)
+        words = ["heatmap", dataset, "-o", dest, *option("--interval", interval)]
         words += given_words(self, parameters, context, OPTIONS)
         self.work(words, [dest], feedback)
         if self.parameterAsBoolean(parameters, "LOAD", context):
@@ -126,21 +98,13 @@ class MakeHeatMap(WorkerAlgorithm):
         return {"OUTPUT": dest, **layers_of(Path(dest))}
 
 
-def occupancies_in(folder: str) -> list[str]:
-    """Return a folder of occupancy, or those that are in it, as a site's run leaves them."""
-    inside = sorted(Path(folder).glob("*/manifest.json"))
-    if (Path(folder) / "manifest.json").is_file() or not inside:
-        return [folder]
-    return [str(manifest.parent) for manifest in inside]
-
-
 def layers_of(folder: Path) -> dict[str, str]:
     """Return what is in a heat map's folder, by output."""
     package = folder / "heatmap.gpkg"
     return {
         "HEATMAP": f"{package}|layername=heatmap",
         "INTERVALS": f"{package}|layername={INTERVALS}",
-        "RASTER": str(folder / "heatmap.tif"),
+        "RASTER": str(folder / ("heatmap.tif" if shows_occupancy(folder) else "hits.tif")),
         "PICTURE": str(folder / "heatmap.png"),
     }
 

@@ -66,7 +66,7 @@ class LocalizeRadar(WorkerAlgorithm):
             QgsProcessingParameterMultipleLayers(
                 "SCANS", tr("Airborne scans"), QgsProcessing.SourceType.TypeFile, optional=True
             ),
-            about="Whole and not masked, for a second look: what stands around the radar is "
+            about="Whole and not masked, to check the pose: what stands around the radar is "
             "compared with their trees and walls.",
         )
         self.add(

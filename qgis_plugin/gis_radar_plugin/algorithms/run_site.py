@@ -29,7 +29,7 @@ class RunSite(WorkerAlgorithm):
     GROUP = TRAFFIC
     HELP = (
         "Goes the whole way for all sensors of a site, as its site file (TOML) sets out: road, "
-        "tiles, poses, occupancy, vehicles, heat map.\n"
+        "tiles, poses, dataset, heat map.\n"
         "The folder also holds a QGIS project that is ready to present."
     )
     KEYWORDS = ("batch", "nightly", "project")

@@ -28,7 +28,7 @@ class FindSight(WorkerAlgorithm):
         "Finds which tiles radars see from where they stand, and which are hidden by what stands "
         "in an airborne scan: houses, walls, trees.\n"
         "With recordings, tiles are listed where these contradict the scan, such as what was built "
-        "or pulled down since, and what they see is corrected. 'Occupancy from recordings' takes "
+        "or pulled down since, and what they see is corrected. 'Measure traffic' takes "
         "the result in place of the scans."
     )
     KEYWORDS = ("visibility", "line of sight", "viewshed")

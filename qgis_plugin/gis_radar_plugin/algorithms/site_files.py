@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from qgis.core import (
-    QgsProcessing,
     QgsProcessingContext,
     QgsProcessingFeedback,
     QgsProcessingOutputFile,
@@ -14,7 +13,6 @@ from qgis.core import (
     QgsProcessingParameterFile,
     QgsProcessingParameterFileDestination,
     QgsProcessingParameterFolderDestination,
-    QgsProcessingParameterMultipleLayers,
 )
 
 from ..base import RESULTS, SITE, WorkerAlgorithm, option
@@ -28,7 +26,7 @@ from ..parameters import (
 )
 from ..words import tr
 
-REPORT_OPTIONS = ("TITLE", "TIMEZONE", "LANGUAGE", "CSV_LOCALE")
+REPORT_OPTIONS = ("DATASET", "TITLE", "TIMEZONE", "LANGUAGE", "CSV_LOCALE")
 
 
 class CheckSite(WorkerAlgorithm):
@@ -84,11 +82,8 @@ class WriteReport(WorkerAlgorithm):
         add_language(self)
         add_csv_locale(self)
         self.add(
-            QgsProcessingParameterMultipleLayers(
-                "OCCUPANCY", tr("Occupancy"), QgsProcessing.SourceType.TypeFile, optional=True
-            ),
-            about="What the heat map was made of, where it is not in the folder: its files "
-            "manifest.json.",
+            QgsProcessingParameterFile("DATASET", tr("Dataset"), folder, optional=True),
+            about="What the heat map was made of, where it is not in the folder.",
             advanced=True,
         )
         self.add(
@@ -108,8 +103,6 @@ class WriteReport(WorkerAlgorithm):
         results = self.parameterAsFile(parameters, "RESULTS", context)
         dest = self.parameterAsString(parameters, "OUTPUT", context)
         words = ["report", results, *option("-o", dest)]
-        for manifest in self.files(parameters, "OCCUPANCY", context):
-            words += ["--occupancy", str(Path(manifest).parent)]
         words += given_words(self, parameters, context, REPORT_OPTIONS)
         answer = self.work(words, [dest] if dest else [], feedback)
         page = next((path for path in answer.outputs if path.endswith(".html")), "")

@@ -109,7 +109,7 @@ def _count(layer: QgsVectorLayer) -> int:
 def explained(project: QgsProject) -> dict[str, QgsMapLayer]:
     """Return the layers that the legend explains, by the ids of the template, top to bottom."""
     names = {
-        "gis_radar_heatmap": [tr("Coverage, whole time"), tr("Occupancy, whole time")],
+        "gis_radar_heatmap": [tr("Occupancy, whole time"), tr("Hit share, whole time")],
         "gis_radar_ground": [tr("Road, not observed")],
         **{
             f"gis_radar_{table}": [tr(name)]

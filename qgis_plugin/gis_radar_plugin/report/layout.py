@@ -94,9 +94,9 @@ def _drive_map(chart: QgsLayoutItemMap, pages: QgsVectorLayer) -> None:
 
 def _fill_legend(legend: QgsLayoutItemLegend, layers: Mapping[str, QgsMapLayer]) -> None:
     """Put the layers in the place of the template's, with the properties that it has for each."""
-    covered = tr("Coverage"), tr("share of time with a vehicle")
-    title = ": ".join(covered)
-    if _measure(layers) != "coverage":
+    occupied = tr("Occupancy"), tr("share of time with a vehicle")
+    title = ": ".join(occupied)
+    if _measure(layers) != "occupancy":
         title = tr("Share of the observed time")
     legend.setTitle(_wrapped(title))
     legend.setAutoUpdateModel(False)
@@ -125,15 +125,15 @@ def _literal(text: str) -> str:
 
 
 def _measure(layers: Mapping[str, QgsMapLayer]) -> str:
-    """Return which column the layers show: coverage or occupancy."""
+    """Return which column the layers show: occupancy or hit share."""
     renderers = [getattr(layer, "renderer", lambda: None)() for layer in layers.values()]
     shown = {getattr(each, "classAttribute", str)() for each in renderers}
-    return "coverage" if "coverage" in shown else "occupancy"
+    return "occupancy" if "occupancy" in shown else "hit_share"
 
 
 def _explain(layout: QgsPrintLayout, layers: Mapping[str, QgsMapLayer]) -> None:
     """Leave on the sheet what its measure means, and where it ends, in the language of QGIS."""
-    for measure in ("coverage", "occupancy"):
+    for measure in ("occupancy", "hit_share"):
         label: Any = layout.itemById(f"meaning {measure}")
         if measure == _measure(layers):
             label.setText(tr(label.text()))

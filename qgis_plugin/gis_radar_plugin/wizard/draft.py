@@ -115,7 +115,7 @@ class SiteDraft:
                 "files": [_path(each, folder) for each in self.scans], "crs": self.scan_crs,
                 "source": self.scan_source,
             },
-            "occupancy": {
+            "measure": {
                 "clearance": list(VEHICLES_M) if self.vehicles_only and self.scans else [],
                 "clocks": _path(self.clocks, folder) if self.clocks else "",
             },
@@ -180,10 +180,7 @@ def open_draft(read: Table, text: str, folder: Path) -> SiteDraft:
             raise TypeError(name)
         return found
 
-    if "time_zone" in read:  # as earlier versions call it
-        read = {"timezone": read["time_zone"], **read}
-        del read["time_zone"]
-    found, scan, counted = table("map"), table("scan"), table("occupancy")
+    found, scan, counted = table("map"), table("scan"), table("measure")
     follow, heat = table("vehicles"), table("heatmap")
     clocks = str(counted.get("clocks", ""))
     draft = SiteDraft(

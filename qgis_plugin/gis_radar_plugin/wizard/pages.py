@@ -389,7 +389,7 @@ class ResultPage(Page):
         form.addRow("", note(tr(
             "Length of the intervals: 20s, 15min, 1h; empty for the whole time only."
         )))  # fmt: skip
-        follow = self.switch("follow", tr("Follow vehicles: the maps show coverage"), on=True)
+        follow = self.switch("follow", tr("Follow vehicles: the maps show occupancy"), on=True)
         form.addRow("", follow)
         moving = self.switch(
             "footprints", tr("Single vehicles that move on the map (not to be published)"), on=False
@@ -398,7 +398,7 @@ class ResultPage(Page):
         self.moving_box = moving
         form.addRow("", moving)
         form.addRow("", self.switch(
-            "vehicles_only", tr("Count only what is -0.5 to 4.5 m over the road: vehicles"), on=True
+            "vehicles_only", tr("Count as hits only what is -0.5 to 4.5 m over the road"), on=True
         ))  # fmt: skip
         self.clocks_box = file_box(tr("Clocks") + " (*.json)")
         self.clocks_box.fileChanged.connect(lambda text: self.keep("clocks", text.strip()))

@@ -20,6 +20,7 @@ from qgis.PyQt.QtWidgets import QMessageBox, QWizard
 
 from ..base import WorkerAlgorithm, chosen_python
 from ..loading import as_ground
+from ..opening import open_project
 from ..runner import Answer, WorkerError
 from ..words import language, tr
 from .canvas import PlaceTool, SensorItem, heading_of, moved
@@ -53,6 +54,7 @@ class SiteWizard(QWizard):  # type: ignore[misc]
         self._items: list[SensorItem] = []
         self._tool: PlaceTool | None = None
         self._tool_before: Any = None
+        QgsProject.instance().cleared.connect(self.forget_drawing)
         self.setWindowTitle(tr("New site"))
         self.setWizardStyle(QWizard.WizardStyle.ModernStyle)
         self.setOption(QWizard.WizardOption.NoBackButtonOnStartPage)
@@ -194,9 +196,8 @@ class SiteWizard(QWizard):  # type: ignore[misc]
     # The end.
 
     def open_project(self, path: Path) -> None:
-        """Open a project in place of the present one, which is saved first if the user likes."""
-        self.forget_drawing()
-        self._iface.addProject(str(path))
+        """Open a project in place of the present one; QGIS asks where that is not saved."""
+        open_project(self._iface, path)
 
     def reject(self) -> None:
         """Leave; a run that is not done is stopped if the user says so."""

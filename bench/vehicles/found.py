@@ -1,0 +1,124 @@
+"""What is scored: the vehicles of a dataset, or those that a peer found.
+
+A peer gives states alone. Tiles that they occupy and lanelets that they pass follow by the truth's
+own rules, over the steps that are truly visible: what differs from the truth is the vehicles alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+from passages import lanes_of, true_passages
+from scenes import SceneFiles
+from tracks import COLUMNS
+from true_occupancy import TrueOccupancy, occupied_steps
+from true_traffic import TrueTraffic
+
+import gis_radar as gr
+from gis_radar.arrays import Booleans
+from gis_radar.dataset.states import states_of
+from gis_radar.dataset.tables import CONTINUED, OCCUPIED, PASSAGES
+
+ESTIMATES = ["tile_id", "occupied_s", "visible_s", "occupancy", "occupancy_se"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """Vehicles, and what follows from them.
+
+    Parameters
+    ----------
+    states : DataFrame
+        `tracks.COLUMNS` at each step.
+    passages : DataFrame
+        `lanelet_id step`.
+    occupancy : DataFrame
+        `tile_id occupied_s visible_s occupancy`, of a dataset `occupancy_se`; tiles that were
+        visible.
+    occupied : (n, steps) bool array
+        Of the tiles and steps of the truth.
+    """
+
+    states: pd.DataFrame = field(repr=False)
+    passages: pd.DataFrame = field(repr=False)
+    occupancy: pd.DataFrame = field(repr=False)
+    occupied: Booleans = field(repr=False)
+
+
+def found_in(dataset: gr.Dataset, truth: TrueOccupancy) -> Found:
+    """Return what a dataset holds."""
+    runs = pd.concat(each.to_pandas() for each in dataset.batches(OCCUPIED))
+    passages = pd.concat(each.to_pandas() for each in dataset.batches(PASSAGES))
+    return Found(
+        states=estimated_states(dataset), passages=passages[["lanelet_id", "step"]],
+        occupancy=estimated_occupancy(dataset), occupied=_steps_of(runs, truth),
+    )  # fmt: skip
+
+
+def estimated_states(dataset: gr.Dataset) -> pd.DataFrame:
+    """Return the states of a dataset's vehicles at each step; one that goes on keeps its number."""
+    parts = []
+    for vehicles, states in states_of(dataset):
+        length = states["vehicle"].map(vehicles.set_index("vehicle")["length_m"])
+        parts.append(states.assign(length=length, heading=np.radians(states["heading"])))
+    table = pd.concat(parts, ignore_index=True)[list(COLUMNS)]
+    joined: dict[int, int] = {}
+    for rows in dataset.batches(CONTINUED):
+        pairs = zip(rows["vehicle"].to_pylist(), rows["next"].to_pylist(), strict=True)
+        joined |= {later: joined.get(one, one) for one, later in pairs}
+    return table.assign(vehicle=table["vehicle"].replace(joined))
+
+
+def estimated_occupancy(dataset: gr.Dataset) -> pd.DataFrame:
+    """Return `ESTIMATES` of the tiles that were visible, as a heat map states them."""
+    wide = gr.make_heatmap(dataset).wide()
+    return pd.DataFrame(wide.loc[wide["visible_s"] > 0.0, ESTIMATES])
+
+
+def found_by_peer(site: SceneFiles, states: pd.DataFrame) -> Found:
+    """Return what follows from the states that a peer found on a scene: `COLUMNS`, `width`."""
+    lanes = lanes_of(site.tiles(), gr.read_map(site.map))
+    traffic, truth = traffic_of_states(states), site.truth()
+    occupied = occupied_by(traffic, site.tiles(), truth)
+    table = replace(truth, occupied=occupied).table()
+    return Found(
+        states=states[list(COLUMNS)], occupied=occupied,
+        passages=true_passages(lanes, traffic, truth)[["lanelet_id", "step"]],
+        occupancy=table[table["visible_s"] > 0.0],
+    )  # fmt: skip
+
+
+def traffic_of_states(states: pd.DataFrame) -> TrueTraffic:
+    """Return states as traffic, on whichever level of the road."""
+    reach, heading = states["length"] / 2.0, states["heading"]
+    table = states.assign(
+        front_e=states["easting"] + reach * np.cos(heading),
+        front_n=states["northing"] + reach * np.sin(heading), height=np.nan,
+    ).sort_values(["vehicle", "step"], ignore_index=True)  # fmt: skip
+    return TrueTraffic(states=table, bodies=table, kinds={})
+
+
+def occupied_by(traffic: TrueTraffic, tiles: gpd.GeoDataFrame, truth: TrueOccupancy) -> Booleans:
+    """Return (tiles, steps) of the truth: what traffic occupies."""
+    count = truth.occupied.shape[1]
+    inside = traffic.within(truth.first_step, truth.first_step + count - 1)
+    seen = tiles[tiles["tile_id"].isin(truth.tile_id)]
+    return occupied_steps(seen, inside, truth.first_step, count)
+
+
+def _steps_of(runs: pd.DataFrame, truth: TrueOccupancy) -> Booleans:
+    """Return (tiles, steps) of the truth: what runs hold."""
+    row = np.searchsorted(truth.tile_id, runs["tile_id"])
+    row = np.minimum(row, len(truth.tile_id) - 1)
+    count = truth.occupied.shape[1]
+    first = (runs["first_step"] - truth.first_step).to_numpy()
+    after = (runs["last_step"] - truth.first_step + 1).to_numpy()
+    known = (truth.tile_id[row] == runs["tile_id"]) & (first < count) & (after > 0)
+    row, first, after = row[known], np.maximum(first[known], 0), np.minimum(after[known], count)
+    change = np.zeros((len(truth.tile_id), count + 1), np.int32)
+    np.add.at(change, (row, first), 1)
+    np.add.at(change, (row, after), -1)
+    return np.asarray(np.cumsum(change, axis=1)[:, :-1] > 0)

@@ -1,0 +1,70 @@
+"""The commands about a dataset: query, dataset."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+import gis_radar as gr
+from gis_radar.cli.console import Result, command
+from gis_radar.cli.options import DURATION, FILE
+from gis_radar.files import refuse_inputs
+from gis_radar.progress import Reporter
+
+
+@command(
+    example='gis-radar query results/dataset "SELECT tile_id, sum(hit_steps) AS hits '
+    'FROM tile_counts GROUP BY tile_id ORDER BY hits DESC LIMIT 10"'
+)
+@click.argument("folder", metavar="DATASET", type=FILE)
+@click.argument("sql", metavar="SELECT")
+@click.option("-o", "--output", type=FILE, help="Write the whole answer: .csv or .parquet.")
+@click.option(
+    "--limit", type=click.IntRange(min=1), default=1000, show_default=True,
+    help="How many rows are shown.",
+)  # fmt: skip
+@click.option(
+    "--timeout", "timeout_s", type=DURATION, default="60s", show_default=True,
+    help="After how long the question is given up.",
+)  # fmt: skip
+@click.option(
+    "--memory", default="2GB", show_default=True, help="How much memory the question may take."
+)
+def query(
+    *, folder: Path, sql: str, output: Path | None, limit: int, reporter: Reporter, **options: Any
+) -> Result:  # fmt: skip
+    """Ask a dataset in SQL (DuckDB): one SELECT over its tables; no files, no network."""
+    dataset = gr.open_dataset(folder, reporter=reporter)
+    if output is None:
+        rows, total = dataset.first_rows(sql, limit, **options)
+        return Result(outputs=[], summary={"total": total}, rows=rows)
+    refuse_inputs(output, folder)
+    return Result(outputs=[output], summary={"total": dataset.write_answer(sql, output, **options)})
+
+
+@command(example="gis-radar dataset results/dataset")
+@click.argument("folder", metavar="DATASET", type=FILE)
+@click.option("--check", is_flag=True, help="Compare all bytes with the digests of their hours.")
+@click.option(
+    "--withdraw", metavar="RECORDING", multiple=True,
+    help="Take a recording out, and make its hours again without it; repeatable.",
+)  # fmt: skip
+@click.option(
+    "--relink", metavar="FOLDER", type=FILE, help="Find recordings that were moved, by content."
+)
+def dataset(
+    *, folder: Path, check: bool, withdraw: tuple[str, ...], relink: Path | None,
+    reporter: Reporter,
+) -> Result:  # fmt: skip
+    """Say what a dataset holds: recordings, hours, rows by table."""
+    moved = {}
+    if relink is not None:
+        moved = {"recordings_found": gr.relink(folder, relink, reporter=reporter)}
+    if withdraw:
+        gr.withdraw(folder, withdraw, reporter=reporter)
+    found = gr.open_dataset(folder, reporter=reporter)
+    if check:
+        found.check(reporter)
+    return Result(outputs=[], summary=moved | found.figures(), timezone=found.manifest.timezone)

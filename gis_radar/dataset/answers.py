@@ -1,0 +1,119 @@
+"""Answers of queries: types that every program knows, rows for people, files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.csv
+import pyarrow.parquet as pq
+
+from gis_radar.errors import UsageError
+from gis_radar.files import atomic_write
+
+
+def plain_schema(schema: pa.Schema) -> pa.Schema:
+    """Return a schema with times in UTC and 64-bit numbers for DuckDB's wider ones."""
+    for place, each in enumerate(schema):
+        kind = each.type
+        if pa.types.is_timestamp(kind) and kind.tz:
+            kind = pa.timestamp("us", "UTC")
+        elif pa.types.is_decimal(kind):
+            kind = pa.float64() if kind.scale else pa.int64()
+        schema = schema.set(place, each.with_type(kind))
+    return schema
+
+
+def plain(table: pa.Table) -> pa.Table:
+    """Return an answer with times in UTC and 64-bit numbers."""
+    return table.cast(plain_schema(table.schema))
+
+
+def texts(table: pa.Table) -> pa.Table:
+    """Return an answer with times as ISO 8601 text and lists as words, as CSV has them."""
+    words = [
+        pc.binary_join(column.combine_chunks().cast(pa.list_(pa.string())), " ")
+        if pa.types.is_list(column.type)
+        else _iso(column)
+        for column in table.columns
+    ]
+    return pa.table(words, names=table.column_names)
+
+
+def stamped(table: pa.Table) -> pa.Table:
+    """Return an answer with times as ISO 8601 text, no finer than needed."""
+    columns = [_short(column) for column in table.columns]
+    return pa.table(columns, names=table.column_names)
+
+
+def _iso(column: pa.ChunkedArray) -> pa.ChunkedArray:
+    is_time = pa.types.is_timestamp(column.type) and column.type.tz
+    return pc.strftime(column, format="%Y-%m-%dT%H:%M:%SZ") if is_time else column
+
+
+def _short(column: pa.ChunkedArray) -> pa.ChunkedArray:
+    if (whole := _iso(column)) is column:
+        return column
+    whole = pc.replace_substring_regex(whole, r"\.0+Z$", "Z")
+    return pc.replace_substring_regex(whole, r"(\.\d*[1-9])0+Z$", r"\1Z")
+
+
+def first_rows(batches: Iterable[pa.RecordBatch], most: int) -> tuple[list[dict[str, Any]], int]:
+    """Return the first rows of an answer as JSON can hold them, and how many it has.
+
+    Parameters
+    ----------
+    batches : iterable of pyarrow.RecordBatch
+        Of :func:`gis_radar.dataset.queries.run_query`.
+    most : int
+        How many rows.
+    """
+    rows: list[dict[str, Any]] = []
+    total = 0
+    for batch in batches:
+        total += batch.num_rows
+        part = pa.Table.from_batches([batch]).slice(0, most - len(rows))
+        rows += stamped(plain(part)).to_pylist()
+    return rows, total
+
+
+def write_answer(schema: pa.Schema, batches: Iterable[pa.RecordBatch], path: Path) -> int:
+    """Write an answer as it comes, whole or not at all; memory is that of a batch.
+
+    Parameters
+    ----------
+    schema, batches : pyarrow.Schema, iterable of pyarrow.RecordBatch
+        Of :func:`gis_radar.dataset.queries.run_query`.
+    path : Path
+        Ends in `.csv` or `.parquet`.
+
+    Returns
+    -------
+    int
+        How many rows it has.
+
+    Raises
+    ------
+    UsageError
+        If the name ends otherwise.
+    OutputError
+        If it cannot be written.
+    """
+    kinds: dict[str, Callable[[Path, pa.Schema], AbstractContextManager[Any]]] = {
+        ".csv": pyarrow.csv.CSVWriter,
+        ".parquet": pq.ParquetWriter,
+    }
+    if path.suffix.lower() not in kinds:
+        raise UsageError(f"{path}: an answer is written as .csv or .parquet")
+    as_read = texts if path.suffix.lower() == ".csv" else plain
+    written = as_read(plain(schema.empty_table())).schema
+    rows = 0
+    with atomic_write(path) as part, kinds[path.suffix.lower()](part, written) as writer:
+        for batch in batches:
+            writer.write_table(as_read(plain(pa.Table.from_batches([batch]))))
+            rows += batch.num_rows
+    return rows

@@ -1,0 +1,453 @@
+"""A dataset as one object: opened at once, read when it is asked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyogrio
+
+from gis_radar.arrays import Integers
+from gis_radar.dataset.manifest import TILES, Manifest
+from gis_radar.dataset.parts import (
+    MEASURE_AGAIN,
+    hour_begin,
+    hour_of_step,
+    hour_text,
+    whole_table,
+)
+from gis_radar.dataset.reading import Span, read_rows
+from gis_radar.dataset.records import HourRecord, read_hours
+from gis_radar.dataset.tables import (
+    CONTINUED,
+    FRAMES,
+    HITS,
+    HOUR_TABLES,
+    OBSERVED,
+    OCCUPIED,
+    PASSAGES,
+    POSES,
+    RECORDINGS,
+    SIGHTS,
+    TABLES,
+    TILE_COUNTS,
+    TRACKS,
+    VEHICLES,
+    VISIBLE,
+    TableSchema,
+)
+from gis_radar.dataset.tile_counts import check_counts, read_counts
+from gis_radar.dataset.units import for_people
+from gis_radar.errors import InputError, UsageError
+from gis_radar.geopackage import opened_package
+from gis_radar.lanelets.lanes import LANES, STOP_LINES
+from gis_radar.measures.hour import LONGEST_VALID_STEPS
+from gis_radar.measures.validity import Runs, union
+from gis_radar.notebooks import card
+from gis_radar.progress import QUIET, Reporter
+from gis_radar.steps import step_at, zone_of
+from gis_radar.tiles.tiles import LAYER, fingerprint, read_tiles
+
+Moment: TypeAlias = str | datetime | int | None
+"""A time as ISO 8601 text or with its zone; without one by the clocks of the site; or a step."""
+_LAST_STEP = 1 << 62
+TIMEOUT_S, MEMORY = 60.0, "2GB"  # of a question in SQL
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Dataset:
+    """What was measured at a site: tables by hour, read when they are asked for.
+
+    Tables come in metres, degrees, m/s and UTC timestamps; `begin` is included, `end` is not.
+    A time without a zone is by the clocks of the site.
+
+    Parameters
+    ----------
+    folder : Path
+        Where it lies.
+    manifest : Manifest
+        Its map, tiles, coordinate system and settings.
+    """
+
+    folder: Path
+    manifest: Manifest
+    _layers: dict[str, gpd.GeoDataFrame] = field(default_factory=dict, repr=False)
+
+    @property
+    def crs(self) -> str:
+        """Coordinate system of the map frame."""
+        return self.manifest.crs
+
+    @property
+    def timezone(self) -> str:
+        """Time zone of the site."""
+        return self.manifest.timezone
+
+    @property
+    def has_vehicles(self) -> bool:
+        """Whether vehicles were looked for: there are tracks and occupancy."""
+        return self.manifest.settings.get("vehicles") is not None
+
+    @property
+    def sensors(self) -> list[str]:
+        """Names of the sensors with recordings."""
+        return sorted(set(self.whole(RECORDINGS)["sensor"].to_pylist()))
+
+    @property
+    def methods(self) -> list[int]:
+        """Methods by which its hours were made; results of two do not compare."""
+        return sorted({each.origin.method for each in self.records().values()})
+
+    def records(self, span: Span | None = None) -> dict[int, HourRecord]:
+        """Read the records of the complete hours, all or those with steps of a span.
+
+        Raises
+        ------
+        InputError
+            If an hour was made from other tiles.
+        """
+        first, last = (None, None) if span is None else map(hour_of_step, span)
+        found = read_hours(self.folder, first, last)
+        for record in found.values():
+            if record.origin.fingerprint != self.manifest.fingerprint:
+                raise InputError(
+                    f"{self.folder}: {hour_text(record.hour)} was made from other tiles",
+                    hint=MEASURE_AGAIN,
+                )
+        return found
+
+    def span(self, begin: Moment = None, end: Moment = None) -> Span | None:
+        """Return the first and the last step from `begin` up to `end`; None for all.
+
+        Raises
+        ------
+        UsageError
+            If one is no time, or the end is not after the begin.
+        """
+        if begin is None and end is None:
+            return None
+        first, after = (self._step(each, what) for each, what in ((begin, "begin"), (end, "end")))
+        span = (0 if first is None else first, (_LAST_STEP if after is None else after) - 1)
+        if span[0] > span[1]:
+            raise UsageError(f"end {end} is not after begin {begin}")
+        return span
+
+    def batches(
+        self, table: TableSchema, span: Span | None = None, columns: Sequence[str] | None = None
+    ) -> Iterator[pa.Table]:
+        """Read the rows of a table as the files hold them, an hour (a day) at a time.
+
+        Parameters
+        ----------
+        table : TableSchema
+            A table of hours, or the tile counts; these come with a further column `first_step`,
+            in which the interval begins.
+        span : (int, int), optional
+            Only rows with steps from the first to the last. Runs of tiles are cut to it; tile
+            counts are those of intervals that begin in it.
+        columns : sequence of str, optional
+            Which columns; all without it.
+        """
+        records = self.records(span)
+        if table is TILE_COUNTS:
+            tiles = self.manifest.fingerprint
+            return read_counts(self.folder, tiles, records, span, columns)
+        return read_rows(self.folder, table, records, span, columns)
+
+    def frame_steps(self, sensor: str | None = None, *, valid: bool = True) -> Runs:
+        """Return the steps in which a frame is valid, or into which one falls.
+
+        Parameters
+        ----------
+        sensor : str, optional
+            Of which sensor; of any without it.
+        valid : bool
+            Without it, only those into which a frame falls.
+
+        Raises
+        ------
+        InputError
+            If there is none.
+        """
+        parts = []
+        for rows in self.batches(FRAMES, columns=["sensor", "first_step", "last_step"]):
+            if sensor is not None:
+                rows = rows.filter(pc.equal(rows["sensor"], sensor))  # noqa: PLW2901
+            first, last = (rows[name].to_numpy() for name in ("first_step", "last_step"))
+            if len(last) and np.max(last - first) > LONGEST_VALID_STEPS:
+                raise InputError(
+                    f"{self.folder}: frames are valid for too long", hint=MEASURE_AGAIN
+                )
+            parts.append(union([Runs(first=first, last=last if valid else first)]))
+        found = union(parts) if parts else None
+        if found is None or not len(found):
+            raise InputError(f"{self.folder}: holds no frame", hint="were the recordings empty?")
+        return found
+
+    def tiles(self) -> gpd.GeoDataFrame:
+        """Read the tiles.
+
+        Raises
+        ------
+        InputError
+            If they are not those that the dataset was made from.
+        """
+        return self.layer(LAYER)
+
+    def lanes(self) -> gpd.GeoDataFrame:
+        """Read the lanes."""
+        return self.layer(LANES)
+
+    def stop_lines(self) -> gpd.GeoDataFrame:
+        """Read the stop lines."""
+        return self.layer(STOP_LINES)
+
+    def recordings(self) -> pd.DataFrame:
+        """Read which recordings it was made from."""
+        return self._read_whole(RECORDINGS)
+
+    def poses(self) -> gpd.GeoDataFrame:
+        """Read where sensors stand and look."""
+        table = self._read_whole(POSES)
+        places = gpd.points_from_xy(table["easting"], table["northing"], table["height"])
+        return gpd.GeoDataFrame(table, geometry=places, crs=self.crs)
+
+    def sights(self) -> pd.DataFrame:
+        """Read which tiles are in sight of which pose."""
+        return self._read_whole(SIGHTS)
+
+    def sight_of(self, sensor: str) -> Integers:
+        """Return the ids of the tiles in sight of the last pose of a sensor."""
+        recordings, poses, sights = (
+            self.whole(table).to_pandas() for table in (RECORDINGS, POSES, SIGHTS)
+        )
+        mine = recordings[recordings["sensor"] == sensor].sort_values("last_time")
+        head = poses.loc[poses["track"] == mine["pose"].iloc[-1], "sight"].iloc[-1]
+        return np.asarray(sights.loc[sights["pose"] == head, "tile_id"], np.int64)
+
+    def hours(self) -> pd.DataFrame:
+        """Return the complete hours, with their rows by table."""
+        rows = [
+            {"begin": pd.Timestamp(hour_begin(hour)), "method": record.origin.method}
+            | {name: part.rows for name, part in record.parts.items()}
+            for hour, record in self.records().items()
+        ]
+        return pd.DataFrame(rows, columns=None if rows else ["begin", "method"])
+
+    def hits(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
+        """Read the hits: a tile and the time of a step in which it was hit."""
+        return self._read(HITS, begin, end)
+
+    def observed(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
+        """Read from when to when tiles were observed."""
+        return self._read(OBSERVED, begin, end)
+
+    def visible(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
+        """Read from when to when tiles were visible."""
+        return self._read(VISIBLE, begin, end)
+
+    def occupied(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
+        """Read from when to when tiles were occupied, visible or not."""
+        return self._read(OCCUPIED, begin, end)
+
+    def tracks(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
+        """Read the states of vehicles: every 0.2 s, and at a vehicle's first and last step."""
+        return self._read(TRACKS, begin, end)
+
+    def vehicles(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
+        """Read the vehicles."""
+        return self._read(VEHICLES, begin, end)
+
+    def continued(self) -> pd.DataFrame:
+        """Read which two numbers are one vehicle on either side of an hour's begin."""
+        return self._read(CONTINUED, None, None)
+
+    def passages(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
+        """Read the passages of vehicles over the middles of lanelets."""
+        return self._read(PASSAGES, begin, end)
+
+    def frames(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
+        """Read what sensors delivered, a row a frame."""
+        return self._read(FRAMES, begin, end)
+
+    def tile_counts(self, *, begin: Moment = None, end: Moment = None) -> pd.DataFrame:
+        """Read the counts by tile and quarter of an hour; `begin` is that of the quarter."""
+        return self._read(TILE_COUNTS, begin, end)
+
+    def query(
+        self, sql: str, *, timeout_s: float = TIMEOUT_S, memory: str = MEMORY
+    ) -> pd.DataFrame:
+        """Ask a question in SQL (DuckDB): one SELECT over the tables of all complete hours.
+
+        Columns are those of the files, and beside them those that the other methods return. Times
+        are read by the clocks of the site (`hour(begin)`), and returned in UTC.
+
+        Parameters
+        ----------
+        sql : str
+            The question.
+        timeout_s : float
+            After which it is given up, seconds.
+        memory : str
+            That it may take, such as `2GB`.
+
+        Raises
+        ------
+        UsageError
+            If it is no such question, takes too long, or needs too much memory.
+        """
+        from gis_radar.dataset.answers import plain  # noqa: PLC0415 - as below
+
+        with self._asked(sql, timeout_s, memory) as (schema, batches):
+            rows: pd.DataFrame = plain(pa.Table.from_batches(batches, schema)).to_pandas()
+        return rows
+
+    def write_answer(
+        self, sql: str, path: str | Path, *, timeout_s: float = TIMEOUT_S, memory: str = MEMORY
+    ) -> int:
+        """Write the answer of :meth:`query` as `.csv` or `.parquet`; return how many rows it has.
+
+        Raises
+        ------
+        OutputError
+            If it cannot be written.
+        """
+        from gis_radar.dataset.answers import write_answer  # noqa: PLC0415 - as below
+
+        with self._asked(sql, timeout_s, memory) as answer:
+            return write_answer(*answer, Path(path))
+
+    def first_rows(
+        self, sql: str, most: int, *, timeout_s: float = TIMEOUT_S, memory: str = MEMORY
+    ) -> tuple[list[dict[str, Any]], int]:
+        """Return the first rows of the answer of :meth:`query`, and how many rows it has.
+
+        Values are such as JSON holds, times as text.
+        """
+        from gis_radar.dataset.answers import first_rows  # noqa: PLC0415 - as below
+
+        with self._asked(sql, timeout_s, memory) as (_, batches):
+            return first_rows(batches, most)
+
+    def check(self, reporter: Reporter = QUIET) -> None:
+        """Compare the bytes of all parts with the records of their hours; read all tile counts.
+
+        Raises
+        ------
+        InputError
+            For the first part that differs.
+        """
+        records = self.records()
+        for done, record in enumerate(records.values()):
+            for name in sorted(record.parts.keys() - set(record.dropped)):
+                record.check_bytes(self.folder, TABLES[name])
+            reporter.progress("checking parts", done + 1, len(records))
+        check_counts(self.folder, self.manifest.fingerprint, records)
+
+    def figures(self) -> dict[str, Any]:
+        """Return sensors, recordings, time span, hours and how many rows the tables have."""
+        records = self.records()
+        recordings = sorted({Path(path).name for path in self.recordings()["path"]})
+        known: dict[str, Any] = {
+            "sensors": self.sensors, "recordings": recordings, "hours": len(records)
+        }  # fmt: skip
+        if records:
+            known |= {"begin": hour_text(min(records)), "end": hour_text(max(records) + 1)}
+        for table in HOUR_TABLES:
+            parts = [r.parts[table.name] for r in records.values() if table.name in r.parts]
+            if parts:
+                known[table.name] = sum(part.rows for part in parts)
+        if len(self.methods) > 1:
+            known["methods"] = self.methods
+        return known
+
+    def __repr__(self) -> str:
+        known = self.figures()
+        names = ", ".join(known["sensors"]) or "no sensors"
+        hours = f"{known['hours']} hour{'s' if known['hours'] != 1 else ''}"
+        when = f", {known['begin']} to {known['end']}" if known["hours"] else ""
+        counted = (table.name for table in (HITS, VEHICLES, PASSAGES) if table.name in known)
+        rows = "".join(f", {known[name]} {name}" for name in counted)
+        return f"Dataset({str(self.folder)!r}: {names}, {hours}{when}{rows})"
+
+    def _repr_html_(self) -> str:
+        return card("Dataset", {"folder": str(self.folder), **self.figures()})
+
+    def layer(self, name: str) -> gpd.GeoDataFrame:
+        """Read a layer of the tiles: `tiles`, `lanes` or `stop_lines`; each is read once."""
+        if name not in self._layers:
+            tiles = self._tiles()  # no layer of a file with other tiles
+            self._layers[name] = tiles if name == LAYER else self._other_layer(name)
+        return self._layers[name].copy()
+
+    def _tiles(self) -> gpd.GeoDataFrame:
+        tiles = read_tiles(self.folder / TILES)
+        if (got := fingerprint(tiles)) != self.manifest.fingerprint:
+            raise InputError(
+                f"{self.folder / TILES}: has tiles {got}, the dataset is of "
+                f"{self.manifest.fingerprint}",
+                hint="bring back the file that measure wrote",
+            )
+        return tiles
+
+    def _other_layer(self, name: str) -> gpd.GeoDataFrame:
+        with opened_package(self.folder / TILES, what="the tiles of a dataset") as place:
+            return pyogrio.read_dataframe(place, layer=name, use_arrow=True)
+
+    def _asked(
+        self, sql: str, timeout_s: float, memory: str
+    ) -> AbstractContextManager[tuple[pa.Schema, Iterator[pa.RecordBatch]]]:
+        from gis_radar.dataset.queries import run_query  # noqa: PLC0415 - DuckDB, 0.2 s
+
+        return run_query(self, sql, timeout_s=timeout_s, memory=memory)
+
+    def _read(self, table: TableSchema, begin: Moment, end: Moment) -> pd.DataFrame:
+        parts = list(self.batches(table, self.span(begin, end)))
+        whole = pa.concat_tables(parts) if parts else table.empty()
+        return for_people(whole, self.manifest.origin)
+
+    def _read_whole(self, table: TableSchema) -> pd.DataFrame:
+        return for_people(self.whole(table), self.manifest.origin)
+
+    def whole(self, table: TableSchema) -> pa.Table:
+        """Read a table that has one file, as it lies there: recordings, poses or sights."""
+        return whole_table(table, self.folder, self.manifest.fingerprint)
+
+    def _step(self, value: Moment, what: str) -> int | None:
+        if value is None or isinstance(value, int):
+            return value
+        return step_at(value, zone_of(self.manifest.timezone), what=what)
+
+
+def open_dataset(path: str | Path, *, reporter: Reporter = QUIET) -> Dataset:
+    """Open a dataset; its tables are read when they are asked for.
+
+    Parameters
+    ----------
+    path : str or Path
+        The folder that `measure`, `run` or `live` made.
+    reporter : Reporter
+        Receives a warning where hours were made by different methods.
+
+    Raises
+    ------
+    InputError
+        If the folder is no dataset, has a newer schema, or was made by version 0.1.
+    """
+    dataset = Dataset(folder=Path(path), manifest=Manifest.read(path))
+    if len(methods := dataset.methods) > 1:
+        reporter.log(
+            f"{path}: its hours were made by methods {', '.join(map(str, methods))}, whose "
+            "results do not compare; measure the older hours again",
+            "warning",
+        )
+    return dataset

@@ -1,0 +1,404 @@
+"""The hour job: from what all recordings of a site hold in an hour's window to the hour's parts.
+
+What it gives follows from the rows in the window, the poses, sights, tiles and settings, and from
+nothing else: no file, no other hour.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields
+from functools import cached_property
+from itertools import combinations
+from pathlib import Path
+from typing import Any, Self
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+
+from gis_radar.arrays import Integers
+from gis_radar.dataset.parts import Origin
+from gis_radar.dataset.records import HourWriter
+from gis_radar.dataset.tables import (
+    CONTINUED,
+    FRAMES,
+    HITS,
+    OBSERVED,
+    OCCUPIED,
+    PASSAGES,
+    TRACKS,
+    VEHICLES,
+    VISIBLE,
+)
+from gis_radar.errors import InputError
+from gis_radar.lanelets.graph import LaneGraph
+from gis_radar.measures.frame_hash import HashedFrames
+from gis_radar.measures.hour import LONGEST_VALID_STEPS, HourWindow
+from gis_radar.measures.hour_hits import (
+    ValidFrames,
+    frame_columns,
+    observed_runs,
+    sorted_hits,
+    valid_runs,
+)
+from gis_radar.measures.sensor_reading import HitTarget, RecordingCounts, SensorHour, read_sensor
+from gis_radar.measures.settings import DEFAULTS as HIT_DEFAULTS
+from gis_radar.measures.settings import Filters, HitSettings
+from gis_radar.measures.validity import valid_steps
+from gis_radar.measures.views import PlacedRecording
+from gis_radar.sight import SightTiles
+from gis_radar.tiles.lookup import TileGrid
+from gis_radar.tracking.hour_vehicles import HourVehicles, vehicles_of_hour
+from gis_radar.tracking.occupancy_settings import DEFAULTS as OCCUPANCY_DEFAULTS
+from gis_radar.tracking.occupancy_settings import OccupancySettings
+from gis_radar.tracking.settings import DEFAULTS as VEHICLE_DEFAULTS
+from gis_radar.tracking.settings import VehicleSettings
+from gis_radar.tracking.visibility import SensorView
+
+METHOD = 1
+"""Raised whenever the same inputs would give other parts."""
+
+MOST_EQUAL_FRAMES = 5  # of two sensors, by chance: of frames with so many detections never
+LEAST_TOLD = 2  # detections of a frame that tell it from others
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasureSettings:
+    """Settings in effect for all hours of a dataset.
+
+    Parameters
+    ----------
+    filters : Filters
+        Which detections count as hits.
+    hits : HitSettings
+        Constants of the hits.
+    vehicles : VehicleSettings, optional
+        Of the tracker; without it, no vehicles are looked for.
+    occupancy : OccupancySettings
+        Of footprints and visibility.
+    """
+
+    filters: Filters = field(default_factory=Filters)
+    hits: HitSettings = HIT_DEFAULTS
+    vehicles: VehicleSettings | None = VEHICLE_DEFAULTS
+    occupancy: OccupancySettings = OCCUPANCY_DEFAULTS
+
+    @property
+    def margin(self) -> int:
+        """Steps on either side of an hour that its parts follow from."""
+        if self.vehicles is None:
+            return LONGEST_VALID_STEPS
+        return max(LONGEST_VALID_STEPS, 2 * self.vehicles.blocks.margin_steps)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return all of them, as the manifest holds them."""
+        return dict(json.loads(json.dumps(asdict(self))))
+
+    @classmethod
+    def from_dict(cls, known: Mapping[str, Any]) -> Self:
+        """Return settings as a manifest holds them."""
+        filters, tracker = dict(known["filters"]), known["vehicles"]
+        if filters["clearance"] is not None:
+            filters["clearance"] = tuple(filters["clearance"])
+        stages = [] if tracker is None else fields(VehicleSettings)
+        made = {s.name: type(getattr(VEHICLE_DEFAULTS, s.name))(**tracker[s.name]) for s in stages}
+        return cls(
+            filters=Filters(**filters), hits=HitSettings(**known["hits"]),
+            vehicles=None if tracker is None else VehicleSettings(**made),
+            occupancy=OccupancySettings(**known["occupancy"]),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseView:
+    """What a sensor sees from a pose.
+
+    Parameters
+    ----------
+    sensor : str
+        Its name.
+    position : (float, float, float)
+        Easting, northing, height, metres.
+    tile_id : (n,) int64 array
+        Tiles in sight, ascending.
+    road_m : float
+        Height of the road near the sensor, metres; NaN where it is not known.
+    """
+
+    sensor: str
+    position: tuple[float, float, float]
+    tile_id: Integers
+    road_m: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class HourSite:
+    """What all hours of a dataset have in common.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the dataset.
+    tiles : GeoDataFrame
+        All tiles, by ascending id.
+    graph : LaneGraph, optional
+        The lanes; without them, no vehicles are looked for.
+    origin : (int, int)
+        From where tracks count, whole metres.
+    settings : MeasureSettings
+        In effect.
+    views : mapping
+        What is seen, by the name of the pose.
+    validity_s : mapping
+        By sensor, how long its frames are valid.
+    """
+
+    folder: Path
+    tiles: gpd.GeoDataFrame
+    graph: LaneGraph | None
+    origin: tuple[int, int]
+    settings: MeasureSettings
+    views: Mapping[str, PoseView]
+    validity_s: Mapping[str, float]
+
+    @cached_property
+    def target(self) -> HitTarget:
+        """What detections are assigned to."""
+        road = SightTiles.of(self.tiles)
+        return HitTarget(
+            road=road, grid=TileGrid(road.quads), filters=self.settings.filters,
+            settings=self.settings.hits, road_m=self.road_m,
+            rcs=self.settings.vehicles is not None or self.settings.filters.min_rcs is not None,
+        )  # fmt: skip
+
+    @cached_property
+    def road_m(self) -> dict[tuple[str, str], float]:
+        """By sensor and view, the height of the road near the sensor."""
+        return {(view.sensor, name): view.road_m for name, view in self.views.items()}
+
+    @cached_property
+    def in_sight(self) -> dict[str, Integers]:
+        """By view, the positions of the tiles in sight."""
+        ids = self.target.road.tile_id
+        return {name: np.searchsorted(ids, view.tile_id) for name, view in self.views.items()}
+
+    @property
+    def finds_vehicles(self) -> bool:
+        """Whether vehicles are looked for."""
+        return self.settings.vehicles is not None and self.graph is not None
+
+
+@dataclass(frozen=True, kw_only=True)
+class MadeHour:
+    """Result of an hour beside its parts.
+
+    Parameters
+    ----------
+    hour : int
+        Since 1970.
+    evidence : dict
+        What was counted, by the path of the recording.
+    vehicles : int
+        How many vehicles there are.
+    on_lanes : list of DataFrame
+        Where sensors see vehicles drive.
+    """
+
+    hour: int
+    evidence: dict[str, RecordingCounts]
+    vehicles: int
+    on_lanes: list[pd.DataFrame]
+
+
+def make_hour(
+    site: HourSite,
+    hour: int,
+    sources: Sequence[PlacedRecording],
+    count_rows: Callable[[int], None] = lambda _: None,
+) -> MadeHour:
+    """Make the parts of an hour, and write them.
+
+    Parameters
+    ----------
+    site : HourSite
+        What all hours have in common.
+    hour : int
+        Since 1970.
+    sources : sequence of PlacedRecording
+        All recordings that reach into the window, those of a sensor by their first frame.
+    count_rows : callable
+        Called with the numbers of rows read.
+
+    Raises
+    ------
+    InputError
+        If a recording is damaged, two of one sensor differ in the time that both hold, or two
+        sensors delivered the same frames.
+    """
+    window = HourWindow(hour=hour, margin=site.settings.margin)
+    sensors = read_sensors(site, window, sources, count_rows=count_rows)
+    evidence = {
+        source.recording.path.as_posix(): counted
+        for sensor in sensors
+        for source, counted in zip(sensor.sources, sensor.evidence, strict=True)
+    }
+    sensors = [sensor for sensor in sensors if len(sensor.frames)]
+    valid = [ValidFrames.of(each, valid_steps(site.validity_s[each.sensor])) for each in sensors]
+    held = valid_runs(sensors, valid, window)
+    origin = Origin(
+        fingerprint=site.target.road.fingerprint, method=METHOD,
+        inputs=digest_of_inputs(sensors, site),
+    )  # fmt: skip
+    vehicles, on_lanes = 0, list[pd.DataFrame]()
+    with HourWriter(folder=site.folder, hour=hour, origin=origin) as writer:
+        _write_hits(writer, sensors, valid, held, site, window)
+        if site.finds_vehicles:
+            found = _vehicles(sensors, window, held, site)
+            _write_vehicles(writer, found, site.origin)
+            vehicles, on_lanes = len(found.vehicles), found.on_lanes
+    return MadeHour(hour=hour, evidence=evidence, vehicles=vehicles, on_lanes=on_lanes)
+
+
+def read_sensors(
+    site: HourSite,
+    window: HourWindow,
+    sources: Sequence[PlacedRecording],
+    *,
+    count_hits: bool = True,
+    count_rows: Callable[[int], None] = lambda _: None,
+) -> list[SensorHour]:
+    """Read what all sensors delivered in a window; refuse what cannot be.
+
+    Parameters and errors as of :func:`make_hour`; without hits, the frames are only compared.
+    """
+    by_sensor: dict[str, list[PlacedRecording]] = {}
+    for source in sources:
+        by_sensor.setdefault(source.track.sensor, []).append(source)
+    sensors = [
+        read_sensor(found, window, site.target, count_hits=count_hits, count_rows=count_rows)
+        for _, found in sorted(by_sensor.items())
+    ]
+    refuse_equal_frames(sensors)
+    return sensors
+
+
+def refuse_equal_frames(sensors: Sequence[SensorHour]) -> None:
+    """Refuse two sensors that delivered the same frames: one recording is given for both.
+
+    Raises
+    ------
+    InputError
+        If there are such.
+    """
+    for one, other in combinations(sensors, 2):
+        same = np.intersect1d(_told(one.frames), _told(other.frames))
+        if len(same) > MOST_EQUAL_FRAMES:
+            first, second = (
+                each.sources[int(each.source[np.flatnonzero(each.frames.hash == same[0])[0]])]
+                for each in (one, other)
+            )
+            raise InputError(
+                f"{second.recording.path}: {len(same):,} frames of {other.sensor} are those of "
+                f"{one.sensor} in {first.recording.path}",
+                hint="give each sensor its own recording",
+            )
+
+
+def _told(frames: HashedFrames) -> np.ndarray[tuple[int], np.dtype[np.uint64]]:
+    return frames.hash[frames.detections >= LEAST_TOLD]
+
+
+def digest_of_inputs(sensors: Sequence[SensorHour], site: HourSite) -> str:
+    """Return the digest of all that an hour's parts follow from, but tiles and method.
+
+    Equal for equal rows in the window, in however many files they come.
+    """
+    digest = hashlib.sha256(json.dumps(site.settings.as_dict(), sort_keys=True).encode())
+    for sensor in sensors:
+        digest.update(f"{sensor.sensor} {site.validity_s[sensor.sensor]!r}".encode())
+        known: dict[str, int] = {}
+        number = np.empty(len(sensor.frames), np.int64)
+        for k, source in enumerate(sensor.sources):
+            mine = sensor.source == k
+            for index in np.unique(sensor.pose[mine]).tolist():
+                text = _described(source, index, site)
+                number[mine & (sensor.pose == index)] = known.setdefault(text, len(known))
+        digest.update(json.dumps(list(known)).encode())
+        for column in (number, sensor.frames.time_us, sensor.frames.hash):
+            digest.update(column.tobytes())
+    return digest.hexdigest()
+
+
+def _described(source: PlacedRecording, index: int, site: HourSite) -> str:
+    """Return a pose, what is seen from it, and the clock, as a text that compares."""
+    view = site.views[source.views[index]]
+    clock = None if source.clock is None else asdict(source.clock)
+    sight = hashlib.sha256(view.tile_id.tobytes()).hexdigest()
+    return json.dumps(
+        [source.track.poses[index].as_dict(), source.views[index], view.road_m, sight, clock],
+        sort_keys=True,
+    )
+
+
+def _write_hits(
+    writer: HourWriter, sensors: Sequence[SensorHour], valid: Sequence[ValidFrames],
+    held: pd.DataFrame, site: HourSite, window: HourWindow,
+) -> None:  # fmt: skip
+    ids = site.target.road.tile_id
+    seen = {name: len(view.tile_id) for name, view in site.views.items()}
+    pairs = zip(sensors, valid, strict=True)
+    writer.write(FRAMES, (frame_columns(each, frames, window, seen) for each, frames in pairs))
+    writer.write(HITS, sorted_hits(sensors, valid, ids, window))
+    tile, first, last = observed_runs(held, site.in_sight, len(ids), window)
+    writer.write(OBSERVED, {"tile_id": ids[tile], "first_step": first, "last_step": last})
+
+
+def _vehicles(
+    sensors: Sequence[SensorHour], window: HourWindow, held: pd.DataFrame, site: HourSite
+) -> HourVehicles:
+    views = [
+        SensorView(
+            sensor=view.sensor, view=name, tile_id=view.tile_id, position=np.array(view.position)
+        )
+        for name, view in site.views.items()
+    ]
+    settings = site.settings.vehicles
+    assert settings is not None  # noqa: S101 - the caller has looked
+    assert site.graph is not None  # noqa: S101
+    return vehicles_of_hour(
+        sensors, window, held=held, tiles=site.tiles, views=views, graph=site.graph,
+        road_m=site.road_m, settings=settings, occupancy=site.settings.occupancy,
+    )  # fmt: skip
+
+
+def _write_vehicles(writer: HourWriter, found: HourVehicles, origin: tuple[int, int]) -> None:
+    tracks, on = found.tracks, found.tracks["lanelet_id"].notna().to_numpy()
+    placed = {
+        name: np.ma.masked_array(_hundredths(tracks[of].fillna(0.0)), ~on)
+        for name, of in (("s_cm", "s_m"), ("d_cm", "d_m"))
+    }
+    lanelet = tracks["lanelet_id"].fillna(0).to_numpy(np.int64)
+    writer.write(
+        TRACKS,
+        {
+            "vehicle": tracks["vehicle"], "step": tracks["step"],
+            "x_cm": _hundredths(tracks["easting"] - origin[0]),
+            "y_cm": _hundredths(tracks["northing"] - origin[1]),
+            "heading_cdeg": _hundredths(tracks["heading"]),
+            "speed_cms": _hundredths(tracks["speed"]),
+            "lanelet_id": np.ma.masked_array(lanelet, ~on), **placed, "seen": tracks["seen"],
+        },
+    )  # fmt: skip
+    writer.write(VEHICLES, found.vehicles.assign(p_exists=np.nan))  # the tracker does not tell it
+    writer.write(CONTINUED, found.continued)
+    speed = _hundredths(found.passages["speed"])
+    writer.write(PASSAGES, found.passages.assign(speed_cms=speed))
+    writer.write(OCCUPIED, found.occupied)
+    writer.write(VISIBLE, found.visible)
+
+
+def _hundredths(values: pd.Series) -> Integers:
+    return np.rint(values.to_numpy(np.float64) * 100.0).astype(np.int64)

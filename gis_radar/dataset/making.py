@@ -1,0 +1,257 @@
+"""Change the recordings of a dataset, and make the hours that follow from that.
+
+The registry is written first, without the hours that a change touches: whenever a run is killed,
+the next one sees what is to be made. An hour's record is removed before any of its parts changes.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from gis_radar.dataset.hour_job import HourSite, MadeHour, make_hour, read_sensors
+from gis_radar.dataset.manifest import Manifest
+from gis_radar.dataset.parts import clear_unfinished, days_of, hour_text, part_path
+from gis_radar.dataset.records import HourRecord, read_hours, remove_record
+from gis_radar.dataset.registry import (
+    Placing,
+    RecordingEntry,
+    Registry,
+    digest_of,
+    source_of,
+    touched_hours,
+)
+from gis_radar.dataset.tables import HOUR_TABLES, TABLES
+from gis_radar.dataset.tile_counts import update_counts
+from gis_radar.errors import GisRadarError, InputError
+from gis_radar.files import only_writer, output_errors, refuse_foreign, require_folder
+from gis_radar.measures.hour import HourWindow
+from gis_radar.processes import stop_workers, watch_parent
+from gis_radar.progress import Reporter
+
+OWNED = (  # how the names of files begin that a making which was killed may have left
+    "map.osm", "tiles.gpkg", "recordings.parquet", "poses.parquet", "sights.parquet", ".",
+)  # fmt: skip
+STAGE = "measuring"
+NOTED_EVERY_S = 2.0  # of a year of many sensors the registry has many rows
+RELINK = "gis-radar dataset DATASET --relink FOLDER finds what was moved, --withdraw takes it out"
+
+
+@contextmanager
+def writing(folder: Path, reporter: Reporter) -> Iterator[None]:
+    """Lock a dataset for writing, and remove files that a killed run left.
+
+    Raises
+    ------
+    OutputError
+        If another run is writing it, there is no folder to make it in, or files of others are in
+        its place.
+    """
+    place = folder.absolute()
+    require_folder(place)
+    if place.exists() and not Manifest.is_there(place):
+        refuse_foreign(place, OWNED)
+    with output_errors(place), only_writer(place, reporter=reporter):
+        clear_unfinished(place)
+        yield
+
+
+def change(
+    site: HourSite,
+    before: Registry,
+    after: Registry,
+    *,
+    known: Iterable[RecordingEntry] = (),
+    processes: int = 1,
+    reporter: Reporter,
+) -> list[MadeHour]:
+    """Bring a dataset from one state of its registry to another.
+
+    Parameters
+    ----------
+    site : HourSite
+        What all hours have in common.
+    before, after : Registry
+        As it is, and as it shall be; in the latter the hours are missing that are to be made again.
+    known : iterable of RecordingEntry
+        Recordings that were looked at just now.
+    processes : int
+        How many hours are made side by side.
+    reporter : Reporter
+        Receives progress.
+
+    Returns
+    -------
+    list of MadeHour
+        By hour.
+
+    Raises
+    ------
+    InputError
+        If a recording that is needed has gone or changed, or cannot be; all stays as it is.
+    """
+    margin = site.settings.margin
+    records = read_hours(site.folder)
+    broken = {hour for hour, record in records.items() if not _is_whole(site.folder, record)}
+    missing = sorted({*after.missing_hours(margin), *(set(after.hours) - (set(records) - broken))})
+    _refuse_dropped(site.folder, [records[hour] for hour in missing if hour in records])
+    _require_recordings(after, missing, margin, {each.path for each in known})
+    reaching = after.by_hour(margin)
+    placings = {hour: [after.placing(each) for each in reaching[hour]] for hour in missing}
+    known_before = {(each.key, each.pose) for each in before.entries}
+    fresh = [each for each in after.entries if (each.key, each.pose) not in known_before]
+    for hour in touched_hours(set(missing) & (set(records) - broken), fresh, margin):
+        _check(site, hour, placings[hour])
+    after = after.without_hours(missing)
+    both = before.poses.joined(after.poses)
+    if fresh:
+        after.write_poses(both)
+    if after.entries != before.entries:
+        after.write_recordings()
+    for hour in {*missing, *(records.keys() - set(after.hours))}:
+        remove_record(site.folder, hour)
+    _remove_parts(site.folder, records.keys() - set(after.hours))
+    made = _made_and_noted(site, before, after, placings, processes, reporter)
+    if missing:
+        after = after.with_hours(missing, margin)
+        after.write_recordings()
+    poses = after.poses.of(each.pose for each in after.entries)
+    if poses.tracks.keys() != both.tracks.keys():
+        after.write_poses(poses)
+    _count(after, {*after.hours, *records})
+    return sorted(made, key=lambda each: each.hour)
+
+
+def _made_and_noted(
+    site: HourSite, before: Registry, after: Registry, placings: Mapping[int, Sequence[Placing]],
+    processes: int, reporter: Reporter,
+) -> list[MadeHour]:  # fmt: skip
+    """Make hours; note now and then which are made, so that a run that ends is gone on with."""
+    made, noted_s = list[MadeHour](), time.monotonic()
+
+    def note() -> None:
+        after.with_hours([each.hour for each in made], site.settings.margin).write_recordings()
+
+    reporter.progress(STAGE, 0, len(placings))
+    try:
+        for each in _made(site, placings, processes):
+            made.append(each)
+            reporter.progress(STAGE, len(made), len(placings))
+            if time.monotonic() - noted_s > NOTED_EVERY_S:
+                note()
+                noted_s = time.monotonic()
+    except InputError:
+        _undo(site.folder, before, [each.hour for each in made])
+        raise
+    except BaseException:
+        with suppress(GisRadarError):
+            note()
+        raise
+    return made
+
+
+def _is_whole(folder: Path, record: HourRecord) -> bool:
+    """Return whether the parts of an hour are there, as long as they were written."""
+    kept = {name: part for name, part in record.parts.items() if name not in record.dropped}
+    for name, part in kept.items():
+        path = part_path(folder, TABLES[name], record.hour)
+        if not path.is_file() or path.stat().st_size != part.size:
+            return False
+    return True
+
+
+def _refuse_dropped(folder: Path, records: Iterable[HourRecord]) -> None:
+    for record in records:
+        if record.dropped:
+            raise InputError(
+                f"{folder}: {hour_text(record.hour)} takes no recordings any more: its "
+                f"{record.dropped[0]} were deleted after the time to keep them",
+                hint="leave such recordings away, or measure that time into another dataset",
+            )
+
+
+def _require_recordings(
+    registry: Registry, hours: Iterable[int], margin: int, looked_at: set[str]
+) -> None:
+    """Refuse hours to be made of recordings that have gone or changed."""
+    for each in registry.entries:
+        touched = touched_hours(hours, [each], margin)
+        if not touched or each.path in looked_at:
+            continue
+        path = Path(each.path)
+        if not path.is_file():
+            what = "is not there"
+        elif digest_of(path) != each.digest:
+            what = "has changed since it was measured"
+        else:
+            continue
+        raise InputError(f"{path}: {what}, and {hour_text(touched[0])} needs it", hint=RELINK)
+
+
+def _check(site: HourSite, hour: int, placings: Sequence[Placing]) -> None:
+    """Read the recordings of an hour that is there, before any of it changes."""
+    window = HourWindow(hour=hour, margin=site.settings.margin)
+    read_sensors(site, window, [source_of(*each) for each in placings], count_hits=False)
+
+
+def _remove_parts(folder: Path, hours: Iterable[int]) -> None:
+    for hour in hours:
+        for table in HOUR_TABLES:
+            path = part_path(folder, table, hour)
+            with output_errors(path):
+                path.unlink(missing_ok=True)
+
+
+def _undo(folder: Path, before: Registry, made: Sequence[int]) -> None:
+    """Bring back the registry of before; hours that were made since are to be made again."""
+    for hour in made:
+        remove_record(folder, hour)
+    _remove_parts(folder, set(made) - set(before.hours))
+    before = before.without_hours(made)
+    before.write_recordings()
+    before.write_poses(before.poses)
+
+
+def _count(registry: Registry, hours: Iterable[int]) -> None:
+    """Bring the tile counts of all dates up to date."""
+    for day in days_of(hours):
+        update_counts(registry.folder, registry.fingerprint, day)
+
+
+def _made(
+    site: HourSite, tasks: Mapping[int, Sequence[Placing]], processes: int
+) -> Iterator[MadeHour]:
+    """Make hours, one after the other or side by side, and yield them as they are done."""
+    workers = min(processes, len(tasks))
+    if workers < 2:
+        for hour, placings in tasks.items():
+            yield make_hour(site, hour, [source_of(*each) for each in placings])
+        return
+    with ProcessPoolExecutor(workers, initializer=_start_worker, initargs=(site,)) as pool:
+        try:
+            running: list[Future[MadeHour]] = [
+                pool.submit(_make_in_worker, hour, placings) for hour, placings in tasks.items()
+            ]
+            for each in as_completed(running):
+                yield each.result()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            stop_workers(list((pool._processes or {}).values()))  # noqa: SLF001 - no other way
+            raise
+
+
+_site: HourSite | None = None  # of a worker
+
+
+def _start_worker(site: HourSite) -> None:
+    global _site  # noqa: PLW0603 - what all hours of a worker have in common
+    watch_parent()
+    _site = site
+
+
+def _make_in_worker(hour: int, placings: Sequence[Placing]) -> MadeHour:
+    assert _site is not None  # noqa: S101 - set when the worker starts
+    return make_hour(_site, hour, [source_of(*each) for each in placings])

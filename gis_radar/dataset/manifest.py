@@ -1,0 +1,175 @@
+"""`dataset.json`: of which map, tiles and settings a dataset is."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Self
+
+import geopandas as gpd
+
+from gis_radar.dataset.parts import rename_whole, unfinished, write_whole
+from gis_radar.dataset.tables import POSES, RECORDINGS, SCHEMA, SIGHTS
+from gis_radar.errors import InputError
+from gis_radar.files import output_errors, writing_errors
+from gis_radar.json_documents import read_json
+from gis_radar.tiles.tiles import write_tiles
+
+MANIFEST, TILES, MAP = "dataset.json", "tiles.gpkg", "map.osm"
+MAKE_ONE = "a folder that gis-radar measure wrote is needed"
+_OLD = "manifest.json"  # of the folders of version 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Manifest:
+    """What all of a dataset has in common.
+
+    Parameters
+    ----------
+    map : str
+        Digest of the Lanelet2 map.
+    fingerprint : str
+        Of the tiles.
+    crs : str
+        Map frame, such as `EPSG:25832`.
+    origin : (int, int)
+        Easting and northing from which tracks count, whole metres.
+    timezone : str
+        Of the site, such as `Europe/Berlin`.
+    settings : dict
+        In effect for all of its hours.
+    schema : int
+        Of the tables.
+    """
+
+    map: str
+    fingerprint: str
+    crs: str
+    origin: tuple[int, int]
+    timezone: str = "UTC"
+    settings: dict[str, Any] = field(default_factory=dict)
+    schema: int = SCHEMA
+
+    def write(self, folder: Path) -> None:
+        """Write `dataset.json`, in place of the one that is there."""
+        path = folder / MANIFEST
+        text = json.dumps(asdict(self), indent=1, sort_keys=True, ensure_ascii=False) + "\n"
+        with writing_errors(path):
+            unfinished(path).write_text(text, encoding="utf-8")
+        rename_whole(unfinished(path), path)
+
+    @staticmethod
+    def is_there(folder: Path) -> bool:
+        """Return whether a folder is a dataset, or a folder of version 0.1."""
+        return (folder / MANIFEST).is_file() or (folder / _OLD).is_file()
+
+    @classmethod
+    def read(cls, folder: str | Path) -> Self:
+        """Read `dataset.json`.
+
+        Raises
+        ------
+        InputError
+            If the folder is no dataset, was made by version 0.1, or has a newer schema.
+        """
+        path = Path(folder) / MANIFEST
+        if not path.is_file():
+            if (path.parent / _OLD).is_file():
+                raise InputError(
+                    f"{folder}: was made by version 0.1, which knew no datasets",
+                    hint="measure its recordings again: gis-radar measure",
+                )
+            raise InputError(f"{folder}: is no dataset: lacks {MANIFEST}", hint=MAKE_ONE)
+        document = read_json(path, what="the manifest of a dataset", hint=MAKE_ONE)
+        try:
+            if document["schema"] > SCHEMA:
+                raise InputError(
+                    f"{folder}: has schema {document['schema']}, newer than {SCHEMA}",
+                    hint="update gis_radar",
+                )
+            easting, northing = map(int, document["origin"])
+            manifest = cls(**{**document, "origin": (easting, northing)})
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            raise InputError(f"{path}: damaged: {error!r:.200}", hint=MAKE_ONE) from error
+        for name in ("map", "fingerprint", "crs", "timezone"):
+            if not isinstance(getattr(manifest, name), str):
+                raise InputError(f"{path}: damaged: {name} is no text", hint=MAKE_ONE)
+        if not isinstance(manifest.settings, dict):
+            raise InputError(f"{path}: damaged: settings are none", hint=MAKE_ONE)
+        return manifest
+
+
+def create_dataset(
+    folder: str | Path,
+    manifest: Manifest,
+    tiles: gpd.GeoDataFrame,
+    *,
+    map_file: str | Path | None = None,
+    problems: gpd.GeoDataFrame | None = None,
+    lanes: gpd.GeoDataFrame | None = None,
+    stop_lines: gpd.GeoDataFrame | None = None,
+) -> None:
+    """Write what a dataset begins with: map, tiles, no recordings yet, and last its manifest.
+
+    Parameters
+    ----------
+    folder : str or Path
+        New, or without `dataset.json`.
+    manifest : Manifest
+        What all of it has in common.
+    tiles, problems, lanes, stop_lines : GeoDataFrame
+        The layers of `tiles.gpkg`.
+    map_file : str or Path, optional
+        The Lanelet2 map, of which a copy stays with the dataset: hours may be made again.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written.
+    """
+    folder = Path(folder)
+    with output_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    if map_file is not None:
+        place = folder / MAP
+        with writing_errors(place):
+            unfinished(place).write_bytes(Path(map_file).read_bytes())
+        rename_whole(unfinished(place), place)
+    write_tiles(tiles, folder / TILES, problems=problems, lanes=lanes, stop_lines=stop_lines)
+    for table in (RECORDINGS, POSES, SIGHTS):
+        write_whole(table, folder, table.empty(), manifest.fingerprint)
+    manifest.write(folder)
+
+
+def remove_dataset(folder: Path) -> None:
+    """Remove a dataset, whole or not at all."""
+    aside = folder.with_name(f".{folder.name}.before")
+    with output_errors(folder):
+        shutil.rmtree(aside, ignore_errors=True)
+        folder.rename(aside)
+        shutil.rmtree(aside)
+
+
+def require_same_site(
+    folder: Path, found: Manifest, *, map_digest: str, fingerprint: str, crs: str
+) -> None:
+    """Refuse to add to a dataset of other tiles, another map or coordinate system.
+
+    Raises
+    ------
+    InputError
+        If one differs.
+    """
+    pairs = (
+        ("coordinate system", found.crs, crs),
+        ("map", found.map, map_digest),
+        ("tiles", found.fingerprint, fingerprint),
+    )
+    for what, mine, other in pairs:
+        if mine != other:
+            raise InputError(
+                f"{folder}: was made with another {what}: {mine}, not {other}",
+                hint="name the dataset's own, or another folder",
+            )

@@ -1,0 +1,402 @@
+"""Measure a site: make the hours of a dataset, or make again those that recordings change."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+
+from gis_radar.clocks import SensorClock
+from gis_radar.crs import name_of
+from gis_radar.dataset.dataset import Dataset, open_dataset
+from gis_radar.dataset.hour_job import HourSite, MadeHour, MeasureSettings
+from gis_radar.dataset.making import change, writing
+from gis_radar.dataset.manifest import Manifest, create_dataset, remove_dataset, require_same_site
+from gis_radar.dataset.registry import (
+    PoseBook,
+    RecordingEntry,
+    Registry,
+    entry_of,
+    refuse_two_sensors,
+    touched_hours,
+    validity_by_sensor,
+)
+from gis_radar.dataset.remarks import Examined, remark_on_recordings, remark_on_vehicles
+from gis_radar.errors import InputError, NoAnswerError, OutputError, UsageError
+from gis_radar.lanelets import LaneletMap
+from gis_radar.lanelets.graph import LaneGraph, lane_graph
+from gis_radar.lanelets.lanes import lanes, stop_lines
+from gis_radar.measures.sensor_reading import RecordingCounts
+from gis_radar.measures.settings import Filters
+from gis_radar.measures.validity import validity_of
+from gis_radar.measures.views import PlacedRecording, ViewBook, place_recordings
+from gis_radar.poses.files import PoseTrack, as_track
+from gis_radar.poses.pose import Pose
+from gis_radar.progress import QUIET, Reporter
+from gis_radar.recordings.recording import Recording, as_recording
+from gis_radar.sight import Sight, SightTiles, describe_sight, open_sight
+from gis_radar.tiles.tiles import fingerprint
+from gis_radar.tracking.map_check import map_of_tiles
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Given:
+    """Arguments of a call: the site, and recordings to add."""
+
+    map_file: str | Path | None
+    roads: LaneletMap | None
+    manifest: Manifest
+    tiles: gpd.GeoDataFrame
+    graph: LaneGraph | None
+    settings: MeasureSettings
+    sources: dict[str, PlacedRecording]
+    entries: list[RecordingEntry]
+    poses: PoseBook
+    book: ViewBook
+    sights: dict[str, Sight]
+
+
+def measure(
+    recordings: Sequence[str | Path | Recording],
+    poses: Sequence[Pose | PoseTrack],
+    tiles: gpd.GeoDataFrame,
+    map: str | Path | None,  # noqa: A002 - the word of the contract
+    folder: str | Path,
+    *,
+    scans: Sequence[str | Path] = (),
+    scan_crs: Any = None,
+    sight: str | Path | None = None,
+    sight_cache: str | Path | None = None,
+    filters: Filters | None = None,
+    cycles: Mapping[str, float] | None = None,
+    clocks: Mapping[str, SensorClock] | None = None,
+    hits_only: bool = False,
+    only: bool = False,
+    timezone: str = "UTC",
+    settings: MeasureSettings | None = None,
+    processes: int = 1,
+    reporter: Reporter = QUIET,
+) -> Dataset:
+    """Measure what happens on the tiles of a site, and write or add to a dataset.
+
+    Detections are moved to the map and assigned to the tiles under them, once a tile and step; from
+    the range rates of all sensors vehicles are followed, and what they occupy and hide. The hour is
+    the unit: those that recordings reach into are made (again), all others stay as they are.
+
+    Parameters
+    ----------
+    recordings : sequence
+        Files, or what :func:`gis_radar.open_recording` returns.
+    poses : sequence of Pose or PoseTrack
+        As many as recordings, in order. A pose without a view gets the default one.
+    tiles : GeoDataFrame
+        As from :func:`gis_radar.read_tiles`.
+    map : str or Path, optional
+        The Lanelet2 map that the tiles were made from; its system and origin are the tiles'. Hits
+        alone need none.
+    folder : str or Path
+        The dataset: a new one, or one of the same tiles to add to.
+    scans : sequence of paths
+        Airborne scans, whole and not masked: what stands in them hides tiles. Without them, all in
+        the view counts as seen.
+    scan_crs : CRS, str or int, optional
+        The scans' coordinate system, for files without one.
+    sight : str or Path, optional
+        A file of :func:`gis_radar.write_sights`, in place of scans.
+    sight_cache : str or Path, optional
+        A folder in which what each pose sees by the scans is kept, for other calls.
+    filters : Filters, optional
+        Which detections count as hits; without it, all.
+    cycles : mapping, optional
+        Seconds from frame to frame, of sensors slower than 10 Hz.
+    clocks : mapping, optional
+        How far the clocks of sensors are ahead, by sensor.
+    hits_only : bool
+        Leave out the vehicles.
+    only : bool
+        Let the dataset hold these recordings only: others are withdrawn, and one of other tiles or
+        settings is made anew.
+    timezone : str
+        Of the site, for a new dataset.
+    settings : MeasureSettings, optional
+        Constants of the algorithms, in place of `filters` and `hits_only`.
+    processes : int
+        How many hours are made side by side.
+    reporter : Reporter
+        Receives progress and warnings.
+
+    Returns
+    -------
+    Dataset
+
+    Raises
+    ------
+    UsageError
+        If there are not as many poses as recordings, or vehicles are asked for without a map.
+    InputError
+        If a recording is damaged, given for two sensors, or contradicts another; if the dataset is
+        of other tiles, another map or other settings; or if a recording that an hour needs has
+        gone or changed.
+    NoAnswerError
+        If no sensor sees any tile.
+    OutputError
+        If the dataset cannot be written, or another run is writing it.
+
+    Examples
+    --------
+    >>> import gis_radar as gr
+    >>> sample = gr.sample_folder()
+    >>> tiles = gr.make_tiles(gr.read_map(sample / "junction.osm"))
+    >>> pose = gr.read_pose(sample / "R1.json")
+    >>> ds = gr.measure([sample / "R1.parquet"], [pose], tiles, sample / "junction.osm", "site")
+    >>> ds.sensors
+    ['R1']
+    """
+    if len(recordings) != len(poses) or not recordings:
+        raise UsageError(f"{len(recordings)} recordings, but {len(poses)} poses")
+    if map is None and not hits_only:
+        raise UsageError("vehicles need the map that the tiles were made from")
+    if settings is None:
+        settings = MeasureSettings(filters=filters or Filters())
+    settings = replace(settings, vehicles=None) if hits_only else settings
+    tiles = tiles.sort_values("tile_id", ignore_index=True)
+    road = SightTiles.of(tiles)
+    scan = open_sight(
+        road, scans=scans, scan_crs=scan_crs, sight=sight, cache=sight_cache, reporter=reporter
+    )
+    book = ViewBook(road=road, scan=scan, settings=settings.hits)
+    opened = [as_recording(each) for each in recordings]
+    tracks = [as_track(pose) for pose in poses]
+    sources = place_recordings(opened, tracks, book, clocks, reporter)
+    given = _given(sources, book, tiles, map, cycles, settings, timezone, reporter)
+    folder = Path(folder)
+    with writing(folder, reporter):
+        made = _add(given, folder, processes, reporter, only=only)
+    if made:
+        _report(given, made, reporter)
+    return open_dataset(folder, reporter=reporter)
+
+
+def _given(
+    sources: Sequence[PlacedRecording], book: ViewBook, tiles: gpd.GeoDataFrame,
+    map_path: str | Path | None, cycles: Mapping[str, float] | None, settings: MeasureSettings,
+    timezone: str, reporter: Reporter,
+) -> _Given:  # fmt: skip
+    """Check all arguments before anything is written."""
+    roads, digest = None, ""
+    if map_path is not None:
+        roads, described = map_of_tiles(map_path, tiles, reporter)
+        digest = described["digest"]
+    sensors = sorted({source.track.sensor for source in sources})
+    validity_s = validity_of(cycles, sensors, settings.hits)
+    poses, entries, sights = PoseBook(), list[RecordingEntry](), dict[str, Sight]()
+    placed = dict[str, PlacedRecording]()
+    for source in sources:
+        sensor = source.track.sensor
+        name = poses.enter(source.track, source.views, book)
+        entry = entry_of(source.recording, sensor, name, source.clock, validity_s[sensor])
+        entries.append(entry)
+        placed[entry.path] = source
+        seen = zip(poses.sights[name], source.views, strict=True)
+        sights |= {head: book.sights[sensor, view] for head, view in seen if head not in sights}
+    entries = _each_once(entries, reporter)
+    _refuse_clearance(settings.filters, book.road, entries)
+    graph, settings = _lanes(roads, settings, entries, reporter)
+    west, south = np.floor(tiles.total_bounds[:2]).astype(int).tolist()
+    manifest = Manifest(
+        map=digest, fingerprint=fingerprint(tiles), crs=name_of(tiles.crs),
+        origin=(west, south), timezone=timezone,
+        settings={"sight": describe_sight(book.scan), **settings.as_dict()},
+    )  # fmt: skip
+    return _Given(
+        map_file=map_path, roads=roads, manifest=manifest, tiles=tiles, graph=graph,
+        settings=settings,
+        sources=placed, entries=entries, poses=poses, book=book, sights=sights,
+    )  # fmt: skip
+
+
+def _refuse_clearance(
+    filters: Filters, road: SightTiles, entries: Sequence[RecordingEntry]
+) -> None:
+    """Refuse a clearance over a road without heights, or of detections without them."""
+    if filters.clearance is None:
+        return
+    if np.isnan(road.height).all():
+        raise InputError(
+            "the tiles have no road heights, which the clearance filter needs",
+            hint="make the tiles with --road, or from a map with ele",
+        )
+    for each in entries:
+        if not each.has_elevation:
+            raise InputError(
+                f"{each.path}: the sensor measures no elevation (z is empty): a clearance means "
+                "nothing for it",
+                hint="leave the clearance away",
+            )
+
+
+def _each_once(entries: Sequence[RecordingEntry], reporter: Reporter) -> list[RecordingEntry]:
+    """Return each recording once; refuse one that is given for two sensors."""
+    known: dict[str, RecordingEntry] = {}
+    for each in entries:
+        other = known.setdefault(each.digest, each)
+        if other.sensor != each.sensor:
+            refuse_two_sensors(each, other)
+        if other is not each:
+            if not other.made_alike(each):
+                raise InputError(
+                    f"{each.path}: is given twice for {each.sensor}, with different poses",
+                    hint="give it once",
+                )
+            reporter.log(f"{each.path}: is the same as {other.path}: it counts once", "warning")
+    return list(known.values())
+
+
+def _lanes(
+    roads: LaneletMap | None, settings: MeasureSettings, entries: Sequence[RecordingEntry],
+    reporter: Reporter,
+) -> tuple[LaneGraph | None, MeasureSettings]:  # fmt: skip
+    """Return the lanes and the settings; without vehicles where nothing tells them."""
+    if settings.vehicles is None or roads is None:
+        return None, settings
+    reason = ""
+    try:
+        graph = lane_graph(roads.lanelets)
+    except NoAnswerError as error:
+        reason = error.message
+    without = [each.path for each in entries if not each.has_rates]
+    if without:
+        reason = f"{without[0]}: has no range rates, by which vehicles are found"
+    if not reason:
+        return graph, settings
+    reporter.log(f"{reason}: only hits are measured", "warning")
+    return None, replace(settings, vehicles=None)
+
+
+def _add(
+    given: _Given, folder: Path, processes: int, reporter: Reporter, *, only: bool
+) -> list[MadeHour]:
+    """Add recordings to a dataset that nobody else writes."""
+    if only and Manifest.is_there(folder) and Manifest.read(folder) != given.manifest:
+        remove_dataset(folder)
+    is_new = not Manifest.is_there(folder)
+    manifest = given.manifest if is_new else Manifest.read(folder)
+    if not is_new:
+        given = _as_before(given, manifest)
+        _require_same(folder, manifest, given)
+    before = Registry(folder=folder, fingerprint=manifest.fingerprint)
+    before = before if is_new else Registry.read(folder, manifest.fingerprint)
+    _remark_on_changes(before, given, manifest, reporter)
+    registry = _joined(before, given, only=only)
+    site = HourSite(
+        folder=folder, tiles=given.tiles, graph=given.graph, origin=manifest.origin,
+        settings=given.settings, views=registry.poses.views,
+        validity_s=validity_by_sensor(registry.entries),
+    )  # fmt: skip
+    if is_new:
+        try:
+            create_dataset(
+                folder, manifest, given.tiles, map_file=given.map_file, **_layers(given.roads)
+            )
+        except OutputError:  # without its manifest it is nothing
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
+    try:
+        return change(
+            site, before, registry, known=given.entries, processes=processes, reporter=reporter
+        )
+    except InputError:
+        if is_new:  # nothing was there: nothing stays
+            shutil.rmtree(folder, ignore_errors=True)
+        raise
+
+
+def _remark_on_changes(
+    before: Registry, given: _Given, manifest: Manifest, reporter: Reporter
+) -> None:
+    """Say which recordings are placed or timed otherwise than before, and whose clock stays."""
+    known = {each.digest: each for each in before.entries}
+    for each in given.entries:
+        if (earlier := known.get(each.digest)) is not None and not earlier.made_alike(each):
+            reporter.log(f"{each.path}: is placed or timed otherwise than before: made again")
+    if given.manifest.timezone not in {manifest.timezone, "UTC"}:
+        reporter.log(f"the dataset stays in the time zone {manifest.timezone}", "warning")
+
+
+def _layers(roads: LaneletMap | None) -> dict[str, gpd.GeoDataFrame]:
+    """Return the layers beside the tiles."""
+    if roads is None:
+        return {}
+    return {"problems": roads.problems, "lanes": lanes(roads), "stop_lines": stop_lines(roads)}
+
+
+def _as_before(given: _Given, found: Manifest) -> _Given:
+    """Leave out vehicles if the dataset was made without them."""
+    if given.settings.vehicles is None or found.settings.get("vehicles") is not None:
+        return given
+    settings = replace(given.settings, vehicles=None)
+    manifest = replace(given.manifest, settings=given.manifest.settings | {"vehicles": None})
+    return replace(given, settings=settings, manifest=manifest, graph=None)
+
+
+def _require_same(folder: Path, found: Manifest, given: _Given) -> None:
+    mine = given.manifest
+    require_same_site(
+        folder, found, map_digest=mine.map, fingerprint=mine.fingerprint, crs=mine.crs
+    )
+    for name in mine.settings:
+        if found.settings.get(name) != mine.settings[name]:
+            raise InputError(
+                f"{folder}: was measured with other settings: {name}",
+                hint="name the same filters, scans and options, or another folder",
+            )
+
+
+def _joined(before: Registry, given: _Given, *, only: bool) -> Registry:
+    """Return the registry with what is given, the hours that it touches to be made again."""
+    margin = given.settings.margin
+    paths = {each.path for each in given.entries}
+    digests = {each.digest: each for each in given.entries}
+    kept, gone = list[RecordingEntry](), list[RecordingEntry]()
+    fresh = list(given.entries)
+    for each in before.entries:
+        same = digests.get(each.digest)
+        if same is not None and same.sensor != each.sensor:
+            refuse_two_sensors(same, each)
+        if same is not None and same.made_alike(each):
+            fresh.remove(same)
+            kept.append(replace(each, path=same.path))
+        elif only or same is not None or each.path in paths:
+            gone.append(each)
+        else:
+            kept.append(each)
+    entries = tuple(sorted([*kept, *fresh], key=lambda each: each.key))
+    poses = before.poses.joined(given.poses).of(each.pose for each in entries)
+    joined = replace(before, entries=entries, poses=poses)
+    hours = touched_hours({*before.hours, *joined.hours}, [*gone, *fresh], margin)
+    return joined.without_hours(hours)
+
+
+def _report(given: _Given, made: Sequence[MadeHour], reporter: Reporter) -> None:
+    """Warn about inconsistencies of the recordings that were given and counted whole."""
+    examined = []
+    hours = {hour.hour for hour in made}
+    for each in given.entries:
+        if not hours.issuperset(each.own_hours):
+            continue
+        evidence = RecordingCounts()
+        for hour in made:
+            evidence.add(hour.evidence.get(each.path, RecordingCounts()))
+        source = given.sources[each.path]
+        examined.append(Examined(entry=each, source=source, evidence=evidence))
+    given.book.report(reporter)
+    remark_on_recordings(examined, given.book, given.sights, given.settings.hits, reporter)
+    if given.settings.vehicles is not None:
+        on_lanes = [table for hour in made for table in hour.on_lanes]
+        count = sum(hour.vehicles for hour in made)
+        remark_on_vehicles(count, on_lanes, given.settings.vehicles, reporter)

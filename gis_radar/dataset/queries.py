@@ -1,0 +1,163 @@
+"""SQL over the tables of a dataset: read-only, without files, network or settings (DuckDB)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import monotonic
+from typing import Any, TypeAlias
+
+import duckdb
+import pyarrow as pa
+
+from gis_radar.dataset.parts import MEASURE_AGAIN
+from gis_radar.dataset.records import HOURS
+from gis_radar.dataset.statement import ASK_ONE, tables_of
+from gis_radar.dataset.views import Source, make_views, quoted
+from gis_radar.errors import InputError, UsageError, first_line
+
+Answer: TypeAlias = tuple[pa.Schema, Iterator[pa.RecordBatch]]
+"""The columns of an answer, and its rows in batches."""
+_ROWS_AT_ONCE = 1 << 17
+_CONFIG = {
+    "autoinstall_known_extensions": "false",
+    "autoload_known_extensions": "false",
+    "allow_community_extensions": "false",
+    "python_enable_replacements": "false",
+    "temp_directory": "",
+}
+
+
+@contextmanager
+def run_query(dataset: Source, sql: str, *, timeout_s: float, memory: str) -> Iterator[Answer]:
+    """Ask a question in SQL and read the answer in batches.
+
+    The columns of the files are there, and beside them `time`, `begin`, `end`, `easting`,
+    `northing`, `heading`, `speed`, `s_m` and `d_m` as the methods of the dataset have them. Times
+    are read by the clocks of the site: `hour(begin)` is an hour there.
+
+    Parameters
+    ----------
+    dataset : Source
+        Its complete hours answer.
+    sql : str
+        One SELECT.
+    timeout_s : float
+        After which a question is given up, seconds.
+    memory : str
+        That it may take, such as `2GB`.
+
+    Yields
+    ------
+    pyarrow.Schema, iterator of pyarrow.RecordBatch
+        The answer, to be read within the block.
+
+    Raises
+    ------
+    UsageError
+        If it is no such question, takes too long, or needs too much memory.
+    InputError
+        If a part is not what its hour's record says, or hours were made again meanwhile.
+    """
+    with closing(_connected(memory)) as asked:
+        names = tables_of(asked, sql)
+        before = _states(dataset.folder)
+        _lock(asked, make_views(dataset, asked, names), dataset.manifest.timezone)
+        with ThreadPoolExecutor(1) as thread:
+            work = _Work(asked, thread, dataset.folder, timeout_s)
+            answer = work.done(lambda: asked.sql(sql).to_arrow_reader(_ROWS_AT_ONCE))
+            _refuse_same_names(answer.schema.names)
+            yield answer.schema, work.batches(answer)
+    if _states(dataset.folder) != before:
+        raise InputError(f"{dataset.folder}: hours were made again meanwhile", hint="ask again")
+
+
+@dataclass(frozen=True)
+class _Work:
+    """A query on a thread of its own, so that it can be interrupted at any moment."""
+
+    asked: duckdb.DuckDBPyConnection
+    thread: ThreadPoolExecutor
+    folder: Path
+    timeout_s: float
+    began: float = field(default_factory=monotonic)
+
+    def batches(self, answer: pa.RecordBatchReader) -> Iterator[pa.RecordBatch]:
+        """Yield the batches of an answer."""
+        while (batch := self.done(lambda: next(answer, None))) is not None:
+            yield batch
+
+    def done(self, step: Callable[[], Any]) -> Any:
+        """Return the result of a step, within the time limit and with our errors."""
+        future = self.thread.submit(step)
+        try:
+            wait([future], max(self.began + self.timeout_s - monotonic(), 0.0))
+        finally:
+            is_late = self._end(future)
+        if is_late:
+            raise UsageError(
+                f"the query was given up after {self.timeout_s:g} s",
+                hint="ask for less, or raise --timeout",
+            )
+        with _errors_of(self.folder):
+            return future.result()
+
+    def _end(self, future: Future[Any]) -> bool:
+        """Interrupt what is not done; return whether that was needed."""
+        is_late = not future.done()
+        while not future.done():  # an interruption before DuckDB has begun is none
+            self.asked.interrupt()
+            wait([future], 0.05)
+        return is_late
+
+
+def _connected(memory: str) -> duckdb.DuckDBPyConnection:
+    try:
+        return duckdb.connect(":memory:", config={**_CONFIG, "memory_limit": memory})
+    except duckdb.Error as error:
+        raise UsageError(f"memory is {memory!r}", hint="e.g. 500MB, 2GB") from error
+
+
+def _refuse_same_names(names: list[str]) -> None:
+    """Refuse an answer with two columns of one name, which no file and no JSON holds."""
+    if twice := [name for place, name in enumerate(names) if name in names[:place]]:
+        raise UsageError(f"the query has two columns {twice[0]!r}", hint="name one with AS")
+
+
+def _lock(asked: duckdb.DuckDBPyConnection, paths: list[Path], timezone: str) -> None:
+    """Restrict DuckDB to the files of the tables, and lock its settings."""
+    files = ", ".join(quoted(path.resolve().as_posix()) for path in paths)
+    for setting in (
+        f"allowed_paths = [{files}]", "enable_external_access = false",
+        f"TimeZone = {quoted(timezone)}", "lock_configuration = true",
+    ):  # fmt: skip
+        asked.execute(f"SET {setting}")
+
+
+def _states(folder: Path) -> list[tuple[str, int, int]]:
+    """Return which records of hours there are, and when each was written."""
+    found = []
+    for path in sorted((folder / HOURS).glob("*/*.json")):
+        with suppress(FileNotFoundError):
+            state = path.stat()
+            found.append((str(path), state.st_mtime_ns, state.st_ino))
+    return found
+
+
+@contextmanager
+def _errors_of(folder: Path) -> Iterator[None]:
+    """Convert errors of DuckDB, also those that Arrow passes on, to ours."""
+    try:
+        yield
+    except (duckdb.Error, pa.ArrowException, OSError) as error:
+        if "Out of Memory" in str(error):
+            raise UsageError(
+                "the query needs more memory than it may take",
+                hint="ask for less, or raise --memory",
+            ) from error
+        if isinstance(error, duckdb.IOException) or ".parquet" in str(error):
+            raise InputError(f"{folder}: {first_line(error)}", hint=MEASURE_AGAIN) from error
+        raise UsageError(f"the query fails: {first_line(error)}", hint=ASK_ONE) from error

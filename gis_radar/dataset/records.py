@@ -1,0 +1,251 @@
+"""Hours: their parts appear together, and the record of an hour is written last."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, field
+from datetime import datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import pyarrow.parquet as pq
+
+from gis_radar.dataset.parts import (
+    MEASURE_AGAIN,
+    Origin,
+    PartDigest,
+    Values,
+    date_of,
+    hour_begin,
+    hour_text,
+    opened_part,
+    part_path,
+    rename_whole,
+    sync_folder,
+    unfinished,
+    write_part,
+)
+from gis_radar.dataset.tables import HOUR_TABLES, SCHEMA, TABLES, TableSchema
+from gis_radar.errors import InputError
+from gis_radar.files import output_errors, writing_errors
+from gis_radar.json_documents import read_json
+
+HOURS = "hours"
+
+
+@dataclass(frozen=True, kw_only=True)
+class HourRecord:
+    """Parts of an hour with their digests.
+
+    Parameters
+    ----------
+    hour : int
+        Since 1970.
+    origin : Origin
+        What its parts were made from.
+    parts : dict
+        Digest of each part, by table. Tables of vehicles may be absent.
+    dropped : tuple of str
+        Tables whose parts were deleted to save room after `keep`.
+    """
+
+    hour: int
+    origin: Origin
+    parts: Mapping[str, PartDigest]
+    dropped: tuple[str, ...] = ()
+
+    @contextmanager
+    def opened(self, folder: Path, table: TableSchema) -> Iterator[pq.ParquetFile]:
+        """Open the part of a table, checked against this record.
+
+        Raises
+        ------
+        InputError
+            If the hour has no such part, or it is not the one of this record.
+        """
+        path = part_path(folder, table, self.hour)
+        if table.name in self.dropped:
+            raise InputError(
+                f"{path}: was deleted after the time to keep exact tables",
+                hint="only tile_counts of that time are left, as they were counted then",
+            )
+        if table.name not in self.parts:
+            raise InputError(
+                f"{folder}: the hour {hour_text(self.hour)} has no {table.name}",
+                hint="it was measured without vehicles: for hits only, or without range rates",
+            )
+        metadata = self.origin.metadata(table, self.hour)
+        with opened_part(table, path, metadata, self.parts[table.name]) as file:
+            yield file
+
+    def check_bytes(self, folder: Path, table: TableSchema) -> None:
+        """Compare the bytes of a part with this record, which finds each flipped bit.
+
+        Raises
+        ------
+        InputError
+            If they differ, or as :meth:`opened`.
+        """
+        path = part_path(folder, table, self.hour)
+        with self.opened(folder, table), path.open("rb") as file:
+            if hashlib.file_digest(file, "sha256").hexdigest() != self.parts[table.name].sha256:
+                raise InputError(f"{path}: its bytes have changed", hint=MEASURE_AGAIN)
+
+
+def record_path(folder: Path, hour: int) -> Path:
+    """Return where the record of an hour lies."""
+    return folder / HOURS / str(date_of(hour)) / f"{hour_begin(hour):%H}.json"
+
+
+def read_hours(
+    folder: Path, first: int | None = None, last: int | None = None
+) -> dict[int, HourRecord]:
+    """Read the records of complete hours, by hour since 1970, ascending.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the dataset.
+    first, last : int, optional
+        Only hours from `first` to `last`, inclusive.
+
+    Raises
+    ------
+    InputError
+        If one is damaged or of a newer schema.
+    """
+    found = (
+        _read(path)
+        for path in sorted((folder / HOURS).glob("????-??-??/??.json"))
+        if (hour := _hour_of_path(path)) is not None
+        and (first is None or first <= hour)
+        and (last is None or hour <= last)
+    )
+    return {record.hour: record for record in found if record is not None}
+
+
+def _hour_of_path(path: Path) -> int | None:
+    """Return the hour that a record is called after, None for other files."""
+    try:
+        begin = datetime.fromisoformat(f"{path.parent.name}T{path.stem}:00Z")
+    except ValueError:
+        return None
+    return int(begin.timestamp()) // 3600
+
+
+def read_hour(folder: Path, hour: int) -> HourRecord | None:
+    """Read the record of an hour; None where it is not complete."""
+    return _read(record_path(folder, hour))
+
+
+def _read(path: Path) -> HourRecord | None:
+    if not path.is_file():
+        return None
+    document = read_json(path, what="the record of an hour", hint=MEASURE_AGAIN)
+    try:
+        if document["schema"] > SCHEMA:
+            raise InputError(
+                f"{path}: has schema {document['schema']}, newer than {SCHEMA}",
+                hint="update gis_radar",
+            )
+        record = HourRecord(
+            hour=int(datetime.fromisoformat(document["hour"]).timestamp()) // 3600,
+            origin=Origin(**{name: document[name] for name in Origin.__annotations__}),
+            parts={name: PartDigest(**part) for name, part in document["parts"].items()},
+            dropped=tuple(document["dropped"]),
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"{path}: damaged: {error!r:.200}", hint=MEASURE_AGAIN) from error
+    if record.hour != _hour_of_path(path):
+        raise InputError(f"{path}: is the record of {hour_text(record.hour)}", hint=MEASURE_AGAIN)
+    return record
+
+
+def write_record(folder: Path, record: HourRecord) -> None:
+    """Write the record of an hour whose parts are all there."""
+    path = record_path(folder, record.hour)
+    parts = {name: asdict(record.parts[name]) for name in TABLES if name in record.parts}
+    document = {
+        "schema": SCHEMA, "hour": hour_text(record.hour), **asdict(record.origin),
+        "dropped": list(record.dropped), "parts": parts,
+    }  # fmt: skip
+    with output_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    with writing_errors(path):
+        unfinished(path).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    rename_whole(unfinished(path), path)
+
+
+def remove_record(folder: Path, hour: int) -> None:
+    """Remove the record of an hour, before any of its parts changes."""
+    path = record_path(folder, hour)
+    with output_errors(path), suppress(FileNotFoundError):
+        path.unlink()
+        sync_folder(path.parent)
+
+
+@dataclass(kw_only=True)
+class HourWriter:
+    """The parts of an hour, which appear together when the block ends well.
+
+    Until then the parts of an earlier making stay, with their record. A reader that finds a record
+    finds its parts, whenever the run is killed.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the dataset.
+    hour : int
+        Since 1970.
+    origin : Origin
+        What the parts are made from.
+    """
+
+    folder: Path
+    hour: int
+    origin: Origin
+    _parts: dict[str, PartDigest] = field(default_factory=dict)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def write(self, table: TableSchema, batches: Values | Iterable[Values]) -> None:
+        """Write the part of a table.
+
+        Parameters
+        ----------
+        table : TableSchema
+            One of the tables of an hour.
+        batches : mapping, or iterable of mappings
+            Its rows, whole or in batches: arrays by column, in order.
+
+        Raises
+        ------
+        InputError
+            If they are not what the table holds.
+        OutputError
+            If it cannot be written.
+        """
+        metadata = self.origin.metadata(table, self.hour)
+        path = part_path(self.folder, table, self.hour)
+        self._parts[table.name] = write_part(table, path, batches, metadata)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, _: BaseException | None, __: TracebackType | None
+    ) -> None:
+        places = {t.name: part_path(self.folder, t, self.hour) for t in HOUR_TABLES}
+        if kind is not None:
+            for name in self._parts:
+                unfinished(places[name]).unlink(missing_ok=True)
+            return
+        remove_record(self.folder, self.hour)
+        for name, path in places.items():
+            if name in self._parts:
+                rename_whole(unfinished(path), path)
+            else:
+                path.unlink(missing_ok=True)
+        write_record(self.folder, HourRecord(hour=self.hour, origin=self.origin, parts=self._parts))

@@ -1,0 +1,438 @@
+"""The registry of a dataset: its recordings, the poses of their sensors, and what these see.
+
+`recordings.parquet` is the state of a dataset: it lists by recording the hours that were made with
+it. An hour that a recording reaches into and does not list is to be made again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import pairwise
+from operator import attrgetter
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+import pyarrow as pa
+
+from gis_radar.clocks import SensorClock
+from gis_radar.dataset.hour_job import PoseView
+from gis_radar.dataset.parts import STEPS_PER_HOUR, hour_of_step, whole_table, write_whole
+from gis_radar.dataset.tables import POSES, RECORDINGS, SIGHTS
+from gis_radar.errors import InputError
+from gis_radar.measures.views import PlacedRecording, ViewBook, standing_for
+from gis_radar.poses.files import PoseTrack
+from gis_radar.poses.pose import pose_from_dict
+from gis_radar.recordings.recording import Recording, open_recording
+from gis_radar.steps import STEP_US, iso_from_step, step_of
+
+LONGEST_GAP_S = 24 * 3600.0
+"""A longer time without frames within a recording is that of a clock that was set."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordingEntry:
+    """A recording of a dataset: a row of its table.
+
+    Parameters
+    ----------
+    path, digest : str
+        The file, and the SHA-256 of its bytes.
+    sensor, pose : str
+        Name of the sensor, and of its pose or pose track.
+    first_time, last_time : float
+        First and last frame, UNIX seconds, corrected.
+    clock_offset, clock_drift_ppm, clock_at : float
+        As of :class:`gis_radar.clocks.SensorClock`; all 0 where its clock is right.
+    validity_s : float
+        How long its frames are valid.
+    rows : int
+        Rows of the file.
+    has_rates, has_elevation : bool
+        Whether it has range rates, and measures elevation.
+    hours : frozenset of int
+        Hours since 1970 that were made with it.
+    """
+
+    path: str
+    digest: str
+    sensor: str
+    pose: str
+    first_time: float
+    last_time: float
+    clock_offset: float = 0.0
+    clock_drift_ppm: float = 0.0
+    clock_at: float = 0.0
+    validity_s: float
+    rows: int
+    has_rates: bool
+    has_elevation: bool
+    hours: frozenset[int] = frozenset()
+
+    @property
+    def key(self) -> tuple[str, float, str]:
+        """What orders recordings."""
+        return self.sensor, self.first_time, self.digest
+
+    @property
+    def clock(self) -> SensorClock | None:
+        """The sensor's clock; None where it is right."""
+        if self.clock_offset == 0.0 and self.clock_drift_ppm == 0.0:
+            return None
+        return SensorClock(
+            offset_s=self.clock_offset, drift_ppm=self.clock_drift_ppm, at=self.clock_at
+        )
+
+    @cached_property
+    def steps(self) -> tuple[int, int]:
+        """First and last step with a frame."""
+        first, last = (round(time * 1e6) // STEP_US for time in (self.first_time, self.last_time))
+        return first, last
+
+    @property
+    def own_hours(self) -> range:
+        """The hours from its first to its last frame."""
+        first, last = map(hour_of_step, self.steps)
+        return range(first, last + 1)
+
+    def reached_hours(self, margin: int) -> range:
+        """Return the hours whose window it has frames in, or around it."""
+        first, last = self.steps
+        return range((first - margin) // STEPS_PER_HOUR, (last + margin) // STEPS_PER_HOUR + 1)
+
+    def made_alike(self, other: RecordingEntry) -> bool:
+        """Return whether another entry is of the same rows, placed and timed alike."""
+        return replace(self, path="", hours=frozenset()) == replace(
+            other, path="", hours=frozenset()
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseBook:
+    """The pose tracks of a dataset, and what is seen from their poses.
+
+    Parameters
+    ----------
+    tracks : dict
+        By name; a single pose is a track of one.
+    sights : dict
+        By the same name, for each pose the name of the one whose sight it has.
+    views : dict
+        What is seen, by the name of a pose.
+    """
+
+    tracks: dict[str, PoseTrack] = field(default_factory=dict)
+    sights: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    views: dict[str, PoseView] = field(default_factory=dict)
+
+    def joined(self, other: PoseBook) -> PoseBook:
+        """Return the poses of both."""
+        return PoseBook(
+            tracks=self.tracks | other.tracks, sights=self.sights | other.sights,
+            views=self.views | other.views,
+        )  # fmt: skip
+
+    def of(self, names: Iterable[str]) -> PoseBook:
+        """Return the poses of some tracks."""
+        tracks = {name: self.tracks[name] for name in sorted(set(names))}
+        sights = {name: self.sights[name] for name in tracks}
+        heads = {head for names in sights.values() for head in names}
+        return PoseBook(
+            tracks=tracks, sights=sights,
+            views={head: self.views[head] for head in sorted(heads)},
+        )  # fmt: skip
+
+    def enter(self, track: PoseTrack, views: Sequence[str], book: ViewBook) -> str:
+        """Take a track with what its poses see; return its name."""
+        documents = [json.dumps(pose.as_dict(), sort_keys=True) for pose in track.poses]
+        text = json.dumps([documents, track.since.tolist()])
+        name = f"{track.sensor}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
+        names = pose_names(name, len(documents))
+        heads = standing_for(track.poses, book.settings).tolist()
+        self.tracks[name], self.sights[name] = track, tuple(names[k] for k in heads)
+        for k in sorted(set(heads)):
+            pose = track.poses[k]
+            self.views[names[k]] = PoseView(
+                sensor=track.sensor,
+                position=(pose.easting, pose.northing, pose.height),
+                tile_id=np.sort(book.tiles[views[k]]),
+                road_m=book.road_m[track.sensor, views[k]],
+            )
+        return name
+
+
+def pose_names(track: str, count: int) -> list[str]:
+    """Return the names of the poses of a track."""
+    return [track] if count == 1 else [f"{track}/{k:06d}" for k in range(count)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Registry:
+    """Recordings and poses of a dataset.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the dataset.
+    fingerprint : str
+        Of its tiles.
+    entries : tuple of RecordingEntry
+        By sensor, first frame and digest.
+    poses : PoseBook
+        Of all of them.
+    """
+
+    folder: Path
+    fingerprint: str
+    entries: tuple[RecordingEntry, ...] = ()
+    poses: PoseBook = field(default_factory=PoseBook)
+
+    @classmethod
+    def read(cls, folder: Path, fingerprint: str) -> Registry:
+        """Read the registry of a dataset.
+
+        Raises
+        ------
+        InputError
+            If a table is damaged, or of another dataset.
+        """
+        tables = (whole_table(table, folder, fingerprint) for table in (RECORDINGS, POSES, SIGHTS))
+        recordings, poses, sights = tables
+        try:
+            entries = [
+                RecordingEntry(**{**row, "hours": frozenset(row["hours"])})
+                for row in recordings.select(RECORDINGS.names).to_pylist()
+            ]
+            book = _poses_from(poses, sights, folder)
+            book.of(each.pose for each in entries)  # all are there
+        except (ValueError, KeyError, TypeError) as error:
+            raise InputError(f"{folder}: damaged: {error!r:.200}") from error
+        entries.sort(key=attrgetter("key"))
+        return cls(folder=folder, fingerprint=fingerprint, entries=tuple(entries), poses=book)
+
+    def write_poses(self, poses: PoseBook) -> None:
+        """Write poses and what is seen from them, in place of those that are there."""
+        write_whole(SIGHTS, self.folder, _sights_table(poses), self.fingerprint)
+        write_whole(POSES, self.folder, _poses_table(poses), self.fingerprint)
+
+    def write_recordings(self) -> None:
+        """Write which recordings there are, and which hours were made with them."""
+        entries = sorted(self.entries, key=attrgetter("key"))
+        table = {name: list(map(attrgetter(name), entries)) for name in RECORDINGS.names}
+        table["hours"] = list(map(sorted, table["hours"]))
+        write_whole(RECORDINGS, self.folder, table, self.fingerprint)
+
+    @property
+    def hours(self) -> list[int]:
+        """The hours that there have to be: from the first to the last of each recording."""
+        return sorted({hour for each in self.entries for hour in each.own_hours})
+
+    def by_hour(self, margin: int) -> dict[int, list[RecordingEntry]]:
+        """Return the recordings that reach into the window of each hour, in their order."""
+        found: dict[int, list[RecordingEntry]] = {}
+        for each in self.entries:
+            for hour in each.reached_hours(margin):
+                found.setdefault(hour, []).append(each)
+        return found
+
+    def missing_hours(self, margin: int) -> list[int]:
+        """Return the hours that are to be made."""
+        reaching = self.by_hour(margin)
+        return [
+            hour for hour in self.hours if any(hour not in each.hours for each in reaching[hour])
+        ]
+
+    def without_hours(self, hours: Iterable[int]) -> Registry:
+        """Return the registry in which some hours are to be made again."""
+        gone = frozenset(hours)
+        entries = (
+            each if gone.isdisjoint(each.hours) else replace(each, hours=each.hours - gone)
+            for each in self.entries
+        )
+        return replace(self, entries=tuple(entries))
+
+    def with_hours(self, hours: Iterable[int], margin: int) -> Registry:
+        """Return the registry in which hours are made of all recordings that reach into them."""
+        made = frozenset(hours)
+        entries = []
+        for each in self.entries:
+            more = made.intersection(each.reached_hours(margin)) - each.hours
+            entries.append(replace(each, hours=each.hours | more) if more else each)
+        return replace(self, entries=tuple(entries))
+
+    def placing(self, entry: RecordingEntry) -> Placing:
+        """Return a recording with its poses."""
+        return entry, self.poses.tracks[entry.pose], self.poses.sights[entry.pose]
+
+
+Placing: TypeAlias = tuple[RecordingEntry, PoseTrack, tuple[str, ...]]
+"""A recording, its pose track, and for each pose the one whose sight it has."""
+
+
+def source_of(entry: RecordingEntry, track: PoseTrack, sights: tuple[str, ...]) -> PlacedRecording:
+    """Open a recording, with what is known of its sensor."""
+    return PlacedRecording(
+        recording=open_recording(entry.path), track=track, views=sights, clock=entry.clock
+    )
+
+
+def digest_of(path: Path) -> str:
+    """Return the SHA-256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def touched_hours(
+    hours: Iterable[int], entries: Iterable[RecordingEntry], margin: int
+) -> list[int]:
+    """Return which of some hours recordings reach into, ascending."""
+    reached = {hour for each in entries for hour in each.reached_hours(margin)}
+    return sorted(reached.intersection(hours))
+
+
+def validity_by_sensor(entries: Iterable[RecordingEntry]) -> dict[str, float]:
+    """Return how long the frames of each sensor are valid.
+
+    Raises
+    ------
+    InputError
+        If recordings of a sensor state different times.
+    """
+    known: dict[str, RecordingEntry] = {}
+    for each in entries:
+        other = known.setdefault(each.sensor, each)
+        if other.validity_s != each.validity_s:
+            raise InputError(
+                f"{each.path}: frames of {each.sensor} are valid for {1000 * each.validity_s:g} "
+                f"ms, those of {other.path} for {1000 * other.validity_s:g} ms",
+                hint="state the same --cycle for all recordings of a sensor, or none",
+            )
+    return {sensor: each.validity_s for sensor, each in known.items()}
+
+
+def refuse_two_sensors(one: RecordingEntry, other: RecordingEntry) -> None:
+    """Refuse a recording that is given for two sensors.
+
+    Raises
+    ------
+    InputError
+        Always.
+    """
+    raise InputError(
+        f"{one.path}: is given for {one.sensor}, and for {other.sensor} as {other.path}",
+        hint="give each sensor its own recording",
+    )
+
+
+def entry_of(
+    recording: Recording, sensor: str, pose: str, clock: SensorClock | None, validity_s: float
+) -> RecordingEntry:
+    """Look at a recording: digest, time, rows, and whether it has range rates.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or its times jump by more than a day.
+    """
+    path = Path(recording.path).resolve()
+    first, last, rows, has_rates = _looked_at(recording)
+    times = np.array([first, last])
+    begin, end = (times if clock is None else clock.corrected(times)).tolist()
+    step_of(np.array([begin, end]))
+    known = SensorClock(offset_s=0.0) if clock is None else clock
+    still = known.offset_s == 0.0 and known.drift_ppm == 0.0
+    return RecordingEntry(
+        path=path.as_posix(), digest=digest_of(path), sensor=sensor, pose=pose, first_time=begin,
+        last_time=end, clock_offset=known.offset_s, clock_drift_ppm=known.drift_ppm,
+        clock_at=0.0 if still else known.at, validity_s=validity_s, rows=rows,
+        has_rates=has_rates, has_elevation=recording.measures_elevation(),
+    )  # fmt: skip
+
+
+def _looked_at(recording: Recording) -> tuple[float, float, int, bool]:
+    """Return first and last time, rows, and whether a detection has a range rate."""
+    spans = recording.time_spans() if recording.time_spans is not None else None
+    stated = spans is not None and all(last - first <= LONGEST_GAP_S for first, last in spans)
+    first = last = math.nan
+    rows, has_rates, detections = 0, False, 0
+    for batch in recording.read():
+        time = batch.time if rows == 0 else np.concatenate([[last], batch.time])
+        if len(gap := np.flatnonzero(np.diff(time) > LONGEST_GAP_S)):
+            _refuse_gap(recording, *time[gap[0] : gap[0] + 2].tolist())
+        first, last = (float(time[0]) if rows == 0 else first), float(time[-1])
+        rows += len(batch)
+        detections += int(batch.present.sum())
+        has_rates |= bool(np.isfinite(batch.range_rate).any())
+        if stated and has_rates:
+            break
+    if stated and spans is not None and recording.rows is not None:
+        for (_, before), (after, _) in pairwise(spans):
+            if after - before > LONGEST_GAP_S:
+                _refuse_gap(recording, before, after)
+        first, last, rows = spans[0][0], spans[-1][1], recording.rows
+    return first, last, rows, has_rates or detections == 0
+
+
+def _refuse_gap(recording: Recording, last: float, then: float) -> None:
+    before, after = (iso_from_step(int(step)) for step in step_of(np.array([last, then])))
+    raise InputError(
+        f"{recording.path}: its times jump from {before} to {after}",
+        hint="the sensor's clock was set: cut the recording there, or mend its times",
+    )
+
+
+def _poses_table(poses: PoseBook) -> Mapping[str, Any]:
+    rows = []
+    for name, track in poses.tracks.items():
+        names = pose_names(name, len(track.poses))
+        since = [each if math.isfinite(each) else None for each in track.since.tolist()]
+        for own, pose, begin, head in zip(
+            names, track.poses, since, poses.sights[name], strict=True
+        ):
+            road_m = poses.views[head].road_m
+            rows.append(
+                {
+                    "pose": own, "sensor": pose.sensor, "easting": pose.easting,
+                    "northing": pose.northing, "height": pose.height, "yaw": pose.yaw,
+                    "pitch": pose.pitch, "roll": pose.roll, "track": name, "since": begin,
+                    "sight": head, "road_m": road_m if math.isfinite(road_m) else None,
+                    "document": json.dumps(pose.as_dict(), sort_keys=True),
+                }
+            )  # fmt: skip
+    rows.sort(key=lambda row: str(row["pose"]))
+    return {name: [row[name] for row in rows] for name in POSES.names}
+
+
+def _sights_table(poses: PoseBook) -> Mapping[str, Any]:
+    names = sorted(poses.views)
+    tiles = [poses.views[name].tile_id for name in names]
+    return {
+        "pose": np.repeat(np.array([*names, ""], object)[:-1], [len(each) for each in tiles]),
+        "tile_id": np.concatenate([np.empty(0, np.int64), *tiles]),
+    }
+
+
+def _poses_from(poses: pa.Table, sights: pa.Table, folder: Path) -> PoseBook:
+    """Return the poses of a dataset from its tables."""
+    frame, seen = poses.to_pandas(), sights.to_pandas()
+    tiles = {name: rows.to_numpy(np.int64) for name, rows in seen.groupby("pose")["tile_id"]}
+    book = PoseBook()
+    for name, rows in frame.groupby("track", sort=True):
+        found = tuple(
+            pose_from_dict(json.loads(text), what=f"{folder}: {name}") for text in rows["document"]
+        )
+        since = rows["since"].fillna(-math.inf).to_numpy(np.float64)
+        book.tracks[str(name)] = PoseTrack(poses=found, since=since)
+        book.sights[str(name)] = tuple(rows["sight"])
+        for own, pose, road_m in zip(rows["pose"], found, rows["road_m"], strict=True):
+            if own in set(rows["sight"]):
+                book.views[own] = PoseView(
+                    sensor=pose.sensor, position=(pose.easting, pose.northing, pose.height),
+                    tile_id=tiles.get(own, np.empty(0, np.int64)), road_m=float(road_m),
+                )  # fmt: skip
+    return book

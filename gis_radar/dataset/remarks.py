@@ -1,0 +1,178 @@
+"""Remarks about recordings, given once a run: what does not fit in views, cycles, clocks, sight."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from gis_radar.dataset.registry import RecordingEntry
+from gis_radar.measures.sensor_reading import RecordingCounts
+from gis_radar.measures.settings import HitSettings
+from gis_radar.measures.validity import valid_steps
+from gis_radar.measures.views import PlacedRecording, ViewBook
+from gis_radar.poses.pose import View
+from gis_radar.progress import Reporter
+from gis_radar.recordings.overlaps import overlap_warnings
+from gis_radar.recordings.recording import RangeCounts
+from gis_radar.recordings.speeds import odd_speeds
+from gis_radar.sight import (
+    MovingHits,
+    Sight,
+    find_contradictions,
+    find_gaps,
+    gap_warning,
+    report_contradictions,
+)
+from gis_radar.sight.settings import DEFAULTS as SIGHT_DEFAULTS
+from gis_radar.steps import STEP_US, iso_from_step
+from gis_radar.tracking.batches import warn_of_poses
+from gis_radar.tracking.settings import VehicleSettings
+
+
+@dataclass(frozen=True, kw_only=True)
+class Examined:
+    """A recording, and what was counted of it in the hours that were made.
+
+    Parameters
+    ----------
+    entry : RecordingEntry
+        Its row in the dataset.
+    source : PlacedRecording
+        The recording with its poses; the views are those of the book.
+    evidence : RecordingCounts
+        The counts; by the name of a pose where they are by view.
+    """
+
+    entry: RecordingEntry
+    source: PlacedRecording
+    evidence: RecordingCounts
+
+
+def remark_on_recordings(
+    examined: Sequence[Examined],
+    book: ViewBook,
+    sights: Mapping[str, Sight],
+    settings: HitSettings,
+    reporter: Reporter,
+) -> None:
+    """Warn of what does not fit in recordings.
+
+    Parameters
+    ----------
+    examined : sequence of Examined
+        Those of this run.
+    book : ViewBook
+        What their sensors see.
+    sights : mapping
+        The same by the name of a pose.
+    settings : HitSettings
+        Limits.
+    reporter : Reporter
+        Receives the warnings.
+    """
+    hits = _moving_hits(examined, sights)
+    if book.scan is not None:
+        judged = [each for each in hits if each.frames >= SIGHT_DEFAULTS.judged_frames]
+        report_contradictions(find_contradictions(judged, book.road), reporter)
+    if gaps := gap_warning(find_gaps(hits, book.road)):
+        reporter.log(gaps, "warning")
+    for each in examined:
+        for line in _recording_warnings(each, book, settings):
+            reporter.log(line, "warning")
+    for line in _time_warnings([each.entry for each in examined]):
+        reporter.log(line, "warning")
+
+
+def remark_on_vehicles(
+    count: int, on_lanes: Sequence[pd.DataFrame], settings: VehicleSettings, reporter: Reporter
+) -> None:
+    """Warn where no vehicle moves, or vehicles drive beside the lanes."""
+    if count == 0:
+        reporter.log("no vehicle moves in these recordings: the occupancy is zero", "warning")
+    for line in warn_of_poses(on_lanes, settings.batches):
+        reporter.log(line, "warning")
+
+
+def _moving_hits(examined: Sequence[Examined], sights: Mapping[str, Sight]) -> list[MovingHits]:
+    """Return what moved on the tiles in each view, of all recordings of a sensor together."""
+    together: dict[str, list[tuple[np.ndarray, int]]] = {}
+    for each in examined:
+        for view, count in each.evidence.movement.items():
+            frames = each.evidence.frames.get(view, 0)
+            together.setdefault(view, []).append((count, frames))
+    return [
+        MovingHits(
+            sight=sights[view], count=np.sum([count for count, _ in found], axis=0),
+            frames=sum(frames for _, frames in found),
+        )
+        for view, found in together.items()
+    ]  # fmt: skip
+
+
+def _recording_warnings(each: Examined, book: ViewBook, settings: HitSettings) -> Iterator[str]:
+    """Yield what does not fit in view, cycle and clock, given what was recorded."""
+    file, sensor = each.source.recording.path.name, each.entry.sensor
+    evidence, validity_s = each.evidence, each.entry.validity_s
+    ranges = RangeCounts()
+    ranges.counts = evidence.ranges
+    reached_m, cycle_us = ranges.reached_m(settings.range_share), evidence.times.cycle_us
+    view = each.source.track.poses[0].view or View()
+    if evidence.hits == 0:
+        yield (
+            f"{file}: no detection of {sensor} lies on a tile: all reads as observed and "
+            "empty; do pose, tiles and filters fit the recording, and are its positions metres?"
+        )
+    if 0 < reached_m < settings.reach_share * view.max_range_m:
+        yield (
+            f"{file}: {100 * settings.range_share:g} % of the detections lie within "
+            f"{reached_m:.0f} m, but the view of {sensor} reaches {view.max_range_m:g} m: what "
+            "lies beyond reads as observed and empty; set the view's max_range_m or --max-range"
+        )
+    if odd := odd_speeds(each.source.recording):
+        yield f"{file}: {odd}; vehicles and poses need metres and m/s, positive when receding"
+    valid_us = (1 + valid_steps(validity_s)) * STEP_US
+    if settings.slow_cycle * valid_us < cycle_us < np.inf:
+        cycle_ms, empty = round(cycle_us / 1000), 100.0 * (1.0 - valid_us / cycle_us)
+        yield (
+            f"{file}: {sensor} delivers every {cycle_ms} ms, and a frame is valid for "
+            f"{1000 * validity_s:g} ms: {empty:.0f} % of the 50 ms steps read as not observed "
+            f"by it; --cycle {sensor}={cycle_ms}ms makes a frame valid for its whole cycle"
+        )
+    if evidence.level:
+        heights = sorted({f"{book.road_m[sensor, name]:.1f}" for name in each.source.views})
+        yield (
+            f"{file}: {sensor} measures no elevation: its detections are placed at the height "
+            f"of the road near it ({', '.join(heights)} m)"
+        )
+    if each.entry.first_time < settings.clock_set_s:
+        begin = iso_from_step(evidence.times.first_us // STEP_US)
+        yield (
+            f"{file}: times begin at {begin}: the clock of {sensor} may count since it was "
+            "switched on; gis-radar clocks finds its offset"
+        )
+
+
+def _time_warnings(entries: Sequence[RecordingEntry]) -> Iterator[str]:
+    """Yield warnings about recording times: overlaps, and sensors with no common time."""
+    spans: dict[str, list[tuple[float, float, Path]]] = {}
+    for each in entries:
+        span = each.first_time, each.last_time, Path(each.path)
+        spans.setdefault(each.sensor, []).append(span)
+    for sensor, found in spans.items():
+        yield from overlap_warnings(sensor, found)
+    whole = {
+        sensor: (min(each[0] for each in found), max(each[1] for each in found))
+        for sensor, found in spans.items()
+    }
+    for (one, (begin_s, end_s)), (other, (first_s, last_s)) in combinations(whole.items(), 2):
+        if (apart_s := max(first_s - end_s, begin_s - last_s)) > 0:
+            yield (
+                f"{one} and {other} have no time in common: {apart_s:,.0f} s lie between "
+                "them; if they were recorded together, a clock is off: gis-radar clocks finds by "
+                "how much"
+            )

@@ -1,0 +1,27 @@
+"""The schema of a dataset: a file a table, or a few alike, owns columns, types, units and order."""
+
+from gis_radar.dataset.tables.frames import FRAMES
+from gis_radar.dataset.tables.hits import HITS
+from gis_radar.dataset.tables.passages import PASSAGES
+from gis_radar.dataset.tables.runs import OBSERVED, OCCUPIED, VISIBLE
+from gis_radar.dataset.tables.site import POSES, RECORDINGS, SIGHTS
+from gis_radar.dataset.tables.table import TableColumn, TableSchema
+from gis_radar.dataset.tables.tile_counts import TILE_COUNTS
+from gis_radar.dataset.tables.tracks import EVERY, TRACKS
+from gis_radar.dataset.tables.vehicles import CONTINUED, VEHICLES
+
+SCHEMA = 1
+"""Of the contract: readers refuse a newer one."""
+
+HIT_TABLES = (FRAMES, HITS, OBSERVED)
+VEHICLE_TABLES = (VISIBLE, OCCUPIED, TRACKS, VEHICLES, CONTINUED, PASSAGES)
+"""Absent where there are no range rates or lanes, or only hits are asked for."""
+
+HOUR_TABLES = (*HIT_TABLES, *VEHICLE_TABLES)
+TABLES = {table.name: table for table in (*HOUR_TABLES, TILE_COUNTS, RECORDINGS, POSES, SIGHTS)}
+
+__all__ = [
+    "CONTINUED", "EVERY", "FRAMES", "HITS", "HIT_TABLES", "HOUR_TABLES", "OBSERVED", "OCCUPIED",
+    "PASSAGES", "POSES", "RECORDINGS", "SCHEMA", "SIGHTS", "TABLES", "TILE_COUNTS", "TRACKS",
+    "VEHICLES", "VEHICLE_TABLES", "VISIBLE", "TableColumn", "TableSchema",
+]  # fmt: skip

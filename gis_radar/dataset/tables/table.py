@@ -1,0 +1,180 @@
+"""A kind of table: its columns in order, what they mean, and what its rows keep to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from gis_radar.arrays import Booleans, Integers
+from gis_radar.errors import InputError
+
+_INT, _TEXT = pa.int64(), pa.string()
+
+
+@dataclass(frozen=True)
+class TableColumn:
+    """A column of a table.
+
+    Parameters
+    ----------
+    name : str
+        As in the files.
+    type : pyarrow.DataType
+        As Arrow knows it.
+    means : str
+        What its values say, with the unit where the name has none.
+    nullable : bool
+        Whether values may be missing.
+    share_of : str
+        The column of which this one is a share, if any: maps can show the quotient, 0 to 1.
+    """
+
+    name: str
+    type: pa.DataType
+    means: str
+    nullable: bool = False
+    share_of: str = ""
+
+
+TILE = TableColumn("tile_id", _INT, "the tile, as in the layer `tiles`")
+STEP = TableColumn("step", _INT, "step of 50 ms since 1970, UTC")
+FIRST = TableColumn("first_step", _INT, "first step")
+LAST = TableColumn("last_step", _INT, "last step, inclusive")
+VEHICLE = TableColumn("vehicle", _INT, "hour since 1970 x 1,000,000 + a number from 0")
+SENSOR = TableColumn("sensor", _TEXT, "name of the sensor")
+POSE = TableColumn("pose", _TEXT, "name of the pose, as in `poses`")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableSchema:
+    """A kind of table.
+
+    Parameters
+    ----------
+    name : str
+        Of its folder, or of its file where the dataset has one.
+    means : str
+        What a row is.
+    columns : tuple of TableColumn
+        In order.
+    order : tuple of str
+        By which columns the rows ascend strictly.
+    span : tuple of str
+        The columns that hold a row's first and last step, which lie in the hour of the part; none
+        where rows have no steps.
+    runs : bool
+        Whether rows are disjoint runs of steps of a tile, which may be cut.
+    period : {"hour", "day", "dataset"}
+        What one file holds.
+    """
+
+    name: str
+    means: str
+    columns: tuple[TableColumn, ...]
+    order: tuple[str, ...]
+    span: tuple[str, str] | None = None
+    runs: bool = False
+    period: Literal["hour", "day", "dataset"] = "hour"
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the columns, in order."""
+        return [column.name for column in self.columns]
+
+    @property
+    def shares(self) -> dict[str, str]:
+        """The columns that maps show as a share of another one, and that one."""
+        return {column.name: column.share_of for column in self.columns if column.share_of}
+
+    @property
+    def schema(self) -> pa.Schema:
+        """Columns as Arrow knows them."""
+        return pa.schema([pa.field(c.name, c.type, nullable=c.nullable) for c in self.columns])
+
+    def to_arrow(self, values: Mapping[str, Any] | pd.DataFrame | pa.Table) -> pa.Table:
+        """Return rows as an Arrow table of exactly these columns, checked.
+
+        Parameters
+        ----------
+        values : mapping, DataFrame or Arrow table
+            Arrays by column: of NumPy (masked where values are missing), pandas or Arrow. Further
+            ones are dropped.
+
+        Raises
+        ------
+        InputError
+            If a column is missing, of another type, or empty where it must not be, or the rows are
+            not in order.
+        """
+        known = values.column_names if isinstance(values, pa.Table) else values
+        if missing := [name for name in self.names if name not in known]:
+            raise InputError(f"{self.name}: lacks the column {missing[0]}")
+        found = [self._column(column, values[column.name]) for column in self.columns]
+        if len({len(each) for each in found}) > 1:
+            raise InputError(f"{self.name}: columns differ in length")
+        table = pa.Table.from_arrays(found, schema=self.schema)
+        self.check_rows(table)
+        return table
+
+    def empty(self) -> pa.Table:
+        """Return the table without rows."""
+        return self.schema.empty_table()
+
+    def _column(self, column: TableColumn, values: Any) -> pa.ChunkedArray | pa.Array:
+        what = f"{self.name}: {column.name}"
+        try:
+            if not isinstance(values, pa.Array | pa.ChunkedArray):
+                values = pa.array(values, from_pandas=True)  # a type given here would truncate
+            number = pa.types.is_integer(column.type) or pa.types.is_floating(column.type)
+            # Arrow would read numbers from texts.
+            found = None if number and _is_text(values.type) else values.cast(column.type)
+        except (pa.ArrowException, TypeError, ValueError, OverflowError) as error:
+            raise InputError(f"{what} holds something else than {column.type}") from error
+        if found is None:
+            raise InputError(f"{what} holds something else than {column.type}")
+        if found.null_count and not column.nullable:
+            row = int(np.argmax(found.is_null().to_numpy(zero_copy_only=False)))
+            raise InputError(f"{what} is empty in row {row}")
+        return found
+
+    def check_rows(self, table: pa.Table) -> None:
+        """Refuse rows that do not ascend, and runs that overlap or end before they begin.
+
+        Raises
+        ------
+        InputError
+            If there are such.
+        """
+        if not _ascends([table[name] for name in self.order]):
+            raise InputError(f"{self.name}: rows do not ascend by {', '.join(self.order)}")
+        if self.runs:
+            tile, first, last = (table[c].to_numpy() for c in (TILE.name, FIRST.name, LAST.name))
+            overlap = (tile[1:] == tile[:-1]) & (first[1:] <= last[:-1])
+            if np.any(first > last) or np.any(overlap):
+                raise InputError(f"{self.name}: runs of a tile overlap, or end before they begin")
+
+
+def _is_text(kind: pa.DataType) -> bool:
+    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
+
+
+def _ascends(columns: list[pa.ChunkedArray]) -> bool:
+    """Return whether rows ascend strictly by some columns without missing values."""
+    later: Booleans = np.zeros(max(len(columns[0]) - 1, 0), np.bool_)
+    for column in reversed(columns):
+        values = _ranks(column) if pa.types.is_string(column.type) else column.to_numpy()
+        later = (values[1:] > values[:-1]) | ((values[1:] == values[:-1]) & later)
+    return bool(later.all())
+
+
+def _ranks(texts: pa.ChunkedArray) -> Integers:
+    """Return for each text its place among all of them."""
+    names = pc.unique(texts)
+    place = np.argsort(np.argsort(names.to_numpy(zero_copy_only=False).astype(str)))
+    return np.asarray(place[pc.index_in(texts, names).to_numpy()], np.int64)

@@ -1,0 +1,418 @@
+"""Tile counts: steps of each tile by quarter of an hour, from the exact tables of its hours."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from gis_radar.arrays import Booleans, Floats, Integers, compiled, ranges
+from gis_radar.dataset.parts import (
+    HOURS_PER_DAY,
+    STEPS_PER_HOUR,
+    days_of,
+    hour_text,
+    opened_part,
+    part_path,
+    rename_whole,
+    unfinished,
+    whole_metadata,
+    write_part,
+)
+from gis_radar.dataset.reading import Span
+from gis_radar.dataset.records import HourRecord, read_hours
+from gis_radar.dataset.tables import HITS, OBSERVED, OCCUPIED, TILE_COUNTS, VISIBLE, TableSchema
+from gis_radar.errors import InputError
+from gis_radar.steps import STEPS_PER_SECOND
+
+QUARTERS = 4  # of an hour
+STEPS_PER_QUARTER = STEPS_PER_HOUR // QUARTERS
+_HITS_AT_ONCE = 1 << 20
+_HOURS = "hours"  # in the metadata of a day: what each hour was when it was counted
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunErrorSettings:
+    """What the length of a run of occupied steps leaves open.
+
+    Parameters
+    ----------
+    end_share : float
+        Error of a run by the ends of its vehicle, as a share of its length: both ends of a car of
+        4.5 m are known to 0.5 m.
+    end_most_s : float
+        No more than this, seconds: both ends of a vehicle that stops, at 1.5 m/s.
+    false_share : float
+        Root of the variance of a run that was seen, relative to its length, by vehicles that are
+        none and such that are missing: 5 % of each.
+    inferred_share : float
+        The same of a run that was inferred: 25 % of each kind.
+    """
+
+    end_share: float = 0.16
+    end_most_s: float = 0.5
+    false_share: float = 0.3
+    inferred_share: float = 0.7
+
+    def variance(self, steps: Integers, seen: Booleans) -> Floats:
+        """Return the variance of the length of runs, steps squared."""
+        ends = np.minimum(self.end_share * steps, self.end_most_s * STEPS_PER_SECOND)
+        share = np.where(seen, self.false_share, self.inferred_share)
+        return np.asarray(ends**2 + (share * steps) ** 2, np.float64)
+
+
+RUN_ERRORS = RunErrorSettings()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HourSpans:
+    """Spans of steps of an hour, ascending, that do not overlap.
+
+    Parameters
+    ----------
+    first, last : (n,) int64 arrays
+        Steps from the hour's begin, inclusive.
+    """
+
+    first: Integers
+    last: Integers
+
+
+_BEGINS = np.arange(QUARTERS, dtype=np.int64) * STEPS_PER_QUARTER
+QUARTER_SPANS = HourSpans(first=_BEGINS, last=_BEGINS + STEPS_PER_QUARTER - 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Runs:
+    """Runs of steps on one axis: all tiles, one after the other, an hour each."""
+
+    first: Integers
+    last: Integers
+    seen: Booleans
+    cell: Integers = field(default_factory=lambda: np.empty(0, np.int64))
+
+    @classmethod
+    def of(cls, table: pa.Table, tiles: Integers, hour: int) -> _Runs:
+        """Return the runs of tiles, of which all must be among the given ones."""
+        first, last = (table[name].to_numpy() for name in ("first_step", "last_step"))
+        place = np.searchsorted(tiles, table["tile_id"].to_numpy())
+        shift = (place - hour) * STEPS_PER_HOUR
+        known = "seen" in table.column_names
+        seen = table["seen"].to_numpy() if known else np.ones(len(first), np.bool_)
+        return cls(first=first + shift, last=last + shift, seen=seen)
+
+    def joined(self) -> _Runs:
+        """Return runs that follow each other as one, be they seen or not."""
+        new = np.diff(self.first, prepend=-1) > 0
+        new[1:] = (self.first[1:] != self.last[:-1] + 1) | (self.first[1:] % STEPS_PER_HOUR == 0)
+        begins = np.flatnonzero(new)
+        ends = np.append(begins[1:], len(self.first)) - 1
+        return _Runs(
+            first=self.first[begins], last=self.last[ends[: len(begins)]], seen=self.seen[begins]
+        )
+
+    def during(self, others: _Runs) -> _Runs:
+        """Return the parts of runs while others last."""
+        low = np.searchsorted(others.last, self.first)
+        count = np.searchsorted(others.first, self.last, side="right") - low
+        return self._cut(count, others.first[at := ranges(low, count)], others.last[at])
+
+    def within(self, spans: HourSpans) -> _Runs:
+        """Return the parts of runs in each span of the hour."""
+        tile = self.first // STEPS_PER_HOUR
+        begin = tile * STEPS_PER_HOUR
+        low = np.searchsorted(spans.last, self.first - begin)
+        count = np.searchsorted(spans.first, self.last - begin, side="right") - low
+        span = ranges(low, count)
+        at = np.repeat(begin, count)
+        found = self._cut(count, at + spans.first[span], at + spans.last[span])
+        return replace(found, cell=np.repeat(tile, count) * len(spans.first) + span)
+
+    def _cut(self, count: Integers, first: Integers, last: Integers) -> _Runs:
+        """Repeat runs, each so often, and cut them to a span each."""
+        return _Runs(
+            first=np.maximum(np.repeat(self.first, count), first),
+            last=np.minimum(np.repeat(self.last, count), last),
+            seen=np.repeat(self.seen, count),
+        )
+
+    @property
+    def steps(self) -> Integers:
+        """Their lengths."""
+        return self.last - self.first + 1
+
+    def total(self, values: Integers | Floats | Booleans, cells: int) -> Floats:
+        """Return sums of a value of runs that were cut, by tile and span."""
+        return np.bincount(self.cell, values, cells).astype(np.float64)
+
+
+def count_hour(folder: Path, record: HourRecord) -> pa.Table:
+    """Count the steps of the tiles of an hour.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the dataset.
+    record : HourRecord
+        Of the hour.
+
+    Returns
+    -------
+    pyarrow.Table
+        The rows of `tile_counts` in it: of tiles and quarters with an observed step.
+
+    Raises
+    ------
+    InputError
+        If a part of the hour is not what it should be.
+    """
+    tiles, sums = count_spans(folder, record, QUARTER_SPANS)
+    rows = np.flatnonzero(sums["observed_steps"])
+    quarter = record.hour % HOURS_PER_DAY * QUARTERS + rows % QUARTERS
+    counts = {"tile_id": tiles[rows // QUARTERS], "interval": quarter}
+    return TILE_COUNTS.to_arrow(counts | {name: each[rows] for name, each in sums.items()})
+
+
+def count_spans(
+    folder: Path, record: HourRecord, spans: HourSpans
+) -> tuple[Integers, dict[str, Floats]]:
+    """Count the steps of the tiles of an hour in spans of it.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the dataset.
+    record : HourRecord
+        Of the hour.
+    spans : HourSpans
+        Of it.
+
+    Returns
+    -------
+    tiles : (n,) int64 array
+        Ids of the tiles with a run, ascending.
+    sums : dict
+        The columns of `tile_counts`, each (n * spans,): by tile, then by span.
+
+    Raises
+    ------
+    InputError
+        If a part of the hour is not what it should be.
+    """
+
+    def read(table: TableSchema) -> pa.Table:
+        if table.name not in record.parts:
+            return table.empty()
+        with record.opened(folder, table) as file:
+            return file.read(columns=table.names)
+
+    tables = {table.name: read(table) for table in (OBSERVED, VISIBLE, OCCUPIED)}
+    ids = [table["tile_id"].to_numpy() for table in tables.values()]
+    tiles = np.unique(np.concatenate(ids))
+    observed, visible, occupied = (_Runs.of(table, tiles, record.hour) for table in tables.values())
+    occupied = occupied.during(visible.joined())
+    observed, visible, occupied = (each.within(spans) for each in (observed, visible, occupied))
+    cells = len(tiles) * len(spans.first)
+    variance = RUN_ERRORS.variance(occupied.steps, occupied.seen)
+    sums = {
+        "hit_steps": observed.total(_hits_in(observed, folder, record, tiles), cells),
+        "observed_steps": observed.total(observed.steps, cells),
+        "occupied_steps": occupied.total(occupied.steps, cells),
+        "visible_steps": visible.total(visible.steps, cells),
+        "occupied_variance": occupied.total(variance, cells),
+        "inferred_steps": visible.total(visible.steps * ~visible.seen, cells),
+    }
+    hidden = sums["observed_steps"] - sums["visible_steps"]
+    sums["hidden_steps"] = hidden * (VISIBLE.name in record.parts)
+    return tiles, sums
+
+
+def _hits_in(runs: _Runs, folder: Path, record: HourRecord, tiles: Integers) -> Integers:
+    """Return how many hits lie in each run; memory is that of a batch of hits."""
+    found, reached = np.zeros(len(runs.first), np.int64), np.zeros(2, np.int64)
+    begin = record.hour * STEPS_PER_HOUR
+    with record.opened(folder, HITS) as file:
+        for batch in file.iter_batches(_HITS_AT_ONCE, columns=HITS.names):
+            tile, step = (np.array(batch[name]) for name in HITS.names)
+            _count_hits(tile, step, tiles, runs.first, runs.last, begin, reached, found)
+    return found
+
+
+@compiled
+def _count_hits(  # pragma: no cover - compiled
+    tile: Integers, step: Integers, tiles: Integers, first: Integers, last: Integers, begin: int,
+    reached: Integers, found: Integers,
+) -> None:  # fmt: skip
+    """Count sorted hits in sorted runs; go on at the tile and the run that were reached."""
+    place, run = reached
+    for k in range(len(tile)):
+        while place < len(tiles) and tiles[place] < tile[k]:
+            place += 1
+        if place == len(tiles) or tiles[place] != tile[k]:
+            continue
+        at = place * STEPS_PER_HOUR + step[k] - begin
+        while run < len(last) and last[run] < at:
+            run += 1
+        if run < len(last) and first[run] <= at:
+            found[run] += 1
+    reached[0], reached[1] = place, run
+
+
+def update_counts(folder: Path, fingerprint: str, hour: int) -> None:
+    """Bring the tile counts of a date up to date; the caller is the only writer of that date.
+
+    Rows of hours that were not made again are carried over.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the dataset.
+    fingerprint : str
+        Of its tiles.
+    hour : int
+        Any hour of the date, since 1970.
+
+    Raises
+    ------
+    InputError
+        If a part of an hour is not what it should be.
+    OutputError
+        If the counts cannot be written.
+    """
+    (day,) = days_of([hour])
+    records = read_hours(folder, day, day + HOURS_PER_DAY - 1)
+    path = part_path(folder, TILE_COUNTS, day)
+    if not records:
+        path.unlink(missing_ok=True)
+        return
+    if counted_hours(folder, fingerprint, day).match(records.values()):
+        return
+    rows = _day_rows(folder, fingerprint, day, records.values())
+    metadata = whole_metadata(TILE_COUNTS, fingerprint) | {
+        "hour": hour_text(day),
+        _HOURS: json.dumps({hour: _made(each) for hour, each in records.items()}),
+    }
+    write_part(TILE_COUNTS, path, rows, metadata)
+    rename_whole(unfinished(path), path)
+
+
+def _made(record: HourRecord) -> list[str | int]:
+    return [record.origin.method, record.origin.inputs]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CountedHours:
+    """What the hours of a date were when they were counted.
+
+    Parameters
+    ----------
+    made : dict
+        Method and inputs of each hour since 1970.
+    """
+
+    made: Mapping[int, list[str | int]]
+
+    def has(self, record: HourRecord) -> bool:
+        """Return whether an hour was counted as it is now."""
+        return self.made.get(record.hour) == _made(record)
+
+    def match(self, records: Collection[HourRecord]) -> bool:
+        """Return whether just these hours were counted, as they are now."""
+        return len(records) == len(self.made) and all(map(self.has, records))
+
+
+def counted_hours(folder: Path, fingerprint: str, day: int) -> CountedHours:
+    """Read which hours of a date were counted, none where the counts are missing or damaged.
+
+    They follow from the tables of the hours, and are counted again where these are there.
+    """
+    with suppress(InputError, ValueError, KeyError), _opened_day(folder, fingerprint, day) as file:
+        known = json.loads(file.metadata.metadata[_HOURS.encode()])
+        return CountedHours(made={int(hour): made for hour, made in known.items()})
+    return CountedHours(made={})
+
+
+def check_counts(folder: Path, fingerprint: str, hours: Iterable[int]) -> None:
+    """Read the tile counts of the dates of some hours, where they are written.
+
+    Raises
+    ------
+    InputError
+        If they are damaged.
+    """
+    for day in days_of(hours):
+        if part_path(folder, TILE_COUNTS, day).is_file():
+            with _opened_day(folder, fingerprint, day) as file:
+                file.read()
+
+
+def _opened_day(folder: Path, fingerprint: str, day: int) -> AbstractContextManager[pq.ParquetFile]:
+    metadata = whole_metadata(TILE_COUNTS, fingerprint) | {"hour": hour_text(day)}
+    return opened_part(TILE_COUNTS, part_path(folder, TILE_COUNTS, day), metadata)
+
+
+def _day_rows(folder: Path, fingerprint: str, day: int, records: Iterable[HourRecord]) -> pa.Table:
+    """Return the rows of some hours of a date: as they were counted, else counted now."""
+    records = list(records)
+    known = counted_hours(folder, fingerprint, day)
+    kept = [record for record in records if known.has(record)]
+    parts = [count_hour(folder, record) for record in records if not known.has(record)]
+    if kept:
+        with _opened_day(folder, fingerprint, day) as file:
+            table = file.read(columns=TILE_COUNTS.names)
+        if known.match(records):
+            return table
+        hours = pa.array([record.hour % HOURS_PER_DAY for record in kept], pa.int32())
+        hour = pc.divide(table["interval"], pa.scalar(QUARTERS, pa.int32()))
+        parts.append(table.filter(pc.is_in(hour, hours)))
+    return pa.concat_tables(parts).sort_by([(name, "ascending") for name in TILE_COUNTS.order])
+
+
+def read_counts(
+    folder: Path,
+    fingerprint: str,
+    records: Mapping[int, HourRecord],
+    span: Span | None = None,
+    columns: Sequence[str] | None = None,
+) -> Iterator[pa.Table]:
+    """Read the tile counts day by day, of the complete hours alone.
+
+    Hours whose counts are not written yet, or older than the hour, are counted.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the dataset.
+    fingerprint : str
+        Of its tiles.
+    records : mapping
+        Of the complete hours, ascending.
+    span : (int, int), optional
+        Only intervals that begin from the first to the last of these steps.
+    columns : sequence of str, optional
+        Which columns; all without it.
+
+    Yields
+    ------
+    pyarrow.Table
+        Rows of a date by tile and interval, with a further column `first_step`, in which the
+        interval begins.
+    """
+    for day in days_of(records):
+        mine = [each for hour, each in records.items() if 0 <= hour - day < HOURS_PER_DAY]
+        rows = _day_rows(folder, fingerprint, day, mine)
+        first = rows["interval"].to_numpy().astype(np.int64) * STEPS_PER_QUARTER
+        rows = rows.append_column("first_step", pa.array(first + day * STEPS_PER_HOUR))
+        if span is not None:
+            begin = rows["first_step"]
+            rows = rows.filter(
+                pc.and_(pc.greater_equal(begin, span[0]), pc.less_equal(begin, span[1]))
+            )
+        yield rows.select(list(columns)) if columns is not None else rows

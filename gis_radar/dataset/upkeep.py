@@ -1,0 +1,139 @@
+"""Take recordings out of a dataset, or find those that were moved."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from gis_radar.dataset.dataset import open_dataset
+from gis_radar.dataset.hour_job import HourSite, MeasureSettings
+from gis_radar.dataset.making import change, writing
+from gis_radar.dataset.manifest import MANIFEST, MAP
+from gis_radar.dataset.registry import (
+    RecordingEntry,
+    Registry,
+    digest_of,
+    touched_hours,
+    validity_by_sensor,
+)
+from gis_radar.errors import InputError
+from gis_radar.lanelets.graph import lane_graph
+from gis_radar.progress import QUIET, Reporter
+from gis_radar.recordings.recording import FORMATS
+from gis_radar.tracking.map_check import map_of_tiles
+
+
+def withdraw(
+    folder: str | Path,
+    recordings: Sequence[str | Path],
+    *,
+    processes: int = 1,
+    reporter: Reporter = QUIET,
+) -> None:
+    """Take recordings out of a dataset; the hours that they reach into are made again.
+
+    Parameters
+    ----------
+    folder : str or Path
+        The dataset.
+    recordings : sequence of paths
+        Each by its path, or by its name alone where that is clear. They need not be there any
+        more; all others of the same hours have to be.
+    processes : int
+        How many hours are made side by side.
+    reporter : Reporter
+        Receives progress.
+
+    Raises
+    ------
+    InputError
+        If the dataset has no such recording, or another one that is needed has gone or changed.
+    """
+    folder = Path(folder)
+    dataset = open_dataset(folder, reporter=reporter)
+    try:
+        settings = MeasureSettings.from_dict(dataset.manifest.settings)
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{folder / MANIFEST}: damaged: {error!r:.200}") from error
+    with writing(folder, reporter):
+        before = Registry.read(folder, dataset.manifest.fingerprint)
+        gone = [_named(before, each) for each in recordings]
+        kept = tuple(each for each in before.entries if each not in gone)
+        hours = touched_hours(before.hours, gone, settings.margin)
+        poses = before.poses.of(each.pose for each in kept)
+        after = replace(before, entries=kept, poses=poses).without_hours(hours)
+        tiles = dataset.tiles().sort_values("tile_id", ignore_index=True)
+        graph = None
+        if settings.vehicles is not None:
+            graph = lane_graph(map_of_tiles(folder / MAP, tiles, reporter)[0].lanelets)
+        site = HourSite(
+            folder=folder, tiles=tiles, graph=graph, origin=dataset.manifest.origin,
+            settings=settings, views=after.poses.views,
+            validity_s=validity_by_sensor(after.entries),
+        )  # fmt: skip
+        change(site, before, after, processes=processes, reporter=reporter)
+
+
+def relink(folder: str | Path, search: str | Path, *, reporter: Reporter = QUIET) -> int:
+    """Find recordings of a dataset that were moved, by what they hold.
+
+    Parameters
+    ----------
+    folder : str or Path
+        The dataset.
+    search : str or Path
+        A folder; all recordings in it and in the folders below are looked at.
+    reporter : Reporter
+        Receives progress, and a warning for each recording that is not found.
+
+    Returns
+    -------
+    int
+        How many were found.
+
+    Raises
+    ------
+    InputError
+        If there is no such folder.
+    """
+    folder = Path(folder)
+    if not Path(search).is_dir():
+        raise InputError(f"{search}: is no folder", hint="name one to look for recordings in")
+    dataset = open_dataset(folder, reporter=reporter)
+    with writing(folder, reporter):
+        registry = Registry.read(folder, dataset.manifest.fingerprint)
+        lost = {each.digest: each for each in registry.entries if not _is_there(each)}
+        found: dict[str, Path] = {}
+        paths = sorted(p for p in Path(search).rglob("*") if p.suffix.lower() in FORMATS)
+        for done, path in enumerate(paths if lost else []):
+            digest = digest_of(path)
+            if digest in lost:
+                found.setdefault(digest, path.resolve())
+            reporter.progress("looking for recordings", done + 1, len(paths))
+        entries = tuple(
+            replace(each, path=found[each.digest].as_posix()) if each.digest in found else each
+            for each in registry.entries
+        )
+        replace(registry, entries=entries).write_recordings()
+    for digest, entry in lost.items():
+        if digest not in found:
+            reporter.log(f"{entry.path}: is not in {search}", "warning")
+    return len(found)
+
+
+def _is_there(entry: RecordingEntry) -> bool:
+    path = Path(entry.path)
+    return path.is_file() and digest_of(path) == entry.digest
+
+
+def _named(registry: Registry, recording: str | Path) -> RecordingEntry:
+    """Return the one recording of a path or name."""
+    path = Path(recording)
+    same = [each for each in registry.entries if Path(each.path) == path.resolve()]
+    same = same or [each for each in registry.entries if Path(each.path).name == str(recording)]
+    if len(same) == 1:
+        return same[0]
+    names = ", ".join(each.path for each in same or registry.entries)
+    what = "has no recording" if not same else "has several recordings"
+    raise InputError(f"{registry.folder}: {what} {recording}", hint=f"name one of {names}")

@@ -1,0 +1,154 @@
+"""The tables of a dataset as views of DuckDB: of complete hours, with columns for people."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Protocol
+
+import duckdb
+import geopandas as gpd
+import pyarrow as pa
+
+from gis_radar.dataset.manifest import Manifest
+from gis_radar.dataset.parts import HOURS_PER_DAY, days_of, part_path
+from gis_radar.dataset.records import HourRecord
+from gis_radar.dataset.statement import LAYERS
+from gis_radar.dataset.tables import (
+    HOUR_TABLES,
+    POSES,
+    RECORDINGS,
+    SIGHTS,
+    TILE_COUNTS,
+    TableSchema,
+)
+from gis_radar.dataset.tile_counts import STEPS_PER_QUARTER, counted_hours, read_counts
+from gis_radar.dataset.units import UNITS
+from gis_radar.steps import STEPS_PER_SECOND
+
+_BEGIN = f"epoch(date)::BIGINT * {STEPS_PER_SECOND} + interval * {STEPS_PER_QUARTER}::BIGINT"
+
+
+class Source(Protocol):
+    """What views are made of: a dataset."""
+
+    @property
+    def folder(self) -> Path:
+        """Where it lies."""
+
+    @property
+    def manifest(self) -> Manifest:
+        """Its tiles and its origin."""
+
+    def records(self) -> dict[int, HourRecord]:
+        """Return the records of its complete hours."""
+
+    def whole(self, table: TableSchema) -> pa.Table:
+        """Read a table that has one file."""
+
+    def layer(self, name: str) -> gpd.GeoDataFrame:
+        """Read a layer of its tiles."""
+
+
+def make_views(dataset: Source, asked: duckdb.DuckDBPyConnection, names: set[str]) -> list[Path]:
+    """Make the views of some tables.
+
+    Parameters
+    ----------
+    dataset : Source
+        Its complete hours.
+    asked : duckdb.DuckDBPyConnection
+        Where they are made.
+    names : set of str
+        Of the tables.
+
+    Returns
+    -------
+    list of Path
+        The files that the views read.
+
+    Raises
+    ------
+    InputError
+        If a part is not what its hour's record says.
+    """
+    views = _Views(dataset, asked)
+    records = dataset.records()
+    paths = []
+    for table in HOUR_TABLES:
+        if table.name in names:
+            paths += views.hours(table, records)
+    if TILE_COUNTS.name in names:
+        paths += views.counts(records)
+    for table in (RECORDINGS, POSES, SIGHTS):
+        if table.name in names:
+            views.held(table, dataset.whole(table))
+    for layer in names.intersection(LAYERS):
+        rows = dataset.layer(layer).drop(columns="geometry")
+        asked.register(layer, pa.Table.from_pandas(rows, preserve_index=False))
+    return paths
+
+
+class _Views:
+    """Makes views of tables."""
+
+    def __init__(self, dataset: Source, asked: duckdb.DuckDBPyConnection) -> None:
+        self._dataset, self._asked = dataset, asked
+
+    def hours(self, table: TableSchema, records: Mapping[int, HourRecord]) -> list[Path]:
+        """Make the view of a table of hours; return its files, each checked."""
+        folder, paths = self._dataset.folder, []
+        for hour, record in records.items():
+            record.check_bytes(folder, table)  # which DuckDB, unlike Arrow, does not
+            paths.append(part_path(folder, table, hour))
+        if paths:
+            self._view(table.name, table.names, f"read_parquet([{_list(paths)}])")
+        else:
+            self.held(table, table.empty())
+        return paths
+
+    def counts(self, records: Mapping[int, HourRecord]) -> list[Path]:
+        """Make the view of tile counts; dates that are not up to date are counted now."""
+        folder, tiles = self._dataset.folder, self._dataset.manifest.fingerprint
+        paths, odd = [], {}
+        for day in days_of(records):
+            mine = {h: r for h, r in records.items() if 0 <= h - day < HOURS_PER_DAY}
+            if counted_hours(folder, tiles, day).match(mine.values()):
+                paths.append(part_path(folder, TILE_COUNTS, day))
+            else:
+                odd.update(mine)
+        names = [*TILE_COUNTS.names, "first_step"]
+        empty = TILE_COUNTS.empty().append_column("first_step", pa.array([], pa.int64()))
+        counted = pa.concat_tables([empty, *read_counts(folder, tiles, odd)])
+        self._asked.register("_counted", counted)
+        source = _select(names, "_counted")
+        if paths:
+            files = f"read_parquet([{_list(paths)}], hive_types = {{'date': DATE}})"
+            begins = [*TILE_COUNTS.names, f"{_BEGIN} AS first_step"]
+            source = f"{source} UNION ALL {_select(begins, files)}"
+        self._view(TILE_COUNTS.name, names, f"({source})")
+        return paths
+
+    def held(self, table: TableSchema, rows: pa.Table) -> None:
+        """Make the view of rows in memory."""
+        self._asked.register(f"_{table.name}", rows)
+        self._view(table.name, table.names, f"_{table.name}")
+
+    def _view(self, name: str, columns: list[str], source: str) -> None:
+        """Make a view of columns, and beside them those for people."""
+        origin = self._dataset.manifest.origin
+        further = [f'{UNITS[c].sql(c, origin)} AS "{UNITS[c].name}"' for c in columns if c in UNITS]
+        self._asked.execute(f"CREATE VIEW {name} AS {_select([*columns, *further], source)}")
+
+
+def _select(columns: Iterable[str], source: str) -> str:
+    return f"SELECT {', '.join(columns)} FROM {source}"  # noqa: S608 - names and files of ours
+
+
+def _list(paths: Iterable[Path]) -> str:
+    return ", ".join(quoted(path.resolve().as_posix()) for path in paths)
+
+
+def quoted(text: str) -> str:
+    """Return a text as a literal of SQL."""
+    return "'" + text.replace("'", "''") + "'"

@@ -1,0 +1,245 @@
+"""Detections for tracking: which detections a sensor sends for following them, and as what bytes.
+
+Those that the tracker takes: within a metre of a tile, at heights that vehicles have, in the order
+in which the radar gave them. Positions in units of 4 mm, range rates of 2 mm/s, cut towards zero so
+that what is slower than a limit stays so, and 0 for what stands by the noise of that radar, as only
+the sensor has all that tells the noise. In cm and cm/s a tenth of the vehicles' states would not be
+those of the recording. A frame is a column a quantity, in Rice codes: a number is the quotient by
+2^k in ones and a zero, then the rest in k bits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gis_radar.arrays import Floats, Integers
+from gis_radar.errors import InputError
+from gis_radar.lanelets.graph import MARGIN_M
+from gis_radar.live.payload import MOST_FRAMES, Numbers, folded, unfolded, varint
+from gis_radar.measures.frames import NO_FURTHER
+from gis_radar.poses.pose import Pose
+from gis_radar.recordings.recording import Detections
+from gis_radar.sight import SightTiles
+from gis_radar.tiles import TileGrid
+from gis_radar.tracking.detections import still_rate
+from gis_radar.tracking.settings import DEFAULTS, DetectionSettings
+
+UNITS, RATES = 250, 500  # in a metre, and in a metre a second
+UNKNOWN_Z, UNKNOWN_DB = -2_500_000, -128  # no elevation, no cross section
+FARTHEST = 25_000_000  # 100 km
+MOST_DETECTIONS = 20_000  # of a frame: a radar sends hundreds
+_COLUMNS = 5
+_MOST_LOW = 40  # bits of a rest
+_AGAIN_S = 1.0  # the noise is found anew so often, for as long as it is learned
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameDetections:
+    """The detections of a frame that the tracker needs.
+
+    Parameters
+    ----------
+    time_us : int
+        Microseconds since 1970, UTC.
+    points : (n, 3) int64 array
+        Sensor frame, 4 mm: x forward, y left, z up; `UNKNOWN_Z` for a z that is not measured.
+    rates : (n,) int64 array
+        Range rate, 2 mm/s, positive when receding, cut towards zero; 0 of what stands.
+    rcs_db : (n,) int64 array
+        Cross section, dBm2; `UNKNOWN_DB` where it is not known.
+    """
+
+    time_us: int
+    points: Integers
+    rates: Integers
+    rcs_db: Integers
+
+    def as_rows(self) -> Detections:
+        """Return them as rows of a recording: none where there are none."""
+        points = self.points / UNITS
+        points[self.points[:, 2] == UNKNOWN_Z, 2] = np.nan
+        rcs = np.where(self.rcs_db == UNKNOWN_DB, np.nan, self.rcs_db.astype(np.float64))
+        # the middle of what was cut to the same number
+        rates = (self.rates + 0.5 * np.sign(self.rates)) / RATES
+        time = np.full(len(points), self.time_us / 1e6)
+        return Detections(time=time, points=points, range_rate=rates, rcs=rcs, further=NO_FURTHER)
+
+
+class DetectionSelector:
+    """Selects the detections that the tracker needs, and learns the noise of what stands.
+
+    Parameters
+    ----------
+    road : SightTiles
+        All tiles.
+    settings : DetectionSettings
+        Which heights over the road count, and how noise is told.
+    """
+
+    def __init__(self, road: SightTiles, settings: DetectionSettings = DEFAULTS.detections) -> None:
+        self._height, self._settings = road.height, settings
+        self._grid = TileGrid(_widened(road.quads, MARGIN_M))
+        self._rates: list[Floats] = []
+        self._begun = self._learned = np.nan
+        self.still_mps = settings.moving_mps
+
+    def find(self, frame: Detections, pose: Pose, *, road_m: float) -> FrameDetections:
+        """Return what a tracker needs of a frame.
+
+        Parameters
+        ----------
+        frame : Detections
+            A whole frame.
+        pose : Pose
+            Of the sensor.
+        road_m : float
+            Height of the road near it, for one that measures no elevation.
+        """
+        time = float(frame.time[0])
+        self._learn(frame, time)
+        place = pose.to_map(frame.points, road_m=road_m)
+        point, tile = self._grid.assign(place[:, 0], place[:, 1])
+        over = place[point, 2] - self._height[tile]
+        over[np.isnan(frame.points[point, 2])] = np.nan
+        more = self._settings.height_rad * frame.range_m[point]
+        fits = (over >= self._settings.low_m - more) & (over <= self._settings.high_m + more)
+        keep = np.zeros(len(frame), np.bool_)
+        keep[point[fits | np.isnan(over)]] = True
+        keep &= np.isfinite(frame.range_rate)
+        points, rate, rcs = frame.points[keep], frame.range_rate[keep], frame.rcs[keep]
+        still = np.abs(rate) < self.still_mps
+        return FrameDetections(
+            time_us=int(np.rint(time * 1e6)),
+            points=_whole(UNITS * points, UNKNOWN_Z),
+            rates=np.where(still, 0.0, np.trunc(np.round(RATES * rate, 3))).astype(np.int64),
+            rcs_db=_whole(rcs, UNKNOWN_DB),
+        )
+
+    def _learn(self, frame: Detections, time: float) -> None:
+        """Find from the first seconds up to which range rate a detection may be of what stands."""
+        if np.isnan(self._begun):
+            self._begun = self._learned = time
+        elif not self._rates:
+            return
+        if time < self._begun + self._settings.noise_s:
+            self._rates.append(frame.range_rate[frame.present])
+        done = time >= self._begun + self._settings.noise_s
+        if done or time >= self._learned + _AGAIN_S:
+            self._learned = time
+            self.still_mps = still_rate(np.concatenate(self._rates), self._settings)
+        if done:
+            self._rates = []
+
+
+def _widened(quads: Floats, by_m: float) -> Floats:
+    """Return tiles that are wider on both sides."""
+    across = quads[:, [0, 1]] - quads[:, [3, 2]]
+    across /= np.maximum(np.linalg.norm(across, axis=2, keepdims=True), 1e-6)
+    return np.concatenate(
+        [quads[:, [0, 1]] + by_m * across, quads[:, [2, 3]] - by_m * across[:, ::-1]], axis=1
+    )
+
+
+def _whole(values: Floats, unknown: int) -> Integers:
+    return np.where(np.isnan(values), unknown, np.rint(values)).astype(np.int64)
+
+
+def pack_detections(frames: Sequence[FrameDetections], *, pose: int) -> bytes:
+    """Return the detections of frames as the content of a message.
+
+    Parameters
+    ----------
+    frames : sequence of FrameDetections
+        In order of time.
+    pose : int
+        Number of the message with the pose that they were found by.
+    """
+    parts, before = [varint(pose), varint(len(frames))], 0
+    for frame in frames:
+        parts += [varint(frame.time_us - before), varint(len(frame.points))]
+        before = frame.time_us
+        if len(frame.points):
+            parts += map(_pack_column, (*frame.points.T, frame.rates, frame.rcs_db))
+    return b"".join(parts)
+
+
+def unpack_detections(content: bytes) -> tuple[int, tuple[FrameDetections, ...]]:
+    """Return the number of the pose, and the detections of the frames of a message.
+
+    Raises
+    ------
+    InputError
+        If the bytes are no such content.
+    """
+    read = Numbers(content, 0)
+    pose, count = _head(read)
+    frames, time_us = [], 0
+    for _ in range(count):
+        time_us += read.take()
+        size = read.take()
+        if size > min(MOST_DETECTIONS, 8 * (len(content) - read.at)):
+            raise InputError(f"a frame of {size} detections in {len(content)} bytes")
+        columns = [_unpack_column(read, size) if size else np.empty(0, np.int64)
+                   for _ in range(_COLUMNS)]  # fmt: skip
+        points = np.column_stack(columns[:3])
+        if size and max(np.abs(each).max() for each in (points, *columns[3:])) > FARTHEST:
+            raise InputError(f"a frame with a detection beyond {FARTHEST / (1000 * UNITS):g} km")
+        frames.append(
+            FrameDetections(time_us=time_us, points=points, rates=columns[3], rcs_db=columns[4])
+        )
+    read.end()
+    return pose, tuple(frames)
+
+
+def _pack_column(values: Integers) -> bytes:
+    """Return numbers as bytes: k, their median, then quotients and rests by bits."""
+    middle = int(np.sort(values)[len(values) // 2])
+    off = folded(values - middle)
+    mean = int(off.mean())
+    most = range(max(mean.bit_length() - 2, 0), min(mean.bit_length() + 2, _MOST_LOW) + 1)
+    low = min(most, key=lambda k: k * len(off) + int((off >> k).sum()))
+    quotient = off >> low
+    ends = np.cumsum(quotient + 1) - 1
+    ones = np.ones(int(ends[-1]) + 1, np.uint8)
+    ones[ends] = 0
+    rest = (off[:, None] >> np.arange(low - 1, -1, -1)) & 1
+    bits = np.concatenate([ones, rest.ravel().astype(np.uint8)])
+    return bytes([low]) + varint(int(folded(np.array(middle)))) + np.packbits(bits).tobytes()
+
+
+def _unpack_column(read: Numbers, size: int) -> Integers:
+    """Take numbers as :func:`_pack_column` writes them."""
+    (low,) = read.bytes(1)
+    middle = unfolded(np.array(read.take()))
+    bits = np.unpackbits(np.frombuffer(read.rest(), np.uint8))
+    ends = np.flatnonzero(bits == 0)[:size]
+    if low > _MOST_LOW or len(ends) < size or ends[-1] + 1 + size * low > len(bits):
+        raise InputError("a message ends within its detections")
+    quotient = np.diff(ends, prepend=-1) - 1
+    begin = int(ends[-1]) + 1
+    rest = bits[begin : begin + size * low].reshape(size, low).astype(np.int64)
+    read.bytes((begin + size * low + 7) // 8)
+    return np.asarray(
+        unfolded((quotient << low) + (rest << np.arange(low - 1, -1, -1)).sum(axis=1)) + middle
+    )
+
+
+def head_of(content: bytes) -> tuple[int, int]:
+    """Return the number of the pose, and of how many frames a message tells.
+
+    Raises
+    ------
+    InputError
+        If the bytes begin as no such content.
+    """
+    return _head(Numbers(content, 0))
+
+
+def _head(read: Numbers) -> tuple[int, int]:
+    pose, count = read.take(), read.take()
+    if not 0 < count <= MOST_FRAMES:
+        raise InputError(f"a message of {count} frames, expected 1 to {MOST_FRAMES}")
+    return pose, count

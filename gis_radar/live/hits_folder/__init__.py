@@ -1,0 +1,1 @@
+"""Folders of hits, one an hour, as fusion stores them."""

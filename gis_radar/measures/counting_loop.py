@@ -1,0 +1,420 @@
+"""The compiled loop from detections to the tiles that each frame hits.
+
+One pass over the rows of a recording: the detections of a frame are placed in the map
+(:mod:`gis_radar.measures.placing`), and those over cells with tiles are filtered and tested
+against these. A tile is stamped with the frame that hit it, so that it counts once in it; those of
+a step are bits, so that they come out ascending without a sort. What
+:mod:`gis_radar.measures.plain_pass` finds in NumPy, bit for bit.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gis_radar.arrays import Floats, Integers, compiled
+from gis_radar.measures.placing import Places, PoseNumbers, fill_places, height_of
+from gis_radar.steps import STEP_US
+from gis_radar.tiles.lookup import Numbers, TileCells, is_inside
+
+# Columns of the frames: what is found of each.
+TIME_US, SHIFT_US, DETECTIONS, MOVING, WILD, TILES_HIT, CHECKSUM, POSE = range(8)
+FRAME_COLUMNS = 8
+# Places in `Accumulator.counts`: frames begun so far, the step, tiles that wait for its end;
+# frames and hits that are filled in.
+FRAMES, STEP, WAITING, FILLED_FRAMES, FILLED_HITS = range(5)
+COUNTS = 5
+NO_STEP = int(np.iinfo(np.int64).min)
+# Each power of two times this number has another beginning: from that, its exponent.
+DE_BRUIJN, SHIFT, ONE = np.uint64(0x03F79D71B4CB0A89), np.uint64(58), np.uint64(1)
+PLACE_OF = np.argsort([(0x03F79D71B4CB0A89 << k) % 2**64 >> 58 for k in range(64)])
+PRIME = 65521  # the largest under 2**16
+Bits = NDArray[np.uint32]
+Bits64 = NDArray[np.uint64]
+
+
+class RowColumns(NamedTuple):
+    """Rows of a recording as compiled code takes them: its columns, all of one length.
+
+    Parameters
+    ----------
+    time, shift_us : arrays
+        UNIX seconds, corrected, float64; microseconds added by the correction, int64, empty where
+        there is none.
+    x, y, z, range_rate, rcs : arrays
+        Of the detections, all float64 or all float32; `rcs` may be empty where no filter asks for
+        it.
+    x_bits, y_bits : uint32 arrays
+        The float32 of x and y as whole numbers.
+    """
+
+    time: Floats
+    shift_us: Integers
+    x: Floats
+    y: Floats
+    z: Floats
+    range_rate: Floats
+    rcs: Floats
+    x_bits: Bits
+    y_bits: Bits
+
+
+class Limits(NamedTuple):
+    """Which detections count, and on which tiles; NaN where nothing is asked.
+
+    Parameters
+    ----------
+    min_speed, min_rcs : float
+        Least absolute range rate, m/s, and radar cross section, dBm2.
+    lowest_m, highest_m, widening, level_m : float
+        The clearance profile, metres over the road; by how much it widens a metre of range; within
+        which heights tiles are on one level.
+    moving_mps, wild_mps : float
+        From which speed on a detection of the frame log moves; over which no vehicle drives.
+    sight_mps, sight_over_m, sight_level_m : float
+        From which speed on a detection counts as movement for sight; how high over a tile's road it
+        is then, metres, and within which heights of that it is on the tile's level.
+    step_us : int
+        Length of a step, microseconds; 1 makes each frame a step of its own.
+    """
+
+    min_speed: float
+    min_rcs: float
+    lowest_m: float
+    highest_m: float
+    widening: float
+    level_m: float
+    moving_mps: float
+    wild_mps: float
+    sight_mps: float
+    sight_over_m: float
+    sight_level_m: float
+    step_us: int = STEP_US
+
+
+class TileIndex(NamedTuple):
+    """The tiles as compiled code takes them: their ids, the heights of their roads, their cells."""
+
+    tile_id: Integers
+    road_m: Floats
+    cells: TileCells
+
+
+class Accumulator(NamedTuple):
+    """The frame and the step that more rows may belong to, and sums over all rows.
+
+    Parameters
+    ----------
+    counts, time, frame : arrays
+        As of `FRAMES` and the following; the frame's time, NaN where none is open; its columns so
+        far.
+    of_frame, moved : (n,) int64 arrays
+        By tile the number of the last frame that hit it, and of the last one with movement on it.
+    hit : (n + 1,) int64 array
+        Room for tiles that a frame hits.
+    waiting, words : uint64 arrays
+        The tiles hit in the step so far, a bit each; and, a bit a word, the words of these bits
+        that are not empty.
+    inside, places : (m,) int64 array, Places
+        Room for the tiles around one detection, and for the places of some.
+    ranges : (r,) int64 array
+        Detections by their range in whole metres, the last place for all beyond.
+    movement : (n,) int64 array
+        Frames with movement on each tile; empty where it is not counted.
+    """
+
+    counts: Integers
+    time: Floats
+    frame: Integers
+    of_frame: Integers
+    moved: Integers
+    hit: Integers
+    waiting: Bits64
+    words: Bits64
+    inside: Integers
+    places: Places
+    ranges: Integers
+    movement: Integers
+
+
+class CountBuffer(NamedTuple):
+    """Buffers for complete frames and the hits of complete steps.
+
+    Parameters
+    ----------
+    frames : (f, 8) int64 array
+        Rows of frames.
+    step, tile : (k,) int64 arrays
+        Hits: ascending by step, then in the order of the tiles. Room for all tiles at least.
+    """
+
+    frames: Integers
+    step: Integers
+    tile: Integers
+
+
+@compiled
+def count_rows(  # pragma: no cover - compiled
+    rows: RowColumns,
+    begin: int,
+    end: int,
+    pose: PoseNumbers,
+    limits: Limits,
+    index: TileIndex,
+    sums: Accumulator,
+    buffer: CountBuffer,
+) -> int:
+    """Count some rows, all seen from one pose, as far as there is room for what is found.
+
+    Returns
+    -------
+    int
+        The first row that is not counted.
+    """
+    counts, row = sums.counts, begin
+    while row < end:
+        if rows.time[row] != sums.time[0]:
+            room = len(buffer.tile) - counts[FILLED_HITS]
+            if counts[FILLED_FRAMES] == len(buffer.frames) or counts[WAITING] > room:
+                return row
+            end_frame(sums, buffer)
+            time_us = int(np.rint(rows.time[row] * 1e6))
+            if counts[STEP] != time_us // limits.step_us:
+                end_step(sums, index, buffer)
+                counts[STEP] = time_us // limits.step_us
+            counts[FRAMES] += 1
+            sums.time[0] = rows.time[row]
+            sums.frame[TIME_US] = time_us
+            sums.frame[SHIFT_US] = rows.shift_us[row] if len(rows.shift_us) else 0
+            sums.frame[POSE] = pose.number
+        begin, row = row, row + 1
+        while row < end and rows.time[row] == sums.time[0]:
+            row += 1
+        _tally(rows.x_bits, rows.y_bits, rows.range_rate, begin, row, limits, sums.frame)
+        _count_frame(rows, begin, row, pose, limits, index, sums)
+    return end
+
+
+@compiled
+def end_frame(sums: Accumulator, buffer: CountBuffer) -> None:  # pragma: no cover - compiled
+    """Fill in the open frame, if any, and close it."""
+    if not math.isnan(sums.time[0]):
+        row = buffer.frames[sums.counts[FILLED_FRAMES]]
+        row[:] = sums.frame
+        row[CHECKSUM] %= PRIME
+        sums.counts[FILLED_FRAMES] += 1
+        sums.frame[:] = 0
+        sums.time[0] = math.nan
+
+
+@compiled
+def end_step(
+    sums: Accumulator, index: TileIndex, buffer: CountBuffer
+) -> None:  # pragma: no cover - compiled
+    """Fill in the hits of the open step and close it."""
+    waiting, words, counts = sums.waiting, sums.words, sums.counts
+    first = hits = counts[FILLED_HITS]
+    for number in range(len(words)):
+        while words[number]:
+            word = 64 * number + _lowest(words[number])
+            words[number] &= words[number] - ONE
+            while waiting[word]:
+                buffer.tile[hits] = index.tile_id[64 * word + _lowest(waiting[word])]
+                waiting[word] &= waiting[word] - ONE
+                hits += 1
+    buffer.step[first:hits] = counts[STEP]
+    counts[FILLED_HITS], counts[WAITING], counts[STEP] = hits, 0, NO_STEP
+
+
+@compiled
+def _lowest(bits: np.uint64) -> int:  # pragma: no cover - compiled
+    """Return the place of the lowest bit that is set; one is."""
+    return int(PLACE_OF[((bits & (~bits + ONE)) * DE_BRUIJN) >> SHIFT])
+
+
+@compiled
+def _tally(  # pragma: no cover - compiled
+    x_bits: Bits, y_bits: Bits, rates: Floats, begin: int, end: int, limits: Limits,
+    frame: Integers,
+) -> None:  # fmt: skip
+    """Add rows to the sums of the open frame, regardless of their place."""
+    moving = wild = bits = 0
+    for row in range(begin, end):
+        bits += int(np.int64(x_bits[row]) + np.int64(y_bits[row]))
+        moving += int(abs(rates[row]) >= limits.moving_mps)
+        wild += int(abs(rates[row]) > limits.wild_mps)
+    frame[MOVING] += moving
+    frame[WILD] += wild
+    frame[CHECKSUM] += bits
+
+
+@compiled
+def _count_frame(  # pragma: no cover - compiled
+    rows: RowColumns,
+    begin: int,
+    end: int,
+    pose: PoseNumbers,
+    limits: Limits,
+    index: TileIndex,
+    sums: Accumulator,
+) -> None:
+    """Count rows of the open frame on the tiles under them."""
+    places, ranges, last_m = sums.places, sums.ranges, len(sums.ranges) - 1.0
+    for low in range(begin, end, len(places.cell)):
+        high = min(low + len(places.cell), end)
+        over = fill_places(
+            rows.x[low:high],
+            rows.y[low:high],
+            rows.z[low:high],
+            pose,
+            index.cells,
+            last_m,
+            places,
+        )
+        present = 0
+        for k in range(high - low):
+            if places.metres[k] >= 0:
+                ranges[places.metres[k]] += 1
+                present += 1
+        sums.frame[DETECTIONS] += present
+        _note(sums, _hit_by(rows, low, over, pose, limits, index, sums))
+
+
+@compiled
+def _hit_by(  # pragma: no cover - compiled
+    rows: RowColumns,
+    low: int,
+    over: int,
+    pose: PoseNumbers,
+    limits: Limits,
+    index: TileIndex,
+    sums: Accumulator,
+) -> int:
+    """List the tiles that detections over cells with tiles hit, as the first ones of the frame.
+
+    `low` is the row of the first detection placed. Returns how many tiles it lists.
+    """
+    # An array taken from its tuple is a count of references, slower than the test: not in the loop.
+    xs, ys, zs, rates, strengths = rows.x, rows.y, rows.z, rows.range_rate, rows.rcs
+    first, tiles, edges = index.cells.first, index.cells.tiles, index.cells.edges
+    east, north, range_m, cell, _, nth_over = sums.places
+    road_m, inside, moved, movement = index.road_m, sums.inside, sums.moved, sums.movement
+    of_frame, hit, number, count = sums.of_frame, sums.hit, sums.counts[FRAMES], 0
+    picked = not (math.isnan(limits.min_speed) and math.isnan(limits.min_rcs))
+    tracked, asked = len(movement) > 0, not math.isnan(limits.lowest_m)
+    for nth in range(over):
+        k = nth_over[nth]
+        row, begin, end = low + k, first[cell[k]], first[cell[k] + 1]
+        # Without elevation and nearer than the road: not on it.
+        hits = not math.isnan(zs[row]) or range_m[k] > pose.drop_m
+        hits &= not picked or _passes(rates, strengths, row, limits)
+        moves = tracked and abs(rates[row]) >= limits.sight_mps
+        if not moves and not asked:
+            for at in range(begin, end if hits else begin):
+                tile = tiles[at]
+                stamp, is_hit = of_frame[tile], is_inside(edges, tile, east[k], north[k])
+                hit[count] = tile
+                count += is_hit * (stamp != number)
+                of_frame[tile] = number if is_hit else stamp
+            continue
+        around = _inside(tiles, edges, begin, end, east[k], north[k], inside)
+        height = height_of(xs[row], ys[row], zs[row], pose)
+        if moves:
+            _move(inside, around, height, limits, road_m, moved, number, movement)
+        if hits and asked:
+            around = _fitting(inside, around, height, range_m[k], limits, road_m)
+        for at in range(around if hits else 0):
+            count = _list(inside[at], number, of_frame, hit, count)
+    return count
+
+
+@compiled
+def _list(  # pragma: no cover - compiled
+    tile: int, number: int, of_frame: Integers, hit: Integers, count: int
+) -> int:
+    """List a tile once a frame; return the number of listed tiles."""
+    hit[count] = tile
+    count += of_frame[tile] != number
+    of_frame[tile] = number
+    return count
+
+
+@compiled
+def _note(sums: Accumulator, count: int) -> None:  # pragma: no cover - compiled
+    """Add the tiles listed to the open frame and to the open step."""
+    hit, waiting, words, new = sums.hit, sums.waiting, sums.words, 0
+    for k in range(count):
+        word, bit = hit[k] >> 6, ONE << np.uint64(hit[k] & 63)
+        new += not waiting[word] & bit
+        waiting[word] |= bit
+        words[word >> 6] |= ONE << np.uint64(word & 63)
+    sums.frame[TILES_HIT] += count
+    sums.counts[WAITING] += new
+
+
+@compiled
+def _passes(  # pragma: no cover - compiled
+    rates: Floats, strengths: Floats, row: int, limits: Limits
+) -> bool:
+    """Return whether a detection is fast and strong enough; an unknown value is not."""
+    fast = math.isnan(limits.min_speed) or abs(rates[row]) >= limits.min_speed
+    return fast and (math.isnan(limits.min_rcs) or strengths[row] >= limits.min_rcs)
+
+
+@compiled
+def _inside(  # pragma: no cover - compiled
+    tiles: Numbers, edges: Floats, begin: int, end: int, x: float, y: float,
+    inside: Integers,
+) -> int:  # fmt: skip
+    """Fill in the tiles of a cell that a point is in; return how many."""
+    count = 0
+    for k in range(begin, end):
+        inside[count] = tiles[k]
+        count += is_inside(edges, tiles[k], x, y)
+    return count
+
+
+@compiled
+def _fitting(  # pragma: no cover - compiled
+    inside: Integers, around: int, height: float, range_m: float, limits: Limits, road_m: Floats
+) -> int:
+    """Keep the tiles that a detection fits in height.
+
+    Where tiles are above each other (a bridge), it counts on the level that it fits best, and
+    among levels that fit alike on the one nearer to the middle of the clearance. A tile of unknown
+    height takes no detection.
+    """
+    widened_m = range_m * limits.widening
+    middle_m = (limits.lowest_m + limits.highest_m) / 2
+    least, level_m = np.inf, np.nan
+    for k in range(around):
+        over_m = height - road_m[inside[k]]
+        outside_m = max(limits.lowest_m - over_m, over_m - limits.highest_m, 0.0)
+        misfit = outside_m + 1e-3 * abs(over_m - middle_m)
+        if outside_m <= widened_m and misfit <= least:
+            least, level_m = misfit, road_m[inside[k]]
+    kept = 0
+    for k in range(around):
+        over_m = height - road_m[inside[k]]
+        outside_m = max(limits.lowest_m - over_m, over_m - limits.highest_m, 0.0)
+        inside[kept] = inside[k]
+        kept += outside_m <= widened_m and abs(road_m[inside[k]] - level_m) < limits.level_m
+    return kept
+
+
+@compiled
+def _move(  # pragma: no cover - compiled
+    inside: Integers, around: int, height: float, limits: Limits, road_m: Floats,
+    moved: Integers, number: int, movement: Integers,
+) -> None:  # fmt: skip
+    """Count movement on the tiles around a detection, once a frame; unknown heights count."""
+    for k in range(around):
+        tile = inside[k]
+        over_m = height - road_m[tile] - limits.sight_over_m
+        if abs(over_m) > limits.sight_level_m or moved[tile] == number:
+            continue
+        moved[tile] = number
+        movement[tile] += 1

@@ -1,0 +1,308 @@
+"""Count hits as rows of detections come: of a whole recording, or of a frame at a sensor."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gis_radar.arrays import Floats, Integers
+from gis_radar.errors import InputError
+from gis_radar.measures.counting_loop import (
+    CHECKSUM,
+    COUNTS,
+    DETECTIONS,
+    FILLED_FRAMES,
+    FILLED_HITS,
+    FRAME_COLUMNS,
+    MOVING,
+    NO_STEP,
+    STEP,
+    TIME_US,
+    WILD,
+    Accumulator,
+    CountBuffer,
+    Limits,
+    RowColumns,
+    TileIndex,
+    count_rows,
+    end_frame,
+    end_step,
+)
+from gis_radar.measures.placing import Places, PoseNumbers
+from gis_radar.measures.rows import distinct
+from gis_radar.measures.settings import DEFAULTS, Filters, HitSettings
+from gis_radar.poses.pose import Pose
+from gis_radar.recordings.recording import Detections, RangeCounts
+from gis_radar.sight import SightTiles
+from gis_radar.sight.recorded import REFLECTION_M
+from gis_radar.sight.settings import DEFAULTS as SIGHT_DEFAULTS
+from gis_radar.steps import STEP_US
+from gis_radar.tiles.lookup import TileGrid
+
+ROOM_FRAMES, ROOM_HITS = 1 << 12, 1 << 17  # filled in at once; 256 KiB, 2 MiB
+NO_TILES: Integers = np.empty(0, np.int64)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Counted:
+    """Frames and steps that are complete.
+
+    Parameters
+    ----------
+    frames : (f, 8) int64 array
+        A row a frame; columns as of :mod:`gis_radar.measures.counting_loop`.
+    step, tile : (k,) int64 arrays
+        Tiles hit in a step, each once; ascending by step, then by tile.
+    """
+
+    frames: Integers
+    step: Integers
+    tile: Integers
+
+
+class HitCounter:
+    """Finds which tiles the frames of one sensor hit, as its rows come.
+
+    Parameters
+    ----------
+    tiles : SightTiles
+        All tiles.
+    grid : TileGrid
+        Of the same tiles.
+    filters : Filters
+        Which detections count.
+    settings : HitSettings
+        Constants of the frame log.
+    tile_id : (n,) int64 array, optional
+        What stands for each tile in the hits; without it, its position.
+    step_us : int
+        Length of a step, microseconds; 1 gives the tiles of each frame by itself.
+    ranges : RangeCounts, optional
+        Takes the ranges of all detections.
+    """
+
+    def __init__(
+        self,
+        tiles: SightTiles,
+        grid: TileGrid,
+        *,
+        filters: Filters | None = None,
+        settings: HitSettings = DEFAULTS,
+        tile_id: Integers | None = None,
+        step_us: int = STEP_US,
+        ranges: RangeCounts | None = None,
+    ) -> None:
+        count = len(tiles.tile_id)
+        ids = (np.arange(count) if tile_id is None else tile_id).view()
+        ids.flags.writeable = False  # as those of a table are: else the loop is compiled twice
+        self._ascends = bool((np.diff(ids) > 0).all())
+        self._index = TileIndex(ids, np.ascontiguousarray(tiles.height), grid.cells)
+        self._limits = limits_of(filters or Filters(), settings, step_us)
+        self._sums = Accumulator(
+            counts=np.zeros(COUNTS, np.int64),
+            time=np.array([math.nan]),
+            frame=np.zeros(FRAME_COLUMNS, np.int64),
+            of_frame=np.zeros(count, np.int64),
+            moved=np.zeros(count, np.int64),
+            hit=np.empty(count + 1, np.int64),
+            waiting=np.zeros(count // 64 + 1, np.uint64),
+            words=np.zeros(count // 64**2 + 1, np.uint64),
+            inside=np.empty(grid.most_in_a_cell + 1, np.int64),
+            places=Places.empty(),
+            ranges=(ranges or RangeCounts()).counts,
+            movement=NO_TILES,
+        )
+        self._buffer = CountBuffer(
+            frames=np.empty((ROOM_FRAMES, FRAME_COLUMNS), np.int64),
+            step=np.empty(max(ROOM_HITS, count), np.int64),
+            tile=np.empty(max(ROOM_HITS, count), np.int64),
+        )
+        self._sums.counts[STEP] = NO_STEP
+
+    def add(
+        self,
+        rows: RowColumns,
+        begin: int,
+        end: int,
+        placing: PoseNumbers,
+        *,
+        movement: Integers = NO_TILES,
+    ) -> Iterator[Counted]:
+        """Count rows that follow those so far, seen from one pose; times are finite and ascend.
+
+        Parameters
+        ----------
+        rows : RowColumns
+            Columns of a recording.
+        begin, end : int
+            Which rows of them.
+        placing : PoseNumbers
+            The pose.
+        movement : (n,) int64 array, optional
+            Grows by one a frame for tiles on which something moves.
+
+        Yields
+        ------
+        Counted
+            What is complete, as often as there is no room for more.
+        """
+        sums = self._sums._replace(movement=movement)
+        while True:
+            begin = count_rows(
+                rows, begin, end, placing, self._limits, self._index, sums, self._buffer
+            )
+            if begin == end:
+                return
+            yield self._taken()
+
+    def end(self) -> Iterator[Counted]:
+        """Yield what was not yielded, and close the frame and the step that are open."""
+        yield self._taken()
+        end_frame(self._sums, self._buffer)
+        end_step(self._sums, self._index, self._buffer)
+        yield self._taken()
+
+    def _taken(self) -> Counted:
+        """Return what was counted so far, and reset the buffers."""
+        frames, hits = self._sums.counts[[FILLED_FRAMES, FILLED_HITS]].tolist()
+        self._sums.counts[[FILLED_FRAMES, FILLED_HITS]] = 0
+        step, tile = self._buffer.step[:hits].copy(), self._buffer.tile[:hits].copy()
+        if not self._ascends:
+            step, tile = distinct(step, tile)
+        return Counted(frames=self._buffer.frames[:frames].copy(), step=step, tile=tile)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CountedFrame:
+    """One frame, and the tiles that it hits.
+
+    Parameters
+    ----------
+    time_us : int
+        Microseconds since the UNIX epoch.
+    detections, moving, wild, checksum : int
+        As in the frame log.
+    tiles : (k,) int64 array
+        Positions of the tiles that it hits, ascending, as :func:`encode_tiles` takes them.
+    """
+
+    time_us: int
+    detections: int
+    moving: int
+    wild: int
+    checksum: int
+    tiles: Integers
+
+
+class FrameCounter:
+    """Finds the tiles that each frame hits, right when it comes: the edge's side.
+
+    Parameters
+    ----------
+    tiles : SightTiles
+        All tiles; :meth:`SightTiles.of` makes them from a table of tiles.
+    grid : TileGrid, optional
+        Of the same tiles, where there is one already.
+    filters : Filters, optional
+        Which detections count; without it, all.
+    settings : HitSettings
+        Constants of the frame log.
+    """
+
+    def __init__(
+        self,
+        tiles: SightTiles,
+        *,
+        grid: TileGrid | None = None,
+        filters: Filters | None = None,
+        settings: HitSettings = DEFAULTS,
+    ) -> None:
+        grid = TileGrid(tiles.quads) if grid is None else grid
+        self._counter = HitCounter(tiles, grid, filters=filters, settings=settings, step_us=1)
+
+    def count(
+        self, detections: Detections, pose: Pose, *, road_m: float = math.nan
+    ) -> list[CountedFrame]:
+        """Return frames with the tiles that they hit.
+
+        Parameters
+        ----------
+        detections : Detections
+            One or a few whole frames; a frame without detections is a row of NaN.
+        pose : Pose
+            Where the sensor stands.
+        road_m : float
+            Height of the road near it, for sensors without elevation: as of :meth:`Pose.to_map`.
+
+        Raises
+        ------
+        InputError
+            If a time is no number, or times go back.
+        """
+        time = np.asarray(detections.time, np.float64)
+        if not (np.isfinite(time).all() and (np.diff(time) >= 0.0).all()):
+            raise InputError("times of frames are not finite, or go back")
+        rows = rows_of_detections(detections)
+        numbers = PoseNumbers.of(pose, road_m=road_m)
+        return [
+            CountedFrame(
+                time_us=frame[TIME_US], detections=frame[DETECTIONS], moving=frame[MOVING],
+                wild=frame[WILD], checksum=frame[CHECKSUM],
+                tiles=each.tile[each.step == frame[TIME_US]],
+            )
+            for each in (*self._counter.add(rows, 0, len(time), numbers), *self._counter.end())
+            for frame in each.frames.tolist()
+        ]  # fmt: skip
+
+
+def limits_of(filters: Filters, settings: HitSettings, step_us: int) -> Limits:
+    """Return what the counting loop asks of a detection."""
+    lowest_m, highest_m = filters.clearance or (math.nan, math.nan)
+    return Limits(
+        min_speed=_or_nan(filters.min_speed),
+        min_rcs=_or_nan(filters.min_rcs),
+        lowest_m=float(lowest_m),
+        highest_m=float(highest_m),
+        widening=filters.widening,
+        level_m=float(filters.levels_apart_m),
+        moving_mps=float(settings.moving_mps),
+        wild_mps=float(settings.wild_mps),
+        sight_mps=float(SIGHT_DEFAULTS.moving_mps),
+        sight_over_m=REFLECTION_M,
+        sight_level_m=float(SIGHT_DEFAULTS.level_m),
+        step_us=step_us,
+    )
+
+
+def _or_nan(value: float | None) -> float:
+    return math.nan if value is None else float(value)
+
+
+def rows_of_detections(detections: Detections) -> RowColumns:
+    """Return detections as the counting loop takes them."""
+    x, y, z = np.asarray(detections.points, np.float64).T
+    return rows_of_columns(
+        detections.time, x, y, z, np.asarray(detections.range_rate, np.float64),
+        np.asarray(detections.rcs, np.float64),
+    )  # fmt: skip
+
+
+def rows_of_columns(
+    time: Floats, x: Floats, y: Floats, z: Floats, range_rate: Floats, rcs: Floats,
+    shift_us: Integers = NO_TILES,
+) -> RowColumns:  # fmt: skip
+    """Return columns as the counting loop takes them: arguments as of :class:`RowColumns`."""
+    x_bits, y_bits = (each.astype(np.float32, copy=False).view(np.uint32) for each in (x, y))
+    columns = (time, shift_us, x, y, z, range_rate, rcs, x_bits, y_bits)
+    return RowColumns(*map(_fixed, columns))
+
+
+def _fixed(values: Any) -> Any:
+    """Return values one after the other and read-only: numba compiles anew for any other kind."""
+    values = np.ascontiguousarray(values).view()
+    values.flags.writeable = False
+    return values

@@ -1,0 +1,50 @@
+"""The window of an hour: its steps, and those before and after it that its tables follow from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from gis_radar.steps import STEP_US, STEPS_PER_SECOND
+
+STEPS_PER_HOUR = 3600 * STEPS_PER_SECOND
+MARGIN_STEPS = 120 * STEPS_PER_SECOND
+"""Steps on either side of an hour that vehicles are known by (the contract: two minutes)."""
+LONGEST_VALID_STEPS = 64
+"""More steps than any frame is valid after its own: 1.5 x the slowest cycle are 3 s."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HourWindow:
+    """An hour with its margins, in steps.
+
+    Parameters
+    ----------
+    hour : int
+        Since 1970.
+    margin : int
+        Steps before and after the hour that are read.
+    """
+
+    hour: int
+    margin: int = MARGIN_STEPS
+
+    @property
+    def begin(self) -> int:
+        """First step of the hour."""
+        return self.hour * STEPS_PER_HOUR
+
+    @property
+    def end(self) -> int:
+        """Step after the last one of the hour."""
+        return self.begin + STEPS_PER_HOUR
+
+    @property
+    def span(self) -> tuple[int, int]:
+        """First step of the window, and the step after its last."""
+        return self.begin - self.margin, self.end + self.margin
+
+    @property
+    def span_us(self) -> tuple[int, int]:
+        """The same in microseconds since 1970."""
+        first, after = self.span
+        return first * STEP_US, after * STEP_US

@@ -1,0 +1,260 @@
+"""The hits and the observed steps of the tiles in an hour, of all sensors together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from gis_radar.arrays import Integers, compiled
+from gis_radar.measures.counting_loop import (
+    CHECKSUM,
+    DE_BRUIJN,
+    DETECTIONS,
+    MOVING,
+    ONE,
+    PLACE_OF,
+    SHIFT,
+    SHIFT_US,
+    TILES_HIT,
+    TIME_US,
+    WILD,
+)
+from gis_radar.measures.hour import LONGEST_VALID_STEPS, STEPS_PER_HOUR, HourWindow
+from gis_radar.measures.sensor_reading import SensorHour
+from gis_radar.measures.validity import Runs, union
+from gis_radar.steps import STEP_US
+
+NEVER = np.iinfo(np.int64).min // 2
+ROOM = 1 << 19  # pairs at once, 8 MiB; more than a tile can have
+LENGTHS = LONGEST_VALID_STEPS
+_WORDS = STEPS_PER_HOUR // 64 + 1
+Numbers = NDArray[np.int32]
+Lengths = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ValidFrames:
+    """The steps with a frame of a sensor, and up to when each is valid.
+
+    Parameters
+    ----------
+    step : (n,) int64 array
+        Steps of the window with a frame, each once, ascending.
+    until : (n,) int64 array
+        The last step in which the frames of each are valid.
+    """
+
+    step: Integers
+    until: Integers
+
+    @classmethod
+    def of(cls, sensor: SensorHour, most: int) -> ValidFrames:
+        """Return those of a sensor whose frames are valid in so many steps after their own."""
+        step = each_once(sensor.frames.time_us // STEP_US)
+        before_next = np.append(step[1:], np.iinfo(np.int64).max) - 1
+        return cls(step=step, until=np.minimum(step + most, before_next))
+
+    def until_of(self, step: Integers) -> Integers:
+        """Return the last valid step of frames in some steps."""
+        return np.asarray(self.until[np.searchsorted(self.step, step)])
+
+
+def each_once(ascending: Integers) -> Integers:
+    """Return each of some ascending numbers once; a pass, where NumPy would sort."""
+    return ascending[np.diff(ascending, prepend=NEVER) > 0]
+
+
+def frame_columns(
+    sensor: SensorHour, valid: ValidFrames, window: HourWindow, seen: Mapping[str, int]
+) -> dict[str, object]:
+    """Return the columns of the table `frames` for a sensor's frames in the hour.
+
+    Parameters
+    ----------
+    sensor : SensorHour
+        What it delivered.
+    valid : ValidFrames
+        When its frames are valid.
+    window : HourWindow
+        The hour.
+    seen : mapping
+        By view, how many tiles it has in sight.
+    """
+    time_us = sensor.counted[:, TIME_US]
+    mine = time_us >= window.begin * STEP_US
+    mine[:-1] &= time_us[1:] != time_us[:-1]  # frames of one microsecond are one
+    rows = sensor.counted[mine]
+    step = rows[:, TIME_US] // STEP_US
+    view = sensor.view[np.searchsorted(sensor.frames.time_us, rows[:, TIME_US])]
+    return {
+        "sensor": np.full(len(rows), sensor.sensor, object), "time_us": rows[:, TIME_US],
+        "first_step": step, "last_step": valid.until_of(step),
+        "detections": rows[:, DETECTIONS], "moving": rows[:, MOVING], "pose": view,
+        "wild": rows[:, WILD], "tiles_hit": rows[:, TILES_HIT],
+        "tiles_seen": np.array([seen[name] for name in view], np.int64),
+        "checksum": rows[:, CHECKSUM], "shift_us": rows[:, SHIFT_US],
+    }  # fmt: skip
+
+
+def valid_runs(
+    sensors: Sequence[SensorHour], valid: Sequence[ValidFrames], window: HourWindow
+) -> pd.DataFrame:
+    """Return `sensor, view, first_step, last_step`: in which steps a frame with a view is valid.
+
+    Those of the window, by sensor, view and step.
+    """
+    tables = [pd.DataFrame({"sensor": [], "view": [], "first_step": [], "last_step": []})]
+    for sensor, frames in zip(sensors, valid, strict=True):
+        step = sensor.frames.time_us // STEP_US
+        for view in sorted(set(sensor.view.tolist())):
+            mine = each_once(step[sensor.view == view])
+            runs = union([Runs(first=mine, last=frames.until_of(mine))])
+            first, last = runs.first, np.minimum(runs.last, window.span[1] - 1)
+            tables.append(
+                pd.DataFrame(
+                    {"sensor": sensor.sensor, "view": view, "first_step": first, "last_step": last}
+                )
+            )
+    whole = pd.concat(tables, ignore_index=True)
+    return whole.astype({"first_step": np.int64, "last_step": np.int64})
+
+
+def observed_runs(
+    held: pd.DataFrame, tiles: Mapping[str, Integers], count: int, window: HourWindow
+) -> tuple[Integers, Integers, Integers]:
+    """Return the runs of steps in which each tile is observed in the hour.
+
+    Parameters
+    ----------
+    held : DataFrame
+        Of :func:`valid_runs`.
+    tiles : mapping
+        By view, the positions of the tiles in sight.
+    count : int
+        How many tiles there are.
+    window : HourWindow
+        The hour.
+
+    Returns
+    -------
+    tile, first, last : (n,) int64 arrays
+        Positions of tiles and steps, ascending.
+    """
+    views = sorted(set(held["view"]))
+    seen = np.zeros((count, len(views)), np.bool_)
+    for k, view in enumerate(views):
+        seen[tiles[view], k] = True
+    kinds, kind = np.unique(seen, axis=0, return_inverse=True)
+    parts = []
+    for number, row in enumerate(kinds):
+        rows = held[held["view"].isin([view for view, on in zip(views, row, strict=True) if on])]
+        if rows.empty:
+            continue
+        first, last = (rows[name].to_numpy(np.int64) for name in ("first_step", "last_step"))
+        runs = union([Runs(first=first, last=last)]).within(window.begin, window.end - 1)
+        mine = np.flatnonzero(kind.ravel() == number)
+        tile = np.repeat(mine, len(runs))
+        parts.append((tile, np.tile(runs.first, len(mine)), np.tile(runs.last, len(mine))))
+    none = np.empty(0, np.int64)
+    tile, first, last = map(np.concatenate, zip((none, none, none), *parts, strict=True))
+    order = np.lexsort((first, tile))
+    return tile[order], first[order], last[order]
+
+
+def sorted_hits(
+    sensors: Sequence[SensorHour], valid: Sequence[ValidFrames], tile_id: Integers,
+    window: HourWindow,
+) -> Iterator[dict[str, Integers]]:  # fmt: skip
+    """Yield the pairs of a tile and a step of the hour, each once, by both, in batches.
+
+    Parameters
+    ----------
+    sensors, valid : sequences
+        What each sensor delivered, and when its frames are valid.
+    tile_id : (n,) int64 array
+        Ids of the tiles, ascending.
+    window : HourWindow
+        The hour.
+    """
+    ends = np.zeros(len(tile_id) + 1, np.int64)
+    for sensor in sensors:
+        for tile in sensor.tile:
+            _count_tiles(tile, ends)
+    first = np.concatenate([[0], np.cumsum(ends[:-1])])
+    packed, place = np.empty(first[-1], np.int32), first[:-1].copy()
+    for sensor, frames in zip(sensors, valid, strict=True):
+        lengths = _lengths(frames, window)
+        for step, tile in zip(sensor.step, sensor.tile, strict=True):
+            _place_runs(step, tile, lengths, place, packed)
+    state, words = np.zeros(2, np.int64), np.zeros(_WORDS, np.uint64)
+    while state[0] < len(tile_id):
+        tiles, steps = np.empty(ROOM, np.int64), np.empty(ROOM, np.int64)
+        _fill_pairs(packed, first, tile_id, window.begin, words, state, tiles, steps)
+        if state[1]:
+            yield {"tile_id": tiles[: state[1]], "step": steps[: state[1]]}
+        state[1] = 0
+
+
+def _lengths(frames: ValidFrames, window: HourWindow) -> Lengths:
+    """Return for each step, from just before the hour on, in how many later ones it is valid."""
+    lengths = np.zeros(LENGTHS + STEPS_PER_HOUR, np.uint8)
+    low, high = np.searchsorted(frames.step, [window.begin - LENGTHS, window.end])
+    step, until = frames.step[low:high], frames.until[low:high]
+    lengths[step - window.begin + LENGTHS] = until - step
+    return lengths
+
+
+@compiled
+def _count_tiles(tile: Numbers, counts: Integers) -> None:  # pragma: no cover - compiled
+    for each in tile:
+        counts[each] += 1
+
+
+@compiled
+def _place_runs(  # pragma: no cover - compiled
+    step: Numbers, tile: Numbers, lengths: Lengths, place: Integers, packed: Numbers
+) -> None:
+    """Sort hits by tile: their steps from just before the hour on, with how long they are valid."""
+    for k in range(len(step)):
+        offset = step[k] + LENGTHS
+        packed[place[tile[k]]] = offset * LENGTHS + lengths[offset]
+        place[tile[k]] += 1
+
+
+@compiled
+def _fill_pairs(
+    packed: Numbers, first: Integers, tile_id: Integers, begin: int, words: NDArray[np.uint64],
+    state: Integers, tiles: Integers, steps: Integers,
+) -> None:  # fmt: skip
+    """Fill in the pairs of tiles from one on, as long as all of a tile's find room.
+
+    `state` holds the next tile, and how many pairs are filled in.
+    """
+    tile, filled = state[0], state[1]
+    while tile < len(tile_id):
+        least, most = _WORDS, 0
+        room = 0
+        for k in range(first[tile], first[tile + 1]):
+            room += packed[k] % LENGTHS + 1
+        if filled + min(room, STEPS_PER_HOUR) > len(tiles):
+            break
+        for k in range(first[tile], first[tile + 1]):
+            offset = packed[k] // LENGTHS - LENGTHS
+            for step in range(
+                max(offset, 0), min(offset + packed[k] % LENGTHS + 1, STEPS_PER_HOUR)
+            ):
+                words[step >> 6] |= ONE << np.uint64(step & 63)
+                least, most = min(least, step >> 6), max(most, step >> 6)
+        for number in range(least, most + 1):
+            while words[number]:
+                low = words[number] & (~words[number] + ONE)
+                steps[filled] = begin + 64 * number + PLACE_OF[(low * DE_BRUIJN) >> SHIFT]
+                tiles[filled] = tile_id[tile]
+                filled += 1
+                words[number] &= words[number] - ONE
+        tile += 1
+    state[0], state[1] = tile, filled

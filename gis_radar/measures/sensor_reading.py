@@ -1,0 +1,351 @@
+"""What one sensor delivered in the window of an hour: its frames, and the tiles that they hit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gis_radar.arrays import Floats, Integers
+from gis_radar.errors import InputError
+from gis_radar.measures.counting_loop import POSE, TILES_HIT, TIME_US
+from gis_radar.measures.frame_hash import FrameHasher, HashedFrames
+from gis_radar.measures.hit_counter import NO_TILES, Counted, HitCounter, rows_of_columns
+from gis_radar.measures.hour import LONGEST_VALID_STEPS, HourWindow
+from gis_radar.measures.placing import PoseNumbers
+from gis_radar.measures.settings import Filters, HitSettings
+from gis_radar.measures.validity import FrameTimes
+from gis_radar.measures.views import PlacedRecording, places_of
+from gis_radar.recordings.raw_rows import RawRows, read_raw
+from gis_radar.recordings.recording import RangeCounts
+from gis_radar.sight import SightTiles
+from gis_radar.steps import STEP_S, STEP_US, iso_from_step, step_of
+from gis_radar.tiles.lookup import TileGrid
+
+NEVER_US = -(2**62)
+
+
+@dataclass(frozen=True, kw_only=True)
+class HitTarget:
+    """What detections are assigned to, the same for all recordings.
+
+    Parameters
+    ----------
+    road : SightTiles
+        All tiles, by ascending id.
+    grid : TileGrid
+        Of the same tiles.
+    filters : Filters
+        Which detections count.
+    settings : HitSettings
+        Constants.
+    road_m : mapping
+        By sensor and view, the height of the road near the sensor, metres.
+    rcs : bool
+        Whether radar cross sections are read, by which frames are told apart, too.
+    """
+
+    road: SightTiles
+    grid: TileGrid
+    filters: Filters
+    settings: HitSettings
+    road_m: Mapping[tuple[str, str], float]
+    rcs: bool
+
+
+@dataclass(kw_only=True)
+class RecordingCounts:
+    """What is counted of a recording for remarks about it, over any hours.
+
+    Parameters
+    ----------
+    rows, hits : int
+        Rows, and how often a tile was hit by a frame.
+    times : FrameTimes
+        First and last frame, and the gaps between frames.
+    ranges : (r,) int64 array
+        Detections by their range, as of :class:`RangeCounts`.
+    level : bool
+        Whether the sensor measures no elevation.
+    views : set of str
+        Views that the sensor had.
+    movement : dict
+        By the view that the sensor had first where it stood, frames with movement on each tile.
+    frames : dict
+        By the same view, all frames.
+    """
+
+    rows: int = 0
+    hits: int = 0
+    times: FrameTimes = field(default_factory=FrameTimes)
+    ranges: Integers = field(default_factory=lambda: RangeCounts().counts)
+    level: bool = False
+    views: set[str] = field(default_factory=set)
+    movement: dict[str, Integers] = field(default_factory=dict)
+    frames: dict[str, int] = field(default_factory=dict)
+
+    def add(self, other: RecordingCounts) -> None:
+        """Add what was counted in another hour."""
+        self.rows, self.hits = self.rows + other.rows, self.hits + other.hits
+        self.times.join(other.times)
+        self.ranges = self.ranges + other.ranges
+        self.level |= other.level
+        self.views |= other.views
+        for view, count in other.movement.items():
+            self.movement[view] = self.movement.get(view, 0) + count
+        for view, frames in other.frames.items():
+            self.frames[view] = self.frames.get(view, 0) + frames
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorHour:
+    """The frames of a sensor in a window, and what they hit.
+
+    Parameters
+    ----------
+    sensor : str
+        Its name.
+    sources : sequence of PlacedRecording
+        Its recordings, by their first frame.
+    frames : HashedFrames
+        All frames of the window, each once.
+    source, pose : (f,) int64 arrays
+        Of each, the number of its recording, and of the pose in force in that one's track.
+    counted : (g, 8) int64 array
+        The frames of the hour and just before it: columns as of
+        :mod:`gis_radar.measures.counting_loop`.
+    step, tile : lists of int32 arrays
+        Their hits: steps from the hour's begin, and positions of tiles.
+    evidence : list of RecordingCounts
+        A recording each.
+    """
+
+    sensor: str
+    sources: Sequence[PlacedRecording]
+    frames: HashedFrames
+    source: Integers
+    pose: Integers
+    counted: Integers
+    step: list[NDArray[np.int32]]
+    tile: list[NDArray[np.int32]]
+    evidence: list[RecordingCounts]
+
+    @property
+    def view(self) -> NDArray[np.object_]:
+        """The view of each frame of the window."""
+        names = [name for source in self.sources for name in source.views]
+        begins = np.cumsum([0, *(len(source.views) for source in self.sources)])
+        return np.array([*names, ""], object)[begins[self.source] + self.pose]
+
+
+def read_sensor(
+    sources: Sequence[PlacedRecording],
+    window: HourWindow,
+    target: HitTarget,
+    *,
+    count_hits: bool = True,
+    count_rows: Callable[[int], None] = lambda _: None,
+) -> SensorHour:
+    """Read the recordings of a sensor in the window of an hour.
+
+    What two recordings hold of the same time has to be equal, and counts once.
+
+    Parameters
+    ----------
+    sources : sequence of PlacedRecording
+        All of one sensor, by their first frame.
+    window : HourWindow
+        The hour.
+    target : HitTarget
+        What detections are assigned to.
+    count_hits : bool
+        Whether hits are asked for, or only the frames.
+    count_rows : callable
+        Called with the numbers of rows read.
+
+    Raises
+    ------
+    InputError
+        If a recording is damaged, or two differ in the time that both hold.
+    """
+    parts: list[_Reading] = []
+    for source in sources:
+        until = max((each.last_us for each in parts), default=NEVER_US)
+        part = _Reading(source=source, window=window, target=target, until_us=until)
+        part.read(count_rows, count_hits=count_hits)
+        _refuse_difference(part, parts)
+        parts.append(part)
+    counted = [frames for part in parts for frames in part.counted]
+    return SensorHour(
+        sensor=sources[0].track.sensor,
+        sources=sources,
+        frames=HashedFrames.join([part.fresh for part in parts]),
+        source=np.repeat(np.arange(len(parts)), [len(part.fresh) for part in parts]),
+        pose=np.concatenate([NO_TILES, *(part.poses() for part in parts)]),
+        counted=np.concatenate([np.empty((0, POSE + 1), np.int64), *counted]),
+        step=[step for part in parts for step in part.step],
+        tile=[tile for part in parts for tile in part.tile],
+        evidence=[part.evidence for part in parts],
+    )
+
+
+@dataclass(kw_only=True)
+class _Reading:
+    """A recording as it is read."""
+
+    source: PlacedRecording
+    window: HourWindow
+    target: HitTarget
+    until_us: int  # up to it earlier recordings of the sensor count
+    frames: HashedFrames = field(default_factory=lambda: HashedFrames.join([]))
+    counted: list[Integers] = field(default_factory=list)
+    step: list[NDArray[np.int32]] = field(default_factory=list)
+    tile: list[NDArray[np.int32]] = field(default_factory=list)
+    evidence: RecordingCounts = field(default_factory=RecordingCounts)
+
+    @property
+    def last_us(self) -> int:
+        return int(self.frames.time_us[-1]) if len(self.frames) else NEVER_US
+
+    @property
+    def fresh(self) -> HashedFrames:
+        """The frames that no earlier recording holds."""
+        return self.frames.take(self.frames.time_us > self.until_us)
+
+    def poses(self) -> Integers:
+        """Return which pose of the track is in force at each of the fresh frames."""
+        return self.source.track.at(self.fresh.time)
+
+    def read(self, count_rows: Callable[[int], None], *, count_hits: bool) -> None:
+        """Read the rows of the window; count those that matter to the hits of the hour."""
+        hasher = FrameHasher()
+        counter = _Counter(self)
+        first_us, after_us = self.window.span_us
+        since_us = (self.window.begin - LONGEST_VALID_STEPS) * STEP_US
+        for raw, time, shift_us in self._batches():
+            begin, end = rows_between(time, first_us, after_us)
+            hasher.add(time, raw, begin, end)
+            low, high = rows_between(
+                time, max(since_us, self.until_us + 1), self.window.end * STEP_US
+            )
+            if count_hits and low < high:
+                counter.add(raw, time, shift_us, low, high)
+            count_rows(end - begin)
+        counter.end()
+        self.frames = hasher.end()
+
+    def _batches(self) -> Iterator[tuple[RawRows, Floats, Integers]]:
+        """Read batches around the window, with corrected times, and microseconds added to them."""
+        clock = self.source.clock
+        first, after = self.window.span
+        limits = np.array([first - 1, after + 1]) * STEP_S
+        begin, end = limits if clock is None else clock.shown(limits)
+        for raw in read_raw(
+            self.source.recording, rcs=self.target.rcs, begin=float(begin), end=float(end)
+        ):
+            if clock is None:
+                yield raw, raw.time, NO_TILES
+                continue
+            time = clock.corrected(raw.time)
+            step_of(time[[0, -1]])  # refuses what is outside of the known years
+            yield raw, time, np.rint((time - raw.time) * 1e6).astype(np.int64)
+
+
+class _Counter:
+    """Counts the hits of a recording."""
+
+    def __init__(self, reading: _Reading) -> None:
+        self._reading, target = reading, reading.target
+        self._ranges = RangeCounts()
+        self._counter = HitCounter(
+            target.road, target.grid, filters=target.filters, settings=target.settings,
+            ranges=self._ranges,
+        )  # fmt: skip
+        self._placed: dict[int, PoseNumbers] = {}
+        self._places = places_of(reading.source.track.poses)
+
+    def add(self, raw: RawRows, time: Floats, shift_us: Integers, low: int, high: int) -> None:
+        """Count rows that follow those so far."""
+        reading = self._reading
+        source, evidence = reading.source, reading.evidence
+        rows = rows_of_columns(
+            time, raw.x, raw.y, raw.z, raw.range_rate, raw.rcs, shift_us=shift_us
+        )
+        for index, begin, end in source.track.runs(time[low:high]):
+            counter = evidence.movement.setdefault(
+                source.views[self._places[index]],
+                np.zeros(len(reading.target.road.tile_id), np.int64),
+            )
+            placing = self._placing(index)
+            self._take(self._counter.add(rows, low + begin, low + end, placing, movement=counter))
+        evidence.level |= raw.level
+        evidence.rows += high - low
+
+    def _placing(self, index: int) -> PoseNumbers:
+        if index not in self._placed:
+            source = self._reading.source
+            road_m = self._reading.target.road_m[source.track.sensor, source.views[index]]
+            pose = source.track.poses[index]
+            self._placed[index] = PoseNumbers.of(pose, road_m=road_m, number=index)
+        return self._placed[index]
+
+    def end(self) -> None:
+        """Close the open frame."""
+        reading = self._reading
+        self._take(self._counter.end())
+        reading.evidence.ranges = self._ranges.counts
+        for frames in reading.counted:
+            mine = frames[frames[:, TIME_US] >= reading.window.begin * STEP_US]
+            if len(mine):
+                reading.evidence.times.add(mine[:, TIME_US])
+                reading.evidence.hits += int(mine[:, TILES_HIT].sum())
+            for index, count in zip(*np.unique(mine[:, POSE], return_counts=True), strict=True):
+                view = reading.source.views[self._places[index]]
+                known = reading.evidence.frames
+                known[view] = known.get(view, 0) + int(count)
+                reading.evidence.views.add(reading.source.views[index])
+
+    def _take(self, counts: Iterator[Counted]) -> None:
+        reading = self._reading
+        for counted in counts:
+            reading.counted.append(counted.frames)
+            reading.step.append((counted.step - reading.window.begin).astype(np.int32))
+            reading.tile.append(counted.tile.astype(np.int32))
+
+
+def rows_between(time: Floats, first_us: int, after_us: int) -> tuple[int, int]:
+    """Return which rows, of ascending times, lie from one time to before another, microseconds."""
+    edges = np.rint(time[[0, -1]] * 1e6)
+    if edges[0] >= first_us and edges[1] < after_us:
+        return 0, len(time)
+    begin, end = np.searchsorted(np.rint(time * 1e6), [first_us, max(first_us, after_us)])
+    return int(begin), int(end)
+
+
+def _refuse_difference(part: _Reading, earlier: Sequence[_Reading]) -> None:
+    """Refuse a recording that differs from earlier ones in the time that both hold."""
+    again = part.frames.take(part.frames.time_us <= part.until_us)
+    if len(again) == 0:
+        return
+    known = HashedFrames.join([each.fresh for each in earlier])
+    first, last = int(again.time_us[0]), min(part.until_us, part.last_us)
+    same = known.take((known.time_us >= first) & (known.time_us <= last))
+    most = min(len(same), len(again))
+    differs = (same.time_us[:most] != again.time_us[:most]) | (
+        same.hash[:most] != again.hash[:most]
+    )
+    if len(same) == len(again) and not differs.any():
+        return
+    at = int(differs.argmax()) if differs.any() else most
+    at_us = int(min(each.time_us[at] for each in (same, again) if at < len(each)))
+    other = next(
+        each.source.recording.path for each in reversed(earlier)
+        if len(each.frames) and each.frames.time_us[0] <= at_us
+    )  # fmt: skip
+    raise InputError(
+        f"{part.source.recording.path}: differs from {other} at "
+        f"{iso_from_step(at_us // STEP_US)}: both are of {part.source.track.sensor}",
+        hint="leave one of them away, or cut it where the other begins",
+    )

@@ -1,0 +1,196 @@
+"""Validity of frames, and sets of steps kept as runs.
+
+A frame is valid in its own step and the following ones up to its sensor's next frame, at most
+`validity / 50 ms` of them, rounded down. All frames of a sensor in one step count as one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+
+from gis_radar.arrays import Integers
+from gis_radar.errors import UsageError
+from gis_radar.measures.settings import DEFAULTS, HitSettings
+from gis_radar.steps import CYCLE_HINT, LONGEST_CYCLE_S, SHORTEST_CYCLE_S, STEP_US
+
+GAP_US = 100  # resolution of measured cycles: jitter is larger
+MOST_GAPS = round(LONGEST_CYCLE_S * 1e6) // GAP_US
+NEVER = np.iinfo(np.int64).max
+
+
+def validity_of(
+    cycles: Mapping[str, float] | None,
+    sensors: Sequence[str],
+    settings: HitSettings = DEFAULTS,
+) -> dict[str, float]:
+    """Return the validity of the frames of each sensor, seconds.
+
+    Parameters
+    ----------
+    cycles : mapping, optional
+        The stated time from frame to frame of some sensors, seconds.
+    sensors : sequence of str
+        All sensors.
+    settings : HitSettings
+        How long frames are valid: by default, and in cycles.
+
+    Raises
+    ------
+    UsageError
+        If a cycle is no duration of 1 ms to 2 s, or of a sensor that is not there.
+    """
+    if isinstance(cycles, str):
+        raise UsageError(f"cycles is {cycles!r}, expected seconds by sensor", hint=CYCLE_HINT)
+    validity = dict.fromkeys(sensors, settings.validity_s)
+    for sensor, cycle_s in (cycles or {}).items():
+        if sensor not in validity:
+            others = ", ".join(validity)
+            raise UsageError(f"a cycle is given for {sensor}, but the poses are of {others}")
+        if not SHORTEST_CYCLE_S <= cycle_s <= LONGEST_CYCLE_S:
+            raise UsageError(
+                f"the cycle of {sensor} is {cycle_s} s, "
+                f"expected {SHORTEST_CYCLE_S:g} to {LONGEST_CYCLE_S:g}",
+                hint="the time from one of its frames to the next, such as 150ms",
+            )
+        validity[sensor] = round(settings.cycles_valid * cycle_s, 6)
+    return validity
+
+
+def valid_steps(validity_s: float) -> int:
+    """Return in how many steps after its own a frame is valid at most."""
+    return round(validity_s * 1e6) // STEP_US
+
+
+def valid_until(step: Integers, frames: Runs, validity_s: float) -> Integers:
+    """Return the last step in which the frames of each step are valid.
+
+    Parameters
+    ----------
+    step : (n,) int64 array
+        Steps with a frame of a sensor.
+    frames : Runs
+        All steps with a frame of that sensor.
+    validity_s : float
+        How long its frames are valid, seconds.
+    """
+    run = np.minimum(np.searchsorted(frames.last, step), len(frames) - 1)
+    before_next = np.append(frames.first[1:], NEVER)[run] - 1
+    reached = np.minimum(step + valid_steps(validity_s), before_next)
+    return np.where(step == frames.last[run], reached, step)
+
+
+@dataclass(kw_only=True)
+class FrameTimes:
+    """When the frames of a sensor came: the first, the last, and a histogram of the gaps.
+
+    Parameters
+    ----------
+    frames : int
+        Frames so far.
+    first_us, last_us : int
+        Time of the first and of the last one, microseconds since the UNIX epoch.
+    gaps, sums_us : (m,) int64 arrays
+        Gaps between frames by their length in `GAP_US`: how many, and their sum.
+    """
+
+    frames: int = 0
+    first_us: int = 0
+    last_us: int = 0
+    gaps: Integers = field(default_factory=lambda: np.zeros(MOST_GAPS, np.int64))
+    sums_us: Integers = field(default_factory=lambda: np.zeros(MOST_GAPS, np.int64))
+
+    def add(self, time_us: Integers) -> None:
+        """Add frames that follow those so far."""
+        if self.frames == 0:
+            self.first_us = self.last_us = int(time_us[0])
+        gap_us = np.diff(time_us, prepend=self.last_us)
+        gap_us = gap_us[(gap_us > 0) & (gap_us < MOST_GAPS * GAP_US)]
+        self.gaps += np.bincount(gap_us // GAP_US, minlength=MOST_GAPS)
+        self.sums_us += np.bincount(gap_us // GAP_US, gap_us, MOST_GAPS).astype(np.int64)
+        self.last_us = int(time_us[-1])
+        self.frames += len(time_us)
+
+    def join(self, other: FrameTimes) -> None:
+        """Add the frames of another time."""
+        if other.frames == 0:
+            return
+        known = self.frames > 0
+        self.first_us = min(self.first_us, other.first_us) if known else other.first_us
+        self.last_us = max(self.last_us, other.last_us) if known else other.last_us
+        self.frames += other.frames
+        self.gaps = self.gaps + other.gaps
+        self.sums_us = self.sums_us + other.sums_us
+
+    @property
+    def cycle_us(self) -> float:
+        """The median time from one frame to the next; infinite where there is but one."""
+        done = np.cumsum(self.gaps)
+        if done[-1] == 0:
+            return np.inf
+        middle = int(np.searchsorted(done, done[-1] / 2))
+        return float(self.sums_us[middle] / self.gaps[middle])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Runs:
+    """A set of steps: runs that ascend and do not touch.
+
+    Parameters
+    ----------
+    first, last : (n,) int64 arrays
+        First and last step of each run, inclusive.
+    """
+
+    first: Integers
+    last: Integers
+
+    def __len__(self) -> int:
+        return len(self.first)
+
+    @property
+    def steps(self) -> int:
+        """Number of steps in the set."""
+        return int((self.last - self.first + 1).sum())
+
+    def before(self, step: Integers) -> Integers:
+        """Return how many steps of the set come before each of the given steps."""
+        length = self.last - self.first + 1
+        done = np.concatenate([[0], np.cumsum(length)])
+        run = np.searchsorted(self.first, step) - 1
+        begun = run >= 0
+        inside = np.minimum(step - self.first[run], length[run]) if len(self) else 0
+        return np.where(begun, done[np.maximum(run, 0)] + inside, 0)
+
+    def within(self, first: int, last: int) -> Runs:
+        """Return the part of the set from step `first` to step `last`, inclusive."""
+        kept = (self.last >= first) & (self.first <= last)
+        return Runs(
+            first=np.maximum(self.first[kept], first), last=np.minimum(self.last[kept], last)
+        )
+
+    def nearest(self, step: int) -> int:
+        """Return the step of the set nearest to `step`."""
+        inside = np.clip(step, self.first, self.last)
+        return int(inside[np.argmin(np.abs(inside - step))])
+
+
+def union(parts: Sequence[Runs]) -> Runs:
+    """Return the steps that are in any of the sets, each of them once."""
+    first = np.concatenate([part.first for part in parts])
+    order = np.argsort(first, kind="stable")
+    first = first[order]
+    reached = np.maximum.accumulate(np.concatenate([part.last for part in parts])[order])
+    apart = first[1:] > reached[:-1] + 1
+    begins, ends = np.ones(len(first), np.bool_), np.ones(len(first), np.bool_)
+    begins[1:] = ends[:-1] = apart
+    return Runs(first=first[begins], last=reached[ends])
+
+
+def steps_in(frames: pd.DataFrame) -> Runs:
+    """Return the steps in any row of a table of frames."""
+    first, last = (frames[name].to_numpy(np.int64) for name in ("first_step", "last_step"))
+    return union([Runs(first=first, last=last)])

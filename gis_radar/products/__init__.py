@@ -1,0 +1,1 @@
+"""What single vehicles become for other programs: a layer for QGIS, trajectories."""

@@ -1,0 +1,414 @@
+"""Motions of blocks of time as the tables of a folder: vehicles keep their numbers over blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import pandas as pd
+from scipy.optimize import linear_sum_assignment
+
+from gis_radar.arrays import Booleans, Floats, Integers, nearest
+from gis_radar.lanelets.graph import LaneGraph
+from gis_radar.steps import STEP_S
+from gis_radar.tracking.blocks import Block
+from gis_radar.tracking.detections import MapDetections
+from gis_radar.tracking.motion import Motion
+from gis_radar.tracking.routes import route_of
+from gis_radar.tracking.settings import BatchSettings, VehicleSettings
+from gis_radar.tracking.tables import TRACKS, VEHICLES
+
+WAY_RAD = np.pi / 9.0  # lanes within it show the same side of a pose
+BEND_M, BEND_RAD = 5.0, 0.1  # who turns is where it suits
+LEAST_ROWS = 5  # detections of a vehicle on a lane, of which the median tells its side
+SURE = 4.0  # sigma of a shift that is named: of hundreds of sensors hardly one is blamed wrongly
+DRAWN = 0.75  # who is off by a smaller share of the worst is drawn along by that one
+SIDES = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
+POSE_HINT = ": its pose may be off (gis-radar track, gis-radar localize)"
+
+
+@dataclass(frozen=True, kw_only=True)
+class VehicleBatch:
+    """Finished vehicles of a span of steps.
+
+    Parameters
+    ----------
+    first_step, last_step : int
+        The span, inclusive; after that of the batch before. The last batch ends with a frame.
+    tracks : DataFrame
+        The columns of `TRACKS`, by step and vehicle: all states in the span, one for each step from
+        a vehicle's first to its last. `easting` and `northing` are the middle of the rectangle of
+        its length and width: the middle of its front lies half a length ahead along `heading`, of
+        vehicles over 12 m too.
+    vehicles : DataFrame
+        The columns of `VEHICLES`: each vehicle with a state in the span, as known so far. It may
+        go on in the next batch under the same number.
+    frames : DataFrame
+        `sensor, view, first_step, last_step`: runs of steps in the span with a frame.
+    """
+
+    first_step: int
+    last_step: int
+    tracks: pd.DataFrame
+    vehicles: pd.DataFrame
+    frames: pd.DataFrame
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlockEdge:
+    """State at the end of a block, from which another :class:`BatchMaker` continues.
+
+    Parameters
+    ----------
+    step : int
+        The last of the block.
+    found : int
+        How many vehicles there are so far.
+    table : DataFrame
+        `sensor, time, x, vehicle`: the detections of the vehicles that go on.
+    """
+
+    COLUMNS: ClassVar = ("sensor", "time", "x", "vehicle")
+    step: int
+    found: int
+    table: pd.DataFrame
+
+
+class BatchMaker:
+    """Makes the batches of a folder from what was found in each block.
+
+    Parameters
+    ----------
+    graph : LaneGraph
+        The lanes.
+    settings : VehicleSettings
+        Of routes, and how long a vehicle goes on unseen.
+    """
+
+    def __init__(self, graph: LaneGraph, settings: VehicleSettings) -> None:
+        self._graph, self._settings = graph, settings
+        self._known: pd.DataFrame | None = None  # detections of vehicles at the edge: key, vehicle
+        self._edge = -1
+        self._on_lanes: list[pd.DataFrame] = []
+        self.found = 0
+        self.numbers: list[int] = []  # of the vehicles of the last block, in the order of motions
+
+    def forget_lanes(self) -> None:
+        """Drop the places of vehicles by sensor: for programs that run without end."""
+        self._on_lanes = []
+
+    def edge(self) -> BlockEdge:
+        """Return the state at the end of the last block."""
+        known = [] if self._known is None else self._known.to_numpy().tolist()
+        rows = [(*key, vehicle) for key, vehicle in known]
+        table = pd.DataFrame(rows, columns=[*BlockEdge.COLUMNS])
+        return BlockEdge(step=self._edge, found=self.found, table=table)
+
+    def take_up(self, edge: BlockEdge) -> None:
+        """Continue after a block that another instance made."""
+        self._edge, self.found = edge.step, edge.found
+        rows = edge.table.to_numpy().tolist()
+        keys = [(int(sensor), time, x) for sensor, time, x, _ in rows]
+        numbers = [int(row[3]) for row in rows]
+        self._known = pd.DataFrame({"key": keys, "vehicle": numbers}) if rows else None
+
+    def batch(self, block: Block, motions: list[Motion]) -> VehicleBatch:
+        """Return the states of the vehicles in the span of a block.
+
+        A vehicle is the one of the block before with which it shares most detections.
+        """
+        states = [_States.of(each, block, self._settings) for each in motions]
+        inside = [k for k, each in enumerate(states) if len(each.step)]
+        motions, states = [motions[k] for k in inside], [states[k] for k in inside]
+        self.numbers = numbers = self._numbers(block, motions, states)
+        tables = [TRACKS.empty()]
+        rows, driven = [], []
+        for number, motion, each in zip(numbers, motions, states, strict=True):
+            table, lanelets = self._tables(each, motion)
+            driven.append(_driven(number, table, motion, block.detections, self._settings.batches))
+            tables.append(table.assign(vehicle=number))
+            cut = (block.begins and each.step[0] == block.first_step) or (
+                block.ends and each.step[-1] == block.last_step
+            )
+            rows.append(
+                {
+                    "vehicle": number, "first_step": each.step[0], "last_step": each.step[-1],
+                    "length_m": motion.length_m, "width_m": motion.width_m,
+                    "length_sigma_m": motion.length_sigma_m, "p_heavy": motion.p_heavy,
+                    "lanelets": lanelets, "continues": cut,
+                }
+            )  # fmt: skip
+        if driven:
+            self._on_lanes.append(_on_lanes(driven))
+        vehicles = pd.DataFrame(rows, columns=[*VEHICLES.columns]).sort_values("vehicle")
+        tracks = pd.concat(tables, ignore_index=True).sort_values(["step", "vehicle"])
+        return VehicleBatch(
+            first_step=block.first_step, last_step=block.last_step, tracks=tracks,
+            vehicles=vehicles, frames=block.frames,
+        )  # fmt: skip
+
+    def on_lanes(self, sensors: Sequence[str]) -> list[pd.DataFrame]:
+        """Return where sensors see vehicles drive, by their names, for :func:`warn_of_poses`."""
+        names = np.array(sensors, object)
+        return [each.assign(sensor=names[each["sensor"]]) for each in self._on_lanes]
+
+    def _numbers(self, block: Block, motions: list[Motion], states: list[_States]) -> list[int]:
+        """Return the number of each vehicle: that of the block before where it goes on."""
+        numbers = [-1] * len(motions)
+        if self._known is not None and self._edge == block.first_step - 1:
+            goes_on = [k for k, each in enumerate(states) if each.step[0] == block.first_step]
+            for k, number in self._same(block.detections, [motions[k] for k in goes_on]):
+                numbers[goes_on[k]] = number
+        for k, number in enumerate(numbers):
+            if number < 0:
+                numbers[k] = self.found
+                self.found += 1
+        kept = [
+            pd.DataFrame({"key": _keys(block.detections.take(motion.rows)), "vehicle": number})
+            for number, motion, each in zip(numbers, motions, states, strict=True)
+            if each.step[-1] == block.last_step
+        ]
+        self._edge = block.last_step
+        self._known = pd.concat(kept, ignore_index=True) if kept else None
+        return numbers
+
+    def _same(self, detections: MapDetections, motions: list[Motion]) -> list[tuple[int, int]]:
+        """Return pairs of a motion and a known vehicle that share detections."""
+        known = self._known
+        if known is None or not motions:
+            return []
+        mine = pd.concat(
+            pd.DataFrame({"key": _keys(detections.take(motion.rows)), "motion": k})
+            for k, motion in enumerate(motions)
+        )
+        both = mine.merge(known, on="key")
+        if both.empty:
+            return []
+        counts = pd.crosstab(both["motion"], both["vehicle"])
+        shared = counts.to_numpy(np.float64)
+        rows, columns = linear_sum_assignment(-shared)
+        return [
+            (int(counts.index[row]), int(counts.columns[column]))
+            for row, column in zip(rows.tolist(), columns.tolist(), strict=True)
+            if shared[row, column] > 0
+        ]
+
+    def _tables(self, states: _States, motion: Motion) -> tuple[pd.DataFrame, Integers]:
+        """Return the rows of `tracks` of a vehicle, and the lanelets that it follows."""
+        graph = self._graph
+        way = np.column_stack([np.cos(states.heading), np.sin(states.heading)])
+        fronts = states.middle + 0.5 * motion.length_m * way
+        route = route_of(fronts, states.heading, graph, self._settings.routes)
+        on = route.lane >= 0
+        lanelet = pd.Series(graph.lanelet_id[np.maximum(route.lane, 0)], dtype="Int64")
+        towards = np.full(len(on), np.nan)
+        for lane in np.unique(route.lane[on]).tolist():
+            here = np.flatnonzero(route.lane == lane)
+            before, now, after = (
+                graph.place(lane, route.s_m[here] + more)[1] for more in (-BEND_M, 0.0, BEND_M)
+            )
+            straight = np.abs(after - before) < BEND_RAD
+            towards[here[straight]] = np.angle(np.exp(1j * now[straight]))
+        table = pd.DataFrame(
+            {
+                "step": states.step,
+                "easting": states.middle[:, 0] + graph.origin[0],
+                "northing": states.middle[:, 1] + graph.origin[1],
+                "heading": np.degrees(np.angle(np.exp(1j * states.heading))),
+                "speed": states.speed,
+                "lanelet_id": lanelet.where(on),
+                "s_m": route.s_m,
+                "d_m": route.d_m,
+                "seen": states.seen,
+                "towards": towards,  # of the lane where it is straight, for the check of poses
+            }
+        )
+        return table, route.lanelets(graph)
+
+
+def _driven(
+    number: int,
+    table: pd.DataFrame,
+    motion: Motion,
+    detections: MapDetections,
+    settings: BatchSettings,
+) -> pd.DataFrame:
+    """Return the detections of a vehicle while it drives: how far left of its lane it is then."""
+    step = (detections.time[motion.rows] / STEP_S).astype(np.int64) - int(table["step"].iloc[0])
+    inside = np.flatnonzero((step >= 0) & (step < len(table)))
+    drives = inside[table["speed"].to_numpy()[step[inside]] > settings.through_mps]
+    at = step[drives]
+    towards = table["towards"].to_numpy()[at]
+    left_m = table["d_m"].to_numpy(np.float64, na_value=np.nan)[at]
+    way = np.round(np.nan_to_num(towards) / WAY_RAD).astype(np.int64) % round(2 * np.pi / WAY_RAD)
+    middle = WAY_RAD * way
+    return pd.DataFrame(
+        {
+            "vehicle": number,
+            "sensor": detections.sensor[motion.rows[drives]],
+            "way": way,
+            "towards": middle + np.angle(np.exp(1j * (towards - middle))),
+            "on": table["lanelet_id"].notna().to_numpy()[at],
+            "left_m": np.where(np.isfinite(towards), left_m, np.nan),
+        }
+    )
+
+
+def _on_lanes(driven: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """Return where each sensor sees each vehicle drive: how far left of its lane, by heading.
+
+    All of a block at once: grouping takes as long for one vehicle as for a hundred.
+    """
+    return pd.concat(driven, ignore_index=True).groupby(["vehicle", "sensor", "way"]).agg(
+        towards=("towards", "mean"), size=("on", "size"), on=("on", "sum"),
+        count=("left_m", "count"), left_m=("left_m", "median"),
+    ).reset_index()  # fmt: skip
+
+
+def joined_rows(known: dict[str, Any] | None, row: dict[str, Any]) -> dict[str, Any]:
+    """Return the row of a continued vehicle: the better known size, lanelets of both."""
+    if known is None:
+        return row
+    best = min((row, known), key=lambda each: float(each["length_sigma_m"]))
+    before, after = known["lanelets"].tolist(), row["lanelets"].tolist()
+    most = min(len(before), len(after))
+    shared = max(n for n in range(most + 1) if before[len(before) - n :] == after[:n])
+    return {
+        **best,
+        "first_step": min(known["first_step"], row["first_step"]),
+        "last_step": max(known["last_step"], row["last_step"]),
+        "lanelets": np.array([*before, *after[shared:]], np.int64),
+        "continues": bool(known["continues"] or row["continues"]),
+    }
+
+
+def warn_of_poses(seen: Sequence[pd.DataFrame], settings: BatchSettings) -> list[str]:
+    """Return a line for each sensor whose vehicles do not drive where the lanes are.
+
+    Parameters
+    ----------
+    seen : sequence of DataFrame
+        Of :meth:`BatchMaker.on_lanes`; vehicles of different tables are different ones.
+    settings : BatchSettings
+        What is too far.
+    """
+    if not seen:
+        return []
+    whole, first = [], 0
+    for each in seen:
+        whole.append(each.assign(vehicle=each["vehicle"] + first))
+        first = int(whole[-1]["vehicle"].max()) + 1
+    table = pd.concat(whole, ignore_index=True)
+    names, number = np.unique(table["sensor"].to_numpy(str), return_inverse=True)
+    return pose_warnings(table.assign(sensor=number), names.tolist(), settings)
+
+
+def pose_warnings(seen: pd.DataFrame, sensors: Sequence[str], settings: BatchSettings) -> list[str]:
+    """Return a line for each sensor whose vehicles drive beside the lanes: its pose may be off.
+
+    Parameters
+    ----------
+    seen : DataFrame
+        ``vehicle sensor way towards size on count left_m``: how often each sensor detected a
+        vehicle while it drove, how often on a lanelet, how often where that is straight in a
+        direction (steps of 20 degrees, and the mean, radians), and how far left of its centre.
+    sensors : sequence of str
+        Names, by number.
+    settings : BatchSettings
+        What is too far.
+    """
+    judged: dict[int, tuple[float, float, Floats, float]] = {}
+    for number in np.unique(seen["sensor"]).tolist():
+        mine = seen[seen["sensor"] == number]
+        if mine["vehicle"].nunique() >= settings.least_judged:
+            counts = mine.groupby("vehicle")[["size", "on"]].sum()
+            off = float((counts["on"] < 0.5 * counts["size"]).mean())
+            left = mine[mine["count"] >= LEAST_ROWS]
+            enough = left["vehicle"].nunique() >= settings.least_judged
+            beside = float(left["left_m"].abs().median()) if enough else np.nan
+            judged[number] = off, beside, *_shift(left, settings)
+    shifts = {number: float(np.hypot(*each[2])) for number, each in judged.items()}
+    lines = []
+    for number, (off, beside, shift, sigma) in judged.items():
+        others = [
+            each[1] for other, each in judged.items() if other != number and np.isfinite(each[1])
+        ]
+        apart = beside - float(np.median(others)) if others else 0.0
+        least = max(settings.most_beside_m, SURE * sigma, DRAWN * max(shifts.values()))
+        if off > settings.most_off_lane:
+            what = f"{off:.0%} of its vehicles follow no lanelet"
+        elif shifts[number] > least:
+            side = SIDES[round(float(np.arctan2(shift[1], shift[0])) / (0.25 * np.pi)) % 8]
+            what = f"its vehicles drive {shifts[number]:.1f} m {side} of the lanes"
+        elif apart > settings.most_beside_m:
+            what = (
+                f"its vehicles drive {apart:.1f} m farther from their lanes' centres than those of "
+                "others"
+            )
+        else:
+            continue
+        lines.append(f"{sensors[number]}: {what}{POSE_HINT}")
+    return lines
+
+
+def _shift(left: pd.DataFrame, settings: BatchSettings) -> tuple[Floats, float]:
+    """Return by how much all vehicles of a sensor are beside their lanes, east and north, metres.
+
+    Beside it the 1 sigma of how much that is.
+
+    Vehicles of one direction show it across that. Those of a lane are off alike, so that many count
+    little more than a few; a prior holds the direction in which nobody drives.
+    """
+    ways = left.groupby("way").agg(
+        towards=("towards", "mean"), left_m=("left_m", "median"), count=("left_m", "size")
+    )
+    way = ways["towards"].to_numpy(np.float64)
+    normal = np.column_stack([-np.sin(way), np.cos(way)])
+    var = settings.lane_m**2 + settings.beside_m**2 / ways["count"].to_numpy(np.float64)
+    weighted = normal / var[:, None]
+    prior = np.eye(2) / settings.shift_m**2
+    beside = ways["left_m"].to_numpy(np.float64)
+    spread = np.linalg.inv(normal.T @ weighted + prior)
+    shift = spread @ (weighted.T @ beside)
+    side = shift / max(float(np.hypot(*shift)), 1e-9)
+    return shift, float(np.sqrt(side @ spread @ side))
+
+
+class _States:
+    """A vehicle in the span of a block, step by step."""
+
+    def __init__(
+        self, step: Integers, middle: Floats, heading: Floats, speed: Floats, seen: Booleans
+    ) -> None:
+        self.step, self.middle, self.heading = step, middle, heading
+        self.speed, self.seen = speed, seen
+
+    @classmethod
+    def of(cls, motion: Motion, block: Block, settings: VehicleSettings) -> _States:
+        """Return the states of a motion, extended at both ends where the vehicle moves."""
+        more = settings.batches.unseen_steps
+        before = more if motion.speed[0] > settings.batches.driving_mps else 0
+        after = more if motion.speed[-1] > settings.batches.driving_mps else 0
+        first = max(motion.first_step - before, block.first_step)
+        last = min(motion.last_step + after, block.last_step)
+        step = np.arange(first, last + 1)
+        time = np.asarray(step * STEP_S, np.float64)
+        s_m, speed = motion.at(time)
+        middle, heading = motion.path.at(s_m)
+        hits = block.detections.time[motion.rows]
+        seen = np.abs(hits[nearest(hits, time)] - time) <= settings.batches.seen_s
+        return cls(step, middle, heading, speed, seen)
+
+
+def _keys(detections: MapDetections) -> list[tuple[int, float, float]]:
+    """Return keys that identify detections."""
+    return list(
+        zip(
+            detections.sensor.tolist(),
+            detections.time.tolist(),
+            detections.points[:, 0].tolist(),
+            strict=True,
+        )
+    )

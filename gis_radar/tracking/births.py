@@ -1,0 +1,154 @@
+"""New tracks: moving detections are stored until several of them agree on a vehicle."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gis_radar.arrays import Floats, Integers, compiled, turned
+from gis_radar.lanelets.graph import FieldArrays, lanes_at
+from gis_radar.tracking.columns import (
+    ALIVE,
+    BEGUN,
+    BIRTH_S,
+    BIRTHS,
+    BRANCH,
+    BRANCHES,
+    CAR_M,
+    FOLLOWED,
+    FRONT,
+    HALF,
+    HEADING,
+    HITS,
+    LANE,
+    LAST,
+    LEAST_COS,
+    LEFT,
+    MISFIT,
+    NUMBER,
+    PASSED,
+    REAR,
+    SPEED,
+    TIME,
+    TOWARDS,
+    VAR_D,
+    VAR_S,
+    VAR_V,
+    WAIT_HEADING,
+    WAIT_ROW,
+    WAIT_SPEED,
+    WAIT_TIME,
+    WAITS,
+    X,
+    Y,
+)  # fmt: skip
+
+FASTEST_MPS = 60.0
+
+
+@compiled
+def begin(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - compiled
+    row: int,
+    detection: Floats,
+    limits: Floats,
+    bodies: Floats,
+    waiting: Floats,
+    counts: Integers,
+    born: Integers,
+    lanes: Floats,
+    field: FieldArrays,
+) -> int:
+    """Store a moving detection, or begin a track where several agree; return its number of rows."""
+    kept = 0
+    for k in range(counts[WAITS]):
+        if detection[6] - waiting[k, WAIT_TIME] <= limits[BIRTH_S]:
+            waiting[kept] = waiting[k]
+            kept += 1
+    counts[WAITS] = kept
+    found = lanes_at(detection[0], detection[1], field, lanes)
+    first = counts[ALIVE]
+    for k in range(found):
+        cos = np.cos(lanes[k, TOWARDS]) * detection[3] + np.sin(lanes[k, TOWARDS]) * detection[4]
+        speed = detection[2] / cos if abs(cos) >= limits[LEAST_COS] else -1.0
+        if not 0.3 <= speed <= FASTEST_MPS or abs(lanes[k, LEFT]) > lanes[k, HALF] + 0.5:
+            continue
+        matches, moments = _agreeing(detection, speed, lanes[k, TOWARDS], waiting, counts[WAITS])
+        if matches >= limits[BIRTHS] and moments >= 2 and counts[ALIVE] < len(bodies):
+            body = bodies[counts[ALIVE]]
+            body[:] = 0.0
+            body[X], body[Y], body[HEADING], body[SPEED] = (
+                detection[0],
+                detection[1],
+                lanes[k, TOWARDS],
+                speed,
+            )
+            body[FRONT] = body[REAR] = 0.5 * limits[CAR_M]
+            body[VAR_S], body[VAR_V], body[VAR_D] = 2.0, 1.0, 0.5
+            body[LAST] = body[TIME] = detection[6]
+            body[NUMBER], body[HITS], body[FOLLOWED] = counts[BEGUN], matches, lanes[k, LANE]
+            body[MISFIT] = (lanes[k, LEFT] / lanes[k, HALF]) ** 2 - matches
+            body[BRANCH] = counts[BRANCHES]
+            counts[BRANCHES] += 1
+            counts[ALIVE] += 1
+    if counts[ALIVE] > first:
+        counts[BEGUN] += 1
+        return _claim(row, detection, bodies[first : counts[ALIVE]], waiting, counts, born)
+    for k in range(found):
+        cos = np.cos(lanes[k, TOWARDS]) * detection[3] + np.sin(lanes[k, TOWARDS]) * detection[4]
+        speed = detection[2] / cos if abs(cos) >= limits[LEAST_COS] else -1.0
+        if 0.3 <= speed <= FASTEST_MPS and counts[WAITS] < len(waiting):
+            wait = waiting[counts[WAITS]]
+            wait[X], wait[Y], wait[WAIT_SPEED] = detection[0], detection[1], speed
+            wait[WAIT_HEADING], wait[WAIT_TIME] = lanes[k, TOWARDS], detection[6]
+            wait[WAIT_ROW] = row + counts[PASSED]
+            counts[WAITS] += 1
+    return 0
+
+
+@compiled
+def _agreeing(
+    detection: Floats, speed: float, heading: float, waiting: Floats, count: int
+) -> tuple[int, int]:  # pragma: no cover - compiled
+    """Return the number of agreeing detections, this one included, and of their moments."""
+    matches, moments, last, counted = 1, 1, detection[6], -1.0
+    c, s = np.cos(heading), np.sin(heading)
+    for j in range(count - 1, -1, -1):
+        wait = waiting[j]
+        away = abs(turned(wait[WAIT_HEADING], heading)) > 0.5
+        if away or abs(wait[WAIT_SPEED] - speed) > 1.0 + 0.08 * speed:
+            continue
+        dx, dy = detection[0] - wait[X], detection[1] - wait[Y]
+        way = 0.5 * (wait[WAIT_SPEED] + speed) * (detection[6] - wait[WAIT_TIME])
+        if abs(dx * c + dy * s - way) > 3.0 or abs(dy * c - dx * s) > 1.8:
+            continue
+        if wait[WAIT_ROW] != counted:  # it waits once a lane
+            matches += 1
+            counted = wait[WAIT_ROW]
+        if wait[WAIT_TIME] < last:
+            moments += 1
+            last = wait[WAIT_TIME]
+    return matches, moments
+
+
+@compiled
+def _claim(
+    row: int, detection: Floats, begun: Floats, waiting: Floats, counts: Integers, born: Integers
+) -> int:
+    """Remove the stored detections that agree with a new track; return the number of its rows."""
+    born[0], taken, kept = row, 1, 0
+    for j in range(counts[WAITS]):
+        wait = waiting[j]
+        agrees = False
+        for k in range(len(begun)):
+            c, s = np.cos(begun[k, HEADING]), np.sin(begun[k, HEADING])
+            way = begun[k, SPEED] * (detection[6] - wait[WAIT_TIME])
+            dx, dy = detection[0] - wait[X], detection[1] - wait[Y]
+            agrees = agrees or (abs(dx * c + dy * s - way) <= 3.0 and abs(dy * c - dx * s) <= 1.8)
+        old = int(wait[WAIT_ROW] - counts[PASSED])
+        if agrees and old >= 0 and taken < len(born):
+            born[taken] = old
+            taken += 1
+        elif not agrees:
+            waiting[kept] = wait
+            kept += 1
+    counts[WAITS] = kept
+    return taken

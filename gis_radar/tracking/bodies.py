@@ -1,0 +1,351 @@
+"""Bodies: which detections are of one vehicle while it moves.
+
+The filter follows detections as time runs and against it; where both agree, a vehicle is followed
+whole. What it took for several vehicles are often ends of one long vehicle, or what two sensors see
+of it: they keep their places in the frame that moves along with it, as no other vehicle does.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from gis_radar.arrays import Booleans, Floats, Integers, nearest
+from gis_radar.tracking.columns import NONE
+from gis_radar.tracking.detections import MapDetections
+from gis_radar.tracking.motion import Motion, fit_motion
+from gis_radar.tracking.settings import BodySettings, MotionSettings, VehicleSettings
+from gis_radar.tracking.tall import one_tall_odds, tall_odds
+
+
+def rows_by_number(number: Integers) -> list[Integers]:
+    """Return the rows of each number in ascending order; rows of `NONE` are left out."""
+    rows = np.flatnonzero(number != NONE)
+    rows = rows[np.argsort(number[rows], kind="stable")]
+    return np.split(rows, np.flatnonzero(np.diff(number[rows])) + 1) if len(rows) else []
+
+
+def join_directions(number: Integers, against: Integers, time: Floats) -> Integers:
+    """Return one number for each detection from those of both directions of time.
+
+    A detection that only the direction against time claims goes with what is next to it there. Two
+    vehicles that one of the other direction follows one after the other are one.
+
+    Parameters
+    ----------
+    number, against : (n,) int64 arrays
+        As the filter numbers detections as time runs, and against it.
+    time : (n,) array
+        Of the detections, seconds.
+    """
+    rows = rows_by_number(number)
+    if not rows:
+        return against.copy()
+    spans = {int(number[r[0]]): (float(time[r].min()), float(time[r].max())) for r in rows}
+    sizes = {int(number[r[0]]): len(r) for r in rows}
+    groups = _Groups(spans)
+    joined, fresh = number.copy(), int(number.max()) + 1
+    for part in rows_by_number(against):
+        known = np.flatnonzero(number[part] != NONE)
+        if len(known) == 0:
+            joined[part] = fresh
+            fresh += 1
+            continue
+        free = np.flatnonzero(number[part] == NONE)
+        joined[part[free]] = number[part[known[nearest(time[part[known]], time[part[free]])]]]
+        values, counts = np.unique(number[part[known]], return_counts=True)
+        strong = [
+            value for value, count in zip(values.tolist(), counts.tolist(), strict=True)
+            if count >= max(4, 0.3 * sizes[value])
+        ]  # fmt: skip
+        strong.sort(key=lambda value: spans[value])
+        for one, other in pairwise(strong):
+            groups.join(one, other)
+    mapped = np.arange(fresh)
+    for value in spans:
+        mapped[value] = groups.of(value)
+    return np.where(joined == NONE, NONE, mapped[joined])
+
+
+class _Groups:
+    """Groups of tracks of one vehicle, by the spans of time in which they are followed."""
+
+    MOST_BOTH_S = 0.7  # a vehicle is followed twice for so long at most, where one ends
+
+    def __init__(self, spans: dict[int, tuple[float, float]]) -> None:
+        self._head = {value: value for value in spans}
+        self._spans = {value: [span] for value, span in spans.items()}
+
+    def of(self, value: int) -> int:
+        """Return the head of a vehicle's group."""
+        while self._head[value] != value:
+            self._head[value] = self._head[self._head[value]]
+            value = self._head[value]
+        return value
+
+    def join(self, one: int, other: int) -> None:
+        """Join two groups, unless both were followed at a time."""
+        one, other = self.of(one), self.of(other)
+        if one == other:
+            return
+        both = max(
+            min(a[1], b[1]) - max(a[0], b[0]) for a in self._spans[one] for b in self._spans[other]
+        )
+        if both < self.MOST_BOTH_S:
+            self._spans[one] += self._spans.pop(other)
+            self._head[other] = one
+
+
+def absorb(
+    detections: MapDetections,
+    parts: list[Integers],
+    states: Floats,
+    every: VehicleSettings,
+) -> list[Motion]:
+    """Join parts that are of one body, the strongest first; return the motion of each vehicle.
+
+    Parameters
+    ----------
+    detections : MapDetections
+        All detections.
+    parts : list of int64 arrays
+        Rows that were followed as one vehicle.
+    states : (n, 6) array
+        Of the vehicle, for every detection.
+    every : VehicleSettings
+        Of all stages.
+    """
+    settings, motion = every.bodies, every.motion
+    found = [
+        each for rows in parts for each in purified(detections, rows, states, settings, motion)
+    ]
+    boxes = [_box(detections, each.rows) for each in found]
+    gone: set[int] = set()
+    for strong in sorted(range(len(found)), key=lambda k: -len(found[k].rows)):
+        again = strong not in gone
+        while again:
+            again = False
+            for other in range(len(found)):
+                weaker = len(found[other].rows) <= len(found[strong].rows)
+                if other == strong or other in gone or not weaker:
+                    continue
+                if (boxes[other][0] > boxes[strong][1]).any() or (
+                    boxes[other][1] < boxes[strong][0]
+                ).any():
+                    continue
+                odds = log_odds(detections, found[strong], found[other], every)
+                if odds > settings.least_odds:
+                    rows = np.concatenate([found[strong].rows, found[other].rows])
+                    found[strong] = fit_motion(detections, rows, states, motion)
+                    boxes[strong] = _box(detections, rows)
+                    gone.add(other)
+                    again = True
+    return [each for k, each in enumerate(found) if k not in gone]
+
+
+def _box(detections: MapDetections, rows: Integers) -> Floats:
+    """Return the least and most of time, easting and northing, widened by a long body."""
+    table = np.column_stack([detections.time[rows], detections.points[rows]])
+    reach = np.array([0.1, 20.0, 20.0])
+    return np.stack([table.min(axis=0) - reach, table.max(axis=0) + reach])
+
+
+def log_odds(
+    detections: MapDetections, body: Motion, other: Motion, every: VehicleSettings
+) -> float:
+    """Return the logarithm of the odds that two parts are one body.
+
+    In the frame that moves with the first, the second keeps its place if it is of the same body;
+    another vehicle drifts, and keeps its distance: time gaps between drivers are log-normal, with a
+    median of 1.8 s (Treiber and Kesting, *Traffic Flow Dynamics*, 2013, ch. 4).
+    """
+    settings = every.bodies
+    rows = other.rows[np.abs(detections.range_rate[other.rows]) > every.detections.moving_mps]
+    own = detections.time[body.rows]
+    rows = rows[(detections.time[rows] > own[0] - 0.2) & (detections.time[rows] < own[-1] + 0.2)]
+    if len(rows) < 3:
+        return -np.inf
+    # only while the first is seen too is its frame known well
+    near = nearest(own, detections.time[rows])
+    rows = rows[np.abs(own[near] - detections.time[rows]) < settings.seen_s]
+    if len(rows) < 3 or np.ptp(detections.time[rows]) < 0.1:
+        return -np.inf
+    along, left, rate = body.frame(detections, rows)
+    _, speed = body.at(detections.time[rows])
+    beside = settings.left_m + settings.bearing_rad * detections.range_m[rows]
+    fits = (np.abs(left) < beside) & (np.abs(rate) < _slack(body, along, speed, settings))
+    if fits.mean() < settings.least_fit or fits.sum() < 3:
+        return -np.inf
+    one, two = (
+        tall_odds(detections.height_m[each.rows], detections.range_m[each.rows], every.tall)
+        for each in (body, other)
+    )
+    long = one_tall_odds((one, two), every.tall)
+    return _odds_of_places(
+        detections.time[rows][fits], along[fits], speed[fits], body, settings, long
+    )
+
+
+def _slack(body: Motion, along: Floats, speed: Floats, settings: BodySettings) -> Floats:
+    """Return the tolerance of range rates of a body: in a bend its ends swing."""
+    swing = settings.swing * min(body.path.most_bend, 0.1) * speed * np.abs(along)
+    return np.asarray(settings.rate_mps + settings.wheel_share * speed + swing)
+
+
+def purified(
+    detections: MapDetections,
+    rows: Integers,
+    states: Floats,
+    settings: BodySettings,
+    motion: MotionSettings,
+) -> list[Motion]:
+    """Return the motion of a part, split where it cannot be of one body."""
+    found: list[Motion] = []
+    while len(rows) >= settings.least_rows and len(found) < settings.most_split:
+        body = fit_motion(detections, rows, states, motion)
+        along, left, rate = body.frame(detections, body.rows)
+        _, speed = body.at(detections.time[body.rows])
+        own = np.abs(along) < 0.5 * settings.reach_m + 1.0
+        own &= np.abs(left) < 2.0 * settings.left_m
+        own &= np.abs(rate) < 2.0 * _slack(body, along, speed, settings) + speed
+        if own.mean() >= settings.least_pure or own.sum() < settings.least_rows:
+            return [*found, body]
+        kept = fit_motion(detections, body.rows[own], states, motion)
+        found.append(kept)
+        rows = body.rows[~own]
+    return found
+
+
+def _odds_of_places(
+    time: Floats, along: Floats, speed: Floats, body: Motion, settings: BodySettings, long: float
+) -> float:
+    """Return the log odds from places in a moving frame: whether they stay, and are too near.
+
+    What speaks for a long vehicle otherwise counts for what lies beyond the body.
+    """
+    span = float(np.ptp(time))
+    away = abs(float(np.median(along)))
+    if away > settings.reach_m:
+        return -np.inf
+    stays = 0.0
+    if span > 0.3:
+        centred = time - time.mean()
+        drift = float(centred @ (along - along.mean()) / (centred @ centred))
+        rest = np.abs(along - np.median(along) - drift * centred)
+        if np.median(rest) > settings.scatter_m:
+            return -np.inf
+        # of the slope of places that are independent every half a second
+        sigma = np.hypot(settings.place_m * np.sqrt(12.0) / (span * np.sqrt(max(2 * span, 1))), 0.1)
+        wide = np.hypot(1.0, sigma)  # 1 m/s: by how much drivers differ
+        stays = 0.5 * (drift / wide) ** 2 - 0.5 * (drift / sigma) ** 2 + np.log(wide / sigma)
+    within = np.abs(along) < 0.5 * max(body.length_m, 3.0) + 1.0
+    if within.mean() > 0.6:
+        return 5.0 + min(stays, 0.0)
+    pace = max(float(np.quantile(speed, 0.8)), 2.0)
+    gap_s = max(away - settings.car_m, 0.05) / pace
+    z = np.log(gap_s / settings.gap_s) / settings.gap_spread
+    follows = -0.5 * z * z - np.log(gap_s * settings.gap_spread * 2.5066 * pace)
+    return float(stays + long + np.log(settings.long_share / 12.0) - follows)
+
+
+def merge_states(number: Integers, states: tuple[Floats, Floats], joined: Integers) -> Floats:
+    """Return the states as time runs, and those against it where only that claims a detection."""
+    return np.where(((number == NONE) & (joined != NONE))[:, None], states[1], states[0])
+
+
+def is_person(
+    detections: MapDetections, motions: list[Motion], every: VehicleSettings
+) -> list[bool]:
+    """Return for each motion whether it is a walker or a cyclist: slow and weaker, or far weaker.
+
+    The cross section of vehicles is that of fast ones in the same recordings, since radars
+    state cross sections on scales of their own. Still detections are about as strong: a track far
+    weaker than that is none of them, and where nobody else drives fast is a person.
+    """
+    rcs = np.array([usual_rcs(detections.rcs[each.rows]) for each in motions])
+    fast = np.array([_fast(each) for each in motions])
+    found = are_persons(rcs, fast, still_rcs(detections, every), every.bodies)
+    return list(found.tolist())
+
+
+def are_persons(rcs: Floats, fast: Floats, still: float, settings: BodySettings) -> Booleans:
+    """Return which are persons by their median cross sections, dBm2, and how fast they are, m/s.
+
+    Parameters
+    ----------
+    rcs, fast : (n,) arrays
+        Of each.
+    still : float
+        Median cross section of still detections, dBm2.
+    settings : BodySettings
+        What is weak and slow.
+    """
+    faint = rcs < still - settings.faint_db
+    usual = _driven_rcs(rcs, fast, faint, settings)
+    person = (rcs < usual - settings.person_db) & (fast < settings.cyclist_mps)
+    person |= (rcs < usual - settings.walker_db) & (fast < settings.walker_mps)
+    person |= rcs < usual - settings.faint_db
+    return np.asarray(faint if np.isnan(usual) else person)
+
+
+def still_rcs(detections: MapDetections, every: VehicleSettings) -> float:
+    """Return the median cross section of still detections, dBm2."""
+    return usual_rcs(detections.rcs[np.abs(detections.range_rate) < every.detections.moving_mps])
+
+
+def _driven_rcs(rcs: Floats, fast: Floats, faint: Booleans, settings: BodySettings) -> float:
+    """Return the cross section of fast vehicles, NaN if there are none."""
+    return usual_rcs(rcs[(fast > settings.driven_mps) & ~faint])
+
+
+def without_faint_ends(
+    detections: MapDetections, motions: list[Motion], states: Floats, every: VehicleSettings
+) -> list[Motion]:
+    """Return the motions without begins and ends in which a person was followed with them.
+
+    Nearly all detections of a person are faint, of a vehicle few: where the sum of their log odds
+    is highest is the cut. Those of which less than a body is left are none.
+
+    Parameters
+    ----------
+    detections : MapDetections
+        All detections.
+    motions : list of Motion
+        Of vehicles.
+    states : (n, 6) array
+        Of the vehicle, for every detection.
+    every : VehicleSettings
+        Of all stages.
+    """
+    settings, found = every.bodies, []
+    rcs = np.array([usual_rcs(detections.rcs[each.rows]) for each in motions])
+    fast = np.array([_fast(each) for each in motions])
+    usual = _driven_rcs(rcs, fast, np.zeros(len(rcs), np.bool_), settings)
+    odds = np.log(settings.faint_share / (1.0 - settings.faint_share))
+    for each in motions:
+        faint = detections.rcs[each.rows] < usual - settings.faint_db
+        tells = np.where(faint, -odds, odds)
+        ends = []
+        for way in (tells, tells[::-1]):
+            summed = np.cumsum(way)
+            most = int(summed.argmax())
+            ends.append(most + 1 if summed[most] > settings.faint_odds else 0)
+        rows = each.rows[ends[0] : len(faint) - ends[1]]
+        if len(rows) == len(faint):
+            found.append(each)
+        elif len(rows) >= settings.least_rows:
+            found.append(fit_motion(detections, rows, states, every.motion))
+    return found
+
+
+def usual_rcs(rcs: Floats, share: float = 0.5) -> float:
+    """Return the quantile of the cross sections that are known, NaN where none is."""
+    known = rcs[np.isfinite(rcs)]
+    return float(np.quantile(known, share)) if len(known) else np.nan
+
+
+def _fast(motion: Motion) -> float:
+    """Return the speed that a vehicle exceeds a tenth of the time in which it moves."""
+    moving = motion.speed[motion.speed > 0.2]
+    return float(np.quantile(moving, 0.9)) if len(moving) else 0.0

@@ -1,0 +1,278 @@
+"""Expected number of detections of a vehicle by place: what is not detected in view is not there.
+
+How often each sensor detects vehicles in a cell of the map is learned from those that drive
+through it, which counts range, aspect and what is built in between. Other vehicles hide what is
+behind them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import uniform_filter
+
+from gis_radar.arrays import Floats, Integers, compiled
+from gis_radar.steps import STEPS_PER_SECOND
+from gis_radar.tracking.detections import MapDetections
+from gis_radar.tracking.management_settings import DetectabilitySettings
+from gis_radar.tracking.motion import HALF_STEPS, Motion
+
+HALF_WIDTH_M = 1.5  # of what a body hides: half a lorry and the error of its place
+NEAREST_M = 1.0  # a body does not hide itself, nor does a sensor see what is under it
+
+
+@dataclass(frozen=True, kw_only=True)
+class Occluders:
+    """Places of vehicles in each half second, which hide what is behind them.
+
+    Parameters
+    ----------
+    half : (n,) int64 array
+        Number of the half second.
+    owner : (n,) int64 array
+        Number of the vehicle.
+    shape : (n, 5) array
+        Easting and northing of its middle, cosine and sine of its heading, half its length.
+    """
+
+    half: Integers
+    owner: Integers
+    shape: Floats
+
+    @classmethod
+    def of(cls, motions: Sequence[Motion]) -> Occluders:
+        """Make occluders of moving vehicles, numbered in order."""
+        parts = []
+        for number, motion in enumerate(motions):
+            half, place, heading = motion.halves()
+            reach = np.full(len(half), 0.5 * motion.length_m)
+            shape = np.column_stack([place, np.cos(heading), np.sin(heading), reach])
+            parts.append(cls(half=half, owner=np.full(len(half), number), shape=shape))
+        return cls.join(parts)
+
+    def near(self, place: Floats, halves: Integers, owner: int, within_m: float) -> Integers:
+        """Return the half seconds in which another vehicle is at a place or near it.
+
+        Parameters
+        ----------
+        place : (2,) array
+            East and north, metres.
+        halves : (n,) int64 array
+            Of these.
+        owner : int
+            The one that does not count.
+        within_m : float
+            From the place to the nearest end of a vehicle, about.
+        """
+        low, high = np.searchsorted(self.half, [halves[0], halves[-1] + 1])
+        part = slice(int(low), int(high))
+        apart = np.hypot(*(self.shape[part, :2] - place).T) - self.shape[part, 4]
+        close = (apart < within_m) & (self.owner[part] != owner)
+        return np.unique(self.half[part][close])
+
+    @classmethod
+    def stationary(
+        cls, number: int, span: tuple[float, float], x: float, y: float, heading: float,
+        length_m: float,
+    ) -> Occluders:  # fmt: skip
+        """Make an occluder of a vehicle at rest between two times, UNIX seconds."""
+        first, last = (int(each * STEPS_PER_SECOND) // HALF_STEPS for each in span)
+        half = np.arange(first, last + 1)
+        shape = np.array([x, y, np.cos(heading), np.sin(heading), 0.5 * length_m])
+        return cls(
+            half=half, owner=np.full(len(half), number, np.int64),
+            shape=np.tile(shape, (len(half), 1)),
+        )  # fmt: skip
+
+    @classmethod
+    def join(cls, parts: Sequence[Occluders]) -> Occluders:
+        """Return all of several in the order of time."""
+        if not parts:
+            none = np.zeros(0, np.int64)
+            return cls(half=none, owner=none, shape=np.zeros((0, 5)))
+        half = np.concatenate([each.half for each in parts])
+        order = np.argsort(half, kind="stable")
+        return cls(
+            half=half[order], owner=np.concatenate([each.owner for each in parts])[order],
+            shape=np.vstack([each.shape for each in parts])[order],
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Detectability:
+    """Expected number of detections of a vehicle by place and time.
+
+    Parameters
+    ----------
+    eyes : (k, 2) array
+        Sensors, in the map.
+    rate : (k, rows, columns) array
+        Detections of a vehicle in a cell, a second.
+    corner : (2,) array
+        Of the first cell.
+    cell_m : float
+        Size of a cell.
+    first_half : int
+        Number of the first half second of `works`.
+    works : (k, n) array
+        1 in half seconds in which a sensor detected anything, else 0.
+    occluders : Occluders
+        What hides.
+    """
+
+    eyes: Floats
+    rate: Floats
+    corner: Floats
+    cell_m: float
+    first_half: int
+    works: Floats
+    occluders: Occluders
+
+    @classmethod
+    def learned(
+        cls, detections: MapDetections, motions: Sequence[Motion], settings: DetectabilitySettings
+    ) -> Detectability:
+        """Learn the rate of detections by place from moving vehicles.
+
+        Parameters
+        ----------
+        detections : MapDetections
+            All detections, at least one.
+        motions : sequence of Motion
+            Vehicles.
+        settings : DetectabilitySettings
+            Constants.
+        """
+        count = int(detections.sensor.max()) + 1
+        away = detections.points - detections.sight * detections.range_m[:, None]
+        eyes = np.zeros((count, 2))
+        for sensor in np.unique(detections.sensor).tolist():
+            eyes[sensor] = np.median(away[detections.sensor == sensor], axis=0)
+        corner = detections.points.min(axis=0) - settings.cell_m
+        size = (
+            np.ceil((detections.points.max(axis=0) - corner) / settings.cell_m).astype(np.int64) + 1
+        )
+        seen, spent = np.zeros((count, *size)), np.zeros(tuple(size))
+        for motion in motions:
+            drives = motion.speed > settings.driving_mps
+            if not drives.any():
+                continue
+            cell = _cells(motion.places[0][drives], corner, settings.cell_m, size)
+            np.add.at(spent, tuple(cell.T), 1.0 / STEPS_PER_SECOND)
+            step = np.round(detections.time[motion.rows] * STEPS_PER_SECOND).astype(np.int64)
+            step = np.clip(step - motion.first_step, 0, len(motion.speed) - 1)
+            rows, step = motion.rows[drives[step]], step[drives[step]]
+            cell = _cells(motion.places[0][step], corner, settings.cell_m, size)
+            np.add.at(seen, (detections.sensor[rows], *cell.T), 1.0)
+        near = uniform_filter(spent, 3, mode="constant") * 9.0
+        summed = np.stack([uniform_filter(each, 3, mode="constant") * 9.0 for each in seen])
+        known = near > settings.least_s
+        rate = np.where(known, summed / np.maximum(near, 1e-9), 0.0)
+        half = (detections.time * 2.0).astype(np.int64)
+        first = int(half.min())
+        works = np.zeros((count, int(half.max()) - first + 1))
+        works[detections.sensor, half - first] = 1.0
+        return cls(
+            eyes=eyes, rate=rate, corner=corner, cell_m=settings.cell_m, first_half=first,
+            works=works, occluders=Occluders.of(motions),
+        )  # fmt: skip
+
+    def due(self, places: Floats, halves: Integers, owners: tuple[int, int]) -> float:
+        """Return the expected number of detections of a vehicle in view.
+
+        Parameters
+        ----------
+        places : (n, 2) array
+            Where its middle is.
+        halves : (n,) int64 array
+            In which half seconds.
+        owners : (int, int)
+            Occluders that it is itself, which do not hide it.
+        """
+        return float(
+            _due(
+                places, halves, np.array(owners), self.eyes, self.rate, self.corner, self.cell_m,
+                self.first_half, self.works, self.occluders.half, self.occluders.owner,
+                self.occluders.shape,
+            )
+        )  # fmt: skip
+
+    def due_between(
+        self, places: Floats, times: tuple[float, float], owners: tuple[int, int]
+    ) -> float:
+        """Return the expected number of detections on the straight line between two places.
+
+        Parameters
+        ----------
+        places : (2, 2) array
+            The places.
+        times : (float, float)
+            UNIX seconds; one half second at either end does not count.
+        owners : (int, int)
+            As of :meth:`due`.
+        """
+        halves = np.arange(int(np.ceil(2.0 * times[0])) + 1, int(2.0 * times[1]) - 1)
+        if len(halves) == 0:
+            return 0.0
+        share = (0.5 * halves - times[0]) / (times[1] - times[0])
+        way = places[0] + share[:, None] * (places[1] - places[0])
+        return self.due(way, halves, owners)
+
+
+def _cells(points: Floats, corner: Floats, cell_m: float, size: Integers) -> Integers:
+    """Return the cell of each point, row and column."""
+    return np.clip(((points - corner) / cell_m).astype(np.int64), 0, size - 1)
+
+
+@compiled
+def _due(  # noqa: PLR0917 - numba takes plain arrays
+    places: Floats,
+    halves: Integers,
+    owners: Integers,
+    eyes: Floats,
+    rate: Floats,
+    corner: Floats,
+    cell_m: float,
+    first_half: int,
+    works: Floats,
+    body_half: Integers,
+    body_owner: Integers,
+    shape: Floats,
+) -> float:  # pragma: no cover - compiled
+    total = 0.0
+    for i in range(len(places)):
+        h = halves[i] - first_half
+        a, b = int((places[i, 0] - corner[0]) / cell_m), int((places[i, 1] - corner[1]) / cell_m)
+        if h < 0 or h >= works.shape[1] or a < 0 or b < 0:
+            continue
+        if a >= rate.shape[1] or b >= rate.shape[2]:
+            continue
+        low = np.searchsorted(body_half, halves[i])
+        high = np.searchsorted(body_half, halves[i], side="right")
+        for k in range(len(eyes)):
+            if rate[k, a, b] <= 0.0 or works[k, h] == 0.0:
+                continue
+            others = np.flatnonzero(
+                (body_owner[low:high] != owners[0]) & (body_owner[low:high] != owners[1])
+            )
+            if not _is_hidden(places[i] - eyes[k], eyes[k], shape[low:high][others]):
+                total += 0.5 * rate[k, a, b]
+    return total
+
+
+@compiled
+def _is_hidden(way: Floats, eye: Floats, shape: Floats) -> bool:  # pragma: no cover - compiled
+    """Return whether a body lies in the way of a sensor to a place."""
+    far = np.hypot(way[0], way[1])
+    if far < NEAREST_M:
+        return True
+    c, s = way[0] / far, way[1] / far
+    for j in range(len(shape)):
+        x, y = shape[j, 0] - eye[0], shape[j, 1] - eye[1]
+        ahead, aside = x * c + y * s, y * c - x * s
+        across = abs(shape[j, 3] * c - shape[j, 2] * s) * shape[j, 4] + HALF_WIDTH_M
+        if abs(aside) < across and 0.0 < ahead < far - NEAREST_M:
+            return True
+    return False

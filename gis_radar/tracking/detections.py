@@ -1,0 +1,180 @@
+"""Detections on lanes, of all sensors, in the map and in the order of time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Self
+
+import numpy as np
+
+from gis_radar.arrays import Booleans, Floats, Integers, compiled
+from gis_radar.lanelets.graph import FieldArrays, LaneGraph, lanes_at
+from gis_radar.poses.pose import Pose
+from gis_radar.recordings.recording import Detections
+from gis_radar.tracking.settings import DetectionSettings
+
+LEAST_LEVEL = 0.3  # cosine of the elevation: what is steeper below tells nothing of its speed
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapDetections:
+    """Detections that can come from a vehicle on a lane, in the order of time.
+
+    Parameters
+    ----------
+    time : (n,) array
+        UNIX seconds.
+    points : (n, 2) array
+        In the map, from the origin of the lane graph, metres.
+    height_m : (n,) array
+        Over the road; NaN where the sensor measures no elevation or the road's height is unknown.
+    range_rate : (n,) array
+        m/s, of the way over ground: divided by the cosine of the elevation.
+    sight : (n, 2) array
+        Horizontal unit vectors from the sensor to the detection.
+    range_m : (n,) array
+        From the sensor.
+    sensor : (n,) int64 array
+        Number of the sensor.
+    rcs : (n,) array
+        dBm2; NaN where it is not known.
+    """
+
+    time: Floats
+    points: Floats
+    height_m: Floats
+    range_rate: Floats
+    sight: Floats
+    range_m: Floats
+    sensor: Integers
+    rcs: Floats
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def take(self, keep: Booleans | Integers | slice) -> Self:
+        """Return some rows."""
+        return type(self)(**{each.name: getattr(self, each.name)[keep] for each in fields(self)})
+
+    def reversed(self) -> MapDetections:
+        """Return the same detections as they come when time runs backward."""
+        back = self.take(np.arange(len(self))[::-1])
+        return replace(back, time=-back.time, range_rate=-back.range_rate)
+
+    @classmethod
+    def none(cls) -> Self:
+        """Return no detections."""
+        empty = np.zeros(0)
+        return cls(
+            time=empty, points=np.zeros((0, 2)), height_m=empty, range_rate=empty,
+            sight=np.zeros((0, 2)), range_m=empty, sensor=np.zeros(0, np.int64), rcs=empty,
+        )  # fmt: skip
+
+    @classmethod
+    def join(cls, parts: Sequence[MapDetections]) -> Self:
+        """Return the rows of several in the order of time."""
+        if not parts:
+            return cls.none()
+        table = {
+            each.name: np.concatenate([getattr(part, each.name) for part in parts])
+            for each in fields(cls)
+        }
+        order = np.argsort(table["time"], kind="stable")
+        return cls(**{name: values[order] for name, values in table.items()})
+
+
+def map_detections(
+    read: Detections,
+    pose: Pose,
+    number: int,
+    graph: LaneGraph,
+    settings: DetectionSettings,
+    *,
+    road_m: float = np.nan,
+    still_mps: float = 0.0,
+) -> MapDetections:
+    """Return the detections that lie on lanes, in the map.
+
+    Parameters
+    ----------
+    read : Detections
+        All of them detections.
+    pose : Pose
+        Where the sensor stood.
+    number : int
+        Of the sensor.
+    graph : LaneGraph
+        The lanes.
+    settings : DetectionSettings
+        Which heights over the road count.
+    road_m : float
+        Height of the road near the sensor, for one that measures no elevation.
+    still_mps : float
+        Largest range rate of still detections of this sensor: :func:`still_rate`.
+    """
+    points = pose.to_map(read.points, road_m=road_m) - [*graph.origin, 0.0]
+    points[np.isnan(read.points[:, 2]), 2] = np.nan
+    eye = pose.position - [*graph.origin, 0.0]
+    range_m = read.range_m
+    limits = np.array([settings.low_m, settings.high_m, settings.height_rad])
+    height, on = _over_lanes(points, range_m, limits, graph.field.arrays)
+    kept = np.flatnonzero(on & np.isfinite(read.range_rate))
+    away = points[kept, :2] - eye[:2]
+    flat = np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-6)
+    level = np.maximum(flat / np.maximum(range_m[kept], 1e-6), LEAST_LEVEL)
+    rate = read.range_rate[kept]
+    return MapDetections(
+        time=read.time[kept],
+        points=points[kept, :2].copy(),
+        height_m=height[kept],
+        range_rate=np.where(np.abs(rate) < still_mps, 0.0, rate) / level,
+        sight=away / flat[:, None],
+        range_m=range_m[kept],
+        sensor=np.full(len(kept), number, np.int64),
+        rcs=np.where(np.isfinite(read.rcs), read.rcs, np.nan)[kept],
+    )
+
+
+def still_rate(range_rate: Floats, settings: DetectionSettings) -> float:
+    """Return the largest absolute range rate of still detections of a sensor, m/s.
+
+    Parameters
+    ----------
+    range_rate : (n,) array
+        Of all detections of some seconds, m/s. With fixed targets, those near zero have a
+        peak, whose width is the noise; where only what moves is recorded there is none.
+    settings : DetectionSettings
+        How many sigma of the noise.
+    """
+    slow = np.abs(range_rate[np.abs(range_rate) < settings.slow_mps])
+    peak = (slow < settings.slow_mps / 3.0).mean() if len(slow) >= settings.least_slow else 0.0
+    if peak < settings.peak_share:
+        return settings.moving_mps
+    sigma = float(np.median(slow)) / 0.6745  # the median of a normal's absolute value
+    return float(np.clip(settings.still_sigmas * sigma, settings.moving_mps, settings.slow_mps))
+
+
+@compiled
+def _over_lanes(
+    points: Floats,
+    range_m: Floats,
+    limits: Floats,
+    field: FieldArrays,
+) -> tuple[Floats, Booleans]:
+    """Return the height over the lane that is nearest in height, and whether it fits one."""
+    low, high, slack = limits
+    out = np.empty((8, 6))
+    height, on = np.full(len(points), np.nan), np.zeros(len(points), np.bool_)
+    for i in range(len(points)):
+        found = lanes_at(points[i, 0], points[i, 1], field, out)
+        more = slack * range_m[i]
+        for k in range(found):
+            over = points[i, 2] - out[k, 5]
+            if np.isnan(over):  # of a road or a sensor without heights
+                on[i] = True
+            elif low - more <= over <= high + more:
+                on[i] = True
+                if np.isnan(height[i]) or abs(over) < abs(height[i]):
+                    height[i] = over
+    return height, on

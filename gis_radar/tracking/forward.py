@@ -1,0 +1,495 @@
+"""Forward filter: follows moving vehicles detection by detection, and starts new ones.
+
+A vehicle is a body on the plane: a point of it, its heading, its speed, and how far it reaches to
+the front and to the rear. Where it is on a lane its heading turns as the lane does; where lanes
+fork, a branch of it follows each of them until detections tell which one it took. A detection
+belongs to the body that it lies in and whose motion its range rate fits; it corrects the speed by
+its range rate and the position only as far as it lies outside the body, since a radar hits a
+vehicle anywhere. What stands is left to `stationary`: here it would draw bodies to kerbs and signs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import astuple
+from typing import TypeAlias
+
+import numpy as np
+
+from gis_radar.arrays import Floats, Integers, compiled, turned
+from gis_radar.lanelets.graph import FieldArrays, LaneGraph, lanes_at
+from gis_radar.tracking.births import begin
+from gis_radar.tracking.columns import (
+    ACCEL,
+    ACROSS,
+    ALIVE,
+    ALONG,
+    ALONG_LANE,
+    AZIMUTH,
+    BASE,
+    BEGUN,
+    BIRTH_S,
+    BRANCH,
+    BRANCHES,
+    COAST_S,
+    COLUMNS,
+    COUNTS,
+    COV_SV,
+    FOLLOWED,
+    FRONT,
+    HALF,
+    HEADING,
+    HITS,
+    KEPT,
+    LANE,
+    LAST,
+    LEAST_COS,
+    LEFT,
+    MISFIT,
+    MOVING,
+    NONE,
+    NUMBER,
+    PASSED,
+    RATE,
+    REAR,
+    SIDEWAYS,
+    SINCE_M,
+    SPEED,
+    STAND_S,
+    STANDING,
+    TIME,
+    TOWARDS,
+    VAR_D,
+    VAR_S,
+    VAR_V,
+    WAIT_COLUMNS,
+    X,
+    Y,
+)  # fmt: skip
+from gis_radar.tracking.detections import MapDetections
+from gis_radar.tracking.settings import DetectionSettings, ForwardSettings
+from gis_radar.tracking.size import LONGEST_M
+
+CAPACITY = 1024  # vehicles at a time
+WAITING = 2048  # detections at a time that no vehicle claims
+SPARE = 1024  # branches more than detections
+MOST_M = 30.0  # from the point of a body to any part of it, and what it may be off
+WIDE_M = 1.0  # half a vehicle
+FORK_M = 3.0  # from the begin of a lane: those that begin here are branches of a fork
+ONE_WAY_M, NEAR_M = 30.0, 1.0  # branches so near each other so long after are of one way
+# By how much a branch may fit worse than another one, and what one detection counts at most, both
+# squares of sigma: six outliers do not end a branch.
+MOST_MISFIT, MOST_TOLD = 24.0, 4.0
+
+
+# The branch of each detection; of each branch the one before it and the detection at which it left
+# that; rows (detection, branch, state) where there are several branches.
+Past: TypeAlias = tuple[Integers, Integers, Floats]
+
+
+class ForwardFilter:
+    """Vehicles followed through a stream of detections.
+
+    Parameters
+    ----------
+    graph : LaneGraph
+        The lanes.
+    settings : ForwardSettings
+        Of motion, association, births and deaths.
+    moving_mps : float
+        Least absolute range rate of a moving detection.
+    """
+
+    def __init__(
+        self,
+        graph: LaneGraph,
+        settings: ForwardSettings,
+        *,
+        moving_mps: float = DetectionSettings.moving_mps,
+    ) -> None:
+        self._field = graph.field.arrays
+        self._limits = np.array([moving_mps, *map(float, astuple(settings))])
+        self._bodies = np.zeros((CAPACITY, COLUMNS))
+        self._waiting = np.zeros((WAITING, WAIT_COLUMNS))
+        self._counts = np.zeros(COUNTS, np.int64)
+
+    def push(self, detections: MapDetections) -> tuple[Integers, Floats]:
+        """Process the next detections; return the vehicle of each and its state.
+
+        Parameters
+        ----------
+        detections : MapDetections
+            In the order of time, after all so far.
+
+        Returns
+        -------
+        number : (n,) int64 array
+            From 0 in the order in which vehicles begin, `NONE` for what is of none. Detections
+            that a vehicle began with carry its number where they are among these.
+        state : (n, 6) array
+            East, north, heading, speed, and the reach to front and rear of that vehicle, corrected
+            by this detection: of the branch that it took by the end of these detections.
+        """
+        number, state = np.full(len(detections), NONE, np.int64), np.zeros((len(detections), 6))
+        seen = np.column_stack(
+            [
+                detections.points,
+                detections.range_rate,
+                detections.sight,
+                detections.range_m,
+                detections.time,
+            ]
+        )
+        count = len(detections) + SPARE
+        past = (np.full(count, NONE), np.full((count, 2), NONE), np.zeros((count, 8)))
+        self._counts[BASE], self._counts[KEPT] = self._counts[BRANCHES], 0
+        _follow(
+            seen, self._limits, self._bodies, self._waiting, self._counts, (number, state), past,
+            self._field,
+        )  # fmt: skip
+        _take_last(number, state, past, self._counts)
+        self._counts[PASSED] += len(detections)
+        return number, state
+
+    @property
+    def branches(self) -> int:
+        """Number of branches of all vehicles."""
+        return int(self._counts[ALIVE])
+
+    @property
+    def bodies(self) -> Floats:
+        """Vehicles that are followed now, a row each: of branches the best; `columns` names all."""
+        alive = self._bodies[: int(self._counts[ALIVE])]
+        alive = alive[np.lexsort((alive[:, MISFIT], alive[:, NUMBER]))]
+        _, best = np.unique(alive[:, NUMBER], return_index=True)
+        return np.asarray(alive[best])
+
+
+def follow_both_ways(
+    detections: MapDetections, graph: LaneGraph, settings: ForwardSettings, moving_mps: float
+) -> tuple[tuple[Integers, Integers], tuple[Floats, Floats]]:
+    """Follow vehicles as time runs and against it; return the numbers and states of both."""
+    number, state = ForwardFilter(graph, settings, moving_mps=moving_mps).push(detections)
+    back = ForwardFilter(graph.reversed(), settings, moving_mps=moving_mps)
+    against, state_against = back.push(detections.reversed())
+    against, state_against = against[::-1].copy(), state_against[::-1].copy()
+    state_against[:, HEADING] += np.pi
+    state_against[:, [FRONT, REAR]] = state_against[:, [REAR, FRONT]]
+    return (number, against), (state, state_against)
+
+
+@compiled
+def _follow(
+    seen: Floats,
+    limits: Floats,
+    bodies: Floats,
+    waiting: Floats,
+    counts: Integers,
+    found: tuple[Integers, Floats],
+    past: Past,
+    field: FieldArrays,
+) -> None:
+    """Process detections (x, y, range rate, sight, range, time) frame by frame."""
+    lanes, born = np.empty((8, 6)), np.empty(len(waiting), np.int64)
+    number, state = found
+    branch, _, kept = past
+    for i in range(len(seen)):
+        now = seen[i, 6]
+        if i == 0 or now > seen[i - 1, 6]:
+            _go_on(i, past, bodies, counts, now, limits, lanes, field)
+        if abs(seen[i, 2]) < limits[MOVING]:
+            continue
+        chosen = _choose(seen[i], bodies, counts[ALIVE], limits)
+        if chosen >= 0:
+            number[i] = int(bodies[chosen, NUMBER])
+            best = _correct_branches(i, chosen, bodies, counts, seen[i], limits, kept)
+            state[i], branch[i] = bodies[best, : REAR + 1], int(bodies[best, BRANCH])
+        else:
+            before = counts[ALIVE]
+            begun = begin(i, seen[i], limits, bodies, waiting, counts, born, lanes, field)
+            if begun == 0:
+                continue
+            born_as = bodies[before : counts[ALIVE]]
+            body = born_as[np.argmin(born_as[:, MISFIT])]
+            for k in range(begun):
+                row = born[k]
+                lapse = now - seen[row, 6]
+                number[row], branch[row] = int(body[NUMBER]), int(body[BRANCH])
+                state[row] = body[: REAR + 1]
+                state[row, X] -= body[SPEED] * lapse * np.cos(body[HEADING])
+                state[row, Y] -= body[SPEED] * lapse * np.sin(body[HEADING])
+
+
+@compiled
+def _go_on(
+    row: int,
+    past: Past,
+    bodies: Floats,
+    counts: Integers,
+    now: float,
+    limits: Floats,
+    lanes: Floats,
+    field: FieldArrays,
+) -> None:
+    """Predict all bodies to a time; drop those without detections for too long."""
+    k = 0
+    while k < counts[ALIVE]:
+        body = bodies[k]
+        patience = limits[STAND_S] if body[SPEED] < limits[STANDING] else limits[COAST_S]
+        if now - body[LAST] > (limits[BIRTH_S] if body[HITS] < 6.0 else patience):
+            counts[ALIVE] -= 1
+            bodies[k] = bodies[counts[ALIVE]]
+            continue
+        found = _predict(body, now, limits, lanes, field)
+        _fork(k, row, past[1], bodies, counts, lanes, found)
+        k += 1
+    _forget_branches(bodies, counts)
+
+
+@compiled
+def _fork(
+    k: int, row: int, lineage: Integers, bodies: Floats, counts: Integers, lanes: Floats, found: int
+) -> None:  # pragma: no cover - compiled
+    """Add a branch of a track for each other lane that begins where its own lane does."""
+    body = bodies[k]
+    for j in range(found):
+        if lanes[j, LANE] == body[FOLLOWED] or lanes[j, ALONG_LANE] > FORK_M:
+            continue
+        if (
+            abs(lanes[j, LEFT]) > lanes[j, HALF]
+            or abs(turned(lanes[j, TOWARDS], body[HEADING])) > 0.5
+        ):
+            continue
+        new = counts[BRANCHES] - counts[BASE]
+        known = counts[ALIVE] >= len(bodies) or new >= len(lineage)
+        for other in range(counts[ALIVE]):
+            same = bodies[other, NUMBER] == body[NUMBER]
+            known = known or (same and bodies[other, FOLLOWED] == lanes[j, LANE])
+        if not known:
+            bodies[counts[ALIVE]] = body
+            bodies[counts[ALIVE], FOLLOWED] = lanes[j, LANE]
+            bodies[counts[ALIVE], BRANCH] = counts[BRANCHES]
+            lineage[new, 0], lineage[new, 1] = int(body[BRANCH]), row
+            body[SINCE_M] = bodies[counts[ALIVE], SINCE_M] = 0.0
+            counts[BRANCHES] += 1
+            counts[ALIVE] += 1
+
+
+@compiled
+def _forget_branches(bodies: Floats, counts: Integers) -> None:  # pragma: no cover - compiled
+    """Drop branches that fit much worse than another one, or are on its lane again."""
+    k = 0
+    while k < counts[ALIVE]:
+        worse = False
+        for other in range(counts[ALIVE]):
+            if other == k or bodies[other, NUMBER] != bodies[k, NUMBER]:
+                continue
+            more = bodies[k, MISFIT] - bodies[other, MISFIT]
+            same = bodies[k, FOLLOWED] >= 0.0 and bodies[k, FOLLOWED] == bodies[other, FOLLOWED]
+            same = same or _is_one_way(bodies[k], bodies[other])
+            worse = (
+                worse
+                or more > MOST_MISFIT
+                or (same and (more > 0.0 or (more == 0.0 and k > other)))
+            )
+        if worse:
+            counts[ALIVE] -= 1
+            bodies[k] = bodies[counts[ALIVE]]
+        else:
+            k += 1
+
+
+@compiled
+def _is_one_way(one: Floats, other: Floats) -> bool:  # pragma: no cover - compiled
+    """Return whether two branches still lie on each other, long after they forked."""
+    apart = np.hypot(one[X] - other[X], one[Y] - other[Y])
+    return bool(min(one[SINCE_M], other[SINCE_M]) > ONE_WAY_M and apart < NEAR_M)
+
+
+@compiled
+def _predict(
+    body: Floats, time: float, limits: Floats, lanes: Floats, field: FieldArrays
+) -> int:  # pragma: no cover - compiled
+    """Predict a body to a time along its lane; return the number of lanes it reaches."""
+    lapse = time - body[TIME]
+    if lapse <= 0.0:
+        return 0
+    body[TIME] = time
+    step = body[SPEED] * lapse
+    body[SINCE_M] += abs(step)
+    here, way, _ = _lane_of(body[X], body[Y], body[HEADING], body[FOLLOWED], lanes, field)
+    body[X] += step * np.cos(body[HEADING])
+    body[Y] += step * np.sin(body[HEADING])
+    new = 0
+    if here >= 0.0 and abs(step) > 0.0:
+        there, ahead, found = _lane_of(body[X], body[Y], way, here, lanes, field)
+        if there >= 0.0:
+            body[HEADING] += turned(ahead, way)
+            # towards the lane's direction, within the way in which a driver straightens up
+            body[HEADING] += turned(ahead, body[HEADING]) * min(abs(step) / 15.0, 1.0)
+        new = found if there >= 0.0 and there != body[FOLLOWED] else 0
+        body[FOLLOWED] = there
+    accel = limits[ACCEL]
+    body[VAR_S] += 2.0 * lapse * body[COV_SV] + lapse**2 * body[VAR_V] + accel**2 * lapse**4 / 4.0
+    body[COV_SV] += lapse * body[VAR_V] + accel**2 * lapse**3 / 2.0
+    body[VAR_V] += accel**2 * lapse
+    drift = limits[SIDEWAYS] * min(abs(body[SPEED]) / 3.0, 1.0)
+    body[VAR_D] += (drift**2 + 0.01) * lapse
+    return new
+
+
+@compiled
+def _lane_of(
+    x: float, y: float, heading: float, before: float, lanes: Floats, field: FieldArrays
+) -> tuple[float, float, int]:
+    """Return the lane at a point most like a heading, best the one before; its own; how many."""
+    best, lane, towards = 1e9, -1.0, heading
+    found = lanes_at(x, y, field, lanes)
+    for k in range(found):
+        off = abs(turned(lanes[k, TOWARDS], heading))
+        cost = off / 0.25 + abs(lanes[k, LEFT]) / 1.5
+        if lanes[k, LANE] == before:
+            cost -= 2.0
+        if off < 0.8 and cost < best:
+            best, lane, towards = cost, lanes[k, LANE], lanes[k, TOWARDS]
+    return lane, towards, found
+
+
+@compiled
+def _choose(
+    detection: Floats, bodies: Floats, alive: int, limits: Floats
+) -> int:  # pragma: no cover - compiled
+    """Return which body a detection belongs to, or -1."""
+    best, chosen = 1e9, -1
+    for k in range(alive):
+        cost = _misfit(detection, bodies[k], limits)
+        if cost < best:
+            best, chosen = cost, k
+    return chosen
+
+
+@compiled
+def _misfit(
+    detection: Floats, body: Floats, limits: Floats
+) -> float:  # pragma: no cover - compiled
+    """Return the misfit of a detection and a body; infinite if it cannot be of it."""
+    dx, dy = detection[0] - body[X], detection[1] - body[Y]
+    if abs(dx) + abs(dy) > MOST_M:
+        return np.inf
+    rate = detection[2]
+    c, s = np.cos(body[HEADING]), np.sin(body[HEADING])
+    u, w = dx * c + dy * s, dy * c - dx * s
+    beyond = max(u - body[FRONT], -body[REAR] - u, 0.0)
+    beside = max(abs(w) - WIDE_M, 0.0)
+    cos = c * detection[3] + s * detection[4]
+    expected = body[SPEED] * cos
+    gap = abs(rate - expected)
+    noise = np.sqrt(limits[RATE] ** 2 + body[VAR_V] * cos * cos)
+    side = limits[ACROSS] + limits[AZIMUTH] * detection[5] + np.sqrt(min(body[VAR_D], 1.0))
+    ahead = min(limits[ALONG], 0.5 + 0.2 * abs(body[SPEED]))
+    ahead += 2.0 * np.sqrt(min(body[VAR_S], 1.0))
+    if gap < 3.0 * noise:
+        # one that drives as fast and so near is the same: drivers keep a second apart
+        ahead += 0.5 * min(body[SPEED], 6.0)
+    elif beyond > limits[ALONG]:
+        return np.inf
+    # the rim of a wheel moves at 0 to 2 v
+    if beyond > ahead or beside > side or gap > abs(expected) + 1.0 + 2.0 * noise:
+        return np.inf
+    cost = (beyond / 0.5) ** 2 + (beside / 0.5) ** 2 + (w / 1.5) ** 2
+    return float(cost + min((gap / noise) ** 2, 9.0 + gap))
+
+
+@compiled
+def _correct_branches(
+    row: int, chosen: int, bodies: Floats, counts: Integers, detection: Floats, limits: Floats,
+    kept: Floats,
+) -> int:  # fmt: skip  # pragma: no cover - compiled
+    """Correct all branches of a body that a detection fits, keep their states; return the best."""
+    best, least, first = chosen, np.inf, counts[KEPT]
+    for k in range(counts[ALIVE]):
+        if bodies[k, NUMBER] != bodies[chosen, NUMBER]:
+            continue
+        cost = _misfit(detection, bodies[k], limits)
+        bodies[k, MISFIT] += min(cost, MOST_TOLD)
+        if cost < np.inf:
+            _correct(bodies[k], detection, limits)
+            if bodies[k, MISFIT] < least:
+                best, least = k, bodies[k, MISFIT]
+        if counts[KEPT] < len(kept):
+            kept[counts[KEPT], 0], kept[counts[KEPT], 1] = row, bodies[k, BRANCH]
+            kept[counts[KEPT], 2:] = bodies[k, : REAR + 1]
+            counts[KEPT] += 1
+    if counts[KEPT] == first + 1:
+        counts[KEPT] = first  # there is one branch only
+    return best
+
+
+@compiled
+def _take_last(
+    number: Integers, state: Floats, past: Past, counts: Integers
+) -> None:  # pragma: no cover - compiled
+    """Set the state of each detection to that of the branch its vehicle finally took."""
+    branch, lineage, kept = past
+    last = np.full(counts[BEGUN], NONE)
+    k, base = counts[KEPT] - 1, counts[BASE]
+    for i in range(len(number) - 1, -1, -1):
+        if number[i] == NONE:
+            continue
+        taken = branch[i] if last[number[i]] == NONE else last[number[i]]
+        while base <= taken < base + len(lineage) and lineage[taken - base, 1] > i:
+            taken = lineage[taken - base, 0]
+        last[number[i]] = taken
+        while k >= 0 and kept[k, 0] > i:
+            k -= 1
+        j = k
+        while j >= 0 and kept[j, 0] == i:
+            if int(kept[j, 1]) == taken:
+                state[i] = kept[j, 2:]
+            j -= 1
+
+
+@compiled
+def _correct(
+    body: Floats, detection: Floats, limits: Floats
+) -> None:  # pragma: no cover - compiled
+    """Correct a body by a detection on it."""
+    c, s = np.cos(body[HEADING]), np.sin(body[HEADING])
+    dx, dy = detection[0] - body[X], detection[1] - body[Y]
+    u, w = dx * c + dy * s, dy * c - dx * s
+    cos = c * detection[3] + s * detection[4]
+    gap = detection[2] - body[SPEED] * cos
+    noise = limits[RATE] ** 2 + body[VAR_V] * cos * cos
+    told = gap * gap < 9.0 * noise
+    if told and abs(cos) >= limits[LEAST_COS]:
+        gain_v, gain_s = body[VAR_V] * cos / noise, body[COV_SV] * cos / noise
+        body[SPEED] += gain_v * gap
+        body[X] += gain_s * gap * c
+        body[Y] += gain_s * gap * s
+        u -= gain_s * gap
+        body[VAR_S] -= gain_s * cos * body[COV_SV]
+        body[COV_SV] -= gain_v * cos * body[COV_SV]
+        body[VAR_V] -= gain_v * cos * body[VAR_V]
+    body[SPEED] = max(body[SPEED], -0.5)
+    out = max(u - body[FRONT], 0.0) + min(u + body[REAR], 0.0)
+    if out != 0.0:
+        # Young bodies move to their detections; old ones grow, since their position is known.
+        total = body[VAR_S] + 0.3
+        gain = body[VAR_S] / total
+        body[X] += gain * out * c
+        body[Y] += gain * out * s
+        body[SPEED] += body[COV_SV] / total * out
+        body[VAR_V] -= body[COV_SV] ** 2 / total
+        body[COV_SV] *= 1.0 - gain
+        body[VAR_S] *= 1.0 - gain
+        if told and body[SPEED] > 4.0 and body[FRONT] + body[REAR] < LONGEST_M:
+            grown = 0.2 * (1.0 - gain) * out
+            body[FRONT] += max(grown, 0.0)
+            body[REAR] -= min(grown, 0.0)
+    gain = body[VAR_D] / (body[VAR_D] + 0.6 + (limits[AZIMUTH] * detection[5]) ** 2)
+    body[X] -= gain * w * s
+    body[Y] += gain * w * c
+    body[VAR_D] *= 1.0 - gain
+    if body[SPEED] > 1.0:
+        body[HEADING] += 0.02 * gain * w
+    body[LAST] = body[TIME]
+    body[HITS] += 1.0

@@ -1,0 +1,232 @@
+"""The blocks of an hour: spans of time in which vehicles are followed, with a margin each.
+
+A block straddles each edge of the hour; the jobs of both hours make it from the same window. The
+others lie between them, at the same places in every hour.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from gis_radar.arrays import Integers, give_back_memory
+from gis_radar.lanelets.graph import LaneGraph
+from gis_radar.measures.frames import rows_of, whole_frames
+from gis_radar.measures.hour import HourWindow
+from gis_radar.measures.sensor_reading import SensorHour
+from gis_radar.measures.views import PlacedRecording
+from gis_radar.recordings.recording import Detections
+from gis_radar.steps import STEP_S, STEP_US, STEPS_PER_SECOND, step_of
+from gis_radar.tracking.blocks import Block
+from gis_radar.tracking.detections import MapDetections, map_detections, still_rate
+from gis_radar.tracking.settings import BlockSettings, VehicleSettings
+from gis_radar.tracking.tables import FRAMES
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """Blocks that are made from one reading.
+
+    Parameters
+    ----------
+    first, after : int
+        Steps that are read: the first one, and the one after the last.
+    spans : list of (int, int)
+        First step of each block, and the step after its last.
+    """
+
+    first: int
+    after: int
+    spans: list[tuple[int, int]]
+
+
+def sections_of(window: HourWindow, limits: BlockSettings) -> list[Section]:
+    """Return the sections of an hour: around its begin, within it, around its end."""
+    margin = limits.margin_steps
+    low, high = window.begin + margin, window.end - margin
+    inner = range(window.begin, window.end, limits.steps)
+    edges = [low, *(step for step in inner if low < step < high), high]
+
+    def around(edge: int) -> Section:
+        return Section(
+            first=edge - 2 * margin, after=edge + 2 * margin, spans=[(edge - margin, edge + margin)]
+        )
+
+    within = Section(first=window.begin, after=window.end, spans=list(pairwise(edges)))
+    return [around(window.begin), within, around(window.end)]
+
+
+def blocks_of(
+    sensors: Sequence[SensorHour],
+    window: HourWindow,
+    graph: LaneGraph,
+    road_m: Mapping[tuple[str, str], float],
+    settings: VehicleSettings,
+) -> Iterator[tuple[tuple[int, int], Block]]:
+    """Read the blocks of an hour that have frames, one after the other.
+
+    Parameters
+    ----------
+    sensors : sequence of SensorHour
+        What each sensor delivered in the window; their recordings are read again.
+    window : HourWindow
+        The hour.
+    graph : LaneGraph
+        The lanes.
+    road_m : mapping
+        By sensor and view, the height of the road near the sensor.
+    settings : VehicleSettings
+        Of detections and blocks.
+
+    Yields
+    ------
+    (int, int)
+        The block's place: its first step, and the step after its last.
+    Block
+        It begins and ends there, but with the first and the last frame where there are none on
+        the other side of its edge.
+    """
+    margin = settings.blocks.margin_steps
+    steps = [sensor.frames.time_us // STEP_US for sensor in sensors]
+    known = np.unique(np.concatenate([np.empty(0, np.int64), *steps]))
+    for section in sections_of(window, settings.blocks):
+        streams = [
+            _Stream(_batches(sensor, number, section, graph, road_m, settings))
+            for number, sensor in enumerate(sensors)
+        ]
+        for begin, after in section.spans:
+            before, inside, later = (
+                _between(known, *span)
+                for span in ((begin - margin, begin), (begin, after), (after, after + margin))
+            )
+            if not len(inside):
+                continue
+            for each in streams:
+                each.read_to(after + margin)
+            held = [batch for each in streams for batch in each.held]
+            detections = _joined(held, begin - margin, after + margin)
+            del held
+            for each in streams:
+                each.forget(after - margin)  # with which the next block begins
+            give_back_memory()
+            yield (begin, after), Block(
+                first_step=begin if len(before) else int(inside[0]),
+                last_step=after - 1 if len(later) else int(inside[-1]),
+                detections=detections,
+                frames=FRAMES.empty(), frames_before=FRAMES.empty(), begins=False, ends=False,
+            )  # fmt: skip
+            del detections
+
+
+def _between(steps: Integers, first: int, after: int) -> Integers:
+    low, high = np.searchsorted(steps, [first, after])
+    return steps[low:high]
+
+
+def _joined(held: Sequence[tuple[MapDetections, int]], first: int, after: int) -> MapDetections:
+    """Return the detections from one step to before another."""
+    parts = []
+    for detections, _ in held:
+        inside = (detections.time >= first / STEPS_PER_SECOND) & (
+            detections.time < after / STEPS_PER_SECOND
+        )
+        if inside.any():
+            parts.append(detections.take(inside))
+    return MapDetections.join(parts)
+
+
+class _Stream:
+    """The detections of one sensor, read as far as they are needed."""
+
+    def __init__(self, batches: Iterator[tuple[MapDetections, int]]) -> None:
+        self._batches = batches
+        self._reached = -np.inf
+        self.held: list[tuple[MapDetections, int]] = []
+
+    def read_to(self, step: float) -> None:
+        """Read until everything before a step is in memory."""
+        while self._reached < step:
+            batch = next(self._batches, None)
+            self._reached = np.inf if batch is None else batch[1]
+            self.held += [] if batch is None else [batch]
+
+    def forget(self, step: int) -> None:
+        """Drop everything before a step."""
+        self.held = [each for each in self.held if each[1] >= step]
+
+
+def _batches(
+    sensor: SensorHour, number: int, section: Section, graph: LaneGraph,
+    road_m: Mapping[tuple[str, str], float], settings: VehicleSettings,
+) -> Iterator[tuple[MapDetections, int]]:  # fmt: skip
+    """Yield the detections on lanes of a sensor in a section, with the last step of each batch.
+
+    Up to which range rate they may be of what stands is told by the section's first seconds.
+    """
+    waiting: list[tuple[PlacedRecording, Detections]] = []
+    still_mps: float | None = None
+    for source, rows in _frames_of(sensor, section):
+        waiting.append((source, rows))
+        if (
+            rows.time[-1] < waiting[0][1].time[0] + settings.detections.noise_s
+            and still_mps is None
+        ):
+            continue
+        if still_mps is None:
+            still_mps = _still_rate(waiting, settings)
+        for each in waiting:
+            yield from _on_lanes(*each, number, graph, road_m, settings, still_mps)
+        waiting = []
+    still_mps = _still_rate(waiting, settings) if still_mps is None else still_mps
+    for each in waiting:
+        yield from _on_lanes(*each, number, graph, road_m, settings, still_mps)
+
+
+def _frames_of(
+    sensor: SensorHour, section: Section
+) -> Iterator[tuple[PlacedRecording, Detections]]:
+    """Read the whole frames of a sensor in a section, each once, with corrected times."""
+    until = -np.inf
+    for source in sensor.sources:
+        reached, clock = until, source.right_clock
+        limits = np.array([section.first - 1, section.after + 1]) * STEP_S
+        begin, end = clock.shown(limits).tolist()
+        for read in whole_frames(source.recording.read_between(begin, end)):
+            time = clock.corrected(read.time)
+            step = step_of(time)
+            inside = (step >= section.first) & (step < section.after) & (time > until)
+            if inside.any():
+                rows = rows_of(replace(read, time=time), inside)
+                reached = max(reached, float(rows.time[-1]))
+                yield source, rows
+        until = reached
+
+
+def _still_rate(
+    found: Sequence[tuple[PlacedRecording, Detections]], settings: VehicleSettings
+) -> float:
+    """Return the largest range rate of still detections, by the first seconds."""
+    rates = [np.empty(0)]
+    for _, rows in found:
+        soon = rows.time < found[0][1].time[0] + settings.detections.noise_s
+        rates.append(rows.range_rate[rows.present & soon])
+    return still_rate(np.concatenate(rates), settings.detections)
+
+
+def _on_lanes(
+    source: PlacedRecording, rows: Detections, number: int, graph: LaneGraph,
+    road_m: Mapping[tuple[str, str], float], settings: VehicleSettings, still_mps: float,
+) -> Iterator[tuple[MapDetections, int]]:  # fmt: skip
+    """Yield the detections of a batch that lie on lanes, pose by pose."""
+    held = source.track.at(rows.time)
+    for index in np.unique(held).tolist():
+        now = held == index
+        here = now & rows.present
+        detections = map_detections(
+            rows_of(rows, here), source.track.poses[index], number, graph, settings.detections,
+            road_m=road_m[source.track.sensor, source.views[index]], still_mps=still_mps,
+        )  # fmt: skip
+        yield detections, int(step_of(rows.time[now][-1:])[0])

@@ -1,0 +1,235 @@
+"""The vehicles of an hour: their tracks, what they occupy and hide, and which lanelets they pass.
+
+The first block straddles the hour's begin: what vehicles do in it before the hour warms up what is
+counted after. All results are cut to the hour.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+
+from gis_radar.arrays import Integers
+from gis_radar.lanelets.graph import LaneGraph
+from gis_radar.measures.hour import HourWindow
+from gis_radar.measures.sensor_reading import SensorHour
+from gis_radar.tracking.batches import BatchMaker, joined_rows
+from gis_radar.tracking.hour_blocks import blocks_of
+from gis_radar.tracking.occupancy import OccupancyEngine
+from gis_radar.tracking.occupancy_settings import OccupancySettings
+from gis_radar.tracking.settings import VehicleSettings
+from gis_radar.tracking.tables import PASSAGES, TRACKS, VEHICLES
+from gis_radar.tracking.tracker import vehicles_in
+from gis_radar.tracking.visibility import SensorView
+
+NUMBERS_PER_HOUR = 1_000_000
+EVERY = 4  # steps between two states that are kept
+
+
+@dataclass(frozen=True, kw_only=True)
+class HourVehicles:
+    """The vehicles of an hour.
+
+    Parameters
+    ----------
+    tracks : DataFrame
+        `vehicle step easting northing heading speed lanelet_id s_m d_m seen`: every fourth step,
+        and the first and the last of a vehicle; by vehicle and step.
+    vehicles : DataFrame
+        `vehicle first_step last_step length_m width_m length_sigma_m p_heavy lanelets`.
+    continued : DataFrame
+        `vehicle next`: numbers of a vehicle in the hour before and in this one.
+    passages : DataFrame
+        `vehicle lanelet_id step speed p_heavy`, by step, vehicle and lanelet.
+    occupied, visible : DataFrame
+        `tile_id first_step last_step seen`, by tile and step.
+    on_lanes : list of DataFrame
+        Where sensors see vehicles drive, for :func:`gis_radar.tracking.batches.warn_of_poses`.
+    """
+
+    tracks: pd.DataFrame
+    vehicles: pd.DataFrame
+    continued: pd.DataFrame
+    passages: pd.DataFrame
+    occupied: pd.DataFrame
+    visible: pd.DataFrame
+    on_lanes: list[pd.DataFrame]
+
+
+def vehicles_of_hour(
+    sensors: Sequence[SensorHour],
+    window: HourWindow,
+    *,
+    held: pd.DataFrame,
+    tiles: gpd.GeoDataFrame,
+    views: Sequence[SensorView],
+    graph: LaneGraph,
+    road_m: Mapping[tuple[str, str], float],
+    settings: VehicleSettings,
+    occupancy: OccupancySettings,
+) -> HourVehicles:
+    """Follow the vehicles of an hour.
+
+    Parameters
+    ----------
+    sensors : sequence of SensorHour
+        What each sensor delivered in the window.
+    window : HourWindow
+        The hour.
+    held : DataFrame
+        `sensor, view, first_step, last_step`: runs of the window in which frames are valid.
+    tiles : GeoDataFrame
+        All tiles.
+    views : sequence of SensorView
+        Of all sensors.
+    graph : LaneGraph
+        The lanes.
+    road_m : mapping
+        By sensor and view, the height of the road near the sensor.
+    settings, occupancy : VehicleSettings, OccupancySettings
+        Constants.
+    """
+    engine = OccupancyEngine(tiles, views, occupancy)
+    gathered = _Gathered(window=window, engine=engine, held=held)
+    makes = BatchMaker(graph, settings)
+    for (begin, _), block in blocks_of(sensors, window, graph, road_m, settings):
+        number = np.unique(block.detections.sensor, return_inverse=True)[1].astype(np.int64)
+        motions = vehicles_in(replace(block.detections, sensor=number), graph, settings)
+        batch = makes.batch(block, motions)
+        gathered.add(block.first_step, batch.tracks, batch.vehicles, makes.numbers)
+        if begin < window.begin:
+            makes.forget_lanes()  # the hour before judges them
+        del block, motions, batch  # before the next block is read
+    return gathered.finish(makes.on_lanes([each.sensor for each in sensors]))
+
+
+@dataclass(kw_only=True)
+class _Gathered:
+    """Results of blocks, cut to the hour."""
+
+    window: HourWindow
+    engine: OccupancyEngine
+    held: pd.DataFrame
+    waiting: tuple[pd.DataFrame, pd.DataFrame] | None = None  # states and vehicles of a block
+    reached: int = 0
+    tracks: list[pd.DataFrame] = field(default_factory=list)
+    passages: list[pd.DataFrame] = field(default_factory=list)
+    vehicles: dict[int, dict[str, Any]] = field(default_factory=dict)
+    over_begin: list[int] = field(default_factory=list)
+    over_end: list[int] = field(default_factory=list)
+
+    def add(
+        self, first_step: int, states: pd.DataFrame, vehicles: pd.DataFrame, numbers: list[int]
+    ) -> None:
+        """Add the states of a block, which follow those so far."""
+        states, vehicles = TRACKS.typed(states), VEHICLES.typed(vehicles)
+        begin, end = self.window.begin, self.window.end
+        self._advance(first_step)
+        states = states[states["step"] <= end].reset_index(drop=True)
+        self.waiting = (states, vehicles)
+        self.over_begin += _over(begin, states, numbers)
+        self.over_end += _over(end, states, numbers)
+        mine = states[states["step"].between(begin, end - 1)]
+        step, number = (mine[name].to_numpy(np.int64) for name in ("step", "vehicle"))
+        spans = mine.groupby("vehicle", sort=True)["step"].agg(["min", "max"])
+        first, last = (spans[name].reindex(number).to_numpy() for name in ("min", "max"))
+        self.tracks.append(mine[(step % EVERY == 0) | (step == first) | (step == last)])
+        by_number = vehicles.set_index("vehicle", drop=False)
+        lanelets = _lanelets(mine)
+        for n, (least, most) in zip(spans.index.tolist(), spans.to_numpy().tolist(), strict=True):
+            row = {str(name): value for name, value in by_number.loc[n].items()}
+            row |= {"first_step": least, "last_step": most, "lanelets": lanelets[n]}
+            self.vehicles[n] = joined_rows(self.vehicles.get(n), row)
+
+    def _advance(self, to: int) -> None:
+        """Advance the engine up to a step with the states that are complete."""
+        if self.waiting is None:
+            self.reached = to
+            return
+        states, vehicles = self.waiting
+        self.passages.append(self.engine.advance(states, vehicles, self.held, (self.reached, to)))
+        self.reached, self.waiting = to, None
+
+    def finish(self, on_lanes: list[pd.DataFrame]) -> HourVehicles:
+        """Return all, under final numbers."""
+        begin, end = self.window.begin, self.window.end
+        self._advance(end + 1)
+        occupied, visible = (_cut(each, begin, end) for each in self.engine.flush())
+        names = self._names()
+        rows = [
+            self.vehicles[n] | {"vehicle": names[n]} for n in sorted(names, key=names.__getitem__)
+        ]
+        vehicles = pd.DataFrame(rows, columns=[*VEHICLES.columns])
+        tracks = pd.concat([TRACKS.empty(), *self.tracks], ignore_index=True)
+        passages = pd.concat([PASSAGES.empty(), *self.passages], ignore_index=True)
+        passages = passages[passages["step"].between(begin, end - 1)]
+        heavy = passages["vehicle"].map({n: row["p_heavy"] for n, row in self.vehicles.items()})
+        before = (self.window.hour - 1) * NUMBERS_PER_HOUR
+        continued = [(before + k, names[n]) for k, n in enumerate(self.over_begin)]
+        return HourVehicles(
+            tracks=_ends_and_fourths(_renamed(tracks, names), vehicles),
+            vehicles=vehicles,
+            continued=pd.DataFrame(continued, columns=["vehicle", "next"]).astype(np.int64),
+            passages=_renamed(passages.assign(p_heavy=heavy), names, PASSAGES.order),
+            occupied=occupied, visible=visible, on_lanes=on_lanes,
+        )  # fmt: skip
+
+    def _names(self) -> dict[int, int]:
+        """Return the final number of each vehicle: first those that go on over the hour's end.
+
+        The job of the next hour makes the block at that edge, too, and so knows their numbers.
+        """
+        rest = sorted(self.vehicles.keys() - set(self.over_end))
+        rest.sort(key=lambda n: self.vehicles[n]["first_step"])
+        base = self.window.hour * NUMBERS_PER_HOUR
+        return {n: base + k for k, n in enumerate([*self.over_end, *rest])}
+
+
+def _over(edge: int, states: pd.DataFrame, numbers: list[int]) -> list[int]:
+    """Return which vehicles have states on both sides of an edge, in the order of the block."""
+    step = states["step"].to_numpy(np.int64)
+    sides = [set(states["vehicle"].to_numpy()[step == at].tolist()) for at in (edge - 1, edge)]
+    return [n for n in numbers if n in sides[0] and n in sides[1]]
+
+
+def _lanelets(states: pd.DataFrame) -> dict[int, Integers]:
+    """Return the lanelets that each vehicle follows, in order."""
+    on = states[states["lanelet_id"].notna()].sort_values(["vehicle", "step"])
+    number, lanelet = on["vehicle"].to_numpy(np.int64), on["lanelet_id"].to_numpy(np.int64)
+    new = np.ones(len(on), np.bool_)
+    new[1:] = (np.diff(number) != 0) | (lanelet[1:] != lanelet[:-1])
+    none = dict.fromkeys(states["vehicle"].unique().tolist(), np.empty(0, np.int64))
+    ids, first = np.unique(number[new], return_index=True)
+    found = np.split(lanelet[new], first[1:]) if len(ids) else []
+    return none | dict(zip(ids.tolist(), found, strict=True))
+
+
+def _cut(runs: pd.DataFrame, begin: int, end: int) -> pd.DataFrame:
+    """Return the runs within the hour."""
+    first, last = runs["first_step"].clip(lower=begin), runs["last_step"].clip(upper=end - 1)
+    cut = runs.assign(first_step=first, last_step=last)
+    return pd.DataFrame(cut[first <= last]).reset_index(drop=True)
+
+
+def _renamed(
+    rows: pd.DataFrame, names: Mapping[int, int], order: Sequence[str] = ("vehicle", "step")
+) -> pd.DataFrame:
+    renamed = rows.assign(vehicle=rows["vehicle"].map(names).astype(np.int64))
+    return renamed.sort_values([*order], ignore_index=True)
+
+
+def _ends_and_fourths(tracks: pd.DataFrame, vehicles: pd.DataFrame) -> pd.DataFrame:
+    """Leave out the first and last states of blocks that are not those of their vehicles."""
+    known = vehicles.set_index("vehicle")
+    first, last = (
+        known[name].reindex(tracks["vehicle"]).to_numpy() for name in ("first_step", "last_step")
+    )
+    step = tracks["step"].to_numpy(np.int64)
+    kept = (step % EVERY == 0) | (step == first) | (step == last)
+    ends_and_fourths: pd.DataFrame = tracks[kept]
+    return ends_and_fourths.reset_index(drop=True)

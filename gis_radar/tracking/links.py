@@ -1,0 +1,201 @@
+"""Links from part to part of the tracks of vehicles, moving or standing.
+
+Who ends somewhere may be the one that begins there later, unless another one drove over the place
+in between, or it would have been seen. Ends and begins are matched together, at least cost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from gis_radar.arrays import Booleans, Floats, Integers
+from gis_radar.steps import STEPS_PER_SECOND
+from gis_radar.tracking.columns import NONE
+from gis_radar.tracking.detectability import Detectability
+from gis_radar.tracking.management_settings import DetectabilitySettings, LinkSettings
+from gis_radar.tracking.motion import Motion
+from gis_radar.tracking.passes import Passes
+from gis_radar.tracking.settings import VehicleSettings
+from gis_radar.tracking.stationary import StationaryTarget
+
+END_STEPS = 10  # half a second tells the speed at an end
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """A part of a track: time, place, heading and speed at its begin and end."""
+
+    time: Floats
+    place: Floats
+    heading: Floats
+    speed: Floats
+    stationary: bool
+
+    @classmethod
+    def of_motion(cls, motion: Motion) -> Part:
+        """Make a part of a moving vehicle."""
+        place, heading = motion.places
+        speeds = [np.median(motion.speed[:END_STEPS]), np.median(motion.speed[-END_STEPS:])]
+        steps = np.array([motion.first_step, motion.last_step])
+        return cls(
+            time=steps / STEPS_PER_SECOND, place=place[[0, -1]], heading=heading[[0, -1]],
+            speed=np.array(speeds), stationary=False,
+        )  # fmt: skip
+
+    @classmethod
+    def of_target(cls, target: StationaryTarget, place: tuple[Floats, float]) -> Part:
+        """Make a part of a stationary vehicle with its middle."""
+        return cls(
+            time=np.array([target.begin, target.end]), place=np.stack([place[0]] * 2),
+            heading=np.full(2, place[1]), speed=np.zeros(2), stationary=True,
+        )  # fmt: skip
+
+
+def chains(
+    parts: Sequence[Part], passes: Passes, seen: Detectability, settings: VehicleSettings
+) -> list[list[int]]:
+    """Return the parts of each track in their order.
+
+    Parameters
+    ----------
+    parts : sequence of Part
+        Of all tracks.
+    passes : Passes
+        When vehicles drove over which place.
+    seen : Detectability
+        How many detections are due; its occluders are numbered as the parts.
+    settings : VehicleSettings
+        Of links and of detections that are due.
+    """
+    following = _following(parts, passes, seen, settings)
+    found = []
+    for head in np.setdiff1d(np.arange(len(parts)), following).tolist():
+        chain = [head]
+        while following[chain[-1]] != NONE:
+            chain.append(int(following[chain[-1]]))
+        found.append(chain)
+    return found
+
+
+def _following(
+    parts: Sequence[Part], passes: Passes, seen: Detectability, every: VehicleSettings
+) -> Integers:
+    """Return the part that follows each, or `NONE`: the assignment of least cost."""
+    following, settings = np.full(len(parts), NONE, np.int64), every.links
+    costs = [
+        each for a in range(len(parts)) for each in _costs(a, parts, passes, settings)
+        if not _is_missed(parts, each[0], each[1], seen, every.detectability)
+    ]  # fmt: skip
+    if not costs:
+        return following
+    a, b = np.array([each[:2] for each in costs], np.int64).T
+    befores, row = np.unique(a, return_inverse=True)
+    afters, column = np.unique(b, return_inverse=True)
+    matrix = np.full((len(befores), len(afters) + len(befores)), 1e6)
+    matrix[row, column] = [each[2] for each in costs]
+    own = np.arange(len(befores))
+    matrix[own, len(afters) + own] = settings.end_cost
+    for i, k in zip(*linear_sum_assignment(matrix), strict=True):
+        if k < len(afters) and matrix[i, k] < settings.end_cost:
+            following[befores[i]] = afters[k]
+    return following
+
+
+def _is_missed(
+    parts: Sequence[Part], a: int, b: int, seen: Detectability, settings: DetectabilitySettings
+) -> bool:
+    """Return whether a vehicle that joins both parts would have been detected in between."""
+    span = (float(parts[a].time[1]), float(parts[b].time[0]))
+    if span[1] - span[0] < settings.silent_s:
+        return False
+    places = np.stack([parts[a].place[1], parts[b].place[0]])
+    return seen.due_between(places, span, (a, b)) > settings.most_due
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Ends:
+    """Begins of all parts relative to the end of one: lapse, along, left, apart, turn, speed."""
+
+    lapse: Floats
+    along: Floats
+    left: Floats
+    apart: Floats
+    turn: Floats
+    speed: Floats
+    later: Booleans
+    stationary: Booleans
+
+    @classmethod
+    def of(cls, a: int, parts: Sequence[Part]) -> _Ends:
+        """Return the begins of all parts relative to the end of part `a`."""
+        mine = parts[a]
+        begin, end = (np.array([each.time[k] for each in parts]) for k in (0, 1))
+        gap = np.array([each.place[0] for each in parts]) - mine.place[1]
+        heading = float(mine.heading[1])
+        c, s = np.cos(heading), np.sin(heading)
+        turned = np.array([each.heading[0] for each in parts]) - heading
+        later = (begin > mine.time[0]) & (end > mine.time[1]) & (np.arange(len(parts)) != a)
+        return cls(
+            lapse=begin - mine.time[1], along=gap @ np.array([c, s]),
+            left=np.abs(gap @ np.array([-s, c])), apart=np.hypot(*gap.T),
+            turn=np.abs(np.angle(np.exp(1j * turned))),
+            speed=np.array([each.speed[0] for each in parts]), later=later,
+            stationary=np.array([each.stationary for each in parts]),
+        )  # fmt: skip
+
+
+def _costs(
+    a: int, parts: Sequence[Part], passes: Passes, settings: LinkSettings
+) -> Iterator[tuple[int, int, float]]:
+    """Yield (a, b, cost) of the parts b that may follow part a after waiting or driving on."""
+    mine, to = parts[a], _Ends.of(a, parts)
+    speed = float(mine.speed[1])
+    slow = (speed < settings.waiting_mps) & (to.speed < settings.waiting_mps)
+    waits = to.later & slow & (to.lapse > -settings.overlap_s) & (to.apart < settings.waiting_m)
+    waits &= (to.turn < settings.waiting_rad) & (to.left < settings.beside_m)
+    drives = to.later & ~to.stationary & (to.lapse > -settings.overlap_s)
+    drives &= (to.lapse < settings.unseen_s) & (to.turn < settings.turning_rad)
+    gain = to.along - 0.5 * (speed + to.speed) * to.lapse
+    drives &= (gain > -settings.back_m) & ((to.lapse >= 0.0) | (gain < settings.back_m))
+    bend = 0.5 * np.maximum(to.along, 0.0) * np.sin(np.minimum(to.turn, 0.5 * np.pi))
+    drives &= to.left < settings.beside_m + bend + settings.drift * to.apart
+    if mine.stationary:
+        drives[:] = False
+    free_until = passes.after(mine.place[1], float(mine.time[1])) if waits.any() else np.inf
+    for b in np.flatnonzero(waits | drives).tolist():
+        cost = _cost_of_driving(speed, to, b, settings) if drives[b] else np.inf
+        if waits[b] and mine.time[1] + to.lapse[b] < free_until + 0.5:
+            cost = min(cost, _cost_of_waiting(speed, to, b, settings))
+        cost += (to.left[b] / (1.0 + 0.1 * to.apart[b])) ** 2
+        cost += 0.5 * (to.turn[b] / settings.waiting_rad) ** 2
+        if cost < settings.end_cost:
+            yield a, b, float(cost)
+
+
+def _cost_of_waiting(speed: float, to: _Ends, b: int, settings: LinkSettings) -> float:
+    """Return the cost of a stop between two parts, by the distance between them."""
+    creep = (speed**2 + to.speed[b] ** 2) / (2.0 * settings.braking_mps2)
+    off = max(abs(to.along[b] - creep) - settings.place_m, 0.0) / (1.5 * settings.place_m)
+    return float(off**2 + settings.stop_cost + settings.wait_cost * max(to.lapse[b], 0.05))
+
+
+def _cost_of_driving(speed: float, to: _Ends, b: int, settings: LinkSettings) -> float:
+    """Return the cost of driving on undetected between two parts, by the mean speed."""
+    lapse = max(float(to.lapse[b]), 0.05)
+    mean, middle = to.apart[b] * np.sign(to.along[b]) / lapse, 0.5 * (speed + to.speed[b])
+    slowest = 0.0
+    if lapse < settings.briefly_s:
+        slowest = max(min(speed, to.speed[b]) - settings.braked_mps2 * lapse, 0.0)
+    low = min(slowest, max(middle - settings.slowing_mps2 * lapse, 0.0))
+    high = max(speed, to.speed[b]) + settings.gaining_mps2 * lapse
+    place = settings.place_m / lapse
+    miss = max(low - mean, mean - high, 0.0) / (settings.sure_mps + place)
+    if miss >= settings.most_sigma:
+        return np.inf
+    usual = settings.usual_mps2 * lapse + 2.0 * settings.sure_mps + place
+    unseen = settings.unseen_cost * np.sqrt(lapse) + settings.way_cost * to.apart[b]
+    return float(miss**2 + 0.5 * ((mean - middle) / usual) ** 2 + unseen)

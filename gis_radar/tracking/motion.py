@@ -1,0 +1,328 @@
+"""Motion of a vehicle: the path that it took, how far along it was when, and how long it is.
+
+All detections of a vehicle, of its complete track, tell its motion together (fixed-interval
+smoothing, Rauch, Tung and Striebel 1965). In the frame that moves along with it, detections of one
+body stay where they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from gis_radar.arrays import Floats, Integers, compiled
+from gis_radar.steps import STEP_S, STEPS_PER_SECOND
+from gis_radar.tracking.detections import MapDetections
+from gis_radar.tracking.paths import Path, path_through
+from gis_radar.tracking.settings import MotionSettings
+from gis_radar.tracking.size import Size, size_of
+
+HALF_STEPS = STEPS_PER_SECOND // 2
+# variances of a place, m2, and a speed, m2/s2, of which little is known
+UNKNOWN_S, UNKNOWN_V = 25.0, 9.0
+LOST = 6  # places in a row that do not fit, and no fewer than those that did
+STILL_COS = 0.05  # under it a range rate says nothing at all of the speed along the path
+
+
+@dataclass(kw_only=True, eq=False)
+class Motion:
+    """A vehicle from its first to its last step.
+
+    Parameters
+    ----------
+    rows : (k,) int64 array
+        Its detections, in the order of time.
+    path : Path
+        Of its middle.
+    first_step : int
+        Of the states.
+    s_m, speed : (n,) arrays
+        How far its middle is along the path, and m/s, a step each.
+    var_s : (n,) array
+        Variance of `s_m`.
+    length_m, width_m, length_sigma_m, p_heavy : float
+        Its size, and the probability that it is longer than 7 m.
+    along_m, left_m : (k,) arrays
+        Where on the body each detection lies: from the middle forward, from the path to the left.
+    """
+
+    rows: Integers
+    path: Path
+    first_step: int
+    s_m: Floats
+    speed: Floats
+    var_s: Floats
+    length_m: float
+    width_m: float
+    length_sigma_m: float
+    p_heavy: float
+    along_m: Floats
+    left_m: Floats
+
+    @property
+    def last_step(self) -> int:
+        """Last step of the states."""
+        return self.first_step + len(self.s_m) - 1
+
+    @cached_property
+    def places(self) -> tuple[Floats, Floats]:
+        """Middle (n, 2) and heading (n,) at each step."""
+        return self.path.at(self.s_m)
+
+    def at(self, time: Floats) -> tuple[Floats, Floats]:
+        """Return distance along the path and speed at times; beyond its ends at the last speed."""
+        place = time * STEPS_PER_SECOND - self.first_step
+        inside = np.clip(place, 0.0, len(self.s_m) - 1.0)
+        steps = np.arange(len(self.s_m))
+        speed = np.interp(inside, steps, self.speed)
+        return np.interp(inside, steps, self.s_m) + (place - inside) * STEP_S * speed, speed
+
+    def halves(self) -> tuple[Integers, Floats, Floats]:
+        """Return (half second, place, heading) where its steps are whole half seconds."""
+        place, heading = self.places
+        every = np.arange(-self.first_step % HALF_STEPS, len(heading), HALF_STEPS)
+        every = every if len(every) else np.zeros(1, np.int64)
+        return (self.first_step + every) // HALF_STEPS, place[every], heading[every]
+
+    def between(self, first: int, last: int, time: Floats) -> Motion | None:
+        """Return the motion from one step to another, where it has detections.
+
+        Parameters
+        ----------
+        first, last : int
+            Steps.
+        time : (n,) array
+            UNIX seconds of all detections.
+        """
+        step = time[self.rows] * STEPS_PER_SECOND
+        mine = (step >= first - 0.5) & (step < last + 0.5)
+        if not mine.any():
+            return None
+        span = slice(max(first - self.first_step, 0), last + 1 - self.first_step)
+        return replace(
+            self, rows=self.rows[mine], first_step=max(first, self.first_step),
+            s_m=self.s_m[span], speed=self.speed[span], var_s=self.var_s[span],
+            along_m=self.along_m[mine], left_m=self.left_m[mine],
+        )  # fmt: skip
+
+    def frame(self, detections: MapDetections, rows: Integers) -> tuple[Floats, Floats, Floats]:
+        """Return detections in the frame that moves along.
+
+        Returns
+        -------
+        along_m, left_m : (k,) arrays
+            From the middle of the vehicle forward, from its path to the left.
+        rate_mps : (k,) array
+            By how much the range rate exceeds that of the vehicle.
+        """
+        s, speed = self.at(detections.time[rows])
+        along, left = self.path.project(detections.points[rows], s, 25.0)
+        heading = self.path.heading_at(along)
+        cos = (
+            np.cos(heading) * detections.sight[rows, 0]
+            + np.sin(heading) * detections.sight[rows, 1]
+        )
+        return along - s, left, detections.range_rate[rows] - speed * cos
+
+
+def fit_motion(
+    detections: MapDetections, rows: Integers, states: Floats, settings: MotionSettings
+) -> Motion:
+    """Smooth the motion of a vehicle over all its detections.
+
+    Parameters
+    ----------
+    detections : MapDetections
+        All detections.
+    rows : (k,) int64 array
+        Those of the vehicle.
+    states : (n, 6) array
+        For all detections, what the filter said of the vehicle then.
+    settings : MotionSettings
+        Noise.
+    """
+    rows = rows[np.argsort(detections.time[rows], kind="stable")]
+    path, guess = _fitted_path(detections, rows, states[rows], settings)
+    s, left = path.project(detections.points[rows], guess, 30.0)
+    time = detections.time[rows]
+    first = int(np.floor(time[0] * STEPS_PER_SECOND))
+    count = int(np.ceil(time[-1] * STEPS_PER_SECOND)) - first + 1
+    step = np.clip(np.round(time * STEPS_PER_SECOND).astype(np.int64) - first, 0, count - 1)
+    heading = path.heading_at(s)
+    sight = detections.sight[rows]
+    cos = np.cos(heading) * sight[:, 0] + np.sin(heading) * sight[:, 1]
+    sin = np.abs(np.cos(heading) * sight[:, 1] - np.sin(heading) * sight[:, 0])
+    noise = np.hypot(settings.along_m, settings.azimuth_rad * detections.range_m[rows] * sin)
+    rate = detections.range_rate[rows] / np.where(np.abs(cos) < STILL_COS, STILL_COS, cos)
+    rate_var = (settings.range_rate_mps / np.maximum(np.abs(cos), STILL_COS)) ** 2
+    together = np.bincount(step, minlength=count)[step]
+    ends = np.column_stack([-np.sign(cos), np.abs(cos), sin])  # the end that is seen, and how much
+    size, shift = Size(), 0.0
+    for _ in range(2):
+        share = settings.end_share * size.width_m * ends[:, 1]
+        share /= size.width_m * ends[:, 1] + size.length_m * sin + 1e-9
+        half = 0.5 * size.length_m
+        spread = noise**2 + (1.0 - share) * half**2 / 3.0 + share * (1.0 - share) * half**2
+        # scatterers last: what one frame shows the next shows again
+        spread *= settings.repeats * np.sqrt(together)
+        middle = s - ends[:, 0] * share * half
+        smoothed = _smooth(
+            count, step, rate, rate_var, middle, spread, float(middle[:5].mean()),
+            max(float(states[rows[0], 3]), 0.0), settings.accel_var,
+        )  # fmt: skip
+        place = time * STEPS_PER_SECOND - first
+        along = s - np.interp(place, np.arange(count), smoothed[0])
+        speed = np.interp(place, np.arange(count), smoothed[1])
+        off = np.abs(rate - speed) * np.maximum(np.abs(cos), STILL_COS)
+        fits = off < settings.least_off_mps + settings.off_share * speed
+        # who stands may seem as long as all that stands there
+        trust = np.where(speed > settings.driving_mps, 1.0, settings.still_trust) * fits
+        size, shift = size_of(along, ends, noise, time, trust, settings)
+    return Motion(
+        rows=rows, path=path, first_step=first,
+        s_m=_without_way_back(smoothed[0] + shift), speed=np.maximum(smoothed[1], 0.0),
+        var_s=smoothed[2], length_m=size.length_m, width_m=size.width_m,
+        length_sigma_m=size.sigma_m, p_heavy=size.p_heavy, along_m=along - shift, left_m=left,
+    )  # fmt: skip
+
+
+def _without_way_back(s_m: Floats) -> Floats:
+    """Return places that never decrease: the highest so far, or the lowest from there on.
+
+    Of both, what changes the places less.
+    """
+    held, until = np.maximum.accumulate(s_m), np.minimum.accumulate(s_m[::-1])[::-1]
+    return np.asarray(min(held, until, key=lambda each: float(np.abs(each - s_m).sum())))
+
+
+def side_seen(path: Path, s_m: Floats, sight: Floats) -> Floats:
+    """Return the offset of detections to the left of a car's middle: towards the sensor.
+
+    Parameters
+    ----------
+    path : Path
+        Of the car's middle.
+    s_m : (k,) array
+        How far along it the detections lie, metres.
+    sight : (k, 2) array
+        Unit vectors from the sensor.
+    """
+    heading = path.heading_at(s_m)
+    cos = np.cos(heading) * sight[:, 0] + np.sin(heading) * sight[:, 1]
+    sin = np.cos(heading) * sight[:, 1] - np.sin(heading) * sight[:, 0]
+    car = Size()
+    side = car.length_m * np.abs(sin)
+    share = side / (side + car.width_m * np.abs(cos) + 1e-9)
+    return np.asarray(-np.sign(sin) * share * 0.5 * car.width_m)
+
+
+def _fitted_path(
+    detections: MapDetections, rows: Integers, states: Floats, settings: MotionSettings
+) -> tuple[Path, Floats]:
+    """Return the path of the states, moved sideways to the detections, and a guess along it."""
+    when = detections.time[rows, None]
+    path, way = path_through(np.hstack([states[:, :3], when]), settings.spacing_m)
+    guess, _ = path.project(states[:, :2], way, 25.0)
+    s, left = path.project(detections.points[rows], guess, 30.0)
+    left = left - side_seen(path, s, detections.sight[rows])
+    weight = 1.0 / (0.5**2 + (settings.azimuth_rad * detections.range_m[rows]) ** 2)
+    cell = np.clip((s / 2.0).astype(np.int64), 0, int(path.s_m[-1] / 2.0))
+    count = int(path.s_m[-1] / 2.0) + 1
+    total = np.bincount(cell, weight, count)
+    drift = np.bincount(cell, weight * np.clip(left, -2.0, 2.0), count)
+    # a scatterer that lasts is no better than its bias, however often it is detected
+    cap = np.minimum(total, settings.most_weight) / np.maximum(total, 1e-9)
+    bell = np.exp(-0.5 * (np.arange(-10, 11) / 4.0) ** 2)
+    near = np.convolve(total * cap, bell, "full")[10:-10]
+    shift = np.convolve(drift * cap, bell, "full")[10:-10] / (near + 1.0)
+    left_of = np.interp(path.s_m, 1.0 + 2.0 * np.arange(count), shift)
+    heading = path.heading_at(path.s_m)
+    moved = path.points + left_of[:, None] * np.column_stack([-np.sin(heading), np.cos(heading)])
+    better = Path(moved)
+    guess, _ = better.project(states[:, :2], guess, 15.0)
+    return better, guess
+
+
+@compiled
+def _smooth(  # noqa: PLR0917 - numba takes plain arrays  # pragma: no cover - compiled
+    count: int,
+    step: Integers,
+    rate: Floats,
+    rate_var: Floats,
+    middle: Floats,
+    middle_var: Floats,
+    s: float,
+    v: float,
+    accel_var: float,
+) -> tuple[Floats, Floats, Floats]:
+    """Smooth place and speed over steps; measurements in their order (Rauch, Tung, Striebel)."""
+    dt = 1.0 / 20.0
+    q_ss, q_sv, q_vv = accel_var * dt**3 / 3.0, accel_var * dt**2 / 2.0, accel_var * dt
+    mean, kept = np.empty((count, 2)), np.empty((count, 3))
+    ahead, wide = np.empty((count, 2)), np.empty((count, 3))
+    a, b, c = UNKNOWN_S, 0.0, UNKNOWN_V
+    k, misses, fitted = 0, 0, 0
+    for i in range(count):
+        if i > 0:
+            s += v * dt
+            a += 2.0 * dt * b + dt * dt * c + q_ss
+            b += dt * c + q_sv
+            c += q_vv
+        if misses >= max(LOST, fitted):  # what it began with was of something else
+            a, c, misses, fitted = a + UNKNOWN_S, c + UNKNOWN_V, 0, 0
+        ahead[i, 0], ahead[i, 1] = s, v
+        wide[i, 0], wide[i, 1], wide[i, 2] = a, b, c
+        while k < len(step) and step[k] == i:
+            misses += 1
+            gap, total = rate[k] - v, c + rate_var[k]
+            if gap * gap < 16.0 * total:
+                s += b / total * gap
+                v += c / total * gap
+                a -= b * b / total
+                b -= b * c / total
+                c -= c * c / total
+            gap, total = middle[k] - s, a + middle_var[k]
+            if gap * gap < 25.0 * total:
+                misses, fitted = 0, fitted + 1
+                s += a / total * gap
+                v += b / total * gap
+                c -= b * b / total
+                b -= a * b / total
+                a -= a * a / total
+            k += 1
+        if v < 0.0:
+            total = c + 0.01
+            s -= b / total * v
+            a -= b * b / total
+            v -= c / total * v
+            b -= b * c / total
+            c -= c * c / total
+        mean[i, 0], mean[i, 1] = s, v
+        kept[i, 0], kept[i, 1], kept[i, 2] = a, b, c
+    _look_back(mean, kept, ahead, wide)
+    return mean[:, 0].copy(), mean[:, 1].copy(), kept[:, 0].copy()
+
+
+@compiled
+def _look_back(
+    mean: Floats, kept: Floats, ahead: Floats, wide: Floats
+) -> None:  # pragma: no cover - compiled
+    """Smooth filtered states (s, v) and covariances (ss, sv, vv), given what was predicted."""
+    dt = 1.0 / 20.0
+    for i in range(len(mean) - 2, -1, -1):
+        a, b, c = kept[i]
+        pa, pb, pc = wide[i + 1]
+        det = pa * pc - pb * pb
+        # covariance with the state ahead: P F^T
+        f00, f01, f10, f11 = a + dt * b, b, b + dt * c, c
+        g00, g01 = (f00 * pc - f01 * pb) / det, (f01 * pa - f00 * pb) / det
+        g10, g11 = (f10 * pc - f11 * pb) / det, (f11 * pa - f10 * pb) / det
+        ds, dv = mean[i + 1, 0] - ahead[i + 1, 0], mean[i + 1, 1] - ahead[i + 1, 1]
+        mean[i, 0] += g00 * ds + g01 * dv
+        mean[i, 1] += g10 * ds + g11 * dv
+        da, db, dc = kept[i + 1, 0] - pa, kept[i + 1, 1] - pb, kept[i + 1, 2] - pc
+        kept[i, 0] = a + g00 * (g00 * da + g01 * db) + g01 * (g00 * db + g01 * dc)
+        kept[i, 1] = b + g10 * (g00 * da + g01 * db) + g11 * (g00 * db + g01 * dc)
+        kept[i, 2] = c + g10 * (g10 * da + g11 * db) + g11 * (g10 * db + g11 * dc)

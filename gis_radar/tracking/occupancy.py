@@ -1,0 +1,122 @@
+"""Occupied and visible tiles and passages, from states in ascending time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+
+from gis_radar.arrays import Floats, Integers
+from gis_radar.tracking.footprints import (
+    CrossLines,
+    Footprints,
+    PathBook,
+    footprints_of,
+    occupied_runs,
+)
+from gis_radar.tracking.occupancy_settings import DEFAULTS, OccupancySettings
+from gis_radar.tracking.passages import HEAVY, LaneletPlaces, PassageBook, levels_of
+from gis_radar.tracking.tables import OCCUPIED, VISIBLE
+from gis_radar.tracking.visibility import SensorView, Visibility
+
+
+class OccupancyEngine:
+    """Runs of occupied and visible tiles, and passages, from states that come in ascending time.
+
+    Parameters
+    ----------
+    tiles : GeoDataFrame
+        All tiles.
+    views : sequence of SensorView
+        Of all sensors.
+    settings : OccupancySettings
+        Of footprints and visibility.
+    """
+
+    def __init__(
+        self,
+        tiles: gpd.GeoDataFrame,
+        views: Sequence[SensorView],
+        settings: OccupancySettings = DEFAULTS,
+    ) -> None:
+        tiles = tiles.sort_values("tile_id", ignore_index=True)
+        self._settings = settings
+        self._tile_id = tiles["tile_id"].to_numpy(np.int64)
+        self._lines = CrossLines.of(tiles)
+        self._places = LaneletPlaces.of(tiles)
+        self._paths = PathBook(settings=settings)
+        self._passages = PassageBook(places=self._places)
+        self._visibility = Visibility(tiles, self._lines, views, settings)
+        self._open = np.full((len(tiles), 3), -1)
+        self._stamps = np.full((len(tiles), 3), -1)
+        self._ended: list[Integers] = []
+
+    def advance(
+        self,
+        states: pd.DataFrame,
+        vehicles: pd.DataFrame,
+        held: pd.DataFrame,
+        span: tuple[int, int],
+    ) -> pd.DataFrame:
+        """Advance over a span, whose end is exclusive; return the passages.
+
+        Parameters
+        ----------
+        states : DataFrame
+            Rows of `tracks` in the span.
+        vehicles : DataFrame
+            The vehicles that they are of.
+        held : DataFrame
+            `sensor, view, first_step, last_step`: runs of steps in which frames are valid.
+        span : (int, int)
+            First step, and the step after the last; of one block of runs.
+        """
+        level_m = levels_of(states, self._places, self._lines.height_m)
+        prints = footprints_of(states, vehicles, level_m, self._lines.origin, self._paths)
+        self._ended.append(self._occupy(prints))
+        row = np.searchsorted(vehicles["vehicle"].to_numpy(), states["vehicle"].to_numpy())
+        tall = self._heights(vehicles)[row]
+        passages = self._passages.find(states, vehicles)
+        asked = (passages["step"].to_numpy(np.int64), passages["tile"].to_numpy(np.int64))
+        visible = self._visibility.advance(prints, tall, held, span, asked)
+        return passages[visible].drop(columns="tile")
+
+    def add_view(self, view: SensorView) -> None:
+        """Add a view for the following steps."""
+        self._visibility.add_view(view)
+
+    def keep_views(self, *, known: set[tuple[str, str]], used: set[tuple[str, str]]) -> None:
+        """Remove all views but the given ones, and lines of sight that were not used lately."""
+        self._visibility.keep_views(known=known, used=used)
+
+    def _heights(self, vehicles: pd.DataFrame) -> Floats:
+        """Return the height of the box of each vehicle, metres."""
+        known = self._settings
+        van = vehicles["length_m"].to_numpy(float) > known.van_m
+        heavy = vehicles["p_heavy"].to_numpy(float) >= HEAVY
+        light = np.where(van, known.van_height_m, known.car_height_m)
+        return np.where(heavy, known.heavy_height_m, light)
+
+    def _occupy(self, prints: Footprints) -> Integers:
+        lines, settings = self._lines, self._settings
+        return occupied_runs(
+            prints.step, prints.boxes, prints.level_m, prints.seen, prints.path, prints.points,
+            prints.begins, lines.lines, lines.height_m, *lines.cells, lines.columns, lines.rows,
+            lines.cell_m, settings.overlap_m, settings.same_level_m, self._open, self._stamps,
+        )  # fmt: skip
+
+    def flush(self) -> tuple[pd.DataFrame, pd.DataFrame]:
+        """Return the runs of occupied and visible tiles since the last call, by tile and step."""
+        running = np.flatnonzero(self._open[:, 0] >= 0)
+        self._ended.append(np.column_stack([running, self._open[running]]))
+        self._open[running] = -1
+        occupied = self._table(np.concatenate(self._ended), list(OCCUPIED.columns))
+        self._ended = []
+        return occupied, self._table(self._visibility.flush(), list(VISIBLE.columns))
+
+    def _table(self, runs: Integers, columns: list[str]) -> pd.DataFrame:
+        runs = runs[np.lexsort((runs[:, 1], runs[:, 0]))]
+        table = pd.DataFrame(runs, columns=columns)
+        return table.assign(tile_id=self._tile_id[runs[:, 0]])

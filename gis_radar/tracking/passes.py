@@ -1,0 +1,103 @@
+"""Passes: when vehicles drove over places of the lanes, so that no vehicle stood there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from gis_radar.arrays import Floats, nearest
+from gis_radar.steps import STEPS_PER_SECOND
+from gis_radar.tracking.detections import MapDetections
+from gis_radar.tracking.management_settings import StationarySettings
+from gis_radar.tracking.motion import Motion
+from gis_radar.tracking.strips import Strips
+
+CELLS = 100_000  # of a strip, more than the longest has
+
+
+@dataclass(frozen=True, kw_only=True)
+class Passes:
+    """Times at which vehicles drove over half-metre cells of strips, and over any place.
+
+    Parameters
+    ----------
+    strips : Strips
+        The strips.
+    tree, when : cKDTree, (n,) array
+        Places (n, 2) of the middles of vehicles that drive, and UNIX seconds.
+    near_m : float
+        A middle so near drives over a place.
+    times : dict
+        By cell, ascending UNIX seconds.
+    fast : dict
+        As `times`, of those only that nobody who stands would follow at once.
+    """
+
+    strips: Strips
+    tree: cKDTree
+    when: Floats
+    near_m: float
+    times: dict[int, Floats]
+    fast: dict[int, Floats]
+
+    @classmethod
+    def of(
+        cls,
+        motions: Sequence[Motion],
+        detections: MapDetections,
+        strips: Strips,
+        settings: StationarySettings,
+    ) -> Passes:
+        """Collect the middles of moving vehicles while they are detected."""
+        places, when, pace = [np.zeros((0, 2))], [np.zeros(0)], [np.zeros(0)]
+        for motion in motions:
+            time = (motion.first_step + np.arange(len(motion.s_m))) / STEPS_PER_SECOND
+            seen = detections.time[motion.rows]
+            near = np.abs(time - seen[nearest(seen, time)])
+            drives = (motion.speed > settings.pass_mps) & (near < settings.pass_seen_s)
+            if drives.sum() >= 3:
+                places.append(motion.places[0][drives])
+                when.append(time[drives])
+                pace.append(motion.speed[drives])
+        every = np.concatenate(when)
+        at = strips.lay(np.vstack(places), settings.pass_near_m)
+        cell_m = 2.0 * settings.cell_m
+        times: dict[int, list[float]] = {}
+        fast: dict[int, list[float]] = {}
+        for strip, s, moment, speed in zip(
+            at.strip.tolist(), at.s_m.tolist(), every[at.row].tolist(),
+            np.concatenate(pace)[at.row].tolist(), strict=True,
+        ):  # fmt: skip
+            for cell in range(int((s - 0.5) / cell_m), int((s + 0.5) / cell_m) + 1):
+                times.setdefault(strip * CELLS + cell, []).append(moment)
+                if speed > settings.fast_mps:
+                    fast.setdefault(strip * CELLS + cell, []).append(moment)
+        return cls(
+            strips=strips, tree=cKDTree(np.vstack(places)), when=every,
+            near_m=settings.pass_near_m, times=_sorted(times), fast=_sorted(fast),
+        )  # fmt: skip
+
+    def after(self, body: Floats, time: float) -> float:
+        """Return the next pass over points of a body, (k, 2), at least a second later."""
+        known = self._over(body)
+        k = int(np.searchsorted(known, time + 1.0))
+        return float(known[k]) if k < len(known) else np.inf
+
+    def before(self, body: Floats, time: float) -> float:
+        """Return the last pass over points of a body, at least a second before."""
+        known = self._over(body)
+        k = int(np.searchsorted(known, time - 1.0)) - 1
+        return float(known[k]) if k >= 0 else -np.inf
+
+    def _over(self, body: Floats) -> Floats:
+        """Return the times of passes over points."""
+        near = self.tree.query_ball_point(np.atleast_2d(body), self.near_m)
+        rows = np.unique(np.concatenate([np.zeros(0), *near])).astype(np.int64)
+        return np.sort(self.when[rows])
+
+
+def _sorted(times: dict[int, list[float]]) -> dict[int, Floats]:
+    return {cell: np.sort(np.array(each)) for cell, each in times.items()}

@@ -1,0 +1,206 @@
+"""Paths of vehicles: polylines through what a filter says, where a vehicle can have driven."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from gis_radar.arrays import Floats, Integers, compiled, turned
+from gis_radar.tracking.size import LONGEST_M
+
+TIGHTEST_M = 5.0  # radius of the turning circle of a small car
+FASTEST_MPS = 70.0  # over 250 km/h: nobody but racers
+FREE_TURN = 0.35  # by which headings of two states may be off, radians
+ANCHORS = 5  # states from which progress is followed, one of which is hardly off the way
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """A polyline in the map that goes on straight beyond its ends.
+
+    Parameters
+    ----------
+    points : (n, 2) array
+        Its vertices, metres, two at least.
+    """
+
+    points: Floats
+
+    @cached_property
+    def s_m(self) -> Floats:
+        """Distance of each vertex from the first, metres."""
+        return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(self.points, axis=0).T))])
+
+    @cached_property
+    def heading(self) -> Floats:
+        """Direction of each segment, radians, without jumps."""
+        return np.unwrap(np.arctan2(*np.diff(self.points, axis=0).T[::-1]))
+
+    def at(self, s_m: Floats) -> tuple[Floats, Floats]:
+        """Return places (k, 2) and headings (k,) at distances along the path."""
+        last = len(self.s_m) - 2
+        k = np.clip(np.searchsorted(self.s_m, s_m, side="right") - 1, 0, last)
+        return self.points[k] + (s_m - self.s_m[k])[:, None] * self._way[k], self.heading_at(s_m)
+
+    def heading_at(self, s_m: Floats) -> Floats:
+        """Return headings (k,) at distances along the path."""
+        return np.interp(s_m, self._middle, self.heading)
+
+    @cached_property
+    def most_bend(self) -> float:
+        """The most that its heading changes within a metre of way, about, radians."""
+        return float(np.abs(np.gradient(self.heading)).max()) if len(self.heading) > 1 else 0.0
+
+    @cached_property
+    def _middle(self) -> Floats:
+        return np.asarray(0.5 * (self.s_m[1:] + self.s_m[:-1]))
+
+    @cached_property
+    def _way(self) -> Floats:
+        return np.column_stack([np.cos(self.heading), np.sin(self.heading)])
+
+    def project(self, points: Floats, guess: Floats, reach_m: float) -> tuple[Floats, Floats]:
+        """Return how far along and how far left of the path points are, near a guess of the first.
+
+        Parameters
+        ----------
+        points : (k, 2) array
+            Metres.
+        guess : (k,) array
+            About where along the path, metres.
+        reach_m : float
+            How far the guess may be off.
+        """
+        return _project(np.ascontiguousarray(points), guess, self.points, self.s_m, reach_m)
+
+
+@compiled
+def _project(
+    points: Floats, guess: Floats, line: Floats, s_m: Floats, reach_m: float
+) -> tuple[Floats, Floats]:  # pragma: no cover - compiled
+    along, left = np.empty(len(points)), np.empty(len(points))
+    last = len(s_m) - 2
+    lengths = np.empty(last + 1)
+    for k in range(last + 1):
+        bx, by = line[k + 1, 0] - line[k, 0], line[k + 1, 1] - line[k, 1]
+        lengths[k] = np.sqrt(bx * bx + by * by)
+    for i in range(len(points)):
+        low = max(min(np.searchsorted(s_m, guess[i] - reach_m) - 1, last), 0)
+        high = max(min(np.searchsorted(s_m, guess[i] + reach_m), last + 1), low + 1)
+        best = 1e18
+        for k in range(low, high):
+            bx, by = line[k + 1, 0] - line[k, 0], line[k + 1, 1] - line[k, 1]
+            dx, dy = points[i, 0] - line[k, 0], points[i, 1] - line[k, 1]
+            length = lengths[k]
+            t = (dx * bx + dy * by) / (length * length)
+            if k > 0:
+                t = max(t, 0.0)
+            if k < last:
+                t = min(t, 1.0)
+            ex, ey = dx - t * bx, dy - t * by
+            if ex * ex + ey * ey < best:
+                best = ex * ex + ey * ey
+                along[i] = s_m[k] + t * length
+                left[i] = (bx * dy - by * dx) / length
+    return along, left
+
+
+def path_through(states: Floats, spacing_m: float) -> tuple[Path, Floats]:
+    """Return the path through states in the order of time, smoothed, and about where each is.
+
+    Only progress counts: states of the rear end of a body lie behind those of its front.
+
+    Parameters
+    ----------
+    states : (n, 4) array
+        East, north, heading, and when.
+    spacing_m : float
+        Way between the states that count.
+
+    Returns
+    -------
+    path : Path
+        It goes on for 20 m before the first and after the last state.
+    along_m : (n,) array
+        How far along it the last state that counts is by then.
+    """
+    kept = _progress(np.ascontiguousarray(states[:, :4]), spacing_m)
+    ends = states[kept[[0, -1]], 2]
+    way = np.column_stack([np.cos(ends), np.sin(ends)])
+    places = states[kept, :2]
+    # straight ends of a body's length, for what is of it beyond its first and last place
+    before = places[0] - np.arange(20.0, 0.0, -1.0)[:, None] * way[0]
+    after = places[-1] + np.arange(1.0, 21.0)[:, None] * way[1]
+    path = _smoothed(np.vstack([before, _bridged(states[kept, :3]), after]))
+    way_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(places, axis=0).T))])
+    way_m *= (path.s_m[-1] - 40.0) / max(way_m[-1], 1.0)
+    counts = np.maximum(np.searchsorted(kept, np.arange(len(states)), side="right") - 1, 0)
+    return path, 20.0 + way_m[counts]
+
+
+def _progress(states: Floats, spacing_m: float) -> Integers:
+    """Return the rows between which so much way is made, both ways from where most of them are."""
+    last = len(states) - 1
+    ways: list[Integers] = []
+    for anchor in np.unique(np.linspace(0, last, ANCHORS).astype(np.int64)).tolist():
+        after = _onward(states, anchor, 1, spacing_m)
+        before = _onward(states, anchor, -1, spacing_m)
+        ways.append(np.concatenate([before[:0:-1], after]))
+    return max(ways, key=len)
+
+
+@compiled
+def _onward(
+    states: Floats, first: int, way: int, spacing_m: float
+) -> Integers:  # pragma: no cover - compiled
+    """Return the rows from one on, or back from it, at which so much way has been made."""
+    kept = np.empty(len(states), np.int64)
+    kept[0], count, k = first, 1, first + way
+    while 0 <= k < len(states):
+        last = kept[count - 1]
+        dx, dy = states[k, 0] - states[last, 0], states[k, 1] - states[last, 1]
+        forward = way * (dx * np.cos(states[k, 2]) + dy * np.sin(states[k, 2]))
+        turn = abs(turned(states[k, 2], states[last, 2]))
+        way_m, lapse = np.hypot(dx, dy), abs(states[k, 3] - states[last, 3])
+        # no vehicle turns in less way than that, nor is so fast: the state is off its way
+        able = turn < FREE_TURN + way_m / TIGHTEST_M and way_m < LONGEST_M + FASTEST_MPS * lapse
+        if forward >= spacing_m and able:
+            kept[count] = k
+            count += 1
+        k += way
+    return kept[:count]
+
+
+def _bridged(states: Floats) -> Floats:
+    """Return the places of states, with a cubic curve (Hermite) over gaps of more than 3 m."""
+    parts, begin = list[Floats](), 0
+    gaps = np.hypot(*np.diff(states[:, :2], axis=0).T)
+    for k in np.flatnonzero(gaps > 3.0).tolist():
+        a, b, gap = states[k], states[k + 1], float(gaps[k])
+        t = np.linspace(0.0, 1.0, int(gap) + 2)[1:-1, None]
+        out, back = (gap * np.array([np.cos(x[2]), np.sin(x[2])]) for x in (a, b))
+        curve = (
+            (2 * t**3 - 3 * t**2 + 1) * a[:2] + (t**3 - 2 * t**2 + t) * out
+            + (3 * t**2 - 2 * t**3) * b[:2] + (t**3 - t**2) * back
+        )  # fmt: skip
+        parts += [states[begin : k + 1, :2], curve]
+        begin = k + 1
+    return np.vstack([*parts, states[begin:, :2]])
+
+
+def _smoothed(line: Floats, window_m: int = 3) -> Path:
+    """Return a line with a vertex a metre, smoothed by a bell of that sigma, twice."""
+    reach = 3 * window_m
+    bell = np.exp(-0.5 * (np.arange(-reach, reach + 1) / window_m) ** 2)
+    bell /= bell.sum()
+    for _ in range(2):
+        s = Path(line).s_m
+        every = np.arange(0.0, s[-1], 1.0)
+        line = np.column_stack([np.interp(every, s, line[:, k]) for k in range(2)])
+        padded = np.vstack(
+            [2 * line[0] - line[reach:0:-1], line, 2 * line[-1] - line[-2 : -reach - 2 : -1]]
+        )
+        line = np.column_stack([np.convolve(padded[:, k], bell, "valid") for k in range(2)])
+    return Path(line)

@@ -1,0 +1,131 @@
+"""Routes: which lanelet a vehicle follows at each step, and where on it its front is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gis_radar.arrays import Floats, Integers, compiled, turned
+from gis_radar.lanelets.graph import FieldArrays, LaneGraph, lanes_at
+from gis_radar.tracking.settings import RouteSettings
+
+MOST = 8  # lanelets at one point
+
+
+@dataclass(frozen=True, kw_only=True)
+class Route:
+    """Place of a vehicle on the lanes, step by step.
+
+    Parameters
+    ----------
+    lane : (n,) int64 array
+        Position of the lanelet in the graph; -1 off the lanes.
+    s_m, d_m : (n,) arrays
+        How far along it, and how far left of its centre; NaN off the lanes.
+    """
+
+    lane: Integers
+    s_m: Floats
+    d_m: Floats
+
+    def lanelets(self, graph: LaneGraph) -> Integers:
+        """Return the ids of the lanelets in the order in which they are driven."""
+        lane = self.lane[self.lane >= 0]
+        kept = np.concatenate([[True], np.diff(lane) != 0]) if len(lane) else np.zeros(0, bool)
+        return np.asarray(graph.lanelet_id[lane[kept]])
+
+
+def route_of(fronts: Floats, heading: Floats, graph: LaneGraph, settings: RouteSettings) -> Route:
+    """Return the likeliest sequence of lanelets under a vehicle (Viterbi 1967).
+
+    A vehicle keeps to its lanelet or goes on to one that follows it; another one, beside or across,
+    takes more than a moment's nearness.
+
+    Parameters
+    ----------
+    fronts : (n, 2) array
+        The middle of its front at each step, from the origin of the graph.
+    heading : (n,) array
+        Its heading, radians.
+    graph : LaneGraph
+        The lanes.
+    settings : RouteSettings
+        What a place beside a lane and a change of lane cost.
+    """
+    weights = np.array(
+        [settings.left_m, settings.turn_rad, settings.off_lane, settings.change, settings.most_rad]
+    )
+    counts = np.array([len(each) for each in graph.successors], np.int64)
+    first = np.concatenate([[0], np.cumsum(counts)])
+    after = np.concatenate([*graph.successors, np.zeros(0, np.int64)]).astype(np.int64)
+    lane, s_m, d_m = _likeliest(
+        np.ascontiguousarray(fronts), heading, weights, first, after, graph.field.arrays
+    )
+    return Route(lane=lane, s_m=s_m, d_m=d_m)
+
+
+@compiled
+def _likeliest(
+    fronts: Floats, heading: Floats, weights: Floats, first: Integers, after: Integers,
+    field: FieldArrays,
+) -> tuple[Integers, Floats, Floats]:  # fmt: skip  # pragma: no cover - compiled
+    count, found = len(fronts), np.empty((MOST, 6))
+    # of each step its candidates (lane, s, d); the last one is: off the lanes
+    known = np.full((count, MOST + 1, 3), np.nan)
+    cost, before = np.full((count, MOST + 1), 1e18), np.zeros((count, MOST + 1), np.int64)
+    for i in range(count):
+        number = lanes_at(fronts[i, 0], fronts[i, 1], field, found)
+        for j in range(MOST + 1):
+            if j == MOST:
+                here = weights[2]
+                known[i, j, 0] = -1.0
+            elif j < number:
+                turn = abs(turned(found[j, 3], heading[i]))
+                if turn > weights[4]:
+                    continue
+                here = (found[j, 2] / weights[0]) ** 2 + (turn / weights[1]) ** 2
+                known[i, j] = found[j, :3]
+            else:
+                continue
+            cost[i, j] = here
+            if i > 0:
+                best, before[i, j] = _cheapest(
+                    known[i - 1, :, 0], cost[i - 1], known[i, j, 0], weights[3], first, after
+                )
+                cost[i, j] += best
+    lane, s_m, d_m = np.empty(count, np.int64), np.empty(count), np.empty(count)
+    j = int(np.argmin(cost[count - 1]))
+    for i in range(count - 1, -1, -1):
+        lane[i], s_m[i], d_m[i] = int(known[i, j, 0]), known[i, j, 1], known[i, j, 2]
+        j = before[i, j]
+    return lane, s_m, d_m
+
+
+@compiled
+def _cheapest(
+    lanes: Floats, costs: Floats, new: float, price: float, first: Integers, after: Integers
+) -> tuple[float, int]:  # pragma: no cover - compiled
+    """Return the least cost of reaching a lanelet, and the candidate it is reached from."""
+    best, chosen = 1e18, 0
+    for k in range(len(lanes)):
+        if costs[k] < 1e18:
+            total = costs[k] + _change(lanes[k], new, price, first, after)
+            if total < best:
+                best, chosen = total, k
+    return best, chosen
+
+
+@compiled
+def _change(
+    old: float, new: float, price: float, first: Integers, after: Integers
+) -> float:  # pragma: no cover - compiled
+    """Return the cost of a change from one lanelet to another."""
+    if old == new:
+        return 0.0
+    if old < 0.0 or new < 0.0:
+        return 0.5 * price
+    for k in range(first[int(old)], first[int(old) + 1]):
+        if after[k] == int(new):
+            return 0.0
+    return price

@@ -1,0 +1,150 @@
+"""Size of a vehicle from the places of detections on its body."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gis_radar.arrays import Floats, compiled
+from gis_radar.tracking.settings import MotionSettings
+
+
+@dataclass(frozen=True, kw_only=True)
+class Size:
+    """Length and width with their errors; by default those of a car."""
+
+    length_m: float = 4.5
+    width_m: float = 1.8
+    sigma_m: float = 1.0
+    p_heavy: float = 0.1
+
+
+LONGEST_M = 18.75  # a lorry with trailer (directive 96/53/EC, annex I)
+LENGTHS = np.concatenate([np.arange(2.0, 7.1, 0.5), np.arange(8.0, 19.1, 1.0)])
+SHIFTS = np.arange(-6.0, 6.1, 0.5)
+
+
+def length_prior(lengths: Floats) -> Floats:
+    """Return the log density of lengths in traffic: motorcycles, cars, vans, lorries, trailers."""
+    groups = ((0.03, 2.2, 0.25), (0.72, 4.5, 0.4), (0.10, 5.6, 0.5))
+    density = np.full(len(lengths), 1e-4)
+    for share, mean, sigma in groups:
+        density += share * np.exp(-0.5 * ((lengths - mean) / sigma) ** 2) / (sigma * 2.5066)
+    density += np.where((lengths >= 6.0) & (lengths <= 12.6), 0.11 / 6.6, 0.0)
+    density += np.where(lengths > 12.6, 0.04 / 6.0, 0.0)
+    return np.asarray(np.log(density))
+
+
+def size_of(
+    along: Floats, ends: Floats, noise: Floats, time: Floats, trust: Floats,
+    settings: MotionSettings,
+) -> tuple[Size, float]:  # fmt: skip
+    """Return the size and the middle from the places of detections on the body.
+
+    Parameters
+    ----------
+    along, noise : (n,) arrays
+        How far ahead of a first guess of the middle they lie, and its 1 sigma, metres.
+    ends : (n, 3) array
+        The end that the sensor sees (1 front, -1 rear), and how squarely it sees the end and the
+        side, from 0 to 1.
+    time : (n,) array
+        UNIX seconds.
+    trust : (n,) array
+        What each counts, from 0 to 1.
+    settings : MotionSettings
+        How often scatterers are detected.
+
+    Returns
+    -------
+    size : Size
+    ahead_m : float
+        Of the middle from the first guess.
+    """
+    fits = trust > 0.0
+    if not fits.any():
+        return Size(), 0.0
+    along, ends, noise, weight = _scatterers(
+        along[fits], ends[fits], noise[fits], time[fits], trust[fits], settings
+    )
+    coarse = _likelihood(along, ends, noise, weight, LENGTHS, SHIFTS, settings.end_share)
+    coarse += length_prior(LENGTHS)[:, None] - 0.5 * (SHIFTS / 3.0) ** 2
+    top = np.unravel_index(int(coarse.argmax()), coarse.shape)
+    fine_l = np.maximum(LENGTHS[top[0]] + np.arange(-0.75, 0.76, 0.25), 1.5)
+    fine_d = SHIFTS[top[1]] + np.arange(-0.5, 0.51, 0.125)
+    fine = _likelihood(along, ends, noise, weight, fine_l, fine_d, settings.end_share)
+    fine += length_prior(fine_l)[:, None] - 0.5 * (fine_d / 3.0) ** 2
+    share = np.exp(coarse - coarse.max())
+    cells = np.gradient(LENGTHS)
+    by_length = share.sum(axis=1) * cells
+    by_length /= by_length.sum()
+    mean = float(by_length @ LENGTHS)
+    sigma = float(np.sqrt(by_length @ (LENGTHS - mean) ** 2))
+    near = np.exp(fine - fine.max())
+    near /= near.sum()
+    length = float(near.sum(axis=1) @ fine_l)
+    p_heavy = float(by_length[LENGTHS > 7.0].sum())
+    width = 2.5 if length > 7.0 else (0.8 if length < 2.8 else 1.85)
+    size = Size(length_m=length, width_m=width, sigma_m=max(sigma, 0.1), p_heavy=p_heavy)
+    return size, float(near.sum(axis=0) @ fine_d)
+
+
+def _scatterers(
+    along: Floats, ends: Floats, noise: Floats, time: Floats, trust: Floats,
+    settings: MotionSettings,
+) -> tuple[Floats, Floats, Floats, Floats]:  # fmt: skip
+    """Return place, visible end, noise and weight of each scatterer.
+
+    A body shows the same few to one that looks from one side; how often each is detected tells
+    nothing of the length. What comes in one half second only may be of another vehicle that passes.
+    """
+    aspect = np.arctan2(ends[:, 2], -ends[:, 0] * ends[:, 1]) / settings.aspect_rad
+    cell = np.clip(np.floor(along / settings.scatterer_m), -400, 400).astype(np.int64)
+    key = np.floor(aspect).astype(np.int64) * 1000 + cell
+    _, which, count = np.unique(key, return_inverse=True, return_counts=True)
+    metre = cell // int(1.0 / settings.scatterer_m)
+    half = (2.0 * (time - time.min())).astype(np.int64)
+    halves = int(half.max()) + 1
+    seen = np.bincount(np.unique(metre * halves + half) // halves + 400, None, 801)
+    lasts = np.minimum(seen[metre + 400] / settings.lasting, 1.0)
+    table = np.column_stack([along, ends, noise])
+    mean = np.stack([np.bincount(which, column) for column in table.T], axis=1) / count[:, None]
+    most = np.zeros(len(count))
+    np.maximum.at(most, which, trust)
+    weight = np.minimum(np.bincount(which, lasts * trust) * settings.weight, most)
+    return mean[:, 0], mean[:, 1:4], mean[:, 4], weight
+
+
+@compiled
+def _likelihood(
+    along: Floats,
+    ends: Floats,
+    noise: Floats,
+    weight: Floats,
+    lengths: Floats,
+    shifts: Floats,
+    end_share: float,
+) -> Floats:  # pragma: no cover - compiled
+    """Return the log likelihood of lengths and shifts by the visible end and the sides."""
+    out = np.zeros((len(lengths), len(shifts)))
+    for a in range(len(lengths)):
+        half = 0.5 * lengths[a]
+        width = 2.5 if lengths[a] > 7.0 else 1.8
+        for i in range(len(along)):
+            share = end_share * width * ends[i, 1]
+            share /= width * ends[i, 1] + lengths[a] * ends[i, 2] + 1e-9
+            sigma = noise[i]
+            for b in range(len(shifts)):
+                z = along[i] - shifts[b]
+                e = (z - ends[i, 0] * half) / sigma
+                end = np.exp(-0.5 * e * e) / (sigma * 2.5066) if abs(e) < 5.0 else 0.0
+                near = abs(z) - half
+                if near > 3.0 * sigma:
+                    side = 0.0
+                elif near < -3.0 * sigma:
+                    side = 1.0 / lengths[a]
+                else:
+                    side = 1.0 / (lengths[a] * (1.0 + np.exp(1.7 * near / sigma)))
+                out[a, b] += weight[i] * np.log(share * end + (1.0 - share) * side + 0.004)
+    return out

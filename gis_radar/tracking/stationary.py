@@ -1,0 +1,478 @@
+"""Stationary vehicles on lanes, distinguished from what is built beside them.
+
+Stationary vehicles give detections like moving ones, but so does everything else that is still.
+Kerbs, parked cars and signs lie at the edge of a lane, a vehicle fills its middle; gantries and
+mast arms hang above it. So still detections well inside of a lane are of vehicles, and how they
+lie along it, with the end that each sensor looks at, tells where one vehicle ends and the next
+begins. Where a vehicle drives over a place, what stood there is gone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+from scipy.ndimage import uniform_filter, uniform_filter1d
+
+from gis_radar.arrays import Booleans, Floats, Integers, compiled
+from gis_radar.tracking.columns import NONE
+from gis_radar.tracking.detections import MapDetections
+from gis_radar.tracking.management_settings import StationarySettings
+from gis_radar.tracking.motion import Motion
+from gis_radar.tracking.passes import CELLS, Passes
+from gis_radar.tracking.size import LONGEST_M, length_prior
+
+FRONT, REAR, SIDE = range(3)  # what of a vehicle a sensor looks at
+SQUARE_COS = 0.5  # within 60 degrees of it
+SLOT_S = 0.5  # of counts of what is built
+CHANGE_M = 1.5  # by how much the ends of one vehicle may seem to move from second to second
+
+
+@dataclass(frozen=True, kw_only=True)
+class StationaryTarget:
+    """A stationary vehicle.
+
+    Parameters
+    ----------
+    strip : int
+        On which strip.
+    rear_m, front_m : float
+        Along the strip.
+    begin, end : float
+        UNIX seconds, of the first and the last detection.
+    rows : int64 array
+        Its detections, in the order of time.
+    """
+
+    strip: int
+    rear_m: float
+    front_m: float
+    begin: float
+    end: float
+    rows: Integers = field(default_factory=lambda: np.zeros(0, np.int64))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Still:
+    """Still detections inside of lanes, in the order of time."""
+
+    row: Integers
+    strip: Integers
+    s_m: Floats
+    time: Floats
+    kind: Integers  # FRONT, REAR or SIDE
+    episode: Integers
+
+    def take(self, keep: Booleans) -> _Still:
+        return _Still(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
+
+
+def find_stationary(
+    detections: MapDetections,
+    free: Booleans,
+    motions: Sequence[Motion],
+    passes: Passes,
+    settings: StationarySettings,
+) -> list[StationaryTarget]:
+    """Return the stationary vehicles that explain the still detections on lanes.
+
+    Parameters
+    ----------
+    detections : MapDetections
+        All detections.
+    free : (n,) bool array
+        Which are still, and of no moving vehicle.
+    motions : sequence of Motion
+        Vehicles that move: how often they are seen says how often a standing one would be.
+    passes : Passes
+        Where they drove.
+    settings : StationarySettings
+        Constants.
+    """
+    still = _still_inside(detections, free, passes, settings)
+    if len(still.row) == 0:
+        return []
+    count = int(still.episode.max()) + 1
+    begin, end = np.full(count, np.inf), np.full(count, -np.inf)
+    np.minimum.at(begin, still.episode, still.time)
+    np.maximum.at(end, still.episode, still.time)
+    # what one sensor sees of one cell in one episode: a scatterer that lasts
+    cell = (still.s_m / settings.cell_m).astype(np.int64)
+    sensor = detections.sensor[still.row]
+    key = np.column_stack([still.episode, cell, still.kind, sensor])
+    groups, first, seen = np.unique(key, axis=0, return_index=True, return_counts=True)
+    weight = seen.astype(np.float64) ** settings.power
+    strip = still.strip[first]
+    targets: list[StationaryTarget] = []
+    for line in np.unique(strip).tolist():
+        mine = np.flatnonzero(strip == line)
+        episode = groups[mine, 0]
+        targets += _on_strip(
+            line, begin[episode], end[episode], groups[mine, 1], groups[mine, 2], weight[mine],
+            settings,
+        )  # fmt: skip
+    usual = _usual_rate(motions, detections)
+    return [
+        part
+        for each in _with_rows(targets, still)
+        for part in _heard_parts(each, detections, usual, settings)
+    ]
+
+
+def _still_inside(
+    detections: MapDetections, free: Booleans, passes: Passes, settings: StationarySettings
+) -> _Still:
+    """Return the still detections inside of lanes, grouped to episodes by cell."""
+    rows = np.flatnonzero(free)
+    at = passes.strips.lay(detections.points[rows])
+    inside = at.edge_m > settings.inside_m
+    row, heading = rows[at.row[inside]], at.heading[inside]
+    order = np.argsort(detections.time[row], kind="stable")
+    row, heading = row[order], heading[order]
+    cos = np.cos(heading) * detections.sight[row, 0] + np.sin(heading) * detections.sight[row, 1]
+    square = np.abs(cos) >= SQUARE_COS
+    strip, s_m = at.strip[inside][order], at.s_m[inside][order]
+    place = strip * CELLS + ((s_m / settings.cell_m).astype(np.int64) // 2)
+    found = _Still(
+        row=row, strip=strip, s_m=s_m, time=detections.time[row],
+        kind=np.where(square, np.where(cos < 0.0, FRONT, REAR), SIDE),
+        episode=_episodes(place, detections.time[row], passes.times, settings.silence_s),
+    )  # fmt: skip
+    if len(row) == 0:
+        return found
+    # what hangs above the lane is no vehicle: by the median height of each episode
+    height = np.nan_to_num(detections.height_m[row])
+    rank = np.lexsort((height, found.episode))
+    bounds = np.searchsorted(found.episode[rank], np.arange(found.episode.max() + 2))
+    median = height[rank][(bounds[:-1] + bounds[1:]) // 2]
+    return found.take(median[found.episode] < settings.high_m)
+
+
+def not_built(
+    detections: MapDetections, free: Booleans, passes: Passes, settings: StationarySettings
+) -> Booleans:
+    """Return which still detections are unassigned and do not belong to the road.
+
+    Parameters
+    ----------
+    detections : MapDetections
+        All detections.
+    free : (n,) bool array
+        Which are still, and of no moving vehicle.
+    passes : Passes
+        Where vehicles drove, and when.
+    settings : StationarySettings
+        Constants.
+    """
+    rows = np.flatnonzero(free)
+    at = passes.strips.lay(detections.points[rows])
+    row = rows[at.row]
+    place = at.strip * CELLS + ((at.s_m / settings.cell_m).astype(np.int64) // 2)
+    order = np.argsort(detections.time[row], kind="stable")
+    row, place = row[order], place[order]
+    built = _built(place, detections.sensor[row], detections.time[row], passes.fast, settings)
+    left = free.copy()
+    left[row[built]] = False
+    return left
+
+
+def _built(
+    place: Integers, sensor: Integers, time: Floats, fast: dict[int, Floats],
+    settings: StationarySettings,
+) -> Booleans:  # fmt: skip
+    """Return which detections belong to the road: detected also next to fast passes.
+
+    Detections clearly more frequent than usual at passes, over a car's length, do not.
+    """
+    built = np.zeros(len(place), np.bool_)
+    if len(place) == 0:
+        return built
+    near, far = settings.after_s
+    half = 0.5 * (far - near)
+    slot = ((time - time.min()) / SLOT_S).astype(np.int64)
+    line = place // CELLS * 64 + sensor
+    order = np.lexsort((time, place, line))
+    for rows in np.split(order, np.flatnonzero(np.diff(line[order])) + 1):
+        count = _counts(place[rows], slot[rows], int(slot.max()) + 1, settings)
+        lowest = place[rows[0]]
+        for part in np.split(rows, np.flatnonzero(np.diff(place[rows])) + 1):
+            over = fast.get(int(place[part[0]]))
+            if over is None:
+                continue
+            over = over[np.concatenate([[True], np.diff(over) > far])]
+            empty = np.stack([over - half - near, over + half + near])
+            low, high = (np.searchsorted(time[part], empty + way * half) for way in (-1.0, 1.0))
+            seen = (high > low).any(axis=0)
+            if seen.sum() >= settings.least_built and seen.mean() >= settings.built_share:
+                here = count[place[part[0]] - lowest]
+                when = np.floor((empty - time.min()) / SLOT_S).astype(np.int64)
+                then = here[when[(when >= 0) & (when < len(here))]]
+                usual = float(np.median(then)) if len(then) else 0.0
+                # of few counts the sigma is that of one
+                more = settings.more_sigmas * np.sqrt(max(usual, 1.0))
+                built[part] = here[slot[part]] <= usual + more
+    return built
+
+
+def _counts(place: Integers, slot: Integers, slots: int, settings: StationarySettings) -> Floats:
+    """Return the number of detections within a car's length and 2.5 s, by cell and half second."""
+    cells = place - place.min()
+    count = np.zeros((int(cells.max()) + 1, slots))
+    np.add.at(count, (cells, slot), 1.0)
+    size = (int(settings.car_m / settings.cell_m) // 2, 5)
+    # a running sum leaves traces of what has left it
+    counted = size[0] * size[1] * uniform_filter(count, size, mode="constant")
+    return np.asarray(np.maximum(np.round(counted), 0.0))
+
+
+def _episodes(
+    place: Integers, time: Floats, passes: dict[int, Floats], silence_s: float
+) -> Integers:
+    """Return the episode of each detection: at one place, until a gap or a pass."""
+    if len(place) == 0:
+        return np.zeros(0, np.int64)
+    order = np.lexsort((time, place))
+    place, time = place[order], time[order]
+    moved = np.concatenate([[True], np.diff(place) != 0])
+    new = moved | np.concatenate([[True], np.diff(time) > silence_s])
+    passed = np.zeros(len(time), np.int64)
+    for a, b in pairwise(np.append(np.flatnonzero(moved), len(place)).tolist()):
+        known = passes.get(int(place[a]))
+        if known is not None:
+            passed[a:b] = np.searchsorted(known, time[a:b])
+    new |= np.concatenate([[True], np.diff(passed) != 0])
+    number = np.empty(len(time), np.int64)
+    number[order] = np.cumsum(new) - 1
+    return number
+
+
+def _on_strip(
+    line: int, begin: Floats, end: Floats, cell: Integers, kind: Integers, weight: Floats,
+    settings: StationarySettings,
+) -> list[StationaryTarget]:  # fmt: skip
+    """Return the stationary vehicles of a strip, associated from second to second."""
+    half, low = 0.5 * settings.slice_s, int(cell.min()) - 8
+    count = int(cell.max()) + 9 - low
+    window = int(settings.window_m / settings.cell_m)
+    held = np.full(count + 1, NONE, np.int64)
+    found: Floats = np.zeros((0, 2))
+    previous = np.zeros(0, np.bool_)
+    book = _Followed(line, half)
+    for now in np.arange(begin.min(), end.max() + settings.slice_s, settings.slice_s).tolist():
+        active = (begin <= now + half) & (end >= now - half)
+        if not np.array_equal(active, previous):
+            weights = np.zeros((3, count))
+            np.add.at(weights, (kind[active], cell[active] - low), weight[active])
+            local = window * uniform_filter1d(weights.sum(axis=0), window, mode="constant")
+            share = np.minimum(1.0, settings.most_weight / np.maximum(local, 1e-9))
+            cells = pack(weights * share, held, settings)
+            found = np.asarray((cells + low) * settings.cell_m, np.float64)
+            previous = active
+            held[:] = NONE
+            held[cells[:, 1]] = cells[:, 0]
+        book.follow(found, now)
+    return book.targets()
+
+
+class _Followed:
+    """Associates the stationary vehicles of a strip from second to second."""
+
+    def __init__(self, line: int, half_s: float) -> None:
+        self._line, self._half = line, half_s
+        self._open: list[tuple[list[Floats], float]] = []
+        self._done: list[StationaryTarget] = []
+        self._now = 0.0
+
+    def follow(self, found: Floats, now: float) -> None:
+        """Associate the vehicles (rear, front) of the next second."""
+        left = list(range(len(found)))
+        stay: list[tuple[list[Floats], float]] = []
+        for spans, begin in self._open:
+            rear, front = spans[-1]
+            apart = {
+                k: min(
+                    0.5 * (abs(found[k, 0] - rear) + abs(found[k, 1] - front)),
+                    abs(0.5 * (found[k].sum() - rear - front)),
+                )
+                for k in left
+            }
+            best = min(apart, key=lambda k: apart[k], default=NONE)
+            if best == NONE or apart[best] >= CHANGE_M:
+                self._end(spans, begin)
+                continue
+            left.remove(best)
+            spans.append(found[best])
+            stay.append((spans, begin))
+        self._open = stay + [([found[k]], now) for k in left]
+        self._now = now
+
+    def _end(self, spans: list[Floats], begin: float) -> None:
+        rear, front = np.median(np.array(spans), axis=0)
+        self._done.append(
+            StationaryTarget(
+                strip=self._line, rear_m=float(rear), front_m=float(front),
+                begin=begin - self._half, end=self._now + self._half,
+            )
+        )  # fmt: skip
+
+    def targets(self) -> list[StationaryTarget]:
+        """Return all of them."""
+        for spans, begin in self._open:
+            self._end(spans, begin)
+        self._open = []
+        return self._done
+
+
+def pack(weights: Floats, held: Integers, settings: StationarySettings) -> Integers:
+    """Return the vehicles (rear, front) along a strip that explain the detections best.
+
+    A dynamic program over the cells of their fronts: each vehicle has a cost for itself and for its
+    length, gains by the detections that it explains, and leaves a gap to the one ahead.
+
+    Parameters
+    ----------
+    weights : (3, n) array
+        By cell, of detections by sensors that look at a front, a rear, a side.
+    held : (n + 1,) int64 array
+        By front, the rear of a vehicle that stood so before, or `NONE`.
+    settings : StationarySettings
+        Constants.
+    """
+    metres = np.arange(int(LONGEST_M / settings.cell_m) + 1, dtype=np.float64) * settings.cell_m
+    prior = np.where(metres < settings.shortest_m, -np.inf, length_prior(metres))
+    gains = _gains(
+        weights, settings.cell_m, settings.end_m, settings.end_share, np.log(settings.clutter)
+    )
+    limits = np.array(
+        [
+            settings.cell_m, settings.stick, settings.gap_m, settings.easy_m, settings.tight,
+            np.log(settings.clutter), settings.end_share, settings.new_cost,
+        ]
+    )  # fmt: skip
+    return _pack(weights, gains, prior, held, limits)
+
+
+@compiled
+def _gains(
+    weights: Floats, cell_m: float, end_m: float, end_share: float, log_clutter: float
+) -> Floats:  # pragma: no cover - compiled
+    """Return the gain of a front and of a rear at each boundary of cells."""
+    count = weights.shape[1]
+    reach = int(4.0 * end_m / cell_m)
+    body = np.log((1.0 - end_share) / 5.0)
+    gains = np.zeros((2, count + 1))
+    for k in range(count + 1):
+        for j in range(max(k - reach, 0), min(k + reach, count)):
+            off = (j + 0.5 - k) * cell_m
+            peak = end_share * np.exp(-0.5 * (off / end_m) ** 2) / (end_m * 2.5066)
+            inside = np.log(peak + (1.0 - end_share) / 5.0) - body
+            outside = max(np.log(peak + 1e-9) - log_clutter, 0.0)
+            gains[0, k] += weights[0, j] * (inside if off < 0.0 else outside)
+            gains[1, k] += weights[1, j] * (inside if off > 0.0 else outside)
+    return gains
+
+
+@compiled
+def _pack(
+    weights: Floats, gains: Floats, prior: Floats, held: Integers, limits: Floats
+) -> Integers:  # pragma: no cover - compiled
+    cell_m, stick, gap_m, easy_m, tight, log_clutter, end_share, cost = limits
+    count = weights.shape[1]
+    end_gain, side_gain = np.log((1.0 - end_share) / 5.0) - log_clutter, np.log(0.2) - log_clutter
+    ends, sides = np.zeros(count + 1), np.zeros(count + 1)
+    for k in range(count):
+        ends[k + 1] = ends[k] + weights[0, k] + weights[1, k]
+        sides[k + 1] = sides[k] + weights[2, k]
+    room, wide = int(np.ceil(gap_m / cell_m)), int(np.ceil(easy_m / cell_m))
+    best, back = np.zeros(count + 1), np.full(count + 1, -1)
+    ahead, before = np.zeros(count + 1), np.zeros(count + 1, np.int64)
+    for f in range(1, count + 1):
+        best[f] = best[f - 1]
+        for r in range(max(f - len(prior) + 1, 0), f):
+            if prior[f - r] < -50.0:
+                continue
+            score = (ends[f] - ends[r]) * end_gain + (sides[f] - sides[r]) * side_gain
+            score += gains[0, f] + gains[1, r]
+            if score <= 0.0:
+                continue
+            score += prior[f - r] - cost + ahead[r] + (stick if held[f] == r else 0.0)
+            if score > best[f] + 1e-9:
+                best[f], back[f] = score, r
+        ahead[f], before[f] = _room_before(best, f, room, wide, tight, cell_m)
+    return _traced(back, before)
+
+
+@compiled
+def _room_before(
+    best: Floats, rear: int, room: int, wide: int, tight: float, cell_m: float
+) -> tuple[float, int]:  # pragma: no cover - compiled
+    """Return the best solution before a rear, and its last front: gaps under 2 m are rare."""
+    top, place = -1e9, 0
+    for more in range(room, wide + 1):
+        value = 0.0
+        if rear > more:
+            value = best[rear - more] - tight * ((wide - more) * cell_m) ** 2
+        if value > top:
+            top, place = value, max(rear - more, 0)
+    return top, place
+
+
+@compiled
+def _traced(back: Integers, before: Integers) -> Integers:  # pragma: no cover - compiled
+    """Return the vehicles (rear, front) of the best way back from the last cell."""
+    count = len(back) - 1
+    out = np.empty((count // 4 + 1, 2), np.int64)
+    found, f = 0, count
+    while f > 0:
+        if back[f] < 0:
+            f -= 1
+            continue
+        out[found, 0], out[found, 1] = back[f], f
+        found += 1
+        f = before[back[f]]
+    return out[:found]
+
+
+def _with_rows(targets: list[StationaryTarget], still: _Still) -> list[StationaryTarget]:
+    """Return the stationary targets with their detections."""
+    order = np.lexsort((still.s_m, still.strip))
+    along = still.strip[order] * 1e5 + still.s_m[order]
+    found = []
+    for each in targets:
+        ends = each.strip * 1e5 + np.array([each.rear_m - 0.6, each.front_m + 0.6])
+        low, high = np.searchsorted(along, ends)
+        k = order[low:high]
+        k = np.sort(k[(still.time[k] >= each.begin) & (still.time[k] <= each.end)])
+        found.append(replace(each, rows=still.row[k]))
+    return found
+
+
+def _usual_rate(motions: Sequence[Motion], detections: MapDetections) -> float:
+    """Return the median rate of detections of vehicles, 1/s, times the square of the range."""
+    rates = []
+    for motion in motions:
+        lapse = float(np.ptp(detections.time[motion.rows]))
+        if len(motion.rows) > 9 and lapse > 1.0:
+            range_m = float(np.median(detections.range_m[motion.rows]))
+            rates.append(len(motion.rows) / lapse * range_m**2)
+    return float(np.median(rates)) if rates else 0.0
+
+
+def _heard_parts(
+    target: StationaryTarget, detections: MapDetections, usual: float, settings: StationarySettings
+) -> list[StationaryTarget]:
+    """Split a stationary target at gaps; keep the parts that are detected often enough."""
+    if usual <= 0.0:
+        return []
+    cuts = np.flatnonzero(np.diff(detections.time[target.rows]) > settings.silence_s) + 1
+    found = []
+    for rows in np.split(target.rows, cuts):
+        if len(rows) < settings.least_detections:
+            continue
+        begin, end = (float(detections.time[rows[k]]) for k in (0, -1))
+        expected = usual / float(np.median(detections.range_m[rows])) ** 2 * (end - begin)
+        if end - begin >= settings.least_s and len(rows) >= settings.rate_share * expected:
+            found.append(replace(target, begin=begin, end=end, rows=rows))
+    return found

@@ -1,0 +1,151 @@
+"""Tables of vehicles in memory: their columns, checked in one place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+
+from gis_radar.arrays import Booleans
+from gis_radar.errors import InputError
+
+BLOCK_STEPS = 18_000
+"""Steps of a block of runs: a quarter of an hour of absolute time, as most heat maps count."""
+
+_ROWS_IN_GROUP = 1 << 17
+_FINE = 3  # decimals of metres, degrees and m/s in the files: a hundredth of their errors
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableKind:
+    """A kind of table: its columns in order, and by which of them its rows ascend.
+
+    Parameters
+    ----------
+    name : str
+        Of the file, without its ending.
+    columns : dict
+        The Arrow type of each column, in order.
+    order : tuple of str
+        By which rows ascend strictly; none where the writer keeps an order of its own.
+    optional : tuple of str
+        Columns that may be empty.
+    """
+
+    name: str
+    columns: dict[str, pa.DataType]
+    order: tuple[str, ...] = ()
+    optional: tuple[str, ...] = ()
+
+    @property
+    def file(self) -> str:
+        """Name of the file."""
+        return f"{self.name}.parquet"
+
+    @property
+    def schema(self) -> pa.Schema:
+        """Columns as Arrow knows them."""
+        fields = self.columns.items()
+        return pa.schema([pa.field(n, kind, nullable=n in self.optional) for n, kind in fields])
+
+    def empty(self) -> pd.DataFrame:
+        """Return the table without rows."""
+        return self.typed(pd.DataFrame({name: [] for name in self.columns}))
+
+    def typed(self, table: pd.DataFrame) -> pd.DataFrame:
+        """Return a table with exactly these columns and types; refuse what is not in order.
+
+        Parameters
+        ----------
+        table : DataFrame
+            Further columns are dropped; numbers are rounded to what the files resolve.
+
+        Raises
+        ------
+        InputError
+            If a column is missing, of another type, or empty where it must not be, or the rows do
+            not ascend.
+        """
+        if missing := [name for name in self.columns if name not in table]:
+            raise InputError(f"{self.name}: lacks the column {missing[0]}")
+        found = pd.DataFrame(
+            {name: self._column(name, table[name]) for name in self.columns},
+            index=pd.RangeIndex(len(table)),
+        )
+        if self.order and not _ascends(found, self.order):
+            raise InputError(f"{self.name}: rows do not ascend by {', '.join(self.order)}")
+        return found
+
+    def _column(self, name: str, values: pd.Series) -> Any:
+        kind, what = self.columns[name], f"{self.name}: {name}"
+        if pa.types.is_list(kind):
+            lists = [np.asarray(each) for each in values]
+            if any(each.ndim != 1 or (each.size and each.dtype.kind not in "iu") for each in lists):
+                raise InputError(f"{what} holds something else than {kind}")
+            return pd.Series([each.astype(np.int64) for each in lists], dtype=object)
+        empty = values.isna().to_numpy()
+        if empty.any() and name not in self.optional:
+            raise InputError(f"{what} is empty in row {int(empty.argmax())}")
+        try:
+            if pa.types.is_floating(kind):
+                return values.to_numpy(np.float64, na_value=np.nan).round(_FINE)
+            if pa.types.is_string(kind):
+                return values.astype(str).array
+            if name in self.optional:
+                return values.astype("Int64").array
+            whole = values.to_numpy().astype(kind.to_pandas_dtype())
+        except (TypeError, ValueError) as error:
+            raise InputError(f"{what} holds something else than {kind}") from error
+        if not np.array_equal(whole, values.to_numpy()):
+            raise InputError(f"{what} holds something else than {kind}")
+        return whole
+
+    def to_arrow(self, table: pd.DataFrame) -> pa.Table:
+        """Return a typed table as Arrow knows it."""
+        return pa.Table.from_pandas(table, self.schema, preserve_index=False)
+
+
+def _ascends(table: pd.DataFrame, order: tuple[str, ...]) -> bool:
+    """Return whether rows ascend strictly by some whole-numbered columns."""
+    later: Booleans = np.zeros(max(len(table) - 1, 0), np.bool_)
+    for name in reversed(order):
+        gap = np.diff(table[name].to_numpy(np.int64))
+        later = (gap > 0) | ((gap == 0) & later)
+    return bool(later.all())
+
+
+_ID, _STEP, _METRES, _FLAG = pa.int64(), pa.int64(), pa.float64(), pa.bool_()
+_RUN = {"tile_id": _ID, "first_step": _STEP, "last_step": _STEP}
+TRACKS = TableKind(
+    name="tracks",
+    columns={
+        "vehicle": _ID, "step": _STEP, "easting": _METRES, "northing": _METRES,
+        "heading": _METRES, "speed": _METRES, "lanelet_id": _ID, "s_m": _METRES, "d_m": _METRES,
+        "seen": _FLAG,
+    },
+    order=("step", "vehicle"),
+    optional=("lanelet_id", "s_m", "d_m"),
+)  # fmt: skip
+VEHICLES = TableKind(
+    name="vehicles",
+    columns={
+        "vehicle": _ID, "first_step": _STEP, "last_step": _STEP, "length_m": _METRES,
+        "width_m": _METRES, "length_sigma_m": _METRES, "p_heavy": _METRES,
+        "lanelets": pa.list_(pa.int64()), "continues": _FLAG,
+    },
+    order=("vehicle",),
+)  # fmt: skip
+PASSAGES = TableKind(
+    name="passages",
+    columns={"vehicle": _ID, "lanelet_id": _ID, "step": _STEP, "speed": _METRES, "heavy": _FLAG},
+    order=("step", "vehicle", "lanelet_id"),
+)
+OCCUPIED = TableKind(name="occupied", columns=_RUN | {"seen": _FLAG})
+VISIBLE = TableKind(name="visible", columns=_RUN | {"seen": _FLAG})
+FRAMES = TableKind(
+    name="frames",
+    columns={"sensor": pa.string(), "view": pa.string(), "first_step": _STEP, "last_step": _STEP},
+)

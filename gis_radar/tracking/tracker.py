@@ -1,0 +1,57 @@
+"""Vehicles in the detections of a span of time: from detections to smoothed motions."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gis_radar.lanelets.graph import LaneGraph
+from gis_radar.tracking.bodies import (
+    absorb,
+    is_person,
+    join_directions,
+    merge_states,
+    rows_by_number,
+    without_faint_ends,
+)
+from gis_radar.tracking.detections import MapDetections
+from gis_radar.tracking.duplicates import without_duplicates
+from gis_radar.tracking.forward import follow_both_ways
+from gis_radar.tracking.motion import Motion
+from gis_radar.tracking.settings import VehicleSettings
+from gis_radar.tracking.track_management import complete_tracks
+
+
+def vehicles_in(
+    detections: MapDetections, graph: LaneGraph, settings: VehicleSettings
+) -> list[Motion]:
+    """Return the motions of the vehicles in some detections.
+
+    Parameters
+    ----------
+    detections : MapDetections
+        Of all sensors, in the order of time.
+    graph : LaneGraph
+        The lanes.
+    settings : VehicleSettings
+        Of all stages.
+    """
+    if len(detections) == 0:
+        return []
+    numbers, both = follow_both_ways(
+        detections, graph, settings.forward, settings.detections.moving_mps
+    )
+    joined = join_directions(*numbers, detections.time)
+    states = merge_states(numbers[0], both, joined)
+    parts = [rows for rows in rows_by_number(joined) if len(rows) >= settings.bodies.least_rows]
+    free = np.abs(detections.range_rate) < settings.detections.moving_mps
+    followed = absorb(detections, parts, states, settings)
+    motions = [each for each in followed if (~free[each.rows]).sum() >= settings.forward.births]
+    persons = is_person(detections, motions, settings)
+    driven = [each for each, person in zip(motions, persons, strict=True) if not person]
+    driven = without_faint_ends(detections, driven, states, settings)
+    if not driven:
+        return []  # where nothing drives, nothing tells a vehicle that stands from what is built
+    for each in motions:
+        free[each.rows] = False
+    found = complete_tracks(detections, graph, driven, states, free, settings)
+    return without_duplicates(found, detections, settings)

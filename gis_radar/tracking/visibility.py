@@ -1,0 +1,412 @@
+"""Visibility: the tiles that are observed and not hidden by other vehicles for too long.
+
+Other vehicles hide a tile from a sensor where the line of sight to its centre, a little over the
+road, crosses the box of a vehicle that does not occupy the tile itself; of several sensors that
+observe it, all have to be hidden. A step that is not observed ends the time for which it is hidden.
+A long vehicle hides as the rectangle of its length. Waves that creep under a car, over the road,
+are left out: they bring some detections from behind it, but none to rely on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import shapely
+
+from gis_radar.arrays import Booleans, Floats, Integers, compiled
+from gis_radar.errors import InputError
+from gis_radar.steps import STEPS_PER_SECOND
+from gis_radar.tracking.footprints import (
+    MOST_PARTS,
+    CrossLines,
+    Footprints,
+    clip_box,
+    is_occupied,
+)
+from gis_radar.tracking.occupancy_settings import OccupancySettings
+
+BINS = 720  # of the azimuth around a sensor: half a degree, a tenth of a car at 20 m
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorView:
+    """Where a sensor stood, and the tiles that it had in sight from there.
+
+    Parameters
+    ----------
+    sensor, view : str
+        Names, as in the table of frames.
+    tile_id : (n,) int64 array
+        The tiles in sight.
+    position : (3,) array
+        Easting, northing, height in the map, metres.
+    """
+
+    sensor: str
+    view: str
+    tile_id: Integers
+    position: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rays:
+    """The lines of sight of a view, by azimuth and range.
+
+    Parameters
+    ----------
+    eye : (4,) array
+        x, y from the origin of the cross-lines, height of the sensor, height of the road below it.
+    first : (BINS + 1,) int64 array
+        Where the rays of each bin of azimuth begin.
+    tile : (n,) int64 array
+        Positions of the tiles.
+    ends : (n, 4) array
+        x, y, height of what is looked at, and its distance in the plane.
+    lowest_m : float
+        The least of the heights.
+    """
+
+    eye: Floats
+    first: Integers
+    tile: Integers
+    ends: Floats
+    lowest_m: float
+
+    @classmethod
+    def of(
+        cls, view: SensorView, tile: Integers, targets: Floats, origin: Floats,
+        settings: OccupancySettings,
+    ) -> Rays:  # fmt: skip
+        """Return the rays to some tiles, whose (n, 3) targets may have unknown heights."""
+        x, y = view.position[:2] - origin
+        height = float(view.position[2])
+        road_m = height - settings.sensor_over_road_m
+        if np.isfinite(targets[:, 2]).any():
+            road_m = float(np.nanmedian(targets[:, 2]))
+        level = np.where(np.isnan(targets[:, 2]), road_m, targets[:, 2]) + settings.target_m
+        apart = targets[:, :2] - (x, y)
+        range_m = np.hypot(*apart.T)
+        turn = np.arctan2(apart[:, 1], apart[:, 0]) % (2 * math.pi)
+        place = np.minimum((turn * BINS / (2 * math.pi)).astype(np.int64), BINS - 1)
+        order = np.lexsort((range_m, place))
+        ends = np.column_stack([targets[:, :2], level, range_m])[order]
+        first = np.searchsorted(place[order], np.arange(BINS + 1))
+        lowest_m = float(level.min()) if len(level) else road_m
+        eye = np.array([x, y, height, road_m])
+        return cls(eye=eye, first=first, tile=tile[order], ends=ends, lowest_m=lowest_m)
+
+
+class Visibility:
+    """Runs of visible tiles, from footprints and frames that come in ascending time.
+
+    Parameters
+    ----------
+    tiles : GeoDataFrame
+        All tiles.
+    lines : CrossLines
+        Theirs.
+    views : sequence of SensorView
+        Of all sensors.
+    settings : OccupancySettings
+        Of boxes and times.
+    """
+
+    def __init__(
+        self, tiles: gpd.GeoDataFrame, lines: CrossLines, views: Sequence[SensorView],
+        settings: OccupancySettings,
+    ) -> None:  # fmt: skip
+        self._lines, self._settings = lines, settings
+        self._tile_id = tiles["tile_id"].to_numpy(np.int64)
+        middle = shapely.get_coordinates(shapely.centroid(tiles.geometry.array)) - lines.origin
+        self._targets = np.column_stack([middle, lines.height_m])
+        self._views = {(each.sensor, each.view): each for each in views}
+        self._rays: dict[tuple[str, str], Rays] = {}
+        count = len(tiles)
+        self._hidden = np.zeros(count, np.int64)  # steps on end
+        self._begun = np.full(count, -1)  # first step of an open run
+        self._seen = np.ones(count, np.bool_)  # whether it is of steps that are not hidden
+        self._stamps = np.full((count, 3), -1)
+        self._reached = -1
+        self._looked = -1  # step of the latest lines of sight, as long as the same views are held
+        self._active: list[tuple[str, str]] = []
+        self._ended: list[Integers] = []
+
+    def add_view(self, view: SensorView) -> None:
+        """Add a view for the following steps."""
+        self._views.setdefault((view.sensor, view.view), view)
+
+    def keep_views(self, *, known: set[tuple[str, str]], used: set[tuple[str, str]]) -> None:
+        """Remove all views but the given ones, and lines of sight that were not used lately.
+
+        Parameters
+        ----------
+        known, used : set of (sensor, view)
+            Lines of sight of a known view are found again where they are asked for.
+        """
+        self._views = {name: view for name, view in self._views.items() if name in known}
+        self._rays = {name: rays for name, rays in self._rays.items() if name in used}
+
+    def advance(
+        self, footprints: Footprints, height_m: Floats, held: pd.DataFrame,
+        span: tuple[int, int], queries: tuple[Integers, Integers],
+    ) -> Booleans:  # fmt: skip
+        """Advance over a span, whose end is exclusive.
+
+        Parameters
+        ----------
+        footprints : Footprints
+            Of the span.
+        height_m : (n,) array
+            Of the box of each, metres.
+        held : DataFrame
+            `sensor, view, first_step, last_step`: runs of steps in which frames are valid.
+        span : (int, int)
+            First step, and the step after the last.
+        queries : (step, tile)
+            (q,) int64 arrays: steps, ascending, of the span or the last one before it, and
+            positions of tiles.
+
+        Returns
+        -------
+        (q,) bool array
+            Whether the tile was visible in the step.
+        """
+        step, tile = queries
+        answers = np.zeros(len(step), np.bool_)
+        before = step < span[0]
+        answers[before] = (self._begun[tile[before]] >= 0) & (step[before] == self._reached)
+        if span[0] != self._reached + 1:
+            self._end_runs(np.flatnonzero(self._begun >= 0))
+            self._active = []
+            self._hidden[:] = 0
+        for begin, after, active in _segments(held, span):
+            rays = [self._rays_of(name) for name in active]
+            observed = np.zeros(len(self._hidden), np.int64)
+            for each in rays:
+                observed[each.tile] += 1
+            if active != self._active:
+                self._active, self._looked = active, -1
+            self._reached = begin - 1
+            self._end_runs(np.flatnonzero((self._begun >= 0) & (observed == 0)))
+            self._hidden[observed == 0] = 0
+            low, high = np.searchsorted(footprints.step, [begin, after])
+            first, last = np.searchsorted(step, [begin, after])
+            self._watch(
+                footprints, height_m, rays, observed, (begin, after, int(low), int(high)),
+                (step[first:last], tile[first:last], answers[first:last]),
+            )  # fmt: skip
+            self._reached = after - 1
+        return answers
+
+    def _watch(
+        self, footprints: Footprints, height_m: Floats, rays: list[Rays], observed: Integers,
+        part: tuple[int, int, int, int], queries: tuple[Integers, Integers, Booleans],
+    ) -> None:  # fmt: skip
+        if not rays:
+            return
+        begin, after, low, high = part
+        every = self._settings.look_steps
+        offsets = np.cumsum([0, *(len(each.tile) for each in rays)])
+        self._ended.append(
+            _watch_steps(
+                begin, after,
+                footprints.step[low:high], footprints.boxes[low:high],
+                footprints.level_m[low:high], height_m[low:high], footprints.path[low:high],
+                footprints.points, footprints.begins, self._lines.lines,
+                np.stack([each.eye for each in rays]),
+                np.stack([o + each.first for o, each in zip(offsets, rays, strict=False)]),
+                np.concatenate([each.tile for each in rays]),
+                np.concatenate([each.ends for each in rays]),
+                np.array([each.lowest_m for each in rays]),
+                observed, np.flatnonzero(observed), self._hidden, self._begun, self._seen,
+                self._stamps, round(self._settings.hidden_s * STEPS_PER_SECOND),
+                round(self._settings.unseen_s * STEPS_PER_SECOND), self._settings.overlap_m,
+                every, self._looked, *queries,
+            )
+        )  # fmt: skip
+        first_look = begin if self._looked < 0 else self._looked
+        self._looked = max(first_look, (after - 1) // every * every)
+
+    def flush(self) -> Integers:
+        """End all runs at the last step so far; return those since the last call, (n, 4).
+
+        Tile, first and last step, and whether nothing hid the tile in them.
+        """
+        self._end_runs(np.flatnonzero(self._begun >= 0))
+        found = np.concatenate([np.empty((0, 4), np.int64), *self._ended])
+        self._ended = []
+        return found
+
+    def _end_runs(self, tile: Integers) -> None:
+        begun = self._begun[tile]
+        reached = np.full(len(tile), self._reached)
+        self._ended.append(np.column_stack([tile, begun, reached, self._seen[tile]]))
+        self._begun[tile], self._seen[tile] = -1, True
+
+    def _rays_of(self, name: tuple[str, str]) -> Rays:
+        if name not in self._rays:
+            if name not in self._views:
+                raise InputError(
+                    f"frames: name the view {name[1]} of {name[0]}, which is not given"
+                )
+            view = self._views[name]
+            tile = np.searchsorted(self._tile_id, np.sort(view.tile_id))
+            self._rays[name] = Rays.of(
+                view, tile, self._targets[tile], self._lines.origin, self._settings
+            )
+        return self._rays[name]
+
+
+def _segments(
+    held: pd.DataFrame, span: tuple[int, int]
+) -> list[tuple[int, int, list[tuple[str, str]]]]:
+    """Return the parts of a span in which the same views are observed, with their names."""
+    begin = held["first_step"].to_numpy(np.int64)
+    after = held["last_step"].to_numpy(np.int64) + 1
+    kept = (after > span[0]) & (begin < span[1])
+    begin, after = np.maximum(begin[kept], span[0]), np.minimum(after[kept], span[1])
+    names = list(zip(held["sensor"][kept], held["view"][kept], strict=True))
+    edges = np.unique([*begin, *after, *span])
+    active: dict[int, set[tuple[str, str]]] = {edge: set() for edge in edges.tolist()}
+    starts, ends = np.searchsorted(edges, begin), np.searchsorted(edges, after)
+    for name, start, end in zip(names, starts.tolist(), ends.tolist(), strict=True):
+        for edge in edges[start:end].tolist():
+            active[edge].add(name)
+    found: list[tuple[int, int, list[tuple[str, str]]]] = []
+    for low, high in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        views = sorted(active[low])
+        if found and found[-1][2] == views:
+            found[-1] = (found[-1][0], high, views)
+        else:
+            found.append((low, high, views))
+    return found
+
+
+@compiled
+def _hides(
+    eye: Floats, end: Floats, box: Floats, bottom_m: float, top_m: float
+) -> bool:  # pragma: no cover - compiled
+    """Return whether a box that does not contain the end crosses a line of sight."""
+    low, high = clip_box(
+        eye[0], eye[1], end[0], end[1], box[0], box[1], box[2], box[3], box[4], box[5]
+    )
+    if high <= low or high >= 1.0:
+        return False
+    one, other = eye[2] + low * (end[2] - eye[2]), eye[2] + high * (end[2] - eye[2])
+    return bool(min(one, other) < top_m and max(one, other) > bottom_m)
+
+
+@compiled
+def _azimuths(eye: Floats, box: Floats) -> tuple[float, float, float, float]:  # pragma: no cover
+    """Return the range of azimuths of a box, in bins, and the range of its distances."""
+    x, y = box[0] - eye[0], box[1] - eye[1]
+    apart, reach = math.sqrt(x * x + y * y), math.sqrt(box[4] * box[4] + box[5] * box[5])
+    if apart <= reach:
+        return 0.0, BINS - 1.0, 0.0, apart + reach
+    middle = math.atan2(y, x)
+    low = high = 0.0
+    for along in (-box[4], box[4]):
+        for left in (-box[5], box[5]):
+            corner_x = x + along * box[2] - left * box[3]
+            corner_y = y + along * box[3] + left * box[2]
+            turn = math.atan2(corner_y, corner_x) - middle
+            turn -= 2 * math.pi * round(turn / (2 * math.pi))
+            low, high = min(low, turn), max(high, turn)
+    per = BINS / (2 * math.pi)
+    return (middle + low) * per, (middle + high) * per, apart - reach, apart + reach
+
+
+@compiled
+def _cast_shadow(  # noqa: PLR0917
+    eye: Floats, first: Integers, ray_tile: Integers, ends: Floats, lowest_m: float,
+    box: Floats, level_m: float, height_m: float, path: int, points: Floats, begins: Booleans,
+    lines: Floats, stamps: Integers, step: int, mark: int, overlap_m: float, shares: Floats,
+) -> None:  # pragma: no cover - compiled  # fmt: skip
+    """Count the sensors from which a box hides each tile.
+
+    The columns of `stamps`: the step of the count, the count of sensors, the mark of the last one.
+    """
+    low, high, nearest, farthest = _azimuths(eye, box)
+    bottom = eye[3] if math.isnan(level_m) else level_m
+    top = bottom + height_m
+    limit = np.inf
+    if eye[2] > top:  # beyond, the lines of sight pass above the box
+        limit = farthest * max(1.0, (eye[2] - lowest_m) / (eye[2] - top))
+    for turn in range(math.floor(low), math.floor(high) + 1):
+        place = turn % BINS
+        k, after = first[place], first[place + 1]
+        k += np.searchsorted(ends[k:after, 3], nearest)
+        while k < after and ends[k, 3] <= limit:
+            tile = ray_tile[k]
+            if (
+                not (stamps[tile, 0] == step and stamps[tile, 2] == mark)
+                and _hides(eye, ends[k], box, bottom, top)
+                and not is_occupied(lines[tile], box, path, points, begins, shares, overlap_m)
+            ):
+                if stamps[tile, 0] != step:
+                    stamps[tile, 0], stamps[tile, 1] = step, 0
+                stamps[tile, 1] += 1
+                stamps[tile, 2] = mark
+            k += 1
+
+
+@compiled
+def _watch_steps(  # noqa: C901, PLR0912, PLR0917 - calls between compiled functions cost
+    begin: int, after: int, step: Integers, boxes: Floats, level_m: Floats, height_m: Floats,
+    path: Integers, points: Floats, begins: Booleans, lines: Floats, eyes: Floats,
+    first: Integers, ray_tile: Integers, ends: Floats, lowest_m: Floats, observed: Integers,
+    watched: Integers, hidden: Integers, begun: Integers, seen: Booleans, stamps: Integers,
+    most: int, least: int, overlap_m: float, every: int, looked: int, query_step: Integers,
+    query_tile: Integers, answers: Booleans,
+) -> Integers:  # pragma: no cover - compiled  # fmt: skip
+    """Process steps in which the same views are observed; return the runs that ended."""
+    out = np.empty((1024, 4), np.int64)
+    shares = np.empty((2 * MOST_PARTS, 2))
+    done = state = query = 0
+    for now in range(begin, after):
+        low = state
+        while state < len(step) and step[state] == now:
+            state += 1
+        if looked < 0 or now % every == 0:
+            looked = now
+        for view in range(len(eyes) if looked == now else 0):
+            for k in range(low, state):
+                _cast_shadow(
+                    eyes[view], first[view], ray_tile, ends, lowest_m[view],
+                    boxes[k], level_m[k], height_m[k], path[k], points, begins,
+                    lines, stamps, now, view, overlap_m, shares,
+                )  # fmt: skip
+        for tile in watched:
+            if stamps[tile, 0] == looked and stamps[tile, 1] == observed[tile]:
+                hidden[tile] += 1
+            else:
+                hidden[tile] = 0
+            if begun[tile] < 0:
+                if hidden[tile] <= most:
+                    begun[tile], seen[tile] = now, hidden[tile] < least
+                continue
+            if seen[tile] and hidden[tile] >= least:
+                change = max(now + 1 - least, begun[tile])
+            elif hidden[tile] > most or (not seen[tile] and hidden[tile] == 0):
+                change = now
+            else:
+                continue
+            if change > begun[tile]:
+                if done == len(out):
+                    wider = np.empty((2 * len(out), 4), np.int64)
+                    wider[:done] = out
+                    out = wider
+                out[done, 0], out[done, 1], out[done, 2] = tile, begun[tile], change - 1
+                out[done, 3] = seen[tile]
+                done += 1
+            begun[tile] = -1 if hidden[tile] > most else change
+            seen[tile] = hidden[tile] == 0
+        while query < len(query_step) and query_step[query] == now:
+            answers[query] = begun[query_tile[query]] >= 0
+            query += 1
+    return out[:done]

@@ -1,0 +1,201 @@
+"""Measuring: hits against a plain loop, and the same bytes however recordings come."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from maps import Listener
+from measured import EDGE_S, MAP, contents, cut, measured, sample_pose, tiles
+
+import gis_radar as gr
+from gis_radar.steps import step_of
+
+EDGE_STEP = int(EDGE_S * 20)
+
+
+def random_frames(rng, cycle_s, late_s, seconds=2.0):
+    """Times and points of frames around an hour's edge, some of them lost and some empty."""
+    found = []
+    for at in np.arange(EDGE_S - seconds / 2 + late_s, EDGE_S + seconds / 2, cycle_s):
+        if rng.random() < 0.2:
+            continue
+        count = int(rng.integers(0, 30))
+        spread = np.column_stack(
+            [rng.uniform(5, 90, count), rng.uniform(-40, 40, count), rng.uniform(-5, -3, count)]
+        )
+        spread = spread if count else np.full((1, 3), np.nan)
+        found += [(at + rng.uniform(0, 0.01), *point) for point in spread.tolist()]
+        found[-len(spread) :] = [(found[-1][0], *row[1:]) for row in found[-len(spread) :]]
+    table = pd.DataFrame(found, columns=["time", "x", "y", "z"])
+    points = table[["x", "y", "z"]].astype("float32")
+    return table.assign(**points, range_rate=np.float32(0), rcs=np.float32(5))
+
+
+def steps_at(times):
+    """The steps that begin at some times."""
+    return (times.astype("datetime64[us, UTC]").astype("int64") // 50_000).tolist()
+
+
+def plainly(frames_of, validity_steps):
+    """The pairs of tile and step, and the observed steps of each tile, sentence by sentence."""
+    engine = gr.TileTree(gr.quads(tiles()))
+    hits, observed = set(), {}
+    for sensor, table in frames_of.items():
+        pose = sample_pose(sensor)
+        seen = gr.find_sight(pose, gr.SightTiles.of(tiles())).seen.tolist()
+        steps = sorted(set(step_of(table["time"].to_numpy()).tolist()))
+        until = {
+            step: min(step + validity_steps[sensor], after - 1)
+            for step, after in zip(steps, [*steps[1:], 2**62], strict=True)
+        }
+        for time, rows in table.groupby("time"):
+            step = int(step_of(np.array([time]))[0])
+            valid = range(step, until[step] + 1)
+            points = rows[["x", "y", "z"]].to_numpy(float)
+            points = points[~np.isnan(points[:, 0])]
+            place = pose.to_map(points)
+            hit = set(engine.assign(place[:, 0], place[:, 1])[1].tolist())
+            hits |= {(tile, each) for tile in hit for each in valid}
+            for each in valid:
+                observed.setdefault(each, set()).update(seen)
+    return hits, observed
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_hits_and_observed_steps_are_those_of_a_plain_loop(tmp_path_factory, seed):
+    folder, rng = tmp_path_factory.mktemp("plain"), np.random.default_rng(seed)
+    frames = {"R1": random_frames(rng, 0.05, 0.0), "R2": random_frames(rng, 0.17, 0.3)}
+    paths = []
+    for sensor, table in frames.items():
+        table.to_parquet(folder / f"{sensor}.parquet", index=False)
+        paths.append((sensor, folder / f"{sensor}.parquet"))
+    ds = measured(folder / "site", *paths, hits_only=True, cycles={"R2": 0.17})
+    hits, observed = plainly(frames, {"R1": 2, "R2": 5})
+    assert len(ds.hours()) == 2
+    found = ds.hits()
+    assert len(found) == len(hits)
+    got = list(zip(found["tile_id"].tolist(), steps_at(found["time"]), strict=True))
+    assert set(got) == hits
+    runs = ds.observed()
+    first, after = (steps_at(runs[name]) for name in ("begin", "end"))
+    pairs = {
+        (tile, step)
+        for tile, low, high in zip(runs["tile_id"], first, after, strict=True)
+        for step in range(low, high)
+    }
+    assert pairs == {(tile, step) for step, seen in observed.items() for tile in seen}
+    counts = ds.tile_counts()
+    assert counts["observed_steps"].sum() == len(pairs)
+    assert counts["hit_steps"].sum() == len(pairs & hits)
+
+
+@pytest.fixture(scope="module")
+def halves(tmp_path_factory):
+    """Two recordings over an hour's edge: 6 s before it and 6 s after it."""
+    folder = tmp_path_factory.mktemp("halves")
+    return {
+        sensor: cut(folder / f"{sensor}.parquet", sensor, 14.0, 26.0, edge_s=20.0)
+        for sensor in ("R1", "R2")
+    }
+
+
+@pytest.fixture(scope="module")
+def both(halves, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("both") / "site"
+    measured(folder, *halves.items())
+    return contents(folder)
+
+
+def test_the_order_in_which_recordings_come_changes_no_byte(halves, both, tmp_path):
+    measured(tmp_path / "site", ("R2", halves["R2"]))
+    alone = contents(tmp_path / "site")
+    measured(tmp_path / "site", ("R1", halves["R1"]))
+    assert contents(tmp_path / "site") == both
+    gr.withdraw(tmp_path / "site", ["R1.parquet"])
+    assert contents(tmp_path / "site") == alone
+
+
+def test_several_processes_write_the_same_bytes(halves, both, tmp_path):
+    measured(tmp_path / "site", *halves.items(), processes=3)
+    assert contents(tmp_path / "site") == both
+
+
+def test_a_recording_cut_in_two_gives_the_same_hours(halves, both, tmp_path):
+    names = []
+    for begin, end in ((14.0, 17.3), (17.3, 26.0)):
+        path = cut(tmp_path / f"R1_{begin}.parquet", "R1", begin, end, edge_s=20.0)
+        names.append(("R1", path))
+    measured(tmp_path / "site", *names, ("R2", halves["R2"]))
+    found = contents(tmp_path / "site")
+    del found["recordings.parquet"]
+    assert found == {name: each for name, each in both.items() if name != "recordings.parquet"}
+
+
+def test_measuring_again_changes_nothing(halves, both, tmp_path):
+    measured(tmp_path / "site", *halves.items())
+    when = {p: p.stat().st_mtime_ns for p in (tmp_path / "site" / "hits").rglob("*.parquet")}
+    notes = Listener()
+    measured(tmp_path / "site", *halves.items(), reporter=notes)
+    assert contents(tmp_path / "site") == both
+    assert when == {p: p.stat().st_mtime_ns for p in when}
+    assert not [line for level, line in notes.messages if level == "warning"]
+
+
+def test_the_same_recording_twice_counts_once(halves, both, tmp_path):
+    notes = Listener()
+    twice = [("R1", halves["R1"]), *halves.items()]
+    measured(tmp_path / "site", *twice, reporter=notes)
+    assert contents(tmp_path / "site") == both
+    assert len([line for _, line in notes.messages if "counts once" in line]) == 1
+
+
+def test_recordings_that_overlap_count_once(halves, both, tmp_path):
+    names = []
+    for begin, end in ((14.0, 19.0), (17.3, 22.0), (18.0, 26.0)):
+        path = cut(tmp_path / f"R1_{begin}.parquet", "R1", begin, end, edge_s=20.0)
+        names.append(("R1", path))
+    measured(tmp_path / "site", *names, ("R2", halves["R2"]))
+    found = contents(tmp_path / "site")
+    assert {n: b for n, b in found.items() if n.endswith(("00.parquet", "07.parquet"))} == {
+        n: b for n, b in both.items() if n.endswith(("00.parquet", "07.parquet"))
+    }
+
+
+def test_an_hour_without_frames_has_all_its_parts(tmp_path):
+    path = cut(
+        tmp_path / "R1.parquet", "R1", 14.0, 20.0, edge_s=17.0,
+        change=lambda t: t.assign(time=t["time"] + 7200.0 * (t["time"] >= EDGE_S)),
+    )  # fmt: skip
+    ds = measured(tmp_path / "site", ("R1", path))
+    hours = ds.hours()
+    assert len(hours) == 4
+    assert hours["frames"].tolist()[1:3] == [0, 0]  # the last frame before is valid for a moment
+    assert hours.iloc[2].drop(["begin", "method"]).sum() == 0
+    assert set(hours.columns) == set(measured(tmp_path / "site", ("R1", path)).hours().columns)
+    assert ds.tile_counts()["observed_steps"].sum() > 0
+
+
+def test_the_parts_of_vehicles_are_absent_where_only_hits_are_asked_for(tmp_path):
+    path = cut(tmp_path / "R1.parquet", "R1", 14.0, 16.0, edge_s=0.0)
+    ds = measured(tmp_path / "site", ("R1", path), hits_only=True)
+    with pytest.raises(gr.InputError, match="without vehicles"):
+        ds.tracks()
+    assert len(ds.hits())
+    assert ds.manifest.settings["vehicles"] is None
+
+
+def test_a_recording_without_range_rates_gives_hits_only(tmp_path):
+    path = cut(
+        tmp_path / "R1.parquet", "R1", 14.0, 16.0, edge_s=0.0,
+        change=lambda t: t.assign(range_rate=np.float32("nan")),
+    )  # fmt: skip
+    notes = Listener()
+    ds = measured(tmp_path / "site", ("R1", path), reporter=notes)
+    assert ds.manifest.settings["vehicles"] is None
+    assert any("has no range rates" in line for _, line in notes.messages)
+    second = cut(tmp_path / "R2.parquet", "R2", 14.0, 16.0, edge_s=0.0)
+    assert measured(tmp_path / "site", ("R2", second)).sensors == ["R1", "R2"]
+
+
+def test_the_map_stays_with_the_dataset(halves, tmp_path):
+    measured(tmp_path / "site", ("R1", halves["R1"]), hits_only=True)
+    assert (tmp_path / "site" / "map.osm").read_bytes() == MAP.read_bytes()

@@ -1,0 +1,280 @@
+"""What must not be measured, and what a run that is killed leaves behind."""
+
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from maps import Listener
+from measured import EDGE_S, MAP, contents, cut, measured, sample_pose
+
+import gis_radar as gr
+from gis_radar.dataset import read_hours
+from gis_radar.dataset.making import writing
+from gis_radar.progress import QUIET
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """Recordings of 2 s before and after an hour's edge."""
+    folder = tmp_path_factory.mktemp("files")
+    return {
+        sensor: cut(folder / f"{sensor}.parquet", sensor, 18.0, 22.0, edge_s=20.0)
+        for sensor in ("R1", "R2")
+    }
+
+
+def hits_of(folder, *recordings, **options):
+    return measured(folder, *recordings, hits_only=True, **options)
+
+
+def refused(folder, *recordings, match, error=gr.InputError, **options):
+    """Measure what must be refused in one line; nothing else changes."""
+    before = contents(folder) if folder.exists() else None
+    with pytest.raises(error, match=match) as caught:
+        hits_of(folder, *recordings, **options)
+    assert "\n" not in caught.value.message
+    assert (contents(folder) if folder.exists() else None) == before
+    return caught.value
+
+
+def test_one_recording_for_two_sensors(files, tmp_path):
+    error = refused(
+        tmp_path / "site", ("R1", files["R1"]), ("R2", files["R1"]), match="is given for R2"
+    )
+    assert error.exit_code == 3
+    assert "R1" in error.message
+
+
+def test_one_recording_for_two_sensors_one_after_the_other(files, tmp_path):
+    hits_of(tmp_path / "site", ("R1", files["R1"]))
+    refused(tmp_path / "site", ("R2", files["R1"]), match="is given for R2, and for R1")
+
+
+@pytest.mark.parametrize("later_s", [0.0, 0.4])
+def test_equal_frames_of_two_sensors(files, tmp_path, later_s):
+    """A copy that is cut otherwise, or comes later, is another file with the same frames."""
+    copy = cut(
+        tmp_path / "copy.parquet", "R1", 18.3, 22.0, edge_s=20.0,
+        change=lambda t: t.assign(time=t["time"] + later_s),
+    )  # fmt: skip
+    error = refused(
+        tmp_path / "site", ("R1", files["R1"]), ("R2", copy), match="frames of R2 are those of R1"
+    )
+    assert str(files["R1"]) in error.message
+    assert str(copy) in error.message
+
+
+def test_equal_frames_added_to_a_dataset_change_nothing(files, tmp_path):
+    hits_of(tmp_path / "site", ("R1", files["R1"]))
+    copy = cut(tmp_path / "copy.parquet", "R1", 18.3, 22.0, edge_s=20.0)
+    refused(tmp_path / "site", ("R2", copy), match="frames of R2 are those of R1")
+
+
+def test_recordings_of_a_sensor_that_contradict_each_other(files, tmp_path):
+    other = cut(
+        tmp_path / "other.parquet", "R1", 19.0, 23.0, edge_s=20.0,
+        change=lambda t: t.assign(x=t["x"] + np.float32(0.5)),
+    )  # fmt: skip
+    error = refused(tmp_path / "site", ("R1", files["R1"]), ("R1", other), match="differs from")
+    assert str(files["R1"]) in error.message
+    assert str(other) in error.message
+
+
+def test_a_clock_that_jumps_by_more_than_a_day(tmp_path):
+    path = cut(
+        tmp_path / "R1.parquet", "R1", 18.0, 22.0, edge_s=20.0,
+        change=lambda t: t.assign(time=t["time"] + 2e5 * (t["time"] >= EDGE_S)),
+    )  # fmt: skip
+    refused(tmp_path / "site", ("R1", path), match="its times jump from 2025-06-12T07:59:59")
+
+
+def test_other_tiles_and_other_settings(files, tmp_path):
+    hits_of(tmp_path / "site", ("R1", files["R1"]))
+    refused(
+        tmp_path / "site", ("R2", files["R2"]), match="other settings: filters",
+        filters=gr.Filters(min_speed=1.0),
+    )  # fmt: skip
+    longer = gr.make_tiles(gr.read_map(MAP), length_m=1.0)
+    with pytest.raises(gr.InputError, match="another tiles"):
+        gr.measure([files["R2"]], [sample_pose("R2")], longer, MAP, tmp_path / "site")
+    with pytest.raises(gr.InputError, match=r"are valid for 150 ms, those of .* for 100 ms"):
+        hits_of(
+            tmp_path / "site",
+            ("R1", cut(tmp_path / "R1.parquet", "R1", 23.0, 24.0, edge_s=20.0)),
+            cycles={"R1": 0.1},
+        )
+
+
+def test_a_folder_of_others_is_left_alone(files, tmp_path):
+    (tmp_path / "site").mkdir()
+    (tmp_path / "site" / "thesis.docx").write_text("all my work")
+    refused(tmp_path / "site", ("R1", files["R1"]), match="thesis", error=gr.OutputError)
+
+
+def test_two_writers(files, tmp_path):
+    found = pytest.raises(gr.OutputError, match="another run is writing it")
+    with writing(tmp_path / "site", QUIET), found:
+        hits_of(tmp_path / "site", ("R1", files["R1"]))
+
+
+def test_a_recording_that_an_hour_needs_has_gone_or_changed(files, tmp_path):
+    moved = tmp_path / "R1.parquet"
+    shutil.copy(files["R1"], moved)
+    hits_of(tmp_path / "site", ("R1", moved))
+    (tmp_path / "archive").mkdir()
+    moved.rename(tmp_path / "archive" / "renamed.parquet")
+    error = refused(tmp_path / "site", ("R2", files["R2"]), match=r"R1\.parquet: is not there")
+    assert "--relink" in error.hint
+    shutil.copy(files["R2"], moved)
+    refused(tmp_path / "site", ("R2", files["R2"]), match="has changed since it was measured")
+    assert gr.relink(tmp_path / "site", tmp_path / "archive") == 1
+    assert hits_of(tmp_path / "site", ("R2", files["R2"])).sensors == ["R1", "R2"]
+
+
+def test_a_recording_that_is_not_found_again_is_named(files, tmp_path):
+    moved = tmp_path / "R1.parquet"
+    shutil.copy(files["R1"], moved)
+    hits_of(tmp_path / "site", ("R1", moved))
+    moved.unlink()
+    notes = Listener()
+    assert gr.relink(tmp_path / "site", tmp_path, reporter=notes) == 0
+    assert "R1.parquet" in notes.messages[-1][1]
+    with pytest.raises(gr.InputError, match="has no recording R7"):
+        gr.withdraw(tmp_path / "site", ["R7.parquet"])
+    gr.withdraw(tmp_path / "site", ["R1.parquet"])  # need not be there
+    assert len(gr.open_dataset(tmp_path / "site").hours()) == 0
+
+
+def test_parts_removed_by_hand_are_made_again(files, tmp_path):
+    hits_of(tmp_path / "site", ("R1", files["R1"]))
+    whole = contents(tmp_path / "site")
+    next((tmp_path / "site" / "hits").rglob("*.parquet")).unlink()
+    next((tmp_path / "site" / "hours").rglob("08.json")).unlink()
+    hits_of(tmp_path / "site", ("R1", files["R1"]))
+    assert contents(tmp_path / "site") == whole
+
+
+def test_a_registry_that_names_an_unknown_pose_is_damaged(files, tmp_path):
+    for site, sensor in (("one", "R1"), ("two", "R2")):
+        hits_of(tmp_path / site, (sensor, files[sensor]))
+    shutil.copy(tmp_path / "two" / "recordings.parquet", tmp_path / "one")
+    refused(tmp_path / "one", ("R1", files["R1"]), match="one: damaged: KeyError")
+
+
+def killed_before(write, work):
+    """Do some work in a child that dies before its n-th change of a file; tell whether it died."""
+    child = os.fork()
+    if child == 0:
+        left = [write]
+
+        def dies_at(change):
+            def changed(self, *args, **kwargs):
+                left[0] -= 1
+                if left[0] < 0:
+                    os._exit(9)
+                return change(self, *args, **kwargs)
+
+            return changed
+
+        try:
+            for name in ("replace", "unlink"):
+                setattr(Path, name, dies_at(getattr(Path, name)))
+            work()
+            os._exit(0)
+        except BaseException:  # noqa: BLE001 - no child goes on with the tests
+            os._exit(3)
+    ended = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    assert ended in {0, 9}
+    return ended == 9
+
+
+def hour_files(found, record):
+    """The parts of an hour, by the name of its record."""
+    date, hour = record.split("/")[1:]
+    name = f"date={date}/{hour.removesuffix('.json')}.parquet"
+    return {each: data for each, data in found.items() if each.endswith(name)}
+
+
+def test_killed_at_any_write_the_next_run_ends_with_the_same_bytes(files, tmp_path):
+    site, (first, second) = tmp_path / "site", files.items()
+    hits_of(site, first)
+    before = contents(site)
+    shutil.copytree(site, tmp_path / "copy")
+    hits_of(site, second)
+    after, deaths = contents(site), 0
+    while True:
+        shutil.rmtree(site)
+        shutil.copytree(tmp_path / "copy", site)
+        if not killed_before(deaths, lambda: hits_of(site, second)):
+            break
+        deaths += 2
+        left = contents(site)
+        for record in (name for name in left if name.endswith(".json") and "/" in name):
+            whole = hour_files(left, record) | {record: left[record]}
+            assert whole in (
+                hour_files(state, record) | {record: state.get(record)} for state in (before, after)
+            )
+        gr.open_dataset(site).check()
+        if deaths % 8 == 0:
+            hits_of(site, second)
+            assert contents(site) == after
+    assert deaths > 15
+    assert contents(site) == after
+
+
+def test_killed_while_it_begins_the_next_run_makes_it(files, tmp_path):
+    site, first = tmp_path / "site", ("R1", files["R1"])
+    hits_of(site, first)
+    whole = contents(site)
+    for deaths in (1, 3, 5, 8):
+        shutil.rmtree(site)
+        assert killed_before(deaths, lambda: hits_of(site, first))
+        hits_of(site, first)
+        assert contents(site) == whole
+
+
+def test_a_full_disk_midway(files, tmp_path, monkeypatch):
+    site = tmp_path / "site"
+    hits_of(site, *files.items())
+    whole = contents(site)
+    shutil.rmtree(site)
+    with monkeypatch.context() as patch:
+        from gis_radar.dataset import parts
+
+        real, writes = parts.PartWriter.close, []
+
+        def full(self):
+            writes.append(self)
+            if len(writes) > 7:
+                raise OSError(28, "No space left on device")
+            return real(self)
+
+        patch.setattr(parts.PartWriter, "close", full)
+        with pytest.raises(gr.OutputError, match="the disk is full"):
+            hits_of(site, *files.items())
+    assert len(read_hours(site)) < 2
+    hits_of(site, *files.items())
+    assert contents(site) == whole
+
+
+CLEARANCE = gr.Filters(clearance=(-0.5, 4.5))
+
+
+def test_a_clearance_of_a_sensor_without_elevation(tmp_path):
+    flat = cut(
+        tmp_path / "flat.parquet", "R1", 18.0, 22.0, edge_s=20.0,
+        change=lambda t: t.assign(z=np.float32(np.nan)),
+    )  # fmt: skip
+    site = tmp_path / "site"
+    refused(site, ("R1", flat), filters=CLEARANCE, match=r"flat\.parquet: .*no elevation")
+
+
+def test_a_clearance_over_a_road_without_heights(files, tmp_path):
+    unknown = gr.make_tiles(gr.read_map(MAP)).assign(height_m=np.nan)
+    with pytest.raises(gr.InputError, match="no road heights"):
+        gr.measure(
+            [files["R1"]], [sample_pose("R1")], unknown, MAP, tmp_path / "site",
+            filters=CLEARANCE, hits_only=True,
+        )  # fmt: skip

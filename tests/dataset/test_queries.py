@@ -1,0 +1,196 @@
+"""SQL over a dataset: answers as other readers give them, and nothing but answers."""
+
+import signal
+import threading
+import time
+from functools import partial
+from itertools import count
+
+import pandas as pd
+import pyarrow.dataset as pads
+import pytest
+from datasets import BEGIN, HOUR, write_dataset
+
+from gis_radar.dataset import STEPS_PER_HOUR, part_path, record_path
+from gis_radar.dataset.tables import HITS, TABLES
+from gis_radar.errors import InputError, UsageError
+
+AFTER = BEGIN + STEPS_PER_HOUR
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory):
+    rows = {
+        "hits": {"tile_id": [1, 1, 2], "step": [BEGIN, AFTER, BEGIN + 20]},
+        "observed": {
+            "tile_id": [1, 1], "first_step": [BEGIN, AFTER], "last_step": [AFTER - 1, AFTER + 99],
+        },
+    }  # fmt: skip
+    place = tmp_path_factory.mktemp("it's =odd") / "data"
+    return write_dataset(place, rows, timezone="Europe/Berlin")
+
+
+@pytest.fixture
+def dataset(tmp_path, measured):
+    """A copy of one's own to damage."""
+    rows = {"hits": {"tile_id": [1, 1, 2], "step": [BEGIN, AFTER, BEGIN + 20]}}
+    return write_dataset(tmp_path / "data", rows)
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_views_hold_what_the_methods_give(measured, name):
+    by_method = getattr(measured, name)().drop(columns="geometry", errors="ignore")
+    by_sql = measured.query(f"FROM {name}")
+    shared = [column for column in by_method if column in by_sql]
+    assert shared == list(by_method)
+    pd.testing.assert_frame_equal(by_sql[shared], by_method, check_dtype=False)
+    assert [*by_sql][: len(TABLES[name].names)] == TABLES[name].names
+
+
+def test_files_are_read_as_they_lie_there_by_others(measured):
+    mine = measured.query("SELECT tile_id, step FROM hits ORDER BY step, tile_id")
+    places = sorted((measured.folder / "hits").glob("*/*.parquet"))
+    theirs = pads.dataset(places, format="parquet").to_table(columns=["tile_id", "step"])
+    assert theirs.sort_by("step").to_pydict() == mine.to_dict("list")
+    assert pd.read_parquet(places[0])["tile_id"].tolist() == [1, 2]
+
+
+def test_hours_of_the_day_are_those_of_the_site(measured):
+    found = measured.query(
+        "SELECT hour(begin) AS hour, sum(hit_steps) AS hits FROM tile_counts "
+        "JOIN tiles USING (tile_id) WHERE lanelet_id = 7 GROUP BY hour ORDER BY hour"
+    )
+    assert found.to_dict("list") == {"hour": [0, 23], "hits": [1, 1]}
+
+
+def test_times_come_back_in_utc(measured):
+    found = measured.query("SELECT time FROM hits ORDER BY time LIMIT 1")
+    assert found["time"].iloc[0] == pd.Timestamp("2023-11-14T22:00Z")
+    assert str(found["time"].dt.tz) == "UTC"
+
+
+@pytest.mark.parametrize(
+    ("sql", "message"),
+    [
+        ("SELECT x FROM hits", "the query fails: .*x"),
+        ("SELEC 1", "the query cannot be read: syntax error"),
+        ("", "the query has 0 statements, one is needed"),
+        ("SELECT 1; SELECT 2", "the query has 2 statements, one is needed"),
+        ("SELECT * FROM hitz", "the query names 'hitz', which is no table here"),
+        ("SELECT * FROM 'x.parquet'", "the query names 'x.parquet', which is no table here"),
+        ("SELECT * FROM 'https://example.org/x.csv'", "which is no table here"),
+        ("SELECT * FROM read_csv('/etc/passwd')", "calls read_csv"),
+        ("SELECT * FROM glob('/etc/*')", "calls glob"),
+        ("SELECT * FROM query('SELECT 1')", "calls query"),
+        ("SELECT (SELECT count(*) FROM read_text('/etc/passwd'))", "calls read_text"),
+        ("SELECT current_setting('threads')", "calls current_setting"),
+        ("SELECT * FROM duckdb_settings()", "calls duckdb_settings"),
+        ("WITH a AS (INSERT INTO hits VALUES (1, 1)) SELECT 1", "holds INSERT, which could write"),
+        ("SHOW TABLES", "no table here"),
+        ("COPY hits TO '/tmp/x.csv'", "is no SELECT"),
+        ("ATTACH '/tmp/x.db'", "is no SELECT"),
+        ("INSTALL httpfs", "is no SELECT"),
+        ("LOAD httpfs", "is no SELECT"),
+        ("SET threads = 1", "is no SELECT"),
+        ("PRAGMA database_list", "is no SELECT"),
+        ("DROP VIEW hits", "is no SELECT"),
+        ("CALL enable_logging()", "is no SELECT"),
+        ("SELECT ?", "the query fails: .*parameters"),
+        ("SELECT CAST('x' AS INT)", "the query fails: Conversion Error"),
+        ("SELECT " + "(" * 5000 + "1" + ")" * 5000, "the query cannot be read"),
+    ],
+)
+def test_what_is_no_question_is_refused_in_one_line(measured, sql, message):
+    with pytest.raises(UsageError, match=message) as refused:
+        measured.query(sql)
+    assert "\n" not in refused.value.message
+
+
+def test_a_part_that_may_be_read_cannot_be_written(measured):
+    path = part_path(measured.folder, HITS, HOUR)
+    before = path.read_bytes()
+    target = str(path).replace("'", "''")
+    for sql in (
+        f"WITH a AS (COPY (SELECT 1) TO '{target}') FROM hits",  # noqa: S608
+        f"FROM hits, (WITH a AS (COPY (SELECT 1) TO '{target}') SELECT 1)",
+        "SELECT * FROM query('WITH a AS (COPY (SELECT 1) TO ''x'') SELECT 1'), hits",
+    ):
+        with pytest.raises(UsageError, match=r"holds COPY|calls query"):
+            measured.query(sql)
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    "sql", ["SELECT count(*) FROM range(1000000000000000)", "SELECT * FROM range(1000000000000)"]
+)
+def test_a_question_without_end_is_given_up(measured, sql):
+    with pytest.raises(UsageError, match="the query was given up") as refused:
+        measured.query(sql, timeout_s=0.3)
+    assert "raise --timeout" in refused.value.hint
+
+
+def test_a_question_ends_at_once_when_it_is_interrupted(measured):
+    signal_it = partial(signal.pthread_kill, threading.main_thread().ident, signal.SIGINT)
+    threading.Timer(0.5, signal_it).start()
+    begin = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        measured.query("SELECT count(*) FROM range(1000000000000000)")
+    assert time.monotonic() - begin < 20
+
+
+def test_a_question_that_needs_too_much_memory_says_so(measured):
+    with pytest.raises(UsageError, match="the query needs more memory than it may take"):
+        measured.query("SELECT list(range) FROM range(1000000000)", memory="100MB")
+
+
+def test_variables_of_the_program_are_no_tables(measured):
+    frame = pd.DataFrame({"a": [1]})
+    assert len(frame) == 1
+    with pytest.raises(UsageError, match="names 'frame'"):
+        measured.query("SELECT * FROM frame")
+
+
+def test_only_complete_hours_answer(dataset):
+    record_path(dataset.folder, HOUR).unlink()
+    assert dataset.query("SELECT count(*) AS n FROM hits")["n"].tolist() == [1]
+    assert dataset.query("SELECT count(*) AS n FROM tile_counts")["n"].tolist() == [0]
+
+
+def test_parts_are_checked_before_they_are_asked(dataset):
+    part_path(dataset.folder, HITS, HOUR).unlink()
+    with pytest.raises(InputError, match="is missing"):
+        dataset.query("SELECT * FROM hits")
+    assert dataset.query("SELECT * FROM observed").empty
+
+
+def test_a_flipped_bit_gives_no_answer(dataset):
+    """DuckDB compares no checksums: the sum of a damaged column would be a wrong number."""
+    path = part_path(dataset.folder, HITS, HOUR)
+    content = bytearray(path.read_bytes())
+    content[20] ^= 4
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="bytes have changed"):
+        dataset.query("SELECT sum(step) AS steps FROM hits")
+
+
+def test_a_check_reads_the_tile_counts(dataset):
+    dataset.check()
+    path = part_path(dataset.folder, TABLES["tile_counts"], HOUR)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(b"x")
+    with pytest.raises(InputError, match="tile_counts") as refused:
+        dataset.check()
+    assert "remove it" in refused.value.hint
+
+
+def test_hours_that_are_made_meanwhile_are_said(dataset, monkeypatch):
+    states = count()
+    monkeypatch.setattr("gis_radar.dataset.queries._states", lambda _: next(states))
+    with pytest.raises(InputError, match="hours were made again meanwhile"):
+        dataset.query("SELECT * FROM hits")
+
+
+def test_a_dataset_without_hours_answers(tmp_path):
+    dataset = write_dataset(tmp_path / "data")
+    for name in TABLES:
+        assert dataset.query(f"FROM {name}").empty

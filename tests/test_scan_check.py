@@ -1,0 +1,436 @@
+"""The scan check: what stands agrees with the true pose of the sample, and with no other."""
+
+import json
+from dataclasses import replace
+from datetime import date
+from importlib import import_module
+
+import laspy
+import numpy as np
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+import pytest
+import shapely
+from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
+from pyproj import CRS, Transformer
+from scipy.spatial import KDTree
+from sites import recording
+
+import gis_radar as gr
+from gis_radar.cli import group
+from gis_radar.grid import CELL_M
+from gis_radar.localization import Localization
+from gis_radar.localization.result import AmbiguousError
+from gis_radar.scan_check.check import Alignment, align, require_scans_near
+from gis_radar.scan_check.settings import DEFAULTS, ScanCheckSettings
+from gis_radar.scan_check.surroundings import LevelFrame, read_slow, read_structure
+from gis_radar.scans import scan as scan_files
+from simulation.movement import Traffic
+from simulation.radar import RadarModel, place_radar
+from simulation.recording import simulate_recording, write_recording
+from simulation.scan import fly, write_scan
+from simulation.scene import Scene, Tree
+from simulation.terrain import Terrain
+
+localizing = import_module("gis_radar.localization.localize")  # its function has its name
+
+SAMPLE = gr.sample_folder()
+SCAN = SAMPLE / "scan.laz"
+POSE = gr.read_pose(SAMPLE / "R2.json")
+R2 = SAMPLE / "R2.parquet"
+
+
+def moved(pose, ahead=0.0, left=0.0, turn=0.0):
+    yaw = np.radians(pose.yaw)
+    return replace(
+        pose,
+        easting=pose.easting + ahead * np.cos(yaw) - left * np.sin(yaw),
+        northing=pose.northing + ahead * np.sin(yaw) + left * np.cos(yaw),
+        yaw=pose.yaw + turn,
+    )
+
+
+def rewritten(path, change, crs="EPSG:25832"):
+    """Write the sample's scan with changed points; without a system where `crs` is None."""
+    source = laspy.read(SCAN)
+    xyz, category = change(np.array(source.xyz), np.array(source.classification))
+    scan = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
+    scan.header.scales = [0.001] * 3
+    scan.header.offsets = np.floor(xyz.min(axis=0))
+    if crs:
+        scan.header.add_crs(CRS.from_user_input(crs))
+    scan.xyz, scan.classification = xyz, category
+    scan.write(path)
+    return path
+
+
+def filtered(path, keep, source=R2):
+    """Write a recording with the detections that `keep` says; every frame stays."""
+    table = pq.read_table(source)
+    rate = np.abs(table["range_rate"].to_numpy())
+    stamps = np.unique(table["time"].to_numpy())
+    kept = table.filter(pc.field("time") > 0).filter(keep(rate))
+    bare = np.setdiff1d(stamps, kept["time"].to_numpy())
+    time = np.concatenate([kept["time"].to_numpy(), bare])
+    order = np.argsort(time, kind="stable")
+    columns = {
+        name: np.concatenate([kept[name].to_numpy(), np.full(len(bare), np.nan, np.float32)])
+        for name in ("x", "y", "z", "range_rate")
+    }
+    points = np.column_stack([columns[axis] for axis in "xyz"])[order]
+    return recording(path, time[order], points, range_rate=columns["range_rate"][order])
+
+
+def windy_park(folder):
+    """Write the scan and the recording of trees in wind: their leaves do 0.3 m/s on average."""
+    rng = np.random.default_rng(5)
+    middle = np.array(POSE.position[:2])
+    places = middle + rng.uniform(-90.0, 90.0, (60, 2))
+    places = places[np.hypot(*(places - middle).T) > 12.0]
+    terrain = Terrain(origin=tuple(middle), height_m=POSE.height - 6.0)
+    trees = tuple(
+        Tree(place=tuple(place), crown_m=crown, crown_height_m=crown + 2.5)
+        for place, crown in zip(places, rng.uniform(2.0, 3.5, len(places)), strict=True)
+    )
+    lawn = shapely.box(*(middle - 80.0), *(middle + 80.0))
+    scene = Scene(terrain=terrain, road=lawn, trees=trees)
+    write_scan(fly(scene, rng=rng), folder / "scan.laz", crs=POSE.crs, flown=date(2024, 3, 14))
+    radar = place_radar(POSE, scene, rng=rng, model=replace(RadarModel(), static_per_frame=150.0))
+    still = radar.targets.clutter
+    stirred = replace(still, wobble=still.wobble * 15.0)
+    radar = replace(radar, targets=replace(radar.targets, clutter=stirred))
+    nobody = Traffic(
+        start=0.0, centre=np.zeros((2, 0, 2)), heading=np.zeros((2, 0)), speed=np.zeros((2, 0)),
+        yaw_rate=np.zeros((2, 0)), size=np.zeros((0, 3)), kind=(),
+    )  # fmt: skip
+    recorded = simulate_recording(radar, nobody, 1.0 + np.arange(200) * 0.05, rng=rng)
+    write_recording(recorded, folder / "R.parquet")
+    return folder / "R.parquet", folder / "scan.laz"
+
+
+@pytest.fixture(scope="module")
+def look():
+    return gr.check_against_scan(R2, POSE, [SCAN])
+
+
+def alignment_of(look):
+    return align(look.standing, look.structure)
+
+
+@pytest.mark.parametrize("sensor", ["R1", "R2"])
+def test_the_truth_is_confirmed(sensor, look):
+    pose = gr.read_pose(SAMPLE / f"{sensor}.json")
+    found = (
+        look
+        if sensor == "R2"
+        else gr.check_against_scan(SAMPLE / f"{sensor}.parquet", pose, [SCAN])
+    )
+    assert found.verdict == "confirms"
+    assert found.score > 0.9
+    assert found.chance < 0.3
+    assert found.best.shift_m < 0.4
+    assert abs(found.best.turn_deg) < 0.3
+    assert found.rival.score < 0.7
+
+
+@pytest.mark.parametrize("off", [(0.0, 3.5, 0.0), (-3.5, 0.0, 0.0), (0.0, 0.0, -3.0), (4, -4, 9)])
+def test_a_pose_off_is_doubted_and_the_way_back_is_told(off):
+    wrong = moved(POSE, *off)
+    figures = gr.check_against_scan(R2, wrong, [SCAN]).figures()
+    assert figures["verdict"] == "doubts"
+    assert figures["score"] < 0.7
+    assert figures["best_score"] > 0.9
+    assert figures["z_score"] < -3.0
+    back = [wrong.easting + figures["best_east_m"], wrong.northing + figures["best_north_m"]]
+    assert np.allclose(back, [POSE.easting, POSE.northing], atol=0.4)
+    assert figures["best_turn_deg"] == pytest.approx(-off[2], abs=0.3)
+
+
+def test_a_pose_the_wrong_way_round_is_doubted():
+    found = gr.check_against_scan(R2, moved(POSE, turn=180.0), [SCAN])
+    assert found.verdict == "doubts"
+    assert abs(abs(found.best.turn_deg) - 180.0) < 1.0
+
+
+@pytest.mark.parametrize("off", [(0.5, -0.6, 0.4), (-0.5, 0.6, 0.4)])
+def test_a_small_error_is_confirmed_and_measured(off):
+    """A shift and a turn make up for each other, so what counts is where they bring the cells."""
+    wrong = moved(POSE, *off)
+    found = gr.check_against_scan(R2, wrong, [SCAN])
+    assert found.verdict == "confirms"
+    assert found.best.turn_deg == pytest.approx(-off[2], abs=0.3)
+    before = away_m(found, wrong)
+    after = away_m(found, moved(wrong, *found.best.place))
+    assert before > 0.55
+    assert after < 0.35
+    assert after < before / 2.0
+
+
+def away_m(look, pose):
+    """Return how far from their place a pose puts the cells that stand, on average."""
+    cells = look.standing.points[:, :2]
+    there, true = (LevelFrame(pose=each).to_map(cells) for each in (pose, POSE))
+    return np.hypot(*(there - true).T).mean()
+
+
+def test_only_the_place_of_map_and_sensor_to_each_other_counts(look, tmp_path):
+    turn_deg, middle, shift = 77.0, POSE.position[:2], np.array([-1234.567, 890.123])
+    turn = np.radians(turn_deg)
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+
+    def change(xyz, category):
+        xyz[:, :2] = (xyz[:, :2] - middle) @ rotation.T + middle + shift
+        return xyz, category
+
+    scan = rewritten(tmp_path / "moved.laz", change)
+    easting, northing = middle + shift
+    pose = replace(POSE, easting=easting, northing=northing, yaw=POSE.yaw + turn_deg)
+    there = gr.check_against_scan(R2, pose, [scan])
+    assert there.score == pytest.approx(look.score, abs=2e-3)  # the file rounds to millimetres
+    assert there.chance == pytest.approx(look.chance, abs=2e-3)
+    assert there.best.place == pytest.approx(look.best.place, abs=0.11)
+    assert there.verdict == look.verdict
+
+
+@given(
+    st.floats(-180.0, 180.0),
+    st.tuples(st.floats(0.0, 9e5), st.floats(0.0, 9e6)),
+    st.lists(st.tuples(*[st.floats(-300.0, 300.0)] * 3), min_size=1, max_size=5),
+)
+def test_the_level_frame_stands_under_the_sensor(yaw, place, points):
+    level = LevelFrame(pose=replace(POSE, easting=place[0], northing=place[1], yaw=yaw))
+    here = LevelFrame(pose=POSE)
+    points = np.array(points)
+    assert np.allclose(level.from_map(level.to_map(points)), points, atol=1e-6)
+    assert np.allclose(level.from_sensor(points), here.from_sensor(points), atol=1e-6)
+
+
+def test_closeness_is_that_of_the_next_structure(look):
+    alignment = alignment_of(look)
+    cells = np.argwhere(look.structure.visible) + 0.5 - len(look.structure.top) // 2
+    away, _ = KDTree(cells * CELL_M).query(look.standing.points[:, :2])
+    expected = np.exp(-0.5 * (away / DEFAULTS.close_m) ** 2)
+    # the field is sampled at the centres of cells and distances count between centres
+    assert np.abs(alignment.at((0.0, 0.0, 0.0)) - expected).mean() < 0.05
+    assert look.closeness.mean() == pytest.approx(look.score)
+
+
+def test_the_surface_is_the_score_of_each_shift(look):
+    alignment = alignment_of(look)
+    middle = look.surface.shape[0] // 2
+    for i, j in [(0, 0), (4, -7), (-20, 13), (20, 20)]:
+        direct = alignment.score((i * CELL_M, j * CELL_M, 0.0))
+        assert look.surface[middle + i, middle + j] == pytest.approx(direct, abs=0.04)
+    assert (
+        np.abs(np.array(np.unravel_index(look.surface.argmax(), look.surface.shape)) - middle).max()
+        <= 1
+    )
+
+
+def test_an_unclassified_scan_does(tmp_path):
+    scan = rewritten(tmp_path / "bare.laz", lambda xyz, c: (xyz, np.ones_like(c)))
+    found = gr.check_against_scan(R2, POSE, [scan])
+    assert found.verdict == "confirms"
+    assert not found.structure.classified
+    off = gr.check_against_scan(R2, moved(POSE, 0.0, -3.5), [scan])
+    assert off.verdict == "doubts"
+
+
+def test_a_thin_scan_does(tmp_path):
+    scan = rewritten(tmp_path / "thin.laz", lambda xyz, c: (xyz[::6], c[::6]))
+    assert gr.check_against_scan(R2, POSE, [scan]).verdict == "confirms"
+
+
+def test_a_scan_in_another_system_is_brought_into_the_map(tmp_path):
+    into = Transformer.from_crs(25832, 31468, always_xy=True)
+
+    def change(xyz, category):
+        return np.column_stack([*into.transform(*xyz[:, :2].T), xyz[:, 2]]), category
+
+    named = rewritten(tmp_path / "named.laz", change, crs="EPSG:31468")
+    assert gr.check_against_scan(R2, POSE, [named]).verdict == "confirms"
+    nameless = rewritten(tmp_path / "nameless.laz", change, crs=None)
+    with pytest.raises(gr.CrsError, match="no coordinate system"):
+        gr.check_against_scan(R2, POSE, [nameless])
+    assert gr.check_against_scan(R2, POSE, [nameless], scan_crs="EPSG:31468").verdict == "confirms"
+
+
+def test_a_scan_of_another_place_is_refused():
+    with pytest.raises(gr.InputError, match="no point within"):
+        gr.check_against_scan(R2, replace(POSE, northing=POSE.northing + 9000.0), [SCAN])
+
+
+def test_a_scan_of_a_corner_says_too_little(tmp_path):
+    def change(xyz, category):
+        kept = np.hypot(*(xyz[:, :2] - POSE.position[:2]).T) < 25.0
+        return xyz[kept], category[kept]
+
+    found = gr.check_against_scan(R2, POSE, [rewritten(tmp_path / "corner.laz", change)])
+    assert found.verdict == "nothing to compare"
+    assert "covers" in found.reason
+
+
+def test_a_plain_has_nothing_to_compare(tmp_path):
+    def change(xyz, category):
+        return xyz[category == 2], category[category == 2]
+
+    found = gr.check_against_scan(R2, POSE, [rewritten(tmp_path / "plain.laz", change)])
+    assert found.verdict == "nothing to compare"
+    assert "neither canopy nor walls" in found.reason
+
+
+def test_a_radar_that_hides_what_stands_has_nothing_to_compare(tmp_path):
+    path = filtered(tmp_path / "R2.parquet", lambda rate: rate > 1.0)
+    found = gr.check_against_scan(path, POSE, [SCAN])
+    assert found.verdict == "nothing to compare"
+    assert "no still detections" in found.reason
+    assert json.loads(json.dumps(found.figures(), allow_nan=False))["standing_cells"] == 0
+    gr.draw_scan_check(found, tmp_path / "look.png")
+    assert (tmp_path / "look.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_leaves_alone_do(tmp_path):
+    whole, scan = windy_park(tmp_path)
+    path = filtered(tmp_path / "leaves.parquet", lambda rate: rate > 0.15, source=whole)
+    found = gr.check_against_scan(path, POSE, [scan])
+    assert found.verdict == "confirms"
+    assert found.standing.rustles.min() == 1.0
+    assert gr.check_against_scan(path, moved(POSE, 0.0, 3.5), [scan]).verdict == "doubts"
+
+
+def test_vehicles_that_wait_or_drive_by_do_not_stand(look):
+    level = look.level
+    roads = gr.read_map(SAMPLE / "junction.osm")
+    lanes = shapely.union_all(roads.lanelets.geometry.to_numpy()).buffer(-1.0)
+    east, north = level.to_map(look.standing.points[:, :2]).T
+    shapely.prepare(lanes)
+    assert shapely.contains_xy(lanes, east, north).mean() < 0.15
+
+
+def test_batches_and_their_order_do_not_matter(tmp_path, monkeypatch):
+    level = LevelFrame(pose=POSE)
+    whole = read_structure([SCAN], level, reach_m=100.0)
+    halves = [
+        rewritten(tmp_path / f"{i}.laz", lambda xyz, c, i=i: (xyz[i::2], c[i::2])) for i in (1, 0)
+    ]
+    monkeypatch.setattr(scan_files, "AT_ONCE", 40_000)
+    parts = read_structure(halves, level, reach_m=100.0)
+    for name in ("top", "ground", "canopy", "roof", "edge"):
+        assert np.allclose(getattr(parts, name), getattr(whole, name), atol=1e-6, equal_nan=True)
+
+
+def test_the_last_frames_count():
+    table = pq.read_table(R2)
+    slow = read_slow(R2, settings=ScanCheckSettings(frames=200))
+    late = table.filter(pc.field("time") >= np.unique(table["time"].to_numpy())[-200])
+    assert slow.frames == 200
+    assert len(slow.points) == int((np.abs(late["range_rate"].to_numpy()) <= 1.0).sum())
+    assert np.bincount(slow.span).min() > 0.5 * np.bincount(slow.span).max()
+    assert read_slow(R2).frames <= DEFAULTS.frames
+
+
+def test_settings_reach_the_comparison(look):
+    """With no slack an echo fits only where the scan has its wall."""
+    strict = gr.check_against_scan(R2, POSE, [SCAN], settings=ScanCheckSettings(close_m=0.1))
+    assert strict.score < look.score
+    assert strict.figures()["settings"]["close_m"] == 0.1
+    few = gr.check_against_scan(R2, POSE, [SCAN], settings=ScanCheckSettings(least_cells=10**6))
+    assert few.reason.startswith("little stands in view")
+
+
+def test_votes_turn_with_the_question(look):
+    alignment = alignment_of(look)
+    assert isinstance(alignment, Alignment)
+    assert alignment.z_score(alignment.here, look.rival) == pytest.approx(look.z_score)
+    assert alignment.z_score(look.rival, alignment.here) == pytest.approx(-look.z_score)
+    assert alignment.z_score(look.best, look.best) == 0.0
+
+
+def command(folder, *more):
+    return [
+        "localize", str(R2), "--map", str(SAMPLE / "junction.osm"), "--road", str(SCAN),
+        "--guess", "690379,5336233", "-o", str(folder / "pose.json"), *more,
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("left", [0.0, 3.5])
+def test_the_command_tells_the_verdict(tmp_path, monkeypatch, left):
+    answer = Localization(
+        pose=moved(POSE, 0.0, left), fitness=1.0, observable=True,
+        traces=np.array([[20.0, 0.0, -5.0], [40.0, 9.0, -5.0]]), range_rate=np.array([1.0, -1.0]),
+    )  # fmt: skip
+    monkeypatch.setattr(localizing, "localize", lambda *_, **__: answer)
+    picture = tmp_path / "figure.png"
+    call = command(tmp_path, "--scan", str(SCAN), "--figure", str(picture), "--json")
+    done = CliRunner().invoke(group, call, catch_exceptions=False)
+    assert done.exit_code == 0
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    verdict = "doubts" if left else "confirms"
+    assert lines[-1]["summary"]["scan_check"] == verdict
+    (said,) = [line for line in lines if line["event"] == "log" and "scan check" in line["message"]]
+    assert said["level"] == ("warning" if left else "info")
+    evidence = gr.read_pose(tmp_path / "pose.json").evidence["scan_check"]
+    assert evidence["verdict"] == verdict
+    assert evidence["settings"]["close_m"] == DEFAULTS.close_m
+    assert {"score", "chance", "best_score", "best_east_m", "best_turn_deg"} <= set(evidence)
+    view = gr.read_pose(tmp_path / "pose.json").view
+    assert view == gr.View(max_range_m=reached_m(R2))
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def reached_m(path):
+    """Return the whole metres within which 99.9 % of a recording's detections lie."""
+    x, y, z = (pq.read_table(path)[axis].to_numpy() for axis in "xyz")
+    return np.ceil(np.nanpercentile(np.sqrt(x**2 + y**2 + z**2), 99.9))
+
+
+def test_a_view_that_is_known_is_not_measured(tmp_path, monkeypatch):
+    known = gr.View(azimuth_deg=90.0, max_range_m=150.0)
+    answer = Localization(pose=POSE, fitness=1.0, observable=True)
+    monkeypatch.setattr(localizing, "localize", lambda *_, **__: answer)
+    found = gr.localize_files(
+        R2, SAMPLE / "junction.osm", SCAN, guess=(690379, 5336233), scans=[SCAN], view=known
+    )
+    assert found.pose.view == known
+    assert found.recording == "R2.parquet"
+
+
+def test_what_stands_decides_between_poses_that_the_traffic_fits_alike(monkeypatch):
+    aside = replace(POSE, easting=POSE.easting + 6.0, northing=POSE.northing + 3.0)
+    both = tuple(Localization(pose=p, fitness=0.95, observable=True) for p in (aside, POSE))
+
+    def ambiguous(*_, **__):
+        raise AmbiguousError("R2: ambiguous", hint="give a scan", answers=both)
+
+    monkeypatch.setattr(localizing, "localize", ambiguous)
+    files = (R2, SAMPLE / "junction.osm", SCAN)
+    with pytest.raises(AmbiguousError):
+        gr.localize_files(*files, guess=POSE.position[:2])
+    found = gr.localize_files(*files, guess=POSE.position[:2], scans=[SCAN])
+    assert found.pose.easting == POSE.easting
+    assert found.pose.evidence["scan_check"]["verdict"] == "confirms"
+
+
+def test_a_scan_of_another_place_is_told_before_the_search(tmp_path, monkeypatch):
+    def never(*_, **__):
+        raise AssertionError
+
+    monkeypatch.setattr(localizing, "localize", never)
+    monkeypatch.setattr(scan_files.Scan, "batches", never)  # nor is a scan read
+    far = rewritten(tmp_path / "far.laz", lambda xyz, c: (xyz[::50] + [900.0, 0.0, 0.0], c[::50]))
+    words = command(tmp_path, "--scan", str(far), "--json")
+    words[words.index("--road") + 1] = str(SAMPLE / "scan.laz")
+    monkeypatch.setattr(localizing, "read_road", lambda *_: np.empty((0, 3)))
+    done = CliRunner().invoke(group, words)
+    assert isinstance(done.exception, gr.InputError)
+    assert "far.laz: no point within 300 m of the sensor" in str(done.exception)
+    require_scans_near([far, SCAN], POSE.crs, [690379.0, 5336233.0])  # one that does is enough
+
+
+def test_the_figure_never_replaces_the_scan(tmp_path):
+    scan = rewritten(tmp_path / "scan.laz", lambda xyz, c: (xyz[::50], c[::50]))
+    done = CliRunner().invoke(group, command(tmp_path, "--scan", str(scan), "--figure", str(scan)))
+    assert isinstance(done.exception, gr.UsageError)
+    assert scan.read_bytes().startswith(b"LASF")
