@@ -16,7 +16,7 @@ from scans import EAST, NORTH, UTM, box_roads, ground, write_points
 import gis_radar as gr
 from gis_radar.crs import transformer
 from gis_radar.errors import CrsError, GisRadarError, InputError, UsageError
-from gis_radar.scans.scan import days_of, open_scan
+from gis_radar.scans.scan import days_flown, open_scan
 
 ROAD = (0.0, 0.0, 60.0, 8.0)
 AROUND = (-5.0, -5.0, 65.0, 13.0)
@@ -265,10 +265,10 @@ def test_the_shared_scans_with_faults(tmp_path):
     assert found.points_on_road == found.points_in
 
 
-def test_the_days_of_a_flight():
-    assert days_of([]) is None
-    assert days_of([1_000.0, 500_000.0]) is None
-    first, last = days_of([306_234_562.0, 306_234_563.0])
+def test_the_days_flown_a_flight():
+    assert days_flown([]) is None
+    assert days_flown([1_000.0, 500_000.0]) is None
+    first, last = days_flown([306_234_562.0, 306_234_563.0])
     assert (first.isoformat(), last.isoformat()) == ("2021-05-28", "2021-05-28")
 
 

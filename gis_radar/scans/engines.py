@@ -32,7 +32,7 @@ from gis_radar.scans.scan import (
     Points,
     Scan,
     box_with_margin,
-    days_of,
+    days_flown,
     ground_share,
     open_scan,
 )
@@ -263,7 +263,7 @@ def _fill_by_laspy(
         scans=tuple(scans), classified=tuple(classified), roads=roads,
         margin_m=settings.filter_margin_m,
     )  # fmt: skip
-    return ReadStatistics(pipeline=pipeline, on_road=on_road, flown=days_of(times))
+    return ReadStatistics(pipeline=pipeline, on_road=on_road, flown=days_flown(times))
 
 
 def _fill_by_pdal(
@@ -293,7 +293,7 @@ def _fill_by_pdal(
                     times += _keep(store, 0, batch)
             points.unlink()
             reporter.progress("running the pipeline", done + 1, len(parts))
-    return ReadStatistics(pipeline=pipeline, on_road=store.total, flown=days_of(times))
+    return ReadStatistics(pipeline=pipeline, on_road=store.total, flown=days_flown(times))
 
 
 def _parts(pipeline: Pipeline) -> list[Box | None]:

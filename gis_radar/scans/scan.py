@@ -229,7 +229,7 @@ def ground_share(scan: Scan, *, reporter: Reporter = QUIET) -> float:
     return sum(batch.ground for batch in batches) / scan.points
 
 
-def days_of(times: Sequence[float]) -> Days | None:
+def days_flown(times: Sequence[float]) -> Days | None:
     """Return the days of the earliest and the latest GPS time, where these give days.
 
     Seconds of a GPS week do not. Times beyond a week are adjusted standard GPS time (seconds since

@@ -226,8 +226,10 @@ def test_hits_only_give_a_map_of_the_hit_share(run, site, tmp_path):
     assert heard.errors == []
     assert not (tmp_path / "dataset" / "tracks").exists()
     parameters, made = parameters_of("heatmap", site, tmp_path)
-    _, heard = run("heatmap", parameters | {"DATASET": str(tmp_path / "dataset")}, load=True)
+    given = {"DATASET": str(tmp_path / "dataset"), "MAP_OF": "hit_steps"}
+    _, heard = run("heatmap", parameters | given, load=True)
     assert heard.errors == []
+    assert layer_called("hit_steps").source().endswith("hit_steps.tif")
     layer = layer_called("Hit share by interval")
     assert layer.renderer().classAttribute() == "hit_share"
     assert layer.renderer().ranges()[0].label() == "0 %, never hit"

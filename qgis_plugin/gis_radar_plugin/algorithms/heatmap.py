@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +65,11 @@ class MakeHeatMap(WorkerAlgorithm):
             self, "AT", "One moment only",
             "The map of one step of 50 ms, in UTC: 2025-06-12T07:30:10Z.",
         )  # fmt: skip
+        add_text(
+            self, "MAP_OF", "Maps of further columns",
+            "Columns of the table 'tile_counts', with a comma between them: hidden_steps maps the "
+            "share of the time in which vehicles hid a tile.",
+        )  # fmt: skip
         self.add(
             QgsProcessingParameterBoolean("LOAD", tr("Load the layers"), True),
             about="Switch it off in a model that continues with the files.",
@@ -88,9 +94,13 @@ class MakeHeatMap(WorkerAlgorithm):
         dataset = self.parameterAsFile(parameters, "DATASET", context)
         words = ["heatmap", dataset, "-o", dest, *option("--interval", interval)]
         words += given_words(self, parameters, context, OPTIONS)
+        listed = self.parameterAsString(parameters, "MAP_OF", context).replace(",", " ")
+        columns = list(dict.fromkeys(listed.split()))
+        for column in columns:
+            words += ["--map-of", column]
         self.work(words, [dest], feedback)
         if self.parameterAsBoolean(parameters, "LOAD", context):
-            load_heatmap(context, Path(dest), Path(dest).name)
+            load_heatmap(context, Path(dest), Path(dest).name, further=columns)
         self.made = [
             (tr("Open the picture"), Path(dest) / "heatmap.png"),
             (tr("Show the folder"), Path(dest)),
@@ -110,17 +120,27 @@ def layers_of(folder: Path) -> dict[str, str]:
 
 
 def load_heatmap(
-    context: QgsProcessingContext, folder: Path, group: str, *, sets_time: bool = True
+    context: QgsProcessingContext,
+    folder: Path,
+    group: str,
+    *,
+    sets_time: bool = True,
+    further: Sequence[str] = (),
 ) -> None:
     """Have QGIS load a heat map as a group, the layer by interval on top and switched on.
 
-    The project steps by its intervals, unless `sets_time` is false.
+    The project steps by its intervals, unless `sets_time` is false. Each of the `further` columns
+    has a raster, switched off.
     """
     layers, titles = layers_of(folder), heatmap_titles(folder)
     finish = dress if sets_time else dress_only
     load(context, layers["INTERVALS"], titles[INTERVALS], group=group, order=3, finish=finish)
     load(context, layers["HEATMAP"], titles["heatmap"], group=group, order=2, visible=False)
-    load(context, layers["RASTER"], titles["raster"], group=group, order=1, visible=False)
+    for name, source in {
+        titles["raster"]: layers["RASTER"],
+        **{column: str(folder / f"{column}.tif") for column in further},
+    }.items():
+        load(context, source, name, group=group, order=1, visible=False)
     ground = tr("Road, not observed")
     # In other words, as Processing loads a source once.
     source = f"{layers['HEATMAP']}|geometrytype=Polygon"
