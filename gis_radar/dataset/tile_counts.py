@@ -34,7 +34,6 @@ from gis_radar.steps import STEPS_PER_SECOND
 
 QUARTERS = 4  # of an hour
 STEPS_PER_QUARTER = STEPS_PER_HOUR // QUARTERS
-_HITS_AT_ONCE = 1 << 20
 _HOURS = "hours"  # in the metadata of a day: what each hour was when it was counted
 
 
@@ -235,12 +234,13 @@ def count_spans(
 
 
 def _hits_in(runs: _Runs, folder: Path, record: HourRecord, tiles: Integers) -> Integers:
-    """Return how many hits lie in each run; memory is that of a batch of hits."""
+    """Return how many hits lie in each run; memory is that of a row group."""
     found, reached = np.zeros(len(runs.first), np.int64), np.zeros(2, np.int64)
     begin = record.hour * STEPS_PER_HOUR
     with record.opened(folder, HITS) as file:
-        for batch in file.iter_batches(_HITS_AT_ONCE, columns=HITS.names):
-            tile, step = (np.array(batch[name]) for name in HITS.names)
+        for group in range(file.num_row_groups):
+            rows = file.read_row_group(group, columns=HITS.names, use_threads=False)
+            tile, step = (rows[name].to_numpy() for name in HITS.names)
             _count_hits(tile, step, tiles, runs.first, runs.last, begin, reached, found)
     return found
 
