@@ -96,8 +96,8 @@ def mask(
     "further",
     multiple=True,
     metavar="COLUMN",
-    help="A further GeoTIFF: hidden_steps shows for which share of the observed time vehicles hid "
-    "a tile; so do hit_steps, occupied_steps, inferred_steps; repeatable.",
+    help="A further GeoTIFF, of a column of tile_counts that is a share of another one: "
+    "hidden_steps shows for which share of the observed time vehicles hid a tile; repeatable.",
 )
 def heatmap(
     *, folder: Path, output: Path, title: str, language: str, sources: tuple[str, ...],
