@@ -102,7 +102,7 @@ def _counts(
         occupied = np.minimum(vehicles * rng.uniform(6, 40, shape) / STEPS_PER_QUARTER, 0.95)
     visible = observed - hidden
     steps = (visible * occupied).astype(np.int64)
-    columns = {name: np.zeros(shape) for name in TILE_COUNTS.names} | {
+    columns = {
         "tile_id": np.repeat(seen, QUARTERS),
         "interval": np.tile(np.arange(QUARTERS), len(seen)),
         "hit_steps": (steps * rng.uniform(0.1, 0.4, shape)).astype(np.int64),

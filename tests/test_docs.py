@@ -24,6 +24,7 @@ from doc_pages import DOCS, PAGES, ROOT, blocks, commands, sayings
 
 import gis_radar as gr
 from gis_radar.cli import group
+from gis_radar.dataset.tables import TILE_COUNTS
 from gis_radar.poses.files import TRACK_FIELDS
 from gis_radar.quality.counting import Count
 from gis_radar.quality.quality import _row, faults_of
@@ -237,7 +238,9 @@ def test_every_measure_of_a_file_is_defined():
     row = set(_row("R1", 0, Count(), [], ZoneInfo("UTC")))
     track = {name.removeprefix("sigma_").partition("_")[0] for name in TRACK_FIELDS}
     measures = {"occupied_s", "visible_s", "occupancy", "occupancy_se", "hit_s", "observed_s"}
-    layers = measures | {"hit_share", "begin", "end"}
+    layers = (
+        measures | {"hit_share", "begin", "end"} | {f"{name}.tif" for name in TILE_COUNTS.shares}
+    )
     assert (row | {*TILES} | track | layers) - defined == set()
 
 

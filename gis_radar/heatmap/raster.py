@@ -22,6 +22,7 @@ from rasterio.enums import Resampling
 from rasterio.transform import Affine
 
 from gis_radar.arrays import Floats, Integers, ranges
+from gis_radar.dataset.tables import TILE_COUNTS
 from gis_radar.errors import OutputError
 from gis_radar.heatmap.counting import Tally
 from gis_radar.heatmap.intervals import SETTINGS
@@ -238,4 +239,8 @@ def _write_bands(
             about = iso_from_step(int(tally.timeline.begin[interval]))
         raster.set_band_description(band, about)
         reporter.progress("writing bands", band, len(intervals))
-    raster.update_tags(fingerprint=tally.fingerprint, definitions=json.dumps(tally.definitions))
+    definitions = dict(tally.definitions)
+    if measure is not None and measure in tally.further:
+        shown = next(each for each in TILE_COUNTS.columns if each.name == measure)
+        definitions = {measure: f"{shown.means}, as a share of {shown.share_of}"}
+    raster.update_tags(fingerprint=tally.fingerprint, definitions=json.dumps(definitions))

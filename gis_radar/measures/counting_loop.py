@@ -3,8 +3,7 @@
 One pass over the rows of a recording: the detections of a frame are placed in the map
 (:mod:`gis_radar.measures.placing`), and those over cells with tiles are filtered and tested
 against these. A tile is stamped with the frame that hit it, so that it counts once in it; those of
-a step are bits, so that they come out ascending without a sort. What
-:mod:`gis_radar.measures.plain_pass` finds in NumPy, bit for bit.
+a step are bits, so that they come out ascending without a sort.
 """
 
 from __future__ import annotations
