@@ -104,7 +104,7 @@ class LiveSite:
     scheme, host, authority = "mqtt", "127.0.0.1", ""
     vehicles = "false"  # else a process begins with each fusion
     of_site = ""  # more of SITE.toml, and of its table [live]
-    of_live = ""
+    of_live = 'oldest = "36500d"\nkeep = "36500d"'  # the sample is of 2025
 
     def __init__(self, folder, once, **given):
         vars(self).update(given)
@@ -151,7 +151,6 @@ vehicles = {self.vehicles}
             source = f'recording = "{self.recordings / name}.parquet"\n{source}'
         keys = {
             "pose": f'"{SAMPLE / name}.json"', "tiles": f'"{self.tiles}"', "follow": "false",
-            "detections": "false",
         } | keys  # fmt: skip
         keys = {key: value for key, value in keys.items() if value is not None}
         address = f"{self.scheme}://{self.host}:{port or self.port}"

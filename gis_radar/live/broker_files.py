@@ -67,7 +67,7 @@ def write_broker_files(path: str | Path, folder: str | Path) -> list[Path]:
 def broker_config(site: LiveSite, folder: Path) -> str:
     """Return Mosquitto's configuration: a log-in for all, bounded messages and queues."""
     address = BrokerAddress.of(site.live.broker.address)
-    # What all sensors may have on their way, hits and detections; the rest is asked for again.
+    # What all sensors may have on their way; the rest is asked for again.
     queued = 2 * DEFAULTS.unacknowledged * len(site.sensor)
     size = MOST_BYTES + _HEADER_BYTES
     lines = [
@@ -97,8 +97,8 @@ def broker_config(site: LiveSite, folder: Path) -> str:
 def broker_access(site: str) -> str:
     """Return who may publish and read what: a sensor its own topics, fusion those of all."""
     root = f"{TOPICS}/{site}"
-    own = [f"pattern write {root}/%u/{kind}" for kind in ("hits", "detections", "status", "pose")]
-    of_all = [f"topic read {root}/+/{kind}" for kind in ("hits", "detections", "status", "pose")]
+    own = [f"pattern write {root}/%u/{kind}" for kind in ("detections", "status", "pose")]
+    of_all = [f"topic read {root}/+/{kind}" for kind in ("detections", "status", "pose")]
     lines = [
         f"user {FUSION}", *of_all, f"topic write {root}/+/ack", f"topic write {root}/{FUSION}/#",
         "", *own, f"pattern read {root}/%u/ack",

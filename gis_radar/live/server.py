@@ -21,7 +21,7 @@ from gis_radar.live.page import Access, make_app
 from gis_radar.live.recent import RecentCounts
 from gis_radar.live.settings import LiveSite
 from gis_radar.live.snapshot import Place, ShownSensor, Snapshot, place_of
-from gis_radar.live.vehicles.in_fusion import LiveVehicles
+from gis_radar.live.vehicles_now import LiveVehicles
 from gis_radar.site.live_table import PageTable
 
 START_S, END_S = 10.0, 2.0

@@ -13,6 +13,15 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 from driven import drive
+from gis_radar.live.hits_folder.folder import read_stored_hits, runs_of_frames
+from gis_radar.live.hits_folder.tile_sets import pack_tiles, unpack_tiles
+from gis_radar.live.hours import HOUR_STEPS
+from gis_radar.live.journal import Journal
+from gis_radar.live.store import Store
+from gis_radar.live.vehicles.clocks import SensorFrame
+from gis_radar.live.vehicles.follower import FollowedSite, VehicleFollower
+from gis_radar.live.vehicles.settings import DEFAULTS
+from gis_radar.live.vehicles.store import FollowedPose, StoredBatch, VehicleStore
 from maps import EAST, NORTH
 
 import gis_radar as gr
@@ -22,11 +31,7 @@ from gis_radar.live.buffer import DiskBuffer
 from gis_radar.live.detections import FrameDetections, pack_detections, unpack_detections
 from gis_radar.live.edge import Edge
 from gis_radar.live.health import prometheus_text
-from gis_radar.live.hits_folder.folder import read_stored_hits, runs_of_frames
-from gis_radar.live.hits_folder.tile_sets import pack_tiles, unpack_tiles
-from gis_radar.live.hours import HOUR_STEPS
 from gis_radar.live.intake import Intake
-from gis_radar.live.journal import Journal
 from gis_radar.live.map_of_now import MapOfNow
 from gis_radar.live.outbox import ONLINE, Outbox, status_message
 from gis_radar.live.payload import (
@@ -41,11 +46,6 @@ from gis_radar.live.payload import (
     unpack_hits,
 )
 from gis_radar.live.settings import read_edge_file, read_live_site
-from gis_radar.live.store import Store
-from gis_radar.live.vehicles.clocks import SensorFrame
-from gis_radar.live.vehicles.follower import FollowedSite, VehicleFollower
-from gis_radar.live.vehicles.settings import DEFAULTS
-from gis_radar.live.vehicles.store import FollowedPose, StoredBatch, VehicleStore
 from gis_radar.live.windows import Windows
 from gis_radar.measures.hit_counter import CountedFrame
 from gis_radar.measures.validity import Runs
