@@ -58,7 +58,7 @@ from gis_radar.tracking.settings import DEFAULTS as VEHICLE_DEFAULTS
 from gis_radar.tracking.settings import VehicleSettings
 from gis_radar.tracking.visibility import SensorView
 
-METHOD = 1
+METHOD = 2
 """Raised whenever the same inputs would give other parts."""
 
 MOST_EQUAL_FRAMES = 5  # of two sensors, by chance: of frames with so many detections never
