@@ -35,13 +35,13 @@ from simulated import ROOT
 
 import gis_radar as gr
 from gis_radar.arrays import Floats
-from gis_radar.localization.lanes import sample_lanes
-from gis_radar.localization.state import State
-from gis_radar.localization.traces import Moving
-from gis_radar.monitor.alarm import Alarm, ChangeDetector, detectors
-from gis_radar.monitor.lane_places import Cells, LanePlaces, cells_along, lane_places
-from gis_radar.monitor.settings import DEFAULTS
-from gis_radar.monitor.still_targets import StillTargets, by_move
+from gis_radar.calibration import MONITOR
+from gis_radar.calibration.alarm import Alarm, ChangeDetector, detectors
+from gis_radar.calibration.lane_places import Cells, LanePlaces, cells_along, lane_places
+from gis_radar.calibration.lanes import sample_lanes
+from gis_radar.calibration.state import State
+from gis_radar.calibration.stationary_targets import StillTargets, by_move
+from gis_radar.calibration.traces import Moving
 from simulation.demand import ALL_KINDS, Flow
 from simulation.driving import DrivenRoads, LaneKeeping
 from simulation.network import RoadNetwork, build_network, read_network
@@ -62,7 +62,7 @@ STREETS_SEED = 77
 WINDOW_S = 100.0
 FIRST_MOVED = 3  # pieces before the first move
 FEW = (24, 12)  # still targets
-ALARM, STILL, TRACES = DEFAULTS.alarm, DEFAULTS.still, DEFAULTS.localization.traces
+ALARM, STILL, TRACES = MONITOR.alarm, MONITOR.still, MONITOR.localization.traces
 
 
 NOBODY = LanePlaces(
@@ -199,7 +199,7 @@ class Scores:
 
     @property
     def whole(self) -> float:
-        """What the alarm goes by, as :func:`gis_radar.monitor.watch.decided`."""
+        """What the alarm goes by, as :func:`gis_radar.calibration.watch.decided`."""
         return self.still if self.sees else max(self.still, self.vehicles)
 
 
@@ -276,8 +276,8 @@ class Both:
         self, sensor: Sensor, known: tuple[StillTargets, np.ndarray] | None = None
     ) -> None:
         self.vehicles = Alarm(sensor.cells, sensor.state.position[:2])
-        fixed = replace(DEFAULTS, still=replace(STILL, search_blocks=2**62))
-        self.still = StillTargets(DEFAULTS if known is None else fixed)
+        fixed = replace(MONITOR, still=replace(STILL, search_blocks=2**62))
+        self.still = StillTargets(MONITOR if known is None else fixed)
         if known is not None:
             self.still.know(known[0].place[known[1]], known[0].rate[known[1]])
 

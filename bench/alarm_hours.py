@@ -16,12 +16,12 @@ import numpy as np
 from scipy.stats import genpareto
 
 from gis_radar.arrays import Booleans, Floats
-from gis_radar.monitor.alarm import ChangeDetector
-from gis_radar.monitor.lane_places import LanePlaces
-from gis_radar.monitor.settings import DEFAULTS, HOUR_S
-from gis_radar.monitor.still_targets import by_move
+from gis_radar.calibration.alarm import ChangeDetector
+from gis_radar.calibration.lane_places import LanePlaces
+from gis_radar.calibration.monitor_settings import HOUR_S, MONITOR
+from gis_radar.calibration.stationary_targets import by_move
 
-ALARM, STILL = DEFAULTS.alarm, DEFAULTS.still
+ALARM, STILL = MONITOR.alarm, MONITOR.still
 RUN = 3  # minutes that stay together
 MONTH_H = 720.0
 APART = 30  # minutes between independent exceedances: the longest part that is tested
@@ -215,7 +215,7 @@ class _Slow:
         rng, day = self._rng, self._day
         for each in (self._habits, self._sway, self._still):
             each.step()
-        hourly = day.drift * np.array(DEFAULTS.drift)
+        hourly = day.drift * np.array(MONITOR.drift)
         self._drift = self._drift + hourly * rng.normal(size=6) * np.sqrt(60.0 / HOUR_S)
         self._obstacles = [(s, by, left - 1) for s, by, left in self._obstacles if left > 1]
         if rng.random() < day.obstacles / 60.0:

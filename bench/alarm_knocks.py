@@ -25,23 +25,27 @@ from simulated import ROOT
 
 import gis_radar as gr
 from gis_radar.arrays import Floats
-from gis_radar.localization.result import Problem
-from gis_radar.monitor import follow
-from gis_radar.monitor.moves import Scatter
-from gis_radar.monitor.settings import DEFAULTS, TrackingSettings
-from gis_radar.monitor.track import MOVED, REJECTED
-from gis_radar.monitor.windows import WindowFitter
+from gis_radar.calibration import (
+    MONITOR,
+    Follower,
+    MonitorSettings,
+    Problem,
+    WindowFitter,
+    start_estimate,
+)
+from gis_radar.calibration.moves import Scatter
+from gis_radar.calibration.pose_track import MOVED, REJECTED
 from gis_radar.recordings.recording import Detections
 
 PART_S = 300.0
 SIGMA = {"easting": 0.1, "northing": 0.1, "height": 0.1, "yaw": 0.1, "pitch": 0.1, "roll": 0.1}
-BY_TRAFFIC = replace(DEFAULTS, still=replace(DEFAULTS.still, least_targets=10**9))
+BY_TRAFFIC = replace(MONITOR, still=replace(MONITOR.still, least_targets=10**9))
 
 
 class Heard(Scatter):
     """Keeps what each test found, in parts of its limit."""
 
-    def __init__(self, settings: TrackingSettings) -> None:
+    def __init__(self, settings: MonitorSettings) -> None:
         super().__init__(settings)
         self.gate, self.found = settings.gate, list[float]()
 
@@ -60,7 +64,7 @@ def main() -> None:
     report: dict[str, object] = {}
     largest: list[float] = []
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
-    for detector, settings in (("traffic", BY_TRAFFIC), ("both", DEFAULTS)):
+    for detector, settings in (("traffic", BY_TRAFFIC), ("both", MONITOR)):
         for kind, mast in (("ordinary", 0), ("ordinary", 1), ("light", 0)):
             name = make_samples.MASTS[mast].sensor
             paths = sorted((alarm.OUT / kind).glob(f"{name}_*_all.npz"))[: arguments.batches]
@@ -76,7 +80,7 @@ def main() -> None:
 
 
 def rest(
-    mast: int, paths: Sequence[Path], settings: TrackingSettings
+    mast: int, paths: Sequence[Path], settings: MonitorSettings
 ) -> tuple[dict[str, object], list[float]]:
     """Follow a sensor at rest; return figures, and the largest finding by five minutes."""
     pose, folder = make_samples.MASTS[mast].pose(), gr.sample_folder()
@@ -88,8 +92,8 @@ def rest(
     problem = Problem(
         name=pose.sensor, roads=roads, road=mask.points, guess=pose.position[:2], heading=None
     )
-    start = follow.start_estimate(pose, make_samples.START, settings)
-    follower = follow.Follower(WindowFitter(problem, settings), start, settings)
+    start = start_estimate(pose, make_samples.START, settings)
+    follower = Follower(WindowFitter(problem, settings), start, settings)
     heard = follower.scatter = Heard(settings)
     sensor, largest, unmoved = alarm.Sensor.of(mast), [0.0], []
     for number, path in enumerate(paths):

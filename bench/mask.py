@@ -28,8 +28,8 @@ import shapely
 from pyproj import CRS
 
 import gis_radar as gr
+from gis_radar.calibration import ScanCheckSettings
 from gis_radar.errors import GisRadarError
-from gis_radar.scan_check.settings import ScanCheckSettings
 from gis_radar.scans.engines import write_layer
 from gis_radar.scans.pdal import find_pdal
 from gis_radar.scans.roads import RoadLevel, Roads, roads_of_map

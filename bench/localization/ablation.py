@@ -1,6 +1,6 @@
 """Ablation: the method `lane` with one stage less, each against the same trials.
 
-Every stage is turned off by settings (`gis_radar.localization.settings`). Trials: each sensor of
+Every stage is turned off by settings (`gis_radar.calibration.settings`). Trials: each sensor of
 the sites and of the town's set DO, from a start within 10 m; a straight road and a mirrored
 recording, where no confident answer is right. All variants of a trial run one after the other, so
 that what has come in at any time compares.
@@ -25,7 +25,7 @@ from trials import COMPASS_DEG, Result, Trial, run, spread
 from workers import PROCESSES, workers
 
 import gis_radar as gr
-from gis_radar.localization.settings import Schedule
+from gis_radar.calibration.settings import Schedule
 from gis_radar.poses.files import write_pose
 
 AT_ONCE = Schedule(scales_m=(0.0,), rounds=30)

@@ -17,8 +17,8 @@ from workers import workers
 
 import gis_radar as gr
 from gis_radar.arrays import Floats
+from gis_radar.calibration import LOCALIZATION
 from gis_radar.files import atomic_write
-from gis_radar.localization.settings import DEFAULTS
 
 METHODS = ("lane", "icp")
 RIGHT_M, RIGHT_DEG = 1.0, 1.0
@@ -118,7 +118,7 @@ def run(trial: Trial) -> Result:
     try:
         found = gr.localize(
             recording, ground.roads, ground.road, guess=guess, heading=heading,
-            method=trial.method, settings=DEFAULTS.changed(dict(trial.changes)),
+            method=trial.method, settings=LOCALIZATION.changed(dict(trial.changes)),
         )  # fmt: skip
     except gr.NoAnswerError as refusal:
         return Result(trial=trial, said=str(refusal), seconds=time.process_time() - begin)

@@ -13,6 +13,7 @@ from time import sleep
 import geopandas as gpd
 import numpy as np
 
+from gis_radar.calibration import LOCALIZATION
 from gis_radar.crs import require_same
 from gis_radar.errors import InputError, NoAnswerError
 from gis_radar.live.broker import Link, SensorTopics
@@ -42,7 +43,6 @@ from gis_radar.live.payload import (
 from gis_radar.live.settings import DEFAULTS, EdgeFile, LiveSettings, read_edge_file
 from gis_radar.live.sources import IDLE_S, Frames, Radar, Replay
 from gis_radar.live.tile_finder import TileFinder
-from gis_radar.localization.settings import DEFAULTS as LOCALIZATION
 from gis_radar.measures.hit_counter import CountedFrame
 from gis_radar.measures.settings import DEFAULTS as HITS_FOLDER
 from gis_radar.measures.validity import validity_of
