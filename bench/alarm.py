@@ -30,8 +30,8 @@ from pathlib import Path
 
 import numpy as np
 from alarm_hours import APART, CHANGING, STEADY, Day, Hours, Minute, halves, tail
+from figures import ROOT
 from scipy.spatial.transform import Rotation
-from simulated import ROOT
 
 import gis_radar as gr
 from gis_radar.arrays import Floats

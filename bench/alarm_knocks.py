@@ -21,7 +21,7 @@ import make_samples
 import numpy as np
 import pyarrow as pa
 from alarm_hours import tail
-from simulated import ROOT
+from figures import ROOT
 
 import gis_radar as gr
 from gis_radar.arrays import Floats

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pages
-from simulated import ROOT
+from figures import ROOT
 
 Report = Mapping[str, Any]
 MOVES = {
