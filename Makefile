@@ -130,8 +130,6 @@ bench-clocks: set-up-dev ## Measure clocks that are off against the truth
 
 bench-alarm: set-up-dev ## Measure how soon a small move is noticed, and false alarms a month
 	$(BIN)/python bench/alarm.py
-	$(BIN)/python bench/alarm_knocks.py
-	$(BIN)/python bench/alarm_tables.py
 
 bench-sight: set-up-dev ## Measure what is hidden against the truth of towns and two levels
 	$(BIN)/python bench/sight.py

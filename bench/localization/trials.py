@@ -113,7 +113,8 @@ def run(trial: Trial) -> Result:
     try:
         found = gr.localize(
             trial.folder / f"{trial.name}.parquet", ground.roads, ground.road, guess=guess,
-            heading=heading, method=trial.method, settings=LOCALIZATION.changed(dict(trial.changes)),
+            heading=heading, method=trial.method,
+            settings=LOCALIZATION.changed(dict(trial.changes)),
         )  # fmt: skip
     except gr.NoAnswerError:
         return Result(trial=trial, seconds=time.process_time() - begin)
