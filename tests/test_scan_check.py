@@ -329,7 +329,7 @@ def test_the_last_frames_count():
 
 
 def test_settings_reach_the_comparison(look):
-    """With no slack an echo fits only where the scan has its wall."""
+    """With no slack a detection fits only where the scan has its wall."""
     strict = gr.check_against_scan(R2, POSE, [SCAN], settings=ScanCheckSettings(close_m=0.1))
     assert strict.score < look.score
     assert strict.figures()["settings"]["close_m"] == 0.1

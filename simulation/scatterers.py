@@ -1,4 +1,4 @@
-"""Echoes of vehicles: which points of their outside scatter back, and how these move."""
+"""Scatterers of vehicles: which points of their outside scatter back, and how these move."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SPOT_DB = 5.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Echoes:
+class Scatterers:
     """Scatter points of one moment, one row each.
 
     Parameters
@@ -42,9 +42,9 @@ class Echoes:
     owner: Integers
     target: Integers
 
-    def where(self, keep: Booleans) -> Echoes:
-        """Return the echoes for which `keep` is true."""
-        return Echoes(
+    def where(self, keep: Booleans) -> Scatterers:
+        """Return the scatterers for which `keep` is true."""
+        return Scatterers(
             point=self.point[keep],
             velocity=self.velocity[keep],
             rcs=self.rcs[keep],
@@ -52,8 +52,8 @@ class Echoes:
             target=self.target[keep],
         )
 
-    def of(self, target: Integers) -> Echoes:
-        """Return the same echoes as those of lasting targets."""
+    def of(self, target: Integers) -> Scatterers:
+        """Return the same scatterers as those of lasting targets."""
         return replace(self, target=target)
 
     def range_rate(self, eye: Floats) -> Floats:
@@ -63,9 +63,9 @@ class Echoes:
         return np.asarray(np.sum(away * self.velocity, axis=1))
 
 
-def join_echoes(parts: list[Echoes]) -> Echoes:
-    """Return the echoes of several sources as one."""
-    return Echoes(
+def join_scatterers(parts: list[Scatterers]) -> Scatterers:
+    """Return the scatterers of several sources as one."""
+    return Scatterers(
         point=np.vstack([p.point for p in parts]),
         velocity=np.vstack([p.velocity for p in parts]),
         rcs=np.concatenate([p.rcs for p in parts]),
@@ -74,9 +74,9 @@ def join_echoes(parts: list[Echoes]) -> Echoes:
     )
 
 
-def vehicle_echoes(
+def vehicle_scatterers(
     vehicles: Vehicles, scene: Scene, eye: Floats, *, density: float, rng: np.random.Generator
-) -> Echoes:
+) -> Scatterers:
     """Draw the scatter points of vehicles on the faces turned to the sensor.
 
     Parameters
@@ -191,8 +191,8 @@ def _draw_across(side: Booleans, rng: np.random.Generator) -> Floats:
 def place_spots(
     vehicles: Vehicles, scene: Scene, owner: Integers, outward: Floats, spots: Spots, *,
     spin: Floats, rcs: Floats,
-) -> Echoes:  # fmt: skip
-    """Return the echoes of scatter points on vehicles.
+) -> Scatterers:  # fmt: skip
+    """Return the scatterers of scatter points on vehicles.
 
     Parameters
     ----------
@@ -228,7 +228,7 @@ def place_spots(
     turning = vehicles.yaw_rate[owner][:, None] * np.column_stack([-arm[:, 1], arm[:, 0]])
     flat = (speed * roll)[:, None] * ahead + turning
     base = 8.0 * np.log10(size[:, 0] * size[:, 2] / 6.5)
-    return Echoes(
+    return Scatterers(
         point=np.column_stack([plane, scene.terrain.height(plane) + over]),
         velocity=np.column_stack([flat, np.zeros(len(owner))]),
         rcs=base + np.where(wheel, -8.0, 1.0) + rcs,
@@ -238,27 +238,27 @@ def place_spots(
 
 
 def ghosts(
-    echoes: Echoes, eye: Floats, walls: Walls, *, share: float, rng: np.random.Generator
-) -> Echoes:
-    """Draw multipath ghosts of some echoes.
+    scatterers: Scatterers, eye: Floats, walls: Walls, *, share: float, rng: np.random.Generator
+) -> Scatterers:
+    """Draw multipath ghosts of some scatterers.
 
     Where a wall mirrors the vehicle to the sensor, the ghost is its mirror image, with the
     mirrored motion; else the wave went an extra bounce, and the ghost is behind its origin.
 
     Parameters
     ----------
-    echoes : Echoes
+    scatterers : Scatterers
         What the sensor sees directly.
     eye : (3,) array
         The sensor in the map.
     walls : Walls
         Mirrors.
     share : float
-        Ghosts per echo.
+        Ghosts per scatterer.
     rng : Generator
-        Decides which echoes get one.
+        Decides which scatterers get one.
     """
-    chosen = echoes.where(rng.random(len(echoes.rcs)) < share)
+    chosen = scatterers.where(rng.random(len(scatterers.rcs)) < share)
     sight = chosen.point - eye
     reach = np.linalg.norm(sight, axis=1)
     longer = 1.0 + rng.uniform(1.5, 25.0, len(reach)) / np.maximum(reach, 1.0)
@@ -271,7 +271,7 @@ def ghosts(
     loss = rng.uniform(4.0, 12.0, len(reach))
     none = np.full(len(reach), -1)
     rcs = chosen.rcs - loss
-    return Echoes(point=point, velocity=velocity, rcs=rcs, owner=none, target=none)
+    return Scatterers(point=point, velocity=velocity, rcs=rcs, owner=none, target=none)
 
 
 def _image(

@@ -1,73 +1,66 @@
-"""Combinations for the calibration: places, drivers, vehicles and sensors drawn at random.
+"""Random places: streets, drivers, vehicles and a sensor drawn from a number, for each number anew.
 
-Each has its own street plan, terrain, houses, drivers, vehicles, mast, view and radar, drawn from
-its number, and nothing in common with any other.
+Under whichever conditions the place, the demand and the sensor's pose are the same. No setting was
+chosen on them: they show whether errors keep to the covariance.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from conditions import (
-    CONDITIONS,
-    FALSE_DOPPLER_SHARE,
-    STATIC_PER_FRAME,
-    TEXTBOOK,
-    folder_name,
-)
+from conditions import CONDITIONS, TEXTBOOK
 from places import (
     ORIGIN,
     OUT,
-    ROOT,
     UTM,
     WINDOW_S,
     Manners,
+    disc,
+    made,
     make_place,
     mixed,
     roadside_stand,
     write_moving,
 )
 from street_plans import PLANS
+from trials import NEAR_M, Trial, in_workers
 
 import gis_radar as gr
 from gis_radar.poses.files import write_pose
 from simulation.demand import KINDS
 from simulation.driving import LaneKeeping
-from simulation.radar import RadarModel
 from simulation.roadside import Roadside
 from simulation.scene import Scene
 from simulation.terrain import Terrain
 
-
-def combination(number: int, conditions: str = TEXTBOOK) -> Path:
-    """Return the folder of a combination; it is made where it is missing or out of date.
-
-    Under a name of `CONDITIONS` other than ``textbook`` the place, the demand and the sensor's pose
-    are the same; radar, drivers and people are those of the name.
-    """
-    folder = OUT / folder_name("calibration", conditions) / f"{number:03d}"
-    stamp = folder / "made.txt"
-    if stamp.exists() and stamp.read_text() == _recipe():
-        return folder
-    folder.mkdir(parents=True, exist_ok=True)
-    stamp.unlink(missing_ok=True)
-    _make(number, folder, conditions)
-    stamp.write_text(_recipe())
-    return folder
+COUNT, QUICK_COUNT = 120, 10
 
 
-def _recipe() -> str:
-    """Return a checksum of all that decides how a combination comes out."""
-    here = Path(__file__).parent
-    parts = [
-        here / f"{name}.py" for name in ("combinations", "places", "conditions", "street_plans")
+def plan(count: int, conditions: str) -> list[Trial]:
+    """Return a trial at each of the first so many places, without a heading."""
+    folders = in_workers(random_place, [(number, conditions) for number in range(count)])
+    return [
+        Trial(group="random", folder=folder, name="R1", method="lane", offset=_offset(number))
+        for number, folder in enumerate(folders)
     ]
-    parts += sorted((ROOT / "simulation").glob("*.py"))
-    return hashlib.sha256(b"".join(p.read_bytes() for p in parts)).hexdigest()
+
+
+def _offset(number: int) -> tuple[float, float]:
+    east, north = disc(np.random.default_rng([number, 5]), 1, NEAR_M)[0].tolist()
+    return east, north
+
+
+def random_place(drawn: tuple[int, str]) -> Path:
+    """Return the folder of a place under some conditions; made where missing or out of date."""
+    number, conditions = drawn
+    folder = OUT / "random" / conditions / f"{number:03d}"
+
+    def make() -> None:
+        _make(number, folder, conditions)
+
+    return made(folder, make, "random_places", "places", "conditions", "street_plans")
 
 
 def _make(number: int, folder: Path, conditions: str) -> None:
@@ -100,21 +93,10 @@ def _make(number: int, folder: Path, conditions: str) -> None:
     place = make_place(
         plan, seed=number, terrain=terrain, manners=manners, duration_s=WINDOW_S, roadside=roadside
     )
-    pose, model = _sensor(place.scene, rng), _radar(rng)
-    if under.radar != TEXTBOOK:
-        model = under.model
-    recording = place.record(pose, seed=number, model=model)
-    write_moving(recording, folder / "R1.parquet")
+    pose = _sensor(place.scene, rng)
+    write_moving(place.record(pose, seed=number, model=under.model), folder / "R1.parquet")
     write_pose(pose, folder / "R1.json")
     place.write_ground(folder, seed=number)
-    place.write_truth(folder)
-    about = {
-        "plan": plan.name, "lane_width_m": plan.lane_width_m, "speed_mps": plan.speed_mps,
-        "slope": round(float(np.hypot(*slope)), 3), "per_hour": manners.per_hour,
-        "keeping": asdict(manners.keeping), "model": asdict(model),
-        "mast_m": round(pose.height - float(terrain.height(pose.position[:2])), 2),
-    }  # fmt: skip
-    (folder / "about.json").write_text(json.dumps(about, indent=1))
 
 
 def _keeping(rng: np.random.Generator) -> LaneKeeping:
@@ -147,21 +129,4 @@ def _sensor(scene: Scene, rng: np.random.Generator) -> gr.Pose:
             elevation_deg=float(rng.choice([24.0, 30.0, 40.0])),
             max_range_m=float(rng.choice([150.0, 200.0, 300.0])),
         ),
-    )
-
-
-def _radar(rng: np.random.Generator) -> RadarModel:
-    """Return a radar as good or bad as those on the market."""
-    return RadarModel(
-        reach_m=float(rng.uniform(70.0, 115.0)),
-        density=float(rng.uniform(1.2, 2.4)),
-        static_per_frame=STATIC_PER_FRAME,
-        false_doppler_share=FALSE_DOPPLER_SHARE,
-        ghost_share=float(rng.uniform(0.01, 0.07)),
-        false_alarms=float(rng.uniform(0.5, 5.0)),
-        leak=float(rng.uniform(0.02, 0.08)),
-        range_m=float(rng.uniform(0.06, 0.25)),
-        azimuth_deg=float(rng.uniform(0.08, 0.35)),
-        elevation_deg=float(rng.uniform(0.25, 0.9)),
-        range_rate_mps=float(rng.uniform(0.03, 0.1)),
     )
