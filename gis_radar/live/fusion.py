@@ -18,7 +18,7 @@ from gis_radar.files import atomic_write
 from gis_radar.live.background import BackgroundTask
 from gis_radar.live.broker import Link, SensorTopics
 from gis_radar.live.first_run import compile_first, run_fusion_once
-from gis_radar.live.health import HealthServer, prometheus_text
+from gis_radar.live.health import prometheus_text, serve_metrics
 from gis_radar.live.hour_copy import write_copied
 from gis_radar.live.hours import HOUR_US
 from gis_radar.live.intake import FUSION, Intake, SensorState
@@ -167,7 +167,7 @@ class Fusion:
             will=(own, b'{"version": 1, "state": "offline"}'), reporter=self._reporter,
         )  # fmt: skip
         self._link = link
-        server = HealthServer(live.health, self.metrics) if live.health else None
+        server = serve_metrics(live.health, self.metrics) if live.health else None
         if self._page is not None:
             self._reporter.log(f"the page is at {self._page.open()}")
         self._export(self.state())  # the first takes long, before frames come
