@@ -11,10 +11,21 @@ import pytest
 from live_replay import Replay
 from live_site import LONGEST_S, free_port, wait_for
 
+from gis_radar.cli.console import JsonConsole, TerminalConsole
+from gis_radar.errors import InputError
 from gis_radar.live import web_server
+from gis_radar.live.broker import Received
 from gis_radar.live.health import SensorHealth, prometheus_text, serve_metrics
+from gis_radar.live.intake import Intake
+from gis_radar.live.journal import Journal
+from gis_radar.live.map_of_now import MapOfNow
 from gis_radar.live.page import MOST_READERS, make_app
 from gis_radar.live.web_server import LOOPBACK, MOST_CONNECTIONS, REQUEST_S, WebServer
+from gis_radar.live.windows import Windows
+from gis_radar.measures.views import ViewBook
+from gis_radar.poses.pose import pose_from_dict
+from gis_radar.progress import Reporter
+from gis_radar.sight import SightTiles
 
 
 @pytest.fixture(scope="module")
@@ -174,3 +185,61 @@ def test_no_other_page_reads_metrics_in_the_name_of_this_machine():
         ]  # fmt: skip
     finally:
         server.close()
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"easting": 1e300}, {"easting": 5e7}, {"northing": -1e300}, {"height": 1e300},
+     {"view": {"max_range_m": 1e300}}],
+)  # fmt: skip
+def test_a_pose_that_is_nowhere_is_not_taken(live, changes):
+    record = live.poses["R1"].as_dict()
+    pose_from_dict(record, what="R1")
+    with pytest.raises(InputError, match=f"{next(iter(changes))}"):
+        pose_from_dict(record | changes, what="R1")
+
+
+class Lines(Reporter):
+    def __init__(self):
+        self.lines = []
+
+    def log(self, message, _level="info"):
+        self.lines.append(message)
+
+
+@pytest.fixture
+def intake(live, tmp_path):
+    road = SightTiles.of(live.place.tiles)
+    with Journal(tmp_path / "journal", fingerprint=road.fingerprint) as journal:
+        yield Intake(
+            ["R1"], site="s", book=ViewBook(road=road), journal=journal, windows=Windows(0.2),
+            current=MapOfNow(len(road.tile_id), interval=18_000), reporter=Lines(),
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "status",
+    ['{"version": 1, "state": "online", "stream": "00\\nerror: forged"}',
+     '{"version": 1, "state": "online", "stream": "' + 60_000 * "a" + '"}',
+     '{"version": 1, "state": "online", "lost": ' + 4_000 * "9" + "}",
+     '{"version": 1, "state": "online", "lost": ' + 60_000 * "9" + "}",
+     '{"version": "' + 60_000 * "a" + '"}'],
+)  # fmt: skip
+def test_a_status_writes_no_line_of_its_own_and_no_long_one(intake, status):
+    for text in (status, '{"version": 1, "state": "online", "stream": "0011aabb"}', status):
+        intake.handle(Received("v1/s/R1/status", text.encode(), 1.0, retained=False))
+    health = intake.sensors["R1"].health
+    for text in (*intake._reporter.lines, *health.alarms.values(), str(health.lost)):
+        assert len(text.splitlines()) == 1
+        assert len(text) < 600
+    assert intake.sensors["R1"].stream == "0011aabb"
+
+
+@pytest.mark.parametrize("console", [JsonConsole, TerminalConsole, Reporter])
+def test_a_line_of_the_log_is_one_line(console, capsys, caplog):
+    with caplog.at_level("INFO"):
+        console().log("R1\nerror: forged \x1b[2J \u2028" + 60_000 * "x")
+    written = "".join([*capsys.readouterr(), *(each.getMessage() for each in caplog.records)])
+    assert len(written.strip().splitlines()) == 1
+    assert "\x1b" not in written
+    assert len(written) < 3_000

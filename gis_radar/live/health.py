@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from gis_radar.live.settings import DEFAULTS, LiveSettings
-from gis_radar.progress import QUIET, Reporter
+from gis_radar.progress import LETTERS_OF_AN_ERROR, QUIET, Reporter, one_line
 
 if TYPE_CHECKING:
     from prometheus_client import Metric
@@ -86,7 +86,7 @@ class SensorHealth:
                 self.reporter.log(f"{self.name}: over: {ALARMS[kind]}")
             return
         new = kind not in self.alarms
-        self.alarms[kind], self.raised_s[kind] = text, time.time()
+        self.alarms[kind], self.raised_s[kind] = one_line(text, LETTERS_OF_AN_ERROR), time.time()
         if new:
             self.reporter.log(f"{self.name}: {ALARMS[kind]}: {text}", "warning")
 
