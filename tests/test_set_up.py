@@ -269,7 +269,9 @@ import missing_libraries as tool
 
 class Hidden(importlib.abc.MetaPathFinder):
     def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in {"starlette", "uvicorn", "paho", "movingpandas", "open3d"}:
+        if name.partition(".")[0] in {
+            "movingpandas", "open3d", "paho", "prometheus_client", "starlette", "uvicorn"
+        }:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
 sys.meta_path.insert(0, Hidden())

@@ -16,12 +16,12 @@ import numpy as np
 from gis_radar.errors import GisRadarError, OutputError
 from gis_radar.files import atomic_write
 from gis_radar.live.background import BackgroundTask
-from gis_radar.live.broker import Link, SensorTopics
+from gis_radar.live.broker import FUSION, Link, SensorTopics
 from gis_radar.live.first_run import compile_first, run_fusion_once
-from gis_radar.live.health import HealthServer, prometheus_text
+from gis_radar.live.health import prometheus_text, serve_metrics
 from gis_radar.live.hour_copy import write_copied
 from gis_radar.live.hours import HOUR_US
-from gis_radar.live.intake import FUSION, Intake, SensorState
+from gis_radar.live.intake import Intake, SensorState
 from gis_radar.live.journal import Journal
 from gis_radar.live.lane_push import LanePush
 from gis_radar.live.map_of_now import MapOfNow, MapState
@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 
 TAKEN_AT_ONCE = 500  # messages between two looks at the clock
 WAIT_S = 0.01
+SAID_S = 600.0  # until the same error is logged again: a disk stays full for hours
 HITS_FOLDER_NAME, JOURNAL_FILE, NOW_FILE = "hits", "journal.sqlite", "now.gpkg"
 PUSH_FILE = "sensorthings.json"
 
@@ -72,6 +73,7 @@ class Fusion:
         self, site: LiveSite, *, settings: LiveSettings = DEFAULTS, reporter: Reporter = QUIET
     ) -> None:
         self._site, self._settings, self._reporter = site, settings, reporter
+        self._said: dict[str, float] = {}  # errors, and when they were logged
         self.tiles = read_tiles(site.live.tiles)
         road = SightTiles.of(self.tiles)
         scans = site.scan.files if site.scan is not None else ()
@@ -167,7 +169,7 @@ class Fusion:
             will=(own, b'{"version": 1, "state": "offline"}'), reporter=self._reporter,
         )  # fmt: skip
         self._link = link
-        server = HealthServer(live.health, self.metrics) if live.health else None
+        server = serve_metrics(live.health, self.metrics) if live.health else None
         if self._page is not None:
             self._reporter.log(f"the page is at {self._page.open()}")
         self._export(self.state())  # the first takes long, before frames come
@@ -356,8 +358,11 @@ class Fusion:
             self._say(error)
 
     def _say(self, error: GisRadarError) -> None:
-        hint = f" ({error.hint})" if error.hint else ""
-        self._reporter.log(error.message + hint, "warning")
+        now = time.monotonic()
+        if now - self._said.get(error.message, -SAID_S) >= SAID_S:
+            self._said[error.message] = now
+            hint = f" ({error.hint})" if error.hint else ""
+            self._reporter.log(error.message + hint, "warning")
 
 
 def _page(fusion: Fusion, site: LiveSite) -> Page | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Iterable, Iterator
 from copy import copy
@@ -14,7 +15,7 @@ import numpy as np
 from gis_radar.arrays import Booleans
 from gis_radar.crs import require_same
 from gis_radar.errors import InputError, OutputError, placed
-from gis_radar.live.broker import Received, SensorTopics, parts_of
+from gis_radar.live.broker import FUSION, Received, SensorTopics, parts_of
 from gis_radar.live.health import SensorHealth
 from gis_radar.live.hits_folder.tile_sets import unpack_tiles
 from gis_radar.live.hours import HOUR_STEPS, HOUR_US
@@ -27,6 +28,7 @@ from gis_radar.live.payload import (
     FINGERPRINT_BYTES,
     KINDS,
     POSE,
+    STREAM_BYTES,
     VERSION,
     Envelope,
     PoseContent,
@@ -49,7 +51,8 @@ if TYPE_CHECKING:
 
 ACK_S = 1.0  # between two acknowledgements of nothing new
 TWINS_WITHIN_S = 60.0  # two streams of one sensor that take turns
-FUSION = "fusion"  # its own name in topics
+MOST_LOST = 2**63  # of messages, as of their numbers
+STREAM = re.compile(f"[0-9a-f]{{{2 * STREAM_BYTES}}}")
 
 
 @dataclass(kw_only=True)
@@ -248,11 +251,11 @@ class Intake:
         online = record.get("state") == ONLINE
         sensor.health.alarm("offline", None if online else "the broker lost it, or it was stopped")
         lost = record.get("lost")
-        if isinstance(lost, int):
+        if isinstance(lost, int) and 0 <= lost < MOST_LOST:
             sensor.health.lost = lost
             sensor.health.alarm("lost", f"{lost} messages" if lost > 0 else None)
         stream = record.get("stream")
-        if online and isinstance(stream, str) and stream:
+        if online and isinstance(stream, str) and STREAM.fullmatch(stream):
             self._use_stream(sensor, stream)
 
     def _use_stream(self, sensor: SensorState, stream: str) -> None:
