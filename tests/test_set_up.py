@@ -302,7 +302,9 @@ def test_conda_gets_what_pyproject_asks_for():
     given = {name: floor for name, floor in entries if name not in {"conda-forge", "pip"}}
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     wanted = {"python": project["requires-python"], "pdal": ">=2.2", "python-pdal": ""}
-    for requirement in map(Requirement, project["dependencies"]):
+    for requirement in map(
+        Requirement, project["dependencies"] + project["optional-dependencies"]["pdf"]
+    ):
         first, *more = CONDA_NAMES.get(requirement.name, [requirement.name])
         wanted |= {first: str(requirement.specifier)} | dict.fromkeys(more, "")
     assert given == wanted
